@@ -41,7 +41,7 @@ Method = str | IDW | RBF | TFI | Hybrid
 
 
 def options_of(method: Method) -> Options:
-    """The user's choice of method as the options of a case.
+    """Convert the user's choice of method to the options of a case.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Where arrays enter: shape, type and finiteness are checked once; nothing below checks again."""
+"""Checks of arrays where they enter the program: shape, type, finiteness. Nothing below checks them again."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def checked_array(
 
 
 def _unit_of(values: Any) -> str:
-    """The unit that an array of another package carries, and would lose here; empty if there is none."""
+    """The unit that an array of another package carries and would lose by conversion; empty without one."""
     unit = getattr(values, "units", getattr(values, "unit", None))
     return "" if unit is None or callable(unit) else str(unit)
 
@@ -106,7 +106,7 @@ def checked_time(value: Any, error: type[MeshDeformError]) -> float:
 
 
 def whole(value: Any) -> Any:
-    """A whole number of any type, such as numpy's, as ``int``; anything else as it is."""
+    """An integer of any type, such as numpy's, as ``int``; anything else is returned unchanged."""
     return int(value) if isinstance(value, numbers.Integral) and not isinstance(value, bool) else value
 
 
@@ -116,12 +116,12 @@ def require_arguments(function: Callable[..., Any], what: str, *names: str) -> N
     Raises
     ------
     MotionError
-        With the arguments that it has and those expected.
+        Stating the arguments that it has and those expected.
     """
     try:
         signature = inspect.signature(function)
     except (TypeError, ValueError):
-        # Some compiled functions do not say.
+        # Some compiled functions have no signature.
         return
     try:
         signature.bind(*names)

@@ -1,4 +1,4 @@
-"""Results as notebooks show them."""
+"""HTML of results for notebooks."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Any
 
 
 def html_table(head: str, rows: Iterable[tuple[str, ...]], heads: tuple[str, ...] = ()) -> str:
-    """A paragraph and a table of texts below it."""
+    """A paragraph followed by a table of texts."""
     top = f"<tr>{''.join(f'<th>{escape(text)}</th>' for text in heads)}</tr>" if heads else ""
     body = "".join(f"<tr>{''.join(f'<td>{escape(text)}</td>' for text in row)}</tr>" for row in rows)
     return f"<p>{escape(head)}</p><table>{top}{body}</table>"
 
 
 def quality_rows(quality: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """The figures of a grid that matter first, from a report's quality."""
+    """The most important quality measures of a grid, from a report's quality section."""
     return [
         ("f_skew harmonic mean", f"{quality['f_skew']['harmonic_mean']:.4f}"),
         ("f_skew minimum", f"{quality['f_skew']['min']:.4f}"),

@@ -1,4 +1,4 @@
-"""Arrays of which every MPI rank holds a piece, as distributed solvers and OpenMDAO hand them over."""
+"""Arrays of which every MPI rank holds a piece, as in distributed solvers and OpenMDAO."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from meshdeform_core.parallel import Ranks
 
 
 def share_of(count: int, ranks: Ranks) -> slice:
-    """The rows of this rank where ``count`` rows are divided evenly: rank r has those from int(count r / ranks)."""
+    """The rows of this rank when ``count`` rows are divided evenly: those of rank r begin at int(count r / ranks)."""
     return slice(count * ranks.number // ranks.count, count * (ranks.number + 1) // ranks.count)
 
 
@@ -21,6 +21,6 @@ def gathered(ranks: Ranks, piece: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
 
 
 def summed(ranks: Ranks, count: int, rows: IntArray, values: FloatArray) -> FloatArray:
-    """Sum (count, 3) of the ``values`` (n, 3) that all ranks give for ``rows`` (n,); rows may repeat."""
+    """Sum (count, 3) of the ``values`` (n, 3) of all ranks for ``rows`` (n,), which may repeat."""
     every, what = gathered(ranks, rows), gathered(ranks, values)
     return np.stack([np.bincount(every, what[:, axis], minlength=count) for axis in range(3)], axis=1)

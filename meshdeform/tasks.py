@@ -84,7 +84,7 @@ def sample(name: str, size: int | str | None = None) -> Sample:
     Raises
     ------
     CaseError
-        For an unknown sample, with the known ones, or an unsupported size.
+        For an unknown sample (listing the known ones) or an unsupported size.
     """
     from meshdeform_samples import case_content, generate
 

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 
 SURFACE = "surface"
 _AGREE, _DISAGREE = 1e-6, 0.1
-"""Copies of a point closer than this fraction of the local edge agree; farther apart than the second is an error."""
+"""Copies of a point agree if they are closer than the first fraction of the local edge; farther apart than the second
+fraction is an error."""
 
 
 class Zones:
@@ -40,7 +41,7 @@ class Zones:
         rows = [np.arange(grid.offsets[z], grid.offsets[z + 1]) for z in zones]
         self.rows = slice(None) if whole else np.concatenate(rows)
         place = {int(zone): number for number, zone in enumerate(zones)}
-        # Single precision is that of the file, not of the motion: derivatives are checked with small steps.
+        # Always double precision, even if the file is in single precision, as derivatives are checked with small steps.
         self.grid = Grid(
             grid.points if whole else grid.points[self.rows],
             tuple(grid.shapes[z] for z in zones),
@@ -100,10 +101,10 @@ class Zones:
 
 
 class Component:
-    """Zones, the surface that moves them, and what the last displacement made of them.
+    """Zones, the surface that moves them, and the result of the last displacement.
 
-    ``point`` and ``node`` are pairs: a point of the whole surface, and its unique node. Copies of a point at one node
-    move it by their mean.
+    ``point`` and ``node`` are pairs: a point of the whole surface, and its unique node. If several copies of a point
+    belong to a node, it moves by their mean.
     """
 
     def __init__(self, zones: Zones, quads: IntArray, pairs: tuple[IntArray, IntArray], comm: Comm | None):
@@ -131,14 +132,18 @@ class Component:
         return self._mesh.points
 
     def warp(self, surface: FloatArray) -> tuple[Step, float]:
-        """Deform for the positions (n, 3) of all points; the verdict, and how far apart copies are in edges."""
+        """Deform for the positions (n, 3) of all points.
+
+        Returns the step, and the largest distance between copies of a point relative to the local edge.
+        """
         positions, apart = self._positions_of(surface)
         self._step = self._mesh.deform(positions - self.points, steps=1, repair=self._repair)
         self._positions, self._derivative = positions, None
         return self._step, apart
 
     def put(self, whole: FloatArray) -> None:
-        """Write the deformed nodes into an array (n_nodes, 3) of all zones; walls are exactly where they were set."""
+        """Write the deformed nodes into an array (n_nodes, 3) of all zones; wall nodes are exactly where they were
+        set."""
         if self._step is not None:
             whole[self.rows] = self._step._result.grid.points
             whole[self._wall] = self._positions[self._wall_row]
@@ -151,12 +156,13 @@ class Component:
         return self._derivative
 
     def forward(self, change: FloatArray) -> FloatArray:
-        """Change (n, 3) of the nodes of these zones for that of all points."""
+        """Change (n, 3) of the nodes of these zones for a ``change`` of all points."""
         moved = self._sum(change[self.point]) / self._copies[:, None]
         return np.asarray(self.derivative().operator.matvec(moved.ravel())).reshape(-1, 3)
 
     def reverse(self, gradient: FloatArray, total: FloatArray) -> None:
-        """Add the gradient of all points from that (n_nodes, 3) of all nodes: the transpose of :meth:`forward`."""
+        """Transpose of :meth:`forward`: add to ``total`` the gradient of all points from that (n_nodes, 3) of all
+        nodes."""
         found = np.asarray(self.derivative().operator.rmatvec(gradient[self.rows].ravel())).reshape(-1, 3)
         np.add.at(total, self.point, (found / self._copies[:, None])[self._row])
 
@@ -166,7 +172,10 @@ class Component:
         return np.stack([np.bincount(self._row, each, minlength=count) for each in values.T], axis=1)
 
     def _positions_of(self, surface: FloatArray) -> tuple[FloatArray, float]:
-        """Where the nodes go (n_moving, 3): exactly to their points where the copies agree, else to their mean."""
+        """New positions (n_moving, 3) of the nodes: those of their points if copies agree, otherwise their mean.
+
+        Also returns the largest distance between copies relative to the local edge.
+        """
         start = surface[self._first]
         apart = surface[self.point] - start[self._row]
         edge = self._mesh._setup.topology.edge[self._mesh._numbers]
@@ -196,7 +205,7 @@ def _mesh(zones: Zones, quads: IntArray, comm: Comm | None) -> Mesh:
         method="idw",
         comm=comm,
     )
-    # L_def needs the sources, which the set-up has found; it is then completed with the method.
+    # The method's L_def depends on the sources, which are known only after the set-up.
     problem = mesh._setup.problem
     length = float(np.linalg.norm(problem.source_points - problem.centroid, axis=1).max())
     case = dataclasses.replace(mesh._setup.case, method=options_of(zones.options.method(length)))
@@ -204,7 +213,7 @@ def _mesh(zones: Zones, quads: IntArray, comm: Comm | None) -> Mesh:
 
 
 def _within(patch: Patch, place: dict[int, int]) -> Patch | None:
-    """The part of a patch in some zones, numbered anew."""
+    """The part of a patch that lies in some zones, with the zones renumbered by ``place``."""
     windows = tuple(dataclasses.replace(w, block=place[w.block]) for w in patch.windows if w.block in place)
     return dataclasses.replace(patch, windows=windows) if windows else None
 

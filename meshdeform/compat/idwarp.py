@@ -4,8 +4,8 @@
 
     mesh = USMesh(options={"gridFile": "wing.cgns"}, comm=MPI.COMM_WORLD)
 
-Written from the documented behaviour and from what callers do; docs/guides/idwarp.md says which option is honoured,
-mapped or refused. Nothing is fixed: outside nodes that are neither surface nor symmetry plane move along.
+Written from the documented behaviour and from the use that callers make of it; docs/guides/idwarp.md says which options
+are honoured, mapped or refused. Nothing is fixed: outside nodes on neither surface nor symmetry plane move freely.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ __all__ = ["MultiUSMesh", "USMesh"]
 
 
 class _Interface:
-    """What both kinds of mesh offer to solvers. All calls are collective."""
+    """Interface common to both kinds of mesh. All calls are collective."""
 
     _warp: Warp
     _comm: Comm | None
@@ -41,8 +41,8 @@ class _Interface:
     def setExternalMeshIndices(self, ind: ArrayLike) -> None:
         """The degrees of freedom (3 n,) that the solver holds on this rank.
 
-        A node counts (zone offset + (k - 1) ni nj + (j - 1) ni + (i - 1)), zones in the order of the file; its x, y, z
-        are three times that, plus 0, 1, 2. Nodes may repeat.
+        The number of a node is zone offset + (k - 1) ni nj + (j - 1) ni + (i - 1), with zones in the order of the file;
+        its x, y, z have three times that number plus 0, 1, 2. Nodes may repeat.
         """
         self._warp.set_solver_nodes(ind)
 
@@ -72,11 +72,11 @@ class _Interface:
         return self._warp.surface
 
     def setSurfaceCoordinates(self, coordinates: ArrayLike) -> None:
-        """Where this rank's points (n, 3) go; :meth:`warpMesh` moves the grid."""
+        """Set the new positions (n, 3) of this rank's points; :meth:`warpMesh` then moves the grid."""
         self._warp.set_surface(coordinates)
 
     def warpMesh(self) -> None:
-        """Move the grid. An invalid grid is a warning: solvers find it by their own checks, too."""
+        """Move the grid. An invalid grid causes a warning only, as solvers have checks of their own."""
         self._warp.warp()
 
     def getSolverGrid(self) -> FloatArray:
@@ -88,15 +88,18 @@ class _Interface:
         return self._warp.coordinates(self._warp.own_rows)
 
     def getCommonGrid(self) -> FloatArray:
-        """As :meth:`getWarpGrid`: there is no other order than that of the file."""
+        """As :meth:`getWarpGrid`, as the order of the file is the only one."""
         return self.getWarpGrid()
 
     def getdXs(self) -> FloatArray:
-        """The gradient (n, 3) of this rank's points that the last :meth:`warpDeriv` found."""
+        """The gradient (n, 3) of this rank's points computed by the last :meth:`warpDeriv`."""
         return self._warp.gradient
 
     def warpDerivFwd(self, dXs: ArrayLike, solverVec: bool = True) -> FloatArray:
-        """Change (3 n,) of the solver's nodes, or of :meth:`getWarpGrid`'s, for that of the points, (n, 3) or flat."""
+        """Change (3 n,) of the solver's nodes, or of those of :meth:`getWarpGrid`, for a change of the points.
+
+        ``dXs`` is (n, 3) or flat.
+        """
         return self._warp.forward(dXs, self._rows(solverVec))
 
     def verifyWarpDeriv(
@@ -108,13 +111,13 @@ class _Interface:
         Parameters
         ----------
         dXv : gradient of the nodes (3 n,); random numbers by default
-        dofStart, dofEnd : numbers of the coordinates of the surface, the second is the first one not compared
+        dofStart, dofEnd : first coordinate of the surface to compare, and one past the last
         h : step (grid length unit)
 
         Raises
         ------
         AssertionError
-            When one differs by more than 1e-4 of the largest.
+            When any component differs by more than 1e-4 of the largest one.
         """
         rows = self._rows(solverVec)
         if dXv is None:
@@ -170,14 +173,14 @@ class USMesh(_Interface):
 
     Parameters
     ----------
-    options : see docs/guides/idwarp.md; names without regard to case
+    options : see docs/guides/idwarp.md; names are not case-sensitive
     comm : communicator of the ranks that share it; all ranks by default
     debug : ignored
 
     Raises
     ------
     CaseError
-        Without options, for unknown or refused ones.
+        Without options, and for unknown or refused ones.
     """
 
     def __init__(self, options: Mapping[str, Any] | None = None, comm: Comm | None = None, debug: bool = False) -> None:
@@ -198,13 +201,13 @@ class USMesh(_Interface):
         self._options.set(name, value)
 
     def printOptions(self) -> None:
-        """Print every option with its value, and what it means here where that differs."""
+        """Print every option with its value, and its meaning here where that differs from IDWarp's."""
         if self._rank == 0:
             for name, value, note in self._options.items():
                 print(f"{name:20} {value!r}" + (f"  ({note})" if note else ""))
 
     def warpDeriv(self, dXv: ArrayLike, solverVec: bool = True) -> None:
-        """The transposed derivative of the gradient (3 n,) of the nodes; :meth:`getdXs` returns it.
+        """Apply the transposed derivative to the gradient (3 n,) of the nodes; :meth:`getdXs` returns the result.
 
         Gradients of solver nodes that repeat are added.
         """
@@ -216,8 +219,8 @@ class MultiUSMesh(_Interface):
 
     Parameters
     ----------
-    CGNSFile : zones belong to the component whose name comes before the dot in theirs
-    optionsDict : options (see :class:`USMesh`) of components by name; the others stay
+    CGNSFile : grid file; the component of a zone is the part of its name before the dot
+    optionsDict : options (see :class:`USMesh`) of components by name; components without options do not move
     comm : communicator of the ranks that share it; all ranks by default
     dtype : ``"d"``; complex numbers are refused
     debug : ignored

@@ -28,7 +28,7 @@ DEFAULTS: dict[str, Any] = {
     "cornerAngle": 30.0,
     "restartFile": None,
     "bucketSize": 8,
-    # Ours.
+    # Additions to IDWarp's options.
     "method": "idw",
     "repair": "off",
 }
@@ -43,13 +43,13 @@ NOTES = {
     "restartFile": "nothing is read or written: preparing takes less time than reading it would",
     "bucketSize": "has no effect: clusters are chosen by the tolerance",
 }
-"""What an option means here where it is not exactly what it means to IDWarp."""
+"""Meaning of options here where it differs from IDWarp's."""
 
 _PART = 1e-3
-"""Tolerance of fast sums, relative to the cell, as part of ``errTol``, which is relative to the displacement.
+"""Tolerance of fast sums (relative to the cell) as a fraction of ``errTol`` (relative to the displacement).
 
-Differences of grids with steps of 1e-6 then agree with the derivative to 1e-7 (the sample wing with 90,650 nodes), for
-half as much time again as with ``errTol`` itself.
+With it, finite differences with steps of 1e-6 agree with the derivative to 1e-7 (sample wing, 90,650 nodes), in 1.5
+times the time that ``errTol`` itself would take.
 """
 _WITH_IDW = {"idw": None, "idw-tfi": TFI, "idw-rbf": RBF}
 _LOWER = {name.lower(): name for name in DEFAULTS}
@@ -58,12 +58,12 @@ _SWITCHES = ("useRotations", "zeroCornerRotations")
 
 
 class Options:
-    """Options by name, without regard to case.
+    """Options by name, which is not case-sensitive.
 
     Raises
     ------
     CaseError
-        For no options, an unknown one with the nearest known one, one that is given twice, or a value that is refused.
+        Without options, for an unknown option (naming the nearest known one), one given twice, or a refused value.
     """
 
     def __init__(self, given: Mapping[str, Any] | None):

@@ -22,7 +22,7 @@ class Definition:
     ----------
     points : (n, 3) undeformed; points may repeat
     faces : (n_faces, 4) their corners; triangles repeat the last one
-    zone : (n_faces,) number of the zone from 0; -1 if not told
+    zone : (n_faces,) number of the zone from 0; -1 if not given
     """
 
     points: FloatArray
@@ -57,7 +57,7 @@ class Definition:
         return cls(pts, flat[at], zone)
 
     def moved_by(self, first: int) -> Definition:
-        """The same faces where ``first`` other points come before these."""
+        """The definition with point numbers increased by ``first``, for points that follow others."""
         return Definition(self.points, self.faces + first, self.zone)
 
 
@@ -101,7 +101,7 @@ def match(grid: Grid, topology: Topology, definition: Definition, candidates: In
 
 
 def _keys(corners: IntArray) -> IntArray:
-    """A number for each set of corners (n, 4): equal where the sets are."""
+    """A number for each set of corners (n, 4), equal for equal sets."""
     ordered = np.sort(corners, axis=1)
     repeated = np.zeros(ordered.shape, dtype=bool)
     repeated[:, 1:] = ordered[:, 1:] == ordered[:, :-1]
@@ -110,12 +110,12 @@ def _keys(corners: IntArray) -> IntArray:
 
 
 def require_found(definition: Definition, times: IntArray) -> None:
-    """Every face must lie on one grid.
+    """Require that every face lies on exactly one grid.
 
     Raises
     ------
     GridError
-        With the number of faces that were not found, or found on several components.
+        Stating the number of faces that were not found, or found on several components.
     """
     for number, what, advice in (
         (0, "are not faces on the outside of the grid", "the undeformed surface of the same grid, in its length unit"),

@@ -1,4 +1,4 @@
-"""A grid that a distributed solver warps: its pieces in, its pieces out."""
+"""A grid warped by a distributed solver, which passes and receives the pieces of each rank."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 
 
 class Warp:
-    """The grid of a file, whose groups of zones move by one surface; every rank makes the same calls.
+    """The grid of a file, whose groups of zones follow one surface; every rank must make the same calls.
 
     Parameters
     ----------
-    groups : zones (numbers from 0) that move together, with their options; zones in no group stay
+    groups : zones (numbers from 0) that move together, with their options; zones in no group do not move
     """
 
     def __init__(self, grid: Grid, groups: list[tuple[IntArray, Options]], comm: Comm | None, ranks: Ranks):
@@ -54,7 +54,7 @@ class Warp:
 
     @property
     def defined(self) -> bool:
-        """Whether the surface is known, and with it what moves."""
+        """Whether the surface has been defined."""
         return bool(self._components)
 
     @property
@@ -81,7 +81,7 @@ class Warp:
         self._solver_rows = rows_of_freedoms(self._grid, indices)
 
     def define(self, definition: Definition) -> None:
-        """The surface from this rank's points and faces; they are searched on the undeformed grid."""
+        """Define the surface by this rank's points and faces, which are located on the undeformed grid."""
         first = sum(self._ranks.gather([len(definition.points)])[: self._ranks.number])
         own = definition.moved_by(first)
         whole = Definition(*(gathered(self._ranks, part) for part in (own.points, own.faces, own.zone)))
@@ -96,7 +96,7 @@ class Warp:
         self._begin([(m.quads, (m.point, m.node)) for m in matches])
 
     def define_from_file(self) -> None:
-        """The surface that the options select in the file; its nodes, each once, are divided among the ranks."""
+        """Define the surface by the families that the options select; its nodes are divided among the ranks."""
         found, points, count = [], [], 0
         for zones in self._zones:
             quads = zones.wall_quads()
@@ -140,7 +140,7 @@ class Warp:
         self._surface = values.reshape(-1, 3)
 
     def warp(self) -> None:
-        """Move the grid to where the surface is; an invalid grid is a warning of every rank."""
+        """Deform the grid to the surface's new position; an invalid grid causes a warning on every rank."""
         self.surface  # noqa: B018  (the surface of the file, if none was defined)
         whole = gathered(self._ranks, self._surface)
         self._require_still(whole)
@@ -173,7 +173,7 @@ class Warp:
         return self._points[rows].ravel()
 
     def forward(self, change: ArrayLike, rows: IntArray) -> FloatArray:
-        """Change (3 n,) of the nodes ``rows`` for that of this rank's points, (n, 3) or flat."""
+        """Change (3 n,) of the nodes ``rows`` for a ``change``, (n, 3) or flat, of this rank's points."""
         own = np.asarray(change, dtype=np.float64).reshape(-1, 3)
         if own.shape != self.surface.shape:
             raise MotionError(f"dXs has {own.size} values; expected {self._surface.size}")
@@ -202,7 +202,7 @@ class Warp:
 
     @property
     def gradient(self) -> FloatArray:
-        """The gradient (n, 3) that :meth:`reverse` found last."""
+        """The gradient (n, 3) computed by the last :meth:`reverse`."""
         return self._gradient.copy()
 
     def _tell_of(self, component: Component) -> None:

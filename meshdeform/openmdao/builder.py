@@ -94,7 +94,7 @@ class MeshDeformBuilder(Builder):
         return DeformationGroup(parts={"deformation": deformation, "solver": solver})
 
     def get_post_coupling_subsystem(self, scenario_name: str | None = None) -> Any:
-        """That of the solver, and the measures of the grid."""
+        """The solver's own subsystem after the coupling, and the measures of the grid."""
         parts: dict[str, Any] = {}
         if self._measures:
             parts["quality"] = MeshQualityComp(mesh=self.mesh, measures=self._measures)
@@ -108,7 +108,7 @@ class MeshDeformBuilder(Builder):
         return len(self._rows(None if groupName is None else [groupName]))
 
     def get_ndof(self) -> int:
-        """Coordinates of a node."""
+        """Number of coordinates of a node."""
         return 3
 
     def get_tagged_indices(self, tags: Any) -> list[int]:

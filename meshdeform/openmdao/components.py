@@ -36,7 +36,7 @@ class _OnMesh(om.ExplicitComponent):
                 f"the mesh was prepared for {self.ranks.count} ranks, the component runs on {self.comm.size}; expected "
                 f"prepare(..., comm=comm) with the communicator of the component"
             )
-        # Vectors of one process are not distributed ones: these need PETSc.
+        # With a single process, vectors are serial, as distributed ones require PETSc.
         self.divided = self.ranks.count > 1
         self.own_points = share_of(len(mesh.points), self.ranks)
         self.own_nodes = share_of(mesh.grid.n_nodes, self.ranks)
@@ -83,7 +83,7 @@ class MeshDeformComp(_OnMesh):
         self.add_output(o["volume"], nodes.ravel(), distributed=self.divided, tags=["mphys_coupling"])
 
     def compute(self, inputs: Any, outputs: Any) -> None:
-        """Deform; all ranks come to the same verdict."""
+        """Deform the grid; all ranks reach the same verdict."""
         displacement = self.whole(inputs[self.options["surface"]]) - self.mesh.points
         step = self.mesh.deform(displacement, steps=self.options["steps"], repair=self.options["repair"])
         if not step.valid:
@@ -92,7 +92,7 @@ class MeshDeformComp(_OnMesh):
         outputs[self.options["volume"]] = step._result.grid.points[self.own_nodes].ravel()
 
     def compute_jacvec_product(self, inputs: Any, d_inputs: Any, d_outputs: Any, mode: str) -> None:
-        """Products with the derivative at ``inputs``, which is found once for each."""
+        """Products with the derivative at ``inputs``, which is computed once per set of inputs."""
         surface, volume = self.options["surface"], self.options["volume"]
         if surface not in d_inputs or volume not in d_outputs:
             return
@@ -125,7 +125,7 @@ class MeshQualityComp(_OnMesh):
     -------
     mesh : as of :class:`MeshDeformComp`
     measures : of :meth:`Step.quality_gradient`; each is an output ``quality_MEASURE``
-    sharpness : as there
+    sharpness : of the smooth minima, as in :meth:`Step.quality_gradient`
     volume : name of the volume coordinates, the input
     """
 
@@ -168,9 +168,9 @@ class MeshQualityComp(_OnMesh):
 
 
 class MeshCoordinates(_OnMesh):
-    """The undeformed surface as MPhys asks for it: ``x_aero0_mesh``.
+    """The undeformed surface as the output ``x_aero0_mesh`` that MPhys expects.
 
-    After :meth:`mphys_add_coordinate_input` it hands on coordinates that a geometry gives.
+    After :meth:`mphys_add_coordinate_input` it passes on the coordinates of a geometry component.
     """
 
     _GIVEN = "x_aero0_points"
@@ -213,7 +213,7 @@ class MeshCoordinates(_OnMesh):
         return [at[:, 0], at[:, 1] - at[:, 0], at[:, 2] - at[:, 0]]
 
     def compute(self, inputs: Any, outputs: Any) -> None:
-        """What the geometry gives, if there is one."""
+        """Pass on the coordinates of the geometry component, if there is one."""
         if self._given:
             outputs[SURFACE.Mesh.COORDINATES] = inputs[self._GIVEN]
 

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Moving:
-    """The moving nodes of a mesh: their unique ``numbers``, the check of arrays like them, and how calls take turns."""
+    """The moving nodes of a mesh: their unique ``numbers``, a check of arrays with a row for each, and the lock that
+    calls hold."""
 
     numbers: IntArray
     checked: Callable[[ArrayLike, str, int], FloatArray]
@@ -65,7 +66,7 @@ class Linearisation:
         return self._reason
 
     def jvp(self, displacement: ArrayLike) -> list[FloatArray]:
-        """Change of the blocks' coordinates, arrays like ``mesh.grid.blocks``, for one of the moving nodes.
+        """Change of the blocks' coordinates, arrays like ``mesh.grid.blocks``, for a change of the displacement.
 
         Parameters
         ----------
@@ -83,7 +84,7 @@ class Linearisation:
     def vjp(self, gradients: Sequence[ArrayLike]) -> FloatArray:
         """Gradient (n_moving, 3) with respect to the displacement from that with respect to the coordinates.
 
-        The transpose of :meth:`jvp`. Block nodes that stand for one point each add their part.
+        The transpose of :meth:`jvp`. The contributions of coincident block nodes are added.
 
         Parameters
         ----------
@@ -123,7 +124,7 @@ class Linearisation:
         return self._derivative.push(total[setup.problem.source_numbers])
 
     def _pulled(self, gradient: FloatArray) -> FloatArray:
-        """From the gradient (n_nodes, 3), which is overwritten."""
+        """:meth:`vjp` of a gradient (n_nodes, 3), which is overwritten."""
         setup = self._setup
         total = np.zeros((setup.topology.n_unique, 3))
         total[setup.problem.source_numbers] = self._derivative.pull(gradient)
@@ -148,7 +149,7 @@ class Linearisation:
 
 
 def _real(values: Any) -> FloatArray:
-    """A copy of the argument of a ``LinearOperator``."""
+    """The argument of a ``LinearOperator`` as a new real array."""
     found = np.array(values)
     if found.dtype.kind == "c":
         raise GridError("found complex numbers; expected real ones: apply the operator to both parts")

@@ -94,7 +94,7 @@ class Mesh:
         return {patch.name: rows[rows >= 0] for patch in moving for rows in [row_of[patch.nodes]]}
 
     def mask(self, patch: str) -> BoolArray:
-        """(n_moving,) bool: the rows of :attr:`points` that belong to a moving patch."""
+        """Mask (n_moving,) bool of the rows of :attr:`points` that belong to a moving patch."""
         if patch not in self.patches:
             raise MotionError(f"no moving patch {patch!r}; expected one of {', '.join(map(repr, self.patches))}")
         mask = np.zeros(len(self._numbers), dtype=bool)
@@ -184,7 +184,7 @@ class Mesh:
 
     @contextmanager
     def _at_work(self) -> Iterator[None]:
-        """Alone, with the threads and ranks of this mesh."""
+        """Context of a call: one at a time, with the threads and ranks of this mesh."""
         with in_parts(), one_at_a_time(), sharing(self._ranks, self._threads), self._dividing():
             yield
 

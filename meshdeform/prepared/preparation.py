@@ -144,7 +144,7 @@ def parsed_case(case: CaseLike) -> CaseFile:
     Raises
     ------
     CaseError
-        For an unknown key, with the nearest known one, or an invalid value.
+        For an unknown key (naming the nearest known one) or an invalid value.
     """
     if isinstance(case, Mapping):
         return _from_mapping(case)
@@ -192,7 +192,7 @@ def _entries(kind: Kind, selection: Selection | None) -> dict[str, tuple[str, ..
 
 
 def _is_patterns(value: object) -> bool:
-    """Whether it is a text or a sequence of texts."""
+    """Whether ``value`` is a string or a sequence of strings."""
     return isinstance(value, str) or (isinstance(value, Sequence) and all(isinstance(one, str) for one in value))
 
 

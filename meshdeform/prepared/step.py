@@ -52,10 +52,10 @@ class Step:
         """Volumes that the cell faces sweep on straight paths from the grid of another step, or the undeformed one.
 
         For each block one array per index axis, of the faces across it: (ni, nj - 1, nk - 1), (ni - 1, nj, nk - 1) and
-        (ni - 1, nj - 1, nk); in 2-D areas, (ni, nj - 1) and (ni - 1, nj). Positive towards the larger index: the volume
-        of each cell (positive if valid) changes by what its far faces sweep less what its near faces sweep, exactly but
-        for round-off. Divided by the time between the two steps these are the face velocities times area of a solver
-        with backward differences of first order.
+        (ni - 1, nj - 1, nk); in 2-D areas, (ni, nj - 1) and (ni - 1, nj). Positive towards the larger index: up to
+        round-off, the volume of each cell (positive if valid) changes by the volumes swept by its far faces minus those
+        swept by its near faces. Divided by the time between the two steps, they are the volume fluxes of the faces for
+        a solver with first-order backward differences.
 
         Raises
         ------
@@ -115,7 +115,7 @@ class Step:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """All warnings of this deformation."""
+        """All warnings about this deformation."""
         return self._result.warnings
 
     @cached_property

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-# The same thread may call again, for example from a function that gives displacements.
+# Re-entrant, as a thread may call again, for example from a function that returns displacements.
 _lock = threading.RLock()
 
 
@@ -19,7 +19,7 @@ def one_at_a_time() -> Iterator[None]:
 
 
 def _renew() -> None:
-    """In a forked process no other thread runs that would ever release the lock."""
+    """Make a new lock in a forked process, where the thread that held the old one does not exist."""
     global _lock
     _lock = threading.RLock()
 
