@@ -105,7 +105,7 @@ class GridInput:
 
     @property
     def roles(self) -> list[tuple[str, Path | None]]:
-        """Its files with their roles, for the report."""
+        """The files of the input with their roles, for the report."""
         return [("grid", self.path), ("boundary file", self.boundary_file)]
 
 
@@ -135,7 +135,7 @@ class CaseInput:
         return read_case(self.file, self.overrides, self.method, self.displacement, self.times, matching)
 
     def roles(self, read: CaseFile) -> list[tuple[str, Path | None]]:
-        """Its files, and those named in the case ``read``, with their roles, for the report."""
+        """The files of the input, and those named in the case ``read``, with their roles, for the report."""
         return [("case", self.file), *(("displacement", path) for path in read.files)]
 
     @property

@@ -37,9 +37,9 @@ _FAST_IDW, _FAST_RBF = IDW(summation="fast"), RBF(summation="fast", solver="kryl
 
 
 def runs() -> Iterator[Callable[[], object]]:
-    """The functions to call; none is there that adds no loop to the others.
+    """The functions to call; each compiles at least one loop that the others do not.
 
-    Two processes take them in this order: the long ones come first, and neighbours have few loops in common.
+    Two processes take them in this order: long ones come first, and neighbours have few loops in common.
     """
     yield partial(_deformed, "hemisphere", 8, Options("tfi"))
     yield _nested_sums

@@ -63,7 +63,7 @@ def _groups(block: FloatArray, count: int) -> list[slice]:
 
 
 def ahead(items: Iterable[T]) -> Iterator[T]:
-    """The same items, of which a few are produced in advance by a separate thread."""
+    """Yield the items; a separate thread produces a few of them in advance."""
     if thread_count() == 1:
         yield from items
         return

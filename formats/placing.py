@@ -33,7 +33,7 @@ def require_space(grid: Grid, path: Path, variant: FileFormat) -> None:
 
 
 def shortage(grid: Grid | Layout, path: Path, variant: FileFormat) -> str:
-    """What is missing on the disk for an output, see :func:`require_space`; empty if nothing is."""
+    """A message on the space that an output lacks on the disk, see :func:`require_space`; empty if it fits."""
     needed = least_bytes(grid, path, variant)
     folder = existing(followed(path).absolute().parent)
     try:

@@ -163,12 +163,12 @@ def write_coordinates(grid: Grid, arrays: Mapping[int, Sequence[Stored]]) -> Non
 
 
 def write_parts(grid: Grid, points: Part, arrays: Mapping[int, Sequence[Stored]]) -> None:
-    """The same for a grid in parts along i: ranks that share a block send each other their parts of ranges of planes k.
+    """As :func:`write_coordinates`, for a grid in parts: ranks that share a block exchange their parts of k planes.
 
     Raises
     ------
     OSError, FormatError
-        On all ranks, what one of them met first.
+        On all ranks, the first error of any of them.
     """
     ranks, failures = points.ranks, list[Exception]()
     # Clients of a network file system may otherwise write whole pages, with old bytes of other machines in them.
@@ -201,8 +201,8 @@ def write_parts(grid: Grid, points: Part, arrays: Mapping[int, Sequence[Stored]]
 
 
 def _turns(grid: Grid, bounds: IntArray, blocks: Iterable[int]) -> list[dict[int, tuple[Planes, dict[int, int]]]]:
-    """What is written at a time: for each rank that writes, planes k of a block, and the ranks that hold some of them
-    with their numbers of planes i."""
+    """Units of writing, one after the other: for each writing rank, a range of k planes of a block, and the ranks that
+    hold parts of it, with the number of i planes of each."""
     queues: dict[int, list[tuple[Planes, dict[int, int]]]] = {}
     for block in blocks:
         ni, nj, nk = grid.shapes[block]

@@ -66,7 +66,7 @@ def _require_bounded(grid: Grid, path: Path) -> None:
 
 
 def _all_on_one_line(points: FloatArray) -> bool:
-    """The same of all nodes. The sample of a sound grid may lie on one of its lines, so that it does not suffice."""
+    """Whether all nodes lie on one line; a sample is not enough, as it may happen to lie on a grid line."""
     require_whole(points, "a sample of its nodes lies on one line")
     return _on_one_line(points)
 

@@ -34,7 +34,7 @@ _SERIES = 72
 
 @dataclass(frozen=True)
 class Levels:
-    """How many grids a run writes, and how many arrays as large as the coordinates their velocities take."""
+    """Number of grids that a run writes, and number of coordinate arrays that their velocities take."""
 
     count: int = 1
     velocity_arrays: int = 0

@@ -35,7 +35,7 @@ def _key(connection: Connection) -> tuple[int, Shape, Shape, int]:
 
 
 def _ascending(connection: Connection) -> Connection:
-    """The same connection with ``begin <= end`` along every axis."""
+    """The connection described with ``begin <= end`` along every axis."""
     begin, end = list(connection.begin), list(connection.end)
     donor_begin, donor_end = list(connection.donor_begin), list(connection.donor_end)
     for axis in range(3):

@@ -70,7 +70,7 @@ def read_hdf5(path: Path) -> DisplacementTable:
 
 
 def hdf5_entries(path: Path) -> set[str]:
-    """Names in the root group, from which the program that wrote the file can be told."""
+    """Names in the root group, by which the program that wrote the file is recognised."""
     with _opened(path) as file:
         return set(file)
 

@@ -30,7 +30,7 @@ _AROUND = 7
 
 @dataclasses.dataclass(frozen=True)
 class Pair:
-    """The same grid before and after, with the topology of the undeformed one.
+    """A grid before and after, with the topology of the undeformed one.
 
     ``undeformed`` is the grid that both are judged against, if it differs from the one before; ``original`` are its
     cells and faces, if these have been found already.
@@ -77,7 +77,7 @@ def moved_walls(pair: Pair, quads: IntArray) -> Page:
 
 
 def _displaced(subject: Subject, quads: IntArray) -> Facets:
-    """Face quads with the mean displacement of their own nodes."""
+    """Facets of the face quads, coloured by the mean displacement of their corners."""
     facets = surface_facets(subject, quads)
     assert subject.reference is not None
     before = surface_facets(dataclasses.replace(subject, grid=subject.reference, reference=None), quads)

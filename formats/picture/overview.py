@@ -24,7 +24,7 @@ from .view import View, Window, facing, iso, shaped, window_of
 _SMALL = 0.3
 """Details smaller than this fraction of the picture along its larger side get a close-up."""
 _LOST, _NOSE_NODES = 1e-3, (4, 9)
-"""If first cells are lower than this fraction of a close-up, a second one shows so many nodes of the wall."""
+"""If first cells are lower than this fraction of a close-up, a second close-up shows that many nodes of the wall."""
 _NOSE = 0.08
 """Largest close-up of a leading edge, as a fraction of the picture around it."""
 _SQUARE = (0.85, 1.15)

@@ -33,7 +33,7 @@ _GREY = np.array([0.80, 0.81, 0.84])
 
 @dataclasses.dataclass(frozen=True)
 class Request:
-    """What to draw; without any options the default picture.
+    """The requested picture; without any options, the default one.
 
     Attributes
     ----------
@@ -140,7 +140,7 @@ def _part(subject: Subject, request: Request) -> _Part:
 
 
 def _blocks(names: Sequence[str], request: Request) -> tuple[int, ...] | None:
-    """Numbers of the blocks whose names match the patterns; ``None`` stands for all."""
+    """Numbers of the blocks whose names match the patterns; ``None`` means all."""
     found: list[int] = []
     for pattern in request.blocks:
         matching = [n for n, name in enumerate(names) if fnmatch.fnmatchcase(name, pattern)]

@@ -92,7 +92,7 @@ def ends_with_integer(stream: BinaryIO) -> bool:
 
 
 def count_integers(stream: BinaryIO) -> int:
-    """How many numbers of a text are written without dot and exponent."""
+    """Number of the numbers in a text that have neither a decimal point nor an exponent."""
     skip_mark(stream)
     count, rest = 0, b""
     while chunk := stream.read(_PIECE):

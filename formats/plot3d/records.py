@@ -164,11 +164,11 @@ def _stored(lengths: list[int], variant: Variant) -> int:
 
 
 def laid_out(lengths: Sequence[int], variant: Variant) -> tuple[list[tuple[int, bytes]], list[list[tuple[int, int]]]]:
-    """How a file with records of data of these lengths is laid out; those of a C stream have no markers.
+    """Layout of a file whose records have data of these lengths; records of a C stream have no markers.
 
     Returns
     -------
-    markers : place and bytes of each
+    markers : offset and bytes of each marker
     records : (offset, length) of the stretches of data of each record
     """
     markers, records, at = [], [], 0

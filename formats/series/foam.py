@@ -60,7 +60,7 @@ class FoamFiles:
         return self._folders(number)[number in self.invalid]
 
     def _folders(self, number: int) -> tuple[Path, Path]:
-        """Of a valid and of an invalid level."""
+        """Folders of a level if it is valid, and if it is invalid."""
         return self._folder / self._names[number], self._folder / f"{self._names[number]}.invalid"
 
     def _points(self, folder: Path) -> Path:

@@ -150,7 +150,7 @@ class LevelFiles:
         return self._names(number)[number in self.invalid]
 
     def _names(self, number: int) -> tuple[Path, Path]:
-        """Of a valid and of an invalid level."""
+        """Paths of a level if it is valid, and if it is invalid."""
         plain = self._folder / level_name(self._stem, number, len(self._times), self._suffix)
         return plain, invalid_path(plain)
 

@@ -175,11 +175,11 @@ class Grid(BlockSizes):
             fill()
 
     def with_patches_of(self, other: Grid) -> Grid:
-        """The same grid; if it has no patches, with those of another grid of the same blocks."""
+        """The grid; if it has no patches, with those of another grid with the same blocks."""
         return self if self.patches else dataclasses.replace(self, patches=other.patches)
 
     def moved(self, points: FloatArray) -> Grid:
-        """The same grid with other coordinates."""
+        """The grid with other coordinates."""
         # A copy keeps the cached properties; recomputing them costs more than some loops over the nodes of a block.
         grid = copy.copy(self)
         object.__setattr__(grid, "points", points)

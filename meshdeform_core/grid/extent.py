@@ -35,7 +35,7 @@ def block_extents(grid: Grid) -> tuple[FloatArray, FloatArray]:
 
 
 def _extents_of_parts(grid: Grid) -> tuple[FloatArray, FloatArray]:
-    """The same of a grid of which every rank holds a part."""
+    """Extents of the blocks of a grid of which every rank holds a part."""
     low, high = np.full((grid.n_blocks, 3), np.inf), np.full((grid.n_blocks, 3), -np.inf)
     for block in range(grid.n_blocks):
         rows = grid.in_planes(block)
@@ -78,7 +78,7 @@ class Bounds:
         return reach.most <= level
 
     def _support(self, normal: FloatArray) -> float:
-        """Largest x . ``normal``; blocks whose upper bound is below it are not looked at."""
+        """Largest x . ``normal``; blocks whose bounding box cannot contain it are skipped."""
         highest = np.maximum(self.low * normal, self.high * normal).sum(axis=1)
         found = -np.inf
         for block in np.argsort(-highest):

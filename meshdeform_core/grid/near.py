@@ -32,7 +32,7 @@ class NearNodes:
 
     @classmethod
     def of(cls, shapes: Shapes, offsets: IntArray) -> NearNodes:
-        """Those of blocks of these shapes whose first nodes have the flat indices ``offsets`` (n_blocks + 1,)."""
+        """Near nodes of blocks of these shapes whose first nodes have the flat indices ``offsets`` (n_blocks + 1,)."""
         size = np.array(shapes, dtype=np.int64)
         # Across the plane of a 2-D block there are no sides.
         low, high = np.where(size > 1, _LAYERS, 0), np.where(size > 1, size - _LAYERS, size)
@@ -43,7 +43,7 @@ class NearNodes:
 
     @property
     def rows(self) -> IntArray:
-        """Their flat indices (n,), ascending."""
+        """Flat indices (n,) of the near nodes, ascending."""
         # Imported late, as below: `meshdeform info` imports no numba.
         from ..numerics.near import near_rows
 

@@ -35,7 +35,7 @@ class Side(IntEnum):
         return first, second
 
     def layer(self, counts: Sequence[int]) -> int:
-        """Index of this face along its axis, of nodes or cells that are so many along i, j, k."""
+        """Index of this face along its axis in a block with ``counts`` nodes or cells along i, j, k."""
         return (counts[self.axis] - 1) * (self.value % 2)
 
     def into(self, other: Side) -> int:

@@ -16,7 +16,7 @@ def strides_of(shapes: IntArray) -> IntArray:
 
 
 class BlockSizes:
-    """What the shapes of blocks ``(ni, nj, nk)`` in nodes, and the format of their file, tell."""
+    """Numbers that follow from the shapes of blocks, ``(ni, nj, nk)`` in nodes, and from the format of their file."""
 
     shapes: tuple[Shape, ...]
     format: FileFormat | None

@@ -126,7 +126,7 @@ class Topology:
         return self.number[np.searchsorted(self.face_nodes, flat)]
 
     def opened(self, quads: IntArray) -> Topology:
-        """The same topology with shared ``quads`` and their partners declared external (two-sided walls)."""
+        """The topology with shared ``quads`` and their partners declared external (two-sided walls)."""
         partner = self.partner.copy()
         partner[self.partner[quads]] = EXTERNAL
         partner[quads] = EXTERNAL

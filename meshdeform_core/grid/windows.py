@@ -53,7 +53,7 @@ class Rectangles:
         return len(self.side)
 
     def reaching(self, more: IntArray) -> Rectangles:
-        """The same with last nodes (n, 2) that are so much farther."""
+        """The rectangles with their last nodes moved by ``more`` (n, 2)."""
         return replace(self, high=self.high + more)
 
     def windows(self) -> list[Window]:

@@ -86,7 +86,7 @@ def own_group(parent: h5py.Group, node: Node) -> h5py.Group:
 
 
 def put_node(parent: h5py.Group, node: Node) -> None:
-    """Add a node to a file being written, in the place of any node of the same name."""
+    """Add a node to a file being written, replacing any node of the same name."""
     # Whether there is a link of this name, wherever it points.
     if parent.id.links.exists(node.name.encode()):
         del parent[node.name]

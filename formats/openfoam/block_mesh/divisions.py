@@ -24,7 +24,7 @@ UNIFORM: Grading = (Section(),)
 
 
 def reversed_grading(grading: Grading) -> Grading:
-    """The same grading seen from the other end of the edge."""
+    """The grading as seen from the other end of the edge."""
     return tuple(Section(part.length, part.cells, 1.0 / part.ratio) for part in reversed(grading))
 
 

@@ -235,7 +235,7 @@ def _grading(values: Reading) -> Grading:
 
 
 def _positive(items: Reading, ratio: float) -> float:
-    """The expansion ratio; a negative one stands for its reciprocal."""
+    """The expansion ratio; a negative value means the reciprocal of its magnitude."""
     if ratio == 0:
         items.fail("an expansion ratio of 0; expected the ratio of the last to the first cell")
     return -1.0 / ratio if ratio < 0 else ratio

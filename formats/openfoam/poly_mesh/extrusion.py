@@ -16,7 +16,7 @@ _ALONG_AXIS = 1e-6
 
 
 def extruded(grid: Grid, thickness: float) -> Grid:
-    """A 2-D grid as one layer of cells of this thickness, along the normal of its plane; a 3-D grid as it is."""
+    """A 2-D grid as one layer of cells of this thickness along the normal of its plane; 3-D grids are unchanged."""
     normal = plane_normal(grid)
     if normal is None:
         return grid

@@ -36,7 +36,7 @@ def draw_polygons(corners, scale, depth, item, line):
 
 @inlined
 def _line_widths(p, scale, strength, half):
-    """How strong and how thick (half of it) each edge is, from its distance to the opposite one: area by length."""
+    """Strength and half width of the line along each edge, from the spacing to the opposite edge (area over length)."""
     m = p.shape[0]
     area = 0.0
     for e in range(m):
@@ -79,7 +79,7 @@ def _draw_triangle(p, t, n, strength, half, depth, item, line):
 
 @inlined
 def _edge_cover(p, x, y, strength, half):
-    """How much of a pixel at (x, y) the edges of a polygon cover."""
+    """Fraction of the pixel at (x, y) that the edges of a polygon cover."""
     cover = 0.0
     for e in range(p.shape[0]):
         if strength[e] > 0.0:

@@ -12,7 +12,7 @@ Row = Sequence[Any]
 
 
 def table(caption: str, heads: Sequence[str], rows: Sequence[Row], *, text: Sequence[int] = (0,), **looks: Any) -> str:
-    """A table whose columns ``text`` are texts, the others numbers.
+    """A table; columns ``text`` hold texts, all others numbers.
 
     ``looks``: ``sortable`` for buttons in the header; ``flagged``, numbers of the rows to highlight.
     """

@@ -79,7 +79,7 @@ class ArrayReader:
         return flat if stated == 1 else flat.reshape(tuples, stated)
 
     def arrays_of(self, piece: Element, tag: str, number: int) -> list[Element]:
-        """The arrays of all ``tag`` elements in ``piece``, which must be so many."""
+        """The arrays of all ``tag`` elements in ``piece``, of which there must be ``number``."""
         arrays = [array for section in piece.all(tag) for array in section.arrays()]
         if len(arrays) != number:
             raise self.error(piece, f"has {len(arrays)} arrays of {tag}, expected {number}")

@@ -92,7 +92,7 @@ class Component:
     quads: IntArray
 
     def rows(self, whole: Grid, values: FloatArray) -> FloatArray:
-        """Its rows (n_nodes, 3) of values (n_nodes, 3) of the whole grid."""
+        """The component's rows of ``values`` (n_nodes, 3) of the whole grid."""
         return _copied(self.grid, lambda block: whole.block(int(self.blocks[block]), values))
 
 

@@ -41,7 +41,7 @@ class Surface:
 
     @property
     def quads(self) -> IntArray:
-        """Its face quads (n,)."""
+        """Face quads (n,) of the surface."""
         return np.concatenate([face.quads for face in self.faces])
 
     @property

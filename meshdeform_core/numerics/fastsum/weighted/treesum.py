@@ -157,8 +157,8 @@ def sum_lists(
 ) -> BoolArray:
     """Weighted sums over the ``acting`` (m,) clusters of a tree at all places, added to ``out`` (n, 8).
 
-    With a ``scale`` of all points, weights are in single precision and the same in both directions (:mod:`...mixed`).
-    Returns which lists (items,) hold any cluster.
+    With a ``scale`` of all points, weights are in single precision and the same in both directions
+    (:mod:`...exact.mixed`). Returns which lists (items,) hold any cluster.
     """
     number, raw = lists.codes >> 1, lists.codes & 1 == 1
     active = acting[number]
