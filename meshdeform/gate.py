@@ -22,7 +22,7 @@ _NUMBERS = "iuf"
 
 @contextmanager
 def in_parts() -> Iterator[None]:
-    """Turn what a grid in parts does not allow into an error for the user, the same on all ranks.
+    """Convert the error of an operation that a grid in parts does not allow into one for users, on all ranks alike.
 
     Raises
     ------

@@ -243,7 +243,7 @@ def peak_memory() -> int:
 
 
 def release_freed() -> None:
-    """Return to the system what the C library keeps of freed arrays, before much more memory is taken: GNU only."""
+    """Return freed memory that the C library retains to the system before more is taken (GNU C library only)."""
     with suppress(OSError, AttributeError, TypeError):
         ctypes.CDLL(None).malloc_trim(0)
 

@@ -86,7 +86,7 @@ class Grid:
 
     @property
     def part(self) -> list[BlockPart]:
-        """The nodes of this rank, where ``prepare(..., comm=comm, parts=True)`` has dealt the grid; else all blocks.
+        """The nodes of this rank if ``prepare(..., comm=comm, parts=True)`` has distributed the grid; else all blocks.
 
         Ranks hold consecutive ranges of planes i, block after block, with about equally many nodes.
         """
@@ -107,7 +107,7 @@ class Grid:
         return self._core
 
     def gathered(self, *, first_only: bool = False) -> Grid:
-        """The whole grid from the parts of all ranks, which call this together; the grid itself if it is not in parts.
+        """The whole grid from the parts of all ranks, which must all call this; the grid itself if it is not in parts.
 
         Parameters
         ----------

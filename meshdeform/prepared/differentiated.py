@@ -1,4 +1,4 @@
-"""The derivative of a deformed grid: of its method, its steps and its repairs; or why it is not that of the grid."""
+"""The derivative of a deformed grid, through its method, steps and repairs; or the reason why it has none."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from meshdeform_core.repair.derivative import RepairDerivative, derivative_of_re
 from meshdeform_core.stepping.retraced import retraced
 
 _CLOSE = 1e-4
-"""Of shortest edges: a repaired grid farther from the minimum than that, round-off aside, was found otherwise."""
+"""A repaired grid farther from the minimum than this fraction of the shortest edge, round-off aside, is not at it."""
 _NOT_MINIMAL = "the grid was repaired, but is not the minimum of the repair's energy"
 
 
 def differentiated(result: Result, method: PreparedMethod, displacement: FloatArray) -> tuple[Derivative, str]:
-    """The derivative of a deformed grid, and why it is not that of this grid; empty if it is.
+    """The derivative of a deformed grid, and the reason why it does not hold for this grid; empty if it does.
 
     ``method`` is prepared on the undeformed grid, and ``displacement`` (n_sources, 3) that of its sources. The
     components of an overset grid have derivatives of their own.
@@ -52,7 +52,7 @@ def _of_one_step(result: Result, method: PreparedMethod, displacement: FloatArra
 
 
 def _of_steps(result: Result, method: PreparedMethod, displacement: FloatArray) -> tuple[Derivative, str]:
-    """The chain rule; where it cannot be applied, the derivative of the method in one step."""
+    """The derivative by the chain rule; where that does not apply, the derivative of the method in one step."""
     setup, total = result.setup, result.displacement
     trials = retraced(setup, lambda part: total if part == 1.0 else part * total, method, result.ends)
 
@@ -94,7 +94,7 @@ def _of_repair(
 
 
 def _rounding(result: Result) -> float:
-    """What the coordinates of the result may differ by from those before they were rounded."""
+    """Largest difference between the coordinates of the result and those before rounding."""
     points = result.setup.grid.points
     return float(4.0 * np.finfo(result.setup.grid.precision).eps * np.abs(points).max())
 
@@ -104,7 +104,7 @@ def _same(points: FloatArray, result: Result) -> bool:
 
 
 class _Repaired:
-    """Of a method and of the repair after it."""
+    """Derivative of a method followed by a repair."""
 
     def __init__(self, method: Derivative, repair: RepairDerivative) -> None:
         self._method, self._repair, self.kinks = method, repair, method.kinks

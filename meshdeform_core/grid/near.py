@@ -13,7 +13,7 @@ _LAYERS = 2
 
 @dataclass(frozen=True, repr=False)
 class NearNodes:
-    """The nodes of all block sides that have quads, and the next ones inside, in the order of their flat indices.
+    """The nodes of all block sides that have quads, and their neighbours inside, in the order of their flat indices.
 
     Their places in this order follow from the block shapes, so that no table of them is kept.
 
@@ -52,7 +52,7 @@ class NearNodes:
         return found
 
     def places(self, rows: IntArray) -> IntArray | None:
-        """Where flat indices (n,) are among them; ``None`` if some are not."""
+        """Positions of flat indices (n,) among the near nodes; ``None`` if any is not near."""
         from ..numerics.near import near_places
 
         found = np.empty(len(rows), dtype=np.int64)

@@ -61,7 +61,7 @@ def spans(sizes: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def places_among(members: IntArray, count: int) -> IntArray:
-    """Place (count,) of every number from 0 to ``count`` - 1 in ``members`` (n,), -1 for those that are not there."""
+    """Position (count,) of every number from 0 to ``count`` - 1 in ``members`` (n,), -1 for numbers not among them."""
     place = np.full(count, -1, dtype=np.int64)
     place[members] = np.arange(len(members))
     return place

@@ -1,4 +1,4 @@
-"""The nodes near block faces, and their places among all of these: by arithmetic, without a table to search.
+"""The nodes near block faces, and their positions among all such nodes, by arithmetic instead of a search table.
 
 Block b has rows from ``offsets[b]`` on and ``shapes[b]`` nodes; ``inside[b]`` (3, 2) are the first and one past the
 last index, along each direction, of its nodes that are not near, and ``start[b]`` near nodes come before its own.
@@ -25,7 +25,7 @@ def near_rows(shapes, offsets, inside, out):
 
 @kernel
 def near_places(rows, shapes, offsets, inside, start, out):
-    """Place of each row (n,) among the near ones; false if one is not near."""
+    """Store the position of each row (n,) among the near ones; return False if any is not near."""
     block = 0
     for r in range(rows.size):
         row = rows[r]
@@ -49,8 +49,7 @@ def near_places(rows, shapes, offsets, inside, start, out):
 
 @kernel
 def _place(inside, i, j, k, local):
-    """Place in its block of node i, j, k, which is the ``local``-th: without the nodes inside that come before; -1 if
-    it is inside itself."""
+    """Position of node i, j, k, the ``local``-th of its block, among the block's near nodes; -1 if it is not near."""
     low, high = inside[0, 0], inside[0, 1]
     lines, depth = inside[1, 1] - inside[1, 0], inside[2, 1] - inside[2, 0]
     local -= (min(max(i, low), high) - low) * lines * depth

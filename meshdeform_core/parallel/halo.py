@@ -1,4 +1,4 @@
-"""Items of which every rank computes its own, and holds copies of some that others compute."""
+"""Items of which each rank computes its own and holds copies of some that others compute."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Halo:
         return slice(self.low, self.high)
 
     def complete(self, values: np.ndarray) -> np.ndarray:
-        """Fill the rows of ``values`` (n, ...) that other ranks own with their values; returns it."""
+        """Fill the rows of ``values`` (n, ...) that other ranks own with those ranks' values; returns ``values``."""
         if self._runs:
             sends = {n: values[rows] for n, rows in self._wanted.items()}
             self._ranks.swap(sends, {n: values[run] for n, run in self._runs.items()})

@@ -98,7 +98,7 @@ def alone(cores: int | None = None) -> AbstractContextManager[None]:
 
 
 def agreed(value: float) -> float:
-    """The largest of the values that all ranks have found: collective, for decisions that they must take alike even if
+    """The largest of the values of all ranks; collective, for decisions that must be the same on all ranks even if
     their processors round differently."""
     import numpy as np
 

@@ -38,7 +38,7 @@ class Chosen(Protocol):
         ...
 
     def places(self, rows: np.ndarray) -> np.ndarray | None:
-        """Where row numbers (n,) are among them; ``None`` if some are not."""
+        """Positions of row numbers (n,) among these rows; ``None`` if any is not among them."""
         ...
 
 
@@ -273,7 +273,7 @@ def numbered(array: Any, count: int) -> tuple[int, int]:
 
 
 def held_together(array: Any) -> AbstractContextManager[None]:
-    """For work by all ranks that hold parts of the array, outside of the run that dealt it."""
+    """Context for work by all ranks that hold parts of the array, outside the run that distributed it."""
     return sharing(array.ranks, None) if isinstance(array, Part) else nullcontext()
 
 

@@ -84,13 +84,13 @@ class _Surfaces:
         return found
 
     def turned(self, change: FloatArray, transposed: bool = False) -> FloatArray:
-        """The part (n, d) of the forces on the normals for a change (n, d) of coordinates."""
+        """Normal part (n, d) of the change of the forces for a change (n, d) of coordinates."""
         found = np.zeros_like(change)
         found[self.nodes] = np.einsum("nji,nj->ni" if transposed else "nij,nj->ni", self._turning, change[self.nodes])
         return found
 
     def kept(self, values: FloatArray) -> FloatArray:
-        """Values (n, d) of these nodes only."""
+        """``values`` (n, d) at these nodes, zero elsewhere."""
         found = np.zeros_like(values)
         found[self.nodes] = values[self.nodes]
         return found
@@ -213,7 +213,7 @@ class _AtMinimum:
         return found
 
     def _image(self, unknowns: FloatArray, transposed: bool) -> FloatArray:
-        """Change (n, d) of the forces for one of the unknowns, or its transpose, before it is gathered."""
+        """Change (n, d) of the forces for a change of the unknowns, or its transpose, before it is gathered."""
         surfaces = self._surfaces
         if not surfaces:
             return self._hessian(self._spread(unknowns))
@@ -224,7 +224,7 @@ class _AtMinimum:
         return np.asarray(self._hessian(moved) - surfaces.turned(moved))
 
     def _hessian(self, change: FloatArray) -> FloatArray:
-        """Change (n, d) of the gradient for one of the coordinates (n, d)."""
+        """Change (n, d) of the gradient for a change (n, d) of the coordinates."""
         return self._products(change, 1.0, 0.0, np.zeros(self._cells))[0]
 
     def _spread(self, unknowns: FloatArray) -> FloatArray:

@@ -150,7 +150,7 @@ def _axis(grid: Grid, block: int, height: FloatArray, scale: float) -> tuple[int
 
 
 def _roughness(grid: Grid, block: int, axis: int, first: FloatArray, unit: FloatArray) -> float:
-    """The farthest that the layers of a block along ``axis`` are from being copies of the ``first``, moved along
+    """Largest deviation of the layers of a block along ``axis`` from copies of the ``first`` one moved along
     ``unit``."""
     own, count = grid.planes(block), grid.shapes[block][axis]
     steps = grid.in_planes(block) - np.expand_dims(first if axis == 0 else first[own], axis)
@@ -189,7 +189,7 @@ def _extruded(
 
 
 def _lines_of(grid: Grid, plane: Grid, axes: tuple[int, ...], nodes: IntArray) -> IntArray:
-    """The nodes (n,) of the plane grid that block nodes (n,), ascending, are copies of."""
+    """The nodes (n,) of the plane grid of which block nodes (n,), ascending, are copies."""
     result, ends = np.empty(len(nodes), dtype=np.int64), np.searchsorted(nodes, grid.offsets)
     for block, axis in enumerate(axes):
         rows = slice(ends[block], ends[block + 1])

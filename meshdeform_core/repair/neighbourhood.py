@@ -147,8 +147,8 @@ class Neighbourhood:
     def _energy(
         self, start: FloatArray, cells: IntArray, sign: FloatArray, weight: FloatArray, moves: BoolArray
     ) -> tuple[Energy, IntArray]:
-        """The energy of the samples that depend on a node that ``moves`` (n,), as the others are constant; and the cell
-        of each of its elements."""
+        """The energy of the samples that depend on a node that ``moves`` (n,), as all others are constant; and the cell
+        of each element."""
         if self.grid.dimension == 2:
             return Triangles.at_corners(start, cells, sign, weight, moves)
         samples = cell_samples()
@@ -181,8 +181,8 @@ class Neighbourhood:
         return sign[block]
 
     def _unknowns(self, nodes: IntArray, moves: BoolArray) -> tuple[IntArray, Unknowns, FloatArray]:
-        """The unknowns of a region's ``nodes``, of which some may move, as the nodes with these unknowns; how the
-        ``nodes`` depend on them; see :class:`Region`."""
+        """The unknowns of a region's ``nodes``, identified by the nodes that have them, and the dependence of ``nodes``
+        on them; see :class:`Region`."""
         constraints, axes = self.constraints, self.axes
         number = self.shares.numbers(nodes)
         on_face = number >= 0

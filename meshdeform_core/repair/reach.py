@@ -13,7 +13,7 @@ from .constraints import Constraints
 
 
 class Reach:
-    """How far nodes of a grid are from others; coincident nodes, and periodic images, count as one."""
+    """Distances in cells between nodes of a grid; coincident nodes and periodic images count as one node."""
 
     def __init__(self, constraints: Constraints) -> None:
         self._grid, topology = constraints.grid, constraints.topology
@@ -22,8 +22,8 @@ class Reach:
         self._shapes = np.array(self._grid.shapes, dtype=np.int64)
 
     def layers(self, seeds: IntArray, most: int) -> tuple[Any, int]:
-        """How many cells every block node is away from ``seeds``, block nodes: (n_nodes,) int16, ``most + 1`` where
-        more than ``most``; in parts if the grid is. And the largest distance up to ``most``."""
+        """Distance (n_nodes,) int16, in cells, of every block node from the block nodes ``seeds``, ``most + 1`` where
+        it exceeds ``most``, in parts if the grid is; and the largest distance up to ``most``."""
         points = self._grid.points
         low, high = own_rows(points)
         found: Any = empty([len(points)], np.int16)
@@ -40,7 +40,7 @@ class Reach:
         return found, max(of_all(points, largest))
 
     def _spread(self, found: Any, nearest: np.ndarray, most: int) -> None:
-        """Complete the distances of this rank's nodes, until no rank finds any that is too large."""
+        """Lower the distances of this rank's nodes until no rank finds any that is too large."""
         grid = self._grid
         if not isinstance(grid.points, Part):
             planes = np.stack([np.zeros_like(self._shapes[:, 0]), self._shapes[:, 0]], axis=1)

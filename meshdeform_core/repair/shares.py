@@ -1,4 +1,4 @@
-"""Which nodes may move, and which of them, and of the cells around them, are each rank's share of a repair."""
+"""Which nodes may move, and how these nodes and the cells around them are shared among the ranks of a repair."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from ..parallel import Halo, OneRank, Part
 from .constraints import Constraints
 
 ROWS = 1 << 15
-"""Ranks own whole ranges of so many unknowns, in which sums over unknowns are taken."""
+"""Ranks own whole ranges of this many unknowns; sums over unknowns are taken range by range."""
 CELLS = 4096
-"""Energies are summed over so many cells at a time."""
+"""Energies are summed over this many cells at a time."""
 
 
 class Shares:
@@ -54,16 +54,16 @@ class Shares:
 
     @property
     def n_unknowns(self) -> int:
-        """Of all ranks."""
+        """Number of unknowns of all ranks."""
         return self._bounds[-1] - len(self._topology.face_nodes) + len(self._face_roots)
 
     @property
     def largest(self) -> int:
-        """Nodes that the largest share of a rank may have."""
+        """Largest number of nodes that the share of a rank may have."""
         return int(np.diff(self._bounds).max()) + (ROWS if len(self._bounds) > 2 else 0)
 
     def halos(self, roots: IntArray, nodes: IntArray) -> tuple[Halo, Halo]:
-        """Unknowns and nodes around this rank's share, of which some belong to other ranks."""
+        """Unknowns and nodes around this rank's share, some of which belong to other ranks."""
         return Halo(roots, self._ranks, np.array(self.rows)), Halo(nodes, self._ranks, np.array(self._bounds))
 
     @property
@@ -89,14 +89,15 @@ class Shares:
         return [*(min(-(-first // CELLS) * CELLS, last) for first in firsts), last]
 
     def ends_among(self, cells: IntArray) -> IntArray:
-        """Where in ``cells``, ascending, this rank's ranges of CELLS cells begin, and the last one ends."""
+        """Positions in ``cells``, ascending, at which this rank's ranges of CELLS cells begin, and the end of the
+        last."""
         first, last = self._cell_bounds[self._ranks.number : self._ranks.number + 2]
         return np.searchsorted(cells, [*range(first, last, CELLS), last])
 
     @cached_property
     def cells(self) -> IntArray:
-        """Cells of this rank, and those at its nodes and at nodes with its unknowns; some may have no node that may
-        move."""
+        """Cells of this rank, and cells at its nodes or at nodes with its unknowns; some of them may have no node that
+        may move."""
         if self._ranks.count == 1:
             return np.arange(self._grid.n_cells)
         (low, high), here = self._nodes_of_rank, self._ranks.number

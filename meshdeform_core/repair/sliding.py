@@ -41,15 +41,15 @@ class Sliding:
         mean, normals, triangle = self._mean_normals(points)
         corners = self.surface.points[self.surface.triangles[triangle]]
         sides = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
-        # Of the weights of the second and the third corner; the first one has the rest.
+        # Derivatives of the weights of the second and third corner; that of the first is minus their sum.
         weights, size = np.linalg.pinv(sides), np.maximum(np.linalg.norm(mean, axis=1), 1e-300)[:, None, None]
         change = (normals[:, 1:] - normals[:, :1]).transpose(0, 2, 1) @ weights / size
         normal = mean[:, :, None] / size
         return sides @ weights, change - normal @ (normal.transpose(0, 2, 1) @ change)
 
     def _mean_normals(self, points: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
-        """Mean (k, 3) of the unit normals at the corners of the triangles nearest to ``points`` (k, 3), weighted as the
-        points are; these normals (k, 3, 3), and the numbers (k,) of the triangles."""
+        """Mean (k, 3) of the unit normals at the corners of the triangles nearest to ``points`` (k, 3), with
+        barycentric weights; these normals (k, 3, 3); and the numbers (k,) of the triangles."""
         triangle, weights, _ = self.surface.tree.closest(points)
         corners = self._vertex_normals[self.surface.triangles[triangle]]
         # Triangles of different blocks may be oriented in opposite senses.

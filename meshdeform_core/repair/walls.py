@@ -18,7 +18,7 @@ from ..grid import FloatArray, IntArray
 from .tuned import CRAMPED, FALL, FIRST, GROWTH, HEAVIEST, REACH, ROOM, SHARE, STEEP, THIN
 
 FARTHEST = math.ceil(REACH / SHARE)
-"""Distances beyond that many cells need not be told apart."""
+"""Distances beyond this many cells need not be distinguished."""
 
 
 def nearness(layers: np.ndarray, largest: int) -> tuple[FloatArray, float]:

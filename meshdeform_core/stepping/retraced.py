@@ -1,4 +1,4 @@
-"""The steps of a motion once more, for what is not kept of them."""
+"""The steps of a motion repeated, for data that are not stored while they are taken."""
 
 from __future__ import annotations
 

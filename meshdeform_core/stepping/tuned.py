@@ -1,4 +1,4 @@
-"""Numbers of the attempts at a valid grid that were tuned together, and the studies that measure them.
+"""Parameters of the attempts at a valid grid that were tuned together, and the studies that measure them.
 
 How many large motions succeed, and what the attempts cost: ``studies/robustness_table.py`` and
 ``studies/default_method.py``; results are in docs/validity.md. How many repairs have a second solution, and what the
@@ -23,10 +23,10 @@ SQUEEZED = ("tfi", RESCUE)
 SAME = 1e-3
 """Two grids are the same minimum if no node differs by more than this fraction of its shortest edge."""
 PART, PARTS = 0.875, 12
-"""A motion is followed from the largest of the first PARTS powers of PART of it at which the method alone keeps the
-grid valid, by steps of which the first is 1 - PART, the smallest SHORTEST, at most STEPS of them."""
+"""A motion is followed from the largest fraction PART^n, n <= PARTS, at which the method alone keeps the grid valid, in
+at most STEPS steps; the first is 1 - PART, and none is shorter than SHORTEST."""
 SHORTEST, STEPS = 0.01, 24
 NEAR, ENOUGH = 0.02, 0.1 * SAME
-"""How near to the minimum, in local edges, it is followed on the way, and how near it is searched in the end."""
+"""Distance from the minimum, relative to local edges, to which it is computed on the way and in the end."""
 FOLLOWED = 50_000
-"""Nodes of the largest grid on which a motion is followed."""
+"""Largest number of nodes for which a motion is followed."""

@@ -24,7 +24,7 @@ class Correction(Protocol):
         ...
 
     def pull(self, gradient: FloatArray) -> FloatArray:
-        """The transpose."""
+        """Transpose of :meth:`push`."""
         ...
 
 

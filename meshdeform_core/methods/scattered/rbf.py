@@ -131,8 +131,8 @@ class RBF:
 
 
 def covering_radius(moving: FloatArray, face: FloatArray) -> FloatArray:
-    """Sum of the largest distances of the nodes ``moving`` (n, 3) and of all nodes ``face`` (m, 3) on faces of blocks
-    from the centre of the former: every node sees the whole moving body."""
+    """Support radius such that every node sees the whole moving body: the largest distance of the ``moving`` (n, 3)
+    nodes from their centre plus that of all nodes ``face`` (m, 3) on block faces."""
     center = moving.sum(axis=0) / len(moving)
     radius: FloatArray = np.linalg.norm(moving - center, axis=1).max() + np.linalg.norm(face - center, axis=1).max()
     return radius

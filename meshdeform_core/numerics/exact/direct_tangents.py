@@ -20,7 +20,7 @@ _WEIGHT, _FAR, _SLOPE = 0, 1, 2
 
 @inlined
 def _weights(px, py, pz, tile, m, a, b, kappa, work):
-    """Of ``m`` sources: r^-a + kappa r^-b, r^-b, and the derivative of the former with respect to r, over r."""
+    """Fill ``work`` for ``m`` sources: w = r^-a + kappa r^-b, r^-b, and (dw/dr) / r."""
     for s in range(m):
         dx, dy, dz = px - tile[0, s], py - tile[1, s], pz - tile[2, s]
         work[_SLOPE, s] = dx * dx + dy * dy + dz * dz
@@ -48,7 +48,7 @@ def _weights(px, py, pz, tile, m, a, b, kappa, work):
 
 @inlined
 def _load(rows, first, m, tile):
-    """Copy a tile of some rows: places in it are known to be no negative ones, as vector code needs."""
+    """Copy a tile of some rows; its indices are known not to be negative, which vectorisation requires."""
     for d in range(rows.shape[0]):
         for s in range(m):
             tile[d, s] = rows[d, first + s]

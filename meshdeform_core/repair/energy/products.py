@@ -24,7 +24,7 @@ from ...numerics.arrays import FloatArray, IntArray
 from ...numerics.jit import kernel
 from ...parallel import Halo, for_chunks
 
-# Rows whose share of a product is summed at a time; ranks own whole ranges of :data:`..shares.ROWS`.
+# Number of rows summed at a time; ranks own whole ranges of :data:`..shares.ROWS` rows.
 _LONG = 1 << 14
 # Number of rows in a range; a thread sweeps through a whole range.
 _SWEPT = 1 << 15
@@ -34,7 +34,7 @@ Matrix = tuple[NDArray[np.float32], IntArray, IntArray]
 
 
 class Products(Protocol):
-    """Products of this rank's rows of the preconditioned matrix with vectors (n, d); other rows have no meaning."""
+    """Products of this rank's rows of the preconditioned matrix with vectors (n, d); other rows are undefined."""
 
     def begin(self, b: FloatArray) -> FloatArray:
         """The right-hand side of the preconditioned system."""

@@ -40,7 +40,7 @@ class Dealt(NamedTuple):
 
     @classmethod
     def alone(cls, energy: Energy) -> Dealt:
-        """All of it for one process."""
+        """The share of a single process: everything."""
         nodes = energy.nodes
         none = Halo.alone(np.empty(0, dtype=np.int64))
         return cls(none, Halo.alone(np.arange(int(nodes.max(initial=-1)) + 1)), np.array([0, len(nodes)]))

@@ -1,4 +1,4 @@
-"""Derivative with respect to displacements and to the grid of a composite that gives way to TFI in closing gaps."""
+"""Derivative, with respect to displacements and to the grid, of a composite that TFI replaces in closing gaps."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .composite import GridDerivative, grid_derivative_of_composite
 
 
 class InGapsGridDerivative:
-    """Of the method, of TFI, and of the share of the latter, which depends on how wide gaps were before the step."""
+    """Derivative of the blend of the method with TFI, whose share depends on the width of the gaps before the step."""
 
     def __init__(self, method: PreparedInGaps, closing: Closing, displacement: FloatArray) -> None:
         self._closing, self._problem, self._share = closing, method._problem, method.spread(closing.share)
@@ -41,7 +41,7 @@ class InGapsGridDerivative:
         return across[rows], (lengths(self._closing.slope) * now / gap[rows])[:, None] * away
 
     def push(self, change: FloatArray, dx: FloatArray) -> FloatArray:
-        """Change (n_nodes, 3) for those of the sources (n_sources, 3) and of the grid (n_nodes, 3)."""
+        """Change (n_nodes, 3) for changes of the sources (n_sources, 3) and of the grid (n_nodes, 3)."""
         closing, rows, out = self._closing, self._closing.rows, self._own.push(change, dx)
         out += self._share * (self._lines.push(change, dx) - out)
         before, share = dx[self._problem.source_flat], np.zeros_like(change)
@@ -54,7 +54,7 @@ class InGapsGridDerivative:
         return out
 
     def pull(self, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Gradients (n_sources, 3) and (n_nodes, 3) from that (n_nodes, 3) of all block nodes."""
+        """Gradients (n_sources, 3) of the sources and (n_nodes, 3) of the grid from that (n_nodes, 3) of the result."""
         closing, rows, first = self._closing, self._closing.rows, self._problem.topology.first
         g, of_first = np.array(gradient), np.zeros((len(first), 3))
         if self._again:

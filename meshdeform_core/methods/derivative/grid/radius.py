@@ -15,18 +15,18 @@ _WHAT = FARTHEST.replace("{what}", "the support radius")
 
 
 class Radius:
-    """Relative change of a radius for changes of the nodes ``flat`` (m,), of which it has the ``slope`` (m, 3)."""
+    """Relative change of a radius whose derivative with respect to the nodes ``flat`` (m,) is ``slope`` (m, 3)."""
 
     def __init__(self, flat: IntArray, slope: FloatArray, tied: int) -> None:
         self._flat, self._slope = flat, slope
         self.kinks: Kinks = kinks_of([(_WHAT, tied if tied > 1 else 0)])
 
     def push(self, dx: FloatArray) -> float:
-        """For a change (n_nodes, 3) of the grid."""
+        """Relative change of the radius for a change (n_nodes, 3) of the grid."""
         return float((self._slope * dx[self._flat]).sum())
 
     def pull(self, gradient: float, of_grid: FloatArray) -> None:
-        """Add the gradient of the grid."""
+        """Transpose of :meth:`push`: add the gradient of the grid."""
         of_grid[self._flat] += gradient * self._slope
 
 
@@ -35,7 +35,7 @@ def _given(options: RBF) -> bool:
 
 
 def of_sources(options: RBF, problem: Problem) -> Radius | None:
-    """That of the interpolation between all sources; ``None`` where it does not depend on the grid."""
+    """The growth of the radius between all sources; ``None`` where the radius does not depend on the grid."""
     if _given(options):
         return None
     rows = problem.source_numbers[problem.boundary.kind[problem.source_numbers] == Kind.MOVING]
@@ -50,7 +50,7 @@ def of_sources(options: RBF, problem: Problem) -> Radius | None:
 
 
 def of_block(options: RBF, problem: Problem, known: IntArray) -> Radius | None:
-    """That of a block with the nodes ``known`` on its faces: the diagonal of their extent."""
+    """The growth of the radius of a block with nodes ``known`` on its faces, the diagonal of their extent."""
     if _given(options):
         return None
     x = problem.grid.points[known]
