@@ -55,7 +55,7 @@ def _load(rows, first, m, tile):
 
 
 @fast_kernel
-def add_tangents(x, dx, y, dy, charges, changes, a, b, kappa, d_kappa, out):
+def add_tangents(x, dx, y, dy, charges, changes, a, b, kappa, d_kappa, sums, out):
     """Add to ``out`` (n, c) the change of the sums at targets.
 
     Parameters
@@ -64,6 +64,7 @@ def add_tangents(x, dx, y, dy, charges, changes, a, b, kappa, d_kappa, out):
     y, dy : (3, m) sources and their change
     charges, changes : (c, m) of the sources
     d_kappa : change of kappa
+    sums : (n, c) to which the sums themselves are added
     """
     # Arrays of a fixed size: the compiler sees that their rows do not alias.
     work, tile, moved = np.empty((3, _TILE)), np.empty((3, _TILE)), np.empty((3, _TILE))
@@ -82,9 +83,11 @@ def add_tangents(x, dx, y, dy, charges, changes, a, b, kappa, d_kappa, out):
                 along += (pz - tile[2, s]) * (ez - moved[2, s])
                 work[_SLOPE, s] = work[_SLOPE, s] * along + d_kappa * work[_FAR, s]
             for c in range(charges.shape[0]):
-                total = 0.0
+                value = total = 0.0
                 for s in range(m):
+                    value += work[_WEIGHT, s] * own[c, s]
                     total += work[_SLOPE, s] * own[c, s] + work[_WEIGHT, s] * other[c, s]
+                sums[t, c] += value
                 out[t, c] += total
 
 

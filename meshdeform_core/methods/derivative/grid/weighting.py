@@ -108,11 +108,11 @@ class IDWGridDerivative:
         for place, sources in enumerate(self._path):
             here, own = x + total, dx + moved
             dy = np.ascontiguousarray(found[place].T) if place in found else np.zeros_like(sources)
-            sums = ExactEvaluator(bound)._sums(self._fit, here, self._fit.path[place])
-            change = self._share * float(found.get("breadth", 0.0)) * sums
+            sums, change = np.zeros((len(x), len(charges))), np.zeros((len(x), len(charges)))
             for group, (a, b, kappa) in zip(bound.groups, self._fit.weights, strict=True):
                 ends = here, own, sources[:, group], dy[:, group], self._charges[:, group], charges[:, group]
-                add_tangents(*ends, a, b, kappa, float(found.get("kappa", 0.0)), change)
+                add_tangents(*ends, a, b, kappa, float(found.get("kappa", 0.0)), sums, change)
+            change += self._share * float(found.get("breadth", 0.0)) * sums
             kind, inside = (bound.rotation, sums, here), (bound.repeats, self._fit.transition)
             total += self._moved(*kind)
             moved += finish_tangents(*kind, change, *inside, rest) + np.einsum("nij,nj->ni", self._slope(*kind), own)
