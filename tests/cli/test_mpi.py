@@ -186,19 +186,19 @@ def test_a_rank_holds_its_part_or_says_why_not(method, reason, bench, compiled):
 @needs_mpi
 @pytest.mark.parametrize("thick", [False, True])
 def test_a_repair_gives_the_same_grid(thick, bench, compiled):
-    """As a plane grid, and in space, where the ends of the span are free."""
+    """In parts: as a plane grid, and in space, where the ends of the span are free."""
     if thick:
         case = Path("case.toml").read_text()
         Path("case.toml").write_text(case.replace('kind = "slip"', 'kind = "free"'))
-    args = ("deform", "grid.xyz", "-c", "case.toml", "-s", "constants.turn=100", "--steps", "1")
+    args = ("deform", "grid.xyz", "-c", "case.toml", "-s", "constants.turn=100", "--steps", "1", "-v")
     assert by_itself(*args, "-o", "alone.xyz", "--report", "alone.json") == 0
     done = on_ranks(2, *args, "-o", "shared.xyz", "--report", "shared.json")
     assert done.returncode == 0, done.stderr
     one, two = (json.loads(Path(name).read_text())["repair"] for name in ("alone.json", "shared.json"))
     assert one["newton_steps"] > 0
-    assert (one["cells"], one["nodes"]) == (two["cells"], two["nodes"])
-    alone, shared = (read_grid(name).points for name in ("alone.xyz", "shared.xyz"))
-    np.testing.assert_allclose(shared, alone, rtol=0, atol=1e-12)
+    assert {**one, "seconds": 0} == {**two, "seconds": 0}
+    assert "holds the whole grid" not in done.stderr
+    assert Path("shared.xyz").read_bytes() == Path("alone.xyz").read_bytes()
 
 
 @needs_mpi
@@ -213,7 +213,7 @@ def test_three_ranks_write_the_same_file_in_single_precision(bench, compiled):
 @needs_mpi
 @pytest.mark.parametrize("repair", ["off", "auto"])
 def test_series_is_the_same_and_can_be_continued(repair, bench, compiled):
-    """In parts; with repairs the first rank alone continues what all have begun."""
+    """In parts, with and without repairs."""
     args = ("series", "grid.xyz", "-c", "case.toml", "-s", "constants.turn=20", "-m", "idw-tfi", "--from", "last")
     args = (*args, "--repair", repair)
     assert by_itself(*args, "--times", "0:2:1", "-o", "alone") == 0
