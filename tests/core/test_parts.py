@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.deform import Case, deform
+from meshdeform_core.grid import Grid
 from meshdeform_core.grid.dealing import bounds_of
 from meshdeform_core.grid.lattice import SideLattice
 from meshdeform_core.grid.near import NearNodes
@@ -313,6 +314,18 @@ def test_repairs_of_grids_in_parts_give_the_same_bytes(
 ):
     """Of weak cells and of inverted ones."""
     assert same_on_ranks(tmp_path, count, repaired(angle, mode), grid=tapered(5, 4))[-1].newton_steps > 1
+
+
+def test_repairs_on_curved_slip_surfaces_give_the_same_bytes(tmp_path, small_pieces, small_ranges, poisoned):
+    """A quarter of a shell, whose inner side bulges towards the outer one."""
+    angle, radius, z = np.linspace(0.0, np.pi / 2, 21), np.linspace(1.0, 2.0, 9), np.linspace(0.0, 0.6, 7)
+    a, r, h = np.meshgrid(angle, radius, z, indexing="ij")
+    shell = Grid.from_blocks([np.stack([(1 + 0.2 * h**2) * r * np.cos(a), r * np.sin(a), h], axis=-1)])
+    inner = BoundarySpec("inner", ("*.jmin",), Kind.MOVING, None, formulas("1.6*x*x*y", "1.2*x*y*y", "0.0"))
+    slip = BoundarySpec("slip", ("*.jmax", "*.k*"), Kind.SLIP)
+    case = dataclasses.replace(repaired(0.0), boundaries=(inner, slip))
+    found = same_on_ranks(tmp_path, 3, case, grid=shell)
+    assert found[-1].newton_steps > 1
 
 
 @pytest.mark.parametrize("axes", [(0, 1, 2), (2, 0, 1)], ids=["along k", "along i"])
