@@ -24,7 +24,7 @@ WIDTH = 0.3
 _CHUNK = 4096
 # Round-off in the normal component of a motion along the planes, relative to the extent of the sources.
 _ROUND_OFF = 1e-13
-# One part in this many of the memory limit may hold data kept between displacements.
+# Data are kept between displacements only if they take at most one part in this many of the memory limit.
 _KEPT = 8
 
 

@@ -24,8 +24,8 @@ WEAK = 0.35
 _LAYERS: dict[int, tuple[int | None, ...]] = {2: (32, None), 3: (8, 32, None)}
 _IMPROVING = 20
 _ROUNDS, _LAST_ROUNDS = 2, 6
-# More layers are tried while the largest f exceeds _ENOUGH; in valid grids only if the first layers reduced it by
-# _GAIN.
+# More layers are tried while the largest f exceeds _ENOUGH; in valid grids only if the first layers reduced it to less
+# than _GAIN of its value.
 _ENOUGH, _GAIN = 2.9, 0.9
 
 

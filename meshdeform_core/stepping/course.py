@@ -176,7 +176,7 @@ def _part_of(component: Component, whole: Grid, correction: Callable[[], FloatAr
 
 
 def doubts(course: Course, one_of_many: bool) -> Sequence[str]:
-    """Warnings about a motion before it is imposed; ``one_of_many`` levels may have zero displacement unwarned."""
+    """Warnings about a motion before it is imposed; zero displacement is not one of them for ``one_of_many`` levels."""
     boundary, largest = course.setup.boundary, course.max_displacement
     # Tables of a sequence are read only when their time is reached.
     found = first_of_each_kind(boundary.tables.warnings(), map(kind_of, course.setup.warnings))

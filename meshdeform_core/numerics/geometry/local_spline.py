@@ -22,7 +22,7 @@ _OPPOSITE = -0.5
 """Largest cosine between the normals of opposite sides of a thin body."""
 _STRETCH, _VARIATION = 1.5, 0.1
 """The sides move differently if values differ between them by more than the first factor times the slope along the
-sides times the distance, and by more than the second factor times the variation there."""
+sides times the distance, plus the second factor times the variation along the sides."""
 _CHUNK = 4096
 
 

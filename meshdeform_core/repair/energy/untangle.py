@@ -139,7 +139,7 @@ class Untangler:
             before, length = length, self._largest(np.abs(after.x - now.x).max(axis=1) / edges)
             now = after
             self.x = now.x
-            # The next step is what the linear solver left of this one, or the quadratic convergence of Newton's method.
+            # The next step is estimated from the linear solver's tolerance and Newton's quadratic convergence.
             shrinking = max(tolerance, (length / before) ** 2)
             if length < close or (step and _SAFETY * shrinking * length < close):
                 return True
