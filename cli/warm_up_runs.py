@@ -154,6 +154,6 @@ def _damping() -> None:
 
 
 def _nested_sums() -> None:
-    """Products with so many centres that a whole run would take long."""
+    """Nested sums; a whole run with enough centres for them would take long."""
     line = np.linspace(0.0, 1.0, 2000)[:, None] * np.ones(3)
     NestedSums(BASES["tps"], line, 1e-6)(np.ones_like(line))

@@ -79,7 +79,7 @@ class Rates:
 
 
 def _per_block(grid: Grid | Layout) -> tuple[float, float]:
-    """Bytes and processor seconds for all blocks beside their nodes: a CGNS zone has dozens of nodes in its file."""
+    """Bytes and processor seconds that blocks take besides their nodes: a CGNS zone has dozens of nodes in its file."""
     zones = grid.format is not None and grid.format.name == "cgns"
     return (160e3 * grid.n_blocks, 0.012 * grid.n_blocks) if zones else (33e3 * grid.n_blocks, 0.002 * grid.n_blocks)
 

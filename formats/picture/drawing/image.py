@@ -112,7 +112,7 @@ def _composed(scene: Scene, view: View, item: np.ndarray, line: np.ndarray, cove
 
 
 def _light(scene: Scene, view: View) -> FloatArray:
-    """Brightness of every polygon (n,): a lamp beside the viewer, both sides lit."""
+    """Brightness (n,) of every polygon, lit on both sides by a lamp next to the viewer."""
     corners = scene.facets.corners
     normal = np.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1])
     length = np.linalg.norm(normal, axis=1)

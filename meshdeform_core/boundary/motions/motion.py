@@ -206,7 +206,7 @@ class Motion:
                     step.require(time, self.constants)
 
     def matched_by(self, matching: Matching) -> Motion:
-        """The same motion with another matching of its tables."""
+        """The motion with another matching of its tables."""
         tables = Follow | FollowSequence
         steps = tuple(replace(step, matching=matching) if isinstance(step, tables) else step for step in self.steps)
         return replace(self, steps=steps)

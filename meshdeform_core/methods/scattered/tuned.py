@@ -21,4 +21,5 @@ WIDTH, WIDTH_IN_PLANES = 0.5, 0.3
 ROUNDS = 8
 """Rounds of smoothing near sharp edges with ``lie``."""
 STEEPER = 1.5
-"""With a transition, the tolerance of fast sums is divided by this, as the share may vary faster than the weights."""
+"""With a transition, fast sums are made accurate for displacements larger by this factor, as the share may vary faster
+than the weights."""

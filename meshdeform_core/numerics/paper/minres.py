@@ -26,7 +26,7 @@ def minres(
     -------
     solution : (n, m)
     iterations : (m,) int64 until each column met the tolerance
-    residual : (m,) ||b - K x|| / ||b||, computed anew from the solution
+    residual : (m,) ||b - K x|| / ||b||, computed from the solution
     """
     norm_b = np.linalg.norm(rhs, axis=0)
     live = np.flatnonzero(norm_b > 0)

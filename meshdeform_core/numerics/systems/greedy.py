@@ -225,8 +225,11 @@ def _correct(kind, columns, residual, weight, point, value):
 
 @kernel
 def correct_again(kind, columns, sequence, residual, weight):
-    """The corrections of a ``sequence`` of centres, with coordinates (3, n), for other values: ``residual`` (n, m), the
-    values, becomes what is left of them, ``weight`` (n, m), zero, the coefficients."""
+    """Repeat the corrections of a ``sequence`` of centres, with coordinates ``columns`` (3, n), for other values.
+
+    ``residual`` (n, m) holds the values on entry and the residual on return; ``weight`` (n, m), zero on entry, the
+    coefficients.
+    """
     value = np.empty(residual.shape[0])
     for point in sequence:
         _correct(kind, columns, residual, weight, point, value)
@@ -234,8 +237,11 @@ def correct_again(kind, columns, sequence, residual, weight):
 
 @kernel
 def correct_transposed(kind, columns, sequence, residual, weight):
-    """The transpose: ``residual`` (n, m), the gradient of what is left, becomes that of the values; ``weight`` (n, m):
-    the gradient of the coefficients."""
+    """Transpose of :func:`correct_again`.
+
+    ``residual`` (n, m) holds the gradient of the residual on entry and that of the values on return; ``weight`` (n, m)
+    is the gradient of the coefficients.
+    """
     n, m = residual.shape
     value = np.empty(n)
     for step in range(len(sequence) - 1, -1, -1):

@@ -23,8 +23,9 @@ _BLOCK = 0.0045
 
 
 class NewtonSystem:
-    """Gradient and Hessian of a region's energy, computed anew for every step by ``fill``; a rank has the rows of its
-    own unknowns, and the columns of those beside them.
+    """Gradient and Hessian of a region's energy, recomputed for every step by ``fill``.
+
+    A rank holds the rows of its own unknowns, with the columns of their neighbours.
 
     The Hessian is scaled from both sides by the inverse Cholesky factors of its diagonal blocks and stored in single
     precision, which only makes steps slightly inexact. :mod:`.products` preconditions it further.

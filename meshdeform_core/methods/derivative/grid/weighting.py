@@ -210,7 +210,7 @@ class IDWGridDerivative:
 
 
 class IDWOnFixedGrid:
-    """The same where the grid is fixed, for weights that are recomputed on the way."""
+    """Derivative at a fixed grid, for weights that are recomputed in every step of a division."""
 
     def __init__(self, method: PreparedIDW, bound: Bound, displacement: FloatArray) -> None:
         self._whole = IDWGridDerivative(method, bound, displacement)
@@ -218,7 +218,7 @@ class IDWOnFixedGrid:
         self.kinks = self._whole.kinks
 
     def push(self, change: FloatArray, out: FloatArray) -> None:
-        """Write the change of the nodes into their rows of ``out`` (n_nodes, 3), for one of the sources."""
+        """Write the change of the nodes into their rows of ``out`` (n_nodes, 3), for a ``change`` of the sources."""
         self._whole.push(change, np.broadcast_to(0.0, self._shape), out)
 
     def pull(self, gradient: FloatArray) -> FloatArray:
