@@ -15,7 +15,7 @@ _JUMP, _JUMP_IN_EDGES = 0.5, 0.2
 """The grid jumps where its acceleration exceeds that of the walls by JUMP wall steps, and JUMP_IN_EDGES local edges."""
 
 _AT_REST = 0.01
-"""Of two steps of the walls, one that is smaller than this share of the other tells little of how nodes follow."""
+"""A step of the walls smaller than this fraction of the other one says little about how nodes follow."""
 # Nodes per chunk, as a copy of the whole grid might not fit into memory.
 _ROWS = 1 << 16
 

@@ -82,7 +82,7 @@ class MeshDeformBuilder(Builder):
         return MeshCoordinates(mesh=self.mesh)
 
     def get_pre_coupling_subsystem(self, scenario_name: str | None = None) -> Any:
-        """That of the solver."""
+        """The solver's own subsystem before the coupling."""
         return None if self._solver is None else self._solver.get_pre_coupling_subsystem(scenario_name)
 
     def get_coupling_group_subsystem(self, scenario_name: str | None = None) -> Any:

@@ -34,7 +34,7 @@ class Chosen(Protocol):
 
     @property
     def rows(self) -> np.ndarray:
-        """Their numbers (n,), ascending."""
+        """Numbers (n,) of the rows, ascending."""
         ...
 
     def places(self, rows: np.ndarray) -> np.ndarray | None:

@@ -41,7 +41,7 @@ def half_turns(turn: FloatArray, owner: IntArray) -> int:
 
 
 def kinks_of(counts: Iterable[tuple[str, int]]) -> Kinks:
-    """Those that occur at all."""
+    """The kinks that occur at all."""
     return Counter({text: count for text, count in counts if count})
 
 
