@@ -25,6 +25,11 @@ _LOCKED = 100.0
 CLOSE = 1e-6
 """The minimum is reached when a step moves no node by more than this fraction of its shortest edge, or the next step is
 estimated not to."""
+# The tolerance of a linear system relative to the step before: a step removes about that share of the distance.
+_FORCING = 0.05
+# Where the energy along a step falls that much farther than to its end, twice the step is tried: far from the minimum
+# the energy grows with the fourth power of the distance, of which a step of Newton's method covers a third.
+_FARTHER = 1.2
 # Largest ratio of the next step to its estimate; up to 6 was measured.
 _SAFETY = 10.0
 _SMALLEST_STEP = 1e-4
@@ -58,7 +63,8 @@ class Pace:
 class Untangler:
     """Moves the unknowns of a region from coordinates ``x`` (n, d), within a limit.
 
-    ``reference`` (n, d) are the coordinates of zero elastic energy.
+    ``reference`` (n, d) are the coordinates of zero elastic energy. ``bent``: the full second derivatives were not
+    positive definite when last computed, which is why the next step does not try them.
     """
 
     region: Region
@@ -68,6 +74,7 @@ class Untangler:
     steps: int = 0
     progress: Callable[[str, int, int], None] | None = None
     limit: Limit = field(default_factory=Limit)
+    bent: bool = False
 
     def state(self, x: FloatArray, penalty: Penalty) -> State:
         chunks, rows = self.region.dealt.chunks, self.region.dealt.rows
@@ -134,7 +141,7 @@ class Untangler:
             if self.limit.reached:
                 break
             self._tell(step, most)
-            tolerance = min(_ROUGH, max(_FINE, 0.1 * length))
+            tolerance = min(_ROUGH, max(_FINE, _FORCING * length))
             after = self._step(now, penalty, tolerance)
             before, length = length, self._largest(np.abs(after.x - now.x).max(axis=1) / edges)
             now = after
@@ -153,25 +160,38 @@ class Untangler:
             self.progress("repair", done, most)
 
     def _step(self, now: State, penalty: Penalty, tolerance: float) -> State:
-        """One step; with the full second derivatives if eps is 0 and they are positive definite."""
+        """One step; with the full second derivatives if eps is 0 and they are likely to be positive definite."""
         step = self._exact(now, penalty, tolerance) if penalty.eps == 0.0 else None
         if step is None:
             self._fill(now.x, penalty)
             step, _ = self._direction(tolerance, _ROUGH_ITERATIONS)
         slope = self.system.slope(step)
         self.steps += 1
-        length = 1.0
-        while length > _SMALLEST_STEP:
-            after = self.state(self.region.moved(now.x, self.system.unknowns, step, length), penalty)
-            if after.energy <= now.energy + _DECREASE * length * slope + _ROUND_OFF * abs(now.energy):
-                return after
+        length, after = 1.0, self._moved(now, penalty, step, 1.0)
+        # The energy of an inverted element is not a number, which no comparison is true for.
+        while not after.energy <= now.energy + _DECREASE * length * slope + _ROUND_OFF * abs(now.energy):
             length /= 2
-        return now
+            if length <= _SMALLEST_STEP:
+                return now
+            after = self._moved(now, penalty, step, length)
+        # The parabola through both energies has its minimum beyond _FARTHER.
+        if penalty.eps == 0.0 and length == 1.0 and after.energy - now.energy < (1.0 - 0.5 / _FARTHER) * slope:
+            farther = self._moved(now, penalty, step, 2.0)
+            return farther if farther.energy < after.energy else after
+        return after
+
+    def _moved(self, now: State, penalty: Penalty, step: FloatArray, length: float) -> State:
+        return self.state(self.region.moved(now.x, self.system.unknowns, step, length), penalty)
 
     def _exact(self, now: State, penalty: Penalty, tolerance: float) -> FloatArray | None:
+        if self.bent:
+            self.bent = False
+            return None
+        self.bent = True
         if not self._fill(now.x, penalty._replace(exact=True)):
             return None
         step, convex = self._direction(tolerance, _FINE_ITERATIONS)
+        self.bent = not convex
         return step if convex else None
 
     def _fill(self, x: FloatArray, penalty: Penalty) -> bool:

@@ -105,7 +105,7 @@ def add_triangles(x, node, slope, weight, reference, penalty, which, unknowns, r
     As :func:`.hexahedra.add_derivatives`, in two dimensions.
     """
     eps, share, cubic, elastic, exact = penalty
-    half, lowest = np.sqrt(0.5), -np.inf if exact else 0.0
+    half, lowest = np.sqrt(0.5), -np.inf if exact else -elastic
     c, m, values, vectors = np.empty(2), np.empty(2), np.empty(4), np.empty((4, 4))
     turned, force = np.empty((3, 4, 2)), np.empty((3, 2))
     for at in which:
