@@ -14,6 +14,7 @@ import numpy as np
 
 from ..grid import FloatArray
 from ..memory import UNLIMITED, MemoryLimit
+from ..numerics.arrays import lengths
 from ..parallel import alike, combined, for_rows, of_all, own_rows, require_whole, rows_of, together
 from ..quality.verdict.validity import Verdict, judge
 from .basis import Basis, Whole
@@ -203,8 +204,7 @@ class Repairer:
 
     def _record(self, start: Judged, end: Judged, steps: int, seconds: float) -> Repair:
         (low, high), verdict = own_rows(start.points), start.verdict
-        moved = end.points[low:high] - start.points[low:high]
-        distance = np.sqrt((moved**2).sum(axis=1))
+        distance = lengths(end.points[low:high] - start.points[low:high])
         failed, ratio = (each[slice(*own_rows(each))] for each in verdict.arrays)
         bad = (failed != 0) | (ratio < POOR)
         own = int(bad.sum()), int((distance > 0).sum()), float(distance.max(initial=0.0))

@@ -94,11 +94,11 @@ class Swept:
         return self._t.copy()
 
     def _back(self, p: FloatArray) -> None:
-        over_rows(partial(sweep_back, *self._matrix, self._relaxation, p, self._t), self._rows, _SWEPT)
+        over_rows(partial(sweep_back, self._matrix, self._relaxation, p, self._t), self._rows, _SWEPT)
 
     def _on(self, p: FloatArray, image: FloatArray) -> float:
         self._rows.complete(self._t)
-        work = partial(sweep_on, *self._matrix, self._relaxation, p, self._t, image)
+        work = partial(sweep_on, self._matrix, self._relaxation, p, self._t, image)
         return sum_over_rows(work, self._rows, _SWEPT)
 
 
@@ -137,38 +137,45 @@ def multiply_rows(matrix, starts, columns, p, image, low, high):
 
 
 @kernel
-def sweep_back(matrix, starts, columns, relaxation, p, t, low, high):
+def sweep_back(matrix, relaxation, p, t, low, high):
     """``t = (D + L^T)^-1 p`` in the range low <= i < high of vectors (n, 2)."""
+    blocks, starts, columns = matrix
     for row in range(high - 1, low - 1, -1):
-        x, y = p[row, 0], p[row, 1]
-        for at in range(starts[row + 1] - 1, starts[row] - 1, -1):
-            o = columns[at]
-            if o <= row:
-                break
-            if o < high:
-                a, b = t[o, 0], t[o, 1]
-                x -= matrix[at, 0, 0] * a + matrix[at, 0, 1] * b
-                y -= matrix[at, 1, 0] * a + matrix[at, 1, 1] * b
+        x, y, at = p[row, 0], p[row, 1], starts[row + 1] - 1
+        while columns[at] >= high:
+            at -= 1
+        while columns[at] > row:
+            a, b = t[columns[at], 0], t[columns[at], 1]
+            x -= blocks[at, 0, 0] * a + blocks[at, 0, 1] * b
+            y -= blocks[at, 1, 0] * a + blocks[at, 1, 1] * b
+            at -= 1
         t[row, 0], t[row, 1] = relaxation * x, relaxation * y
 
 
 @kernel
-def sweep_on(matrix, starts, columns, relaxation, p, t, image, low, high):
+def sweep_on(matrix, relaxation, p, t, image, low, high):
     """``image = t + (D + L)^-1 (p + (I - 2 D) t + E t)`` in the range low <= i < high, after :func:`sweep_back` of all
     ranges; return its part of ``p . image``."""
+    blocks, starts, columns = matrix
     less = 1.0 - 2.0 / relaxation
     for row in range(low, high):
-        x, y = p[row, 0] + less * t[row, 0], p[row, 1] + less * t[row, 1]
-        for at in range(starts[row], starts[row + 1]):
-            o = columns[at]
-            if o < low or o >= high:
-                a, b = t[o, 0], t[o, 1]
-            elif o < row:
-                a, b = -image[o, 0], -image[o, 1]
-            else:
-                continue
-            x += matrix[at, 0, 0] * a + matrix[at, 0, 1] * b
-            y += matrix[at, 1, 0] * a + matrix[at, 1, 1] * b
+        x, y, at = p[row, 0] + less * t[row, 0], p[row, 1] + less * t[row, 1], starts[row]
+        while columns[at] < low:
+            a, b = t[columns[at], 0], t[columns[at], 1]
+            x += blocks[at, 0, 0] * a + blocks[at, 0, 1] * b
+            y += blocks[at, 1, 0] * a + blocks[at, 1, 1] * b
+            at += 1
+        while columns[at] < row:
+            a, b = image[columns[at], 0], image[columns[at], 1]
+            x -= blocks[at, 0, 0] * a + blocks[at, 0, 1] * b
+            y -= blocks[at, 1, 0] * a + blocks[at, 1, 1] * b
+            at += 1
+        at = starts[row + 1] - 1
+        while columns[at] >= high:
+            a, b = t[columns[at], 0], t[columns[at], 1]
+            x += blocks[at, 0, 0] * a + blocks[at, 0, 1] * b
+            y += blocks[at, 1, 0] * a + blocks[at, 1, 1] * b
+            at -= 1
         image[row, 0], image[row, 1] = relaxation * x, relaxation * y
     total = 0.0
     for row in range(low, high):
