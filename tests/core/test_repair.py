@@ -21,7 +21,7 @@ from meshdeform_core.quality.verdict.validity import judge, newly_invalid
 from meshdeform_core.repair import RepairOptions, minimum
 from meshdeform_core.repair.basis import Basis
 from meshdeform_core.repair.constraints import Constraints
-from meshdeform_core.repair.energy import products
+from meshdeform_core.repair.energy import products, untangle
 from meshdeform_core.repair.energy.elements import Penalty
 from meshdeform_core.repair.energy.newton import NewtonSystem
 from meshdeform_core.repair.energy.untangle import Untangler
@@ -121,6 +121,41 @@ def test_a_direction_solves_the_linear_system_in_ranges_of_any_size(dimension, r
     expected = np.einsum("nji,nj->ni", system._factor, solved)
     assert convex
     np.testing.assert_allclose(step, expected, atol=1e-6 * np.abs(expected).max())
+
+
+def test_over_relaxed_sweeps_take_half_the_iterations(monkeypatch):
+    setup = fixed_setup(cube(80, 2))
+    plot = whole_region(setup)
+    start, taken = plot.inside(setup.grid.points), []
+    for slack in (products._SLACK, np.sqrt(plot.region.n_unknowns)):
+        monkeypatch.setattr(products, "_SLACK", slack)
+        system = NewtonSystem(plot.region)
+        system.fill(plot.region, start, start, Penalty(0.0, 1.0, 2.0, 1.0))
+        system.gradient[...] = 1.0
+        system.direction(1e-5, 1000)
+        taken.append(system.iterations)
+    assert taken[0] < 0.6 * taken[1], taken
+
+
+def test_farther_steps_and_fewer_attempts_lead_to_the_same_minimum(monkeypatch):
+    grid, ends, told, fill = frame_2d(9), [], [], NewtonSystem.fill
+
+    def noted(self, region, x, reference, penalty):
+        told.append(penalty.exact)
+        return fill(self, region, x, reference, penalty)
+
+    monkeypatch.setattr(NewtonSystem, "fill", noted)
+    for farther in (untangle._FARTHER, np.inf):
+        monkeypatch.setattr(untangle, "_FARTHER", farther)
+        ends.append(turned(grid, 80, steps=1))
+    one, two = (end.grid.points for end in ends)
+    assert all(end.repair.converged for end in ends)
+    assert ends[0].repair.newton_steps < ends[1].repair.newton_steps
+    assert np.abs(one - two).max() < 1e-6
+    # A step whose full second derivatives were not positive definite is followed by one that does not try them.
+    failed = [n for n in range(len(told) - 1) if told[n] and not told[n + 1]]
+    assert failed
+    assert not any(told[n + 2] for n in failed)
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
@@ -325,8 +360,10 @@ def hessian(function, a, h=1e-4):
     )
 
 
-@pytest.mark.parametrize(("eps", "cubic"), [(1.0, 0.0), (0.2, 0.0), (0.3, 0.5)])
-def test_plane_second_derivatives_are_those_of_differences_without_their_negative_part(eps, cubic):
+@pytest.mark.parametrize(
+    ("eps", "cubic", "elastic"), [(1.0, 0.0, 0.0), (0.2, 0.0, 0.0), (0.3, 0.5, 0.0), (0.3, 0.5, 2.0)]
+)
+def test_plane_second_derivatives_are_those_of_differences_without_their_negative_part(eps, cubic, elastic):
     random = np.random.default_rng(3)
     for _ in range(20):
         a = np.eye(2) + random.standard_normal((2, 2))
@@ -336,11 +373,11 @@ def test_plane_second_derivatives_are_those_of_differences_without_their_negativ
         matrix, gradient = np.zeros((4, 2, 2)), np.zeros((2, 2))
         rows = 0, 2, np.array([0, 2, 4]), np.array([0, 1, 0, 1])
         x = np.array([[0.0, 0.0], a[:, 0], a[:, 1]])
-        penalty = tuple(Penalty(eps, 1.0, cubic))
+        penalty = tuple(Penalty(eps, 1.0, cubic, elastic))
         add_triangles(x, nodes, slope, np.ones(1), x, penalty, np.array([0]), unknowns, rows, matrix, gradient)
         found = matrix.reshape(2, 2, 2, 2).transpose(2, 0, 3, 1).reshape(4, 4)
         values, vectors = np.linalg.eigh(hessian(lambda b: density(b, eps, cubic), a))
-        expected = vectors * np.maximum(values, 0.0) @ vectors.T
+        expected = vectors * np.maximum(values + elastic, 0.0) @ vectors.T
         np.testing.assert_allclose(found, expected, atol=2e-5 * max(1.0, abs(values).max()))
 
 

