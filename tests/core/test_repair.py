@@ -371,7 +371,7 @@ def test_plane_second_derivatives_are_those_of_differences_without_their_negativ
         nodes, slope = np.array([[0, 1, 2]]), np.array([[[-1.0, -1.0], [1.0, 0.0], [0.0, 1.0]]])
         unknowns = np.array([-1, 0, 1]), np.tile(np.eye(2), (3, 1, 1)), np.ones(3, dtype=bool)
         matrix, gradient = np.zeros((4, 2, 2)), np.zeros((2, 2))
-        rows = 0, 2, np.array([0, 2, 4]), np.array([0, 1, 0, 1])
+        rows = 0, 2, np.array([0, 2, 4]), np.array([0, 1, 0, 1], np.int32)
         x = np.array([[0.0, 0.0], a[:, 0], a[:, 1]])
         penalty = tuple(Penalty(eps, 1.0, cubic, elastic))
         add_triangles(x, nodes, slope, np.ones(1), x, penalty, np.array([0]), unknowns, rows, matrix, gradient)

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...grid import BoolArray, FloatArray, IntArray
 from ...numerics.cell.foldover.hexahedra import Unknowns, add_derivatives, energy_of_cells, excess_of_cells
@@ -48,12 +49,12 @@ class Rows(NamedTuple):
     first: int
     last: int
     starts: IntArray
-    columns: IntArray
+    columns: NDArray[np.int32]
     matrix: FloatArray
     gradient: FloatArray
 
     @property
-    def pattern(self) -> tuple[int, int, IntArray, IntArray]:
+    def pattern(self) -> tuple[int, int, IntArray, NDArray[np.int32]]:
         """The arguments of the loops over rows."""
         return self[:4]
 

@@ -52,7 +52,7 @@ class NewtonSystem:
         pattern.sort_indices()
         starts = np.pad(pattern.indptr.astype(np.int64), (rows.low, 0))
         self._starts = np.pad(starts, (0, n - rows.high), mode="edge")
-        self._columns = pattern.indices.astype(np.int64)
+        self._columns = pattern.indices.astype(np.int32)
         ends = [*range(rows.low, rows.high, _ROWS), rows.high]
         self._elements = [
             np.unique(touch.indices[touch.indptr[lo] : touch.indptr[hi]]).astype(np.int64)

@@ -34,7 +34,7 @@ _SWEPT = 1 << 15
 # iterations for plane grids of 1,817, 5,300 and 38,848 nodes; the optimum is flat.
 _SLACK = 20.0
 
-Matrix = tuple[NDArray[np.float32], IntArray, IntArray]
+Matrix = tuple[NDArray[np.float32], IntArray, NDArray[np.int32]]
 """Blocks, where the rows start, and columns."""
 
 
