@@ -58,10 +58,8 @@ def flat(blocks):
 
 @pytest.fixture
 def converged(monkeypatch):
-    """Newton's method goes on until a step itself moves no node, and solves its systems well: differences of grids need
-    more digits than grids."""
+    """Newton's method goes on until a step itself moves no node: differences of grids need more digits than grids."""
     monkeypatch.setattr(untangle, "_SAFETY", np.inf)
-    monkeypatch.setattr(untangle, "_FORCING", 0.0)
 
 
 def components():
