@@ -1,10 +1,15 @@
 """``mesh.linearise``: shapes, errors, and when it is not the derivative of the step."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from grids import frame, frame_2d
 
 import meshdeform as md
+from meshdeform.prepared.differentiated import differentiated
+from meshdeform_core.methods import Options, prepare_method
+from meshdeform_core.setup import Timing
 
 BODY = {"where": "abs(x) < 0.51 and abs(y) < 0.51", "select": ["*.i*", "*.j*"], "kind": "moving", "name": "body"}
 
@@ -138,6 +143,25 @@ def test_centres_chosen_greedily_are_named(mesh):
     at_rest = greedy.linearise()
     assert not at_rest.exact
     assert "with all centres" in at_rest.reason
+
+
+def test_a_part_of_the_motion_is_told(mesh):
+    found = mesh.linearise(bend(mesh, 3.0), steps="auto", repair="off")
+    assert found.step._result.reached < 1.0
+    assert not found.exact
+    assert "of the motion was imposed; the derivative is that of the method for all of it" in found.reason
+
+
+def test_another_method_is_told(mesh):
+    step = mesh.deform(bend(mesh), steps=1, repair="off")
+    method, problem = mesh._method(Timing()), mesh._setup.problem
+    total = mesh._motion(bend(mesh), 0.0)(1.0)[problem.source_numbers]
+    assert differentiated(step._result, method, total)[1] == ""
+    other = prepare_method(Options("tfi"), problem).apply(total)
+    replaced = dataclasses.replace(step._result, grid=mesh._setup.grid.moved(mesh._setup.grid.points + other))
+    assert "another method replaced the chosen one" in differentiated(replaced, method, total)[1]
+    replaced = dataclasses.replace(replaced, steps=2, ends=(0.5, 1.0))
+    assert "2 steps, with another method" in differentiated(replaced, method, total)[1]
 
 
 def test_ties_are_named_and_shared(mesh):

@@ -8,6 +8,7 @@ from cases import body_specs, problem_of, turning
 from derivative_cases import KINDS, METHODS, directions
 from grids import frame
 
+from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.errors import MethodError
 from meshdeform_core.methods import RBF, Options, make_method, prepare_method
 from meshdeform_core.methods.derivative import StepsDerivative
@@ -106,3 +107,12 @@ def test_centres_that_are_chosen_anew_in_every_step_are_refused():
     method = make_method(chosen).prepare(where)
     with pytest.raises(MethodError, match="greedy has no derivative"):
         StepsDerivative(method, chosen, where, directions(where)[0], ENDS)
+
+
+def test_centres_in_a_plane_that_they_may_leave_are_refused():
+    floor = BoundarySpec("floor", ("*.kmin",), Kind.MOVING, None, turning(10))
+    where = problem_of(frame(), [floor, BoundarySpec("rest", ("*.i*", "*.j*", "*.kmax"), Kind.FREE)])
+    at = 0.1 * np.sin(where.source_points[:, [1, 0, 2]]) * [1.0, 1.0, 0.0]
+    method = make_method(Options("rbf")).prepare(where)
+    with pytest.raises(MethodError, match="in a plane, or on a line, has no derivative"):
+        StepsDerivative(method, Options("rbf"), where, at, ENDS)
