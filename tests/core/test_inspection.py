@@ -5,6 +5,7 @@ import itertools
 
 import numpy as np
 import pytest
+from forked_ranks import on_ranks
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -235,20 +236,34 @@ def test_the_undeformed_grid_is_measured_once():
 
 @given(st.lists(st.floats(0.0, 1.0, width=32), min_size=1, max_size=300), st.randoms(use_true_random=False))
 def test_the_quantile_does_not_depend_on_how_values_arrive(values, random):
-    """Any parts in any order, dealt to pretended ranks."""
     count = -(-len(values) // 100)
     expected = np.sort(np.array(values, np.float32))[count - 1]
     random.shuffle(values)
-    ranks = [Lowest(count) for _ in range(random.randint(1, 4))]
+    whole = Lowest(count)
     while values:
-        part = [values.pop() for _ in range(random.randint(1, len(values)))]
-        random.choice(ranks).add(np.array(part, np.float32))
-    whole = ranks[0]
-    for other in ranks[1:]:
-        for part in other._parts:
-            whole.add(part)
+        whole.add(np.array([values.pop() for _ in range(random.randint(1, len(values)))], np.float32))
     whole.complete()
     assert whole.largest == expected
+
+
+@pytest.mark.parametrize("count", [2, 3, 4])
+@pytest.mark.parametrize("distinct", [3, 10**6])
+def test_the_quantile_of_values_on_several_ranks(count, distinct):
+    """With many equal values and few, more on one rank than are wanted, and none on another."""
+    random = np.random.default_rng(count)
+    values = (random.integers(0, distinct, 5000) / distinct).astype(np.float32)
+    values[:2], wanted = [-0.0, 1.0], 700
+    ends = np.array([0, 0, 3000, 4900, 5000])[-count - 1 :]
+
+    def quantile(number):
+        lowest = Lowest(wanted)
+        own = values[0 if number == 0 else ends[number] : ends[number + 1]]
+        for lo in range(0, len(own), 400):
+            lowest.add(own[lo : lo + 400])
+        lowest.complete()
+        return lowest.largest
+
+    assert set(on_ranks(count, quantile)) == {float(np.sort(values)[wanted - 1])}
 
 
 def test_volume_of_a_block_by_its_surface():

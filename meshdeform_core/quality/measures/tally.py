@@ -13,6 +13,7 @@ from ...parallel import current_ranks
 from .cells import Slab
 
 HISTOGRAM_BINS = 20
+_DIGIT = 16
 # A lock of the module, as the objects that it guards are copied and locks cannot be.
 _adding = threading.Lock()
 
@@ -143,7 +144,8 @@ class Tally:
 
 
 class Lowest:
-    """The ``count`` smallest of at least as many values that are added in parts; independent of parts and order."""
+    """The ``count`` smallest of at least as many values that are not negative; they are added in parts, of which the
+    result is independent, as of their order."""
 
     def __init__(self, count: int):
         self._count, self._limit = count, np.float32(np.inf)
@@ -160,9 +162,21 @@ class Lowest:
                 self._shorten()
 
     def complete(self) -> None:
-        """Combine the values of all ranks, which must all call this."""
-        self._parts = current_ranks().gather(self._parts)
-        self._shorten()
+        """Combine the values of all ranks, which must all call this; none sends its values to the others."""
+        if current_ranks().count == 1:
+            self._shorten()
+            return
+        # Digit by digit: the bits of numbers that are not negative are in the order of the numbers.
+        keys = (np.concatenate([np.empty(0, np.float32), *self._parts]) + np.float32(0.0)).view(np.uint32)
+        found, left = 0, self._count
+        for shift in (_DIGIT, 0):
+            digits = (keys >> np.uint32(shift)) & np.uint32((1 << _DIGIT) - 1)
+            counts = current_ranks().gather([np.bincount(digits, minlength=1 << _DIGIT)])
+            ends = np.cumsum(np.sum(counts, axis=0))
+            digit = int(np.searchsorted(ends, left))
+            found, left = found << _DIGIT | digit, left - int(ends[digit - 1] if digit else 0)
+            keys = keys[digits == digit]
+        self._limit, self._parts = np.uint32(found).view(np.float32), []
 
     @property
     def largest(self) -> float:
