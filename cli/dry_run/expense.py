@@ -87,7 +87,7 @@ def _per_block(grid: Grid | Layout) -> tuple[float, float]:
 RATES = {
     "tfi": Rates(233e6, 59, 240, 1.57, 0.57e-6, 4.6e-6, 0.29e-6, 0.27),
     "idw": Rates(206e6, 91, 305, 1.96, 1.37e-6, 6.4e-6, 0.95e-6, 0.58),
-    "idw-tfi": Rates(241e6, 55, 305, 2.41, 0.74e-6, 6.4e-6, 0.4e-6, 0.46),
+    "idw-tfi": Rates(241e6, 60, 350, 2.41, 0.74e-6, 6.4e-6, 0.4e-6, 0.46),
 }
 
 
