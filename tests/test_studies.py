@@ -51,6 +51,8 @@ def test_repaired_levels_are_smooth_and_those_of_single_runs(study):
     assert 0 < int(told["repaired"]) == int(told["at the minimum"])
     assert told["not unique"] == "0"
     assert float(told["with half the interval"]) < float(told["acceleration, wall steps"]) < 0.05
+    # The method alone turns this grid as a whole.
+    assert float(told["without a repair"]) < 1e-9 < float(told["with half the interval"])
     assert float(told["from single runs, edges"]) < 1e-6
     assert float(told["same boundary, edges"]) < 1e-6
 
