@@ -170,6 +170,36 @@ def test_an_undeformed_cell_that_only_turns_has_the_smallest_energy(dimension):
     assert state.highest == pytest.approx(2.0)
 
 
+def test_the_less_a_cell_keeps_of_its_height_the_less_its_shear_counts():
+    setup, height, lean = fixed_setup(cube(4, 2)), 0.1, 3.0
+    plot = whole_region(setup)
+    start = plot.inside(setup.grid.points)
+    squeezed = start @ np.array([[1.0, 0.0], [lean * height, height]])
+    state = untangler_of(plot.region, start).state(squeezed, Penalty())
+    assert state.highest == pytest.approx(1 / height + height + height * lean**2 / 2)
+
+
+@pytest.mark.parametrize("refused", [0, 10, 20])
+def test_where_steps_are_shortened_or_refused_the_minimum_is_not_called_reached(refused, monkeypatch):
+    """So many trials of every step are made to look bad: then 2^-10 of it is taken, or, of 14 trials, none."""
+    setup = fixed_setup(cube(5, 2))
+    plot = whole_region(setup)
+    start = plot.inside(setup.grid.points)
+    untangler = untangler_of(plot.region, start)
+    untangler.x = start.copy()
+    untangler.x[plot.region.number >= 0] += 1e-5
+    true, trials = Untangler.state, []
+
+    def state(self, x, penalty):
+        found = true(self, x, penalty)
+        trials.append(x)
+        bad = (len(trials) - 1) % (refused + 1) > 0
+        return dataclasses.replace(found, energy=found.energy + bad)
+
+    monkeypatch.setattr(Untangler, "state", state)
+    assert untangler.minimise(1.0, 5, plot.region.energy.edges()) == (refused == 0)
+
+
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_a_node_thrown_out_of_its_cells_comes_back(dimension):
     setup = fixed_setup(cube(7, dimension))

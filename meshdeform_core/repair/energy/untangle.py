@@ -126,7 +126,7 @@ class Untangler:
             if step == pace.steps or now.lowest < -_LOCKED * eps or self.limit.reached:
                 break
             self._tell(step, pace.steps)
-            after = self._step(now, Penalty(eps), _ROUGH)
+            after, _ = self._step(now, Penalty(eps), _ROUGH)
             self.x = after.x
             eps = _next_eps(eps, after.lowest, max(pace.slowest, 1.0 - after.energy / now.energy))
         return False
@@ -143,14 +143,17 @@ class Untangler:
                 break
             self._tell(step, most)
             tolerance = min(_ROUGH, max(_FINE, _FORCING * length))
-            after = self._step(now, penalty, tolerance)
+            after, part = self._step(now, penalty, tolerance)
             before, length = length, self._largest(np.abs(after.x - now.x).max(axis=1) / edges)
             now = after
             self.x = now.x
             # The next step is estimated from the linear solver's tolerance and Newton's quadratic convergence.
             shrinking = max(tolerance, (length / before) ** 2)
-            if length < close or (step and _SAFETY * shrinking * length < close):
+            # A step that had to be shortened says nothing of the distance from the minimum.
+            if part >= 1.0 and (length < close or (step and _SAFETY * shrinking * length < close)):
                 return True
+            if part == 0.0:
+                break
         return False
 
     def _largest(self, lengths: FloatArray) -> float:
@@ -160,8 +163,9 @@ class Untangler:
         if self.progress:
             self.progress("repair", done, most)
 
-    def _step(self, now: State, penalty: Penalty, tolerance: float) -> State:
-        """One step; with the full second derivatives if eps is 0 and they are likely to be positive definite."""
+    def _step(self, now: State, penalty: Penalty, tolerance: float) -> tuple[State, float]:
+        """One step, and how much of it was taken, 0 if nothing lowers the energy; with the full second derivatives if
+        eps is 0 and they are likely to be positive definite."""
         step = self._exact(now, penalty, tolerance) if penalty.eps == 0.0 else None
         if step is None:
             self._fill(now.x, penalty)
@@ -173,14 +177,14 @@ class Untangler:
         while not after.energy <= now.energy + _DECREASE * length * slope + _ROUND_OFF * abs(now.energy):
             length /= 2
             if length <= _SMALLEST_STEP:
-                return now
+                return now, 0.0
             after = self._moved(now, penalty, step, length)
         # The parabola through both energies has its minimum beyond _FARTHER, and not because of round-off.
         more = after.energy - now.energy < (1.0 - 0.5 / _FARTHER) * slope < -_NOTABLE * abs(now.energy)
         if penalty.eps == 0.0 and length == 1.0 and more:
             farther = self._moved(now, penalty, step, 2.0)
-            return farther if farther.energy < after.energy else after
-        return after
+            return (farther, 2.0) if farther.energy < after.energy else (after, 1.0)
+        return after, length
 
     def _moved(self, now: State, penalty: Penalty, step: FloatArray, length: float) -> State:
         return self.state(self.region.moved(now.x, self.system.unknowns, step, length), penalty)
