@@ -284,7 +284,8 @@ def picture(shape: Shape, start: Array, best: Array, file: Path) -> None:
         axes[1, 0].plot(middle + 0.5, 1.0 - squares, color=color, label=title)
     axes[1, 0].set(xlabel="x / chord", ylabel="pressure coefficient", ylim=(1.1, -2.3))
     axes[1, 0].legend(frameon=False)
-    _history(axes[1, 1], shape.history)
+    first = shape.mesh.points[:, :2]
+    _history(axes[1, 1], shape.history, 0.5 * abs(float(_cross(first, np.roll(first, -1, axis=0)).sum())))
     for ax in axes[1]:
         ax.spines[["top", "right"]].set_visible(False)
         ax.grid(alpha=0.3)
@@ -292,20 +293,26 @@ def picture(shape: Shape, start: Array, best: Array, file: Path) -> None:
     plt.close(figure)
 
 
-def _history(ax: Any, history: list[dict[str, float]]) -> None:
-    """Objective and constraints by iteration, each relative to its first value or its limit."""
+def _cross(one: Array, other: Array) -> Array:
+    return np.asarray(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0])
+
+
+def _history(ax: Any, history: list[dict[str, float]], area: float) -> None:
+    """Objective and constraints by iteration, each relative to its first value or to what is required; ``area`` is that
+    of the first section."""
     first = history[0]
     lines = {
         "suction: norm of 1 - cp": [each["suction"] / first["suction"] for each in history],
         "lift": [each["lift"] / LIFT for each in history],
+        "area of the section": [1.0 - (each["volume"] - first["volume"]) / area for each in history],
         "skewness of the grid: 1 - f_skew": [(1.0 - each["f_skew"]) / (1.0 - first["f_skew"]) for each in history],
     }
-    looks = (("-", "tab:blue"), ("--", "0.3"), ("-", "tab:orange"))
+    looks = (("-", "tab:blue"), ("--", "0.3"), (":", "tab:green"), ("-", "tab:orange"))
     for (label, values), (style, color) in zip(lines.items(), looks, strict=True):
         ax.plot(values, style, color=color, linewidth=1.8, label=label)
     ax.axhline(MOST_SKEW, color="tab:orange", linewidth=0.8, linestyle=":")
     ax.text(0, MOST_SKEW + 0.01, "limit", color="tab:orange", va="bottom", fontsize=9)
-    ax.set(xlabel="iteration", ylabel="relative to first or required", ylim=(0.5, 1.35))
+    ax.set(xlabel="iteration", ylabel="relative to first or required", ylim=(0.4, 1.35))
     ax.legend(frameon=False, loc="lower left", fontsize=9)
 
 
