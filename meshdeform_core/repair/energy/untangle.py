@@ -27,10 +27,6 @@ CLOSE = 1e-6
 estimated not to."""
 # The tolerance of a linear system relative to the step before: a step removes about that share of the distance.
 _FORCING = 0.05
-# Where the energy along a step falls that much farther than to its end, twice the step is tried: far from the minimum
-# the energy grows with the fourth power of the distance, of which a step of Newton's method covers a third. Changes
-# below _NOTABLE of the energy may be round-off.
-_FARTHER, _NOTABLE = 1.2, 1e-9
 # Largest ratio of the next step to its estimate; up to 6 was measured.
 _SAFETY = 10.0
 _SMALLEST_STEP = 1e-4
@@ -179,11 +175,6 @@ class Untangler:
             if length <= _SMALLEST_STEP:
                 return now, 0.0
             after = self._moved(now, penalty, step, length)
-        # The parabola through both energies has its minimum beyond _FARTHER, and not because of round-off.
-        more = after.energy - now.energy < (1.0 - 0.5 / _FARTHER) * slope < -_NOTABLE * abs(now.energy)
-        if penalty.eps == 0.0 and length == 1.0 and more:
-            farther = self._moved(now, penalty, step, 2.0)
-            return (farther, 2.0) if farther.energy < after.energy else (after, 1.0)
         return after, length
 
     def _moved(self, now: State, penalty: Penalty, step: FloatArray, length: float) -> State:
