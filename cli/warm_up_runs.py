@@ -16,8 +16,10 @@ import numpy as np
 from meshdeform_core.deform import Case, Result, deform, set_up
 from meshdeform_core.errors import MeshDeformError
 from meshdeform_core.grid import Grid
+from meshdeform_core.grid.near import NearNodes
 from meshdeform_core.methods import IDW, RBF, Options, Progress, make_method, prepare_method
 from meshdeform_core.methods.derivative import StepsDerivative, derivative_of
+from meshdeform_core.numerics.cell.layers import cells_at
 from meshdeform_core.numerics.damping import damp_rows
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.fastsum.radial.nested import NestedSums
@@ -58,11 +60,11 @@ def runs() -> Iterator[Callable[[], object]]:
     for rotation in ("none", "quaternion", "blend"):
         yield partial(_deformed, "hemisphere", 8, Options("idw", idw=IDW(rotation=rotation, summation="exact")))
     yield partial(_deformed, "hemisphere", 8, Options("rbf-tfi"))
-    yield partial(_deformed, "hemisphere", 8, Options("rbf", rbf=RBF(basis="wendland-c2", radius=1.0, greedy="single")))
+    yield partial(_derivatives, "hemisphere", 8, Options("rbf", rbf=RBF("wendland-c2", radius=1.0, greedy="single")))
     yield partial(_deformed, "airfoil", 33, Options("idw-tfi"))
     yield partial(_series, "square", 11, Options("tfi"))
     yield partial(_derivatives, "hemisphere", 8, Options("tfi"))
-    yield _damping
+    yield _others
 
 
 def run_everything(progress: Progress) -> int:
@@ -148,9 +150,14 @@ def _pictures(name: str, size: int, method: Options) -> None:
     page_png(quality_planes(Pair(setup.grid, result.grid, setup.topology, original=setup.original))[1], dpi=10)
 
 
-def _damping() -> None:
-    """A displacement beside slip sides; no sample has one normal to them."""
+def _others() -> None:
+    """Loops that no run of a small sample needs: displacements beside slip sides and normal to them, regions of a
+    repair, and what ranks know of each other's nodes."""
     damp_rows(np.ones((1, 3)), np.zeros(1, dtype=np.int64), np.eye(3), np.ones((1, 3)), 0.0)
+    grid, _ = generate("square", 11)
+    near = NearNodes.of(grid.shapes, grid.offsets)
+    near.places(near.rows)
+    cells_at(near.rows, np.array(grid.shapes, dtype=np.int64), grid.offsets, grid.n_cells)
 
 
 def _nested_sums() -> None:

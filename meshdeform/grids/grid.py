@@ -210,7 +210,8 @@ class Grid:
             metric=metric, plane=plane, block=tuple(block), select=tuple(select), view=view, zoom=zoom, before=before,
             arrows=arrows, limits=limits, log=log, lines=lines,
         )  # fmt: skip
-        return plot(self._whole("a picture"), None if reference is None else reference._core, title, options)
+        other = None if reference is None else reference._whole("a picture")
+        return plot(self._whole("a picture"), other, title, options)
 
     def view(self, metric: str = "f_skew", *, reference: Grid | None = None, log: bool = False) -> pyvista.Plotter:
         """The grid in space, to turn and cut: a pyvista plotter, whose ``show()`` opens a window.
@@ -224,7 +225,8 @@ class Grid:
         """
         from .pictures import view
 
-        return view(self._whole("a view"), None if reference is None else reference._core, metric, log)
+        other = None if reference is None else reference._whole("a view")
+        return view(self._whole("a view"), other, metric, log)
 
     def to_pyvista(self) -> pyvista.MultiBlock:
         """The blocks as pyvista structured grids, by name.

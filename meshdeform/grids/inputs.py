@@ -31,5 +31,11 @@ def user_grid(grid: object) -> Grid:
 
 
 def core_grid(grid: object) -> core.Grid:
-    """The core grid of the argument."""
-    return user_grid(grid)._core
+    """The core grid of the argument.
+
+    Raises
+    ------
+    GridError
+        When every rank holds a part of it.
+    """
+    return user_grid(grid)._whole("a report or comparison")

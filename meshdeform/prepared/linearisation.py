@@ -14,9 +14,7 @@ from meshdeform_core.boundary.prescribed import given_displacement, given_gradie
 from meshdeform_core.errors import GridError
 from meshdeform_core.grid import FloatArray, IntArray
 from meshdeform_core.methods import PreparedMethod
-from meshdeform_core.methods.derivative import (
-    reason_of,
-)
+from meshdeform_core.methods.derivative import reason_of
 
 from ..gate import checked_array
 from .differentiated import differentiated

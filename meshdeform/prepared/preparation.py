@@ -90,20 +90,27 @@ def prepare(
     }
     with in_parts(), one_at_a_time(), sharing(ranks, threads), dividing() if parts else nullcontext():
         what = _case(case, selections, components)
-        held = user_grid(grid)
-        if what.boundary_file is not None:
-            from meshdeform_formats.neutral_map import read_neutral_map
-
-            held = Grid._of(read_neutral_map(what.boundary_file, held._core), held._plane)
-        if what.component_files:
-            from meshdeform_formats.joined import grid_of_case
-
-            held = Grid._of(grid_of_case(held._core, what), held._plane)
+        held = _grid_of(user_grid(grid), what, ranks)
         chosen = what.case if method is None else dataclasses.replace(what.case, method=options_of(method))
         own = held._core
         memory = Demand.of("deforming", own).left_of(_memory(max_memory))
         setup = set_up(own, chosen, memory=memory)
         return Mesh(setup, held._plane, ranks, threads)
+
+
+def _grid_of(grid: Grid, what: CaseFile, ranks: Ranks) -> Grid:
+    """The grid with the patches and components that the case names files for."""
+    if ranks.count == 1:
+        grid._whole("preparing it without comm=")
+    if what.boundary_file is not None:
+        from meshdeform_formats.neutral_map import read_neutral_map
+
+        grid = Grid._of(read_neutral_map(what.boundary_file, grid._core), grid._plane)
+    if what.component_files:
+        from meshdeform_formats.joined import grid_of_case
+
+        grid = Grid._of(grid_of_case(grid._core, what), grid._plane)
+    return grid
 
 
 def _ranks(comm: Comm | None) -> Ranks:

@@ -68,9 +68,10 @@ class Step:
         grid, before = self.grid._whole("swept volumes"), previous.grid if isinstance(previous, Step) else previous
         if not isinstance(before, Grid):
             raise GridError(f"previous is a {type(before).__name__}; expected a step or a grid")
-        require_same_blocks(grid, before._core)
+        earlier = before._whole("swept volumes")
+        require_same_blocks(grid, earlier)
         undeformed = self._result.setup.grid
-        found = at_faces(undeformed, swept_volumes(undeformed, before._core.points, grid.points))
+        found = at_faces(undeformed, swept_volumes(undeformed, earlier.points, grid.points))
         return [
             tuple(np.squeeze(part, axis=shape.index(1)) if 1 in shape else part for part in faces if part.size)
             for shape, faces in zip(undeformed.shapes, found, strict=True)

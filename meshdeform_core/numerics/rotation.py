@@ -12,7 +12,7 @@ import numpy as np
 
 from .arrays import BoolArray, FloatArray, IntArray, lengths
 from .branches import continuous, nearest_branch
-from .tape import Tracked
+from .tape import Tracked, plain
 
 SHARP = 0.9
 """Length of the mean unit normal at a node below which its faces form a sharp edge."""
@@ -219,7 +219,7 @@ def _aligning(start: FloatArray, end: FloatArray, plane_normal: FloatArray | Non
     cosine = _dot(start, end)
     opposite = (sine < 1e-12) & (cosine < 0)
     if opposite.any():
-        axis[opposite] = _half_turn_axes(start[opposite]) if plane_normal is None else plane_normal
+        axis[opposite] = _half_turn_axes(plain(start)[opposite]) if plane_normal is None else plane_normal
     # Up to a right angle, the half-angle formula, which is smooth at zero angle.
     half = np.sqrt(0.5 * (1.0 + np.maximum(cosine, 0.0)))[:, None]
     near = np.concatenate([half, axis / (2.0 * half)], axis=1)

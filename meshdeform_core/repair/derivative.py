@@ -49,7 +49,7 @@ class RepairDerivative(Protocol):
 
 def derivative_of_repair(basis: Basis, start: FloatArray, end: FloatArray, polish: bool) -> RepairDerivative | None:
     """The derivative of the repair from ``start``, the method's grid (n_nodes, 3), to ``end``, the minimum of the
-    energy; ``None`` where no cell is weak, or nodes slide on curved surfaces."""
+    energy; ``None`` where no cell is weak."""
     undeformed = basis.original.grid.points
     if basis.extrusion is not None:
         extrusion, plane = basis.extrusion
@@ -106,8 +106,8 @@ class _AtMinimum:
     def __init__(self, whole: Whole, start: FloatArray, end: FloatArray, polish: bool) -> None:
         self._whole, self._plot = whole, whole.plot
         self._start, self._x = self._plot.inside(start), self._plot.inside(end)
-        self.share, energy = share_of(self._plot.region.energy, self._start)
-        of_share, of_between = share_slopes(energy, self._start)
+        self.share, energy = share_of(self._plot.region.energy, self._start, self._plot.region.dealt)
+        of_share, of_between = share_slopes(energy, self._start, self._plot.region.dealt)
         if polish and self.share <= 1.0:
             self.share, of_share = 1.0, np.zeros_like(of_share)
         self._slopes = of_share, of_between

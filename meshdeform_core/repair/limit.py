@@ -31,8 +31,8 @@ class Limit:
         self._left -= work
 
     def affords(self, work: float) -> int:
-        """How often this work may still be done, at least 1."""
-        return max(1, int(min(self._left / work, 1e9)))
+        """How often this work may still be done, at least 1; a collective call with the same answer on all ranks."""
+        return max(1, int(min(-agreed(-self._left) / work, 1e9)))
 
     @property
     def exhausted(self) -> bool:

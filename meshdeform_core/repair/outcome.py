@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from ..grid import FloatArray
 from ..quality.verdict.validity import Verdict
 
@@ -67,4 +65,4 @@ class Judged:
     @property
     def count(self) -> int:
         """Number of invalid cells."""
-        return int(np.count_nonzero(self.verdict.failed))
+        return len(self.verdict.invalid)

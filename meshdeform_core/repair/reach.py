@@ -26,9 +26,12 @@ class Reach:
         it exceeds ``most``, in parts if the grid is; and the largest distance up to ``most``."""
         points = self._grid.points
         low, high = own_rows(points)
-        found: Any = empty([len(points)], np.int16)
+        n: list[int] = [len(points)]
+        found: Any
         if isinstance(points, Part):
-            found = Part(points.ranks, points.bounds, [len(points)], np.int16)
+            found = Part(points.ranks, points.bounds, n, np.int16)
+        else:
+            found = empty(n, np.int16)
         own = rows_of(found)[low:high]
         own[...] = most + 1
         own[seeds[(seeds >= low) & (seeds < high)] - low] = 0

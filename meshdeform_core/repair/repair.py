@@ -117,16 +117,19 @@ class Repairer:
             best, more, converged = self._minimum(start, polish, None)
             steps += more
         if not best.verdict.valid:
-            require_whole(points, "cells stay invalid and may be untangled in regions")
-            best, more, converged = self._by_regions(start, best, polish, ways)
+            left = () if self.limit.reached else ways
+            if left:
+                require_whole(points, "cells stay invalid and may be untangled in regions")
+            best, more, converged = self._by_regions(start, best, polish, left)
             steps += more
         record = self._record(start, best, steps, clock.perf_counter() - begin)
         return Outcome(best.points, best.verdict, replace(record, converged=converged and best.verdict.valid))
 
     def _by_regions(self, start: Judged, best: Judged, polish: bool, ways: tuple[Way, ...]) -> tuple[Judged, int, bool]:
         """The best grid of all ``ways``, the number of Newton steps, and whether the minimum was found from there."""
-        weak = max(WEAK, min(1.0, 2.0 * float(start.verdict.ratio.min()))) if polish else WEAK
+        weak = max(WEAK, min(1.0, 2.0 * start.verdict.smallest_ratio)) if polish else WEAK
         growth, steps = Growth(self.basis, self._moved, self.progress, self.limit), 0
+        best = min(best, start, key=lambda grid: grid.count)
         for way in ways:
             other, more = growth.best(start, weak, way)
             best, steps = (other if other.count < best.count else best), steps + more

@@ -59,8 +59,10 @@ class Shares:
 
     @property
     def largest(self) -> int:
-        """Largest number of nodes that the share of a rank may have."""
-        return int(np.diff(self._bounds).max()) + (ROWS if len(self._bounds) > 2 else 0)
+        """Largest number of nodes that the share of a rank may have, planes of its neighbours included."""
+        shapes = np.array(self._grid.shapes)
+        beside = ROWS + 2 * int((shapes[:, 1] * shapes[:, 2]).max())
+        return int(np.diff(self._bounds).max()) + (beside if len(self._bounds) > 2 else 0)
 
     def halos(self, roots: IntArray, nodes: IntArray) -> tuple[Halo, Halo]:
         """Unknowns and nodes around this rank's share, some of which belong to other ranks."""

@@ -170,7 +170,7 @@ def test_ties_are_named_and_shared(mesh):
     at, change, h = bend(mesh, 0.15), bend(mesh, 1.0)[:, [1, 0, 2]], 1e-4
     found = mesh.linearise(at, steps=2)
     assert not found.exact
-    assert "2 sources share the largest distance, which sets L_def" in found.reason
+    assert "2 nodes share the largest distance, which sets L_def" in found.reason
     one, two = (mesh.deform(at + s * h * change, steps=2).grid.blocks for s in (1, -1))
     for a, b, block in zip(one, two, found.jvp(change), strict=True):
         np.testing.assert_allclose((a - b) / (2 * h), block, atol=1e-7)

@@ -8,13 +8,13 @@ from grids import frame
 import meshdeform as md
 from meshdeform.prepared import preparation
 from meshdeform_core.numerics import pieces as pieces_module
-from meshdeform_core.parallel import current_ranks
+from meshdeform_core.parallel import OneRank, current_ranks
 
 
 @pytest.fixture
 def source(tmp_path, monkeypatch):
     """A grid file; ``comm`` is the ranks themselves, and blocks are cut although they are small."""
-    monkeypatch.setattr(preparation, "_ranks", lambda comm: comm)
+    monkeypatch.setattr(preparation, "_ranks", lambda comm: comm or OneRank())
     monkeypatch.setattr(pieces_module, "_NODES", 100)
     monkeypatch.setattr(pieces_module, "_CELLS", 4)
     pieces_module._ends.cache_clear()
@@ -58,6 +58,9 @@ def test_every_rank_has_its_part_of_the_grid_and_of_the_result(source, tmp_path)
             np.testing.assert_array_equal(before.points, start[part.block][part.first : part.last])
         for act in (
             lambda: found.grid.blocks, lambda: found.swept_volumes(mesh.grid), lambda: found.quality_gradient("volume"),
+            lambda: md.compare(found.grid, mesh.grid), lambda: md.quality(found.grid),
+            lambda: step.swept_volumes(mesh.grid),
+            lambda: one.grid.plot(reference=mesh.grid), lambda: md.prepare(found.grid, moving=["block2.imax"]),
             found.grid.plot, found.grid.to_meshio,
         ):  # fmt: skip
             with pytest.raises(md.GridError, match=r"takes the whole grid on every rank.*Grid\.gathered"):

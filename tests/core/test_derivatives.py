@@ -353,6 +353,10 @@ def test_where_there_is_no_derivative_is_named():
     assert derivative_of(method, at).kinks[HALF_TURNS] == moving
     # Half-way along straight lines the body has no breadth.
     assert set(derivative_of(method, 0.5 * at).kinks) == {FOLDED}
+    again = Options("idw", idw=IDW(rotation="division", reweight=True))
+    for part, kink in ((1.0, HALF_TURNS), (0.5, FOLDED)):
+        kinks = derivative_of(make_method(again).prepare(where), part * at).kinks
+        assert kink in kinks, kinks
     shift = at.any(axis=1, keepdims=True) * [0.05, 0.02, 0.0]
     for name, kinks in (("idw-lie", {}), ("idw-alpha-none", {LARGEST: moving})):
         assert derivative_of(make_method(METHODS[name]).prepare(where), shift).kinks == kinks

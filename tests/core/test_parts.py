@@ -25,10 +25,12 @@ from meshdeform_core.methods import IDW, RBF, TFI, Options
 from meshdeform_core.numerics import pieces as pieces_module
 from meshdeform_core.numerics.pieces import pieces
 from meshdeform_core.parallel import Part, WholeGridNeeded, alone, dividing, parts
-from meshdeform_core.repair import RepairOptions, shares
+from meshdeform_core.repair import RepairOptions, limit, shares
 from meshdeform_core.repair.energy import newton, products
 from meshdeform_core.series import Schedule, deform_series
-from meshdeform_core.setup import set_up
+from meshdeform_core.setup import Start, Timing, set_up
+from meshdeform_core.stepping.course import Course
+from meshdeform_core.stepping.steps import beginning, plain_step
 from meshdeform_formats import plausible
 from meshdeform_formats.grids import read_grid, write_grid
 
@@ -314,6 +316,32 @@ def test_repairs_of_grids_in_parts_give_the_same_bytes(
 ):
     """Of weak cells and of inverted ones."""
     assert same_on_ranks(tmp_path, count, repaired(angle, mode), grid=tapered(5, 4))[-1].newton_steps > 1
+
+
+def test_where_the_work_is_spent_invalid_cells_are_no_reason_to_start_again(
+    tmp_path, small_pieces, small_ranges, poisoned, monkeypatch
+):
+    monkeypatch.setattr(limit, "_PER_NODE", 20_000.0 / limit._FEWEST)
+    same_on_ranks(tmp_path, 2, repaired(110.0), grid=tapered(5, 4))
+
+
+def test_a_search_for_the_minimum_alone_may_fail_in_parts(tmp_path, small_pieces, small_ranges):
+    """As where a second solution is looked for: cells stay invalid, and nothing else is tried."""
+    source = tmp_path / "grid.cgns"
+    write_grid(tapered(5, 4), source)
+
+    def act(number):
+        with dividing():
+            setup = set_up(read_grid(source), repaired(160.0))
+            start = Start(setup.grid.points)
+            course = Course(setup, setup.motion(1.0), "float64", Timing(), None, start, limit.Limit())
+            plain = plain_step(beginning(course, setup.case.method), 1.0).plain
+            outcome = course.repairer.repair(plain.points, plain.verdict, ways=())
+            return outcome.verdict.valid, outcome.repair.converged, len(outcome.verdict.invalid)
+
+    (expected,) = on_ranks(1, act)
+    assert expected[:2] == (False, False)
+    assert on_ranks(2, act) == [expected] * 2
 
 
 def test_repairs_on_curved_slip_surfaces_give_the_same_bytes(tmp_path, small_pieces, small_ranges, poisoned):

@@ -44,7 +44,7 @@ class StepsDerivative:
 
     Attributes
     ----------
-    points : (n_nodes, 3) the grid reached, without repairs
+    points : (n_nodes, 3) the grid reached
     kinks : see :mod:`.kinks`
 
     Raises

@@ -13,7 +13,7 @@ from ...parallel import current_ranks
 from .cells import Slab
 
 HISTOGRAM_BINS = 20
-_DIGIT = 16
+_DIGIT = 8
 # A lock of the module, as the objects that it guards are copied and locks cannot be.
 _adding = threading.Lock()
 
@@ -169,7 +169,7 @@ class Lowest:
         # Digit by digit: the bits of numbers that are not negative are in the order of the numbers.
         keys = (np.concatenate([np.empty(0, np.float32), *self._parts]) + np.float32(0.0)).view(np.uint32)
         found, left = 0, self._count
-        for shift in (_DIGIT, 0):
+        for shift in range(32 - _DIGIT, -1, -_DIGIT):
             digits = (keys >> np.uint32(shift)) & np.uint32((1 << _DIGIT) - 1)
             counts = current_ranks().gather([np.bincount(digits, minlength=1 << _DIGIT)])
             ends = np.cumsum(np.sum(counts, axis=0))

@@ -63,6 +63,7 @@ class NewtonSystem:
         matrix = self._matrix, self._starts, self._columns
         self._products: Products = Plain(matrix, rows) if d == 3 else Swept(matrix, rows)
         self.work, self.iterations = _BLOCK * int(rows.joined(np.array([len(self._columns)])).sum()), 0
+        self.solved = False
         self.gradient = np.empty((n, d))
 
     @staticmethod
@@ -109,7 +110,8 @@ class NewtonSystem:
         """The Newton step (n_unknowns, d), and whether the Hessian was convex along all directions searched.
 
         Conjugate gradients take at most ``most`` iterations, until ``|r| <= tolerance |b|`` after preconditioning. They
-        stop at a direction of negative curvature; the step found up to there is a descent direction.
+        stop at a direction of negative curvature; the step found up to there is a descent direction. ``solved`` then
+        says whether they met the tolerance.
         """
         factor, products = self._factor, self._products
         r = products.begin(-np.einsum("nij,nj->ni", factor, self.gradient))
@@ -129,6 +131,7 @@ class NewtonSystem:
             rho = self._summed(advance_rows, y, r, p, image, length)
             p *= rho / before
             p += r
+        self.solved = rho <= goal
         return self._rows.complete(np.einsum("nji,nj->ni", factor, products.end(y))), convex
 
     def dense(self) -> FloatArray:

@@ -28,9 +28,9 @@ def share_of(energy: Energy, x: FloatArray, dealt: Dealt | None = None) -> tuple
     return (whole / FULL) ** POWER, energy.with_between(_share_between(excess))
 
 
-def share_slopes(energy: Energy, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+def share_slopes(energy: Energy, x: FloatArray, dealt: Dealt | None = None) -> tuple[FloatArray, FloatArray]:
     """Derivatives of the share, and of each cell's share of samples between corners, with respect to excess (m,)."""
-    excess, whole = _excess(energy, x, Dealt.alone(energy))
+    excess, whole = _excess(energy, x, dealt or Dealt.alone(energy))
     if whole == 0.0:
         return np.zeros_like(excess), np.zeros_like(excess)
     between, beyond = _share_between(excess), excess - BETWEEN

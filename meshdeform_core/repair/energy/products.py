@@ -76,8 +76,7 @@ class Swept:
 
     def __init__(self, matrix: Matrix, rows: Halo) -> None:
         self._matrix, self._rows, self._t = matrix, rows, np.zeros((len(matrix[1]) - 1, 2))
-        of_all_ranks = rows.joined(np.array([rows.high - rows.low])).sum()
-        self._relaxation = 2.0 / (1.0 + _SLACK / np.sqrt(of_all_ranks))
+        self._relaxation = 2.0 / (1.0 + _SLACK / np.sqrt(rows.total))
 
     def begin(self, b: FloatArray) -> FloatArray:
         self._t[...] = 0.0

@@ -145,8 +145,12 @@ class Untangler:
             self.x = now.x
             # The next step is estimated from the linear solver's tolerance and Newton's quadratic convergence.
             shrinking = max(tolerance, (length / before) ** 2)
-            # A step that had to be shortened says nothing of the distance from the minimum.
-            if part >= 1.0 and (length < close or (step and _SAFETY * shrinking * length < close)):
+            # A step that was shortened, or not solved for, says nothing about the distance from the minimum.
+            if (
+                self.system.solved
+                and part >= 1.0
+                and (length < close or (step and _SAFETY * shrinking * length < close))
+            ):
                 return True
             if part == 0.0:
                 break
