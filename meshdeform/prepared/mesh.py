@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import cached_property
@@ -15,7 +16,7 @@ from meshdeform_core.boundary import Kind
 from meshdeform_core.boundary.motions.motion import SMALLEST
 from meshdeform_core.boundary.prescribed import given_displacement
 from meshdeform_core.deform import BoundaryMotion, Setup, Start, Timing, impose
-from meshdeform_core.errors import CaseError, MotionError
+from meshdeform_core.errors import CaseError, GridError, MotionError
 from meshdeform_core.grid import BoolArray, FloatArray, IntArray
 from meshdeform_core.methods import PreparedMethod, Progress, prepare_method
 from meshdeform_core.numerics.arrays import places_among
@@ -44,6 +45,7 @@ class Mesh:
     def __init__(self, setup: Setup, plane: bool, ranks: Ranks, threads: int | None):
         self._setup, self._plane, self._ranks, self._threads = setup, plane, ranks, threads
         self._prepared: PreparedMethod | None = None
+        self._thread = threading.get_ident()
 
     @property
     def grid(self) -> Grid:
@@ -189,7 +191,13 @@ class Mesh:
             yield
 
     def _dividing(self) -> AbstractContextManager[None]:
-        return dividing() if isinstance(self._setup.grid.points, Part) else nullcontext()
+        if not isinstance(self._setup.grid.points, Part):
+            return nullcontext()
+        if threading.get_ident() != self._thread:
+            raise GridError(
+                "a mesh prepared with parts=True is used in another thread; expected the one that prepared it"
+            )
+        return dividing()
 
     @cached_property
     def _numbers(self) -> IntArray:

@@ -56,6 +56,20 @@ def flat(blocks):
     return np.concatenate([np.ravel(block) for block in blocks])
 
 
+def check(mesh, at, found, change, steps):
+    """Both modes of a derivative against central differences, and against each other."""
+    moved, errors = flat(found.jvp(change)), []
+    for h in (2e-4, 5e-5):
+        one, two = (flat(mesh.deform(at + s * h * change, steps=steps).grid.blocks) for s in (1, -1))
+        errors.append(np.abs((one - two) / (2.0 * h) - moved).max() / np.abs(moved).max())
+    assert errors[1] < 1e-6
+    assert errors[1] < errors[0] / 8 or errors[1] < 1e-7
+    weights = [np.random.default_rng(1).standard_normal(block.shape) for block in found.jvp(change)]
+    product = (found.vjp(weights) * change).sum()
+    size = np.linalg.norm(flat(weights)) * np.linalg.norm(moved)
+    assert abs((flat(weights) * moved).sum() - product) < 1e-12 * size
+
+
 @pytest.fixture
 def converged(monkeypatch):
     """Newton's method goes on until a step itself moves no node: differences of grids need more digits than grids."""
@@ -95,16 +109,7 @@ def test_central_differences_through_a_repair(name, converged):
     # The method alone would be wrong by far.
     method = flat(mesh.linearise(at, steps=1, repair="off").jvp(change))
     assert np.abs(moved - method).max() > 0.04 * np.abs(moved).max()
-    errors = []
-    for h in (2e-4, 5e-5):
-        one, two = (flat(mesh.deform(at + s * h * change, steps=1).grid.blocks) for s in (1, -1))
-        errors.append(np.abs((one - two) / (2.0 * h) - moved).max() / np.abs(moved).max())
-    assert errors[1] < 1e-6
-    assert errors[1] < errors[0] / 8 or errors[1] < 1e-7
-    weights = [np.random.default_rng(1).standard_normal(block.shape) for block in found.jvp(change)]
-    product = (found.vjp(weights) * change).sum()
-    size = np.linalg.norm(flat(weights)) * np.linalg.norm(moved)
-    assert abs((flat(weights) * moved).sum() - product) < 1e-12 * size
+    check(mesh, at, found, change, steps=1)
 
 
 def test_repairs_on_the_way(converged):
@@ -117,15 +122,7 @@ def test_repairs_on_the_way(converged):
     assert found.exact, found.reason
     x = mesh.points
     change = np.stack([np.cos(3.0 * x[:, 1]), np.sin(4.0 * x[:, 0]), 0.0 * x[:, 0]], axis=1)
-    moved, errors = flat(found.jvp(change)), []
-    for h in (2e-4, 5e-5):
-        one, two = (flat(mesh.deform(at + s * h * change, steps=2).grid.blocks) for s in (1, -1))
-        errors.append(np.abs((one - two) / (2.0 * h) - moved).max() / np.abs(moved).max())
-    assert errors[1] < 1e-6
-    assert errors[1] < errors[0] / 8 or errors[1] < 1e-7
-    weights = [np.random.default_rng(1).standard_normal(block.shape) for block in found.jvp(change)]
-    product = (found.vjp(weights) * change).sum()
-    assert abs((flat(weights) * moved).sum() - product) < 1e-12 * np.linalg.norm(flat(weights)) * np.linalg.norm(moved)
+    check(mesh, at, found, change, steps=2)
 
 
 def test_a_repair_on_the_way_that_ends_elsewhere_says_so():

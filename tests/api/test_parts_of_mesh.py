@@ -1,5 +1,7 @@
 """``prepare(..., comm=comm, parts=True)``: every rank holds its part of the grid and of the results."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from forked_ranks import on_ranks
@@ -67,6 +69,8 @@ def test_every_rank_has_its_part_of_the_grid_and_of_the_result(source, tmp_path)
                 act()
         with pytest.raises(md.GridError, match="a derivative: that takes"):
             mesh.linearise(turned)
+        with ThreadPoolExecutor(1) as other, pytest.raises(md.GridError, match="in another thread"):
+            other.submit(mesh.deform, turned).result()
         assert lasting(found.report) == lasting(report)
         md.write(found.grid, tmp_path / "out.xyz")
         first = found.grid.gathered(first_only=True)

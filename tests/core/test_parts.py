@@ -25,8 +25,9 @@ from meshdeform_core.methods import IDW, RBF, TFI, Options
 from meshdeform_core.numerics import pieces as pieces_module
 from meshdeform_core.numerics.pieces import pieces
 from meshdeform_core.parallel import Part, WholeGridNeeded, alone, dividing, parts
-from meshdeform_core.repair import RepairOptions, limit, shares
+from meshdeform_core.repair import RepairOptions, limit
 from meshdeform_core.repair.energy import newton, products
+from meshdeform_core.repair.neighbourhood import shares
 from meshdeform_core.series import Schedule, deform_series
 from meshdeform_core.setup import Start, Timing, set_up
 from meshdeform_core.stepping.course import Course

@@ -7,7 +7,7 @@ matrix of the map from the undeformed cell to the deformed one, D = det A, and
 
 (Garanzha, Kaporin, Kudryavtseva, Protais, Ray, Sokolov: Foldover-free maps in 50 lines of code, ACM TOG 40(4), 2021,
 eqs. 3 and 4 with lambda = 1). A cell in rigid motion attains the minimum, f = 2, whatever its aspect ratio. With the
-weight w of its cell (:mod:`meshdeform_core.repair.walls`), a sample has the energy
+weight w of its cell (:mod:`meshdeform_core.repair.neighbourhood.walls`), a sample has the energy
 
     share (w f + cubic p^3 / (1 + p / 4)) + elastic / 2 |A - A_reference|^2,    p = f - 2
 

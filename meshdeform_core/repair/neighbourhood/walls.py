@@ -14,8 +14,8 @@ import math
 
 import numpy as np
 
-from ..grid import FloatArray, IntArray
-from .tuned import CRAMPED, FALL, FIRST, GROWTH, HEAVIEST, REACH, ROOM, SHARE, STEEP, THIN
+from ...grid import FloatArray, IntArray
+from ..tuned import CRAMPED, FALL, FIRST, GROWTH, HEAVIEST, REACH, ROOM, SHARE, STEEP, THIN
 
 FARTHEST = math.ceil(REACH / SHARE)
 """Distances beyond this many cells need not be distinguished."""

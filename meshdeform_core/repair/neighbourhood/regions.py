@@ -9,18 +9,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..grid import BoolArray, FloatArray, IntArray
-from ..grid.planes import plane_axes, plane_normal
-from ..numerics.cell.foldover.hexahedra import Unknowns
-from ..numerics.cell.foldover.samples import cell_samples, samples_with_any, sound_samples
-from ..numerics.cell.layers import cells_at
-from ..parallel import Halo
-from .constraints import Constraints
-from .energy.elements import COLLAPSED, Energy, Hexahedra, Triangles
-from .energy.region import Dealt, Region, Slide
+from ...grid import BoolArray, FloatArray, IntArray
+from ...grid.planes import plane_axes, plane_normal
+from ...numerics.cell.foldover.hexahedra import Unknowns
+from ...numerics.cell.foldover.samples import cell_samples, samples_with_any, sound_samples
+from ...numerics.cell.layers import cells_at
+from ...parallel import Halo
+from ..constraints import Constraints
+from ..energy.elements import COLLAPSED, Energy, Hexahedra, Triangles
+from ..energy.region import Dealt, Region, Slide
+from ..sliding import Sliding
 from .reach import Reach
 from .shares import CELLS, Shares
-from .sliding import Sliding
 from .walls import FARTHEST, nearness, weigh
 
 

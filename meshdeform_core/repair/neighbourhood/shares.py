@@ -7,9 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from ..grid import BoolArray, IntArray
-from ..parallel import Halo, OneRank, Part
-from .constraints import Constraints
+from ...grid import BoolArray, IntArray
+from ...parallel import Halo, OneRank, Part
+from ..constraints import Constraints
 
 ROWS = 1 << 15
 """Ranks own whole ranges of this many unknowns; sums over unknowns are taken range by range."""
