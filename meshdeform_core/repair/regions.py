@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..parallel import together
+from ..parallel import of_all, together
 from .basis import Basis
 from .energy.elements import Penalty
 from .energy.newton import NewtonSystem
@@ -77,7 +77,7 @@ class Growth:
                 best, density = now, found.after
             if now.verdict.valid and density < _ENOUGH:
                 break
-            done = len(found.moved) if now.verdict.valid else 0
+            done = sum(of_all(now.points, len(found.moved))) if now.verdict.valid else 0
         return best, steps
 
     def _stage(
@@ -98,14 +98,14 @@ class Growth:
     def _search(self, now: Judged, layers: int | None, limit: float, way: Way, done: int) -> Search | None:
         """Move the nodes within ``layers`` layers of weak cells; ``None`` if there are none, or no more than the number
         ``done`` before."""
-        weak = np.flatnonzero((now.verdict.failed != 0) | (now.verdict.ratio < limit))
+        weak = now.verdict.weak(limit)
 
         def make() -> Search | None:
             neighbourhood = self.basis.neighbourhood
-            free = neighbourhood.around(weak, layers) if layers else neighbourhood.free
-            if free.size in (0, done):
+            share = neighbourhood.around(weak, layers) if layers else neighbourhood.shares.share()
+            if share.count in (0, done):
                 return None
-            return self._untangle(neighbourhood.plot(free, way.even), now, way)
+            return self._untangle(neighbourhood.plot(share, way.even), now, way)
 
         return together(now.points, make)
 
@@ -115,7 +115,7 @@ class Growth:
         region = replace(region, energy=energy)
         untangler = Untangler(region, start, start, NewtonSystem(region), progress=self.progress, limit=self.limit)
         before = untangler.state(start, Penalty()).highest
-        most = most_steps(region.n_unknowns)
+        most = most_steps(region.dealt.rows.total)
         untangled = untangler.untangle(replace(way.pace, steps=min(way.pace.steps, most)))
         if untangled and not way.hasty:
             untangler.minimise(max(share, 1.0), min(_IMPROVING, most), region.energy.edges())

@@ -15,7 +15,7 @@ import numpy as np
 from ..grid import FloatArray
 from ..memory import UNLIMITED, MemoryLimit
 from ..numerics.arrays import lengths
-from ..parallel import alike, combined, for_rows, of_all, own_rows, require_whole, rows_of, together
+from ..parallel import alike, combined, for_rows, of_all, own_rows, rows_of, together
 from ..quality.verdict.validity import Verdict, judge
 from .basis import Basis, Whole
 from .energy.newton import NewtonSystem
@@ -118,8 +118,6 @@ class Repairer:
             steps += more
         if not best.verdict.valid:
             left = () if self.limit.reached else ways
-            if left:
-                require_whole(points, "cells stay invalid and may be untangled in regions")
             best, more, converged = self._by_regions(start, best, polish, left)
             steps += more
         record = self._record(start, best, steps, clock.perf_counter() - begin)
@@ -137,7 +135,7 @@ class Repairer:
                 break
         if not best.verdict.valid or best is start:
             return best, steps, False
-        nearer, more, converged = self._minimum(start, polish, best.points - start.points)
+        nearer, more, converged = self._minimum(start, polish, combined(np.subtract, best.points, start.points))
         return (nearer if nearer.verdict.valid else best), steps + more, converged
 
     def _minimum(
@@ -206,10 +204,8 @@ class Repairer:
         return Judged(points, judge(self.original, self.rounded(points)))
 
     def _record(self, start: Judged, end: Judged, steps: int, seconds: float) -> Repair:
-        (low, high), verdict = own_rows(start.points), start.verdict
+        low, high = own_rows(start.points)
         distance = lengths(end.points[low:high] - start.points[low:high])
-        failed, ratio = (each[slice(*own_rows(each))] for each in verdict.arrays)
-        bad = (failed != 0) | (ratio < POOR)
-        own = int(bad.sum()), int((distance > 0).sum()), float(distance.max(initial=0.0))
+        own = len(start.verdict.weak(POOR)), int((distance > 0).sum()), float(distance.max(initial=0.0))
         cells, nodes, farthest = zip(*of_all(start.points, own), strict=True)
         return Repair(sum(cells), sum(nodes), max(farthest), steps, seconds)

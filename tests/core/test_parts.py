@@ -25,9 +25,10 @@ from meshdeform_core.methods import IDW, RBF, TFI, Options
 from meshdeform_core.numerics import pieces as pieces_module
 from meshdeform_core.numerics.pieces import pieces
 from meshdeform_core.parallel import Part, WholeGridNeeded, alone, dividing, parts
-from meshdeform_core.repair import RepairOptions, limit
+from meshdeform_core.repair import RepairOptions, limit, regions
 from meshdeform_core.repair.energy import newton, products
 from meshdeform_core.repair.neighbourhood import shares
+from meshdeform_core.repair.regions import Way
 from meshdeform_core.series import Schedule, deform_series
 from meshdeform_core.setup import Start, Timing, set_up
 from meshdeform_core.stepping.course import Course
@@ -326,6 +327,43 @@ def test_where_the_work_is_spent_invalid_cells_are_no_reason_to_start_again(
     same_on_ranks(tmp_path, 2, repaired(110.0), grid=tapered(5, 4))
 
 
+def way_through(source, case, way):
+    """What a repair in regions makes of the method's grid."""
+    setup = set_up(read_grid(source), case)
+    start = Start(setup.grid.points)
+    course = Course(setup, setup.motion(1.0), "float64", Timing(), None, start, limit.Limit())
+    plain = plain_step(beginning(course, setup.case.method), 1.0).plain
+    found = course.repairer.repair(plain.points, plain.verdict, ways=(way,))
+    points, moved = (p[np.arange(setup.grid.n_nodes)] for p in (found.points, plain.points))
+    assert (points != moved).any()
+    return points.tobytes(), found.verdict.invalid.tolist(), dataclasses.replace(found.repair, seconds=0.0)
+
+
+WAYS = {"quick": Way(), "patient": Way(patient=True, even=True), "hasty": Way(hasty=True)}
+
+
+@pytest.mark.parametrize(("name", "count", "plane"), [
+    *((name, 3, True) for name in WAYS),
+    ("hasty", 4, False),
+    pytest.param("quick", 2, False, marks=pytest.mark.slow),
+])  # fmt: skip
+def test_regions_give_the_same_bytes(name, count, plane, tmp_path, small_pieces, small_ranges, poisoned, monkeypatch):
+    """Where the search for the minimum fails."""
+    monkeypatch.setattr(regions, "_LAYERS", {2: (2, None), 3: (1, 3, None)})
+    source, case = tmp_path / "grid.xyz", repaired(160.0)
+    if plane:
+        body = dataclasses.replace(body_specs(turning(160.0))[0], select=("*",))
+        case = dataclasses.replace(case, boundaries=(body,))
+    write_grid(frame_2d(5) if plane else tapered(5, 4), source)
+    expected = way_through(source, case, WAYS[name])
+
+    def act(number):
+        with dividing():
+            return way_through(source, case, WAYS[name])
+
+    assert on_ranks(count, act) == [expected] * count
+
+
 def test_a_search_for_the_minimum_alone_may_fail_in_parts(tmp_path, small_pieces, small_ranges):
     """As where a second solution is looked for: cells stay invalid, and nothing else is tried."""
     source = tmp_path / "grid.cgns"
@@ -419,8 +457,6 @@ def test_what_takes_the_whole_grid_says_so(tmp_path, monkeypatch):
     monkeypatch.undo()
     with pytest.raises(Failed, match="a block is read as a whole"):
         on_ranks(2, lambda number: block_in_parts(tmp_path / "grid.xyz"))
-    away = Case(tuple(body_specs(formulas("3.0", "0.0", "0.0"))), method=METHODS["tfi"])
-    assert refused(tmp_path, 2, tapered(), away) == "cells stay invalid and may be untangled in regions"
 
 
 def test_ranks_need_memory_for_their_part(small_pieces):

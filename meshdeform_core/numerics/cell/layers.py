@@ -1,6 +1,4 @@
-"""Breadth-first search over the nodes of block-structured grids; cells that touch given nodes."""
-
-import numpy as np
+"""Breadth-first search over the nodes of block-structured grids."""
 
 from ..jit import inlined, kernel
 
@@ -66,25 +64,3 @@ def _pass(box, most):
                     box[i, j, k] = near
                     lowered += 1
     return lowered
-
-
-@kernel
-def cells_at(nodes, shapes, offsets, n_cells):
-    """Numbers of all cells that touch one of the block ``nodes``, ascending; a flat axis has one layer of cells."""
-    touched = np.zeros(n_cells, dtype=np.bool_)
-    starts = np.zeros(offsets.size, dtype=np.int64)
-    for b in range(offsets.size - 1):
-        size = 1
-        for axis in range(3):
-            size *= max(shapes[b, axis] - 1, 1)
-        starts[b + 1] = starts[b] + size
-    for node in nodes:
-        b = np.searchsorted(offsets, node, side="right") - 1
-        nj, nk = shapes[b, 1], shapes[b, 2]
-        ci, cj, ck = max(shapes[b, 0] - 1, 1), max(nj - 1, 1), max(nk - 1, 1)
-        i, j, k = (node - offsets[b]) // (nj * nk), (node - offsets[b]) // nk % nj, (node - offsets[b]) % nk
-        for ii in range(max(i - 1, 0), min(i + 1, ci)):
-            for jj in range(max(j - 1, 0), min(j + 1, cj)):
-                for kk in range(max(k - 1, 0), min(k + 1, ck)):
-                    touched[starts[b] + (ii * cj + jj) * ck + kk] = True
-    return np.flatnonzero(touched)

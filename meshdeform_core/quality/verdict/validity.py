@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...grid import FloatArray, Grid, IntArray
-from ...parallel import Part, rows_of
+from ...parallel import Part, own_rows, rows_of
 from ..measures.cells import Slab, cells_alike, for_slabs, hold_cells
 from .inspection import Failure, SlabMeasures, inspect_slab
 from .original import Original
@@ -45,6 +45,12 @@ class Verdict:
     def invalid(self) -> IntArray:
         """Numbers of the cells that failed a test."""
         return self.failed.nonzero_rows() if isinstance(self.failed, Part) else np.flatnonzero(self.failed)
+
+    def weak(self, limit: float) -> IntArray:
+        """Numbers of this rank's cells that failed a test or whose ``ratio`` is below a limit."""
+        low, high = own_rows(self.failed)
+        failed, ratio = (each[low:high] for each in self.arrays)
+        return np.asarray(low + np.flatnonzero((failed != 0) | (ratio < limit)))
 
     @property
     def valid(self) -> bool:

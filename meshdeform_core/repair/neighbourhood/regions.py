@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator
 from functools import cached_property, partial
 from typing import Any, NamedTuple
@@ -13,14 +12,13 @@ from ...grid import BoolArray, FloatArray, IntArray
 from ...grid.planes import plane_axes, plane_normal
 from ...numerics.cell.foldover.hexahedra import Unknowns
 from ...numerics.cell.foldover.samples import cell_samples, samples_with_any, sound_samples
-from ...numerics.cell.layers import cells_at
-from ...parallel import Halo
+from ...parallel import Halo, of_all
 from ..constraints import Constraints
 from ..energy.elements import COLLAPSED, Energy, Hexahedra, Triangles
 from ..energy.region import Dealt, Region, Slide
 from ..sliding import Sliding
 from .reach import Reach
-from .shares import CELLS, Shares
+from .shares import Near, Share, Shares
 from .walls import FARTHEST, nearness, weigh
 
 
@@ -63,7 +61,6 @@ class Neighbourhood:
         normal = plane_normal(self.grid)
         self.normal = np.zeros(3) if normal is None else normal
         self.axes = np.eye(3) if normal is None else plane_axes(normal)
-        self._shapes = np.array(self.grid.shapes, dtype=np.int64)
         self.shares = Shares(constraints)
 
     @cached_property
@@ -76,42 +73,33 @@ class Neighbourhood:
         walls = self.topology.face_nodes[self.constraints.walls[self.topology.number]]
         return self._reach.layers(walls, FARTHEST)
 
-    @property
-    def free(self) -> IntArray:
-        """Block nodes of this rank that may move."""
-        return self.shares.moved
+    def around(self, cells: IntArray, layers: int) -> Share:
+        """The share of the nodes that may move within ``layers`` cells of ``cells``, of which each rank gives those in
+        its part, ascending."""
+        seeds = np.unique(self.shares.corners(cells))
+        known = (self.shares.numbers(seeds) < 0) & ~self.shares.elsewhere(seeds)
+        seeds = np.concatenate([seeds[known], *of_all(self.grid.points, seeds[~known])])
+        return self.shares.share(Near(self._reach.layers(seeds, layers)[0], layers))
 
-    def around(self, cells: IntArray, layers: int) -> IntArray:
-        """Block nodes that may move, with all coincident ones, within ``layers`` cells of ``cells``."""
-        found, _ = self._reach.layers(self._corners(cells).ravel(), layers)
-        near = np.flatnonzero(found <= layers)
-        return near[self.shares.may_move(near)]
-
-    def plot(self, free: IntArray | None = None, even: bool = False) -> Plot:
-        """The region that block nodes ``free`` from :meth:`around` span, by default all that may move; ``even``: cells
-        at walls count like others."""
+    def plot(self, share: Share | None = None, even: bool = False) -> Plot:
+        """The region that a share is part of, by default of all nodes that may move; ``even``: cells at walls count
+        like others."""
         shares = self.shares
-        if free is None:
-            moved, touched = shares.moved, shares.cells
-        else:
-            moved, touched = free, cells_at(free, self._shapes, self.grid.offsets, self.grid.n_cells)
-        corners = self._corners(touched)
-        if free is None:
-            some = shares.may_move(corners).any(axis=1)
-            touched, corners = touched[some], corners[some]
-        owners = shares.owners(moved)
+        share = share or shares.share()
+        corners, owners = shares.corners(share.cells), shares.owners(share.moved)
         at_cells = np.append(shares.owners(corners.ravel()), owners[shares.elsewhere(owners)])
         nodes, local = np.unique(at_cells, return_inverse=True)
-        moves = shares.may_move(nodes) if free is None else np.isin(nodes, owners)
+        held = shares.halo(nodes)
+        moves = shares.may_move(nodes)
+        if share.near:
+            moves &= share.near(held)
         roots, unknowns, freedom = self._unknowns(nodes, moves)
-        rows, held = shares.halos(roots, nodes) if free is None else (Halo.alone(roots), Halo.alone(nodes))
         start, cells = components(held.of(self.grid.points), self.axes), local[: corners.size].reshape(corners.shape)
         weight = np.ones(len(cells)) if even else self._weights(held, start, cells)
-        energy, of_cell = self._energy(start, cells, self._signs(touched), weight, unknowns.number >= 0)
-        ends = np.arange(0, len(cells) + CELLS, CELLS) if free is not None else shares.ends_among(touched)
-        dealt = Dealt(rows, held, np.unique(np.searchsorted(of_cell, ends)))
+        energy, of_cell = self._energy(start, cells, self._signs(share.cells), weight, unknowns.number >= 0)
+        dealt = Dealt(shares.unknowns(roots, share), held, np.unique(np.searchsorted(of_cell, share.ends)))
         region = Region(energy, unknowns, freedom, dealt, tuple(self._slides(nodes, unknowns)))
-        return Plot(region, moved, np.searchsorted(nodes, owners), self.axes)
+        return Plot(region, share.moved, np.searchsorted(nodes, owners), self.axes)
 
     def _weights(self, nodes: Halo, start: FloatArray, cells: IntArray) -> FloatArray:
         layers, most = self._from_walls
@@ -156,19 +144,6 @@ class Neighbourhood:
         mask &= samples_with_any(moves[cells], samples)
         energy = Hexahedra(start, cells, cells, mask, samples, weight, np.ones(len(cells)))
         return energy, np.arange(len(cells))
-
-    def _corners(self, cells: IntArray) -> IntArray:
-        """Block nodes (m, 8), in 2-D (m, 4), at the corners of cells."""
-        found = np.empty((len(cells), 2**self.grid.dimension), dtype=np.int64)
-        starts = self.grid.cell_offsets
-        ends = np.searchsorted(cells, starts)
-        for block, shape in enumerate(self.grid.shapes):
-            mine = slice(ends[block], ends[block + 1])
-            ijk = np.unravel_index(cells[mine] - starts[block], self.grid.cell_shapes[block])
-            strides = [step for step, n in zip((shape[1] * shape[2], shape[2], 1), shape, strict=True) if n > 1]
-            low = np.ravel_multi_index(ijk, shape) + self.grid.offsets[block]
-            found[mine] = low[:, None] + np.array([sum(c) for c in itertools.product(*((0, s) for s in strides))])
-        return found
 
     def _signs(self, cells: IntArray) -> FloatArray:
         """Sign (m,) of the determinants of sound cells, with edges in the order of their index axes."""

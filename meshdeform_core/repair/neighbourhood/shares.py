@@ -1,30 +1,66 @@
-"""Which nodes may move, and how these nodes and the cells around them are shared among the ranks of a repair."""
+"""Which nodes may move, and how the ranks of a repair share a region of them and the cells around them."""
 
 from __future__ import annotations
 
-from bisect import bisect_left
+import itertools
+from collections.abc import Iterator
 from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...grid import BoolArray, IntArray
-from ...parallel import Halo, OneRank, Part
+from ...parallel import Halo, OneRank, Part, of_all, rows_of
 from ..constraints import Constraints
 
 ROWS = 1 << 15
 """Ranks own whole ranges of this many unknowns; sums over unknowns are taken range by range."""
 CELLS = 4096
 """Energies are summed over this many cells at a time."""
+_TOGETHER = 1 << 16
+"""Cells whose corners are looked at together."""
+
+
+class Near(NamedTuple):
+    """Block nodes within ``most`` cells of some; ``layers`` (n_nodes,) are their distances, in parts if the grid is."""
+
+    layers: Any
+    most: int
+
+    def __call__(self, nodes: Any) -> BoolArray:
+        """Whether block nodes belong to them: a slice of this rank's nodes and those beside, or a :class:`Halo`."""
+        layers = nodes.of(self.layers) if isinstance(nodes, Halo) else rows_of(self.layers)[nodes]
+        return np.asarray(layers <= self.most)
+
+
+class Share(NamedTuple):
+    """What belongs to this rank of a region: all nodes that may move, or those of them that are ``near``.
+
+    A rank owns the nodes of its part of the grid. The region's cells, and its unknowns, by the nodes with the smallest
+    number that they move, are counted in the order of these numbers; a rank owns those that follow from its part,
+    rounded to CELLS and to ROWS. Shares do not decide the last bit of a result, as sums are taken over the same ranges
+    for any number of ranks.
+
+    Attributes
+    ----------
+    near : of the region, ``None`` for all nodes that may move
+    moved : block nodes of this rank's part, ascending
+    count : number of block nodes of all ranks
+    rows : (n_ranks + 1,) first unknown of every rank
+    cells : cells of this rank, and cells at its nodes or at nodes with its unknowns, ascending
+    ends : positions in ``cells`` at which this rank's ranges of CELLS cells begin, and the end of the last
+    """
+
+    near: Near | None
+    moved: IntArray
+    count: int
+    rows: list[int]
+    cells: IntArray
+    ends: IntArray
 
 
 class Shares:
-    """The region of all nodes that may move, as far as it belongs to this rank.
-
-    A rank owns the nodes of its part of the grid. Unknowns are numbered like the nodes with the smallest number that
-    they move; a rank owns those that follow from its part, rounded to ranges of ROWS, and the cells of its part,
-    rounded to CELLS. Shares do not decide the last bit of a result, as sums are taken over the same ranges for any
-    number of ranks.
-    """
+    """The nodes that may move, and the ranks that own them."""
 
     def __init__(self, constraints: Constraints) -> None:
         self._constraints, self._grid, self._topology = constraints, constraints.grid, constraints.topology
@@ -33,29 +69,12 @@ class Shares:
         bounds = points.bounds if isinstance(points, Part) else np.array([0, len(points)])
         self._bounds: list[int] = bounds.tolist()
 
-    @cached_property
-    def rows(self) -> list[int]:
-        """First unknown (n_ranks + 1,) of every rank."""
-        face, roots = self._topology.face_nodes, self._face_roots
-
-        def before(node: int) -> int:
-            """Number of unknowns with smaller numbers than a node."""
-            return int(node - np.searchsorted(face, node) + np.searchsorted(roots, node))
-
-        every, n = range(self._bounds[-1] + 1), self._bounds[-1]
-        inner = [bisect_left(every, -(-before(bound) // ROWS) * ROWS, key=before) for bound in self._bounds[1:-1]]
-        return [0, *(min(each, n) for each in inner), n]
-
-    @cached_property
-    def _face_roots(self) -> IntArray:
-        """Unknowns on block faces, ascending."""
-        constraints = self._constraints
-        return np.unique(self._topology.first[constraints.root[~constraints.held]])
-
     @property
     def n_unknowns(self) -> int:
-        """Number of unknowns of all ranks."""
-        return self._bounds[-1] - len(self._topology.face_nodes) + len(self._face_roots)
+        """Number of unknowns of all nodes that may move."""
+        constraints = self._constraints
+        on_faces = len(np.unique(constraints.root[~constraints.held]))
+        return self._bounds[-1] - len(self._topology.face_nodes) + on_faces
 
     @property
     def largest(self) -> int:
@@ -64,99 +83,97 @@ class Shares:
         beside = ROWS + 2 * int((shapes[:, 1] * shapes[:, 2]).max())
         return int(np.diff(self._bounds).max()) + (beside if len(self._bounds) > 2 else 0)
 
-    def halos(self, roots: IntArray, nodes: IntArray) -> tuple[Halo, Halo]:
-        """Unknowns and nodes around this rank's share, some of which belong to other ranks."""
-        return Halo(roots, self._ranks, np.array(self.rows)), Halo(nodes, self._ranks, np.array(self._bounds))
+    def share(self, near: Near | None = None) -> Share:
+        """This rank's share of a region; all ranks must call this."""
+        moved, own = (np.concatenate(each) for each in zip(*self._by_block(near), strict=True))
+        count = sum(of_all(self._grid.points, len(moved)))
+        roots = np.unique(self.roots(moved))
+        others = of_all(self._grid.points, roots[self.elsewhere(roots)])
+        roots = np.unique(np.concatenate([roots, *others]))
+        rows = self._ranges(roots[~self.elsewhere(roots)], ROWS, self._bounds[-1])
+        bounds = self._ranges(own, CELLS, self._grid.n_cells)
+        cells = own if self._ranks.count == 1 else self._gathered(own, rows, bounds)
+        first, last = np.searchsorted(cells, bounds[self._ranks.number : self._ranks.number + 2]).tolist()
+        return Share(near, moved, count, rows, cells, np.array([*range(first, last, CELLS), last]))
 
-    @property
-    def _own(self) -> tuple[int, int]:
-        return self._bounds[self._ranks.number], self._bounds[self._ranks.number + 1]
+    def halo(self, nodes: IntArray) -> Halo:
+        """Nodes around this rank's share, some of which belong to other ranks."""
+        return Halo(nodes, self._ranks, np.array(self._bounds))
+
+    def unknowns(self, roots: IntArray, share: Share) -> Halo:
+        """Unknowns around this rank's share, some of which belong to other ranks."""
+        return Halo(roots, self._ranks, np.array(share.rows))
+
+    def _by_block(self, near: Near | None) -> Iterator[tuple[IntArray, IntArray]]:
+        """Nodes of a region, and the cells at nodes of it, of this rank's part of every block."""
+        grid = self._grid
+        for block, (ni, nj, nk) in enumerate(grid.shapes):
+            own, start = grid.planes(block), int(grid.offsets[block])
+            last = min(own.stop + 1, ni) if own.stop > own.start else own.stop
+            rows = slice(start + own.start * nj * nk, start + last * nj * nk)
+            moves = self.may_move(np.arange(rows.start, rows.stop))
+            if near:
+                moves &= near(rows)
+            touched, size = moves.reshape(-1, nj, nk), (own.stop - own.start) * nj * nk
+            for axis, n in enumerate((ni, nj, nk)):
+                low, high = (tuple(slice(*ends) if axis == a else slice(None) for a in range(3)) for ends in _ENDS)
+                touched = touched[low] | touched[high] if n > 1 else touched
+            _, cj, ck = grid.cell_shapes[block]
+            first = int(grid.cell_offsets[block]) + own.start * cj * ck
+            yield rows.start + np.flatnonzero(moves[:size]), first + np.flatnonzero(touched)
+
+    def _ranges(self, own: IntArray, size: int, end: int) -> list[int]:
+        """First item (n_ranks + 1,) of every rank, if ranks take whole ranges of ``size`` from the items of all.
+
+        ``own`` are the numbers of the items in this rank's part, ascending.
+        """
+        points = self._grid.points
+        before = [0, *itertools.accumulate(of_all(points, len(own)))]
+        here, starts = self._ranks.number, [-(-count // size) * size for count in before[:-1]]
+        held = {n: int(own[at - before[here]]) for n, at in enumerate(starts) if before[here] <= at < before[here + 1]}
+        found = {n: number for each in of_all(points, held) for n, number in each.items()}
+        return [0, *(found.get(n, end) for n in range(1, len(starts))), end]
+
+    def _gathered(self, own: IntArray, rows: list[int], bounds: list[int]) -> IntArray:
+        """The cells of a region that this rank needs, from the ranks in whose parts they are: ``own`` in this one's."""
+        ranks, wanted = self._ranks, [list[IntArray]() for _ in range(self._ranks.count)]
+        for low in range(0, len(own), _TOGETHER):
+            cells = own[low : low + _TOGETHER]
+            corners = self.corners(cells)
+            by_node = _owner(self._bounds, self.owners(corners))
+            by_unknown = np.where(self.may_move(corners), _owner(rows, self.roots(corners)), -1)
+            needed = np.column_stack([by_node, by_unknown, _owner(bounds, cells)])
+            for number in np.unique(needed[needed >= 0]).tolist():
+                wanted[number].append(cells[(needed == number).any(axis=1)])
+        sends = {n: np.concatenate([np.empty(0, dtype=np.int64), *each]) for n, each in enumerate(wanted)}
+        counts = ranks.gather([[len(sends[n]) for n in range(ranks.count)]])
+        found = {n: np.empty(counts[n][ranks.number], np.int64) for n in sends if n != ranks.number}
+        here = sends.pop(ranks.number)
+        ranks.swap(sends, found)
+        return np.unique(np.concatenate([here, *found.values()]))
+
+    def corners(self, cells: IntArray) -> IntArray:
+        """Block nodes (m, 8), in 2-D (m, 4), at the corners of cells, ascending."""
+        grid = self._grid
+        found = np.empty((len(cells), 2**grid.dimension), dtype=np.int64)
+        ends = np.searchsorted(cells, grid.cell_offsets)
+        for block in np.flatnonzero(np.diff(ends)).tolist():
+            shape, mine = grid.shapes[block], slice(ends[block], ends[block + 1])
+            ijk = np.unravel_index(cells[mine] - grid.cell_offsets[block], grid.cell_shapes[block])
+            strides = [step for step, n in zip((shape[1] * shape[2], shape[2], 1), shape, strict=True) if n > 1]
+            low = np.ravel_multi_index(ijk, shape) + grid.offsets[block]
+            found[mine] = low[:, None] + np.array([sum(c) for c in itertools.product(*((0, s) for s in strides))])
+        return found
 
     def elsewhere(self, nodes: IntArray) -> BoolArray:
         """Whether nodes belong to other ranks."""
-        low, high = self._own
+        low, high = self._bounds[self._ranks.number : self._ranks.number + 2]
         return np.asarray((nodes < low) | (nodes >= high))
-
-    @cached_property
-    def moved(self) -> IntArray:
-        """Block nodes of this rank's part that may move."""
-        nodes = np.arange(*self._own)
-        return nodes[self.may_move(nodes)]
-
-    @cached_property
-    def _cell_bounds(self) -> list[int]:
-        """First cell (n_ranks + 1,) of every rank."""
-        firsts = [self._cell_from(bound) for bound in self._bounds[:-1]]
-        last = self._grid.n_cells
-        return [*(min(-(-first // CELLS) * CELLS, last) for first in firsts), last]
-
-    def ends_among(self, cells: IntArray) -> IntArray:
-        """Positions in ``cells``, ascending, at which this rank's ranges of CELLS cells begin, and the end of the
-        last."""
-        first, last = self._cell_bounds[self._ranks.number : self._ranks.number + 2]
-        return np.searchsorted(cells, [*range(first, last, CELLS), last])
-
-    @cached_property
-    def cells(self) -> IntArray:
-        """Cells of this rank, and cells at its nodes or at nodes with its unknowns; some of them may have no node that
-        may move."""
-        if self._ranks.count == 1:
-            return np.arange(self._grid.n_cells)
-        (low, high), here = self._nodes_of_rank, self._ranks.number
-        first, last = self._cell_bounds[here : here + 2]
-        if low < high:
-            first, last = min(first, self._cell_from(low, -1)), max(last, self._cell_from(high - 1, 1))
-        more = self._cells_beyond(low, high)
-        return np.concatenate([more[more < first], np.arange(first, last), more[more >= last]])
-
-    @property
-    def _nodes_of_rank(self) -> tuple[int, int]:
-        """The range of nodes that contains those of this rank and its unknowns."""
-        here = self._ranks.number
-        runs = [(b[here], b[here + 1]) for b in (self._bounds, self.rows) if b[here] < b[here + 1]]
-        return (min(run[0] for run in runs), max(run[1] for run in runs)) if runs else (0, 0)
-
-    def _cell_from(self, node: int, beside: int = 0) -> int:
-        """First cell of the plane of cells that begins at that of a node (-1: ends there; 1: the next one)."""
-        grid = self._grid
-        block = int(np.searchsorted(grid.offsets, node, side="right")) - 1
-        if block == grid.n_blocks:
-            return grid.n_cells
-        _, nj, nk = grid.shapes[block]
-        ci, cj, ck = grid.cell_shapes[block]
-        plane = (node - int(grid.offsets[block])) // (nj * nk)
-        plane = min(max(plane + beside, 0), ci) if beside else min(plane, ci)
-        return int(grid.cell_offsets[block]) + plane * cj * ck
-
-    def _cells_beyond(self, low: int, high: int) -> IntArray:
-        """Cells at all block nodes that coincide with a node low <= n < high or share its unknown."""
-        topology, constraints = self._topology, self._constraints
-        near = (topology.first >= low) & (topology.first < high)
-        roots = topology.first[constraints.root]
-        near |= ~constraints.held & (roots >= low) & (roots < high)
-        nodes = topology.face_nodes[near[topology.number]]
-        return self._cells_at(nodes)
-
-    def _cells_at(self, nodes: IntArray) -> IntArray:
-        """The cells at some block nodes."""
-        grid = self._grid
-        block = np.searchsorted(grid.offsets, nodes, side="right") - 1
-        shapes, cells = np.array(grid.shapes)[block], np.array(grid.cell_shapes)[block]
-        rest = nodes - grid.offsets[block]
-        (_, nj, nk), found = shapes.T, []
-        ijk = np.stack([rest // (nj * nk), rest // nk % nj, rest % nk], axis=1)
-        for step in np.ndindex(2, 2, 2):
-            at = ijk - step
-            inside = ((at >= 0) & (at < cells)).all(axis=1)
-            i, j, k = at[inside].T
-            _, cj, ck = cells[inside].T
-            found.append(grid.cell_offsets[block[inside]] + (i * cj + j) * ck + k)
-        return np.unique(np.concatenate(found))
 
     @cached_property
     def _window(self) -> tuple[int, IntArray]:
         """First of the nodes that this rank asks for most, and their unique numbers, -1 inside blocks."""
-        topology, (low, high) = self._topology, self._nodes_of_rank
+        topology, (low, high) = self._topology, self._bounds[self._ranks.number : self._ranks.number + 2]
         if self._ranks.count > 1 and low < high:
             block, last = (int(np.searchsorted(self._grid.offsets, n, side="right")) - 1 for n in (low, high - 1))
             low -= int(np.prod(self._grid.shapes[block][1:]))
@@ -171,11 +188,14 @@ class Shares:
         """Unique numbers of block nodes, -1 inside blocks."""
         low, window = self._window
         at = nodes - low
-        if not len(nodes) or (at.min() >= 0 and at.max() < len(window)):
+        if not nodes.size or (at.min() >= 0 and at.max() < len(window)):
             return np.asarray(window[at])
-        face = self._topology.face_nodes
-        place = np.minimum(np.searchsorted(face, nodes), len(face) - 1)
-        return np.where(face[place] == nodes, self._topology.number[place], -1)
+        found, outside = np.empty_like(nodes), (at < 0) | (at >= len(window))
+        found[~outside] = window[at[~outside]]
+        face, rest = self._topology.face_nodes, nodes[outside]
+        place = np.minimum(np.searchsorted(face, rest), len(face) - 1)
+        found[outside] = np.where(face[place] == rest, self._topology.number[place], -1)
+        return found
 
     def may_move(self, nodes: IntArray) -> BoolArray:
         """Whether block nodes may move."""
@@ -191,3 +211,11 @@ class Shares:
         """The block node that has the unknown of each of ``nodes``."""
         number = self.numbers(nodes)
         return np.where(number >= 0, self._topology.first[self._constraints.root[number]], nodes)
+
+
+_ENDS = ((None, -1), (1, None))
+
+
+def _owner(bounds: list[int], numbers: IntArray) -> IntArray:
+    """The rank that owns each number, if rank r owns those from ``bounds[r]`` to ``bounds[r + 1]``."""
+    return np.searchsorted(bounds, numbers, side="right") - 1
