@@ -29,7 +29,8 @@ from meshdeform_formats.report.figures import Illustrations
 from meshdeform_formats.report.series_report import level_record, series_head, series_report
 from meshdeform_formats.series.foam import FoamFiles
 from meshdeform_formats.series.manifest import NAME, Manifest, ingredients_of
-from meshdeform_formats.series.outputs import LevelFiles, SeriesFiles, SingleFile
+from meshdeform_formats.series.outputs import LevelFiles, SeriesFiles
+from meshdeform_formats.series.single import SingleFile
 
 from .options import GridInput, RunInput
 from .outputs import keep_inputs
@@ -58,8 +59,8 @@ class Run:
 
 def prepare(job: Job, source: GridInput, wanted: SeriesInput, options: RunInput) -> Run:
     """Determine times and files, topology and boundary; nothing is written."""
-    if wanted.velocity != "none" or options.fields or any(path.suffix == ".html" for path in options.reports):
-        require_whole(job.grid.points, "velocities, fields or pictures are asked for")
+    if options.fields or any(path.suffix == ".html" for path in options.reports):
+        require_whole(job.grid.points, "fields or pictures are asked for")
     times = times_of(job.case, wanted)
     schedule = Schedule(times, wanted.origin, wanted.velocity, wanted.steps)
     name = name_of(source.path, wanted, job.grid.format)
@@ -168,6 +169,9 @@ def carry_out(run: Run, progress: ProgressBar) -> Report:
                 run.warnings.tell(level.result.warnings)
                 recorder.record(level)
                 progress("levels", level.number + 1, count)
+        if not run.manifest.complete:
+            with run.timing.stage("publish"):
+                run.files.publish(count)
         peak = max(ranks.gather([peak_memory()]))
         report = ranks.on_first(lambda: _complete(run, peak))
     run.warnings.tell(text for text in report["warnings"] if not text.startswith("level "))
@@ -197,8 +201,6 @@ def illustrate(run: Run) -> Illustrations:
 def _complete(run: Run, peak: int) -> Report:
     manifest, files, schedule = run.manifest, run.files, run.schedule
     if not manifest.complete:
-        with run.timing.stage("publish"):
-            files.publish(len(schedule.times))
         for level in manifest.levels:
             level["file"] = files.path(level["number"]).name
         manifest.complete = True
@@ -277,6 +279,9 @@ def _record(run: Run, level: Level, beside: bool = False) -> None:
     with contextlib.nullcontext() if beside else writing(level.result.grid.points.nbytes):
         files.write(level.number, level.result.grid, level.velocity, level.faces)
     run.job.ranks.on_first(lambda: _note(run, level, clock.perf_counter() - before))
+    if level.number + 1 < len(run.schedule.times):
+        with run.timing.stage("publish"):
+            files.publish(level.number + 1)
 
 
 def _note(run: Run, level: Level, seconds: float) -> None:
@@ -296,6 +301,3 @@ def _note(run: Run, level: Level, seconds: float) -> None:
         for part in (manifest.levels, manifest.kinds, manifest.made):
             part.pop()
         raise
-    if level.number + 1 < len(run.schedule.times):
-        with run.timing.stage("publish"):
-            files.publish(level.number + 1)

@@ -13,7 +13,7 @@ from typing import Any
 
 from meshdeform_core.errors import FormatError, GridError, MeshDeformError
 from meshdeform_core.grid import FileFormat, Grid
-from meshdeform_core.parallel import Part, require_whole
+from meshdeform_core.parallel import require_whole
 
 from .files import read_head
 from .plausible import require_plausible
@@ -138,11 +138,11 @@ def write_grid(
     """Write ``grid``, replacing ``path`` as a whole or leaving it unchanged; returns the variant that was written.
 
     The suffix selects the format. If it is that of the grid's own file, its variant is kept, except for ``options``
-    (of a variant, see ``meshdeform convert --help``). All ranks call it together for a grid in parts, to which no
-    fields are added; to any other ``dress`` adds them.
+    (of a variant, see ``meshdeform convert --help``). ``dress`` adds fields. All ranks call it together for a grid in
+    parts.
     """
     path = Path(path)
-    if dress and not isinstance(grid.points, Part):
+    if dress:
         grid = dress(grid)
     variant = variant_of(grid, path, options)
     entry = FORMATS[format_of(path)]

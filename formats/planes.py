@@ -5,9 +5,10 @@ Most formats store the values of a block with k running slowest, so that a range
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 from pathlib import Path
@@ -45,22 +46,34 @@ class Stretches:
 
 @dataclass(frozen=True)
 class Stored:
-    """An array (nk, nj, ni) of a block in a file.
+    """An array (nk, nj, ni) of a block in a file, or (nk, nj, ni, n_components).
 
     Attributes
     ----------
-    plane : (nj, ni)
+    plane : (nj, ni), or (nj, ni, n_components)
     start : first byte of plane k = 0, counted in ``within``
     step : bytes from one plane to the next
     within : the bytes of the file to which offsets refer; ``None``: all
+    core : the lines j and nodes i of a plane that belong to the grid; ``None``: all
     """
 
     path: Path
     dtype: np.dtype[Any]
-    plane: tuple[int, int]
+    plane: tuple[int, ...]
     start: int
     step: int
     within: Stretches | None = None
+    core: tuple[slice, slice] | None = None
+
+    @classmethod
+    def within_rind(
+        cls, path: Path, dtype: np.dtype[Any], dims: Sequence[int], at: int, own: Sequence[slice]
+    ) -> Stored:
+        """An array of ``dims`` (ni, nj, nk) or (ni, nj) from byte ``at`` on, of which the ``own`` ranges count."""
+        ni, nj = dims[:2]
+        step = ni * nj * dtype.itemsize
+        core = None if (own[0].stop - own[0].start, own[1].stop - own[1].start) == (ni, nj) else (own[1], own[0])
+        return cls(path, dtype, (nj, ni), at + sum(each.start for each in own[2:]) * step, step, core=core)
 
     def read(self, first: int, last: int) -> NDArray[Any]:
         """The planes first <= k < last.
@@ -77,7 +90,7 @@ class Stored:
                     self._read(file, at, part)
         except OSError as error:
             raise FormatError(f"cannot read {self.path}: {error.strerror or error}") from error
-        return values
+        return values[:, *self.core] if self.core else values
 
     def _read(self, file: Any, at: int, part: memoryview) -> None:
         file.seek(at)
@@ -88,7 +101,7 @@ class Stored:
             part = part[done:]
 
     def write(self, first: int, values: NDArray[Any], synchronous: bool = False) -> None:
-        """Write planes (n, nj, ni) from k = ``first`` on into the file, which the first rank has created.
+        """Write planes (n, *plane) from k = ``first`` on into the file, which the first rank has created.
 
         Raises
         ------
@@ -96,6 +109,10 @@ class Stored:
             When the file does not exist for this process.
         """
         stored = np.ascontiguousarray(values, self.dtype)
+        if self.core:
+            around = dataclasses.replace(self, core=None).read(first, first + len(values))
+            around[:, *self.core] = stored
+            stored = around
         flags = os.O_WRONLY | getattr(os, "O_BINARY", 0) | (getattr(os, "O_DSYNC", 0) if synchronous else 0)
         try:
             number = os.open(self.path, flags)
@@ -127,6 +144,46 @@ class Stored:
                 plane = plane[length:]
 
 
+@dataclass(frozen=True)
+class Output:
+    """Values of a block on their way into arrays of a file.
+
+    Attributes
+    ----------
+    shape : of all values in the block, those of other ranks included
+    places : the arrays, of one type
+    take : the planes first <= k < last that this rank holds, as arrays (nk, nj, ni, ...), one for each place
+    """
+
+    block: int
+    shape: Shape
+    places: Sequence[Stored]
+    take: Callable[[int, int], Iterable[NDArray[Any]]]
+
+    @classmethod
+    def of_coordinates(cls, grid: Grid, block: int, places: Sequence[Stored]) -> Output:
+        """Coordinates, component by component."""
+        kind = common_type(places)
+
+        def take(first: int, last: int) -> Iterable[NDArray[Any]]:
+            return split(grid.in_planes(block)[:, :, first:last], kind, len(places))
+
+        return cls(block, grid.shapes[block], places, take)
+
+    @classmethod
+    def of_values(cls, block: int, shape: Shape, own: NDArray[Any], places: Sequence[Stored]) -> Output:
+        """Values ``own`` (ni, nj, nk, ...) that this rank holds: into one array, or component by component."""
+
+        def take(first: int, last: int) -> Iterable[NDArray[Any]]:
+            planes = own[:, :, first:last].swapaxes(0, 2)
+            if len(places) == 1:
+                return [planes.reshape(*planes.shape[:3], *places[0].plane[2:])]
+            flat = planes.reshape(*planes.shape[:3], len(places))
+            return (flat[..., component] for component in range(len(places)))
+
+        return cls(block, shape, places, take)
+
+
 def ranges_of(blocks: Sequence[tuple[int, Shape]]) -> list[Planes]:
     """Ranges of planes of blocks, given by number and shape; they do not depend on threads and ranks."""
     found = []
@@ -145,25 +202,28 @@ def read_planes(grid: Grid, part: Planes, arrays: Sequence[Stored]) -> None:
     block[..., len(arrays) :] = 0.0
 
 
-def write_coordinates(grid: Grid, arrays: Mapping[int, Sequence[Stored]]) -> None:
-    """Write the components of some blocks, by number, to their places in a file; all ranks together those of a grid in
-    parts."""
+def write_outputs(grid: Grid, outputs: Sequence[Output]) -> None:
+    """Write values to their places in files; all ranks together those of a grid in parts."""
     if isinstance(grid.points, Part):
-        write_parts(grid, grid.points, arrays)
+        _write_parts(grid, grid.points, outputs)
         return
 
-    def put(part: Planes) -> None:
-        places = arrays[part.block]
-        kind = common_type(places)
-        block = grid.block(part.block)[:, :, part.first : part.last]
-        for place, values in zip(places, split(block, kind, len(places)), strict=True):
+    parts = _ranges(outputs)
+
+    def put(number: int) -> None:
+        output, part = parts[number]
+        for place, values in zip(output.places, output.take(part.first, part.last), strict=True):
             place.write(part.first, values)
 
-    for_ranges(put, [(block, grid.shapes[block]) for block in arrays])
+    for_items(put, len(parts), threads=None)
 
 
-def write_parts(grid: Grid, points: Part, arrays: Mapping[int, Sequence[Stored]]) -> None:
-    """As :func:`write_coordinates`, for a grid in parts: ranks that share a block exchange their parts of k planes.
+def _ranges(outputs: Iterable[Output]) -> list[tuple[Output, Planes]]:
+    return [(output, part) for output in outputs for part in ranges_of([(output.block, output.shape)])]
+
+
+def _write_parts(grid: Grid, points: Part, outputs: Sequence[Output]) -> None:
+    """As :func:`write_outputs`, for a grid in parts: ranks that share a block exchange their parts of k planes.
 
     Raises
     ------
@@ -173,18 +233,16 @@ def write_parts(grid: Grid, points: Part, arrays: Mapping[int, Sequence[Stored]]
     ranks, failures = points.ranks, list[Exception]()
     # Clients of a network file system may otherwise write whole pages, with old bytes of other machines in them.
     synchronous = ranks.count > ranks.on_machine
-    for turn in _turns(grid, points.bounds, arrays):
+    for turn in _turns(grid, points.bounds, outputs):
         sends, receives, own = {}, {}, None
-        for writer, (part, owners) in turn.items():
-            places = arrays[part.block]
-            kind = common_type(places)
+        for writer, (output, part, owners) in turn.items():
+            kind, lines = common_type(output.places), (output.shape[1], *output.places[0].plane[1:])
             if ranks.number in owners:
-                block = grid.in_planes(part.block)[:, :, part.first : part.last]
-                sends[writer] = np.stack(list(split(block, kind, len(places))))
+                sends[writer] = np.stack([each.astype(kind) for each in output.take(part.first, part.last)])
             if writer == ranks.number:
-                nj, planes = grid.shapes[part.block][1], part.last - part.first
-                receives = {rank: np.empty((len(places), planes, nj, width), kind) for rank, width in owners.items()}
-                own = part, places
+                stack = len(output.places), part.last - part.first, lines[0]
+                receives = {rank: np.empty((*stack, width, *lines[2:]), kind) for rank, width in owners.items()}
+                own = part, output.places
         if own:
             receives[ranks.number] = sends.pop(ranks.number)
         ranks.swap(sends, {rank: values for rank, values in receives.items() if rank != ranks.number})
@@ -192,7 +250,7 @@ def write_parts(grid: Grid, points: Part, arrays: Mapping[int, Sequence[Stored]]
             part, places = own
             try:
                 for component, place in enumerate(places):
-                    values = np.concatenate([receives[rank][component] for rank in sorted(receives)], axis=-1)
+                    values = np.concatenate([receives[rank][component] for rank in sorted(receives)], axis=2)
                     place.write(part.first, values, synchronous)
             except (OSError, FormatError) as error:
                 failures.append(error)
@@ -200,21 +258,37 @@ def write_parts(grid: Grid, points: Part, arrays: Mapping[int, Sequence[Stored]]
         raise failure
 
 
-def _turns(grid: Grid, bounds: IntArray, blocks: Iterable[int]) -> list[dict[int, tuple[Planes, dict[int, int]]]]:
-    """Units of writing, one after the other: for each writing rank, a range of k planes of a block, and the ranks that
-    hold parts of it, with the number of i planes of each."""
-    queues: dict[int, list[tuple[Planes, dict[int, int]]]] = {}
-    for block in blocks:
-        ni, nj, nk = grid.shapes[block]
-        ends = np.clip((bounds - grid.offsets[block]) // (nj * nk), 0, ni)
-        owners = {rank: width for rank, width in enumerate(np.diff(ends).tolist()) if width}
-        for number, part in enumerate(ranges_of([(block, (ni, nj, nk))])):
-            queues.setdefault(list(owners)[number % len(owners)], []).append((part, owners))
+def on_first_rank(grid: Grid, block: int, own: NDArray[Any]) -> NDArray[Any]:
+    """Values (nk, nj, ni) of all nodes of a block on the first rank, from those in the planes i of each; other ranks
+    keep their own."""
+    points = grid.points
+    if not isinstance(points, Part):
+        return own
+    owners = _owners(grid, points.bounds, block, grid.shapes[block][0])
+    first = points.ranks.number == 0
+    others = {rank: np.empty((*own.shape[:2], n), own.dtype) for rank, n in owners.items() if first and rank}
+    points.ranks.swap({} if first or not own.size else {0: np.ascontiguousarray(own)}, others)
+    return np.concatenate([own, *(others[rank] for rank in sorted(others))], axis=2) if others else own
+
+
+Turn = dict[int, tuple[Output, Planes, dict[int, int]]]
+"""For each writing rank: values, a range of their k planes, and the ranks that hold them with the number of i planes
+of each."""
+
+
+def _turns(grid: Grid, bounds: IntArray, outputs: Iterable[Output]) -> list[Turn]:
+    """What is written at one time, one after the other."""
+    queues: dict[int, list[tuple[Output, Planes, dict[int, int]]]] = {}
+    for output in outputs:
+        owners = _owners(grid, bounds, output.block, output.shape[0])
+        for number, (_, part) in enumerate(_ranges([output])):
+            queues.setdefault(list(owners)[number % len(owners)], []).append((output, part, owners))
     most = max((len(queue) for queue in queues.values()), default=0)
     return [{rank: queue[n] for rank, queue in queues.items() if n < len(queue)} for n in range(most)]
 
 
-def for_ranges(put: Callable[[Planes], None], blocks: Sequence[tuple[int, Shape]]) -> None:
-    """Call ``put`` for all ranges of planes of some blocks, spread over the threads."""
-    parts = ranges_of(blocks)
-    for_items(lambda number: put(parts[number]), len(parts), threads=None)
+def _owners(grid: Grid, bounds: IntArray, block: int, count: int) -> dict[int, int]:
+    """The ranks that hold some of ``count`` planes i of a block, and how many each."""
+    _, nj, nk = grid.shapes[block]
+    ends = np.clip((bounds - grid.offsets[block]) // (nj * nk), 0, count)
+    return {rank: width for rank, width in enumerate(np.diff(ends).tolist()) if width}

@@ -12,7 +12,7 @@ from .grid import Field, FloatArray, Grid
 from .grid.planes import plane_normal
 from .grid.topology import block_handedness
 from .numerics.cell.swept import sweep_edges, sweep_faces
-from .parallel import empty, for_chunks, for_rows
+from .parallel import alike, apart, empty, for_chunks, for_rows, rows_of
 from .quality.measures.cells import side_of_good_quads
 
 VELOCITIES = ("none", "first", "second", "swept")
@@ -39,14 +39,15 @@ def grid_velocity(times: Sequence[float], points: Sequence[FloatArray], order: s
     ----------
     points : coordinates at the last levels, the newest last
     """
-    velocity: FloatArray = empty(points[-1].shape)
+    velocity: FloatArray = alike(points[-1])
+    own = rows_of(velocity)
     known = min(len(times), len(points), 3 if order == "second" else 2)
     rates = _rates(times[-known:])
 
     def fill(rows: slice) -> None:
-        velocity[rows] = 0.0
+        own[rows] = 0.0
         for rate, one, other in zip(rates, points[-1:-known:-1], points[-2::-1], strict=False):
-            velocity[rows] += rate * (one[rows] - other[rows])
+            own[rows] += rate * (one[rows] - other[rows])
 
     for_rows(fill, velocity)
     return velocity
@@ -71,9 +72,13 @@ def swept_volumes(grid: Grid, before: FloatArray, after: FloatArray) -> FloatArr
     the sum over its faces, those at the far end added and those at the near end subtracted: exactly for straight paths
     of the nodes, up to round-off. :func:`at_faces` tells which value belongs to which face.
 
-    ``grid`` is the undeformed grid, which provides the blocks and their handedness.
+    ``grid`` is the undeformed grid, which provides the blocks and their handedness. Of a grid in parts every rank gets
+    the faces of its part; all ranks must call this.
     """
     normal, handedness = plane_normal(grid), block_handedness(grid)
+    for points in (before, after):
+        grid.hold_neighbours(points)
+    one, two = rows_of(before), rows_of(after)
     swept: FloatArray = empty([sum(_counts(grid))])
     faces = at_faces(grid, swept)
 
@@ -82,17 +87,19 @@ def swept_volumes(grid: Grid, before: FloatArray, after: FloatArray) -> FloatArr
         shape, out = grid.shapes[block], faces[block][axis]
         if not out.size:
             return
-        first, across, sign = int(grid.offsets[block]), (shape[1] * shape[2], shape[2], 1), float(handedness[block])
+        across, sign = (shape[1] * shape[2], shape[2], 1), float(handedness[block])
+        first = int(grid.offsets[block]) + grid.planes(block).start * across[0]
         if normal is None:
             along = across[(axis + 1) % 3], across[(axis + 2) % 3]
-            sweep_faces(before, after, first, out.shape, along, across, sign, out)
+            sweep_faces(one, two, first, out.shape, along, across, sign, out)
             return
         thin = shape.index(1)
         other = 3 - axis - thin
         towards = side_of_good_quads(thin, sign if other < axis else -sign, normal)
-        sweep_edges(before, after, first, out.shape, across[other], across, towards, out)
+        sweep_edges(one, two, first, out.shape, across[other], across, towards, out)
 
-    for_chunks(work, 3 * grid.n_blocks, 1)
+    with apart(grid.points):
+        for_chunks(work, 3 * grid.n_blocks, 1)
     return swept
 
 
@@ -119,27 +126,34 @@ def face_fields(grid: Grid, times: Sequence[float], points: Sequence[FloatArray]
     nothing = np.zeros(0 if parts else sum(_counts(grid)))
     values = {SWEPT: parts[-1] if parts else nothing, FLUX: volume_flux(times, parts) if parts else nothing}
     return tuple(
-        Field(name, location, block, part)
+        Field(name, FACES[axis], block, grid.spread(part, _face_shape(shape, axis)[0]))
         for name, array in values.items()
-        for block, faces in enumerate(at_faces(grid, array))
-        for location, part in zip(FACES, faces, strict=True)
-        if part.size
+        for block, (shape, faces) in enumerate(zip(grid.shapes, at_faces(grid, array), strict=True))
+        for axis, part in enumerate(faces)
+        if shape[axis] > 1
     )
 
 
 def at_faces(grid: Grid, values: FloatArray) -> list[Faces]:
-    """Views of ``values``, one for every face of the grid, for each block."""
+    """Views of ``values``, one for every face of the grid, for each block; of a grid in parts for this rank's faces."""
     ends = np.cumsum(_counts(grid)).tolist()
     starts = [0, *ends]
     return [
-        tuple(values[starts[3 * b + axis] : ends[3 * b + axis]].reshape(_face_shape(shape, axis)) for axis in range(3))
+        tuple(
+            values[starts[3 * b + axis] : ends[3 * b + axis]].reshape(grid.own_shape(b, _face_shape(shape, axis)))
+            for axis in range(3)
+        )
         for b, shape in enumerate(grid.shapes)
     ]
 
 
 def _counts(grid: Grid) -> list[int]:
-    """Numbers of the faces across each index axis of each block."""
-    return [math.prod(_face_shape(shape, axis)) for shape in grid.shapes for axis in range(3)]
+    """Numbers of the faces of this rank across each index axis of each block."""
+    return [
+        math.prod(grid.own_shape(b, _face_shape(shape, axis)))
+        for b, shape in enumerate(grid.shapes)
+        for axis in range(3)
+    ]
 
 
 def _face_shape(shape: tuple[int, int, int], axis: int) -> tuple[int, int, int]:

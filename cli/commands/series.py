@@ -59,6 +59,7 @@ def command(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunInp
             # The first rank alone continues what all of them have begun.
             begin = partial(series_run.open_manifest, plan, wanted.resume or begun, run.force and not begun)
             plan.manifest = plan.job.ranks.on_first(begin)
+            plan.files.recall(plan.manifest.levels)
             begun = True
             report = series_run.carry_out(plan, progress)
         files = [*source.roles, *case.roles(plan.job.case), ("index", plan.files.view)]

@@ -14,7 +14,6 @@ from typing import Any
 
 from meshdeform_core.errors import FormatError, suggestion
 from meshdeform_core.grid import FileFormat, Grid, Planes, Shape
-from meshdeform_core.parallel import require_whole
 
 from ..planes import ranges_of, read_planes
 from .boundary import family_conditions, zone_patches
@@ -61,8 +60,6 @@ def read(path: Path) -> Grid:
 def _fill(grid: Grid, zones: Sequence[Zone]) -> None:
     """Read the coordinates: zones that are compressed or stored in pieces as a whole, others in ranges of planes."""
     places = [zone.places() for zone in zones]
-    if not all(places):
-        require_whole(grid.points, "coordinates are packed, or have rind planes")
     parts = []
     for block, (shape, known) in enumerate(zip(grid.shapes, places, strict=True)):
         parts += ranges_of([(block, shape)]) if known else [Planes(block, 0, shape[2])]
@@ -71,7 +68,7 @@ def _fill(grid: Grid, zones: Sequence[Zone]) -> None:
         if known := places[part.block]:
             read_planes(grid, part, known)
         else:
-            zones[part.block].read(grid.block(part.block))
+            zones[part.block].read(grid.in_planes(part.block), grid.planes(part.block))
 
     grid.fill_planes(put, parts, threads=None if all(places) else 1)
 

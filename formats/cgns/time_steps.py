@@ -6,25 +6,38 @@ are fields) per level, to which ZoneIterativeData_t points; BaseIterativeData_t 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FileFormat, FloatArray, Grid
+from meshdeform_core.parallel import ranks_of
 
-from ..files import replacing
+from ..files import replacing_by_all
 from ..hdf5_output import hdf5_output
+from ..planes import Stored, write_outputs
 from . import format as cgns
 from .notes import Notes
 from .storage.file import opened_cgns
 from .storage.hdf5 import hdf5_errors
 from .storage.hdf5_write import own_group, put_node
-from .storage.tree import Node, make, name_list
-from .write_new import solution_nodes
+from .storage.tree import Node, data_type_of, make, name_list
+from .write_new import Places, fields_by_place, outputs_of, solution_nodes
 from .zone import Zone, find_base, structured_zones
+
+
+class _Common(NamedTuple):
+    """What the levels have in common: grid and fields but for their values, file, type of the coordinates, numbers of
+    the fields."""
+
+    grid: Grid
+    path: Path
+    kind: np.dtype[Any]
+    numbers: Mapping[tuple[int, str], list[int]]
 
 
 def require_steady(grid: Grid) -> None:
@@ -47,28 +60,41 @@ def write_series(
 
     Parameters
     ----------
-    level : ``level(n)`` has the coordinates at ``times[n]`` and the fields that belong to them; one is held at a time
+    level : ``level(n)`` has the coordinates at ``times[n]`` and the fields that belong to them, alike for all levels;
+        one is held at a time. Called on all ranks
 
     Raises
     ------
     FormatError
         When the grid's original file is missing or has changed, or the new one cannot be written.
     """
-    with replacing(path) as partial:
+    with replacing_by_all(path, grid.points) as partial:
         cgns.write(grid, partial, variant)
-        with opened_cgns(partial) as root:
-            base = find_base(root, Notes())
-            zones = structured_zones(base, Notes())
-        with hdf5_errors(path, "write"), hdf5_output(partial, "r+") as file:
-            group = own_group(file, base.node)
-            groups = [own_group(group, zone.node) for zone in zones]
-            pointers = [_add_level(groups, zones, level(n), n, variant.precision) for n in range(len(times))]
-            for block, own in enumerate(groups):
-                names = {key: [found[block][key] for found in pointers] for key in pointers[0][block]}
-                arrays = [make(key, "DataArray_t", name_list(words)) for key, words in names.items()]
-                put_node(own, make("ZoneIterativeData", "ZoneIterativeData_t", None, arrays))
-            put_node(group, _iterations(times))
-            put_node(group, make("SimulationType", "SimulationType_t", "TimeAccurate"))
+        first = level(0)
+        places = ranks_of(grid.points).on_first(lambda: _add_levels(first, path, partial, variant.precision, times))
+        for number, found in enumerate(places):
+            each = level(number) if number else first
+            write_outputs(each, outputs_of(each, partial, found))
+
+
+def _add_levels(grid: Grid, path: Path, partial: Path, precision: str, times: Sequence[float]) -> list[Places]:
+    """Make room for all levels, whose fields are those of ``grid``; returns the places of their values."""
+    with opened_cgns(partial) as root:
+        base = find_base(root, Notes())
+        zones = structured_zones(base, Notes())
+    places = [Places({}, {}, {}) for _ in times]
+    common = _Common(grid, partial, np.dtype(precision), fields_by_place(grid))
+    with hdf5_errors(path, "write"), hdf5_output(partial, "r+") as file:
+        group = own_group(file, base.node)
+        groups = [own_group(group, zone.node) for zone in zones]
+        pointers = [_add_level(groups, zones, common, n, each) for n, each in enumerate(places)]
+        for block, own in enumerate(groups):
+            names = {key: [found[block][key] for found in pointers] for key in pointers[0][block]}
+            arrays = [make(key, "DataArray_t", name_list(words)) for key, words in names.items()]
+            put_node(own, make("ZoneIterativeData", "ZoneIterativeData_t", None, arrays))
+        put_node(group, _iterations(times))
+        put_node(group, make("SimulationType", "SimulationType_t", "TimeAccurate"))
+    return places
 
 
 def read_level(grid: Grid, path: Path, number: int) -> FloatArray:
@@ -93,18 +119,14 @@ def read_level(grid: Grid, path: Path, number: int) -> FloatArray:
 
 
 def _add_level(
-    groups: Sequence[h5py.Group], zones: Sequence[Zone], grid: Grid, number: int, precision: str
+    groups: Sequence[h5py.Group], zones: Sequence[Zone], common: _Common, number: int, places: Places
 ) -> list[dict[str, str]]:
     """Add the nodes of one level; returns their names by the pointer of ZoneIterativeData_t, for each zone."""
     pointers = []
     for block, (group, zone) in enumerate(zip(groups, zones, strict=True)):
-        points = grid.block(block)
-        arrays = [
-            make(node.name, "DataArray_t", points[..., axis].reshape(zone.counts), dtype=np.dtype(precision))
-            for axis, node in enumerate(zone.coordinates)
-        ]
+        arrays = _coordinates(zone, common, places.coordinates.setdefault(block, []))
         nodes = {"GridCoordinatesPointers": make(f"GridCoordinates#{number + 1}", "GridCoordinates_t", None, arrays)}
-        for solution in solution_nodes(grid, block, zone.counts):
+        for solution in solution_nodes(common.grid, block, zone.counts, common.numbers, places.fields):
             # The standard has one pointer; solutions at other locations than the first are found by theirs.
             key = "FlowSolutionPointers" if "FlowSolutionPointers" not in nodes else f"{solution.name}Pointers"
             nodes[key] = make(f"{solution.name}#{number + 1}", solution.label, None, solution.children)
@@ -112,6 +134,17 @@ def _add_level(
             put_node(group, node)
         pointers.append({key: node.name for key, node in nodes.items()})
     return pointers
+
+
+def _coordinates(zone: Zone, common: _Common, places: list[Stored]) -> list[Node]:
+    """Coordinate arrays of a zone, without values; writing them appends their places."""
+    counts, kind = zone.counts, common.kind
+
+    def placed(start: int) -> None:
+        places.append(Stored.within_rind(common.path, kind, counts, start, [slice(0, n) for n in counts]))
+
+    names = (node.name for node in zone.coordinates)
+    return [Node(name, Path(), name, "DataArray_t", data_type_of(kind), counts, kind, placed=placed) for name in names]
 
 
 def _iterations(times: Sequence[float]) -> Node:

@@ -8,6 +8,8 @@ from __future__ import annotations
 import dataclasses
 import os
 import shutil
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import h5py
@@ -17,11 +19,10 @@ from h5py import h5g, h5l
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Grid
 from meshdeform_core.grid.extent import block_extents
-from meshdeform_core.numerics.arrays import extent
 from meshdeform_core.parallel import Part
 
-from ..coordinates import ahead, common_type, split
 from ..hdf5_output import hdf5_output
+from ..planes import Stored
 from .notes import Notes
 from .storage.adf import is_adf
 from .storage.file import naming, opened_cgns
@@ -29,11 +30,11 @@ from .storage.hdf5 import DATA, LINK, LINK_FILE, hdf5_errors, place_of
 from .storage.hdf5_write import characters, own_group, put_node, reserve_dataset, write_hdf5
 from .storage.names import unique_names
 from .storage.tree import Node, data_type_of
-from .write_new import Places, solution_nodes, write_completed
+from .write_new import Packed, Places, fields_by_place, solution_nodes, write_completed
 from .zone import Base, Zone, find_base, structured_zones
 
-Boxes = tuple[FloatArray, FloatArray]
-"""Lowest and highest coordinates (n_blocks, 3) of blocks."""
+Boxes = Callable[[], tuple[FloatArray, FloatArray]]
+"""Returns the lowest and highest coordinates (n_blocks, 3) of blocks."""
 
 
 def write_copy(grid: Grid, path: Path, precision: str | None) -> None:
@@ -46,16 +47,18 @@ def write_copy(grid: Grid, path: Path, precision: str | None) -> None:
     source = grid.path
     if source is None or not source.is_file():
         raise FormatError(f"cannot write {path}: {source}, whose other contents are to be copied, no longer exists")
-    # The first rank alone does not know the boxes of a grid in parts.
-    boxes = block_extents(grid) if isinstance(grid.points, Part) else None
+    boxes = cache(lambda: block_extents(grid))
+    if isinstance(grid.points, Part):
+        # The first rank alone cannot find them.
+        boxes()
     write_completed(grid, path, lambda partial: _begin(grid, source, path, partial, precision, boxes))
 
 
-def _begin(grid: Grid, source: Path, path: Path, partial: Path, precision: str | None, boxes: Boxes | None) -> Places:
-    """Write everything but the coordinates that can be written in place later; returns the places of these."""
+def _begin(grid: Grid, source: Path, path: Path, partial: Path, precision: str | None, boxes: Boxes) -> Places:
+    """Write everything but the values of nodes, cells and faces; returns the places of these."""
     with opened_cgns(source) as root:
         with naming(source):
-            base, zones = _same_zones(root, grid, source)
+            base, zones = _same_zones(root, grid, source, boxes)
         with hdf5_errors(path, "write"):
             if is_adf(source):
                 write_hdf5(root, partial)
@@ -65,13 +68,12 @@ def _begin(grid: Grid, source: Path, path: Path, partial: Path, precision: str |
                 _adapt_links(file, source.parent, path.parent)
                 group = own_group(file, base.node)
                 owns = [own_group(group, zone.node) for zone in zones]
-                places = _replace_coordinates(owns, zones, grid, precision, boxes)
-                for block, (own, zone) in enumerate(zip(owns, zones, strict=True)):
-                    _add_fields(own, zone, grid, block)
+                places = _replace_coordinates(owns, zones, partial, precision, boxes)
+                _add_fields(owns, zones, grid, places)
     return places
 
 
-def _same_zones(root: Node, grid: Grid, source: Path) -> tuple[Base, list[Zone]]:
+def _same_zones(root: Node, grid: Grid, source: Path, boxes: Boxes) -> tuple[Base, list[Zone]]:
     """The zones of the source file, which must be those from which the grid was read."""
     base = find_base(root, Notes())
     zones = structured_zones(base, Notes())
@@ -81,7 +83,7 @@ def _same_zones(root: Node, grid: Grid, source: Path) -> tuple[Base, list[Zone]]
             f"{', '.join(f'{zone.name} {zone.shape}' for zone in zones[:4])}{' ...' if len(zones) > 4 else ''}; "
             f"read it again, or write to another format"
         )
-    if base.dimension == 2 and grid.points[:, 2].any():
+    if base.dimension == 2 and any(end[:, 2].any() for end in boxes()):
         raise FormatError(
             f"{source} stores only x and y (physical dimension 2), but nodes have moved out of the plane z = 0"
         )
@@ -89,43 +91,43 @@ def _same_zones(root: Node, grid: Grid, source: Path) -> tuple[Base, list[Zone]]
 
 
 def _replace_coordinates(
-    parents: list[h5py.Group], zones: list[Zone], grid: Grid, precision: str | None, boxes: Boxes | None
+    parents: list[h5py.Group], zones: list[Zone], path: Path, precision: str | None, boxes: Boxes
 ) -> Places:
-    """Write compressed coordinates and those with rind planes; returns the places of all others."""
-    places: Places = {}
+    """Prepare the coordinate arrays; returns their places."""
+    places = Places({}, {}, {})
     for block, (parent, zone) in enumerate(zip(parents, zones, strict=True)):
         group = own_group(parent, zone.grid)
         datasets = [_writable_dataset(own_group(group, node), precision, zone.counts) for node in zone.coordinates]
-        starts = [place_of(dataset.id) if dataset.shape == zone.counts[::-1] else None for dataset in datasets]
-        found = [(start, dataset.dtype) for start, dataset in zip(starts, datasets, strict=True) if start is not None]
+        starts = [place_of(dataset.id) for dataset in datasets]
+        found = [
+            Stored.within_rind(path, dataset.dtype, dataset.shape[::-1], start, zone.core)
+            for start, dataset in zip(starts, datasets, strict=True)
+            if start is not None
+        ]
         if len(found) == len(datasets):
-            places[block] = found
+            places.coordinates[block] = found
         else:
-            _write_packed(datasets, zone, grid.block(block))
+            places.packed[block] = Packed([dataset.name for dataset in datasets], zone.core[::-1])
         if zone.grid.target.dims == (len(datasets), 2):
             # GridCoordinates_t may hold the lowest and highest coordinates (SIDS 7.1).
-            box = np.array([end[block] for end in boxes] if boxes else extent(grid.block(block)))
+            box = np.array([end[block] for end in boxes()])
             group[DATA][...] = box[:, : len(datasets)]
     return places
 
 
-def _write_packed(datasets: list[h5py.Dataset], zone: Zone, block: FloatArray) -> None:
-    arrays = ahead(split(block, common_type(datasets), len(datasets)))
-    for dataset, array in zip(datasets, arrays, strict=True):
-        dataset[zone.core[::-1]] = array.reshape(zone.counts[::-1]).astype(dataset.dtype, copy=False)
-
-
-def _add_fields(parent: h5py.Group, zone: Zone, grid: Grid, block: int) -> None:
-    """Add the block's fields as flow solutions. One with the same arrays, from an earlier run, is replaced."""
-    for solution in solution_nodes(grid, block, zone.counts):
-        arrays = {child.name for child in solution.children}
-        others = [
-            old.name
-            for old in zone.node.target.children
-            if old.target.label != solution.label or {child.name for child in old.target.children} != arrays
-        ]
-        (name,) = unique_names([solution.name], solution.name, others)
-        put_node(parent, dataclasses.replace(solution, name=name))
+def _add_fields(parents: list[h5py.Group], zones: list[Zone], grid: Grid, places: Places) -> None:
+    """Make room for fields as flow solutions. One with the same arrays, from an earlier run, is replaced."""
+    numbers = fields_by_place(grid)
+    for block, (parent, zone) in enumerate(zip(parents, zones, strict=True)):
+        for solution in solution_nodes(grid, block, zone.counts, numbers, places.fields):
+            arrays = {child.name for child in solution.children}
+            others = [
+                old.name
+                for old in zone.node.target.children
+                if old.target.label != solution.label or {child.name for child in old.target.children} != arrays
+            ]
+            (name,) = unique_names([solution.name], solution.name, others)
+            put_node(parent, dataclasses.replace(solution, name=name))
 
 
 def _writable_dataset(group: h5py.Group, precision: str | None, counts: tuple[int, ...]) -> h5py.Dataset:

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import contextlib
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import h5py
 import numpy as np
-from numpy.typing import NDArray
 
-from meshdeform_core.grid import Field, Grid
+from meshdeform_core.grid import Field, FloatArray, Grid
+from meshdeform_core.numerics.arrays import extent
 from meshdeform_core.parallel import ranks_of
 
+from ..coordinates import ahead, split
 from ..files import replacing_by_all
-from ..planes import Stored, write_coordinates
+from ..hdf5_output import hdf5_output
+from ..planes import Output, Stored, on_first_rank, write_outputs
 from .new_boundary import boundary_nodes, family_names, family_nodes
 from .new_connectivity import connectivity_nodes
 from .storage.hdf5 import hdf5_errors
@@ -21,8 +27,27 @@ from .storage.hdf5_write import write_hdf5
 from .storage.names import unique_names
 from .storage.tree import Node, data_type_of, make
 
-Places = dict[int, list[tuple[int, np.dtype[Any]]]]
-"""Offset and type of the coordinate arrays, by the number of the block."""
+Place = tuple[int, np.dtype[Any]]
+"""Offset and type of an array."""
+
+
+class Packed(NamedTuple):
+    """Compressed coordinates of a block: names of their arrays in the file, and which nodes along k, j, i belong to the
+    grid."""
+
+    names: list[str]
+    core: tuple[slice, ...]
+
+
+class Places(NamedTuple):
+    """Where the values go for which a file has room: coordinates by the number of the block, fields by their number in
+    the grid; a list with every component."""
+
+    coordinates: dict[int, list[Stored]]
+    fields: dict[int, list[Place]]
+    packed: dict[int, Packed]
+
+
 # The version of the standard that defines everything written here.
 _LIBRARY_VERSION = 3.2
 _LOCATIONS = {
@@ -40,41 +65,75 @@ def write_new(grid: Grid, path: Path, precision: str) -> None:
     Names are cut to 32 characters and made unique. Fields (IBLANK, VTK arrays) become flow solutions at the nodes or
     cells. A grid in the plane z = 0 has two coordinates; a 2-D base cannot hold patches on the plane itself.
     """
-    write_completed(grid, path, lambda partial: _begin(grid, path, partial, precision))
+    # The first rank alone does not know them.
+    low, high = extent(grid.points)
+    dimension = 3 if grid.dimension == 3 or low[2] or high[2] else 2
+    write_completed(grid, path, lambda partial: _begin(grid, path, partial, precision, dimension))
 
 
 def write_completed(grid: Grid, path: Path, begin: Callable[[Path], Places]) -> None:
-    """Write a file with ``begin``, on the first rank, and then, on all of them, the coordinates for which it leaves
-    room."""
+    """Write a file with ``begin``, on the first rank, and then, on all of them, the values for which it leaves room."""
     with replacing_by_all(path, grid.points) as partial:
         places = ranks_of(grid.points).on_first(lambda: begin(partial))
-        arrays = {}
-        for block, found in places.items():
-            ni, nj, _ = grid.shapes[block]
-            arrays[block] = [Stored(partial, kind, (nj, ni), start, ni * nj * kind.itemsize) for start, kind in found]
-        write_coordinates(grid, arrays)
+        write_outputs(grid, outputs_of(grid, partial, places))
+        _write_packed(grid, partial, places.packed)
 
 
-def _begin(grid: Grid, path: Path, partial: Path, precision: str) -> Places:
-    """Write everything but the coordinates; returns the places of the arrays of every block."""
+def outputs_of(grid: Grid, path: Path, places: Places) -> list[Output]:
+    """The values of a grid and their places in a file."""
+    found = [Output.of_coordinates(grid, block, arrays) for block, arrays in places.coordinates.items()]
+    for number, arrays in places.fields.items():
+        field = grid.fields[number]
+        ni, nj, nk = field.values.shape[:3]
+        stored = [Stored(path, kind, (nj, ni), start, ni * nj * kind.itemsize) for start, kind in arrays]
+        found.append(Output.of_values(field.block, (ni, nj, nk), field.own, stored))
+    return found
+
+
+def _write_packed(grid: Grid, path: Path, packed: Mapping[int, Packed]) -> None:
+    """Write compressed coordinates: the first rank, a component of a block at a time."""
+    ranks, opened = ranks_of(grid.points), list[h5py.File]()
+    with contextlib.ExitStack() as own, hdf5_errors(path, "write"):
+        if packed:
+            ranks.on_first(lambda: opened.append(own.enter_context(hdf5_output(path, "r+"))))
+        for block, (names, core) in packed.items():
+            components = ahead(split(grid.in_planes(block), np.dtype(np.float64), len(names)))
+            for name, values in zip(names, components, strict=True):
+                ranks.on_first(partial(_pack, opened, name, core, on_first_rank(grid, block, values)))
+
+
+def _pack(opened: Sequence[h5py.File], name: str, core: tuple[slice, ...], values: FloatArray) -> None:
+    dataset = opened[0][name]
+    shape = tuple(part.stop - part.start for part in core)
+    dataset[core] = values.reshape(shape).astype(dataset.dtype, copy=False)
+
+
+def _begin(grid: Grid, path: Path, partial: Path, precision: str, dimension: int) -> Places:
+    """Write everything but the values of nodes, cells and faces; returns the places of these."""
     starts: list[list[int]] = [[] for _ in grid.shapes]
+    fields: dict[int, list[Place]] = {}
     with hdf5_errors(path, "write"):
-        write_hdf5(_tree(grid, precision, starts), partial)
-    return {block: [(start, np.dtype(precision)) for start in found] for block, found in enumerate(starts)}
+        write_hdf5(_tree(grid, dimension, precision, starts, fields), partial)
+    kind = np.dtype(precision)
+    coordinates = {
+        block: [Stored.within_rind(partial, kind, shape, start, [slice(0, n) for n in shape]) for start in found]
+        for block, (shape, found) in enumerate(zip(grid.shapes, starts, strict=True))
+    }
+    return Places(coordinates, fields, {})
 
 
-def _tree(grid: Grid, precision: str, starts: list[list[int]]) -> Node:
-    dimension = 2 if grid.dimension == 2 and not grid.points[:, 2].any() else 3
+def _tree(grid: Grid, dimension: int, precision: str, starts: list[list[int]], fields: dict[int, list[Place]]) -> Node:
     names = unique_names(grid.names, "Zone")
     families = family_names(grid, names)
     conditions, connectivity = boundary_nodes(grid, families), connectivity_nodes(grid, names)
+    numbers = fields_by_place(grid)
     zones = []
     for block, name in enumerate(names):
         shape = np.array([n for n in grid.shapes[block] if n > 1], np.int32)
         children = [
             make("ZoneType", "ZoneType_t", "Structured"),
             _coordinates(shape.tolist(), dimension, precision, starts[block]),
-            *solution_nodes(grid, block, shape.tolist()),
+            *solution_nodes(grid, block, shape.tolist(), numbers, fields),
             *conditions[block],
             *connectivity[block],
         ]
@@ -96,23 +155,36 @@ def _coordinates(shape: Sequence[int], dimension: int, precision: str, starts: l
     return make("GridCoordinates", "GridCoordinates_t", None, arrays)
 
 
-def solution_nodes(grid: Grid, block: int, shape: Sequence[int]) -> list[Node]:
+def fields_by_place(grid: Grid) -> Mapping[tuple[int, str], list[int]]:
+    """Numbers of the fields at every location of every block; those of types that CGNS lacks are omitted."""
+    found: dict[tuple[int, str], list[int]] = {}
+    for number, field in enumerate(grid.fields):
+        if field.values.dtype.kind in "biuf":
+            found.setdefault((field.block, field.location), []).append(number)
+    return found
+
+
+def solution_nodes(
+    grid: Grid,
+    block: int,
+    shape: Sequence[int],
+    numbers: Mapping[tuple[int, str], list[int]],
+    places: dict[int, list[Place]],
+) -> list[Node]:
     """Flow solutions of a block, one for each location of its fields: nodes, cells, and the faces across each axis.
 
-    ``shape`` are the nodes of the zone along its index axes (two or three). Fields of types that CGNS lacks are
-    omitted; vectors become nameX, nameY, nameZ.
+    They are without values; writing them appends the places of these to ``places``. ``shape`` are the nodes of the zone
+    along its index axes (two or three), ``numbers`` those of the fields. Vectors become nameX, nameY, nameZ.
     """
     solutions = []
     for location, word in _LOCATIONS.items():
-        fields = [
-            f for f in grid.fields if f.block == block and f.location == location and f.values.dtype.kind in "biuf"
-        ]
-        if not fields:
+        if (block, location) not in numbers:
             continue
         size, word = _located(location, word, shape, grid.shapes[block])
-        arrays = [array for field in fields for array in _components(field, size)]
-        names = unique_names((name for name, _ in arrays), "Field", ["GridLocation"])
-        nodes = [make(name, "DataArray_t", values) for name, (_, values) in zip(names, arrays, strict=True)]
+        arrays = [(n, name) for n in numbers[block, location] for name in _components(grid.fields[n])]
+        names = unique_names((name for _, name in arrays), "Field", ["GridLocation"])
+        kinds = [(n, _kind(grid.fields[n])) for n, _ in arrays]
+        nodes = [_array(n, name, kind, size, places) for name, (n, kind) in zip(names, kinds, strict=True)]
         location_node = make("GridLocation", "GridLocation_t", word)
         solutions.append(make(f"FlowSolution{word}", "FlowSolution_t", None, [location_node, *nodes]))
     return solutions
@@ -133,16 +205,26 @@ def _located(location: str, word: str, shape: Sequence[int], nodes: Sequence[int
     return size, word
 
 
-def _components(field: Field, shape: Sequence[int]) -> list[tuple[str, NDArray[Any]]]:
-    """Scalar arrays (*shape) of a field, in a type of CGNS."""
-    values = field.values
-    if values.dtype.kind != "f":
-        values = values.astype(np.int64 if values.dtype.itemsize > 4 or values.dtype == np.uint32 else np.int32)
-    elif values.dtype not in (np.float32, np.float64):
-        values = values.astype(np.float64)
-    if values.ndim == 3:
-        return [(field.name, values.reshape(shape))]
-    flat = values.reshape(*shape, -1)
-    count = flat.shape[-1]
-    suffixes = "XYZ"[:count] if count <= 3 else [str(i + 1) for i in range(count)]
-    return [(f"{field.name}{suffix}", flat[..., i]) for i, suffix in enumerate(suffixes)]
+def _array(number: int, name: str, kind: np.dtype[Any], size: Sequence[int], places: dict[int, list[Place]]) -> Node:
+    """A component of a field, still without values."""
+
+    def placed(start: int) -> None:
+        places.setdefault(number, []).append((start, kind))
+
+    return Node(name, Path(), name, "DataArray_t", data_type_of(kind), tuple(size), kind, placed=placed)
+
+
+def _kind(field: Field) -> np.dtype[Any]:
+    """The type of CGNS for the values of a field."""
+    kind: np.dtype[Any] = field.values.dtype
+    if kind.kind != "f":
+        return np.dtype(np.int64 if kind.itemsize > 4 or kind == np.uint32 else np.int32)
+    return kind.newbyteorder("=") if kind.itemsize in (4, 8) else np.dtype(np.float64)
+
+
+def _components(field: Field) -> list[str]:
+    """Names of the scalar arrays of a field."""
+    if len(field.values.shape) == 3:
+        return [field.name]
+    count = math.prod(field.values.shape[3:])
+    return [f"{field.name}{suffix}" for suffix in ("XYZ"[:count] if count <= 3 else map(str, range(1, count + 1)))]

@@ -51,20 +51,20 @@ class Zone:
         return tuple(part.stop - part.start for part in self.core)
 
     def places(self) -> list[Stored] | None:
-        """Offsets of the coordinates; ``None`` if they are compressed, in pieces, or mixed with other values."""
+        """Offsets of the coordinates; ``None`` if they are compressed or in pieces."""
         found = []
-        ni, nj, _ = self.shape
         for node in (each.target for each in self.coordinates):
-            place = node.place() if node.dims == self.counts else None
+            place = node.place()
             if place is None or node.dtype is None:
                 return None
-            found.append(Stored(node.file, node.dtype, (nj, ni), place, ni * nj * node.dtype.itemsize))
+            found.append(Stored.within_rind(node.file, node.dtype, node.dims, place, self.core))
         return found
 
-    def read(self, block: FloatArray) -> None:
-        """Fill ``block`` of shape ``(ni, nj, nk, 3)`` with the coordinates; missing components become zero."""
+    def read(self, block: FloatArray, planes: slice) -> None:
+        """Fill ``block`` of shape ``(n, nj, nk, 3)`` with the coordinates of some ``planes`` i; missing components
+        become zero."""
         count = len(self.coordinates)
-        merge(block, (node.data()[self.core].T for node in self.coordinates), count)
+        merge(block, (node.data()[self.core].T[..., planes] for node in self.coordinates), count)
         block[..., count:] = 0.0
 
 

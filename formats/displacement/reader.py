@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from meshdeform_core.boundary.tables.matching import SurfaceData
 from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import Grid
+from meshdeform_core.grid import Grid, OwnPlanes
+from meshdeform_core.parallel import alone
 
 from ..files import read_head, replacing
 from ..grids import FORMATS, read_grid
@@ -154,6 +155,10 @@ def _read_vtk_xml(path: Path) -> DisplacementTable | Grid:
 
 def _read_structured(path: Path) -> DisplacementTable | Grid:
     grid = read_grid(path)
+    if any(isinstance(field.values, OwnPlanes) for field in grid.fields):
+        # Every rank looks displacements up by itself.
+        with alone():
+            grid = read_grid(path)
     displacements = [_block_displacement(grid, block) for block in range(grid.n_blocks)]
     known = [values for values in displacements if values is not None]
     if len(known) < grid.n_blocks:

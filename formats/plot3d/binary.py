@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from meshdeform_core.grid import Grid, Planes
 from meshdeform_core.parallel import ranks_of
 
-from ..planes import Stretches, for_ranges, ranges_of, read_planes, write_coordinates
+from ..planes import Output, Stored, Stretches, ranges_of, read_planes, write_outputs
 from .blocks import allocate, iblank_of, places_of
 from .detect import LONGEST_HEADER, Reading, UnknownFile, choose, header_variants, stream_readings
 from .records import fortran_readings, laid_out, record_lengths
@@ -45,9 +45,9 @@ def _load(reading: Reading, path: Path) -> Grid:
 
     def put(part: Planes) -> None:
         read_planes(grid, part, places[part.block])
-        for array in flags:
-            values = flag_places[part.block].read(part.first, part.last)
-            grid.block(part.block, array)[:, :, part.first : part.last] = values.T
+        for array in flags[part.block : part.block + 1]:
+            values = flag_places[part.block].read(part.first, part.last)[:, :, grid.planes(part.block)]
+            array[:, :, part.first : part.last] = values.T
 
     grid.fill_planes(put, ranges_of(list(enumerate(grid.shapes))))
     return grid
@@ -73,16 +73,15 @@ def write_binary(grid: Grid, path: Path, variant: Variant) -> None:
     ranks_of(grid.points).on_first(begin)
     data = Stretches(list(chain.from_iterable(records[len(header) :])))
     places, flag_places = places_of(variant, grid.shapes, path, data)
-    write_coordinates(grid, dict(enumerate(places)))
+    outputs = [Output.of_coordinates(grid, block, arrays) for block, arrays in enumerate(places)]
+    write_outputs(grid, [*outputs, *(_flags(grid, block, place) for block, place in enumerate(flag_places))])
 
-    def put(part: Planes) -> None:
-        chosen = grid.block(part.block)[:, :, part.first : part.last]
-        flags = iblank_of(grid, part.block)
-        values = np.ones(chosen.shape[:3]) if flags is None else flags[:, :, part.first : part.last]
-        flag_places[part.block].write(part.first, values.T)
 
-    if variant.iblank:
-        for_ranges(put, list(enumerate(grid.shapes)))
+def _flags(grid: Grid, block: int, place: Stored) -> Output:
+    """IBLANK values of a block; all 1 if it has none."""
+    shape, field = grid.shapes[block], iblank_of(grid, block)
+    own = np.broadcast_to(np.ones((), place.dtype), grid.own_shape(block, shape)) if field is None else field.own
+    return Output.of_values(block, shape, own, [place])
 
 
 def _divided(array: NDArray[Any], stretches: list[tuple[int, int]]) -> Iterator[tuple[int, bytes]]:

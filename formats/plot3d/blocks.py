@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshdeform_core.grid import Field, FloatArray, Grid, Shape
-from meshdeform_core.parallel import empty, require_whole
+from meshdeform_core.parallel import empty
 
 from ..coordinates import merge, split
 from ..planes import Stored, Stretches
@@ -38,21 +38,22 @@ def assemble(reading: Reading, path: Path, numbers: Numbers) -> Grid:
     grid, flags = allocate(reading, path)
 
     def put(index: int) -> None:
-        _read_block(numbers, variant, grid.block(index), grid.block(index, flags[0]) if flags else None)
+        _read_block(numbers, variant, grid.block(index), flags[index] if flags else None)
 
     grid.fill(put)
     return grid
 
 
 def allocate(reading: Reading, path: Path) -> tuple[Grid, list[NDArray[Any]]]:
-    """The grid of a reading, still to be filled, and the array of its IBLANK values (n_nodes,) if there are any."""
+    """The grid of a reading, still to be filled, and the IBLANK values of the planes i of every block that this rank
+    holds, if there are any."""
     grid = Grid.allocate(reading.shapes, format=reading.variant.file_format(), path=path)
     if not reading.variant.iblank:
         return grid, []
-    require_whole(grid.points, "the file has IBLANK values")
-    flags = empty([grid.n_nodes], np.int32)
-    fields = tuple(Field("iblank", "node", block, grid.block(block, flags)) for block in range(grid.n_blocks))
-    return replace(grid, fields=fields), [flags]
+    flags = [empty(grid.own_shape(block, shape), np.int32) for block, shape in enumerate(grid.shapes)]
+    values = (grid.spread(own, shape[0]) for own, shape in zip(flags, grid.shapes, strict=True))
+    fields = tuple(Field("iblank", "node", block, each) for block, each in enumerate(values))
+    return replace(grid, fields=fields), flags
 
 
 def places_of(
@@ -92,10 +93,10 @@ def text_arrays(grid: Grid, variant: Variant, index: int) -> Iterator[NDArray[An
         yield array.reshape(-1)
     if variant.iblank:
         iblank = iblank_of(grid, index)
-        flags = np.ones(grid.shapes[index]) if iblank is None else iblank
+        flags = np.ones(grid.shapes[index]) if iblank is None else iblank.values
         yield np.ascontiguousarray(flags.T, variant.integer).reshape(-1)
 
 
-def iblank_of(grid: Grid, index: int) -> NDArray[Any] | None:
-    """IBLANK values (ni, nj, nk) of a block from any format."""
-    return next((field.values for field in grid.fields if field.block == index and field.blanks), None)
+def iblank_of(grid: Grid, index: int) -> Field | None:
+    """IBLANK values of a block from any format."""
+    return next((field for field in grid.fields if field.block == index and field.blanks), None)

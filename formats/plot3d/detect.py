@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError, GridError
 from meshdeform_core.grid import Grid, Shape
-from meshdeform_core.parallel import require_whole
+from meshdeform_core.parallel import of_all, own_rows, rows_of
 
 from .variant import CHOICES, Variant
 
@@ -158,9 +158,10 @@ def _makes_sense(reading: Reading, file: UnknownFile) -> bool:
         grid = file.load(reading)
     except (FormatError, GridError):
         return False
-    require_whole(grid.points, f"{file.path} can be read in several ways")
-    all_blanked = reading.variant.iblank and not any(field.values.any() for field in grid.fields)
-    return not all_blanked and not np.isnan(grid.points).any() and _senseless_share(grid, reading.variant) == 0
+    own = rows_of(grid.points)[slice(*own_rows(grid.points))]
+    found = of_all(grid.points, (any(field.own.any() for field in grid.fields), bool(np.isnan(own).any())))
+    all_blanked = reading.variant.iblank and not any(shown for shown, _ in found)
+    return not all_blanked and not any(nan for _, nan in found) and _senseless_share(grid, reading.variant) == 0
 
 
 def _require_sense(grid: Grid, reading: Reading, path: Path) -> None:
@@ -176,11 +177,17 @@ def _require_sense(grid: Grid, reading: Reading, path: Path) -> None:
 
 def _senseless_share(grid: Grid, variant: Variant, step: int = 1) -> float:
     """Fraction of implausible coordinates or IBLANK values, among every ``step``-th node."""
-    size = np.abs(grid.points[np.arange(0, grid.n_nodes, step)])
+    low, high = own_rows(grid.points)
+    size = np.abs(rows_of(grid.points)[low + -low % step : high : step])
     bad = [((size < np.finfo(variant.precision).tiny) & (size > 0)) | (size > 1e30)]
-    # Negative IBLANK values are numbers of neighbouring blocks.
-    bad += [np.abs(field.values.reshape(-1)[::step].astype(np.int64)) > MOST_BLOCKS for field in grid.fields]
-    return max(float(part.mean()) for part in bad)
+    for field in grid.fields:
+        _, nj, nk = grid.shapes[field.block]
+        first = grid.planes(field.block).start * nj * nk
+        # Negative IBLANK values are numbers of neighbouring blocks.
+        bad.append(np.abs(field.own.reshape(-1)[-first % step :: step].astype(np.int64)) > MOST_BLOCKS)
+    counts = of_all(grid.points, [(int(part.sum()), part.size) for part in bad])
+    wrong, all_values = np.sum(counts, axis=0).T
+    return float((wrong / all_values).max())
 
 
 def _nothing_fits(tried: list[Reading], allowed: list[Reading], file: UnknownFile) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FileFormat, Grid, Shape
+from meshdeform_core.grid.extent import block_extents
 from meshdeform_core.numerics.arrays import extent
 from meshdeform_core.parallel import require_whole
 
@@ -132,8 +133,8 @@ def _require_writable(grid: Grid, path: Path, chosen: Variant) -> None:
         raise FormatError(f"cannot write {path}: a block has more than 2**31 - 1 nodes along an index")
     for index, (name, shape) in enumerate(zip(grid.names, grid.shapes, strict=True)):
         iblank = iblank_of(grid, index)
-        if iblank is not None and iblank.shape != shape:
-            raise FormatError(f"cannot write {path}: {name} has {shape} nodes but IBLANK values {iblank.shape}")
+        if iblank is not None and iblank.values.shape != shape:
+            raise FormatError(f"cannot write {path}: {name} has {shape} nodes but IBLANK values {iblank.values.shape}")
     if chosen.dimension == 2:
         _require_flat(grid, path)
     if chosen.precision == "float32":
@@ -141,20 +142,20 @@ def _require_writable(grid: Grid, path: Path, chosen: Variant) -> None:
         largest = max(float(high.max()), -float(low.min()))
         if largest > float(np.finfo(np.float32).max):
             raise FormatError(f"cannot write {path} as float32: a coordinate is {largest:g}; use precision=float64")
-    if chosen.encoding == "ascii" or chosen.iblank:
+    if chosen.encoding == "ascii":
         require_whole(grid.points, f"{path} is written as a whole")
 
 
 def _require_flat(grid: Grid, path: Path) -> None:
+    low, high = (ends[:, 2] for ends in block_extents(grid))
     for index, (name, shape) in enumerate(zip(grid.names, grid.shapes, strict=True)):
         if shape[2] != 1:
             raise FormatError(
                 f"cannot write {path} as 2-D: {name} has {shape[0]}x{shape[1]}x{shape[2]} nodes, a 2-D file holds one "
                 f"plane k = 1; use dimension=3"
             )
-        z = grid.block(index)[..., 2]
-        if z.any():
+        if low[index] or high[index]:
             raise FormatError(
-                f"cannot write {path} as 2-D: {name} has z from {z.min():g} to {z.max():g}, which a 2-D file cannot "
-                f"hold; use dimension=3"
+                f"cannot write {path} as 2-D: {name} has z from {low[index]:g} to {high[index]:g}, which a 2-D file "
+                f"cannot hold; use dimension=3"
             )

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-import shutil
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
-import numpy as np
-
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, FileFormat, FloatArray, Grid
-from meshdeform_core.parallel import ranks_of, require_whole
-from meshdeform_core.velocity import FLUX, SWEPT, face_fields, grid_velocity
+from meshdeform_core.parallel import ranks_of
+from meshdeform_core.velocity import FLUX, SWEPT
 
 from ..fields import WITH_FIELDS
-from ..files import invalid_path, remove_partial, replacing
+from ..files import invalid_path, remove_partial
 from ..grids import FORMATS, format_of, read_grid, variant_of, write_grid
 from .index import index_path, write_index
 
@@ -83,7 +81,7 @@ class SeriesFiles(Protocol):
         ...
 
     def publish(self, done: int) -> None:
-        """Make the first ``done`` levels visible to other programs."""
+        """Make the first ``done`` levels visible to other programs; on all ranks."""
         ...
 
     def clean(self, complete: bool = False) -> None:
@@ -98,8 +96,8 @@ def with_velocity(grid: Grid, velocity: FloatArray | None, faces: Sequence[Field
     """
     if velocity is None:
         return grid
-    values = velocity.astype(precision, copy=False)
-    new = [Field(VELOCITY, "node", b, grid.block(b, values)) for b in range(grid.n_blocks)]
+    own = (grid.in_planes(block, velocity).astype(precision, copy=False) for block in range(grid.n_blocks))
+    new = [Field(VELOCITY, "node", b, grid.spread(each, grid.shapes[b][0])) for b, each in enumerate(own)]
     kept = (field for field in grid.fields if field.name not in (VELOCITY, SWEPT, FLUX))
     return dataclasses.replace(grid, fields=(*kept, *new, *faces))
 
@@ -187,7 +185,7 @@ class LevelFiles:
     def publish(self, done: int) -> None:
         if self.view:
             levels = [(self._times[number], self.path(number).name) for number in range(done)]
-            write_index(self.view, levels, self.variant)
+            ranks_of(self._grid.points).on_first(partial(write_index, self.view, levels, self.variant))
 
     def clean(self, complete: bool = False) -> None:
         remove_partial(self._folder)
@@ -211,86 +209,3 @@ class LevelFiles:
             for piece in folder.glob(f"{index.stem}_*.vts"):
                 piece.unlink()
             folder.rmdir()
-
-
-class SingleFile:
-    """All levels in ``NAME.cgns``. Until the last one is written they are kept in the folder ``NAME.levels``."""
-
-    def __init__(
-        self, grid: Grid, folder: Path, name: str, times: tuple[float, ...], options: Mapping[str, Any], velocity: str
-    ):
-        from ..cgns.time_steps import require_steady
-
-        self._grid, self._folder, self._times, self._velocity = grid, folder, times, velocity
-        self._plain = folder / name
-        if format_of(self._plain) != "cgns":
-            raise FormatError(f"{self._plain}: only a CGNS file can hold all levels; choose the suffix .cgns")
-        require_steady(grid)
-        self.dress: Dress = as_it_is
-        self.invalid: set[int] = set()
-        self.variant = variant_of(grid, self._plain, options)
-        self._levels = folder / f"{self._plain.stem}.levels"
-
-    @property
-    def outputs(self) -> list[Path]:
-        return [self.view]
-
-    @property
-    def replaced(self) -> list[Path]:
-        return [self._plain, invalid_path(self._plain)]
-
-    @property
-    def view(self) -> Path:
-        return invalid_path(self._plain) if self.invalid else self._plain
-
-    def path(self, number: int) -> Path:
-        return self.view
-
-    def recall(self, records: Sequence[Mapping[str, Any]]) -> None:
-        # From the first invalid level on: all of them are in one file.
-        bad = invalid_path(self._plain).name
-        self.invalid = {number for number, record in enumerate(records) if record["file"] == bad}
-
-    def _part(self, number: int) -> Path:
-        return self._levels / level_name("level", number, len(self._times), ".npy")
-
-    def write(self, number: int, grid: Grid, velocity: FloatArray | None, faces: Sequence[Field] = ()) -> None:
-        # Velocities are differences of coordinates, computed when the file is assembled.
-        require_whole(grid.points, "all levels are in one file")
-        self._levels.mkdir(exist_ok=True)
-        with replacing(self._part(number)) as partial:
-            np.save(partial, grid.points.astype(self.variant.precision, copy=False))
-
-    def read(self, number: int) -> FloatArray:
-        return np.load(self._part(number), allow_pickle=False).astype(np.float64)
-
-    @property
-    def readable(self) -> bool:
-        return self._levels.is_dir()
-
-    def has(self, number: int) -> bool:
-        return self._part(number).is_file()
-
-    def publish(self, done: int) -> None:
-        if done == len(self._times):
-            from ..cgns.time_steps import write_series
-
-            write_series(self._grid, self.view, self.variant, self._times, self._level)
-            (self._plain if self.invalid else invalid_path(self._plain)).unlink(missing_ok=True)
-
-    def _level(self, number: int) -> Grid:
-        grid = self.dress(dataclasses.replace(self._grid, points=self.read(number), fields=()))
-        if self._velocity == "none":
-            return grid
-        points = [*(self.read(n) for n in range(max(0, number - 2), number)), grid.points]
-        times = self._times[: number + 1]
-        velocity = grid_velocity(times, points, self._velocity)
-        faces = face_fields(self._grid, times, points) if self._velocity == "swept" else ()
-        return with_velocity(grid, velocity, faces, self.variant.precision)
-
-    def clean(self, complete: bool = False) -> None:
-        remove_partial(self._folder)
-        if complete and self._levels.is_dir():
-            shutil.rmtree(self._levels)
-        elif self._levels.is_dir():
-            remove_partial(self._levels)

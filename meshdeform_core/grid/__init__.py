@@ -2,7 +2,7 @@
 
 from ..numerics.arrays import BoolArray, FloatArray, IntArray
 from .blocks import Grid
-from .parts import Connection, Field, FileFormat, Patch, Periodicity, Planes, Shape, Side, Window
+from .parts import Connection, Field, FileFormat, OwnPlanes, Patch, Periodicity, Planes, Shape, Side, Window
 
 __all__ = [
     "BoolArray",
@@ -12,6 +12,7 @@ __all__ = [
     "FloatArray",
     "Grid",
     "IntArray",
+    "OwnPlanes",
     "Patch",
     "Periodicity",
     "Planes",

@@ -24,7 +24,7 @@ from ..parallel import Part, empty, for_items, holders, of_all, on_each, own_row
 from .dealing import in_parts
 from .lattice import SideLattice
 from .near import NearNodes
-from .parts import Connection, Field, FileFormat, Patch, Planes, Shape
+from .parts import Connection, Field, FileFormat, OwnPlanes, Patch, Planes, Shape
 from .sizes import BlockSizes
 
 
@@ -142,7 +142,20 @@ class Grid(BlockSizes):
         own, (ni, nj, nk) = self.planes(index), self.shapes[index]
         last = min(own.stop + more, ni) if own.stop > own.start else own.stop
         start, stop = (int(self.offsets[index]) + plane * nj * nk for plane in (own.start, last))
-        return (self.points if values is None else values)[start:stop].reshape(-1, nj, nk, 3)
+        array = self.points if values is None else values
+        return array[start:stop].reshape(last - own.start, nj, nk, *array.shape[1:])
+
+    def own_shape(self, index: int, shape: Shape) -> Shape:
+        """Shape of what this rank holds of values of ``shape`` in a block: at nodes, cells or faces.
+
+        The cells and faces behind a plane i belong to the rank of that plane.
+        """
+        own = self.planes(index)
+        return min(own.stop, shape[0]) - min(own.start, shape[0]), shape[1], shape[2]
+
+    def spread(self, own: Any, count: int) -> Any:
+        """Values that this rank holds of ``count`` planes i of a block, as values of a :class:`Field`."""
+        return OwnPlanes(own, count) if isinstance(self.points, Part) else own
 
     def hold_neighbours(self, values: FloatArray | None = None) -> None:
         """Hold the planes beside those of this rank, too, if the grid is in parts, of ``points`` or an array alike."""

@@ -10,6 +10,8 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
+from ..parallel import WholeGridNeeded
+
 Shape = tuple[int, int, int]
 
 
@@ -122,18 +124,49 @@ class Connection:
     periodic: Periodicity | None = None
 
 
+class OwnPlanes:
+    """Values (ni, nj, nk, ...) of a block of a grid in parts, of which this rank holds those in its own planes i.
+
+    Attributes
+    ----------
+    own : (n, nj, nk, ...), none on ranks without nodes of the block
+    shape : of the values on all ranks
+    """
+
+    def __init__(self, own: NDArray[Any], count: int):
+        self.own, self.shape = own, (count, *own.shape[1:])
+
+    @property
+    def dtype(self) -> Any:
+        return self.own.dtype
+
+    @property
+    def ndim(self) -> int:
+        return self.own.ndim
+
+    def __array__(self, *_: Any, **__: Any) -> Any:
+        """Refuse numpy operations on the values of all ranks."""
+        raise WholeGridNeeded("an operation on all values of a field")
+
+
 @dataclass(frozen=True)
 class Field:
     """Values from the file other than coordinates (IBLANK, VTK arrays), written back unchanged.
 
     ``location`` is ``"node"``, ``"cell"``, or for the faces across an index axis ``"iface"``, ``"jface"``, ``"kface"``;
-    ``values`` has the block's node, cell or face shape, with a trailing component axis for vectors.
+    ``values`` has the block's node, cell or face shape, with a trailing component axis for vectors; of a grid in parts
+    every rank has its :class:`OwnPlanes`.
     """
 
     name: str
     location: str
     block: int
     values: NDArray[Any]
+
+    @property
+    def own(self) -> NDArray[Any]:
+        """The values that this rank holds: all of them unless the grid is in parts."""
+        return self.values.own if isinstance(self.values, OwnPlanes) else self.values
 
     @property
     def blanks(self) -> bool:

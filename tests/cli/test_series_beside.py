@@ -12,7 +12,8 @@ from meshdeform_cli import series_run
 from meshdeform_core.errors import FormatError, MotionError
 from meshdeform_core.series import _Series
 from meshdeform_formats.series.manifest import Manifest
-from meshdeform_formats.series.outputs import LevelFiles, SingleFile
+from meshdeform_formats.series.outputs import LevelFiles
+from meshdeform_formats.series.single import SingleFile
 
 CASE = """\
 [[boundary]]

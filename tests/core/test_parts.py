@@ -448,7 +448,6 @@ def block_in_parts(source):
 
 def test_what_takes_the_whole_grid_says_so(tmp_path, monkeypatch):
     idw = METHODS["idw-tfi"]
-    assert refused(tmp_path, 2, frame(), case_of(idw), {"iblank": "true"}) == "the file has IBLANK values"
     assert refused(tmp_path, 2, frame(), case_of(Options("idw-rbf"))) == "RBF inside of blocks"
     periodic = dataclasses.replace(case_of(idw), boundaries=tuple(body_specs(turning(5), Kind.PERIODIC)))
     assert refused(tmp_path, 2, frame(3, 4), periodic) == "periodic sides move"

@@ -26,7 +26,8 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.files import remove_partial, replacing
-from meshdeform_formats.series.outputs import LevelFiles, SingleFile
+from meshdeform_formats.series.outputs import LevelFiles
+from meshdeform_formats.series.single import SingleFile
 
 TIMES = (0.0, 0.5, 2.0)
 

@@ -1,0 +1,231 @@
+"""Files of which every rank reads and writes its part: the same bytes as in one process, whatever they hold.
+
+The ranks are forks of this process (:mod:`forked_ranks`); rows that a rank does not hold are poisoned.
+"""
+
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+from cases import body_specs, turning
+from cgns_witness import N, box, tree, write_hdf5, zone
+from forked_ranks import Failed, on_ranks
+from grids import frame, frame_2d
+from plot3d_witness import binary_file, sample_blocks, sample_iblank
+
+from meshdeform_core.deform import Case
+from meshdeform_core.grid import Field
+from meshdeform_core.methods import Options
+from meshdeform_core.numerics import pieces
+from meshdeform_core.parallel import WholeGridNeeded, dividing, parts
+from meshdeform_core.repair import RepairOptions
+from meshdeform_core.series import Schedule, deform_series
+from meshdeform_core.setup import set_up
+from meshdeform_formats.grids import read_grid, write_grid
+from meshdeform_formats.series.outputs import LevelFiles
+from meshdeform_formats.series.single import SingleFile
+
+TIMES = (0.0, 0.5, 2.0, 3.0)
+
+
+@pytest.fixture(autouse=True)
+def small_parts(monkeypatch):
+    """Blocks are cut although they are small; what a rank does not hold is no number."""
+    blank = parts.blank
+
+    def poison(shape, dtype):
+        array = blank(shape, dtype)
+        array[...] = np.nan if np.dtype(dtype).kind == "f" else 77
+        return array
+
+    monkeypatch.setattr(parts, "blank", poison)
+    monkeypatch.setattr(pieces, "_NODES", 20)
+    monkeypatch.setattr(pieces, "_CELLS", 2)
+    pieces._ends.cache_clear()
+    yield
+    pieces._ends.cache_clear()
+
+
+def same_files(tmp_path, count, act):
+    """``act(folder)`` writes the same files on several ranks as in one process; returns their folder."""
+    folders = [tmp_path / name for name in ("one", "ranks")]
+    for folder in folders:
+        folder.mkdir()
+    act(folders[0])
+
+    def on_rank(number):
+        with dividing():
+            act(folders[1])
+
+    on_ranks(count, on_rank)
+    one, two = ({path.relative_to(at): path.read_bytes() for path in at.rglob("*") if path.is_file()} for at in folders)
+    assert one
+    assert two == one
+    return folders[0]
+
+
+def reads_and_writes(source, suffix, variant=None):
+    def act(folder):
+        grid = read_grid(source)
+        write_grid(grid.moved(scaled(grid.points)), folder / f"out{suffix}", variant)
+
+    return act
+
+
+def scaled(points):
+    """Other coordinates, which are exact."""
+    result = parts.alike(points)
+    parts.for_rows(lambda rows: np.multiply(points[rows], 2.0, out=result[rows]), result)
+    return result
+
+
+def series_of(source, name, kind, velocity, options=None):
+    """Write all levels of a series, the last two of them again after a fresh start."""
+    case = Case(tuple(body_specs(turning("5*t"))), method=Options("idw-tfi"), repair=RepairOptions(mode="off"))
+
+    def act(folder):
+        grid = read_grid(source)
+        setup, schedule = set_up(grid, case), Schedule(TIMES, velocity=velocity)
+        files = kind(grid, folder, name, TIMES, options or {}, velocity)
+        for first in (0, 2):
+            finished = files.read if first else None
+            for level in deform_series(setup, schedule, files.variant.precision, None, first, finished):
+                files.write(level.number, level.result.grid, level.velocity, level.faces)
+                files.publish(level.number + 1)
+
+    return act
+
+
+@pytest.mark.parametrize(("source", "name", "kind"), [
+    ("grid.cgns", "wing.cgns", LevelFiles), ("grid.xyz", "wing.cgns", LevelFiles),
+    ("grid.cgns", "wing.cgns", SingleFile), ("grid.xyz", "wing.cgns", SingleFile),
+])  # fmt: skip
+@pytest.mark.parametrize("velocity", ["second", "swept"])
+def test_velocities_and_swept_volumes(source, name, kind, velocity, tmp_path):
+    write_grid(frame(5, 4), tmp_path / source)
+    same_files(tmp_path, 3, series_of(tmp_path / source, name, kind, velocity))
+
+
+@pytest.mark.parametrize("kind", [LevelFiles, SingleFile])
+def test_velocities_of_plane_grids_in_single_precision(kind, tmp_path):
+    write_grid(frame_2d(9), tmp_path / "grid.cgns")
+    body = replace(body_specs(turning("5*t"))[0], select=("*",))
+    case = Case((body,), method=Options("tfi"), repair=RepairOptions(mode="off"))
+
+    def act(folder):
+        grid = read_grid(tmp_path / "grid.cgns")
+        files = kind(grid, folder, "plane.cgns", TIMES, {"precision": "float32"}, "swept")
+        for level in deform_series(set_up(grid, case), Schedule(TIMES, velocity="swept"), "float32"):
+            files.write(level.number, level.result.grid, level.velocity, level.faces)
+        files.publish(len(TIMES))
+
+    same_files(tmp_path, 4, act)
+
+
+def test_level_files_without_velocities_in_one_file(tmp_path):
+    write_grid(frame(5, 4), tmp_path / "grid.xyz")
+    same_files(tmp_path, 2, series_of(tmp_path / "grid.xyz", "wing.cgns", SingleFile, "none", {"precision": "float32"}))
+
+
+@pytest.mark.parametrize("variant", [
+    {"encoding": "fortran"}, {"encoding": "fortran", "records": "plane"}, {"encoding": "binary", "byte_order": "big"},
+])  # fmt: skip
+def test_plot3d_with_iblank(variant, tmp_path):
+    shapes = [(9, 4, 5), (6, 7, 3)]
+    (tmp_path / "grid.xyz").write_bytes(binary_file(sample_blocks(shapes), sample_iblank(shapes), **variant))
+    options = {key: value for key, value in variant.items() if key == "records"}
+
+    def act(folder):
+        grid = read_grid(tmp_path / "grid.xyz", options)
+        assert all(field.blanks for field in grid.fields)
+        write_grid(grid, folder / "out.xyz")
+        write_grid(grid, folder / "new.cgns")
+
+    folder = same_files(tmp_path, 3, act)
+    assert (folder / "out.xyz").read_bytes() == (tmp_path / "grid.xyz").read_bytes()
+
+
+def test_one_of_several_blocks_has_iblank(tmp_path):
+    """The others are not blanked."""
+    grid = frame(3, 4)
+    flags = np.arange(np.prod(grid.shapes[1])).reshape(grid.shapes[1]) % 3
+    write_grid(replace(grid, fields=(Field("iblank", "node", 1, flags.astype(np.int32)),)), tmp_path / "grid.xyz")
+    read = read_grid(tmp_path / "grid.xyz")
+    np.testing.assert_array_equal(read.fields[1].values, flags)
+    assert all((field.values == 1).all() for n, field in enumerate(read.fields) if n != 1)
+    same_files(tmp_path, 3, reads_and_writes(tmp_path / "grid.xyz", ".xyz"))
+
+
+@pytest.mark.parametrize("blanked", [False, True])
+def test_a_sample_of_all_ranks_decides_between_several_readings(blanked, tmp_path):
+    """A plane with IBLANK or a flat block in space."""
+    shape = (9, 7, 1) if blanked else (1, 9, 7)
+    blocks, precision = sample_blocks([shape], "float32"), {"encoding": "binary", "precision": "float32"}
+    plane = {"dimension": 2} if blanked else {"multiblock": False}
+    data = binary_file(blocks, sample_iblank([shape]) if blanked else None, **precision, **plane)
+    (tmp_path / "grid.bin").write_bytes(data)
+    folder = same_files(tmp_path, 2, reads_and_writes(tmp_path / "grid.bin", ".bin"))
+    assert read_grid(folder / "out.bin").shapes == (shape,)
+
+
+def rind(whole):
+    arrays = [N(f"Coordinate{'XYZ'[c]}", "DataArray_t", whole[..., c]) for c in range(3)]
+    planes = N("Rind", "Rind_t", np.array([1, 2, 0, 0, 1, 0], np.int32))
+    inner = zone("z", whole[1:-2, :, 1:])
+    return replace(
+        inner, children=[inner["ZoneType"], N("GridCoordinates", "GridCoordinates_t", None, [planes, *arrays])]
+    )
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("dataset", [{}, {"chunks": True, "compression": "gzip"}], ids=["plain", "packed"])
+def test_cgns_with_rind_planes_and_packed_arrays(dataset, precision, tmp_path):
+    root = tree(rind(box(12, 5, 6)), zone("y", box(5, 4, 3)))
+    write_hdf5(tmp_path / "grid.cgns", root, dataset=dataset)
+    act = reads_and_writes(tmp_path / "grid.cgns", ".cgns", {"precision": precision})
+    folder = same_files(tmp_path, 3, act)
+    with h5py.File(folder / "out.cgns") as file:
+        stored = file["Base/z/GridCoordinates/CoordinateY/ data"]
+        expected = box(12, 5, 6)[..., 1].T.copy()
+        expected[1:, :, 1:-2] *= 2.0
+        np.testing.assert_allclose(stored[()], expected, rtol=1e-6)
+        assert stored.compression == dataset.get("compression")
+
+
+def test_values_of_a_field_are_not_taken_for_those_of_all_ranks(tmp_path):
+    shape = (9, 4, 5)
+    (tmp_path / "grid.xyz").write_bytes(binary_file(sample_blocks([shape]), sample_iblank([shape]), encoding="binary"))
+
+    def act(number):
+        with dividing():
+            (field,) = read_grid(tmp_path / "grid.xyz").fields
+        assert field.values.shape == shape
+        assert field.own.shape[0] < shape[0]
+        with pytest.raises(WholeGridNeeded, match="all values of a field"):
+            np.asarray(field.values)
+        return True
+
+    assert all(on_ranks(2, act))
+
+
+def test_a_rank_that_cannot_write_its_levels_stops_all(tmp_path, monkeypatch):
+    from meshdeform_formats.series import single
+
+    write_grid(frame(5, 4), tmp_path / "grid.xyz")
+    put = single._put
+
+    def full(*args):
+        if args[-1] > 0:
+            raise OSError(28, "No space left on device")
+        put(*args)
+
+    monkeypatch.setattr(single, "_put", full)
+    (tmp_path / "out").mkdir()
+
+    def act(number):
+        with dividing():
+            series_of(tmp_path / "grid.xyz", "wing.cgns", SingleFile, "none")(tmp_path / "out")
+
+    with pytest.raises(Failed, match=r"level_0000.npy: No space left"):
+        on_ranks(2, act)
