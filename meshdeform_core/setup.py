@@ -28,6 +28,7 @@ from .memory import UNLIMITED, MemoryLimit, release_freed
 from .methods import Options, PreparedMethod, Problem, Progress
 from .numerics.arrays import extent
 from .numerics.jit import compile_seconds
+from .parallel import own_rows
 from .quality import Original
 from .repair import Mode, RepairOptions
 from .repair.basis import Basis
@@ -121,7 +122,8 @@ class Undeformed:
         """The components of an overset grid, each a grid of its own; empty if the blocks form a single component."""
         memory = self.memory
         if self.grid.components:
-            memory = memory.after(self.grid.points.nbytes, "components as grids of their own")
+            low, high = own_rows(self.grid.points)
+            memory = memory.after(24 * (high - low), "components as grids of their own")
         return tuple(
             (each, Undeformed(each.grid, each.topology, boundary_of(each, self.boundary), memory, self.min_jacobian))
             for each in split(self.grid, self.topology)

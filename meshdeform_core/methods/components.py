@@ -7,6 +7,7 @@ import numpy as np
 from ..grid import FloatArray, IntArray
 from ..grid.connectivity.components import Component, assembled
 from ..notices import Notice, kind_of
+from ..parallel import alike, for_rows
 from .base import Account, PreparedMethod, Problem, Progress
 
 Prepared = PreparedMethod | None
@@ -45,14 +46,19 @@ class PreparedComponents:
         """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""
         moved = []
         for (component, _), method, rows in self.parts:
-            still = np.zeros(component.grid.points.shape)
-            moved.append((component, method.apply(displacement[rows], progress) if method else still))
+            moved.append((component, method.apply(displacement[rows], progress) if method else _still(component)))
         return assembled(self.problem.grid, moved)
 
     @property
     def parts(self) -> list[tuple[tuple[Component, Problem], Prepared, IntArray]]:
         """Each component with its problem, its method, and the rows of its sources among those of the whole grid."""
         return list(zip(self.problem.components, self.methods, self.sources, strict=True))
+
+
+def _still(component: Component) -> FloatArray:
+    found: FloatArray = alike(component.grid.points)
+    for_rows(lambda rows: found[rows].fill(0.0), found)
+    return found
 
 
 def account_of(accounts: dict[str, Account]) -> Account:

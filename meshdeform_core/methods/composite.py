@@ -15,7 +15,7 @@ from ..errors import MotionError
 from ..grid import FloatArray, IntArray
 from ..memory import release_freed
 from ..numerics.rows import put_rows, spread_rows, take_rows
-from ..parallel import Part, alike, for_chunks, for_rows, own_rows, require_whole, rows_of
+from ..parallel import Part, alike, for_chunks, for_rows, own_rows, rows_of
 from ..wording import vector
 from .base import Account, Interpolation, Mover, PreparedMethod, Problem, Progress
 from .beside_slip import BesideSlip
@@ -64,8 +64,8 @@ class Composite:
         periodic = free_periodic(problem)
         if periodic.size == 0:
             return PreparedComposite(self, problem)
-        require_whole(problem.grid.points, "periodic sides move")
-        first = _mover(self.mover, problem, np.sort(problem.topology.first[periodic]))
+        nodes, (low, high) = np.sort(problem.topology.first[periodic]), own_rows(problem.grid.points)
+        first = _mover(self.mover, problem, nodes[(nodes >= low) & (nodes < high)])
         guided = with_known_periodic(problem)
         return PreparedPeriodic(problem, first, PreparedComposite(self, guided), guided)
 

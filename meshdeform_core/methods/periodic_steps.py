@@ -12,7 +12,7 @@ import numpy as np
 
 from ..boundary import Kind
 from ..grid import FloatArray, IntArray
-from ..parallel import empty, for_rows
+from ..parallel import alike, for_rows
 from .base import Account, Mover, PreparedMethod, Problem, Progress
 
 
@@ -57,6 +57,6 @@ class PreparedPeriodic:
 
     def _on_faces(self, displacement: FloatArray, progress: Progress | None) -> FloatArray:
         """Displacement (n_unique, 3) of the periodic nodes; zero at other face nodes that are not sources."""
-        out = empty((self._problem.grid.n_nodes, 3))
+        out = alike(self._problem.grid.points)
         for_rows(lambda rows: out[rows].fill(0.0), out)
         return self._first.move(displacement, out, progress)

@@ -15,8 +15,10 @@ from hypothesis import strategies as st
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.expression import expression
+from meshdeform_core.boundary.motions.motion import Motion
 from meshdeform_core.deform import Case, deform
 from meshdeform_core.grid import Grid
+from meshdeform_core.grid.connectivity.components import BY_PREFIX
 from meshdeform_core.grid.dealing import bounds_of
 from meshdeform_core.grid.lattice import SideLattice
 from meshdeform_core.grid.near import NearNodes
@@ -41,6 +43,8 @@ METHODS = {
     "idw-exact": Options("idw", idw=IDW(summation="exact")),
     "idw-fast": Options("idw", idw=IDW(summation="fast")),
     "idw-division": Options("idw", idw=IDW(rotation="division", summation="fast")),
+    "idw-reweight-exact": Options("idw", idw=IDW(rotation="division", divisions=3, reweight=True, summation="exact")),
+    "idw-reweight-fast": Options("idw", idw=IDW(rotation="division", divisions=3, reweight=True, summation="fast")),
     "idw-tfi": Options("idw-tfi"),
     "rbf-exact": Options("rbf", rbf=RBF(summation="exact")),
     "rbf-fast": Options("rbf", rbf=RBF(summation="fast")),
@@ -246,6 +250,44 @@ def test_every_method_gives_the_same_bytes(name, count, tmp_path, small_pieces, 
     same_on_ranks(tmp_path, count, case_of(METHODS[name]))
 
 
+@pytest.mark.parametrize("name", ["tfi", "idw-exact", "idw-fast", "rbf-fast", "rbf-tfi-krylov", "idw-tfi-fast"])
+def test_periodic_sides_that_move_give_the_same_bytes(name, tmp_path, small_pieces, poisoned):
+    case = dataclasses.replace(case_of(METHODS[name]), boundaries=tuple(body_specs(turning(20), Kind.PERIODIC)))
+    same_on_ranks(tmp_path, 3, case)
+
+
+@pytest.mark.parametrize("angle", [60.0, 100.0])
+def test_repairs_between_periodic_sides_give_the_same_bytes(angle, tmp_path, small_pieces, small_ranges, poisoned):
+    swaying = formulas("0.05*sin(2*pi*z)", "0.0", "0.0")
+    motion = Motion((*swaying.steps, *turning(angle).steps), {})
+    case = dataclasses.replace(repaired(angle), boundaries=tuple(body_specs(motion, Kind.PERIODIC)))
+    assert same_on_ranks(tmp_path, 3, case, grid=frame(5, 4))[-1].newton_steps > 1
+
+
+def overset(**grids):
+    """Grids that overlap, as blocks called NAME.NUMBER of one grid, those of different ones in turn; and their
+    boundaries, of which the first and the third have moving walls."""
+    most = max(grid.n_blocks for grid in grids.values())
+    blocks = [(name, n) for n in range(most) for name, grid in grids.items() if n < grid.n_blocks]
+    specs = [
+        dataclasses.replace(spec, name=f"{name} {spec.name}", select=tuple(f"{name}.*.{p[2:]}" for p in spec.select))
+        for name in list(grids)[::2] for spec in body_specs(turning(20.0))
+    ]  # fmt: skip
+    whole = Grid.from_blocks([grids[name].block(n) for name, n in blocks], [f"{name}.{n + 1}" for name, n in blocks])
+    still = [BoundarySpec("still", (f"{list(grids)[1]}.*.*",), Kind.FIXED)]
+    return whole, tuple(specs + still)
+
+
+@pytest.mark.parametrize(
+    ("name", "repair"), [("tfi", "auto"), ("idw-tfi", "auto"), ("idw-fast", "off"), ("rbf-exact", "off")]
+)
+def test_components_of_overset_grids_give_the_same_bytes(name, repair, tmp_path, small_pieces, small_ranges, poisoned):
+    grid, specs = overset(bar=tapered(5, 4), bg=frame(5, 3), rod=frame(6, 5))
+    options = RepairOptions(mode=repair)
+    case = Case(specs, method=METHODS[name], components=BY_PREFIX, repair=options, open_faces=True)
+    same_on_ranks(tmp_path, 3, case, grid=grid)
+
+
 @pytest.mark.parametrize("axes", [(0, 1, 2), (0, 2, 1), (2, 0, 1)], ids=["ij", "ik", "jk"])
 @pytest.mark.parametrize("name", METHODS)
 def test_plane_grids_give_the_same_bytes(name, axes, tmp_path, small_pieces, poisoned):
@@ -449,8 +491,6 @@ def block_in_parts(source):
 def test_what_takes_the_whole_grid_says_so(tmp_path, monkeypatch):
     idw = METHODS["idw-tfi"]
     assert refused(tmp_path, 2, frame(), case_of(Options("idw-rbf"))) == "RBF inside of blocks"
-    periodic = dataclasses.replace(case_of(idw), boundaries=tuple(body_specs(turning(5), Kind.PERIODIC)))
-    assert refused(tmp_path, 2, frame(3, 4), periodic) == "periodic sides move"
     monkeypatch.setattr(plausible, "_SAMPLE", 2)
     assert refused(tmp_path, 2, frame(), case_of(idw)) == "a sample of its nodes lies on one line"
     monkeypatch.undo()

@@ -13,9 +13,10 @@ import numpy as np
 from ...errors import CaseError, suggestion
 from ...numerics.arrays import BoolArray, FloatArray, IntArray
 from ...numerics.geometry.coincidence import coincident_groups, distinct, equal_rows
-from ...parallel import empty
+from ...parallel import Part, alike, empty
 from ...wording import listed
 from ..blocks import Grid
+from ..near import NearNodes
 from ..topology import RELATIVE_TOLERANCE, FaceQuads, Topology
 
 BY_PREFIX = "zone prefix"
@@ -92,26 +93,29 @@ class Component:
     quads: IntArray
 
     def rows(self, whole: Grid, values: FloatArray) -> FloatArray:
-        """The component's rows of ``values`` (n_nodes, 3) of the whole grid."""
-        return _copied(self.grid, lambda block: whole.block(int(self.blocks[block]), values))
+        """The component's rows of ``values`` (n_nodes, 3) of the whole grid, in parts if it is."""
+        return _copied(self.grid, lambda block: whole.in_planes(int(self.blocks[block]), values))
 
 
 def assembled(whole: Grid, parts: Sequence[tuple[Component, FloatArray]]) -> FloatArray:
     """Values (n_nodes, 3) of the whole grid from those of all of its components."""
     places = {int(b): (part, n) for part in parts for n, b in enumerate(part[0].blocks)}
 
-    def block(number: int) -> FloatArray:
+    def planes(number: int) -> FloatArray:
         (component, values), place = places[number]
-        return component.grid.block(place, values)
+        return component.grid.in_planes(place, values)
 
-    return _copied(whole, block)
+    return _copied(whole, planes)
 
 
-def _copied(grid: Grid, block: Callable[[int], FloatArray]) -> FloatArray:
-    """A new array (n_nodes, 3) filled with the values ``block(b)`` (ni, nj, nk, 3) of every block of a grid."""
-    found: FloatArray = empty((grid.n_nodes, 3))
+def _copied(grid: Grid, planes: Callable[[int], FloatArray]) -> FloatArray:
+    """A new array (n_nodes, 3) filled with the values ``planes(b)`` (i, nj, nk, 3) of this rank's planes of every
+    block of a grid."""
+    found: FloatArray = alike(grid.points)
     for number in range(grid.n_blocks):
-        grid.block(number, found)[...] = block(number)
+        grid.in_planes(number, found)[...] = planes(number)
+    if isinstance(found, Part):
+        found.keep_like(grid.points)
     return found
 
 
@@ -126,9 +130,7 @@ def split(grid: Grid, topology: Topology) -> tuple[Component, ...]:
 def _component(grid: Grid, topology: Topology, name: str, number: int) -> Component:
     member = grid.component_numbers == number
     blocks = np.flatnonzero(member)
-    alone = Grid.from_blocks(
-        [grid.block(int(b)) for b in blocks], [grid.names[b] for b in blocks], format=grid.format, path=grid.path
-    )
+    alone = _alone(grid, blocks)
     quads, faces = np.flatnonzero(member[topology.quads.block_side // 6]), topology.quads
     own = np.flatnonzero(member[_blocks_of(grid, topology.face_nodes)])
     numbers = np.unique(topology.number[own])
@@ -151,6 +153,24 @@ def _component(grid: Grid, topology: Topology, name: str, number: int) -> Compon
         0,
     )
     return Component(name, blocks, alone, own_topology, numbers, quads)
+
+
+def _alone(grid: Grid, blocks: IntArray) -> Grid:
+    """Some blocks, ascending, as a grid of their own; of a grid in parts, every rank holds what it held before."""
+    shapes, names = tuple(grid.shapes[b] for b in blocks), tuple(grid.names[b] for b in blocks)
+    sizes, points = np.prod(shapes, axis=1), grid.points
+    rows: FloatArray
+    if isinstance(points, Part):
+        bounds = np.clip(points.bounds[:, None] - grid.offsets[blocks], 0, sizes).sum(axis=1)
+        rows = Part(points.ranks, bounds, (int(sizes.sum()), 3), np.float64)
+    else:
+        rows = empty((int(sizes.sum()), 3))
+    alone = Grid(rows, shapes, names, format=grid.format, path=grid.path)
+    for number, block in enumerate(blocks.tolist()):
+        alone.in_planes(number)[...] = grid.in_planes(block)
+    if isinstance(rows, Part):
+        rows.keep(NearNodes.of(shapes, alone.offsets))
+    return alone
 
 
 def _blocks_of(grid: Grid, flat: IntArray) -> IntArray:

@@ -10,7 +10,7 @@ from ...numerics.fastsum.clusters.tree import build_tree
 from ...numerics.fastsum.weighted.sums import FastSums, Summands
 from ...numerics.rigid import finish
 from ...numerics.rows import put_rows, take_rows
-from ...parallel import apart, rows_of
+from ...parallel import alike, apart, own_rows, rows_of
 from ..base import Account, Progress, of_stage
 from .idw_sums import Bound, ExactEvaluator, SourceValues, Weighed
 from .summation import largest_error, sum_accurately
@@ -55,9 +55,11 @@ class FastEvaluator:
         """Write displacements to ``out``; return the last targets and an error bound for each brick, up to a factor."""
         report = of_stage(progress, "idw")
         bound, sums, points = self.bound, self._sums, self.bound.points
+        own = slice(*own_rows(bound.grid.points))
         for step, sources in enumerate(fit.path):
             if step:
-                points = bound.points.copy()
+                points = rows_of(alike(bound.grid.points))
+                points[own] = bound.points[own]
                 points[bound.flat] += out[bound.flat] - fit.frame.shift
                 sums = self._sorted(sources + fit.origin, points)
                 sums.share = self._sums.share

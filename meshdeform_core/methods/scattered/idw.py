@@ -15,7 +15,7 @@ from ...numerics.frame import AT_REST, Frame
 from ...numerics.paper.division import division_path
 from ...numerics.rigid import NO_TRANSITION
 from ...numerics.tape import plain
-from ...parallel import of_all, require_whole
+from ...parallel import of_all
 from ...wording import literal
 from ..base import Account, Problem, Progress, Setting
 from ..limits import LARGEST_ROTATION, PLAIN_ROTATION, warn_of_alpha, warn_of_rotation
@@ -325,8 +325,6 @@ class PreparedIDW:
         """Bind to the target nodes ``flat``."""
         o, grid, room = self.options, self._problem.grid, self._problem.memory.size // _KEPT
         bound = Bound(grid, flat, self.points, self.strength, self.groups, o.rotation, o.divisions, o.reweight, room)
-        if o.reweight:
-            require_whole(grid.points, "weights are computed again in every step")
         n_targets = sum(of_all(grid.points, len(flat)))
         fast, self.account.settings["summation"] = fast_pays(o.summation, n_targets, len(self.points))
         if not fast:
