@@ -46,6 +46,14 @@ class LonelyRank(OneRank):
         found[ends[self.number] : ends[self.number + 1]] = own
         return found
 
+    def swap(self, sends, receives):
+        """Planes beside its own continue these linearly, so that the cells between them are sound."""
+        for other, wanted in receives.items():
+            if len(wanted):
+                own, size = sends[other], len(wanted)
+                near, next_one = (own[:size], own[size:]) if other < self.number else (own[-size:], own[: -size])
+                wanted[:] = 2 * near - (next_one[:size] if other < self.number else next_one[-size:])
+
 
 class Box(Part):
     """Coordinates of the box, of which every row can be computed."""
