@@ -51,7 +51,7 @@ class LonelyRank(OneRank):
         for other, wanted in receives.items():
             if len(wanted):
                 own, size = sends[other], len(wanted)
-                near, next_one = (own[:size], own[size:]) if other < self.number else (own[-size:], own[: -size])
+                near, next_one = (own[:size], own[size:]) if other < self.number else (own[-size:], own[:-size])
                 wanted[:] = 2 * near - (next_one[:size] if other < self.number else next_one[-size:])
 
 

@@ -13,7 +13,8 @@ from functools import cached_property
 import numpy as np
 
 from ..numerics.arrays import BoolArray, batches, runs, spans
-from ..numerics.geometry.coincidence import coincident_groups, coincident_within, distinct, equal_rows
+from ..numerics.geometry.coincidence import ascending, coincident_groups, coincident_within, equal_rows, integers
+from ..parallel import empty
 from .blocks import FloatArray, Grid, IntArray
 from .handedness import block_handedness, index_order
 from .parts import Shape, Side
@@ -23,6 +24,8 @@ RELATIVE_TOLERANCE = 1e-3
 
 _TOGETHER = 100_000
 """Nodes whose edges are measured at a time: few enough for the processor's cache."""
+_MATCHED = 1_000_000
+"""Unique nodes whose quads are compared at a time, which bounds the memory."""
 COLLAPSED = -2
 EXTERNAL = -1
 
@@ -30,6 +33,8 @@ EXTERNAL = -1
 @dataclass(frozen=True)
 class FaceQuads:
     """All cell faces on all block faces; in a 2-D grid the cell edges on all block edges.
+
+    Arrays with a row per quad have 32-bit integers below 2^31 rows: cast them before multiplying.
 
     Attributes
     ----------
@@ -60,7 +65,8 @@ class FaceQuads:
         quad = self.start.ravel()[side] + a * counts[..., 1] + b
         last = self.corners.shape[1] - 1
         corner = np.where(u > a, 1 + (v > b), last * (v > b))
-        return np.asarray(self.corners[quad, np.where(self.in_order.ravel()[side], corner, last - corner)])
+        found = self.corners[quad, np.where(self.in_order.ravel()[side], corner, last - corner)]
+        return np.asarray(found, dtype=np.int64)
 
     def by_side(self, quads: IntArray) -> list[tuple[int, IntArray]]:
         """Quads grouped by block side: ``6 * block + side`` and the quads on it, in their order."""
@@ -79,14 +85,15 @@ class FaceQuads:
     def block_side(self) -> IntArray:
         """``6 * block + side`` of every quad, (n_quads,)."""
         sizes = self.counts.prod(axis=2).ravel()
-        return np.repeat(np.arange(sizes.size), sizes)
+        return _kept(np.repeat(np.arange(sizes.size, dtype=integers(sizes.size)), sizes))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Topology:
     """Nodes and faces of a grid with coincident nodes identified.
 
-    Only nodes on block faces can coincide with others. They carry *unique node numbers* ``0 ... n_unique - 1``.
+    Only nodes on block faces can coincide with others. They carry *unique node numbers* ``0 ... n_unique - 1``, in
+    ``number``, ``partner`` and the corners of ``quads`` with 32 bits where these suffice: cast them before multiplying.
 
     Attributes
     ----------
@@ -123,7 +130,7 @@ class Topology:
 
     def numbers_of(self, flat: IntArray) -> IntArray:
         """Unique node numbers of flat indices, which must lie on block faces."""
-        return self.number[np.searchsorted(self.face_nodes, flat)]
+        return self.number[np.searchsorted(self.face_nodes, flat)].astype(np.int64)
 
     def opened(self, quads: IntArray) -> Topology:
         """The topology with shared ``quads`` and their partners declared external (two-sided walls)."""
@@ -144,20 +151,49 @@ def find_topology(grid: Grid, tolerance: float = RELATIVE_TOLERANCE) -> Topology
     tolerance : largest distance between coincident nodes relative to the shortest edge at either of them
     """
     sides = np.flatnonzero(grid.sides.has_quads)
-    flat = grid.sides.all_nodes(sides)[3]
-    face_nodes = distinct(flat, grid.n_nodes)
-    rows = np.searchsorted(face_nodes, flat)
+    face_nodes, rows = _face_nodes(grid, sides)
     edge = _shortest_edges(grid, sides, rows, face_nodes)
-    number = _coincident(grid, face_nodes, tolerance * edge)
+    number = _kept(_coincident(grid, face_nodes, tolerance * edge))
     n_unique = int(number.max()) + 1
-    first = np.empty(n_unique, dtype=np.int64)
+    first = empty((n_unique,), "int64")
     first[number[::-1]] = face_nodes[::-1]
-    unique_edge = np.full(n_unique, np.inf)
+    unique_edge = empty((n_unique,), "float64")
+    unique_edge[:] = np.inf
     np.minimum.at(unique_edge, number, edge)
+    del edge
     handedness = block_handedness(grid)
-    quads = _face_quads(grid, sides, number[rows], handedness)
-    partner, crowded = _partners(quads.corners, np.bincount(number) > 1)
+    quads = _face_quads(grid, sides, rows, number, handedness)
+    del rows
+    partner, crowded = _partners(quads.corners, np.bincount(number, minlength=n_unique) > 1)
     return Topology(face_nodes, number, first, unique_edge, quads, partner, handedness, crowded)
+
+
+def _kept(array: np.ndarray) -> np.ndarray:
+    """The array, in a file where large arrays are stored in files."""
+    found = empty(array.shape, array.dtype)
+    found[...] = array
+    return np.asarray(found)
+
+
+def _face_nodes(grid: Grid, sides: IntArray) -> tuple[IntArray, IntArray]:
+    """Flat indices of all nodes on block faces, ascending, and the place among them of every node of the ``sides``.
+
+    A few blocks at a time, as their nodes follow each other in the grid.
+    """
+    sizes = grid.sides.nodes[sides].prod(axis=1)
+    blocks = np.searchsorted(sides, 6 * np.arange(grid.n_blocks + 1))
+    ends = np.append(0, np.cumsum(sizes))[blocks]
+    rows = empty((int(ends[-1]),), integers(int(ends[-1])))
+    found, count = [], 0
+    for lo, hi in batches(np.diff(ends), _TOGETHER):
+        flat = grid.sides.all_nodes(sides[blocks[lo] : blocks[hi]])[3]
+        nodes = ascending(flat)
+        rows[ends[lo] : ends[hi]] = count + np.searchsorted(nodes, flat)
+        found.append(nodes)
+        count += len(nodes)
+    face_nodes = empty((count,), "int64")
+    np.concatenate(found, out=face_nodes)
+    return face_nodes, rows
 
 
 def _coincident(grid: Grid, face_nodes: IntArray, tolerance: FloatArray) -> IntArray:
@@ -241,8 +277,9 @@ def _sound_square(edge: FloatArray, epsilon: float, one: FloatArray, two: FloatA
     return np.asarray(square)
 
 
-def _face_quads(grid: Grid, sides: IntArray, numbers: IntArray, handedness: IntArray) -> FaceQuads:
-    """The quads of all sides, from the unique ``numbers`` of the nodes of all ``sides`` that have quads."""
+def _face_quads(grid: Grid, sides: IntArray, rows: IntArray, number: IntArray, handedness: IntArray) -> FaceQuads:
+    """The quads of all sides; ``rows`` are the places of the nodes of all ``sides`` that have quads, see
+    :func:`_face_nodes`, and ``number`` their unique numbers."""
     lattice = grid.sides
     counts = np.where(lattice.has_quads[:, None], lattice.cells, 0)
     sizes = counts.prod(axis=1)
@@ -250,18 +287,21 @@ def _face_quads(grid: Grid, sides: IntArray, numbers: IntArray, handedness: IntA
     nodes = lattice.nodes[sides].prod(axis=1)
     first = np.zeros(len(sizes), dtype=np.int64)
     first[sides] = np.cumsum(nodes) - nodes
-    side, local = spans(sizes)
-    u, v = np.divmod(local, counts[side, 1])
-    width, in_order = lattice.nodes[side, 1], index_order(grid, handedness)
-    ordered = in_order.ravel()[side]
-    at = first[side] + u * width + v
-    if grid.dimension == 2:
-        ends = [at, at + np.where(lattice.nodes[side, 0] > 1, width, 1)]
-    else:
-        ends = [at, at + width, at + width + 1, at + 1]
-    corners = np.empty((len(at), len(ends)), dtype=np.int64)
-    for column, other in zip(range(len(ends)), reversed(range(len(ends))), strict=True):
-        corners[:, column] = numbers[np.where(ordered, ends[column], ends[other])]
+    in_order = index_order(grid, handedness)
+    corners = empty((int(sizes.sum()), 2 if grid.dimension == 2 else 4), number.dtype)
+    for lo, hi in batches(sizes, _TOGETHER):
+        side, local = spans(sizes[lo:hi])
+        side += lo
+        u, v = np.divmod(local, counts[side, 1])
+        width, ordered = lattice.nodes[side, 1], in_order.ravel()[side]
+        at = first[side] + u * width + v
+        if grid.dimension == 2:
+            ends = [at, at + np.where(lattice.nodes[side, 0] > 1, width, 1)]
+        else:
+            ends = [at, at + width, at + width + 1, at + 1]
+        own = corners[start[lo] : start[lo] + len(at)]
+        for column, other in zip(range(len(ends)), reversed(range(len(ends))), strict=True):
+            own[:, column] = number[rows[np.where(ordered, ends[column], ends[other])]]
     return FaceQuads(start.reshape(-1, 6), counts.reshape(-1, 6, 2), corners, in_order)
 
 
@@ -269,15 +309,22 @@ def _partners(corners: IntArray, shared: np.ndarray) -> tuple[IntArray, int]:
     """Partner of every quad, and the number of quads that more than two blocks share.
 
     ``shared`` (n_unique,): nodes that several blocks have in common. Only quads whose corners are shared, all but one
-    for collapsed ones, need to be sorted.
+    for collapsed ones, need to be compared, and only with those that have the same smallest corner.
     """
+    smallest = np.full(len(corners), len(shared), dtype=corners.dtype)
     count = np.zeros(len(corners), dtype=np.int8)
     for column in corners.T:
         count += shared[column]
-    some = np.flatnonzero(count >= (3 if corners.shape[1] == 4 else 2))
-    partner = np.full(len(corners), EXTERNAL, dtype=np.int64)
-    found, crowded = _partners_of(corners[some])
-    partner[some] = np.where(found >= 0, some[np.maximum(found, 0)], found)
+        np.minimum(smallest, column, out=smallest)
+    smallest[count < (3 if corners.shape[1] == 4 else 2)] = len(shared)
+    partner = empty((len(corners),), integers(len(corners)))
+    partner[:] = EXTERNAL
+    crowded = 0
+    for low in range(0, len(shared), _MATCHED):
+        some = np.flatnonzero((smallest >= low) & (smallest < min(low + _MATCHED, len(shared))))
+        found, more = _partners_of(corners[some])
+        partner[some] = np.where(found >= 0, some[np.maximum(found, 0)], found)
+        crowded += more
     return partner, crowded
 
 

@@ -22,9 +22,12 @@ from ..grid.topology import Topology, inward_step, side_nodes
 from ..memory import UNLIMITED, MemoryLimit
 from ..notices import Notice
 from ..numerics.arrays import distinct_pairs, places_among, total
-from ..numerics.geometry.coincidence import distinct
+from ..numerics.geometry.coincidence import distinct, integers
 from ..numerics.geometry.vectors import face_sizes
 from ..numerics.rotation import SurfaceRotations
+
+_FACES = 250_000
+"""Faces whose areas are computed at a time, which bounds the memory."""
 
 Progress = Callable[[str, int, int], None]
 """``progress(stage, done, total)``; called only by the thread that started the computation."""
@@ -99,14 +102,15 @@ class Problem:
         area = nodal_area(self.source_points, self.source_faces)
         return Surface(area, *_rings(self._between_sources(self.boundary.quad_kind == Kind.MOVING)))
 
-    @cached_property
+    @property
     def source_faces(self) -> IntArray:
         """Corners (m, 4), in 2-D (m, 2), of all faces between sources; indices refer to sources."""
         every = self._between_sources(self.boundary.quad_kind >= Kind.FIXED)
         return np.asarray(every[(every >= 0).all(axis=1)])
 
     def _between_sources(self, chosen: BoolArray) -> IntArray:
-        local = places_among(self.source_numbers, self.topology.n_unique)
+        count = self.topology.n_unique
+        local = places_among(self.source_numbers, count).astype(integers(count))
         return np.asarray(local[self.topology.quads.corners[chosen]])
 
     @cached_property
@@ -143,8 +147,12 @@ class Problem:
 
 def nodal_area(points: FloatArray, quads: IntArray) -> FloatArray:
     """Nodal areas (n,) of the corners of ``quads``, see :class:`Surface`."""
-    share = np.repeat(face_sizes(points[quads]) / quads.shape[1], quads.shape[1])
-    return np.bincount(quads.ravel(), share, minlength=len(points)).astype(np.float64)
+    area, sides = np.zeros(len(points)), quads.shape[1]
+    for lo in range(0, len(quads), _FACES):
+        some = quads[lo : lo + _FACES]
+        share = np.repeat(face_sizes(points[some]) / sides, sides)
+        area = area + np.bincount(some.ravel(), share, minlength=len(points))
+    return area
 
 
 def _rings(quads: IntArray) -> tuple[IntArray, IntArray]:

@@ -130,6 +130,6 @@ def distinct_pairs(pairs: IntArray) -> IntArray:
         return pairs
     base = int(pairs.max()) + 1
     # numpy.unique hashes integers, which takes longer.
-    keys = np.sort(pairs[:, 0] * base + pairs[:, 1])
+    keys = np.sort(pairs[:, 0].astype(np.int64) * base + pairs[:, 1])
     new = np.append(True, keys[1:] != keys[:-1])
-    return np.stack(np.divmod(keys[new], base), axis=1)
+    return np.stack(np.divmod(keys[new], base), axis=1).astype(pairs.dtype, copy=False)

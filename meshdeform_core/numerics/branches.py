@@ -37,6 +37,11 @@ def nearest_branch(vectors: FloatArray, reference: FloatArray) -> FloatArray:
     return vectors + (_FULL * turns)[:, None] * axis
 
 
+def is_ambiguous(vectors: FloatArray) -> bool:
+    """Whether any rotation vector (n, 3) is long enough to be opposite to those of its neighbours."""
+    return bool((lengths(vectors) > _CERTAIN).any())
+
+
 def continuous(vectors: FloatArray, pairs: IntArray) -> FloatArray:
     """Rotation vectors (n, 3) of the same rotations that are continuous along every connected surface.
 
@@ -49,9 +54,9 @@ def continuous(vectors: FloatArray, pairs: IntArray) -> FloatArray:
     """
     if isinstance(vectors, Tracked):
         return nearest_branch(vectors, continuous(plain(vectors), pairs))
-    angle = lengths(vectors)
-    if not len(pairs) or not (angle > _CERTAIN).any():
+    if not len(pairs) or not is_ambiguous(vectors):
         return vectors
+    angle = lengths(vectors)
     label = connected_components(len(vectors), pairs)
     turning = np.unique(label[angle > _CERTAIN])
     rows = np.flatnonzero(np.isin(label, turning))

@@ -5,15 +5,18 @@ Rotation vectors are (n, 3) in radians, matrices (n, 3, 3), unit quaternions (n,
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from .arrays import BoolArray, FloatArray, IntArray, lengths
-from .branches import continuous, nearest_branch
+from .branches import continuous, is_ambiguous, nearest_branch
 from .tape import Tracked, plain
 
+_TOGETHER = 200_000
+"""Corners and edges whose vectors are computed at a time, which bounds the memory."""
 SHARP = 0.9
 """Length of the mean unit normal at a node below which its faces form a sharp edge."""
 
@@ -28,9 +31,9 @@ class SurfaceRotations:
     Parameters
     ----------
     points : (n, 3) undeformed node positions
-    corners : (c, 3) int64: node, next and previous node of the face, for every face corner; in 2-D (c, 2): the two end
-        nodes of every edge of the curve
-    edges : (e, 2) int64: node and neighbour, each neighbour once (unused in 2-D)
+    corners : (c, 3) integers: node, next and previous node of the face, for every face corner; in 2-D (c, 2): the two
+        end nodes of every edge of the curve
+    edges : (e, 2) integers: node and neighbour, each neighbour once (unused in 2-D)
     plane_normal : unit normal of the plane of a 2-D grid
     """
 
@@ -38,7 +41,7 @@ class SurfaceRotations:
         self, points: FloatArray, corners: IntArray, edges: IntArray, plane_normal: FloatArray | None = None
     ) -> None:
         self._points, self._corners, self._edges, self._plane_normal = points, corners, edges, plane_normal
-        self._last: tuple[FloatArray, FloatArray, FloatArray] | None = None
+        self._last: _Turned | None = None
         self._moved: tuple[BoolArray, _Part] | None = None
 
     @cached_property
@@ -56,26 +59,42 @@ class SurfaceRotations:
         Signs are continuous between neighbours: scalar parts are negative where :meth:`vectors` are longer than pi.
         The last result is kept, as methods, warnings and reports all need it for the same displacement.
         """
-        return self._of(displacement)[0].copy()
+        if isinstance(displacement, Tracked):
+            return self._differentiated(displacement)[0]
+        turned, found = self._of(displacement), np.zeros((len(displacement), 4))
+        found[:, 0] = 1.0
+        found[turned.rows] = turned.quaternions
+        return found
 
     def vectors(self, displacement: FloatArray) -> FloatArray:
         """Rotation vectors (n, 3) of :meth:`quaternions`, radians, continuous along every surface."""
-        return self._of(displacement)[1].copy()
-
-    def _of(self, displacement: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Quaternions and rotation vectors."""
         if isinstance(displacement, Tracked):
-            return self._differentiated(displacement)
-        if self._last is None or not np.array_equal(self._last[0], displacement):
-            found = np.tile([1.0, 0.0, 0.0, 0.0], (len(displacement), 1))
-            part = self._part_moved_by(displacement)
-            if part.turning.size:
-                surface, inside = part.surface, displacement[part.nodes]
-                found[part.nodes[part.turning]] = surface._fitted(surface._points + inside)[part.turning]
-            vectors = continuous(rotation_vector(found), neighbours(self._corners, self._edges, self._plane_normal))
+            return self._differentiated(displacement)[1]
+        turned, found = self._of(displacement), np.zeros((len(displacement), 3))
+        found[turned.rows] = turned.vectors
+        return found
+
+    def _of(self, displacement: FloatArray) -> _Turned:
+        """The rotations of the nodes that turn, few of those at rest."""
+        part = self._part_moved_by(displacement)
+        inside, last = displacement[part.nodes], self._last
+        if last is None or last.part is not part or not np.array_equal(last.displacement, inside):
+            rows = part.nodes[part.turning]
+            found = np.empty((0, 4))
+            if rows.size:
+                found = part.surface._fitted(part.surface._points + inside)[part.turning]
+            vectors = self._continuous(rotation_vector(found), rows)
             found[lengths(vectors) > np.pi] *= -1.0
-            self._last = displacement.copy(), found, vectors
-        return self._last[1:]
+            self._last = last = _Turned(part, inside, rows, found, vectors)
+        return last
+
+    def _continuous(self, vectors: FloatArray, rows: IntArray) -> FloatArray:
+        """:func:`.branches.continuous` for the rotation vectors of some ``rows``; the other nodes do not turn."""
+        if not is_ambiguous(vectors):
+            return vectors
+        whole = np.zeros((len(self._points), 3))
+        whole[rows] = vectors
+        return continuous(whole, neighbours(self._corners, self._edges, self._plane_normal))[rows]
 
     def _differentiated(self, displacement: Tracked) -> tuple[FloatArray, FloatArray]:
         """:meth:`_of` with derivatives; nodes at rest are included, as they turn once they or their neighbours move."""
@@ -104,7 +123,7 @@ class SurfaceRotations:
         sides = edges[turning[edges[:, 0]]]
         needed[corners[chosen]] = True
         needed[sides] = True
-        nodes, number = np.flatnonzero(needed), np.cumsum(needed) - 1
+        nodes, number = np.flatnonzero(needed), np.cumsum(needed, dtype=corners.dtype) - 1
         part = SurfaceRotations(self._points[nodes], number[corners[chosen]], number[sides], self._plane_normal)
         return _Part(part, nodes, np.flatnonzero(turning[nodes]))
 
@@ -113,12 +132,26 @@ class SurfaceRotations:
         first = _aligning(self._normals, normals, self._plane_normal)
         if self._plane_normal is not None:
             return first
-        arm = rotate(first[edges[:, 0]], before[edges[:, 1]] - before[edges[:, 0]])
-        target = after[edges[:, 1]] - after[edges[:, 0]]
-        normal = normals[edges[:, 0]]
-        arm, target = (v - normal * _dot(normal, v)[:, None] for v in (arm, target))
-        angle = np.arctan2(_dot(normal, np.cross(arm, target)), _dot(arm, target))
+
+        def turned(some: IntArray) -> FloatArray:
+            here, there = some.T
+            arm, target, normal = (
+                rotate(first[here], before[there] - before[here]),
+                after[there] - after[here],
+                normals[here],
+            )
+            arm, target = (v - normal * _dot(normal, v)[:, None] for v in (arm, target))
+            return np.arctan2(_dot(normal, np.cross(arm, target)), _dot(arm, target))
+
+        angle = _in_turns(turned, edges, after)
         return multiply(_quaternion(normals, _mean_angles(angle, edges[:, 0], len(before))), first)
+
+
+def _in_turns(compute: Callable[[IntArray], FloatArray], rows: IntArray, x: FloatArray) -> FloatArray:
+    """``compute(rows)``, a value for each row, a few at a time; all at once if ``x`` records derivatives."""
+    if isinstance(x, Tracked) or len(rows) <= _TOGETHER:
+        return compute(rows)
+    return np.concatenate([compute(rows[lo : lo + _TOGETHER]) for lo in range(0, len(rows), _TOGETHER)])
 
 
 def _mean_angles(angle: FloatArray, node: IntArray, n: int) -> FloatArray:
@@ -143,6 +176,16 @@ class _Part(NamedTuple):
     surface: SurfaceRotations
     nodes: IntArray
     turning: IntArray
+
+
+class _Turned(NamedTuple):
+    """Rotations of the nodes ``rows`` of a surface, for a ``displacement`` of the nodes of a part of it."""
+
+    part: _Part
+    displacement: FloatArray
+    rows: IntArray
+    quaternions: FloatArray
+    vectors: FloatArray
 
 
 def near_sharp_edges(
@@ -170,8 +213,11 @@ def smoothed(q: FloatArray, vectors: FloatArray, pairs: IntArray, rounds: int) -
     """Rotations smoothed ``rounds`` times: the nodes ``pairs[:, 0]`` take the mean of their own and their neighbours'
     mean quaternion.
 
-    Takes and returns the rotations both as quaternions (n, 4) and as vectors (n, 3), of corresponding signs.
+    Takes and returns the rotations both as quaternions (n, 4) and as vectors (n, 3), of corresponding signs; without
+    pairs, those given.
     """
+    if not len(pairs):
+        return q, vectors
     here, there = pairs.T
     nodes, place = np.unique(here, return_inverse=True)
     count = np.bincount(place)[:, None]
@@ -197,9 +243,8 @@ def _node_normals(x: FloatArray, corners: IntArray, plane_normal: FloatArray | N
 def _sum_of_normals(x: FloatArray, corners: IntArray, plane_normal: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     """Sum (n, 3) of the unit normals of the faces at each node, and their number (n,)."""
     if plane_normal is None:
-        node, following, previous = corners.T
-        normal = _unit(np.cross(_unit(x[following] - x[node]), _unit(x[previous] - x[node])))
-        owners = [node]
+        normal = _in_turns(lambda some: _corner_normals(x, some), corners, x)
+        owners = [corners[:, 0]]
     else:
         normal = np.cross(_unit(x[corners[:, 1]] - x[corners[:, 0]]), plane_normal)
         owners = [corners[:, 0], corners[:, 1]]
@@ -209,6 +254,11 @@ def _sum_of_normals(x: FloatArray, corners: IntArray, plane_normal: FloatArray |
         for axis in range(3):
             total[:, axis] += np.bincount(owner, normal[:, axis], minlength=len(x))
     return total, count
+
+
+def _corner_normals(x: FloatArray, corners: IntArray) -> FloatArray:
+    node, following, previous = corners.T
+    return _unit(np.cross(_unit(x[following] - x[node]), _unit(x[previous] - x[node])))
 
 
 def _aligning(start: FloatArray, end: FloatArray, plane_normal: FloatArray | None = None) -> FloatArray:

@@ -7,8 +7,10 @@ import pytest
 from grids import block_around, frame, frame_2d, permuted, polar
 
 from meshdeform_core.grid import Connection, Grid, Side
+from meshdeform_core.grid import topology as topology_module
 from meshdeform_core.grid.connectivity.declared import check_connections, connected_nodes
 from meshdeform_core.grid.connectivity.interfaces import find_interfaces
+from meshdeform_core.grid.connectivity.openings import find_openings
 from meshdeform_core.grid.topology import COLLAPSED, find_topology
 from meshdeform_core.numerics.geometry import coincidence
 from meshdeform_core.numerics.geometry.coincidence import close_pairs, coincident_groups
@@ -184,3 +186,40 @@ def test_many_points_have_the_close_pairs_of_few(monkeypatch):
     pairs = [set(map(tuple, np.sort(found, axis=1).tolist())) for found in (few, many)]
     assert pairs[0] == pairs[1]
     assert len(pairs[0]) > 1000
+
+
+def noisy_bricks():
+    """Eight blocks whose common nodes differ by noise, one of them too far from the others."""
+    random, grids = np.random.default_rng(5), []
+    for place in itertools.product((0, 1), repeat=3):
+        x = brick(place)
+        grids.append(x + 1e-6 * random.uniform(-1.0, 1.0, x.shape) + 0.02 * (place == (1, 1, 1)))
+    return Grid.from_blocks(grids)
+
+
+@pytest.mark.parametrize("make", [frame, frame_2d, polar, noisy_bricks])
+@pytest.mark.parametrize("window", [1, 7, 50])
+def test_topology_does_not_depend_on_how_much_is_done_at_a_time(make, window, monkeypatch):
+    grid = make()
+    whole = find_topology(grid)
+    monkeypatch.setattr(coincidence, "_WINDOW", window)
+    monkeypatch.setattr(topology_module, "_MATCHED", window)
+    monkeypatch.setattr(topology_module, "_TOGETHER", window)
+    found = find_topology(grid)
+    for name in ("face_nodes", "number", "first", "edge", "partner", "handedness"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(whole, name))
+    np.testing.assert_array_equal(found.quads.corners, whole.quads.corners)
+    assert found.crowded == whole.crowded
+    assert [opening.describe(grid) for opening in find_openings(grid, found)] == [
+        opening.describe(grid) for opening in find_openings(grid, whole)
+    ]
+
+
+def test_windows_reach_points_of_the_next_ones(monkeypatch):
+    random = np.random.default_rng(4)
+    points = np.repeat(random.uniform(0.0, 1.0, (200, 3)), 3, axis=0) + random.uniform(-1e-3, 1e-3, (600, 3))
+    tolerance = 0.05 * np.exp(random.uniform(-6.0, 0.0, 600))
+    whole = coincident_groups(points, tolerance)
+    monkeypatch.setattr(coincidence, "_WINDOW", 10)
+    np.testing.assert_array_equal(coincident_groups(points, tolerance), whole)
+    assert 1 < whole.max() < 500

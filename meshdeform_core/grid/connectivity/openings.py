@@ -160,7 +160,11 @@ def _near_partners(grid: Grid, topology: Topology, outside: IntArray) -> tuple[I
     for end in (one, two):
         np.maximum.at(gap, nodes[end], distance)
         np.maximum.at(relative, nodes[end], distance / np.minimum(edge[one], edge[two]))
-    paired = np.full(len(corners), -1)
+    paired = np.full(len(corners), -1, dtype=topology.partner.dtype)
+    # Without such nodes, outside quads with the same corners would be partners.
+    near = np.zeros(topology.n_unique, dtype=bool)
+    near[nodes[one]] = near[nodes[two]] = True
+    outside = outside[near[corners[outside]].any(axis=1)] if near.any() else outside[:0]
     rows = np.sort(label[corners[outside]], axis=1)
     sound = (np.diff(rows, axis=1) > 0).sum(axis=1) >= min(2, rows.shape[1] - 1)
     partner, _ = equal_rows(rows[sound])
@@ -211,46 +215,49 @@ class _Walls:
 
     Attributes
     ----------
+    grid, topology : to which they belong
     side : (m,) block sides
-    corners : (n, c, 3) of the quads of all sides
+    quads : (n,) of all sides
     start : (m + 1,) first quad of each
     low, high : (m, 3) their extent
     middle, edge : (k, 3), (k,) of the samples: mean of the corners, shortest edge
     sample : (m + 1,) first sample of each side
-    component : (n_blocks,) of the grid
     """
 
+    grid: Grid
+    topology: Topology
     side: IntArray
-    corners: FloatArray
+    quads: IntArray
     start: IntArray
     low: FloatArray
     high: FloatArray
     middle: FloatArray
     edge: FloatArray
     sample: IntArray
-    component: IntArray
 
     @classmethod
     def of(cls, grid: Grid, topology: Topology, quads: IntArray) -> _Walls:
         side = topology.quads.block_side[quads]
         first, last = runs(side)
-        corners = grid.points[topology.first[topology.quads.corners[quads]]]
-        low = np.minimum.reduceat(corners.min(axis=1), first)
-        high = np.maximum.reduceat(corners.max(axis=1), first)
+        low, high = np.empty((2, len(first), 3))
+        for lo, hi in batches(last - first, _TOGETHER):
+            corners = _corners(grid, topology, quads[first[lo] : last[hi - 1]])
+            low[lo:hi] = np.minimum.reduceat(corners.min(axis=1), first[lo:hi] - first[lo])
+            high[lo:hi] = np.maximum.reduceat(corners.max(axis=1), first[lo:hi] - first[lo])
         run, place = spread(last - first, _SAMPLES)
-        some = corners[first[run] + place]
+        some = _corners(grid, topology, quads[first[run] + place])
         edges = np.linalg.norm(some - np.roll(some, 1, axis=1), axis=2)
         edge = np.where(edges > 0, edges, np.inf).min(axis=1)
         sample = np.append(0, np.cumsum(np.bincount(run)))
         start, middle = np.append(first, len(quads)), some.mean(axis=1)
-        return cls(side[first], corners, start, low, high, middle, edge, sample, grid.component_numbers)
+        return cls(grid, topology, side[first], quads, start, low, high, middle, edge, sample)
 
     def candidates(self) -> IntArray:
         """Pairs (p, 2) of different sides where enough samples of the first lie in the bounding box of the second."""
         slack = 1e-6 * np.linalg.norm(self.high - self.low, axis=1)[:, None]
         pairs = overlapping_boxes((self.low - slack, self.high + slack), (self.low, self.high))
-        block = self.side[pairs] // 6
-        pairs = pairs[(pairs[:, 0] != pairs[:, 1]) & (self.component[block[:, 0]] == self.component[block[:, 1]])]
+        part = self.grid.component_numbers[self.side[pairs] // 6]
+        pairs = pairs[(pairs[:, 0] != pairs[:, 1]) & (part[:, 0] == part[:, 1])]
         counts = np.diff(self.sample)[pairs[:, 0]]
         enough = [self._within(pairs[lo:hi], counts[lo:hi]) >= _FEWEST for lo, hi in batches(counts, _TOGETHER)]
         return pairs[np.concatenate([np.empty(0, dtype=bool), *enough])]
@@ -273,10 +280,15 @@ class _Walls:
         edge = self.edge[sample]
         inside = self._inside(sample, np.full(len(sample), other))
         distance = np.full(len(sample), np.inf)
-        faces = self.corners[self.start[other] : self.start[other + 1]]
+        faces = _corners(self.grid, self.topology, self.quads[self.start[other] : self.start[other + 1]])
         distance[inside] = distance_to_faces(self.middle[sample[inside]], faces)
         hit = distance < _ABUTTING * edge
         # Two walls that meet at a sharp edge are close to each other at a few quads only.
         if hit.sum() < max(_FEWEST, 0.1 * len(sample)):
             return 0, 0.0, 0.0
         return int(hit.sum()), float(distance[hit].max()), float((distance / edge)[hit].max())
+
+
+def _corners(grid: Grid, topology: Topology, quads: IntArray) -> FloatArray:
+    """Coordinates (n, 4, 3), in 2-D (n, 2, 3), of the corners of face quads (n,)."""
+    return np.asarray(grid.points[topology.first[topology.quads.corners[quads]]])

@@ -97,10 +97,15 @@ def _enough(samples: int) -> float:
 
 def coincident_blocks(grid: Grid, topology: Topology) -> list[str]:
     """A message for each block all of whose face nodes are those of an earlier one: both lie in the same place."""
+    if grid.n_blocks == 1:
+        return []
     corners, first = topology.quads.corners, topology.quads.start[:, 0]
     # Equal sums and sums of squares of their unique numbers rule out nearly all other pairs.
-    sums = [np.add.reduceat((corners**power).sum(axis=1), first) for power in (1, 2)]
-    _, group = np.unique(np.stack(sums, axis=1), axis=0, return_inverse=True)
+    sums = np.zeros((2, grid.n_blocks), dtype=np.int64)
+    for column in corners.T:
+        sums[0] += np.add.reduceat(column, first, dtype=np.int64)
+        sums[1] += np.add.reduceat(np.multiply(column, column, dtype=np.int64), first)
+    _, group = np.unique(sums.T, axis=0, return_inverse=True)
     earlier: dict[int, list[int]] = {}
     pairs = []
     for block in np.flatnonzero(np.bincount(group.ravel())[group.ravel()] > 1).tolist():

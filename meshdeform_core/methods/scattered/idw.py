@@ -264,15 +264,18 @@ class PreparedIDW:
         frame = self._frame(d)
         # Once the common rotation is removed, half a turn of the whole boundary is no special case.
         inside = d if frame.turn is None else frame.relative(images.points, d)
-        q, w = np.tile([1.0, 0.0, 0.0, 0.0], (len(d), 1)), np.zeros((len(d), 3))
-        if self.options.rotation != "none":
+        if self.options.rotation == "none":
+            q, w = np.tile([1.0, 0.0, 0.0, 0.0], (len(d), 1)), np.zeros((len(d), 3))
+        else:
             found = self._rotations.quaternions(inside), self._rotations.vectors(inside)
             q, w = rot.smoothed(*found, self._blunt, self._rounds)
+            del found
         rest = frame.relative(images.points, d)
         # Frame-independent kinds are computed relative to the centroid, to reduce round-off.
         origin = np.zeros(3) if self.options.rotation in ("quaternion", "division") else self._problem.centroid
         start = images.points - origin
         values = motion_values(self.options.rotation, self.options.divisions, start, rest, q, w)
+        del q
         path = division_path(start, values, self.options.divisions) if self.options.reweight else (start,)
         turn = np.linalg.norm(w, axis=1)
         at_rest = np.flatnonzero((turn == 0.0) & ~d.any(axis=1))

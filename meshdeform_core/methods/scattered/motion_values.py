@@ -6,6 +6,10 @@ import numpy as np
 
 from ...grid import FloatArray
 from ...numerics import rotation as rot
+from ...numerics.tape import Tracked
+
+_TOGETHER = 100_000
+"""Sources whose motions are computed at a time, which bounds the memory."""
 
 
 def motion_values(
@@ -17,6 +21,18 @@ def motion_values(
     """
     if rotation == "none":
         return d.T.copy()
+    if isinstance(d, Tracked) or len(x) <= _TOGETHER:
+        return _values(rotation, divisions, x, d, q, w)
+    some = [slice(lo, lo + _TOGETHER) for lo in range(0, len(x), _TOGETHER)]
+    first = _values(rotation, divisions, x[some[0]], d[some[0]], q[some[0]], w[some[0]])
+    found = np.empty((len(first), len(x)))
+    found[:, some[0]] = first
+    for rows in some[1:]:
+        found[:, rows] = _values(rotation, divisions, x[rows], d[rows], q[rows], w[rows])
+    return found
+
+
+def _values(rotation: str, divisions: int, x: FloatArray, d: FloatArray, q: FloatArray, w: FloatArray) -> FloatArray:
     turned = rot.rotate(q, x) - x
     translation = d - turned
     if rotation == "lie":

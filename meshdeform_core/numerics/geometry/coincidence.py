@@ -20,15 +20,23 @@ _SPARSE = 16
 """Numbers are sorted instead of marked if their range exceeds this many times their count."""
 
 
+_WINDOW = 500_000
+"""Points searched at a time, which bounds the memory."""
+
+
 def _key(points: FloatArray) -> FloatArray:
     # Not a matrix product: equal points must get equal keys, and the order in which a BLAS sums may vary.
-    return points[:, 0] * _GENERIC[0] + points[:, 1] * _GENERIC[1] + points[:, 2] * _GENERIC[2]
+    key: FloatArray = points[:, 0] * _GENERIC[0]
+    key += points[:, 1] * _GENERIC[1]
+    key += points[:, 2] * _GENERIC[2]
+    return key
 
 
 def coincident_groups(points: FloatArray, tolerance: FloatArray) -> IntArray:
     """Number points so that coincident ones share a number.
 
     Two points coincide when their distance is at most the *smaller* of their tolerances; coincidence is transitive.
+    Beside the arguments it takes some 30 bytes per point, as points are compared a window at a time.
 
     Parameters
     ----------
@@ -37,25 +45,60 @@ def coincident_groups(points: FloatArray, tolerance: FloatArray) -> IntArray:
 
     Returns
     -------
-    labels : (n,) int64 in ``0 ... n_groups - 1``, numbered by first occurrence
+    labels : (n,) int32 (int64 for 2^31 points or more) in ``0 ... n_groups - 1``, numbered by first occurrence
     """
-    key = _key(points)
-    order = np.argsort(key)
-    new = np.r_[True, np.diff(key[order]) != 0.0]
+    key, integer = _key(points), integers(len(points))
+    order = np.argsort(key).astype(integer)
+    key = key[order]
+    new = _new_points(key, order, points)
+    label = np.cumsum(new, dtype=integer)
+    label -= 1
+    count, pairs = int(label[-1]) + 1, _close_groups(key, order, new, label, points, tolerance)
+    del key, new
+    leader = np.arange(count, dtype=integer)
+    some = ascending(pairs)
+    leader[some] = some[connected_components(len(some), np.searchsorted(some, pairs))]
+    labels = np.empty(len(points), dtype=integer)
+    labels[order] = leader[label]
+    del order, label, leader
+    return _by_first_occurrence(labels, count)
+
+
+def _new_points(key: FloatArray, order: IntArray, points: FloatArray) -> BoolArray:
+    """Which points, in the ``order`` of their ``key``, differ from the one before."""
+    new = np.append(True, key[1:] != key[:-1])
     # Few keys are equal, and those of different points hardly ever.
     same = np.flatnonzero(~new)
-    new[same[(points[order[same]] != points[order[same - 1]]).any(axis=1)]] = True
-    first = np.flatnonzero(new)
-    leading = order[first]
-    pairs = _sweep(key[leading], points[leading], np.maximum.reduceat(tolerance[order], first))
-    exact = np.empty(len(points), dtype=np.int64)
-    exact[order] = np.cumsum(new) - 1
-    return _by_first_occurrence(connected_components(len(first), pairs)[exact], len(first))
+    for lo in range(0, len(same), _WINDOW):
+        some = same[lo : lo + _WINDOW]
+        new[some[(points[order[some]] != points[order[some - 1]]).any(axis=1)]] = True
+    return new
+
+
+def _close_groups(
+    key: FloatArray, order: IntArray, new: BoolArray, label: IntArray, points: FloatArray, tolerance: FloatArray
+) -> IntArray:
+    """Pairs (m, 2) of close groups of equal points, which are numbered ``label`` (n,) in the ``order`` of the points.
+
+    A window at a time along the keys; it extends beyond its own groups as far as any tolerance reaches.
+    """
+    reach, found, lo = 1.01 * float(tolerance.max(initial=0.0)), [np.empty((0, 2), dtype=np.int64)], 0
+    while lo < len(key):
+        end = min(lo + _WINDOW, len(key))
+        own = int(np.searchsorted(key, key[end - 1], side="right"))
+        hi = int(np.searchsorted(key, key[own - 1] + reach, side="right"))
+        first, members = np.flatnonzero(new[lo:hi]), order[lo:hi]
+        leading = members[first]
+        most = np.maximum.reduceat(tolerance[members], first)
+        pairs = int(label[lo]) + _sweep(key[lo:hi][first], points[leading], most)
+        found.append(pairs[pairs[:, 0] <= label[own - 1]])
+        lo = own
+    return np.concatenate(found)
 
 
 def coincident_within(part: IntArray, points: FloatArray, tolerance: FloatArray) -> IntArray:
     """As :func:`coincident_groups`, but only points of the same ``part`` (n,), numbered from 0, coincide."""
-    labels, count = np.empty(len(points), dtype=np.int64), 0
+    labels, count = np.empty(len(points), dtype=integers(len(points))), 0
     for number in range(int(part.max(initial=0)) + 1):
         own = np.flatnonzero(part == number)
         labels[own] = count + coincident_groups(points[own], tolerance[own])
@@ -160,11 +203,17 @@ def connected_components(n: int, pairs: IntArray) -> IntArray:
 
 def _by_first_occurrence(labels: IntArray, count: int) -> IntArray:
     """Labels below ``count``, renumbered by first occurrence."""
-    n = len(labels)
-    first = np.empty(count, dtype=np.int64)
-    first[labels[::-1]] = np.arange(n - 1, -1, -1)
-    leads = first[labels] == np.arange(n)
-    return (np.cumsum(leads) - 1)[first[labels]]
+    own = np.arange(len(labels), dtype=labels.dtype)
+    first = np.empty(count, dtype=labels.dtype)
+    first[labels[::-1]] = own[::-1]
+    number = np.cumsum(first[labels] == own, dtype=labels.dtype)
+    number -= 1
+    return np.asarray(number[first[labels]])
+
+
+def integers(count: int) -> type:
+    """The type of integers below ``count``: 32 bits where they suffice, as large grids have many."""
+    return np.int32 if count < 2**31 else np.int64
 
 
 def equal_rows(rows: IntArray) -> tuple[IntArray, IntArray]:
@@ -181,10 +230,11 @@ def equal_rows(rows: IntArray) -> tuple[IntArray, IntArray]:
     """
     if not len(rows):
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
-    order = np.argsort(mixed(rows), kind="stable")
-    ordered = rows[order]
+    key = mixed(rows)
+    order = np.argsort(key, kind="stable")
+    ordered, key = rows[order], key[order]
     differ = _differ(ordered)
-    if np.count_nonzero(differ) > np.count_nonzero(np.diff(mixed(ordered))):
+    if np.count_nonzero(differ) > np.count_nonzero(key[1:] != key[:-1]):
         # Different rows have the same key.
         order = np.lexsort(rows.T[::-1])
         ordered = rows[order]
