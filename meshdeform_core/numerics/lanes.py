@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from llvmlite import ir
@@ -20,6 +21,9 @@ from numba.extending import intrinsic
 WIDTH = 16
 """Numbers in a vector, which fill one AVX-512 register, two AVX2 or four NEON registers."""
 
+NARROW = 8
+"""Numbers in a vector of functions made by :func:`narrow`, which fill one AVX-512 register in double precision."""
+
 _SINGLE, _DOUBLE, _INTEGER = (ir.VectorType(kind, WIDTH) for kind in (ir.FloatType(), ir.DoubleType(), ir.IntType(32)))
 _BYTES = ir.VectorType(ir.IntType(8), WIDTH)
 # Fuse multiplications with additions, approximate and refine reciprocals and roots; no reordering, NaN is respected.
@@ -27,7 +31,7 @@ _FLAGS = ("contract", "arcp", "afn")
 
 
 class Lanes:
-    """Sixteen numbers of one type; operators emit instructions."""
+    """Sixteen numbers of one type, or fewer; operators emit instructions."""
 
     def __init__(self, builder: ir.IRBuilder, value: ir.Value):
         self.builder, self.value = builder, value
@@ -66,31 +70,47 @@ class Lanes:
         return other.below(self).choose(self, other)
 
     def sqrt(self) -> Lanes:
-        kind, bits = self.value.type, 32 if self.value.type == _SINGLE else 64
-        name = f"llvm.sqrt.v{WIDTH}f{bits}"
+        kind = self.value.type
+        name = f"llvm.sqrt.v{kind.count}f{8 * _bytes(kind.element)}"
         function = cgutils.get_or_insert_function(self.builder.module, ir.FunctionType(kind, [kind]), name)
         return Lanes(self.builder, self.builder.call(function, [self.value], fastmath=_FLAGS))
 
     def bits(self) -> Lanes:
-        """The bits of single-precision lanes, read as integers and converted to numbers."""
-        integer = self.builder.bitcast(self.value, _INTEGER)
-        return Lanes(self.builder, self.builder.sitofp(integer, _SINGLE))
+        """The bits of the lanes, in double precision their upper halves, read as integers and converted to numbers."""
+        kind, bits, integer = self.value.type, self.value, self._integer(32)
+        if _bytes(kind.element) == 8:
+            upper = self.builder.lshr(self.builder.bitcast(bits, self._integer(64)), self._half())
+            bits = self.builder.trunc(upper, integer)
+        return Lanes(self.builder, self.builder.sitofp(self.builder.bitcast(bits, integer), kind))
 
     def from_bits(self) -> Lanes:
-        """Inverse of :meth:`bits`: the single-precision numbers with these bits."""
-        return Lanes(self.builder, self.builder.bitcast(self.whole(), _SINGLE))
+        """Inverse of :meth:`bits`: the numbers with these bits, in double precision with lower halves of zero."""
+        kind, bits = self.value.type, self.whole()
+        if _bytes(kind.element) == 8:
+            bits = self.builder.shl(self.builder.zext(bits, self._integer(64)), self._half())
+        return Lanes(self.builder, self.builder.bitcast(bits, kind))
 
     def whole(self) -> ir.Value:
         """Truncated to 32-bit integers."""
-        return self.builder.fptosi(self.value, _INTEGER)
+        return self.builder.fptosi(self.value, self._integer(32))
+
+    def _integer(self, bits: int) -> ir.VectorType:
+        return ir.VectorType(ir.IntType(bits), self.value.type.count)
+
+    def _half(self) -> ir.Constant:
+        return ir.Constant(self._integer(64), [32] * self.value.type.count)
 
     def single(self) -> Lanes:
         """From double to single precision."""
-        return Lanes(self.builder, self.builder.fptrunc(self.value, _SINGLE))
+        return Lanes(
+            self.builder, self.builder.fptrunc(self.value, ir.VectorType(ir.FloatType(), self.value.type.count))
+        )
 
     def double(self) -> Lanes:
         """From single to double precision."""
-        return Lanes(self.builder, self.builder.fpext(self.value, _DOUBLE))
+        return Lanes(
+            self.builder, self.builder.fpext(self.value, ir.VectorType(ir.DoubleType(), self.value.type.count))
+        )
 
     def running_sum(self) -> Lanes:
         """Prefix sums: each lane plus all lanes before it."""
@@ -107,6 +127,10 @@ class Lanes:
             lanes = lanes + _shuffle(lanes, lanes, [(n + step) % WIDTH for n in range(WIDTH)])
         return self.builder.extract_element(lanes.value, ir.Constant(ir.IntType(32), 0))
 
+    def mixed(self, other: Lanes, places: list[int]) -> Lanes:
+        """Lanes of this one, from 0 on, and of ``other``, counted on."""
+        return _shuffle(self, other, places)
+
     def last(self) -> Lanes:
         """The last lane, copied to all sixteen."""
         return _shuffle(self, self, [WIDTH - 1] * WIDTH)
@@ -114,7 +138,7 @@ class Lanes:
     def _same(self, other: Lanes | float) -> Lanes:
         if isinstance(other, Lanes):
             return other
-        return Lanes(self.builder, ir.Constant(self.value.type, [float(other)] * WIDTH))
+        return Lanes(self.builder, ir.Constant(self.value.type, [float(other)] * self.value.type.count))
 
     def _with(self, other: Lanes | float, operation: Callable[..., ir.Value]) -> Lanes:
         return Lanes(self.builder, operation(self.value, self._same(other).value, flags=_FLAGS))
@@ -136,11 +160,11 @@ class Mask:
 class Array:
     """The data of a contiguous array; ``at + further`` is the index of an element of the flattened array."""
 
-    def __init__(self, builder: ir.IRBuilder, data: ir.Value, kind: ir.Type):
-        self.builder, self._data, self._kind = builder, data, kind
+    def __init__(self, builder: ir.IRBuilder, data: ir.Value, kind: ir.Type, width: int = WIDTH):
+        self.builder, self._data, self._kind, self._width = builder, data, kind, width
 
     def load(self, at: ir.Value, further: int = 0) -> Lanes:
-        vector = ir.VectorType(self._kind, WIDTH)
+        vector = ir.VectorType(self._kind, self._width)
         return Lanes(self.builder, self.builder.load(self._pointer(at, further, vector), align=_bytes(self._kind)))
 
     def store(self, at: ir.Value, lanes: Lanes | ir.Value, further: int = 0) -> None:
@@ -154,6 +178,30 @@ class Array:
         """Add a number to a single element."""
         pointer = self.builder.gep(self._data, [self.builder.add(at, ir.Constant(at.type, further))])
         self.builder.store(self.builder.fadd(self.builder.load(pointer), number), pointer)
+
+    def every(self, at: ir.Value, further: int = 0) -> Lanes:
+        """One number, copied to all lanes."""
+        return _copied(self.builder, self.one(at, further), self._width)
+
+    def one(self, at: ir.Value, further: int = 0) -> ir.Value:
+        """One number."""
+        place = self.builder.add(at, ir.Constant(at.type, further))
+        return self.builder.load(self.builder.gep(self._data, [place]))
+
+    def store_one(self, at: ir.Value, number: ir.Value, further: int = 0) -> None:
+        """Store a single element."""
+        place = self.builder.add(at, ir.Constant(at.type, further))
+        self.builder.store(number, self.builder.gep(self._data, [place]))
+
+    def load_pair(self, at: ir.Value) -> Lanes:
+        """Two numbers, repeated to fill four lanes."""
+        pointer = self._pointer(at, 0, ir.VectorType(self._kind, 2))
+        pair = Lanes(self.builder, self.builder.load(pointer, align=_bytes(self._kind)))
+        return _shuffle(pair, pair, [0, 1, 0, 1])
+
+    def store_pair(self, at: ir.Value, lanes: Lanes) -> None:
+        """Store the first two lanes."""
+        self.store(at, _shuffle(lanes, lanes, [0, 1]))
 
     def load_some(self, at: ir.Value, count: ir.Value) -> Lanes:
         """The first ``count`` of sixteen numbers; the others are zero and not read."""
@@ -222,21 +270,21 @@ def components(points: list[Lanes]) -> list[Lanes]:
 
 
 def _shuffle(one: Lanes, two: Lanes, places: list[int]) -> Lanes:
-    mask = ir.Constant(_INTEGER, places)
+    mask = ir.Constant(ir.VectorType(ir.IntType(32), len(places)), places)
     return Lanes(one.builder, one.builder.shuffle_vector(one.value, two.value, mask))
 
 
-def lanes(emit: Callable[..., None]) -> Any:
+def lanes(emit: Callable[..., None], width: int = WIDTH) -> Any:
     """Decorator: makes a function for numba loops from ``emit``, which emits its instructions.
 
     ``emit`` gets :class:`Array` for contiguous arrays, ``ir.Value`` for integers, and :class:`Lanes` of sixteen equal
-    numbers for floats.
+    numbers for floats. With another ``width``, only loads, stores, comparisons and arithmetic are available.
     """
 
     def define(typing_context: Any, *kinds: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             values = zip(signature.args, arguments, strict=True)
-            emit(*(_argument(context, builder, kind, value) for kind, value in values))
+            emit(*(_argument(context, builder, kind, value, width) for kind, value in values))
             return context.get_dummy_value()
 
         return types.void(*kinds), generate
@@ -250,15 +298,26 @@ def lanes(emit: Callable[..., None]) -> Any:
     return intrinsic(define)
 
 
-def _argument(context: Any, builder: ir.IRBuilder, kind: Any, value: ir.Value) -> Any:
+narrow = partial(lanes, width=NARROW)
+"""As :func:`lanes`, for eight numbers at a time: enough in double precision, with half as much scratch memory."""
+
+
+def _argument(context: Any, builder: ir.IRBuilder, kind: Any, value: ir.Value, width: int) -> Any:
     if isinstance(kind, types.Array):
         if kind.layout != "C":
             raise errors.TypingError(f"{kind} is not contiguous")
         return Array(
-            builder, context.make_array(kind)(context, builder, value).data, context.get_value_type(kind.dtype)
+            builder, context.make_array(kind)(context, builder, value).data, context.get_value_type(kind.dtype), width
         )
     if isinstance(kind, types.Integer):
         return value
-    every = ir.VectorType(value.type, WIDTH)
-    one = builder.insert_element(ir.Constant(every, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
-    return Lanes(builder, builder.shuffle_vector(one, one, ir.Constant(_INTEGER, [0] * WIDTH)))
+    return _copied(builder, value, width)
+
+
+def _copied(builder: ir.IRBuilder, value: ir.Value, width: int) -> Lanes:
+    one = builder.insert_element(
+        ir.Constant(ir.VectorType(value.type, width), ir.Undefined), value, ir.Constant(ir.IntType(32), 0)
+    )
+    return Lanes(
+        builder, builder.shuffle_vector(one, one, ir.Constant(ir.VectorType(ir.IntType(32), width), [0] * width))
+    )

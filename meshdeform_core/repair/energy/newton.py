@@ -11,7 +11,8 @@ import numpy as np
 import scipy
 
 from ...numerics.arrays import FloatArray
-from ...numerics.jit import kernel
+from ...numerics.block_rows import with_room
+from ...numerics.jit import fast_kernel, kernel
 from .elements import Penalty, Rows
 from .products import Plain, Products, Swept, over_rows, sum_over_rows
 from .region import Region
@@ -58,7 +59,10 @@ class NewtonSystem:
             np.unique(touch.indices[touch.indptr[lo] : touch.indptr[hi]]).astype(np.int64)
             for lo, hi in itertools.pairwise(ends)
         ]
-        self._matrix = np.empty((len(self._columns), d, d), np.float32)
+        self._longest = max(
+            (self._starts[high] - self._starts[low] for low, high in itertools.pairwise(ends)), default=0
+        )
+        self._matrix = with_room((len(self._columns), d, d), np.float32)
         self._factor = np.zeros((n, d, d))
         matrix = self._matrix, self._starts, self._columns
         self._products: Products = Plain(matrix, rows) if d == 3 else Swept(matrix, rows)
@@ -82,15 +86,18 @@ class NewtonSystem:
         self.unknowns, freedom = region.directions(x)
         self.gradient[...] = 0.0
         bad = np.zeros(len(self._elements), dtype=np.int64)
+        # Fresh memory for every call would cost a tenth of the time.
+        spare: list[FloatArray] = []
 
         def add(low: int, high: int) -> None:
-            first, last = starts[low], starts[high]
-            blocks = np.zeros((last - first, *self._matrix.shape[1:]))
+            kept = spare.pop() if spare else np.empty((self._longest, *self._matrix.shape[1:]))
+            blocks = kept[: starts[high] - starts[low]]
+            blocks[...] = 0.0
             rows, number = Rows(low, high, starts, columns, blocks, self.gradient), (low - all_rows.low) // _ROWS
             region.energy.add(x, reference, penalty, self._elements[number], self.unknowns, rows)
             bad[number] = factor_diagonal(blocks, rows.pattern, freedom, self._factor)
-            scale_left(blocks, rows.pattern, self._factor)
-            self._matrix[first:last] = blocks
+            scale_left(blocks, rows.pattern, self._factor, self._matrix)
+            spare.append(kept)
 
         over_rows(add, all_rows, _ROWS)
         all_rows.complete(self._factor)
@@ -115,7 +122,8 @@ class NewtonSystem:
         """
         factor, products = self._factor, self._products
         r = products.begin(-np.einsum("nij,nj->ni", factor, self.gradient))
-        y, p, image = np.zeros_like(r), r.copy(), np.zeros_like(r)
+        y, p, image = np.zeros_like(r), with_room(r.shape), np.zeros_like(r)
+        p[...] = r
         rho = self._summed(dot_rows, r, r)
         goal, convex = tolerance * tolerance * rho, True
         self.iterations = 0
@@ -186,39 +194,42 @@ def factor_diagonal(blocks, rows, freedom, factor):
 
 
 @kernel
-def scale_left(blocks, rows, factor):
-    """``H_ij <- F_i H_ij`` for the block rows i of ``rows``."""
+def scale_left(blocks, rows, factor, matrix):
+    """``matrix_ij = F_i H_ij`` for the block rows i of ``rows``, whose H are ``blocks``."""
     first, last, starts, _ = rows
     size = factor.shape[1]
     for row in range(first, last):
-        f = factor[row]
-        for at in range(starts[row] - starts[first], starts[row + 1] - starts[first]):
-            block = blocks[at]
-            # F is lower triangular: from the last row up, nothing is overwritten before it is needed.
-            for d in range(size - 1, -1, -1):
-                for e in range(size):
-                    total = f[d, d] * block[d, e]
-                    for o in range(d):
-                        total += f[d, o] * block[o, e]
-                    block[d, e] = total
+        a, b, c = factor[row, 0, 0], factor[row, 1, 0], factor[row, 1, 1]
+        for at in range(starts[row], starts[row + 1]):
+            n = at - starts[first]
+            for e in range(size):
+                x, y = blocks[n, 0, e], blocks[n, 1, e]
+                matrix[at, 0, e], matrix[at, 1, e] = a * x, b * x + c * y
+        if size == 3:
+            a, b, c = factor[row, 2, 0], factor[row, 2, 1], factor[row, 2, 2]
+            for at in range(starts[row], starts[row + 1]):
+                n = at - starts[first]
+                for e in range(3):
+                    matrix[at, 2, e] = a * blocks[n, 0, e] + b * blocks[n, 1, e] + c * blocks[n, 2, e]
 
 
 @kernel
 def scale_right(matrix, starts, columns, factor, low, high):
     """``H_ij <- H_ij F_j^T`` for the block rows low <= i < high."""
     size = factor.shape[1]
-    for row in range(low, high):
-        for at in range(starts[row], starts[row + 1]):
-            block, f = matrix[at], factor[columns[at]]
-            for d in range(size):
-                for e in range(size - 1, -1, -1):
-                    total = f[e, e] * block[d, e]
-                    for o in range(e):
-                        total += f[e, o] * block[d, o]
-                    block[d, e] = total
+    for at in range(starts[low], starts[high]):
+        column = columns[at]
+        a, b, c = factor[column, 0, 0], factor[column, 1, 0], factor[column, 1, 1]
+        if size == 3:
+            p, q, r = factor[column, 2, 0], factor[column, 2, 1], factor[column, 2, 2]
+            for d in range(3):
+                matrix[at, d, 2] = p * matrix[at, d, 0] + q * matrix[at, d, 1] + r * matrix[at, d, 2]
+        for d in range(size):
+            x, y = matrix[at, d, 0], matrix[at, d, 1]
+            matrix[at, d, 0], matrix[at, d, 1] = a * x, b * x + c * y
 
 
-@kernel
+@fast_kernel
 def advance_rows(y, r, p, image, length, low, high):
     """Update entries low <= i < high of ``y`` and ``r`` in a conjugate gradient step; return their part of r . r."""
     total = 0.0
@@ -229,7 +240,7 @@ def advance_rows(y, r, p, image, length, low, high):
     return total
 
 
-@kernel
+@fast_kernel
 def dot_rows(a, b, low, high):
     """The part of ``a . b`` from entries low <= i < high."""
     total = 0.0

@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...numerics.arrays import FloatArray, IntArray
-from ...numerics.jit import kernel
+from ...numerics.block_rows import multiply_row, solve_row
+from ...numerics.jit import inlined, kernel
 from ...parallel import Halo, for_chunks
 
 # Number of rows summed at a time; ranks own whole ranges of :data:`..shares.ROWS` rows.
@@ -120,18 +121,14 @@ def sum_over_rows(work: Callable[[int, int], float], rows: Halo, chunk: int | No
 
 @kernel
 def multiply_rows(matrix, starts, columns, p, image, low, high):
-    """Rows low <= i < high of the product of the matrix and ``p`` (n, 3); return their part of ``p . image``."""
+    """Rows low <= i < high of the product of the matrix and ``p`` (n, 3); return their part of ``p . image``.
+
+    The matrix and ``p`` have room for one more row, see :mod:`...numerics.block_rows`.
+    """
     total = 0.0
     for row in range(low, high):
-        x = y = z = 0.0
-        for at in range(starts[row], starts[row + 1]):
-            m, o = matrix[at], columns[at]
-            a, b, c = p[o, 0], p[o, 1], p[o, 2]
-            x += m[0, 0] * a + m[0, 1] * b + m[0, 2] * c
-            y += m[1, 0] * a + m[1, 1] * b + m[1, 2] * c
-            z += m[2, 0] * a + m[2, 1] * b + m[2, 2] * c
-        image[row, 0], image[row, 1], image[row, 2] = x, y, z
-        total += x * p[row, 0] + y * p[row, 1] + z * p[row, 2]
+        multiply_row(matrix, columns, p, image, row, starts[row], starts[row + 1])
+        total += image[row, 0] * p[row, 0] + image[row, 1] * p[row, 1] + image[row, 2] * p[row, 2]
     return total
 
 
@@ -140,15 +137,13 @@ def sweep_back(matrix, relaxation, p, t, low, high):
     """``t = (D + L^T)^-1 p`` in the range low <= i < high of vectors (n, 2)."""
     blocks, starts, columns = matrix
     for row in range(high - 1, low - 1, -1):
-        x, y, at = p[row, 0], p[row, 1], starts[row + 1] - 1
-        while columns[at] >= high:
-            at -= 1
+        last = starts[row + 1] - 1
+        while columns[last] >= high:
+            last -= 1
+        at = last
         while columns[at] > row:
-            a, b = t[columns[at], 0], t[columns[at], 1]
-            x -= blocks[at, 0, 0] * a + blocks[at, 0, 1] * b
-            y -= blocks[at, 1, 0] * a + blocks[at, 1, 1] * b
             at -= 1
-        t[row, 0], t[row, 1] = relaxation * x, relaxation * y
+        solve_row(blocks, columns, t, p, row, last, last - at, -1, relaxation)
 
 
 @kernel
@@ -157,28 +152,35 @@ def sweep_on(matrix, relaxation, p, t, image, low, high):
     ranges; return its part of ``p . image``."""
     blocks, starts, columns = matrix
     less = 1.0 - 2.0 / relaxation
+    # Rows are solved in a loop of their own: what has just been stored one by one cannot be loaded as a pair at once.
     for row in range(low, high):
-        x, y, at = p[row, 0] + less * t[row, 0], p[row, 1] + less * t[row, 1], starts[row]
+        image[row, 0], image[row, 1] = p[row, 0] + less * t[row, 0], p[row, 1] + less * t[row, 1]
+        at = starts[row]
         while columns[at] < low:
-            a, b = t[columns[at], 0], t[columns[at], 1]
-            x += blocks[at, 0, 0] * a + blocks[at, 0, 1] * b
-            y += blocks[at, 1, 0] * a + blocks[at, 1, 1] * b
-            at += 1
-        while columns[at] < row:
-            a, b = image[columns[at], 0], image[columns[at], 1]
-            x -= blocks[at, 0, 0] * a + blocks[at, 0, 1] * b
-            y -= blocks[at, 1, 0] * a + blocks[at, 1, 1] * b
+            _add_product(blocks, at, t, columns[at], image, row)
             at += 1
         at = starts[row + 1] - 1
         while columns[at] >= high:
-            a, b = t[columns[at], 0], t[columns[at], 1]
-            x += blocks[at, 0, 0] * a + blocks[at, 0, 1] * b
-            y += blocks[at, 1, 0] * a + blocks[at, 1, 1] * b
+            _add_product(blocks, at, t, columns[at], image, row)
             at -= 1
-        image[row, 0], image[row, 1] = relaxation * x, relaxation * y
-    total = 0.0
     for row in range(low, high):
-        for d in range(2):
-            image[row, d] += t[row, d]
-            total += p[row, d] * image[row, d]
-    return total
+        first = starts[row]
+        while columns[first] < low:
+            first += 1
+        at = first
+        while columns[at] < row:
+            at += 1
+        solve_row(blocks, columns, image, image, row, first, at - first, 1, relaxation)
+    x = y = 0.0
+    for row in range(low, high):
+        image[row, 0] += t[row, 0]
+        image[row, 1] += t[row, 1]
+        x += p[row, 0] * image[row, 0]
+        y += p[row, 1] * image[row, 1]
+    return x + y
+
+
+@inlined
+def _add_product(blocks, at, t, column, image, row):
+    image[row, 0] += blocks[at, 0, 0] * t[column, 0] + blocks[at, 0, 1] * t[column, 1]
+    image[row, 1] += blocks[at, 1, 0] * t[column, 0] + blocks[at, 1, 1] * t[column, 1]

@@ -7,7 +7,33 @@ from typing import NamedTuple
 import numpy as np
 
 from ...jit import inlined, kernel
-from .jacobian import cofactors, distortion, growth, inner, mapping, regular
+from ...lanes import NARROW as WIDTH
+from .corners import (
+    BETWEEN,
+    DEFORMED,
+    ENERGY,
+    FORCE,
+    GRIDS,
+    HIGHEST,
+    LOWEST,
+    PARTS,
+    REFERENCE,
+    ROWS,
+    SUMS,
+    TERMS,
+    UNDEFORMED,
+    WEIGHT,
+    add_block,
+    add_corner_derivatives,
+    add_corner_energy,
+    add_energy_between,
+    add_to_pair,
+    add_transposed,
+    derivatives_between,
+    transpose,
+    turn_to_node,
+)
+from .jacobian import combined, distortion, growth, mapping, regular, slopes
 
 
 class Unknowns(NamedTuple):
@@ -17,19 +43,6 @@ class Unknowns(NamedTuple):
     number: np.ndarray
     frame: np.ndarray
     plain: np.ndarray
-
-
-@inlined
-def _differ(x, reference, cell, count, node, b, e):
-    """The Jacobian matrix ``e`` (3, 3) of the difference of two maps at a sample point."""
-    for d in range(3):
-        for k in range(3):
-            e[d, k] = 0.0
-    for n in range(count):
-        p = cell[node[n]]
-        for d in range(3):
-            for k in range(3):
-                e[d, k] += (x[p, d] - reference[p, d]) * b[n, k]
 
 
 @kernel
@@ -47,27 +60,57 @@ def energy_of_cells(x, cells, start, own, mask, samples, weight, reference, pena
     penalty : eps, share, cubic and elastic of the energy, whether second derivatives are exact; with eps = 0 the energy
         is infinite where D <= 0
     """
-    count, node, slope = samples
-    eps, share, cubic, elastic, _ = penalty
-    inverse, b, a = np.empty((3, 3)), np.empty((8, 3)), np.empty((3, 3))
+    points, terms, sums = np.empty((GRIDS, 8, 3, WIDTH)), np.empty((TERMS, WIDTH)), np.empty((SUMS, WIDTH))
+    slope, (eps, share, cubic, elastic, _) = _all_slopes(samples), penalty
+    for lane in range(WIDTH):
+        sums[ENERGY, lane], sums[LOWEST, lane], sums[HIGHEST, lane] = 0.0, np.inf, 0.0
+    for first in range(low, high, WIDTH):
+        some = 0
+        for lane in range(WIDTH):
+            c = min(first + lane, high - 1)
+            _gather(x, cells[c], start, own[c], reference, points, lane)
+            some |= _weigh(mask[c] if first + lane < high else 0, weight, c, terms, lane)
+        for s in range(8):
+            add_corner_energy(points, terms, sums, s, eps, share, cubic, elastic)
+        for s in range(8, len(slope)):
+            if some >> s & 1:
+                add_energy_between(points, terms, slope, sums, s, eps, share, cubic)
     total, lowest, highest = 0.0, np.inf, 0.0
-    for c in range(low, high):
-        for s in range(count.size):
-            if not mask[c] >> s & 1:
-                continue
-            det = mapping(x, cells[c], start, own[c], count[s], node[s], slope[s], inverse, b, a)
-            chi, _ = regular(det, eps)
-            lowest = min(lowest, det)
-            f = np.inf
-            if chi > 0.0:
-                f = distortion(a, det, chi)
-            highest = max(highest, f)
-            one = share if s < 8 else share * weight[c, 1]
-            total += one * (weight[c, 0] * f + cubic * growth(f)[0])
-            if elastic > 0.0 and s < 8:
-                _differ(x, reference, cells[c], count[s], node[s], b, a)
-                total += 0.5 * elastic * inner(a, a)
+    for lane in range(WIDTH):
+        total += sums[ENERGY, lane]
+        lowest, highest = min(lowest, sums[LOWEST, lane]), max(highest, sums[HIGHEST, lane])
     return total, lowest, highest
+
+
+@inlined
+def _all_slopes(samples):
+    """Slopes (27, 8, 3) of the shape functions of all nodes."""
+    count, node, slope = samples
+    found = np.zeros((count.size, 8, 3))
+    for s in range(count.size):
+        for n in range(count[s]):
+            for k in range(3):
+                found[s, node[s, n], k] = slope[s, n, k]
+    return found
+
+
+@inlined
+def _gather(x, cell, start, own, reference, points, lane):
+    """The corners of a cell in three grids."""
+    for n in range(8):
+        for d in range(3):
+            points[DEFORMED, n, d, lane] = x[cell[n], d]
+            points[UNDEFORMED, n, d, lane] = start[own[n], d]
+            points[REFERENCE, n, d, lane] = reference[cell[n], d]
+
+
+@inlined
+def _weigh(mask, weight, c, terms, lane):
+    """Which sample points of a cell count, and its weights; returns the mask."""
+    for s in range(27):
+        terms[s, lane] = float(mask >> s & 1)
+    terms[WEIGHT, lane], terms[BETWEEN, lane] = weight[c, 0], weight[c, 1]
+    return mask
 
 
 @inlined
@@ -79,20 +122,11 @@ def coefficients(g, det, eps, weight, cubic, exact):
     along A and D is raised until no eigenvalue is negative.
     """
     chi, root = regular(det, eps)
-    h = chi ** (-2.0 / 3.0)
-    h1 = -2.0 / 3.0 * h / root
-    h2 = 2.0 / 3.0 * h * (2.0 / 3.0 + det / root) / (root * root)
-    whole = det * det + 1.0
-    q1 = (2.0 * det - whole / root) / chi
-    q2 = (2.0 - 2.0 * det / root + whole * det / (root * root * root)) / chi - q1 / root
-    f = g * h / 3.0 + 0.5 * whole / chi
-    u, v = 2.0 * h / 3.0, g * h1 / 3.0 + 0.5 * q1
-    w, q, r = u, 2.0 * h1 / 3.0, g * h2 / 3.0 + 0.5 * q2
+    f, u, v, w, q, r, least = slopes(g, det, chi, root, chi ** (-2.0 / 3.0))
     if not exact:
-        r = max(r, 2.0 / 3.0 * h1 * h1 / h * g)
+        r = max(r, least)
     _, one, two = growth(f)
-    one, two = weight + cubic * one, cubic * two
-    return u * one, v * one, w * one, two * u * u, q * one + two * u * v, r * one + two * v * v
+    return combined(u, v, w, q, r, weight + cubic * one, cubic * two)
 
 
 @kernel
@@ -109,121 +143,97 @@ def add_derivatives(
     matrix : (n_blocks, 3, 3), the blocks of these rows as in the BSR format
     gradient : (n_unknowns, 3), of which only these rows are written
     """
-    count, node, slope = samples
-    eps, share, cubic, elastic, exact = penalty
-    inverse, b, a, k = np.empty((3, 3)), np.empty((8, 3)), np.empty((3, 3)), np.empty((3, 3))
-    difference = np.zeros((3, 3))
-    along, across, left, right = np.empty((8, 3)), np.empty((8, 3)), np.empty((8, 3)), np.empty((8, 3))
-    force, block = np.empty((8, 3)), np.empty((8, 8, 3, 3))
-    for c in which:
-        force[...] = 0.0
-        block[...] = 0.0
-        for s in range(count.size):
-            if not mask[c] >> s & 1:
-                continue
-            m = count[s]
-            det = mapping(x, cells[c], start, own[c], m, node[s], slope[s], inverse, b, a)
-            cofactors(a, k)
-            one = share if s < 8 else share * weight[c, 1]
-            stiff = elastic if s < 8 else 0.0
-            u, v, w, p, q, r = coefficients(inner(a, a), det, eps, one * weight[c, 0], one * cubic, exact)
-            if stiff > 0.0:
-                _differ(x, reference, cells[c], m, node[s], b, difference)
-            for n in range(m):
-                _multiply(a, b[n], along[n])
-                _multiply(k, b[n], across[n])
-                for d in range(3):
-                    ab, kb = along[n, d], across[n, d]
-                    left[n, d], right[n, d] = p * ab + q * kb, q * ab + r * kb
-                    force[node[s, n], d] += u * ab + v * kb
-                    if stiff > 0.0:
-                        for e in range(3):
-                            force[node[s, n], d] += stiff * difference[d, e] * b[n, e]
-            for n in range(m):
-                for o in range(n, m):
-                    pair = n, o, node[s, n], node[s, o]
-                    _add_pair(pair, w + stiff, v if exact else 0.0, a, b, left, right, along, across, block)
-        _add_cell(cells[c], force, block, unknowns, rows, matrix, gradient)
+    points, terms, parts = np.empty((GRIDS, 8, 3, WIDTH)), np.empty((TERMS, WIDTH)), np.empty((PARTS, WIDTH))
+    result, cell = np.empty((ROWS, WIDTH)), np.empty((WIDTH, ROWS))
+    slope, (eps, share, cubic, elastic, full) = _all_slopes(samples), penalty
+    exact = 1.0 if full else 0.0
+    for first in range(0, len(which), WIDTH):
+        used, some = min(WIDTH, len(which) - first), 0
+        for lane in range(WIDTH):
+            c = which[first + min(lane, used - 1)]
+            _gather(x, cells[c], start, own[c], reference, points, lane)
+            some |= _weigh(mask[c] if lane < used else 0, weight, c, terms, lane)
+        result[...] = 0.0
+        for s in range(8):
+            add_corner_derivatives(points, terms, result, s, eps, share, cubic, elastic, exact)
+        for s in range(8, len(slope)):
+            if some >> s & 1:
+                derivatives_between(points, terms, slope, parts, s, eps, share, cubic, exact)
+                _add_between(samples, slope, parts, result, s)
+        for row in range(0, ROWS, WIDTH):
+            transpose(result, row, cell)
+        for lane in range(used):
+            _add_cell(cells, which[first + lane], cell, lane, unknowns, rows, matrix, gradient)
 
 
 @inlined
-def _multiply(a, b, result):
-    for d in range(3):
-        result[d] = a[d, 0] * b[0] + a[d, 1] * b[1] + a[d, 2] * b[2]
+def _add_between(samples, slope, parts, result, s):
+    """Add the derivatives at a sample point to those of its nodes."""
+    count, node, _ = samples
+    for n in range(count[s]):
+        turn_to_node(slope, parts, result, s, node[s, n])
+        for o in range(n, count[s]):
+            add_to_pair(slope, parts, result, s, node[s, n], node[s, o])
 
 
 @inlined
-def _add_pair(pair, factor, v, a, b, left, right, along, across, block):
-    """Add to ``block[i, j]`` the second derivatives of a sample with respect to its nodes n and o, the corners i and j.
-
-    They are ``factor`` b_n . b_o I + left_n along_o^T + right_n across_o^T, and ``v`` times the derivative of the
-    cofactors of ``a``, the matrix of the cross product with a (b_n x b_o). ``pair`` is n, o, i, j. Scalars instead of
-    slices and loops save a fifth of the time of all second derivatives.
-    """
-    n, o, i, j = pair
-    b0, b1, b2, c0, c1, c2 = b[n, 0], b[n, 1], b[n, 2], b[o, 0], b[o, 1], b[o, 2]
-    dot = factor * (b0 * c0 + b1 * c1 + b2 * c2)
-    x0, x1, x2 = v * (b1 * c2 - b2 * c1), v * (b2 * c0 - b0 * c2), v * (b0 * c1 - b1 * c0)
-    t0 = a[0, 0] * x0 + a[0, 1] * x1 + a[0, 2] * x2
-    t1 = a[1, 0] * x0 + a[1, 1] * x1 + a[1, 2] * x2
-    t2 = a[2, 0] * x0 + a[2, 1] * x1 + a[2, 2] * x2
-    l0, l1, l2, r0, r1, r2 = left[n, 0], left[n, 1], left[n, 2], right[n, 0], right[n, 1], right[n, 2]
-    p0, p1, p2, q0, q1, q2 = along[o, 0], along[o, 1], along[o, 2], across[o, 0], across[o, 1], across[o, 2]
-    block[i, j, 0, 0] += l0 * p0 + r0 * q0 + dot
-    block[i, j, 0, 1] += l0 * p1 + r0 * q1 + t2
-    block[i, j, 0, 2] += l0 * p2 + r0 * q2 - t1
-    block[i, j, 1, 0] += l1 * p0 + r1 * q0 - t2
-    block[i, j, 1, 1] += l1 * p1 + r1 * q1 + dot
-    block[i, j, 1, 2] += l1 * p2 + r1 * q2 + t0
-    block[i, j, 2, 0] += l2 * p0 + r2 * q0 + t1
-    block[i, j, 2, 1] += l2 * p1 + r2 * q1 - t0
-    block[i, j, 2, 2] += l2 * p2 + r2 * q2 + dot
-
-
-@inlined
-def _add_cell(cell, force, block, unknowns, rows, matrix, gradient):
-    """Add the gradient ``force`` (8, 3) and the Hessian ``block`` (8, 8, 3, 3) of a cell to the rows of its unknowns.
-
-    Only blocks on and above the diagonal are filled, as the nodes of every sample point ascend.
-    """
+def _add_cell(cells, c, found, lane, unknowns, rows, matrix, gradient):
+    """Add the derivatives of a cell, in a row of ``found`` (WIDTH, ROWS), to the rows of its unknowns."""
     number, frame, plain = unknowns
-    first, last, starts, columns = rows
-    part, work = np.empty((3, 3)), np.empty((3, 3))
+    part, work, first = np.empty((3, 3)), np.empty((3, 3)), lane * ROWS
     for n in range(8):
-        here = cell[n]
+        here = cells[c, n]
         row = number[here]
-        if row < first or row >= last:
-            continue
-        for d in range(3):
-            if plain[here]:
-                gradient[row, d] += force[n, d]
-            else:
-                for e in range(3):
-                    gradient[row, d] += frame[here, e, d] * force[n, e]
-        for o in range(8):
-            there = cell[o]
-            if number[there] < 0:
-                continue
-            for d in range(3):
-                for e in range(3):
-                    part[d, e] = block[n, o, d, e] if n <= o else block[o, n, e, d]
-            if not (plain[here] and plain[there]):
-                _turn(frame[here], frame[there], part, work)
-            at = _find(columns, starts[row], starts[row + 1], number[there]) - starts[first]
-            for d in range(3):
-                for e in range(3):
-                    matrix[at, d, e] += part[d, e]
+        if row >= rows[0] and row < rows[1]:
+            _add_force(here, row, found, lane, n, frame, plain, gradient)
+        for o in range(n, 8):
+            there = cells[c, o]
+            column = number[there]
+            if row >= 0 and column >= 0:
+                if not (plain[here] and plain[there]):
+                    _turn(frame[here], frame[there], found, first, part, work)
+                at = _place(row, column, rows)
+                if at >= 0:
+                    add_block(found, first, matrix, 9 * at)
+                at = _place(column, row, rows) if n != o else -1
+                if at >= 0:
+                    add_transposed(found, first, matrix, 9 * at)
+            first += 9
 
 
 @inlined
-def _turn(one, two, block, work):
-    """``block = one^T block two``."""
+def _add_force(here, row, found, lane, n, frame, plain, gradient):
+    at = FORCE + 3 * n
+    for d in range(3):
+        if plain[here]:
+            gradient[row, d] += found[lane, at + d]
+        else:
+            for e in range(3):
+                gradient[row, d] += frame[here, e, d] * found[lane, at + e]
+
+
+@inlined
+def _place(row, column, rows):
+    """Where the block of a row and a column is, -1 if the row is not one of ``rows``."""
+    first, last, starts, columns = rows
+    if row < first or row >= last:
+        return -1
+    return _find(columns, starts[row], starts[row + 1], column) - starts[first]
+
+
+@inlined
+def _turn(one, two, found, first, part, work):
+    """``B = one^T B two`` for the matrix B (3, 3) of nine numbers of ``found``."""
+    flat = found.reshape(found.size)
     for d in range(3):
         for e in range(3):
-            work[d, e] = one[0, d] * block[0, e] + one[1, d] * block[1, e] + one[2, d] * block[2, e]
+            part[d, e] = flat[first + 3 * d + e]
     for d in range(3):
         for e in range(3):
-            block[d, e] = work[d, 0] * two[0, e] + work[d, 1] * two[1, e] + work[d, 2] * two[2, e]
+            work[d, e] = one[0, d] * part[0, e] + one[1, d] * part[1, e] + one[2, d] * part[2, e]
+    for d in range(3):
+        for e in range(3):
+            flat[first + 3 * d + e] = work[d, 0] * two[0, e] + work[d, 1] * two[1, e] + work[d, 2] * two[2, e]
 
 
 @inlined

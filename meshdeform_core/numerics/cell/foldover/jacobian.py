@@ -96,6 +96,29 @@ def growth(f):
 
 
 @inlined
+def slopes(g, det, chi, root, h):
+    """f of a sample and its derivatives; g = |A|^2, ``chi`` and ``root`` as from :func:`regular`, ``h`` chi^(-2/3).
+
+    The gradient is u A + v K with the cofactors K of A, the Hessian w I + q (A K^T + K A^T) + r K K^T plus v times the
+    derivative of K. Returns f, u, v, w, q, r, and the least r for which the Hessian without the last term is convex.
+    """
+    h1 = -2.0 / 3.0 * h / root
+    h2 = 2.0 / 3.0 * h * (2.0 / 3.0 + det / root) / (root * root)
+    whole = det * det + 1.0
+    q1 = (2.0 * det - whole / root) / chi
+    q2 = (2.0 - 2.0 * det / root + whole * det / (root * root * root)) / chi - q1 / root
+    f, u, q = g * h / 3.0 + 0.5 * whole / chi, 2.0 / 3.0 * h, 2.0 / 3.0 * h1
+    return f, u, g * h1 / 3.0 + 0.5 * q1, u, q, g * h2 / 3.0 + 0.5 * q2, 2.0 / 3.0 * h1 * h1 / h * g
+
+
+@inlined
+def combined(u, v, w, q, r, one, two):
+    """u, v, w, p, q, r as from :func:`slopes` of a function of f with the derivatives ``one`` and ``two``; p is the
+    factor of A A^T in the Hessian."""
+    return u * one, v * one, w * one, two * u * u, q * one + two * u * v, r * one + two * v * v
+
+
+@inlined
 def regular(det, eps):
     """chi and sqrt(eps^2 + D^2), computed without cancellation."""
     root = np.sqrt(eps * eps + det * det)

@@ -1,0 +1,105 @@
+"""The energy of hexahedra, computed for eight cells at a time, against its definition in plain numpy."""
+
+import numpy as np
+import pytest
+
+from meshdeform_core.numerics.cell.foldover.hexahedra import Unknowns, add_derivatives, energy_of_cells
+from meshdeform_core.numerics.cell.foldover.samples import cell_samples
+
+SAMPLES = cell_samples()
+CORNERS, ALL = (1 << 8) - 1, (1 << 27) - 1
+# eps, share, cubic, elastic, exact
+UNTANGLING, MINIMISING = (0.7, 1.0, 0.0, 0.0, False), (0.0, 0.3, 2.0, 0.7, True)
+
+
+def cells(n, thin):
+    """A skewed row of ``n`` cells whose height is 1 / ``thin``: undeformed, deformed and reference coordinates."""
+    random = np.random.default_rng(3)
+    grid = np.stack(np.meshgrid(np.arange(n + 1.0), [0.0, 1.0], [0.0, 1.0], indexing="ij"), axis=-1)
+    start = (grid + 0.05 * random.standard_normal(grid.shape)) * (1.0, 1.0, 1.0 / thin)
+    start[..., 0] += 0.5 * start[..., 1] + 0.3 * thin * start[..., 2]
+    other, reference = (start + 0.1 * random.standard_normal(grid.shape) * (1.0, 1.0, 1.0 / thin) for _ in range(2))
+    number = np.arange(4 * (n + 1)).reshape(n + 1, 2, 2)
+    corners = [number[a : n + a, b, c] for a in (0, 1) for b in (0, 1) for c in (0, 1)]
+    return tuple(points.reshape(-1, 3) for points in (start, other, reference)), np.stack(corners, axis=1)
+
+
+def masks(m):
+    """Some cells with all sample points, some without one of their corners."""
+    found = np.where(np.arange(m) % 3 == 0, ALL, CORNERS)
+    found[1::4] &= ~(1 << 5)
+    return found
+
+
+def definition(start, x, reference, cell, mask, weight, penalty):
+    """The energy of one cell, as in the docstring of the package ``foldover``; its smallest D and largest f."""
+    eps, share, cubic, elastic, _ = penalty
+    total, lowest, highest = 0.0, np.inf, 0.0
+    for s, (used, node, slope) in enumerate(zip(*SAMPLES, strict=True)):
+        if not mask >> s & 1:
+            continue
+        undeformed, deformed, held = (points[cell[node[:used]]].T @ slope[:used] for points in (start, x, reference))
+        a = deformed @ np.linalg.inv(undeformed)
+        det = np.linalg.det(a)
+        chi = 0.5 * (det + np.hypot(eps, det))
+        f = (a**2).sum() / (3.0 * chi ** (2.0 / 3.0)) + (det**2 + 1.0) / (2.0 * chi) if chi > 0.0 else np.inf
+        part = share if s < 8 else share * weight[1]
+        total += part * (weight[0] * f + cubic * (f - 2.0) ** 3 / (1.0 + 0.25 * (f - 2.0)))
+        if s < 8:
+            total += 0.5 * elastic * ((a - held @ np.linalg.inv(undeformed)) ** 2).sum()
+        lowest, highest = min(lowest, det), max(highest, f)
+    return total, lowest, highest
+
+
+@pytest.mark.parametrize("penalty", [UNTANGLING, MINIMISING])
+@pytest.mark.parametrize("n", [1, 8, 13])
+def test_the_energy_is_that_of_its_definition(n, penalty):
+    (start, x, reference), corners = cells(n, 1.0)
+    mask, weight = masks(n), np.random.default_rng(4).random((n, 2)) + 0.5
+    found = energy_of_cells(x, corners, start, corners, mask, SAMPLES, weight, reference, penalty, 0, n)
+    expected = [definition(start, x, reference, corners[c], mask[c], weight[c], penalty) for c in range(n)]
+    totals, lowest, highest = zip(*expected, strict=True)
+    assert found == pytest.approx((sum(totals), min(lowest), max(highest)), rel=1e-12)
+
+
+def test_an_inverted_cell_has_no_energy_without_regularisation():
+    (start, x, reference), corners = cells(9, 1.0)
+    x[corners[4, 7]] = x[corners[4, 0]] - 1.0
+    arguments = corners, start, corners, masks(9), SAMPLES, np.ones((9, 2)), reference
+    energy, lowest, highest = energy_of_cells(x, *arguments, MINIMISING, 0, 9)
+    assert not np.isfinite(energy)
+    assert lowest < 0.0
+    assert highest == np.inf
+    assert np.isfinite(energy_of_cells(x, *arguments, UNTANGLING, 0, 9)).all()
+
+
+@pytest.mark.parametrize("thin", [1.0, 1e5])
+def test_derivatives_are_those_of_the_energy_whatever_the_frames_and_rows(thin):
+    (start, x, reference), corners = cells(13, thin)
+    mask, weight = masks(13), np.random.default_rng(4).random((13, 2)) + 0.5
+    random, n = np.random.default_rng(5), len(x)
+    frame, plain = np.tile(np.eye(3), (n, 1, 1)), random.random(n) < 0.7
+    frame[~plain] = np.linalg.qr(random.standard_normal((n, 3, 3)))[0][~plain]
+    number = np.where(random.random(n) < 0.8, np.arange(n), -1)
+    unknowns, arguments = Unknowns(number, frame, plain), (corners, start, corners, mask, SAMPLES, weight, reference)
+
+    def derivatives(at, ranges):
+        gradient, hessian = np.zeros((n, 3)), np.zeros((n, n, 3, 3))
+        starts, columns = np.arange(n + 1) * n, np.tile(np.arange(n, dtype=np.int32), n)
+        for low, high in ranges:
+            blocks = np.zeros(((high - low) * n, 3, 3))
+            rest = np.arange(13), unknowns, (low, high, starts, columns), blocks, gradient
+            add_derivatives(at, *arguments, MINIMISING, *rest)
+            hessian[low:high] = blocks.reshape(-1, n, 3, 3)
+        return gradient, hessian
+
+    gradient, hessian = derivatives(x, [(0, 11), (11, n)])
+    np.testing.assert_array_equal(hessian, derivatives(x, [(0, n)])[1])
+    step = random.standard_normal((n, 3)) * (1.0, 1.0, 1.0 / thin) * (number >= 0)[:, None]
+    along = np.einsum("nji,nj->ni", frame, step)
+    energies, ends = zip(*((energy_of_cells(at, *arguments, MINIMISING, 0, 13)[0], derivatives(at, [(0, n)])[0])
+                           for at in (x - 1e-6 * step, x + 1e-6 * step)), strict=True)  # fmt: skip
+    assert (energies[1] - energies[0]) / 2e-6 == pytest.approx((gradient * along).sum(), rel=1e-6)
+    change = np.einsum("noij,oj->ni", hessian, along)
+    expected = (ends[1] - ends[0]) / 2e-6
+    np.testing.assert_allclose(change, expected, atol=1e-6 * np.abs(expected).max())
