@@ -156,7 +156,7 @@ def _others() -> None:
     damp_rows(np.ones((1, 3)), np.zeros(1, dtype=np.int64), np.eye(3), np.ones((1, 3)), 0.0)
     grid, _ = generate("square", 11)
     near = NearNodes.of(grid.shapes, grid.offsets)
-    near.places(near.rows)
+    near.taken(np.zeros((len(near.rows), 3)), near.rows)
     cells_at(near.rows, np.array(grid.shapes, dtype=np.int64), grid.offsets, grid.n_cells)
 
 

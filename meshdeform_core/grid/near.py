@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..numerics.arrays import IntArray, Shapes
+from ..numerics.arrays import FloatArray, IntArray, Shapes
 
 _LAYERS = 2
 
@@ -51,12 +51,12 @@ class NearNodes:
         near_rows(self.shapes, self.offsets, self.inside, found)
         return found
 
-    def places(self, rows: IntArray) -> IntArray | None:
-        """Positions of flat indices (n,) among the near nodes; ``None`` if any is not near."""
-        from ..numerics.near import near_places
+    def taken(self, values: FloatArray, rows: IntArray) -> FloatArray | None:
+        """The ``values`` (m, 3), one row per near node, of flat indices (n,); ``None`` if any is not near."""
+        from ..numerics.near import near_values
 
-        found = np.empty(len(rows), dtype=np.int64)
-        all_near = near_places(np.ascontiguousarray(rows, dtype=np.int64), *self._table, found)
+        found = np.empty((len(rows), 3))
+        all_near = near_values(np.ascontiguousarray(rows, dtype=np.int64), *self._table, values, found)
         return found if all_near else None
 
     @property

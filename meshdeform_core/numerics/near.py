@@ -1,4 +1,4 @@
-"""The nodes near block faces, and their positions among all such nodes, by arithmetic instead of a search table.
+"""The nodes near block faces, and values kept for them, found by arithmetic instead of a search table.
 
 Block b has rows from ``offsets[b]`` on and ``shapes[b]`` nodes; ``inside[b]`` (3, 2) are the first and one past the
 last index, along each direction, of its nodes that are not near, and ``start[b]`` near nodes come before its own.
@@ -16,16 +16,19 @@ def near_rows(shapes, offsets, inside, out):
         for i in range(shapes[b, 0]):
             for j in range(shapes[b, 1]):
                 through = box[0, 0] <= i < box[0, 1] and box[1, 0] <= j < box[1, 1]
-                for k in range(shapes[b, 2]):
-                    if not (through and box[2, 0] <= k < box[2, 1]):
-                        out[n] = row + k
-                        n += 1
+                # Across the middle of a block, a line is near at its ends only.
+                low, high = (box[2, 0], box[2, 1]) if through else (0, 0)
+                for k in range(low):
+                    out[n + k] = row + k
+                for k in range(high, shapes[b, 2]):
+                    out[n + low + k - high] = row + k
+                n += low + shapes[b, 2] - high
                 row += shapes[b, 2]
 
 
 @kernel
-def near_places(rows, shapes, offsets, inside, start, out):
-    """Store the position of each row (n,) among the near ones; return False if any is not near."""
+def near_values(rows, shapes, offsets, inside, start, values, out):
+    """Store the ``values`` (m, 3), kept for all near rows, of each row (n,); return False if any is not near."""
     block = 0
     for r in range(rows.size):
         row = rows[r]
@@ -43,7 +46,8 @@ def near_places(rows, shapes, offsets, inside, start, out):
         place = _place(inside[block], line // nj, line % nj, local - line * nk, local)
         if place < 0:
             return False
-        out[r] = start[block] + place
+        for c in range(3):
+            out[r, c] = values[start[block] + place, c]
     return True
 
 

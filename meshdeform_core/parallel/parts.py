@@ -37,8 +37,8 @@ class Chosen(Protocol):
         """Numbers (n,) of the rows, ascending."""
         ...
 
-    def places(self, rows: np.ndarray) -> np.ndarray | None:
-        """Positions of row numbers (n,) among these rows; ``None`` if any is not among them."""
+    def taken(self, values: np.ndarray, rows: np.ndarray) -> np.ndarray | None:
+        """The ``values`` (m, 3), one for each of these rows, of row numbers (n,); ``None`` if any is another row."""
         ...
 
 
@@ -127,8 +127,7 @@ class Part:
         if self._known is None or not len(rows):
             return None
         chosen, values = self._known
-        places = chosen.places(rows)
-        return None if places is None else values[places]
+        return chosen.taken(values, rows)
 
     def _sent(self, rows: np.ndarray) -> Any:
         """The rows, sent by their owners."""

@@ -25,6 +25,7 @@ from meshdeform_core.numerics.fastsum.clusters.tree import build_tree, gather_ch
 from meshdeform_core.numerics.fastsum.radial.sums import FastRadial
 from meshdeform_core.numerics.fastsum.radial.targets import make_radial_targets
 from meshdeform_core.numerics.fastsum.weighted import sums as fastsum
+from meshdeform_core.numerics.fastsum.weighted.treesum import charge_rows
 
 VARIANTS = {
     "none": {"rotation": "none"},
@@ -183,9 +184,9 @@ def test_clusters_hold_their_sources_and_keep_their_charges(n, flat, seed):
     charges = rng.random((n, 8))
     tree = build_tree(points, 3)
     np.testing.assert_array_equal(np.sort(tree.order), np.arange(n))
-    rows = np.empty((n + len(tree.boxes.proxies), 11))
+    rows, start = charge_rows(tree)
     rows[:n, 3:] = charges[tree.order]
-    gather_charges(tree, rows, np.ones(len(tree.span), dtype=bool), 0, len(tree.span))
+    gather_charges(tree, rows, start, np.ones(len(tree.span), dtype=bool), 0, len(tree.span))
     proxy = rows[n:, 3:]
     for c, (lo, hi) in enumerate(tree.span):
         members = tree.order[lo:hi]

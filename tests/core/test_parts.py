@@ -141,13 +141,13 @@ class Some:
 
     rows: np.ndarray
 
-    def places(self, rows):
+    def taken(self, values, rows):
         at = np.minimum(np.searchsorted(self.rows, rows), len(self.rows) - 1)
-        return at if np.array_equal(self.rows[at], rows) else None
+        return values[at] if np.array_equal(self.rows[at], rows) else None
 
 
 @given(st.lists(st.tuples(*[st.integers(2, 7)] * 3), min_size=1, max_size=4), st.sampled_from([None, 0, 1, 2]))
-def test_places_of_nodes_near_block_faces(shapes, flat_axis):
+def test_values_of_nodes_near_block_faces(shapes, flat_axis):
     if flat_axis is not None:
         shapes = [tuple(1 if axis == flat_axis else n for axis, n in enumerate(shape)) for shape in shapes]
     offsets = np.append(0, np.cumsum(np.prod(shapes, axis=1)))
@@ -155,10 +155,11 @@ def test_places_of_nodes_near_block_faces(shapes, flat_axis):
     side, _, _, flat = sides.all_nodes(np.flatnonzero(sides.has_quads))
     expected = np.unique([flat, flat + sides.inward[side]])
     np.testing.assert_array_equal(near.rows, expected)
-    some = np.random.default_rng(len(flat)).permutation(expected)
-    np.testing.assert_array_equal(near.places(some), np.searchsorted(expected, some))
+    random = np.random.default_rng(len(flat))
+    some, values = random.permutation(expected), random.random((offsets[-1], 3))
+    np.testing.assert_array_equal(near.taken(values[expected], some), values[some])
     for row in np.setdiff1d(np.arange(offsets[-1]), expected):
-        assert near.places(np.append(some, row)) is None
+        assert near.taken(values[expected], np.append(some, row)) is None
 
 
 @settings(max_examples=5)

@@ -88,21 +88,20 @@ def _halve(points, place, span, center, axes, half):
 
 
 @kernel
-def gather_charges(tree, rows, active, first_cluster, last_cluster):
-    """Charges of the interpolation points of some clusters from those of the sources, in ``rows`` (n + m, 11):
+def gather_charges(tree, rows, start, active, first_cluster, last_cluster):
+    """Charges of the interpolation points of some clusters from those of the sources, in ``rows`` (n + k, 11):
     coordinates and charges of the sources in tree order, then of the interpolation points.
 
-    The Lagrange polynomials of each cluster distribute the charges of its sources among its interpolation points.
-    Clusters not ``active`` (m,) have no charged sources.
+    The Lagrange polynomials of each cluster distribute the charges of its sources among its interpolation points, the
+    rows from ``start[cluster]`` to ``start[cluster + 1]``. Clusters not ``active`` (m,) have no charged sources.
     """
     node, weight, value = np.empty((3, 32)), np.empty((3, 32)), np.empty((3, 32))
-    count_sources = tree.order.size
-    for n in range(tree.boxes.proxy[first_cluster], tree.boxes.proxy[last_cluster]):
+    for n in range(start[first_cluster], start[last_cluster]):
         for c in range(CHARGES):
-            rows[count_sources + n, 3 + c] = 0.0
+            rows[n, 3 + c] = 0.0
     for cluster in range(first_cluster, last_cluster):
-        first = tree.boxes.proxy[cluster]
-        if tree.boxes.proxy[cluster + 1] == first or not active[cluster]:
+        first = start[cluster]
+        if start[cluster + 1] == first or not active[cluster]:
             continue
         count = tree.boxes.per_side[cluster]
         for d in range(3):
@@ -115,7 +114,7 @@ def gather_charges(tree, rows, active, first_cluster, last_cluster):
             for d in range(3):
                 t = box_coordinate(tree.points, s, tree.boxes.center, tree.boxes.axes, tree.boxes.half, cluster, d)
                 lagrange(count[d], node[d], weight[d], t, value[d])
-            n = count_sources + first
+            n = first
             for i in range(count[0]):
                 for j in range(count[1]):
                     product = value[0, i] * value[1, j]

@@ -29,7 +29,7 @@ Make = Callable[[slice, IntArray, int], FloatArray]
 _MOST_PORTIONS = 64
 _SOURCES = 2048
 # Charges of groups that do not act.
-_NONE = Charges(np.empty((0, 3 + CHARGES)), False)
+_NONE = Charges(np.empty((0, 3 + CHARGES)), np.empty(0, dtype=np.int64), False)
 
 
 class FrozenSums:
@@ -196,10 +196,10 @@ class FrozenSums:
             if not (weigh or moving.any()):
                 charges.append(_NONE)
                 continue
-            rows, members = charge_rows(tree), group[tree.order]
+            (rows, start), members = charge_rows(tree), group[tree.order]
             source = rows[: len(members), 3:]
             if weigh:
                 source[:, 0] = self._strength[members]
             source[:, 1 : 1 + len(values)] = (self._strength * self.acting)[members][:, None] * values[:, members].T
-            charges.append(gather(tree, rows))
+            charges.append(gather(tree, rows, start))
         return charges

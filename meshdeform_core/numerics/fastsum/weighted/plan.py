@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ....parallel import Shared, for_chunks
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...exact.mixed import Scale
 from ..clusters.acceptance import Kernel
@@ -69,7 +70,7 @@ class Plan:
     moving : for each tree, which clusters (m,) hold sources that move
     weight : (n, 1 + lasting) of every target in the order of the bricks, and its sums of values that never change,
         known once ``weighed``; ``None`` without room
-    used : for each tree, whether the interpolation points of a cluster (m,) act anywhere, known once ``complete``
+    used : for each tree, whether the interpolation points of a cluster (m,) act anywhere, known after :meth:`survey`
     """
 
     def __init__(
@@ -91,9 +92,19 @@ class Plan:
         rows = len(targets.every)
         size = 8 * rows * (1 + key.lasting) if weights else 0
         self.weight = np.empty((rows, 1 + key.lasting)) if weights and size <= room else None
-        self.weighed = self.complete = False
+        self.weighed = self._surveyed = False
         self.used = [np.zeros(len(tree.child), dtype=bool) for tree in self._trees]
         self._room = room - size
+
+    def survey(self, chunk: int) -> None:
+        """Make the lists of all regions, ``chunk`` at a time, which tell the clusters whose charges are needed.
+
+        Of several ranks, or beside few targets, these are a part of the clusters.
+        """
+        if not self._surveyed:
+            targets = self._targets
+            for_chunks(self.lists_of, targets.n_regions, chunk, shared=[Shared(self.risk, targets.numbers)])
+            self._surveyed = True
 
     def lists_of(self, first: int, last: int) -> list[Lists]:
         """:class:`.walk.Lists` of each group for the regions first <= g < last; called from several threads."""

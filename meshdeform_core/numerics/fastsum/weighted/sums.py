@@ -108,7 +108,9 @@ class FastSums:
         """
         targets, k, lasting = self.targets, len(summands.values), summands.lasting
         middle, spread, scaled = _scaled(summands, self._strength)
+        chunk = max(CHUNK, _TARGETS * targets.n_regions // max(len(targets.every), 1))
         plan = self._planned(summands, (scaled != 0.0).any(axis=0))
+        plan.survey(chunk)
         weight = plan.weight if plan.weighed else None
         if weight is not None:
             scaled[k - lasting :] = 0.0
@@ -135,10 +137,8 @@ class FastSums:
                 one[:, one.shape[1] - lasting :] = other[:, other.shape[1] - lasting :]
             use(flat, sums)
 
-        shared = [Shared(result, targets.flat), Shared(plan.risk, targets.numbers)]
-        chunk = max(CHUNK, _TARGETS * targets.n_regions // max(len(targets.every), 1))
-        for_chunks(work, targets.n_regions, chunk, progress, shared)
-        plan.weighed, plan.complete = plan.weight is not None, True
+        for_chunks(work, targets.n_regions, chunk, progress, [Shared(result, targets.flat)])
+        plan.weighed = plan.weight is not None
         return plan.risk
 
     def _reaches(self, shift: FloatArray, turn: FloatArray) -> list[Reach]:
@@ -170,12 +170,12 @@ class FastSums:
         """Charges of one pass, per group; ``weighing`` includes the strength itself, whose sum is the weight."""
         charges = []
         for (group, tree), used in zip(self._groups, plan.used, strict=True):
-            rows, members = charge_rows(tree), group[tree.order]
+            (rows, start), members = charge_rows(tree, used), group[tree.order]
             source = rows[: len(members), 3:]
             if weighing:
                 source[:, 0] = self._strength[members]
             source[:, 1 : 1 + len(values)] = (self._strength[members] * values[:, members]).T
-            charges.append(gather(tree, rows, used if plan.complete else None))
+            charges.append(gather(tree, rows, start))
         return charges
 
 

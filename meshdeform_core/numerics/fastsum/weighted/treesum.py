@@ -39,38 +39,43 @@ class Charges(NamedTuple):
 
     Attributes
     ----------
-    rows : (n + m, 11) coordinates and charges of the sources in tree order, then of the interpolation points
+    rows : (n + k, 11) coordinates and charges of the sources in tree order, then of the interpolation points
+    start : (m + 1,) first row of the interpolation points of each cluster
     all : whether the first or the last charge can be nonzero; the first, the strength, is omitted once the weights are
         known, and the last is needed by few kinds of rotation only
     """
 
     rows: np.ndarray
+    start: np.ndarray
     all: bool
 
 
-def charge_rows(tree: SourceTree) -> FloatArray:
-    """Rows of :class:`Charges` with coordinates, and without charges."""
-    n = len(tree.order)
-    rows = np.zeros((n + len(tree.boxes.proxies), 3 + CHARGES))
-    rows[:n, :3], rows[n:, :3] = tree.points, tree.boxes.proxies
-    return rows
+def charge_rows(tree: SourceTree, used: BoolArray | None = None) -> tuple[FloatArray, IntArray]:
+    """``rows`` of :class:`Charges` with coordinates and without charges, and their ``start``.
+
+    There are none for clusters that are not ``used`` (m,).
+    """
+    n, sizes, proxies = len(tree.order), np.diff(tree.boxes.proxy), tree.boxes.proxies
+    if used is not None:
+        sizes, proxies = np.where(used, sizes, 0), proxies[np.repeat(used, sizes)]
+    rows = np.zeros((n + len(proxies), 3 + CHARGES))
+    rows[:n, :3], rows[n:, :3] = tree.points, proxies
+    return rows, n + np.append(0, np.cumsum(sizes))
 
 
-def gather(tree: SourceTree, rows: FloatArray, used: BoolArray | None = None) -> Charges:
-    """:class:`Charges` from ``rows`` of :func:`charge_rows` with those of the sources; with ``used`` (m,), other
-    clusters get none."""
+def gather(tree: SourceTree, rows: FloatArray, start: IntArray) -> Charges:
+    """:class:`Charges` from ``rows`` and ``start`` of :func:`charge_rows`, with the charges of the sources."""
     source = rows[: len(tree.order), 3:]
     charged = np.append(0, np.cumsum(source.any(axis=1)))
     active = charged[tree.span[:, 1]] > charged[tree.span[:, 0]]
-    acting = active if used is None else active & used
-    cut = _portions(tree)
-    for_chunks(lambda lo, hi: gather_charges(tree, rows, acting, cut[lo], cut[hi]), len(cut) - 1, 1)
-    return Charges(rows, bool(source[:, [0, -1]].any()))
+    cut = _portions(tree, start)
+    for_chunks(lambda lo, hi: gather_charges(tree, rows, start, active, cut[lo], cut[hi]), len(cut) - 1, 1)
+    return Charges(rows, start, bool(source[:, [0, -1]].any()))
 
 
-def _portions(tree: SourceTree) -> IntArray:
+def _portions(tree: SourceTree, start: IntArray) -> IntArray:
     """First clusters of portions of about equal cost, and one past the last; clusters near the root cost most."""
-    work = np.cumsum((tree.span[:, 1] - tree.span[:, 0]) * np.diff(tree.boxes.proxy))
+    work = np.cumsum((tree.span[:, 1] - tree.span[:, 0]) * np.diff(start))
     inner = np.searchsorted(work, np.linspace(0.0, work[-1], _PORTIONS + 1)[1:-1], side="right")
     return np.unique(np.concatenate([[0], inner, [len(work)]]))
 
@@ -164,9 +169,7 @@ def sum_lists(
     active = acting[number]
     number, raw = number[active], raw[active]
     # Rows of each list entry: those of a cluster's interpolation points, or of its sources.
-    rows = np.where(
-        raw, tree.span[number].T, len(tree.order) + np.stack([tree.boxes.proxy[number], tree.boxes.proxy[number + 1]])
-    ).T
+    rows = np.where(raw, tree.span[number].T, np.stack([charges.start[number], charges.start[number + 1]])).T
     stop = np.append(0, np.cumsum(active))[np.append(0, lists.stop)]
     clusters = np.ascontiguousarray(rows), spans(stop)
     a, b, kappa, single = function
