@@ -25,7 +25,7 @@ from meshdeform_core.numerics.fastsum.clusters.tree import build_tree, gather_ch
 from meshdeform_core.numerics.fastsum.radial.sums import FastRadial
 from meshdeform_core.numerics.fastsum.radial.targets import make_radial_targets
 from meshdeform_core.numerics.fastsum.weighted import sums as fastsum
-from meshdeform_core.numerics.fastsum.weighted.treesum import charge_rows
+from meshdeform_core.numerics.fastsum.weighted.treesum import charge_rows, gather
 
 VARIANTS = {
     "none": {"rotation": "none"},
@@ -280,3 +280,19 @@ def test_an_error_that_is_no_number_is_told_and_spoils_nothing():
     assert "fast sums" in account.warnings[0]
     sum_accurately("idw", sums, lambda: 1e-3, 1e-2, account)
     assert account.warnings == []
+
+
+def test_charges_of_used_clusters_are_the_same_without_the_others():
+    rng = np.random.default_rng(3)
+    tree = build_tree(rng.standard_normal((900, 3)), 3)
+    used = rng.random(len(tree.child)) < 0.4
+    found = []
+    for chosen in (None, used):
+        rows, start = charge_rows(tree, chosen)
+        rows[:900, 3:] = np.random.default_rng(4).random((900, 8))
+        found.append(gather(tree, rows, start))
+    every, some = found
+    assert len(some.rows) == 900 + np.diff(tree.boxes.proxy)[used].sum() < len(every.rows)
+    for cluster in np.flatnonzero(used):
+        one, other = (each.rows[each.start[cluster] : each.start[cluster + 1]] for each in (every, some))
+        np.testing.assert_array_equal(one, other)

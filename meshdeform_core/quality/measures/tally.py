@@ -162,12 +162,16 @@ class Lowest:
                 self._shorten()
 
     def complete(self) -> None:
-        """Combine the values of all ranks, which must all call this; none sends its values to the others."""
+        """Combine the values of all ranks, which must all call this; none sends its values to the others.
+
+        More values may follow, and another call.
+        """
         if current_ranks().count == 1:
             self._shorten()
             return
         # Digit by digit: the bits of numbers that are not negative are in the order of the numbers.
-        keys = (np.concatenate([np.empty(0, np.float32), *self._parts]) + np.float32(0.0)).view(np.uint32)
+        values = np.concatenate([np.empty(0, np.float32), *self._parts])
+        keys = (values + np.float32(0.0)).view(np.uint32)
         found, left = 0, self._count
         for shift in range(32 - _DIGIT, -1, -_DIGIT):
             digits = (keys >> np.uint32(shift)) & np.uint32((1 << _DIGIT) - 1)
@@ -176,7 +180,9 @@ class Lowest:
             digit = int(np.searchsorted(ends, left))
             found, left = found << _DIGIT | digit, left - int(ends[digit - 1] if digit else 0)
             keys = keys[digits == digit]
-        self._limit, self._parts = np.uint32(found).view(np.float32), []
+        self._limit = np.uint32(found).view(np.float32)
+        values = values[values <= self._limit]
+        self._parts, self._size = [values], values.size
 
     @property
     def largest(self) -> float:
