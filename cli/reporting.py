@@ -49,12 +49,21 @@ def deliver(
     if "timing" in report:
         report["timing"] = with_other(report["timing"], clock.perf_counter() - delivery.start)
     for path in files:
-        ranks.on_first(functools.partial(write_report, report, path, delivery.illustrate))
+        illustrate = delivery.illustrate
+        if ranks.count > 1 and path.suffix == ".html":
+            # The pictures take all ranks.
+            pictures = illustrate()
+            illustrate = functools.partial(_as_they_are, pictures)
+        ranks.on_first(functools.partial(write_report, report, path, illustrate))
     if to_stdout:
         click.echo(as_json(report), nl=False)
     if not quiet:
         # Warnings are already on stderr.
         click.echo(as_text({**report, "warnings": []}, verbose), nl=False, err=to_stdout)
+
+
+def _as_they_are(pictures: Illustrations) -> Illustrations:
+    return pictures
 
 
 def _arguments() -> Sequence[str]:

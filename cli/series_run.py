@@ -18,7 +18,7 @@ from meshdeform_core.errors import CaseError, FormatError, MeshDeformError
 from meshdeform_core.grid import FileFormat
 from meshdeform_core.memory import WRITING_ARRAYS, peak_memory
 from meshdeform_core.notices import first_of_each_kind, kind_of
-from meshdeform_core.parallel import carried, require_whole, thread_count
+from meshdeform_core.parallel import carried, thread_count
 from meshdeform_core.series import Level, Schedule, deform_series
 from meshdeform_formats.case import CaseFile
 from meshdeform_formats.case.sequences import parse_times
@@ -59,8 +59,6 @@ class Run:
 
 def prepare(job: Job, source: GridInput, wanted: SeriesInput, options: RunInput) -> Run:
     """Determine times and files, topology and boundary; nothing is written."""
-    if options.fields or any(path.suffix == ".html" for path in options.reports):
-        require_whole(job.grid.points, "fields or pictures are asked for")
     times = times_of(job.case, wanted)
     schedule = Schedule(times, wanted.origin, wanted.velocity, wanted.steps)
     name = name_of(source.path, wanted, job.grid.format)

@@ -25,7 +25,6 @@ from meshdeform_core.parallel import (
     current_ranks,
     dividing,
     ranks_of,
-    require_whole,
     thread_count,
 )
 from meshdeform_core.quality.fields import CellFields
@@ -160,8 +159,6 @@ def run(
     chosen = variant_of(job.grid, output, variant)
     require_space(job.grid, output, chosen)
     precision = chosen.precision
-    if options.fields or any(path.suffix == ".html" for path in options.reports):
-        require_whole(job.grid.points, "fields or pictures are asked for")
     grid = complete_for_export(job.grid, output)
     result = deform(
         grid,

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
+import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -10,7 +12,7 @@ import numpy as np
 
 from meshdeform_core.errors import CaseError, FormatError, suggestion
 from meshdeform_core.grid import Field, FloatArray, Grid
-from meshdeform_core.parallel import empty, for_rows
+from meshdeform_core.parallel import combined, empty
 from meshdeform_core.quality.fields import CELL_MEASURES, CellFields
 
 from .grids import FORMATS
@@ -77,22 +79,27 @@ def _all(cells: CellFields) -> list[str]:
 def _fields(cells: CellFields, name: str) -> Iterator[Field]:
     grid = cells.grid
     if name == DISPLACEMENT and cells.reference is not None:
-        moved = _displacement(grid, cells.reference)
-        yield from (Field(name, "node", block, grid.block(block, moved)) for block in range(grid.n_blocks))
+        moved = combined(np.subtract, grid.points, cells.reference.points)
+        for block, shape in enumerate(grid.shapes):
+            yield Field(name, "node", block, grid.spread(grid.in_planes(block, moved), shape[0]))
         return
-    found = empty([grid.n_cells], np.int32 if name == INVALID else np.float32)
-    for block, shape in enumerate(grid.cell_shapes):
-        values = found[grid.cell_offsets[block] : grid.cell_offsets[block + 1]].reshape(shape)
-        # A few layers at a time, as intermediate arrays take several times the memory of the result.
-        layers = max(1, _CELLS // (shape[1] * shape[2])) if grid.dimension == 3 else shape[0]
-        for first in range(0, shape[0], layers):
-            some = slice(first, min(first + layers, shape[0])), slice(0, shape[1]), slice(0, shape[2])
-            values[some] = cells.bad(block, some) if name == INVALID else cells.values(name, block, some)
-        yield Field(name, "cell", block, values)
+    shapes = [grid.own_shape(block, shape) for block, shape in enumerate(grid.cell_shapes)]
+    ends = [0, *itertools.accumulate(map(math.prod, shapes))]
+    found = empty([ends[-1]], np.int32 if name == INVALID else np.float32)
+    with cells.ready(name):
+        for block, shape in enumerate(shapes):
+            _fill(cells, name, block, found[ends[block] : ends[block + 1]].reshape(shape))
+    for block, shape in enumerate(shapes):
+        values = found[ends[block] : ends[block + 1]].reshape(shape)
+        yield Field(name, "cell", block, grid.spread(values, grid.cell_shapes[block][0]))
 
 
-def _displacement(grid: Grid, reference: Grid) -> FloatArray:
-    """(n_nodes, 3)."""
-    result: FloatArray = empty(grid.points.shape)
-    for_rows(lambda rows: np.subtract(grid.points[rows], reference.points[rows], out=result[rows]), result)
-    return result
+def _fill(cells: CellFields, name: str, block: int, values: FloatArray) -> None:
+    """Fill the values of a measure in the cells of a block that this rank has."""
+    grid, shape, start = cells.grid, values.shape, cells.grid.planes(block).start
+    # A few layers at a time, as intermediate arrays take several times the memory of the result.
+    layers = max(1, _CELLS // (shape[1] * shape[2])) if grid.dimension == 3 else max(1, shape[0])
+    for first in range(0, shape[0], layers):
+        last = min(first + layers, shape[0])
+        some = slice(start + first, start + last), slice(0, shape[1]), slice(0, shape[2])
+        values[first:last] = cells.bad(block, some) if name == INVALID else cells.values(name, block, some)

@@ -141,7 +141,7 @@ def worst_cells(
 def _corners(grid: Grid, block: int, cell: Shape, more: int = 0) -> FloatArray:
     """Nodes (n, 3) of a cell and of ``more`` cells around it."""
     window = tuple(slice(max(at - more, 0), at + 2 + more) for at in cell)
-    return grid.block(block)[window].reshape(-1, 3)
+    return grid.few(block, window).reshape(-1, 3)
 
 
 def _surroundings(pair: Pair, block: int, cell: Shape, view: View) -> tuple[Window, Window]:
@@ -164,7 +164,7 @@ def _telling_plane(pair: Pair, block: int, cell: Shape) -> tuple[int, FloatArray
     found = []
     for axis in range(3):
         window = tuple(slice(at, at + (1 if a == axis else 2)) for a, at in enumerate(cell))
-        old, new = (grid.block(block)[window].reshape(2, 2, 3) for grid in (pair.before, pair.after))
+        old, new = (grid.few(block, window).reshape(2, 2, 3) for grid in (pair.before, pair.after))
         normal = np.cross(old[1, 1] - old[0, 0], old[0, 1] - old[1, 0])
         length = float(np.linalg.norm(normal))
         if length == 0.0:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
 from meshdeform_core.boundary import Kind
 from meshdeform_core.deform import Result, Setup
 from meshdeform_core.grid import FloatArray, Grid
+from meshdeform_core.parallel import ranks_of
 
 from ..picture import (
     Choice,
@@ -31,13 +33,15 @@ def deformation_figures(result: Result) -> Illustrations:
     """The moving walls, a plane around them, the worst cells and what a repair changed, before and after."""
     setup, after, invalid = result.setup, result.grid, result.assessment.invalid
     pair = Pair(setup.grid, after, setup.topology, original=setup.original)
-    figures = [_slider("Around the walls", "A plane through the grid, coloured by f_skew.", *quality_planes(pair))]
+    figures = [
+        _slider(after, "Around the walls", "A plane through the grid, coloured by f_skew.", *quality_planes(pair))
+    ]
     block, cell = worst_cell(pair.new, "f_skew")
     where = setup.grid.label(block, cell)
     caption = (
         f"A close-up of cell {where}, where f_skew is smallest{', and of other invalid cells' if invalid else ''}."
     )
-    old, new = map(page_png, apart(worst_cells(pair, block, cell)))
+    old, new = (_png(after, page) for page in apart(worst_cells(pair, block, cell)))
     # The windows follow the cell.
     figures.append(Figure("The worst cells", caption, new, old, slider=False))
     moving = np.flatnonzero(setup.boundary.quad_kind == Kind.MOVING)
@@ -46,7 +50,7 @@ def deformation_figures(result: Result) -> Illustrations:
         solid = page.scale is not None and page.scale.metric == "displacement"
         if solid:
             caption = "The moving walls before and after, coloured by their displacement."
-            figures.insert(0, Figure("The moving walls", caption, page_png(page)))
+            figures.insert(0, Figure("The moving walls", caption, _png(after, page)))
     if result.plain is not None:
         figures.append(_repaired_region(setup, setup.grid.moved(result.plain), after))
     return Illustrations(tuple(figures))
@@ -61,12 +65,17 @@ def _repaired_region(setup: Setup, plain: Grid, after: Grid) -> Figure:
     page = worst_cells(pair, block, cell)
     # The same position, not the same cell, which the repair has moved.
     panels = tuple(dataclasses.replace(panel, window=page.panels[0].window) for panel in page.panels)
-    plain_png, after_png = map(page_png, apart(dataclasses.replace(page, panels=panels)))
+    plain_png, after_png = (_png(after, each) for each in apart(dataclasses.replace(page, panels=panels)))
     return Figure("What the repair changed", caption, after_png, plain_png, names=("the method alone", "repaired"))
 
 
-def _slider(title: str, caption: str, before: Page, after: Page) -> Figure:
-    return Figure(title, caption, page_png(after), page_png(before))
+def _slider(grid: Grid, title: str, caption: str, before: Page, after: Page) -> Figure:
+    return Figure(title, caption, _png(grid, after), _png(grid, before))
+
+
+def _png(grid: Grid, page: Page, **size: Any) -> bytes:
+    """A page as PNG, drawn by the first of the ranks that hold the grid."""
+    return ranks_of(grid.points).on_first(lambda: page_png(page, **size))
 
 
 def _moving_nodes(setup: Setup, points: FloatArray) -> FloatArray:
@@ -90,5 +99,5 @@ def level_thumbnails(
     for number, caption, file in levels:
         subject = Subject(setup.grid.moved(read(number)), setup.topology, setup.grid, original=setup.original)
         page = plane_around(subject, around, Choice(limits=(0.0, 1.0)))
-        shown.append((Figure(caption, caption, page_png(page, 4.2, 90)), file))
+        shown.append((Figure(caption, caption, _png(subject.grid, page, width=4.2, dpi=90)), file))
     return Illustrations(thumbnails=tuple(shown))

@@ -157,15 +157,31 @@ class Grid(BlockSizes):
         """Values that this rank holds of ``count`` planes i of a block, as values of a :class:`Field`."""
         return OwnPlanes(own, count) if isinstance(self.points, Part) else own
 
-    def hold_neighbours(self, values: FloatArray | None = None) -> None:
-        """Hold the planes beside those of this rank, too, if the grid is in parts, of ``points`` or an array alike."""
+    def box(self, index: int, window: Sequence[slice], values: FloatArray | None = None) -> FloatArray:
+        """Nodes (ni, nj, nk, ...) in a window of a block, which this rank holds, in ``points`` or an array alike."""
+        array = self.points if values is None else values
+        _, nj, nk = self.shapes[index]
+        i, j, k = window
+        first, last = (int(self.offsets[index]) + end * nj * nk for end in (i.start, i.stop))
+        return array[first:last].reshape(i.stop - i.start, nj, nk, *array.shape[1:])[:, j, k]
+
+    def few(self, index: int, window: Sequence[slice]) -> FloatArray:
+        """Coordinates (ni, nj, nk, 3) of a small window of a block, on all ranks."""
+        i, j, k = np.ix_(*(np.arange(n)[part] for n, part in zip(self.shapes[index], window, strict=True)))
+        _, nj, nk = self.shapes[index]
+        return np.asarray(self.points[self.offsets[index] + (i * nj + j) * nk + k])
+
+    def hold_neighbours(self, values: FloatArray | None = None, after: int = 1) -> None:
+        """Hold the plane before those of this rank and some ``after`` them, too, if the grid is in parts, of ``points``
+        or an array alike."""
         if not isinstance(self.points, Part):
             return
         low, high = own_rows(self.points)
         for block, shape in enumerate(self.shapes):
             first, last = self.offsets[[block, block + 1]].tolist()
             low -= shape[1] * shape[2] * (first < self.points.low < last)
-            high += shape[1] * shape[2] * (first < self.points.high < last)
+            if first < self.points.high < last:
+                high = min(high + after * shape[1] * shape[2], last)
         (self.points if values is None else values).widen(low, high)
 
     def fill(self, put: Callable[[int], None]) -> None:

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..grid import FloatArray, Grid, IntArray
+from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology, cells_behind
-from ..parallel import empty
+from ..parallel import own_rows, rows_of
+from .measures.cells import cells_alike
 from .measures.lines import InterfaceLines, WallFace, kink_and_jump, lines_across, wall_faces, wall_lines
 
 
@@ -19,7 +20,8 @@ def wall_cells(before: Grid, topology: Topology, after: FloatArray, quads: IntAr
     A cell gets the largest deviation of its grid lines at the wall in coordinates ``after`` (n_nodes, 3) and, of the
     ratios of first-cell heights after to before along them, the one farthest from 1.
     """
-    deviation, ratio = _of_no_cell(before), _of_no_cell(before)
+    known = _of_no_cell(before), _of_no_cell(before)
+    deviation, ratio = map(rows_of, known)
     chosen = np.zeros(len(topology.partner), dtype=bool)
     chosen[quads] = True
     normal = plane_normal(before)
@@ -29,15 +31,23 @@ def wall_cells(before: Grid, topology: Topology, after: FloatArray, quads: IntAr
         change = np.divide(height, old, out=np.full(height.shape, np.nan), where=old > 0)
         first = topology.quads.of_side(face.block, face.side).start
         cells = cells_behind(before, topology, first + np.flatnonzero(face.wall))
-        deviation[cells] = np.fmax(deviation[cells], _corners(face, angle).max(axis=1))
-        ratio[cells] = _farthest(ratio[cells], _corners(face, change))
-    return deviation, ratio
+        own = _of_rank(known[0], cells)
+        cells = cells[own]
+        deviation[cells] = np.fmax(deviation[cells], _corners(face, angle)[own].max(axis=1))
+        ratio[cells] = _farthest(ratio[cells], _corners(face, change)[own])
+    return known
 
 
 def _of_no_cell(grid: Grid) -> FloatArray:
-    values: FloatArray = empty([grid.n_cells])
-    values.fill(np.nan)
+    values: FloatArray = cells_alike(grid, np.float64)
+    rows_of(values)[slice(*own_rows(values))] = np.nan
     return values
+
+
+def _of_rank(values: FloatArray, cells: IntArray) -> BoolArray:
+    """Which of some cells belong to this rank."""
+    low, high = own_rows(values)
+    return np.asarray((cells >= low) & (cells < high))
 
 
 def _corners(face: WallFace, values: FloatArray) -> FloatArray:
@@ -75,7 +85,9 @@ def interface_cells(
     for target, values in zip((kink, jump), found, strict=True):
         worst = np.abs(values).max(axis=1)
         for sides in (quads, topology.partner[quads]):
-            np.fmax.at(target, cells_behind(grid, topology, sides), worst)
+            cells = cells_behind(grid, topology, sides)
+            own = _of_rank(target, cells)
+            np.fmax.at(rows_of(target), cells[own], worst[own])
     return kink, jump
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,9 +16,10 @@ from ..grid.faces.roles import Role
 from ..grid.faces.surfaces import Outside, find_outside
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
+from ..parallel import Part, apart, of_all
 from .boundary_cells import interface_cells, wall_cells
 from .measures.cells import CellMeasures, measure_block
-from .shape import shape_of_cells
+from .shape import shape_of_cells, thickness_of
 from .verdict.original import Original
 from .verdict.validity import Verdict, judge
 
@@ -59,6 +61,14 @@ CELL_MEASURES = {
 """All measures by name. Measures at walls are NaN in cells away from walls, those at interfaces in cells away from
 interfaces. With an undeformed grid, kinks and jumps are changes since that grid."""
 
+_FROM_ALL = {
+    "wall_normal_deviation_deg": "at_walls",
+    "first_cell_height_ratio": "at_walls",
+    "interface_kink_deg": "at_interfaces",
+    "interface_spacing_jump": "at_interfaces",
+    "wall_distance": "_wall_tree",
+}
+"""What measures take from all ranks of a grid in parts."""
 _SHAPE = ("aspect_ratio", "growth_ratio", "non_orthogonality_deg", "skewness")
 
 
@@ -91,7 +101,7 @@ class CellFields:
         return slice(0, ci), slice(0, cj), slice(0, ck)
 
     def values(self, measure: str, block: int, cells: Cells) -> FloatArray:
-        """A measure of a box of cells.
+        """A measure of a box of cells; of a grid in parts, of cells of this rank, within :meth:`ready`.
 
         Raises
         ------
@@ -111,6 +121,46 @@ class CellFields:
         if CELL_MEASURES[measure].of_walls and not len(self.walls):
             raise CaseError(f"{measure}: no wall is known; see `meshdeform info`")
 
+    @contextmanager
+    def ready(self, measure: str = "") -> Iterator[None]:
+        """Context for :meth:`values` of a measure and :meth:`bad` of cells of this rank, without other ranks; all ranks
+        must enter it."""
+        if isinstance(self.grid.points, Part):
+            self._fetch(measure)
+        with apart(self.grid.points):
+            yield
+
+    def _fetch(self, measure: str) -> None:
+        """Find what a measure takes from other ranks, which all do the same."""
+        known = [getattr(self, name) for name in ("_normal", "_thickness", _FROM_ALL.get(measure, "_normal"))]
+        low, high = self._behind
+        for values in (*self.verdict.arrays, *(known[-1] if isinstance(known[-1], tuple) else ())):
+            values.widen(low, high)
+        for grid in (self.grid, self.reference):
+            if grid is not None:
+                grid.hold_neighbours(after=2)
+
+    @property
+    def _behind(self) -> tuple[int, int]:
+        """Numbers of the cells behind the planes i of this rank: the first, and one past the last."""
+        grid, ends = self.grid, []
+        for block, (ci, cj, ck) in enumerate(grid.cell_shapes):
+            own, first = grid.planes(block), int(grid.cell_offsets[block])
+            ends += [first + min(end, ci) * cj * ck for end in (own.start, own.stop) if own.start < own.stop]
+        return (ends[0], ends[-1]) if ends else (grid.n_cells, 0)
+
+    def own(self, block: int, cells: Cells) -> Cells:
+        """Those cells of a box that belong to this rank."""
+        first, planes = cells[0], self.grid.planes(block)
+        low = max(first.start, planes.start)
+        return slice(low, max(low, min(first.stop, planes.stop))), cells[1], cells[2]
+
+    def of_all(self, look: Callable[[Cells], np.ndarray], block: int, cells: Cells) -> np.ndarray:
+        """What ``look`` finds in a box of cells, on all ranks, from what each finds in its own cells."""
+        own = self.own(block, cells)
+        found = of_all(self.grid.points, look(own) if own[0].start < own[0].stop else None)
+        return np.concatenate([each for each in found if each is not None])
+
     def bad(self, block: int, cells: Cells) -> BoolArray:
         """Invalid cells: those that became invalid or, without an undeformed grid, those with a negative Jacobian."""
         if self.reference is None:
@@ -119,9 +169,9 @@ class CellFields:
 
     def nodes(self, block: int, cells: Cells, grid: Grid | None = None) -> FloatArray:
         """The nodes (ni, nj, nk, 3) of a box of cells."""
-        x = (grid or self.grid).block(block)
-        window = tuple(slice(c.start, c.stop + (n > 1)) for c, n in zip(cells, x.shape[:3], strict=True))
-        return np.ascontiguousarray(x[window])
+        shape = self.grid.shapes[block]
+        window = [slice(c.start, c.stop + (n > 1)) for c, n in zip(cells, shape, strict=True)]
+        return np.ascontiguousarray((grid or self.grid).box(block, window))
 
     def measure(self, block: int, cells: Cells, grid: Grid | None = None) -> CellMeasures:
         """Corner Jacobians and volumes of a box of cells."""
@@ -156,14 +206,19 @@ class CellFields:
         return plane_normal(self.grid)
 
     @cached_property
+    def _thickness(self) -> FloatArray | None:
+        return thickness_of(self.grid)
+
+    @cached_property
     def _wall_tree(self) -> scipy.spatial.cKDTree:
         nodes = np.unique(self.topology.quads.corners[self.walls])
         return scipy.spatial.cKDTree(self.grid.points[self.topology.first[nodes]])
 
     def _box(self, values: np.ndarray, block: int, cells: Cells) -> np.ndarray:
         """A box of cells of an array with one row per cell of the grid."""
-        starts = self.grid.cell_offsets
-        return values[starts[block] : starts[block + 1]].reshape(self.grid.cell_shapes[block])[cells]
+        (i, j, k), (_, cj, ck) = cells, self.grid.cell_shapes[block]
+        first, last = (int(self.grid.cell_offsets[block]) + end * cj * ck for end in (i.start, i.stop))
+        return values[first:last].reshape(i.stop - i.start, cj, ck)[:, j, k]
 
 
 def cell_means(x: FloatArray) -> FloatArray:
@@ -200,7 +255,7 @@ def _corner(name: str) -> Callable[[CellFields, int, Cells], FloatArray]:
 
 
 def _shape(number: int) -> Callable[[CellFields, int, Cells], FloatArray]:
-    return lambda fields, block, cells: shape_of_cells(fields.grid, block, cells)[..., number]
+    return lambda fields, block, cells: shape_of_cells(fields.grid, block, cells, fields._thickness)[..., number]
 
 
 def _beside(name: str, number: int) -> Callable[[CellFields, int, Cells], FloatArray]:

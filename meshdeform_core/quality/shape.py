@@ -8,6 +8,7 @@ import numpy as np
 
 from ..grid import FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
+from ..numerics.arrays import extent
 from ..numerics.cell.shape import measure_shape
 from .listed import Worst
 
@@ -39,10 +40,10 @@ def shape_measures(grid: Grid) -> dict[str, ShapeMeasure]:
     """
     best = np.full(4, -1.0)
     cells: list[tuple[int, IntArray]] = [(0, np.zeros(3, dtype=np.int64))] * 4
-    total, count = np.zeros(4), np.zeros(4, dtype=np.int64)
+    total, count, thickness = np.zeros(4), np.zeros(4, dtype=np.int64), thickness_of(grid)
     for block in range(grid.n_blocks):
         worst, place = np.full(4, -1.0), np.zeros((4, 3), dtype=np.int64)
-        x, resolved = _solid(grid, block)
+        x, resolved = _solid(grid, block, grid.block(block), thickness)
         measure_shape(x, resolved, worst, place, total, count, _NO_CELLS)
         for m in np.flatnonzero(worst > best):
             best[m], cells[m] = worst[m], (block, place[m])
@@ -53,31 +54,38 @@ def shape_measures(grid: Grid) -> dict[str, ShapeMeasure]:
     }
 
 
-def shape_of_cells(grid: Grid, block: int, cells: tuple[slice, slice, slice]) -> FloatArray:
+def shape_of_cells(
+    grid: Grid, block: int, cells: tuple[slice, slice, slice], thickness: FloatArray | None
+) -> FloatArray:
     """The measures of :data:`DEFINITIONS` of a box of cells with explicit ends, (ci, cj, ck, 4).
 
-    For measures between neighbours a cell gets the largest value of its faces.
+    For measures between neighbours a cell gets the largest value of its faces. ``thickness`` is that of a plane grid.
     """
-    x, resolved = _solid(grid, block)
     # The outer cells of the box also depend on the neighbours around it.
     low = [max(c.start - 1, 0) for c in cells]
-    high = [min(c.stop + 1, n - 1) for c, n in zip(cells, x.shape[:3], strict=True)]
-    around = np.ascontiguousarray(x[tuple(slice(a, b + 1) for a, b in zip(low, high, strict=True))])
+    high = [min(c.stop + 1, n) for c, n in zip(cells, grid.cell_shapes[block], strict=True)]
+    window = [slice(a, min(b + 1, n)) for a, b, n in zip(low, high, grid.shapes[block], strict=True)]
+    around, resolved = _solid(grid, block, grid.box(block, window), thickness)
     values = np.zeros((*(n - 1 for n in around.shape[:3]), 4))
     extremes = np.full(4, -1.0), np.zeros((4, 3), dtype=np.int64), np.zeros(4), np.zeros(4, dtype=np.int64)
     measure_shape(around, resolved, *extremes, values)
     return np.asarray(values[tuple(slice(c.start - a, c.stop - a) for c, a in zip(cells, low, strict=True))])
 
 
-def _solid(grid: Grid, block: int) -> tuple[FloatArray, IntArray]:
-    """The nodes of a block (a 2-D one extruded by one layer), and its index axes with more than one cell."""
-    x = grid.block(block)
+def thickness_of(grid: Grid) -> FloatArray | None:
+    """Vector by which a plane grid is extruded by one layer of cells; ``None`` for any other grid."""
+    normal = plane_normal(grid)
+    if normal is None:
+        return None
+    low, high = extent(grid.points)
+    return np.asarray(normal * float((high - low).max()))
+
+
+def _solid(grid: Grid, block: int, x: FloatArray, thickness: FloatArray | None) -> tuple[FloatArray, IntArray]:
+    """Nodes ``x`` of a block (of a 2-D one extruded by one layer), and its index axes with more than one cell."""
     resolved = np.array([n > 1 for n in grid.cell_shapes[block]], dtype=np.int64)
-    if grid.dimension == 2:
-        flat = grid.shapes[block].index(1)
-        normal = plane_normal(grid)
-        assert normal is not None
-        x = np.concatenate([x, x + normal * float(np.ptp(grid.points, axis=0).max())], axis=flat)
+    if thickness is not None:
+        x = np.concatenate([x, x + thickness], axis=grid.shapes[block].index(1))
     if not resolved.any():
         resolved[:] = 1
     return np.ascontiguousarray(x), resolved

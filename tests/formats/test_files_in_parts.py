@@ -14,15 +14,19 @@ from forked_ranks import Failed, on_ranks
 from grids import frame, frame_2d
 from plot3d_witness import binary_file, sample_blocks, sample_iblank
 
-from meshdeform_core.deform import Case
+from meshdeform_core.boundary import Kind
+from meshdeform_core.deform import Case, Start, Timing, deform, impose
 from meshdeform_core.grid import Field
 from meshdeform_core.methods import Options
 from meshdeform_core.numerics import pieces
 from meshdeform_core.parallel import WholeGridNeeded, dividing, parts
+from meshdeform_core.quality.fields import CELL_MEASURES, CellFields
 from meshdeform_core.repair import RepairOptions
 from meshdeform_core.series import Schedule, deform_series
 from meshdeform_core.setup import set_up
+from meshdeform_formats.fields import with_fields
 from meshdeform_formats.grids import read_grid, write_grid
+from meshdeform_formats.report.illustrations import deformation_figures, level_thumbnails
 from meshdeform_formats.series.outputs import LevelFiles
 from meshdeform_formats.series.single import SingleFile
 
@@ -167,6 +171,57 @@ def test_a_sample_of_all_ranks_decides_between_several_readings(blanked, tmp_pat
     (tmp_path / "grid.bin").write_bytes(data)
     folder = same_files(tmp_path, 2, reads_and_writes(tmp_path / "grid.bin", ".bin"))
     assert read_grid(folder / "out.bin").shapes == (shape,)
+
+
+@pytest.mark.parametrize("make", [frame, frame_2d])
+def test_fields_at_cells_and_nodes(make, tmp_path):
+    """All measures, also of cells at walls, beside interfaces and beside cuts; some cells are invalid."""
+    write_grid(make(9), tmp_path / "grid.cgns")
+    body = replace(body_specs(turning(100.0))[0], select=("*",))
+    sides = (body,) if make is frame_2d else tuple(body_specs(turning(100.0)))
+    case = Case(sides, method=Options("tfi"), repair=RepairOptions(mode="off"))
+
+    def act(folder):
+        setup = set_up(read_grid(tmp_path / "grid.cgns"), case)
+        result = impose(setup, setup.motion(0.0), 1, "float64", Timing(), None, Start(setup.grid.points))
+        moving = np.flatnonzero(setup.boundary.quad_kind == Kind.MOVING)
+        cells = CellFields(result.grid, setup.topology, setup.grid, moving, setup.original)
+        write_grid(result.grid, folder / "out.cgns", None, lambda _: with_fields(cells, ("all", "displacement")))
+
+    folder = same_files(tmp_path, 3, act)
+    with h5py.File(folder / "out.cgns") as file:
+        found = [file["Base/block1"][f"FlowSolution{at}"] for at in ("Vertex", "CellCenter")]
+        assert {"displacementX", "GridLocation"} < set(found[0])
+        assert set(CELL_MEASURES) - {"displacement"} | {"invalid"} < set(found[1])
+
+
+def tapered():
+    """No extrusion: it narrows along z."""
+    grid = frame(5, 4)
+    return grid.moved(grid.points * (1.0 - 0.2 * grid.points[:, 2:]) ** np.array([1.0, 1.0, 0.0]))
+
+
+@pytest.mark.parametrize("make", [tapered, lambda: frame(5, 4), lambda: frame_2d(7)], ids=["space", "flat", "plane"])
+def test_pictures_of_reports(make, tmp_path):
+    """Cuts, surfaces, the worst cells, the region of a repair; levels of a series."""
+    write_grid(make(), tmp_path / "grid.cgns")
+    plane = make().dimension == 2
+    sides = body_specs(turning(50.0))
+    case = Case((replace(sides[0], select=("*",)),) if plane else tuple(sides), method=Options("tfi"))
+
+    def act(folder):
+        result = deform(read_grid(tmp_path / "grid.cgns"), case)
+        assert result.repair is not None
+        figures = deformation_figures(result).figures
+        levels = [(0, "before", "a"), (1, "after", "b")]
+        read = (result.setup.grid.points, result.grid.points).__getitem__
+        small = [figure for figure, _ in level_thumbnails(result.setup, levels, read).thumbnails]
+        assert len(figures) == (4 if make is tapered else 3)
+        for number, figure in enumerate([*figures, *small]):
+            (folder / f"{number}.png").write_bytes(figure.after)
+            (folder / f"{number}.txt").write_text(figure.caption)
+
+    same_files(tmp_path, 3, act)
 
 
 def rind(whole):

@@ -67,9 +67,9 @@ def _declared_ends(subject: Subject) -> list[Face]:
         normals.append(normal)
         same = [f for f in planes if f.plane is not None and abs(f.plane.normal @ normal) > 1 - 1e-6]
         heights = [float(f.plane.point @ normal) for f in same if f.plane is not None]
-        level = subject.grid.points @ normal
+        low, high = subject.reach(normal)
         reach = 1e-6 * subject.size
-        both = min(heights) <= level.min() + reach and max(heights) >= level.max() - reach
+        both = min(heights) <= low + reach and max(heights) >= high - reach
         walls = [f for f, role in zip(found.faces, found.roles, strict=True) if role is Role.WALL]
         upright = all(_upright(subject, face, normal) for face in walls)
         if both and upright and walls and np.ptp(heights) > reach:
@@ -79,4 +79,5 @@ def _declared_ends(subject: Subject) -> list[Face]:
 
 def _upright(subject: Subject, wall: Face | Surface, normal: FloatArray) -> bool:
     """Whether a wall reaches through the whole grid along a direction."""
-    return bool(np.ptp(wall.box, axis=0) @ np.abs(normal) >= 0.99 * np.ptp(subject.grid.points @ normal))
+    low, high = subject.reach(normal)
+    return bool(np.ptp(wall.box, axis=0) @ np.abs(normal) >= 0.99 * (high - low))

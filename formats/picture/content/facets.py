@@ -11,6 +11,7 @@ from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import BoolArray, FloatArray, Grid, IntArray, Side
 from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.topology import Topology, side_nodes
+from meshdeform_core.parallel import alike, for_rows, of_all, rows_of
 
 from .subject import Cells, Subject
 
@@ -78,7 +79,7 @@ def block_facets(subject: Subject, block: int, axis: int, index: int, metric: st
     """The cells behind the node plane ``index`` (0-based) along ``axis`` of one block."""
     layer = min(index, subject.grid.cell_shapes[block][axis] - 1)
     cells = _with_layer(subject.whole(block), axis, layer)
-    quads = quads_of(np.take(subject.grid.block(block), index, axis=axis))
+    quads = quads_of(_layer(subject.grid, block, axis, index))
     return _facets(subject, block, cells, quads, metric, block)
 
 
@@ -88,9 +89,18 @@ def _with_layer(cells: Cells, axis: int, layer: int) -> Cells:
     return changed[0], changed[1], changed[2]
 
 
+def _layer(grid: Grid, block: int, axis: int, index: int) -> FloatArray:
+    """The nodes (na, nb, 3) of a plane of a block."""
+    window = [slice(index, index + 1) if a == axis else slice(0, n) for a, n in enumerate(grid.shapes[block])]
+    return grid.few(block, window).squeeze(axis=axis)
+
+
 def _facets(subject: Subject, block: int, cells: Cells, quads: FloatArray, metric: str, group: int) -> Facets:
-    values = subject.values(metric, block, cells).ravel() if metric else np.full(len(quads), np.nan)
-    return Facets(quads, values, subject.bad(block, cells).ravel(), np.full(len(quads), group))
+    with subject.ready(metric):
+        look = subject.of_all(lambda own: subject.values(metric, block, own), block, cells) if metric else None
+        bad = subject.of_all(lambda own: subject.bad(block, own), block, cells)
+    values = np.full(len(quads), np.nan) if look is None else look.ravel()
+    return Facets(quads, values, bad.ravel(), np.full(len(quads), group))
 
 
 def surface_facets(subject: Subject, quads: IntArray, metric: str = "") -> Facets:
@@ -118,22 +128,46 @@ def cut_facets(subject: Subject, plane: Plane, metric: str) -> Facets:
         When the plane misses the grid.
     """
     grid = subject.grid
-    level = (grid.points - plane.point) @ plane.normal
-    low, high = float(level.min()), float(level.max())
+    level, lows, highs = _levels(grid, plane)
+    low, high = float(lows.min()), float(highs.max())
     tiny = 1e-9 * subject.size
     if low > tiny or high < -tiny:
         raise CaseError(f"the plane misses the grid, which lies {min(abs(low), abs(high)):.4g} away from it")
     # A plane along faces of cells is shifted slightly into the cells.
     shift = -tiny if high <= 2 * tiny else tiny
-    level -= shift
-    starts = grid.offsets[:-1]
-    touched = (np.minimum.reduceat(level, starts) <= 0) & (np.maximum.reduceat(level, starts) > 0)
-    blocks = np.flatnonzero(touched) if touched.any() else range(1)
-    return joined([_cut_block(subject, int(block), level, metric) for block in blocks])
+    touched = np.flatnonzero((lows - shift <= 0) & (highs - shift > 0))
+    with subject.ready(metric):
+        own = [_cut_block(subject, block, level, shift, metric) for block in touched.tolist()]
+    return joined([Facets.plain(np.empty((0, 6, 3))), *(part for found in of_all(grid.points, own) for part in found)])
 
 
-def _cut_block(subject: Subject, block: int, level: FloatArray, metric: str) -> Facets:
-    x, value = subject.grid.block(block), subject.grid.block(block, level)
+def _levels(grid: Grid, plane: Plane) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Distances (n_nodes, 1) from a plane, as far as this rank holds cells; the smallest and largest of each block."""
+    level = alike(grid.points, 1)
+    own = rows_of(level)
+
+    def fill(rows: slice) -> None:
+        away = grid.points[rows] - plane.point
+        own[rows, 0] = away[:, 0] * plane.normal[0] + away[:, 1] * plane.normal[1] + away[:, 2] * plane.normal[2]
+
+    for_rows(fill, level)
+    grid.hold_neighbours(level)
+    ends = np.full((2, grid.n_blocks), [[np.inf], [-np.inf]])
+    for block in range(grid.n_blocks):
+        values = grid.in_planes(block, level)
+        if values.size:
+            ends[:, block] = values.min(), values.max()
+    lows, highs = zip(*of_all(grid.points, ends), strict=True)
+    return level, np.min(lows, axis=0), np.max(highs, axis=0)
+
+
+def _cut_block(subject: Subject, block: int, level: FloatArray, shift: float, metric: str) -> Facets:
+    """The cells of this rank."""
+    cells = subject.own(block, subject.whole(block))
+    if cells[0].start == cells[0].stop:
+        return Facets.plain(np.empty((0, 6, 3)), block)
+    nodes = [slice(each.start, each.stop + 1) for each in cells]
+    x, value = subject.grid.box(block, nodes), subject.grid.box(block, nodes, level)[..., 0] - shift
     corner = [np.s_[a : a - 1 or None, b : b - 1 or None, c : c - 1 or None] for a, b, c in np.ndindex(2, 2, 2)]
     above = np.sum([value[each] > 0 for each in corner], axis=0)
     at = np.nonzero((above > 0) & (above < 8))
@@ -141,7 +175,6 @@ def _cut_block(subject: Subject, block: int, level: FloatArray, metric: str) -> 
         return Facets.plain(np.empty((0, 6, 3)), block)
     values = np.stack([value[each][at] for each in corner], axis=1)
     points = np.stack([x[each][at] for each in corner], axis=1)
-    cells = subject.whole(block)
     polygons = _polygons(points, values)
     return Facets(
         polygons,
@@ -208,6 +241,6 @@ def plane_outlines(subject: Subject, axis: int, index: int | None, blocks: Seque
         along = shape.index(1) if subject.grid.dimension == 2 else axis
         at = (shape[along] - 1) // 2 if index is None or subject.grid.dimension == 2 else index
         if at < shape[along]:
-            x = np.take(subject.grid.block(block), at, axis=along)
+            x = _layer(subject.grid, block, along, at)
             parts.append(_outline(x, np.ones((x.shape[0] - 1, x.shape[1] - 1), dtype=bool)))
     return np.concatenate(parts)

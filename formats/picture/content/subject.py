@@ -9,6 +9,8 @@ import numpy as np
 
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.grid.faces.surfaces import thin_direction
+from meshdeform_core.numerics.arrays import extent
+from meshdeform_core.parallel import of_all, own_rows, rows_of
 from meshdeform_core.quality.fields import CELL_MEASURES, CellFields, Cells
 
 __all__ = ["METRICS", "Cells", "Metric", "Subject"]
@@ -51,4 +53,12 @@ class Subject(CellFields):
     @cached_property
     def size(self) -> float:
         """Largest extent of the grid."""
-        return float(np.ptp(self.grid.points, axis=0).max())
+        low, high = extent(self.grid.points)
+        return float((high - low).max())
+
+    def reach(self, normal: FloatArray) -> tuple[float, float]:
+        """Smallest and largest x . ``normal`` of all nodes x."""
+        rows = rows_of(self.grid.points)[slice(*own_rows(self.grid.points))]
+        level = rows[:, 0] * normal[0] + rows[:, 1] * normal[1] + rows[:, 2] * normal[2]
+        ends = of_all(self.grid.points, (level.min(), level.max()) if level.size else (np.inf, -np.inf))
+        return float(min(low for low, _ in ends)), float(max(high for _, high in ends))

@@ -10,6 +10,7 @@ from meshdeform_core.grid import FloatArray, IntArray
 from meshdeform_core.grid.faces.roles import Role
 from meshdeform_core.grid.faces.surfaces import Surface
 from meshdeform_core.grid.planes import Plane
+from meshdeform_core.numerics.arrays import extent
 from meshdeform_core.numerics.geometry.vectors import doubled_areas
 
 from ..view import View, towards
@@ -87,5 +88,5 @@ def middle_plane(subject: Subject) -> Plane:
     walls = body_walls(subject)
     if walls:
         return cut_plane(subject, walls)
-    low, high = subject.grid.points.min(axis=0), subject.grid.points.max(axis=0)
+    low, high = extent(subject.grid.points)
     return Plane(0.5 * (low + high), np.eye(3)[int(np.argmin(high - low))])

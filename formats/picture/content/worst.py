@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from meshdeform_core.grid import Shape
+from meshdeform_core.parallel import of_all
 
 from .subject import METRICS, Subject
 
@@ -14,10 +15,20 @@ def worst_cell(subject: Subject, metric: str) -> tuple[int, Shape]:
 
     Worst is the smallest value, for rising measures the largest, for ratios the one farthest from 1.
     """
+    with subject.ready(metric):
+        best = _worst_of_rank(subject, metric)
+    _, block, cell = min(of_all(subject.grid.points, best), key=lambda each: each[0])
+    return block, cell
+
+
+def _worst_of_rank(subject: Subject, metric: str) -> tuple[float, int, Shape]:
+    """Rank, block and place of the worst cell that this rank holds."""
     known = METRICS[metric]
     best = (np.inf, 0, (0, 0, 0))
     for block in range(subject.grid.n_blocks):
-        cells = subject.whole(block)
+        cells = subject.own(block, subject.whole(block))
+        if cells[0].start == cells[0].stop:
+            continue
         values = subject.values(metric, block, cells)
         rank = -np.abs(np.log(np.maximum(values, 1e-300))) if known.diverging else -values if known.rising else values
         rank = np.where(np.isfinite(values), rank, np.inf)
@@ -29,5 +40,5 @@ def worst_cell(subject: Subject, metric: str) -> tuple[int, Shape]:
         at = int(np.argmin(rank))
         if rank.ravel()[at] < best[0]:
             i, j, k = (int(n) for n in np.unravel_index(at, rank.shape))
-            best = (float(rank.ravel()[at]), block, (i, j, k))
-    return best[1], best[2]
+            best = (float(rank.ravel()[at]), block, (cells[0].start + i, j, k))
+    return best
