@@ -47,7 +47,7 @@ FORMATS: dict[str, Format] = {
         together=True,
     ),
     "cgns": Format("cgns", (".cgns", ".hdf", ".hdf5", ".adf"), "CGNS, HDF5 and ADF (ADF read-only)", together=True),
-    "vtk": Format("vtk", (".vtk", ".vts", ".vtm"), "VTK legacy, .vts and .vtm structured grids"),
+    "vtk": Format("vtk", (".vtk", ".vts", ".vtm"), "VTK legacy, .vts and .vtm structured grids", together=True),
     "openfoam": Format("openfoam", (".foam",), "OpenFOAM: blockMeshDict (read), polyMesh (written)"),
     "meshio": Format(
         "unstructured.export", (".vtu", ".su2", ".msh", ".inp", ".xdmf", ".med"), "unstructured, write-only"

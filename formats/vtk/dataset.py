@@ -5,7 +5,9 @@ VTK stores nodes with i fastest: a run of ``n`` values is ``(nk, nj, ni, ...)``.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import dataclasses
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,19 +16,52 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError, GridError
-from meshdeform_core.grid import Field, FileFormat, Grid, Shape
+from meshdeform_core.grid import Field, FileFormat, Grid, Planes, Shape
+from meshdeform_core.parallel import empty, ranks_of
+
+from ..planes import Output, Stored, ranges_of, write_outputs
+
+
+@dataclass(frozen=True)
+class Run:
+    """Values that lie in a file as they are, from byte ``start`` on, and have not been read yet."""
+
+    path: Path
+    dtype: np.dtype[Any]
+    start: int
+    shape: tuple[int, ...]
+
+    @property
+    def ndim(self) -> int:
+        return len(self.shape)
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def reshape(self, *shape: int) -> Run:
+        return Run(self.path, self.dtype, self.start, shape)
+
+    @property
+    def stored(self) -> Stored:
+        """The values as planes k, of a run of the shape (nk, nj, ni, ...)."""
+        step = math.prod(self.shape[1:]) * self.dtype.itemsize
+        return Stored(self.path, self.dtype, self.shape[1:], self.start, step)
+
+
+Values = NDArray[Any] | Run
 
 
 class DataArray(NamedTuple):
     """A data array as VTK stores it.
 
     ``location`` is ``node``, ``cell`` or, for the field data of the whole data set, empty; ``values`` is ``(n,)`` or
-    ``(n, components)``; ``roles`` are VTK's attribute types of the array: ``Scalars``, ``Vectors``, ``Normals``, ...
+    ``(n, components)``, those of nodes and cells possibly still to be read; ``roles`` are VTK's attribute types of the
+    array: ``Scalars``, ``Vectors``, ``Normals``, ...
     """
 
     name: str
     location: str
-    values: NDArray[Any]
+    values: Any
     roles: tuple[str, ...] = ()
     components: tuple[str, ...] = ()
 
@@ -62,7 +97,7 @@ class DataSet:
     ``points`` is ``(nk, nj, ni, 3)`` in the file's own type and byte order; ``options`` are those of the file variant.
     """
 
-    points: NDArray[Any]
+    points: Values
     arrays: tuple[DataArray, ...]
     options: Mapping[str, str]
     origin: Shape = (0, 0, 0)
@@ -91,34 +126,50 @@ def assemble(path: Path, kind: str, data_sets: Sequence[DataSet], names: Sequenc
         field_data=field_data if any(field_data) else (),
     )
     shapes: list[Shape] = [(d.points.shape[2], d.points.shape[1], d.points.shape[0]) for d in data_sets]
-    fields = tuple(
-        _field(path, array, block, shapes[block])
-        for block, data_set in enumerate(data_sets)
-        for array in data_set.arrays
-        if array.location
-    )
     notes = tuple(note for d in data_sets for note in d.notes)
     try:
-        grid = Grid.allocate(shapes, names, fields=fields, format=file_format, path=path, notes=notes)
+        grid = Grid.allocate(shapes, names, format=file_format, path=path, notes=notes)
     except GridError as error:
         raise GridError(f"{path}: {error}") from error
+    fields = [
+        [
+            (_field(path, array, block, grid), _in_planes(array, shapes[block]))
+            for array in data_set.arrays
+            if array.location
+        ]
+        for block, data_set in enumerate(data_sets)
+    ]
 
-    def put(block: int) -> None:
-        grid.block(block)[...] = data_sets[block].points.swapaxes(0, 2)
+    def put(part: Planes) -> None:
+        own, (block, first, last) = grid.planes(part.block), part
+        targets = [(grid.in_planes(block), data_sets[block].points), *((f.own, values) for f, values in fields[block])]
+        for target, values in targets:
+            end = min(last, target.shape[2])
+            if first < end:
+                read = values.stored.read(first, end) if isinstance(values, Run) else values[first:end]
+                target[:, :, first:end] = read[:, :, own.start : own.start + len(target)].swapaxes(0, 2)
 
-    grid.fill(put)
-    return grid
+    grid.fill_planes(put, ranges_of(list(enumerate(shapes))))
+    return dataclasses.replace(grid, fields=tuple(field for found in fields for field, _ in found))
 
 
-def _field(path: Path, array: DataArray, block: int, nodes: Shape) -> VtkField:
+def _in_planes(array: DataArray, nodes: Shape) -> Any:
+    """Values of an array along k, j, i."""
     ni, nj, nk = nodes if array.location == "node" else (max(n - 1, 1) for n in nodes)
+    return array.values.reshape(nk, nj, ni, *array.values.shape[1:])
+
+
+def _field(path: Path, array: DataArray, block: int, grid: Grid) -> VtkField:
+    """A field with room for the values of an array."""
+    ni, nj, nk = grid.shapes[block] if array.location == "node" else grid.cell_shapes[block]
     if len(array.values) != ni * nj * nk:
         raise FormatError(
             f"{path}: {array.location} array {array.name!r} has {len(array.values)} values; "
             f"{ni} x {nj} x {nk} {array.location}s are expected"
         )
-    ordered = array.values.reshape(nk, nj, ni, *array.values.shape[1:]).swapaxes(0, 2)
-    return VtkField(array.name, array.location, block, native(ordered), array.roles, array.components)
+    kind = array.values.dtype.newbyteorder("=")
+    own = empty((*grid.own_shape(block, (ni, nj, nk)), *array.values.shape[1:]), kind)
+    return VtkField(array.name, array.location, block, grid.spread(own, ni), array.roles, array.components)
 
 
 # Values are written in slabs of so many bytes, or of so many planes k = const where a plane is larger.
@@ -156,29 +207,45 @@ def lattice(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> NDArray[Any]:
 class StoredArray:
     """An array to be written to a file.
 
-    ``values`` is ``(nk, nj, ni)`` for nodes and cells, ``(n,)`` for field data, with an additional axis for several
-    components; it is a view of the grid's own memory, and ``precision`` the type in which it is written.
+    Attributes
+    ----------
+    values : (nk, nj, ni) for nodes, cells and faces, of a grid in parts those in the planes i of this rank; (n,) for
+        other data; with an additional axis for several components. A view of the grid's own memory
+    shape : of the values on all ranks
+    precision : type in which they are written
     """
 
     name: str
     location: str
     values: NDArray[Any]
+    shape: tuple[int, ...]
     precision: np.dtype[Any]
     roles: tuple[str, ...] = ()
     component_names: tuple[str, ...] = ()
 
     @property
+    def in_planes(self) -> bool:
+        """Whether it has planes k of the block."""
+        return len(self.shape) > 2
+
+    @property
     def components(self) -> int:
-        axes = 3 if self.location else 1
-        return int(np.prod(self.values.shape[axes:]))
+        return math.prod(self.shape[3 if self.in_planes else 1 :])
 
     @property
     def tuples(self) -> int:
-        return self.values.size // max(self.components, 1)
+        return math.prod(self.shape) // max(self.components, 1)
 
     @property
     def nbytes(self) -> int:
-        return self.values.size * self.precision.itemsize
+        return math.prod(self.shape) * self.precision.itemsize
+
+    def output(self, block: int, path: Path, place: tuple[int, np.dtype[Any]]) -> Output:
+        """The values, to be written from a byte of a file on, in a type of another byte order."""
+        (start, kind), (nk, nj, ni) = place, self.shape[:3]
+        rest = () if self.components == 1 else (self.components,)
+        stored = Stored(path, kind, (nj, ni, *rest), start, ni * nj * self.components * kind.itemsize)
+        return Output.of_values(block, (ni, nj, nk), self.values.swapaxes(0, 2), [stored])
 
     def slabs(self) -> Iterator[NDArray[Any]]:
         """All values in the order of VTK, a few planes at a time, ``(n,)``."""
@@ -192,13 +259,39 @@ class StoredArray:
         return self.values.astype(self.precision, order="C", copy=False).reshape(-1)
 
 
-def points_to_write(grid: Grid, block: int, precision: str) -> StoredArray:
-    """Coordinates of a block."""
-    return StoredArray("Points", "node", grid.block(block).swapaxes(0, 2), np.dtype(precision))
+Reserved = dict[int, tuple[int, np.dtype[Any]]]
+"""First byte and type of arrays for which a file has room, by their number."""
+Begin = Callable[[Grid, int, Path, VtkFormat, Sequence[StoredArray]], Reserved]
 
 
-def arrays_to_write(grid: Grid, block: int, variant: VtkFormat) -> list[StoredArray]:
-    """All arrays of a block: field data of the variant and fields of the grid.
+def write_blocks(grid: Grid, paths: Sequence[Path], variant: VtkFormat, begin: Begin) -> None:
+    """Write every block to its file: the first rank all but the values for which ``begin`` leaves room, then all ranks
+    these.
+
+    ``begin`` takes the arrays of a block, of which the first are the coordinates.
+    """
+    contents = [_arrays_to_write(grid, block, variant, fields) for block, fields in enumerate(_fields_of_blocks(grid))]
+
+    def all_begun() -> list[Reserved]:
+        return [begin(grid, block, paths[block], variant, arrays) for block, arrays in enumerate(contents)]
+
+    outputs = [
+        contents[block][number].output(block, paths[block], place)
+        for block, places in enumerate(ranks_of(grid.points).on_first(all_begun))
+        for number, place in places.items()
+    ]
+    write_outputs(grid, outputs)
+
+
+def _fields_of_blocks(grid: Grid) -> list[list[Field]]:
+    found: list[list[Field]] = [[] for _ in grid.shapes]
+    for field in grid.fields:
+        found[field.block].append(field)
+    return found
+
+
+def _arrays_to_write(grid: Grid, block: int, variant: VtkFormat, fields: Sequence[Field]) -> list[StoredArray]:
+    """Coordinates of a block and its arrays: field data of the variant and ``fields`` of the grid.
 
     Fields at faces become field data: ``NAME`` with the suffix I, J or K of the index axis across them.
 
@@ -208,26 +301,35 @@ def arrays_to_write(grid: Grid, block: int, variant: VtkFormat) -> list[StoredAr
         When two fields at the same location share a name, or one has a wrong shape or a type unknown to VTK.
     """
     found: dict[tuple[str, str], StoredArray] = {}
-    for field in grid.fields:
-        if field.block != block:
-            continue
+    for field in fields:
         label = f"{field.location} field {field.name!r} of {grid.names[block]}"
+        values, whole = field.own.swapaxes(0, 2), _reversed(field.values.shape)
         if field.location.endswith("face"):
             # VTK has no values at faces: one array for each index axis, i fastest like all others.
-            name, values = f"{field.name}{field.location[0].upper()}", native(field.values.swapaxes(0, 2)).reshape(-1)
-            found["", name] = StoredArray(name, "", values, storable_type(values, label))
+            name = f"{field.name}{field.location[0].upper()}"
+            found["", name] = StoredArray(name, "", values, whole, storable_type(values, label))
             continue
         shape = grid.shapes[block] if field.location == "node" else grid.cell_shapes[block]
         if field.values.shape[:3] != shape or field.values.ndim > 4:
             raise FormatError(f"{label} has shape {field.values.shape}; expected {shape} and at most one more axis")
         if (field.location, field.name) in found:
             raise FormatError(f"{label} exists twice; a VTK data set needs unique names")
-        values, precision = field.values.swapaxes(0, 2), storable_type(field.values, label)
         extra = (field.roles, field.components) if isinstance(field, VtkField) else ((), ())
-        found[field.location, field.name] = StoredArray(field.name, field.location, values, precision, *extra)
+        kind = storable_type(values, label)
+        found[field.location, field.name] = StoredArray(field.name, field.location, values, whole, kind, *extra)
     field_data = variant.field_data[block] if variant.field_data else ()
     kept = (a for a in field_data if ("", a.name) not in found)
-    return [*(StoredArray(a.name, "", a.values, a.values.dtype, *a[3:]) for a in kept), *found.values()]
+    points = grid.in_planes(block).swapaxes(0, 2)
+    return [
+        StoredArray("Points", "node", points, (*grid.shapes[block][::-1], 3), np.dtype(variant.precision)),
+        *(StoredArray(a.name, "", a.values, a.values.shape, a.values.dtype, *a[3:]) for a in kept),
+        *found.values(),
+    ]
+
+
+def _reversed(shape: tuple[int, ...]) -> tuple[int, ...]:
+    """Shape of values along k, j, i."""
+    return (*shape[2::-1], *shape[3:])
 
 
 def storable(values: NDArray[Any], label: str) -> NDArray[Any]:

@@ -13,12 +13,13 @@ from typing import Any
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
+from meshdeform_core.parallel import require_whole
 
-from ..files import replacing
+from ..files import replacing_by_all
 from ..variant_options import checked_options
-from .dataset import VtkFormat, assemble
+from .dataset import VtkFormat, assemble, write_blocks
 from .legacy import read as read_legacy
-from .legacy_write import write_block as write_legacy_block
+from .legacy_write import begin_block as begin_legacy_block
 from .multiblock import read as read_multiblock
 from .multiblock import require_replaceable
 from .multiblock import write as write_multiblock
@@ -96,6 +97,8 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> VtkFormat:
             raise FormatError(f"cannot write {path}: ascii is never compressed; choose encoding = appended or binary")
         switches["compression"] = "none"
     require_codec(switches.get("compression", "none"), f"cannot write {path}")
+    if not (switches["encoding"] == "binary" if kind == "legacy" else vtk_xml_write.plain(switches)):
+        require_whole(grid.points, f"{path} is written as text or compressed")
     return VtkFormat("vtk", precision, {"kind": kind, **switches}, own.title, own.origins, own.field_data)
 
 
@@ -112,6 +115,6 @@ def write(grid: Grid, path: Path, variant: VtkFormat) -> None:
     if kind == "vtm":
         write_multiblock(grid, path, variant)
         return
-    write_block = write_legacy_block if kind == "legacy" else vtk_xml_write.write_block
-    with replacing(path) as partial:
-        write_block(grid, 0, partial, variant)
+    begin = begin_legacy_block if kind == "legacy" else vtk_xml_write.begin_block
+    with replacing_by_all(path, grid.points) as partial:
+        write_blocks(grid, [partial], variant, begin)

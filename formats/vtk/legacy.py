@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Shape
+from meshdeform_core.parallel import require_undivided
 
-from .dataset import DataSet, lattice, require_plausible_lattice
+from .dataset import DataSet, Values, lattice, require_plausible_lattice
 from .legacy_attributes import Attributes
 from .legacy_file import LegacyFile
 
@@ -32,10 +33,12 @@ def read(path: Path) -> DataSet:
         When the file is truncated, contradicts its keywords, or contains another kind of data set.
     """
     with path.open("rb") as stream:
-        file = LegacyFile(path, stream)
+        file = LegacyFile(path, stream, later=True)
         if file.kind not in ("STRUCTURED_GRID", "RECTILINEAR_GRID", "STRUCTURED_POINTS"):
             other = _OTHER_KINDS.get(file.kind, "another kind of data set")
             raise FormatError(f"{path} is {other} (DATASET {file.kind}); expected a structured grid")
+        if not file.binary or file.kind != "STRUCTURED_GRID":
+            require_undivided(f"{path} is text, or has no coordinates of nodes")
         geometry, attributes = _sections(file)
         shape, origin = _extent(file, geometry)
         points = _points(file, geometry, shape)
@@ -47,8 +50,8 @@ def read(path: Path) -> DataSet:
     return DataSet(points, tuple(attributes.arrays), options, origin, file.title, (*notes, *attributes.notes))
 
 
-def _sections(file: LegacyFile) -> tuple[dict[str, NDArray[Any]], Attributes]:
-    geometry: dict[str, NDArray[Any]] = {}
+def _sections(file: LegacyFile) -> tuple[dict[str, Any], Attributes]:
+    geometry: dict[str, Any] = {}
     attributes = Attributes(file)
     while words := file.words():
         keyword = words[0].upper()
@@ -57,7 +60,8 @@ def _sections(file: LegacyFile) -> tuple[dict[str, NDArray[Any]], Attributes]:
         elif keyword in _IN_A_RUN:
             if len(words) != 3:
                 raise file.error(f"expected '{keyword} number type', found {' '.join(words)[:60]!r}")
-            geometry[keyword] = file.values(_IN_A_RUN[keyword] * file.number(words[1]), words[2], keyword)
+            read = file.values_or_run if keyword == "POINTS" else file.values
+            geometry[keyword] = read(_IN_A_RUN[keyword] * file.number(words[1]), words[2], keyword)
             file.component_names()
         else:
             attributes.read(words)
@@ -74,7 +78,7 @@ def _line_numbers(file: LegacyFile, words: Sequence[str], number: int) -> NDArra
     return numbers
 
 
-def _extent(file: LegacyFile, geometry: dict[str, NDArray[Any]]) -> tuple[Shape, Shape]:
+def _extent(file: LegacyFile, geometry: dict[str, Any]) -> tuple[Shape, Shape]:
     """Shape in nodes, and index of the first node."""
     if "DIMENSIONS" in geometry:
         ni, nj, nk = _whole(file, geometry, "DIMENSIONS")
@@ -89,14 +93,14 @@ def _extent(file: LegacyFile, geometry: dict[str, NDArray[Any]]) -> tuple[Shape,
     return (ni, nj, nk), (i, j, k)
 
 
-def _whole(file: LegacyFile, geometry: dict[str, NDArray[Any]], keyword: str) -> list[int]:
+def _whole(file: LegacyFile, geometry: dict[str, Any], keyword: str) -> list[int]:
     numbers = geometry[keyword].tolist()
     if not all(abs(number) < 2**31 and number == int(number) for number in numbers):
         raise FormatError(f"{file.path}: {keyword} {' '.join(map(str, numbers))}; expected whole numbers")
     return [int(number) for number in numbers]
 
 
-def _points(file: LegacyFile, geometry: dict[str, NDArray[Any]], shape: Shape) -> NDArray[Any]:
+def _points(file: LegacyFile, geometry: dict[str, Any], shape: Shape) -> Values:
     """Coordinates, ``(nk, nj, ni, 3)``."""
     ni, nj, nk = shape
     if file.kind == "STRUCTURED_GRID":
@@ -118,7 +122,7 @@ def _points(file: LegacyFile, geometry: dict[str, NDArray[Any]], shape: Shape) -
     return lattice(*axes)
 
 
-def _required(file: LegacyFile, geometry: dict[str, NDArray[Any]], keywords: Sequence[str]) -> list[NDArray[Any]]:
+def _required(file: LegacyFile, geometry: dict[str, Any], keywords: Sequence[str]) -> list[Any]:
     missing = [keyword for keyword in keywords if keyword not in geometry]
     if missing:
         raise FormatError(f"{file.path} has no {' and no '.join(missing)}; is the file truncated?")

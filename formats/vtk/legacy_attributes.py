@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .dataset import DataArray
+from .dataset import DataArray, Values
 from .legacy_file import LegacyFile
 
 # Attributes with a fixed number of components, and the role of the array.
@@ -62,10 +60,11 @@ class Attributes:
     def _array(self, name: str, components: int, type_name: str, role: str = "", length: int | None = None) -> None:
         length = self.length if length is None else length
         label = f"array {unquote(name)!r}"
-        values = self.file.values(components * length, type_name, label)
+        read = self.file.values_or_run if self.location else self.file.values
+        values = read(components * length, type_name, label)
         self._add(name, values if components == 1 else values.reshape(length, components), role)
 
-    def _add(self, name: str, values: NDArray[Any], role: str) -> None:
+    def _add(self, name: str, values: Values, role: str) -> None:
         # VTK makes the first of several arrays of one kind the active one.
         taken = any(role in a.roles for a in self.arrays if a.location == self.location)
         roles = () if taken or not role else (role,)

@@ -6,6 +6,7 @@ User's Guide, "VTK File Formats"; for versions 4.2 to 5.1 the output of ``vtkDat
 
 from __future__ import annotations
 
+import os
 import warnings
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -15,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
+
+from .dataset import Run, Values
 
 # Value types and their numpy codes. VTK writes ids in binary files with 4 bytes.
 TYPES = {
@@ -47,11 +50,11 @@ class LegacyFile:
     kind : the word after DATASET, e.g. ``STRUCTURED_GRID``
     """
 
-    def __init__(self, path: Path, stream: BinaryIO) -> None:
+    def __init__(self, path: Path, stream: BinaryIO, later: bool = False) -> None:
         self.path = path
         self.stream = stream
         self.size = path.stat().st_size
-        self.binary = False
+        self.binary, self._later = False, later
         stream.readline(_LONGEST_LINE)
         self.title = self._line()
         # VTK's readers skip blank lines after the title.
@@ -93,6 +96,14 @@ class LegacyFile:
             raise self.error(f"expected a number, found {word!r}")
         return int(word)
 
+    def values_or_run(self, count: int, type_name: str, what: str) -> Values:
+        """As :meth:`values`, but binary ones remain to be read if the file was opened for that."""
+        if not self.binary or not self._later or type_name.lower() == "bit":
+            return self.values(count, type_name, what)
+        run = Run(self.path, self._type_of(count, type_name, what), self.stream.tell(), (count,))
+        self.stream.seek(count * run.dtype.itemsize, os.SEEK_CUR)
+        return run
+
     def values(self, count: int, type_name: str, what: str) -> NDArray[Any]:
         """The next ``count`` values, ``(count,)``, in the byte order of the file.
 
@@ -101,9 +112,16 @@ class LegacyFile:
         FormatError
             When the file ends too early, contains anything but numbers, or the type is unknown.
         """
-        name = type_name.lower()
-        if name == "bit":
+        if type_name.lower() == "bit":
             return self._bits(count, what)
+        values = self._run(count, self._type_of(count, type_name, what), what)
+        if len(values) != count:
+            raise self.error(f"{what}: expected {count} values, found {len(values)}; the file is truncated or wrong")
+        return values
+
+    def _type_of(self, count: int, type_name: str, what: str) -> np.dtype[Any]:
+        """The type of the next ``count`` values, for which the file must be long enough."""
+        name = type_name.lower()
         if name not in TYPES:
             raise self.error(f"{what}: unknown type {type_name!r}; known are {' '.join(TYPES)} and bit")
         code = "i4" if self.binary and name == "vtkidtype" else TYPES[name]
@@ -113,10 +131,7 @@ class LegacyFile:
         left = self.size - self.stream.tell()
         if needed > left:
             raise self.error(f"{what}: {count} values need {needed} bytes, {left} are left; the file is truncated")
-        values = self._run(count, dtype, what)
-        if len(values) != count:
-            raise self.error(f"{what}: expected {count} values, found {len(values)}; the file is truncated or wrong")
-        return values
+        return dtype
 
     def _run(self, count: int, dtype: np.dtype[Any], what: str) -> NDArray[Any]:
         with warnings.catch_warnings():

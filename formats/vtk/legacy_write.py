@@ -5,17 +5,19 @@ Not written by VTK, whose writer rounds the numbers of ASCII files to 11 digits:
 
 from __future__ import annotations
 
+import os
 import string
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 from urllib.parse import quote
 
+import numpy as np
 from numpy.typing import NDArray
 
 from meshdeform_core.grid import Grid, Shape
 
-from .dataset import StoredArray, VtkFormat, arrays_to_write, points_to_write
+from .dataset import Reserved, StoredArray, VtkFormat
 
 _TYPE_NAMES = {
     "i1": "char",
@@ -46,10 +48,12 @@ _VALUES_PER_LINE = 9
 _LINES_AT_ONCE = 10_000
 
 
-def write_block(grid: Grid, block: int, path: Path, variant: VtkFormat) -> None:
-    """Write one block; roles without a legacy section are lost, but never values."""
-    arrays = arrays_to_write(grid, block, variant)
-    points = points_to_write(grid, block, variant.precision)
+def begin_block(grid: Grid, block: int, path: Path, variant: VtkFormat, contents: Sequence[StoredArray]) -> Reserved:
+    """Write one block, in binary without the values that have planes; returns the places of these.
+
+    Roles without a legacy section are lost, but never values.
+    """
+    points, *arrays = contents
     with path.open("wb") as stream:
         output = _Output(stream, variant.options["encoding"])
         output.line("# vtk DataFile Version 4.2")
@@ -62,6 +66,7 @@ def write_block(grid: Grid, block: int, path: Path, variant: VtkFormat) -> None:
         output.values(points)
         for keyword, location in (("CELL_DATA", "cell"), ("POINT_DATA", "node")):
             output.attributes(keyword, [a for a in arrays if a.location == location])
+    return {number: output.places[id(array)] for number, array in enumerate(contents) if id(array) in output.places}
 
 
 def _extent(shape: Shape, origin: Shape) -> str:
@@ -76,6 +81,7 @@ class _Output:
     def __init__(self, stream: BinaryIO, encoding: str) -> None:
         self.stream = stream
         self.binary = encoding == "binary"
+        self.places: dict[int, tuple[int, np.dtype[Any]]] = {}
 
     def line(self, text: str) -> None:
         self.stream.write(f"{text}\n".encode())
@@ -84,8 +90,12 @@ class _Output:
         if not self.binary:
             self._text(array.run())
             return
-        for slab in array.slabs():
-            self.stream.write(slab.astype(slab.dtype.newbyteorder(">"), copy=False).data)
+        kind = array.precision.newbyteorder(">")
+        if array.in_planes:
+            self.places[id(array)] = self.stream.tell(), kind
+            self.stream.seek(array.nbytes, os.SEEK_CUR)
+        else:
+            self.stream.write(array.run().astype(kind, copy=False).data)
         self.stream.write(b"\n")
 
     def _text(self, flat: NDArray[Any]) -> None:

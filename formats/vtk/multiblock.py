@@ -14,12 +14,13 @@ from xml.etree import ElementTree
 from meshdeform_core import interruption
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
+from meshdeform_core.parallel import ranks_of
 
-from ..files import replacing, shown
-from .dataset import DataSet, VtkFormat
+from ..files import replacing_by_all, shown
+from .dataset import DataSet, VtkFormat, write_blocks
 from .xml.read import read as read_piece
 from .xml.tags import DEEPEST, Element, read_tags
-from .xml.write import attribute, write_block
+from .xml.write import attribute, begin_block
 
 _SET = "vtkMultiBlockDataSet"
 
@@ -101,15 +102,23 @@ def write(grid: Grid, path: Path, variant: VtkFormat) -> None:
     FormatError
         When the folder of the pieces contains files that are not part of the old set, or the disk is full.
     """
-    require_replaceable(path)
-    clean(path)
-    pieces = _new_names(path, grid.n_blocks)
-    index = _index(grid, path, pieces, variant)
-    with interruption.cleaned_up(lambda: clean(path)), replacing(path) as partial:
-        _begin(path, pieces)
-        for block, name in enumerate(pieces):
-            write_block(grid, block, _folder(path) / name, variant)
-        partial.write_bytes(index)
+    ranks = ranks_of(grid.points)
+    with contextlib.ExitStack() as own:
+
+        def begin() -> tuple[list[str], bytes]:
+            require_replaceable(path)
+            clean(path)
+            names = _new_names(path, grid.n_blocks)
+            index = _index(grid, path, names, variant)
+            own.enter_context(interruption.cleaned_up(lambda: clean(path)))
+            return names, index
+
+        pieces, index = ranks.on_first(begin)
+        with replacing_by_all(path, grid.points) as partial:
+            ranks.on_first(lambda: _begin(path, pieces))
+            write_blocks(grid, [_folder(path) / name for name in pieces], variant, begin_block)
+            ranks.on_first(lambda: partial.write_bytes(index))
+        ranks.on_first(own.close)
 
 
 def referenced_files(path: Path) -> list[Path]:

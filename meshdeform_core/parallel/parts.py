@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from .loops import alone, current_ranks, empty, for_chunks, sharing
+from .loops import alone, current_ranks, empty, for_chunks, holders, sharing
 from .ranks import OneRank, Ranks
 
 if TYPE_CHECKING:
@@ -214,6 +214,18 @@ def require_whole(array: Any, what: str) -> None:
         If the array is in parts.
     """
     if isinstance(array, Part):
+        raise WholeGridNeeded(what)
+
+
+def require_undivided(what: str) -> None:
+    """Require that a grid about to be read will not be in parts; ``what`` is the reason.
+
+    Raises
+    ------
+    WholeGridNeeded
+        If it would be.
+    """
+    if holders().count > 1:
         raise WholeGridNeeded(what)
 
 

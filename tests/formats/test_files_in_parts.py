@@ -14,9 +14,9 @@ from forked_ranks import Failed, on_ranks
 from grids import frame, frame_2d
 from plot3d_witness import binary_file, sample_blocks, sample_iblank
 
-from meshdeform_core.boundary import Kind
+from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, Start, Timing, deform, impose
-from meshdeform_core.grid import Field
+from meshdeform_core.grid import Field, Grid
 from meshdeform_core.methods import Options
 from meshdeform_core.numerics import pieces
 from meshdeform_core.parallel import WholeGridNeeded, dividing, parts
@@ -84,9 +84,9 @@ def scaled(points):
     return result
 
 
-def series_of(source, name, kind, velocity, options=None):
+def series_of(source, name, kind, velocity, options=None, case=None):
     """Write all levels of a series, the last two of them again after a fresh start."""
-    case = Case(tuple(body_specs(turning("5*t"))), method=Options("idw-tfi"), repair=RepairOptions(mode="off"))
+    case = case or Case(tuple(body_specs(turning("5*t"))), method=Options("idw-tfi"), repair=RepairOptions(mode="off"))
 
     def act(folder):
         grid = read_grid(source)
@@ -222,6 +222,71 @@ def test_pictures_of_reports(make, tmp_path):
             (folder / f"{number}.txt").write_text(figure.caption)
 
     same_files(tmp_path, 3, act)
+
+
+VTK_FIELDS = (
+    ("p", "cell", ()), ("u", "node", (3,)), ("n", "node", ()), ("t", "cell", (2,)),
+)  # fmt: skip
+
+
+def with_arrays(grid):
+    """Arrays at nodes and cells of several types."""
+    random = np.random.default_rng(3)
+    fields = []
+    for block, (nodes, cells) in enumerate(zip(grid.shapes, grid.cell_shapes, strict=True)):
+        for name, location, rest in VTK_FIELDS:
+            values = 100 * random.random((*(nodes if location == "node" else cells), *rest))
+            fields.append(Field(name, location, block, values.astype("int16" if name == "n" else "float32")))
+    return replace(grid, fields=tuple(fields))
+
+
+@pytest.mark.parametrize(("suffix", "variant"), [
+    (".vtm", {}), (".vtm", {"byte_order": "big", "precision": "float32"}),
+    (".vts", {"header_type": "UInt32"}), (".vtk", {}),
+])  # fmt: skip
+@pytest.mark.parametrize("make", [tapered, lambda: frame_2d(7)], ids=["space", "plane"])
+def test_vtk_files_with_arrays(suffix, variant, make, tmp_path):
+    grid = make()
+    if suffix != ".vtm":
+        grid = Grid.from_blocks([grid.block(1)])
+    write_grid(with_arrays(grid), tmp_path / f"grid{suffix}", variant)
+    read = read_grid(tmp_path / f"grid{suffix}")
+    found = {(field.name, field.block): field.values for field in read.fields}
+    for field in with_arrays(grid).fields:
+        np.testing.assert_array_equal(found[field.name, field.block], field.values)
+    folder = same_files(tmp_path, 3, reads_and_writes(tmp_path / f"grid{suffix}", suffix))
+    np.testing.assert_array_equal(read_grid(folder / f"out{suffix}").points, 2.0 * read.points)
+
+
+@pytest.mark.parametrize("suffix", [".vtm", ".vtk"])
+def test_vtk_series_with_swept_volumes(suffix, tmp_path):
+    grid = frame(5, 4) if suffix == ".vtm" else Grid.from_blocks([frame(5, 9).block(0)])
+    write_grid(grid, tmp_path / f"grid{suffix}")
+    side = BoundarySpec("side", ("*.imin",), Kind.MOVING, None, turning("5*t"))
+    case = Case((side,) if suffix == ".vtk" else tuple(body_specs(turning("5*t"))), method=Options("tfi"))
+    act = series_of(tmp_path / f"grid{suffix}", f"wing{suffix}", LevelFiles, "swept", case=case)
+    same_files(tmp_path, 3, act)
+
+
+@pytest.mark.parametrize(("suffix", "variant"), [
+    (".vts", {"encoding": "ascii"}), (".vts", {"compression": "zlib"}), (".vts", {"encoding": "binary"}),
+    (".vtk", {"encoding": "ascii"}),
+])  # fmt: skip
+def test_vtk_as_text_or_compressed_takes_the_whole_grid(suffix, variant, tmp_path):
+    """Said before anything is read, or written."""
+    grid = Grid.from_blocks([frame(3, 4).block(0)])
+    write_grid(grid, tmp_path / f"packed{suffix}", variant)
+    write_grid(grid, tmp_path / f"plain{suffix}")
+
+    def act(number):
+        with dividing():
+            with pytest.raises(WholeGridNeeded, match=r"packed.vt. is text"):
+                read_grid(tmp_path / f"packed{suffix}")
+            with pytest.raises(WholeGridNeeded, match="is written as text or compressed"):
+                write_grid(read_grid(tmp_path / f"plain{suffix}"), tmp_path / f"out{suffix}", variant)
+        return True
+
+    assert all(on_ranks(2, act))
 
 
 def rind(whole):

@@ -118,14 +118,14 @@ def test_a_new_set_replaces_the_old_one_as_a_whole(tmp_path):
 def test_an_error_while_writing_leaves_the_old_set(tmp_path, monkeypatch):
     write_grid(grid_of("a", "b"), tmp_path / "set.vtm")
     before = content(tmp_path)
-    original = vtk_multiblock.write_block
+    original = vtk_multiblock.begin_block
 
-    def failing(grid, block, path, variant):
+    def failing(grid, block, *rest):
         if block == 1:
             raise OSError("no space left")
-        original(grid, block, path, variant)
+        return original(grid, block, *rest)
 
-    monkeypatch.setattr(vtk_multiblock, "write_block", failing)
+    monkeypatch.setattr(vtk_multiblock, "begin_block", failing)
     with pytest.raises(FormatError, match=r"cannot write .*set\.vtm: no space left"):
         write_grid(grid_of("x", "y", seed=1), tmp_path / "set.vtm")
     assert content(tmp_path) == before

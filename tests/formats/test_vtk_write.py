@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+from functools import partial
 
 import meshio
 import numpy as np
@@ -272,13 +273,12 @@ def test_a_full_disk(tmp_path, name, monkeypatch):
     write_grid(grid, tmp_path / name)
     before = (tmp_path / name).read_bytes()
 
-    def write_to_full(grid, number, path, variant, write_block):
+    def write_to_full(begin, grid, number, path, *rest):
         path.symlink_to("/dev/full")
-        write_block(grid, number, path, variant)
+        return begin(grid, number, path, *rest)
 
-    module, writer = (vtk.format, "write_legacy_block") if name == "a.vtk" else (vtk.xml.write, "write_block")
-    original = getattr(module, writer)
-    monkeypatch.setattr(module, writer, lambda *args: write_to_full(*args, original))
+    module, begin = (vtk.format, "begin_legacy_block") if name == "a.vtk" else (vtk.xml.write, "begin_block")
+    monkeypatch.setattr(module, begin, partial(write_to_full, getattr(module, begin)))
     with pytest.raises(FormatError, match=f"cannot write .*{name}: "):
         write_grid(grid, tmp_path / name)
     assert (tmp_path / name).read_bytes() == before

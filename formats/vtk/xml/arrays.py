@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 
+from ..dataset import Run, Values
 from .bytes import ArrayBytes, Base64Bytes, NotBase64, RawBytes
 from .codecs import LARGEST_RATIO, DamagedBlock, unpacker
 from .numbers import NotANumber, numbers_in_text
@@ -51,6 +52,32 @@ class ArrayReader:
         self._left = _ALWAYS_ALLOWED + LARGEST_RATIO[self._compression] * file.size
         self._unpack: Callable[[bytes, int], bytes] | None = None
 
+    def values_or_run(self, array: Element, tuples: int, components: int | None = None) -> Values:
+        """As :meth:`values`, but values that are stored as they are remain to be read."""
+        if array.get("format") != "appended" or not self._plain_raw or array.get("type") not in TYPES:
+            return self.values(array, tuples, components)
+        stated, dtype, wanted = self._declared(array, tuples, components)
+        data, place = self._bytes_of(array)
+        self._require_size(array, data, tuples * stated * dtype.itemsize, place, wanted)
+        start = place + self._head.itemsize
+        return Run(self.file.path, dtype, start, (tuples,) if stated == 1 else (tuples, stated))
+
+    @property
+    def _plain_raw(self) -> bool:
+        return self._compression == "none" and self.file.appended_encoding == "appended"
+
+    def _declared(self, array: Element, tuples: int, components: int | None) -> tuple[int, np.dtype[Any], str]:
+        """Number of components and type of an array, and the values that it must have, for messages."""
+        stated = self._number(array, "NumberOfComponents", 1)
+        if components is not None and stated != components:
+            raise self.error(array, f"has {stated} components, expected {components}")
+        bits = array.get("type") == "Bit"
+        if not bits and array.get("type") not in TYPES:
+            raise self.error(array, f"is of type {array.get('type')!r}; known are {' '.join(TYPES)} Bit")
+        count = tuples * stated
+        wanted = f"{count} values ({tuples} x {stated})" if stated > 1 else f"{count} values"
+        return stated, np.dtype("u1" if bits else self._order + TYPES[array.get("type")]), wanted
+
     def values(self, array: Element, tuples: int, components: int | None = None) -> NDArray[Any]:
         """The values of an array, ``(tuples,)`` or ``(tuples, components)``, in the byte order of the file.
 
@@ -61,21 +88,14 @@ class ArrayReader:
         FormatError
             When the array is damaged or does not have the expected number of values.
         """
-        stated = self._number(array, "NumberOfComponents", 1)
-        if components is not None and stated != components:
-            raise self.error(array, f"has {stated} components, expected {components}")
-        bits = array.get("type") == "Bit"
-        if not bits and array.get("type") not in TYPES:
-            raise self.error(array, f"is of type {array.get('type')!r}; known are {' '.join(TYPES)} Bit")
+        stated, dtype, wanted = self._declared(array, tuples, components)
         count = tuples * stated
-        wanted = f"{count} values ({tuples} x {stated})" if stated > 1 else f"{count} values"
         if array.get("format") in ("", "ascii"):
-            flat = self._ascii(array, count, np.dtype("u1" if bits else TYPES[array.get("type")]), wanted)
-        elif bits:
-            packed = self._binary(array, (count + 7) // 8, np.dtype("u1"), wanted)
-            flat = np.unpackbits(packed)[:count]
+            flat = self._ascii(array, count, dtype.newbyteorder("="), wanted)
+        elif array.get("type") == "Bit":
+            flat = np.unpackbits(self._binary(array, (count + 7) // 8, dtype, wanted))[:count]
         else:
-            flat = self._binary(array, count, np.dtype(self._order + TYPES[array.get("type")]), wanted)
+            flat = self._binary(array, count, dtype, wanted)
         return flat if stated == 1 else flat.reshape(tuples, stated)
 
     def arrays_of(self, piece: Element, tag: str, number: int) -> list[Element]:
@@ -237,12 +257,16 @@ class ArrayReader:
             raise self._damaged_size(array, place)
         return [int(number) for number in np.frombuffer(raw, self._head)]
 
-    def _plain(self, array: Element, data: ArrayBytes, size: int, place: int, wanted: str) -> NDArray[np.uint8]:
+    def _require_size(self, array: Element, data: ArrayBytes, size: int, place: int, wanted: str) -> None:
+        """Read the header of an array that is not compressed, which must have ``size`` bytes."""
         (stated,) = self._header(array, data, 1, place)
         if stated > data.available():
             raise self._damaged_size(array, place)
         if stated != size:
             raise self.error(array, f"has {stated} bytes, expected {size} for {wanted}")
+
+    def _plain(self, array: Element, data: ArrayBytes, size: int, place: int, wanted: str) -> NDArray[np.uint8]:
+        self._require_size(array, data, size, place, wanted)
         values, filled = self._allocate(array, size, wanted), 0
         while filled < size:
             piece = data.read(min(size - filled, _PIECE))

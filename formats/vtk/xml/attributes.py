@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dataset import DataArray, native
+from ..dataset import DataArray, Values, native
 from .arrays import ArrayReader
 from .tags import Element
 
@@ -32,10 +32,13 @@ ID_ROLES = ("GlobalIds", "PedigreeIds")
 SECTIONS = {"PointData": "node", "CellData": "cell", "FieldData": ""}
 
 
-def read_section(reader: ArrayReader, above: Element, tag: str, tuples: int, notes: list[str]) -> list[DataArray]:
+def read_section(
+    reader: ArrayReader, above: Element, tag: str, tuples: int, notes: list[str], later: bool = False
+) -> list[DataArray]:
     """The arrays of all ``tag`` elements (a key of :data:`SECTIONS`) in ``above``.
 
-    ``tuples`` is the number of nodes or cells; a line for each array that is not kept is added to ``notes``.
+    ``tuples`` is the number of nodes or cells; a line for each array that is not kept is added to ``notes``. With
+    ``later``, values that are stored as they are remain to be read.
 
     Raises
     ------
@@ -52,7 +55,7 @@ def read_section(reader: ArrayReader, above: Element, tag: str, tuples: int, not
             if name in found:
                 notes.append(f"{SECTIONS[tag] or 'field'} array {name!r} exists twice; the last one is kept")
             count = tuples if SECTIONS[tag] else reader.number(element, "NumberOfTuples")
-            values = reader.values(element, count)
+            values = reader.values_or_run(element, count) if later else reader.values(element, count)
             roles = tuple(role for role in ROLES if element.get("Name") and section.get(role) == name)
             found[name] = DataArray(name, SECTIONS[tag], values, roles, _component_names(element, values))
     return list(found.values())
@@ -64,7 +67,7 @@ def read_field_data(reader: ArrayReader, data_set: Element, notes: list[str]) ->
     return [array._replace(values=native(array.values)) for array in arrays]
 
 
-def _component_names(element: Element, values: NDArray[Any]) -> tuple[str, ...]:
+def _component_names(element: Element, values: Values) -> tuple[str, ...]:
     count = values.shape[1] if values.ndim == 2 else 1
     names = tuple(element.get(f"ComponentName{index}") for index in range(count))
     return names if any(names) else ()

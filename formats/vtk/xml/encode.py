@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import binascii
+import os
 from collections.abc import Iterator, Mapping
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -36,6 +37,14 @@ class ArrayEncoder:
             segment.close()
         else:
             self._write_packed(array)
+
+    def reserve(self, array: StoredArray) -> tuple[int, np.dtype[Any]]:
+        """Write the size of an array and leave room for its values, neither compressed nor in base64; returns the place
+        of the first one, and the type of all."""
+        self._stream.write(self._sizes([array.nbytes]))
+        start = self._stream.tell()
+        self._stream.seek(array.nbytes, os.SEEK_CUR)
+        return start, np.dtype(self._order + array.precision.str[1:])
 
     def _write_packed(self, array: StoredArray) -> None:
         assert self._pack is not None

@@ -10,15 +10,15 @@ import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Shape
+from meshdeform_core.parallel import require_undivided
 
-from ..dataset import DataArray, DataSet, lattice, require_plausible_lattice
+from ..dataset import DataArray, DataSet, Values, lattice, require_plausible_lattice
 from .arrays import ArrayReader
 from .attributes import joined, read_field_data, read_section
 from .codecs import LARGEST_RATIO
@@ -73,7 +73,7 @@ class _Piece:
 
     extent: Extent
     line: int
-    points: NDArray[Any]
+    points: Values
     nodes: list[DataArray]
     cells: list[DataArray]
 
@@ -95,7 +95,11 @@ def read(path: Path) -> DataSet:
     with path.open("rb") as stream:
         reader = ArrayReader(file, stream)
         whole = _extent(reader, data_set, "WholeExtent")
-        pieces = [_read_piece(reader, data_set, piece, whole, notes) for piece in _pieces(reader, data_set, whole)]
+        found = _pieces(reader, data_set, whole)
+        later = len(found) == 1 and file.kind == "StructuredGrid" and _extent(reader, found[0], "Extent") == whole
+        if not later or file.options["encoding"] != "appended" or file.compression != "none":
+            require_undivided(f"{path} is text, compressed or in several pieces")
+        pieces = [_read_piece(reader, data_set, piece, later, notes) for piece in found]
         field_data = read_field_data(reader, data_set, notes)
         reader.require_no_rest()
     points = _joined_points(path, whole, pieces)
@@ -136,24 +140,26 @@ def _pieces(reader: ArrayReader, data_set: Element, whole: Extent) -> list[Eleme
     return found
 
 
-def _read_piece(reader: ArrayReader, data_set: Element, piece: Element, whole: Extent, notes: list[str]) -> _Piece:
+def _read_piece(reader: ArrayReader, data_set: Element, piece: Element, later: bool, notes: list[str]) -> _Piece:
+    """A piece; ``later``: values that are stored as they are remain to be read."""
     extent = _extent(reader, piece, "Extent")
     n_nodes, n_cells = (math.prod(extent.shape(location)) for location in ("node", "cell"))
     return _Piece(
         extent,
         piece.line,
-        _piece_points(reader, data_set, piece, extent),
-        read_section(reader, piece, "PointData", n_nodes, notes),
-        read_section(reader, piece, "CellData", n_cells, notes),
+        _piece_points(reader, data_set, piece, extent, later),
+        read_section(reader, piece, "PointData", n_nodes, notes, later),
+        read_section(reader, piece, "CellData", n_cells, notes, later),
     )
 
 
-def _piece_points(reader: ArrayReader, data_set: Element, piece: Element, extent: Extent) -> NDArray[Any]:
+def _piece_points(reader: ArrayReader, data_set: Element, piece: Element, extent: Extent, later: bool) -> Values:
     """Coordinates of a piece, ``(nk, nj, ni, 3)``."""
     shape = extent.shape()
     if reader.file.kind == "StructuredGrid":
         (array,) = reader.arrays_of(piece, "Points", 1)
-        return reader.values(array, math.prod(shape), 3).reshape(*shape, 3)
+        read = reader.values_or_run if later else reader.values
+        return read(array, math.prod(shape), 3).reshape(*shape, 3)
     if reader.file.kind == "RectilinearGrid":
         arrays = reader.arrays_of(piece, "Coordinates", 3)
         return lattice(*(reader.values(array, n, 1) for array, n in zip(arrays, shape[::-1], strict=True)))
@@ -175,7 +181,7 @@ def _numbers(reader: ArrayReader, element: Element, name: str, otherwise: str) -
     return numbers
 
 
-def _joined_points(path: Path, whole: Extent, pieces: list[_Piece]) -> NDArray[Any]:
+def _joined_points(path: Path, whole: Extent, pieces: list[_Piece]) -> Values:
     """Coordinates of all nodes; pieces that share a node must agree on it."""
     if len(pieces) == 1 and pieces[0].extent == whole:
         return pieces[0].points

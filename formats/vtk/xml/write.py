@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
 
 from ...text.numbers import number_lines
-from ..dataset import StoredArray, VtkFormat, arrays_to_write, points_to_write
+from ..dataset import Reserved, StoredArray, VtkFormat
 from .arrays import TYPES
 from .attributes import ID_ROLES, SECTIONS
 from .encode import ArrayEncoder
@@ -30,8 +30,9 @@ _ESCAPES = str.maketrans(_REPLACED)
 _NOT_IN_XML = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
 
 
-def write_block(grid: Grid, block: int, path: Path, variant: VtkFormat) -> None:
-    """Write one block to a .vts file.
+def begin_block(grid: Grid, block: int, path: Path, variant: VtkFormat, contents: Sequence[StoredArray]) -> Reserved:
+    """Write one block to a .vts file, where values are stored as they are without those that have planes; returns the
+    places of these.
 
     Raises
     ------
@@ -40,15 +41,22 @@ def write_block(grid: Grid, block: int, path: Path, variant: VtkFormat) -> None:
     OSError
         When the file cannot be written.
     """
-    arrays, points = arrays_to_write(grid, block, variant), points_to_write(grid, block, variant.precision)
+    points, *arrays = contents
     low = variant.origins[block] if variant.origins else (0, 0, 0)
     extent = " ".join(f"{a} {a + n - 1}" for a, n in zip(low, grid.shapes[block], strict=True))
     header = variant.options["header_type"]
     # The size of an array precedes it: 4 bytes hold only sizes below 4 GiB.
-    if max(array.nbytes for array in (points, *arrays)) >= 2**32:
+    if max(array.nbytes for array in contents) >= 2**32:
         header = "UInt64"
     with path.open("wb") as stream:
-        _Output(stream, variant, header, str(path)).data_set(extent, points, arrays)
+        output = _Output(stream, variant, header, str(path))
+        output.data_set(extent, points, arrays)
+    return {number: output.places[id(array)] for number, array in enumerate(contents) if id(array) in output.places}
+
+
+def plain(options: Mapping[str, str]) -> bool:
+    """Whether values are stored as they are."""
+    return options["encoding"] == "appended" and options["compression"] == "none"
 
 
 def attribute(text: str) -> str:
@@ -71,6 +79,7 @@ class _Output:
         self.stream, self.header, self.options = stream, header, variant.options
         self.encoder = ArrayEncoder(stream, variant.options, header, path)
         self.appended: list[tuple[StoredArray, int]] = []
+        self.places: dict[int, tuple[int, np.dtype[Any]]] = {}
 
     def line(self, text: str) -> None:
         self.stream.write(f"{text}\n".encode())
@@ -151,5 +160,8 @@ class _Output:
             self.stream.seek(place)
             self.stream.write(f'{offset}"'.encode())
             self.stream.seek(start + offset)
-            self.encoder.write(array)
+            if array.in_planes and plain(self.options):
+                self.places[id(array)] = self.encoder.reserve(array)
+            else:
+                self.encoder.write(array)
         self.line("\n  </AppendedData>")
