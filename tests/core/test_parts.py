@@ -28,7 +28,7 @@ from meshdeform_core.numerics import pieces as pieces_module
 from meshdeform_core.numerics.pieces import pieces
 from meshdeform_core.parallel import Part, WholeGridNeeded, alone, dividing, parts
 from meshdeform_core.repair import RepairOptions, limit, regions
-from meshdeform_core.repair.energy import newton, products
+from meshdeform_core.repair.energy import newton, products, surroundings, untangle
 from meshdeform_core.repair.neighbourhood import shares
 from meshdeform_core.repair.regions import Way
 from meshdeform_core.series import Schedule, deform_series
@@ -361,6 +361,28 @@ def test_repairs_of_grids_in_parts_give_the_same_bytes(
 ):
     """Of weak cells and of inverted ones."""
     assert same_on_ranks(tmp_path, count, repaired(angle, mode), grid=tapered(5, 4))[-1].newton_steps > 1
+
+
+@pytest.mark.parametrize(("count", "angle"), [(6, 50.0), (2, 90.0)])
+def test_ranks_without_nodes_take_part_in_repairs(count, angle, tmp_path, small_ranges, poisoned):
+    """Blocks are not cut, and there are more ranks than blocks; or two, with inverted cells."""
+    assert same_on_ranks(tmp_path, count, repaired(angle), grid=tapered(4, 3))[-1].newton_steps > 1
+
+
+def test_squeezed_cells_are_compared_with_those_around_them_on_other_ranks(
+    tmp_path, small_pieces, small_ranges, poisoned, monkeypatch
+):
+    """Not only where a gap closes to a few per cent, which takes a large grid."""
+    found, around = [], untangle.among_others
+
+    def noted(*given):
+        found.append(around(*given))
+        return found[-1]
+
+    monkeypatch.setattr(surroundings, "_SQUEEZED", 10.0)
+    monkeypatch.setattr(untangle, "among_others", noted)
+    same_on_ranks(tmp_path, 3, repaired(90.0), grid=tapered(4, 3))
+    assert any(energy is not None for energy in found)
 
 
 def test_where_the_work_is_spent_invalid_cells_are_no_reason_to_start_again(

@@ -21,7 +21,7 @@ class Boxes(NamedTuple):
     axes : (m, 3, 3) unit vectors in rows, along the longest side first
     per_side : (m, 3) interpolation points per side
     proxy : (m + 1,) start of each box's rows in ``proxies``
-    proxies : (total, 3) interpolation points
+    proxies : (total, 3) interpolation points; none are kept of source trees, see :func:`.tree.interpolation_points`
     """
 
     center: np.ndarray
@@ -35,13 +35,17 @@ class Boxes(NamedTuple):
 def make_boxes(
     center: FloatArray, axes: FloatArray, half: FloatArray, order: int, fewest: IntArray | None = None
 ) -> Boxes:
-    """Boxes with up to ``order`` interpolation points per side, or none where that takes ``fewest`` (m,) or more."""
+    """Boxes with up to ``order`` interpolation points per side.
+
+    Those of source trees have none where that takes ``fewest`` (m,) or more, and no coordinates of the others.
+    """
     per_side = points_per_side(half, order)
     sizes = per_side.prod(axis=1)
     if fewest is not None:
         sizes[sizes >= fewest] = 0
     proxy = np.append(0, np.cumsum(sizes))
-    return Boxes(center, axes, half, per_side, proxy, place_points(center, axes, half, per_side, proxy))
+    proxies = np.empty((0, 3)) if fewest is not None else place_points(center, axes, half, per_side, proxy)
+    return Boxes(center, axes, half, per_side, proxy, proxies)
 
 
 def fit_boxes(points: FloatArray, members: IntArray, span: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:

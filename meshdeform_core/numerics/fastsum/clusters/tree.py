@@ -10,7 +10,7 @@ from ...arrays import FloatArray, IntArray
 from ...jit import kernel
 from ...partition import partition
 from ..tuned import LEAF
-from .boxes import Boxes, box_coordinate, chebyshev, fit_boxes, lagrange, make_boxes
+from .boxes import Boxes, box_coordinate, chebyshev, fit_boxes, lagrange, make_boxes, place_points
 
 CHARGES = 8
 """Number of charges of a source: its strength and seven values."""
@@ -45,6 +45,16 @@ def build_tree(points: FloatArray, order: int, leaf: int = LEAF) -> SourceTree:
     place, span, child, (center, axes, half) = _split(points, leaf)
     boxes = make_boxes(center, axes, half, order, fewest=span[:, 1] - span[:, 0])
     return SourceTree(place, points[place].copy(), span, child, boxes)
+
+
+def interpolation_points(tree: SourceTree, start: IntArray) -> FloatArray:
+    """Interpolation points of the clusters, those of cluster c in the rows ``start[c]`` to ``start[c + 1]``.
+
+    Those of some clusters only, if the others have no rows. They are computed when needed, as no other array of a tree
+    takes as much memory.
+    """
+    boxes = tree.boxes
+    return place_points(boxes.center, boxes.axes, boxes.half, boxes.per_side, start)
 
 
 def _split(points: FloatArray, leaf: int) -> tuple[IntArray, IntArray, IntArray, list[FloatArray]]:

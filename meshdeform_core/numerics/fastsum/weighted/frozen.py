@@ -17,7 +17,7 @@ from ...exact.direct import N_VALUES
 from ...exact.mixed import scale_of
 from ..clusters.acceptance import inverse_powers
 from ..clusters.targets import Targets
-from ..clusters.tree import CHARGES, SourceTree
+from ..clusters.tree import CHARGES, SourceTree, interpolation_points
 from .plan import Plan, PlanKey
 from .sums import CHUNK, allowance
 from .transposed import collect_sums, filled_by, spread_charges, spread_lists, used_clusters
@@ -69,14 +69,13 @@ class FrozenSums:
         allowed, mean = allowance(alike, trees, kinds, reaches, tolerance * share)
         whole = all(kind.a in (3.0, 4.0) and kind.b == 5.0 for kind in kinds)
         every = [targets.bricks.boxes.proxies, targets.regions.boxes.proxies]
-        every += [part for tree in trees for part in (tree.points, tree.boxes.proxies)]
-        self._scale = scale_of(every) if single and whole else None
+        both = [np.concatenate([tree.points, interpolation_points(tree, tree.boxes.proxy)]) for tree in trees]
+        self._scale = scale_of([*every, *both]) if single and whole else None
         key, room = PlanKey(kinds, reaches, acting, share, 0), targets.every.nbytes
         self._plan = Plan(key, targets, self._groups, allowed, mean, room, weights=False, scale=self._scale)
         # The transpose skips groups that do not act.
         self._points = [
-            np.concatenate([tree.points, tree.boxes.proxies]) if moving.any() else np.empty((0, 3))
-            for tree, moving in zip(trees, self._plan.moving, strict=True)
+            points if moving.any() else np.empty((0, 3)) for points, moving in zip(both, self._plan.moving, strict=True)
         ]
         size = CHARGES * sum(map(len, self._points))
         # The sums of all portions together are no larger than a quarter of the coordinates, unless there are two.

@@ -22,6 +22,8 @@ CHUNK = 2
 """Regions per call, if they are no smaller than usual."""
 _TARGETS = 4096
 """Targets per call of small regions, about: those of small blocks."""
+_TOGETHER = 50_000
+"""Sources whose charges are computed at a time, which bounds the memory."""
 # Plans that are kept: a motion that swings passes between two sizes.
 _PLANS = 2
 
@@ -171,10 +173,12 @@ class FastSums:
         charges = []
         for (group, tree), used in zip(self._groups, plan.used, strict=True):
             (rows, start), members = charge_rows(tree, used), group[tree.order]
-            source = rows[: len(members), 3:]
-            if weighing:
-                source[:, 0] = self._strength[members]
-            source[:, 1 : 1 + len(values)] = (self._strength[members] * values[:, members]).T
+            for lo in range(0, len(members), _TOGETHER):
+                some = members[lo : lo + _TOGETHER]
+                source = rows[lo : lo + len(some), 3:]
+                if weighing:
+                    source[:, 0] = self._strength[some]
+                source[:, 1 : 1 + len(values)] = (self._strength[some] * values[:, some]).T
             charges.append(gather(tree, rows, start))
         return charges
 
@@ -209,4 +213,5 @@ def _scaled(summands: Summands, strength: FloatArray) -> tuple[FloatArray, Float
     rest = values - middle[:, None]
     spread = np.abs(rest).max(axis=1)
     spread[spread == 0.0] = 1.0
-    return middle, spread, rest / spread[:, None]
+    rest /= spread[:, None]
+    return middle, spread, rest

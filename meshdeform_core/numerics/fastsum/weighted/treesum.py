@@ -26,7 +26,7 @@ from ...jit import inlined, kernel
 from ..clusters.acceptance import Kernel, distance2, square, weight
 from ..clusters.boxes import chebyshev
 from ..clusters.bricks import Bricks, Regions, spans
-from ..clusters.tree import CHARGES, SourceTree, gather_charges
+from ..clusters.tree import CHARGES, SourceTree, gather_charges, interpolation_points
 from .walk import Lists, Reach, few_nodes
 
 _STACK = 256
@@ -55,12 +55,12 @@ def charge_rows(tree: SourceTree, used: BoolArray | None = None) -> tuple[FloatA
 
     There are none for clusters that are not ``used`` (m,).
     """
-    n, sizes, proxies = len(tree.order), np.diff(tree.boxes.proxy), tree.boxes.proxies
+    n, start = len(tree.order), tree.boxes.proxy
     if used is not None:
-        sizes, proxies = np.where(used, sizes, 0), proxies[np.repeat(used, sizes)]
-    rows = np.zeros((n + len(proxies), 3 + CHARGES))
-    rows[:n, :3], rows[n:, :3] = tree.points, proxies
-    return rows, n + np.append(0, np.cumsum(sizes))
+        start = np.append(0, np.cumsum(np.where(used, np.diff(start), 0)))
+    rows = np.zeros((n + start[-1], 3 + CHARGES))
+    rows[:n, :3], rows[n:, :3] = tree.points, interpolation_points(tree, start)
+    return rows, n + start
 
 
 def gather(tree: SourceTree, rows: FloatArray, start: IntArray) -> Charges:
