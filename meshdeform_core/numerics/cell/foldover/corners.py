@@ -20,6 +20,8 @@ from llvmlite import ir
 from ...lanes import NARROW as WIDTH
 from ...lanes import Array, Lanes, Mask, narrow
 from .jacobian import combined, growth, slopes
+from .nodes import BEND, PULL, add_blocks, add_forces, neighbours, row_of, slopes_of
+from .vectors import Vector, dot, load, regular, store
 
 DEFORMED, UNDEFORMED, REFERENCE, GRIDS = 0, 1, 2, 3
 """Rows of ``points`` (GRIDS, 8, 3, WIDTH): coordinates of the corners of eight cells in three grids."""
@@ -28,14 +30,6 @@ WEIGHT, BETWEEN, TERMS = 27, 28, 29
 their sample points between corners."""
 ENERGY, LOWEST, HIGHEST, SUMS = 0, 1, 2, 3
 """Rows of ``sums`` (SUMS, WIDTH): the energy, the smallest D, the largest f."""
-FORCE, ROWS = 36 * 9, 44 * 8
-"""Rows of ``result`` (ROWS, WIDTH), derivatives with respect to the nodes of the cells: the second ones (36, 3, 3) for
-pairs of nodes in ascending order, from FORCE on the first ones (8, 3)."""
-PULL, BEND, TURNED, PARTS = 0, 9, 90, 117
-"""Rows of ``parts`` (PARTS, WIDTH), derivatives at a sample point with respect to the vectors e_k: the first ones
-(3, 3), the second ones (3, 3, 3, 3), and those (3, 3, 3) with respect to a node and the vectors."""
-
-Vector = list[Lanes]
 
 # For x^(-1/3): the first guess from the bits of x is within 4 %, and every correction, by the first terms of the series
 # of (1 - d)^(-1/3), raises the error to the third power.
@@ -72,18 +66,18 @@ def add_energy_between(
 ) -> None:
     """Add the energy at a sample point between corners to ``sums``; ``slope`` (27, 8, 3): of the shape functions."""
     found = _map(terms, sample, *(_sloped(points, grid, slope, sample) for grid in (UNDEFORMED, DEFORMED)))
-    _add_energy(terms, sums, found, eps, share * _load(terms, BETWEEN), cubic, found.det * 0.0)
+    _add_energy(terms, sums, found, eps, share * load(terms, BETWEEN), cubic, found.det * 0.0)
 
 
 def _add_energy(terms: Array, sums: Array, found: _Map, eps: Lanes, share: Lanes, cubic: Lanes, stiff: Lanes) -> None:
-    chi, _ = _regular(found.det, eps)
+    chi, _ = regular(found.det, eps)
     root, infinite = _inverse_root(chi), found.det * 0.0 + float("inf")
     f = found.square * (1 / 3) * root * root + (found.det * found.det + 1.0) * 0.5 / chi
     f = (chi * 0.0).below(chi).choose(f, infinite)
-    total = share * (_load(terms, WEIGHT) * f + cubic * growth.py_func(f)[0]) + stiff
-    _store(sums, ENERGY, _load(sums, ENERGY) + found.counts.choose(total, 0.0))
-    _store(sums, LOWEST, _load(sums, LOWEST).min(found.counts.choose(found.det, infinite)))
-    _store(sums, HIGHEST, _load(sums, HIGHEST).max(found.counts.choose(f, 0.0)))
+    total = share * (load(terms, WEIGHT) * f + cubic * growth.py_func(f)[0]) + stiff
+    store(sums, ENERGY, load(sums, ENERGY) + found.counts.choose(total, 0.0))
+    store(sums, LOWEST, load(sums, LOWEST).min(found.counts.choose(found.det, infinite)))
+    store(sums, HIGHEST, load(sums, HIGHEST).max(found.counts.choose(f, 0.0)))
 
 
 @narrow
@@ -103,9 +97,9 @@ def add_corner_derivatives(
     stiff, strain = found.counts.choose(elastic, 0.0), _strain(points, node, found)
     pull, second = _derivatives(terms, found, eps, share, cubic, stiff, exact)
     for k in range(3):
-        pull[k] = [pull[k][d] + stiff * _dot(strain[d], found.dual[k]) for d in range(3)]
-    _add_force(result, node, pull)
-    _add_blocks(result, node, second)
+        pull[k] = [pull[k][d] + stiff * dot(strain[d], found.dual[k]) for d in range(3)]
+    add_forces(result, node, pull)
+    add_blocks(result, node, second)
 
 
 @narrow
@@ -122,71 +116,14 @@ def derivatives_between(
 ) -> None:
     """The derivatives at a sample point between corners, with respect to the vectors e_k, in ``parts``."""
     found = _map(terms, sample, *(_sloped(points, grid, slope, sample) for grid in (UNDEFORMED, DEFORMED)))
-    share = share * _load(terms, BETWEEN)
+    share = share * load(terms, BETWEEN)
     pull, second = _derivatives(terms, found, eps, share, cubic, found.det * 0.0, exact)
     for k in range(3):
         for d in range(3):
-            _store(parts, PULL + 3 * k + d, pull[k][d])
+            store(parts, PULL + 3 * k + d, pull[k][d])
             for m in range(3):
                 for e in range(3):
-                    _store(parts, BEND + 9 * (3 * k + m) + 3 * d + e, second[k][m][d][e])
-
-
-@narrow
-def turn_to_node(slope: Array, parts: Array, result: Array, sample: ir.Value, node: ir.Value) -> None:
-    """Add the first derivatives at a sample point to those of a node; in ``parts``, the second ones with respect to the
-    node and the vectors."""
-    slopes_of_node = _slopes(slope, sample, node)
-    for d in range(3):
-        total = _dot(slopes_of_node, [_load(parts, PULL + 3 * k + d) for k in range(3)])
-        result.add(_row(result, node), total, (FORCE + d) * WIDTH)
-        for m in range(3):
-            for e in range(3):
-                place = 3 * d + e
-                bends = [_load(parts, BEND + 9 * (3 * k + m) + place) for k in range(3)]
-                _store(parts, TURNED + 9 * m + place, _dot(slopes_of_node, bends))
-
-
-@narrow
-def add_to_pair(slope: Array, parts: Array, result: Array, sample: ir.Value, node: ir.Value, other: ir.Value) -> None:
-    """Add the second derivatives with respect to a node, from :func:`turn_to_node`, and one that is not less."""
-    slopes_of_other = _slopes(slope, sample, other)
-    _add_pair(result, node, other, [
-        [_dot(slopes_of_other, [_load(parts, TURNED + 9 * m + 3 * d + e) for m in range(3)]) for e in range(3)]
-        for d in range(3)
-    ])  # fmt: skip
-
-
-@narrow
-def transpose(result: Array, row: ir.Value, cell: Array) -> None:
-    """Copy eight rows of ``result`` to ``cell`` (WIDTH, ROWS)."""
-    builder = result.builder
-    place = builder.mul(row, row.type(WIDTH))
-    lines = [result.load(place, n * WIDTH) for n in range(WIDTH)]
-    for step in (1, 2, 4):
-        upper = [n if not n & step else WIDTH + (n ^ step) for n in range(WIDTH)]
-        lower = [n | step if not n & step else WIDTH + n for n in range(WIDTH)]
-        for n in range(WIDTH):
-            if not n & step:
-                one, two = lines[n], lines[n | step]
-                lines[n], lines[n | step] = one.mixed(two, upper), one.mixed(two, lower)
-    for n, line in enumerate(lines):
-        cell.store(row, line, n * ROWS)
-
-
-@narrow
-def add_block(cell: Array, first: ir.Value, matrix: Array, at: ir.Value) -> None:
-    """Add nine numbers, a matrix (3, 3), to those of ``matrix`` from ``at`` on."""
-    matrix.add(at, cell.load(first))
-    matrix.add_one(at, cell.one(first, 8), 8)
-
-
-@narrow
-def add_transposed(cell: Array, first: ir.Value, matrix: Array, at: ir.Value) -> None:
-    """As :func:`add_block`, transposed."""
-    rows = cell.load(first)
-    matrix.add(at, rows.mixed(rows, [0, 3, 6, 1, 4, 7, 2, 5]))
-    matrix.add_one(at, cell.one(first, 8), 8)
+                    store(parts, BEND + 9 * (3 * k + m) + 3 * d + e, second[k][m][d][e])
 
 
 def _derivatives(
@@ -194,15 +131,15 @@ def _derivatives(
 ) -> tuple[list[Vector], list[list[list[Vector]]]]:
     """First (3, 3) and second derivatives (3, 3, 3, 3) with respect to the vectors e_k; the first ones without the
     elastic energy, whose stiffness is ``stiff``."""
-    chi, root = _regular(found.det, eps)
+    chi, root = regular(found.det, eps)
     third = _inverse_root(chi)
     f, u, v, w, q, r, least = slopes.py_func(found.square, found.det, chi, root, third * third)
     whole = (r * 0.0 + 0.5).below(exact)
     r = whole.choose(r, r.max(least))
     one, two = growth.py_func(f)[1:]
     part = found.counts.choose(share, 0.0)
-    u, v, w, p, q, r = combined.py_func(u, v, w, q, r, part * (_load(terms, WEIGHT) + cubic * one), part * cubic * two)
-    along = [[_dot(row, dual) for row in found.matrix] for dual in found.dual]
+    u, v, w, p, q, r = combined.py_func(u, v, w, q, r, part * (load(terms, WEIGHT) + cubic * one), part * cubic * two)
+    along = [[dot(row, dual) for row in found.matrix] for dual in found.dual]
     pull = [[u * a + v * c for a, c in zip(*pair, strict=True)] for pair in zip(along, found.across, strict=True)]
     return pull, _second(found, along, w + stiff, whole.choose(v, 0.0) * found.inverse, p, q, r)
 
@@ -218,7 +155,7 @@ def _second(
     for k in range(3):
         for m in range(k, 3):
             of_pair = [[left[k][d] * along[m][e] + right[k][d] * across[m][e] for e in range(3)] for d in range(3)]
-            same = factor * _dot(found.dual[k], found.dual[m])
+            same = factor * dot(found.dual[k], found.dual[m])
             for d in range(3):
                 of_pair[d][d] = of_pair[d][d] + same
             if k != m:
@@ -232,53 +169,15 @@ def _second(
     return result
 
 
-def _add_force(result: Array, node: ir.Value, edges: list[Vector]) -> None:
-    """Add forces on the ends of the edges, and their opposite to the corner."""
-    for other, vector in zip(_others(result, node), edges, strict=True):
-        for d in range(3):
-            result.add(_row(result, other), vector[d], (FORCE + d) * WIDTH)
-    for d in range(3):
-        result.add(_row(result, node), (edges[0][d] + edges[1][d] + edges[2][d]) * -1.0, (FORCE + d) * WIDTH)
-
-
-def _add_blocks(result: Array, node: ir.Value, second: list[list[list[Vector]]]) -> None:
-    """Add second derivatives with respect to edges to those with respect to nodes."""
-    others = _others(result, node)
-    columns = [[[-1.0 * (second[0][m][d][e] + second[1][m][d][e] + second[2][m][d][e])
-                 for e in range(3)] for d in range(3)] for m in range(3)]  # fmt: skip
-    whole = [[-1.0 * (columns[0][d][e] + columns[1][d][e] + columns[2][d][e]) for e in range(3)] for d in range(3)]
-    _add_pair(result, node, node, whole)
-    for m in range(3):
-        _add_pair(result, node, others[m], columns[m])
-        for k in range(m + 1):
-            _add_pair(result, others[k], others[m], second[k][m])
-
-
-def _add_pair(result: Array, one: ir.Value, two: ir.Value, values: list[Vector]) -> None:
-    """Add ``values`` (3, 3), transposed if the nodes descend, to the block of two nodes."""
-    builder = result.builder
-    descends = builder.icmp_signed(">", one, two)
-    low, high = builder.select(descends, two, one), builder.select(descends, one, two)
-    long, short = one.type(3 * WIDTH), one.type(WIDTH)
-    by_row, by_column = builder.select(descends, short, long), builder.select(descends, long, short)
-    # Before the row of the lower node are those of lower ones, each shorter by one than the row before.
-    before = builder.lshr(builder.mul(low, builder.sub(one.type(15), low)), one.type(1))
-    first = builder.mul(builder.add(before, high), one.type(9 * WIDTH))
-    for d in range(3):
-        row = builder.add(first, builder.mul(by_row, one.type(d)))
-        for e in range(3):
-            result.add(builder.add(row, builder.mul(by_column, one.type(e))), values[d][e])
-
-
 def _map(terms: Array, sample: ir.Value, start: list[Vector], edges: list[Vector]) -> _Map:
     count = terms.load(terms.builder.mul(sample, sample.type(WIDTH)))
     counts = (count * 0.0 + 0.5).below(count)
     areas = _areas(start)
-    inverse = 1.0 / counts.choose(_dot(start[0], areas[0]), 1.0)
+    inverse = 1.0 / counts.choose(dot(start[0], areas[0]), 1.0)
     dual = [[inverse * c for c in area] for area in areas]
     matrix = _matrix(edges, dual)
     across = [[inverse * c for c in area] for area in _areas(edges)]
-    det = counts.choose(_dot(edges[0], across[0]), 1.0)
+    det = counts.choose(dot(edges[0], across[0]), 1.0)
     return _Map(counts, edges, dual, inverse, matrix, across, _square(matrix), det)
 
 
@@ -287,18 +186,11 @@ def _sloped(points: Array, grid: int, slope: Array, sample: ir.Value) -> list[Ve
     total: list[Vector] = []
     for n in range(8):
         node = sample.type(n)
-        factors = _slopes(slope, sample, node)
-        place = [points.load(_row(points, node), (grid * 24 + d) * WIDTH) for d in range(3)]
+        factors = slopes_of(slope, sample, node)
+        place = [points.load(row_of(points, node), (grid * 24 + d) * WIDTH) for d in range(3)]
         more = [[factor * c for c in place] for factor in factors]
         total = [[a + b for a, b in zip(*pair, strict=True)] for pair in zip(total, more, strict=True)] if n else more
     return total
-
-
-def _slopes(slope: Array, sample: ir.Value, node: ir.Value) -> Vector:
-    """The derivatives of a node's shape function along the three axes, the same for all cells."""
-    builder = slope.builder
-    place = builder.mul(builder.add(builder.mul(sample, sample.type(8)), node), sample.type(3))
-    return [slope.every(place, k) for k in range(3)]
 
 
 def _strain(points: Array, node: ir.Value, found: _Map) -> list[Vector]:
@@ -311,34 +203,15 @@ def _strain(points: Array, node: ir.Value, found: _Map) -> list[Vector]:
 def _edges(points: Array, grid: int, node: ir.Value) -> list[Vector]:
     """The edges from a node of the cells to its neighbours along the index axes."""
     first = grid * 8 * 3 * WIDTH
-    start = [points.load(_row(points, node), first + d * WIDTH) for d in range(3)]
-    ends = ([points.load(_row(points, other), first + d * WIDTH) for d in range(3)] for other in _others(points, node))
+    start = [points.load(row_of(points, node), first + d * WIDTH) for d in range(3)]
+    ends = (
+        [points.load(row_of(points, other), first + d * WIDTH) for d in range(3)] for other in neighbours(points, node)
+    )
     return [[b - a for a, b in zip(start, end, strict=True)] for end in ends]
 
 
-def _others(array: Array, node: ir.Value) -> list[ir.Value]:
-    """The neighbours of a node of the cells along the index axes."""
-    return [array.builder.xor(node, node.type(bit)) for bit in (4, 2, 1)]
-
-
-def _row(array: Array, node: ir.Value) -> ir.Value:
-    return array.builder.mul(node, node.type(3 * WIDTH))
-
-
-def _load(array: Array, row: int) -> Lanes:
-    return array.load(ir.IntType(64)(row * WIDTH))
-
-
-def _store(array: Array, row: int, value: Lanes) -> None:
-    array.store(ir.IntType(64)(row * WIDTH), value)
-
-
-def _dot(a: Vector, b: Vector) -> Lanes:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
 def _square(rows: list[Vector]) -> Lanes:
-    return _dot(rows[0], rows[0]) + _dot(rows[1], rows[1]) + _dot(rows[2], rows[2])
+    return dot(rows[0], rows[0]) + dot(rows[1], rows[1]) + dot(rows[2], rows[2])
 
 
 def _areas(edges: list[Vector]) -> list[Vector]:
@@ -353,12 +226,6 @@ def _matrix(edges: list[Vector], dual: list[Vector]) -> list[Vector]:
         [edges[0][d] * dual[0][k] + edges[1][d] * dual[1][k] + edges[2][d] * dual[2][k] for k in range(3)]
         for d in range(3)
     ]
-
-
-def _regular(det: Lanes, eps: Lanes) -> tuple[Lanes, Lanes]:
-    """As :func:`.jacobian.regular`."""
-    root = (eps * eps + det * det).sqrt()
-    return (det * 0.0).below(det).choose(0.5 * (det + root), 0.5 * eps * eps / (root - det)), root
 
 
 def _inverse_root(x: Lanes) -> Lanes:

@@ -12,28 +12,23 @@ from .corners import (
     BETWEEN,
     DEFORMED,
     ENERGY,
-    FORCE,
     GRIDS,
     HIGHEST,
     LOWEST,
-    PARTS,
     REFERENCE,
-    ROWS,
     SUMS,
     TERMS,
     UNDEFORMED,
     WEIGHT,
-    add_block,
     add_corner_derivatives,
     add_corner_energy,
     add_energy_between,
-    add_to_pair,
-    add_transposed,
     derivatives_between,
-    transpose,
-    turn_to_node,
 )
 from .jacobian import combined, distortion, growth, mapping, regular, slopes
+from .nodes import FORCE, PARTS, ROWS, add_block, add_to_pair, add_transposed, turn_to_node
+from .places import place_of
+from .vectors import transpose
 
 
 class Unknowns(NamedTuple):
@@ -161,7 +156,7 @@ def add_derivatives(
                 derivatives_between(points, terms, slope, parts, s, eps, share, cubic, exact)
                 _add_between(samples, slope, parts, result, s)
         for row in range(0, ROWS, WIDTH):
-            transpose(result, row, cell)
+            transpose(result, row, cell, ROWS)
         for lane in range(used):
             _add_cell(cells, which[first + lane], cell, lane, unknowns, rows, matrix, gradient)
 
@@ -192,10 +187,10 @@ def _add_cell(cells, c, found, lane, unknowns, rows, matrix, gradient):
             if row >= 0 and column >= 0:
                 if not (plain[here] and plain[there]):
                     _turn(frame[here], frame[there], found, first, part, work)
-                at = _place(row, column, rows)
+                at = place_of(row, column, rows)
                 if at >= 0:
                     add_block(found, first, matrix, 9 * at)
-                at = _place(column, row, rows) if n != o else -1
+                at = place_of(column, row, rows) if n != o else -1
                 if at >= 0:
                     add_transposed(found, first, matrix, 9 * at)
             first += 9
@@ -213,15 +208,6 @@ def _add_force(here, row, found, lane, n, frame, plain, gradient):
 
 
 @inlined
-def _place(row, column, rows):
-    """Where the block of a row and a column is, -1 if the row is not one of ``rows``."""
-    first, last, starts, columns = rows
-    if row < first or row >= last:
-        return -1
-    return _find(columns, starts[row], starts[row + 1], column) - starts[first]
-
-
-@inlined
 def _turn(one, two, found, first, part, work):
     """``B = one^T B two`` for the matrix B (3, 3) of nine numbers of ``found``."""
     flat = found.reshape(found.size)
@@ -234,18 +220,6 @@ def _turn(one, two, found, first, part, work):
     for d in range(3):
         for e in range(3):
             flat[first + 3 * d + e] = work[d, 0] * two[0, e] + work[d, 1] * two[1, e] + work[d, 2] * two[2, e]
-
-
-@inlined
-def _find(columns, low, high, wanted):
-    """Position of ``wanted`` in the ascending ``columns[low:high]``."""
-    while high - low > 1:
-        middle = (low + high) // 2
-        if columns[middle] <= wanted:
-            low = middle
-        else:
-            high = middle
-    return low
 
 
 @kernel

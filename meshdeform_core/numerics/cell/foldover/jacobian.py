@@ -112,6 +112,15 @@ def slopes(g, det, chi, root, h):
 
 
 @inlined
+def slopes_of_triangle(g, det, chi, root):
+    """f, df/dg, df/dD, d2f/(dg dD) and d2f/dD2 with g = |A|^2; d2f/dg2 is zero."""
+    f = 0.5 * (g + det * det + 1.0) / chi
+    d_det = det / chi - f / root
+    second = 1.0 / chi - 2.0 * det / (chi * root) + f * (1.0 + det / root) / (root * root)
+    return f, 0.5 / chi, d_det, -0.5 / (chi * root), second
+
+
+@inlined
 def combined(u, v, w, q, r, one, two):
     """u, v, w, p, q, r as from :func:`slopes` of a function of f with the derivatives ``one`` and ``two``; p is the
     factor of A A^T in the Hessian."""

@@ -16,7 +16,22 @@ basis the second derivatives are diagonal but for one 2 x 2 matrix, so their neg
 import numpy as np
 
 from ...jit import inlined, kernel
+from ...lanes import NARROW as WIDTH
 from .jacobian import growth, regular
+from .places import place_of
+from .triangles import (
+    DEFORMED,
+    FORCE,
+    GIVEN,
+    REFERENCE,
+    ROWS,
+    SLOPE,
+    WEIGHT,
+    add_square,
+    add_square_transposed,
+    triangle_derivatives,
+)
+from .vectors import transpose
 
 
 @inlined
@@ -30,15 +45,6 @@ def plane_matrix(x, node, slope):
         c += x[p, 1] * slope[n, 0]
         d += x[p, 1] * slope[n, 1]
     return a, b, c, d
-
-
-@inlined
-def slopes_of_triangle(g, det, chi, root):
-    """f, df/dg, df/dD, d2f/(dg dD) and d2f/dD2 with g = |A|^2; d2f/dg2 is zero."""
-    f = 0.5 * (g + det * det + 1.0) / chi
-    d_det = det / chi - f / root
-    second = 1.0 / chi - 2.0 * det / (chi * root) + f * (1.0 + det / root) / (root * root)
-    return f, 0.5 / chi, d_det, -0.5 / (chi * root), second
 
 
 @kernel
@@ -70,111 +76,68 @@ def energy_of_triangles(x, node, slope, weight, reference, penalty, low, high):
     return total, lowest, highest
 
 
-@inlined
-def _spectrum(c, m, u, v, gg, gd, dd, lowest, values, vectors):
-    """Eigenvalues (4,), at least ``lowest``, and eigenvectors (4, 4) of the second derivatives.
-
-    ``c`` (2,) and ``m`` (2,) are coordinates of the two parts of A; ``u`` is twice the derivative along g = |A|^2,
-    ``v`` the one along D; ``gg``, ``gd``, ``dd`` are the second derivatives.
-    """
-    cc, mm = np.sqrt(c[0] * c[0] + c[1] * c[1]), np.sqrt(m[0] * m[0] + m[1] * m[1])
-    c0, c1 = (c[0] / cc, c[1] / cc) if cc > 0.0 else (1.0, 0.0)
-    m0, m1 = (m[0] / mm, m[1] / mm) if mm > 0.0 else (1.0, 0.0)
-    one = u + v + cc * cc * (4.0 * gg + 4.0 * gd + dd)
-    two = u - v + mm * mm * (4.0 * gg - 4.0 * gd + dd)
-    mixed = cc * mm * (4.0 * gg - dd)
-    half = 0.5 * (one - two)
-    radius = np.sqrt(half * half + mixed * mixed)
-    middle = 0.5 * (one + two)
-    # The eigenvector of the larger eigenvalue in the plane spanned by the unit vectors along C and M.
-    p, q = (half + radius, mixed) if half >= 0.0 else (mixed, radius - half)
-    size = np.sqrt(p * p + q * q)
-    p, q = (p / size, q / size) if size > 0.0 else (1.0, 0.0)
-    values[0], values[1] = max(u + v, lowest), max(u - v, lowest)
-    values[2], values[3] = max(middle + radius, lowest), max(middle - radius, lowest)
-    vectors[0, 0], vectors[0, 1], vectors[0, 2], vectors[0, 3] = -c1, c0, 0.0, 0.0
-    vectors[1, 0], vectors[1, 1], vectors[1, 2], vectors[1, 3] = 0.0, 0.0, -m1, m0
-    vectors[2, 0], vectors[2, 1], vectors[2, 2], vectors[2, 3] = p * c0, p * c1, q * m0, q * m1
-    vectors[3, 0], vectors[3, 1], vectors[3, 2], vectors[3, 3] = -q * c0, -q * c1, p * m0, p * m1
-
-
 @kernel
 def add_triangles(x, node, slope, weight, reference, penalty, which, unknowns, rows, matrix, gradient):
     """Add the derivatives of the energy of the triangles ``which`` to rows of the gradient and of the Hessian.
 
     As :func:`.hexahedra.add_derivatives`, in two dimensions.
     """
+    given, result, found = np.empty((GIVEN, WIDTH)), np.empty((ROWS, WIDTH)), np.empty((WIDTH, ROWS))
     eps, share, cubic, elastic, exact = penalty
-    half, lowest = np.sqrt(0.5), -np.inf if exact else -elastic
-    c, m, values, vectors = np.empty(2), np.empty(2), np.empty(4), np.empty((4, 4))
-    turned, force = np.empty((3, 4, 2)), np.empty((3, 2))
-    for at in which:
-        a00, a01, a10, a11 = plane_matrix(x, node[at], slope[at])
-        det = a00 * a11 - a01 * a10
-        chi, root = regular(det, eps)
-        f, dg, dd, gd, ddd = slopes_of_triangle(a00 * a00 + a01 * a01 + a10 * a10 + a11 * a11, det, chi, root)
-        _, one, two = growth(f)
-        one = share * (weight[at] + cubic * one)
-        two = share * cubic * two
-        c[0], c[1], m[0], m[1] = half * (a00 + a11), half * (a10 - a01), half * (a00 - a11), half * (a01 + a10)
-        u, v = 2.0 * dg * one, dd * one
-        gg, gd, ddd = two * dg * dg, one * gd + two * dg * dd, one * ddd + two * dd * dd
-        _spectrum(c, m, u, v, gg, gd, ddd, lowest, values, vectors)
-        for i in range(4):
-            values[i] += elastic
-        p00, p01, p10, p11 = plane_matrix(reference, node[at], slope[at])
-        e00, e01, e10, e11 = elastic * (a00 - p00), elastic * (a01 - p01), elastic * (a10 - p10), elastic * (a11 - p11)
-        for n in range(3):
-            b0, b1 = slope[at, n, 0], slope[at, n, 1]
-            force[n, 0] = u * (a00 * b0 + a01 * b1) + v * (a11 * b0 - a10 * b1) + e00 * b0 + e01 * b1
-            force[n, 1] = u * (a10 * b0 + a11 * b1) + v * (a00 * b1 - a01 * b0) + e10 * b0 + e11 * b1
-            for i in range(4):
-                e = vectors[i]
-                turned[n, i, 0] = half * ((e[0] + e[2]) * b0 + (e[3] - e[1]) * b1)
-                turned[n, i, 1] = half * ((e[1] + e[3]) * b0 + (e[0] - e[2]) * b1)
-        _add_triangle(node[at], force, values, turned, unknowns, rows, matrix, gradient)
+    lowest = -np.inf if exact else -elastic
+    result[...] = 0.0
+    for first in range(0, len(which), WIDTH):
+        used = min(WIDTH, len(which) - first)
+        for lane in range(WIDTH):
+            m = which[first + min(lane, used - 1)]
+            given[WEIGHT, lane] = weight[m]
+            for n in range(3):
+                for d in range(2):
+                    given[DEFORMED + 2 * n + d, lane] = x[node[m, n], d]
+                    given[REFERENCE + 2 * n + d, lane] = reference[node[m, n], d]
+                    given[SLOPE + 2 * n + d, lane] = slope[m, n, d]
+        triangle_derivatives(given, result, eps, share, cubic, elastic, lowest)
+        for row in range(0, ROWS, WIDTH):
+            transpose(result, row, found, ROWS)
+        for lane in range(used):
+            _add_triangle(node, which[first + lane], found, lane, unknowns, rows, matrix, gradient)
 
 
 @inlined
-def _add_triangle(node, force, values, turned, unknowns, rows, matrix, gradient):
-    """Add the gradient ``force`` (3, 2) and the Hessian of a triangle to the rows that have its unknowns.
-
-    The Hessian is the sum over i of values_i turned_i turned_i^T; ``turned`` (3, 4, 2) is overwritten.
-    """
+def _add_triangle(node, m, found, lane, unknowns, rows, matrix, gradient):
+    """Add the derivatives of a triangle, in a row of ``found`` (WIDTH, ROWS), to the rows of its unknowns."""
     number, frame, plain = unknowns
-    first, last, starts, columns = rows
+    first = lane * ROWS
     for n in range(3):
-        p = node[n]
-        if not plain[p]:
-            for i in range(4):
-                y0, y1 = turned[n, i, 0], turned[n, i, 1]
-                turned[n, i, 0] = frame[p, 0, 0] * y0 + frame[p, 1, 0] * y1
-                turned[n, i, 1] = frame[p, 0, 1] * y0 + frame[p, 1, 1] * y1
-    for n in range(3):
-        p = node[n]
-        row = number[p]
-        if row < first or row >= last:
-            continue
-        if plain[p]:
-            gradient[row, 0] += force[n, 0]
-            gradient[row, 1] += force[n, 1]
-        else:
-            gradient[row, 0] += frame[p, 0, 0] * force[n, 0] + frame[p, 1, 0] * force[n, 1]
-            gradient[row, 1] += frame[p, 0, 1] * force[n, 0] + frame[p, 1, 1] * force[n, 1]
-        for o in range(3):
-            column = number[node[o]]
-            if column < 0:
-                continue
-            place = starts[row]
-            while columns[place] != column:
-                place += 1
-            place -= starts[first]
-            for i in range(4):
-                y0, y1 = values[i] * turned[n, i, 0], values[i] * turned[n, i, 1]
-                matrix[place, 0, 0] += y0 * turned[o, i, 0]
-                matrix[place, 0, 1] += y0 * turned[o, i, 1]
-                matrix[place, 1, 0] += y1 * turned[o, i, 0]
-                matrix[place, 1, 1] += y1 * turned[o, i, 1]
+        here = node[m, n]
+        row = number[here]
+        if row >= rows[0] and row < rows[1]:
+            x, y = found[lane, FORCE + 2 * n], found[lane, FORCE + 2 * n + 1]
+            gradient[row, 0] += frame[here, 0, 0] * x + frame[here, 1, 0] * y
+            gradient[row, 1] += frame[here, 0, 1] * x + frame[here, 1, 1] * y
+        for o in range(n, 3):
+            there = node[m, o]
+            column = number[there]
+            if row >= 0 and column >= 0:
+                if not (plain[here] and plain[there]):
+                    _turn(frame[here], frame[there], found, lane, first - lane * ROWS)
+                at = place_of(row, column, rows)
+                if at >= 0:
+                    add_square(found, first, matrix, 4 * at)
+                at = place_of(column, row, rows) if n != o else -1
+                if at >= 0:
+                    add_square_transposed(found, first, matrix, 4 * at)
+            first += 4
+
+
+@inlined
+def _turn(one, two, found, lane, at):
+    """``B = one^T B two`` for the matrix B (2, 2) of four numbers of ``found`` (WIDTH, ROWS)."""
+    a, b, c, d = found[lane, at], found[lane, at + 1], found[lane, at + 2], found[lane, at + 3]
+    for i in range(2):
+        x, y = one[0, i] * a + one[1, i] * c, one[0, i] * b + one[1, i] * d
+        for k in range(2):
+            found[lane, at + 2 * i + k] = x * two[0, k] + y * two[1, k]
 
 
 @kernel

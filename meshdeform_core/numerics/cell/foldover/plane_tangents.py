@@ -4,8 +4,8 @@ Arguments as in :mod:`.plane`; see :mod:`.tangents`.
 """
 
 from ...jit import kernel
-from .jacobian import growth, regular
-from .plane import plane_matrix, slopes_of_triangle
+from .jacobian import growth, regular, slopes_of_triangle
+from .plane import plane_matrix
 
 
 @kernel
