@@ -15,7 +15,7 @@ from ..errors import MotionError
 from ..grid import FloatArray, IntArray
 from ..memory import release_freed
 from ..numerics.rows import put_rows, spread_rows, take_rows
-from ..parallel import Part, alike, for_chunks, for_rows, own_rows, rows_of
+from ..parallel import Part, alike, for_chunks, for_rows, of_all, own_rows, rows_of
 from ..wording import vector
 from .base import Account, Interpolation, Mover, PreparedMethod, Problem, Progress
 from .beside_slip import BesideSlip
@@ -217,7 +217,8 @@ def first_step_nodes(problem: Problem, skeleton: Skeleton | None) -> IntArray:
     # A node belongs to the skeleton if any coincident node does: all nodes on block faces, except on omitted sides.
     wanted = np.full(topology.n_unique, skeleton is None or not skeleton.left_out)
     if not wanted.all():
-        wanted[topology.number[chosen[faces]]] = True
+        for numbers in of_all(problem.grid.points, np.unique(topology.number[begin:end][chosen[faces]])):
+            wanted[numbers] = True
     wanted[problem.source_numbers] = False
     chosen[faces] = False
     first = topology.first[wanted]

@@ -87,8 +87,8 @@ def test_every_rank_has_its_part_of_the_grid_and_of_the_result(source, tmp_path)
 
 def test_what_takes_the_whole_grid_is_refused_on_all_ranks(source):
     def act(number):
-        with pytest.raises(md.GridError, match="RBF inside of blocks: that takes the whole grid"):
-            prepared(source, parts=True, method="idw-rbf").deform(turned)
+        with pytest.raises(md.GridError, match="a derivative: that takes the whole grid"):
+            prepared(source, parts=True).linearise(turned)
         with pytest.raises(md.GridError, match="expected the name of a grid file"):
             prepared(md.read(source), parts=True)
         return True

@@ -172,13 +172,16 @@ def test_command_writes_the_same_file_and_speaks_once(bench, compiled):
 
 
 @needs_mpi
-@pytest.mark.parametrize(("method", "reason"), [("idw-tfi", ""), ("idw-rbf", "RBF inside of blocks")])
-def test_a_rank_holds_its_part_or_says_why_not(method, reason, bench, compiled):
+@pytest.mark.parametrize(
+    ("method", "suffix", "reason"),
+    [("idw-tfi", "xyz", ""), ("idw-rbf", "xyz", ""), ("tfi", "p3dfmt", "shared.p3dfmt is written as a whole")],
+)
+def test_a_rank_holds_its_part_or_says_why_not(method, suffix, reason, bench, compiled):
     args = ("deform", "grid.xyz", "-c", "case.toml", "-m", method, "--repair", "off", "-v")
-    assert by_itself(*args, "-o", "alone.xyz") == 0
-    done = on_ranks(3, *args, "-o", "shared.xyz")
+    assert by_itself(*args, "-o", f"alone.{suffix}") == 0
+    done = on_ranks(3, *args, "-o", f"shared.{suffix}")
     assert done.returncode == 0, done.stderr
-    assert Path("shared.xyz").read_bytes() == Path("alone.xyz").read_bytes()
+    assert Path(f"shared.{suffix}").read_bytes() == Path(f"alone.{suffix}").read_bytes()
     assert done.stderr.count("holds the whole grid") == bool(reason)
     assert (f"the first rank alone holds the whole grid: {reason}" in done.stderr) == bool(reason)
 
@@ -256,7 +259,7 @@ def test_what_is_wrong_is_said_once(args, message, bench, snapshot):
 
 @needs_mpi
 def test_a_block_that_does_not_fit_the_memory_is_refused_by_all(bench, snapshot):
-    """The second step of idw-rbf, which takes the whole grid: the first rank finds that a block is too large."""
+    """The second step of idw-rbf: the rank that solves the system of a block finds that it is too large."""
     before = snapshot(bench)
     args = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz", "-m", "idw-rbf", "--max-memory", "241.501MiB")
     done = on_ranks(2, *args)

@@ -12,13 +12,16 @@ from ...grid import FloatArray, IntArray, Side
 from ...grid.topology import side_nodes
 from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_sums
-from ...parallel import Shared, alone, current_ranks, for_items, require_whole
+from ...parallel import Shared, alone, apart, current_ranks, for_chunks, for_items, rows_of
 from ..base import Account, Problem, Progress, Setting, of_stage
 from ..options import used
 from ..transfinite.skeleton import Skeleton, make_skeleton
 from .centres import Centres
 from .radial_system import RadialSystem
 from .rbf import RBF
+
+_TARGETS, _TERMS = 1024, 4
+"""Nodes moved at a time, and the largest number of polynomial terms."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +32,6 @@ class BlockRBF:
 
     def skeleton(self, problem: Problem) -> Skeleton:
         """Skeleton of block faces except slip planes, whose nodes are not centres."""
-        require_whole(problem.grid.points, "RBF inside of blocks")
         return dataclasses.replace(make_skeleton(problem, 0), left_out=_slip_sides(problem))
 
     def prepare(self, problem: Problem, skeleton: Skeleton) -> PreparedBlockRBF:
@@ -46,6 +48,8 @@ def _slip_sides(problem: Problem) -> frozenset[tuple[int, Side]]:
 
 @dataclass
 class _Block:
+    """Centres at the nodes ``known`` of a block, and the other nodes, ``targets``, of this rank."""
+
     centres: Centres
     known: IntArray
     targets: IntArray
@@ -53,13 +57,18 @@ class _Block:
 
 
 class PreparedBlockRBF:
-    """Block systems of one undeformed grid, factorised at first use and kept while they fit into memory."""
+    """Block systems of one undeformed grid, factorised at first use and kept while they fit into memory.
+
+    Each system is solved by one rank; with the coefficients, every rank moves nodes of its own.
+    """
 
     def __init__(self, options: RBF, problem: Problem, skeleton: Skeleton):
         self._options, self._problem = options, problem
         blocks = (self._block(n, skeleton.left_out) for n in range(problem.grid.n_blocks))
-        self._blocks = [block for block in blocks if block.targets.size]
+        self._blocks = [block for block in blocks if block]
         sizes = [len(block.known) for block in self._blocks]
+        # First of the coefficients of each block: those of its centres and of up to four polynomial terms.
+        self._first = np.cumsum([0, *(n + _TERMS for n in sizes)])
         self._keep = 8 * sum(n * n for n in sizes) < problem.memory.size // 2
         self.account = Account()
         self.account.settings |= {
@@ -68,16 +77,18 @@ class PreparedBlockRBF:
             "factorisations_kept": Setting(self._keep, "all block systems fit half the memory" if self._keep else ""),
         }
 
-    def _block(self, block: int, left_out: frozenset[tuple[int, Side]]) -> _Block:
+    def _block(self, block: int, left_out: frozenset[tuple[int, Side]]) -> _Block | None:
         problem, grid = self._problem, self._problem.grid
         shape = grid.shapes[block]
         sides = [side for side in Side if shape[side.axis] > 1 and (block, side) not in left_out]
         faces = np.unique(np.concatenate([side_nodes(grid, block, side).ravel() for side in sides]))
+        if len(faces) == np.prod(shape):
+            return None
         # Coincident nodes (seams, collapsed edges) would make the system singular: only one of each is used.
         _, once = np.unique(problem.topology.numbers_of(faces), return_index=True)
         centres = Centres.of(grid.points[faces[once]], self._radius(faces))
-        every = np.arange(grid.offsets[block], grid.offsets[block + 1])
-        return _Block(centres, faces[once], np.setdiff1d(every, faces, assume_unique=True))
+        own = grid.offsets[block] + np.array([grid.planes(block).start, grid.planes(block).stop]) * shape[1] * shape[2]
+        return _Block(centres, faces[once], np.setdiff1d(np.arange(*own), faces, assume_unique=True))
 
     def _radius(self, faces: IntArray) -> float | None:
         if self._options.basis == "tps":
@@ -94,31 +105,54 @@ class PreparedBlockRBF:
 
     def fill(self, displacement: FloatArray, progress: Progress | None = None) -> None:
         """Interior of every block and its slip planes from its other faces, in place in ``displacement``."""
-        accounts: list[Account] = []
+        coefficients, out = self._solved(displacement, progress), rows_of(displacement)
+        tiles = [(n, lo) for n, block in enumerate(self._blocks) for lo in range(0, len(block.targets), _TARGETS)]
+
+        def targets(tile: int) -> IntArray:
+            number, lo = tiles[tile]
+            return self._blocks[number].targets[lo : lo + _TARGETS]
+
+        def work(tile: int, _: int) -> None:
+            number = tiles[tile][0]
+            some = coefficients[self._first[number] : self._first[number + 1]]
+            out[targets(tile)] = self._moved(self._blocks[number].centres, targets(tile), some)
+
+        shared = [Shared(out, lambda first, _: targets(first))]
+        with apart(displacement):
+            for_chunks(work, len(tiles), 1, of_stage(progress, "rbf"), shared)
+
+    def _solved(self, displacement: FloatArray, progress: Progress | None) -> FloatArray:
+        """Coefficients (n, 3) of all blocks, of each those of its centres and of the polynomial, the last ones zero."""
+        known = [block.known for block in self._blocks]
+        ends = np.cumsum([0, *map(len, known)])
+        values = displacement[np.concatenate([np.empty(0, dtype=np.int64), *known])]
+        coefficients = np.zeros((self._first[-1], 3))
+        accounts: list[tuple[int, Account]] = []
 
         def work(number: int) -> None:
-            # Each block, including its system, is computed by one rank.
+            # Each system is solved by one rank.
+            block, account, first = self._blocks[number], Account(), self._first[number]
             with alone():
-                accounts.append(self._fill(self._blocks[number], displacement))
+                system = block.system or RadialSystem(self._options.system, block.centres, self._problem.memory)
+                found = np.concatenate(system.solve(values[ends[number] : ends[number + 1]], account, None))
+            coefficients[first : first + len(found)] = found
+            block.system = system if self._keep else None
+            accounts.append((number, account))
 
-        def rows(first: int, last: int) -> IntArray:
-            return np.concatenate([block.targets for block in self._blocks[first:last]])
+        def rows(first: int, last: int) -> range:
+            return range(self._first[first], self._first[last])
 
-        report = of_stage(progress, "rbf blocks")
-        for_items(work, len(self._blocks), [Shared(displacement, rows)], report)
-        if accounts := current_ranks().gather(accounts):
+        for_items(work, len(self._blocks), [Shared(coefficients, rows)], of_stage(progress, "rbf blocks"))
+        if accounts := sorted(current_ranks().gather(accounts), key=lambda each: each[0]):
             # Report the worst block: one not converged, or the one with the largest residual.
             self.account.notices.clear()
             self.account.include(
-                max(accounts, key=lambda each: (bool(each.notices), np.max(each.settings["residual"].value)))
+                max((own for _, own in accounts), key=lambda a: (bool(a.notices), np.max(a.settings["residual"].value)))
             )
+        return coefficients
 
-    def _fill(self, block: _Block, displacement: FloatArray) -> Account:
-        account = Account()
-        system = block.system or RadialSystem(self._options.system, block.centres, self._problem.memory)
-        coefficients, polynomial = system.solve(displacement[block.known], account, None)
-        x = block.centres.normalised(self._problem.grid.points[block.targets])
-        moved = radial_sums(BASES[self._options.basis], x, block.centres.points, coefficients)
-        displacement[block.targets] = moved + block.centres.polynomial(x)[:, : len(polynomial)] @ polynomial
-        block.system = system if self._keep else None
-        return account
+    def _moved(self, centres: Centres, flat: IntArray, coefficients: FloatArray) -> FloatArray:
+        """Displacement (n, 3) of some nodes of a block."""
+        n, x = len(centres.points), centres.normalised(rows_of(self._problem.grid.points)[flat])
+        sums = radial_sums(BASES[self._options.basis], x, centres.points, coefficients[:n])
+        return np.asarray(sums + centres.drift(x, coefficients[n:]))

@@ -68,7 +68,19 @@ class Centres:
 
     def polynomial(self, normalised: FloatArray) -> FloatArray:
         """Polynomial terms (n, q) at normalised points: the constant and the directions in which the centres extend."""
-        return np.concatenate([np.ones((len(normalised), 1)), normalised @ self.axes.T], axis=1)
+        return np.column_stack([np.ones(len(normalised)), *(self._along(axis, normalised) for axis in self.axes)])
+
+    def drift(self, normalised: FloatArray, polynomial: FloatArray) -> FloatArray:
+        """Values (n, 3) at normalised points of a ``polynomial`` (q, 3), which may lack the last terms; of each point
+        the same to the last bit for any n, unlike ``@``."""
+        found = np.tile(polynomial[0], (len(normalised), 1)) if len(polynomial) else np.zeros((len(normalised), 3))
+        for axis, slope in zip(self.axes, polynomial[1:], strict=False):
+            found += self._along(axis, normalised)[:, None] * slope
+        return found
+
+    @staticmethod
+    def _along(axis: FloatArray, points: FloatArray) -> FloatArray:
+        return np.asarray(points[:, 0] * axis[0] + points[:, 1] * axis[1] + points[:, 2] * axis[2])
 
 
 @dataclass(frozen=True)

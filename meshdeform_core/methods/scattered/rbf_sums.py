@@ -70,7 +70,7 @@ class RadialSums:
         """Displacement (n, 3) of the nodes ``flat`` by exact sums."""
         x = self._centres.normalised(self._points[flat])
         moved = radial_sums(BASES[self._options.basis], x, fit.centres, fit.coefficients)
-        return np.asarray(moved + self._centres.polynomial(x)[:, : len(fit.polynomial)] @ fit.polynomial)
+        return np.asarray(moved + self._centres.drift(x, fit.polynomial))
 
     def _exact(self, fit: Coefficients, out: FloatArray, report: Report | None) -> None:
         def work(lo: int, hi: int) -> None:
@@ -87,7 +87,7 @@ class RadialSums:
 
         def use(flat: IntArray, sums: FloatArray) -> None:
             x = targets.points[flat]
-            rows[flat] = sums + self._centres.polynomial(x)[:, : len(fit.polynomial)] @ fit.polynomial
+            rows[flat] = sums + self._centres.drift(x, fit.polynomial)
 
         sums, rows = self._tree[1], rows_of(out)
 

@@ -56,12 +56,15 @@ class Skeleton:
         for axis, cut in enumerate(self.cuts[block]):
             # The single plane of a 2-D block is not a cut: it contains the interior.
             on[axis][cut if shape[axis] > 1 else []] = True
-        mask = on[0][own, None, None] | on[1][:, None] | on[2]
+        on[0] = on[0][own]
+        mask = on[0][:, None, None] | on[1][:, None] | on[2]
         for side in (side for side in Side if (block, side) in self.left_out):
             a, b = side.tangential
-            plane: list[slice | int] = [slice(None)] * 3
-            plane[side.axis] = side.layer(shape)
-            mask[tuple(plane)] = on[a][:, None] | on[b]
+            layer = side.layer(shape) - (own.start if side.axis == 0 else 0)
+            if 0 <= layer < mask.shape[side.axis]:
+                plane: list[slice | int] = [slice(None)] * 3
+                plane[side.axis] = layer
+                mask[tuple(plane)] = on[a][:, None] | on[b]
         start = self.grid.offsets[block] + own.start * shape[1] * shape[2]
         return np.asarray(start + np.flatnonzero(mask), dtype=np.int64)
 
