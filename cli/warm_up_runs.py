@@ -19,7 +19,6 @@ from meshdeform_core.grid import Grid
 from meshdeform_core.grid.near import NearNodes
 from meshdeform_core.methods import IDW, RBF, Options, Progress, make_method, prepare_method
 from meshdeform_core.methods.derivative import StepsDerivative, derivative_of
-from meshdeform_core.numerics.cell.layers import cells_at
 from meshdeform_core.numerics.damping import damp_rows
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.fastsum.radial.nested import NestedSums
@@ -151,13 +150,12 @@ def _pictures(name: str, size: int, method: Options) -> None:
 
 
 def _others() -> None:
-    """Loops that no run of a small sample needs: displacements beside slip sides and normal to them, regions of a
-    repair, and what ranks know of each other's nodes."""
+    """Loops that no run of a small sample needs: displacements beside slip sides and normal to them, and
+    what ranks know of each other's nodes."""
     damp_rows(np.ones((1, 3)), np.zeros(1, dtype=np.int64), np.eye(3), np.ones((1, 3)), 0.0)
     grid, _ = generate("square", 11)
     near = NearNodes.of(grid.shapes, grid.offsets)
     near.taken(np.zeros((len(near.rows), 3)), near.rows)
-    cells_at(near.rows, np.array(grid.shapes, dtype=np.int64), grid.offsets, grid.n_cells)
 
 
 def _nested_sums() -> None:

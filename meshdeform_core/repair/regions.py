@@ -103,7 +103,7 @@ class Growth:
         def make() -> Search | None:
             neighbourhood = self.basis.neighbourhood
             share = neighbourhood.around(weak, layers) if layers else neighbourhood.shares.share()
-            if share.count in (0, done):
+            if share.total in (0, done):
                 return None
             return self._untangle(neighbourhood.plot(share, way.even), now, way)
 

@@ -45,7 +45,7 @@ class Share(NamedTuple):
     ----------
     near : of the region, ``None`` for all nodes that may move
     moved : block nodes of this rank's part, ascending
-    count : number of block nodes of all ranks
+    total : number of block nodes of all ranks
     rows : (n_ranks + 1,) first unknown of every rank
     cells : cells of this rank, and cells at its nodes or at nodes with its unknowns, ascending
     ends : positions in ``cells`` at which this rank's ranges of CELLS cells begin, and the end of the last
@@ -53,7 +53,7 @@ class Share(NamedTuple):
 
     near: Near | None
     moved: IntArray
-    count: int
+    total: int
     rows: list[int]
     cells: IntArray
     ends: IntArray
@@ -86,7 +86,7 @@ class Shares:
     def share(self, near: Near | None = None) -> Share:
         """This rank's share of a region; all ranks must call this."""
         moved, own = (np.concatenate(each) for each in zip(*self._by_block(near), strict=True))
-        count = sum(of_all(self._grid.points, len(moved)))
+        total = sum(of_all(self._grid.points, len(moved)))
         roots = np.unique(self.roots(moved))
         others = of_all(self._grid.points, roots[self.elsewhere(roots)])
         roots = np.unique(np.concatenate([roots, *others]))
@@ -94,7 +94,7 @@ class Shares:
         bounds = self._ranges(own, CELLS, self._grid.n_cells)
         cells = own if self._ranks.count == 1 else self._gathered(own, rows, bounds)
         first, last = np.searchsorted(cells, bounds[self._ranks.number : self._ranks.number + 2]).tolist()
-        return Share(near, moved, count, rows, cells, np.array([*range(first, last, CELLS), last]))
+        return Share(near, moved, total, rows, cells, np.array([*range(first, last, CELLS), last]))
 
     def halo(self, nodes: IntArray) -> Halo:
         """Nodes around this rank's share, some of which belong to other ranks."""
