@@ -150,8 +150,8 @@ def _pictures(name: str, size: int, method: Options) -> None:
 
 
 def _others() -> None:
-    """Loops that no run of a small sample needs: displacements beside slip sides and normal to them, and
-    what ranks know of each other's nodes."""
+    """Loops that no run of a small sample needs: displacements beside slip sides and normal to them, and what
+    ranks know of each other's nodes."""
     damp_rows(np.ones((1, 3)), np.zeros(1, dtype=np.int64), np.eye(3), np.ones((1, 3)), 0.0)
     grid, _ = generate("square", 11)
     near = NearNodes.of(grid.shapes, grid.offsets)
