@@ -234,6 +234,31 @@ def test_series_is_the_same_and_can_be_continued(repair, bench, compiled):
 
 
 @needs_mpi
+@pytest.mark.parametrize(("suffix", "single"), [(".cgns", True), (".vtm", False)])
+def test_fields_velocities_and_pictures_in_parts(suffix, single, bench, compiled):
+    """As many kinds of output as a series has; the page is the same but for times, memory and names."""
+    write_grid(read_grid("grid.xyz"), Path("wing.vtm"))
+    args = ("series", "wing.vtm", "-c", "case.toml", "-s", "constants.turn=20", "-m", "idw-tfi", "--times", "0:2:1")
+    args = (*args, "--velocity", "swept", "--suffix", suffix, *["--single-file"] * single, "-v")
+    args = (*args, *(() if single else ("--field", "all")))
+    assert by_itself(*args, "-o", "alone", "--report", "alone.html") == 0
+    done = on_ranks(3, *args, "-o", "shared", "--report", "shared.html")
+    assert done.returncode == 0, done.stderr
+    assert "holds the whole grid" not in done.stderr
+    one, two = ({path.relative_to(name): path for path in Path(name).rglob("*") if path.is_file()}
+                for name in ("alone", "shared"))  # fmt: skip
+    assert set(one) == set(two)
+    for name, path in one.items():
+        if path.suffix != ".json":
+            assert path.read_bytes() == two[name].read_bytes(), name
+    pictures = [re.findall(r'data:image/png;base64,[^"]+', Path(f"{name}.html").read_text())
+                for name in ("alone", "shared")]  # fmt: skip
+    # The levels of a single file cannot be read back.
+    assert bool(pictures[0]) != single
+    assert pictures[0] == pictures[1]
+
+
+@needs_mpi
 @pytest.mark.parametrize(
     ("args", "message"),
     [
