@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..numerics.arrays import IntArray, runs, spans
+from ..numerics.arrays import IntArray, batches, runs, spans
 from .blocks import Grid
 from .parts import Shape, Side, Window
 from .topology import FaceQuads
@@ -49,6 +50,15 @@ class Rectangles:
     quads: IntArray
     start: IntArray
 
+    @classmethod
+    def joined(cls, parts: Sequence[Rectangles]) -> Rectangles:
+        """The rectangles of all ``parts``, one part after another."""
+        names = ("side", "label", "low", "high", "quads")
+        sizes = np.concatenate([np.diff(part.start) for part in parts])
+        return cls(
+            *(np.concatenate([getattr(p, name) for p in parts]) for name in names), np.append(0, np.cumsum(sizes))
+        )
+
     def __len__(self) -> int:
         return len(self.side)
 
@@ -75,6 +85,8 @@ class Rectangles:
 
 
 _SIDES = tuple(Side)
+_TOGETHER = 200_000
+"""Face quads divided at a time, which bounds the memory."""
 
 
 def rectangles(grid: Grid, faces: FaceQuads, label: IntArray) -> Rectangles:
@@ -89,8 +101,13 @@ def rectangles(grid: Grid, faces: FaceQuads, label: IntArray) -> Rectangles:
     Ordered by side, label, first node along the second axis, last one, first node along the first axis.
     """
     some = np.flatnonzero(label >= 0)
-    found = _divided(some, *faces.places(some), label[some])
-    return found.reaching(grid.sides.corner_steps[found.side])
+    ends = np.searchsorted(some, np.append(faces.start.ravel(), len(label)))
+    found = [
+        _divided(part, *faces.places(part), label[part])
+        for part in (some[ends[lo] : ends[hi]] for lo, hi in batches(np.diff(ends), _TOGETHER))
+    ]
+    whole = Rectangles.joined(found)
+    return whole.reaching(grid.sides.corner_steps[whole.side])
 
 
 def _divided(some: IntArray, side: IntArray, u: IntArray, v: IntArray, label: IntArray) -> Rectangles:

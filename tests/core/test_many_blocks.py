@@ -17,6 +17,7 @@ from random_grids import turn_block
 
 from meshdeform_core.deform import Case, deform
 from meshdeform_core.grid import Grid, IntArray, Side, Window
+from meshdeform_core.grid import windows as windows_module
 from meshdeform_core.grid.connectivity.declared import check_connections, connected_nodes
 from meshdeform_core.grid.connectivity.interfaces import find_interfaces
 from meshdeform_core.grid.connectivity.openings import find_openings
@@ -32,8 +33,9 @@ from meshdeform_core.methods.transfinite.edge_graph import PreparedEdgeGraph, _f
 from meshdeform_core.numerics.arrays import batches, medians, runs, spans, spread
 from meshdeform_core.numerics.geometry.boxes import overlapping_boxes
 from meshdeform_core.quality.boundary_cells import interface_cells
+from meshdeform_core.quality.measures import lines as lines_module
 from meshdeform_core.quality.measures.cells import block_volumes
-from meshdeform_core.quality.measures.lines import interface_lines
+from meshdeform_core.quality.measures.lines import interface_lines, kink_and_jump
 from meshdeform_core.quality.verdict import original
 from meshdeform_formats.picture.comparison import Pair
 from meshdeform_formats.text.json import json_text
@@ -272,6 +274,22 @@ def test_lines_across_interfaces_meet_and_leave_into_both_blocks(grid):
         block = np.searchsorted(grid.offsets, near, side="right")
         np.testing.assert_array_equal(block, np.searchsorted(grid.offsets, far, side="right"))
         assert not np.isin(far, near).all()
+
+
+@pytest.mark.parametrize("portion", [1, 5])
+def test_lines_and_pieces_do_not_depend_on_how_much_is_done_at_a_time(grid, portion, monkeypatch):
+    topology = find_topology(grid)
+    lines = interface_lines(grid, topology)
+    label = np.where(topology.partner >= 0, 1, 0)
+    expected = [vars(lines), vars(rectangles(grid, topology.quads, label))]
+    measured = kink_and_jump(lines, grid.points)
+    monkeypatch.setattr(lines_module, "_TOGETHER", portion)
+    monkeypatch.setattr(windows_module, "_TOGETHER", portion)
+    found = [vars(interface_lines(grid, topology)), vars(rectangles(grid, topology.quads, label))]
+    for one, two in zip(found, expected, strict=True):
+        for name in two:
+            np.testing.assert_array_equal(one[name], two[name])
+    np.testing.assert_array_equal(kink_and_jump(lines, grid.points), measured)
 
 
 def test_cells_beside_interfaces(grid):

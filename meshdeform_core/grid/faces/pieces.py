@@ -13,6 +13,7 @@ import numpy as np
 
 from ...numerics.arrays import batches, medians, spans, spread
 from ...numerics.geometry.vectors import doubled_areas, unit
+from ...parallel import empty
 from ..blocks import FloatArray, Grid, IntArray
 from ..parts import Patch, Window
 from ..planes import Plane, plane_normal, planes_of
@@ -89,7 +90,7 @@ class Face:
 def quad_geometry(grid: Grid, topology: Topology) -> QuadGeometry:
     """Centres, area vectors and first-cell heights of all face quads."""
     count = len(topology.quads.corners)
-    found = QuadGeometry(np.empty((count, 3)), np.empty((count, 3)), np.empty(count))
+    found = QuadGeometry(empty((count, 3)), empty((count, 3)), empty((count,)))
     normal = plane_normal(grid)
     if normal is not None:
         normal = normal * np.sign(normal[int(np.argmax(np.abs(normal)))])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -13,6 +14,8 @@ from ...grid.topology import Topology, inward_step, side_nodes
 from ...numerics.geometry.coincidence import distinct
 from ...numerics.geometry.vectors import unit
 
+_TOGETHER = 100_000
+"""Quads and lines measured at a time, which bounds the memory."""
 LAYERS = 8
 """First cells of a grid line at a wall whose total thickness is measured; at most half of the cells of the line."""
 
@@ -33,13 +36,28 @@ class InterfaceLines:
 def interface_lines(grid: Grid, topology: Topology) -> InterfaceLines:
     """All grid lines across shared faces, each once."""
     quads = np.flatnonzero(topology.partner > np.arange(len(topology.partner)))
+    found = [_distinct_lines(grid, topology, quads[lo : lo + _TOGETHER]) for lo in range(0, len(quads), _TOGETHER)]
+    if not found:
+        return InterfaceLines(*(np.empty(0, dtype=np.int64) for _ in range(4)))
+    keys = np.concatenate([key for key, _ in found])
+    _, once = np.unique(keys, return_index=True)
+    del keys
+    names = [field.name for field in dataclasses.fields(InterfaceLines)]
+    # A direction at a time is dropped from the portions once it is joined.
+    parts = [{name: getattr(lines, name) for name in names} for _, lines in found]
+    del found
+    return InterfaceLines(*(np.concatenate([part.pop(name) for part in parts])[once] for name in names))
+
+
+def _distinct_lines(grid: Grid, topology: Topology, quads: IntArray) -> tuple[IntArray, InterfaceLines]:
+    """The grid lines across ``quads``, each once, and a number for each of them."""
     lines, sides = lines_across(grid, topology, quads)
     here_key, there_key = (
         nodes.ravel() * 6 + np.repeat(side % 6, nodes.shape[1])
         for nodes, side in zip((lines.here, lines.there), sides, strict=True)
     )
-    _, once = np.unique(here_key * (6 * grid.n_nodes) + there_key, return_index=True)
-    return InterfaceLines(*(getattr(lines, name).ravel()[once] for name in ("before", "here", "there", "beyond")))
+    keys, once = np.unique(here_key * (6 * grid.n_nodes) + there_key, return_index=True)
+    return keys, InterfaceLines(*(getattr(lines, f.name).ravel()[once] for f in dataclasses.fields(lines)))
 
 
 def lines_across(grid: Grid, topology: Topology, quads: IntArray) -> tuple[InterfaceLines, tuple[IntArray, IntArray]]:
@@ -68,14 +86,18 @@ def _corners(grid: Grid, topology: Topology, quads: IntArray) -> tuple[IntArray,
 
 def kink_and_jump(lines: InterfaceLines, points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Angle (degrees) between the two segments that meet at an interface, and ln of the ratio of their lengths."""
-    # Component by component, as numpy is slow on axes of length 3.
-    u = list(np.moveaxis(points[lines.here] - points[lines.before], -1, 0).copy())
-    v = list(np.moveaxis(points[lines.beyond] - points[lines.there], -1, 0).copy())
-    normal = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
-    angle = np.rad2deg(np.arctan2(np.sqrt(_dot(normal, normal)), _dot(u, v)))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        jump = 0.5 * np.log(_dot(v, v) / _dot(u, u))
-    return angle, np.where(np.isfinite(jump), jump, 0.0)
+    angle, jump = np.empty((2, *lines.here.shape))
+    for lo in range(0, len(angle), _TOGETHER):
+        some = slice(lo, lo + _TOGETHER)
+        # Component by component, as numpy is slow on axes of length 3.
+        u = list(np.moveaxis(points[lines.here[some]] - points[lines.before[some]], -1, 0).copy())
+        v = list(np.moveaxis(points[lines.beyond[some]] - points[lines.there[some]], -1, 0).copy())
+        normal = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
+        angle[some] = np.rad2deg(np.arctan2(np.sqrt(_dot(normal, normal)), _dot(u, v)))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            own = 0.5 * np.log(_dot(v, v) / _dot(u, u))
+        jump[some] = np.where(np.isfinite(own), own, 0.0)
+    return angle, jump
 
 
 def _dot(u: Sequence[FloatArray], v: Sequence[FloatArray]) -> FloatArray:
