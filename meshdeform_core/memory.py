@@ -32,7 +32,7 @@ PICTURE_BYTES = 280 * 2**20
 """Bytes for drawing the pictures of a report: up to 273 MiB were measured."""
 # With large arrays in files: bytes of everything else per node and per node on block faces; one part in this many of
 # the limit is for the pages of the files in use.
-_BESIDE_FILES, _PER_FACE_NODE, _WINDOW = 10, 250, 8
+_BESIDE_FILES, _PER_FACE_NODE, _WINDOW = 6, 85, 8
 # Bytes that the HDF5 library holds for a zone while it is read, and the program for a block: 158 KiB were measured with
 # CGNS files, 32 KiB with Plot3D.
 _PER_BLOCK = 160 * 2**10

@@ -113,6 +113,13 @@ def test_what_a_method_may_take_beside_the_files(tmp_path):
         demand(2 * 10**6).place(limit, tmp_path)
         assert current_scratch() is not None
         left = demand(2 * 10**6).left_of(limit)
-        assert 2**30 < left.size < 2 * 2**30
+        assert 2 * 2**30 < left.size < 3 * 2**30
         with pytest.raises(MethodError, match=r"needs about \d\.\d+ GiB, --max-memory allows 4 GiB"):
-            demand(10**7).place(limit, tmp_path)
+            demand(4 * 10**7).place(limit, tmp_path)
+
+
+def test_two_hundred_million_nodes_in_a_thousand_blocks_fit_into_four_gibibytes():
+    side = 58
+    nodes, face_nodes = 1000 * side**3, 1000 * (side**3 - (side - 2) ** 3)
+    demand = Demand("deforming", nodes, 24 * nodes, face_nodes, blocks=1000)
+    assert demand.beside_files(MemoryLimit(4 * 2**30, "--max-memory allows")) < 4 * 2**30
