@@ -76,9 +76,9 @@ class Neighbourhood:
     def around(self, cells: IntArray, layers: int) -> Share:
         """The share of the nodes that may move within ``layers`` cells of ``cells``, of which each rank gives those in
         its part, ascending."""
-        seeds = np.unique(self.shares.corners(cells))
+        seeds = self.shares.corners(cells).ravel()
         known = (self.shares.numbers(seeds) < 0) & ~self.shares.elsewhere(seeds)
-        seeds = np.concatenate([seeds[known], *of_all(self.grid.points, seeds[~known])])
+        seeds = np.concatenate([seeds[known], *of_all(self.grid.points, np.unique(seeds[~known]))])
         return self.shares.share(Near(self._reach.layers(seeds, layers)[0], layers))
 
     def plot(self, share: Share | None = None, even: bool = False) -> Plot:

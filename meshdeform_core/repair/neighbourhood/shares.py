@@ -87,10 +87,7 @@ class Shares:
         """This rank's share of a region; all ranks must call this."""
         moved, own = (np.concatenate(each) for each in zip(*self._by_block(near), strict=True))
         total = sum(of_all(self._grid.points, len(moved)))
-        roots = np.unique(self.roots(moved))
-        others = of_all(self._grid.points, roots[self.elsewhere(roots)])
-        roots = np.unique(np.concatenate([roots, *others]))
-        rows = self._ranges(roots[~self.elsewhere(roots)], ROWS, self._bounds[-1])
+        rows = self._ranges(self._roots_of(moved), ROWS, self._bounds[-1])
         bounds = self._ranges(own, CELLS, self._grid.n_cells)
         cells = own if self._ranks.count == 1 else self._gathered(own, rows, bounds)
         first, last = np.searchsorted(cells, bounds[self._ranks.number : self._ranks.number + 2]).tolist()
@@ -122,6 +119,15 @@ class Shares:
             first = int(grid.cell_offsets[block]) + own.start * cj * ck
             yield rows.start + np.flatnonzero(moves[:size]), first + np.flatnonzero(touched)
 
+    def _roots_of(self, moved: IntArray) -> IntArray:
+        """Nodes of this rank's part, ascending, that have the unknowns of nodes ``moved`` of any rank."""
+        low, high = self._bounds[self._ranks.number : self._ranks.number + 2]
+        roots, has = self.roots(moved), np.zeros(high - low, dtype=bool)
+        away = self.elsewhere(roots)
+        for each in (roots[~away], *of_all(self._grid.points, np.unique(roots[away]))):
+            has[each[~self.elsewhere(each)] - low] = True
+        return low + np.flatnonzero(has)
+
     def _ranges(self, own: IntArray, size: int, end: int) -> list[int]:
         """First item (n_ranks + 1,) of every rank, if ranks take whole ranges of ``size`` from the items of all.
 
@@ -150,7 +156,8 @@ class Shares:
         found = {n: np.empty(counts[n][ranks.number], np.int64) for n in sends if n != ranks.number}
         here = sends.pop(ranks.number)
         ranks.swap(sends, found)
-        return np.unique(np.concatenate([here, *found.values()]))
+        # Ascending, as those of lower ranks have smaller numbers.
+        return np.concatenate([found.get(n, here) for n in range(ranks.count)])
 
     def corners(self, cells: IntArray) -> IntArray:
         """Block nodes (m, 8), in 2-D (m, 4), at the corners of cells, ascending."""
