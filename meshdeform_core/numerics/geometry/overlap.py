@@ -31,7 +31,11 @@ class FaceTree:
     """
 
     def __init__(self, points: FloatArray, faces: IntArray, role: NDArray[np.int8]):
-        self._order = _curve(sum((points[corner] for corner in faces.T[1:]), points[faces[:, 0]]) / 4.0)
+        center = points[faces[:, 0]]
+        for corner in faces.T[1:]:
+            center += points[corner]
+        center /= 4.0
+        self._order = _curve(center)
         self._faces, self._role = faces[self._order], role[self._order]
         self._leaves = 1 << max(0, int(len(faces) - 1).bit_length() - (_LEAF.bit_length() - 1))
 
@@ -63,12 +67,19 @@ class FaceTree:
 
 
 def _curve(center: FloatArray) -> IntArray:
-    """Order of points along a space-filling (Morton) curve, on a lattice refined where points are dense."""
-    away = center - np.median(center, axis=0)
-    fine = 1e-3 * max(float(np.median(np.abs(away).max(axis=1))), 1e-300)
-    key = np.arcsinh(away / fine)
+    """Order of points along a space-filling (Morton) curve, on a lattice refined where points are dense.
+
+    Overwrites ``center``.
+    """
+    key = center
+    key -= np.median(center, axis=0)
+    key /= 1e-3 * max(float(np.median(np.maximum(key.max(axis=1), -key.min(axis=1)))), 1e-300)
+    np.arcsinh(key, out=key)
     key -= key.min(axis=0)
-    return np.argsort(_morton((key * ((1 << 21) - 1) / max(float(key.max()), 1e-300)).astype(np.uint64)))
+    most = max(float(key.max()), 1e-300)
+    key *= (1 << 21) - 1
+    key /= most
+    return np.argsort(_morton(key.astype(np.uint64)))
 
 
 def _morton(index: KeyArray) -> KeyArray:
