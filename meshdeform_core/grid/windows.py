@@ -53,10 +53,14 @@ class Rectangles:
     @classmethod
     def joined(cls, parts: Sequence[Rectangles]) -> Rectangles:
         """The rectangles of all ``parts``, one part after another."""
-        names = ("side", "label", "low", "high", "quads")
         sizes = np.concatenate([np.diff(part.start) for part in parts])
         return cls(
-            *(np.concatenate([getattr(p, name) for p in parts]) for name in names), np.append(0, np.cumsum(sizes))
+            np.concatenate([part.side for part in parts]),
+            np.concatenate([part.label for part in parts]),
+            np.concatenate([part.low for part in parts]),
+            np.concatenate([part.high for part in parts]),
+            np.concatenate([part.quads for part in parts]),
+            np.append(0, np.cumsum(sizes)),
         )
 
     def __len__(self) -> int:

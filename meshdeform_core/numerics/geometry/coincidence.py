@@ -5,6 +5,8 @@ Plain numpy (``meshdeform info`` must start fast and imports no numba).
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ...parallel import thread_count
@@ -211,9 +213,9 @@ def _by_first_occurrence(labels: IntArray, count: int) -> IntArray:
     return np.asarray(number[first[labels]])
 
 
-def integers(count: int) -> type:
+def integers(count: int) -> np.dtype[np.signedinteger[Any]]:
     """The type of integers below ``count``: 32 bits where they suffice, as large grids have many."""
-    return np.int32 if count < 2**31 else np.int64
+    return np.dtype(np.int32 if count < 2**31 else np.int64)
 
 
 def equal_rows(rows: IntArray) -> tuple[IntArray, IntArray]:
