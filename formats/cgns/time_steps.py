@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 
 from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import FileFormat, FloatArray, Grid
+from meshdeform_core.grid import FileFormat, FloatArray, Grid, Shape
 from meshdeform_core.parallel import ranks_of
 
 from ..files import replacing_by_all
@@ -124,7 +124,7 @@ def _add_level(
     """Add the nodes of one level; returns their names by the pointer of ZoneIterativeData_t, for each zone."""
     pointers = []
     for block, (group, zone) in enumerate(zip(groups, zones, strict=True)):
-        arrays = _coordinates(zone, common, places.coordinates.setdefault(block, []))
+        arrays = _coordinates(zone, common, common.grid.shapes[block], places.coordinates.setdefault(block, []))
         nodes = {"GridCoordinatesPointers": make(f"GridCoordinates#{number + 1}", "GridCoordinates_t", None, arrays)}
         for solution in solution_nodes(common.grid, block, zone.counts, common.numbers, places.fields):
             # The standard has one pointer; solutions at other locations than the first are found by theirs.
@@ -136,12 +136,13 @@ def _add_level(
     return pointers
 
 
-def _coordinates(zone: Zone, common: _Common, places: list[Stored]) -> list[Node]:
-    """Coordinate arrays of a zone, without values; writing them appends their places."""
+def _coordinates(zone: Zone, common: _Common, shape: Shape, places: list[Stored]) -> list[Node]:
+    """Coordinate arrays of a zone, without values; writing them appends their places, as of a block of this shape:
+    a block in the plane has an index axis that its zone may lack."""
     counts, kind = zone.counts, common.kind
 
     def placed(start: int) -> None:
-        places.append(Stored.within_rind(common.path, kind, counts, start, [slice(0, n) for n in counts]))
+        places.append(Stored.within_rind(common.path, kind, shape, start, [slice(0, n) for n in shape]))
 
     names = (node.name for node in zone.coordinates)
     return [Node(name, Path(), name, "DataArray_t", data_type_of(kind), counts, kind, placed=placed) for name in names]

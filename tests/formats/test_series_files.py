@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import vtk_witness
 from cgns_witness import assert_cgnscheck_finds_no_error
-from grids import frame, frame_2d
+from grids import frame, frame_2d, permuted
 from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkCommonDataModel import vtkCompositeDataSet
 from vtkmodules.vtkCommonExecutionModel import vtkStreamingDemandDrivenPipeline
@@ -237,6 +237,25 @@ def test_one_cgns_file_in_2d_has_two_coordinates(tmp_path):
         words = zone["ZoneIterativeData/GridCoordinatesPointers/ data"][()].tobytes().decode()
         assert words.split() == [f"GridCoordinates#{n}" for n in (1, 2, 3)]
         np.testing.assert_array_equal(file["Base/BaseIterativeData/TimeValues/ data"][()], TIMES)
+
+
+@pytest.mark.parametrize("source", ["new", "copy"])
+@pytest.mark.parametrize("axes", [(2, 0, 1), (0, 2, 1), (0, 1, 2)], ids="ijk")
+def test_levels_of_a_plane_grid_flat_along_any_index_in_one_cgns_file(axes, source, tmp_path):
+    grid = permuted(frame_2d(), axes, (False, False, False))
+    if source == "copy":
+        write_grid(grid, tmp_path / "grid.cgns")
+        grid = read_grid(tmp_path / "grid.cgns")
+    files = written(grid, tmp_path, "wing.cgns", SingleFile, "first")
+    assert_cgnscheck_finds_no_error(files.view)
+    with h5py.File(files.view) as file:
+        for block, name in enumerate(grid.names):
+            for number, time in enumerate(TIMES):
+                found = file["Base"][name][f"GridCoordinates#{number + 1}"]
+                expected = at(grid, time).block(block).squeeze()
+                np.testing.assert_array_equal(found["CoordinateX/ data"][()].T, expected[..., 0])
+                np.testing.assert_array_equal(found["CoordinateY/ data"][()].T, expected[..., 1])
+    np.testing.assert_array_equal(read_grid(files.view).points, grid.points)
 
 
 def test_a_file_that_holds_a_series_takes_no_second_one(tmp_path):
