@@ -6,6 +6,7 @@ import types
 import numpy as np
 import pytest
 from cases import apply, body_specs, constant, everything_moves, problem_of, turning
+from forked_ranks import on_ranks
 from grids import frame, frame_2d
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -26,6 +27,7 @@ from meshdeform_core.numerics.fastsum.radial.sums import FastRadial
 from meshdeform_core.numerics.fastsum.radial.targets import make_radial_targets
 from meshdeform_core.numerics.fastsum.weighted import sums as fastsum
 from meshdeform_core.numerics.fastsum.weighted.treesum import charge_rows, gather
+from meshdeform_core.parallel import alone
 
 VARIANTS = {
     "none": {"rotation": "none"},
@@ -297,3 +299,17 @@ def test_charges_of_used_clusters_are_the_same_without_the_others():
     for cluster in np.flatnonzero(used):
         one, other = (each.rows[each.start[cluster] : each.start[cluster + 1]] for each in (every, some))
         np.testing.assert_array_equal(one, other)
+
+
+def test_what_ranks_know_of_clusters_does_not_serve_one_of_them_alone(problem):
+    """Each rank lists the clusters of its own bricks; alone it needs those of all."""
+    options, displacement = Options("idw", idw=IDW(summation="fast")), told(problem)
+    expected = apply(options, problem, displacement)
+
+    def differ(_):
+        prepared = make_method(options).prepare(problem)
+        together = prepared.apply(displacement)
+        with alone():
+            return abs(together - expected).max(), abs(prepared.apply(displacement) - expected).max()
+
+    np.testing.assert_allclose(on_ranks(2, differ), 0.0, atol=1e-13)

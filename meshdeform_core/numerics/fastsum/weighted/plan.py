@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ....parallel import Shared, for_chunks
+from ....parallel import Shared, current_ranks, for_chunks
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...exact.mixed import Scale
 from ..clusters.acceptance import Kernel
@@ -92,19 +92,21 @@ class Plan:
         rows = len(targets.every)
         size = 8 * rows * (1 + key.lasting) if weights else 0
         self.weight = np.empty((rows, 1 + key.lasting)) if weights and size <= room else None
-        self.weighed = self._surveyed = False
+        self.weighed = False
+        self._surveyed: tuple[int, int] | None = None
         self.used = [np.zeros(len(tree.child), dtype=bool) for tree in self._trees]
         self._room = room - size
 
     def survey(self, chunk: int) -> None:
         """Make the lists of all regions, ``chunk`` at a time, which tell the clusters whose charges are needed.
 
-        Of several ranks, or beside few targets, these are a part of the clusters.
+        Of several ranks, or beside few targets, these are a part of the clusters. What one rank of several knows is
+        not enough where it works alone, so a plan is surveyed again by other ranks.
         """
-        if not self._surveyed:
-            targets = self._targets
+        ranks, targets = current_ranks(), self._targets
+        if self._surveyed != (ranks.number, ranks.count):
             for_chunks(self.lists_of, targets.n_regions, chunk, shared=[Shared(self.risk, targets.numbers)])
-            self._surveyed = True
+            self.weighed, self._surveyed = False, (ranks.number, ranks.count)
 
     def lists_of(self, first: int, last: int) -> list[Lists]:
         """:class:`.walk.Lists` of each group for the regions first <= g < last; called from several threads."""
