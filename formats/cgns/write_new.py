@@ -76,7 +76,7 @@ def write_completed(grid: Grid, path: Path, begin: Callable[[Path], Places]) -> 
     with replacing_by_all(path, grid.points) as partial:
         places = ranks_of(grid.points).on_first(lambda: begin(partial))
         write_outputs(grid, outputs_of(grid, partial, places))
-        _write_packed(grid, partial, places.packed)
+        _write_packed(grid, path, partial, places.packed)
 
 
 def outputs_of(grid: Grid, path: Path, places: Places) -> list[Output]:
@@ -90,16 +90,19 @@ def outputs_of(grid: Grid, path: Path, places: Places) -> list[Output]:
     return found
 
 
-def _write_packed(grid: Grid, path: Path, packed: Mapping[int, Packed]) -> None:
-    """Write compressed coordinates: the first rank, a component of a block at a time."""
+def _write_packed(grid: Grid, path: Path, unfinished: Path, packed: Mapping[int, Packed]) -> None:
+    """Write compressed coordinates into the ``unfinished`` file, later ``path``: the first rank, a component of a block
+    at a time."""
     ranks, opened = ranks_of(grid.points), list[h5py.File]()
     with contextlib.ExitStack() as own, hdf5_errors(path, "write"):
         if packed:
-            ranks.on_first(lambda: opened.append(own.enter_context(hdf5_output(path, "r+"))))
+            ranks.on_first(lambda: opened.append(own.enter_context(hdf5_output(unfinished, "r+"))))
         for block, (names, core) in packed.items():
             components = ahead(split(grid.in_planes(block), np.dtype(np.float64), len(names)))
             for name, values in zip(names, components, strict=True):
                 ranks.on_first(partial(_pack, opened, name, core, on_first_rank(grid, block, values)))
+        # A full disk is reported only now, and must be on all ranks.
+        ranks.on_first(own.close)
 
 
 def _pack(opened: Sequence[h5py.File], name: str, core: tuple[slice, ...], values: FloatArray) -> None:

@@ -3,6 +3,7 @@
 The ranks are forks of this process (:mod:`forked_ranks`); rows that a rank does not hold are poisoned.
 """
 
+from contextlib import contextmanager
 from dataclasses import replace
 
 import h5py
@@ -16,6 +17,7 @@ from plot3d_witness import binary_file, sample_blocks, sample_iblank
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, Start, Timing, deform, impose
+from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, Grid
 from meshdeform_core.methods import Options
 from meshdeform_core.numerics import pieces
@@ -24,8 +26,10 @@ from meshdeform_core.quality.fields import CELL_MEASURES, CellFields
 from meshdeform_core.repair import RepairOptions
 from meshdeform_core.series import Schedule, deform_series
 from meshdeform_core.setup import set_up
+from meshdeform_formats.cgns import write_new
 from meshdeform_formats.fields import with_fields
 from meshdeform_formats.grids import read_grid, write_grid
+from meshdeform_formats.hdf5_output import target
 from meshdeform_formats.report.illustrations import deformation_figures, level_thumbnails
 from meshdeform_formats.series.outputs import LevelFiles
 from meshdeform_formats.series.single import SingleFile
@@ -311,6 +315,31 @@ def test_cgns_with_rind_planes_and_packed_arrays(dataset, precision, tmp_path):
         expected[1:, :, 1:-2] *= 2.0
         np.testing.assert_allclose(stored[()], expected, rtol=1e-6)
         assert stored.compression == dataset.get("compression")
+
+
+def test_a_disk_full_of_packed_arrays_stops_all_ranks(tmp_path, monkeypatch):
+    """What HDF5 could not write is known when the file is closed."""
+    write_hdf5(tmp_path / "grid.cgns", tree(zone("y", box(12, 5, 6))), dataset={"chunks": True, "compression": "gzip"})
+
+    @contextmanager
+    def full(path, mode):
+        with target(path, mode) as sink, h5py.File(sink, mode) as file:
+            yield file
+            sink.failure = OSError(28, "No space left on device")
+
+    monkeypatch.setattr(write_new, "hdf5_output", full)
+
+    def act(number):
+        with dividing():
+            grid = read_grid(tmp_path / "grid.cgns")
+            with pytest.raises(FormatError) as caught:
+                write_grid(grid, tmp_path / "out.cgns")
+        return str(caught.value)
+
+    first, second = on_ranks(2, act)
+    assert "out.cgns: No space left on device" in first
+    assert "No space left on device" in second
+    assert [path.name for path in tmp_path.iterdir()] == ["grid.cgns"]
 
 
 def test_values_of_a_field_are_not_taken_for_those_of_all_ranks(tmp_path):
