@@ -55,6 +55,7 @@ class Stored:
     step : bytes from one plane to the next
     within : the bytes of the file to which offsets refer; ``None``: all
     core : the lines j and nodes i of a plane that belong to the grid; ``None``: all
+    size : bytes that the file has for all planes of the block; ``None``: what is written follows from the same numbers
     """
 
     path: Path
@@ -64,16 +65,44 @@ class Stored:
     step: int
     within: Stretches | None = None
     core: tuple[slice, slice] | None = None
+    size: int | None = None
 
     @classmethod
     def within_rind(
-        cls, path: Path, dtype: np.dtype[Any], dims: Sequence[int], at: int, own: Sequence[slice]
+        cls,
+        path: Path,
+        dtype: np.dtype[Any],
+        dims: Sequence[int],
+        at: int,
+        own: Sequence[slice] | None = None,
+        size: int | None = None,
     ) -> Stored:
-        """An array of ``dims`` (ni, nj, nk) or (ni, nj) from byte ``at`` on, of which the ``own`` ranges count."""
+        """An array of ``dims`` (ni, nj, nk) or (ni, nj) from byte ``at`` on, of which the ``own`` ranges count, by
+        default all. ``size`` are the bytes that the file has for all of it."""
         ni, nj = dims[:2]
+        own = own or [slice(0, n) for n in dims]
         step = ni * nj * dtype.itemsize
         core = None if (own[0].stop - own[0].start, own[1].stop - own[1].start) == (ni, nj) else (own[1], own[0])
-        return cls(path, dtype, (nj, ni), at + sum(each.start for each in own[2:]) * step, step, core=core)
+        if size is not None:
+            size -= sum(n - (each.stop - each.start) for n, each in zip(dims[2:], own[2:], strict=True)) * step
+        return cls(path, dtype, (nj, ni), at + sum(each.start for each in own[2:]) * step, step, core=core, size=size)
+
+    def require_room(self, shape: Shape) -> None:
+        """Require that the values of a block of this shape are what the file has room for.
+
+        Raises
+        ------
+        FormatError
+            With both numbers of bytes, or of values in a plane.
+        """
+        ni, nj, nk = shape
+        plane = self.plane[:2] if self.core is None else tuple(part.stop - part.start for part in self.core)
+        if plane != (nj, ni):
+            found, expected = f"{ni} x {nj} values", f"{plane[1]} x {plane[0]}"
+            raise FormatError(f"cannot write {self.path}: a plane has {found}; the file has room for {expected}")
+        if self.size is not None and nk * self.step != self.size:
+            found = f"{ni} x {nj} x {nk} values of {nk * self.step} bytes"
+            raise FormatError(f"cannot write {self.path}: a block has {found}; the file has room for {self.size} bytes")
 
     def read(self, first: int, last: int) -> NDArray[Any]:
         """The planes first <= k < last.
@@ -203,7 +232,16 @@ def read_planes(grid: Grid, part: Planes, arrays: Sequence[Stored]) -> None:
 
 
 def write_outputs(grid: Grid, outputs: Sequence[Output]) -> None:
-    """Write values to their places in files; all ranks together those of a grid in parts."""
+    """Write values to their places in files; all ranks together those of a grid in parts.
+
+    Raises
+    ------
+    FormatError
+        On all ranks, before anything is written, when values and the room for them differ in size.
+    """
+    for output in outputs:
+        for place in output.places:
+            place.require_room(output.shape)
     if isinstance(grid.points, Part):
         _write_parts(grid, grid.points, outputs)
         return

@@ -141,8 +141,8 @@ def _coordinates(zone: Zone, common: _Common, shape: Shape, places: list[Stored]
     a block in the plane has an index axis that its zone may lack."""
     counts, kind = zone.counts, common.kind
 
-    def placed(start: int) -> None:
-        places.append(Stored.within_rind(common.path, kind, shape, start, [slice(0, n) for n in shape]))
+    def placed(start: int, size: int) -> None:
+        places.append(Stored.within_rind(common.path, kind, shape, start, size=size))
 
     names = (node.name for node in zone.coordinates)
     return [Node(name, Path(), name, "DataArray_t", data_type_of(kind), counts, kind, placed=placed) for name in names]

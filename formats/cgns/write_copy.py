@@ -100,8 +100,8 @@ def _replace_coordinates(
         datasets = [_writable_dataset(own_group(group, node), precision, zone.counts) for node in zone.coordinates]
         starts = [place_of(dataset.id) for dataset in datasets]
         found = [
-            Stored.within_rind(path, dataset.dtype, dataset.shape[::-1], start, zone.core)
-            for start, dataset in zip(starts, datasets, strict=True)
+            Stored.within_rind(path, each.dtype, each.shape[::-1], start, zone.core, each.id.get_storage_size())
+            for start, each in zip(starts, datasets, strict=True)
             if start is not None
         ]
         if len(found) == len(datasets):

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import h5py
 import numpy as np
 
+from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, FloatArray, Grid
 from meshdeform_core.numerics.arrays import extent
 from meshdeform_core.parallel import ranks_of
@@ -27,8 +28,8 @@ from .storage.hdf5_write import write_hdf5
 from .storage.names import unique_names
 from .storage.tree import Node, data_type_of, make
 
-Place = tuple[int, np.dtype[Any]]
-"""Offset and type of an array."""
+Place = tuple[int, int, np.dtype[Any]]
+"""Offset, bytes and type of an array."""
 
 
 class Packed(NamedTuple):
@@ -85,7 +86,7 @@ def outputs_of(grid: Grid, path: Path, places: Places) -> list[Output]:
     for number, arrays in places.fields.items():
         field = grid.fields[number]
         ni, nj, nk = field.values.shape[:3]
-        stored = [Stored(path, kind, (nj, ni), start, ni * nj * kind.itemsize) for start, kind in arrays]
+        stored = [Stored.within_rind(path, kind, (ni, nj, nk), start, size=size) for start, size, kind in arrays]
         found.append(Output.of_values(field.block, (ni, nj, nk), field.own, stored))
     return found
 
@@ -113,19 +114,25 @@ def _pack(opened: Sequence[h5py.File], name: str, core: tuple[slice, ...], value
 
 def _begin(grid: Grid, path: Path, partial: Path, precision: str, dimension: int) -> Places:
     """Write everything but the values of nodes, cells and faces; returns the places of these."""
-    starts: list[list[int]] = [[] for _ in grid.shapes]
+    starts: list[list[tuple[int, int]]] = [[] for _ in grid.shapes]
     fields: dict[int, list[Place]] = {}
     with hdf5_errors(path, "write"):
         write_hdf5(_tree(grid, dimension, precision, starts, fields), partial)
     kind = np.dtype(precision)
     coordinates = {
-        block: [Stored.within_rind(partial, kind, shape, start, [slice(0, n) for n in shape]) for start in found]
+        block: [Stored.within_rind(partial, kind, shape, start, size=size) for start, size in found]
         for block, (shape, found) in enumerate(zip(grid.shapes, starts, strict=True))
     }
     return Places(coordinates, fields, {})
 
 
-def _tree(grid: Grid, dimension: int, precision: str, starts: list[list[int]], fields: dict[int, list[Place]]) -> Node:
+def _tree(
+    grid: Grid,
+    dimension: int,
+    precision: str,
+    starts: list[list[tuple[int, int]]],
+    fields: dict[int, list[Place]],
+) -> Node:
     names = unique_names(grid.names, "Zone")
     families = family_names(grid, names)
     conditions, connectivity = boundary_nodes(grid, families), connectivity_nodes(grid, names)
@@ -147,13 +154,16 @@ def _tree(grid: Grid, dimension: int, precision: str, starts: list[list[int]], f
     return make("", "", None, [version, base])
 
 
-def _coordinates(shape: Sequence[int], dimension: int, precision: str, starts: list[int]) -> Node:
-    """Coordinate arrays of a zone, still without values; writing them appends their offsets to ``starts``."""
+def _coordinates(shape: Sequence[int], dimension: int, precision: str, starts: list[tuple[int, int]]) -> Node:
+    """Coordinate arrays of a zone, still without values; writing them appends their offsets and sizes to ``starts``."""
     kind = np.dtype(precision)
+
+    def placed(start: int, size: int) -> None:
+        starts.append((start, size))
+
     names = ("CoordinateX", "CoordinateY", "CoordinateZ")[:dimension]
     arrays = [
-        Node(name, Path(), name, "DataArray_t", data_type_of(kind), tuple(shape), kind, placed=starts.append)
-        for name in names
+        Node(name, Path(), name, "DataArray_t", data_type_of(kind), tuple(shape), kind, placed=placed) for name in names
     ]
     return make("GridCoordinates", "GridCoordinates_t", None, arrays)
 
@@ -178,12 +188,19 @@ def solution_nodes(
 
     They are without values; writing them appends the places of these to ``places``. ``shape`` are the nodes of the zone
     along its index axes (two or three), ``numbers`` those of the fields. Vectors become nameX, nameY, nameZ.
+
+    Raises
+    ------
+    FormatError
+        When a field has another shape than the nodes, cells or faces of its block.
     """
     solutions = []
     for location, word in _LOCATIONS.items():
         if (block, location) not in numbers:
             continue
         size, word = _located(location, word, shape, grid.shapes[block])
+        for number in numbers[block, location]:
+            _require_shape(grid, grid.fields[number])
         arrays = [(n, name) for n in numbers[block, location] for name in _components(grid.fields[n])]
         names = unique_names((name for _, name in arrays), "Field", ["GridLocation"])
         kinds = [(n, _kind(grid.fields[n])) for n, _ in arrays]
@@ -191,6 +208,16 @@ def solution_nodes(
         location_node = make("GridLocation", "GridLocation_t", word)
         solutions.append(make(f"FlowSolution{word}", "FlowSolution_t", None, [location_node, *nodes]))
     return solutions
+
+
+def _require_shape(grid: Grid, field: Field) -> None:
+    shape: Sequence[int] = grid.shapes[field.block]
+    if field.location != "node":
+        across = "ijk".find(field.location[0]) if field.location != "cell" else -1
+        shape = tuple(n if axis == across else max(n - 1, 1) for axis, n in enumerate(shape))
+    if field.values.shape[:3] != shape:
+        label = f"{field.location} field {field.name!r} of {grid.names[field.block]}"
+        raise FormatError(f"{label} has shape {field.values.shape}; expected {shape}, followed by its components")
 
 
 def _located(location: str, word: str, shape: Sequence[int], nodes: Sequence[int]) -> tuple[list[int], str]:
@@ -211,8 +238,8 @@ def _located(location: str, word: str, shape: Sequence[int], nodes: Sequence[int
 def _array(number: int, name: str, kind: np.dtype[Any], size: Sequence[int], places: dict[int, list[Place]]) -> Node:
     """A component of a field, still without values."""
 
-    def placed(start: int) -> None:
-        places.setdefault(number, []).append((start, kind))
+    def placed(start: int, size: int) -> None:
+        places.setdefault(number, []).append((start, size, kind))
 
     return Node(name, Path(), name, "DataArray_t", data_type_of(kind), tuple(size), kind, placed=placed)
 

@@ -8,6 +8,7 @@ import pytest
 from cgns_witness import assert_cgnscheck_finds_no_error, box
 from grids import whole_face
 
+from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Connection, Field, Grid, Patch, Periodicity, Side, Window
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.cgns.new_boundary import bc_type
@@ -140,6 +141,19 @@ def test_fields_become_flow_solutions(tmp_path):
         assert list(file["Base/left"])[3:] == ["FlowSolutionVertex", "ZoneBC", "ZoneGridConnectivity"]
     np.testing.assert_array_equal(read_grid(tmp_path / "new.cgns").points, grid.points)
     assert_cgnscheck_finds_no_error(tmp_path / "new.cgns")
+
+
+@pytest.mark.parametrize("source", ["new", "copy"])
+@pytest.mark.parametrize(("location", "shape"), [("node", (5, 4, 2)), ("cell", (5, 4, 3)), ("jface", (4, 3, 2))])
+def test_fields_of_another_shape_are_refused(location, shape, source, tmp_path):
+    grid = Grid.from_blocks([box(5, 4, 3)], ["only"])
+    if source == "copy":
+        write_grid(grid, tmp_path / "grid.cgns")
+        grid = read_grid(tmp_path / "grid.cgns")
+    wrong = replace(grid, fields=(Field("w", location, 0, np.ones(shape)),))
+    with pytest.raises(FormatError, match=rf"{location} field 'w' of only has shape .*; expected \([45], [34], [23]\)"):
+        write_grid(wrong, tmp_path / "out.cgns")
+    assert not (tmp_path / "out.cgns").exists()
 
 
 @pytest.mark.parametrize("flat", [0, 1, 2])

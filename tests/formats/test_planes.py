@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from meshdeform_core.errors import FormatError
-from meshdeform_formats.planes import Stored, Stretches, ranges_of
+from meshdeform_core.grid import Grid
+from meshdeform_formats.planes import Output, Stored, Stretches, ranges_of, write_outputs
 
 SIDES = st.integers(1, 2000)
 
@@ -47,3 +48,26 @@ def test_a_file_that_is_cut_while_it_is_read(tmp_path):
     (tmp_path / "grid.xyz").write_bytes(bytes(31))
     with pytest.raises(FormatError, match=r"grid\.xyz ends before all of its coordinates"):
         Stored(tmp_path / "grid.xyz", np.dtype(float), (1, 2), 0, 16).read(0, 2)
+
+
+@pytest.mark.parametrize(("dims", "size", "reason"), [
+    ((3, 4, 2), 192, "a plane has 4 x 3 values; the file has room for 3 x 4"),
+    ((4, 3), 96, "a block has 4 x 3 x 2 values of 192 bytes; the file has room for 96 bytes"),
+    ((4, 3, 2), 200, "192 bytes; the file has room for 200 bytes"),
+])  # fmt: skip
+def test_values_and_the_room_for_them_differ_in_size(dims, size, reason, tmp_path):
+    """Nothing is written: it could be past the end of the array."""
+    (tmp_path / "grid").write_bytes(b"." * 300)
+    place = Stored.within_rind(tmp_path / "grid", np.dtype(float), dims, 50, size=size)
+    with pytest.raises(FormatError, match=reason):
+        write_outputs(Grid.allocate([(4, 3, 2)]), [Output.of_values(0, (4, 3, 2), np.ones((4, 3, 2)), [place])])
+    assert (tmp_path / "grid").read_bytes() == b"." * 300
+
+
+def test_room_without_rind_planes(tmp_path):
+    (tmp_path / "grid").write_bytes(b"." * 300)
+    core = [slice(1, 3), slice(0, 2), slice(1, 2)]
+    place = Stored.within_rind(tmp_path / "grid", np.dtype(float), (3, 2, 4), 0, core, 192)
+    place.require_room((2, 2, 1))
+    with pytest.raises(FormatError, match="room for 48 bytes"):
+        place.require_room((2, 2, 2))

@@ -111,7 +111,7 @@ def _write(parent: h5g.GroupID, node: Node, home: Path, depth: int) -> None:
 
 def _fill(group: h5g.GroupID, node: Node, home: Path, depth: int) -> None:
     if node.placed:
-        node.placed(reserve_dataset(group, DATA, node.dims[::-1], DTYPES[node.data_type]))
+        node.placed(*reserve_dataset(group, DATA, node.dims[::-1], DTYPES[node.data_type]))
     elif node.dims:
         write_dataset(group, DATA, np.ascontiguousarray(node.data().T, dtype=DTYPES.get(node.data_type)))
     for child in node.children:
@@ -137,13 +137,14 @@ def write_dataset(group: h5g.GroupID, name: str, values: NDArray[Any]) -> None:
     dataset.write(h5s.ALL, h5s.ALL, values, kind)
 
 
-def reserve_dataset(group: h5g.GroupID, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> int:
-    """Create a dataset whose values will be written to the file itself; returns the place of the first byte."""
+def reserve_dataset(group: h5g.GroupID, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> tuple[int, int]:
+    """Create a dataset whose values will be written to the file itself; returns the place of the first byte and
+    the number of bytes."""
     properties = _timeless()
     properties.set_alloc_time(h5d.ALLOC_TIME_EARLY)
     properties.set_fill_time(h5d.FILL_TIME_NEVER)
     dataset = h5d.create(group, name.encode(), _KINDS[dtype], h5s.create_simple(shape), properties)
-    return int(dataset.get_offset())
+    return int(dataset.get_offset()), int(dataset.get_storage_size())
 
 
 def _describe(group: h5g.GroupID, name: str, label: str, data_type: str) -> None:

@@ -86,7 +86,8 @@ class Node:
     ``follow`` fetch the data, the children and the link's target from the container; ``require`` raises FormatError
     when less is stored than ``dims`` declare, before memory is allocated. ``place`` is the offset of the values in
     ``file``, if they are stored contiguously and unchanged. For a node of which only type and ``dims`` are known,
-    ``placed`` is called with that offset when the node is written, so that the values can be written later.
+    ``placed`` is called with that offset, and the bytes there are for the values, when the node is written, so that
+    these can be written later.
     """
 
     name: str
@@ -102,7 +103,7 @@ class Node:
     expand: Callable[[], Iterable[Node]] = tuple
     follow: Callable[[], Node | None] = _nothing
     place: Callable[[], int | None] = _nothing
-    placed: Callable[[int], object] | None = None
+    placed: Callable[[int, int], object] | None = None
     _following: bool = False
 
     @cached_property
