@@ -399,3 +399,21 @@ def test_long_lists_of_a_report_have_an_entry_per_line():
     with pytest.raises(ValueError, match="JSON"):
         json_text({"x": [float("nan")] * 101}, allow_nan=False)
     assert json_text({}) == "{}"
+
+
+def test_connections_of_so_many_blocks_that_pairs_of_sides_exceed_32_bits():
+    n = 29
+    place = np.random.default_rng(1).permutation(n**3)
+    at = np.stack(np.unravel_index(place, (n, n, n)), axis=1)
+    unit = np.stack(np.meshgrid(*[np.arange(2.0)] * 3, indexing="ij"), axis=-1)
+    grid = Grid.from_blocks([unit + corner for corner in at])
+    found = find_interfaces(grid, find_topology(grid))
+    pairs = np.array([(c.block, c.donor_block) for c in found])
+    step = at[pairs[:, 1]] - at[pairs[:, 0]]
+    assert len(np.unique(pairs, axis=0)) == len(found) == 3 * n * n * (n - 1)
+    assert (np.abs(step).sum(axis=1) == 1).all()
+    assert (np.diff(pairs[:, 0]) >= 0).all()
+    for connection, axis in zip(found, (2 * np.abs(step).argmax(axis=1) + step.max(axis=1)).tolist(), strict=True):
+        own, donor = Side(axis), Side(axis ^ 1)
+        names = f"{grid.names[connection.block]}.{own.label}", f"{grid.names[connection.donor_block]}.{donor.label}"
+        assert connection.name == "-".join(names)

@@ -24,7 +24,7 @@ def find_interfaces(grid: Grid, topology: Topology) -> tuple[Connection, ...]:
     if not once.any():
         return ()
     quads = quads[once]
-    pair = own[once] * len(grid.sides.depth) + other[once]
+    pair = own[once].astype(np.int64) * len(grid.sides.depth) + other[once]
     fits, maps = _index_maps(grid, topology, quads, pair)
     label = np.full(len(partner), -1)
     label[quads] = fits

@@ -177,7 +177,8 @@ def _connected(corners: IntArray, n_unique: int) -> IntArray:
     """Label of the connected component of every quad (n,), by common corner nodes."""
     n = len(corners)
     rows = np.repeat(np.arange(n), corners.shape[1])
-    pairs = np.stack([rows, n + corners.ravel()], axis=1)
+    pairs = np.stack([rows, corners.ravel()], axis=1, dtype=np.int64)
+    pairs[:, 1] += n
     return np.asarray(np.unique(connected_components(n + n_unique, pairs)[:n], return_inverse=True)[1])
 
 
