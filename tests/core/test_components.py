@@ -154,6 +154,8 @@ def test_topology_of_components_is_that_of_the_grids_alone():
         own = component.topology
         for name in ("face_nodes", "number", "first", "edge", "partner", "handedness"):
             np.testing.assert_array_equal(getattr(own, name), getattr(single, name))
+            assert getattr(own, name).dtype == getattr(single, name).dtype
+        assert own.quads.corners.dtype == single.quads.corners.dtype == np.int32
         for name in ("start", "counts", "corners", "in_order"):
             np.testing.assert_array_equal(getattr(own.quads, name), getattr(single.quads, name))
 

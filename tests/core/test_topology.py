@@ -223,3 +223,16 @@ def test_windows_reach_points_of_the_next_ones(monkeypatch):
     monkeypatch.setattr(coincidence, "_WINDOW", 10)
     np.testing.assert_array_equal(coincident_groups(points, tolerance), whole)
     assert 1 < whole.max() < 500
+
+
+def test_a_window_reaches_no_further_than_the_tolerances_of_its_own_points(monkeypatch):
+    random = np.random.default_rng(4)
+    points = np.repeat(random.uniform(0.0, 1.0, (500, 3)), 3, axis=0) + random.uniform(-1e-3, 1e-3, (1500, 3))
+    points = np.concatenate([points, [[1e3, 0.0, 0.0], [1e3, 0.0, 1.0]]])
+    tolerance = np.append(0.02 * np.exp(random.uniform(-6.0, 0.0, 1500)), [10.0, 20.0])
+    whole, received, sweep = coincident_groups(points, tolerance), [], coincidence._sweep
+    monkeypatch.setattr(coincidence, "_WINDOW", 10)
+    monkeypatch.setattr(coincidence, "_sweep", lambda *given: received.append(len(given[0])) or sweep(*given))
+    np.testing.assert_array_equal(coincident_groups(points, tolerance), whole)
+    assert whole[-1] == whole[-2]
+    assert sum(received) < 10 * len(points)

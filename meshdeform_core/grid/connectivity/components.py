@@ -138,17 +138,17 @@ def _component(grid: Grid, topology: Topology, name: str, number: int) -> Compon
     within = FaceQuads(
         (np.cumsum(sizes) - sizes.ravel()).reshape(sizes.shape),
         faces.counts[blocks],
-        np.searchsorted(numbers, faces.corners[quads]),
+        np.searchsorted(numbers, faces.corners[quads]).astype(topology.number.dtype),
         faces.in_order[blocks],
     )
     partner = topology.partner[quads]
     own_topology = Topology(
         _local(grid, alone, blocks, topology.face_nodes[own]),
-        np.searchsorted(numbers, topology.number[own]),
+        np.searchsorted(numbers, topology.number[own]).astype(topology.number.dtype),
         _local(grid, alone, blocks, topology.first[numbers]),
         topology.edge[numbers],
         within,
-        np.where(partner >= 0, np.searchsorted(quads, partner), partner),
+        np.where(partner >= 0, np.searchsorted(quads, partner), partner).astype(partner.dtype),
         topology.handedness[blocks],
         0,
     )

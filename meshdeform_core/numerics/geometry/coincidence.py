@@ -82,12 +82,14 @@ def _close_groups(
 ) -> IntArray:
     """Pairs (m, 2) of close groups of equal points, which are numbered ``label`` (n,) in the ``order`` of the points.
 
-    A window at a time along the keys; it extends beyond its own groups as far as any tolerance reaches.
+    A window at a time along the keys; it extends beyond its own groups as far as their tolerances reach.
     """
-    reach, found, lo = 1.01 * float(tolerance.max(initial=0.0)), [np.empty((0, 2), dtype=np.int64)], 0
+    found, lo = [np.empty((0, 2), dtype=np.int64)], 0
     while lo < len(key):
         end = min(lo + _WINDOW, len(key))
         own = int(np.searchsorted(key, key[end - 1], side="right"))
+        # The smaller tolerance of a pair counts, so that those of points beyond the window do not matter.
+        reach = 1.01 * float(tolerance[order[lo:own]].max())
         hi = int(np.searchsorted(key, key[own - 1] + reach, side="right"))
         first, members = np.flatnonzero(new[lo:hi]), order[lo:hi]
         leading = members[first]

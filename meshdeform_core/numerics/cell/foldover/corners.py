@@ -38,7 +38,8 @@ _GUESS, _CORRECTIONS = 1430187000.0, 3
 
 class _Map(NamedTuple):
     """The map at a sample point of eight cells: where it ``counts``, ``edges``: the vectors e_k, ``dual``: g_k,
-    ``inverse``: 1 / V, the rows of A, ``across``: K g_k, |A|^2, and D, which is 1 where the point does not count."""
+    ``inverse``: 1 / V, the rows of A, ``across``: K g_k, |A|^2, and D; where the point does not count, as if the cell
+    were at rest with three unit vectors, so that nothing overflows that is multiplied by 0."""
 
     counts: Mask
     edges: list[Vector]
