@@ -12,7 +12,7 @@ import scipy
 
 from ...numerics.arrays import FloatArray
 from ...numerics.block_rows import with_room
-from ...numerics.jit import fast_kernel, kernel
+from ...numerics.jit import kernel, summing_kernel
 from .elements import Penalty, Rows
 from .products import Plain, Products, Swept, over_rows, sum_over_rows
 from .region import Region
@@ -90,7 +90,10 @@ class NewtonSystem:
         spare: list[FloatArray] = []
 
         def add(low: int, high: int) -> None:
-            kept = spare.pop() if spare else np.empty((self._longest, *self._matrix.shape[1:]))
+            try:
+                kept = spare.pop()
+            except IndexError:
+                kept = np.empty((self._longest, *self._matrix.shape[1:]))
             blocks = kept[: starts[high] - starts[low]]
             blocks[...] = 0.0
             rows, number = Rows(low, high, starts, columns, blocks, self.gradient), (low - all_rows.low) // _ROWS
@@ -229,7 +232,7 @@ def scale_right(matrix, starts, columns, factor, low, high):
             matrix[at, d, 0], matrix[at, d, 1] = a * x, b * x + c * y
 
 
-@fast_kernel
+@summing_kernel
 def advance_rows(y, r, p, image, length, low, high):
     """Update entries low <= i < high of ``y`` and ``r`` in a conjugate gradient step; return their part of r . r."""
     total = 0.0
@@ -240,7 +243,7 @@ def advance_rows(y, r, p, image, length, low, high):
     return total
 
 
-@fast_kernel
+@summing_kernel
 def dot_rows(a, b, low, high):
     """The part of ``a . b`` from entries low <= i < high."""
     total = 0.0
