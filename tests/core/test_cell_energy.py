@@ -103,3 +103,45 @@ def test_derivatives_are_those_of_the_energy_whatever_the_frames_and_rows(thin):
     change = np.einsum("noij,oj->ni", hessian, along)
     expected = (ends[1] - ends[0]) / 2e-6
     np.testing.assert_allclose(change, expected, atol=1e-6 * np.abs(expected).max())
+
+
+def derivatives_of(x, corners, start, reference, mask, which, penalty=MINIMISING):
+    """Gradient (n, 3) and Hessian (n, n, 3, 3) of the energy of the cells ``which``."""
+    n = len(x)
+    unknowns = Unknowns(np.arange(n), np.tile(np.eye(3), (n, 1, 1)), np.ones(n, bool))
+    rows = (0, n, np.arange(n + 1) * n, np.tile(np.arange(n, dtype=np.int32), n))
+    gradient, blocks, weight = np.zeros((n, 3)), np.zeros((n * n, 3, 3)), np.full((len(corners), 2), 0.8)
+    given = corners, start, corners, mask, SAMPLES, weight, reference, penalty
+    add_derivatives(x, *given, np.asarray(which), unknowns, rows, blocks, gradient)
+    return gradient, blocks.reshape(n, n, 3, 3)
+
+
+@pytest.mark.parametrize("penalty", [UNTANGLING, MINIMISING])
+def test_derivatives_of_a_cell_do_not_depend_on_the_cells_beside_it(penalty):
+    (start, x, reference), corners = cells(8, 1.0)
+    # Cells without common nodes, so that nothing is added to the derivatives of one of them.
+    start, x, reference = (points[corners].reshape(-1, 3) for points in (start, x, reference))
+    corners, mask = np.arange(64).reshape(8, 8), masks(8)
+    broken = x.copy()
+    broken[corners[3]] = np.nan
+    broken[corners[6, 2]] = np.inf
+    together = derivatives_of(x, corners, start, reference, mask, range(8), penalty)
+    beside = derivatives_of(broken, corners, start, reference, mask, range(8), penalty)
+    for c in range(8):
+        alone = derivatives_of(x, corners, start, reference, mask, [c], penalty)
+        own = corners[c][:, None], corners[c]
+        assert np.isfinite(alone[1]).all()
+        assert np.abs(alone[0]).max() > 0.0
+        for found in (together, beside) if c not in (3, 6) else (together,):
+            np.testing.assert_array_equal(found[0][corners[c]], alone[0][corners[c]])
+            np.testing.assert_array_equal(found[1][own], alone[1][own])
+
+
+@pytest.mark.parametrize("size", [1e-30, 1e17, 1e30])
+def test_derivatives_scale_with_the_cells_also_where_some_points_do_not_count(size):
+    (start, x, reference), corners = cells(8, 1.0)
+    mask = masks(8)
+    gradient, hessian = derivatives_of(x, corners, start, reference, mask, range(8))
+    scaled = derivatives_of(size * x, corners, size * start, size * reference, mask, range(8))
+    np.testing.assert_allclose(size * scaled[0], gradient, rtol=0.0, atol=1e-11 * np.abs(gradient).max())
+    np.testing.assert_allclose(size * size * scaled[1], hessian, rtol=0.0, atol=1e-11 * np.abs(hessian).max())

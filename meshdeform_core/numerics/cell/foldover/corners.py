@@ -38,8 +38,8 @@ _GUESS, _CORRECTIONS = 1430187000.0, 3
 
 class _Map(NamedTuple):
     """The map at a sample point of eight cells: where it ``counts``, ``edges``: the vectors e_k, ``dual``: g_k,
-    ``inverse``: 1 / V, the rows of A, ``across``: K g_k, |A|^2, and D; where the point does not count, as if the cell
-    were at rest with three unit vectors, so that nothing overflows that is multiplied by 0."""
+    ``inverse``: 1 / V, the rows of A, ``across``: K g_k, |A|^2, and D. Where the point does not count, |A|^2 is 3, D is
+    1 and all of the others but the edges are 0: what is left out by the factor 0 must not overflow."""
 
     counts: Mask
     edges: list[Vector]
@@ -174,12 +174,12 @@ def _map(terms: Array, sample: ir.Value, start: list[Vector], edges: list[Vector
     count = terms.load(terms.builder.mul(sample, sample.type(WIDTH)))
     counts = (count * 0.0 + 0.5).below(count)
     areas = _areas(start)
-    inverse = 1.0 / counts.choose(dot(start[0], areas[0]), 1.0)
+    inverse = counts.choose(1.0 / dot(start[0], areas[0]), 0.0)
     dual = [[inverse * c for c in area] for area in areas]
     matrix = _matrix(edges, dual)
     across = [[inverse * c for c in area] for area in _areas(edges)]
-    det = counts.choose(dot(edges[0], across[0]), 1.0)
-    return _Map(counts, edges, dual, inverse, matrix, across, _square(matrix), det)
+    square, det = counts.choose(_square(matrix), 3.0), counts.choose(dot(edges[0], across[0]), 1.0)
+    return _Map(counts, edges, dual, inverse, matrix, across, square, det)
 
 
 def _sloped(points: Array, grid: int, slope: Array, sample: ir.Value) -> list[Vector]:
