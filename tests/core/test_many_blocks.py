@@ -292,6 +292,16 @@ def test_lines_and_pieces_do_not_depend_on_how_much_is_done_at_a_time(grid, port
     np.testing.assert_array_equal(kink_and_jump(lines, grid.points), measured)
 
 
+def test_lines_are_told_apart_by_numbers_of_any_size():
+    random = np.random.default_rng(8)
+    pairs = random.choice([0, 1, 2**31, 2**32 + 1, 6 * 10**9, 2**62], (2, 60))
+    found = lines_module._distinct(pairs)
+    columns = list(map(tuple, pairs.T.tolist()))
+    assert [columns[n] for n in found] == sorted(set(columns))
+    assert all(columns.index(columns[n]) == n for n in found)
+    assert lines_module._distinct(pairs[:, :0]).size == 0
+
+
 def test_cells_beside_interfaces(grid):
     topology = find_topology(grid)
     kink, jump = interface_cells(grid, topology, grid.points, None)

@@ -39,9 +39,7 @@ def interface_lines(grid: Grid, topology: Topology) -> InterfaceLines:
     found = [_distinct_lines(grid, topology, quads[lo : lo + _TOGETHER]) for lo in range(0, len(quads), _TOGETHER)]
     if not found:
         return InterfaceLines(*(np.empty(0, dtype=np.int64) for _ in range(4)))
-    keys = np.concatenate([key for key, _ in found])
-    _, once = np.unique(keys, return_index=True)
-    del keys
+    once = _distinct(np.concatenate([keys for keys, _ in found], axis=1))
     names = [field.name for field in dataclasses.fields(InterfaceLines)]
     # A direction at a time is dropped from the portions once it is joined.
     parts = [{name: getattr(lines, name) for name in names} for _, lines in found]
@@ -50,14 +48,28 @@ def interface_lines(grid: Grid, topology: Topology) -> InterfaceLines:
 
 
 def _distinct_lines(grid: Grid, topology: Topology, quads: IntArray) -> tuple[IntArray, InterfaceLines]:
-    """The grid lines across ``quads``, each once, and a number for each of them."""
+    """The grid lines across ``quads``, each once, and two numbers (2, n) for each of them, of both its ends."""
     lines, sides = lines_across(grid, topology, quads)
-    here_key, there_key = (
+    keys = np.stack([
         nodes.ravel() * 6 + np.repeat(side % 6, nodes.shape[1])
         for nodes, side in zip((lines.here, lines.there), sides, strict=True)
-    )
-    keys, once = np.unique(here_key * (6 * grid.n_nodes) + there_key, return_index=True)
-    return keys, InterfaceLines(*(getattr(lines, f.name).ravel()[once] for f in dataclasses.fields(lines)))
+    ])  # fmt: skip
+    once = _distinct(keys)
+    return keys[:, once], InterfaceLines(*(getattr(lines, f.name).ravel()[once] for f in dataclasses.fields(lines)))
+
+
+def _distinct(pairs: IntArray) -> IntArray:
+    """Where each pair of ``pairs`` (2, n) occurs first, in ascending order.
+
+    One number per pair would not fit into 64 bits in a grid of more than 5e8 nodes.
+    """
+    order = np.lexsort(pairs[::-1])
+    new = np.ones(len(order), dtype=bool)
+    new[1:] = False
+    for values in pairs:
+        ordered = values[order]
+        new[1:] |= ordered[1:] != ordered[:-1]
+    return order[new]
 
 
 def lines_across(grid: Grid, topology: Topology, quads: IntArray) -> tuple[InterfaceLines, tuple[IntArray, IntArray]]:
