@@ -51,6 +51,11 @@ class LonelyRank(OneRank):
         for other, wanted in receives.items():
             if len(wanted):
                 own, size = sends[other], len(wanted)
+                if len(own) < 2 * size:
+                    raise SystemExit(
+                        f"rank {self.number} sends {len(own):,} rows to rank {other}, from which {size:,} rows are to "
+                        f"be continued; expected at least {2 * size:,}: choose fewer ranks or more nodes"
+                    )
                 near, next_one = (own[:size], own[size:]) if other < self.number else (own[-size:], own[:-size])
                 wanted[:] = 2 * near - (next_one[:size] if other < self.number else next_one[-size:])
 

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 FOLDER = Path(__file__).parent.parent / "benchmarks"
@@ -37,3 +38,17 @@ def test_tables_of_the_page_are_renewed_and_nothing_else(monkeypatch):
     assert (head, tail) == (before, after)
     assert found != old
     assert found.startswith("### Sums\n\n| pairs |\n|---|\n| 1.5 |\n\n*Measured on 20")
+
+
+def test_a_lonely_rank_with_too_few_planes_is_told_so(monkeypatch):
+    monkeypatch.syspath_prepend(FOLDER)
+    for name in [path.stem for path in FOLDER.glob("*.py")]:
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    from share import LonelyRank
+
+    rows, below, above = np.arange(6.0), np.zeros(3), np.zeros(3)
+    LonelyRank(1, 3).swap({0: rows, 2: rows}, {0: below, 2: above})
+    assert below.tolist() == [-3.0, -2.0, -1.0]
+    assert above.tolist() == [6.0, 7.0, 8.0]
+    with pytest.raises(SystemExit, match=r"sends 5 rows to rank 2.*at least 6"):
+        LonelyRank(1, 3).swap({0: rows, 2: rows[1:]}, {0: below, 2: above})

@@ -25,7 +25,9 @@ RELATIVE_TOLERANCE = 1e-3
 _TOGETHER = 100_000
 """Nodes whose edges are measured at a time: few enough for the processor's cache."""
 _MATCHED = 1_000_000
-"""Unique nodes whose quads are compared at a time, which bounds the memory."""
+"""Unique nodes whose quads are compared at a time, which bounds the memory; more of them in large grids."""
+_PASSES = 16
+"""At most so many times are all quads searched for those to be compared."""
 COLLAPSED = -2
 EXTERNAL = -1
 
@@ -319,9 +321,9 @@ def _partners(corners: IntArray, shared: np.ndarray) -> tuple[IntArray, int]:
     smallest[count < (3 if corners.shape[1] == 4 else 2)] = len(shared)
     partner = empty((len(corners),), integers(len(corners)))
     partner[:] = EXTERNAL
-    crowded = 0
-    for low in range(0, len(shared), _MATCHED):
-        some = np.flatnonzero((smallest >= low) & (smallest < min(low + _MATCHED, len(shared))))
+    crowded, step = 0, max(_MATCHED, -(-len(shared) // _PASSES))
+    for low in range(0, len(shared), step):
+        some = np.flatnonzero((smallest >= low) & (smallest < min(low + step, len(shared))))
         found, more = _partners_of(corners[some])
         partner[some] = np.where(found >= 0, some[np.maximum(found, 0)], found)
         crowded += more

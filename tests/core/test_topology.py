@@ -215,6 +215,14 @@ def test_topology_does_not_depend_on_how_much_is_done_at_a_time(make, window, mo
     ]
 
 
+def test_all_quads_are_searched_a_limited_number_of_times(monkeypatch):
+    grid, passes, partners_of = frame(6, 4), [], topology_module._partners_of
+    monkeypatch.setattr(topology_module, "_MATCHED", 1)
+    monkeypatch.setattr(topology_module, "_partners_of", lambda quads: passes.append(1) or partners_of(quads))
+    assert find_topology(grid).n_unique > 100
+    assert 2 <= len(passes) <= 16
+
+
 def test_windows_reach_points_of_the_next_ones(monkeypatch):
     random = np.random.default_rng(4)
     points = np.repeat(random.uniform(0.0, 1.0, (200, 3)), 3, axis=0) + random.uniform(-1e-3, 1e-3, (600, 3))
