@@ -135,8 +135,7 @@ class FastSums:
                     some += sums[:, :1] * middle[columns]
             if plan.weight is not None:
                 one, other = (sums, plan.weight[here]) if weight is not None else (plan.weight[here], sums)
-                one[:, 0] = other[:, 0]
-                one[:, one.shape[1] - lasting :] = other[:, other.shape[1] - lasting :]
+                _copy_lasting(one, other, lasting)
             use(flat, sums)
 
         for_chunks(work, targets.n_regions, chunk, progress, [Shared(result, targets.flat)])
@@ -200,6 +199,12 @@ def allowance(
 
     for_chunks(work, len(samples), 64, shared=[Shared(total), Shared(moved)])
     return (total * targets.sizes).min(axis=1) * tolerance, (moved / total).max(axis=1)
+
+
+def _copy_lasting(one: FloatArray, other: FloatArray, lasting: int) -> None:
+    """Copy weights (m, 0) and the last columns, which stay as they are, from ``other`` sums."""
+    one[:, 0] = other[:, 0]
+    one[:, one.shape[1] - lasting :] = other[:, other.shape[1] - lasting :]
 
 
 def _scaled(summands: Summands, strength: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
