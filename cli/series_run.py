@@ -159,7 +159,7 @@ def carry_out(run: Run, progress: ProgressBar) -> Report:
         # The files from which a complete series was assembled no longer exist.
         finished = run.files.read if first < count else None
         # The state of earlier levels is known only from files that can be read back.
-        made = tuple(run.manifest.made) if run.files.readable else ()
+        made = tuple(run.manifest.made) if ranks.on_first(lambda: run.files.readable) else ()
         levels = deform_series(run.setup, run.schedule, run.files.variant.precision, progress, first, finished, made)
         with Recorder(run) as recorder:
             for level in levels:
@@ -193,7 +193,8 @@ def illustrate(run: Run) -> Illustrations:
     shown = min(count, _PICTURES)
     chosen = [round(n * (count - 1) / max(1, shown - 1)) for n in range(shown)]
     levels = [(n, f"level {n}, t = {run.schedule.times[n]:g}", run.files.path(n).name) for n in chosen]
-    return level_thumbnails(run.setup, levels, run.files.read) if run.files.readable else Illustrations()
+    readable = run.job.ranks.on_first(lambda: run.files.readable)
+    return level_thumbnails(run.setup, levels, run.files.read) if readable else Illustrations()
 
 
 def _complete(run: Run, peak: int) -> Report:

@@ -25,6 +25,7 @@ from meshdeform_core.parallel import (
     current_ranks,
     dividing,
     ranks_of,
+    rows_of,
     thread_count,
 )
 from meshdeform_core.quality.fields import CellFields
@@ -108,13 +109,16 @@ def in_parts(action: Callable[[], T], verbose: bool) -> T:
 
 
 def _other_bytes(grid: Grid, case: CaseFile) -> int:
-    """Size of the data in the grid file other than coordinates, and of the tables of the case."""
+    """Size of the data in the grid file other than coordinates, and of the tables of the case; with several ranks, the
+    most that one of them holds."""
     steps = [step for spec in case.case.boundaries if spec.motion for step in spec.motion.steps]
     tables = [step.data for step in steps if isinstance(step, Follow)]
     arrays = [array for table in tables if isinstance(table, SurfaceData) for array in vars(table).values()]
-    arrays += [table.points for table in tables if isinstance(table, Grid)]
-    arrays += [field.values for field in grid.fields]
-    return sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
+    grids = [table for table in tables if isinstance(table, Grid)]
+    arrays += [rows_of(table.points) for table in grids]
+    arrays += [field.own for each in (grid, *grids) for field in each.fields]
+    size = sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
+    return max(ranks_of(grid.points).gather([size + (grid.format.other_bytes if grid.format else 0)]))
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid, IntArray, Planes, Shape
-from meshdeform_core.parallel import Part, for_items
+from meshdeform_core.parallel import Part, Ranks, for_items
 
 from .coordinates import common_type, merge, split
 
@@ -269,8 +269,6 @@ def _write_parts(grid: Grid, points: Part, outputs: Sequence[Output]) -> None:
         On all ranks, the first error of any of them.
     """
     ranks, failures = points.ranks, list[Exception]()
-    # Clients of a network file system may otherwise write whole pages, with old bytes of other machines in them.
-    synchronous = ranks.count > ranks.on_machine
     for turn in _turns(grid, points.bounds, outputs):
         sends, receives, own = {}, {}, None
         for writer, (output, part, owners) in turn.items():
@@ -289,11 +287,17 @@ def _write_parts(grid: Grid, points: Part, outputs: Sequence[Output]) -> None:
             try:
                 for component, place in enumerate(places):
                     values = np.concatenate([receives[rank][component] for rank in sorted(receives)], axis=2)
-                    place.write(part.first, values, synchronous)
+                    place.write(part.first, values, synchronous(ranks))
             except (OSError, FormatError) as error:
                 failures.append(error)
     for failure in ranks.gather(failures):
         raise failure
+
+
+def synchronous(ranks: Ranks) -> bool:
+    """Whether the ranks wait for the disk after each piece of a file that all of them write."""
+    # Clients of a network file system may otherwise write whole pages, with old bytes of other machines in them.
+    return ranks.count > ranks.on_machine
 
 
 def on_first_rank(grid: Grid, block: int, own: NDArray[Any]) -> NDArray[Any]:

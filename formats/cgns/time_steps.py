@@ -70,11 +70,20 @@ def write_series(
     """
     with replacing_by_all(path, grid.points) as partial:
         cgns.write(grid, partial, variant)
-        first = level(0)
-        places = ranks_of(grid.points).on_first(lambda: _add_levels(first, path, partial, variant.precision, times))
-        for number, found in enumerate(places):
-            each = level(number) if number else first
-            write_outputs(each, outputs_of(each, partial, found))
+        places = _begin(level(0), path, partial, variant.precision, times)
+        for number in range(1, len(times)):
+            _write_level(level(number), partial, places[number])
+
+
+def _begin(first: Grid, path: Path, partial: Path, precision: str, times: Sequence[float]) -> list[Places]:
+    """Make room for all levels and write the first; returns the places of their values."""
+    places = ranks_of(first.points).on_first(lambda: _add_levels(first, path, partial, precision, times))
+    _write_level(first, partial, places[0])
+    return places
+
+
+def _write_level(level: Grid, path: Path, places: Places) -> None:
+    write_outputs(level, outputs_of(level, path, places))
 
 
 def _add_levels(grid: Grid, path: Path, partial: Path, precision: str, times: Sequence[float]) -> list[Places]:

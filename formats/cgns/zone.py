@@ -64,7 +64,12 @@ class Zone:
         """Fill ``block`` of shape ``(n, nj, nk, 3)`` with the coordinates of some ``planes`` i; missing components
         become zero."""
         count = len(self.coordinates)
-        merge(block, (node.data()[self.core].T[..., planes] for node in self.coordinates), count)
+        # Of compressed values, a part keeps whole components in memory: one at a time.
+        step = 1 if planes.stop - planes.start < self.shape[0] else count
+        for first in range(0, count, step):
+            some = self.coordinates[first : first + step]
+            values = (node.data()[self.core].T[..., planes] for node in some)
+            merge(block[..., first : first + step], values, len(some))
         block[..., count:] = 0.0
 
 

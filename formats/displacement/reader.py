@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from meshdeform_core.boundary.tables.matching import SurfaceData
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid, OwnPlanes
-from meshdeform_core.parallel import alone
+from meshdeform_core.parallel import WholeGridNeeded, alone
 
 from ..files import read_head, replacing
 from ..grids import FORMATS, read_grid
@@ -154,8 +154,11 @@ def _read_vtk_xml(path: Path) -> DisplacementTable | Grid:
 
 
 def _read_structured(path: Path) -> DisplacementTable | Grid:
-    grid = read_grid(path)
-    if any(isinstance(field.values, OwnPlanes) for field in grid.fields):
+    try:
+        grid = read_grid(path)
+        if any(isinstance(field.values, OwnPlanes) for field in grid.fields):
+            raise WholeGridNeeded("an array that may be a displacement")
+    except WholeGridNeeded:
         # Every rank looks displacements up by itself.
         with alone():
             grid = read_grid(path)

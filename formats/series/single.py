@@ -17,6 +17,7 @@ from meshdeform_core.velocity import face_fields, grid_velocity
 
 from ..files import invalid_path, remove_partial, replacing_by_all
 from ..grids import format_of, variant_of
+from ..planes import Stored, synchronous
 from .outputs import Dress, as_it_is, level_name, with_velocity
 
 _ROWS = 1 << 18
@@ -69,8 +70,8 @@ class SingleFile:
         ranks.on_first(lambda: self._levels.mkdir(exist_ok=True))
         with replacing_by_all(self._part(number), grid.points) as partial:
             start = ranks.on_first(lambda: _begin(partial, kind, grid.points.shape))
-            own = rows_of(grid.points)[slice(*own_rows(grid.points))]
-            _on_all(grid.points, lambda: _put(partial, start, kind, own, own_rows(grid.points)[0]))
+            stored = Stored(partial, kind, (3,), start, 3 * kind.itemsize)
+            _on_all(grid.points, lambda: _put(stored, rows_of(grid.points), own_rows(grid.points), synchronous(ranks)))
 
     def read(self, number: int) -> FloatArray:
         points: FloatArray = alike(self._grid.points)
@@ -127,12 +128,10 @@ def _begin(path: Path, kind: np.dtype[Any], shape: tuple[int, ...]) -> int:
         return file.tell()
 
 
-def _put(path: Path, start: int, kind: np.dtype[Any], rows: FloatArray, first: int) -> None:
-    """Write rows (n, 3) to their places in a numpy file, from the row ``first`` on."""
-    with path.open("r+b") as file:
-        file.seek(start + first * 3 * kind.itemsize)
-        for at in range(0, len(rows), _ROWS):
-            file.write(np.ascontiguousarray(rows[at : at + _ROWS], kind).data)
+def _put(stored: Stored, rows: FloatArray, own: tuple[int, int], synchronous: bool) -> None:
+    """Write the ``own`` range of rows (n, 3) to their places in a file."""
+    for at in range(*own, _ROWS):
+        stored.write(at, rows[at : min(at + _ROWS, own[1])], synchronous)
 
 
 def _get(path: Path, rows: FloatArray, own: tuple[int, int]) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -89,6 +89,10 @@ class VtkFormat(FileFormat):
     origins: tuple[Shape, ...] = ()
     field_data: tuple[tuple[DataArray, ...], ...] = ()
 
+    @property
+    def other_bytes(self) -> int:
+        return sum(array.values.nbytes for arrays in self.field_data for array in arrays)
+
 
 @dataclass(frozen=True)
 class DataSet:
@@ -141,16 +145,22 @@ def assemble(path: Path, kind: str, data_sets: Sequence[DataSet], names: Sequenc
     ]
 
     def put(part: Planes) -> None:
-        own, (block, first, last) = grid.planes(part.block), part
-        targets = [(grid.in_planes(block), data_sets[block].points), *((f.own, values) for f, values in fields[block])]
-        for target, values in targets:
-            end = min(last, target.shape[2])
-            if first < end:
-                read = values.stored.read(first, end) if isinstance(values, Run) else values[first:end]
-                target[:, :, first:end] = read[:, :, own.start : own.start + len(target)].swapaxes(0, 2)
+        points = grid.in_planes(part.block), data_sets[part.block].points
+        _fill(grid, part, [points, *((field.own, values) for field, values in fields[part.block])])
 
     grid.fill_planes(put, ranges_of(list(enumerate(shapes))))
     return dataclasses.replace(grid, fields=tuple(field for found in fields for field, _ in found))
+
+
+def _fill(grid: Grid, part: Planes, targets: Iterable[tuple[NDArray[Any], Values]]) -> None:
+    """Fill some planes k of arrays (ni, nj, nk, ...) of a block, as far as this rank holds them, from values along
+    k, j, i."""
+    own, (_, first, last) = grid.planes(part.block), part
+    for target, values in targets:
+        end = min(last, target.shape[2])
+        if first < end:
+            read = values.stored.read(first, end) if isinstance(values, Run) else values[first:end]
+            target[:, :, first:end] = read[:, :, own.start : own.start + len(target)].swapaxes(0, 2)
 
 
 def _in_planes(array: DataArray, nodes: Shape) -> Any:
@@ -175,32 +185,6 @@ def _field(path: Path, array: DataArray, block: int, grid: Grid) -> VtkField:
 # Values are written in slabs of so many bytes, or of so many planes k = const where a plane is larger.
 _SLAB = 1 << 23
 _PLANES = 4
-
-# Nodes that a few axes or a spacing may define, regardless of the size of the file, and per byte of a larger one.
-_LATTICE_NODES = 1_000_000
-_LATTICE_NODES_PER_BYTE = 10
-
-
-def require_plausible_lattice(path: Path, nodes: int, size: int) -> None:
-    """Refuse axes whose product needs memory out of proportion to the ``size`` of the file in bytes.
-
-    Raises
-    ------
-    FormatError
-        With the number of nodes and the accepted number.
-    """
-    most = max(_LATTICE_NODES, _LATTICE_NODES_PER_BYTE * size)
-    if nodes > most:
-        raise FormatError(
-            f"{path} declares {nodes} nodes, but has only {size} bytes; a lattice of more than {most} nodes is read "
-            "only from a file with explicit coordinates: save it as a structured grid (.vts)"
-        )
-
-
-def lattice(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> NDArray[Any]:
-    """Nodes of the product of three axes, ``(nk, nj, ni, 3)``."""
-    along_z, along_y, along_x = np.meshgrid(z, y, x, indexing="ij")
-    return np.stack([along_x, along_y, along_z], axis=-1)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Shape
 from meshdeform_core.parallel import require_undivided
 
-from .dataset import DataSet, Values, lattice, require_plausible_lattice
+from .dataset import DataSet, Values
+from .lattice import lattice, require_plausible_lattice
 from .legacy_attributes import Attributes
 from .legacy_file import LegacyFile
 

@@ -3,8 +3,11 @@
 The ranks are forks of this process (:mod:`forked_ranks`); rows that a rank does not hold are poisoned.
 """
 
+import os
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -15,24 +18,29 @@ from forked_ranks import Failed, on_ranks
 from grids import frame, frame_2d
 from plot3d_witness import binary_file, sample_blocks, sample_iblank
 
+from meshdeform_cli import series_run, work
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, Start, Timing, deform, impose
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, Grid
 from meshdeform_core.methods import Options
 from meshdeform_core.numerics import pieces
-from meshdeform_core.parallel import WholeGridNeeded, dividing, parts
+from meshdeform_core.parallel import WholeGridNeeded, current_ranks, dividing, parts
 from meshdeform_core.quality.fields import CELL_MEASURES, CellFields
 from meshdeform_core.repair import RepairOptions
 from meshdeform_core.series import Schedule, deform_series
 from meshdeform_core.setup import set_up
+from meshdeform_formats.case import CaseFile
 from meshdeform_formats.cgns import write_new
+from meshdeform_formats.displacement import read_displacement
 from meshdeform_formats.fields import with_fields
 from meshdeform_formats.grids import read_grid, write_grid
 from meshdeform_formats.hdf5_output import target
+from meshdeform_formats.report.figures import Illustrations
 from meshdeform_formats.report.illustrations import deformation_figures, level_thumbnails
 from meshdeform_formats.series.outputs import LevelFiles
 from meshdeform_formats.series.single import SingleFile
+from meshdeform_formats.vtk.dataset import DataArray
 
 TIMES = (0.0, 0.5, 2.0, 3.0)
 
@@ -358,16 +366,86 @@ def test_values_of_a_field_are_not_taken_for_those_of_all_ranks(tmp_path):
     assert all(on_ranks(2, act))
 
 
+@pytest.mark.skipif(not hasattr(os, "O_DSYNC"), reason="no synchronous writing here")
+def test_ranks_on_several_machines_write_levels_synchronously(tmp_path, monkeypatch):
+    write_grid(frame(5, 4), tmp_path / "grid.xyz")
+    (tmp_path / "out").mkdir()
+    opened, begin = [], os.open
+
+    def recorded(path, flags, *args, **kwargs):
+        if "level_" in str(path) and flags & os.O_WRONLY:
+            opened.append(bool(flags & os.O_DSYNC))
+        return begin(path, flags, *args, **kwargs)
+
+    monkeypatch.setattr(os, "open", recorded)
+
+    def act(number):
+        with dividing():
+            series_of(tmp_path / "grid.xyz", "wing.cgns", SingleFile, "none")(tmp_path / "out")
+        return opened
+
+    for found in on_ranks(2, act):
+        assert found
+        assert all(found)
+
+
+@pytest.mark.parametrize("variant", [{"encoding": "ascii"}, {"compression": "zlib"}, {}], ids=["text", "zlib", "plain"])
+def test_every_rank_reads_a_displacement_table_as_a_whole(variant, tmp_path):
+    shape = (9, 4, 5)
+    grid = Grid.from_blocks([np.moveaxis(np.indices(shape), 0, -1).astype(float)])
+    moves = np.random.default_rng(0).random((*shape, 3))
+    write_grid(replace(grid, fields=(Field("displacement", "node", 0, moves),)), tmp_path / "table.vts", variant)
+
+    def act(number):
+        with dividing():
+            return read_displacement(tmp_path / "table.vts").displacement
+
+    for found in on_ranks(2, act):
+        np.testing.assert_array_equal(found, moves.reshape(-1, 3))
+
+
+def test_memory_of_fields_counts_on_the_rank_with_most(tmp_path):
+    grid = frame(5, 4)
+    write_grid(replace(with_arrays(grid), points=grid.points), tmp_path / "grid.vtm")
+    read = read_grid(tmp_path / "grid.vtm")
+    data = DataArray("time", "", np.zeros(1000))
+    case = CaseFile(Case(tuple(body_specs(turning(5.0)))))
+    whole = sum(field.values.nbytes for field in read.fields)
+    with_data = replace(read, format=replace(read.format, field_data=((data,), *[()] * (read.n_blocks - 1))))
+    assert work._other_bytes(read, case) == whole
+    assert work._other_bytes(with_data, case) == whole + 8000
+
+    def act(number):
+        with dividing():
+            own = read_grid(tmp_path / "grid.vtm")
+        return sum(field.own.nbytes for field in own.fields), work._other_bytes(own, case)
+
+    sizes, counted = zip(*on_ranks(3, act), strict=True)
+    assert sum(sizes) == whole
+    assert set(counted) == {max(sizes)}
+
+
+def test_the_first_rank_says_for_all_whether_levels_can_be_read():
+    """A file system may show them to one rank later than to another."""
+
+    def act(number):
+        files = SimpleNamespace(readable=number > 0, path=lambda n: Path(f"{n}.cgns"), read=None)
+        job, schedule = SimpleNamespace(ranks=current_ranks()), SimpleNamespace(times=TIMES)
+        return series_run.illustrate(SimpleNamespace(job=job, schedule=schedule, files=files, setup=None))
+
+    assert on_ranks(2, act) == [Illustrations(), Illustrations()]
+
+
 def test_a_rank_that_cannot_write_its_levels_stops_all(tmp_path, monkeypatch):
     from meshdeform_formats.series import single
 
     write_grid(frame(5, 4), tmp_path / "grid.xyz")
     put = single._put
 
-    def full(*args):
-        if args[-1] > 0:
+    def full(stored, rows, own, synchronous):
+        if own[0] > 0:
             raise OSError(28, "No space left on device")
-        put(*args)
+        put(stored, rows, own, synchronous)
 
     monkeypatch.setattr(single, "_put", full)
     (tmp_path / "out").mkdir()

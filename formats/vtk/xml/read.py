@@ -18,7 +18,8 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Shape
 from meshdeform_core.parallel import require_undivided
 
-from ..dataset import DataArray, DataSet, Values, lattice, require_plausible_lattice
+from ..dataset import DataArray, DataSet, Values
+from ..lattice import lattice, require_plausible_lattice
 from .arrays import ArrayReader
 from .attributes import joined, read_field_data, read_section
 from .codecs import LARGEST_RATIO
