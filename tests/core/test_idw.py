@@ -13,9 +13,10 @@ from meshdeform_core.errors import MethodError
 from meshdeform_core.methods import IDW, Options, make_method
 from meshdeform_core.methods.scattered.mirror import mirror_images
 from meshdeform_core.methods.scattered.transition import MovingShare, attached
-from meshdeform_core.numerics import rotation as rot
 from meshdeform_core.numerics.exact.direct import weighted_sums
+from meshdeform_core.numerics.geometry import quaternions as rot
 from meshdeform_core.numerics.rigid import Transition, finish
+from meshdeform_core.numerics.rotation import SurfaceRotations
 
 VARIANTS = {
     "none": IDW(rotation="none"),
@@ -139,7 +140,7 @@ def test_rigid_motions_of_surfaces_are_found():
     from meshdeform_core.methods.base import _rings
 
     corners, edges = _rings(quads)
-    rotations = rot.SurfaceRotations(x, corners, edges)
+    rotations = SurfaceRotations(x, corners, edges)
     for w in ([0, 0, 1.2], [0.3, -0.8, 0.5], [2.0, 2.0, 0.5], [0, 0, 0]):
         q = rot.quaternion_of(np.array([w], dtype=float))
         turned = rot.rotate(np.tile(q, (20, 1)), x) + np.array([1.0, -2.0, 3.0])
@@ -164,7 +165,7 @@ def test_rotations_of_a_moved_part_are_those_of_the_whole_surface(plane):
     if plane:
         x, quads = x * [1.0, 1.0, 0.0], quads[:, :2]
     corners, edges = _rings(quads)
-    rotations = rot.SurfaceRotations(x, corners, edges, np.array([0.0, 0.0, 1.0]) if plane else None)
+    rotations = SurfaceRotations(x, corners, edges, np.array([0.0, 0.0, 1.0]) if plane else None)
     for chosen in ([30, 31, 40], [30, 31, 40], [0], list(range(len(x)))):
         moved = np.zeros_like(x)
         moved[chosen] = 0.05 * rng.standard_normal((len(chosen), 3)) * [1, 1, not plane]

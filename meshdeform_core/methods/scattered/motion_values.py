@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...grid import FloatArray
-from ...numerics import rotation as rot
+from ...numerics.geometry import quaternions as rot
 from ...numerics.tape import Tracked
 
 _TOGETHER = 100_000

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..arrays import FloatArray
-from ..rotation import rotate
+from ..geometry.quaternions import rotate
 
 
 def division_path(start: FloatArray, values: FloatArray, m: int) -> tuple[FloatArray, ...]:
