@@ -5,7 +5,7 @@ import traceback
 
 import numpy as np
 
-from meshdeform_core.parallel import OneRank, sharing
+from meshdeform_core.parallel import OneRank, parts, sharing
 
 _PATIENCE = 120.0
 _FORK = multiprocessing.get_context("fork")
@@ -110,3 +110,15 @@ def _received(hub, forks):
     if isinstance(found, _End) and found.failure:
         raise Failed(found.failure)
     return found
+
+
+def poison_parts(monkeypatch):
+    """What a rank does not hold of an array in parts is no number."""
+    blank = parts.blank
+
+    def poison(shape, dtype):
+        array = blank(shape, dtype)
+        array[...] = np.nan if np.dtype(dtype).kind == "f" else 77
+        return array
+
+    monkeypatch.setattr(parts, "blank", poison)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from meshdeform_core.numerics.block_rows import with_room
+from meshdeform_core.numerics.systems.block_rows import with_room
 from meshdeform_core.repair.energy.products import multiply_rows, sweep_back, sweep_on
 
 

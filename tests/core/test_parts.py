@@ -8,7 +8,7 @@ import dataclasses
 import numpy as np
 import pytest
 from cases import body_specs, formulas, turning
-from forked_ranks import Failed, on_ranks
+from forked_ranks import Failed, on_ranks, poison_parts
 from grids import frame, frame_2d, permuted
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -26,7 +26,7 @@ from meshdeform_core.memory import PROGRAM_BYTES, Demand
 from meshdeform_core.methods import IDW, RBF, TFI, Options
 from meshdeform_core.numerics import pieces as pieces_module
 from meshdeform_core.numerics.pieces import pieces
-from meshdeform_core.parallel import Part, WholeGridNeeded, alone, dividing, parts
+from meshdeform_core.parallel import Part, WholeGridNeeded, alone, dividing
 from meshdeform_core.repair import RepairOptions, limit, regions
 from meshdeform_core.repair.energy import newton, products, surroundings, untangle
 from meshdeform_core.repair.neighbourhood import shares
@@ -80,14 +80,7 @@ def small_ranges(monkeypatch):
 @pytest.fixture
 def poisoned(monkeypatch):
     """What a rank does not hold is no number."""
-    blank = parts.blank
-
-    def poison(shape, dtype):
-        array = blank(shape, dtype)
-        array[...] = np.nan if np.dtype(dtype).kind == "f" else 77
-        return array
-
-    monkeypatch.setattr(parts, "blank", poison)
+    poison_parts(monkeypatch)
 
 
 shapes = st.lists(st.tuples(*[st.integers(2, 90)] * 3), min_size=1, max_size=6)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from cases import body_specs, turning
 from cgns_witness import N, box, tree, write_hdf5, zone
-from forked_ranks import Failed, on_ranks
+from forked_ranks import Failed, on_ranks, poison_parts
 from grids import frame, frame_2d
 from plot3d_witness import binary_file, sample_blocks, sample_iblank
 
@@ -48,14 +48,7 @@ TIMES = (0.0, 0.5, 2.0, 3.0)
 @pytest.fixture(autouse=True)
 def small_parts(monkeypatch):
     """Blocks are cut although they are small; what a rank does not hold is no number."""
-    blank = parts.blank
-
-    def poison(shape, dtype):
-        array = blank(shape, dtype)
-        array[...] = np.nan if np.dtype(dtype).kind == "f" else 77
-        return array
-
-    monkeypatch.setattr(parts, "blank", poison)
+    poison_parts(monkeypatch)
     monkeypatch.setattr(pieces, "_NODES", 20)
     monkeypatch.setattr(pieces, "_CELLS", 2)
     pieces._ends.cache_clear()

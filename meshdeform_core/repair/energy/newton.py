@@ -11,8 +11,8 @@ import numpy as np
 import scipy
 
 from ...numerics.arrays import FloatArray
-from ...numerics.block_rows import with_room
 from ...numerics.jit import kernel, summing_kernel
+from ...numerics.systems.block_rows import with_room
 from .elements import Penalty, Rows
 from .products import Plain, Products, Swept, over_rows, sum_over_rows
 from .region import Region

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...numerics.arrays import FloatArray, IntArray
-from ...numerics.block_rows import multiply_row, solve_row
 from ...numerics.jit import inlined, kernel
+from ...numerics.systems.block_rows import multiply_row, solve_row
 from ...parallel import Halo, for_chunks
 
 # Number of rows summed at a time; ranks own whole ranges of :data:`..shares.ROWS` rows.
@@ -123,7 +123,7 @@ def sum_over_rows(work: Callable[[int, int], float], rows: Halo, chunk: int | No
 def multiply_rows(matrix, starts, columns, p, image, low, high):
     """Rows low <= i < high of the product of the matrix and ``p`` (n, 3); return their part of ``p . image``.
 
-    The matrix and ``p`` have room for one more row, see :mod:`...numerics.block_rows`.
+    The matrix and ``p`` have room for one more row, see :mod:`...numerics.systems.block_rows`.
     """
     total = 0.0
     for row in range(low, high):

@@ -107,4 +107,5 @@ def neighbours(array: Array, node: ir.Value) -> list[ir.Value]:
 
 
 def row_of(array: Array, node: ir.Value) -> ir.Value:
+    """Offset of the three rows, of WIDTH numbers each, that belong to a node."""
     return array.builder.mul(node, node.type(3 * WIDTH))

@@ -14,7 +14,7 @@ import numpy as np
 from llvmlite import ir
 from numba.core import cgutils
 
-from .lanes import Array, Lanes, lanes
+from ..lanes import Array, Lanes, lanes
 
 _four = partial(lanes, width=4)
 
