@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from meshdeform_core.errors import FormatError, GridError
-from meshdeform_core.parallel import held_together
 
-from ..gate import in_parts
 from .grid import Grid
 
 
@@ -56,7 +54,7 @@ def write(grid: Grid, path: str | Path, *, force: bool = False, **variant: str) 
             raise FormatError(f"{target} is the file that the grid was read from; choose another name")
         if not force:
             raise FormatError(f"{target} exists; choose another name, or force=True to overwrite it")
-    with in_parts(), held_together(own.points):
+    with grid._together():
         write_grid(complete_for_export(own, target), target, variant)
 
 

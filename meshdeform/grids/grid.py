@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike
 from meshdeform_core import grid as core
 from meshdeform_core.errors import GridError
 from meshdeform_core.grid import FloatArray
-from meshdeform_core.parallel import Part, require_whole
+from meshdeform_core.parallel import Part, held_together, require_whole
 
 from ..gate import checked_array, in_parts
 from ..notebook import html_table
@@ -90,21 +91,41 @@ class Grid:
 
         Ranks hold consecutive ranges of planes i, block after block, with about equally many nodes.
         """
-        grid, found = self._core, []
+        core, found = self._core, []
         for number in range(len(self)):
-            planes = grid.planes(number)
+            planes = core.planes(number)
             if planes.start < planes.stop:
-                x = grid.in_planes(number)
-                found.append(
-                    BlockPart(number, planes.start, planes.stop, _read_only(x[:, :, 0, :2] if self._plane else x))
-                )
+                points = _read_only(self._rows(number, core.points))
+                found.append(BlockPart(number, planes.start, planes.stop, points))
         return found
+
+    def _rows(self, number: int, values: FloatArray) -> FloatArray:
+        """View of the rows of ``values`` (n_nodes, 3) that this rank holds of a block, in the form of its blocks."""
+        view = self._core.in_planes(number, values)
+        return view[:, :, 0, :2] if self._plane else view
+
+    def _parted(self, values: FloatArray) -> list[FloatArray]:
+        """The rows of ``values`` (n_nodes, 3) that this rank holds: one array per :attr:`part`."""
+        return [self._rows(part.block, values).copy() for part in self.part]
 
     def _whole(self, what: str) -> core.Grid:
         """The grid, unless it is in parts: ``what`` takes the whole of it."""
         with in_parts():
             require_whole(self._core.points, what)
         return self._core
+
+    def _divided_like(self, other: Grid) -> bool:
+        """Whether the ranks hold the same parts of both grids, or the whole of both."""
+        one, two = self._core.points, other._core.points
+        if isinstance(one, Part) and isinstance(two, Part):
+            return np.array_equal(one.bounds, two.bounds)
+        return isinstance(one, Part) == isinstance(two, Part)
+
+    @contextmanager
+    def _together(self) -> Iterator[None]:
+        """Context of work by all ranks that hold parts of the grid."""
+        with in_parts(), held_together(self._core.points):
+            yield
 
     def gathered(self, *, first_only: bool = False) -> Grid:
         """The whole grid from the parts of all ranks, which must all call this; the grid itself if it is not in parts.

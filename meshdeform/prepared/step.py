@@ -21,7 +21,7 @@ from ..notebook import html_table, quality_rows
 
 
 class QualityGradient(NamedTuple):
-    """A quality measure and its gradient, one array per block like ``step.grid.blocks``."""
+    """A quality measure and its gradient, one array per block like ``step.grid.blocks``, or per ``step.grid.part``."""
 
     value: float
     blocks: list[FloatArray]
@@ -52,7 +52,8 @@ class Step:
         """Volumes that the cell faces sweep on straight paths from the grid of another step, or the undeformed one.
 
         For each block one array per index axis, of the faces across it: (ni, nj - 1, nk - 1), (ni - 1, nj, nk - 1) and
-        (ni - 1, nj - 1, nk); in 2-D areas, (ni, nj - 1) and (ni - 1, nj). Positive towards the larger index: up to
+        (ni - 1, nj - 1, nk); in 2-D areas, (ni, nj - 1) and (ni - 1, nj). If every rank holds a part of the grids, one
+        tuple for each ``grid.part``, with the faces on and behind its planes. Positive towards the larger index: up to
         round-off, the volume of each cell (positive if valid) changes by the volumes swept by its far faces minus those
         swept by its near faces. Divided by the time between the two steps, they are the volume fluxes of the faces for
         a solver with first-order backward differences.
@@ -60,29 +61,31 @@ class Step:
         Raises
         ------
         GridError
-            When the two have different blocks.
+            When the two have different blocks, or only one of them is in parts.
         """
         from meshdeform_core.quality.difference import require_same_blocks
         from meshdeform_core.velocity import at_faces, swept_volumes
 
-        grid, before = self.grid._whole("swept volumes"), previous.grid if isinstance(previous, Step) else previous
+        grid, before = self.grid, previous.grid if isinstance(previous, Step) else previous
         if not isinstance(before, Grid):
             raise GridError(f"previous is a {type(before).__name__}; expected a step or a grid")
-        earlier = before._whole("swept volumes")
-        require_same_blocks(grid, earlier)
+        require_same_blocks(grid._core, before._core)
+        if not grid._divided_like(before):
+            for each in (grid, before):
+                each._whole("swept volumes from a grid that is not divided likewise")
         undeformed = self._result.setup.grid
-        found = at_faces(undeformed, swept_volumes(undeformed, earlier.points, grid.points))
-        return [
-            tuple(np.squeeze(part, axis=shape.index(1)) if 1 in shape else part for part in faces if part.size)
-            for shape, faces in zip(undeformed.shapes, found, strict=True)
-        ]
+        with grid._together():
+            found = at_faces(undeformed, swept_volumes(undeformed, before._core.points, grid._core.points))
+        return [_at_axes(undeformed.shapes[part.block], found[part.block]) for part in grid.part]
 
     def quality_gradient(
         self, measure: str, sharpness: float = 100.0, blocks: Sequence[int] | None = None
     ) -> QualityGradient:
         """A quality measure of the grid with its gradient with respect to the coordinates, for optimisers.
 
-        :meth:`Linearisation.vjp` of the gradient is the gradient with respect to the displacement.
+        :meth:`Linearisation.vjp` of the gradient is the gradient with respect to the displacement. If every rank holds
+        a part of the grid, all ranks call this together; they get the same value, and the gradient for each
+        ``grid.part``.
 
         Parameters
         ----------
@@ -99,10 +102,11 @@ class Step:
         """
         from meshdeform_core.quality.measures.gradients import quality_gradient
 
-        grid, setup = self.grid._whole("a gradient"), self._result.setup
-        value, gradient = quality_gradient(grid, grid.points, setup.topology, measure, sharpness, blocks)
-        found = [grid.block(b, gradient) for b in range(grid.n_blocks)]
-        return QualityGradient(value, [block[:, :, 0, :2].copy() if self._plane else block for block in found])
+        grid, topology = self.grid, self._result.setup.topology
+        with grid._together():
+            core = grid._core
+            value, gradient = quality_gradient(core, core.points, topology, measure, sharpness, blocks)
+        return QualityGradient(value, grid._parted(gradient))
 
     @property
     def steps(self) -> int:
@@ -137,3 +141,9 @@ class Step:
 
     def _repr_html_(self) -> str:
         return html_table(repr(self), quality_rows(asdict(self._result.assessment.after)))
+
+
+def _at_axes(shape: tuple[int, int, int], faces: tuple[FloatArray, ...]) -> tuple[FloatArray, ...]:
+    """Values at the faces across the index axes of a block; in 2-D without the axis that has a single node."""
+    found = (part for part, count in zip(faces, shape, strict=True) if count > 1)
+    return tuple(np.squeeze(part, axis=shape.index(1)) if 1 in shape else part for part in found)

@@ -1,16 +1,19 @@
 """``prepare(..., comm=comm, parts=True)``: every rank holds its part of the grid and of the results."""
 
+import itertools
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from forked_ranks import on_ranks
-from grids import frame
+from forked_ranks import on_ranks, poison_parts
+from grids import frame, frame_2d
 
 import meshdeform as md
 from meshdeform.prepared import preparation
 from meshdeform_core.numerics import pieces as pieces_module
 from meshdeform_core.parallel import OneRank, current_ranks
+
+MEASURES = "f_skew", "f_skew_min", "scaled_jacobian_min", "volume"
 
 
 @pytest.fixture
@@ -59,7 +62,7 @@ def test_every_rank_has_its_part_of_the_grid_and_of_the_result(source, tmp_path)
             np.testing.assert_array_equal(part.points, expected[part.block][part.first : part.last])
             np.testing.assert_array_equal(before.points, start[part.block][part.first : part.last])
         for act in (
-            lambda: found.grid.blocks, lambda: found.swept_volumes(mesh.grid), lambda: found.quality_gradient("volume"),
+            lambda: found.grid.blocks, lambda: found.swept_volumes(one.grid),
             lambda: md.compare(found.grid, mesh.grid), lambda: md.quality(found.grid),
             lambda: step.swept_volumes(mesh.grid),
             lambda: one.grid.plot(reference=mesh.grid), lambda: md.prepare(found.grid, moving=["block2.imax"]),
@@ -94,3 +97,43 @@ def test_what_takes_the_whole_grid_is_refused_on_all_ranks(source):
         return True
 
     assert all(on_ranks(2, act))
+
+
+@pytest.mark.parametrize("plane", [False, True], ids=["3-D", "2-D"])
+def test_swept_volumes_and_gradients_of_quality_in_parts(source, plane, tmp_path, monkeypatch):
+    if plane:
+        grid = frame_2d(9)
+        md.write(md.Grid([grid.block(b) for b in range(grid.n_blocks)]), tmp_path / "plane.xyz")
+    path = tmp_path / "plane.xyz" if plane else source
+    sides = [] if plane else ["*.kmin", "*.kmax"]
+
+    def moved(**rest):
+        body = {"select": ["*.i*", "*.j*"], "where": "abs(x) < 0.51 and abs(y) < 0.51", "kind": "moving"}
+        body["motion"] = [{"displace": ["0.2*y", "0.2*x", "0"]}]
+        slip = [{"name": "sides", "select": sides, "kind": "slip"}] if sides else []
+        case = {"boundary": [{"name": "body", **body}, *slip]}
+        mesh = md.prepare(path, case, comm=current_ranks(), **rest)
+        return mesh, mesh.deform()
+
+    mesh, step = moved()
+    asked = [*itertools.product(MEASURES, [None]), ("volume", [2, 0]), ("f_skew_min", [1])]
+    expected = [step.quality_gradient(name, 50.0, blocks) for name, blocks in asked]
+    swept = step.swept_volumes(mesh.grid)
+    poison_parts(monkeypatch)
+
+    def act(number):
+        own, found = moved(parts=True)
+        for part, faces in zip(found.grid.part, found.swept_volumes(own.grid), strict=True):
+            for axis, (each, every) in enumerate(zip(faces, swept[part.block], strict=True)):
+                np.testing.assert_array_equal(each, every[part.first : part.last])
+                assert len(each) == min(part.last, len(every)) - part.first, axis
+        for (name, blocks), every in zip(asked, expected, strict=True):
+            value, gradient = found.quality_gradient(name, 50.0, blocks)
+            assert value == every.value
+            for part, each in zip(found.grid.part, gradient, strict=True):
+                np.testing.assert_array_equal(each, every.blocks[part.block][part.first : part.last])
+        with pytest.raises(md.GridError, match="expected numbers from 0"):
+            found.quality_gradient("volume", blocks=[99])
+        return sum(len(part.points) for part in found.grid.part)
+
+    assert sum(on_ranks(3, act)) == sum(map(len, step.grid.blocks))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,24 +13,52 @@ from ...errors import GridError
 from ...grid import FloatArray, Grid, IntArray
 from ...grid.planes import plane_normal
 from ...grid.topology import Topology
-from ...numerics.tape import Tape
+from ...numerics.pieces import pieces
+from ...numerics.tape import Tape, plain
+from ...parallel import alike, for_rows, of_all, rows_of
 from .cells import corner_nodes, places, side_of_good_quads
 
 # Cells recorded on one tape.
 _CELLS = 8192
 
 Values = Callable[[Any, Any], Any]
+Slope = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True)
 class Measure:
     """A measure of a grid: ``values`` of cells (n, ...) from their edges, and a function that combines them.
 
-    ``combine(values, sharpness)`` gives the number and its derivatives with respect to the values.
+    ``combine(found, sharpness)`` gives the number and a function for its derivatives with respect to the values.
     """
 
     values: Values
-    combine: Callable[[FloatArray, float], tuple[float, FloatArray]]
+    combine: Callable[[Found, float], tuple[float, Slope]]
+
+
+@dataclass(frozen=True)
+class Found:
+    """Values of the cells of this rank, ``parts`` (n, ...) of them at a time in the order of the grid's pieces.
+
+    Sums are taken part by part, so that they do not depend on the ranks that hold the ``points``.
+    """
+
+    points: FloatArray
+    parts: Sequence[FloatArray]
+
+    @property
+    def count(self) -> int:
+        """Number of values of all ranks."""
+        return sum(of_all(self.points, sum(part.size for part in self.parts)))
+
+    def sum(self, of: Slope) -> float:
+        """Sum of a function of the values, over all ranks."""
+        sums = [float(of(part).sum()) for part in self.parts]
+        return math.fsum(each for found in of_all(self.points, sums) for each in found)
+
+    def least(self, of: Slope) -> float:
+        """The smallest value of a function of the values, over all ranks."""
+        return min(of_all(self.points, min((float(of(part).min()) for part in self.parts), default=math.inf)))
 
 
 def quality_gradient(
@@ -42,7 +71,8 @@ def quality_gradient(
 ) -> tuple[float, FloatArray]:
     """A measure of the grid with coordinates ``points`` (n_nodes, 3), and its gradient (n_nodes, 3).
 
-    With ``blocks`` (numbers from 0), only the cells of these blocks count.
+    With ``blocks`` (numbers from 0), only the cells of these blocks count. Of a grid in parts, all ranks must call
+    this.
 
     Raises
     ------
@@ -54,39 +84,66 @@ def quality_gradient(
     some = range(grid.n_blocks) if blocks is None else sorted(set(blocks))
     if not some or not all(0 <= block < grid.n_blocks for block in some):
         raise GridError(f"blocks = {list(some)}; expected numbers from 0 to {grid.n_blocks - 1}")
-    chosen, parts = MEASURES[measure], list(_parts(grid, topology, some))
+    grid.hold_neighbours(points)
+    chosen, rows, cells = MEASURES[measure], rows_of(points), _Cells(grid, topology, some)
     with np.errstate(all="ignore"):
-        every = [chosen.values(points[nodes], side) for nodes, side in parts]
-    found = np.concatenate(every)
-    if not np.isfinite(found).all():
+        found = Found(points, [chosen.values(rows[nodes], side) for nodes, side in cells.own()])
+    invalid = sum(of_all(points, sum(np.count_nonzero(~np.isfinite(part)) for part in found.parts)))
+    if invalid:
         raise GridError(
-            f"{measure} is zero in {np.count_nonzero(~np.isfinite(found)):,} cells with a corner Jacobian that is not "
+            f"{measure} is zero in {invalid:,} cells with a corner Jacobian that is not "
             f"positive, and has no gradient there; expected a valid grid, or use scaled_jacobian_min"
         )
-    value, weights = chosen.combine(found, sharpness)
-    gradient, first = np.zeros((grid.n_nodes, 3)), 0
-    for nodes, side in parts:
+    value, slope = chosen.combine(found, sharpness)
+    gradient = alike(points)
+    for_rows(lambda own: gradient[own].fill(0.0), gradient)
+    for nodes, side in cells.around():
         tape = Tape()
-        corners = tape.variable(points[nodes])
+        corners = tape.variable(rows[nodes])
         result = chosen.values(corners, side)
-        weight = weights[first : first + len(nodes)]
-        np.add.at(gradient, nodes, tape.pull({result.number: weight}, [corners.number])[0])
-        first += len(nodes)
+        np.add.at(rows_of(gradient), nodes, tape.pull({result.number: slope(plain(result))}, [corners.number])[0])
     return value, gradient
 
 
-def _parts(grid: Grid, topology: Topology, blocks: Iterable[int]) -> Iterator[tuple[IntArray, Any]]:
-    """Corner nodes (n, 8) of a limited number of cells of one block at a time, with the handedness of the block or, in
-    2-D, the normal of its cells."""
-    starts, normal = grid.cell_offsets, plane_normal(grid)
-    for block in blocks:
-        side: Any = float(topology.handedness[block])
-        if normal is not None:
+class _Cells:
+    """Cells of some blocks, a limited number at a time: their corner nodes (n, 8), with the handedness of the block or,
+    in 2-D, the normal of its cells."""
+
+    def __init__(self, grid: Grid, topology: Topology, blocks: Iterable[int]) -> None:
+        self._grid, self._blocks = grid, set(blocks)
+        self._handedness, self._normal = topology.handedness, plane_normal(grid)
+
+    def own(self) -> Iterator[tuple[IntArray, Any]]:
+        """The cells behind the planes i of this rank."""
+        for block, first, last in self._pieces():
+            yield from self._between(block, first, last)
+
+    def around(self) -> Iterator[tuple[IntArray, Any]]:
+        """All cells at nodes of this rank: also those before its first plane, which come first."""
+        for block, first, last in self._pieces():
+            if first == self._grid.planes(block).start > 0:
+                yield from self._between(block, first - 1, first)
+            yield from self._between(block, first, last)
+
+    def _pieces(self) -> Iterator[tuple[int, int, int]]:
+        """Pieces of blocks that this rank holds: block, first and one past the last plane."""
+        for block, first, last in pieces(self._grid.shapes).tolist():
+            own = self._grid.planes(block)
+            if block in self._blocks and own.start <= first and last <= own.stop:
+                yield block, first, last
+
+    def _between(self, block: int, first: int, last: int) -> Iterator[tuple[IntArray, Any]]:
+        """The cells behind the planes first <= i < last of a block."""
+        grid, side = self._grid, float(self._handedness[block])
+        known: Any = side
+        if self._normal is not None:
             flat = grid.shapes[block].index(1)
-            side = flat, side_of_good_quads(flat, side, normal)
-        for first in range(starts[block], starts[block + 1], _CELLS):
-            cells = np.arange(first, min(first + _CELLS, starts[block + 1]))
-            yield corner_nodes(grid, *places(grid, cells)), side
+            known = flat, side_of_good_quads(flat, side, self._normal)
+        ci, cj, ck = grid.cell_shapes[block]
+        start, stop = (int(grid.cell_offsets[block]) + min(plane, ci) * cj * ck for plane in (first, last))
+        for begin in range(start, stop, _CELLS):
+            cells = np.arange(begin, min(begin + _CELLS, stop))
+            yield corner_nodes(grid, *places(grid, cells)), known
 
 
 def _corner_edges(x: Any, side: Any) -> Iterator[tuple[Any, list[Any]]]:
@@ -144,26 +201,37 @@ def _volume(x: Any, side: Any) -> Any:
     return total / 24.0 + (2.0 / 3.0) * side * np.einsum("ni,ni->n", u, np.cross(v, w))
 
 
-def _harmonic(inverse: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
-    total = float(inverse.sum())
-    return len(inverse) / total, np.full(len(inverse), -len(inverse) / total**2)
+def _harmonic(inverse: Found, sharpness: float) -> tuple[float, Slope]:
+    total, count = inverse.sum(_same), inverse.count
+    return count / total, lambda part: np.full(len(part), -count / total**2)
 
 
-def _smallest(values: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
-    """Smooth lower bound of the minimum (Kreisselmeier & Steinhauser 1979), too low by log(n) / sharpness at most."""
-    least = float(values.min())
-    share = np.exp(-sharpness * (values - least))
-    total = float(share.sum())
-    return least - np.log(total) / sharpness, share / total
+def _smallest(values: Found, sharpness: float, of: Slope | None = None) -> tuple[float, Slope]:
+    """Smooth lower bound of the minimum (Kreisselmeier & Steinhauser 1979), too low by log(n) / sharpness at most.
+
+    ``of`` turns the values into those of which the minimum is taken; the derivatives are with respect to the latter.
+    """
+    of = of or _same
+    least = values.least(of)
+
+    def share(part: FloatArray) -> FloatArray:
+        return np.exp(-sharpness * (of(part) - least))
+
+    total = values.sum(share)
+    return least - math.log(total) / sharpness, lambda part: share(part) / total
 
 
-def _smallest_skew(inverse: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
-    value, share = _smallest(1.0 / inverse, sharpness)
-    return value, -share / inverse**2
+def _smallest_skew(inverse: Found, sharpness: float) -> tuple[float, Slope]:
+    value, share = _smallest(inverse, sharpness, lambda part: 1.0 / part)
+    return value, lambda part: -share(part) / part**2
 
 
-def _sum(values: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
-    return float(values.sum()), np.ones(len(values))
+def _sum(values: Found, sharpness: float) -> tuple[float, Slope]:
+    return values.sum(_same), np.ones_like
+
+
+def _same(part: FloatArray) -> FloatArray:
+    return part
 
 
 MEASURES = {
