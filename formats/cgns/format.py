@@ -9,22 +9,31 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from meshdeform_core.errors import FormatError, suggestion
 from meshdeform_core.grid import FileFormat, Grid, Planes, Shape
 
-from ..planes import ranges_of, read_planes
+from ..planes import Stored, ranges_of, read_planes
 from .boundary import family_conditions, zone_patches
 from .connectivity import overset_only, zone_connections
 from .notes import Notes
+from .original import Original, state_of
 from .storage.adf import is_adf
 from .storage.file import naming, opened_cgns
 from .zone import Zone, find_base, structured_zones
 
 _PRECISIONS = ("float32", "float64")
 _MIXED = "mixed"
+
+
+@dataclass(frozen=True)
+class CgnsFormat(FileFormat):
+    """CGNS, with what a copy of the file needs to know of it; ``None`` if that must be found out again."""
+
+    original: Original | None = field(default=None, compare=False, repr=False)
 
 
 def read(path: Path) -> Grid:
@@ -38,28 +47,28 @@ def read(path: Path) -> Grid:
     FormatError
         When the file is damaged, or its zones are unstructured or in cylindrical coordinates.
     """
-    notes = Notes()
+    notes, state = Notes(), state_of(path)
     with naming(path), opened_cgns(path) as root:
         base = find_base(root, notes)
         zones = structured_zones(base, notes)
+        places = [zone.places() for zone in zones]
         families = family_conditions(base)
         patches = [p for block, zone in enumerate(zones) for p in zone_patches(zone, block, families, notes)]
         grid = Grid.allocate(
             [zone.shape for zone in zones],
             [zone.name for zone in zones],
             patches=tuple(patches),
-            format=_format(path, zones),
+            format=dataclasses.replace(_format(path, zones), original=Original.of(state, base, zones, places)),
             path=path,
             overset=overset_only(zones),
         )
-        _fill(grid, zones)
+        _fill(grid, zones, places)
         connections = zone_connections(base, zones, grid, notes)
     return dataclasses.replace(grid, connections=tuple(connections), notes=notes.lines())
 
 
-def _fill(grid: Grid, zones: Sequence[Zone]) -> None:
+def _fill(grid: Grid, zones: Sequence[Zone], places: Sequence[list[Stored] | None]) -> None:
     """Read the coordinates: zones that are compressed or stored in pieces as a whole, others in ranges of planes."""
-    places = [zone.places() for zone in zones]
     parts = []
     for block, (shape, known) in enumerate(zip(grid.shapes, places, strict=True)):
         parts += ranges_of([(block, shape)]) if known else [Planes(block, 0, shape[2])]
@@ -102,7 +111,7 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
     if precision not in _PRECISIONS:
         raise FormatError(f"the precision of CGNS coordinates is float32 or float64, not {precision!r}")
     mixed = "precision" not in options and grid.format is not None and _is_mixed(grid.format)
-    return FileFormat("cgns", precision, _options("HDF5", mixed))
+    return CgnsFormat("cgns", precision, _options("HDF5", mixed))
 
 
 def write(grid: Grid, path: Path, variant: FileFormat) -> None:
@@ -118,15 +127,16 @@ def write(grid: Grid, path: Path, variant: FileFormat) -> None:
     from .write_new import write_new
 
     if grid.path is not None and grid.format is not None and grid.format.name == "cgns":
-        write_copy(grid, path, None if _is_mixed(variant) else variant.precision)
+        original = grid.format.original if isinstance(grid.format, CgnsFormat) else None
+        write_copy(grid, path, None if _is_mixed(variant) else variant.precision, original)
     else:
         write_new(grid, path, variant.precision)
 
 
-def _format(path: Path, zones: Sequence[Zone]) -> FileFormat:
+def _format(path: Path, zones: Sequence[Zone]) -> CgnsFormat:
     sizes = {array.target.dtype.itemsize for zone in zones for array in zone.coordinates if array.target.dtype}
     precision = "float32" if 4 in sizes else "float64"
-    return FileFormat("cgns", precision, _options("ADF" if is_adf(path) else "HDF5", len(sizes) > 1))
+    return CgnsFormat("cgns", precision, _options("ADF" if is_adf(path) else "HDF5", len(sizes) > 1))
 
 
 def _options(container: str, mixed: bool) -> dict[str, str]:

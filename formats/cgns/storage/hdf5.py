@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -90,10 +90,12 @@ def attribute(group: h5g.GroupID, name: bytes) -> str:
     shape = stored.shape
     if shape == ():
         value = np.empty((), _TEXT_DTYPE)
-        # HDF5 raises this for text of variable length, and for numbers.
-        with suppress(OSError):
+        try:
             stored.read(value, _TEXT)
             return decoded(value.item())
+        except OSError:
+            # Text of variable length, or a number.
+            pass
     value = np.empty(shape, stored.dtype)
     stored.read(value)
     return decoded(value[()].encode() if isinstance(value[()], str) else np.asarray(value[()]).tobytes())
@@ -163,14 +165,10 @@ def _node(group: h5g.GroupID | h5d.DatasetID, file: Path, path: str, links: int 
     dataset = _dataset(group) if data_type != "MT" and members else None
     if dataset:
         members -= 1
-        node.dims, node.dtype = dataset.shape[::-1], _dtype(dataset, data_type)
-        values = _few_values(dataset, node.dims, node.dtype)
-        if values is not None:
-            node.read = lambda: values.T
-        else:
-            node.require = partial(_require_stored, group, file, path)
-            node.read = (lambda: _values(group)) if node.dims else node.read
-            node.place = partial(_place, group)
+        known = _NATIVE.get(data_type)
+        native = known is not None and dataset.get_type().equal(known)
+        node.dims, node.dtype = dataset.shape[::-1], DTYPES[data_type] if native else dataset.dtype
+        _set_values(node, group, dataset, native)
     if members:
         node.expand = lambda: _children(group, file, path)
     return node
@@ -185,19 +183,33 @@ def _dataset(group: h5g.GroupID) -> h5d.DatasetID | None:
         return None
 
 
-def _dtype(dataset: h5d.DatasetID, data_type: str) -> np.dtype[Any]:
-    known = _NATIVE.get(data_type)
-    return DTYPES[data_type] if known is not None and dataset.get_type().equal(known) else dataset.dtype
+def _set_values(node: Node, group: h5g.GroupID, dataset: h5d.DatasetID, native: bool) -> None:
+    """Let a node provide the values of its ``dataset``; ``native``: of one of the types in memory."""
+    assert node.dtype is not None
+    size = math.prod(node.dims) * node.dtype.itemsize
+    # Known only of a single range of bytes in the file itself.
+    place: int | None = dataset.get_offset()
+    stored = size <= dataset.get_storage_size()
+    whole = place is not None and stored
+    node.place = (lambda: place) if whole and native else partial(_place, group)
+    values = _few_values(dataset, node.dims, node.dtype, whole) if stored and 0 < size <= _FEW_BYTES else None
+    if values is not None:
+        node.read = lambda: values.T
+        return
+    node.read = (lambda: _values(group)) if node.dims else node.read
+    if not whole:
+        node.require = partial(_require_stored, group, node.file, node.path)
 
 
-def _few_values(dataset: h5d.DatasetID, dims: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any] | None:
+def _few_values(
+    dataset: h5d.DatasetID, dims: tuple[int, ...], dtype: np.dtype[Any], whole: bool
+) -> NDArray[Any] | None:
     """The values of a small array that is stored in the file itself, which take less memory than an open group of the
-    library (some 10 kB); ``None`` for other arrays, whose errors are reported when they are read."""
-    size = math.prod(dims) * dtype.itemsize
-    if not 0 < size <= _FEW_BYTES or dataset.get_storage_size() < size:
-        return None
-    if dataset.get_offset() is None:
-        # Not simply one range of bytes in the file.
+    library (some 10 kB); ``None`` for other arrays, whose errors are reported when they are read.
+
+    ``whole``: as a single range of bytes.
+    """
+    if not whole:
         layout = dataset.get_create_plist()
         if layout.get_layout() == h5d.VIRTUAL or layout.get_external_count():
             return None
