@@ -58,7 +58,9 @@ json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON."
 quiet_option = click.option("-q", "--quiet", is_flag=True, help="Print errors and warnings only.")
 threads_option = click.option("--threads", type=click.IntRange(min=1), help="Use at most this many threads.")
 memory_option = click.option(
-    "--max-memory", metavar="SIZE", help="Memory limit, like 2GiB; work that needs more is refused."
+    "--max-memory",
+    metavar="SIZE",
+    help="Memory limit, like 2GiB. Larger grids are kept in temporary files; what does not fit even so is refused.",
 )
 variant_option = click.option(
     "--variant", metavar="KEY=VALUE", multiple=True,
@@ -200,7 +202,7 @@ _DEFORMING_OPTIONS = (
     click.option(
         "--repair",
         type=click.Choice(["auto", "off", "polish"]),
-        help="auto (default): repair invalid cells; off: never; polish: also improve the worst cells of a valid grid.",
+        help="auto (default): repair invalid and weak cells; off: never; polish: improve the worst cells of any grid.",
     ),
 )
 

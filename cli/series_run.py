@@ -20,10 +20,12 @@ from meshdeform_core.memory import WRITING_ARRAYS, peak_memory
 from meshdeform_core.notices import first_of_each_kind, kind_of
 from meshdeform_core.parallel import carried, thread_count
 from meshdeform_core.series import Level, Schedule, deform_series
+from meshdeform_core.wording import counted
 from meshdeform_formats.case import CaseFile
 from meshdeform_formats.case.sequences import parse_times
 from meshdeform_formats.fields import check_fields, with_fields
 from meshdeform_formats.grids import FORMATS, complete_for_export
+from meshdeform_formats.placing import lack
 from meshdeform_formats.report import Report
 from meshdeform_formats.report.figures import Illustrations
 from meshdeform_formats.report.series_report import level_record, series_head, series_report
@@ -55,6 +57,11 @@ class Run:
     warnings: Warnings
     allow_invalid: bool
     fields: tuple[str, ...] = ()
+
+    def shortage(self, first: int) -> str:
+        """A message on the space that the levels from number ``first`` on lack on the disk; empty if they fit."""
+        levels = counted(len(self.schedule.times) - first, "level")
+        return lack(self.files.least_bytes(first), self.manifest.path, f"{levels} of the series take")
 
 
 def prepare(job: Job, source: GridInput, wanted: SeriesInput, options: RunInput) -> Run:
@@ -127,16 +134,23 @@ def open_manifest(run: Run, resume: bool, force: bool) -> Manifest:
         old.require_same(new.ingredients)
         run.files.recall(old.levels)
         _keep_what_exists(run, old)
+        _require_space(run, len(old.levels))
         run.files.clean(old.complete)
         return old
     present = [new.path] if old and old.levels else [path for path in run.files.outputs if path.exists()]
     if present and not force and not (old and resume):
         hint = "use --resume to continue it, or --force to start again" if old else "use --force to overwrite it"
         raise FormatError(f"{present[0]} exists; {hint}")
+    _require_space(run, 0)
     new.path.parent.mkdir(parents=True, exist_ok=True)
     run.files.clean()
     new.save()
     return new
+
+
+def _require_space(run: Run, first: int) -> None:
+    if missing := run.shortage(first):
+        raise FormatError(f"cannot write {run.manifest.path.parent}: {missing}")
 
 
 def _keep_what_exists(run: Run, manifest: Manifest) -> None:

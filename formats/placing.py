@@ -34,7 +34,14 @@ def require_space(grid: Grid, path: Path, variant: FileFormat) -> None:
 
 def shortage(grid: Grid | Layout, path: Path, variant: FileFormat) -> str:
     """A message on the space that an output lacks on the disk, see :func:`require_space`; empty if it fits."""
-    needed = least_bytes(grid, path, variant)
+    return lack(least_bytes(grid, path, variant), path, "the grid takes")
+
+
+def lack(needed: int, path: Path, what: str) -> str:
+    """A message on the space that ``needed`` bytes beside ``path`` lack, see :func:`require_space`; empty if they fit.
+
+    ``what`` like ``the grid takes``.
+    """
     folder = existing(followed(path).absolute().parent)
     try:
         free = shutil.disk_usage(folder).free
@@ -44,7 +51,7 @@ def shortage(grid: Grid | Layout, path: Path, variant: FileFormat) -> str:
     if needed <= free:
         return ""
     return (
-        f"the disk of {folder} has {readable(free)} free, the grid takes at least {readable(needed)}; free some space, "
+        f"the disk of {folder} has {readable(free)} free, {what} at least {readable(needed)}; free some space, "
         f"or choose an output on another disk"
     )
 
@@ -56,9 +63,26 @@ def least_bytes(grid: Grid | Layout, path: Path, variant: FileFormat) -> int:
     if name == "cgns" and container == "HDF5" and grid.path is not None and grid.path.exists():
         # A copy of the original file, whose coordinates may be compressed.
         return os.path.getsize(grid.path) // (1 if variant.precision == grid.precision else 2)
-    raw = name == "cgns" or (name == "plot3d" and variant.options.get("encoding") != "ascii")
-    count = 2 if name == "plot3d" and str(variant.options.get("dimension")) == "2" else grid.dimension
+    options = variant.options
+    packed = options.get("encoding") == "ascii" or options.get("compression", "none") != "none"
+    raw = name == "cgns" or (name in ("plot3d", "vtk") and not packed)
+    plane = name == "plot3d" and str(options.get("dimension")) == "2"
+    count = 3 if name == "vtk" else 2 if plane else grid.dimension
     return grid.n_nodes * count * np.dtype(variant.precision).itemsize if raw else 0
+
+
+def velocity_bytes(grid: Grid | Layout, velocity: str, precision: str) -> int:
+    """Smallest size in bytes of the velocities at the nodes, and of what the cell faces sweep, of one level."""
+    if velocity == "none":
+        return 0
+    faces = 2 * np.dtype("float64").itemsize * grid.n_cells if velocity == "swept" else 0
+    return grid.dimension * (grid.n_nodes * np.dtype(precision).itemsize + faces)
+
+
+def bytes_at(path: Path) -> int:
+    """Size of a grid file, of a multi-block set with its blocks; 0 if there is none."""
+    parts = [path, *(path.with_suffix("").glob("*") if path.suffix.lower() == ".vtm" else ())]
+    return sum(part.stat().st_size for part in parts if part.is_file())
 
 
 def existing(folder: Path) -> Path:

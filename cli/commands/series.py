@@ -88,13 +88,13 @@ def _dry_run(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunIn
 
     if layout := too_large(run.memory, source, wanted.more_arrays):
         what = case.read()
-        levels = Levels(len(series_run.times_of(what, wanted)), wanted.velocity_arrays)
+        levels = Levels(len(series_run.times_of(what, wanted)), wanted.velocity, wanted.velocity_arrays)
         output = wanted.output / series_run.name_of(source.path, wanted, layout.format)
         planned = plan_by_sizes(layout, what.case, output, run.variant_options, run.memory, levels)
         return work.print_plan(planned, False, run)
     with ProgressBar(not run.quiet):
         plan = _planned(source, case, wanted, run, None)
-        levels = Levels(len(plan.schedule.times), wanted.velocity_arrays)
+        levels = Levels(len(plan.schedule.times), wanted.velocity, wanted.velocity_arrays)
         planned, impossible, text = forecast.plan_series(plan, levels, run.memory)
     return work.print_plan(planned, impossible, run, text)
 

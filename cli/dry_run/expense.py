@@ -18,7 +18,7 @@ from meshdeform_core.repair import RepairOptions
 from meshdeform_formats.case import read_case
 from meshdeform_formats.grids import format_of
 from meshdeform_formats.layout import Layout
-from meshdeform_formats.placing import least_bytes
+from meshdeform_formats.placing import least_bytes, velocity_bytes
 from meshdeform_formats.report import Report
 from meshdeform_formats.report.parts import head_part
 from meshdeform_samples import folder, load
@@ -34,9 +34,10 @@ _SERIES = 72
 
 @dataclass(frozen=True)
 class Levels:
-    """Number of grids that a run writes, and number of coordinate arrays that their velocities take."""
+    """Number of grids that a run writes, their velocities, and the number of coordinate arrays that these take."""
 
     count: int = 1
+    velocity: str = "none"
     velocity_arrays: int = 0
 
 
@@ -126,14 +127,15 @@ def expense_of(
     # Pages of mapped files are released some way below the limit: measured, two thirds of the reserve remain in use.
     least = limit.size - RESERVE // 3
     work = (_IN_FILES + (_COORDINATES * more)) * grid.n_nodes if files else 0
-    written = levels.count * _written(grid, output, precision) if output is not None else 0
+    written = levels.count * _written(grid, output, precision, levels.velocity) if output is not None else 0
     return Expense(int(min(memory, least) if files else memory), work, written, seconds)
 
 
-def _written(grid: Grid | Layout, output: Path, precision: str) -> int:
-    """Bytes of the coordinates of one level."""
+def _written(grid: Grid | Layout, output: Path, precision: str, velocity: str) -> int:
+    """Bytes of the coordinates of one level, and of its velocities."""
     options = grid.format.options if grid.format and grid.format.name == format_of(output) else {}
-    return least_bytes(grid, output, FileFormat(format_of(output), precision, options))
+    size = least_bytes(grid, output, FileFormat(format_of(output), precision, options))
+    return size and size + velocity_bytes(grid, velocity, precision)
 
 
 def _sample_seconds(method: Options) -> float:

@@ -76,6 +76,8 @@ def plan_series(run: Run, levels: Levels, limit: MemoryLimit) -> tuple[Report, b
     expected = forecast(run.setup, worst, steps, precision)
     found = [*_doubts(run.setup, prepared, worst, steps, precision, one_of_many=True), *expected.warnings]
     report["warnings"] += [f"at t = {worst:g}, where the displacement is largest: {text}" for text in found]
+    if missing := run.shortage(0):
+        report["warnings"].append(missing)
     if run.setup.grid.n_nodes > TRIAL_NODES:
         expense = expense_of(run.setup.grid, run.setup.case, run.files.path(0), precision, limit, levels)
         report["expected"] = dataclasses.asdict(expense)

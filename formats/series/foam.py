@@ -93,6 +93,9 @@ class FoamFiles:
     def has(self, number: int) -> bool:
         return self._points(self.path(number)).is_file() and len(mesh_files(self.view)) > 0
 
+    def least_bytes(self, first: int) -> int:
+        return 0
+
     def publish(self, done: int) -> None:
         """Nothing to publish: OpenFOAM and ParaView find the times by their folders."""
 

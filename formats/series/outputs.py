@@ -16,6 +16,7 @@ from meshdeform_core.velocity import FLUX, SWEPT
 from ..fields import WITH_FIELDS
 from ..files import invalid_path, remove_partial
 from ..grids import FORMATS, format_of, read_grid, variant_of, write_grid
+from ..placing import bytes_at, least_bytes, velocity_bytes
 from .index import index_path, write_index
 
 VELOCITY = "GridVelocity"
@@ -80,6 +81,11 @@ class SeriesFiles(Protocol):
         """Take over the names of levels that an earlier run has written, from their records in the report."""
         ...
 
+    def least_bytes(self, first: int) -> int:
+        """Smallest space on the disk that the levels from number ``first`` on take in addition to files that they
+        replace; 0 for text and compressed files, whose size is not known."""
+        ...
+
     def publish(self, done: int) -> None:
         """Make the first ``done`` levels visible to other programs; on all ranks."""
         ...
@@ -129,7 +135,7 @@ class LevelFiles:
                 f"{self._suffix} files cannot hold {what}; choose one of {' '.join(dict.fromkeys(able))}, or omit the "
                 f"velocity"
             )
-        self._options = options
+        self._options, self._velocity = options, velocity
         self.dress: Dress = as_it_is
         self.invalid: set[int] = set()
         self.variant = variant_of(grid, folder / name, options)
@@ -181,6 +187,13 @@ class LevelFiles:
 
     def has(self, number: int) -> bool:
         return self.path(number).is_file()
+
+    def least_bytes(self, first: int) -> int:
+        paths = [self.path(number) for number in range(first, len(self._times))]
+        each = least_bytes(self._grid, self.path(first), self.variant) if paths else 0
+        each += velocity_bytes(self._grid, self._velocity, self.variant.precision) if each else 0
+        # A level is complete before it replaces another one.
+        return max(each, len(paths) * each - sum(map(bytes_at, paths)))
 
     def publish(self, done: int) -> None:
         if self.view:

@@ -17,6 +17,7 @@ from meshdeform_core.velocity import face_fields, grid_velocity
 
 from ..files import invalid_path, remove_partial, replacing_by_all
 from ..grids import format_of, variant_of
+from ..placing import velocity_bytes
 from ..planes import Stored, synchronous
 from .outputs import Dress, as_it_is, level_name, with_velocity
 
@@ -86,6 +87,13 @@ class SingleFile:
 
     def has(self, number: int) -> bool:
         return self._part(number).is_file()
+
+    def least_bytes(self, first: int) -> int:
+        # The folder of the levels is removed when the file is complete.
+        grid, count, precision = self._grid, len(self._times), self.variant.precision
+        values = np.dtype(precision).itemsize * grid.n_nodes
+        level = grid.dimension * values + velocity_bytes(grid, self._velocity, precision)
+        return 3 * values * (count - first) + level * count if first < count else 0
 
     def publish(self, done: int) -> None:
         if done == len(self._times):
