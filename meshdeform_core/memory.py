@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ctypes
+import functools
+import mmap
 import os
 import re
 import shutil
@@ -40,6 +42,8 @@ _OTHER_COPIES = 3
 # For a rank that holds a part of the grid: largest size of the part relative to the mean, bytes per node on block faces
 # for data that all ranks hold (510 to 920 were measured), and bytes of the MPI library.
 _LARGEST_PART, _PER_SHELL_NODE, _MPI_BYTES = 1.25, 1000, 32 * 2**20
+_COMPILER = "libllvmlite"
+"""Name of the library that compiles loops, and loads those that have been compiled."""
 _PER_NODE = 24
 """Bytes of the coordinates."""
 _INSTEAD = "allow more, or use a machine that has it"
@@ -243,9 +247,22 @@ def peak_memory() -> int:
 
 
 def release_freed() -> None:
-    """Return freed memory that the C library retains to the system before more is taken (GNU C library only)."""
+    """Return to the system, before more memory is taken, what the C library retains of freed memory (GNU C library
+    only), and the code of the compiler, some 50 MiB, which only loading a loop needs: it is read again then (Linux)."""
     with suppress(OSError, AttributeError, TypeError):
-        ctypes.CDLL(None).malloc_trim(0)
+        library = ctypes.CDLL(None)
+        library.malloc_trim(0)
+        for begin, end in _code_of(_COMPILER):
+            # As the code of a library is never written to, its pages can be read from the file at any time.
+            library.madvise(ctypes.c_void_p(begin), ctypes.c_size_t(end - begin), mmap.MADV_DONTNEED)
+
+
+@functools.cache
+def _code_of(library: str) -> list[tuple[int, int]]:
+    """First and one past the last address of the code of a shared library in this process."""
+    with open("/proc/self/maps", encoding="utf-8", errors="replace") as maps:
+        found = [line.split()[0].split("-") for line in maps if library in line and " r-xp " in line]
+    return [(int(begin, 16), int(end, 16)) for begin, end in found]
 
 
 def _first_number(path: Path, key: str) -> int | None:

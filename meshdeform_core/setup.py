@@ -28,7 +28,7 @@ from .memory import UNLIMITED, MemoryLimit, release_freed
 from .methods import Options, PreparedMethod, Problem, Progress
 from .numerics.arrays import extent
 from .numerics.jit import compile_seconds
-from .parallel import own_rows
+from .parallel import own_rows, rows_at
 from .quality import Original
 from .repair import Mode, RepairOptions
 from .repair.basis import Basis
@@ -149,7 +149,7 @@ class Undeformed:
     @cached_property
     def round_off(self) -> float:
         """Largest round-off of a displacement that returns to zero (grid length unit)."""
-        low, high = extent(self.grid.points[self.topology.first])
+        low, high = extent(rows_at(self.grid.points, self.topology.first))
         return 1e-12 * float((high - low).max())
 
     def expect_more(self) -> None:

@@ -24,9 +24,12 @@ from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
 from ..notices import Notice
+from ..numerics.arrays import places_among
+from ..numerics.geometry.coincidence import distinct
 from ..numerics.geometry.crossing import crossing_faces, displaced, near_faces, with_moved
 from ..numerics.geometry.overlap import BESIDE, ORDINARY, SLIDING, FaceTree
 from ..numerics.geometry.solid_angle import plane_winding, winding
+from ..parallel import ranks_of, rows_at
 from ..wording import counted
 from .classification import Boundary, Kind
 
@@ -34,6 +37,8 @@ TOUCH = 1e-7
 """Faces closer than this fraction of their shortest edge count as touching."""
 
 _HALVINGS = 20
+_TOGETHER = 100_000
+"""Numbers drawn at a time, which bounds the memory."""
 # How close undeformed faces of abutting blocks are to each other, relative to their shortest edge.
 _ABUTTING = 1e-4
 # Largest number of connected moving parts tested for lying outside, of samples on each, and their distance to the face.
@@ -94,7 +99,7 @@ class CrossingTest:
     def __init__(self, grid: Grid, topology: Topology, boundary: Boundary):
         self._grid, self._topology, self._boundary = grid, topology, boundary
         self._normal = plane_normal(grid)
-        self._size = float(np.ptp(grid.points[topology.first], axis=0).max())
+        self._size = float(np.ptp(rows_at(grid.points, topology.first), axis=0).max())
 
     def crossings(self, displacement: FloatArray, gap: float = 0.0) -> tuple[Crossing, ...]:
         """Patches whose faces cross after a displacement but not before, or come closer than ``gap``.
@@ -103,15 +108,26 @@ class CrossingTest:
         here but by :meth:`contact`.
         """
         surface = self._surface_for(displacement)
-        after, moved = displaced(surface.points, displacement, surface.shift(gap))
+        after, moved = displaced(surface.points, displacement[surface.nodes], surface.shift(gap))
         asked = with_moved(surface.faces, moved) & (surface.role != SLIDING)
         if not asked.any():
             return ()
-        pairs, places = crossing_faces(surface.tree, after, surface.faces, asked)
+        pairs, places = self._crossing(surface, after, asked)
         if len(pairs):
             new = surface.were_apart(pairs, gap)
             pairs, places = pairs[new], places[new]
         return _grouped(self._names(surface, moved)[pairs], places) if len(pairs) else ()
+
+    def _crossing(self, surface: _Surface, points: FloatArray, asked: BoolArray) -> tuple[IntArray, FloatArray]:
+        """:func:`.crossing_faces` of a surface with its nodes at ``points``; of a grid in parts, every rank tests an
+        equal share of the faces that are ``asked``."""
+        ranks, numbers = ranks_of(self._grid.points), np.flatnonzero(asked)
+        own = np.zeros_like(asked)
+        own[np.array_split(numbers, ranks.count)[ranks.number]] = True
+        found = ranks.gather([crossing_faces(surface.tree, points, surface.faces, own)])
+        # Two ranks find a pair whose faces belong to different shares.
+        pairs, once = np.unique(np.concatenate([pairs for pairs, _ in found]), axis=0, return_index=True)
+        return pairs, np.concatenate([places for _, places in found])[once]
 
     def contact(self, path: Callable[[float], FloatArray]) -> Contact | None:
         """First contact of the boundary with itself; ``None`` if there is no crossing at the end of the motion.
@@ -161,8 +177,8 @@ class CrossingTest:
             owner[patches[index].quads] = index
             if patches[index].kind is Kind.MOVING:
                 carrier[patches[index].nodes] = index
-        corners = surface.faces % topology.n_unique
-        carried = np.where(moved[corners], carrier[corners], -1).max(axis=1)
+        corners = surface.faces % len(surface.nodes)
+        carried = np.where(moved[corners], carrier[surface.nodes[corners]], -1).max(axis=1)
         fixed = boundary.quad_kind[surface.quads] == Kind.FIXED
         name = np.where(fixed & (carried >= 0), carried, owner[surface.quads])
         return np.array([patch.name for patch in patches])[name]
@@ -177,7 +193,7 @@ class CrossingTest:
         if not len(faces):
             return False
         samples = faces[_samples(faces, self._topology.n_unique)]
-        before = self._grid.points[self._topology.first]
+        before = rows_at(self._grid.points, self._topology.first)
         inside = [self._winding(x, samples) for x in (before, before + displacement)]
         # The winding number is meaningful only where the boundary is closed before and after.
         sure = (np.abs(inside[0] - 1.0) < 0.02) & (np.abs(inside[1] - np.round(inside[1])) < 0.02)
@@ -209,20 +225,24 @@ class _Surface:
 
     Attributes
     ----------
-    points : (n, 3) undeformed, in 2-D those of both sides of the strips
+    nodes : (n,) unique numbers of the corners of the faces, ascending
+    points : (n, 3) undeformed, in 2-D (2 n, 3) of both sides of the strips
     quads : (m,) numbers of the faces in the topology
     role : (m,) int8, ``ORDINARY``, ``BESIDE`` or ``SLIDING``
-    edge : (n,) shortest edge of a face at each point
+    edge : shortest edge of a face at each point
     """
 
     def __init__(self, grid: Grid, topology: Topology, boundary: Boundary, with_sliding: bool):
         kind, corners = boundary.quad_kind, topology.quads.corners
         sliding = np.isin(kind, (Kind.SLIP, Kind.SYMMETRY)) & with_sliding
         self.quads = np.flatnonzero((kind >= Kind.FIXED) & boundary.known[corners].all(axis=1) | sliding)
-        self.points, self.faces = grid.points[topology.first], corners[self.quads]
+        self.nodes, self._n_unique = distinct(corners[self.quads], topology.n_unique), topology.n_unique
+        self.points = rows_at(grid.points, topology.first[self.nodes])
+        local = places_among(self.nodes, topology.n_unique).astype(corners.dtype)
+        self.faces = local[corners[self.quads]]
         on_slip = np.zeros(topology.n_unique, dtype=bool)
         on_slip[corners[sliding]] = True
-        self.role = np.where(on_slip[self.faces].any(axis=1), BESIDE, ORDINARY).astype(np.int8)
+        self.role = np.where(on_slip[corners[self.quads]].any(axis=1), BESIDE, ORDINARY).astype(np.int8)
         self.role[sliding[self.quads]] = SLIDING
         self.edge = _shortest_edge(self.points, self.faces)
         normal = plane_normal(grid)
@@ -249,7 +269,9 @@ class _Surface:
 
     def _perturbation(self, gap: float) -> FloatArray:
         amplitude = np.where(np.isfinite(self.edge), self._amplitude(gap), 0.0)
-        return np.random.default_rng(0).uniform(-1.0, 1.0, self.points.shape) * amplitude[:, None]
+        sides = len(self.points) // len(self.nodes)
+        rows = np.concatenate([self.nodes + side * self._n_unique for side in range(sides)])
+        return _drawn(sides * self._n_unique, rows) * amplitude[:, None]
 
     def _amplitude(self, gap: float) -> FloatArray:
         # The test for lying outside uses points at a small distance from the faces, which is allowed for here.
@@ -262,6 +284,19 @@ class _Surface:
         crossing[pairs] = True
         close = np.maximum(_ABUTTING * self.edge, 4.0 * self._amplitude(gap))[self.faces].min(axis=1)
         return np.asarray(~near_faces(self.points, self.faces, crossing, close)[pairs].all(axis=1))
+
+
+def _drawn(count: int, rows: IntArray) -> FloatArray:
+    """Pseudo-random numbers (n, 3) from -1 to 1: the ascending ``rows`` (n,) of an array (``count``, 3) of them.
+
+    A node is shifted alike whichever others are on the surface.
+    """
+    source, found = np.random.default_rng(0), np.empty((len(rows), 3))
+    for lo in range(0, count, _TOGETHER):
+        part = source.uniform(-1.0, 1.0, (min(_TOGETHER, count - lo), 3))
+        begin, end = np.searchsorted(rows, [lo, lo + len(part)])
+        found[begin:end] = part[rows[begin:end] - lo]
+    return found
 
 
 def _shortest_edge(points: FloatArray, faces: IntArray) -> FloatArray:

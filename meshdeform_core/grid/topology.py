@@ -14,7 +14,7 @@ import numpy as np
 
 from ..numerics.arrays import BoolArray, batches, runs, spans
 from ..numerics.geometry.coincidence import ascending, coincident_groups, coincident_within, equal_rows, integers
-from ..parallel import empty
+from ..parallel import empty, rows_at
 from .blocks import FloatArray, Grid, IntArray
 from .handedness import block_handedness, index_order
 from .parts import Shape, Side
@@ -201,9 +201,9 @@ def _face_nodes(grid: Grid, sides: IntArray) -> tuple[IntArray, IntArray]:
 def _coincident(grid: Grid, face_nodes: IntArray, tolerance: FloatArray) -> IntArray:
     """Unique number of every face node; nodes of different components are never identified."""
     if not grid.component_numbers.any():
-        return coincident_groups(grid.points[face_nodes], tolerance)
+        return coincident_groups(rows_at(grid.points, face_nodes), tolerance)
     part = np.repeat(grid.component_numbers, np.diff(np.searchsorted(face_nodes, grid.offsets)))
-    return coincident_within(part, grid.points[face_nodes], tolerance)
+    return coincident_within(part, rows_at(grid.points, face_nodes), tolerance)
 
 
 def cells_behind(grid: Grid, topology: Topology, quads: IntArray) -> IntArray:

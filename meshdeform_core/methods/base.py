@@ -25,6 +25,7 @@ from ..numerics.arrays import distinct_pairs, places_among, total
 from ..numerics.geometry.coincidence import distinct, integers
 from ..numerics.geometry.vectors import face_sizes
 from ..numerics.rotation import SurfaceRotations
+from ..parallel import rows_at
 
 _FACES = 250_000
 """Faces whose areas are computed at a time, which bounds the memory."""
@@ -84,7 +85,7 @@ class Problem:
     @cached_property
     def source_points(self) -> FloatArray:
         """Coordinates (n_sources, 3)."""
-        return self.grid.points[self.source_flat]
+        return np.asarray(rows_at(self.grid.points, self.source_flat))
 
     @cached_property
     def plane_normal(self) -> FloatArray | None:
@@ -141,8 +142,8 @@ class Problem:
     def centroid(self) -> FloatArray:
         """Mean of all unique nodes (eq. 17)."""
         t = self.topology
-        whole = self.grid.total_of(self.grid.points) - total(self.grid.points[t.face_nodes])
-        return np.asarray((whole + total(self.grid.points[t.first])) / self.n_unique_nodes)
+        whole = self.grid.total_of(self.grid.points) - total(rows_at(self.grid.points, t.face_nodes))
+        return np.asarray((whole + total(rows_at(self.grid.points, t.first))) / self.n_unique_nodes)
 
 
 def nodal_area(points: FloatArray, quads: IntArray) -> FloatArray:

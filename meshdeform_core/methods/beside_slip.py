@@ -16,7 +16,7 @@ from ..boundary.slip import triangles_of
 from ..grid import FloatArray, IntArray
 from ..numerics.damping import damp_rows
 from ..numerics.geometry.surface import TriangleTree
-from ..parallel import apart, for_chunks, rows_of
+from ..parallel import apart, for_chunks, rows_at, rows_of
 from .base import Problem
 
 WIDTH = 0.3
@@ -104,7 +104,7 @@ class BesideSlip:
         alone = np.setdiff1d(np.flatnonzero(problem.boundary.kind == Kind.MOVING), walls)
         walls = np.concatenate([walls, np.repeat(alone, 3).reshape(-1, 3)])
         every = [walls, *(triangles_of(corners[quads]) for _, quads in problem.boundary.slip.sides)]
-        points = problem.grid.points[problem.topology.first]
+        points = rows_at(problem.grid.points, problem.topology.first)
         return [TriangleTree(points, triangles) for triangles in every]
 
 

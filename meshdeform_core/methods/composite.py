@@ -197,8 +197,8 @@ def _on_faces(displacement: FloatArray, problem: Problem) -> FloatArray:
     """The rows (n_unique, 3) of ``displacement`` (n_nodes, 3) at nodes on block faces."""
     if isinstance(displacement, Part):
         return np.asarray(displacement[problem.topology.first])
-    face = np.empty((problem.topology.n_unique, 3))
-    take_rows(displacement, problem.topology.first, face)
+    face, first = np.empty((problem.topology.n_unique, 3)), problem.topology.first
+    for_chunks(lambda lo, hi: take_rows(displacement, first[lo:hi], face[lo:hi]), len(first), _NODES)
     return face
 
 

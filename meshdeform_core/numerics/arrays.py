@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..parallel import Part, of_all
+from ..parallel import Part, for_chunks, of_all
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -20,6 +20,8 @@ Report = Callable[[int, int], None]
 """``report(done, total)``, called while a loop runs."""
 
 _TOGETHER = 64
+# Points reduced at a time: of arrays in files, pages are released in between.
+_STRETCH = 1 << 22
 
 
 def extent(points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -32,6 +34,11 @@ def extent(points: FloatArray) -> tuple[FloatArray, FloatArray]:
         lows, highs = zip(*(each for each in found if each), strict=True)
         return np.min(lows, axis=0), np.max(highs, axis=0)
     rows = np.ascontiguousarray(points).reshape(-1, 3)
+    if len(rows) > _STRETCH:
+        ends = list[tuple[FloatArray, FloatArray]]()
+        for_chunks(lambda lo, hi: ends.append(extent(rows[lo:hi])), len(rows), _STRETCH)
+        lows, highs = zip(*ends, strict=True)
+        return np.min(lows, axis=0), np.max(highs, axis=0)
     even = len(rows) // _TOGETHER * _TOGETHER
     long, rest = rows[:even].reshape(-1, 3 * _TOGETHER), rows[even:]
     if even:

@@ -33,6 +33,7 @@ from .parts import (
     ranks_of,
     require_undivided,
     require_whole,
+    rows_at,
     rows_of,
     together,
 )
@@ -67,6 +68,7 @@ __all__ = [
     "ranks_of",
     "require_undivided",
     "require_whole",
+    "rows_at",
     "rows_of",
     "set_ranks",
     "set_threads",

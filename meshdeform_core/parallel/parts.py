@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from .loops import alone, current_ranks, empty, for_chunks, holders, sharing
 from .ranks import OneRank, Ranks
+from .scratch import current_scratch
 
 if TYPE_CHECKING:
     import numpy as np
@@ -23,6 +24,9 @@ T = TypeVar("T")
 
 # Rows of coordinates per chunk; they fit into the cache of a core.
 _ROWS = 1 << 14
+# Rows far apart that are read at a time from an array in a file. The system maps up to 64 KiB around each of them, so
+# that these stay within what is reserved for pages touched between two looks at the resident size.
+_FAR_APART = 1 << 12
 
 
 class WholeGridNeeded(Exception):
@@ -263,6 +267,22 @@ def for_rows(fill: Callable[[slice], object], array: Any) -> None:
         on_each(array, lambda: for_chunks(work, end - begin, _ROWS))
     else:
         for_chunks(work, len(array), _ROWS)
+
+
+def rows_at(array: Any, rows: np.ndarray) -> Any:
+    """``array[rows]`` for rows by number, in any order; of an array in a file a few at a time.
+
+    Nodes on block faces lie all over a grid: all at once, they would bring most of its file into memory.
+    """
+    scratch = current_scratch()
+    if scratch is None or isinstance(array, Part) or rows.size <= _FAR_APART:
+        return array[rows]
+    flat, found = rows.ravel(), empty((rows.size, *array.shape[1:]), array.dtype)
+    for lo in range(0, flat.size, _FAR_APART):
+        some = slice(lo, lo + _FAR_APART)
+        found[some] = array[flat[some]]
+        scratch.look()
+    return found.reshape(rows.shape + array.shape[1:])
 
 
 def check_rows(look: Callable[[slice], object], array: Any) -> None:

@@ -18,7 +18,7 @@ from ..grid.precision import rounded
 from ..methods import Options, PreparedMethod, Progress
 from ..methods.components import PreparedComponents
 from ..notices import Notice, first_of_each_kind, kind_of
-from ..parallel import Part
+from ..parallel import Part, rows_at
 from ..repair.limit import Limit
 from ..repair.repair import Repairer
 from ..setup import BoundaryMotion, Setup, Start, Timing
@@ -111,7 +111,7 @@ class Course:
         first, undeformed, points = self.setup.topology.first, self.setup.grid.points, self.start.points
         if points is undeformed:
             return np.broadcast_to(np.zeros(3), (len(first), 3))
-        return np.asarray(points[first] - undeformed[first])
+        return np.asarray(rows_at(points, first) - rows_at(undeformed, first))
 
     def prescribed(self, fraction: float) -> FloatArray:
         """Boundary displacement (n_unique, 3) at a fraction of the motion: along the motion's path if it starts from

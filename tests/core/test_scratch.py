@@ -4,6 +4,7 @@ import errno
 import gc
 import mmap
 import os
+import subprocess
 import sys
 import time
 
@@ -17,7 +18,7 @@ from meshdeform_core.errors import MethodError
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import Demand, MemoryLimit
 from meshdeform_core.methods import Options
-from meshdeform_core.parallel import empty, scratch
+from meshdeform_core.parallel import empty, rows_at, scratch
 from meshdeform_core.parallel.scratch import Scratch, current_scratch, scratch_in
 from meshdeform_core.series import Schedule, deform_series
 
@@ -123,3 +124,44 @@ def test_two_hundred_million_nodes_in_a_thousand_blocks_fit_into_four_gibibytes(
     nodes, face_nodes = 1000 * side**3, 1000 * (side**3 - (side - 2) ** 3)
     demand = Demand("deforming", nodes, 24 * nodes, face_nodes, blocks=1000)
     assert demand.beside_files(MemoryLimit(4 * 2**30, "--max-memory allows")) < 4 * 2**30
+
+
+FAR_APART = """
+import sys
+from pathlib import Path
+import numpy as np
+from meshdeform_core.memory import peak_memory
+from meshdeform_core.parallel import empty, rows_at
+from meshdeform_core.parallel.scratch import Scratch, current_scratch, resident_memory, scratch_in
+
+with scratch_in(Scratch(Path(sys.argv[1]), 1)):
+    array = empty((1 << 24, 3))
+    for lo in range(0, len(array), 1 << 18):
+        array[lo : lo + (1 << 18)] = np.arange(lo, lo + (1 << 18))[:, None]
+    current_scratch().look()
+    rows = np.arange(0, len(array), 128)
+    Path("/proc/self/clear_refs").write_text("5")
+    before = resident_memory()
+    found = rows_at(array, rows)
+    print((found == rows[:, None]).all(), (peak_memory() - before) // 2**20)
+"""
+
+
+def test_rows_far_apart_bring_few_pages_into_memory(tmp_path):
+    """One row in every 3 kB of a file of 384 MiB: taken all at once, they would bring the whole file into memory."""
+    done = subprocess.run([sys.executable, "-c", FAR_APART, str(tmp_path)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    equal, most = done.stdout.split()
+    assert equal == "True"
+    assert int(most) < 100
+
+
+def test_rows_at_any_place_are_those_of_plain_indexing(tmp_path, monkeypatch):
+    monkeypatch.setattr(scratch, "SMALLEST", 1000)
+    rows = np.random.default_rng(3).integers(0, 5000, (3001, 2))
+    with scratch_in(Scratch(tmp_path, 1)):
+        array = empty((5000, 3))
+        array[:] = np.random.default_rng(4).uniform(size=(5000, 3))
+        found = rows_at(array, rows)
+        assert found.tobytes() == np.array(array)[rows].tobytes()
+        assert rows_at(array, rows[:0]).shape == (0, 2, 3)

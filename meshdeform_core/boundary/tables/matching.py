@@ -14,6 +14,7 @@ from ...grid.topology import Topology
 from ...numerics.arrays import places_among
 from ...numerics.geometry.coincidence import distinct
 from ...numerics.geometry.vectors import doubled_areas, unit
+from ...parallel import rows_at
 from ...wording import literal
 
 HOW = ("exact", "nearest", "interpolate")
@@ -65,7 +66,7 @@ class Nodes:
     def of_quads(cls, grid: Grid, topology: Topology, quads: IntArray) -> Nodes:
         """The nodes of face quads (m,)."""
         corners = topology.quads.corners[quads]
-        points = grid.points[topology.first]
+        points = rows_at(grid.points, topology.first)
         edge, longest = np.full(topology.n_unique, np.inf), np.zeros(topology.n_unique)
         for one in range(corners.shape[1]):
             a, b = corners[:, one], corners[:, (one + 1) % corners.shape[1]]

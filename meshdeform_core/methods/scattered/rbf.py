@@ -11,6 +11,7 @@ from ...boundary import Kind
 from ...errors import MethodError
 from ...grid import FloatArray, IntArray
 from ...numerics.exact.basis import BASES
+from ...parallel import rows_at
 from ..base import Account, Problem, Progress, Setting, of_stage
 from ..limits import warn_of_coarse_tolerance, warn_of_radius
 from ..options import choose, option, positive, used
@@ -182,7 +183,7 @@ class PreparedRBF:
             return float(o.radius)
         problem = self._problem
         moving = problem.source_points[problem.boundary.kind[problem.source_numbers] == Kind.MOVING]
-        radius = float(covering_radius(moving, problem.grid.points[problem.topology.first]))
+        radius = float(covering_radius(moving, rows_at(problem.grid.points, problem.topology.first)))
         self.account.settings["radius"] = Setting(radius, "every node sees the whole moving body")
         return radius
 

@@ -17,6 +17,7 @@ from ...grid.topology import Topology
 from ...grid.windows import rectangles
 from ...numerics.arrays import distinct_rows, spans
 from ...numerics.rows import put_rows
+from ...parallel import rows_at
 from ..base import Account, Problem, Progress
 from ..limits import TFI_ROTATION, warn_of_rotation
 from .faces import Faces, Lines
@@ -87,7 +88,7 @@ class PreparedEdgeGraph:
         reached = known.copy()
         edges = _block_edges(grid, topology)
         reached[edges.ends()] = True
-        points = grid.points[topology.first]
+        points = rows_at(grid.points, topology.first)
         self._free = np.flatnonzero(reached & ~known)
         segments = _segments(points, edges, np.zeros(len(edges), dtype=np.int64), reached, known)
         self._graph = _Graph.of(segments, self._free, len(known), problem.boundary.slip) if self._free.size else None

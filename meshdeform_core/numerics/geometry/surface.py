@@ -24,9 +24,11 @@ class TriangleTree:
     def __init__(self, points: FloatArray, triangles: IntArray) -> None:
         self.triangles, points = triangles, np.ascontiguousarray(points)
         self._order = np.arange(len(triangles))
-        node, box = np.empty((2 * len(triangles) + 1, 3), dtype=np.int64), np.empty((2 * len(triangles) + 1, 6))
+        # Boxes that are halved hold more than a leaf, so that leaves hold at least half of it.
+        most = max(4 * len(triangles) // _LEAF, 1)
+        node, box = np.empty((most, 3), dtype=np.int64), np.empty((most, 6))
         used = _build(*_bounds(points, triangles), self._order, node, box)
-        self._node, self._box = node[:used].copy(), box[:used].copy()
+        self._node, self._box = node[:used], box[:used]
         # Made only after the bounds are freed, to limit peak memory.
         self._corners = points[triangles[self._order]]
 

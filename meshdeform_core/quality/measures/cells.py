@@ -11,7 +11,7 @@ import numpy as np
 from ...grid import FloatArray, Grid, IntArray
 from ...numerics.arrays import batches
 from ...numerics.cell.measures import measure_hexahedra, measure_quads
-from ...parallel import Part, Shared, empty, for_chunks, on_each
+from ...parallel import Part, Shared, empty, for_chunks, on_each, rows_at
 
 _SLAB_CELLS = 131072
 
@@ -191,7 +191,7 @@ def corner_nodes(grid: Grid, block: IntArray, ijk: IntArray) -> IntArray:
 
 def corners_of(grid: Grid, points: FloatArray, cells: IntArray) -> FloatArray:
     """Corners (n, 8, 3) of cells, by number, with coordinates ``points`` (n_nodes, 3)."""
-    return np.asarray(points[corner_nodes(grid, *places(grid, cells))])
+    return np.asarray(rows_at(points, corner_nodes(grid, *places(grid, cells))))
 
 
 def block_volumes(grid: Grid, points: FloatArray, sign: IntArray) -> FloatArray:
@@ -227,7 +227,7 @@ def _flux(grid: Grid, points: FloatArray, center: FloatArray, sides: IntArray) -
     na, nb = grid.sides.nodes[sides[0]]
     nodes = grid.sides.at(sides[:, None, None], np.arange(na)[:, None], np.arange(nb))
     # Component by component, as numpy is slow on axes of length 3.
-    face = np.ascontiguousarray(np.moveaxis(points[nodes] - center[sides // 6, None, None], -1, 0))
+    face = np.ascontiguousarray(np.moveaxis(rows_at(points, nodes) - center[sides // 6, None, None], -1, 0))
     low, high, right, left = face[..., :-1, :-1], face[..., 1:, 1:], face[..., 1:, :-1], face[..., :-1, 1:]
     (px, py, pz), (qx, qy, qz), (mx, my, mz) = high - low, left - right, low + high + left + right
     flux = mx * (py * qz - pz * qy) + my * (pz * qx - px * qz) + mz * (px * qy - py * qx)

@@ -13,6 +13,7 @@ from ...grid import BoolArray, FloatArray, Grid, IntArray, Side
 from ...grid.topology import Topology, inward_step, side_nodes
 from ...numerics.geometry.coincidence import distinct
 from ...numerics.geometry.vectors import unit
+from ...parallel import rows_at
 
 _TOGETHER = 100_000
 """Quads and lines measured at a time, which bounds the memory."""
@@ -102,8 +103,8 @@ def kink_and_jump(lines: InterfaceLines, points: FloatArray) -> tuple[FloatArray
     for lo in range(0, len(angle), _TOGETHER):
         some = slice(lo, lo + _TOGETHER)
         # Component by component, as numpy is slow on axes of length 3.
-        u = list(np.moveaxis(points[lines.here[some]] - points[lines.before[some]], -1, 0).copy())
-        v = list(np.moveaxis(points[lines.beyond[some]] - points[lines.there[some]], -1, 0).copy())
+        u = list(np.moveaxis(rows_at(points, lines.here[some]) - rows_at(points, lines.before[some]), -1, 0).copy())
+        v = list(np.moveaxis(rows_at(points, lines.beyond[some]) - rows_at(points, lines.there[some]), -1, 0).copy())
         normal = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
         angle[some] = np.rad2deg(np.arctan2(np.sqrt(_dot(normal, normal)), _dot(u, v)))
         with np.errstate(divide="ignore", invalid="ignore"):

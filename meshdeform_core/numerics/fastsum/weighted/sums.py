@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -49,6 +50,46 @@ class Summands(NamedTuple):
     turn: FloatArray
     still: FloatArray | None = None
     lasting: int = 0
+
+
+@dataclass(frozen=True)
+class Scaled:
+    """Values scaled to the order of one: (value - middle) / spread, computed for some sources at a time.
+
+    Attributes
+    ----------
+    values : (k, n) of the sources
+    middle : (k,) the value of the sources that do not move or a mean of all
+    spread : (k,) largest difference from it, 1 where there is none
+    """
+
+    values: FloatArray
+    middle: FloatArray
+    spread: FloatArray
+
+    @classmethod
+    def of(cls, summands: Summands, strength: FloatArray) -> Scaled:
+        """The values of summands."""
+        values = summands.values
+        middle = values @ strength / strength.sum() if summands.still is None else summands.still
+        spread = np.array([np.abs(row - offset).max() for row, offset in zip(values, middle, strict=True)])
+        spread[spread == 0.0] = 1.0
+        return cls(values, middle, spread)
+
+    def part(self, which: slice, sources: slice | IntArray) -> FloatArray:
+        """The values ``which`` of some sources, (m, s)."""
+        rest: FloatArray = self.values[which][:, sources] - self.middle[which, None]
+        rest /= self.spread[which, None]
+        return rest
+
+    @property
+    def moving(self) -> BoolArray:
+        """(n,) sources with any value other than the middle."""
+        found = np.empty(self.values.shape[1], dtype=bool)
+        for lo in range(0, len(found), _TOGETHER):
+            some = slice(lo, lo + _TOGETHER)
+            found[some] = (self.part(slice(None), some) != 0.0).any(axis=0)
+        return found
 
 
 class FastSums:
@@ -109,18 +150,18 @@ class FastSums:
         risk : (b,) bound of each brick's error, in arbitrary units
         """
         targets, k, lasting = self.targets, len(summands.values), summands.lasting
-        middle, spread, scaled = _scaled(summands, self._strength)
+        scaled = Scaled.of(summands, self._strength)
         chunk = max(CHUNK, _TARGETS * targets.n_regions // max(len(targets.every), 1))
-        plan = self._planned(summands, (scaled != 0.0).any(axis=0))
+        plan = self._planned(summands, scaled.moving)
         plan.survey(chunk)
         weight = plan.weight if plan.weighed else None
-        if weight is not None:
-            scaled[k - lasting :] = 0.0
+        # Sums of values that never change are known once the weights are.
+        end = k if weight is None else k - lasting
         passes = [
-            self._charges(scaled[first : first + N_VALUES], plan, weight is None and first == 0)
+            self._charges(scaled, slice(first, min(first + N_VALUES, end)), plan, weight is None and first == 0)
             for first in range(0, k, N_VALUES)
         ]
-        del scaled
+        middle, spread = scaled.middle, scaled.spread
 
         def work(lo: int, hi: int) -> None:
             flat, here = targets.flat(lo, hi), targets.places(lo, hi)
@@ -167,8 +208,9 @@ class FastSums:
         self._plans = [plan, *others]
         return plan
 
-    def _charges(self, values: FloatArray, plan: Plan, weighing: bool) -> list[Charges]:
-        """Charges of one pass, per group; ``weighing`` includes the strength itself, whose sum is the weight."""
+    def _charges(self, scaled: Scaled, which: slice, plan: Plan, weighing: bool) -> list[Charges]:
+        """Charges of one pass, per group: of the values ``which``; ``weighing`` includes the strength itself, whose sum
+        is the weight."""
         charges = []
         for (group, tree), used in zip(self._groups, plan.used, strict=True):
             (rows, start), members = charge_rows(tree, used), group[tree.order]
@@ -177,7 +219,8 @@ class FastSums:
                 source = rows[lo : lo + len(some), 3:]
                 if weighing:
                     source[:, 0] = self._strength[some]
-                source[:, 1 : 1 + len(values)] = (self._strength[some] * values[:, some]).T
+                values = self._strength[some] * scaled.part(which, some)
+                source[:, 1 : 1 + len(values)] = values.T
             charges.append(gather(tree, rows, start))
         return charges
 
@@ -205,18 +248,3 @@ def _copy_lasting(one: FloatArray, other: FloatArray, lasting: int) -> None:
     """Copy weights (m, 0) and the last columns, which stay as they are, from ``other`` sums."""
     one[:, 0] = other[:, 0]
     one[:, one.shape[1] - lasting :] = other[:, other.shape[1] - lasting :]
-
-
-def _scaled(summands: Summands, strength: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Scale values to the order of one.
-
-    Returns an offset (k,), the value of the sources that do not move or a mean of all, the largest difference (k,) from
-    it, and the scaled values (k, n): (value - offset) / difference.
-    """
-    values = summands.values
-    middle = values @ strength / strength.sum() if summands.still is None else summands.still
-    rest = values - middle[:, None]
-    spread = np.abs(rest).max(axis=1)
-    spread[spread == 0.0] = 1.0
-    rest /= spread[:, None]
-    return middle, spread, rest
