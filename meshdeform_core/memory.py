@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import functools
 import mmap
 import os
 import re
@@ -257,7 +256,6 @@ def release_freed() -> None:
             library.madvise(ctypes.c_void_p(begin), ctypes.c_size_t(end - begin), mmap.MADV_DONTNEED)
 
 
-@functools.cache
 def _code_of(library: str) -> list[tuple[int, int]]:
     """First and one past the last address of the code of a shared library in this process."""
     with open("/proc/self/maps", encoding="utf-8", errors="replace") as maps:

@@ -9,7 +9,7 @@ import pytest
 from cases import INNER, constant, formulas, turning
 from grids import block_around, frame, frame_2d, polar
 
-from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary import BoundarySpec, Kind, crossing
 from meshdeform_core.boundary.crossing import Contact
 from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.boundary.motions.motion import Motion
@@ -229,3 +229,11 @@ def test_a_displacement_is_tested_whatever_was_imposed_before(before):
     assert bulge(1.2)
     assert not bulge(-before if before > 0 else before)
     assert bulge(1.2)
+
+
+def test_shifts_of_a_surface_are_rows_of_those_of_all_nodes(monkeypatch):
+    """Which nodes lie on the surface does not matter to the others."""
+    monkeypatch.setattr(crossing, "_TOGETHER", 7)
+    every = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 3))
+    for rows in (np.arange(50), np.array([0, 6, 7, 13, 14, 49]), np.empty(0, dtype=np.int64)):
+        assert crossing._drawn(50, rows).tobytes() == every[rows].tobytes()

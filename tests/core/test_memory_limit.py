@@ -71,3 +71,17 @@ def test_freed_memory_below_a_lasting_block_returns_to_the_system():
     del blocks[:]
     release_freed()
     assert before - resident_memory() > 0.8 * 3000 * lasting.nbytes
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the system tells where a library lies on Linux only")
+def test_code_of_the_compiler_leaves_the_memory_and_works_again():
+    code = (
+        "from pathlib import Path; from numba import njit; from meshdeform_core.memory import release_freed\n"
+        "def mapped(): return int(Path('/proc/self/status').read_text().split('RssFile:')[1].split()[0])\n"
+        "one = njit(lambda x: x + 1); first = one(1); before = mapped(); release_freed(); after = mapped()\n"
+        "other = njit(lambda x: x + 2); print(first, other(1), (before - after) // 1024)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True)
+    first, other, released = map(int, done.stdout.split())
+    assert (first, other) == (2, 3)
+    assert released > 30

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from cases import body_specs, formulas, turning
 from forked_ranks import Failed, on_ranks, poison_parts
-from grids import frame, frame_2d, permuted
+from grids import block_around, frame, frame_2d, permuted
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary import BoundarySpec, Kind, crossing
 from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.boundary.motions.motion import Motion
 from meshdeform_core.deform import Case, deform
@@ -533,6 +533,34 @@ def test_ranks_need_memory_for_their_part(small_pieces):
 
     assert on_ranks(4, act) == [pytest.approx(PROGRAM_BYTES + 0.25 * 1.25 * 9 * 24e8 + 1e9, rel=0.02)] * 4
     assert demand.in_memory > 2.5 * on_ranks(4, act)[0]
+
+
+def test_ranks_share_the_test_whether_walls_cross(tmp_path, small_pieces, poisoned, monkeypatch):
+    """Every rank tests an equal share of the faces of a wall that folds onto itself, and learns what all have found."""
+    line = np.linspace(0.0, 1.0, 21)
+    write_grid(Grid.from_blocks([block_around(2.0 * line, line, line)]), tmp_path / "grid.cgns")
+    fold = formulas("where(x > 1, -1.6*(x - 1), 0)", "0", "where(x > 1, 0.8*sin(pi*(x - 1)), 0) - 0.7*(x > 1.7)")
+    floor = BoundarySpec("floor", ("*.kmin",), Kind.MOVING, motion=fold)
+    case = Case((floor, BoundarySpec("sides", ("*.i*", "*.j*"), Kind.SLIP)))
+    search, asked = crossing.crossing_faces, []
+    monkeypatch.setattr(
+        crossing, "crossing_faces", lambda *given: (asked.append(int(given[3].sum())), search(*given))[1]
+    )
+
+    def found():
+        setup = set_up(read_grid(tmp_path / "grid.cgns"), case)
+        del asked[:]
+        return setup.undeformed.crossing_test.crossings(setup.displacement(0.0)), sum(asked)
+
+    def act(number):
+        with dividing():
+            return found()
+
+    expected, faces = found()
+    assert expected[0].patches == ("floor", "floor")
+    shares = on_ranks(3, act)
+    assert [each for each, _ in shares] == [expected] * 3
+    assert [share for _, share in shares] == [pytest.approx(faces / 3, abs=1)] * 3
 
 
 def test_a_failing_rank_is_seen():
