@@ -155,7 +155,10 @@ def for_chunks(
 
 
 def _rows_of(rows: Callable[[int, int], Any], bounds: list[Bounds], count: int, rank: int) -> list[Any]:
-    return [rows(*ends) for ends in bounds[rank::count]]
+    import numpy as np
+
+    # An empty range by itself would become an array of floating-point numbers.
+    return [np.asarray(rows(*ends), dtype=np.int64) for ends in bounds[rank::count]]
 
 
 def for_items(

@@ -75,6 +75,20 @@ def test_rows_are_all_filled_once():
     assert (counts == 1).all()
 
 
+@pytest.mark.parametrize("empty", [0, 1])
+def test_a_rank_may_have_no_rows_to_share(empty):
+    """As with clusters of sources so close to all others that nothing acts from afar."""
+
+    def act(number):
+        found = np.zeros(2)
+        own = [range(0), range(1), range(1, 2)][:: 1 if empty == 0 else -1]
+        for_chunks(lambda lo, hi: found.put(list(own[lo]), 7.0), 3, 1, shared=[Shared(found, lambda lo, hi: own[lo])])
+        return found.tolist()
+
+    assert on_ranks(2, act) == [[7.0, 7.0]] * 2
+    assert on_ranks(3, act) == [[7.0, 7.0]] * 3
+
+
 def test_what_the_first_rank_does_alone_meets_nobody():
     with sharing(Pretended(0, 3), None):
         with alone():
