@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+import scipy
 from cases import ALL_METHODS, body_specs, formulas, turning
 from grids import frame, frame_2d, permuted
 from scipy.spatial.transform import Rotation
@@ -28,6 +29,7 @@ from meshdeform_core.repair.energy.untangle import Untangler
 from meshdeform_core.repair.extrusion import _heights, find_extrusion
 from meshdeform_core.repair.neighbourhood import Neighbourhood
 from meshdeform_core.repair.repair import Repairer
+from meshdeform_core.stepping import attempts
 from meshdeform_samples.reproduce.experiment import Sample, prepare_sample
 
 
@@ -50,7 +52,7 @@ def untangler_of(region, reference):
     return Untangler(region, reference, reference, NewtonSystem(region))
 
 
-PENALTIES = [Penalty(1.0), Penalty(0.05), Penalty(0.0, 0.3, 2.0, 0.7), Penalty(0.0, 0.3, 2.0, 0.7, True)]
+PENALTIES = [Penalty(1.0), Penalty(0.05), Penalty(0.0, 0.3, 2.0, 0.7), Penalty(0.0, 0.3, 2.0, 0.7, 1.0)]
 
 
 def unequal(region, random):
@@ -88,7 +90,7 @@ def test_complete_second_derivatives_are_those_of_differences_of_the_gradient(di
     start = plot.inside(setup.grid.points)
     x = start + 0.02 * random.standard_normal(start.shape)
     region, system = plot.region, NewtonSystem(plot.region)
-    penalty = Penalty(0.0, 0.3, 2.0, 0.7, True)
+    penalty = Penalty(0.0, 0.3, 2.0, 0.7, 1.0)
 
     def gradient(at):
         system.fill(region, at, start, penalty)
@@ -104,6 +106,32 @@ def test_complete_second_derivatives_are_those_of_differences_of_the_gradient(di
     found = np.einsum("nij,nj->ni", lower, product)
     expected = (ends[1] - ends[0]) / 2e-5
     np.testing.assert_allclose(found, expected, atol=2e-5 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_a_share_of_the_indefinite_part_lies_between_convex_and_exact_second_derivatives(dimension):
+    setup = fixed_setup(cube(5, dimension))
+    plot, random = whole_region(setup), np.random.default_rng(3)
+    start = plot.inside(setup.grid.points)
+    x = start + 0.03 * random.standard_normal(start.shape)
+    system, found = NewtonSystem(plot.region), []
+    for share in (0.0, 0.25, 1.0):
+        system.fill(plot.region, x, start, Penalty(0.0, 0.3, 2.0, 0.7, share))
+        lower = np.linalg.inv(system._factor)
+        scaling = scipy.linalg.block_diag(*lower)
+        found.append(scaling @ system.dense() @ scaling.T)
+    convex, mixed, exact = found
+    assert np.linalg.eigvalsh(convex).min() > 0.0 > np.linalg.eigvalsh(exact - convex).min()
+    np.testing.assert_allclose(mixed, 0.75 * convex + 0.25 * exact, atol=1e-5 * np.abs(exact).max())
+    assert np.abs(convex - exact).max() > 1e-2 * np.abs(exact).max()
+
+
+def test_the_minimum_is_found_where_exact_second_derivatives_are_indefinite_on_the_way(monkeypatch):
+    """With their convex part alone, 60 steps do not suffice: each is 7 % shorter than the one before."""
+    monkeypatch.setattr(attempts, "compared", lambda trial: trial)
+    setup = prepare_sample(Sample("splitter-plate", 8, constants=(("angle", 90.0),)))
+    result = impose(setup, setup.motion(0.0), None, "float64", Timing())
+    assert result.valid and result.repair.converged and result.repair.newton_steps < 60
 
 
 @pytest.mark.parametrize("rows", [7, 1 << 15])

@@ -29,14 +29,14 @@ _SAMPLE, _TRIANGLE = 0.9, 0.4
 
 
 class Penalty(NamedTuple):
-    """The parameters of the energy, see :mod:`..numerics.cell.foldover`; ``exact``: use the full second derivatives
-    instead of their convex part."""
+    """The parameters of the energy, see :mod:`..numerics.cell.foldover`; ``exact``: the share of the indefinite part of
+    its second derivatives that is added to their convex part."""
 
     eps: float = 0.0
     share: float = 1.0
     cubic: float = 0.0
     elastic: float = 0.0
-    exact: bool = False
+    exact: float = 0.0
 
 
 class Rows(NamedTuple):

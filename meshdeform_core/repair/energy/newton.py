@@ -105,7 +105,7 @@ class NewtonSystem:
         over_rows(add, all_rows, _ROWS)
         all_rows.complete(self._factor)
         over_rows(partial(scale_right, self._matrix, starts, columns, self._factor), all_rows, _ROWS)
-        return not (penalty.exact and all_rows.joined(bad).any())
+        return not (penalty.exact > 0.0 and all_rows.joined(bad).any())
 
     def slope(self, step: FloatArray) -> float:
         """The product of the gradient with a step (n_unknowns, d)."""

@@ -30,6 +30,8 @@ _FORCING = 0.05
 # Largest ratio of the next step to its estimate; up to 6 was measured.
 _SAFETY = 10.0
 _SMALLEST_STEP = 1e-4
+# Smallest part of the indefinite second derivatives that is left out, a power of 1/2, unless none is.
+_LEAST = 0.0625
 # Sufficient decrease in the line search (Armijo), and the round-off of the energy that it tolerates.
 _DECREASE, _ROUND_OFF = 1e-4, 1e-13
 
@@ -60,8 +62,8 @@ class Pace:
 class Untangler:
     """Moves the unknowns of a region from coordinates ``x`` (n, d), within a limit.
 
-    ``reference`` (n, d) are the coordinates of zero elastic energy. ``bent``: the full second derivatives were not
-    positive definite when last computed, which is why the next step does not try them.
+    ``reference`` (n, d) are the coordinates of zero elastic energy. ``damping``: the part of the indefinite second
+    derivatives that the next step leaves out first, ``damped`` that which the last one left out; see :meth:`_exact`.
     """
 
     region: Region
@@ -71,7 +73,8 @@ class Untangler:
     steps: int = 0
     progress: Callable[[str, int, int], None] | None = None
     limit: Limit = field(default_factory=Limit)
-    bent: bool = False
+    damping: float = 0.0
+    damped: float = 1.0
 
     def state(self, x: FloatArray, penalty: Penalty) -> State:
         chunks, rows = self.region.dealt.chunks, self.region.dealt.rows
@@ -145,9 +148,11 @@ class Untangler:
             self.x = now.x
             # The next step is estimated from the linear solver's tolerance and Newton's quadratic convergence.
             shrinking = max(tolerance, (length / before) ** 2)
-            # A step that was shortened, or not solved for, says nothing about the distance from the minimum.
+            # A step that was shortened, or not solved for, says nothing about the distance from the minimum, and where
+            # the second derivatives are indefinite there is none.
             if (
                 self.system.solved
+                and self.damped == 0.0
                 and part >= 1.0
                 and (length < close or (step and _SAFETY * shrinking * length < close))
             ):
@@ -164,8 +169,8 @@ class Untangler:
             self.progress("repair", done, most)
 
     def _step(self, now: State, penalty: Penalty, tolerance: float) -> tuple[State, float]:
-        """One step, and how much of it was taken, 0 if nothing lowers the energy; with the full second derivatives if
-        eps is 0 and they are likely to be positive definite."""
+        """One step, and how much of it was taken, 0 if nothing lowers the energy; by the convex part of the second
+        derivatives alone if eps is not 0."""
         step = self._exact(now, penalty, tolerance) if penalty.eps == 0.0 else None
         if step is None:
             self._fill(now.x, penalty)
@@ -185,15 +190,22 @@ class Untangler:
         return self.state(self.region.moved(now.x, self.system.unknowns, step, length), penalty)
 
     def _exact(self, now: State, penalty: Penalty, tolerance: float) -> FloatArray | None:
-        if self.bent:
-            self.bent = False
-            return None
-        self.bent = True
-        if not self._fill(now.x, penalty._replace(exact=True)):
-            return None
-        step, convex = self._direction(tolerance, _FINE_ITERATIONS)
-        self.bent = not convex
-        return step if convex else None
+        """The step with as much of the indefinite second derivatives as leaves the whole positive definite.
+
+        Without them the search creeps along flat valleys and past saddle points. The part left out is doubled until the
+        step succeeds, and halved after steps that succeed at once. ``None`` if even a half is too much.
+        """
+        damping = self.damping
+        while damping < 1.0:
+            if self._fill(now.x, penalty._replace(exact=1.0 - damping)):
+                step, convex = self._direction(tolerance, _FINE_ITERATIONS)
+                if convex:
+                    less = damping / 2.0 if damping > _LEAST else 0.0
+                    self.damping, self.damped = less if damping == self.damping else damping, damping
+                    return step
+            damping = max(_LEAST, 2.0 * damping)
+        self.damping, self.damped = 0.5, 1.0
+        return None
 
     def _fill(self, x: FloatArray, penalty: Penalty) -> bool:
         self.limit.spend(self.region.work)

@@ -135,14 +135,13 @@ def _derivatives(
     chi, root = regular(found.det, eps)
     third = _inverse_root(chi)
     f, u, v, w, q, r, least = slopes.py_func(found.square, found.det, chi, root, third * third)
-    whole = (r * 0.0 + 0.5).below(exact)
-    r = whole.choose(r, r.max(least))
+    r = r.max(r * exact + least * (exact * -1.0 + 1.0))
     one, two = growth.py_func(f)[1:]
     part = found.counts.choose(share, 0.0)
     u, v, w, p, q, r = combined.py_func(u, v, w, q, r, part * (load(terms, WEIGHT) + cubic * one), part * cubic * two)
     along = [[dot(row, dual) for row in found.matrix] for dual in found.dual]
     pull = [[u * a + v * c for a, c in zip(*pair, strict=True)] for pair in zip(along, found.across, strict=True)]
-    return pull, _second(found, along, w + stiff, whole.choose(v, 0.0) * found.inverse, p, q, r)
+    return pull, _second(found, along, w + stiff, v * exact * found.inverse, p, q, r)
 
 
 def _second(

@@ -52,8 +52,8 @@ def energy_of_cells(x, cells, start, own, mask, samples, weight, reference, pena
     samples : see :class:`.samples.Samples`
     weight : (m, 2) w of the cells, and the share of their samples between corners
     reference : (n, 3) coordinates of the reference grid
-    penalty : eps, share, cubic and elastic of the energy, whether second derivatives are exact; with eps = 0 the energy
-        is infinite where D <= 0
+    penalty : eps, share, cubic and elastic of the energy, and the share of its indefinite second derivatives; with
+        eps = 0 the energy is infinite where D <= 0
     """
     points, terms, sums = np.empty((GRIDS, 8, 3, WIDTH)), np.empty((TERMS, WIDTH)), np.empty((SUMS, WIDTH))
     slope, (eps, share, cubic, elastic, _) = _all_slopes(samples), penalty
@@ -113,13 +113,13 @@ def coefficients(g, det, eps, weight, cubic, exact):
     """Derivatives of the energy of one sample without its elastic term; g = |A|^2, K are the cofactors of A.
 
     The gradient is u A + v K, the Hessian w I + p A A^T + q (A K^T + K A^T) + r K K^T plus v times the derivative of K.
-    Without ``exact`` the derivative of K is left out, and the entry of D in the 2 x 2 matrix of second derivatives
-    along A and D is raised until no eigenvalue is negative.
+    The Hessian is the convex part and the share ``exact`` of the rest. In the convex part the derivative of K is left
+    out, and the entry of D in the 2 x 2 matrix of second derivatives along A and D is raised until no eigenvalue is
+    negative.
     """
     chi, root = regular(det, eps)
     f, u, v, w, q, r, least = slopes(g, det, chi, root, chi ** (-2.0 / 3.0))
-    if not exact:
-        r = max(r, least)
+    r = max(r, exact * r + (1.0 - exact) * least)
     _, one, two = growth(f)
     return combined(u, v, w, q, r, weight + cubic * one, cubic * two)
 
@@ -140,8 +140,7 @@ def add_derivatives(
     """
     points, terms, parts = np.empty((GRIDS, 8, 3, WIDTH)), np.empty((TERMS, WIDTH)), np.empty((PARTS, WIDTH))
     result, cell = np.empty((ROWS, WIDTH)), np.empty((WIDTH, ROWS))
-    slope, (eps, share, cubic, elastic, full) = _all_slopes(samples), penalty
-    exact = 1.0 if full else 0.0
+    slope, (eps, share, cubic, elastic, exact) = _all_slopes(samples), penalty
     for first in range(0, len(which), WIDTH):
         used, some = min(WIDTH, len(which) - first), 0
         for lane in range(WIDTH):

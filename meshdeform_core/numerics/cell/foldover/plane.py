@@ -84,7 +84,6 @@ def add_triangles(x, node, slope, weight, reference, penalty, which, unknowns, r
     """
     given, result, found = np.empty((GIVEN, WIDTH)), np.empty((ROWS, WIDTH)), np.empty((WIDTH, ROWS))
     eps, share, cubic, elastic, exact = penalty
-    lowest = -np.inf if exact else -elastic
     result[...] = 0.0
     for first in range(0, len(which), WIDTH):
         used = min(WIDTH, len(which) - first)
@@ -96,7 +95,7 @@ def add_triangles(x, node, slope, weight, reference, penalty, which, unknowns, r
                     given[DEFORMED + 2 * n + d, lane] = x[node[m, n], d]
                     given[REFERENCE + 2 * n + d, lane] = reference[node[m, n], d]
                     given[SLOPE + 2 * n + d, lane] = slope[m, n, d]
-        triangle_derivatives(given, result, eps, share, cubic, elastic, lowest)
+        triangle_derivatives(given, result, eps, share, cubic, elastic, exact)
         for row in range(0, ROWS, WIDTH):
             transpose(result, row, found, ROWS)
         for lane in range(used):

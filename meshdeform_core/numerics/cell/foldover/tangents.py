@@ -33,7 +33,7 @@ def products_of_cells(x, cells, start, own, mask, samples, weight, penalty, chan
             m = count[s]
             det = mapping(x, cells[c], start, own[c], m, node[s], slope[s], inverse, b, a)
             cofactors(a, k)
-            u, v, w, p, q, r = coefficients(inner(a, a), det, eps, weight[c, 0], cubic, True)
+            u, v, w, p, q, r = coefficients(inner(a, a), det, eps, weight[c, 0], cubic, 1.0)
             jacobian(change, cells[c], m, node[s], b, t)
             between = 1.0 if s < 8 else weight[c, 1]
             part = d_share * between + (0.0 if s < 8 else share * d_between[c])
@@ -100,7 +100,7 @@ def slopes_of_cells(x, cells, start, own, mask, samples, healthy, norm, eps, cha
                 continue
             det = mapping(x, cells[c], start, own[c], count[s], node[s], slope[s], inverse, b, a)
             cofactors(a, k)
-            u, v, _, _, _, _ = coefficients(inner(a, a), det, eps, 1.0, 0.0, True)
+            u, v, _, _, _, _ = coefficients(inner(a, a), det, eps, 1.0, 0.0, 1.0)
             part = (np.log(f[s] / healthy) / largest) ** (norm - 1.0) * total ** (1.0 / norm - 1.0) / f[s]
             jacobian(change, cells[c], count[s], node[s], b, t)
             d_excess[c] += part * (u * inner(t, a) + v * inner(t, k))

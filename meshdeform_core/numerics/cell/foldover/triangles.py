@@ -23,9 +23,9 @@ _HALF = math.sqrt(0.5)
 
 @narrow
 def triangle_derivatives(
-    given: Array, result: Array, eps: Lanes, share: Lanes, cubic: Lanes, elastic: Lanes, lowest: Lanes
+    given: Array, result: Array, eps: Lanes, share: Lanes, cubic: Lanes, elastic: Lanes, exact: Lanes
 ) -> None:
-    """Derivatives of the energy of eight triangles; ``lowest``: the smallest eigenvalue, without the elastic energy."""
+    """Derivatives of the energy of eight triangles; of negative second derivatives only the share ``exact``."""
     slope = [[load(given, SLOPE + 2 * n + k) for k in range(2)] for n in range(3)]
     (a, b), (c, d) = matrix = _matrix(given, DEFORMED, slope)
     held = _matrix(given, REFERENCE, slope)
@@ -37,7 +37,8 @@ def triangle_derivatives(
     u, v = 2.0 * dg * one, dd * one
     second = two * dg * dg, one * gd + two * dg * dd, one * ddd + two * dd * dd
     same, mirrored = [_HALF * (a + d), _HALF * (c - b)], [_HALF * (a - d), _HALF * (b + c)]
-    values, vectors = _spectrum(same, mirrored, u, v, second, lowest)
+    values, vectors = _spectrum(same, mirrored, u, v, second)
+    values = [(value + elastic).max(exact * (value + elastic)) for value in values]
     cofactors = [[d, c * -1.0], [b * -1.0, a]]
     stress = [
         [u * matrix[i][k] + v * cofactors[i][k] + elastic * (matrix[i][k] - held[i][k]) for k in range(2)]
@@ -48,7 +49,7 @@ def triangle_derivatives(
     for n in range(3):
         for i in range(2):
             store(result, FORCE + 2 * n + i, stress[i][0] * slope[n][0] + stress[i][1] * slope[n][1])
-        scaled = [[(value + elastic) * c for c in vector] for value, vector in zip(values, turned[n], strict=True)]
+        scaled = [[value * c for c in vector] for value, vector in zip(values, turned[n], strict=True)]
         for o in range(n, 3):
             for i in range(2):
                 for k in range(2):
@@ -64,9 +65,9 @@ def _turned(vector: list[Lanes], slope: list[Lanes]) -> list[Lanes]:
 
 
 def _spectrum(
-    c: list[Lanes], m: list[Lanes], u: Lanes, v: Lanes, second: tuple[Lanes, Lanes, Lanes], lowest: Lanes
+    c: list[Lanes], m: list[Lanes], u: Lanes, v: Lanes, second: tuple[Lanes, Lanes, Lanes]
 ) -> tuple[list[Lanes], list[list[Lanes]]]:
-    """Eigenvalues (4,), at least ``lowest``, and eigenvectors (4, 4) of the second derivatives.
+    """Eigenvalues (4,) and eigenvectors (4, 4) of the second derivatives.
 
     ``c`` (2,) and ``m`` (2,) are coordinates of the two parts of A; ``u`` is twice the derivative along g = |A|^2,
     ``v`` the one along D; ``second``: those along g, along g and D, and along D.
@@ -82,7 +83,7 @@ def _spectrum(
     # The eigenvector of the larger eigenvalue in the plane spanned by the unit vectors along C and M.
     less = half.below(0.0)
     _, p, q = _unit(less.choose(mixed, half + radius), less.choose(radius - half, mixed))
-    values = [(u + v).max(lowest), (u - v).max(lowest), (middle + radius).max(lowest), (middle - radius).max(lowest)]
+    values = [u + v, u - v, middle + radius, middle - radius]
     vectors = [
         [c1 * -1.0, c0, zero, zero],
         [zero, zero, m1 * -1.0, m0],
