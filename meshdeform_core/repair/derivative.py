@@ -181,7 +181,7 @@ class _AtMinimum:
         return len(self._region.energy.nodes)
 
     def _penalty(self, elastic: float) -> Penalty:
-        return Penalty(0.0, self.share, CUBIC, elastic, True)
+        return Penalty(0.0, self.share, CUBIC, elastic, 1.0)
 
     def _fill(self) -> None:
         self._whole.system.fill(self._region, self._x, self._start, self._penalty(1.0))
