@@ -140,7 +140,7 @@ def measure(name: str, course: Course) -> Row:
     sampled = repaired[:: max(1, len(repaired) // _SINGLE_RUNS)][: _SINGLE_RUNS + 1]
     alone = [impose(setup, setup.motion(times[n]), None, "float64", Timing()).grid.points for n in sampled]
     single = max(
-        (_apart(levels[n].result.grid.points, x, edges) for n, x in zip(sampled, alone, strict=True)), default=0
+        (apart(levels[n].result.grid.points, x, edges) for n, x in zip(sampled, alone, strict=True)), default=0
     )
     accelerations = _acceleration(setup, levels)
     return {
@@ -154,7 +154,7 @@ def measure(name: str, course: Course) -> Row:
         "with half the interval": accelerations[1],
         "without a repair": _unrepaired(setup, times),
         "from single runs, edges": f"{single:.0e}",
-        "same boundary, edges": _returning(course, times, levels, edges),
+        "same boundary, edges": returning(course, times, levels, edges),
         "off slip walls, edges": _off_walls(setup, levels, edges),
         "J min": min(level.result.assessment.after.min_relative_jacobian for level in levels),
         "CPU s of a repaired level": float(np.mean([seconds[n] for n in repaired[1:]] or [0.0])),
@@ -165,24 +165,24 @@ def measure(name: str, course: Course) -> Row:
 def _acceleration(setup: Setup, levels: list[Level]) -> tuple[float, float]:
     """The largest node acceleration beyond that of the walls, in the largest step of the walls: that of the motion, and
     with half the interval around the level where it was found."""
-    longest, beyond = _steps(setup, levels)
+    longest, beyond = accelerations(setup, levels)
     at = int(beyond.argmax())
     if beyond[at] <= 0.0:
         return 0.0, 0.0
     first, last = max(0, at - 2), min(at + 2, len(levels) - 1)
     times = np.linspace(levels[first].time, levels[last].time, 2 * (last - first) + 1)
-    _, finer = _steps(setup, list(deform_series(setup, Schedule(tuple(times)), "float64")))
+    _, finer = accelerations(setup, list(deform_series(setup, Schedule(tuple(times)), "float64")))
     return float(beyond[at] / longest), float(finer.max() / (longest / 2.0))
 
 
 def _unrepaired(setup: Setup, times: FloatArray) -> float:
     """The largest acceleration, as above, of the method's own grids: without a repair, in one step for every level."""
     levels = deform_series(setup.with_repair("off"), Schedule(tuple(times)), "float64")
-    longest, beyond = _steps(setup, list(levels))
+    longest, beyond = accelerations(setup, list(levels))
     return float(beyond.max() / longest)
 
 
-def _steps(setup: Setup, levels: list[Level]) -> tuple[float, FloatArray]:
+def accelerations(setup: Setup, levels: list[Level]) -> tuple[float, FloatArray]:
     """The largest step of the walls, and at every level the acceleration of nodes beyond that of the walls."""
     walls = setup.topology.first[setup.boundary.kind == Kind.MOVING]
     points = [level.result.grid.points for level in levels]
@@ -201,11 +201,11 @@ def _off_walls(setup: Setup, levels: list[Level], edges: FloatArray) -> str:
     return f"{max(worst):.0e}" if setup.boundary.slip.curved else ""
 
 
-def _apart(one: FloatArray, two: FloatArray, edges: FloatArray) -> float:
+def apart(one: FloatArray, two: FloatArray, edges: FloatArray) -> float:
     return float((lengths(one - two) / edges).max())
 
 
-def _returning(course: Course, times: FloatArray, levels: list[Level], edges: FloatArray) -> str:
+def returning(course: Course, times: FloatArray, levels: list[Level], edges: FloatArray) -> str:
     """The largest distance of levels with the same boundary from the first of them."""
     if course.phase is None:
         return ""
@@ -213,7 +213,7 @@ def _returning(course: Course, times: FloatArray, levels: list[Level], edges: Fl
     worst = 0.0
     for level, phase in zip(levels, np.round(course.phase(times), 9), strict=True):
         points = level.result.grid.points
-        worst = max(worst, _apart(first.setdefault(float(phase) + 0.0, points), points, edges))
+        worst = max(worst, apart(first.setdefault(float(phase) + 0.0, points), points, edges))
     return f"{worst:.0e}"
 
 
