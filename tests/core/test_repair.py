@@ -131,7 +131,9 @@ def test_the_minimum_is_found_where_exact_second_derivatives_are_indefinite_on_t
     monkeypatch.setattr(attempts, "compared", lambda trial: trial)
     setup = prepare_sample(Sample("splitter-plate", 8, constants=(("angle", 90.0),)))
     result = impose(setup, setup.motion(0.0), None, "float64", Timing())
-    assert result.valid and result.repair.converged and result.repair.newton_steps < 60
+    assert result.valid
+    assert result.repair.converged
+    assert result.repair.newton_steps < 60
 
 
 @pytest.mark.parametrize("rows", [7, 1 << 15])
