@@ -26,6 +26,8 @@ PART, PARTS = 0.875, 12
 """A motion is followed from the largest fraction PART^n, n <= PARTS, at which the method alone keeps the grid valid, in
 at most STEPS steps; the first is 1 - PART, and none is shorter than SHORTEST."""
 SHORTEST, STEPS = 0.01, 24
+EFFORT = 120
+"""Newton steps after which no further step is taken: twice to three times what it takes to find a far minimum."""
 NEAR, ENOUGH = 0.02, 0.1 * SAME
 """Distance from the minimum, relative to local edges, to which it is computed on the way and in the end."""
 FOLLOWED = 50_000

@@ -8,6 +8,7 @@ series starts.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from ..repair.outcome import Outcome
 from ..smoothness import shortest_edges
 from .course import Course
 from .steps import Trial, prepared_on
-from .tuned import ENOUGH, FOLLOWED, NEAR, PART, PARTS, SAME, SHORTEST, STEPS
+from .tuned import EFFORT, ENOUGH, FOLLOWED, NEAR, PART, PARTS, SAME, SHORTEST, STEPS
 
 
 def compared(trial: Trial) -> Trial:
@@ -56,7 +57,8 @@ def _from_another_start(trial: Trial) -> Outcome | None:
 def _follow(trial: Trial) -> Outcome | None:
     """The minimum at the end of the motion, followed from a part of the motion at which the method keeps cells valid.
 
-    Every step is short enough for the grid to remain valid with the previous step's repair; ``None`` if that fails.
+    Every step is short enough for the grid to remain valid with the previous repair, or one extrapolated from two.
+    ``None`` if that fails, or takes too long.
     """
     course, repairer = trial.state.course, trial.state.course.repairer
     parts = (PART**power for power in range(1, PARTS + 1))
@@ -65,22 +67,34 @@ def _follow(trial: Trial) -> Outcome | None:
         return None
     start = _plain(trial, reached)
     outcome, step = repairer.repair(start, _verdict(course, start), ways=(), close=NEAR), 1.0 - PART
-    correction = combined(np.subtract, outcome.points, start)
+    path = [(reached, combined(np.subtract, outcome.points, start))]
+    spent = outcome.repair.newton_steps
     for _ in range(STEPS):
-        if reached == 1.0 or step < SHORTEST:
+        if reached == 1.0 or step < SHORTEST or spent > EFFORT:
             break
         part = min(1.0, reached + step)
-        plain = _plain(trial, part)
-        found = None
-        if _verdict(course, combined(np.add, plain, correction)).valid:
+        plain, found = _plain(trial, part), None
+        guesses = (guess for guess in _guesses(path, part) if _verdict(course, combined(np.add, plain, guess)).valid)
+        if (guess := next(guesses, None)) is not None:
             close = NEAR if part < 1.0 else ENOUGH
-            found = repairer.repair(plain, _verdict(course, plain), ways=(), guess=correction, close=close)
+            found = repairer.repair(plain, _verdict(course, plain), ways=(), guess=guess, close=close)
+            spent += found.repair.newton_steps
         if found and found.repair.converged:
-            correction = combined(np.subtract, found.points, plain)
+            path = [path[-1], (part, combined(np.subtract, found.points, plain))]
             outcome, reached, step = found, part, 1.5 * step
         else:
             step /= 2
     return outcome if reached == 1.0 else None
+
+
+def _guesses(path: list[tuple[float, FloatArray]], part: float) -> Iterator[FloatArray]:
+    """The repair (n_nodes, 3) to be expected at a part of the motion after those at one or two smaller ones:
+    extrapolated, and the last one."""
+    (before, first), (reached, last) = path[0], path[-1]
+    if before < reached:
+        far = (part - reached) / (reached - before)
+        yield combined(lambda a, b, out: np.copyto(out, b + far * (b - a)), first, last)
+    yield last
 
 
 def _verdict(course: Course, points: FloatArray) -> Verdict:
