@@ -98,6 +98,11 @@ def share(nodes: int, count: int, number: int, method: str) -> MarkdownTable:
     table = MarkdownTable(f"One of {count} ranks: {n**3:,} nodes in one block, {method}, without messages and files")
     with sharing(LonelyRank(number, count), 1), dividing():
         grid = Grid.allocate([(n, n, n)])
+        if grid.points.low == grid.points.high:
+            raise SystemExit(
+                f"rank {number} of {count} has no nodes, as {n**3:,} nodes are cut into fewer pieces; expected more "
+                f"nodes, or another rank"
+            )
         points = Box(grid.points, n)
         grid = grid.moved(points)
         points.keep(NearNodes.of(grid.shapes, grid.offsets))

@@ -192,13 +192,19 @@ def solution_nodes(
     Raises
     ------
     FormatError
-        When a field has another shape than the nodes, cells or faces of its block.
+        When a field has another shape than the nodes, cells or faces of its block, or its zone has none of them.
     """
     solutions = []
     for location, word in _LOCATIONS.items():
         if (block, location) not in numbers:
             continue
         size, word = _located(location, word, shape, grid.shapes[block])
+        if 0 in size:
+            raise FormatError(
+                f"{grid.names[block]} is one plane of nodes in a base of three index axes, in which CGNS has neither "
+                f"cells nor faces for the {location} field {grid.fields[numbers[block, location][0]].name!r}; write to "
+                f"VTK, or leave the field out"
+            )
         for number in numbers[block, location]:
             _require_shape(grid, grid.fields[number])
         arrays = [(n, name) for n in numbers[block, location] for name in _components(grid.fields[n])]

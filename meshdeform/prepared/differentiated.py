@@ -10,11 +10,13 @@ from meshdeform_core.grid import FloatArray
 from meshdeform_core.methods import PreparedMethod
 from meshdeform_core.methods.components import PreparedComponents, named
 from meshdeform_core.methods.derivative import ComponentsDerivative, Derivative, StepsDerivative, derivative_of
+from meshdeform_core.parallel import Part, combined, of_all, own_rows
 from meshdeform_core.repair.derivative import RepairDerivative, derivative_of_repair
 from meshdeform_core.stepping.retraced import retraced
 
 _CLOSE = 1e-4
 """A repaired grid farther from the minimum than this fraction of the shortest edge, round-off aside, is not at it."""
+_IN_PARTS = "in parts, and the derivative of that takes the whole grid on every rank"
 _NOT_MINIMAL = "the grid was repaired, but is not the minimum of the repair's energy"
 
 
@@ -36,7 +38,8 @@ def differentiated(result: Result, method: PreparedMethod, displacement: FloatAr
 
 
 def _of_one_step(result: Result, method: PreparedMethod, displacement: FloatArray) -> tuple[Derivative, str]:
-    derivative, points = derivative_of(method, displacement), result.setup.grid.points + method.apply(displacement)
+    derivative = derivative_of(method, displacement)
+    points = combined(np.add, result.setup.grid.points, method.apply(displacement))
     if _same(points, result):
         return derivative, ""
     if result.reached < 1.0:
@@ -54,6 +57,8 @@ def _of_one_step(result: Result, method: PreparedMethod, displacement: FloatArra
 def _of_steps(result: Result, method: PreparedMethod, displacement: FloatArray) -> tuple[Derivative, str]:
     """The derivative by the chain rule; where that does not apply, the derivative of the method in one step."""
     setup, total = result.setup, result.displacement
+    if isinstance(setup.grid.points, Part):
+        return derivative_of(method, displacement), _in_one_step(result, _IN_PARTS)
     trials = retraced(setup, lambda part: total if part == 1.0 else part * total, method, result.ends)
 
     def mend(plain: FloatArray) -> tuple[FloatArray, RepairDerivative | None]:
@@ -70,8 +75,11 @@ def _of_steps(result: Result, method: PreparedMethod, displacement: FloatArray) 
         why = f"and {error}"
     if not why:
         return chain, ""
-    text = f"the motion was imposed in {result.steps} steps, {why}; the derivative is that of one step"
-    return derivative_of(method, displacement), text
+    return derivative_of(method, displacement), _in_one_step(result, why)
+
+
+def _in_one_step(result: Result, why: str) -> str:
+    return f"the motion was imposed in {result.steps} steps, {why}; the derivative is that of one step"
 
 
 def _of_repair(
@@ -85,6 +93,8 @@ def _of_repair(
         Where these are not the minimum of its energy, or this has no derivative.
     """
     setup = result.setup
+    if isinstance(plain, Part):
+        raise MethodError(f"the grid was repaired {_IN_PARTS}")
     if not converged:
         raise MethodError(_NOT_MINIMAL)
     found = derivative_of_repair(setup.undeformed.repairs, plain, points, setup.case.repair.mode == "polish")
@@ -95,12 +105,17 @@ def _of_repair(
 
 def _rounding(result: Result) -> float:
     """Largest difference between the coordinates of the result and those before rounding."""
-    points = result.setup.grid.points
-    return float(4.0 * np.finfo(result.setup.grid.precision).eps * np.abs(points).max())
+    return 4.0 * float(np.finfo(result.setup.grid.precision).eps) * _largest(result.setup.grid.points)
 
 
 def _same(points: FloatArray, result: Result) -> bool:
-    return bool(np.abs(points - result.grid.points).max() <= _rounding(result))
+    return _largest(combined(np.subtract, points, result.grid.points)) <= _rounding(result)
+
+
+def _largest(values: FloatArray) -> float:
+    """Largest magnitude of ``values`` (n_nodes, 3), of all ranks if they are in parts."""
+    own = values[slice(*own_rows(values))]
+    return max(of_all(values, max(float(own.max(initial=0.0)), -float(own.min(initial=0.0)))))
 
 
 class _Repaired:

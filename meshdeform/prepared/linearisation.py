@@ -15,6 +15,7 @@ from meshdeform_core.errors import GridError
 from meshdeform_core.grid import FloatArray, IntArray
 from meshdeform_core.methods import PreparedMethod
 from meshdeform_core.methods.derivative import reason_of
+from meshdeform_core.parallel import Part, alike, for_rows, on_each
 
 from ..gate import checked_array
 from .differentiated import differentiated
@@ -66,6 +67,9 @@ class Linearisation:
     def jvp(self, displacement: ArrayLike) -> list[FloatArray]:
         """Change of the blocks' coordinates, arrays like ``mesh.grid.blocks``, for a change of the displacement.
 
+        If every rank holds a part of the grid: arrays like ``mesh.grid.part``; all ranks call this, with the same
+        change.
+
         Parameters
         ----------
         displacement : (n_moving, 3) change of the displacement, rows as in :attr:`Mesh.points`
@@ -77,7 +81,7 @@ class Linearisation:
         """
         with self._moving.at_work():
             change = self._moving.checked(displacement, "displacement", len(self._moving.numbers))
-            return self._blocks(self._pushed(change))
+            return self._step.grid._parted(self._pushed(change))
 
     def vjp(self, gradients: Sequence[ArrayLike]) -> FloatArray:
         """Gradient (n_moving, 3) with respect to the displacement from that with respect to the coordinates.
@@ -86,7 +90,8 @@ class Linearisation:
 
         Parameters
         ----------
-        gradients : one array per block, like ``mesh.grid.blocks``
+        gradients : one array per block, like ``mesh.grid.blocks``; if every rank holds a part of the grid, of the nodes
+            in its ``mesh.grid.part``. All ranks call this together and get the whole gradient
 
         Raises
         ------
@@ -101,9 +106,15 @@ class Linearisation:
         """The derivative as a scipy ``LinearOperator`` of shape (3 n_nodes, 3 n_moving), with its transpose.
 
         Rows: nodes of all blocks in block order, C order within a block, x y z last; columns: rows of ``mesh.points``.
+
+        Raises
+        ------
+        GridError
+            When every rank holds a part of the grid; use :meth:`jvp` and :meth:`vjp`.
         """
         from scipy.sparse.linalg import LinearOperator
 
+        self._step.grid._whole("a linear operator")
         nodes, moving = self._setup.grid.n_nodes, len(self._moving.numbers)
 
         def push(x: FloatArray) -> FloatArray:
@@ -128,21 +139,25 @@ class Linearisation:
         total[setup.problem.source_numbers] = self._derivative.pull(gradient)
         return given_gradient(setup.grid, setup.boundary, self._moving.numbers, total)
 
-    def _blocks(self, values: FloatArray) -> list[FloatArray]:
-        grid = self._setup.grid
-        blocks = [grid.block(b, values) for b in range(grid.n_blocks)]
-        return [block[:, :, 0, :2].copy() if self._step._plane else block for block in blocks]
-
     def _flat(self, gradients: Sequence[Any]) -> FloatArray:
-        grid, shapes = self._setup.grid, [block.shape for block in self._step.grid.blocks]
-        found = list(gradients) if isinstance(gradients, Iterable) else [gradients]
-        if len(found) != len(shapes):
-            raise GridError(f"found gradients for {len(found)} blocks; expected those of the {len(shapes)} blocks")
-        flat = np.zeros((grid.n_nodes, 3))
-        for block, (each, shape) in enumerate(zip(found, shapes, strict=True)):
-            what, meaning = f"gradient of block {block + 1}", f"expected those of the {len(shapes)} blocks"
-            rows = flat[grid.offsets[block] : grid.offsets[block + 1]]
-            rows[:, : shape[-1]] = checked_array(each, shape, what, meaning, GridError).reshape(-1, shape[-1])
+        """Gradients of the parts of the grid as one array (n_nodes, 3), in parts if the grid is."""
+        parts = self._step.grid.part
+        flat = alike(self._setup.grid.points)
+        for_rows(lambda rows: flat[rows].fill(0.0), flat)
+
+        def fill() -> None:
+            found = list(gradients) if isinstance(gradients, Iterable) else [gradients]
+            if len(found) != len(parts):
+                raise GridError(f"found gradients for {len(found)} blocks; expected those of the {len(parts)} blocks")
+            for (block, _, _, points), each in zip(parts, found, strict=True):
+                what, meaning = f"gradient of block {block + 1}", f"expected those of the {len(parts)} blocks"
+                values = checked_array(each, points.shape, what, meaning, GridError)
+                self._step.grid._rows(block, flat)[...] = values
+
+        if isinstance(flat, Part):
+            on_each(flat, fill)
+        else:
+            fill()
         return flat
 
 

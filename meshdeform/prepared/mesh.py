@@ -169,14 +169,16 @@ class Mesh:
         ----------
         displacement : at which it is taken, as for :meth:`deform`; ``None``: the undeformed grid
         steps, repair : as for :meth:`deform`. ``.exact`` is false for a grid repaired without reaching the minimum of
-            the repair's energy, and where the result has no derivative; ``.reason`` says why
+            the repair's energy, where the result has no derivative, and where the ranks hold parts of a grid that was
+            repaired or moved in several steps; ``.reason`` says why
 
         Raises
         ------
         MotionError
             As for :meth:`deform`.
+        GridError
+            When the grid is in parts, and the derivative of the method takes the whole of it.
         """
-        self.grid._whole("a derivative")
         at = np.zeros((len(self.points), 3)) if displacement is None else displacement
         step = self.deform(at, steps=steps, repair=repair)
         with self._at_work():

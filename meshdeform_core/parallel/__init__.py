@@ -35,6 +35,7 @@ from .parts import (
     require_whole,
     rows_at,
     rows_of,
+    summed,
     together,
 )
 from .ranks import OneRank, Ranks
@@ -73,6 +74,7 @@ __all__ = [
     "set_ranks",
     "set_threads",
     "sharing",
+    "summed",
     "thread_count",
     "together",
 ]

@@ -297,6 +297,23 @@ def of_all(array: Any, value: T) -> list[T]:
     return ranks_of(array).gather([value])
 
 
+def summed(array: Any, values: np.ndarray) -> np.ndarray:
+    """Sum of the ``values`` of all ranks if the array is in parts, in rank order; otherwise ``values``.
+
+    All of them must have the same shape. Only some are in memory for all ranks at a time.
+    """
+    ranks = ranks_of(array)
+    if ranks.count == 1:
+        return values
+    own = values.ravel()
+    result = own.copy()
+    for first in range(0, own.size, _ROWS):
+        some = own[first : first + _ROWS]
+        every = ranks.collect(some, [len(some)] * ranks.count)
+        result[first : first + _ROWS] = every.reshape(ranks.count, -1).sum(axis=0)
+    return result.reshape(values.shape)
+
+
 def numbered(array: Any, count: int) -> tuple[int, int]:
     """Number of this rank's first item, if it has ``count`` and items are numbered rank by rank; and their total."""
     counts = of_all(array, count)

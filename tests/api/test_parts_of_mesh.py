@@ -70,8 +70,6 @@ def test_every_rank_has_its_part_of_the_grid_and_of_the_result(source, tmp_path)
         ):  # fmt: skip
             with pytest.raises(md.GridError, match=r"takes the whole grid on every rank.*Grid\.gathered"):
                 act()
-        with pytest.raises(md.GridError, match="a derivative: that takes"):
-            mesh.linearise(turned)
         with ThreadPoolExecutor(1) as other, pytest.raises(md.GridError, match="in another thread"):
             other.submit(mesh.deform, turned).result()
         assert lasting(found.report) == lasting(report)
@@ -90,13 +88,70 @@ def test_every_rank_has_its_part_of_the_grid_and_of_the_result(source, tmp_path)
 
 def test_what_takes_the_whole_grid_is_refused_on_all_ranks(source):
     def act(number):
-        with pytest.raises(md.GridError, match="a derivative: that takes the whole grid"):
-            prepared(source, parts=True).linearise(turned)
+        with pytest.raises(md.GridError, match="inside blocks: that takes the whole grid"):
+            prepared(source, parts=True, method="idw-rbf").linearise()
+        with pytest.raises(md.GridError, match="a greedy reduction: that takes the whole grid"):
+            prepared(source, parts=True, method=md.RBF(basis="wendland-c2", greedy="hybrid")).linearise(turned)
+        at = prepared(source, parts=True).linearise(repair="off")
+        with pytest.raises(md.GridError, match="a linear operator: that takes the whole grid"):
+            _ = at.operator
+        # An error on one rank alone is raised on all.
+        wrong = [np.full(part.points.shape, np.nan if number else 0.0) for part in at.step.grid.part]
+        with pytest.raises(md.GridError, match="not finite"):
+            at.vjp(wrong)
         with pytest.raises(md.GridError, match="expected the name of a grid file"):
             prepared(md.read(source), parts=True)
         return True
 
     assert all(on_ranks(2, act))
+
+
+METHODS = {
+    "idw": md.IDW(), "idw, fast": md.IDW(summation="fast"), "rbf": md.RBF(), "rbf, fast": md.RBF(summation="fast"),
+    "tfi": "tfi", "idw-tfi": md.Hybrid(md.IDW(), md.TFI(max_cells=4)),
+    "idw-tfi, fast": md.Hybrid(md.IDW(summation="fast", alpha=0.3), md.TFI(max_cells=4)),
+    "rbf-tfi": md.Hybrid(md.RBF(), md.TFI(max_cells=3)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_derivatives_in_parts(source, name, monkeypatch):
+    def small(points, time):
+        return 0.1 * turned(points, time)
+
+    rng = np.random.default_rng(4)
+    whole = prepared(source, method=METHODS[name]).linearise(small, repair="off")
+    change = rng.standard_normal((len(whole._moving.numbers), 3))
+    gradient = [rng.standard_normal(block.shape) for block in whole.step.grid.blocks]
+    pushed, pulled, reason = whole.jvp(change), whole.vjp(gradient), whole.reason
+    poison_parts(monkeypatch)
+
+    def act(number):
+        own = prepared(source, method=METHODS[name], parts=True).linearise(small, repair="off")
+        assert own.reason == reason
+        for part, found in zip(own.step.grid.part, own.jvp(change), strict=True):
+            np.testing.assert_array_equal(found, pushed[part.block][part.first : part.last])
+        found = own.vjp([gradient[part.block][part.first : part.last] for part in own.step.grid.part])
+        # Solving an RBF system magnifies round-off.
+        error = 1e-11 if "rbf" in name else 1e-13
+        np.testing.assert_allclose(found, pulled, rtol=0.0, atol=error * np.abs(pulled).max())
+        return found
+
+    for count in (2, 3):
+        one, *others = on_ranks(count, act)
+        assert all(np.array_equal(one, other) for other in others)
+
+
+def test_derivatives_of_repairs_and_steps_in_parts_are_those_of_the_method(source):
+    def act(number):
+        mesh = prepared(source, parts=True)
+        repaired, stepped = mesh.linearise(turned), mesh.linearise(turned, steps=2, repair="off")
+        assert not repaired.exact
+        assert not stepped.exact
+        return repaired.reason, stepped.reason
+
+    for reasons in on_ranks(2, act):
+        assert all("in parts, and the derivative of that takes the whole grid" in reason for reason in reasons)
 
 
 @pytest.mark.parametrize("plane", [False, True], ids=["3-D", "2-D"])

@@ -127,6 +127,20 @@ def test_more_than_values_of_coordinates_change(tmp_path, change):
     assert (tmp_path / "one.cgns").read_bytes() == (tmp_path / "two.cgns").read_bytes()
 
 
+def test_cells_of_a_zone_of_one_plane_in_a_base_of_three_axes(tmp_path):
+    grid = read_grid(write_hdf5(tmp_path / "in.cgns", tree(zone("thin", box(4, 3, 1)))))
+    values = replace(grid, fields=(Field("skew", "cell", 0, np.ones((3, 2, 1))),))
+    with pytest.raises(
+        FormatError, match=r"thin is one plane of nodes .* neither cells nor faces for the cell field 'skew'"
+    ):
+        write_grid(values, tmp_path / "out.cgns")
+    assert not (tmp_path / "out.cgns").exists()
+    values = replace(grid, fields=(Field("speed", "node", 0, np.ones((4, 3, 1))),))
+    write_grid(values, tmp_path / "out.cgns")
+    with h5py.File(tmp_path / "out.cgns") as file:
+        assert file["Base/thin/FlowSolutionVertex/speed/ data"].shape == (1, 3, 4)
+
+
 def test_third_party_hdf5(third_party, tmp_path):
     grid = moved(read_grid(third_party / WING_HDF5))
     write_grid(grid, tmp_path / "out.cgns")

@@ -8,6 +8,7 @@ import numpy as np
 
 from ...grid import FloatArray
 from ...grid.connectivity.components import assembled
+from ...parallel import require_whole
 from ..base import PreparedMethod
 from ..components import PreparedComponents
 from ..gaps import PreparedInGaps
@@ -19,6 +20,7 @@ from .kinks import Kinks
 def derivative_of(method: PreparedMethod, displacement: FloatArray) -> Derivative:
     """The derivative of a prepared method at one displacement (n_sources, 3)."""
     if isinstance(method, PreparedComponents):
+        require_whole(method.problem.grid.points, "a derivative of overset components")
         return ComponentsDerivative(
             method, [derivative_of(own, displacement[rows]) if own else None for _, own, rows in method.parts]
         )
@@ -27,6 +29,7 @@ def derivative_of(method: PreparedMethod, displacement: FloatArray) -> Derivativ
     closing = method.closing(displacement)
     if closing is None:
         return derivative_of_composite(method.method, displacement)
+    require_whole(method.method._problem.grid.points, "a derivative of a motion that closes a gap")
     return InGapsDerivative(method, closing, displacement)
 
 

@@ -7,6 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ...grid import FloatArray
+from ...parallel import alike, for_rows, require_whole, rows_of
 from ..base import Mover, PreparedMethod, Problem
 from ..composite import PreparedComposite, PreparedFiller, _on_faces, _Scattered
 from ..periodic_steps import PreparedPeriodic
@@ -15,7 +16,7 @@ from ..scattered.idw import PreparedIDW
 from ..scattered.rbf import PreparedRBF
 from ..transfinite.edge_graph import PreparedEdgeGraph
 from ..transfinite.tfi import PreparedTFI
-from .constraints import Constraints
+from .constraints import Constraints, add_to_faces
 from .greedy import GreedyDerivative
 from .grid.weighting import IDWOnFixedGrid
 from .kinks import UNCHOSEN, Kinks
@@ -54,7 +55,7 @@ class _Composite:
         self._problem, self._left_out = problem, method._left_out
         self._mover = _first_step(method._mover, problem, displacement)
         self._filler = _filling(method._filler, problem) if method._filler else None
-        out = np.full((problem.grid.n_nodes, 3), np.nan)
+        out = _blank(problem)
         face = method._mover.move(displacement, out)
         self._first = Constraints(problem, face.copy())
         self.kinks = self._mover.kinks + self._first.kinks
@@ -65,9 +66,8 @@ class _Composite:
             self.kinks += self._second.kinks
 
     def push(self, change: FloatArray) -> FloatArray:
-        problem, out = self._problem, np.empty((self._problem.grid.n_nodes, 3))
-        if self._left_out:
-            out.fill(np.nan)
+        problem = self._problem
+        out = _blank(problem) if self._left_out else alike(problem.grid.points)
         face = self._mover.push(change, out)
         self._first.impose(face, out)
         if self._filler:
@@ -80,7 +80,7 @@ class _Composite:
         if self._filler:
             if self._left_out:
                 face = self._second.gathered(gradient)
-                gradient[self._problem.topology.first] += face
+                add_to_faces(face, self._problem.topology, gradient)
             self._filler.pull(gradient)
         return self._mover.pull(self._first.gathered(gradient), gradient)
 
@@ -101,7 +101,7 @@ class _Periodic:
         self.kinks = self._mover.kinks + self._constraints.kinks + self._rest.kinks
 
     def push(self, change: FloatArray) -> FloatArray:
-        face = self._mover.push(change, np.zeros((self._problem.grid.n_nodes, 3)))
+        face = self._mover.push(change, alike(self._problem.grid.points))
         self._constraints.push(face)
         return self._rest.push(face[self._sources])
 
@@ -109,8 +109,15 @@ class _Periodic:
         face = np.zeros((self._problem.topology.n_unique, 3))
         face[self._sources] = self._rest.pull(gradient)
         self._constraints.pull(face)
-        gradient[...] = 0.0
+        for_rows(lambda rows: gradient[rows].fill(0.0), gradient)
         return self._mover.pull(face, gradient)
+
+
+def _blank(problem: Problem) -> FloatArray:
+    """An array (n_nodes, 3) in which nodes that no step has reached are no numbers."""
+    out = alike(problem.grid.points)
+    for_rows(lambda rows: out[rows].fill(np.nan), out)
+    return out
 
 
 class _FirstStep(Protocol):
@@ -136,6 +143,7 @@ def _first_step(mover: Mover, problem: Problem, displacement: FloatArray) -> _Fi
 
 def _filling(filler: PreparedFiller, problem: Problem) -> _Filling:
     if isinstance(filler, PreparedBlockRBF):
+        require_whole(problem.grid.points, "a derivative with radial basis functions inside blocks")
         return BlockRBFDerivative(filler, problem)
     assert isinstance(filler, PreparedTFI)
     return TFIDerivative(filler)
@@ -162,7 +170,7 @@ class _Interpolated:
 
     def push(self, change: FloatArray, out: FloatArray) -> FloatArray:
         self._derivative.push(change, out)
-        self._beside_slip.damp(out)
+        self._beside_slip.damp(rows_of(out))
         face = _on_faces(out, self._problem)
         face[self._problem.source_numbers] = change
         return face
@@ -170,9 +178,9 @@ class _Interpolated:
     def pull(self, face: FloatArray, g: FloatArray) -> FloatArray:
         own = face[self._problem.source_numbers].copy()
         face[self._problem.source_numbers] = 0.0
-        g[self._problem.topology.first] += face
+        add_to_faces(face, self._problem.topology, g)
         del face
-        self._beside_slip.damp(g)
+        self._beside_slip.damp(rows_of(g))
         return np.asarray(own + self._derivative.pull(g))
 
 
@@ -182,6 +190,7 @@ def _interpolated(
     bound, evaluator = mover._bound, mover._evaluator
     if isinstance(bound, PreparedIDW):
         if bound.options.reweight:
+            require_whole(mover.problem.grid.points, "a derivative with weights of the moved sources")
             return IDWOnFixedGrid(bound, evaluator.bound, displacement)
         return IDWDerivative(bound, evaluator, displacement)
     assert isinstance(bound, PreparedRBF)

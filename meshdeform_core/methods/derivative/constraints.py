@@ -6,7 +6,9 @@ import numpy as np
 
 from ...boundary.slip import CurvedSurface
 from ...grid import FloatArray, IntArray
+from ...grid.topology import Topology
 from ...numerics.rows import collect_rows, project_rows, spread_rows
+from ...parallel import Part, own_rows, rows_of
 from ..base import Problem
 from .kinks import EDGES, Kinks, kinks_of
 
@@ -77,14 +79,34 @@ class Constraints:
     def impose(self, face: FloatArray, out: FloatArray, dx: FloatArray | None = None) -> None:
         """Impose the constraints on a change ``face``, and copy it to all coincident nodes of ``out`` (n_nodes, 3)."""
         self.push(face, dx)
-        topology = self._problem.topology
-        spread_rows(face, topology.number, topology.face_nodes, out)
+        number, nodes = own_face_nodes(self._problem.topology, out)
+        spread_rows(face, number, nodes, rows_of(out))
 
     def gathered(self, gradient: FloatArray, of_x: FloatArray | None = None) -> FloatArray:
         """Transpose of :meth:`impose`: gradient (n_unique, 3) of the face nodes, with the rows of coincident nodes in
         ``gradient`` (n_nodes, 3) added up and set to zero."""
         topology = self._problem.topology
         face: FloatArray = np.zeros((topology.n_unique, 3))
-        collect_rows(gradient, topology.number, topology.face_nodes, face)
+        if isinstance(gradient, Part):
+            # All ranks add up the same rows, in the order of a whole grid.
+            values = gradient[topology.face_nodes]
+            collect_rows(values, topology.number, np.arange(len(values)), face)
+            _, own = own_face_nodes(topology, gradient)
+            rows_of(gradient)[own] = 0.0
+        else:
+            collect_rows(gradient, topology.number, topology.face_nodes, face)
         self.pull(face, of_x)
         return face
+
+
+def own_face_nodes(topology: Topology, values: FloatArray) -> tuple[IntArray, IntArray]:
+    """Unique numbers (n,) and flat indices (n,) of the nodes on block faces; of a grid in parts, of this rank."""
+    begin, end = np.searchsorted(topology.face_nodes, own_rows(values)).tolist()
+    return topology.number[begin:end], topology.face_nodes[begin:end]
+
+
+def add_to_faces(face: FloatArray, topology: Topology, gradient: FloatArray) -> None:
+    """Add ``face`` (n_unique, 3) to the rows of one copy of each face node in ``gradient`` (n_nodes, 3)."""
+    (low, high), first = own_rows(gradient), topology.first
+    own = (first >= low) & (first < high)
+    rows_of(gradient)[first[own]] += face[own]

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 
 from ...grid import FloatArray
+from ...parallel import require_whole
 from ..base import Problem
 from ..scattered.radial_system import RadialSystem
 from ..scattered.rbf import REACH, PreparedRBF
@@ -24,6 +25,7 @@ class GreedyDerivative:
     """
 
     def __init__(self, method: PreparedRBF, problem: Problem, sums: RadialSums, displacement: FloatArray) -> None:
+        require_whole(problem.grid.points, "a derivative of a greedy reduction")
         self._images, self._n, self.flat = method._images, len(problem.source_numbers), sums.flat
         self.kinks, images, centres = Kinks({CHOSEN: 1}), method._images, method.centres
         values = images.displaced(displacement)

@@ -12,7 +12,7 @@ from ...numerics.exact.radial import radial_sums
 from ...numerics.fastsum.radial.frozen import FrozenRadial
 from ...numerics.fastsum.radial.targets import RadialTargets
 from ...numerics.systems.greedy import correct_again, correct_transposed
-from ...parallel import agreed
+from ...parallel import agreed, alike, apart, rows_of, summed
 from ..base import Account, Problem
 from ..scattered.block_rbf import PreparedBlockRBF
 from ..scattered.centres import Centres, SystemOptions
@@ -65,8 +65,12 @@ class RadialMap:
 
     def pull(self, gradient: FloatArray) -> FloatArray:
         """Gradient (m, 3) of the values from that (n, 3) at the points."""
+        return solved_transposed(self._system, *self.gathered(gradient))
+
+    def gathered(self, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Gradients of the coefficients (m, 3) and of the polynomial (q, 3) from that (n, 3) at the points."""
         upper = radial_sums(self._kind, self._system.centres.points, self._x, np.ascontiguousarray(gradient))
-        return solved_transposed(self._system, upper, self._terms.T @ gradient)
+        return upper, self._terms.T @ gradient
 
 
 def solved_transposed(system: RadialSystem | Corrections, upper: FloatArray, lower: FloatArray) -> FloatArray:
@@ -99,12 +103,13 @@ class RBFDerivative:
 
     def __init__(self, method: PreparedRBF, problem: Problem, sums: RadialSums, kinks: Kinks | None = None) -> None:
         self._images, self._points, self.flat = method._images, problem.grid.points, sums.flat
+        self._own = rows_of(self._points)
         self.kinks = kinks or Kinks()
         sums.prepare(len(method.centres.points))
         self._n = len(problem.source_numbers)
         self._system = accurate(method.options.system, method.centres, problem)
         self._fast = self._accurate(sums.targets) if sums.targets else None
-        self._exact = None if self._fast else RadialMap(self._system, self._points[self.flat])
+        self._exact = None if self._fast else RadialMap(self._system, self._own[self.flat])
 
     def _accurate(self, targets: RadialTargets) -> FrozenRadial | None:
         """Fast sums, refined until the error at the nodes where they are compared with exact sums is small enough;
@@ -116,13 +121,13 @@ class RBFDerivative:
         system, centres = self._system, self._system.centres
         rough = np.random.default_rng(0).uniform(-1.0, 1.0, centres.points.shape)
         coefficients, polynomial = system.solve(rough, Account(), None)
-        kind, found = BASES[system.options.basis], np.zeros_like(self._points)
+        kind, found = BASES[system.options.basis], rows_of(alike(self._points))
 
         def exactly(flat: IntArray) -> FloatArray:
             return radial_sums(kind, targets.points[flat], centres.points, coefficients)
 
-        some = doubtful(targets.points, targets, np.zeros(len(targets.leaves)))
-        size = float(np.abs(exactly(some) + self._terms(some) @ polynomial).max())
+        some = doubtful(self._points, targets, np.zeros(len(targets.leaves)))
+        size = agreed(float(np.abs(exactly(some) + self._terms(some) @ polynomial).max(initial=0.0)))
         allowed = TOLERANCE * size
         for _ in range(1 + MAX_RETRIES):
             fast = FrozenRadial(kind, centres.points, targets, coefficients, allowed)
@@ -130,9 +135,11 @@ class RBFDerivative:
             def keep(flat: IntArray, sums: FloatArray) -> None:
                 found[flat] = sums
 
-            flat = doubtful(targets.points, targets, fast.push(coefficients, keep, found))
+            with apart(self._points):
+                risk = fast.push(coefficients, keep, found)
+            flat = doubtful(self._points, targets, risk)
             # All ranks must decide alike, even if their processors round differently.
-            gap = float(np.abs(found[flat] - exactly(flat)).max())
+            gap = float(np.abs(found[flat] - exactly(flat)).max(initial=0.0))
             error = agreed(gap) / size
             if error <= TOLERANCE:
                 return fast
@@ -143,37 +150,40 @@ class RBFDerivative:
 
     def push(self, change: FloatArray, out: FloatArray) -> None:
         """Write the change of the nodes into their rows of ``out`` (n_nodes, 3), for a ``change`` of the sources."""
-        values = self._images.displaced(change)
+        values, rows = self._images.displaced(change), rows_of(out)
         if self._exact:
-            out[self.flat] = self._exact.push(values)
+            rows[self.flat] = self._exact.push(values)
             return
         assert self._fast is not None
         coefficients, polynomial = self._system.solve(values, Account(), None)
 
         def use(flat: IntArray, sums: FloatArray) -> None:
-            out[flat] = sums + self._terms(flat) @ polynomial
+            rows[flat] = sums + self._terms(flat) @ polynomial
 
-        self._fast.push(coefficients, use, out)
+        with apart(self._points):
+            self._fast.push(coefficients, use, rows)
 
     def pull(self, gradient: FloatArray) -> FloatArray:
         """Gradient (n_sources, 3) from that of the nodes, rows of ``gradient`` (n_nodes, 3)."""
-        total = np.zeros((self._n, 3))
-        if self._exact:
-            found = self._exact.pull(gradient[self.flat])
-        else:
-            assert self._fast is not None
-            lower = np.zeros((self._system.terms.shape[1], 3))
-            for first in range(0, len(self.flat), _ROWS):
-                flat = self.flat[first : first + _ROWS]
-                lower += self._terms(flat).T @ gradient[flat]
-            found = solved_transposed(self._system, self._fast.pull(gradient), lower)
+        total, rows = np.zeros((self._n, 3)), rows_of(gradient)
+        with apart(self._points):
+            if self._exact:
+                upper, lower = self._exact.gathered(rows[self.flat])
+            else:
+                assert self._fast is not None
+                upper, lower = self._fast.pull(rows), np.zeros((self._system.terms.shape[1], 3))
+                for first in range(0, len(self.flat), _ROWS):
+                    flat = self.flat[first : first + _ROWS]
+                    lower += self._terms(flat).T @ rows[flat]
+        upper, lower = (summed(self._points, each) for each in (upper, lower))
+        found = solved_transposed(self._system, upper, lower)
         np.add.at(total, self._images.owner, np.einsum("nij,ni->nj", self._images.reflection, found))
         return total
 
     def _terms(self, flat: IntArray) -> FloatArray:
         """Polynomial terms (n, q) at some nodes."""
         centres = self._system.centres
-        return centres.polynomial(centres.normalised(self._points[flat]))[:, : self._system.terms.shape[1]]
+        return centres.polynomial(centres.normalised(self._own[flat]))[:, : self._system.terms.shape[1]]
 
 
 class BlockRBFDerivative:

@@ -10,8 +10,8 @@ from ...grid import BoolArray, FloatArray, IntArray
 from ...numerics.exact.direct import N_VALUES, weighted_sums
 from ...numerics.fastsum.clusters.targets import make_targets
 from ...numerics.fastsum.clusters.tree import build_tree
-from ...numerics.fastsum.weighted.frozen import FrozenSums, Make, Use
-from ...parallel import Shared, empty, for_chunks
+from ...numerics.fastsum.weighted.frozen import Accuracy, FrozenSums, Make, Use
+from ...parallel import Shared, apart, empty, for_chunks, ranks_of
 from ..scattered.idw_sums import Bound
 
 TOLERANCE = 1e-5
@@ -43,10 +43,12 @@ def sums_of(
         if some.size
     ]
     grid, groups = bound.grid, [group for group, _ in parts]
-    trees = [build_tree(bound.sources[group], _ORDER) for group in groups]
-    targets = make_targets(grid.points, grid.shapes, grid.offsets, bound.flat, _ORDER, _PER_POINT)
     kinds = [each for _, each in parts]
-    return FrozenSums(groups, trees, targets, bound.strength, kinds, acting, TOLERANCE, share, single)
+    with apart(grid.points):
+        trees = [build_tree(bound.sources[group], _ORDER) for group in groups]
+        targets = make_targets(bound.points, grid.shapes, grid.offsets, bound.flat, _ORDER, _PER_POINT)
+        accuracy = Accuracy(TOLERANCE, share, single, ranks_of(grid.points))
+        return FrozenSums(groups, trees, targets, bound.strength, kinds, acting, accuracy)
 
 
 class ExactSums:
@@ -56,7 +58,7 @@ class ExactSums:
         self._bound, self._weights, self.acting = bound, weights, acting
         # The sums of all portions together are no larger than half of the coordinates.
         self._n_acting = int(acting.sum())
-        most = bound.grid.points.size // (2 * (1 + N_VALUES) * max(self._n_acting, 1))
+        most = 3 * len(bound.grid.points) // (2 * (1 + N_VALUES) * max(self._n_acting, 1))
         self.portions = max(1, min(_PORTIONS, len(bound.flat) // _CHUNK, most))
 
     @property
@@ -77,7 +79,7 @@ class ExactSums:
 
         def work(lo: int, hi: int) -> None:
             flat = bound.flat[lo:hi]
-            x = bound.grid.points[flat]
+            x = bound.points[flat]
             sums = np.zeros((len(flat), 1 + len(values)))
             for group, weights in zip(bound.groups, self._weights, strict=True):
                 for some, kept in self._parts(group, values, weigh):
@@ -111,7 +113,7 @@ class ExactSums:
                     rows = slice(first, min(first + _CHUNK, int(cut[portion + 1])))
                     flat = bound.flat[rows]
                     given = np.ascontiguousarray(make(rows, flat, portion).T)
-                    x, ones = bound.grid.points[flat], np.ones(len(flat))
+                    x, ones = bound.points[flat], np.ones(len(flat))
                     for group, weights in zip(bound.groups, self._weights, strict=True):
                         some = group[self.acting[group]]
                         found = weighted_sums(bound.sources[some], x, ones, weights, given, chunk=n)

@@ -6,6 +6,7 @@ import numpy as np
 
 from ...grid import FloatArray
 from ...numerics.transfinite.transposed import blend_transposed, faces_transposed, images_transposed, lines_transposed
+from ...parallel import Part, apart, rows_of
 from ..transfinite.edge_graph import PreparedEdgeGraph
 from ..transfinite.faces import Faces
 from ..transfinite.tfi import PreparedTFI
@@ -15,7 +16,9 @@ class TFIDerivative:
     """The filling of sub-blocks and its transpose."""
 
     def __init__(self, method: PreparedTFI) -> None:
-        self._method = method
+        self._method, self._points = method, method.problem.grid.points
+        # A rank passes on the gradients of all sub-blocks with nodes of its own, on their faces, too.
+        self._touching = method.touching() if isinstance(self._points, Part) else method
 
     def push(self, change: FloatArray) -> None:
         """Fill sub-blocks from their faces, in place."""
@@ -23,8 +26,13 @@ class TFIDerivative:
 
     def pull(self, gradient: FloatArray) -> None:
         """Pass gradients from inside sub-blocks on to their faces, in place."""
-        for number in range(self._method.n_groups):
-            group, curved = self._method.group(number)
+        method = self._touching
+        if isinstance(gradient, Part):
+            gradient.widen(*method.rows)
+        gradient = rows_of(gradient)
+        for number in range(method.n_groups):
+            with apart(self._points):
+                group, curved = method.group(number)
             if curved:
                 found = np.empty((len(curved.subs), 3, 3))
                 images_transposed(gradient, curved.deviation, curved.subs, found)

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...grid import BoolArray, FloatArray, IntArray
+from ...grid import BoolArray, FloatArray, Grid, IntArray
 from ...numerics.arrays import lengths
 from ...numerics.exact.direct import weighted_sums
 from ...numerics.fastsum.weighted.frozen import FrozenSums
 from ...numerics.rigid import finish
 from ...numerics.tangents import finish_gradients, finish_tangents
 from ...numerics.tape import Tape, Tracked, plain
-from ...parallel import agreed, empty
+from ...parallel import agreed, apart, empty, rows_of, summed
 from ..scattered.fast_idw_sums import FastEvaluator
 from ..scattered.idw import PreparedIDW
 from ..scattered.idw_sums import Bound, ExactEvaluator, SourceValues
-from ..scattered.summation import MAX_RETRIES
+from ..scattered.summation import MAX_RETRIES, doubtful
 from ..scattered.transition import with_motion
 from ..scattered.tuned import ALPHA_CAP
 from .kinks import FOLDED, HALF_TURNS, LARGEST, Kinks, half_turns, kinks_of, tied
@@ -28,9 +28,6 @@ _FIRST_SHARE = 1.7
 the plates need half of it."""
 # Nodes per chunk when fast sums are checked.
 _CHECKED = 64
-_WORST_BRICKS, _SAMPLES, _RANDOM_NODES = 64, 9, 256
-"""Bricks with the largest error bounds, nodes of each, and random nodes, at which fast sums are compared with exact
-ones."""
 
 
 class IDWDerivative:
@@ -85,7 +82,7 @@ class IDWDerivative:
     def _seen(self, sums: FloatArray, flat: IntArray) -> FloatArray:
         """Displaced positions (n, 3) within the frame, relative to the centre of the mean rotation."""
         assert self._fit.frame.centre is not None
-        bound, points = self._bound, self._bound.grid.points[flat]
+        bound, points = self._bound, self._bound.points[flat]
         moved = np.empty_like(points)
         finish(bound.rotation, sums, points - self._fit.origin, moved, bound.repeats, self._transition)
         return np.asarray(moved + points - self._fit.frame.centre)
@@ -104,13 +101,15 @@ class IDWDerivative:
             if self._near:
                 # The weights themselves change only if alpha is automatic.
                 changes += self._slope * found["alpha"] * self._near.rows(rows)
-            x = bound.grid.points[flat] - self._fit.origin
+            x = bound.points[flat] - self._fit.origin
             moved = finish_tangents(bound.rotation, sums, x, changes, bound.repeats, self._transition, rest)
             if turn is not None:
                 moved = moved @ turn.T + self._seen(sums, flat) @ found["turn"].T
-            out[flat] = moved + found.get("shift", 0.0)
+            moved_rows[flat] = moved + found.get("shift", 0.0)
 
-        self._sums.push(values, use, out)
+        moved_rows = rows_of(out)
+        with apart(bound.grid.points):
+            self._sums.push(values, use, moved_rows)
 
     def pull(self, gradient: FloatArray) -> FloatArray:
         """Gradient (n_sources, 3) from that of the nodes, rows of ``gradient`` (n_nodes, 3)."""
@@ -120,24 +119,26 @@ class IDWDerivative:
         # With a transition, the last sum is the total weight of the moving sources, which never changes.
         changing = k - 1 if self._transition.width > 0.0 else k
 
-        def make(rows: slice, flat: IntArray, portion: int) -> FloatArray:
-            g, sums, part = gradient[flat], self._base.rows(rows), parts[portion]
+        def make(places: slice, flat: IntArray, portion: int) -> FloatArray:
+            g, sums, part = rows[flat], self._base.rows(places), parts[portion]
             part[:3] += g.sum(axis=0)
             if turn is not None:
                 part[3:12] += (g.T @ self._seen(sums, flat)).ravel()
                 g = g @ turn
-            x = bound.grid.points[flat] - self._fit.origin
+            x = bound.points[flat] - self._fit.origin
             found, rest = finish_gradients(bound.rotation, sums, x, g, bound.repeats, self._transition)
             part[12:18] += rest
             if self._near:
-                part[18] += self._slope * np.einsum("nk,nk->", found, self._near.rows(rows))
+                part[18] += self._slope * np.einsum("nk,nk->", found, self._near.rows(places))
             part[19:] += sums[:, 0] @ found[:, 1:]
             return found[:, 1 : 1 + changing]
 
-        acting = self._sums.acting
+        acting, rows = self._sums.acting, rows_of(gradient)
         values = np.zeros((k, np.count_nonzero(acting)))
-        values[:changing] = self._sums.pull(make, changing, parts)[:, acting]
-        part = parts.sum(axis=0)
+        with apart(bound.grid.points):
+            own = self._sums.pull(make, changing, parts)[:, acting]
+        values[:changing] = summed(bound.grid.points, own)
+        part = summed(bound.grid.points, parts.sum(axis=0))
         if not acting.all():
             values = np.append(values, (part[19:] - values.sum(axis=1))[:, None], axis=1)
         known = {
@@ -196,7 +197,7 @@ def _accurate(
     share, single = _FIRST_SHARE, True
     for attempt in range(1 + MAX_RETRIES if fast else 0):
         sums = sums_of(bound, True, weights, acting, share, single and attempt < 2)
-        found = _AtNodes(sums, values, True, transition)
+        found = _AtNodes(bound.grid, sums, values, True, transition)
         assert isinstance(sums, FrozenSums)
         # All ranks must decide alike, also those whose processors round otherwise.
         error = agreed(found.error(bound, sums, weights, values))
@@ -207,7 +208,7 @@ def _accurate(
         else:
             single = False
     sums = sums_of(bound, False, weights, acting)
-    return sums, _AtNodes(sums, values, False, transition)
+    return sums, _AtNodes(bound.grid, sums, values, False, transition)
 
 
 class _AtNodes:
@@ -217,7 +218,7 @@ class _AtNodes:
     means of fast sums single precision suffices.
     """
 
-    def __init__(self, sums: LinearSums, values: FloatArray, fast: bool, transition: bool) -> None:
+    def __init__(self, grid: Grid, sums: LinearSums, values: FloatArray, fast: bool, transition: bool) -> None:
         values, common = _apart(values, sums.acting)
         lasting = 1 if transition else 0
         self._weight = empty((len(sums.flat), 1 + lasting))
@@ -229,17 +230,17 @@ class _AtNodes:
             self._weight[rows, 0], self._weight[rows, -1] = found[:, 0], found[:, -1] if transition else found[:, 0]
             self._means[rows] = found[:, 1 : self._k - lasting] / found[:, :1]
 
-        sums.push(values, keep, kept=(self._weight, self._means), weigh=True)
+        with apart(grid.points):
+            sums.push(values, keep, kept=(self._weight, self._means), weigh=True)
 
     def error(self, bound: Bound, sums: FrozenSums, weights: Weights, values: FloatArray) -> float:
         """Largest error of a sum of unit values relative to the total weight, at the nodes with the largest error
         bounds and at random ones; infinite if any sum is not finite."""
         if not np.isfinite(self._weight).all():
             return np.inf
-        n, (own, common) = len(sums.flat), _apart(values, sums.acting)
-        random = np.random.default_rng(0).integers(0, n, _RANDOM_NODES)
-        rows = np.unique(np.append(sums.worst_rows(_WORST_BRICKS, _SAMPLES), random))
-        x, exact, acting = bound.grid.points[sums.flat[rows]], np.zeros((len(rows), self._k)), np.zeros(len(rows))
+        own, common = _apart(values, sums.acting)
+        rows = np.unique(doubtful(bound.grid.points, sums, sums.risk))
+        x, exact, acting = bound.points[sums.flat[rows]], np.zeros((len(rows), self._k)), np.zeros(len(rows))
         strength = bound.strength / bound.strength.max()
         for group, each in zip(bound.groups, weights, strict=True):
             exact += weighted_sums(x, bound.sources[group], strength[group], each, own[:, group], chunk=_CHECKED)
@@ -252,7 +253,7 @@ class _AtNodes:
         gap[:, 0] *= acting / exact[:, 0]
         # Means are stored in single precision.
         size = np.append(1.0, np.abs(own).max(axis=1) + np.abs(common))
-        return float(np.max(gap[:, size > 0.0] / size[size > 0.0]))
+        return float(np.max(gap[:, size > 0.0] / size[size > 0.0], initial=0.0))
 
     def rows(self, rows: slice | IntArray) -> FloatArray:
         """The sums (m, 1 + k) of some rows."""

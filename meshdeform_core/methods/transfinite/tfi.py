@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from dataclasses import dataclass
 from typing import Literal
@@ -87,6 +88,7 @@ class PreparedTFI:
     """
 
     def __init__(self, options: TFI, problem: Problem, skeleton: Skeleton):
+        self.problem, self._skeleton = problem, skeleton
         self._points, self._subs = rows_of(problem.grid.points), skeleton.sub_blocks()
         self.account = Account()
         cells = options.cells(problem)
@@ -96,19 +98,31 @@ class PreparedTFI:
         self.account.settings["max_cells"] = setting
         self.account.settings["sub_blocks"] = Setting(len(self._subs))
         # Rows of the nodes that this rank holds.
-        self._rows = own_rows(problem.grid.points)
-        if isinstance(problem.grid.points, Part):
-            self._subs, self._rows = _within(self._subs, *self._rows)
-            problem.grid.points.widen(*self._rows)
-        self._groups = batches(box_numbers(self._subs), _TOGETHER)
+        self.rows = own_rows(problem.grid.points)
         self._straight = cells == 0
+        self._choose(inside=True)
+
+    def _choose(self, inside: bool) -> None:
+        """Keep the sub-blocks with nodes of this rank ``inside`` them or anywhere, if the grid is in parts."""
+        points = self.problem.grid.points
+        if isinstance(points, Part):
+            self._subs, self.rows = _within(self._subs, *own_rows(points), inside)
+            points.widen(*self.rows)
+        self._groups = batches(box_numbers(self._subs), _TOGETHER)
         # The bent sub-blocks of each group, once it has been examined.
         self._bent: dict[int, Bent] = {}
+
+    def touching(self) -> PreparedTFI:
+        """The same for all sub-blocks with nodes of this rank, on their faces, too; all ranks must call this."""
+        found = copy.copy(self)
+        found._subs = self._skeleton.sub_blocks()
+        found._choose(inside=False)
+        return found
 
     def fill(self, displacement: FloatArray, progress: Progress | None = None) -> None:
         """Fill the interior of every sub-block from its faces, in place in ``displacement`` (n_nodes, 3)."""
         if isinstance(displacement, Part):
-            displacement.widen(*self._rows)
+            displacement.widen(*self.rows)
         values = rows_of(displacement)
 
         def work(number: int) -> None:
@@ -140,13 +154,14 @@ class PreparedTFI:
         return len(self._groups)
 
 
-def _within(subs: IntArray, low: int, high: int) -> tuple[IntArray, tuple[int, int]]:
-    """The sub-blocks with nodes inside them among the rows low <= n < high, and the rows of all of their nodes.
+def _within(subs: IntArray, low: int, high: int, inside: bool) -> tuple[IntArray, tuple[int, int]]:
+    """The sub-blocks with nodes ``inside`` them, or any nodes, among the rows low <= n < high, and the rows of all of
+    their nodes.
 
     If the parts of two ranks meet inside a sub-block, both fill it.
     """
     start, plane = subs[:, 0], subs[:, 2] * subs[:, 3]
-    thick = subs[:, 7] > subs[:, 4]
+    thick = inside & (subs[:, 7] > subs[:, 4])
     first, last = start + (subs[:, 4] + thick) * plane, start + (subs[:, 7] + ~thick) * plane
     own = np.flatnonzero((first < high) & (last > low))
     if not own.size:

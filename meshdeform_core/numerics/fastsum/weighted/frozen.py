@@ -8,15 +8,16 @@ transposes of each other to round-off.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from ....parallel import Shared, empty, for_chunks
+from ....parallel import Ranks, Shared, empty, for_chunks
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...exact.direct import N_VALUES
 from ...exact.mixed import scale_of
 from ..clusters.acceptance import inverse_powers
-from ..clusters.targets import Targets
+from ..clusters.targets import Targets, sample_places
 from ..clusters.tree import CHARGES, SourceTree, interpolation_points
 from .plan import Plan, PlanKey
 from .sums import CHUNK, allowance
@@ -32,6 +33,23 @@ _SOURCES = 2048
 _NONE = Charges(np.empty((0, 3 + CHARGES)), np.empty(0, dtype=np.int64), False)
 
 
+class Accuracy(NamedTuple):
+    """Accuracy of sums.
+
+    Attributes
+    ----------
+    tolerance : error of a sum of unit values relative to the total weight
+    share : error allowed to one cluster, as a multiple of that allowed to the sum
+    single : whether weights may be in single precision where there is such a loop; sums that overflow it are not finite
+    ranks : that sum at their own targets, with the same rounding in single precision
+    """
+
+    tolerance: float
+    share: float
+    single: bool
+    ranks: Ranks
+
+
 class FrozenSums:
     """Sums of weights times values over groups of sources; values are zero except at ``acting`` (n,) sources.
 
@@ -39,9 +57,6 @@ class FrozenSums:
     ----------
     groups, trees, targets : as for :class:`.sums.FastSums`; sources that act and others in groups of their own
     strength : (n,) per source, weights : (a, b, kappa) per group
-    tolerance : error of a sum of unit values relative to the total weight
-    share : error allowed to one cluster, as a multiple of that allowed to the sum
-    single : whether weights may be in single precision where there is such a loop; sums that overflow it are not finite
 
     Attributes
     ----------
@@ -56,9 +71,7 @@ class FrozenSums:
         strength: FloatArray,
         weights: Sequence[tuple[float, float, float]],
         acting: BoolArray,
-        tolerance: float,
-        share: float,
-        single: bool = True,
+        accuracy: Accuracy,
     ) -> None:
         self._groups = [(np.asarray(group), tree) for group, tree in zip(groups, trees, strict=True)]
         self._targets, self._strength, self.acting = targets, strength / strength.max(), acting
@@ -66,12 +79,13 @@ class FrozenSums:
         unit, still = np.where(acting, 1.0, 0.0), np.zeros(len(strength))
         reaches = [cluster_reach(tree, self._strength[g], unit[g], still[g]) for g, tree in self._groups]
         alike = targets._replace(sizes=np.ones_like(targets.sizes))
-        allowed, mean = allowance(alike, trees, kinds, reaches, tolerance * share)
+        allowed, mean = allowance(alike, trees, kinds, reaches, accuracy.tolerance * accuracy.share)
         whole = all(kind.a in (3.0, 4.0) and kind.b == 5.0 for kind in kinds)
         every = [targets.bricks.boxes.proxies, targets.regions.boxes.proxies]
         both = [np.concatenate([tree.points, interpolation_points(tree, tree.boxes.proxy)]) for tree in trees]
-        self._scale = scale_of([*every, *both]) if single and whole else None
-        key, room = PlanKey(kinds, reaches, acting, share, 0), targets.every.nbytes
+        boxes = [np.stack([each.min(axis=0), each.max(axis=0)]) for each in (*every, *both) if len(each)]
+        self._scale = scale_of(accuracy.ranks.gather(boxes)) if accuracy.single and whole else None
+        key, room = PlanKey(kinds, reaches, acting, accuracy.share, 0), targets.every.nbytes
         self._plan = Plan(key, targets, self._groups, allowed, mean, room, weights=False, scale=self._scale)
         # The transpose skips groups that do not act.
         self._points = [
@@ -86,14 +100,20 @@ class FrozenSums:
         """Flat indices (n,) of the nodes at which sums are taken, in the order of their rows."""
         return self._targets.every
 
-    def worst_rows(self, bricks: int, each: int) -> IntArray:
-        """Rows of ``each`` nodes of each of the ``bricks`` bricks with the largest error bounds.
+    @property
+    def risk(self) -> FloatArray:
+        """Bound (b,) of the error in each brick, in arbitrary units; known after :meth:`push` with ``weigh``."""
+        return self._plan.risk
 
-        The bounds are known after :meth:`push` with ``weigh``.
-        """
-        worst = np.argsort(self._plan.risk)[-bricks:]
-        start, stop = self._targets.bricks.start[worst], self._targets.bricks.start[worst + 1]
-        return np.unique(np.linspace(start, stop - 1, each).astype(np.int64))
+    @property
+    def samples(self) -> IntArray:
+        """Rows (b, 9) spread over the nodes of each brick."""
+        return sample_places(self._targets.bricks.start)
+
+    @property
+    def every(self) -> IntArray:
+        """All rows."""
+        return np.arange(len(self._targets.every))
 
     def push(
         self,
