@@ -53,7 +53,7 @@ def readable(size: float) -> str:
     unit = 0
     while size >= 1024 and unit < len(_UNITS) - 1:
         size, unit = size / 1024, unit + 1
-    return f"{size:.3g} {_UNITS[unit]}"
+    return f"{size:.0f} {_UNITS[unit]}" if size >= 999.5 else f"{size:.3g} {_UNITS[unit]}"
 
 
 @dataclass(frozen=True)

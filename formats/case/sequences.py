@@ -49,7 +49,9 @@ def parse_times(text: str, where: str) -> tuple[float, ...]:
 
 
 def _ascending(numbers: Sequence[float], where: str) -> tuple[float, ...]:
-    if not numbers or not all(map(math.isfinite, numbers)) or any(a >= b for a, b in pairwise(numbers)):
+    if not all(map(math.isfinite, numbers)):
+        raise CaseError(f"{where}: the times {list(numbers)[:6]} are not all finite; {_EXPECTED}")
+    if not numbers or any(a >= b for a, b in pairwise(numbers)):
         raise CaseError(f"{where}: the times {list(numbers)[:6]} do not ascend; {_EXPECTED}")
     return tuple(float(n) for n in numbers)
 

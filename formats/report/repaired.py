@@ -8,6 +8,8 @@ from meshdeform_core.wording import counted
 
 _LAYERS = (("first cell", "first_cell_height_ratio"), ("first cells together", "layer_thickness_ratio"))
 
+_NO_MINIMUM = "the search did not reach the minimum, so the grid depends on how it was found"
+
 
 def repair_sentence(report: dict[str, Any]) -> str:
     """All of :func:`repair_lines` in one sentence."""
@@ -15,8 +17,8 @@ def repair_sentence(report: dict[str, Any]) -> str:
 
 
 def repair_lines(report: dict[str, Any]) -> list[str]:
-    """Number of cells repaired, largest movement of nodes, result of the method alone, and fraction of the layers at
-    walls that changed; empty without a repair."""
+    """Number of cells repaired, largest movement of nodes, result of the method alone, whether the minimum was missed,
+    and fraction of the layers at walls that changed; empty without a repair."""
     done = report.get("repair")
     if not done:
         return []
@@ -30,8 +32,9 @@ def repair_lines(report: dict[str, Any]) -> list[str]:
         f"{cells}, {counted(done['nodes'], 'node')} moved by up to {done['max_movement']:.4g}{part}, "
         f"{counted(done['newton_steps'], 'Newton step')}{before}"
     )
+    found = [] if done.get("converged", True) or "reference" in report else [_NO_MINIMUM]
     changes = report.get("repaired_layers") or {}
-    return [what, *(_layer_text(name, change) for name, change in changes.items() if change)]
+    return [what, *found, *(_layer_text(name, change) for name, change in changes.items() if change)]
 
 
 def _layer_text(name: str, change: dict[str, Any]) -> str:

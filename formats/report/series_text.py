@@ -6,6 +6,8 @@ from collections.abc import Iterator
 
 from .parts import Report
 
+ACCELERATION = "largest acceleration of a node, in the largest step of the walls; 2 where they turn back"
+
 
 def series_lines(report: Report) -> Iterator[str]:
     """The levels as lines of a table."""
@@ -22,12 +24,16 @@ def series_lines(report: Report) -> Iterator[str]:
     for level in levels:
         skew, drift, timing = level["quality"]["f_skew"], level["drift"], level["timing"]
         shown = f"{drift['max']:9.2e}" if drift else f"{'':9s}"
+        found = acceleration_of(level)
+        acceleration = "" if found is None else f"{found:8.3f}"
         yield (
             f"{level['number']:5d}     {level['time']:12.6g} {level['max_displacement']:10.4g} "
             f"{level['max_rotation_deg']:7.2f}° {skew['harmonic_mean']:7.4f} {skew['min']:7.4f} "
-            f"{level['quality']['invalid_cells']:8,} {_motion(level)} {shown} {timing.get('prepare', 0.0):8.2f} "
-            f"{timing.get('apply', 0.0):8.2f} {timing['total']:8.2f}"
+            f"{level['quality']['invalid_cells']:8,} {acceleration:>8s} {repaired(level):>8s} {shown} "
+            f"{timing.get('prepare', 0.0):8.2f} {timing.get('apply', 0.0):8.2f} {timing['total']:8.2f}"
         )
+    if any(acceleration_of(level) is not None for level in levels):
+        yield f"accel.    {ACCELERATION}"
     if series["drift"]:
         yield (
             f"drift     {series['drift']['max']:.3g} at most, {series['drift']['rms']:.3g} rms: distance of the last "
@@ -35,15 +41,20 @@ def series_lines(report: Report) -> Iterator[str]:
         )
 
 
-def _motion(level: Report) -> str:
-    """The largest acceleration in steps of the walls, and whether nodes were moved by a repair."""
-    smooth, repair = level.get("smoothness") or {}, level.get("repair")
-    acceleration = smooth.get("acceleration")
-    shown = "" if acceleration is None else f"{acceleration:8.3f}"
-    done = "" if not repair else "yes" if repair["converged"] else "other"
-    if repair and repair.get("unique") is False:
-        done = "several"
-    return f"{shown:>8s} {done:>8s}"
+def acceleration_of(level: Report) -> float | None:
+    """The largest acceleration of a node in steps of the walls; ``None`` where earlier levels are missing."""
+    found: float | None = (level.get("smoothness") or {}).get("acceleration")
+    return found
+
+
+def repaired(level: Report) -> str:
+    """Whether nodes were moved by a repair: to its minimum (``yes``, one of ``several``), or in an``other`` way."""
+    repair = level.get("repair")
+    if not repair:
+        return ""
+    if repair.get("unique") is False:
+        return "several"
+    return "yes" if repair["converged"] else "other"
 
 
 _ORIGINS = {"reference": "undeformed grid", "last": "previous level (marching)"}

@@ -199,6 +199,25 @@ def test_series_page_has_curves_pictures_and_links(bench, call):
     assert len(curves) == 4
 
 
+def test_series_page_shows_accelerations_and_repairs(bench, call):
+    words = list(SERIES)
+    words[words.index("constants.turn=1")] = "constants.turn=60"
+    text = Path("case.toml").read_text().replace('angle = "turn"', 'angle = "turn*t"')
+    Path("case.toml").write_text(text)
+    words[words.index("0:1:0.5")] = "0:1:0.25"
+    assert call(*words, "-m", "tfi", "--allow-invalid", "--report", "r.html", "--report", "r.json").code == 0
+    html, levels = Path("r.html").read_text(), json.loads(Path("r.json").read_text())["levels"]
+    rows = re.findall(r"<tr><td>\d+</td>.*?</tr>", html.replace(" class=flagged", ""))
+    cells = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in rows]
+    shown = [level["smoothness"]["acceleration"] for level in levels]
+    assert [row[8] for row in cells] == ["" if value is None else f"{value:.3f}" for value in shown]
+    assert [bool(row[9]) for row in cells] == [level["repair"] is not None for level in levels]
+    assert {bool(row[9]) for row in cells} == {True, False}
+    assert "in the largest step of the walls" in html
+    curves = [svg for svg in Page(html).of("svg") if "over time" in (svg["aria-label"] or "")]
+    assert len(curves) == 5
+
+
 def test_markdown_has_verdict_places_and_measures(far):
     text, report = Path("r.md").read_text(), far[0]
     assert text.startswith("## ❌ grid.xyz: ")

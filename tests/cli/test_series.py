@@ -409,6 +409,8 @@ def test_the_state_of_a_series_holds_every_option_with_its_value(swing, call):
         (("-o", "out"), "--times START:STOP:STEP"),
         (("--times", "0:1:0.5"), "Missing option '-o'"),
         (("-o", "out", "--times", "0:1"), "--times: '0:1'"),
+        (("-o", "out", "--times", "0,inf"), "the times [0.0, inf] are not all finite"),
+        (("-o", "out", "--times", "0,2,1"), "the times [0.0, 2.0, 1.0] do not ascend"),
         (("-o", "out", "--times", "0:1:0.5", "--suffix", ".abc"), "cannot tell the format"),
         (("-o", "out", "--times", "0:1:0.5", "--velocity", "first"), ".xyz files cannot hold the grid velocity"),
         (("-o", "out", "--times", "0:1:0.5", "--single-file", "--suffix", ".vtm"), "only a CGNS file"),

@@ -11,7 +11,7 @@ from grids import whole_face
 
 from meshdeform_core import memory
 from meshdeform_core.grid import Grid, Patch, Side
-from meshdeform_core.memory import UNLIMITED, Demand, MemoryLimit, release_freed
+from meshdeform_core.memory import UNLIMITED, Demand, MemoryLimit, readable, release_freed
 from meshdeform_core.parallel.scratch import resident_memory
 from meshdeform_formats import write_grid
 
@@ -22,6 +22,13 @@ def test_a_quarter_may_be_taken_while_the_rest_is_in_its_bounds(monkeypatch):
         monkeypatch.setattr(memory, "peak_memory", lambda peak=peak: peak)
         assert left.spare == spare
     assert UNLIMITED.spare > 2**59
+
+
+def test_sizes_are_told_without_powers_of_ten():
+    sizes = (1, 999, 1000, 1023, 1024, 1010 * 2**20, 999.4 * 2**30, 5000 * 2**40)
+    expected = ["1 B", "999 B", "1000 B", "1023 B", "1 KiB", "1010 MiB", "999 GiB"]
+    assert [readable(size) for size in sizes][:-1] == expected
+    assert "e" not in readable(sizes[-1])
 
 
 def test_what_is_set_apart_adds_up():

@@ -8,7 +8,7 @@ from meshdeform_formats.report.figures import Figure
 from meshdeform_formats.report.measures import MeasureRow
 from meshdeform_formats.report.page.figures import figure_lines
 from meshdeform_formats.report.repaired import repair_sentence
-from meshdeform_formats.report.series_text import _motion
+from meshdeform_formats.report.series_text import acceleration_of, repaired
 
 DONE = {"cells": 12, "nodes": 1, "max_movement": 0.5, "newton_steps": 3}
 
@@ -25,6 +25,14 @@ def test_it_says_what_was_done_and_what_the_method_alone_gives():
 def test_nothing_is_said_without_a_repair_and_no_cells_are_counted_where_none_were_bad():
     assert repair_sentence({"repair": None}) == ""
     assert repair_sentence({"repair": DONE | {"cells": 0}}).startswith("weak cells improved, 1 node moved")
+
+
+@pytest.mark.parametrize(("converged", "told"), [(True, False), (False, True)])
+def test_it_says_where_the_minimum_was_not_reached(converged, told):
+    report = {"repair": {**DONE, "converged": converged}}
+    assert ("depends on how it was found" in repair_sentence(report)) == told
+    # A grid that another program deformed is mended where it is bad.
+    assert "depends" not in repair_sentence({**report, "reference": {}})
 
 
 def test_it_says_which_part_of_the_layers_changed():
@@ -50,8 +58,10 @@ def test_it_says_which_part_of_the_layers_changed():
 )
 def test_the_table_of_levels_tells_what_the_repair_found(converged, unique, told):
     repair = {**DONE, "converged": converged, "unique": unique}
-    assert _motion({"smoothness": {"acceleration": 0.25}, "repair": repair}).split() == ["0.250", told]
-    assert _motion({"smoothness": None, "repair": None}).split() == []
+    assert repaired({"repair": repair}) == told
+    assert repaired({"repair": None}) == ""
+    assert acceleration_of({"smoothness": {"acceleration": 0.25}}) == 0.25
+    assert acceleration_of({"smoothness": None}) is None
 
 
 def test_the_pair_of_pictures_names_what_it_compares():

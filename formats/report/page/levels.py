@@ -10,10 +10,15 @@ from urllib.parse import quote
 
 from ..figures import Figure
 from ..parts import Report
+from ..series_text import ACCELERATION, acceleration_of, repaired
 from .charts import curve
 from .figures import thumbnail_lines
 
-_HEADS = ("level", "time", "file", "moved", "rotated [deg]", "f_skew mean", "f_skew min", "invalid", "steps", "seconds")
+_HEADS = (
+    "level", "time", "file", "moved", "rotated [deg]", "f_skew mean", "f_skew min", "invalid", "acceleration",
+    "repaired", "steps", "seconds",
+)  # fmt: skip
+_TEXT = ("file", "repaired")
 
 
 def level_tiles(report: Report) -> list[tuple[str, Any]]:
@@ -49,30 +54,37 @@ def _curves(levels: Sequence[Report]) -> str:
         "mean f_skew": [level["quality"]["f_skew"]["mean"] for level in levels],
         "largest displacement": [level["max_displacement"] for level in levels],
         "largest rotation [deg]": [level["max_rotation_deg"] for level in levels],
+        "acceleration [steps of the walls]": [acceleration_of(level) for level in levels],
     }
-    charts = "".join(
-        f"<div><h3>{name}</h3>{curve(time, data, 'time', name, wrong)}</div>"
-        for name, data in values.items()
-        if any(data)
-    )
+    charts = "".join(_chart(name, time, data, wrong) for name, data in values.items() if any(data))
     return f'<div class="charts">{charts}</div>'
+
+
+def _chart(name: str, time: Sequence[float], values: Sequence[float | None], wrong: Sequence[bool]) -> str:
+    """A curve of the levels that have a value; empty for fewer than two."""
+    known = [n for n, value in enumerate(values) if value is not None]
+    times, shown, bad = ([each[n] for n in known] for each in (time, values, wrong))
+    if len(known) < 2:
+        return ""
+    return f"<div><h3>{name}</h3>{curve(times, shown, 'time', name, bad)}</div>"
 
 
 def _table(report: Report, folder: str) -> str:
     rows = "".join(_row(level, folder) for level in report["levels"])
-    heads = "".join(f'<th scope="col"{" class=text" if name == "file" else ""}>{name}</th>' for name in _HEADS)
+    heads = "".join(f'<th scope="col"{" class=text" if name in _TEXT else ""}>{name}</th>' for name in _HEADS)
     return (
         '<div class="scroll" tabindex="0" role="region" aria-label="All levels"><table class="sortable">'
-        f"<thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table></div>"
+        f"<thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table></div><p>Acceleration: {ACCELERATION}.</p>"
     )
 
 
 def _row(level: Report, folder: str) -> str:
-    skew = level["quality"]["f_skew"]
+    skew, acceleration = level["quality"]["f_skew"], acceleration_of(level)
     cells = (
         f"{level['number']}", f"{level['time']:.6g}", None, f"{level['max_displacement']:.4g}",
         f"{level['max_rotation_deg']:.2f}", f"{skew['mean']:.4f}", f"{skew['min']:.4f}",
-        f"{level['quality']['invalid_cells']}", f"{level['steps']}", f"{level['timing']['total']:.2f}",
+        f"{level['quality']['invalid_cells']}", "" if acceleration is None else f"{acceleration:.3f}", repaired(level),
+        f"{level['steps']}", f"{level['timing']['total']:.2f}",
     )  # fmt: skip
     name = f'<td class="text"><a href="{escape(_link(folder, level["file"]))}">{escape(level["file"])}</a></td>'
     body = "".join(name if cell is None else f"<td>{cell}</td>" for cell in cells)
