@@ -49,7 +49,7 @@ def _link(folder: str, name: str) -> str:
 
 def _curves(levels: Sequence[Report]) -> str:
     time, wrong = [level["time"] for level in levels], [not level["valid"] for level in levels]
-    values = {
+    values: dict[str, list[float | None]] = {
         "smallest f_skew": [level["quality"]["f_skew"]["min"] for level in levels],
         "mean f_skew": [level["quality"]["f_skew"]["mean"] for level in levels],
         "largest displacement": [level["max_displacement"] for level in levels],
@@ -62,11 +62,11 @@ def _curves(levels: Sequence[Report]) -> str:
 
 def _chart(name: str, time: Sequence[float], values: Sequence[float | None], wrong: Sequence[bool]) -> str:
     """A curve of the levels that have a value; empty for fewer than two."""
-    known = [n for n, value in enumerate(values) if value is not None]
-    times, shown, bad = ([each[n] for n in known] for each in (time, values, wrong))
+    known = [(time[n], value, wrong[n]) for n, value in enumerate(values) if value is not None]
     if len(known) < 2:
         return ""
-    return f"<div><h3>{name}</h3>{curve(times, shown, 'time', name, bad)}</div>"
+    at, shown, bad = ([each[0] for each in known], [each[1] for each in known], [each[2] for each in known])
+    return f"<div><h3>{name}</h3>{curve(at, shown, 'time', name, bad)}</div>"
 
 
 def _table(report: Report, folder: str) -> str:
