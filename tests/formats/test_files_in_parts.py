@@ -23,6 +23,7 @@ from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, Start, Timing, deform, impose
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, Grid
+from meshdeform_core.grid.connectivity.components import BY_PREFIX
 from meshdeform_core.methods import Options
 from meshdeform_core.numerics import pieces
 from meshdeform_core.parallel import WholeGridNeeded, current_ranks, dividing, parts
@@ -114,6 +115,24 @@ def series_of(source, name, kind, velocity, options=None, case=None):
 def test_velocities_and_swept_volumes(source, name, kind, velocity, tmp_path):
     write_grid(frame(5, 4), tmp_path / source)
     same_files(tmp_path, 3, series_of(tmp_path / source, name, kind, velocity))
+
+
+def test_velocities_of_overset_components(tmp_path):
+    """One of two components moves; their blocks alternate."""
+    moving, still = frame(5, 4), frame(5, 3)
+    blocks = [each.block(b) for b in range(moving.n_blocks) for each in (moving, still)]
+    names = [f"{name}.{b + 1}" for b in range(moving.n_blocks) for name in ("bar", "back")]
+    write_grid(Grid.from_blocks(blocks, names), tmp_path / "grid.cgns")
+    specs = [replace(spec, select=tuple(f"bar.*.{p[2:]}" for p in spec.select)) for spec in body_specs(turning("5*t"))]
+    specs.append(BoundarySpec("still", ("back.*.*",), Kind.FIXED))
+    off = RepairOptions(mode="off")
+    case = Case(tuple(specs), method=Options("idw-tfi"), repair=off, components=BY_PREFIX, open_faces=True)
+    source = tmp_path / "grid.cgns"
+    folder = same_files(tmp_path, 3, series_of(source, "wing.cgns", LevelFiles, "swept", case=case))
+    last = sorted(folder.glob("*.cgns"))[-1]
+    with h5py.File(last) as file:
+        every = {name: file[f"Base/{name}/FlowSolutionVertex/GridVelocityX/ data"][()] for name in names}
+    assert all(values.any() == name.startswith("bar") for name, values in every.items())
 
 
 @pytest.mark.parametrize("kind", [LevelFiles, SingleFile])
