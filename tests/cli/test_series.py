@@ -448,6 +448,25 @@ def test_an_earlier_series_is_in_the_way(swing, call, snapshot):
     assert call(*RUN, "--force", "-q").code == 0
 
 
+@pytest.mark.parametrize(
+    "suffix", [".xyz", *(pytest.param(each, marks=pytest.mark.slow) for each in (".vtm", ".foam"))]
+)
+def test_levels_of_an_earlier_series_that_remain_are_told(suffix, swing, call):
+    words = (*RUN, "--suffix", suffix)
+    assert call(*words, "-q").code == 0
+    again = call(*words, "-q", "--force")
+    assert not any("earlier series" in text for text in again.warnings)
+    shorter = call(*words[:-3], "0:0.5:0.25", "--suffix", suffix, "-q", "--force")
+    assert shorter.code == 0
+    (told,) = (text for text in shorter.warnings if "earlier series" in text)
+    names = ("0.75", "1") if suffix == ".foam" else (f"grid_0003{suffix}", f"grid_0004{suffix}")
+    assert told == f"levels of an earlier series remain in out, not part of this one: {', '.join(names)}"
+    assert all(Path("out", name).exists() for name in names)
+    # A state that cannot be read is no reason to stop.
+    Path("out/series.json").write_text("{")
+    assert call(*words, "-q", "--force").code == 0
+
+
 @pytest.mark.slow
 def test_the_hemisphere_returns_after_a_period(bench, call):
     assert call("sample", "hemisphere", "-o", "case", "--size", "8").code == 0
