@@ -1,11 +1,15 @@
 """The share of one rank of many in the deformation of a large grid: its time by stage, and its memory.
 
     python benchmarks/share.py 1e9 64 5
+    python benchmarks/share.py 1e7 64 5 --blocks 1000
 
 The rank is alone. It computes everything that a rank of so many does, on the nodes that it would hold and on all nodes
 near block faces, but nobody answers: undeformed nodes of other ranks come from the formula of the box, and nodes that
 others would move stay where they are. So the time contains no messages and no file, and the grid that results is no
 answer to anything.
+
+The ranks find the topology together, each its share. As what one of them finds is worth nothing without the others,
+this one finds all of it, before the measurement; the table has the time on a line of its own.
 """
 
 from __future__ import annotations
@@ -13,11 +17,14 @@ from __future__ import annotations
 import argparse
 import time
 import tomllib
+from contextlib import contextmanager
+from unittest import mock
 
 import numpy as np
 from blocks import CASE, bent
 from tables import MarkdownTable
 
+from meshdeform_core import setup
 from meshdeform_core.deform import deform
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.near import NearNodes
@@ -25,7 +32,8 @@ from meshdeform_core.memory import peak_memory
 from meshdeform_core.parallel import OneRank, Part, dividing, sharing
 from meshdeform_formats.case import case_of
 
-_PLANES = 4
+_TOGETHER = 1 << 20
+"""Rows computed at a time."""
 
 
 class LonelyRank(OneRank):
@@ -61,21 +69,23 @@ class LonelyRank(OneRank):
 
 
 class Box(Part):
-    """Coordinates of the box, of which every row can be computed."""
+    """Coordinates of the box, of which every row can be computed; ``m`` blocks of ``n`` nodes along each direction."""
 
-    def __init__(self, part: Part, n: int) -> None:
+    def __init__(self, part: Part, m: int, n: int) -> None:
         super().__init__(part.ranks, part.bounds, part.shape, part.dtype)
-        self._n = n
+        self._m, self._n = m, n
         self._fill(self.low, self.high)
 
     def at(self, rows):
         """Coordinates of rows."""
-        i, rest = np.divmod(rows, self._n**2)
-        return bent(*(index / (self._n - 1) for index in (i, *np.divmod(rest, self._n))))
+        block, row = np.divmod(rows, self._n**3)
+        places = [np.unravel_index(each, (size,) * 3) for each, size in ((block, self._m), (row, self._n))]
+        cells = self._m * (self._n - 1)
+        return bent(*((outer * (self._n - 1) + inner) / cells for outer, inner in zip(*places, strict=True)))
 
     def _fill(self, first: int, last: int) -> None:
-        for begin in range(first, last, _PLANES * self._n**2):
-            end = min(begin + _PLANES * self._n**2, last)
+        for begin in range(first, last, _TOGETHER):
+            end = min(begin + _TOGETHER, last)
             self.rows[begin:end] = self.at(np.arange(begin, end))
 
     def _sent(self, rows):
@@ -89,32 +99,56 @@ class Box(Part):
         self._fill(self.high, last)
 
 
-def share(nodes: int, count: int, number: int, method: str) -> MarkdownTable:
-    """Deform the share of rank ``number`` of a box in one block."""
-    n = round(nodes ** (1 / 3))
+class Everything:
+    """All rows of an array in parts, for a process alone."""
+
+    def __init__(self, points: Box) -> None:
+        self._points, self.shape, self.dtype = points, points.shape, points.dtype
+
+    def __getitem__(self, rows):
+        return self._points[rows]
+
+
+@contextmanager
+def topology_known(grid: Grid):
+    """Within the block, setting up the grid takes no time for the topology; yields the processor time to find it."""
+    start = time.process_time()
+    known = setup.find_topology(grid.moved(Everything(grid.points)))
+    with mock.patch.object(setup, "find_topology", return_value=known):
+        yield time.process_time() - start
+
+
+def share(nodes: int, count: int, number: int, method: str, blocks: int) -> MarkdownTable:
+    """Deform the share of rank ``number`` of a box in some blocks."""
+    m = round(blocks ** (1 / 3))
+    n = round(nodes ** (1 / 3) / m)
     # A motion that is small against the cells, as the nodes of others stay.
     text = CASE.replace('"0.01*sin', '"1e-4*sin').replace('"0.03*sin', '"1e-4*sin')
     case = case_of({**tomllib.loads(text), "method": {"name": method}, "repair": {"mode": "off"}}).case
-    table = MarkdownTable(f"One of {count} ranks: {n**3:,} nodes in one block, {method}, without messages and files")
+    table = MarkdownTable(
+        f"One of {count} ranks: {(m * n) ** 3:,} nodes, blocks: {m**3:,}, {method}, without messages and files"
+    )
     with sharing(LonelyRank(number, count), 1), dividing():
-        grid = Grid.allocate([(n, n, n)])
+        grid = Grid.allocate([(n, n, n)] * m**3)
         if grid.points.low == grid.points.high:
             raise SystemExit(
-                f"rank {number} of {count} has no nodes, as {n**3:,} nodes are cut into fewer pieces; expected more "
-                f"nodes, or another rank"
+                f"rank {number} of {count} has no nodes, as {grid.n_nodes:,} nodes are cut into fewer pieces; expected "
+                f"more nodes, or another rank"
             )
-        points = Box(grid.points, n)
+        points = Box(grid.points, m, n)
         grid = grid.moved(points)
         points.keep(NearNodes.of(grid.shapes, grid.offsets))
-        start = time.process_time()
-        result = deform(grid, case, steps=1)
+        with topology_known(grid) as of_all_faces:
+            start = time.process_time()
+            result = deform(grid, case, steps=1)
         seconds = {**result.timing.seconds, "all of it": time.process_time() - start}
+    seconds[f"topology of all faces, which {count} ranks find together"] = of_all_faces
     own = points.high - points.low
     for stage, each in seconds.items():
         table.rows.append({"stage": stage, "s": each, "us per node of the rank": 1e6 * each / own})
     table.notes += [
         f"{own:,} nodes of the rank, {grid.n_face_nodes:,} on block faces",
-        "stages: wall time; all of it: processor time",
+        "stages: wall time; all of it, and the topology: processor time",
         f"peak resident size {peak_memory() / 2**20:,.0f} MiB",
     ]
     return table
@@ -127,8 +161,9 @@ def main() -> None:
     parser.add_argument("ranks", type=int, nargs="?", default=64)
     parser.add_argument("number", type=int, nargs="?", default=5)
     parser.add_argument("--method", default="idw-tfi")
+    parser.add_argument("--blocks", type=int, default=1, help="a cube number")
     wanted = parser.parse_args()
-    print(share(int(wanted.nodes), wanted.ranks, wanted.number, wanted.method).markdown())
+    print(share(int(wanted.nodes), wanted.ranks, wanted.number, wanted.method, wanted.blocks).markdown())
 
 
 if __name__ == "__main__":

@@ -33,3 +33,22 @@ def _dealt(ends: IntArray, most: int, count: int) -> IntArray:
     for _ in range(count):
         found.append(int(ends[np.searchsorted(ends, found[-1] + most, side="right") - 1]))
     return np.array(found)
+
+
+def face_bounds(shapes: Shapes, count: int) -> IntArray:
+    """Flat indices (count + 1,) between which each of several ranks sets up the nodes on block faces.
+
+    About equally many for each, whoever holds their coordinates, as every rank has those of all nodes near block faces.
+    """
+    size = np.array(shapes, dtype=np.int64)
+    nodes = size.prod(axis=1)
+    on_faces = nodes - np.maximum(size - 2, 0).prod(axis=1)
+    # In the first and the last plane of a block, all nodes are on faces; in those between, equally many are.
+    plane = np.minimum(size[:, 1] * size[:, 2], nodes // 2)
+    begin, done = np.cumsum(nodes) - nodes, np.cumsum(on_faces) - on_faces
+    rows = np.stack([begin, begin + plane, begin + nodes - plane], axis=1)
+    faces = np.stack([done, done + plane, done + on_faces - plane], axis=1)
+    wanted = np.linspace(0, on_faces.sum(), count + 1)
+    bounds = np.interp(wanted, np.append(faces, on_faces.sum()), np.append(rows, nodes.sum())).astype(np.int64)
+    bounds[-1] = nodes.sum()
+    return bounds

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..numerics.arrays import BoolArray, batches, spread
-from ..numerics.geometry.coincidence import distinct
+from ..numerics.geometry.coincidence import ascending
+from ..parallel import Part, apart, of_all, ranks_of, rows_of
 from .blocks import FloatArray, Grid, IntArray
 from .sizes import strides_of
 
@@ -15,23 +16,51 @@ _TOGETHER = 100_000
 
 
 def block_handedness(grid: Grid) -> IntArray:
-    """+1 or -1 per block, from the majority of a regular sample of at most 8 cells per direction."""
-    shapes = np.array(grid.shapes, dtype=np.int64)
-    taken = np.clip(shapes - 1, 1, _SAMPLED_CELLS)
-    kind = np.ravel_multi_index((*taken.T, *(shapes == 1).T.astype(int)), (_SAMPLED_CELLS + 1,) * 3 + (2,) * 3)
+    """+1 or -1 per block, from the majority of a regular sample of at most 8 cells per direction.
+
+    Of a grid in parts, each rank looks at the blocks that it holds, and all of them at those that are cut.
+    """
+    whole = _held(grid)
+    with apart(grid.points):
+        mine = np.flatnonzero(whole == ranks_of(grid.points).number)
+        own = _signs(grid, rows_of(grid.points), mine)
+    cut = np.flatnonzero(whole < 0)
     sign = np.empty(grid.n_blocks, dtype=np.int64)
-    for one in distinct(kind, int(kind.max()) + 1):
-        alike = np.flatnonzero(kind == one)
-        for lo, hi in batches(np.full(len(alike), 8 * taken[alike[0]].prod()), _TOGETHER):
-            sign[alike[lo:hi]] = _handedness(grid, alike[lo:hi])
+    sign[cut] = _signs(grid, grid.points, cut)
+    # Ranks hold consecutive blocks.
+    sign[whole >= 0] = np.concatenate(of_all(grid.points, own))
     return sign
 
 
-def _handedness(grid: Grid, blocks: IntArray) -> IntArray:
+def _held(grid: Grid) -> IntArray:
+    """The rank (n_blocks,) that holds all nodes of each block, -1 for those of which several have some."""
+    points = grid.points
+    if not isinstance(points, Part):
+        return np.zeros(grid.n_blocks, dtype=np.int64)
+    first, last = (
+        np.searchsorted(points.bounds, row, side="right") - 1 for row in (grid.offsets[:-1], grid.offsets[1:] - 1)
+    )
+    return np.where(first == last, first, -1)
+
+
+def _signs(grid: Grid, points: FloatArray, blocks: IntArray) -> IntArray:
+    """Handedness of ``blocks``, from their rows of ``points``; blocks of the same kind together."""
+    shapes = np.array(grid.shapes, dtype=np.int64)[blocks]
+    taken = np.clip(shapes - 1, 1, _SAMPLED_CELLS)
+    kind = np.ravel_multi_index((*taken.T, *(shapes == 1).T.astype(int)), (_SAMPLED_CELLS + 1,) * 3 + (2,) * 3)
+    sign = np.empty(len(blocks), dtype=np.int64)
+    for one in ascending(kind):
+        alike = np.flatnonzero(kind == one)
+        for lo, hi in batches(np.full(len(alike), 8 * taken[alike[0]].prod()), _TOGETHER):
+            sign[alike[lo:hi]] = _handedness(grid, points, blocks[alike[lo:hi]])
+    return sign
+
+
+def _handedness(grid: Grid, points: FloatArray, blocks: IntArray) -> IntArray:
     """Handedness of ``blocks`` with the same number of sampled cells and, in 2-D, the same axis of one node."""
     shapes = np.array([grid.shapes[block] for block in blocks])
     axes = [axis for axis in range(3) if shapes[0, axis] > 1]
-    edges = _mean_edges(grid, blocks, shapes, axes)
+    edges = _mean_edges(grid, points, blocks, shapes, axes)
     if len(axes) == 3:
         volume = np.einsum("...i,...i->...", edges[0], np.cross(edges[1], edges[2]))
         return np.where(np.sign(volume).sum(axis=1) < 0, -1, 1)
@@ -43,7 +72,9 @@ def _handedness(grid: Grid, blocks: IntArray) -> IntArray:
     return np.where((total < 0) != (axes[1] - axes[0] == 2), -1, 1)
 
 
-def _mean_edges(grid: Grid, blocks: IntArray, shapes: IntArray, axes: list[int]) -> list[FloatArray]:
+def _mean_edges(
+    grid: Grid, points: FloatArray, blocks: IntArray, shapes: IntArray, axes: list[int]
+) -> list[FloatArray]:
     """Mean edge vectors (n_blocks, n_cells, 3) of every sampled cell along each of the ``axes``."""
     strides = strides_of(shapes)
     first = grid.offsets[blocks][:, None]
@@ -52,7 +83,7 @@ def _mean_edges(grid: Grid, blocks: IntArray, shapes: IntArray, axes: list[int])
         first = (first[..., None] + (picks * strides[:, axis, None])[:, None]).reshape(len(blocks), -1)
     corners = np.empty((*(2,) * len(axes), *first.shape, 3))
     for corner in np.ndindex(*(2,) * len(axes)):
-        corners[corner] = grid.points[first + (strides[:, axes] @ np.array(corner))[:, None]]
+        corners[corner] = points[first + (strides[:, axes] @ np.array(corner))[:, None]]
     others = [tuple(a for a in range(len(axes)) if a != own) for own in range(len(axes))]
     means = [corners.mean(axis=other) for other in others]
     return [mean[1] - mean[0] for mean in means]

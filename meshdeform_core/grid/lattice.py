@@ -65,6 +65,21 @@ class SideLattice:
         """Steps (6 n_blocks, 2) in u and v from the first to the last corner of a quad: 0 along a single node."""
         return np.minimum(self.nodes - 1, 1)
 
+    def rows_before(self, row: int) -> IntArray:
+        """Number of rows u (6 n_blocks,) of every side whose first node is before the flat index ``row``."""
+        return np.asarray(np.clip(-(-(row - self.origin) // self.stride[:, 0]), 0, self.nodes[:, 0]))
+
+    def strips(self, sides: IntArray, first: IntArray, last: IntArray) -> SideLattice:
+        """The rows first <= u < last (n,) of ``sides`` (n,), as sides of their own."""
+        stride, along = self.stride[sides], self.nodes[sides, 1]
+        return SideLattice(
+            self.origin[sides] + first * stride[:, 0],
+            stride,
+            np.stack([last - first, along], axis=1),
+            self.depth[sides],
+            self.inward[sides],
+        )
+
     def at(self, side: IntArray, u: IntArray, v: IntArray) -> IntArray:
         """Flat indices of nodes (u, v) of sides, arrays of any common shape."""
         return np.asarray(self.origin[side] + u * self.stride[side, 0] + v * self.stride[side, 1])

@@ -12,24 +12,20 @@ from functools import cached_property
 
 import numpy as np
 
-from ..numerics.arrays import BoolArray, batches, runs, spans
-from ..numerics.geometry.coincidence import ascending, coincident_groups, coincident_within, equal_rows, integers
-from ..parallel import empty, rows_at
+from ..numerics.arrays import BoolArray, runs
+from ..numerics.geometry.coincidence import integers
+from ..numerics.geometry.copies import coincident_copies, numbered_by_first
+from ..parallel import Ranks, apart, collected, empty, ranks_of, rows_at
+from ..parallel.scratch import current_scratch
 from .blocks import FloatArray, Grid, IntArray
+from .dealing import face_bounds
 from .handedness import block_handedness, index_order
+from .partners import EXTERNAL, partners
 from .parts import Shape, Side
+from .strips import FaceStrips, quads_between, shortest_edges
 
 RELATIVE_TOLERANCE = 1e-3
 """Coincident means closer than this fraction of the shortest edge at either node."""
-
-_TOGETHER = 100_000
-"""Nodes whose edges are measured at a time: few enough for the processor's cache."""
-_MATCHED = 1_000_000
-"""Unique nodes whose quads are compared at a time, which bounds the memory; more of them in large grids."""
-_PASSES = 16
-"""At most so many times are all quads searched for those to be compared."""
-COLLAPSED = -2
-EXTERNAL = -1
 
 
 @dataclass(frozen=True)
@@ -146,64 +142,77 @@ def find_topology(grid: Grid, tolerance: float = RELATIVE_TOLERANCE) -> Topology
     """Identify coincident nodes and shared faces of ``grid``.
 
     Full and partial faces, O-grid seams, C-grid cuts, collapsed edges, poles and all relative orientations need no
-    special treatment: quads are shared when they have the same unique corner nodes.
+    special treatment: quads are shared when they have the same unique corner nodes. Of a grid in parts every rank does
+    its share; all ranks get the whole topology.
 
     Parameters
     ----------
     tolerance : largest distance between coincident nodes relative to the shortest edge at either of them
     """
-    sides = np.flatnonzero(grid.sides.has_quads)
-    face_nodes, rows = _face_nodes(grid, sides)
-    edge = _shortest_edges(grid, sides, rows, face_nodes)
-    number = _kept(_coincident(grid, face_nodes, tolerance * edge))
-    n_unique = int(number.max()) + 1
-    first = empty((n_unique,), "int64")
-    first[number[::-1]] = face_nodes[::-1]
-    unique_edge = empty((n_unique,), "float64")
-    unique_edge[:] = np.inf
-    np.minimum.at(unique_edge, number, edge)
-    del edge
-    handedness = block_handedness(grid)
-    quads = _face_quads(grid, sides, rows, number, handedness)
-    del rows
-    partner, crowded = _partners(quads.corners, np.bincount(number, minlength=n_unique) > 1)
-    return Topology(face_nodes, number, first, unique_edge, quads, partner, handedness, crowded)
+    ranks, handedness = ranks_of(grid.points), block_handedness(grid)
+    with apart(grid.points):
+        bounds = face_bounds(grid.shapes, ranks.count)
+        strips = FaceStrips.of(grid, *bounds[ranks.number : ranks.number + 2].tolist())
+        face_nodes = _kept(collected(ranks, strips.own_nodes))
+        index, first, edge = _coincident(ranks, grid, strips, tolerance)
+        edge = _kept(collected(ranks, edge[first == index]))
+        number, leads = numbered_by_first(collected(ranks, first))
+        del index, first
+        number, first = _kept(number), _kept(face_nodes[leads])
+        shared = np.zeros(len(first), dtype=bool)
+        shared[number[~leads]] = True
+        del leads
+        quads = _face_quads(ranks, grid, handedness, bounds, strips, strips.among(face_nodes, number))
+        del strips
+        partner, crowded = partners(ranks, quads.corners, shared)
+    return Topology(face_nodes, number, first, edge, quads, _kept(partner), handedness, crowded)
 
 
 def _kept(array: np.ndarray) -> np.ndarray:
     """The array, in a file where large arrays are stored in files."""
+    scratch = current_scratch()
+    if not (scratch and scratch.takes(array.nbytes)):
+        return array
     found = empty(array.shape, array.dtype)
     found[...] = array
     return np.asarray(found)
 
 
-def _face_nodes(grid: Grid, sides: IntArray) -> tuple[IntArray, IntArray]:
-    """Flat indices of all nodes on block faces, ascending, and the place among them of every node of the ``sides``.
+def _coincident(
+    ranks: Ranks, grid: Grid, strips: FaceStrips, tolerance: float
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """Of every node of this rank's strips that belongs to it: its number among the face nodes of all ranks, the first
+    of those that coincide with it, and the shortest edge at any of them.
 
-    A few blocks at a time, as their nodes follow each other in the grid.
+    Nodes of different components are never identified.
     """
-    sizes = grid.sides.nodes[sides].prod(axis=1)
-    blocks = np.searchsorted(sides, 6 * np.arange(grid.n_blocks + 1))
-    ends = np.append(0, np.cumsum(sizes))[blocks]
-    rows = empty((int(ends[-1]),), integers(int(ends[-1])))
-    found, count = [], 0
-    for lo, hi in batches(np.diff(ends), _TOGETHER):
-        flat = grid.sides.all_nodes(sides[blocks[lo] : blocks[hi]])[3]
-        nodes = ascending(flat)
-        rows[ends[lo] : ends[hi]] = count + np.searchsorted(nodes, flat)
-        found.append(nodes)
-        count += len(nodes)
-    face_nodes = empty((count,), "int64")
-    np.concatenate(found, out=face_nodes)
-    return face_nodes, rows
+    nodes, edge = strips.own_nodes, shortest_edges(grid, strips)
+    sizes = ranks.gather([len(nodes)])
+    index = sum(sizes[: ranks.number]) + np.arange(len(nodes), dtype=integers(sum(sizes)))
+    own: list[slice | IntArray] = [slice(None)]
+    if grid.component_numbers.any():
+        part = np.repeat(grid.component_numbers, np.diff(np.searchsorted(nodes, grid.offsets)))
+        own = [np.flatnonzero(part == number) for number in range(int(grid.component_numbers.max()) + 1)]
+    first, least = np.empty_like(index), np.empty_like(edge)
+    for some in own:
+        found = coincident_copies(ranks, index[some], rows_at(grid.points, nodes[some]), edge[some], tolerance)
+        first[some], least[some] = found
+    return index, first, least
 
 
-def _coincident(grid: Grid, face_nodes: IntArray, tolerance: FloatArray) -> IntArray:
-    """Unique number of every face node; nodes of different components are never identified."""
-    if not grid.component_numbers.any():
-        return coincident_groups(rows_at(grid.points, face_nodes), tolerance)
-    part = np.repeat(grid.component_numbers, np.diff(np.searchsorted(face_nodes, grid.offsets)))
-    return coincident_within(part, rows_at(grid.points, face_nodes), tolerance)
+def _face_quads(
+    ranks: Ranks, grid: Grid, handedness: IntArray, bounds: IntArray, strips: FaceStrips, number: IntArray
+) -> FaceQuads:
+    """The quads of all sides; ``number`` are the unique numbers of the nodes of this rank's ``strips``."""
+    lattice = grid.sides
+    counts = np.where(lattice.has_quads[:, None], lattice.cells, 0)
+    sizes = counts.prod(axis=1)
+    start = np.cumsum(sizes) - sizes
+    in_order = index_order(grid, handedness)
+    corners = empty((int(sizes.sum()), 2 if grid.dimension == 2 else 4), number.dtype)
+    strips.fill_corners(lattice, number, in_order.ravel(), start, corners)
+    ranks.share(corners, lambda rank: quads_between(lattice, start, *bounds[rank : rank + 2].tolist()))
+    return FaceQuads(start.reshape(-1, 6), counts.reshape(-1, 6, 2), corners, in_order)
 
 
 def cells_behind(grid: Grid, topology: Topology, quads: IntArray) -> IntArray:
@@ -232,117 +241,3 @@ def inward_step(shape: Shape, side: Side) -> int:
     """Difference in flat index from a node of the face to the next node inside the block."""
     stride = (shape[1] * shape[2], shape[2], 1)[side.axis]
     return -stride if side % 2 else stride
-
-
-def _shortest_edges(grid: Grid, sides: IntArray, rows: IntArray, face_nodes: IntArray) -> FloatArray:
-    """Shortest edge at every face node, ignoring edges within the round-off of the file's precision.
-
-    ``rows`` are the positions in ``face_nodes`` of all nodes of the ``sides``.
-    """
-    shortest = np.full(len(face_nodes), np.inf)
-    epsilon = 4 * float(np.finfo(grid.precision).eps)
-    sizes, done = grid.sides.nodes[sides].prod(axis=1), 0
-    for lo, hi in batches(sizes, _TOGETHER):
-        square = _edges_of_sides(grid, sides[lo:hi], epsilon)
-        np.minimum.at(shortest, rows[done : done + len(square)], square)
-        done += len(square)
-    endless = np.flatnonzero(np.isinf(shortest))
-    shortest[endless] = (epsilon * np.abs(grid.points[face_nodes[endless]]).max(axis=1, initial=0.0)) ** 2
-    return np.asarray(np.sqrt(shortest))
-
-
-def _edges_of_sides(grid: Grid, sides: IntArray, epsilon: float) -> FloatArray:
-    """Square of the shortest edge at every node of ``sides``, along the side or into the block."""
-    side, u, v, flat = grid.sides.all_nodes(sides)
-    here = grid.points[flat].T.copy()
-    size = _largest(here)
-    inside = grid.points[flat + grid.sides.inward[side]].T.copy()
-    shortest = _sound_square(here - inside, epsilon, size, _largest(inside))
-    for step, number in ((grid.sides.nodes[side, 1], u), (np.ones_like(v), v)):
-        two = np.flatnonzero(number)
-        one = two - step[two]
-        square = _sound_square(here[:, two] - here[:, one], epsilon, size[two], size[one])
-        for end in (one, two):
-            shortest[end] = np.minimum(shortest[end], square)
-    return shortest
-
-
-def _largest(x: FloatArray) -> FloatArray:
-    """Largest absolute coordinate of points (3, ...)."""
-    return np.asarray(np.maximum(np.maximum(np.abs(x[0]), np.abs(x[1])), np.abs(x[2])))
-
-
-def _sound_square(edge: FloatArray, epsilon: float, one: FloatArray, two: FloatArray) -> FloatArray:
-    """Squared length of edges (3, n); infinite where it is within the round-off of coordinates of this size."""
-    square = edge[0] * edge[0] + edge[1] * edge[1] + edge[2] * edge[2]
-    square[square <= (epsilon * np.maximum(one, two)) ** 2] = np.inf
-    return np.asarray(square)
-
-
-def _face_quads(grid: Grid, sides: IntArray, rows: IntArray, number: IntArray, handedness: IntArray) -> FaceQuads:
-    """The quads of all sides; ``rows`` are the places of the nodes of all ``sides`` that have quads, see
-    :func:`_face_nodes`, and ``number`` their unique numbers."""
-    lattice = grid.sides
-    counts = np.where(lattice.has_quads[:, None], lattice.cells, 0)
-    sizes = counts.prod(axis=1)
-    start = np.cumsum(sizes) - sizes
-    nodes = lattice.nodes[sides].prod(axis=1)
-    first = np.zeros(len(sizes), dtype=np.int64)
-    first[sides] = np.cumsum(nodes) - nodes
-    in_order = index_order(grid, handedness)
-    corners = empty((int(sizes.sum()), 2 if grid.dimension == 2 else 4), number.dtype)
-    for lo, hi in batches(sizes, _TOGETHER):
-        side, local = spans(sizes[lo:hi])
-        side += lo
-        u, v = np.divmod(local, counts[side, 1])
-        width, ordered = lattice.nodes[side, 1], in_order.ravel()[side]
-        at = first[side] + u * width + v
-        if grid.dimension == 2:
-            ends = [at, at + np.where(lattice.nodes[side, 0] > 1, width, 1)]
-        else:
-            ends = [at, at + width, at + width + 1, at + 1]
-        own = corners[start[lo] : start[lo] + len(at)]
-        for column, other in zip(range(len(ends)), reversed(range(len(ends))), strict=True):
-            own[:, column] = number[rows[np.where(ordered, ends[column], ends[other])]]
-    return FaceQuads(start.reshape(-1, 6), counts.reshape(-1, 6, 2), corners, in_order)
-
-
-def _partners(corners: IntArray, shared: np.ndarray) -> tuple[IntArray, int]:
-    """Partner of every quad, and the number of quads that more than two blocks share.
-
-    ``shared`` (n_unique,): nodes that several blocks have in common. Only quads whose corners are shared, all but one
-    for collapsed ones, need to be compared, and only with those that have the same smallest corner.
-    """
-    smallest = np.full(len(corners), len(shared), dtype=corners.dtype)
-    count = np.zeros(len(corners), dtype=np.int8)
-    for column in corners.T:
-        count += shared[column]
-        np.minimum(smallest, column, out=smallest)
-    smallest[count < (3 if corners.shape[1] == 4 else 2)] = len(shared)
-    partner = empty((len(corners),), integers(len(corners)))
-    partner[:] = EXTERNAL
-    crowded, step = 0, max(_MATCHED, -(-len(shared) // _PASSES))
-    for low in range(0, len(shared), step):
-        some = np.flatnonzero((smallest >= low) & (smallest < min(low + step, len(shared))))
-        found, more = _partners_of(corners[some])
-        partner[some] = np.where(found >= 0, some[np.maximum(found, 0)], found)
-        crowded += more
-    return partner, crowded
-
-
-def _partners_of(corners: IntArray) -> tuple[IntArray, int]:
-    rows = np.sort(corners, axis=1)
-    distinct = 1 + np.count_nonzero(np.diff(rows, axis=1), axis=1)
-    collapsed = distinct < (3 if rows.shape[1] == 4 else 2)
-    triangles = (distinct == 3) & (rows.shape[1] == 4)
-    if triangles.any():
-        # On the other side, the same triangle may repeat another corner: keep three corners and pad.
-        repeated = np.argmax(np.diff(rows[triangles], axis=1) == 0, axis=1)
-        some = rows[triangles]
-        some[np.arange(len(some)), repeated] = rows.max() + 1
-        rows[triangles] = np.sort(some, axis=1)
-    live = np.flatnonzero(~collapsed)
-    partner = np.full(len(rows), COLLAPSED, dtype=np.int64)
-    matched, count = equal_rows(rows[live])
-    partner[live] = np.where(matched >= 0, live[matched], EXTERNAL)
-    return partner, int(np.count_nonzero(count > 2))

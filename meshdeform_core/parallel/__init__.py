@@ -1,5 +1,6 @@
 """Loops over shared arrays by threads and MPI ranks."""
 
+from .exchange import Route, collected, joined
 from .halo import Halo
 from .loops import (
     Shared,
@@ -45,6 +46,7 @@ __all__ = [
     "OneRank",
     "Part",
     "Ranks",
+    "Route",
     "Shared",
     "WholeGridNeeded",
     "agreed",
@@ -53,6 +55,7 @@ __all__ = [
     "apart",
     "carried",
     "check_rows",
+    "collected",
     "combined",
     "current_ranks",
     "dividing",
@@ -62,6 +65,7 @@ __all__ = [
     "for_rows",
     "held_together",
     "holders",
+    "joined",
     "numbered",
     "of_all",
     "on_each",

@@ -128,7 +128,7 @@ class Part:
 
     def _looked_up(self, rows: np.ndarray) -> Any:
         """Rows that all ranks keep; ``None`` if there are others."""
-        if self._known is None or not len(rows):
+        if self._known is None:
             return None
         chosen, values = self._known
         return chosen.taken(values, rows)

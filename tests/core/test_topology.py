@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 from grids import block_around, frame, frame_2d, permuted, polar
 
-from meshdeform_core.grid import Connection, Grid, Side
-from meshdeform_core.grid import topology as topology_module
+from meshdeform_core.grid import Connection, Grid, Side, strips
+from meshdeform_core.grid import partners as partners_module
 from meshdeform_core.grid.connectivity.declared import check_connections, connected_nodes
 from meshdeform_core.grid.connectivity.interfaces import find_interfaces
 from meshdeform_core.grid.connectivity.openings import find_openings
-from meshdeform_core.grid.topology import COLLAPSED, find_topology
-from meshdeform_core.numerics.geometry import coincidence
-from meshdeform_core.numerics.geometry.coincidence import close_pairs, coincident_groups
+from meshdeform_core.grid.partners import COLLAPSED
+from meshdeform_core.grid.topology import find_topology
+from meshdeform_core.numerics.geometry import coincidence, copies
+from meshdeform_core.numerics.geometry.coincidence import close_pairs
+from meshdeform_core.numerics.geometry.copies import coincident_groups
 
 LINE = np.linspace(0.0, 1.0, 5)
 
@@ -202,9 +204,9 @@ def noisy_bricks():
 def test_topology_does_not_depend_on_how_much_is_done_at_a_time(make, window, monkeypatch):
     grid = make()
     whole = find_topology(grid)
-    monkeypatch.setattr(coincidence, "_WINDOW", window)
-    monkeypatch.setattr(topology_module, "_MATCHED", window)
-    monkeypatch.setattr(topology_module, "_TOGETHER", window)
+    monkeypatch.setattr(copies, "_WINDOW", window)
+    monkeypatch.setattr(partners_module, "_MATCHED", window)
+    monkeypatch.setattr(strips, "_TOGETHER", window)
     found = find_topology(grid)
     for name in ("face_nodes", "number", "first", "edge", "partner", "handedness"):
         np.testing.assert_array_equal(getattr(found, name), getattr(whole, name))
@@ -216,9 +218,9 @@ def test_topology_does_not_depend_on_how_much_is_done_at_a_time(make, window, mo
 
 
 def test_all_quads_are_searched_a_limited_number_of_times(monkeypatch):
-    grid, passes, partners_of = frame(6, 4), [], topology_module._partners_of
-    monkeypatch.setattr(topology_module, "_MATCHED", 1)
-    monkeypatch.setattr(topology_module, "_partners_of", lambda quads: passes.append(1) or partners_of(quads))
+    grid, passes, partners_of = frame(6, 4), [], partners_module._partners_of
+    monkeypatch.setattr(partners_module, "_MATCHED", 1)
+    monkeypatch.setattr(partners_module, "_partners_of", lambda quads: passes.append(1) or partners_of(quads))
     assert find_topology(grid).n_unique > 100
     assert 2 <= len(passes) <= 16
 
@@ -228,7 +230,7 @@ def test_windows_reach_points_of_the_next_ones(monkeypatch):
     points = np.repeat(random.uniform(0.0, 1.0, (200, 3)), 3, axis=0) + random.uniform(-1e-3, 1e-3, (600, 3))
     tolerance = 0.05 * np.exp(random.uniform(-6.0, 0.0, 600))
     whole = coincident_groups(points, tolerance)
-    monkeypatch.setattr(coincidence, "_WINDOW", 10)
+    monkeypatch.setattr(copies, "_WINDOW", 10)
     np.testing.assert_array_equal(coincident_groups(points, tolerance), whole)
     assert 1 < whole.max() < 500
 
@@ -238,9 +240,9 @@ def test_a_window_reaches_no_further_than_the_tolerances_of_its_own_points(monke
     points = np.repeat(random.uniform(0.0, 1.0, (500, 3)), 3, axis=0) + random.uniform(-1e-3, 1e-3, (1500, 3))
     points = np.concatenate([points, [[1e3, 0.0, 0.0], [1e3, 0.0, 1.0]]])
     tolerance = np.append(0.02 * np.exp(random.uniform(-6.0, 0.0, 1500)), [10.0, 20.0])
-    whole, received, sweep = coincident_groups(points, tolerance), [], coincidence._sweep
-    monkeypatch.setattr(coincidence, "_WINDOW", 10)
-    monkeypatch.setattr(coincidence, "_sweep", lambda *given: received.append(len(given[0])) or sweep(*given))
+    whole, received, sweep = coincident_groups(points, tolerance), [], copies.pairs_in_order
+    monkeypatch.setattr(copies, "_WINDOW", 10)
+    monkeypatch.setattr(copies, "pairs_in_order", lambda *given: received.append(len(given[0])) or sweep(*given))
     np.testing.assert_array_equal(coincident_groups(points, tolerance), whole)
     assert whole[-1] == whole[-2]
     assert sum(received) < 10 * len(points)

@@ -12,7 +12,8 @@ import numpy as np
 
 from ...errors import CaseError, suggestion
 from ...numerics.arrays import BoolArray, FloatArray, IntArray
-from ...numerics.geometry.coincidence import coincident_groups, distinct, equal_rows
+from ...numerics.geometry.coincidence import distinct, equal_rows
+from ...numerics.geometry.copies import coincident_groups
 from ...parallel import Part, alike, empty
 from ...wording import listed
 from ..blocks import Grid

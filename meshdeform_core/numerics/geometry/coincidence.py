@@ -1,4 +1,4 @@
-"""Which points coincide: exact copies first, then pairs closer than the smaller of their own tolerances.
+"""Pairs of points closer than the smaller of their own tolerances; equal rows of integers.
 
 Plain numpy (``meshdeform info`` must start fast and imports no numba).
 """
@@ -22,92 +22,13 @@ _SPARSE = 16
 """Numbers are sorted instead of marked if their range exceeds this many times their count."""
 
 
-_WINDOW = 500_000
-"""Points searched at a time, which bounds the memory."""
-
-
-def _key(points: FloatArray) -> FloatArray:
+def generic_key(points: FloatArray) -> FloatArray:
+    """Coordinate (n,) of points (n, 3) along a direction in which different points hardly ever have the same."""
     # Not a matrix product: equal points must get equal keys, and the order in which a BLAS sums may vary.
     key: FloatArray = points[:, 0] * _GENERIC[0]
     key += points[:, 1] * _GENERIC[1]
     key += points[:, 2] * _GENERIC[2]
     return key
-
-
-def coincident_groups(points: FloatArray, tolerance: FloatArray) -> IntArray:
-    """Number points so that coincident ones share a number.
-
-    Two points coincide when their distance is at most the *smaller* of their tolerances; coincidence is transitive.
-    Beside the arguments it takes some 30 bytes per point, as points are compared a window at a time.
-
-    Parameters
-    ----------
-    points : (n, 3) float64
-    tolerance : (n,) float64, grid length unit
-
-    Returns
-    -------
-    labels : (n,) int32 (int64 for 2^31 points or more) in ``0 ... n_groups - 1``, numbered by first occurrence
-    """
-    key, integer = _key(points), integers(len(points))
-    order = np.argsort(key).astype(integer)
-    key = key[order]
-    new = _new_points(key, order, points)
-    label = np.cumsum(new, dtype=integer)
-    label -= 1
-    count, pairs = int(label[-1]) + 1, _close_groups(key, order, new, label, points, tolerance)
-    del key, new
-    leader = np.arange(count, dtype=integer)
-    some = ascending(pairs)
-    leader[some] = some[connected_components(len(some), np.searchsorted(some, pairs))]
-    labels = np.empty(len(points), dtype=integer)
-    labels[order] = leader[label]
-    del order, label, leader
-    return _by_first_occurrence(labels, count)
-
-
-def _new_points(key: FloatArray, order: IntArray, points: FloatArray) -> BoolArray:
-    """Which points, in the ``order`` of their ``key``, differ from the one before."""
-    new = np.append(True, key[1:] != key[:-1])
-    # Few keys are equal, and those of different points hardly ever.
-    same = np.flatnonzero(~new)
-    for lo in range(0, len(same), _WINDOW):
-        some = same[lo : lo + _WINDOW]
-        new[some[(points[order[some]] != points[order[some - 1]]).any(axis=1)]] = True
-    return new
-
-
-def _close_groups(
-    key: FloatArray, order: IntArray, new: BoolArray, label: IntArray, points: FloatArray, tolerance: FloatArray
-) -> IntArray:
-    """Pairs (m, 2) of close groups of equal points, which are numbered ``label`` (n,) in the ``order`` of the points.
-
-    A window at a time along the keys; it extends beyond its own groups as far as their tolerances reach.
-    """
-    found, lo = [np.empty((0, 2), dtype=np.int64)], 0
-    while lo < len(key):
-        end = min(lo + _WINDOW, len(key))
-        own = int(np.searchsorted(key, key[end - 1], side="right"))
-        # The smaller tolerance of a pair counts, so that those of points beyond the window do not matter.
-        reach = 1.01 * float(tolerance[order[lo:own]].max())
-        hi = int(np.searchsorted(key, key[own - 1] + reach, side="right"))
-        first, members = np.flatnonzero(new[lo:hi]), order[lo:hi]
-        leading = members[first]
-        most = np.maximum.reduceat(tolerance[members], first)
-        pairs = int(label[lo]) + _sweep(key[lo:hi][first], points[leading], most)
-        found.append(pairs[pairs[:, 0] <= label[own - 1]])
-        lo = own
-    return np.concatenate(found)
-
-
-def coincident_within(part: IntArray, points: FloatArray, tolerance: FloatArray) -> IntArray:
-    """As :func:`coincident_groups`, but only points of the same ``part`` (n,), numbered from 0, coincide."""
-    labels, count = np.empty(len(points), dtype=integers(len(points))), 0
-    for number in range(int(part.max(initial=0)) + 1):
-        own = np.flatnonzero(part == number)
-        labels[own] = count + coincident_groups(points[own], tolerance[own])
-        count = int(labels[own].max(initial=count - 1)) + 1
-    return _by_first_occurrence(labels, count)
 
 
 def _differ(rows: FloatArray | IntArray) -> BoolArray:
@@ -145,12 +66,12 @@ def _with_close_neighbour(points: FloatArray, tolerance: FloatArray) -> IntArray
 
 
 def _sweep_in_order(points: FloatArray, tolerance: FloatArray) -> IntArray:
-    key = _key(points)
+    key = generic_key(points)
     order = np.argsort(key)
-    return order[_sweep(key[order], points[order], tolerance[order])]
+    return order[pairs_in_order(key[order], points[order], tolerance[order])]
 
 
-def _sweep(key: FloatArray, points: FloatArray, tolerance: FloatArray) -> IntArray:
+def pairs_in_order(key: FloatArray, points: FloatArray, tolerance: FloatArray) -> IntArray:
     """:func:`close_pairs` for points in the order of their keys."""
     gap = np.diff(key)
     near = np.zeros(len(key), dtype=bool)
@@ -203,16 +124,6 @@ def connected_components(n: int, pairs: IntArray) -> IntArray:
         if np.array_equal(labels, before):
             break
     return labels
-
-
-def _by_first_occurrence(labels: IntArray, count: int) -> IntArray:
-    """Labels below ``count``, renumbered by first occurrence."""
-    own = np.arange(len(labels), dtype=labels.dtype)
-    first = np.empty(count, dtype=labels.dtype)
-    first[labels[::-1]] = own[::-1]
-    number = np.cumsum(first[labels] == own, dtype=labels.dtype)
-    number -= 1
-    return np.asarray(number[first[labels]])
 
 
 def integers(count: int) -> np.dtype[np.signedinteger[Any]]:
