@@ -52,3 +52,17 @@ def test_a_lonely_rank_with_too_few_planes_is_told_so(monkeypatch):
     assert above.tolist() == [6.0, 7.0, 8.0]
     with pytest.raises(SystemExit, match=r"sends 5 rows to rank 2.*at least 6"):
         LonelyRank(1, 3).swap({0: rows, 2: rows[1:]}, {0: below, 2: above})
+
+
+def test_the_box_of_a_share_is_that_of_many_blocks(monkeypatch):
+    monkeypatch.syspath_prepend(FOLDER)
+    for name in [path.stem for path in FOLDER.glob("*.py")]:
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    from blocks import box
+    from share import Box
+
+    from meshdeform_core.parallel import OneRank, Part
+
+    grid = box((3, 3, 3), (4, 4, 4))
+    points = Box(Part(OneRank(), np.array([0, grid.n_nodes]), (grid.n_nodes, 3), "float64"), 3, 4)
+    np.testing.assert_array_equal(points.rows, grid.points)
