@@ -18,7 +18,7 @@ from meshdeform_core.repair import RepairOptions
 from meshdeform_formats.case import read_case
 from meshdeform_formats.grids import format_of
 from meshdeform_formats.layout import Layout
-from meshdeform_formats.placing import least_bytes, velocity_bytes
+from meshdeform_formats.placing import lack, least_bytes, velocity_bytes
 from meshdeform_formats.report import Report
 from meshdeform_formats.report.parts import head_part
 from meshdeform_samples import folder, load
@@ -168,4 +168,8 @@ def plan_by_sizes(
         f"the grid is larger than the memory ({readable(limit.size)}): only the header of its file was read; the "
         "boundary was not classified, the motion not tried"
     )
-    return head_part(layout) | {"expected": dataclasses.asdict(expense), "warnings": [note]}
+    warnings = [note]
+    needed = expense.work_bytes + expense.output_bytes
+    if output is not None and (missing := lack(needed, output, "files to work in and the output take")):
+        warnings.append(missing)
+    return head_part(layout) | {"expected": dataclasses.asdict(expense), "warnings": warnings}

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import struct
+from types import SimpleNamespace
 
 import jsonschema
 import numpy as np
@@ -86,10 +88,18 @@ def test_a_series_takes_the_output_of_all_levels_and_time_for_each(call, bench, 
     assert fast["cpu_seconds"] is None
 
 
-def test_a_series_of_a_billion_nodes_is_foretold_from_a_header(sparse, call, bench, tmp_path):
-    done = call("series", sparse, "-c", "case.toml", "-o", tmp_path / "levels", "--times", "0:4:1", "--dry-run",
-                "--json", "-q", "--max-memory", "64GiB")  # fmt: skip
-    assert done.code == 0, done.err
+def test_a_series_of_a_billion_nodes_is_foretold_from_a_header(sparse, call, bench, tmp_path, monkeypatch):
+    command = ("series", sparse, "-c", "case.toml", "-o", tmp_path / "levels", "--times", "0:4:1", "--dry-run",
+               "--json", "-q", "--max-memory", "64GiB")  # fmt: skip
+    monkeypatch.setattr(expense, "_sample_seconds", lambda _: 0.5)
+    for free, warned in ((10**10, True), (10**13, False)):
+        monkeypatch.setattr(shutil, "disk_usage", lambda _, free=free: SimpleNamespace(free=free))
+        done = call(*command)
+        assert done.code == 0, done.err
+        assert ("free, files to work in and the output take at least" in done.err) == warned
+    swept = json.loads(call(*command, "--suffix", ".vtm", "--velocity", "swept").out)["expected"]
+    # Velocities in three components, and two fields at the faces across three directions, of 99^3 cells per block.
+    assert swept["output_bytes"] == 5 * 1000 * (2 * 24 * 100**3 + 48 * 99**3)
     expected = json.loads(done.out)["expected"]
     assert expected["output_bytes"] == 5 * 24 * BILLION
     assert expected["work_bytes"] > 53 * BILLION
