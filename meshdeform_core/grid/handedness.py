@@ -6,7 +6,7 @@ import numpy as np
 
 from ..numerics.arrays import BoolArray, batches, spread
 from ..numerics.geometry.coincidence import ascending
-from ..parallel import Part, apart, of_all, ranks_of, rows_of
+from ..parallel import Part, apart, of_all, ranks_of, rows_at, rows_of
 from .blocks import FloatArray, Grid, IntArray
 from .sizes import strides_of
 
@@ -83,7 +83,7 @@ def _mean_edges(
         first = (first[..., None] + (picks * strides[:, axis, None])[:, None]).reshape(len(blocks), -1)
     corners = np.empty((*(2,) * len(axes), *first.shape, 3))
     for corner in np.ndindex(*(2,) * len(axes)):
-        corners[corner] = points[first + (strides[:, axes] @ np.array(corner))[:, None]]
+        corners[corner] = rows_at(points, first + (strides[:, axes] @ np.array(corner))[:, None])
     others = [tuple(a for a in range(len(axes)) if a != own) for own in range(len(axes))]
     means = [corners.mean(axis=other) for other in others]
     return [mean[1] - mean[0] for mean in means]

@@ -11,6 +11,7 @@ import mmap
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from .loops import alone, current_ranks, empty, for_chunks, holders, sharing
@@ -24,9 +25,9 @@ T = TypeVar("T")
 
 # Rows of coordinates per chunk; they fit into the cache of a core.
 _ROWS = 1 << 14
-# Rows far apart that are read at a time from an array in a file. The system maps up to 64 KiB around each of them, so
-# that these stay within what is reserved for pages touched between two looks at the resident size.
-_FAR_APART = 1 << 12
+# Where one row of a mapped file is read, Linux may bring the 2^21 bytes around it into memory. Between two looks at the
+# resident size, so many of these stretches are touched, half of what is reserved, and at most so many rows are read.
+_STRETCH, _STRETCHES, _FAR_APART = 21, 96, 1 << 16
 
 
 class WholeGridNeeded(Exception):
@@ -274,14 +275,19 @@ def rows_at(array: Any, rows: np.ndarray) -> Any:
 
     Nodes on block faces lie all over a grid: all at once, they would bring most of its file into memory.
     """
+    import numpy as np
+
     scratch = current_scratch()
-    if scratch is None or isinstance(array, Part) or rows.size <= _FAR_APART:
+    if scratch is None or isinstance(array, Part):
         return array[rows]
     flat, found = rows.ravel(), empty((rows.size, *array.shape[1:]), array.dtype)
     for lo in range(0, flat.size, _FAR_APART):
-        some = slice(lo, lo + _FAR_APART)
-        found[some] = array[flat[some]]
-        scratch.look()
+        stretch = flat[lo : lo + _FAR_APART].astype(np.int64) * array.strides[0] >> _STRETCH
+        others = lo + 1 + np.flatnonzero(np.diff(stretch))
+        ends = [lo, *others[_STRETCHES - 1 :: _STRETCHES].tolist(), lo + len(stretch)]
+        for begin, end in pairwise(ends):
+            found[begin:end] = array[flat[begin:end]]
+            scratch.look()
     return found.reshape(rows.shape + array.shape[1:])
 
 

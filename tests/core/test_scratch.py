@@ -139,7 +139,8 @@ with scratch_in(Scratch(Path(sys.argv[1]), 1)):
     for lo in range(0, len(array), 1 << 18):
         array[lo : lo + (1 << 18)] = np.arange(lo, lo + (1 << 18))[:, None]
     current_scratch().look()
-    rows = np.arange(0, len(array), 128)
+    # One row of every 3 kB, and rows in no order.
+    rows = np.concatenate([np.arange(0, len(array), 128), np.random.default_rng(0).integers(0, len(array), 1000)])
     Path("/proc/self/clear_refs").write_text("5")
     before = resident_memory()
     found = rows_at(array, rows)
@@ -148,12 +149,12 @@ with scratch_in(Scratch(Path(sys.argv[1]), 1)):
 
 
 def test_rows_far_apart_bring_few_pages_into_memory(tmp_path):
-    """One row in every 3 kB of a file of 384 MiB: taken all at once, they would bring the whole file into memory."""
+    """Taken all at once, they would bring the whole file of 384 MiB into memory."""
     done = subprocess.run([sys.executable, "-c", FAR_APART, str(tmp_path)], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     equal, most = done.stdout.split()
     assert equal == "True"
-    assert int(most) < 100
+    assert int(most) < 250
 
 
 def test_rows_at_any_place_are_those_of_plain_indexing(tmp_path, monkeypatch):

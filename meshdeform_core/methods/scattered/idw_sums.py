@@ -10,7 +10,7 @@ from ...grid import FloatArray, Grid, IntArray
 from ...numerics.exact.direct import weighted_sums
 from ...numerics.frame import Frame
 from ...numerics.rigid import NO_TRANSITION, Transition, finish
-from ...parallel import Shared, apart, for_chunks, rows_of
+from ...parallel import Shared, apart, for_chunks, rows_at, rows_of
 from ..base import Progress, of_stage
 
 _CHUNK = 2048
@@ -96,21 +96,21 @@ class ExactEvaluator:
 
     def displacement(self, fit: SourceValues, flat: IntArray) -> FloatArray:
         """Displacement (n, 3) of the nodes ``flat``."""
-        x = self.bound.points[flat] - fit.origin
+        x = rows_at(self.bound.points, flat) - fit.origin
         total = np.zeros_like(x)
         for sources in fit.path:
             total += self._moved(fit, x + total, self._sums(fit, x + total, sources))
-        return fit.frame.absolute(self.bound.points[flat], total)
+        return fit.frame.absolute(rows_at(self.bound.points, flat), total)
 
     def checked(self, fit: SourceValues, flat: IntArray, known: Weighed | None) -> tuple[FloatArray, Weighed | None]:
         """:meth:`displacement` and the weights of these nodes, which are not summed again if ``known``."""
         if len(fit.path) > 1 or fit.still is None:
             return self.displacement(fit, flat), None
-        x = self.bound.points[flat] - fit.origin
+        x = rows_at(self.bound.points, flat) - fit.origin
         if known is None or known.weights != fit.weights or not np.array_equal(known.flat, flat):
             known = Weighed(flat, fit.weights, self._weight(fit, x))
         moved = self._moved(fit, x, self._sums_of_moving(fit, x, known.total))
-        return fit.frame.absolute(self.bound.points[flat], moved), known
+        return fit.frame.absolute(rows_at(self.bound.points, flat), moved), known
 
     def _moved(self, fit: SourceValues, x: FloatArray, sums: FloatArray) -> FloatArray:
         """Displacement (n, 3) in one step of targets at ``x``, relative to the origin, from their sums (n, 1 + k)."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...errors import MethodError
 from ...grid import FloatArray, Grid, IntArray
-from ...parallel import agreed, apart, for_chunks, of_all, ranks_of, rows_of
+from ...parallel import agreed, apart, of_all, ranks_of, rows_at, rows_of
 from ..base import Account, Setting
 from ..options import choose, positive
 
@@ -17,8 +17,6 @@ _FAST_PAIRS, _FAST_SOURCES = 2e8, 2000
 """Pairs of nodes and sources, and sources, from which fast sums are faster than exact ones (``benchmarks/idw.py``)."""
 _WORST_BRICKS, _RANDOM_NODES = 64, 256
 """Bricks with the largest error bounds, and random nodes, at which fast sums are compared with exact ones."""
-_MEASURED = 128
-"""Of these nodes, the number whose cells are measured at a time."""
 MAX_RETRIES = 3
 """Largest number of times that fast sums are repeated with higher accuracy."""
 
@@ -104,14 +102,8 @@ def largest_error(
     flat, error = doubtful(grid.points, targets, risk), np.zeros(0)
     if flat.size:
         with apart(grid.points):
-            size, grids = np.empty(len(flat)), (rows_of(grid.points), shape_table(grid.shapes), grid.offsets)
-
-            def measure(lo: int, hi: int) -> None:
-                size[lo:hi] = node_sizes(*grids, flat[lo:hi])
-
-            # These nodes and their neighbours lie all over the grid.
-            for_chunks(measure, len(flat), _MEASURED)
-            error = np.linalg.norm(found[flat] - exact(flat), axis=1) / size
+            size = node_sizes(rows_of(grid.points), shape_table(grid.shapes), grid.offsets, flat)
+            error = np.linalg.norm(rows_at(found, flat) - exact(flat), axis=1) / size
     return agreed(error.max(initial=0.0))
 
 

@@ -203,7 +203,7 @@ def block_volumes(grid: Grid, points: FloatArray, sign: IntArray) -> FloatArray:
     ----------
     sign : (n_blocks,) handedness of each
     """
-    center = 0.5 * (points[grid.offsets[:-1]] + points[grid.offsets[1:] - 1])
+    center = 0.5 * (rows_at(points, grid.offsets[:-1]) + rows_at(points, grid.offsets[1:] - 1))
     flux = np.empty(6 * grid.n_blocks)
     for alike in _alike(grid.sides.nodes):
         for lo, hi in batches(grid.sides.nodes[alike].prod(axis=1), _SLAB_CELLS):

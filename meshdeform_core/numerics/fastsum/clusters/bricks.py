@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ....parallel import for_chunks
+from ....parallel import for_chunks, rows_at
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...jit import inlined, kernel
 from ...pieces import pieces
@@ -205,6 +205,6 @@ def node_sizes(points: FloatArray, shapes: IntArray, offsets: IntArray, flat: In
         for way in (-1, 1):
             inside = (at + way >= 0) & (at + way < shape[:, axis])
             one = flat[inside]
-            edge = np.linalg.norm(points[one + way * step[inside]] - points[one], axis=1)
+            edge = np.linalg.norm(rows_at(points, one + way * step[inside]) - rows_at(points, one), axis=1)
             size[inside] = np.minimum(size[inside], np.where(edge > 0.0, edge, np.inf))
     return size
