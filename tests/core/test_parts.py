@@ -531,7 +531,7 @@ def test_ranks_need_memory_for_their_part(small_pieces):
         with dividing():
             return demand.in_memory
 
-    assert on_ranks(4, act) == [pytest.approx(PROGRAM_BYTES + 0.25 * 1.25 * 9 * 24e8 + 1e9, rel=0.02)] * 4
+    assert on_ranks(4, act) == [pytest.approx(PROGRAM_BYTES + 0.25 * 1.25 * 9 * 24e8 + 0.63e9, rel=0.02)] * 4
     assert demand.in_memory > 2.5 * on_ranks(4, act)[0]
 
 
