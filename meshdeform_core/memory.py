@@ -39,8 +39,8 @@ _BESIDE_FILES, _PER_FACE_NODE, _WINDOW = 6, 85, 8
 _PER_BLOCK = 160 * 2**10
 _OTHER_COPIES = 3
 # For a rank that holds a part of the grid: largest size of the part relative to the mean, bytes per node on block faces
-# for data that all ranks hold (530 to 570 were measured: idw-tfi, 4 ranks, 12 to 30 million nodes in one block), and bytes
-# of the MPI library.
+# for data that all ranks hold (idw-tfi, 4 ranks, 12 to 30 million nodes in one block: 530 to 570 were measured), and
+# bytes of the MPI library.
 _LARGEST_PART, _PER_SHELL_NODE, _MPI_BYTES = 1.25, 630, 32 * 2**20
 _COMPILER = "libllvmlite"
 """Name of the library that compiles loops, and loads those that have been compiled."""
