@@ -7,7 +7,6 @@ unnamed outside face. :mod:`meshdeform_core.grid.faces.roles` guesses the role o
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 
@@ -32,19 +31,25 @@ class QuadGeometry:
 
     Attributes
     ----------
-    center : (n_quads, 3) mean of the corners
-    outward : (n_quads, 3) area vector out of the block (area: length unit squared; in 2-D length)
+    area : (n_quads,) area (length unit squared; in 2-D length)
     height : (n_quads,) distance of the next layer of nodes along the inward normal
+    outside : (n,) the quads that no other block shares, ascending; in many blocks these are few
+    centers, outwards : (n, 3) mean of the corners, and area vector out of the block, of each of them
     """
 
-    center: FloatArray
-    outward: FloatArray
+    area: FloatArray
     height: FloatArray
+    outside: IntArray
+    centers: FloatArray
+    outwards: FloatArray
 
-    @cached_property
-    def area(self) -> FloatArray:
-        """(n_quads,) area, in 2-D length."""
-        return np.asarray(np.linalg.norm(self.outward, axis=1))
+    def center(self, quads: IntArray) -> FloatArray:
+        """Mean of the corners (n, 3) of outside quads (n,)."""
+        return np.asarray(self.centers[np.searchsorted(self.outside, quads)])
+
+    def outward(self, quads: IntArray) -> FloatArray:
+        """Area vectors (n, 3) of outside quads (n,)."""
+        return np.asarray(self.outwards[np.searchsorted(self.outside, quads)])
 
 
 @dataclass(frozen=True)
@@ -89,8 +94,8 @@ class Face:
 
 def quad_geometry(grid: Grid, topology: Topology) -> QuadGeometry:
     """Centres, area vectors and first-cell heights of all face quads."""
-    count = len(topology.quads.corners)
-    found = QuadGeometry(empty((count, 3)), empty((count, 3)), empty((count,)))
+    count, outside = len(topology.partner), np.flatnonzero(topology.partner < 0)
+    found = QuadGeometry(empty((count,)), empty((count,)), outside, *(empty((len(outside), 3)) for _ in range(2)))
     normal = plane_normal(grid)
     if normal is not None:
         normal = normal * np.sign(normal[int(np.argmax(np.abs(normal)))])
@@ -99,8 +104,11 @@ def quad_geometry(grid: Grid, topology: Topology) -> QuadGeometry:
         corners = grid.points[topology.first[topology.quads.corners[some]]]
         outward = _outward(corners, normal)
         arm = _mean_first_edges(grid, topology.quads, np.arange(some.start, some.stop))
-        found.center[some], found.outward[some] = corners.mean(axis=1), outward
+        found.area[some] = np.linalg.norm(outward, axis=1)
         found.height[some] = -np.einsum("ni,ni->n", unit(outward), arm)
+        few = slice(*np.searchsorted(outside, [some.start, some.stop]).tolist())
+        own = outside[few] - lo
+        found.centers[few], found.outwards[few] = corners[own].mean(axis=1), outward[own]
     return found
 
 

@@ -137,7 +137,7 @@ class _Guess:
         """Outward normal of a plane face with the whole grid on one side of it, else ``None``."""
         if face.plane is None or not face.outside:
             return None
-        outward = self.geometry.outward[face.quads].sum(axis=0)
+        outward = self.geometry.outward(face.quads).sum(axis=0)
         normal = face.plane.normal * (1.0 if outward @ face.plane.normal >= 0 else -1.0)
         level = float(face.plane.point @ normal) + 10 * FLATNESS * self.size
         return normal if self.bounds.within(normal, level) else None
@@ -161,8 +161,9 @@ class _Guess:
         area = self.geometry.area[quads]
         if area.sum() == 0.0:
             return False
-        arm = self.geometry.center[quads] - np.average(self.geometry.center[quads], axis=0, weights=area)
-        flux = np.einsum("ni,ni->", arm, self.geometry.outward[quads])
+        center = self.geometry.center(quads)
+        arm = center - np.average(center, axis=0, weights=area)
+        flux = np.einsum("ni,ni->", arm, self.geometry.outward(quads))
         return bool(flux < -_ENCLOSED * float(area @ np.linalg.norm(arm, axis=1)))
 
     def _closed(self, quads: IntArray) -> bool:
