@@ -13,10 +13,15 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar, copy_context
 from functools import partial
+from itertools import pairwise
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 from .ranks import OneRank, Ranks, usable_cores
 from .scratch import current_scratch
+
+# Where one row of a mapped file is read, Linux may bring the 2^21 bytes around it into memory. Between two looks at the
+# resident size, so many of these stretches are touched, half of what is reserved, and at most so many rows are read.
+_STRETCH, _STRETCHES, _FAR_APART = 21, 96, 1 << 16
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -116,6 +121,28 @@ def empty(shape: Sequence[int], dtype: Any = "float64") -> Any:
 
     size, scratch = math.prod(shape) * np.dtype(dtype).itemsize, current_scratch()
     return scratch.empty(shape, dtype) if scratch and scratch.takes(size) else np.empty(shape, dtype)
+
+
+def rows_at(array: Any, rows: Any) -> Any:
+    """``array[rows]`` for rows by number, in any order; of an array in a file a few at a time.
+
+    Nodes on block faces lie all over a grid: all at once, they would bring most of its file into memory.
+    """
+    import numpy as np
+
+    scratch = current_scratch()
+    # Several ranks store nothing in files, so that this is no array in parts.
+    if scratch is None:
+        return array[rows]
+    flat, found = rows.ravel(), empty((rows.size, *array.shape[1:]), array.dtype)
+    for lo in range(0, flat.size, _FAR_APART):
+        stretch = flat[lo : lo + _FAR_APART].astype(np.int64) * array.strides[0] >> _STRETCH
+        others = lo + 1 + np.flatnonzero(np.diff(stretch))
+        ends = [lo, *others[_STRETCHES - 1 :: _STRETCHES].tolist(), lo + len(stretch)]
+        for begin, end in pairwise(ends):
+            found[begin:end] = array[flat[begin:end]]
+            scratch.look()
+    return found.reshape(rows.shape + array.shape[1:])
 
 
 def thread_count() -> int:

@@ -11,12 +11,10 @@ import mmap
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from .loops import alone, current_ranks, empty, for_chunks, holders, sharing
 from .ranks import OneRank, Ranks
-from .scratch import current_scratch
 
 if TYPE_CHECKING:
     import numpy as np
@@ -25,9 +23,6 @@ T = TypeVar("T")
 
 # Rows of coordinates per chunk; they fit into the cache of a core.
 _ROWS = 1 << 14
-# Where one row of a mapped file is read, Linux may bring the 2^21 bytes around it into memory. Between two looks at the
-# resident size, so many of these stretches are touched, half of what is reserved, and at most so many rows are read.
-_STRETCH, _STRETCHES, _FAR_APART = 21, 96, 1 << 16
 
 
 class WholeGridNeeded(Exception):
@@ -268,27 +263,6 @@ def for_rows(fill: Callable[[slice], object], array: Any) -> None:
         on_each(array, lambda: for_chunks(work, end - begin, _ROWS))
     else:
         for_chunks(work, len(array), _ROWS)
-
-
-def rows_at(array: Any, rows: np.ndarray) -> Any:
-    """``array[rows]`` for rows by number, in any order; of an array in a file a few at a time.
-
-    Nodes on block faces lie all over a grid: all at once, they would bring most of its file into memory.
-    """
-    import numpy as np
-
-    scratch = current_scratch()
-    if scratch is None or isinstance(array, Part):
-        return array[rows]
-    flat, found = rows.ravel(), empty((rows.size, *array.shape[1:]), array.dtype)
-    for lo in range(0, flat.size, _FAR_APART):
-        stretch = flat[lo : lo + _FAR_APART].astype(np.int64) * array.strides[0] >> _STRETCH
-        others = lo + 1 + np.flatnonzero(np.diff(stretch))
-        ends = [lo, *others[_STRETCHES - 1 :: _STRETCHES].tolist(), lo + len(stretch)]
-        for begin, end in pairwise(ends):
-            found[begin:end] = array[flat[begin:end]]
-            scratch.look()
-    return found.reshape(rows.shape + array.shape[1:])
 
 
 def check_rows(look: Callable[[slice], object], array: Any) -> None:
