@@ -58,6 +58,17 @@ def test_repaired_levels_are_smooth_and_those_of_single_runs(study):
 
 
 @pytest.mark.slow
+def test_a_resolved_motion_has_half_the_acceleration_with_half_the_interval(study):
+    head, _, row = rows(study("jumps", "--only", "ellipse"))
+    told = dict(zip(head, row, strict=True))
+    assert told["not valid"] == told["told"] == "0"
+    found = [float(told[name]) for name in ("acceleration, wall steps", "with 1/2 of the interval", "1/4")]
+    assert 0.0 < found[2] < 0.6 * found[1] < 0.36 * found[0]
+    assert float(told["back and forth, edges"]) < 1e-6
+    assert float(told["single runs, edges"]) < 1e-6
+
+
+@pytest.mark.slow
 def test_flows_are_counted_and_put_on_the_page(study, tmp_path):
     page, record = tmp_path / "page.md", tmp_path / "flows.json"
     page.write_text("before\n<!-- random_flows.py begin -->\nold\n<!-- random_flows.py end -->\nafter\n")
