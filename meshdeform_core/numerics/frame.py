@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .arrays import FloatArray
+from .arrays import FloatArray, weighted_total
 from .tape import Tracked
 
 
@@ -27,7 +27,7 @@ class Frame:
         The rotation is that of Kabsch (Acta Cryst. A32, 922, 1976); with a ``normal`` (3,), it is about this axis.
         """
         share = weight / weight.sum()
-        shift, centre = share @ displacement, share @ points
+        shift, centre = weighted_total(share, displacement), weighted_total(share, points)
         if not isinstance(displacement, Tracked) and not (displacement - shift).any():
             return cls(shift)
         arm = points - centre

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from meshdeform_core.numerics.arrays import distinct_pairs, extent, total
+from meshdeform_core.numerics.arrays import distinct_pairs, extent, total, weighted_total
 
 RNG = np.random.default_rng(4)
 
@@ -15,6 +15,8 @@ def test_extent_and_total_are_those_of_columns(count):
     np.testing.assert_array_equal(low, points.min(axis=0))
     np.testing.assert_array_equal(high, points.max(axis=0))
     np.testing.assert_allclose(total(points), points.sum(axis=0), rtol=1e-12, atol=1e-12)
+    weights = RNG.uniform(size=count)
+    np.testing.assert_allclose(weighted_total(weights, points), weights @ points, rtol=1e-12, atol=1e-12)
     part = np.broadcast_to(points[:, None], (count, 2, 3))[:, ::2]
     np.testing.assert_array_equal(extent(part), (low, high))
 

@@ -6,6 +6,10 @@ exact and with fast sums.
 
 import dataclasses
 import functools
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -117,6 +121,37 @@ def test_threads_change_no_bit(name):
         finally:
             set_threads(None)
     np.testing.assert_array_equal(*found)
+
+
+MANY_SOURCES = """
+import numpy as np
+from cases import problem_of, everything_moves
+from grids import block_around
+from meshdeform_core.grid import Grid
+from meshdeform_core.methods import IDW
+
+line = np.linspace(0.0, 1.0, 340)
+where = problem_of(Grid.from_blocks([block_around(line, line, np.array([0.0, 0.1]))]), everything_moves())
+x = where.source_points
+assert len(x) > 200_000
+for options in (IDW(), IDW(alpha="auto"), IDW(rotation="none")):
+    prepared = options.bind(where)
+    found = prepared.fit(0.1 * np.sin(3.0 * x[:, ::-1]))
+    frame = [each for each in (found.frame.shift, found.frame.turn, found.frame.centre) if each is not None]
+    print([each.tobytes().hex() for each in frame], found.weights, found.values.sum(axis=1).tolist())
+"""
+
+
+def test_threads_of_linear_algebra_change_no_bit_of_many_sources():
+    """A program that uses the library decides on these threads; their number changes how a BLAS adds up long rows."""
+    tests = os.pathsep.join([str(Path(__file__).parent.parent), *sys.path])
+    told = []
+    for threads in ("1", "2"):
+        own = os.environ | {"PYTHONPATH": tests, "OPENBLAS_NUM_THREADS": threads, "OMP_NUM_THREADS": threads}
+        done = subprocess.run([sys.executable, "-c", MANY_SOURCES], env=own, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        told.append(done.stdout)
+    assert told[0] == told[1]
 
 
 def test_sums_made_finer_for_one_displacement_are_not_for_the_next(monkeypatch):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...grid import BoolArray, FloatArray, Grid, IntArray
-from ...numerics.arrays import lengths
+from ...numerics.arrays import lengths, weighted_total
 from ...numerics.exact.direct import weighted_sums
 from ...numerics.fastsum.weighted.frozen import FrozenSums
 from ...numerics.rigid import finish
@@ -163,7 +163,7 @@ def _arms(method: PreparedIDW, displacement: FloatArray) -> FloatArray:
     d = method._images.displaced(displacement)
     frame = method._frame(d)
     inside = d if frame.turn is None else frame.relative(method._images.points, d)
-    arms: FloatArray = inside - (method.area / method.area.sum()) @ inside
+    arms: FloatArray = inside - weighted_total(method.area / method.area.sum(), inside)
     return arms
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from ...errors import MethodError
 from ...grid import FloatArray, IntArray
 from ...numerics import rotation as rot
+from ...numerics.arrays import weighted_total
 from ...numerics.frame import AT_REST, Frame
 from ...numerics.paper.division import division_path
 from ...numerics.rigid import NO_TRANSITION
@@ -291,7 +292,7 @@ class PreparedIDW:
             return AT_REST
         if self.options.rotation == "lie" and with_motion(self._images).all():
             return Frame.fitted(self._images.points, d, self.area, self._problem.plane_normal)
-        return Frame(self.area / self.area.sum() @ d)
+        return Frame(weighted_total(self.area / self.area.sum(), d))
 
     def _weights(self, d: FloatArray) -> tuple[tuple[float, float, float], ...]:
         """Weight function (a, b, kappa) of each group: r^-a + kappa r^-b.
@@ -314,7 +315,7 @@ class PreparedIDW:
 
     def _eq_18(self, d: FloatArray) -> float:
         area = plain(self.area)
-        mean = (area / area.sum()) @ d
+        mean = weighted_total(area / area.sum(), d)
         return self.options.eta / plain(self.length) * float(np.linalg.norm(d - mean, axis=1).max())
 
     def _alpha(self, d: FloatArray) -> float:

@@ -13,6 +13,7 @@ import numpy as np
 
 from ...boundary import Kind
 from ...grid import BoolArray, FloatArray
+from ...numerics.arrays import weighted_total
 from ...numerics.geometry.coincidence import connected_components
 from ...numerics.rigid import Transition
 from ..base import Problem
@@ -51,7 +52,7 @@ def breadth(images: Images) -> float:
     """
     moving = with_motion(images)
     area, x = images.area[moving], images.points[moving]
-    reach = np.linalg.norm(x - area @ x / area.sum(), axis=1).max()
+    reach = np.linalg.norm(x - weighted_total(area, x) / area.sum(), axis=1).max()
     found: float = area.sum() / (_PERIMETER * reach)
     return found
 

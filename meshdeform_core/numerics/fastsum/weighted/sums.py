@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ....parallel import Shared, for_chunks
-from ...arrays import BoolArray, FloatArray, IntArray, Report
+from ...arrays import BoolArray, FloatArray, IntArray, Report, weighted_total
 from ...exact.direct import N_VALUES
 from ..clusters.acceptance import Kernel, inverse_powers
 from ..clusters.targets import Targets, interpolation_order
@@ -71,7 +71,7 @@ class Scaled:
     def of(cls, summands: Summands, strength: FloatArray) -> Scaled:
         """The values of summands."""
         values = summands.values
-        middle = values @ strength / strength.sum() if summands.still is None else summands.still
+        middle = weighted_total(strength, values.T) / strength.sum() if summands.still is None else summands.still
         spread = np.array([np.abs(row - offset).max() for row, offset in zip(values, middle, strict=True)])
         spread[spread == 0.0] = 1.0
         return cls(values, middle, spread)
