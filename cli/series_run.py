@@ -127,9 +127,8 @@ def open_manifest(run: Run, resume: bool, force: bool) -> Manifest:
         When files would be overwritten, or the series to be continued has other inputs.
     """
     new = run.manifest
-    begun = new.path.exists() and not force
     # A run that failed before its first level does not block the next one.
-    old = Manifest.load(new.path) if begun else None
+    old = Manifest.load(new.path) if new.path.exists() and not force else None
     if old and old.levels and resume:
         old.require_same(new.ingredients)
         run.files.recall(old.levels)

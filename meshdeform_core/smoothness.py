@@ -61,10 +61,11 @@ class Smoothness:
             return (
                 f"the grid is made in another way from this level on: {self.ways[1]}, before {self.ways[0]}{self._jump}"
             )
-        if self.plain or self.beyond < _JUMP or (self.acceleration_in_edges or 0.0) < _JUMP_IN_EDGES:
+        slight = self.beyond < _JUMP or (self.acceleration_in_edges or 0.0) < _JUMP_IN_EDGES
+        if self.acceleration is None or self.plain or slight:
             return None
         return (
-            f"the grid jumps although its walls do not: a node is accelerated by {self.acceleration:.3g} steps of the "
+            f"the grid jumps although its walls do not: a node is accelerated by {_steps(self.acceleration)} of the "
             f"walls ({self.acceleration_in_edges:.3g} local edges) at this level, the walls by {self.wall:.3g}"
         )
 
@@ -72,10 +73,15 @@ class Smoothness:
     def _jump(self) -> str:
         if self.acceleration is not None and self.wall is not None and self.acceleration_in_edges is not None:
             return (
-                f". Its nodes are accelerated by up to {self.acceleration:.3g} steps of the walls "
+                f". Its nodes are accelerated by up to {_steps(self.acceleration)} of the walls "
                 f"({self.acceleration_in_edges:.3g} local edges), the walls by {self.wall:.3g}"
             )
-        return "" if self.velocity is None else f". Its nodes move by up to {self.velocity:.3g} steps of the walls"
+        return "" if self.velocity is None else f". Its nodes move by up to {_steps(self.velocity)} of the walls"
+
+
+def _steps(count: float) -> str:
+    text = f"{count:.3g}"
+    return "1 step" if text == "1" else f"{text} steps"
 
 
 class Moment(NamedTuple):

@@ -62,7 +62,9 @@ def test_commands_and_code_do_what_the_page_says(page, tmp_path, monkeypatch, ca
             for arguments, code, lines in expected_outcomes(text):
                 assert run(arguments) == code, f"{arguments}: {capsys.readouterr().err}"
                 captured = capsys.readouterr()
-                assert_printed(lines, captured.out + captured.err)
+                # Which page is the first to compile a loop is nobody's business.
+                err = re.sub("meshdeform: compiling loops, .*\n", "", captured.err)
+                assert_printed(lines, captured.out + err)
         elif language == "python" and not missing_extras(text):
             exec(compile(text, str(page), "exec"), names)
     for picture in pictures(page):

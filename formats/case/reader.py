@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import keyword
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -99,12 +100,21 @@ def read_case(
             table_of(data, "method")["name"] = method
         parsed = _parse(data, folder, overrides)
     except (CaseError, MethodError) as error:
-        raise type(error)(f"{path or 'command line'}: {error}") from error
+        raise type(error)(f"{_origin(path, folder, bool(overrides or method))}: {error}") from error
     return (
         parsed
         if table is None
         else _with_table(parsed, Path(table), times, matching or Matching(AUTOMATIC, partial=True))
     )
+
+
+def _origin(path: Path | None, folder: Path, changed: bool) -> str:
+    """What an error concerns: the command line, if there is no file or it had no error before it was ``changed``."""
+    if path is not None and changed:
+        with suppress(CaseError, MethodError):
+            _parse(load(path), folder)
+            return "command line"
+    return str(path or "command line")
 
 
 def _require_method(name: str) -> None:

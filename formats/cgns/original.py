@@ -34,15 +34,16 @@ class Original(NamedTuple):
     def of(
         cls, state: tuple[int, ...], base: Base, zones: Sequence[Zone], places: Sequence[list[Stored] | None]
     ) -> Original | None:
-        """``None`` if a copy differs from the file in more: if coordinates are compressed, in other files or zones, or
-        have boxes, or if the file is in ADF."""
+        """``None`` if a copy differs from the file in more: if coordinates are compressed, in other files or zones,
+        stored once for several zones, or have boxes, or if the file is in ADF."""
         found = []
         for zone, known in zip(zones, places, strict=True):
             linked = any(node.link for node in (base.node, zone.node, zone.grid, *zone.coordinates))
             if known is None or linked or zone.grid.dims:
                 return None
             found.append(tuple(known))
-        if is_adf(base.node.file):
+        every = [place.start for known in found for place in known]
+        if is_adf(base.node.file) or len(set(every)) < len(every):
             return None
         names, shapes = (tuple(getattr(zone, key) for zone in zones) for key in ("name", "shape"))
         return cls(state, names, shapes, base.dimension, tuple(found))
@@ -54,4 +55,4 @@ def state_of(path: Path) -> tuple[int, ...]:
         found = path.stat()
     except OSError:
         return ()
-    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns

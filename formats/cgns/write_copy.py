@@ -28,7 +28,7 @@ from .original import Original, state_of
 from .storage.adf import is_adf
 from .storage.file import naming, opened_cgns
 from .storage.hdf5 import DATA, LINK, LINK_FILE, hdf5_errors, place_of
-from .storage.hdf5_write import characters, own_group, put_node, reserve_dataset, write_hdf5
+from .storage.hdf5_write import characters, has_other_names, own_group, put_node, reserve_dataset, write_hdf5
 from .storage.names import unique_names
 from .storage.tree import Node, data_type_of
 from .write_new import Packed, Places, fields_by_place, solution_nodes, write_completed
@@ -156,12 +156,12 @@ def _add_fields(parents: list[h5py.Group], zones: list[Zone], grid: Grid, places
 
 
 def _writable_dataset(group: h5py.Group, precision: str | None, counts: tuple[int, ...]) -> h5py.Dataset:
-    """The coordinate dataset, recreated if its precision changes. Old values are copied only if some of them remain:
-    rind values in addition to the nodes ``counts`` of the zone."""
+    """The coordinate dataset, recreated if its precision changes or if it belongs to another node, too. Old values are
+    copied only if some of them remain: rind values in addition to the nodes ``counts`` of the zone."""
     dataset = group[DATA]
     stored = dataset.dtype.newbyteorder("=")
     dtype = stored if precision is None else np.dtype(precision)
-    if dtype == stored:
+    if dtype == stored and not has_other_names(dataset):
         return dataset
     shape, chunks, packing = dataset.shape, dataset.chunks, _packing(dataset)
     values = dataset[()].astype(dtype) if shape != counts[::-1] else None

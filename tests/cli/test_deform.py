@@ -320,6 +320,19 @@ def test_set_overrides_any_key(override, where, expected, bench, call):
     assert found == expected
 
 
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--min-jacobian", "nan"], "command line: repair.min_jacobian: expected a finite number"),
+        (["-s", "method.idw.alpha=x"], "command line: method.idw.alpha = 'x'"),
+    ],
+)
+def test_an_error_of_the_command_line_is_not_blamed_on_the_case_file(words, expected, bench, call):
+    assert expected in call(*RUN, *words).err
+    (bench / "case.toml").write_text("[repair]\nmin_jacobian = nan\n")
+    assert "case.toml: repair.min_jacobian: expected a finite number" in call(*RUN, "-m", "tfi").err
+
+
 def test_the_last_set_wins(bench, call):
     report = report_of(call, *RUN, "-s", "method.idw.alpha=0.2", "-s", "method.idw.alpha=0.3")
     assert report["method"]["alpha"]["value"] == 0.3

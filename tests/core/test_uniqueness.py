@@ -83,6 +83,8 @@ def test_the_second_level_in_another_way_has_a_velocity_only():
     assert found.warning is not None
     assert "b, before a" in found.warning
     assert "move by up to 3 steps of the walls" in found.warning
+    slower = [moments[0], moments[1]._replace(points=still + 0.1)]
+    assert "move by up to 1 step of the walls" in str(smoothness(slower, np.array([0]), np.ones(2)).warning)
 
 
 def test_whichever_way_leads_to_a_valid_grid_the_minimum_is_the_same():

@@ -127,6 +127,22 @@ def test_more_than_values_of_coordinates_change(tmp_path, change):
     assert (tmp_path / "one.cgns").read_bytes() == (tmp_path / "two.cgns").read_bytes()
 
 
+@pytest.mark.parametrize("shared", ["CoordinateY", "CoordinateY/ data"])
+@pytest.mark.parametrize("options", [{}, {"precision": "float32"}])
+def test_coordinates_that_are_stored_once_for_two_zones(tmp_path, shared, options):
+    """HDF5 can give an array several names; one written for two zones would hold the coordinates of the last one."""
+    source = write_hdf5(tmp_path / "in.cgns", tree(zone("left", box(4, 3, 5)), zone("right", box(4, 3, 5))))
+    with h5py.File(source, "r+") as file:
+        left, right = (file[f"Base/{name}/GridCoordinates"] for name in ("left", "right"))
+        del right[shared]
+        right[shared] = left[shared]
+    grid = read_grid(source)
+    points = grid.points.copy()
+    points[60:, 1] += np.arange(60.0)
+    write_grid(grid.moved(points), tmp_path / "out.cgns", options)
+    np.testing.assert_allclose(read_grid(tmp_path / "out.cgns").points, points, rtol=1e-6)
+
+
 def test_cells_of_a_zone_of_one_plane_in_a_base_of_three_axes(tmp_path):
     grid = read_grid(write_hdf5(tmp_path / "in.cgns", tree(zone("thin", box(4, 3, 1)))))
     values = replace(grid, fields=(Field("skew", "cell", 0, np.ones((3, 2, 1))),))

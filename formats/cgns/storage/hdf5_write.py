@@ -8,7 +8,7 @@ from typing import Any
 
 import h5py
 import numpy as np
-from h5py import h5a, h5d, h5g, h5p, h5s, h5t
+from h5py import h5a, h5d, h5g, h5o, h5p, h5s, h5t
 from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
@@ -68,11 +68,13 @@ def write_hdf5(tree: Node, path: Path) -> None:
 
 
 def own_group(parent: h5py.Group, node: Node) -> h5py.Group:
-    """The group of ``node`` in a file being written. A link is replaced by its target, in the same position.
+    """The group of ``node`` in a file being written. A link is replaced by its target, in the same position, and so is
+    one of several names of a group (HDF5 calls them hard links).
 
     Coordinates that are to change must not belong to another file or zone.
     """
-    if not isinstance(parent.get(node.name, getlink=True), h5py.HardLink):
+    hard = isinstance(parent.get(node.name, getlink=True), h5py.HardLink)
+    if not hard or has_other_names(parent[node.name]):
         del parent[node.name]
         _write(parent.id, node, Path(), 0)
     group = parent[node.name]
@@ -83,6 +85,11 @@ def own_group(parent: h5py.Group, node: Node) -> h5py.Group:
             group.attrs.modify(key, np.bytes_(text))
         _fill(group.id, node.target, Path(), 0)
     return group
+
+
+def has_other_names(found: h5py.Group | h5py.Dataset) -> bool:
+    """Whether a group or an array has several names in its file, so that a change under one shows under all."""
+    return bool(h5o.get_info(found.id).rc > 1)
 
 
 def put_node(parent: h5py.Group, node: Node) -> None:

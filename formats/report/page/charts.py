@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
+# For viewers that ignore style sheets in SVG, which fill the area under a curve.
+_OUTLINE = 'fill="none" stroke="currentColor"'
 _WIDTH, _HEIGHT, _LEFT, _RIGHT, _TOP, _BOTTOM = 640, 280, 62, 12, 12, 44
 
 
@@ -53,7 +55,7 @@ def curve(x: Sequence[float], y: Sequence[float], x_label: str, y_label: str, wr
     xs, ys = ticks(min(x), max(x)), ticks(min(y), max(y))
     parts = list(_curve_axes(xs, ys, x_label, y_label))
     at = [(_across(a, xs), _up(b, ys)) for a, b in zip(x, y, strict=True)]
-    parts.append(f'<path class="line" d="M{" L".join(f"{a:.1f} {b:.1f}" for a, b in at)}"/>')
+    parts.append(f'<path class="line" {_OUTLINE} d="M{" L".join(f"{a:.1f} {b:.1f}" for a, b in at)}"/>')
     for n, (a, b) in enumerate(at):
         kind = "dot wrong" if n < len(wrong) and wrong[n] else "dot"
         if len(at) <= 60 or kind != "dot":
@@ -105,7 +107,7 @@ def _curve_axes(xs: Sequence[float], ys: Sequence[float], x_label: str, y_label:
 
 def _frame(x_label: str, y_label: str) -> Iterator[str]:
     middle = (_HEIGHT - _BOTTOM + _TOP) / 2
-    yield f'<path class="axis" d="M{_LEFT} {_TOP} V{_HEIGHT - _BOTTOM} H{_WIDTH - _RIGHT}"/>'
+    yield f'<path class="axis" {_OUTLINE} d="M{_LEFT} {_TOP} V{_HEIGHT - _BOTTOM} H{_WIDTH - _RIGHT}"/>'
     yield f'<text x="{(_LEFT + _WIDTH) / 2:.0f}" y="{_HEIGHT - 6}" text-anchor="middle">{x_label}</text>'
     yield f'<text transform="translate(12 {middle:.0f}) rotate(-90)" text-anchor="middle">{y_label}</text>'
 
