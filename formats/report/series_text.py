@@ -48,7 +48,7 @@ def acceleration_of(level: Report) -> float | None:
 
 
 def repaired(level: Report) -> str:
-    """Whether nodes were moved by a repair: to its minimum (``yes``, one of ``several``), or in an``other`` way."""
+    """Whether nodes were moved by a repair: ``yes`` to its minimum, ``several`` to one of them, ``other`` elsewhere."""
     repair = level.get("repair")
     if not repair:
         return ""
