@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import mmap
 import os
+import platform
 import re
 import shutil
 import sys
@@ -171,10 +172,23 @@ class Demand:
         return PROGRAM_BYTES + _MPI_BYTES + int(part) + shell + _OTHER_COPIES * self.other_bytes
 
     def beside_files(self, limit: MemoryLimit) -> int:
-        """Bytes taken if large arrays are stored in files (:mod:`.parallel.scratch`)."""
-        rest = _BESIDE_FILES * self.nodes + _PER_FACE_NODE * self.face_nodes + _PER_BLOCK * self.blocks
-        rest += _OTHER_COPIES * self.other_bytes
+        """Bytes taken if large arrays are stored in files (:mod:`.parallel.scratch`); of each rank, if several hold
+        the grid."""
+        rest = _BESIDE_FILES * self._nodes_of_part + _PER_FACE_NODE * self.face_nodes + _PER_BLOCK * self.blocks
+        rest += _OTHER_COPIES * self.other_bytes + _MPI_BYTES * (holders().count > 1)
         return PROGRAM_BYTES + rest + RESERVE + limit.size // _WINDOW
+
+    @property
+    def _nodes_of_part(self) -> int:
+        """Most nodes that a rank holds."""
+        parts = holders().count
+        return int(_LARGEST_PART * self.nodes / parts) if parts > 1 else self.nodes
+
+    @property
+    def _in_files(self) -> int:
+        """Bytes of the files of a rank, or of a process alone."""
+        shell = (_PER_SHELL_NODE - _PER_FACE_NODE) * self.face_nodes if holders().count > 1 else 0
+        return 2 * _PER_NODE * self._nodes_of_part + shell
 
     def left_of(self, limit: MemoryLimit) -> MemoryLimit:
         """The part of ``limit`` that program and grid leave.
@@ -191,27 +205,49 @@ class Demand:
     def place(self, limit: MemoryLimit, folder: Path | None) -> None:
         """Store large arrays in files in ``folder``, if given, when they do not fit into memory.
 
+        All ranks that hold the grid decide alike. If they are on several machines, which see ``folder`` through a
+        network, each has its files in its own folder for temporary files instead.
+
         Raises
         ------
         MethodError
             When the rest does not fit into memory either, or the files do not fit on the disk.
         """
-        possible = sys.platform == "linux" and holders().count == 1
-        files = folder if possible and self.in_memory > limit.size else None
+        possible = folder is not None and sys.platform == "linux" and self.in_memory > limit.size
+        files = _folder_of_rank(folder) if folder and possible else None
         set_scratch(Scratch(files, limit.size) if files else None)
         needed = min(self.in_memory, self.beside_files(limit)) if files else self.in_memory
         limit.require(needed, self.what, _INSTEAD)
         if files:
-            _require_disk(2 * self.coordinate_bytes, self.what, files)
+            _require_disk(self._in_files, self.what, files)
+
+
+def _folder_of_rank(folder: Path) -> Path:
+    """``folder``; of ranks on several machines the local folder for temporary files."""
+    # Imported late, as it takes a tenth of the time of ``--help``.
+    import tempfile
+
+    return Path(tempfile.gettempdir()) if _on_several_machines() else folder
+
+
+def _on_several_machines() -> bool:
+    return holders().on_machine < holders().count
 
 
 def _require_disk(size: int, what: str, folder: Path) -> None:
-    free = shutil.disk_usage(folder).free
-    if size > free:
-        raise MethodError(
-            f"{what} beyond the memory needs files of {readable(size)} to work in; the disk of {folder} has "
-            f"{readable(free)} free: make room there, choose another disk, or allow more memory"
+    """Raise an error, the same on all ranks, if a disk has no room for the files, each of ``size`` bytes together, of
+    all ranks on its machine."""
+    ranks, free = holders(), shutil.disk_usage(folder).free
+    machine = f" of {platform.node()}" if _on_several_machines() else ""
+    shared = f" for {ranks.on_machine} ranks" if ranks.on_machine > 1 else ""
+    needed, lacks = ranks.on_machine * size, list[str]()
+    if needed > free:
+        lacks.append(
+            f"{what} beyond the memory needs files of {readable(needed)}{shared} to work in; the disk of {folder}"
+            f"{machine} has {readable(free)} free: make room there, choose another disk, or allow more memory"
         )
+    for lack in ranks.gather(lacks):
+        raise MethodError(lack)
 
 
 def machine_memory() -> MemoryLimit:

@@ -5,7 +5,7 @@ import traceback
 
 import numpy as np
 
-from meshdeform_core.parallel import OneRank, parts, sharing
+from meshdeform_core.parallel import OneRank, empty, parts, sharing
 
 _PATIENCE = 120.0
 _FORK = multiprocessing.get_context("fork")
@@ -36,7 +36,8 @@ class ForkedRank(OneRank):
     def collect(self, own, counts):
         found = self._exchange(own)
         assert [len(each) for each in found] == list(counts)
-        return np.concatenate(found)
+        every = empty((sum(counts), *own.shape[1:]), own.dtype)
+        return np.concatenate(found, out=every)
 
     def swap(self, sends, receives):
         sent = self._exchange(sends)

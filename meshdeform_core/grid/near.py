@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..numerics.arrays import FloatArray, IntArray, Shapes
+from ..parallel import empty
 
 _LAYERS = 2
 
@@ -47,15 +48,15 @@ class NearNodes:
         # Imported late, as below: `meshdeform info` imports no numba.
         from ..numerics.near import near_rows
 
-        found = np.empty(self.start[-1], dtype=np.int64)
+        found = empty([int(self.start[-1])], np.int64)
         near_rows(self.shapes, self.offsets, self.inside, found)
-        return found
+        return np.asarray(found)
 
     def taken(self, values: FloatArray, rows: IntArray) -> FloatArray | None:
         """The ``values`` (m, 3), one row per near node, of flat indices (n,); ``None`` if any is not near."""
         from ..numerics.near import near_values
 
-        found = np.empty((len(rows), 3))
+        found = empty((len(rows), 3))
         all_near = near_values(np.ascontiguousarray(rows, dtype=np.int64), *self._table, values, found)
         return found if all_near else None
 

@@ -131,8 +131,8 @@ def rows_at(array: Any, rows: Any) -> Any:
     import numpy as np
 
     scratch = current_scratch()
-    # Several ranks store nothing in files, so that this is no array in parts.
-    if scratch is None:
+    # An array in parts has its own way to the rows.
+    if scratch is None or not isinstance(array, np.ndarray):
         return array[rows]
     flat, found = rows.ravel(), empty((rows.size, *array.shape[1:]), array.dtype)
     for lo in range(0, flat.size, _FAR_APART):

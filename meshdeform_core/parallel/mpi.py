@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from ..errors import MeshDeformError
-from .loops import alone
+from .loops import alone, empty
 from .ranks import usable_cores
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ class MPIRanks:
             if parts := rows(number):
                 at = np.concatenate(parts)
                 own = number == self.number
-                part = array[at] if own else np.empty((len(at), *array.shape[1:]), array.dtype)
+                part = array[at] if own else empty((len(at), *array.shape[1:]), array.dtype)
                 self._comm.Bcast(part, root=number)
                 if not own:
                     array[at] = part
@@ -64,7 +64,7 @@ class MPIRanks:
         """The rows of all ranks, ``counts`` of each, concatenated in rank order."""
         import numpy as np
 
-        found = np.empty((sum(counts), *own.shape[1:]), own.dtype)
+        found = empty((sum(counts), *own.shape[1:]), own.dtype)
         width = math.prod(own.shape[1:])
         self._meet()
         self._comm.Allgatherv(np.ascontiguousarray(own), [found, [width * count for count in counts]])

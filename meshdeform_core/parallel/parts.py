@@ -13,8 +13,9 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from .loops import alone, current_ranks, empty, for_chunks, holders, sharing
+from .loops import alone, current_ranks, empty, for_chunks, holders, rows_at, sharing
 from .ranks import OneRank, Ranks
+from .scratch import ScratchFile, current_scratch
 
 if TYPE_CHECKING:
     import numpy as np
@@ -61,10 +62,21 @@ class Part:
     def __init__(self, ranks: Ranks, bounds: np.ndarray, shape: Sequence[int], dtype: Any):
         self.ranks, self.bounds = ranks, bounds
         self.low, self.high = (int(bounds[ranks.number + end]) for end in range(2))
-        self.rows = blank(shape, dtype)
+        self.rows, self._file = self._blank(shape, dtype)
         self._held = self.low, self.high
         self._known: tuple[Chosen, np.ndarray] | None = None
         self._thread = threading.get_ident()
+
+    def _blank(self, shape: Sequence[int], dtype: Any) -> tuple[Any, ScratchFile | None]:
+        """The rows, in a file with room for those of this rank if memory is limited."""
+        import numpy as np
+
+        scratch, width = current_scratch(), math.prod(shape[1:]) * np.dtype(dtype).itemsize
+        if not (scratch and scratch.takes((self.high - self.low) * width)):
+            return blank(shape, dtype), None
+        rows, file = scratch.blank(shape, dtype)
+        file.reserve(self.low * width, self.high * width)
+        return rows, file
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -140,10 +152,10 @@ class Part:
             rows = rows[order]
         first = np.searchsorted(rows, self.bounds) if order is None else self._first_of(rows)
         own = rows[first[self.ranks.number] : first[self.ranks.number + 1]]
-        found = self.ranks.collect(self.rows[own], np.diff(first).tolist())
+        found = self.ranks.collect(rows_at(self.rows, own), np.diff(first).tolist())
         if order is None:
             return found
-        result = np.empty_like(found)
+        result = empty(found.shape, found.dtype)
         result[order] = found
         return result
 
@@ -157,6 +169,8 @@ class Part:
         """Also hold copies of the rows first <= n < last as their owners have them now; all ranks must call this."""
         self._require_all()
         first, last = min(first, self.low), max(last, self.high)
+        if self._file:
+            self._file.reserve(first * self.rows.strides[0], last * self.rows.strides[0])
         wanted = self.ranks.gather([(first, last)])
         sends, receives = {}, {}
         for other, (begin, end) in enumerate(wanted):

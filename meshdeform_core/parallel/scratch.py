@@ -29,6 +29,56 @@ RESERVE = 384 * 2**20
 _SECONDS = 0.01
 
 
+class ScratchFile:
+    """A file without a name, of ``size`` bytes, of which only those reserved may be written to."""
+
+    def __init__(self, folder: Path, size: int) -> None:
+        # Imported late, as it takes a tenth of the time of ``--help``.
+        import tempfile
+
+        self._folder, self._size = folder, size
+        self._reserved: tuple[int, int] | None = None
+        with self._errors(size):
+            self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115
+            self._file.truncate(size)
+
+    def __del__(self) -> None:
+        if hasattr(self, "_file"):
+            self._file.close()
+
+    def mapped(self) -> mmap.mmap:
+        """The file mapped into memory; it stays so without this object."""
+        with self._errors(self._size):
+            return mmap.mmap(self._file.fileno(), self._size)
+
+    def reserve(self, first: int, last: int) -> None:
+        """Take room on the disk for the bytes first <= n < last, which must overlap with those reserved before.
+
+        If the disk were full, a later write to the mapping would end the process by a signal.
+
+        Raises
+        ------
+        MethodError
+            If the disk is full.
+        """
+        begin, end = self._reserved or (first, first)
+        for low, high in ((first, begin), (end, last)):
+            if high > low:
+                with self._errors(high - low):
+                    os.posix_fallocate(self._file.fileno(), low, high - low)
+        self._reserved = min(first, begin), max(last, end)
+
+    @contextmanager
+    def _errors(self, size: int) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise MethodError(
+                f"a grid larger than the memory needs a file of {size / 2**30:.3g} GiB in {self._folder} to work in: "
+                f"{error.strerror}; make room there, work on another disk, or allow more memory"
+            ) from error
+
+
 class Scratch:
     """Storage of large arrays if memory is limited.
 
@@ -56,31 +106,29 @@ class Scratch:
         MethodError
             If the disk is full.
         """
+        array, file = self.blank(shape, dtype)
+        file.reserve(0, array.nbytes)
+        return array
+
+    def blank(self, shape: Sequence[int], dtype: Any) -> tuple[Any, ScratchFile]:
+        """An array of zeros, and its file, which takes no room on the disk: reserve some before writing to the array.
+
+        Raises
+        ------
+        MethodError
+            If there can be no such file.
+        """
         import numpy as np
 
-        mapped = self._mapped(math.prod(shape) * np.dtype(dtype).itemsize)
+        file = ScratchFile(self._folder, math.prod(shape) * np.dtype(dtype).itemsize)
+        mapped = file.mapped()
         self._used = True
         with self._lock:
             self._maps = [each for each in self._maps if each() is not None] + [weakref.ref(mapped)]
             if not self._watched:
                 self._watched = True
                 threading.Thread(target=self._watch, name="scratch", daemon=True).start()
-        return np.frombuffer(mapped, dtype).reshape(shape)
-
-    def _mapped(self, size: int) -> mmap.mmap:
-        # Imported late, as it takes a tenth of the time of ``--help``.
-        import tempfile
-
-        try:
-            with tempfile.TemporaryFile(dir=self._folder) as file:
-                # If the disk were full, a later write to the mapping would end the process by a signal.
-                os.posix_fallocate(file.fileno(), 0, size)
-                return mmap.mmap(file.fileno(), size)
-        except OSError as error:
-            raise MethodError(
-                f"a grid larger than the memory needs a file of {size / 2**30:.3g} GiB in {self._folder} to work in: "
-                f"{error.strerror}; make room there, write the output to another disk, or allow more memory"
-            ) from error
+        return np.frombuffer(mapped, dtype).reshape(shape), file
 
     def _watch(self) -> None:
         """Release pages when needed, as long as there are files."""

@@ -85,6 +85,32 @@ if mpi.place().number == int(os.environ["VICTIM"]):
 main()
 """
 
+# Arrays of more than a thousand bytes are in files; the second rank may have no room for the third of them.
+IN_FILES = """
+import errno, os, sys
+from pathlib import Path
+from meshdeform_cli.process import mpi
+from meshdeform_cli.main import main
+from meshdeform_core.memory import Demand
+from meshdeform_core.parallel import scratch
+
+scratch.SMALLEST = 1000
+Demand.in_memory = 2**60
+reserve, calls = os.posix_fallocate, []
+
+def reserved(*given):
+    calls.append(given)
+    if mpi.place().number == 1 and len(calls) == int(os.environ["LAST"]):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    reserve(*given)
+
+os.posix_fallocate = reserved
+try:
+    main()
+finally:
+    Path(os.environ["NOTES"] + str(mpi.place().number)).write_text(str(len(calls)))
+"""
+
 
 def start(*command, path: Path = TESTS, limit=LIMIT, **extra):
     environment = {**os.environ, **LENIENT, "PYTHONPATH": str(path), **extra}
@@ -302,6 +328,49 @@ def test_a_block_that_does_not_fit_the_memory_is_refused_by_all(bench, snapshot)
     assert done.stderr.count("a radial basis function system of") == 1
     assert "MPI_ABORT" not in done.stderr
     assert snapshot(bench) == before
+
+
+@needs_mpi
+@pytest.mark.parametrize("suffix", ["cgns", "xyz"])
+def test_ranks_work_in_files(suffix, bench, tmp_path_factory, compiled):
+    notes = tmp_path_factory.mktemp("notes")
+    Path("files.py").write_text(IN_FILES)
+    args = ("deform", f"grid.{suffix}", "-c", "case.toml", "-m", "idw-tfi", "--repair", "off")
+    assert by_itself(*args, "-o", f"alone.{suffix}") == 0
+    args = (*args, "-o", f"shared.{suffix}", "--max-memory", "4GiB", "-v")
+    done = on_ranks(2, *args, program=("files.py",), NOTES=f"{notes}/", LAST="0")
+    assert done.returncode == 0, done.stderr
+    assert "holds the whole grid" not in done.stderr
+    assert all(int((notes / rank).read_text()) > 10 for rank in "01")
+    assert Path(f"shared.{suffix}").read_bytes() == Path(f"alone.{suffix}").read_bytes()
+
+
+@needs_mpi
+@pytest.mark.parametrize("last", ["1", "8"])
+def test_a_rank_without_room_for_its_files_ends_all(last, bench, tmp_path_factory, snapshot):
+    """On the disk where it works."""
+    Path("files.py").write_text(IN_FILES)
+    before = snapshot(bench)
+    args = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz", "--max-memory", "4GiB", "--repair", "off")
+    notes = f"{tmp_path_factory.mktemp('notes')}/"
+    done = on_ranks(2, *args, program=("files.py",), NOTES=notes, LAST=last)
+    assert done.returncode == 2
+    assert done.stderr.count("meshdeform: error: a grid larger than the memory needs a file of") == 1
+    assert "No space left on device" in done.stderr
+    assert snapshot(bench) == before
+
+
+@needs_mpi
+@pytest.mark.slow
+def test_ranks_keep_to_their_memory(bench, compiled):
+    """Half of six million nodes takes more in memory than is allowed."""
+    write_grid(frame(110, 58), "large.xyz")
+    args = ("deform", "large.xyz", "-c", "case.toml", "-m", "idw-tfi", "--repair", "off", "--allow-invalid")
+    assert by_itself(*args, "-o", "alone.xyz") == 0
+    done = on_ranks(2, *args, "-o", "shared.xyz", "--max-memory", "900MiB", "--report", "shared.json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(Path("shared.json").read_text())["peak_memory_bytes"] < 900 * 2**20
+    assert Path("shared.xyz").read_bytes() == Path("alone.xyz").read_bytes()
 
 
 @needs_mpi

@@ -4,6 +4,8 @@ The ranks are forks of this process (:mod:`forked_ranks`); rows that a rank does
 """
 
 import dataclasses
+import multiprocessing
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -26,7 +28,8 @@ from meshdeform_core.memory import PROGRAM_BYTES, Demand
 from meshdeform_core.methods import IDW, RBF, TFI, Options
 from meshdeform_core.numerics import pieces as pieces_module
 from meshdeform_core.numerics.pieces import pieces
-from meshdeform_core.parallel import Part, WholeGridNeeded, alone, dividing
+from meshdeform_core.parallel import Part, WholeGridNeeded, alone, dividing, scratch
+from meshdeform_core.parallel.scratch import Scratch, scratch_in
 from meshdeform_core.repair import RepairOptions, limit, regions
 from meshdeform_core.repair.energy import newton, products, surroundings, untangle
 from meshdeform_core.repair.neighbourhood import shares
@@ -221,14 +224,15 @@ def outcome(source, target, case, **rest):
     return target.read_bytes(), result.assessment, account, result.warnings, result.attempts, repair
 
 
-def same_on_ranks(tmp_path, count, case, suffix=".cgns", grid=None, **rest):
-    """Compare deforming a file on several ranks, each with a part, with deforming it in one process."""
+def same_on_ranks(tmp_path, count, case, suffix=".cgns", grid=None, store=nullcontext, **rest):
+    """Compare deforming a file on several ranks, each with a part, with deforming it in one process; the ranks store
+    large arrays as ``store()`` says."""
     source = tmp_path / f"grid{suffix}"
     write_grid(grid or frame(9, 8), source)
     expected = outcome(source, tmp_path / f"one{suffix}", case, **rest)
 
     def act(number):
-        with dividing():
+        with dividing(), store():
             return outcome(source, tmp_path / f"ranks{suffix}", case, **rest)
 
     for found in on_ranks(count, act):
@@ -244,6 +248,35 @@ def same_on_ranks(tmp_path, count, case, suffix=".cgns", grid=None, **rest):
 ])  # fmt: skip
 def test_every_method_gives_the_same_bytes(name, count, tmp_path, small_pieces, poisoned):
     same_on_ranks(tmp_path, count, case_of(METHODS[name]))
+
+
+@pytest.fixture
+def in_files(tmp_path, monkeypatch):
+    """Every rank stores all but the smallest arrays in files; all pages are returned at every look."""
+    monkeypatch.setattr(scratch, "SMALLEST", 500)
+    folder = tmp_path / "files"
+    folder.mkdir()
+    made = Scratch.blank
+    used = multiprocessing.get_context("fork").Value("i", 0)
+
+    def counted(self, shape, dtype):
+        used.value += 1
+        return made(self, shape, dtype)
+
+    monkeypatch.setattr(Scratch, "blank", counted)
+    yield lambda: scratch_in(Scratch(folder, 1))
+    assert used.value > 20
+    assert not list(folder.iterdir())
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_ranks_with_arrays_in_files_give_the_same_bytes(name, tmp_path, small_pieces, in_files):
+    same_on_ranks(tmp_path, 3, case_of(METHODS[name]), store=in_files)
+
+
+@pytest.mark.parametrize(("angle", "grid"), [(50.0, (5, 4)), (100.0, (9, 8))])
+def test_repairs_with_arrays_in_files_give_the_same_bytes(angle, grid, tmp_path, small_pieces, small_ranges, in_files):
+    assert same_on_ranks(tmp_path, 2, repaired(angle), grid=frame(*grid), store=in_files)[-1].newton_steps > 0
 
 
 @pytest.mark.parametrize("name", ["tfi", "idw-exact", "idw-fast", "rbf-fast", "rbf-tfi-krylov", "idw-tfi-fast"])
@@ -324,18 +357,27 @@ def levels(source, target, case, schedule):
     return found
 
 
-@pytest.mark.parametrize("origin", ["reference", "last"])
-def test_levels_of_a_series_are_the_same(origin, tmp_path, small_pieces, poisoned):
+def same_levels(tmp_path, origin, store=nullcontext):
     source, schedule = tmp_path / "grid.cgns", Schedule((0.0, 1.0, 2.0, 4.0), origin)
     write_grid(frame(9, 8), source)
     case = Case(tuple(body_specs(turning("5*t"))), method=METHODS["idw-tfi"], repair=OFF)
     expected = levels(source, tmp_path / "one.cgns", case, schedule)
 
     def act(number):
-        with dividing():
+        with dividing(), store():
             return levels(source, tmp_path / "ranks.cgns", case, schedule)
 
     assert all(found == expected for found in on_ranks(3, act))
+
+
+@pytest.mark.parametrize("origin", ["reference", "last"])
+def test_levels_of_a_series_are_the_same(origin, tmp_path, small_pieces, poisoned):
+    same_levels(tmp_path, origin)
+
+
+@pytest.mark.parametrize("origin", ["reference", "last"])
+def test_levels_with_arrays_in_files_are_the_same(origin, tmp_path, small_pieces, in_files):
+    same_levels(tmp_path, origin, in_files)
 
 
 def test_invalid_cells_are_listed_alike(tmp_path, small_pieces, poisoned):

@@ -4,13 +4,18 @@ import errno
 import gc
 import mmap
 import os
+import platform
+import shutil
 import subprocess
 import sys
+import tempfile
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from cases import body_specs, turning
+from forked_ranks import ForkedRank, on_ranks
 from grids import frame
 
 from meshdeform_core.deform import Case, deform, set_up
@@ -18,7 +23,7 @@ from meshdeform_core.errors import MethodError
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import Demand, MemoryLimit
 from meshdeform_core.methods import Options
-from meshdeform_core.parallel import empty, rows_at, scratch
+from meshdeform_core.parallel import OneRank, Part, current_ranks, dividing, empty, rows_at, scratch, sharing
 from meshdeform_core.parallel.scratch import Scratch, current_scratch, scratch_in
 from meshdeform_core.series import Schedule, deform_series
 
@@ -117,6 +122,66 @@ def test_what_a_method_may_take_beside_the_files(tmp_path):
         assert 2 * 2**30 < left.size < 3 * 2**30
         with pytest.raises(MethodError, match=r"needs about \d\.\d+ GiB, --max-memory allows 4 GiB"):
             demand(4 * 10**7).place(limit, tmp_path)
+
+
+def placed(tmp_path, lacking, on_machine):
+    """What three ranks find who place a grid, and where; ``lacking`` ranks have no room on their disk."""
+    limit = MemoryLimit(4 * 2**30, "--max-memory allows")
+
+    def act(number):
+        own = tmp_path / str(number)
+        own.mkdir()
+        free = 2**20 if number in lacking else 2**50
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(ForkedRank, "on_machine", on_machine)
+            patch.setattr(tempfile, "tempdir", str(own))
+            patch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=free))
+            try:
+                with dividing():
+                    Demand("deforming 2e8 nodes", 2 * 10**8, 48 * 10**8).place(limit, tmp_path)
+            except MethodError as error:
+                return str(error)
+        return current_scratch().empty((3,), "int8") is not None and current_scratch()._folder
+
+    return on_ranks(3, act)
+
+
+def test_ranks_work_beside_the_output_or_each_on_a_disk_of_its_machine(tmp_path):
+    assert placed(tmp_path, (), 3) == [tmp_path] * 3
+    other = tmp_path / "other"
+    other.mkdir()
+    assert placed(other, (), 1) == [other / str(number) for number in range(3)]
+
+
+def test_a_disk_without_room_on_one_machine_is_the_error_of_all_ranks(tmp_path):
+    (message,) = set(placed(tmp_path, (1, 2), 1))
+    # 1.25 times a third of the nodes, 48 bytes for each.
+    expected = f"needs files of 3.73 GiB to work in; the disk of {tmp_path / '1'} of {platform.node()} has 1 MiB free"
+    assert expected in message
+    other = tmp_path / "other"
+    other.mkdir()
+    (message,) = set(placed(other, (0, 1, 2), 3))
+    assert f"needs files of 11.2 GiB for 3 ranks to work in; the disk of {other} has 1 MiB free" in message
+
+
+def test_room_is_taken_for_the_rows_that_a_rank_holds(tmp_path, monkeypatch):
+    monkeypatch.setattr(scratch, "SMALLEST", 1000)
+    taken = []
+    monkeypatch.setattr(os, "posix_fallocate", lambda _, first, size: taken.append((first, size)))
+
+    class Middle(OneRank):
+        number, count = 1, 3
+
+        def gather(self, found):
+            return [(0, 100), *found, (200, 300)]
+
+    with sharing(Middle(), 1), scratch_in(Scratch(tmp_path, 2**40)):
+        part = Part(current_ranks(), np.array([0, 100, 200, 300]), (300, 3), "float64")
+        part.widen(90, 210)
+        part.widen(100, 200)
+        part.widen(95, 220)
+    assert lies_in_a_file(part.rows)
+    assert taken == [(2400, 2400), (2160, 240), (4800, 240), (5040, 240)]
 
 
 def test_two_hundred_million_nodes_in_a_thousand_blocks_fit_into_four_gibibytes():
