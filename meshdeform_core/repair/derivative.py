@@ -16,7 +16,7 @@ from ..grid import BoolArray, FloatArray
 from ..parallel import together
 from .basis import Basis, Whole
 from .energy.elements import Penalty
-from .energy.onset import share_of, share_slopes
+from .energy.onset import kept_along_lines, share_of, share_slopes
 from .energy.region import Region
 from .extrusion import Extrusion
 from .tuned import CUBIC, POLISHED
@@ -50,14 +50,19 @@ class RepairDerivative(Protocol):
 def derivative_of_repair(basis: Basis, start: FloatArray, end: FloatArray, polish: bool) -> RepairDerivative | None:
     """The derivative of the repair from ``start``, the method's grid (n_nodes, 3), to ``end``, the minimum of the
     energy; ``None`` where no cell is weak."""
-    undeformed = basis.original.grid.points
     if basis.extrusion is not None:
-        extrusion, plane = basis.extrusion
-        first, last = (extrusion.flattened(points - undeformed) for points in (start, end))
+        undeformed, (extrusion, plane) = basis.original.grid.points, basis.extrusion
+        changes = [points - undeformed for points in (start, end)]
+        first, last = (extrusion.flattened(change) for change in changes)
         if first is not None and last is not None:
             flat = extrusion.plane.points
-            inside = derivative_of_repair(plane, flat + first, flat + last, polish)
-            return None if inside is None else _Extruded(extrusion, inside)
+            inside = _at_minimum(plane, flat + first, flat + last, polish)
+            apart = (extrusion.along_lines(changes[0], first), extrusion.along_lines(changes[1], last))
+            return None if inside is None else _Extruded(extrusion, inside, *apart)
+    return _at_minimum(basis, start, end, polish)
+
+
+def _at_minimum(basis: Basis, start: FloatArray, end: FloatArray, polish: bool) -> _AtMinimum | None:
     whole = basis.whole
     if whole is None:
         return None
@@ -176,6 +181,21 @@ class _AtMinimum:
         moved = np.maximum(np.abs(self._x - before).max(axis=1) - rounding, 0.0)
         return float((moved / self._whole.edges).max())
 
+    def change_of_share(self, change: FloatArray) -> float:
+        """Change of the share for a change (n_nodes, 3) of the method's grid."""
+        given = self._plot.inside(change)
+        return together(change, lambda: float(self._slopes[0] @ self._of_excess(given, np.zeros(self._cells))[0]))
+
+    def gradient_of_share(self, size: int) -> FloatArray:
+        """Gradient (size, 3) of the share with respect to the method's grid."""
+        found = np.zeros((size, 3))
+
+        def make() -> FloatArray:
+            return np.asarray(self._of_excess(np.zeros_like(self._x), self._slopes[0])[1] @ self._plot.axes)
+
+        found[self._plot.nodes] += together(found, make)
+        return found
+
     @property
     def _cells(self) -> int:
         return len(self._region.energy.nodes)
@@ -259,10 +279,17 @@ class _AtMinimum:
 
 
 class _Extruded:
-    """The derivative on the plane grid that a grid is extruded from; held nodes follow the method."""
+    """The derivative on the plane grid that a grid is extruded from; held nodes follow the method.
 
-    def __init__(self, extrusion: Extrusion, inside: RepairDerivative) -> None:
-        self._extrusion, self._inside = extrusion, inside
+    ``before`` and ``after`` (n_nodes, 3): what differs along lines in the method's grid and in the repaired one.
+    """
+
+    def __init__(self, extrusion: Extrusion, inside: _AtMinimum, before: FloatArray, after: FloatArray) -> None:
+        self._extrusion, self._inside, self._apart = extrusion, inside, before
+        self._kept, self._slope = kept_along_lines(inside.share)
+        # Nothing is kept where cells would be invalid.
+        if np.abs(after - self._kept * before).max(initial=0.0) > np.abs(after).max(initial=0.0):
+            self._kept = self._slope = 0.0
 
     @property
     def _held(self) -> BoolArray:
@@ -273,13 +300,24 @@ class _Extruded:
         return np.asarray(held[extrusion.line, None])
 
     def push(self, change: FloatArray) -> FloatArray:
-        moved = self._inside.push(self._extrusion.mean(change))
-        return np.where(self._held, change, moved[self._extrusion.line])
+        extrusion, mean = self._extrusion, self._extrusion.mean(change)
+        moved = self._inside.push(mean)[extrusion.line]
+        if self._kept:
+            moved += self._kept * extrusion.along_lines(change, mean)
+            moved += self._slope * self._inside.change_of_share(mean) * self._apart
+        return np.where(self._held, change, moved)
 
     def pull(self, gradient: FloatArray) -> FloatArray:
         held, extrusion = self._held, self._extrusion
-        found = self._inside.pull(extrusion.summed(np.where(held, 0.0, gradient)))
-        return np.where(held, gradient, 0.0) + extrusion.of_mean(found)
+        free = np.where(held, 0.0, gradient)
+        total = extrusion.summed(free)
+        found, alone = self._inside.pull(total), np.where(held, gradient, 0.0)
+        if self._kept:
+            # The mean is linear: what differs from it is subtracted from both.
+            found += self._slope * float((free * self._apart).sum()) * self._inside.gradient_of_share(len(total))
+            found -= self._kept * total
+            alone += self._kept * free
+        return alone + extrusion.of_mean(found)
 
     def settle(self, rounding: float) -> float:
         return self._inside.settle(rounding)

@@ -90,19 +90,29 @@ class Extrusion:
             return None
         return mean
 
-    def spread(self, start: FloatArray, points: FloatArray, change: FloatArray) -> FloatArray:
+    def spread(
+        self, start: FloatArray, points: FloatArray, mean: FloatArray, change: FloatArray, kept: float
+    ) -> FloatArray:
         """Coordinates (n_nodes, 3) for a displacement (n_plane, 3); held nodes keep their coordinates in ``points``.
 
-        ``start`` (n_nodes, 3) are the undeformed coordinates.
+        ``start`` (n_nodes, 3) are the undeformed coordinates, ``mean`` is the displacement to ``points`` as
+        :meth:`flattened`; the part ``kept`` of the differences from it along lines remains.
         """
         result, (low, _) = alike(points), own_rows(points)
 
         def fill(rows: slice) -> None:
             line = self.line[rows.start - low : rows.stop - low]
-            np.copyto(result[rows], np.where(self._held[line][:, None], points[rows], start[rows] + change[line]))
+            moved = start[rows] + change[line]
+            if kept:
+                moved += kept * (points[rows] - start[rows] - mean[line])
+            np.copyto(result[rows], np.where(self._held[line][:, None], points[rows], moved))
 
         for_rows(fill, result)
         return result
+
+    def along_lines(self, change: FloatArray, mean: FloatArray) -> FloatArray:
+        """What differs from the ``mean`` (n_plane, 3) along lines in a displacement (n_nodes, 3), 0 on held lines."""
+        return np.where(self._held[self.line][:, None], 0.0, change - mean[self.line])
 
 
 def find_extrusion(constraints: Constraints) -> Extrusion | None:

@@ -19,8 +19,9 @@ from ..parallel import alike, combined, for_rows, of_all, own_rows, rows_of, tog
 from ..quality.verdict.validity import Verdict, judge
 from .basis import Basis, Whole
 from .energy.newton import NewtonSystem
-from .energy.onset import share_of
+from .energy.onset import kept_along_lines, share_of
 from .energy.untangle import CLOSE
+from .extrusion import Extrusion
 from .limit import Limit
 from .minimum import Progress, Search, minimise
 from .outcome import Judged, Outcome, Repair
@@ -70,17 +71,21 @@ class Repairer:
             return True
 
         flat, basis = self._flattened(points) or (points, self.basis)
+        return self._share(flat, basis) > 0.0
 
-        def weak() -> bool:
-            if basis.healthy(flat):
-                return False
+    def _share(self, points: FloatArray, basis: Basis) -> float:
+        """How much the energy of weak cells counts; 0 where no cell is weak."""
+
+        def share() -> float:
+            if basis.healthy(points):
+                return 0.0
             whole = self._whole(basis)
             if whole is None:
-                return False
+                return 0.0
             region = whole.plot.region
-            return share_of(region.energy, whole.plot.inside(flat), region.dealt)[0] > 0.0
+            return share_of(region.energy, whole.plot.inside(points), region.dealt)[0]
 
-        return together(flat, weak)
+        return together(points, share)
 
     def repair(
         self,
@@ -191,11 +196,21 @@ class Repairer:
         repairer = Repairer(basis, self.rounded, self.memory, self.progress, self.limit)
         guess = None if guess is None else extrusion.flattened(guess)
         end = repairer.repair(flat, judge(basis.original, self.rounded(flat)), polish, ways, guess, close)
-        spread = extrusion.spread(self.original.grid.points, points, end.points - extrusion.plane.points)
-        after = Judged(spread, judge(self.original, self.rounded(spread)))
+        kept = 0.0 if polish else kept_along_lines(self._share(flat, basis))[0]
+        after = self._spread(extrusion, points, flat, end.points, kept)
         seconds = clock.perf_counter() - begin
         record = self._record(Judged(points, verdict), after, end.repair.newton_steps, seconds)
-        return Outcome(spread, after.verdict, replace(record, converged=end.repair.converged))
+        return Outcome(after.points, after.verdict, replace(record, converged=end.repair.converged))
+
+    def _spread(
+        self, extrusion: Extrusion, points: FloatArray, flat: FloatArray, end: FloatArray, kept: float
+    ) -> Judged:
+        """The grid for the plane grid ``end`` that was ``flat`` before its repair, with a part ``kept`` of what differs
+        along lines in ``points``, or nothing of it where cells would be invalid."""
+        plane, start = extrusion.plane.points, self.original.grid.points
+        spread = extrusion.spread(start, points, flat - plane, end - plane, kept)
+        after = Judged(spread, judge(self.original, self.rounded(spread)))
+        return after if after.verdict.valid or not kept else self._spread(extrusion, points, flat, end, 0.0)
 
     def _moved(self, now: Judged, found: Search) -> Judged:
         points: FloatArray = alike(now.points)

@@ -18,6 +18,9 @@ BETWEEN, SLOWLY = np.log(4.0 / HEALTHY), 3.0
 """Samples of a hexahedron between its corners count above the excess BETWEEN, that of one corner with f = 4, and as
 much as corners from FULL on: below few are negative, and in a grid with many weak cells they are more than half of the
 work. In between their share is the part of that range, to the power SLOWLY."""
+ALONG = float((BETWEEN / FULL) ** POWER)
+"""In extruded grids, what differs along lines in the method's grid fades out up to this share, that of one corner with
+f = 4: a repair that makes them equal at once would jump where it sets in."""
 SOFTENED = 0.5
 """Power of the weights of cells while they are untangled."""
 CUBIC = 2.0

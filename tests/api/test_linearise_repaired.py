@@ -45,6 +45,8 @@ CASES = {
     "curved slip": (on_a_bulge, 0.46, 0.15),
     "plane": (lambda: prepared(frame_2d(9), plane=True), 0.8, 0.0),
     "extruded": (lambda: prepared(frame(7, 5)), 0.9, 0.0),
+    # What differs along lines fades out.
+    "extruded, setting in": (lambda: prepared(frame(7, 5)), 0.75, 0.0),
     "space": (lambda: prepared(frame(5, 4)), 0.6, 0.3),
     "symmetry": (lambda: prepared(frame(5, 4), ends="symmetry"), 0.7, 0.3),
     "periodic": (lambda: prepared(frame(5, 4), ends="periodic"), 0.7, 0.0),

@@ -450,6 +450,25 @@ def test_extruded_grids_are_repaired_as_plane_ones_whatever_their_indices():
         np.testing.assert_allclose(np.ptp(inner[..., :2], axis=2), 0.0, atol=1e-12)
 
 
+def test_repairs_of_extruded_grids_set_in_without_a_jump():
+    """The method's grid differs along lines; where its repair sets in, the repaired grid must still be that one."""
+    grid = frame(7, 5)
+
+    def turned(angle, repair="auto"):
+        case = Case(tuple(body_specs(turning(str(angle)))), repair=RepairOptions(repair))
+        return deform(grid, case, steps=1)
+
+    low, high = 5.0, 60.0
+    while high - low > 1e-3:
+        middle = (low + high) / 2
+        low, high = (low, middle) if turned(middle).repair else (middle, high)
+    repaired, plain = turned(high), turned(high, "off")
+    assert repaired.repair.newton_steps > 0
+    apart = np.ptp(np.reshape(plain.grid.block(0)[1:-1, 1:-1], (-1, grid.shapes[0][2], 3)), axis=1)
+    assert np.abs(apart[:, :2]).max() > 1e-3
+    np.testing.assert_allclose(repaired.grid.points, plain.grid.points, atol=1e-5)
+
+
 def test_a_grid_turned_about_its_middle_has_straight_heights():
     """Round-off of its heights is relative to its extent, not to its distance from the origin."""
     grid = frame(3, 2)

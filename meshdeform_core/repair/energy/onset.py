@@ -12,7 +12,7 @@ import itertools
 import numpy as np
 
 from ...grid import FloatArray
-from ..tuned import BETWEEN, FULL, NORM, POWER, SLOWLY
+from ..tuned import ALONG, BETWEEN, FULL, NORM, POWER, SLOWLY
 from .elements import Energy
 from .region import Dealt
 
@@ -37,6 +37,13 @@ def share_slopes(energy: Energy, x: FloatArray, dealt: Dealt | None = None) -> t
     inside = (between > 0.0) & (between < 1.0)
     of_between = np.divide(SLOWLY * between, beyond, out=np.zeros_like(excess), where=inside)
     return POWER / FULL * (whole / FULL) ** (POWER - 1.0) * (excess / whole) ** (NORM - 1.0), of_between
+
+
+def kept_along_lines(share: float) -> tuple[float, float]:
+    """The part of the differences along the lines of an extruded grid that a repair keeps, and its derivative with
+    respect to the share; smooth where it ends."""
+    part = min(share / ALONG, 1.0)
+    return (1.0 - part) ** 2 * (1.0 + 2.0 * part), -6.0 * part * (1.0 - part) / ALONG
 
 
 def _excess(energy: Energy, x: FloatArray, dealt: Dealt) -> tuple[FloatArray, float]:
