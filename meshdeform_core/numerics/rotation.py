@@ -18,6 +18,8 @@ from .tape import Tracked, plain
 
 _TOGETHER = 200_000
 """Corners and edges whose vectors are computed at a time, which bounds the memory."""
+STEEP = 0.25
+"""An edge counts less below this part of its squared length in the tangent plane, before times after: 45 degrees."""
 SHARP = 0.9
 """Length of the mean unit normal at a node below which its faces form a sharp edge."""
 
@@ -141,11 +143,25 @@ class SurfaceRotations:
                 after[there] - after[here],
                 normals[here],
             )
+            size = dot(arm, arm) * dot(target, target)
             arm, target = (v - normal * dot(normal, v)[:, None] for v in (arm, target))
-            return np.arctan2(dot(normal, np.cross(arm, target)), dot(arm, target))
+            weight = _weights(dot(arm, arm) * dot(target, target), size)
+            return np.stack([np.arctan2(dot(normal, np.cross(arm, target)), dot(arm, target)), weight], axis=1)
 
         angle = _in_turns(turned, edges, after)
-        return multiply(_quaternion(normals, _mean_angles(angle, edges[:, 0], len(before))), first)
+        mean = _mean_angles(angle[:, 0], angle[:, 1], edges[:, 0], len(before))
+        return multiply(_quaternion(normals, mean), first)
+
+
+def _weights(within: FloatArray, size: FloatArray) -> FloatArray:
+    """Weights of edges by their squared lengths, before times after, ``within`` the tangent plane and as a whole.
+
+    1 up to 45 degrees from the plane, falling to 0 at the normal: across thin trailing edges, small shears turn the
+    projection of an edge by any angle, and its mean with others would jump by a part of a turn.
+    """
+    part = within / np.where(plain(size) > 0.0, size, 1.0) / STEEP
+    # Second derivatives are continuous at 1, where edges of boxes are.
+    return np.where(plain(part) < 1.0, part * part * part * (10.0 + part * (6.0 * part - 15.0)), 1.0)
 
 
 def _in_turns(compute: Callable[[IntArray], FloatArray], rows: IntArray, x: FloatArray) -> FloatArray:
@@ -155,17 +171,20 @@ def _in_turns(compute: Callable[[IntArray], FloatArray], rows: IntArray, x: Floa
     return np.concatenate([compute(rows[lo : lo + _TOGETHER]) for lo in range(0, len(rows), _TOGETHER)])
 
 
-def _mean_angles(angle: FloatArray, node: IntArray, n: int) -> FloatArray:
-    """Mean (n,) of the angles of each node, zero without any; angles near half a turn are given a common sign first."""
-    mean = np.bincount(node, angle, minlength=n) / np.maximum(np.bincount(node, minlength=n), 1)
+def _mean_angles(angle: FloatArray, weight: FloatArray, node: IntArray, n: int) -> FloatArray:
+    """Weighted mean (n,) of the angles of each node, zero without any; angles near half a turn are given a common sign
+    first."""
+    total = np.bincount(node, weight, minlength=n)
+    total = np.where(plain(total) > 0.0, total, 1.0)
+    mean = np.bincount(node, weight * angle, minlength=n) / total
     large = np.zeros(n, dtype=bool)
-    large[node[np.abs(angle) > 0.5 * np.pi]] = True
+    large[node[np.abs(plain(angle)) > 0.5 * np.pi]] = True
     if large.any():
-        sine, cosine = (np.bincount(node, part, minlength=n) for part in (np.sin(angle), np.cos(angle)))
+        sine, cosine = (np.bincount(node, weight * part, minlength=n) for part in (np.sin(angle), np.cos(angle)))
         middle = np.arctan2(sine, cosine)
         apart = angle - middle[node]
         apart -= 2 * np.pi * np.rint(apart / (2 * np.pi))
-        spread = np.bincount(node, apart, minlength=n) / np.maximum(np.bincount(node, minlength=n), 1)
+        spread = np.bincount(node, weight * apart, minlength=n) / total
         mean = np.where(large, middle + spread, mean)
     return mean
 

@@ -1,5 +1,7 @@
 """IDW against a slow twin, the limits it must have, and its options."""
 
+import itertools
+
 import numpy as np
 import pytest
 from cases import apply, body_specs, problem_of, turning
@@ -8,7 +10,9 @@ from reference.idw import slow_idw
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.expression import expression
+from meshdeform_core.boundary.motions.motion import Displace, Motion, Rotate
 from meshdeform_core.boundary.prescribed import prescribed_displacement
+from meshdeform_core.deform import Case, deform
 from meshdeform_core.errors import MethodError
 from meshdeform_core.methods import IDW, Options, make_method
 from meshdeform_core.methods.scattered.mirror import mirror_images
@@ -17,6 +21,8 @@ from meshdeform_core.numerics.exact.direct import weighted_sums
 from meshdeform_core.numerics.geometry import quaternions as rot
 from meshdeform_core.numerics.rigid import Transition, finish
 from meshdeform_core.numerics.rotation import SurfaceRotations
+from meshdeform_core.repair import RepairOptions
+from meshdeform_samples import load
 
 VARIANTS = {
     "none": IDW(rotation="none"),
@@ -175,6 +181,24 @@ def test_rotations_of_a_moved_part_are_those_of_the_whole_surface(plane):
         np.testing.assert_array_equal(rotations.vectors(moved), rot.rotation_vector(found))
         assert (found[:, 0] < 1.0).any()
     assert (rotations.quaternions(0 * x) == [1.0, 0.0, 0.0, 0.0]).all()
+
+
+def test_rotations_at_a_thin_trailing_edge_do_not_jump():
+    """The edges across it nearly follow its mean normal, and a small shear turns their projections by any angle."""
+    grid, positions = load("wing").generate(12), []
+    names = {"x", "y", "z", "t"}
+    for stroke in np.linspace(0.876, 0.886, 5):
+        center = tuple(expression(part, ()) for part in ("0.25", "0", "0"))
+        twist = Rotate(expression(f"{stroke}*20*y", names), (0.0, 1.0, 0.0), center)
+        bend = Displace(tuple(expression(part, names) for part in ("0", "0", f"{stroke}*0.25*y**2")))
+        specs = (
+            BoundarySpec("wall", ("wing",), Kind.MOVING, None, Motion((twist, bend), {})),
+            BoundarySpec("symmetry", ("symmetry",), Kind.SYMMETRY),
+            BoundarySpec("far", ("far",), Kind.FIXED),
+        )
+        positions.append(deform(grid, Case(specs, repair=RepairOptions("off")), steps=1).grid.points)
+    largest = [np.linalg.norm(two - one, axis=1).max() for one, two in itertools.pairwise(positions)]
+    assert max(largest) < 1.05 * min(largest)
 
 
 def test_logarithm_and_exponential_are_inverse():
