@@ -415,6 +415,16 @@ def test_ranks_without_nodes_take_part_in_repairs(count, angle, tmp_path, small_
     assert same_on_ranks(tmp_path, count, repaired(angle), grid=tapered(4, 3))[-1].newton_steps > 1
 
 
+def test_ranks_without_cells_take_part_in_untangling(tmp_path, small_pieces, poisoned):
+    """A plane block of 25 cells, some of them folded, is less than seven ranks can share."""
+    line = np.linspace(0.0, 1.0, 6)
+    near, far = (expression(text, {"x", "y", "z"}) for text in ("x < 0.3", "x > 0.6"))
+    motion = formulas("0.4*y*sin(3*y)", "0.4*cos(2*x)", "0")
+    sides = BoundarySpec("wall", ("*",), Kind.MOVING, near, motion), BoundarySpec("side", ("*",), Kind.SLIP, far)
+    case = dataclasses.replace(repaired(0.0), boundaries=sides, method=METHODS["idw-fast"], open_faces=True)
+    same_on_ranks(tmp_path, 7, case, grid=Grid.from_blocks([block_around(line, line, np.zeros(1))]))
+
+
 def test_squeezed_cells_are_compared_with_those_around_them_on_other_ranks(
     tmp_path, small_pieces, small_ranges, poisoned, monkeypatch
 ):

@@ -34,10 +34,11 @@ def _stretch(matrix: FloatArray, nodes: IntArray, halo: Halo) -> FloatArray:
     """The square root (m, d, d) of the mean metric around elements (m, k), from their Jacobian matrices (m, d, d)."""
     n = len(halo.numbers)
     metric = np.einsum("mji,mjk->mik", matrix, matrix)
-    shape, (elements, corners) = metric.shape, nodes.shape
+    shape, corners = metric.shape, nodes.shape[1]
     at = nodes.ravel()
     count = halo.complete(np.maximum(np.bincount(at, minlength=n), 1))
-    metric = metric.reshape(elements, -1)
+    # A rank may have no elements.
+    metric = metric.reshape(shape[0], shape[1] * shape[2])
     for _ in range(_ROUNDS):
         columns = [np.bincount(at, np.repeat(column, corners), minlength=n) / count for column in metric.T]
         metric = np.stack([halo.complete(column)[nodes].mean(axis=1) for column in columns], axis=1)
