@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import time as clock
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from functools import partial
@@ -17,7 +18,7 @@ from meshdeform_core.deform import Setup, Timing, set_up
 from meshdeform_core.errors import CaseError, FormatError, MeshDeformError
 from meshdeform_core.grid import FileFormat
 from meshdeform_core.memory import WRITING_ARRAYS, peak_memory
-from meshdeform_core.notices import first_of_each_kind, kind_of
+from meshdeform_core.notices import Notice, first_of_each_kind, kind_of
 from meshdeform_core.parallel import carried, thread_count
 from meshdeform_core.series import Level, Schedule, deform_series
 from meshdeform_core.wording import counted, listed
@@ -192,7 +193,7 @@ def carry_out(run: Run, progress: ProgressBar) -> Report:
         with Recorder(run) as recorder:
             for level in levels:
                 recorder.finish()
-                run.warnings.tell(level.result.warnings)
+                run.warnings.tell(_warnings_of(level))
                 recorder.record(level)
                 progress("levels", level.number + 1, count)
         if not run.manifest.complete:
@@ -202,6 +203,14 @@ def carry_out(run: Run, progress: ProgressBar) -> Report:
         report = ranks.on_first(lambda: _complete(run, peak))
     run.warnings.tell(text for text in report["warnings"] if not text.startswith("level "))
     return report
+
+
+def _warnings_of(level: Level) -> Iterator[str]:
+    """The warnings of a level, those that do not concern all levels with its number."""
+    common = {kind_of(text) for text in level.result.setup.warnings}
+    for text in level.result.warnings:
+        kind = kind_of(text)
+        yield text if kind in common else Notice(f"level {level.number}: {text}", kind)
 
 
 def _how_to_continue(run: Run) -> str:

@@ -67,6 +67,15 @@ def test_strict_series_stops_before_it_writes(doubtful, call, snapshot):
     assert snapshot(doubtful) == before
 
 
+def test_warnings_of_a_level_name_it_on_stderr_as_in_the_report(doubtful, call):
+    case = doubtful / "doubtful.toml"
+    case.write_text(case.read_text().replace('angle = "turn"', 'angle = "turn*t"'))
+    words = ("series", "grid.xyz", "-c", "doubtful.toml", "--times", "0:1:0.25", "-o", "out", "--report", "out.json")
+    result = call(*words, "-s", "constants.turn=80", "-m", "tfi", "--repair", "off", "--steps", "1", "--allow-invalid")
+    assert result.warnings == json.loads((doubtful / "out.json").read_text())["warnings"]
+    assert [text.startswith("level ") for text in result.warnings][:2] == [False, True]
+
+
 def test_quality_warns_on_stderr(doubtful, call):
     result = call("quality", "grid.xyz", "-c", "doubtful.toml", "-q")
     assert result.code == 0
