@@ -58,10 +58,10 @@ def flat(blocks):
     return np.concatenate([np.ravel(block) for block in blocks])
 
 
-def check(mesh, at, found, change, steps):
+def check(mesh, at, found, change, steps, intervals=(2e-4, 5e-5)):
     """Both modes of a derivative against central differences, and against each other."""
     moved, errors = flat(found.jvp(change)), []
-    for h in (2e-4, 5e-5):
+    for h in intervals:
         one, two = (flat(mesh.deform(at + s * h * change, steps=steps).grid.blocks) for s in (1, -1))
         errors.append(np.abs((one - two) / (2.0 * h) - moved).max() / np.abs(moved).max())
     assert errors[1] < 1e-6
@@ -111,7 +111,8 @@ def test_central_differences_through_a_repair(name, converged):
     # The method alone would be wrong by far.
     method = flat(mesh.linearise(at, steps=1, repair="off").jvp(change))
     assert np.abs(moved - method).max() > 0.04 * np.abs(moved).max()
-    check(mesh, at, found, change, steps=1)
+    # On curved surfaces nodes cross from one flat face to the next in longer intervals.
+    check(mesh, at, found, change, 1, (1e-5, 2.5e-6) if name == "curved slip" else (2e-4, 5e-5))
 
 
 def test_repairs_on_the_way(converged):

@@ -9,7 +9,7 @@ from meshdeform_core.numerics.cell.foldover.samples import cell_samples
 SAMPLES = cell_samples()
 CORNERS, ALL = (1 << 8) - 1, (1 << 27) - 1
 # eps, share, cubic, elastic, exact
-UNTANGLING, MINIMISING = (0.7, 1.0, 0.0, 0.0, False), (0.0, 0.3, 2.0, 0.7, True)
+UNTANGLING, MINIMISING = (0.7, 1.0, 0.0, 0.0, 0.0), (0.0, 0.3, 2.0, 0.7, 1.0)
 
 
 def cells(n, thin):

@@ -71,7 +71,7 @@ def check(options, where, at, change, tied=False):
         errors.append(np.abs((one - two) / (2.0 * h) - moved).max() / np.abs(moved).max())
     assert errors[1] < 1e-6
     # Solutions of systems are less accurate than sums, which differences divide by h.
-    assert errors[1] < errors[0] / 12 or errors[1] < (1e-7 if "rbf" in options.name else 1e-9)
+    assert errors[1] < errors[0] / 12 or errors[1] < (1e-7 if "rbf" in options.name else 2e-9)
     weight = np.random.default_rng(6).standard_normal(moved.shape)
     gap = (weight * moved).sum() - (found.pull(weight.copy()) * change).sum()
     assert abs(gap) < 1e-12 * np.linalg.norm(weight) * np.linalg.norm(moved)

@@ -8,7 +8,7 @@ from meshdeform_core.numerics.cell.foldover.plane import add_triangles, energy_o
 
 TRIANGLES = 13
 # eps, share, cubic, elastic, exact
-UNTANGLING, MINIMISING = (0.7, 1.0, 0.0, 0.0, False), (0.0, 0.3, 2.0, 0.7, True)
+UNTANGLING, MINIMISING = (0.7, 1.0, 0.0, 0.0, 0.0), (0.0, 0.3, 2.0, 0.7, 1.0)
 
 
 def triangles():
