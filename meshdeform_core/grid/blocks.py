@@ -20,7 +20,7 @@ import numpy as np
 from ..errors import GridError
 from ..numerics.arrays import FloatArray, IntArray, total
 from ..numerics.pieces import pieces
-from ..parallel import Part, empty, for_items, holders, of_all, on_each, own_rows, require_whole
+from ..parallel import Part, empty, for_items, holders, of_all, on_each, own_rows, require_whole, rows_at
 from .dealing import in_parts
 from .lattice import SideLattice
 from .near import NearNodes
@@ -217,7 +217,7 @@ class Grid(BlockSizes):
 
     def sample(self, count: int) -> FloatArray:
         """Coordinates (n, 3) of about ``count`` nodes, spread evenly over all."""
-        return np.asarray(self.points[np.arange(0, self.n_nodes, max(1, self.n_nodes // count))])
+        return np.asarray(rows_at(self.points, np.arange(0, self.n_nodes, max(1, self.n_nodes // count))))
 
     def locate(self, flat: int) -> tuple[int, Shape]:
         """Block and 0-based (i, j, k) of a flat node index."""

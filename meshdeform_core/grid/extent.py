@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import GridError
 from ..numerics.arrays import batches, extent
-from ..parallel import Part, of_all
+from ..parallel import Part, of_all, rows_at
 from ..wording import vector
 from .blocks import FloatArray, Grid
 
@@ -62,7 +62,7 @@ class Bounds:
         last = np.array(grid.shapes)[:, None] - 1
         i, j, k = np.moveaxis(np.indices((2, 2, 2)).reshape(3, 8).T * last, -1, 0)
         nj, nk = last[..., 1] + 1, last[..., 2] + 1
-        self._corners = grid.points[grid.offsets[:-1, None] + (i * nj + j) * nk + k].reshape(-1, 3)
+        self._corners = rows_at(grid.points, grid.offsets[:-1, None] + (i * nj + j) * nk + k).reshape(-1, 3)
         self._reach: dict[tuple[float, ...], _Reach] = {}
 
     def within(self, normal: FloatArray, level: float) -> bool:
