@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from grids import block_around, frame, frame_2d, permuted, polar
 
-from meshdeform_core.grid import Connection, Grid, Side, strips
-from meshdeform_core.grid import partners as partners_module
+from meshdeform_core.grid import Connection, Grid, Side
 from meshdeform_core.grid.connectivity.declared import check_connections, connected_nodes
 from meshdeform_core.grid.connectivity.interfaces import find_interfaces
 from meshdeform_core.grid.connectivity.openings import find_openings
-from meshdeform_core.grid.partners import COLLAPSED
-from meshdeform_core.grid.topology import find_topology
+from meshdeform_core.grid.topology import find_topology, strips
+from meshdeform_core.grid.topology import partners as partners_module
+from meshdeform_core.grid.topology.partners import COLLAPSED
 from meshdeform_core.numerics.geometry import coincidence, copies
 from meshdeform_core.numerics.geometry.coincidence import close_pairs
 from meshdeform_core.numerics.geometry.copies import coincident_groups

@@ -14,11 +14,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_grids import block_grids
 
-from meshdeform_core.grid import Grid, partners, strips
+from meshdeform_core.grid import Grid
 from meshdeform_core.grid.connectivity.components import BY_PREFIX, with_components
 from meshdeform_core.grid.dealing import face_bounds
 from meshdeform_core.grid.near import NearNodes
-from meshdeform_core.grid.topology import find_topology
+from meshdeform_core.grid.topology import find_topology, partners, strips
 from meshdeform_core.numerics import pieces as pieces_module
 from meshdeform_core.numerics.geometry import copies
 from meshdeform_core.numerics.geometry.copies import coincident_copies, coincident_groups

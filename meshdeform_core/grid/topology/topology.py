@@ -12,16 +12,16 @@ from functools import cached_property
 
 import numpy as np
 
-from ..numerics.arrays import BoolArray, runs
-from ..numerics.geometry.coincidence import integers
-from ..numerics.geometry.copies import coincident_copies, numbered_by_first
-from ..parallel import Ranks, apart, collected, empty, ranks_of, rows_at
-from ..parallel.scratch import current_scratch
-from .blocks import FloatArray, Grid, IntArray
-from .dealing import face_bounds
+from ...numerics.arrays import BoolArray, runs
+from ...numerics.geometry.coincidence import integers
+from ...numerics.geometry.copies import coincident_copies, numbered_by_first
+from ...parallel import Ranks, apart, collected, empty, ranks_of, rows_at
+from ...parallel.scratch import current_scratch
+from ..blocks import FloatArray, Grid, IntArray
+from ..dealing import face_bounds
+from ..parts import Shape, Side
 from .handedness import block_handedness, index_order
 from .partners import EXTERNAL, partners
-from .parts import Shape, Side
 from .strips import FaceStrips, quads_between, shortest_edges
 
 RELATIVE_TOLERANCE = 1e-3

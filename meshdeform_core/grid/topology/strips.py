@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..numerics.arrays import BoolArray, batches, spans
-from ..numerics.geometry.coincidence import ascending, integers
-from .blocks import FloatArray, Grid, IntArray
-from .lattice import SideLattice
+from ...numerics.arrays import BoolArray, batches, spans
+from ...numerics.geometry.coincidence import ascending, integers
+from ..blocks import FloatArray, Grid, IntArray
+from ..lattice import SideLattice
 
 _TOGETHER = 100_000
 """Nodes processed at a time: few enough for the processor's cache."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..numerics.arrays import BoolArray, IntArray
-from ..numerics.geometry.coincidence import equal_rows, integers
-from ..parallel import Ranks, Route, collected
+from ...numerics.arrays import BoolArray, IntArray
+from ...numerics.geometry.coincidence import equal_rows, integers
+from ...parallel import Ranks, Route, collected
 
 _MATCHED = 1_000_000
 """Unique nodes whose quads are compared at a time, which bounds the memory; more of them in large grids."""

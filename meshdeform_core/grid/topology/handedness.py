@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..numerics.arrays import BoolArray, batches, spread
-from ..numerics.geometry.coincidence import ascending
-from ..parallel import Part, apart, of_all, ranks_of, rows_at, rows_of
-from .blocks import FloatArray, Grid, IntArray
-from .sizes import strides_of
+from ...numerics.arrays import BoolArray, batches, spread
+from ...numerics.geometry.coincidence import ascending
+from ...parallel import Part, apart, of_all, ranks_of, rows_at, rows_of
+from ..blocks import FloatArray, Grid, IntArray
+from ..sizes import strides_of
 
 _SAMPLED_CELLS = 8
 _TOGETHER = 100_000
