@@ -17,7 +17,7 @@ from ..grid import FloatArray, IntArray
 from ..numerics.damping import damp_rows
 from ..numerics.geometry.surface import TriangleTree
 from ..parallel import apart, for_chunks, rows_at, rows_of
-from .base import Problem
+from .base import Problem, Progress, of_stage
 
 WIDTH = 0.3
 """Length of the parabolic end at the walls relative to the distance from wall to slip side (studies/slip_sides.py)."""
@@ -49,7 +49,7 @@ class BesideSlip:
         self._keeps = self.normals.shape[0] * 8 * len(flat) * _KEPT <= problem.memory.size
         self._parts: dict[int, FloatArray] | None = None
 
-    def apply(self, out: FloatArray) -> None:
+    def apply(self, out: FloatArray, progress: Progress | None = None) -> None:
         """Damp the rows of ``out`` (n_nodes, 3) of these nodes, in place."""
         if not len(self.normals):
             return
@@ -61,7 +61,7 @@ class BesideSlip:
                 damp_rows(rows, flat, self.normals, self._kept(lo, hi), least)
 
         with apart(out):
-            for_chunks(work, len(self._flat), _CHUNK)
+            for_chunks(work, len(self._flat), _CHUNK, of_stage(progress, "beside slip sides"))
         self._done()
 
     def damp(self, values: FloatArray) -> None:

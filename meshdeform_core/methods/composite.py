@@ -98,7 +98,7 @@ class _Scattered:
     def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> FloatArray:
         self.interpolate(displacement, out, progress)
         release_freed()
-        self.beside_slip.apply(out)
+        self.beside_slip.apply(out, progress)
         face = _on_faces(out, self.problem)
         put_rows(displacement, self.problem.source_numbers, face)
         return face
