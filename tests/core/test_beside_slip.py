@@ -122,7 +122,7 @@ def test_motions_along_the_planes_are_left_as_they_are(name, make, monkeypatch):
     grid = make()
     problem = problem_of(grid, body_specs(turning(10))[: 3 if grid.dimension == 3 else 1])
     found = apply(ALL_METHODS.get(name, Options(name)), problem, told(problem))
-    monkeypatch.setattr(BesideSlip, "apply", lambda self, out: None)
+    monkeypatch.setattr(BesideSlip, "apply", lambda self, out, progress: None)
     plain = apply(ALL_METHODS.get(name, Options(name)), problem, told(problem))
     # Of a linear system round-off remains in all directions.
     np.testing.assert_allclose(found, plain, rtol=0, atol=1e-13 if name.startswith("rbf") else 0.0)
