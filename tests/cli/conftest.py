@@ -5,12 +5,14 @@ from __future__ import annotations
 import dataclasses
 import re
 import shutil
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from grids import CASE, frame, frame_2d
+from started_ranks import TESTS, start
 
 from meshdeform_cli.main import run
 from meshdeform_core.grid import Grid, Patch, Side
@@ -55,6 +57,13 @@ def call(capsys: pytest.CaptureFixture[str]) -> Call:
         return Outcome(code, out, re.sub("meshdeform: compiling loops, .*\n", "", err))
 
     return called
+
+
+@pytest.fixture(scope="session")
+def compiled() -> None:
+    """Loops read from the disk: those that a process has just compiled can differ from them in the last bit."""
+    done = start(sys.executable, TESTS / "mpi_methods.py", "compile", limit=600)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.fixture(scope="session")

