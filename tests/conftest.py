@@ -13,6 +13,7 @@ import hypothesis  # noqa: E402 (numpy reads the variables when it is loaded)
 import pytest  # noqa: E402
 
 from meshdeform_cli.process import progress  # noqa: E402
+from meshdeform_core import memory  # noqa: E402
 from meshdeform_formats.picture.drawing import figure  # noqa: E402
 
 # The same examples in every run, and no limits of time: a loaded machine is no reason to fail.
@@ -32,6 +33,14 @@ def _no_times_in_messages() -> None:
 def _small_pictures() -> None:
     """Commands called in this process draw a tenth of the pixels; what is drawn and where stays the same."""
     figure.STYLE |= {"figure.dpi": 60, "savefig.dpi": 70}
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _code_stays() -> None:
+    """The code of the compiler stays in memory. Finding it among the thousands of mapped files of this process, three
+    times per grid, and reading it again takes a twenty-fifth of the time; `tests/core/test_memory_limit.py` does it in
+    a process of its own."""
+    memory._code_of = lambda library: []
 
 
 def pytest_collection_finish() -> None:

@@ -65,7 +65,8 @@ name = "rigid"
 select = ["plate", "outer"]
 kind = "fixed"
 """
-TIMES = {"sin.toml": "0:0.99:0.01", "body.toml": "0:0.99:0.01"}
+TIMES = {"sin.toml": "0:0.99:0.01", "body.toml": "0:0.99:0.03"}
+"""The grid of the body has as many nodes as thirteen of the other."""
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +108,7 @@ def largest_difference(folder: Path, sample: str, case: str, method: str, report
     grid = read_grid(place / "grid.cgns")
     what = read_case(place / case, (), method, None).case
     setup = set_up(grid, what)
-    assert len(report["levels"]) == LEVELS
+    assert len(report["levels"]) == (34 if case == "body.toml" else LEVELS)
     for level in report["levels"][::every]:
         displacement = setup.displacement(level["time"])[setup.problem.source_numbers]
         single = grid.points + make_method(what.method).prepare(setup.problem).apply(displacement)
@@ -122,7 +123,7 @@ def largest_difference(folder: Path, sample: str, case: str, method: str, report
     [
         ("hemisphere", "sin.toml", "rbf-tfi", 9),
         ("hemisphere", "sin.toml", "tfi", 1),
-        ("splitter-plate", "body.toml", "idw-tfi", 9),
+        ("splitter-plate", "body.toml", "idw-tfi", 3),
         ("hemisphere", "noise.toml", "rbf", 9),
     ],
 )

@@ -371,19 +371,19 @@ def repeated_array():
 
 
 SMALL_BUT_LARGE = {
-    "an image": lattice_file("ImageData", "").encode(),
-    "three axes": lattice_file(
+    "an image": lambda: lattice_file("ImageData", "").encode(),
+    "three axes": lambda: lattice_file(
         "RectilinearGrid",
         "<Coordinates>" + "".join(scalar(range(n), "x") for n in (1000, 1000, 100)) + "</Coordinates>",
     ).encode(),
-    "one array many times": repeated_array(),
-    "a bomb": appended(packed(bytes(100_000_000), sizes=(100_000_000, 0)), root=ZLIB),
+    "one array many times": repeated_array,
+    "a bomb": lambda: appended(packed(bytes(100_000_000), sizes=(100_000_000, 0)), root=ZLIB),
 }
 
 
 @pytest.mark.parametrize("name", SMALL_BUT_LARGE)
 def test_small_files_take_little_memory_and_time(tmp_path, name):
-    (tmp_path / "a.vts").write_bytes(SMALL_BUT_LARGE[name])
+    (tmp_path / "a.vts").write_bytes(SMALL_BUT_LARGE[name]())
     tracemalloc.start()
     start = time.process_time()
     with pytest.raises(FormatError):

@@ -85,7 +85,9 @@ def cluster_reach(tree: SourceTree, strength: FloatArray, shift: FloatArray, tur
     # reduceat takes the spans as pairs of positions; the results between spans are discarded.
     places = tree.span.ravel()
     sums, most = np.append(strength[tree.order], 0.0), (np.append(each[tree.order], 0.0) for each in (shift, turn))
-    return Reach(np.add.reduceat(sums, places)[::2], *(np.maximum.reduceat(each, places)[::2] for each in most))
+    spans = np.add.reduceat(sums, places), *(np.maximum.reduceat(each, places) for each in most)
+    # Contiguous, as loops over slices with a step would be compiled once more.
+    return Reach(*(np.ascontiguousarray(each[::2]) for each in spans))
 
 
 @kernel
