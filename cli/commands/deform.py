@@ -71,30 +71,36 @@ def command(
     if not run.dry_run and output is not None:
         check_target(output, run, *source.files, *case.files)
     check_reports(run.reports, run.force, output, *source.files, *case.files)
-    options, limit = run.variant_options, run.memory
 
     from .. import work
 
     imposed = work.Imposed(steps, at_time)
-    if run.dry_run and (layout := too_large(limit, source)):
-        from ..dry_run.expense import plan_by_sizes
-
-        return work.print_plan(plan_by_sizes(layout, case.read().case, output, options, limit), False, run)
-    if run.dry_run or output is None:
-        from ..dry_run import forecast
-
-        with ProgressBar(not run.quiet):
-            planned, impossible = forecast.plan(_load(source, case, output, run), output, imposed, options, limit)
-        return work.print_plan(planned, impossible, run)
+    if output is None or run.dry_run:
+        return work.in_parts(lambda: _dry_run(source, case, output, imposed, run), run.verbose)
 
     def deform() -> int:
         with ProgressBar(not run.quiet) as progress:
             job = _load(source, case, output, run)
-            report, illustrate = work.run(job, output, imposed, options, run, progress)
+            report, illustrate = work.run(job, output, imposed, run.variant_options, run, progress)
         files = [*source.roles, *case.roles(job.case), ("output", Path(report["output"]))]
         return work.conclude(report, run, work.Delivery(start, files, illustrate, job.ranks))
 
     return work.in_parts(deform, run.verbose)
+
+
+def _dry_run(source: GridInput, case: CaseInput, output: Path | None, imposed: work.Imposed, run: RunInput) -> int:
+    """Print what the run would do and take; returns the exit code."""
+    from .. import work
+    from ..dry_run import forecast
+    from ..dry_run.expense import plan_by_sizes
+
+    if layout := too_large(run.memory, source):
+        planned = plan_by_sizes(layout, case.read().case, output, run.variant_options, run.memory)
+        return work.print_plan(planned, False, run)
+    with ProgressBar(not run.quiet):
+        job = _load(source, case, output, run)
+        planned, impossible = forecast.plan(job, output, imposed, run.variant_options, run.memory)
+    return work.print_plan(planned, impossible, run)
 
 
 def _load(source: GridInput, case: CaseInput, output: Path | None, run: RunInput) -> work.Job:

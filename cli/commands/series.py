@@ -49,7 +49,7 @@ def command(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunInp
 
     timed = dataclasses.replace(case, times=wanted.times)
     if run.dry_run:
-        return _dry_run(source, timed, wanted, run)
+        return work.in_parts(lambda: _dry_run(source, timed, wanted, run), run.verbose)
     begun = False
 
     def deform() -> int:
@@ -84,7 +84,8 @@ def _dry_run(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunIn
     """Print what the series would do and take; returns the exit code."""
     from .. import series_run, work
     from ..dry_run import forecast
-    from ..dry_run.expense import Levels, plan_by_sizes
+    from ..dry_run.expense import plan_by_sizes
+    from ..dry_run.rates import Levels
 
     if layout := too_large(run.memory, source, wanted.more_arrays):
         what = case.read()

@@ -63,10 +63,12 @@ def _lines(report: dict[str, Any], parameters: bool) -> Iterator[str]:
 def _expected(expense: dict[str, Any]) -> str:
     """The forecast of a run's memory, disk space and time."""
     work, output, seconds = expense["work_bytes"], expense["output_bytes"], expense["cpu_seconds"]
-    disk = [f"{readable(work)} of files to work in"] if work else []
-    disk += [f"{readable(output)} for the output"] if output else []
+    used = [f"{readable(work)} of files to work in"] if work else []
+    used += [f"{readable(output)} for the output"] if output else []
+    disk = [f"disk {' and '.join(used)}"] if used else []
     bound = "" if seconds is not None else "at most "
-    parts = [f"memory {bound}{readable(expense['memory_bytes'])}", *([f"disk {' and '.join(disk)}"] if disk else [])]
+    each = f" of each of {expense['ranks']} ranks" if expense["ranks"] > 1 else ""
+    parts = [f"memory {bound}{readable(expense['memory_bytes'])}{each}", *disk]
     told = "cannot be told from the size of the grid" if seconds is None else f"{seconds:,.3g} s on this machine"
     parts.append(f"processor time {told}")
     return f"expected  {'; '.join(parts)}"
