@@ -13,8 +13,11 @@ import numpy as np
 import pytest
 
 from meshdeform_cli.dry_run import expense, forecast, rates
-from meshdeform_core.memory import parse_memory
+from meshdeform_core.grid import FileFormat
+from meshdeform_core.memory import PICTURE_BYTES, parse_memory
+from meshdeform_core.parallel import OneRank, dividing, sharing
 from meshdeform_formats.grids import read_grid
+from meshdeform_formats.layout import Layout
 from meshdeform_formats.report.schema import report_schema
 
 BILLION = 10**9
@@ -65,6 +68,8 @@ def test_grids_too_large_for_a_trial_are_told_what_they_take(call, bench, monkey
     assert expected["work_bytes"] == 0
     assert 150e6 < expected["memory_bytes"] < 400e6
     assert "expected  memory" in call(*command).out
+    pictured = json.loads(call(*command, "--json", "-q", "--report", "out.html").out)["expected"]
+    assert pictured["memory_bytes"] == expected["memory_bytes"] + PICTURE_BYTES
     told = call(*command, "-m", "rbf").out
     assert "expected  memory at most" in told
     assert "processor time cannot be told" in told
@@ -106,6 +111,42 @@ def test_a_series_of_a_billion_nodes_is_foretold_from_a_header(sparse, call, ben
     assert not (tmp_path / "levels").exists()
 
 
+# Largest resident size in MB of `deform` on boxes of 1, 10 and 1,000 cubes with so many nodes along each edge.
+MEASURED = (
+    ("tfi", 1, 229, 1081), ("tfi", 10, 74, 462), ("tfi", 1000, 20, 942), ("idw", 1, 229, 1348), ("idw", 1000, 20, 1041),
+    ("idw-tfi", 1, 100, 243), ("idw-tfi", 1, 229, 985), ("idw-tfi", 10, 74, 473), ("idw-tfi", 1000, 8, 252),
+    ("idw-tfi", 1000, 27, 1844),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("method", "blocks", "side", "peak"), MEASURED)
+def test_memory_is_foretold_within_a_tenth(method, blocks, side, peak):
+    """Few large blocks take most while nodes move, many small ones while the faces of the result are judged."""
+    grid = Layout("grid.xyz", ((side,) * 3,) * blocks, FileFormat("plot3d"))
+    assert rates.RATES[method].memory(grid, rates.ONE) == pytest.approx(1e6 * peak, rel=0.1)
+
+
+def test_ranks_are_told_what_each_of_them_takes(monkeypatch):
+    class Four(OneRank):
+        count = 4
+
+    monkeypatch.setattr(expense, "_sample_seconds", lambda _: 0.5)
+    grid, case = (
+        Layout("grid.xyz", ((229,) * 3,), FileFormat("plot3d")),
+        SimpleNamespace(method=SimpleNamespace(name="idw-tfi")),
+    )
+    limit = parse_memory("20GiB", "--max-memory")
+    with sharing(Four(), 1):
+        whole = expense.expense_of(grid, case, None, "float64", limit)
+        with dividing():
+            part = expense.expense_of(grid, case, None, "float64", limit)
+    assert (whole.ranks, part.ranks) == (1, 4)
+    # 502 MiB were measured.
+    assert part.memory_bytes == pytest.approx(526e6, rel=0.1)
+    assert part.memory_bytes < 0.6 * whole.memory_bytes
+    assert part.cpu_seconds > whole.cpu_seconds
+
+
 def test_zones_of_cgns_take_more_than_blocks_of_other_formats(bench):
     zones, blocks = (read_grid(name) for name in ("grid.cgns", "grid.xyz"))
     tfi = rates.RATES["tfi"]
@@ -118,6 +159,6 @@ def test_the_time_scales_with_that_of_the_sample(bench, monkeypatch):
     seconds = []
     for sample in (0.5, 1.0):
         monkeypatch.setattr(expense, "_sample_seconds", lambda _, sample=sample: sample)
-        case = type("Case", (), {"method": type("Method", (), {"name": "idw-tfi"})})
+        case = SimpleNamespace(method=SimpleNamespace(name="idw-tfi"))
         seconds.append(expense.expense_of(grid, case, None, "float64", limit).cpu_seconds)
     assert seconds[1] == pytest.approx(2 * seconds[0])

@@ -167,6 +167,16 @@ def test_command_writes_the_same_file_and_speaks_once(bench, compiled):
 
 
 @needs_mpi
+def test_a_dry_run_in_parts_says_the_same(bench, compiled):
+    args = ("deform", "grid.xyz", "-c", "case.toml", "-m", "idw-tfi", "-o", "out.xyz", "--dry-run", "-v")
+    alone = start(sys.executable, "-m", "meshdeform_cli", *args)
+    done = on_ranks(2, *args)
+    assert (done.returncode, done.stdout) == (0, alone.stdout), done.stderr
+    assert "holds the whole grid" not in done.stderr
+    assert not Path("out.xyz").exists()
+
+
+@needs_mpi
 @pytest.mark.parametrize(
     ("method", "suffix", "reason"),
     [("idw-tfi", "xyz", ""), ("idw-rbf", "xyz", ""), ("tfi", "p3dfmt", "shared.p3dfmt is written as a whole")],
