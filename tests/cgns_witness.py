@@ -47,9 +47,12 @@ def values(data: Any) -> np.ndarray:
 # --- HDF5 ---------------------------------------------------------------------------------------------------------
 
 
-def write_hdf5(path: Path, root: N, *, dataset: dict[str, Any] | None = None, track: bool = True) -> Path:
-    """``dataset`` are keywords for multi-dimensional datasets (chunks, compression); ``track`` creation order."""
-    with h5py.File(path, "w", track_order=track, libver=("earliest", "v108")) as file:
+def write_hdf5(
+    path: Path, root: N, *, dataset: dict[str, Any] | None = None, track: bool = True, oldest: str = "earliest"
+) -> Path:
+    """``dataset`` are keywords for multi-dimensional datasets (chunks, compression); ``track`` creation order;
+    ``oldest`` is the first version of HDF5 that can read the file."""
+    with h5py.File(path, "w", track_order=track, libver=(oldest, "v108")) as file:
         _attributes(file, "HDF5 MotherNode", "Root Node of HDF5 File", "MT")
         file[" format"] = np.frombuffer(b"IEEE_LITTLE_32\0", np.int8)
         file[" hdf5version"] = np.frombuffer(b"HDF5 Version 1.10.8".ljust(33, b"\0"), np.int8)

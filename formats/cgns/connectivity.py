@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import Connection, Grid, IntArray
+from meshdeform_core.grid import Connection, Grid, Shape
 
 from .notes import Notes
 from .periodic import periodicity
@@ -80,32 +78,36 @@ def _connection(node: Node, block: int, donor: int, zones: Sequence[Zone]) -> Co
     begin, end = _range(node, "PointRange", axes)
     donor_begin, donor_end = _range(node, "PointRangeDonor", axes)
     transform = _transform(node, axes)
-    if sorted(abs(transform)) != [1, 2, 3]:
+    if sorted(abs(axis) for axis in transform) != [1, 2, 3]:
         return None
-    step = np.zeros(3, np.int64)
-    step[abs(transform) - 1] = np.sign(transform) * (end - begin)
-    fits = (donor_begin + step == donor_end).all()
-    for points, shape in (((begin, end), zones[block].shape), ((donor_begin, donor_end), zones[donor].shape)):
-        fits &= all(((p >= 0) & (p < shape)).all() for p in points)
-    if not fits:
+    reached = list(donor_begin)
+    for axis, first, last in zip(transform, begin, end, strict=True):
+        reached[abs(axis) - 1] += last - first if axis > 0 else first - last
+    shape, donor_shape = zones[block].shape, zones[donor].shape
+    corners = (begin, shape), (end, shape), (donor_begin, donor_shape), (donor_end, donor_shape)
+    if tuple(reached) != donor_end or not all(
+        0 <= p < n for at, size in corners for p, n in zip(at, size, strict=True)
+    ):
         return None
-    a, b, c, d, t = ((int(v[0]), int(v[1]), int(v[2])) for v in (begin, end, donor_begin, donor_end, transform))
-    return Connection(node.name, block, a, b, donor, c, d, t)
+    return Connection(node.name, block, begin, end, donor, donor_begin, donor_end, transform)
 
 
-def _range(node: Node, name: str, axes: int) -> tuple[IntArray, IntArray]:
+def _range(node: Node, name: str, axes: int) -> tuple[Shape, Shape]:
+    """First and last node, 0-based."""
     child = node.child(name)
     if child is None:
         raise FormatError(f"the connection {node.path} has no {name}; every GridConnectivity1to1_t needs one")
-    points = np.zeros((2, 3), np.int64)
-    points[:, :axes] = child.integers(axes, 2).T - 1
-    return points[0], points[1]
+    first, last = child.integers(axes, 2).T.tolist()
+    return _three([n - 1 for n in first], 0), _three([n - 1 for n in last], 0)
 
 
-def _transform(node: Node, axes: int) -> IntArray:
+def _transform(node: Node, axes: int) -> Shape:
     """Signed donor axis of each axis; without one the axes correspond in order (SIDS 8.2)."""
-    transform = np.arange(1, 4)
     child = node.child("Transform")
-    if child is not None:
-        transform[:axes] = child.integers(axes)
-    return transform
+    return _three(child.integers(axes).tolist(), 3) if child else (1, 2, 3)
+
+
+def _three(numbers: Sequence[int], *others: int) -> Shape:
+    """Numbers of two or three axes, those of missing axes from the ``others``."""
+    a, b, c = (*numbers, *others)[:3]
+    return a, b, c

@@ -4,14 +4,16 @@ A link is a group of type ``LK`` with a soft or external HDF5 link `` link`` and
 Dimensions are stored in reverse, because HDF5 counts the slowest index first. Source: CGNS SIDS File Mapping Manual,
 HDF5 mapping, and output of the public CGNS library.
 
-Files of hundreds of zones have tens of thousands of nodes, for which h5py's high-level interface takes twice as long.
+Files of hundreds of zones have tens of thousands of nodes, for which h5py's high-level interface takes twice as long as
+the calls used here, and these several times as long as :mod:`.headers`, which reads most of them.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,6 +26,7 @@ from numpy.typing import NDArray
 from meshdeform_core.errors import FormatError
 
 from ...files import reason_of
+from .headers import Headers, Member
 from .tree import DTYPES, Link, Node, decoded
 
 # Members of a group that are no child nodes; CGNS names never begin with a blank.
@@ -62,10 +65,20 @@ def hdf5_errors(path: Path, action: str) -> Iterator[None]:
         raise FormatError(f"cannot {action} {path} as HDF5: {hint} ({str(error).strip()})") from error
 
 
+@dataclass(frozen=True)
+class _Parent:
+    """The parent of nodes, a group of ``file``; ``headers`` if its members may be read without the library."""
+
+    file: Path
+    path: str
+    group: Callable[[], h5g.GroupID]
+    headers: Headers | None = None
+
+
 @contextmanager
 def opened_hdf5(path: Path) -> Iterator[Node]:
     """Root node of a CGNS file in HDF5; children and data can be read while the context lasts."""
-    with hdf5_errors(path, "read"), h5py.File(path, "r") as file:
+    with hdf5_errors(path, "read"), h5py.File(path, "r") as file, path.open("rb") as stream:
         file.id.set_mdc_config(_small_cache(file))
         root = h5g.open(file.id, b"/")
         if _OLD_VERSION in root:
@@ -73,7 +86,11 @@ def opened_hdf5(path: Path) -> Iterator[Node]:
                 f"{path} was written by a CGNS library before 3.0, which stored dimensions in another order; "
                 f"open and save it once with cgnsupdate or a current CGNS library"
             )
-        yield Node("", path, "", expand=lambda: _children(root, path, ""))
+        headers = Headers(stream)
+        parent = _Parent(path, "", lambda: root, headers if headers.usual and file.driver == "sec2" else None)
+        yield Node("", path, "", expand=lambda: _children(parent, _in_order(root)))
+        if not headers.all_right():
+            raise OSError("the checksum of a header is wrong")
 
 
 def _small_cache(file: h5py.File) -> h5ac.CacheConfig:
@@ -101,15 +118,39 @@ def attribute(group: h5g.GroupID, name: bytes) -> str:
     return decoded(value[()].encode() if isinstance(value[()], str) else np.asarray(value[()]).tobytes())
 
 
-def _children(group: h5g.GroupID, file: Path, parent: str) -> Iterator[Node]:
-    for name, kind in _in_order(group):
-        text = _name(name, file, parent)
-        path = f"{parent}/{text}"
-        if kind == h5l.TYPE_HARD:
-            yield _node(h5o.open(group, name), file, path)
+def _children(parent: _Parent, members: Iterable[Member]) -> Iterator[Node]:
+    for _, name, address in members:
+        text = _name(name, parent.file, parent.path)
+        path = f"{parent.path}/{text}"
+        if address is None:
+            group = parent.group()
+            link = Link(*(_name(part, parent.file, path) for part in _destination(group, name)))
+            yield Node(text, parent.file, path, data_type="LK", link=link, follow=partial(_follow, group, name, 1))
         else:
-            link = Link(*(_name(part, file, path) for part in _destination(group, name)))
-            yield Node(text, file, path, data_type="LK", link=link, follow=partial(_follow, group, name, 1))
+            known = _known(parent, text, path, address)
+            yield known or _node(h5o.open(parent.group(), name), parent.file, path, parent.headers)
+
+
+def _known(parent: _Parent, name: str, path: str, address: int) -> Node | None:
+    """The node with the header at this address; ``None`` if the library must read it."""
+    headers = parent.headers
+    group = headers.group(address) if headers else None
+    if headers is None or group is None:
+        return None
+    data_type = decoded(group.data_type).upper()
+    node = Node(name, parent.file, path, decoded(group.label), data_type)
+    data = [member.address for member in group.members if member.name == _DATA and data_type != "MT"]
+    if data:
+        array = None if data[0] is None else headers.array(data[0])
+        if array is None:
+            return None
+        node.dims, node.dtype = array.shape[::-1], array.dtype
+        node.read, node.place = lambda: headers.values(array).T, lambda: array.place
+    members = [member for member in group.members if not member.name.startswith(b" ")]
+    if members:
+        own = _Parent(parent.file, path, lambda: h5o.open(parent.group(), name.encode()), headers)
+        node.expand = lambda: _children(own, members)
+    return node if data_type not in ("", "LK") else None
 
 
 def _name(raw: bytes, file: Path, parent: str) -> str:
@@ -119,23 +160,24 @@ def _name(raw: bytes, file: Path, parent: str) -> str:
         raise FormatError(f"{file}: the name {raw!r} in {parent or '/'} is not UTF-8; rename it") from error
 
 
-def _in_order(group: h5g.GroupID) -> list[tuple[bytes, int]]:
-    """Names of the child nodes and types of the links to them in creation order.
+def _in_order(group: h5g.GroupID) -> list[Member]:
+    """The links to child nodes in creation order.
 
     By the attribute ``order`` if HDF5 did not track creation.
     """
-    found: list[tuple[bytes, int]] = []
+    found: list[Member] = []
 
     def add(name: bytes, info: h5l.LinkInfo) -> None:
         if not name.startswith(b" "):
-            found.append((name, info.type))
+            found.append(Member(info.corder, name, info.u if info.type == h5l.TYPE_HARD else None))
 
     tracked = group.get_create_plist().get_link_creation_order() & h5p.CRT_ORDER_TRACKED
     group.links.iterate(add, idx_type=h5.INDEX_CRT_ORDER if tracked else h5.INDEX_NAME, info=True)
     if tracked:
         return found
     members = h5py.Group(group)
-    return sorted(found, key=lambda each: (int(np.ravel(members[each[0]].attrs.get("order", 0))[0]), each))
+    orders = [int(np.ravel(members[each.name].attrs.get("order", 0))[0]) for each in found]
+    return sorted(each._replace(order=order) for each, order in zip(found, orders, strict=True))
 
 
 def _destination(group: h5g.GroupID, name: bytes) -> tuple[bytes, bytes]:
@@ -144,7 +186,9 @@ def _destination(group: h5g.GroupID, name: bytes) -> tuple[bytes, bytes]:
     return value if isinstance(value, tuple) else (b"", value)
 
 
-def _node(group: h5g.GroupID | h5d.DatasetID, file: Path, path: str, links: int = 0) -> Node:
+def _node(
+    group: h5g.GroupID | h5d.DatasetID, file: Path, path: str, headers: Headers | None = None, links: int = 0
+) -> Node:
     """The node of a group that was reached through ``links`` links."""
     try:
         label, data_type = attribute(group, b"label"), attribute(group, b"type").upper()
@@ -170,7 +214,8 @@ def _node(group: h5g.GroupID | h5d.DatasetID, file: Path, path: str, links: int 
         node.dims, node.dtype = dataset.shape[::-1], DTYPES[data_type] if native else dataset.dtype
         _set_values(node, group, dataset, native)
     if members:
-        node.expand = lambda: _children(group, file, path)
+        parent = _Parent(file, path, lambda: group, headers)
+        node.expand = lambda: _children(parent, _in_order(group))
     return node
 
 
@@ -229,7 +274,7 @@ def _follow(group: h5g.GroupID, name: bytes, links: int) -> Node | None:
     except (KeyError, OSError):  # HDF5 raises these for broken links
         return None
     place = h5py.Group(target)
-    return _node(target, Path(place.file.filename), place.name, links)
+    return _node(target, Path(place.file.filename), place.name, links=links)
 
 
 def external_targets(path: Path) -> list[Path]:

@@ -166,7 +166,7 @@ class Node:
     @cached_property
     def broken_links(self) -> tuple[Node, ...]:
         """The children whose targets cannot be found."""
-        return tuple(child for child in self.children if child.dangling)
+        return tuple(child for child in self.children if child.link and child.dangling)
 
     # Cached for files of thousands of zones, each of which looks up the units of the base.
     @cached_property
