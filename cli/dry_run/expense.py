@@ -13,7 +13,6 @@ from meshdeform_core.grid import FileFormat, Grid
 from meshdeform_core.memory import COORDINATE_ARRAYS, SMOOTHNESS_ARRAYS, Demand, MemoryLimit, readable
 from meshdeform_core.methods import Options
 from meshdeform_core.parallel import OneRank, holders, sharing
-from meshdeform_core.parallel.scratch import RESERVE
 from meshdeform_core.repair import RepairOptions
 from meshdeform_formats.case import read_case
 from meshdeform_formats.grids import format_of
@@ -23,12 +22,13 @@ from meshdeform_formats.report import Report
 from meshdeform_formats.report.parts import head_part
 from meshdeform_samples import folder, load
 
-from .rates import ONE, RATES, Levels
+from .rates import ONE, RATES, Levels, beside_files
 
 _SAMPLE, _SIZE, _TIMES = "hemisphere", 32, 3
-# Bytes per node in files: coordinates before and after, and the verdict and one measure of every cell.
+# Bytes per node in files: coordinates before and after, the verdict and one measure of every cell. Bytes per node on
+# block faces in those of every rank.
 _COORDINATES = 24
-_IN_FILES = 2 * _COORDINATES + 5
+_IN_FILES, _OF_FACES = 2 * _COORDINATES + 4, 38
 
 
 @dataclass(frozen=True)
@@ -67,11 +67,11 @@ def expense_of(
     seconds = None
     if rates:
         seconds = rates.seconds(grid, levels, ranks.on_first(lambda: _sample_seconds(case.method)))
-    # Pages of mapped files are released some way below the limit: measured, two thirds of the reserve remain in use.
-    least = limit.size - RESERVE // 3
-    work = (_IN_FILES + (_COORDINATES * more)) * grid.n_nodes if files else 0
+    work = (
+        (_IN_FILES + _COORDINATES * more) * grid.n_nodes + _OF_FACES * grid.n_face_nodes * ranks.count if files else 0
+    )
     written = levels.count * _written(grid, output, precision, levels.velocity) if output is not None else 0
-    memory = min(memory, least) if files else memory
+    memory = min(memory, beside_files(grid, limit)) if files else memory
     return Expense(ranks.count, int(memory) + limit.taken, work, written, seconds)
 
 
