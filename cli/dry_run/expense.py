@@ -25,10 +25,10 @@ from meshdeform_samples import folder, load
 from .rates import ONE, RATES, Levels, beside_files
 
 _SAMPLE, _SIZE, _TIMES = "hemisphere", 32, 3
-# Bytes per node in files: coordinates before and after, the verdict and one measure of every cell. Bytes per node on
-# block faces in those of every rank.
+# Bytes per node in files: coordinates before and after, the verdict and one measure of every cell; further ones of a
+# series. Bytes per node on block faces in those of every rank.
 _COORDINATES = 24
-_IN_FILES, _OF_FACES = 2 * _COORDINATES + 4, 38
+_IN_FILES, _OF_SERIES, _OF_FACES = 2 * _COORDINATES + 4, 32, 38
 
 
 @dataclass(frozen=True)
