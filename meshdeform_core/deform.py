@@ -143,8 +143,8 @@ def impose(
     if steps != "auto" and not (isinstance(steps, int) and steps > 0):
         raise CaseError(f'steps = {steps!r}; expected a whole number >= 1 or "auto"')
     if course.components:
-        return _joined(course, [(own, _result(_imposed(each, steps))) for own, each in course.components])
-    return _result(_imposed(course, steps))
+        return _joined(course, [(own, _result(_imposed(each, steps), start)) for own, each in course.components])
+    return _result(_imposed(course, steps), start)
 
 
 def _imposed(course: Course, steps: int | str) -> Reached:
@@ -184,11 +184,14 @@ def _joined(course: Course, found: list[tuple[Component, Result]]) -> Result:
     )
 
 
-def _result(reached: Reached) -> Result:
+def _result(reached: Reached, start: Start | None) -> Result:
     state, failed = reached
     course, setup, last = state.course, state.course.setup, state.last
+    motion = patch_motions(setup.problem, course.total)
     # The motion is complete: free what the method has prepared, to make room for the assessment.
     course.latest.put(state.points, state.options, None)
+    if start is None:
+        setup.problem.forget()
     final = course.rounded(state.points)
     with course.timing.stage("quality"):
         assessment = assess(setup.original, final, setup.boundary, last.cells if last else None)
@@ -212,7 +215,7 @@ def _result(reached: Reached) -> Result:
                 course.log.warnings, state.notices.values(), _nearly_collapsed(assessment), _overlaps(state, assessment)
             )
         ),
-        motion=patch_motions(setup.problem, course.total),
+        motion=motion,
         attempts=tuple(course.log.attempts),
         repair=sum(state.repairs[1:], state.repairs[0]) if state.repairs else None,
         way=state.way,

@@ -11,6 +11,7 @@ import shutil
 import sys
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Protocol
 
@@ -284,20 +285,35 @@ def peak_memory() -> int:
 
 def release_freed() -> None:
     """Return to the system, before more memory is taken, what the C library retains of freed memory (GNU C library
-    only), and the code of the compiler, some 50 MiB, which only loading a loop needs: it is read again then (Linux)."""
+    only), and code and constants of the compiler, some 65 MiB, which only loading a loop needs (Linux; they are read
+    again then)."""
     with suppress(OSError, AttributeError, TypeError):
         library = ctypes.CDLL(None)
         library.malloc_trim(0)
-        for begin, end in _code_of(_COMPILER):
-            # As the code of a library is never written to, its pages can be read from the file at any time.
+        for begin, end in _as_in_file(_read_only_parts(_COMPILER)):
+            # Pages that were never written to can be read from the file at any time.
             library.madvise(ctypes.c_void_p(begin), ctypes.c_size_t(end - begin), mmap.MADV_DONTNEED)
 
 
-def _code_of(library: str) -> list[tuple[int, int]]:
-    """First and one past the last address of the code of a shared library in this process."""
+def _read_only_parts(library: str) -> tuple[str, ...]:
+    """First and one past the last address of the parts of a shared library in this process that cannot be written to,
+    as ``begin-end``."""
     with open("/proc/self/maps", encoding="utf-8", errors="replace") as maps:
-        found = [line.split()[0].split("-") for line in maps if library in line and " r-xp " in line]
-    return [(int(begin, 16), int(end, 16)) for begin, end in found]
+        return tuple(line.split()[0] for line in maps if library in line and re.search(" r-.p ", line))
+
+
+@lru_cache(maxsize=1)
+def _as_in_file(parts: tuple[str, ...]) -> list[tuple[int, int]]:
+    """Those of some read-only parts of a library, by their addresses, that were not changed when it was loaded."""
+    found, part = dict[str, int](), ""
+    with open("/proc/self/smaps", encoding="utf-8", errors="replace") as sizes:
+        for line in sizes:
+            key, _, rest = line.partition(" ")
+            part = key if "-" in key else part
+            if key in ("Anonymous:", "Swap:"):
+                found[part] = found.get(part, 0) + int(rest.split()[0])
+    same = [part.split("-") for part in parts if found.get(part) == 0]
+    return [(int(begin, 16), int(end, 16)) for begin, end in same]
 
 
 def _first_number(path: Path, key: str) -> int | None:

@@ -23,6 +23,7 @@ import scipy
 from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
+from ..memory import release_freed
 from ..notices import Notice
 from ..numerics.arrays import places_among
 from ..numerics.geometry.coincidence import distinct
@@ -257,17 +258,13 @@ class _Surface:
 
     @cached_property
     def tree(self) -> FaceTree:
-        return FaceTree(self.points, self.faces, self.role)
+        release_freed()
+        tree = FaceTree(self.points, self.faces, self.role)
+        release_freed()
+        return tree
 
     def shift(self, gap: float) -> FloatArray:
         """Pseudo-random shift (n, 3) of the points, by which faces that come closer than ``gap`` cross somewhere."""
-        return self._perturbation(gap) if gap else self._touching
-
-    @cached_property
-    def _touching(self) -> FloatArray:
-        return self._perturbation(0.0)
-
-    def _perturbation(self, gap: float) -> FloatArray:
         amplitude = np.where(np.isfinite(self.edge), self._amplitude(gap), 0.0)
         sides = len(self.points) // len(self.nodes)
         rows = np.concatenate([self.nodes + side * self._n_unique for side in range(sides)])

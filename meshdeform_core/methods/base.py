@@ -119,6 +119,12 @@ class Problem:
         """Rotations of the moving walls; zero at the other sources."""
         return SurfaceRotations(self.source_points, self.surface.corners, self.surface.edges, self.plane_normal)
 
+    def forget(self) -> None:
+        """Free the arrays of sources and their surface, which are computed again when asked for; for a problem of which
+        no method is prepared any more."""
+        for name in ("source_flat", "source_points", "surface", "rotations", "first_cell_height"):
+            self.__dict__.pop(name, None)
+
     @cached_property
     def first_cell_height(self) -> FloatArray:
         """Smallest distance (n_sources,) from each source to the next node off the wall, over its faces."""

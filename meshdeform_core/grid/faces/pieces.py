@@ -22,7 +22,9 @@ from ..windows import Rectangles, rectangles
 
 _SAMPLED_LINES = 12
 _TOGETHER = 100_000
-"""Nodes or quads processed at a time: few enough for the processor's cache."""
+"""Nodes of pieces processed at a time, which bounds the memory."""
+_QUADS = 1 << 14
+"""Quads processed at a time: half a kilobyte of intermediate values for each."""
 
 
 @dataclass(frozen=True)
@@ -99,8 +101,8 @@ def quad_geometry(grid: Grid, topology: Topology) -> QuadGeometry:
     normal = plane_normal(grid)
     if normal is not None:
         normal = normal * np.sign(normal[int(np.argmax(np.abs(normal)))])
-    for lo in range(0, count, _TOGETHER):
-        some = slice(lo, min(lo + _TOGETHER, count))
+    for lo in range(0, count, _QUADS):
+        some = slice(lo, min(lo + _QUADS, count))
         corners = grid.points[topology.first[topology.quads.corners[some]]]
         outward = _outward(corners, normal)
         arm = _mean_first_edges(grid, topology.quads, np.arange(some.start, some.stop))

@@ -140,10 +140,15 @@ class ExactEvaluator:
         Only moving sources are summed.
         """
         assert fit.still is not None
-        values, sums = fit.values - fit.still[:, None], np.empty((len(x), 1 + len(fit.values)))
+        sums = np.empty((len(x), 1 + len(fit.values)))
         sums[:, 0], sums[:, 1:] = total, total[:, None] * fit.still
         for group, weights in zip(self.bound.groups, fit.weights, strict=True):
-            some = group[values[:, group].any(axis=0)]
-            near = fit.path[0][some], self.bound.strength[some]
-            sums[:, 1:] += weighted_sums(x, *near, weights, values[:, some], chunk=_CHECKED)[:, 1:]
+            moving = np.zeros(len(group), dtype=bool)
+            # Value by value: the differences of all of them would take as much memory as the values.
+            for value, rest in zip(fit.values, fit.still, strict=True):
+                moving |= value[group] != rest
+            some = group[moving]
+            near, values = (fit.path[0][some], self.bound.strength[some]), fit.values[:, some]
+            values -= fit.still[:, None]
+            sums[:, 1:] += weighted_sums(x, *near, weights, values, chunk=_CHECKED)[:, 1:]
         return sums
