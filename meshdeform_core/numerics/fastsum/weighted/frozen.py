@@ -30,7 +30,7 @@ Make = Callable[[slice, IntArray, int], FloatArray]
 _MOST_PORTIONS = 64
 _SOURCES = 2048
 # Charges of groups that do not act.
-_NONE = Charges(np.empty((0, 3 + CHARGES)), np.empty(0, dtype=np.int64), False)
+_NONE = Charges(np.empty((0, 3 + CHARGES)), np.empty(0, dtype=np.int64), np.empty((0, 2), dtype=np.int64), False)
 
 
 class Accuracy(NamedTuple):

@@ -70,7 +70,8 @@ class Plan:
     moving : for each tree, which clusters (m,) hold sources that move
     weight : (n, 1 + lasting) of every target in the order of the bricks, and its sums of values that never change,
         known once ``weighed``; ``None`` without room
-    used : for each tree, whether the interpolation points of a cluster (m,) act anywhere, known after :meth:`survey`
+    used, direct : for each tree, whether the interpolation points of a cluster (m,) act anywhere, and whether its
+        sources do by themselves, known after :meth:`survey`
     """
 
     def __init__(
@@ -94,7 +95,7 @@ class Plan:
         self.weight = np.empty((rows, 1 + key.lasting)) if weights and size <= room else None
         self.weighed = False
         self._surveyed: tuple[int, int] | None = None
-        self.used = [np.zeros(len(tree.child), dtype=bool) for tree in self._trees]
+        self.used, self.direct = ([np.zeros(len(tree.child), dtype=bool) for tree in self._trees] for _ in range(2))
         self._room = room - size
 
     def survey(self, chunk: int) -> None:
@@ -119,8 +120,9 @@ class Plan:
             list_clusters(first, last, *where, tree, reach, kind, self._allowed, self._mean, self.risk)
             for tree, reach, kind in zip(self._trees, key.reaches, key.kinds, strict=True)
         ]
-        for used, lists in zip(self.used, found, strict=True):
-            used[lists.codes[lists.codes & 1 == 0] >> 1] = True
+        for used, direct, lists in zip(self.used, self.direct, found, strict=True):
+            for acting, raw in ((used, 0), (direct, 1)):
+                acting[lists.codes[lists.codes & 1 == raw] >> 1] = True
         size = sum(lists.codes.nbytes + lists.stop.nbytes for lists in found)
         if size <= self._room:
             self._room -= size

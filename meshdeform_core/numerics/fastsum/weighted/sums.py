@@ -212,7 +212,7 @@ class FastSums:
         """Charges of one pass, per group: of the values ``which``; ``weighing`` includes the strength itself, whose sum
         is the weight."""
         charges = []
-        for (group, tree), used in zip(self._groups, plan.used, strict=True):
+        for (group, tree), used, direct in zip(self._groups, plan.used, plan.direct, strict=True):
             (rows, start), members = charge_rows(tree, used), group[tree.order]
             for lo in range(0, len(members), _TOGETHER):
                 some = members[lo : lo + _TOGETHER]
@@ -221,7 +221,7 @@ class FastSums:
                     source[:, 0] = self._strength[some]
                 values = self._strength[some] * scaled.part(which, some)
                 source[:, 1 : 1 + len(values)] = values.T
-            charges.append(gather(tree, rows, start))
+            charges.append(gather(tree, rows, start).of_sources(tree, direct))
         return charges
 
 

@@ -41,13 +41,32 @@ class Charges(NamedTuple):
     ----------
     rows : (n + k, 11) coordinates and charges of the sources in tree order, then of the interpolation points
     start : (m + 1,) first row of the interpolation points of each cluster
+    span : (m, 2) first row of the sources of each cluster, and one past the last
     all : whether the first or the last charge can be nonzero; the first, the strength, is omitted once the weights are
         known, and the last is needed by few kinds of rotation only
     """
 
     rows: np.ndarray
     start: np.ndarray
+    span: np.ndarray
     all: bool
+
+    def of_sources(self, tree: SourceTree, direct: BoolArray) -> Charges:
+        """The same without the sources of clusters that are not ``direct`` (m,): where only interpolation points act.
+
+        A rank that holds a part of the grid needs few sources by themselves.
+        """
+        n, ends = len(tree.order), np.zeros(len(tree.order) + 1, dtype=np.int32)
+        np.add.at(ends, tree.span[direct, 0], 1)
+        np.subtract.at(ends, tree.span[direct, 1], 1)
+        kept = np.cumsum(ends[:n]) > 0
+        place = np.append(0, np.cumsum(kept))
+        if 2 * place[n] > n:
+            return self
+        rows = np.empty((place[n] + len(self.rows) - n, self.rows.shape[1]))
+        np.compress(kept, self.rows[:n], axis=0, out=rows[: place[n]])
+        rows[place[n] :] = self.rows[n:]
+        return Charges(rows, self.start - (n - place[n]), place[tree.span], self.all)
 
 
 def charge_rows(tree: SourceTree, used: BoolArray | None = None) -> tuple[FloatArray, IntArray]:
@@ -70,7 +89,7 @@ def gather(tree: SourceTree, rows: FloatArray, start: IntArray) -> Charges:
     active = charged[tree.span[:, 1]] > charged[tree.span[:, 0]]
     cut = _portions(tree, start)
     for_chunks(lambda lo, hi: gather_charges(tree, rows, start, active, cut[lo], cut[hi]), len(cut) - 1, 1)
-    return Charges(rows, start, bool(source[:, [0, -1]].any()))
+    return Charges(rows, start, tree.span, bool(source[:, [0, -1]].any()))
 
 
 def _portions(tree: SourceTree, start: IntArray) -> IntArray:
@@ -171,7 +190,7 @@ def sum_lists(
     active = acting[number]
     number, raw = number[active], raw[active]
     # Rows of each list entry: those of a cluster's interpolation points, or of its sources.
-    rows = np.where(raw, tree.span[number].T, np.stack([charges.start[number], charges.start[number + 1]])).T
+    rows = np.where(raw, charges.span[number].T, np.stack([charges.start[number], charges.start[number + 1]])).T
     stop = np.append(0, np.cumsum(active))[np.append(0, lists.stop)]
     clusters = np.ascontiguousarray(rows), spans(stop)
     a, b, kappa, single = function
