@@ -12,7 +12,7 @@ import pytest
 BESIDE = Path(sys.executable).with_name("mpiexec")
 MPIEXEC = str(BESIDE) if BESIDE.exists() else shutil.which("mpiexec")
 TESTS = Path(__file__).parent
-LIMIT = 120
+LIMIT = 240
 
 needs_mpi = pytest.mark.skipif(
     MPIEXEC is None or importlib.util.find_spec("mpi4py") is None,
