@@ -26,7 +26,7 @@ from meshdeform_core.numerics.fastsum.clusters.tree import build_tree, gather_ch
 from meshdeform_core.numerics.fastsum.radial.sums import FastRadial
 from meshdeform_core.numerics.fastsum.radial.targets import make_radial_targets
 from meshdeform_core.numerics.fastsum.weighted import sums as fastsum
-from meshdeform_core.numerics.fastsum.weighted.treesum import charge_rows, gather
+from meshdeform_core.numerics.fastsum.weighted.treesum import Charges, charge_rows, gather
 from meshdeform_core.parallel import alone
 
 VARIANTS = {
@@ -313,3 +313,20 @@ def test_what_ranks_know_of_clusters_does_not_serve_one_of_them_alone(problem):
             return abs(together - expected).max(), abs(prepared.apply(displacement) - expected).max()
 
     np.testing.assert_allclose(on_ranks(2, differ), 0.0, atol=1e-13)
+
+
+def test_sources_that_act_through_clusters_only_are_left_out():
+    rng = np.random.default_rng(3)
+    tree = build_tree(rng.random((1000, 3)), 4)
+    n, leaves = 1000, np.flatnonzero(tree.child < 0)
+    rows, start = rng.random((n + 7, 11)), np.minimum(n + np.arange(len(tree.child) + 1), n + 7)
+    direct = np.zeros(len(tree.child), dtype=bool)
+    direct[leaves[[1, 4, 5]]] = True
+    found = Charges(rows, start, tree.span, True).of_sources(tree, direct)
+    assert len(found.rows) == 7 + np.diff(tree.span[direct], axis=1).sum()
+    for cluster in np.flatnonzero(direct):
+        assert np.array_equal(found.rows[slice(*found.span[cluster])], rows[slice(*tree.span[cluster])])
+    for cluster in range(len(tree.child)):
+        assert np.array_equal(
+            found.rows[slice(*found.start[cluster : cluster + 2])], rows[slice(*start[cluster : cluster + 2])]
+        )
