@@ -102,7 +102,7 @@ def test_damaged_headers_are_read_as_by_the_library_or_refused(tmp_path, oldest)
     with h5py.File(path) as file:
         groups = [file[name] for name in ("Base/z", "Base/z/ZoneType", "Base/z/ZoneType/ data")]
         places = [h5o.get_info(group.id).addr for group in groups]
-    for at in sorted({at for place in places for at in range(place, place + 160)}):
+    for at in sorted({at for place in places for at in range(place, place + 160, 3)}):
         damaged.write_bytes(raw[:at] + bytes([raw[at] ^ 1 << at % 8]) + raw[at + 1 :])
         found, expected = outcome(through_headers, damaged), outcome(through_library, damaged)
         # Of version 1, which has no checksums, the library refuses some fields that nobody needs.
