@@ -131,12 +131,12 @@ def _in_zones(grid: Grid | Layout) -> bool:
     return grid.format is not None and grid.format.name == "cgns"
 
 
-JUDGING = Stage(166e6, 57, 150)
+JUDGING = Stage(151e6, 57, 150)
 """While the grid is judged: faces get roles, lines at walls and interfaces are measured; the method has been freed."""
 IN_FILES = Stage(241e6, 3.6, 58)
 """What is not in files where large arrays are."""
 RATES = {
-    "tfi": Rates(Stage(152e6, 52, 110, largest=22), 1.57, 0.45e-6, 2.8e-6, 0.29e-6, 0.27),
-    "idw": Rates(Stage(154e6, 88, 50, 395), 1.96, 1.37e-6, 6.4e-6, 0.95e-6, 0.58),
-    "idw-tfi": Rates(Stage(154e6, 57, 80, 395), 2.41, 0.82e-6, 5.4e-6, 0.4e-6, 0.46),
+    "tfi": Rates(Stage(137e6, 52, 110, largest=22), 1.57, 0.45e-6, 2.8e-6, 0.29e-6, 0.27),
+    "idw": Rates(Stage(139e6, 88, 50, 395), 1.96, 1.37e-6, 6.4e-6, 0.95e-6, 0.58),
+    "idw-tfi": Rates(Stage(139e6, 57, 80, 395), 2.41, 0.82e-6, 5.4e-6, 0.4e-6, 0.46),
 }

@@ -111,11 +111,11 @@ def test_a_series_of_a_billion_nodes_is_foretold_from_a_header(sparse, call, ben
     assert not (tmp_path / "levels").exists()
 
 
-# Largest resident size in MB of `deform` on boxes of 1, 10 and 1,000 cubes with so many nodes along each edge.
+# Largest resident size in MB, less 15 where constants of the compiler had stayed in memory, of `deform` on boxes of 1, 10 and 1,000 cubes with so many nodes along each edge.
 MEASURED = (
-    ("tfi", 1, 229, 1081), ("tfi", 10, 74, 462), ("tfi", 1000, 20, 942), ("idw", 1, 229, 1348), ("idw", 1000, 20, 1041),
-    ("idw-tfi", 1, 100, 243), ("idw-tfi", 1, 229, 985), ("idw-tfi", 10, 74, 473), ("idw-tfi", 1000, 8, 252),
-    ("idw-tfi", 1000, 27, 1844),
+    ("tfi", 1, 229, 1066), ("tfi", 10, 74, 447), ("tfi", 1000, 20, 921), ("idw", 1, 229, 1333), ("idw", 1000, 20, 1026),
+    ("idw-tfi", 1, 100, 228), ("idw-tfi", 1, 229, 970), ("idw-tfi", 10, 74, 458), ("idw-tfi", 1000, 8, 237),
+    ("idw-tfi", 1000, 27, 1829),
 )  # fmt: skip
 
 
@@ -143,7 +143,7 @@ class Four(OneRank):
     count = 4
 
 
-@pytest.mark.parametrize(("method", "peak"), [("idw-tfi", 522), ("tfi", 1102)])
+@pytest.mark.parametrize(("method", "peak"), [("idw-tfi", 522 - 15), ("tfi", 1102 - 15)])
 def test_ranks_are_told_what_each_of_them_takes(method, peak, monkeypatch):
     """MB that the largest of four took, with 12 million nodes in one block, which ``tfi`` fills as a whole."""
     monkeypatch.setattr(expense, "_sample_seconds", lambda _: 0.5)
