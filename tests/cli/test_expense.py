@@ -111,7 +111,8 @@ def test_a_series_of_a_billion_nodes_is_foretold_from_a_header(sparse, call, ben
     assert not (tmp_path / "levels").exists()
 
 
-# Largest resident size in MB, less 15 where constants of the compiler had stayed in memory, of `deform` on boxes of 1, 10 and 1,000 cubes with so many nodes along each edge.
+# Largest resident size in MB, less 15 where constants of the compiler had stayed in memory: `deform` on boxes of 1, 10
+# and 1,000 cubes with so many nodes along each edge.
 MEASURED = (
     ("tfi", 1, 229, 1066), ("tfi", 10, 74, 447), ("tfi", 1000, 20, 921), ("idw", 1, 229, 1333), ("idw", 1000, 20, 1026),
     ("idw-tfi", 1, 100, 228), ("idw-tfi", 1, 229, 970), ("idw-tfi", 10, 74, 458), ("idw-tfi", 1000, 8, 237),
