@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError, GridError
 from meshdeform_core.grid import Grid, Shape
-from meshdeform_core.parallel import of_all, own_rows, rows_of
+from meshdeform_core.parallel import of_all, own_rows, rows_at, rows_of
 
 from .variant import CHOICES, Variant
 
@@ -28,6 +28,8 @@ MOST_BLOCKS = 100_000
 LONGEST_HEADER = 1 + 3 * MOST_BLOCKS
 # Integers that require this many times the size of the file are not a header.
 ABSURD = 1000
+# Nodes judged at a time.
+_TOGETHER = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -158,8 +160,8 @@ def _makes_sense(reading: Reading, file: UnknownFile) -> bool:
         grid = file.load(reading)
     except (FormatError, GridError):
         return False
-    own = rows_of(grid.points)[slice(*own_rows(grid.points))]
-    found = of_all(grid.points, (any(field.own.any() for field in grid.fields), bool(np.isnan(own).any())))
+    has_nan = _found(rows_of(grid.points), range(*own_rows(grid.points)), np.isnan)[0] > 0
+    found = of_all(grid.points, (any(field.own.any() for field in grid.fields), has_nan))
     all_blanked = reading.variant.iblank and not any(shown for shown, _ in found)
     return not all_blanked and not any(nan for _, nan in found) and _senseless_share(grid, reading.variant) == 0
 
@@ -177,17 +179,35 @@ def _require_sense(grid: Grid, reading: Reading, path: Path) -> None:
 
 def _senseless_share(grid: Grid, variant: Variant, step: int = 1) -> float:
     """Fraction of implausible coordinates or IBLANK values, among every ``step``-th node."""
+    tiny = np.finfo(variant.precision).tiny
+
+    def implausible(coordinates: NDArray[Any]) -> NDArray[np.bool_]:
+        size = np.abs(coordinates)
+        return ((size < tiny) & (size > 0)) | (size > 1e30)
+
+    def no_flag(values: NDArray[Any]) -> NDArray[np.bool_]:
+        # Negative IBLANK values are numbers of neighbouring blocks.
+        return np.abs(values.astype(np.int64)) > MOST_BLOCKS
+
     low, high = own_rows(grid.points)
-    size = np.abs(rows_of(grid.points)[low + -low % step : high : step])
-    bad = [((size < np.finfo(variant.precision).tiny) & (size > 0)) | (size > 1e30)]
+    own = [_found(rows_of(grid.points), range(low + -low % step, high, step), implausible)]
     for field in grid.fields:
         _, nj, nk = grid.shapes[field.block]
         first = grid.planes(field.block).start * nj * nk
-        # Negative IBLANK values are numbers of neighbouring blocks.
-        bad.append(np.abs(field.own.reshape(-1)[-first % step :: step].astype(np.int64)) > MOST_BLOCKS)
-    counts = of_all(grid.points, [(int(part.sum()), part.size) for part in bad])
-    wrong, all_values = np.sum(counts, axis=0).T
+        flags = field.own.reshape(-1)
+        own.append(_found(flags, range(-first % step, flags.size, step), no_flag))
+    wrong, all_values = np.sum(of_all(grid.points, own), axis=0).T
     return float((wrong / all_values).max())
+
+
+def _found(values: NDArray[Any], rows: range, judge: Callable[[NDArray[Any]], NDArray[np.bool_]]) -> tuple[int, int]:
+    """How many numbers in some ``rows`` of an array, which may be in a file, are as ``judge`` says, and of how many."""
+    found = count = 0
+    for lo in range(0, len(rows), _TOGETHER):
+        some = rows[lo : lo + _TOGETHER]
+        judged = judge(rows_at(values, np.arange(some.start, some.stop, some.step)))
+        found, count = found + int(judged.sum()), count + judged.size
+    return found, count
 
 
 def _nothing_fits(tried: list[Reading], allowed: list[Reading], file: UnknownFile) -> str:

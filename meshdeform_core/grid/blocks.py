@@ -117,7 +117,13 @@ class Grid(BlockSizes):
 
     def total_of(self, values: FloatArray) -> FloatArray:
         """Sum (3,) of ``values`` (n_nodes, 3), piece by piece: the same to the last bit for any ranks."""
-        sums = [total(values[rows]) for rows in self.own_pieces()]
+        pieces = self.own_pieces()
+        sums = np.zeros((len(pieces), 3))
+
+        def add(number: int) -> None:
+            sums[number] = total(values[pieces[number]])
+
+        for_items(add, len(pieces), threads=None)
         return np.asarray(sum(each for found in of_all(values, sums) for each in found))
 
     def own_pieces(self) -> list[slice]:

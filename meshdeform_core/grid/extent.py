@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import GridError
 from ..numerics.arrays import batches, extent
-from ..parallel import Part, of_all, rows_at
+from ..parallel import Part, for_items, of_all, rows_at
 from ..wording import vector
 from .blocks import FloatArray, Grid
 
@@ -23,14 +23,19 @@ def block_extents(grid: Grid) -> tuple[FloatArray, FloatArray]:
     if isinstance(grid.points, Part):
         return _extents_of_parts(grid)
     low, high = (np.empty((grid.n_blocks, 3)) for _ in range(2))
-    for first, last in batches(np.diff(grid.offsets), _TOGETHER):
+    together = batches(np.diff(grid.offsets), _TOGETHER)
+
+    def find(number: int) -> None:
+        first, last = together[number]
         rows = grid.points[grid.offsets[first] : grid.offsets[last]]
         if last == first + 1:
             low[first], high[first] = extent(rows)
-            continue
+            return
         starts = grid.offsets[first:last] - grid.offsets[first]
         for extreme, found in ((np.minimum, low), (np.maximum, high)):
             extreme.reduceat(rows, starts, axis=0, out=found[first:last])
+
+    for_items(find, len(together), threads=None)
     return low, high
 
 

@@ -1,8 +1,8 @@
 """Large arrays in files mapped into memory, for grids that do not fit.
 
-The operating system keeps as much of such a file in memory as fits; a watching thread releases pages before the process
-exceeds its limit. All loops traverse large arrays from one end to the other, so each pass reads them once. Results do
-not depend on where an array is stored.
+The operating system keeps as much of such a file in memory as fits; a watching thread, and the loops themselves,
+release pages before the process exceeds its limit. All loops traverse large arrays from one end to the other, so each
+pass reads them once. Results do not depend on where an array is stored.
 """
 
 from __future__ import annotations
@@ -26,6 +26,9 @@ SMALLEST = 1 << 24
 # Pages are released when memory comes within this many bytes (at most half the limit) of the limit: as much as was seen
 # to be touched between two checks on a busy machine.
 RESERVE = 384 * 2**20
+# Pages of files are also released when they exceed one part in this many of the limit (at least what is reserved): the
+# more memory is free, the longer a busy system may keep the watching thread waiting.
+_FILES = 4
 _SECONDS = 0.01
 
 
@@ -90,7 +93,7 @@ class Scratch:
 
     def __init__(self, folder: Path, limit: int) -> None:
         self._folder = folder
-        self._full = max(limit - RESERVE, limit // 2)
+        self._full, self._files = max(limit - RESERVE, limit // 2), max(limit // _FILES, RESERVE)
         self._maps: list[weakref.ref[mmap.mmap]] = []
         self._lock, self._watched, self._used = threading.Lock(), False, False
 
@@ -146,7 +149,10 @@ class Scratch:
     def look(self, maps: Sequence[mmap.mmap | None] | None = None) -> None:
         """Release pages if there are too many in memory; also called by loops, as a busy system may not wake the
         watching thread in time."""
-        if self._used and resident_memory() > self._full:
+        if not self._used:
+            return
+        resident, mapped = _resident()
+        if resident > self._full or mapped > self._files:
             for each in [one() for one in self._maps] if maps is None else maps:
                 if each is not None:
                     each.madvise(mmap.MADV_DONTNEED)
@@ -154,8 +160,14 @@ class Scratch:
 
 def resident_memory() -> int:
     """Resident memory of this process in bytes, mapped files included."""
+    return _resident()[0]
+
+
+def _resident() -> tuple[int, int]:
+    """Bytes of resident memory, and of mapped files in it."""
     with open("/proc/self/statm", "rb") as file:
-        return int(file.read().split()[1]) * mmap.PAGESIZE
+        resident, mapped = file.read().split()[1:3]
+    return int(resident) * mmap.PAGESIZE, int(mapped) * mmap.PAGESIZE
 
 
 _scratch: ContextVar[Scratch | None] = ContextVar("scratch", default=None)

@@ -231,3 +231,68 @@ def test_rows_at_any_place_are_those_of_plain_indexing(tmp_path, monkeypatch):
         found = rows_at(array, rows)
         assert found.tobytes() == np.array(array)[rows].tobytes()
         assert rows_at(array, rows[:0]).shape == (0, 2, 3)
+
+
+STARTS = """
+import sys
+from pathlib import Path
+import numpy as np
+from meshdeform_core.parallel import for_chunks, loops, empty, scratch
+from meshdeform_formats import read_grid
+from meshdeform_core.grid.extent import block_extents
+
+class Unwatched(scratch.Scratch):
+    # Pages are released by the loops alone; what they bring in between two looks is recorded.
+    most = 0
+    def blank(self, *rest):
+        self._watched = True
+        return super().blank(*rest)
+    def look(self, maps=None):
+        self.most = max(self.most, scratch._resident()[1])
+        super().look(maps)
+"""
+
+READING = """
+n, count = 50, 32
+file = Path(sys.argv[1]) / "grid.p3dbin"
+with file.open("wb") as out:
+    np.array([count, *(n,) * 3 * count], "<i4").tofile(out)
+    np.random.default_rng(0).uniform(size=3 * count * n**3).tofile(out)
+loops._STRETCHES = 8
+used = Unwatched(Path(sys.argv[1]), 1)
+used._full = used._files = 0
+with scratch.scratch_in(used):
+    before = scratch._resident()[1]
+    grid = read_grid(file)
+    block_extents(grid)
+    grid.total_of(grid.points)
+    print((used.most - before) // 2**20)
+"""
+
+FREE_MEMORY = """
+used = Unwatched(Path(sys.argv[1]), 2**40)
+used._files = 200 * 2**20
+with scratch.scratch_in(used):
+    array = empty((1 << 24, 3))
+    for_chunks(lambda lo, hi: array[lo:hi].fill(1.0), len(array), 1 << 18)
+    print(used.most // 2**20, scratch.Scratch(Path(), 2**32)._files // 2**20)
+"""
+
+
+def printed(code, folder):
+    done = subprocess.run([sys.executable, "-c", STARTS + code, str(folder)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return [int(word) for word in done.stdout.split()]
+
+
+def test_reading_brings_few_pages_into_memory_at_a_time(tmp_path):
+    """A sample of nodes taken all at once would bring in the whole grid, 92 MiB, and so would sums without looks."""
+    (most,) = printed(READING, tmp_path)
+    assert most < 50
+
+
+def test_files_do_not_fill_free_memory(tmp_path):
+    """Of an array of 384 MiB only as much stays in memory as is allowed for files."""
+    most, allowed = printed(FREE_MEMORY, tmp_path)
+    assert most < 260
+    assert allowed == 1024
