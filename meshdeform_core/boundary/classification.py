@@ -15,6 +15,7 @@ from ..grid.selection import select_quads
 from ..grid.sides import end_planes
 from ..grid.topology import Topology
 from ..numerics.geometry.coincidence import distinct
+from ..parallel import rows_at
 from ..wording import vector
 from .coverage import Tables
 from .motions.doubts import tiny_rotations
@@ -224,7 +225,7 @@ def _select(grid: Grid, topology: Topology, spec: BoundarySpec, constants: Mappi
         return quads
     corners = topology.quads.corners[quads]
     nodes = distinct(corners, topology.n_unique)
-    x, y, z = grid.points[topology.first[nodes]].T
+    x, y, z = rows_at(grid.points, topology.first[nodes]).T
     holds = np.broadcast_to(np.asarray(spec.where({**constants, "x": x, "y": y, "z": z})), nodes.shape)
     if np.isnan(holds).any():
         node = int(topology.first[nodes[np.argmax(np.isnan(holds))]])

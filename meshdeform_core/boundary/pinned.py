@@ -10,6 +10,7 @@ from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
 from ..notices import Notice
+from ..parallel import rows_at
 from .classification import Boundary
 
 # Corners of undeformed cells flatter than this, relative to the product of their edges, are collapsed and not judged.
@@ -60,7 +61,7 @@ def find_pinned(grid: Grid, topology: Topology, boundary: Boundary, displacement
     for block in range(grid.n_blocks):
         cells = _cells_of(grid.block(block, known))
         corners = _corners(grid, block, cells)
-        before = grid.points[corners]
+        before = rows_at(grid.points, corners)
         after = before + displacement[topology.numbers_of(corners.ravel())].reshape(before.shape)
         bad = _inverted(before, after, normal)
         count += int(bad.sum())

@@ -13,6 +13,7 @@ from ..errors import CaseError
 from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.planes import FLATNESS, Plane, plane_normal, plane_of
 from ..grid.topology import Topology
+from ..parallel import rows_at
 
 if TYPE_CHECKING:
     from ..numerics.geometry.surface import TriangleTree
@@ -76,7 +77,7 @@ class Slip:
     def _slide(surface: CurvedSurface, displacement: FloatArray, points: FloatArray, first: IntArray) -> None:
         moving = surface.nodes[(displacement[surface.nodes] != 0.0).any(axis=1)]
         if moving.size:
-            start = points[first[moving]]
+            start = rows_at(points, first[moving])
             target = start + displacement[moving]
             triangle, weights, _ = surface.tree.closest(target)
             corners = surface.points[surface.triangles[triangle]]
@@ -107,7 +108,7 @@ def find_sliding(
         bent = []
         for _, part in topology.quads.by_side(quads):
             nodes = np.unique(topology.quads.corners[part])
-            plane = plane_of(grid.points[topology.first[nodes]], normal)
+            plane = plane_of(rows_at(grid.points, topology.first[nodes]), normal)
             if plane is None:
                 bent.append(part)
                 continue
@@ -132,7 +133,7 @@ def _curved_surface(grid: Grid, topology: Topology, quads: IntArray, free: BoolA
     corners = topology.quads.corners[quads]
     nodes, local = np.unique(corners, return_inverse=True)
     local = local.reshape(corners.shape)
-    return CurvedSurface(nodes[free[nodes]], grid.points[topology.first[nodes]], triangles_of(local))
+    return CurvedSurface(nodes[free[nodes]], rows_at(grid.points, topology.first[nodes]), triangles_of(local))
 
 
 def triangles_of(quads: IntArray) -> IntArray:

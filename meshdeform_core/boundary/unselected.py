@@ -14,6 +14,7 @@ from ..grid.planes import plane_normal, plane_of
 from ..grid.selection import quads_of_windows, select_quads
 from ..grid.topology import Topology
 from ..grid.windows import rectangles
+from ..parallel import rows_at
 from ..wording import listed
 
 Region = tuple[Window, IntArray]
@@ -74,7 +75,7 @@ def unselected_notes(grid: Grid, topology: Topology, quads: IntArray, moving: In
 
 def _points(grid: Grid, topology: Topology, window: Window) -> np.ndarray:
     corners = topology.quads.corners[quads_of_windows(topology.quads, [window])[0]]
-    return grid.points[topology.first[np.unique(corners)]]
+    return rows_at(grid.points, topology.first[np.unique(corners)])
 
 
 def opening_notes(

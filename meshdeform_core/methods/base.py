@@ -134,7 +134,8 @@ class Problem:
         for block_side in distinct(topology.quads.block_side[known], 6 * grid.n_blocks):
             block, side = int(block_side) // 6, Side(int(block_side) % 6)
             flat = side_nodes(grid, block, side).ravel()
-            gap = np.linalg.norm(grid.points[flat + inward_step(grid.shapes[block], side)] - grid.points[flat], axis=1)
+            wall, off = rows_at(grid.points, np.stack([flat, flat + inward_step(grid.shapes[block], side)]))
+            gap = np.linalg.norm(off - wall, axis=1)
             np.minimum.at(height, side_numbers(grid, topology, block, side).ravel(), np.where(gap > 0, gap, np.inf))
         own = height[self.source_numbers]
         return np.where(np.isfinite(own), own, topology.edge[self.source_numbers])

@@ -16,7 +16,7 @@ from ..grid.faces.roles import Role
 from ..grid.faces.surfaces import Outside, find_outside
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
-from ..parallel import Part, apart, of_all
+from ..parallel import Part, apart, of_all, rows_at
 from .boundary_cells import interface_cells, wall_cells
 from .measures.cells import CellMeasures, measure_block
 from .shape import shape_of_cells, thickness_of
@@ -212,7 +212,7 @@ class CellFields:
     @cached_property
     def _wall_tree(self) -> scipy.spatial.cKDTree:
         nodes = np.unique(self.topology.quads.corners[self.walls])
-        return scipy.spatial.cKDTree(self.grid.points[self.topology.first[nodes]])
+        return scipy.spatial.cKDTree(rows_at(self.grid.points, self.topology.first[nodes]))
 
     def _box(self, values: np.ndarray, block: int, cells: Cells) -> np.ndarray:
         """A box of cells of an array with one row per cell of the grid."""

@@ -11,6 +11,7 @@ import numpy as np
 from ..boundary import Boundary, Kind
 from ..grid import FloatArray, Grid, IntArray, Shape
 from ..grid.topology import Topology
+from ..parallel import rows_at
 from .measures.cells import measure_block, places
 from .verdict.original import Original
 from .verdict.validity import Failure, Verdict
@@ -106,7 +107,7 @@ def nearest_patches(grid: Grid, topology: Topology, boundary: Boundary | None, a
     if boundary is None or not boundary.patches:
         return [""] * len(at)
     patches = [patch for patch in boundary.patches if patch.kind is Kind.MOVING] or list(boundary.patches)
-    distance = np.stack([_distance(at, grid.points[topology.first[p.nodes]]) for p in patches])
+    distance = np.stack([_distance(at, rows_at(grid.points, topology.first[p.nodes])) for p in patches])
     return [patches[int(n)].name for n in distance.argmin(axis=0)]
 
 

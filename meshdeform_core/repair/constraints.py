@@ -11,6 +11,7 @@ from ..boundary import Boundary, Kind
 from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
+from ..parallel import rows_at
 from ..quality import Original
 from .sliding import Sliding
 
@@ -52,7 +53,7 @@ class Constraints:
         grid, topology = original.grid, original.topology
         held = boundary.kind >= Kind.FIXED
         single = _on_one_surface(topology, boundary)
-        starts, normal = grid.points[topology.first], plane_normal(grid)
+        starts, normal = rows_at(grid.points, topology.first), plane_normal(grid)
         sliding = tuple(Sliding.on(surface, single, starts, normal) for surface in boundary.slip.curved)
         for surface, each in zip(boundary.slip.curved, sliding, strict=True):
             held[np.setdiff1d(surface.nodes, each.nodes)] = True

@@ -10,6 +10,7 @@ import numpy as np
 from ...errors import MotionError
 from ...grid import FloatArray, IntArray
 from ...numerics.arrays import places_among
+from ...parallel import rows_at
 from ..tables.matching import Matching, Nodes, SurfaceData
 from ..tables.transfer import transfer
 from .motion import FollowSequence, Imposed, PreparedStep, level_at
@@ -50,7 +51,7 @@ class Positions:
                 f"{self.label} has no position for {missing.size} of {len(nodes.numbers)} boundary nodes, the first "
                 f"{nodes.label(first)}, number {nodes.numbers[first]}"
             )
-        points = nodes.grid.points[topology.first[self.numbers]]
+        points = rows_at(nodes.grid.points, topology.first[self.numbers])
         moved = points.copy()
         kept = np.sort(np.argsort(np.ptp(nodes.grid.points, axis=0))[3 - self.positions.shape[1] :])
         moved[:, kept] = self.positions

@@ -13,6 +13,7 @@ from ...grid.faces.roles import Role
 from ...grid.faces.surfaces import Surface, find_outside
 from ...grid.topology import Topology
 from ...numerics.geometry.vectors import face_sizes
+from ...parallel import rows_at
 from ...wording import vector
 from .frames import other_frame
 from .matching import AUTOMATIC, Matching, Nodes, SurfaceData, spacings
@@ -45,7 +46,7 @@ def fit_table(grid: Grid, topology: Topology, data: SurfaceData, matching: Match
     points = data.points[:: max(1, len(data.points) // SAMPLE)]
     owner = np.repeat(np.arange(len(surfaces)), [len(surface.quads) for surface in surfaces])
     quads = np.concatenate([np.empty(0, dtype=np.int64), *(surface.quads for surface in surfaces)])
-    corners = grid.points[topology.first[topology.quads.corners[quads]]]
+    corners = rows_at(grid.points, topology.first[topology.quads.corners[quads]])
     center, reach = corners.mean(axis=1), np.linalg.norm(np.ptp(corners, axis=1), axis=1)
     distance, nearest = scipy.spatial.cKDTree(center).query(points)
     on = distance <= reach[nearest]
@@ -118,7 +119,7 @@ def _resolved(grid: Grid, topology: Topology, quads: IntArray, points: FloatArra
     how, tolerance = matching.how, matching.tolerance
     if how == AUTOMATIC:
         nodes = np.unique(topology.quads.corners[quads])
-        distance, nearest = scipy.spatial.cKDTree(grid.points[topology.first[nodes]]).query(points)
+        distance, nearest = scipy.spatial.cKDTree(rows_at(grid.points, topology.first[nodes])).query(points)
         own = distance <= (tolerance or SAME_NODE * topology.edge[nodes[nearest]])
         how = "nearest" if own.mean() >= OWN else "interpolate"
     if how == "interpolate" and tolerance is None:

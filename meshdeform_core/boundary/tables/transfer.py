@@ -11,6 +11,7 @@ from ...errors import MotionError
 from ...grid import BoolArray, FloatArray, Grid, IntArray, Side
 from ...grid.topology import RELATIVE_TOLERANCE, side_nodes
 from ...numerics.geometry.vectors import unit
+from ...parallel import rows_at
 from ...wording import counted, vector
 from .frames import other_frame
 from .matching import Matching, Nodes, SurfaceData, Transfer, spacings
@@ -186,7 +187,7 @@ def _nearest_normals(nodes: Nodes, points: FloatArray) -> FloatArray:
 def _from_deformed_grid(deformed: Grid, matching: Matching, nodes: Nodes) -> Transfer:
     label = deformed.path.name if deformed.path else "deformed grid"
     if deformed.shapes == nodes.grid.shapes:
-        displacement = deformed.points[nodes.topology.first[nodes.numbers]] - nodes.points
+        displacement = rows_at(deformed.points, nodes.topology.first[nodes.numbers]) - nodes.points
         matched = np.ones(len(displacement), dtype=bool)
     else:
         displacement, matched = _from_surface_blocks(deformed, nodes)
@@ -219,7 +220,7 @@ def _closest_face(new: FloatArray, name: str, nodes: Nodes, taken: set[tuple[int
                 continue
             numbers = topology.numbers_of(flat.ravel()).reshape(flat.shape)
             if np.isin(numbers, nodes.numbers).all():
-                gap = np.sqrt(np.mean((grid.points[flat] - new) ** 2))
+                gap = np.sqrt(np.mean((rows_at(grid.points, flat) - new) ** 2))
                 candidates.append((float(gap), block, side, numbers))
     candidates.sort(key=lambda entry: entry[:3])
     size = " x ".join(str(n) for n in new.shape[:-1])
