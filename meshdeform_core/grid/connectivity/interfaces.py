@@ -13,6 +13,9 @@ from ..parts import Connection, Shape, Side
 from ..topology import Topology
 from ..windows import Rectangles, rectangles
 
+# Quads mapped at a time, which limits memory.
+_TOGETHER = 1 << 16
+
 
 def find_interfaces(grid: Grid, topology: Topology) -> tuple[Connection, ...]:
     """One connection per rectangle of shared quads; each interface once, from the block side with the lower number."""
@@ -72,12 +75,14 @@ def _index_maps(grid: Grid, topology: Topology, quads: IntArray, pair: IntArray)
         offset = donor_local[seed] - np.einsum("nij,nj->ni", matrix, local[seed])
         found.append(_Maps(pair[seed], matrix, offset, donor[seed]))
         left = np.flatnonzero(fits < 0)
-        number = np.searchsorted(pair[seed], pair[left])
-        known = np.append(pair[seed], -1)[number] == pair[left]
-        left, number = left[known], number[known]
-        image = np.einsum("nij,nj->ni", matrix[number], local[left]) + offset[number]
-        same = (image == donor_local[left]).all(axis=1)
-        fits[left[same]] = count + number[same]
+        for lo in range(0, len(left), _TOGETHER):
+            some = left[lo : lo + _TOGETHER]
+            number = np.searchsorted(pair[seed], pair[some])
+            known = np.append(pair[seed], -1)[number] == pair[some]
+            some, number = some[known], number[known]
+            image = np.einsum("nij,nj->ni", matrix[number], local[some]) + offset[number]
+            same = (image == donor_local[some]).all(axis=1)
+            fits[some[same]] = count + number[same]
         count += len(seed)
         waiting = waiting[~hopeless & (fits[waiting] < 0)]
     parts = [[getattr(each, name) for each in found] for name in ("pair", "matrix", "offset", "donor")]
