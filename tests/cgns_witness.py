@@ -16,6 +16,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+from h5py import h5g, h5p, h5t
 
 TYPES = {"i1": "C1", "u1": "B1", "i4": "I4", "i8": "I8", "u4": "U4", "u8": "U8", "f4": "R4", "f8": "R8"}
 
@@ -61,13 +62,21 @@ def write_hdf5(
     return path
 
 
+def _group(parent: h5py.Group, name: str, track: bool) -> h5py.Group:
+    """A group that tracks the creation of links alone: for the oldest libraries its header has version 1."""
+    links, order = h5p.create(h5p.LINK_CREATE), h5p.create(h5p.GROUP_CREATE)
+    links.set_char_encoding(h5t.CSET_UTF8)
+    order.set_link_creation_order(h5p.CRT_ORDER_TRACKED | h5p.CRT_ORDER_INDEXED if track else 0)
+    return h5py.Group(h5g.create(parent.id, name.encode(), links, order))
+
+
 def _attributes(group: h5py.Group, name: str, label: str, kind: str) -> None:
     for key, text, length in (("name", name, 33), ("label", label, 33), ("type", kind, 3)):
         group.attrs.create(key, np.array(text.encode(), f"S{length}"))
 
 
 def _write(parent: h5py.Group, node: N, dataset: dict[str, Any], track: bool, order: int) -> None:
-    group = parent.create_group(node.name, track_order=track)
+    group = _group(parent, node.name, track)
     if not track:
         group.attrs["order"] = order
     if node.link:

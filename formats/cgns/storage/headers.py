@@ -20,20 +20,23 @@ from numpy.typing import NDArray
 from .checksum import Checksums
 from .tree import DTYPES
 
+_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _UNDEFINED = 0xFFFFFFFFFFFFFFFF
 # Kinds of messages in headers.
 _SPACE, _LINK_INFO, _TYPE, _LINK, _LAYOUT, _ATTRIBUTE = 0x01, 0x02, 0x03, 0x06, 0x08, 0x0C
-_CONTINUATION, _ATTRIBUTE_INFO = 0x10, 0x15
-_USED = {_SPACE, _LINK_INFO, _TYPE, _LINK, _LAYOUT, _ATTRIBUTE, _ATTRIBUTE_INFO}
-# Gaps, fill values, times, hints about the size of groups, numbers of names: nothing that a node needs.
-_UNUSED = {0x00, 0x04, 0x05, 0x0A, 0x0E, 0x12, 0x16}
-_SHARED = 2
+_GAP, _OLD_FILL, _FILL, _GROUP_INFO = 0x00, 0x04, 0x05, 0x0A
+_CONTINUATION, _TIME, _ATTRIBUTE_INFO = 0x10, 0x12, 0x15
+_FOR_NODES = {_SPACE, _LINK_INFO, _TYPE, _OLD_FILL, _FILL, _LINK, _LAYOUT, _GROUP_INFO, _ATTRIBUTE, _ATTRIBUTE_INFO}
+_KNOWN = _FOR_NODES | {_GAP, _TIME, _CONTINUATION}
+# All but "constant" and "not to be shared", which concern writers; one of them means: stored elsewhere.
+_UNUSUAL_FLAGS = 0xFF & ~0b101
 _MOST_CHUNKS = 64
 # Bytes that are read at once; most headers have fewer.
 _GUESS = 512
 _LONGEST_TEXT = 255
 _OLD_HEADER, _OLD_MESSAGE, _NEW_MESSAGE = struct.Struct("<BxHII4x"), struct.Struct("<HHB3x"), struct.Struct("<BHB")
 _NUMBER, _TWO, _FOUR, _SIZES = struct.Struct("<Q"), struct.Struct("<QQ"), struct.Struct("<4Q"), struct.Struct("<HHH")
+_SIGNED = struct.Struct("<q")
 # Numbers as HDF5 describes them, from the second byte on: the first has a version, without effect on numbers.
 _NUMBERS = {h5t.py_create(dtype).encode()[3:]: dtype for dtype in DTYPES.values() if dtype.kind in "iuf"}
 _LENGTHS = {0: 12, 1: 20}
@@ -112,32 +115,34 @@ class Headers:
         """Kinds and contents of the messages in a header."""
         head = self._bytes(address, min(_GUESS, max(self._size - address, 0)))
         if head[0] == 1:
-            size = _OLD_HEADER.unpack_from(head)[3]
-            return self._old_messages(address + 16, size, head[16:])
+            return self._old_messages(address, head)
         if head[:5] == b"OHDR\2":
             return self._new_messages(address, head)
         raise _UnusualError
 
-    def _old_messages(self, at: int, size: int, raw: bytes) -> list[tuple[int, bytes]]:
-        """Those from byte ``at`` on, of which the bytes ``raw`` are already known, and their continuations."""
-        found, chunks, unpack = list[tuple[int, bytes]](), [(at, size)], _OLD_MESSAGE.unpack_from
+    def _old_messages(self, address: int, raw: bytes) -> list[tuple[int, bytes]]:
+        """Those of the header at an address, of which the bytes ``raw`` are already known, and their continuations."""
+        _, declared, _, size = _OLD_HEADER.unpack_from(raw)
+        found, chunks, unpack = list[tuple[int, bytes]](), [(address + 16, size)], _OLD_MESSAGE.unpack_from
+        raw, count = raw[16:], 0
         for at, size in chunks:
             if len(raw) < size:
                 raw = self._bytes(at, size)
             begin = 8
             while begin <= size:
                 kind, length, flags = unpack(raw, begin - 8)
-                end = begin + length
+                count, end = count + 1, begin + length
+                _require(kind in _KNOWN and not flags & _UNUSUAL_FLAGS)
                 if kind == _CONTINUATION:
                     chunks.append(_TWO.unpack_from(raw, begin))
-                elif kind not in _UNUSED:
-                    if kind not in _USED or flags & _SHARED:
-                        raise _UnusualError
+                elif kind in _FOR_NODES:
                     found.append((kind, raw[begin:end]))
                 begin = end + 8
             raw = b""
             # The last message ends with its chunk.
             _require(begin == size + 8 and len(chunks) <= _MOST_CHUNKS)
+        # In place of a checksum: damaged kinds and sizes of messages often change their number.
+        _require(count == declared)
         return found
 
     def _new_messages(self, address: int, raw: bytes) -> list[tuple[int, bytes]]:
@@ -155,11 +160,10 @@ class Headers:
             while begin <= size - 4:
                 kind, length, flags = unpack(raw, begin - before)
                 end = begin + length
+                _require(kind in _KNOWN and not flags & _UNUSUAL_FLAGS)
                 if kind == _CONTINUATION:
                     chunks.append(_TWO.unpack_from(raw, begin))
-                elif kind not in _UNUSED:
-                    if kind not in _USED or flags & _SHARED:
-                        raise _UnusualError
+                elif kind in _FOR_NODES:
                     found.append((kind, raw[begin:end]))
                 begin = end + before
             # A gap too small for a message may be left.
@@ -176,6 +180,8 @@ def _require(usual: bool) -> None:
 
 def _plain(superblock: bytes) -> bool:
     """Whether addresses have eight bytes and count from the first byte of the file, and nothing extends the format."""
+    if not superblock.startswith(_SIGNATURE):
+        return False
     version = superblock[8]
     if version < 2:
         base, _, _, driver = _FOUR.unpack_from(superblock, 24 + 4 * version)
@@ -195,10 +201,10 @@ def _group(messages: list[tuple[int, bytes]]) -> Group:
             # Version, flags, with the largest number of creation, which must be tracked; the heap of other links.
             _require(body[0] == 0 and bool(body[1] & 1) and _NUMBER.unpack_from(body, 10)[0] == _UNDEFINED)
             listed = True
-        else:
+        elif kind != _GROUP_INFO:
             at = 4 if body[1] & 1 else 2
             _require(kind == _ATTRIBUTE_INFO and body[0] == 0 and _NUMBER.unpack_from(body, at)[0] == _UNDEFINED)
-    _require(listed and len(texts) == 2)
+    _require(listed and len(texts) == 2 and len({member.order for member in members}) == len(members))
     members.sort()
     return Group(texts[b"label"], texts[b"type"], members)
 
@@ -219,9 +225,9 @@ def _add_text(texts: dict[bytes, bytes], body: bytes) -> None:
     length = int.from_bytes(body[kind + 4 : kind + 8], "little")
     text = body[value : value + length]
     _require(1 <= version <= 3 and shared == 0 and name not in texts)
-    # A string (class 3) of any version, in a scalar space, which has no dimensions.
-    _require(body[kind] in (0x13, 0x23, 0x33) and length == len(text) <= _LONGEST_TEXT)
-    _require(body[space : space + 2] == b"\1\0" or body[space : space + 4] == b"\2\0\0\0")
+    # A string (class 3) of any version, in a scalar space of version 1 or 2, which has no dimensions.
+    _require(body[kind] in (0x13, 0x23, 0x33) and sizes[1] == 8 and length == len(text) <= _LONGEST_TEXT)
+    _require(body[space:value] in (b"\1" + bytes(7), b"\2" + bytes(3)))
     texts[name] = text
 
 
@@ -232,7 +238,7 @@ def _member(body: bytes) -> Member:
     hard, at = True, 2
     if flags & 8:
         hard, at = body[2] == 0, 3
-    (order,) = _NUMBER.unpack_from(body, at)
+    (order,) = _SIGNED.unpack_from(body, at)
     at += 9 if flags & 0x10 else 8
     width = 1 << (flags & 3)
     begin = at + width
@@ -241,7 +247,8 @@ def _member(body: bytes) -> Member:
 
 
 def _array(messages: list[tuple[int, bytes]]) -> Array:
-    parts = {kind: body for kind, body in messages if kind != _ATTRIBUTE}
+    messages = [message for message in messages if message[0] not in (_ATTRIBUTE, _OLD_FILL, _FILL)]
+    parts = dict(messages)
     _require(parts.keys() == {_SPACE, _TYPE, _LAYOUT} and len(parts) == len(messages))
     space, kind, layout = parts[_SPACE], parts[_TYPE], parts[_LAYOUT]
     _require(space[0] == 1 or (space[:1] == b"\2" and space[3] == 1))
@@ -251,5 +258,5 @@ def _array(messages: list[tuple[int, bytes]]) -> Array:
     # One range of bytes is layout 1.
     _require(dtype is not None and 1 <= kind[0] >> 4 <= 3 and layout[0] in (3, 4) and layout[1] == 1)
     assert dtype is not None
-    _require(0 < math.prod(shape) * dtype.itemsize <= size and space[1] > 0)
+    _require(0 < math.prod(shape) * dtype.itemsize == size and space[1] > 0)
     return Array(dtype, shape, place)
