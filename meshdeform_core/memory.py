@@ -11,7 +11,6 @@ import shutil
 import sys
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Protocol
 
@@ -41,7 +40,7 @@ _BESIDE_FILES, _PER_FACE_NODE, _WINDOW = 6, 85, 8
 _PER_BLOCK = 160 * 2**10
 _OTHER_COPIES = 3
 # For a rank that holds a part of the grid: largest size of the part relative to the mean, bytes per node on block faces
-# for data that all ranks hold (idw-tfi, 4 ranks, 12 to 30 million nodes in one block: 530 to 570 were measured), and
+# for data that all ranks hold (idw-tfi, 4 ranks, 4 to 30 million nodes in one block: 460 to 560 were measured), and
 # bytes of the MPI library.
 _LARGEST_PART, _PER_SHELL_NODE, _MPI_BYTES = 1.25, 630, 32 * 2**20
 _COMPILER = "libllvmlite"
@@ -291,29 +290,31 @@ def release_freed() -> None:
         library = ctypes.CDLL(None)
         library.malloc_trim(0)
         for begin, end in _as_in_file(_read_only_parts(_COMPILER)):
-            # Pages that were never written to can be read from the file at any time.
             library.madvise(ctypes.c_void_p(begin), ctypes.c_size_t(end - begin), mmap.MADV_DONTNEED)
 
 
-def _read_only_parts(library: str) -> tuple[str, ...]:
-    """First and one past the last address of the parts of a shared library in this process that cannot be written to,
-    as ``begin-end``."""
+def _read_only_parts(library: str) -> list[tuple[int, int]]:
+    """First and one past the last address of the parts of a shared library in this process that are not writable."""
     with open("/proc/self/maps", encoding="utf-8", errors="replace") as maps:
-        return tuple(line.split()[0] for line in maps if library in line and re.search(" r-.p ", line))
+        found = [line.split()[0].split("-") for line in maps if library in line and re.search(" r-.p ", line)]
+    return [(int(begin, 16), int(end, 16)) for begin, end in found]
 
 
-@lru_cache(maxsize=1)
-def _as_in_file(parts: tuple[str, ...]) -> list[tuple[int, int]]:
-    """Those of some read-only parts of a library, by their addresses, that were not changed when it was loaded."""
-    found, part = dict[str, int](), ""
-    with open("/proc/self/smaps", encoding="utf-8", errors="replace") as sizes:
-        for line in sizes:
-            key, _, rest = line.partition(" ")
-            part = key if "-" in key else part
-            if key in ("Anonymous:", "Swap:"):
-                found[part] = found.get(part, 0) + int(rest.split()[0])
-    same = [part.split("-") for part in parts if found.get(part) == 0]
-    return [(int(begin, 16), int(end, 16)) for begin, end in same]
+def _as_in_file(parts: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Those of some parts of a library, by their addresses, that can be read from its file again, page by page.
+
+    Pages with addresses, which are filled in when the library is loaded, cannot, though they are read-only afterwards.
+    """
+    found = []
+    with open("/proc/self/pagemap", "rb", buffering=0) as pages:
+        for begin, end in parts:
+            count = (end - begin) // mmap.PAGESIZE
+            pages.seek(begin // mmap.PAGESIZE * 8)
+            known = memoryview(pages.read(count * 8)).cast("Q")
+            # The highest bits of a page: in memory, swapped, of a file.
+            if len(known) == count and {page >> 61 for page in known} <= {0b000, 0b101}:
+                found.append((begin, end))
+    return found
 
 
 def _first_number(path: Path, key: str) -> int | None:

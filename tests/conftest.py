@@ -40,7 +40,7 @@ def _code_stays() -> None:
     """The code of the compiler stays in memory. Finding it among the thousands of mapped files of this process, three
     times per grid, and reading it again takes a twenty-fifth of the time; `tests/core/test_memory_limit.py` does it in
     a process of its own."""
-    memory._code_of = lambda library: []
+    memory._read_only_parts = lambda library: []
 
 
 def pytest_collection_finish() -> None:

@@ -1,5 +1,7 @@
 """What work on a grid asks for, and what a memory limit leaves for work that only saves time."""
 
+import ctypes
+import mmap
 import platform
 import subprocess
 import sys
@@ -92,3 +94,19 @@ def test_code_of_the_compiler_leaves_the_memory_and_works_again():
     first, other, released = map(int, done.stdout.split())
     assert (first, other) == (2, 3)
     assert released > 30
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the system tells what pages are on Linux only")
+def test_pages_that_were_written_to_stay(tmp_path):
+    """Also where nothing can be written when they are judged, and where they were the file's when judged before."""
+    (tmp_path / "file").write_bytes(b"a" * 2 * mmap.PAGESIZE)
+    with (tmp_path / "file").open("rb") as file:
+        mapped = mmap.mmap(file.fileno(), 0, mmap.MAP_PRIVATE, mmap.PROT_READ | mmap.PROT_WRITE)
+    first = ctypes.addressof(ctypes.c_char.from_buffer(mapped))
+    parts = [(first, first + mmap.PAGESIZE), (first + mmap.PAGESIZE, first + 2 * mmap.PAGESIZE)]
+    assert mapped[0] == mapped[mmap.PAGESIZE] == ord("a")
+    assert memory._as_in_file(parts) == parts
+    mapped[mmap.PAGESIZE] = ord("b")
+    ctypes.CDLL(None).mprotect(ctypes.c_void_p(first), ctypes.c_size_t(2 * mmap.PAGESIZE), mmap.PROT_READ)
+    assert memory._as_in_file(parts) == parts[:1]
+    assert memory._as_in_file([(parts[0][0], parts[1][1])]) == []
