@@ -241,6 +241,9 @@ from meshdeform_core.parallel import for_chunks, loops, empty, scratch
 from meshdeform_formats import read_grid
 from meshdeform_core.grid.extent import block_extents
 
+# Every thread brings in pages of its own.
+loops.set_threads(2)
+
 class Unwatched(scratch.Scratch):
     # Pages are released by the loops alone; what they bring in between two looks is recorded.
     most = 0
