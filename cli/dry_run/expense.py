@@ -67,9 +67,8 @@ def expense_of(
     seconds = None
     if rates:
         seconds = rates.seconds(grid, levels, ranks.on_first(lambda: _sample_seconds(case.method)))
-    work = (
-        (_IN_FILES + _COORDINATES * more) * grid.n_nodes + _OF_FACES * grid.n_face_nodes * ranks.count if files else 0
-    )
+    per_node = _IN_FILES + (_COORDINATES * more + _OF_SERIES if levels.count > 1 else 0)
+    work = per_node * grid.n_nodes + _OF_FACES * grid.n_face_nodes * ranks.count if files else 0
     written = levels.count * _written(grid, output, precision, levels.velocity) if output is not None else 0
     memory = min(memory, beside_files(grid, limit)) if files else memory
     return Expense(ranks.count, int(memory) + limit.taken, work, written, seconds)

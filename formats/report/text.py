@@ -67,7 +67,7 @@ def _expected(expense: dict[str, Any]) -> str:
     used += [f"{readable(output)} for the output"] if output else []
     disk = [f"disk {' and '.join(used)}"] if used else []
     bound = "" if seconds is not None else "at most "
-    each = f" of each of {expense['ranks']} ranks" if expense["ranks"] > 1 else ""
+    each = f" on each of {expense['ranks']} ranks" if expense["ranks"] > 1 else ""
     parts = [f"memory {bound}{readable(expense['memory_bytes'])}{each}", *disk]
     told = "cannot be told from the size of the grid" if seconds is None else f"{seconds:,.3g} s on this machine"
     parts.append(f"processor time {told}")
