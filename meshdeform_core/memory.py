@@ -79,7 +79,9 @@ class MemoryLimit:
             Stating the size, the limit and what to do ``instead``.
         """
         if needed > self.size:
-            raise MethodError(f"{what} needs about {readable(needed)}, {self.source} {readable(self.size)}; {instead}")
+            # Rounded up: three digits are wrong by at most this.
+            enough = readable(1.005 * needed)
+            raise MethodError(f"{what} needs about {enough}, {self.source} {readable(self.size)}; {instead}")
 
     def after(self, taken: int, what: str) -> MemoryLimit:
         """The limit that remains for methods after ``what`` has taken its share."""
@@ -173,10 +175,11 @@ class Demand:
 
     def beside_files(self, limit: MemoryLimit) -> int:
         """Bytes taken if large arrays are stored in files (:mod:`.parallel.scratch`); of each rank, if several hold
-        the grid."""
+        the grid. Above the ``limit`` it is the smallest limit that is enough."""
         rest = _BESIDE_FILES * self._nodes_of_part + _PER_FACE_NODE * self.face_nodes + _PER_BLOCK * self.blocks
         rest += _OTHER_COPIES * self.other_bytes + _MPI_BYTES * (holders().count > 1)
-        return PROGRAM_BYTES + rest + RESERVE + limit.size // _WINDOW
+        rest += PROGRAM_BYTES + RESERVE
+        return rest + max(limit.size // _WINDOW, -(-rest // (_WINDOW - 1)))
 
     @property
     def _nodes_of_part(self) -> int:

@@ -52,9 +52,11 @@ def test_a_billion_nodes_are_foretold_from_a_header(sparse, call, bench, tmp_pat
 
 
 def test_what_fits_in_no_way_is_refused_with_its_size(sparse, call, bench):
-    done = call("deform", sparse, "-c", "case.toml", "--dry-run", "--max-memory", "8GiB")
+    command = "deform", sparse, "-c", "case.toml", "--dry-run", "-q", "--max-memory"
+    done = call(*command, "8GiB")
     assert done.code == 2
-    assert "deforming 1,000,000,000 nodes needs about 12 GiB" in done.err
+    assert "deforming 1,000,000,000 nodes needs about 12.6 GiB" in done.err
+    assert call(*command, "12.6GiB").code == 0
 
 
 def test_grids_too_large_for_a_trial_are_told_what_they_take(call, bench, monkeypatch):
