@@ -40,6 +40,8 @@ TOUCH = 1e-7
 _HALVINGS = 20
 _TOGETHER = 100_000
 """Numbers drawn at a time, which bounds the memory."""
+# Faces from which it is worth some milliseconds to return freed memory to the system around the making of their tree.
+_LARGE = 1 << 17
 # How close undeformed faces of abutting blocks are to each other, relative to their shortest edge.
 _ABUTTING = 1e-4
 # Largest number of connected moving parts tested for lying outside, of samples on each, and their distance to the face.
@@ -258,9 +260,12 @@ class _Surface:
 
     @cached_property
     def tree(self) -> FaceTree:
-        release_freed()
+        large = len(self.faces) > _LARGE
+        if large:
+            release_freed()
         tree = FaceTree(self.points, self.faces, self.role)
-        release_freed()
+        if large:
+            release_freed()
         return tree
 
     def shift(self, gap: float) -> FloatArray:
