@@ -1,0 +1,76 @@
+"""The house does not grow: lines per package, lengths of functions and files. The budgets may only fall."""
+
+from __future__ import annotations
+
+import ast
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+PRODUCT = ("meshdeform", "cli", "formats", "sample_cases", "meshdeform_core")
+BUDGETS = {
+    "cli": 4365,
+    "meshdeform": 3508,
+    "sample_cases": 2009,
+    "formats/case": 1717,
+    "formats/cgns": 3288,
+    "formats/displacement": 2130,
+    "formats/neutral_map": 408,
+    "formats/openfoam": 2287,
+    "formats/picture": 2765,
+    "formats/plot3d": 1226,
+    "formats/report": 2863,
+    "formats/series": 841,
+    "formats/vtk": 2816,
+    "formats": 2215,
+    "meshdeform_core/boundary": 3635,
+    "meshdeform_core/grid": 3698,
+    "meshdeform_core/methods": 6295,
+    "meshdeform_core/numerics": 12717,
+    "meshdeform_core/parallel": 1246,
+    "meshdeform_core/quality": 2616,
+    "meshdeform_core/repair": 3179,
+    "meshdeform_core": 2803,
+    "tests": 37160,
+}
+"""Lines of Python and of data files per package; a package's row excludes the rows below it."""
+LONGEST_FUNCTION, NINE_IN_TEN, LONGEST_FILE = 60, 25, 500
+
+
+def lines(path: Path) -> int:
+    return path.read_text(encoding="utf-8").count("\n")
+
+
+def files(folder: str) -> list[Path]:
+    return sorted(path for path in (ROOT / folder).rglob("*.py") if "__pycache__" not in path.parts)
+
+
+def functions(path: Path) -> Iterator[tuple[str, int]]:
+    """Name and number of lines, docstring aside, of each function that numba does not compile."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.FunctionDef) and node.end_lineno is not None:
+            decorators = " ".join(ast.unparse(each) for each in node.decorator_list)
+            if "kernel" in decorators or "jit" in decorators:
+                continue
+            doc = node.body[0] if ast.get_docstring(node) is not None else None
+            length = node.end_lineno - node.lineno + 1 - ((doc.end_lineno or 0) - doc.lineno + 1 if doc else 0)
+            yield f"{path.relative_to(ROOT)}: {node.name}", length
+
+
+def test_packages_keep_their_budgets():
+    found = Counter[str]()
+    for folder in (*PRODUCT, "tests"):
+        for path in files(folder):
+            place = path.relative_to(ROOT).parts
+            two = "/".join(place[:2])
+            found[two if two in BUDGETS else place[0]] += lines(path)
+    assert found.keys() == BUDGETS.keys()
+    assert {name: count for name, count in found.items() if count > BUDGETS[name]} == {}
+
+
+def test_functions_and_files_can_be_read():
+    found = [each for folder in PRODUCT for path in files(folder) for each in functions(path)]
+    assert [each for each in found if each[1] > LONGEST_FUNCTION] == []
+    assert sorted(length for _, length in found)[len(found) * 9 // 10] <= NINE_IN_TEN
+    assert [str(path) for folder in PRODUCT for path in files(folder) if lines(path) > LONGEST_FILE] == []
