@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property, partial
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -17,19 +17,17 @@ from .errors import CaseError
 from .grid import Field, FloatArray, IntArray
 from .methods import PreparedMethod, Progress, prepare_method
 from .numerics.arrays import lengths
-from .parallel import combined, for_rows, of_all, own_rows
+from .parallel import for_rows, of_all, own_rows
 from .smoothness import Moment, Smoothness, shortest_edges, smoothness
 from .velocity import PAST, VELOCITIES, face_fields, grid_velocity
 
-REVISION = 15
+REVISION = 16
 """Revision of the algorithms: a series is continued only by a program of the same revision.
 
 Increase it with every change that gives a level of any series different coordinates or a different verdict.
 """
 
 ORIGINS = ("reference", "last")
-_WRITTEN = 1e-6
-_SAMPLED = 16
 _RECENT = 2
 """Number of preceding levels needed for the smoothness of a level."""
 
@@ -75,12 +73,10 @@ class Drift:
 
 
 class Made(NamedTuple):
-    """How a level was made: ``plain`` and ``way`` as in :class:`Moment`; ``doubtful``: whether the next level is also
-    made from scratch and compared."""
+    """How a level was made: ``plain`` and ``way`` as in :class:`Moment`."""
 
     plain: bool
     way: str
-    doubtful: bool
 
 
 @dataclass(frozen=True)
@@ -133,13 +129,13 @@ def deform_series(
     series = _Series(setup, schedule, precision, progress)
     past: list[FloatArray] = []
     if finished:
-        read = max(series.past(first), min(len(made), _RECENT))
+        read = max(schedule.past(first), min(len(made), _RECENT))
         past = series.recall([finished(n) for n in range(first - read, first)], first, made)
     for number in range(first, len(schedule.times)):
         level = series.level(number, past)
         yield level
         past = [*past, level.result.grid.points]
-        past = past[len(past) - series.past(number + 1) :]
+        past = past[len(past) - schedule.past(number + 1) :]
 
 
 class _Series:
@@ -150,8 +146,6 @@ class _Series:
         self.problem = setup.problem
         self._reference: PreparedMethod | None = None
         self._recent: list[Moment] = []
-        self._last: Result | None = None
-        self._doubtful = True
 
     def recall(self, past: list[FloatArray], first: int, made: Sequence[Made]) -> list[FloatArray]:
         """Continue after the levels ``made``, with the coordinates ``past`` of the last ones; returns those that level
@@ -161,15 +155,14 @@ class _Series:
             self._recent = [
                 Moment(self.schedule.times[n], past[n - first], made[n].plain, made[n].way) for n in numbers
             ]
-            self._doubtful = made[-1].doubtful
-        return past[len(past) - self.past(first) :]
+        return past[len(past) - self.schedule.past(first) :]
 
     def level(self, number: int, past: list[FloatArray]) -> Level:
         setup, schedule = self.setup, self.schedule
         time, timing = schedule.times[number], Timing(progress=self.progress)
         reference = self._prepared(timing)
         marching = schedule.origin == "last" and bool(past)
-        start = Start(past[-1]) if marching else self._start(number, past, reference)
+        start = Start(past[-1]) if marching else Start(setup.grid.points, reference)
         result = impose(setup, setup.motion(time), schedule.steps, self.precision, timing, self.progress, start)
         setup.undeformed.expect_more()
         displacement = result.displacement[self.problem.source_numbers]
@@ -187,8 +180,7 @@ class _Series:
         smooth = self._smoothness(time, result)
         if smooth.warning:
             result = dataclasses.replace(result, warnings=(*result.warnings, smooth.warning))
-        self._last, self._doubtful = result, bool(smooth.warning or (result.repair and result.repair.unique is False))
-        made = Made(self._recent[-1].plain, result.way, self._doubtful)
+        made = Made(self._recent[-1].plain, result.way)
         return Level(number, time, result, self._rotation(displacement), drift, velocity, faces, timing, smooth, made)
 
     def _smoothness(self, time: float, result: Result) -> Smoothness:
@@ -206,34 +198,6 @@ class _Series:
     @cached_property
     def _edges(self) -> FloatArray:
         return shortest_edges(self.setup.grid)
-
-    def past(self, number: int) -> int:
-        """Number of levels before level ``number`` needed to make it; a repair starts from the preceding one."""
-        repairs = self.setup.case.repair.mode != "off"
-        return max(self.schedule.past(number), min(number, int(repairs)))
-
-    def _start(self, number: int, past: list[FloatArray], reference: PreparedMethod) -> Start:
-        """Start of level ``number``. Repairs start from the preceding level; some levels are compared with a repair
-        from scratch: the first, every sixteenth, and those after a level where the two differed or the grid jumped."""
-        points = self.setup.grid.points
-        if not past or self.setup.case.repair.mode == "off":
-            return Start(points, reference)
-        compare = self._doubtful or number % _SAMPLED == 0
-        return Start(points, reference, cache(partial(self._correction, number, past)), compare)
-
-    def _correction(self, number: int, past: list[FloatArray]) -> FloatArray | None:
-        """Movement of the nodes by repairs at the preceding level: its coordinates as written minus those without a
-        repair."""
-        before, last = past[-1], self._last
-        if last and last.repair is None and last.steps == 1:
-            return None
-        plain = last.plain if last else None
-        if plain is None:
-            known = self.setup.displacement(self.schedule.times[number - 1])[self.problem.source_numbers]
-            plain = combined(np.add, self.setup.grid.points, self._prepared(Timing()).apply(known, self.progress))
-        result: FloatArray = combined(np.subtract, before, plain)
-        # Rounding to the single precision of a file is not a repair.
-        return result if _largest(result) > _WRITTEN * _largest(before) else None
 
     def _prepared(self, timing: Timing) -> PreparedMethod:
         if self._reference is None:
@@ -256,12 +220,6 @@ class _Series:
     def _rotation(self, displacement: FloatArray) -> float:
         turned = self.problem.rotations.vectors(displacement)
         return float(np.degrees(lengths(turned).max()))
-
-
-def _largest(points: FloatArray) -> float:
-    """Largest absolute coordinate."""
-    own = points[slice(*own_rows(points))]
-    return max(of_all(points, max(float(own.max(initial=0.0)), -float(own.min(initial=0.0)))))
 
 
 def _shortened(times: tuple[float, ...]) -> str:

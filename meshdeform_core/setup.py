@@ -220,14 +220,11 @@ class Start:
     """Starting point of a motion that is one level of a series.
 
     ``points`` (n_nodes, 3) are the undeformed coordinates or those of an earlier level; ``prepared`` is the method
-    prepared on them, if available. ``correction`` is the movement of the nodes (n_nodes, 3) by repairs at the previous
-    level, or ``None``; a repair starts from it. ``compare``: such a repair is compared with one from scratch.
+    prepared on them, if available.
     """
 
     points: FloatArray
     prepared: PreparedMethod | None = None
-    correction: Callable[[], FloatArray | None] = lambda: None
-    compare: bool = False
 
 
 def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryLimit = UNLIMITED) -> Setup:

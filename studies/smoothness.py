@@ -149,7 +149,6 @@ def measure(name: str, course: Course) -> Row:
         "repaired": len(repaired),
         "valid": sum(level.result.valid for level in levels),
         "at the minimum": sum(levels[n].result.repair.converged for n in repaired),
-        "not unique": sum(levels[n].result.repair.unique is False for n in repaired),
         "acceleration, wall steps": accelerations[0],
         "with half the interval": accelerations[1],
         "without a repair": _unrepaired(setup, times),

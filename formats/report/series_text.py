@@ -48,12 +48,10 @@ def acceleration_of(level: Report) -> float | None:
 
 
 def repaired(level: Report) -> str:
-    """Whether nodes were moved by a repair: ``yes`` to its minimum, ``several`` to one of them, ``other`` elsewhere."""
+    """Whether nodes were moved by a repair: ``yes`` to its minimum, ``other`` elsewhere."""
     repair = level.get("repair")
     if not repair:
         return ""
-    if repair.get("unique") is False:
-        return "several"
     return "yes" if repair["converged"] else "other"
 
 

@@ -15,8 +15,7 @@ class Repair:
     ``cells``: number of cells that were invalid or weak; ``nodes``: number of nodes moved; ``max_movement``: largest
     movement (grid length unit). ``converged``: the grid is the minimum of the energy over all nodes, a smooth function
     of the displacement of the boundary; otherwise it depends on the path of the search, and may change abruptly with
-    the displacement. ``unique``: whether Newton's method reached the same minimum from another start; ``None`` if not
-    tested.
+    the displacement.
     """
 
     cells: int
@@ -25,7 +24,6 @@ class Repair:
     newton_steps: int
     seconds: float
     converged: bool = False
-    unique: bool | None = None
 
     def __add__(self, other: Repair) -> Repair:
         return Repair(
@@ -35,15 +33,12 @@ class Repair:
             self.newton_steps + other.newton_steps,
             self.seconds + other.seconds,
             other.converged,
-            other.unique,
         )
 
     def beside(self, other: Repair) -> Repair:
         """Joint summary of repairs in two different parts of a grid."""
-        both = (self.unique, other.unique)
-        unique = False if False in both else None if None in both else True
         nodes, converged = self.nodes + other.nodes, self.converged and other.converged
-        return replace(self + other, nodes=nodes, converged=converged, unique=unique)
+        return replace(self + other, nodes=nodes, converged=converged)
 
 
 @dataclass(frozen=True)

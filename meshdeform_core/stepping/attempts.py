@@ -27,7 +27,6 @@ from .steps import (
     warnings_ahead,
 )
 from .tuned import BEFORE, MAX_ATTEMPTS, MAX_HALVINGS, MAX_REPAIRED_HALVINGS, RESCUE, SQUEEZED
-from .uniqueness import compared
 
 
 def in_equal_steps(course: Course, count: int) -> Reached:
@@ -80,7 +79,7 @@ def until_valid(course: Course) -> Reached:
     course.log.warn(*warnings_ahead(state, 0.0))
     plain = plain_step(state, 1.0)
     impossible = None if plain.valid else _find_impossible(course)
-    best = compared(repaired(plain, HASTILY if impossible else QUICKLY))
+    best = repaired(plain, HASTILY if impossible else QUICKLY)
     if impossible and not best.valid:
         course.log.warn(*impossible.reasons)
         step(state, BEFORE * impossible.fraction, HASTILY)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 
@@ -12,7 +11,7 @@ import numpy as np
 from ..boundary import Kind
 from ..boundary.motions.doubts import positions_as_displacements
 from ..boundary.prescribed import largest_displacement
-from ..grid import FloatArray, Grid
+from ..grid import FloatArray
 from ..grid.connectivity.components import Component
 from ..grid.precision import rounded
 from ..methods import Options, PreparedMethod, Progress
@@ -145,8 +144,7 @@ class Course:
         found = []
         for (component, own), method in zip(parts, methods, strict=True):
             points = own.grid.points if start.points is whole.grid.points else component.rows(whole.grid, start.points)
-            correction = partial(_part_of, component, whole.grid, start.correction)
-            begin = dataclasses.replace(start, points=points, prepared=method, correction=correction)
+            begin = Start(points, method)
             setup, limit = Setup(own, whole.case, ()), Limit.of(own.grid.n_nodes, whole.case.repair.time_limit)
             path = partial(_motion_of, component, self)
             course = Course(setup, path, self.precision, self.timing, self.progress, begin, limit)
@@ -168,11 +166,6 @@ class Course:
 def _motion_of(component: Component, whole: Course, fraction: float) -> FloatArray:
     displacement = whole.total if fraction == 1.0 else whole.path(fraction)
     return displacement[component.numbers]
-
-
-def _part_of(component: Component, whole: Grid, correction: Callable[[], FloatArray | None]) -> FloatArray | None:
-    found = correction()
-    return None if found is None else component.rows(whole, found)
 
 
 def doubts(course: Course, one_of_many: bool) -> Sequence[str]:

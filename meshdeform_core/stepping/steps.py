@@ -148,12 +148,12 @@ def repaired(trial: Trial, ways: tuple[Way, ...] = QUICKLY) -> Trial:
     if not course.repairing:
         return trial
     if course.polishing:
-        polished = _repaired(trial, ways, course.start.correction(), polish=True)
+        polished = _repaired(trial, ways, polish=True)
         if not plain.verdict.valid or _smallest_scaled(course, polished.found) >= _smallest_scaled(course, plain):
             return polished
     if not course.repairer.needed(plain.points, plain.verdict):
         return trial
-    return _repaired(trial, ways, course.start.correction())
+    return _repaired(trial, ways)
 
 
 def settled(trial: Trial, points: FloatArray) -> Trial | None:

@@ -29,7 +29,6 @@ from meshdeform_core.repair.energy.untangle import Untangler
 from meshdeform_core.repair.extrusion import _heights, find_extrusion
 from meshdeform_core.repair.neighbourhood import Neighbourhood
 from meshdeform_core.repair.repair import Repairer
-from meshdeform_core.stepping import attempts
 from meshdeform_samples.reproduce.experiment import Sample, prepare_sample
 
 
@@ -126,9 +125,8 @@ def test_a_share_of_the_indefinite_part_lies_between_convex_and_exact_second_der
     assert np.abs(convex - exact).max() > 1e-2 * np.abs(exact).max()
 
 
-def test_the_minimum_is_found_where_exact_second_derivatives_are_indefinite_on_the_way(monkeypatch):
+def test_the_minimum_is_found_where_exact_second_derivatives_are_indefinite_on_the_way():
     """With their convex part alone, 60 steps do not suffice: each is 7 % shorter than the one before."""
-    monkeypatch.setattr(attempts, "compared", lambda trial: trial)
     setup = prepare_sample(Sample("splitter-plate", 8, constants=(("angle", 90.0),)))
     result = impose(setup, setup.motion(0.0), None, "float64", Timing())
     assert result.valid
@@ -175,7 +173,6 @@ def test_as_much_of_the_second_derivatives_as_possible_is_tried_and_all_of_them_
         return fill(self, region, x, reference, penalty)
 
     monkeypatch.setattr(NewtonSystem, "fill", noted)
-    monkeypatch.setattr(attempts, "compared", lambda trial: trial)
     assert turned(frame_2d(9), 80, steps=1).repair.converged
     shares = [share for share in told if share is not None]
     assert shares[:6] == [1.0, 0.9375, 0.875, 0.75, 0.5, 0.0]

@@ -46,14 +46,6 @@ def test_the_grid_does_not_jump_where_a_repair_begins():
     assert largest[2] < 0.65 * largest[1]
 
 
-def test_further_levels_take_few_newton_steps():
-    plane, space = bar(12), set_up(frame(6, 2), Case(tuple(body_specs(turning("t")))))
-    for setup, times, most in ((plane, np.arange(50.0, 54.0, 0.5), 3), (space, np.arange(50.0, 58.0), 4)):
-        levels = levels_of(setup, times)
-        assert all(level.result.repair.converged for level in levels)
-        assert max(level.result.repair.newton_steps for level in levels[1:]) <= most
-
-
 def test_samples_between_corners_count_smoothly_from_cells_of_f_4_on():
     setup = set_up(frame(4, 3), Case(tuple(body_specs(turning("5")))))
     plot = Basis(setup.original, setup.boundary).whole.plot
