@@ -6,6 +6,7 @@ A tree is nested :class:`N`; data are strings or arrays with the fastest index f
 from __future__ import annotations
 
 import itertools
+import re
 import shutil
 import struct
 import subprocess
@@ -323,9 +324,17 @@ def differences(a: Path, b: Path, ignore: Callable[[tuple[Any, ...]], bool]) -> 
 
 
 def assert_cgnscheck_finds_no_error(path: Path) -> None:
-    """Let the CGNS library's own tool judge a file, where it is installed."""
+    """Let the CGNS library's own tool judge a file, where it is installed.
+
+    Up to version 3.4 it expects as many values at the faces of a zone as at its nodes, unlike ``cg_sol_size`` of the
+    same library and the standard.
+    """
     if shutil.which("cgnscheck") is None:
         return
     report = subprocess.run(["cgnscheck", str(path)], capture_output=True, text=True, timeout=60, check=True).stdout
     assert "checking complete" in report
-    assert "ERROR" not in report
+    mistaken = re.compile(r'(checking solution field "[^"]*")\nERROR:bad dimension values$', re.MULTILINE)
+    sections = re.split(r"^ *(?=checking )(?!checking solution field)", report, flags=re.MULTILINE)
+    at_faces = re.compile(r'checking solution "FlowSolution[IJK]FaceCenter(#\d+)?"')
+    judged = [mistaken.sub(r"\1", each) if at_faces.match(each) else each for each in sections]
+    assert not [each for each in judged if "ERROR" in each]
