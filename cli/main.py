@@ -74,7 +74,6 @@ _SUMMARIES = {
     "convert": "Convert any readable grid to any writable format.",
     "compare": "Largest and rms coordinate difference of two grids.",
     "plot": "Picture of a grid coloured by a measure of its cells.",
-    "view": "A grid in a window, to turn and cut (needs pyvista).",
     "methods": "The methods, their parameters, strengths and limits.",
     "sample": "Write a sample case: grid and case.toml.",
     "schema": "JSON schema of case files or of reports.",

@@ -10,7 +10,7 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent
 PRODUCT = ("meshdeform", "cli", "formats", "sample_cases", "meshdeform_core")
 BUDGETS = {
-    "cli": 4365,
+    "cli": 4287,
     "meshdeform": 3508,
     "sample_cases": 2009,
     "formats/case": 1717,
@@ -18,9 +18,9 @@ BUDGETS = {
     "formats/displacement": 2130,
     "formats/neutral_map": 408,
     "formats/openfoam": 2287,
-    "formats/picture": 2765,
+    "formats/picture": 2545,
     "formats/plot3d": 1226,
-    "formats/report": 2863,
+    "formats/report": 2035,
     "formats/series": 841,
     "formats/vtk": 2816,
     "formats": 2215,
@@ -32,7 +32,7 @@ BUDGETS = {
     "meshdeform_core/quality": 2616,
     "meshdeform_core/repair": 3179,
     "meshdeform_core": 2803,
-    "tests": 37160,
+    "tests": 37087,
 }
 """Lines of Python and of data files per package; a package's row excludes the rows below it."""
 LONGEST_FUNCTION, NINE_IN_TEN, LONGEST_FILE = 60, 25, 500

@@ -234,35 +234,24 @@ class Grid:
         other = None if reference is None else reference._whole("a picture")
         return plot(self._whole("a picture"), other, title, options)
 
-    def view(self, metric: str = "f_skew", *, reference: Grid | None = None, log: bool = False) -> pyvista.Plotter:
-        """The grid in space, to turn and cut: a pyvista plotter, whose ``show()`` opens a window.
+    def to_pyvista(self, *measures: str, reference: Grid | None = None) -> pyvista.MultiBlock:
+        """The blocks as pyvista structured grids, by name, with the file's fields at nodes and cells.
 
-        In a notebook ``show()`` draws into it, as pyvista is set up (``pyvista.set_jupyter_backend``).
+        ``grid.to_pyvista("f_skew").plot(scalars="f_skew")`` opens a window to turn and cut the grid.
+
+        Parameters
+        ----------
+        measures, reference : cell measures to add, and the undeformed grid for those that compare, as for :meth:`plot`
 
         Raises
         ------
         CaseError
-            Where pyvista, the extra ``view``, is not installed, or the measure is unknown.
+            When a measure is unknown or not available for this grid.
         """
-        from .pictures import view
+        from .pictures import pyvista_blocks
 
-        other = None if reference is None else reference._whole("a view")
-        return view(self._whole("a view"), other, metric, log)
-
-    def to_pyvista(self) -> pyvista.MultiBlock:
-        """The blocks as pyvista structured grids, by name.
-
-        Raises
-        ------
-        ImportError
-            Where pyvista is not installed.
-        """
-        import pyvista
-
-        blocks = pyvista.MultiBlock()
-        for b, name in enumerate(self.names):
-            blocks.append(pyvista.StructuredGrid(*np.moveaxis(self._whole("a view").block(b), 3, 0)), name)
-        return blocks
+        other = None if reference is None else reference._whole("a pyvista grid")
+        return pyvista_blocks(self._whole("a pyvista grid"), other, measures)
 
     def to_meshio(self) -> meshio.Mesh:
         """Unstructured hexahedra (2-D: quadrilaterals) with coincident nodes merged, and the fields of the file."""

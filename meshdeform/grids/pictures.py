@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality.difference import require_same_blocks
-from meshdeform_formats.picture import Choice, PlotOptions, Subject, page_figure, picture
+from meshdeform_formats.picture import PlotOptions, Subject, page_figure, picture
 
 if TYPE_CHECKING:
     import pyvista
@@ -16,19 +19,27 @@ if TYPE_CHECKING:
 
 def plot(grid: Grid, reference: Grid | None, title: str | None, options: PlotOptions) -> Figure:
     """See :meth:`meshdeform.Grid.plot`."""
-    request, subject = options.request(), _subject(grid, reference)
-    return page_figure(picture(subject, request, _title(grid) if title is None else title))
+    name = grid.path.name if grid.path else ""
+    return page_figure(picture(_subject(grid, reference), options.request(), name if title is None else title))
 
 
-def view(grid: Grid, reference: Grid | None, metric: str, log: bool) -> pyvista.Plotter:
-    """See :meth:`meshdeform.Grid.view`."""
-    from meshdeform_formats.picture.viewer import scene
+def pyvista_blocks(grid: Grid, reference: Grid | None, measures: Sequence[str]) -> pyvista.MultiBlock:
+    """See :meth:`meshdeform.Grid.to_pyvista`."""
+    import pyvista
 
-    return scene(_subject(grid, reference), Choice(metric, logarithmic=log), _title(grid))
-
-
-def _title(grid: Grid) -> str:
-    return grid.path.name if grid.path else ""
+    cells = _subject(grid, reference)
+    blocks = pyvista.MultiBlock()
+    for number, name in enumerate(grid.names):
+        block = pyvista.StructuredGrid(*np.moveaxis(grid.block(number), 3, 0))
+        for field in grid.fields:
+            data = {"node": block.point_data, "cell": block.cell_data}.get(field.location)
+            if field.block == number and data is not None:
+                # VTK counts the first index fastest; vectors have a trailing axis.
+                data[field.name] = field.values.reshape(-1, *field.values.shape[3:], order="F")
+        for measure in measures:
+            block.cell_data[measure] = cells.values(measure, number, cells.whole(number)).ravel(order="F")
+        blocks.append(block, name)
+    return blocks
 
 
 def _subject(grid: Grid, reference: Grid | None) -> Subject:

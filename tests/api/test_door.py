@@ -457,11 +457,13 @@ def test_grids_become_those_of_other_packages(plate):
     unstructured = plate.grid.to_meshio()
     assert len(unstructured.cells[0].data) == plate.grid.n_cells
     pyvista = pytest.importorskip("pyvista", reason="pyvista is not installed")
-    blocks = plate.grid.to_pyvista()
+    blocks = plate.grid.to_pyvista("volume")
     assert isinstance(blocks, pyvista.MultiBlock)
     assert [blocks[n].n_cells for n in range(len(plate.grid))] == [
         int(np.prod([n - 1 for n in shape])) for shape in plate.grid.shapes
     ]
+    for block in blocks:
+        np.testing.assert_allclose(block.cell_data["volume"], block.compute_cell_sizes().cell_data["Volume"])
 
 
 def test_grids_draw_themselves(plate, mesh, bend, tmp_path):

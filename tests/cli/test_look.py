@@ -264,23 +264,6 @@ def test_a_film_of_levels_in_one_file(bench, call):
     assert open_levels(bench / "out").undeformed is None
 
 
-# view
-
-
-def test_view_without_a_window(bench, call, monkeypatch):
-    pytest.importorskip("pyvista", reason="pyvista is not installed")
-    result = call("view", "grid.cgns", "--screenshot", "picture.png", "--metric", "volume")
-    assert (result.code, result.out, result.err) == (0, "", "")
-    with Image.open(bench / "picture.png") as picture:
-        assert picture.size[0] > 400
-    assert "overwrite" in call("view", "grid.cgns", "--screenshot", "picture.png").err
-    assert "expected a .png file" in call("view", "grid.cgns", "--screenshot", "picture.svg").err
-    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr("sys.platform", "linux")
-    assert "no display" in call("view", "grid.cgns").err
-
-
 # methods
 
 

@@ -282,8 +282,6 @@ def test_a_series_of_points_is_drawn_from_its_folder(source, tmp_path, capsys):
     assert is_series(next((tmp_path / "foam").glob("*.foam")))
     assert not is_series(tmp_path / "old" / "x.foam")
     capsys.readouterr()
-    assert run(["view", str(tmp_path / "foam"), "--screenshot", str(tmp_path / "a.png")]) == 2
-    assert "is a series; a window shows one grid" in capsys.readouterr().err
     given.rename(tmp_path / "gone")
     assert run(["plot", str(tmp_path / "foam"), "-o", str(tmp_path / "a.gif")]) == 2
     assert "the grid that they were made of is not where and what it was" in capsys.readouterr().err
