@@ -13,6 +13,7 @@ import numpy as np
 
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.methods import IDW, Problem
+from meshdeform_core.numerics.rotation import STEEP
 
 OPTIONS = IDW(rotation="quaternion", summation="exact")
 """The options of ours that it agrees with."""
@@ -56,10 +57,14 @@ def _rotations(problem: Problem, before: Any, after: Any) -> Any:
     here, there = edges[:, 0], edges[:, 1]
     normal = end[here]
     arm, target = _turned(first[here], before[there] - before[here]), after[there] - after[here]
+    whole = (arm**2).sum(axis=1) * (target**2).sum(axis=1)
     arm, target = (v - normal * (normal * v).sum(axis=1, keepdims=True) for v in (arm, target))
     angle = jnp.arctan2((normal * jnp.cross(arm, target)).sum(axis=1), (arm * target).sum(axis=1))
-    count = np.maximum(np.bincount(here, minlength=len(before)), 1)
-    half = 0.5 * jnp.zeros(len(before)).at[here].add(angle) / count
+    # Edges steeper than 45 degrees to the tangent plane count less.
+    part = jnp.minimum((arm**2).sum(axis=1) * (target**2).sum(axis=1) / whole / STEEP, 1.0)
+    weight = part**3 * (10.0 - 15.0 * part + 6.0 * part**2)
+    angles, total = (jnp.zeros(len(before)).at[here].add(each) for each in (weight * angle, weight))
+    half = 0.5 * angles / jnp.where(total > 0.0, total, 1.0)
     second = jnp.concatenate([jnp.cos(half)[:, None], jnp.sin(half)[:, None] * end], axis=1)
     scalar = second[:, 0] * first[:, 0] - (second[:, 1:] * first[:, 1:]).sum(axis=1)
     vector = second[:, :1] * first[:, 1:] + first[:, :1] * second[:, 1:] + jnp.cross(second[:, 1:], first[:, 1:])

@@ -17,8 +17,8 @@ from meshdeform_core.deform import Case, Result, deform, set_up
 from meshdeform_core.errors import MeshDeformError
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.near import NearNodes
-from meshdeform_core.methods import IDW, RBF, Options, Progress, make_method, prepare_method
-from meshdeform_core.methods.derivative import StepsDerivative, derivative_of
+from meshdeform_core.methods import IDW, RBF, Options, Progress, make_method
+from meshdeform_core.methods.derivative import derivative_of
 from meshdeform_core.numerics.damping import damp_rows
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.fastsum.radial.nested import NestedSums
@@ -54,8 +54,6 @@ def runs() -> Iterator[Callable[[], object]]:
     yield partial(_pictures, "hemisphere", 8, Options("tfi"))
     # Sub-blocks with curved grid lines.
     yield partial(_derivatives, "airfoil", 33, Options("idw-tfi"))
-    yield partial(_step_derivatives, "hemisphere", 8, Options("idw-tfi"))
-    yield partial(_step_derivatives, "hemisphere", 8, Options("rbf"))
     for rotation in ("none", "quaternion", "blend"):
         yield partial(_deformed, "hemisphere", 8, Options("idw", idw=IDW(rotation=rotation, summation="exact")))
     yield partial(_deformed, "hemisphere", 8, Options("rbf-tfi"))
@@ -116,14 +114,6 @@ def _derivatives(name: str, size: int, method: Options) -> None:
     setup = set_up(*_sample(name, size, method))
     displacement = setup.displacement(2.5e-4)[setup.problem.source_numbers]
     derivative = derivative_of(make_method(method).prepare(setup.problem), displacement)
-    derivative.pull(derivative.push(displacement))
-
-
-def _step_derivatives(name: str, size: int, method: Options) -> None:
-    setup = set_up(*_sample(name, size, method))
-    displacement = setup.displacement(2.5e-4)[setup.problem.source_numbers]
-    first = prepare_method(method, setup.problem)
-    derivative = StepsDerivative(first, method, setup.problem, displacement, (0.5, 1.0))
     derivative.pull(derivative.push(displacement))
 
 

@@ -54,7 +54,7 @@ class Result:
     order; ``repair`` summarises the repairs of the steps that led to the grid, or is ``None``. Each of the named
     ``components`` of an overset grid has a result of its own. ``way`` tells how the grid was made: among grids made in
     the same way it is a continuous function of the displacement. ``plain`` (n_nodes, 3) is the grid before the repair,
-    if there was one step with a repair; ``ends`` are the fractions of the motion at the end of each step.
+    if there was one step with a repair.
     """
 
     setup: Setup
@@ -72,7 +72,6 @@ class Result:
     components: tuple[tuple[str, Result], ...] = ()
     way: str = ""
     plain: FloatArray | None = None
-    ends: tuple[float, ...] = ()
 
     def __repr__(self) -> str:
         return f"Result(valid={self.valid}, steps={self.steps}, reached={self.reached:g})"
@@ -220,7 +219,6 @@ def _result(reached: Reached, start: Start | None) -> Result:
         repair=sum(state.repairs[1:], state.repairs[0]) if state.repairs else None,
         way=state.way,
         plain=state.plain,
-        ends=state.ends,
     )
 
 

@@ -7,7 +7,8 @@ from grids import frame, frame_2d
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.methods import IDW, Options
 
-METHODS = ALL_METHODS | {
+# With weights computed anew in every part of a rotation there is no exact derivative.
+METHODS = {name: options for name, options in ALL_METHODS.items() if not options.idw.reweight} | {
     "idw-alpha": Options("idw", idw=IDW(alpha="auto", eta=4.0)),
     "idw-alpha-none": Options("idw", idw=IDW(rotation="none", alpha="auto", eta=4.0)),
     "idw-smoothed": Options("idw", idw=IDW(rotation="blend", smoothing=3)),

@@ -39,8 +39,8 @@ class Linearisation:
     """The derivative of the grid at one displacement; made by :meth:`Mesh.linearise`.
 
     It is that of the method and of its repair, for a fixed undeformed grid: rotations, their smoothing and mean motions
-    are differentiated as they depend on the displacement, the repair as the minimum that it is; several steps by the
-    chain rule, each with the derivative with respect to the grid from which it starts.
+    are differentiated as they depend on the displacement, the repair as the minimum that it is. Of a motion in several
+    steps it is that of the method in one step, and :attr:`exact` is false.
     """
 
     def __init__(self, moving: Moving, method: PreparedMethod, step: Step, displacement: FloatArray) -> None:

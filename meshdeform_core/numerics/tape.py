@@ -14,7 +14,6 @@ import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 
 from .arrays import FloatArray, IntArray
-from .partials import FIXED, MATMUL, PARTIALS
 
 Linear = Callable[[FloatArray], FloatArray]
 Link = tuple["Tracked", Linear, Linear]
@@ -22,6 +21,24 @@ Link = tuple["Tracked", Linear, Linear]
 
 _TIED = 1e-10
 """Relative difference of values that count as equal."""
+_FIXED = ("less", "greater", "equal", "not_equal", "rint", "sign")
+"""Functions with zero derivative almost everywhere."""
+_PARTIALS: dict[str, Callable[..., tuple[Any, ...]]] = {
+    "add": lambda y, a, b: (1.0, 1.0),
+    "subtract": lambda y, a, b: (1.0, -1.0),
+    "multiply": lambda y, a, b: (b, a),
+    "divide": lambda y, a, b: (1.0 / np.asarray(b), -np.asarray(a) / np.asarray(b) ** 2),
+    "negative": lambda y, a: (-1.0,),
+    "sqrt": lambda y, a: (_quotient(0.5, y),),
+    "sin": lambda y, a: (np.cos(a),),
+    "cos": lambda y, a: (-np.sin(a),),
+    "power": lambda y, a, n: (n * a ** (n - 1.0), 0.0),
+    "arctan2": lambda y, a, b: (_quotient(b, a**2 + b**2), -_quotient(a, a**2 + b**2)),
+    "maximum": lambda y, a, b: ((np.asarray(a) >= b) * 1.0, (np.asarray(a) < b) * 1.0),
+}
+"""Partial derivatives of numpy's elementwise functions with the result y."""
+_MATMUL = {(1, 1): "i,i->", (1, 2): "i,ij->j", (2, 1): "ij,j->i", (2, 2): "ij,jk->ik"}
+"""Rule of ``einsum`` for products of matrices and vectors, by the numbers of dimensions of the two operands."""
 
 
 class Tape:
@@ -97,9 +114,6 @@ class Tracked(NDArrayOperatorsMixin):
     def __len__(self) -> int:
         return len(self.value)
 
-    def __iter__(self) -> Any:
-        return (self[n] for n in range(len(self)))
-
     def __array__(self, *_: Any, **__: Any) -> Any:
         raise TypeError("a tracked array would lose its derivative here")
 
@@ -133,10 +147,6 @@ class Tracked(NDArrayOperatorsMixin):
         rows = largest(self.value)
         return self[rows].sum() * (1.0 / len(rows))
 
-    def astype(self, _: Any) -> Tracked:
-        """Unchanged, as tracked values are always in double precision."""
-        return self
-
     def any(self, *args: Any, **options: Any) -> Any:
         """Whether any value is nonzero; not recorded."""
         return self.value.any(*args, **options)
@@ -154,7 +164,7 @@ class Tracked(NDArrayOperatorsMixin):
     def __setitem__(self, place: Any, new: Any) -> None:
         before = Tracked(self.value, self.tape, self.number)
         value = self.value.copy()
-        value[place] = _plain(new)
+        value[place] = plain(new)
 
         def cleared(t: FloatArray) -> FloatArray:
             t = np.array(t)
@@ -179,16 +189,16 @@ class Tracked(NDArrayOperatorsMixin):
     def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
         if method != "__call__":
             return NotImplemented
-        plain = [_plain(each) for each in inputs]
-        if ufunc.__name__ in FIXED:
-            return ufunc(*plain)
+        values = [plain(each) for each in inputs]
+        if ufunc.__name__ in _FIXED:
+            return ufunc(*values)
         if ufunc is np.matmul:
-            return _products(np.matmul, MATMUL[plain[0].ndim, plain[1].ndim], inputs)
+            return _products(np.matmul, _MATMUL[values[0].ndim, values[1].ndim], inputs)
         out, mask = options.get("out", (None,))[0], options.get("where", True)
         # Where the mask is false, the result is ``out``, which must not be a tracked array.
-        value = ufunc(*plain) if mask is True else ufunc(*plain, out=_plain(out).copy(), where=mask)
+        value = ufunc(*values) if mask is True else ufunc(*values, out=plain(out).copy(), where=mask)
         with np.errstate(all="ignore"):
-            partials = PARTIALS[ufunc.__name__](value, *plain)
+            partials = _PARTIALS[ufunc.__name__](value, *values)
         links = []
         for each, partial in zip(inputs, partials, strict=True):
             if isinstance(each, Tracked):
@@ -216,7 +226,10 @@ def plain(value: Any) -> Any:
     return value.value if isinstance(value, Tracked) else value
 
 
-_plain = plain
+def _quotient(a: Any, b: Any) -> Any:
+    """a / b, zero where b is."""
+    b = np.asarray(b)
+    return np.where(b != 0.0, a / np.where(b != 0.0, b, 1.0), 0.0)
 
 
 def _reduced(gradient: FloatArray, shape: tuple[int, ...]) -> FloatArray:
@@ -239,7 +252,7 @@ def _tape_of(values: Any) -> Tape:
 
 def _products(function: Callable[..., Any], rule: str, operands: Any) -> Tracked:
     """A sum of products by an ``einsum`` rule; every index of an operand occurs in another operand or in the result."""
-    values = [_plain(each) for each in operands]
+    values = [plain(each) for each in operands]
     inputs, result = rule.split("->")
     names = inputs.split(",")
     links: list[Link] = []
@@ -263,19 +276,19 @@ def _einsum(rule: str, *operands: Any) -> Tracked:
 
 
 def _where(mask: Any, yes: Any, no: Any) -> Tracked:
-    mask = _plain(mask)
-    value = np.where(mask, _plain(yes), _plain(no))
+    mask = plain(mask)
+    value = np.where(mask, plain(yes), plain(no))
     chosen = ((yes, np.where(mask, 1.0, 0.0)), (no, np.where(mask, 0.0, 1.0)))
     links = [_scaled(each, factor, value.shape) for each, factor in chosen if isinstance(each, Tracked)]
     return _tape_of((yes, no)).result(value, links)
 
 
 def _joined(join: Callable[..., Any], parts: Any, axis: int) -> Tracked:
-    value = join([_plain(each) for each in parts], axis=axis)
+    value = join([plain(each) for each in parts], axis=axis)
     links: list[Link] = []
     for n, each in enumerate(parts):
         if isinstance(each, Tracked):
-            zeros = [np.zeros(np.shape(_plain(part))) for part in parts]
+            zeros = [np.zeros(np.shape(plain(part))) for part in parts]
             # Where the entries of operand n end up in the result.
             places = join([np.full(np.shape(z), m == n) for m, z in enumerate(zeros)], axis=axis)
             shape, order = each.shape, join([np.arange(z.size).reshape(z.shape) for z in zeros], axis=axis)[places]
@@ -295,7 +308,7 @@ def _joined(join: Callable[..., Any], parts: Any, axis: int) -> Tracked:
 
 
 def _cross(a: Any, b: Any) -> Tracked:
-    x, y = _plain(a), _plain(b)
+    x, y = plain(a), plain(b)
     value = np.cross(x, y)
     links: list[Link] = []
     if isinstance(a, Tracked):
@@ -328,9 +341,5 @@ _FUNCTIONS: dict[Any, Callable[..., Any]] = {
     np.cross: _cross,
     np.bincount: _bincount,
     np.linalg.norm: _norm,
-    np.repeat: lambda x, n: x[np.repeat(np.arange(len(x)), n)],
     np.zeros_like: _zeros_like,
-    np.shape: lambda x: x.shape,
-    np.sum: lambda x, axis=None: x.sum(axis=axis),
-    np.any: lambda x, axis=None: x.any(axis=axis),
 }

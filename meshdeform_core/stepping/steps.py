@@ -45,7 +45,6 @@ class State:
     repairs : repairs in all steps
     first_bad : cell number -> the step that made it invalid
     plain : (n_nodes, 3) the grid before the repair, if a single repaired step with the chosen method led here
-    ends : fraction of the motion at the end of each step
     """
 
     course: Course
@@ -60,7 +59,6 @@ class State:
     repairs: tuple[Repair, ...] = ()
     first_bad: Mapping[int, int] = field(default_factory=dict)
     plain: FloatArray | None = None
-    ends: tuple[float, ...] = ()
 
     @property
     def way(self) -> str:
@@ -193,7 +191,6 @@ def accept(trial: Trial) -> State:
         moved=course.prescribed(trial.fraction),
         fraction=trial.fraction,
         steps=steps,
-        ends=(*before.ends, trial.fraction),
         last=trial.found,
         account=trial.account,
         notices={**before.notices, **trial.account.notices},

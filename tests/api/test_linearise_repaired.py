@@ -115,31 +115,6 @@ def test_central_differences_through_a_repair(name, converged):
     check(mesh, at, found, change, 1, (1e-5, 2.5e-6) if name == "curved slip" else (2e-4, 5e-5))
 
 
-def test_repairs_on_the_way(converged):
-    """Two steps with a repair in each: the second one starts from the minimum that the first has found."""
-    mesh = prepared(frame_2d(9), plane=True, method={"name": "idw-tfi", "idw": {"length": 3.0}})
-    at = bend(mesh, 1.2) * (1.0 + 0.1 * mesh.points[:, :1])
-    found = mesh.linearise(at, steps=2)
-    assert found.step.steps == 2
-    assert len([each for each in found.step._result.attempts if each.repair]) == 2
-    assert found.exact, found.reason
-    x = mesh.points
-    change = np.stack([np.cos(3.0 * x[:, 1]), np.sin(4.0 * x[:, 0]), 0.0 * x[:, 0]], axis=1)
-    check(mesh, at, found, change, steps=2)
-
-
-def test_a_repair_on_the_way_that_ends_elsewhere_says_so(monkeypatch):
-    mesh = prepared(frame_2d(9), plane=True)
-    monkeypatch.setattr(minimum, "_CONVERGING", 2)
-    at = bend(mesh, 2.2)
-    found = mesh.linearise(at, steps=2)
-    assert not found.exact
-    assert "2 steps, and the grid was repaired, but is not the minimum" in found.reason
-    one = mesh.linearise(at, steps=1, repair="off")
-    for a, b in zip(found.jvp(at[:, :2]), one.jvp(at[:, :2]), strict=True):
-        np.testing.assert_array_equal(a, b)
-
-
 def test_a_repair_that_ends_elsewhere_says_so(monkeypatch):
     mesh = prepared(frame_2d(9), plane=True)
     monkeypatch.setattr(minimum, "_CONVERGING", 2)

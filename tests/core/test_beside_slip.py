@@ -1,7 +1,6 @@
 """Displacements beside plane slip sides: the normal component fades out towards the plane."""
 
 import dataclasses
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import IDW, Options, make_method
 from meshdeform_core.methods.beside_slip import WIDTH, BesideSlip
-from meshdeform_core.methods.derivative.grid.beside_slip import BesideSlipGridDerivative
 from meshdeform_core.quality import Original, assess
 
 # Along the body, and towards the slip sides between which it stands.
@@ -158,48 +156,6 @@ def test_little_memory_keeps_nothing():
 
 def test_symmetry_planes_have_images_instead():
     assert not problem_of(frame(), body_specs(SWAYING, Kind.SYMMETRY)).boundary.slip.sides
-
-
-@pytest.mark.parametrize("place", ["frame", "corner"])
-def test_derivative_with_respect_to_the_grid(place):
-    """Central differences over grids on which the slip planes stay where they are."""
-    problem = corner(sheared(frame())) if place == "corner" else problem_of(frame(), body_specs(SWAYING))
-    rng = np.random.default_rng(7)
-    flat = np.setdiff1d(np.arange(problem.grid.n_nodes), problem.topology.face_nodes)
-    # Distances have no second derivative where the nearest point passes from a face of the body to its edge.
-    points = problem.grid.points.copy()
-    points[flat] += 0.01 * rng.standard_normal((len(flat), 3))
-    problem = dataclasses.replace(problem, grid=problem.grid.moved(points))
-    values, change = (rng.standard_normal((problem.grid.n_nodes, 3)) for _ in range(2))
-    dx = 0.1 * rng.standard_normal((problem.grid.n_nodes, 3))
-    dx[problem.topology.face_nodes] = dx[problem.topology.first][problem.topology.number]
-    unique = dx[problem.topology.first]
-    for nodes, removed in problem.boundary.slip.groups:
-        unique[nodes] -= unique[nodes] @ removed
-    dx[problem.topology.face_nodes] = unique[problem.topology.number]
-
-    def damped(h):
-        here = dataclasses.replace(problem, grid=problem.grid.moved(problem.grid.points + h * dx))
-        found = values + h * change
-        BesideSlip(here, flat).damp(found)
-        return found[flat]
-
-    mover = SimpleNamespace(
-        problem=problem,
-        flat=flat,
-        beside_slip=BesideSlip(problem, flat),
-        interpolate=lambda displacement, out: np.copyto(out, displacement),
-    )
-    derivative = BesideSlipGridDerivative(mover, values)
-    moved, of_grid = change.copy(), np.zeros_like(dx)
-    derivative.push(moved, dx)
-    difference = (damped(1e-6) - damped(-1e-6)) / 2e-6
-    np.testing.assert_allclose(moved[flat], difference, atol=1e-7)
-    weight = np.zeros_like(dx)
-    weight[flat] = rng.standard_normal((len(flat), 3))
-    gradient = weight.copy()
-    derivative.pull(gradient, of_grid)
-    assert (weight * moved).sum() == pytest.approx((gradient * change).sum() + (of_grid * dx).sum(), rel=1e-12)
 
 
 def test_exact_and_fast_sums_are_damped_alike():

@@ -3,6 +3,5 @@
 from .choice import ComponentsDerivative, derivative_of
 from .composite import Derivative
 from .kinks import reason_of
-from .steps import StepsDerivative
 
-__all__ = ["ComponentsDerivative", "Derivative", "StepsDerivative", "derivative_of", "reason_of"]
+__all__ = ["ComponentsDerivative", "Derivative", "derivative_of", "reason_of"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, Protocol
 
 import numpy as np
@@ -18,8 +19,7 @@ from ..transfinite.edge_graph import PreparedEdgeGraph
 from ..transfinite.tfi import PreparedTFI
 from .constraints import Constraints, add_to_faces
 from .greedy import GreedyDerivative
-from .grid.weighting import IDWOnFixedGrid
-from .kinks import UNCHOSEN, Kinks
+from .kinks import REWEIGHED, UNCHOSEN, Kinks
 from .radial import BlockRBFDerivative, RBFDerivative
 from .transfinite import EdgeGraphDerivative, TFIDerivative
 from .weighting import IDWDerivative
@@ -186,12 +186,14 @@ class _Interpolated:
 
 def _interpolated(
     mover: Any, problem: Problem, displacement: FloatArray
-) -> IDWDerivative | IDWOnFixedGrid | RBFDerivative | GreedyDerivative:
+) -> IDWDerivative | RBFDerivative | GreedyDerivative:
     bound, evaluator = mover._bound, mover._evaluator
     if isinstance(bound, PreparedIDW):
         if bound.options.reweight:
-            require_whole(mover.problem.grid.points, "a derivative with weights of the moved sources")
-            return IDWOnFixedGrid(bound, evaluator.bound, displacement)
+            once = dataclasses.replace(bound.options, reweight=False).bind(problem)
+            found = IDWDerivative(once, once.at(mover.flat), displacement)
+            found.kinks += Kinks({REWEIGHED: 1})
+            return found
         return IDWDerivative(bound, evaluator, displacement)
     assert isinstance(bound, PreparedRBF)
     if bound.options.greedy == "none":

@@ -46,19 +46,17 @@ class Constraints:
         kept = left[:, :, :2] * (length[:, None, :2] > 1e-9 * size[:, None, None])
         return nodes, np.asarray(kept @ kept.transpose(0, 2, 1))
 
-    def push(self, face: FloatArray, dx: FloatArray | None = None) -> None:
-        """Impose the constraints on a change ``face`` (n_unique, 3), in place; ``dx`` (n_unique, 3) is the change of
-        the coordinates."""
+    def push(self, face: FloatArray) -> None:
+        """Impose the constraints on a change ``face`` (n_unique, 3), in place."""
         problem = self._problem
         for nodes, tangent in self._sliding:
-            own = 0.0 if dx is None else dx[nodes]
-            face[nodes] = np.einsum("nij,nj->ni", tangent, face[nodes] + own) - own
+            face[nodes] = np.einsum("nij,nj->ni", tangent, face[nodes])
         for nodes, removed in problem.boundary.slip.groups:
             project_rows(face, nodes, removed)
         problem.boundary.periodic.constrain(face, ~problem.boundary.known)
 
-    def pull(self, face: FloatArray, of_x: FloatArray | None = None) -> None:
-        """Transpose of :meth:`push`, in place; adds the gradient of the coordinates to ``of_x`` (n_unique, 3)."""
+    def pull(self, face: FloatArray) -> None:
+        """Transpose of :meth:`push`, in place."""
         problem = self._problem
         periodic, known = problem.boundary.periodic, problem.boundary.known
         if periodic.one.size:
@@ -71,18 +69,15 @@ class Constraints:
         for nodes, removed in problem.boundary.slip.groups:
             project_rows(face, nodes, np.ascontiguousarray(removed.T))
         for nodes, tangent in self._sliding:
-            along = np.einsum("nji,nj->ni", tangent, face[nodes])
-            if of_x is not None:
-                of_x[nodes] += along - face[nodes]
-            face[nodes] = along
+            face[nodes] = np.einsum("nji,nj->ni", tangent, face[nodes])
 
-    def impose(self, face: FloatArray, out: FloatArray, dx: FloatArray | None = None) -> None:
+    def impose(self, face: FloatArray, out: FloatArray) -> None:
         """Impose the constraints on a change ``face``, and copy it to all coincident nodes of ``out`` (n_nodes, 3)."""
-        self.push(face, dx)
+        self.push(face)
         number, nodes = own_face_nodes(self._problem.topology, out)
         spread_rows(face, number, nodes, rows_of(out))
 
-    def gathered(self, gradient: FloatArray, of_x: FloatArray | None = None) -> FloatArray:
+    def gathered(self, gradient: FloatArray) -> FloatArray:
         """Transpose of :meth:`impose`: gradient (n_unique, 3) of the face nodes, with the rows of coincident nodes in
         ``gradient`` (n_nodes, 3) added up and set to zero."""
         topology = self._problem.topology
@@ -95,7 +90,7 @@ class Constraints:
             rows_of(gradient)[own] = 0.0
         else:
             collect_rows(gradient, topology.number, topology.face_nodes, face)
-        self.pull(face, of_x)
+        self.pull(face)
         return face
 
 
