@@ -10,8 +10,8 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent
 PRODUCT = ("meshdeform", "cli", "formats", "sample_cases", "meshdeform_core")
 BUDGETS = {
-    "cli": 4287,
-    "meshdeform": 3508,
+    "cli": 4277,
+    "meshdeform": 3465,
     "sample_cases": 2009,
     "formats/case": 1717,
     "formats/cgns": 3288,
@@ -26,13 +26,13 @@ BUDGETS = {
     "formats": 2215,
     "meshdeform_core/boundary": 3635,
     "meshdeform_core/grid": 3698,
-    "meshdeform_core/methods": 6295,
-    "meshdeform_core/numerics": 12717,
+    "meshdeform_core/methods": 5131,
+    "meshdeform_core/numerics": 12227,
     "meshdeform_core/parallel": 1246,
     "meshdeform_core/quality": 2616,
     "meshdeform_core/repair": 3179,
     "meshdeform_core": 2803,
-    "tests": 37087,
+    "tests": 36580,
 }
 """Lines of Python and of data files per package; a package's row excludes the rows below it."""
 LONGEST_FUNCTION, NINE_IN_TEN, LONGEST_FILE = 60, 25, 500
