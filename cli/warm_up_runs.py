@@ -57,7 +57,7 @@ def runs() -> Iterator[Callable[[], object]]:
     for rotation in ("none", "quaternion", "blend"):
         yield partial(_deformed, "hemisphere", 8, Options("idw", idw=IDW(rotation=rotation, summation="exact")))
     yield partial(_deformed, "hemisphere", 8, Options("rbf-tfi"))
-    yield partial(_derivatives, "hemisphere", 8, Options("rbf", rbf=RBF("wendland-c2", radius=1.0, greedy="single")))
+    yield partial(_derivatives, "hemisphere", 8, Options("rbf", rbf=RBF("wendland-c2", radius=1.0, greedy="hybrid")))
     yield partial(_deformed, "airfoil", 33, Options("idw-tfi"))
     yield partial(_series, "square", 11, Options("tfi"))
     yield partial(_derivatives, "hemisphere", 8, Options("tfi"))

@@ -22,14 +22,12 @@ ALL_METHODS: dict[str, Options] = {
         f"rbf-{basis}": Options("rbf", rbf=RBF(basis=basis, radius=6.0))
         for basis in ("wendland-c0", "wendland-c2", "ctps-c1", "ctps-c2a", "ctps-c2b")
     },
-    "rbf-minres": Options("rbf", rbf=RBF(basis="wendland-c0", radius=6.0, solver="minres", tolerance=1e-14)),
     "rbf-krylov": Options("rbf", rbf=RBF(solver="krylov", tolerance=1e-13)),
     "rbf-tfi": Options("rbf-tfi"),
     "idw-rbf": Options("idw-rbf"),
     "idw-none": Options("idw", idw=IDW(rotation="none")),
     "idw-quaternion": Options("idw", idw=IDW(rotation="quaternion")),
     "idw-division": Options("idw", idw=IDW(rotation="division", divisions=8)),
-    "idw-division-reweight": Options("idw", idw=IDW(rotation="division", divisions=4, reweight=True)),
     "idw-blend": Options("idw", idw=IDW(rotation="blend")),
     "idw-lie": Options("idw"),
     "idw-shepard": Options("idw", idw=IDW(weights="shepard", p_moving=4, p_fixed=3)),

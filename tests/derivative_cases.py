@@ -8,7 +8,7 @@ from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.methods import IDW, Options
 
 # With weights computed anew in every part of a rotation there is no exact derivative.
-METHODS = {name: options for name, options in ALL_METHODS.items() if not options.idw.reweight} | {
+METHODS = ALL_METHODS | {
     "idw-alpha": Options("idw", idw=IDW(alpha="auto", eta=4.0)),
     "idw-alpha-none": Options("idw", idw=IDW(rotation="none", alpha="auto", eta=4.0)),
     "idw-smoothed": Options("idw", idw=IDW(rotation="blend", smoothing=3)),

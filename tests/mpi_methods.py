@@ -21,18 +21,15 @@ from meshdeform_core.quality.verdict.validity import newly_invalid
 
 FAST = {
     "idw-fast": Options("idw", idw=IDW(summation="fast")),
-    "idw-fast-reweight": Options(
-        "idw", idw=IDW(summation="fast", rotation="division", divisions=2, reweight=True)
-    ),
     "rbf-fast": Options("rbf", rbf=RBF(summation="fast")),
-    "rbf-greedy": Options("rbf", rbf=RBF(basis="wendland-c2", radius=6.0, greedy="single")),
-}  # fmt: skip
+    "rbf-greedy": Options("rbf", rbf=RBF(basis="wendland-c2", radius=6.0, greedy="hybrid")),
+}
 
 
 # One global and one compact basis stand for the others, which share every loop with them.
-CHOSEN = {name: options for name, options in ALL_METHODS.items() if "ctps" not in name and name != "rbf-minres"}
+CHOSEN = {name: options for name, options in ALL_METHODS.items() if "ctps" not in name}
 
-DIFFERENTIATED = ("idw-rbf", "idw-fast", "idw-fast-reweight", "rbf-fast", "rbf-greedy")
+DIFFERENTIATED = ("idw-rbf", "idw-fast", "rbf-fast", "rbf-greedy")
 
 
 class Counting(MPIRanks):

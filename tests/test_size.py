@@ -12,7 +12,7 @@ PRODUCT = ("meshdeform", "cli", "formats", "sample_cases", "meshdeform_core")
 BUDGETS = {
     "cli": 4277,
     "meshdeform": 3465,
-    "sample_cases": 2009,
+    "sample_cases": 2169,
     "formats/case": 1717,
     "formats/cgns": 3288,
     "formats/displacement": 2130,

@@ -63,7 +63,7 @@ class Options:
     def __post_init__(self) -> None:
         used = entry_of(self.name).parts
         for part in (self.idw, self.rbf, self.tfi):
-            if type(part) not in used and part != type(part)():
+            if not isinstance(part, used) and part != type(part)():
                 known = " and ".join(kind.__name__ for kind in used) or "no options"
                 raise MethodError(
                     f"method {self.name!r} does not use the options {part}; it takes {known}. Leave them out, or "
@@ -74,7 +74,7 @@ class Options:
     def relevant(cls, name: str, **parts: IDW | RBF | TFI) -> Options:
         """Options with only those ``parts`` that the method uses, as one case file may serve several methods."""
         used = entry_of(name).parts
-        return cls(name, **{key: part for key, part in parts.items() if type(part) in used})  # type: ignore[arg-type]
+        return cls(name, **{key: part for key, part in parts.items() if isinstance(part, used)})  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,8 @@ from meshdeform_core.methods.transfinite.tfi import TFI
 from meshdeform_core.numerics.exact.direct import N_VALUES
 from meshdeform_core.numerics.rigid import finish_width
 
+from .paper_methods import MinresRBF, ReweightedIDW
+
 _LOG = 29
 _DISTANCE = 8
 _BASIS = {
@@ -67,7 +69,9 @@ def idw_operations(idw: IDW, targets: int, sources: int) -> float:
     """Weight (eq. 16) and accumulation of seven values per pair and pass; one pass per evaluation of the weights."""
     passes = -(-finish_width(idw.rotation) // N_VALUES)
     per_pair = passes * (_LUKE_PAIR + 2 * (1 + N_VALUES))
-    return float(targets) * ((idw.divisions if idw.reweight else 1) * (per_pair * float(sources)) + _FINISH)
+    return float(targets) * (
+        (idw.divisions if isinstance(idw, ReweightedIDW) else 1) * (per_pair * float(sources)) + _FINISH
+    )
 
 
 def rbf_operations(rbf: RBF, targets: int, sources: int, found: Mapping[str, object]) -> float:
@@ -79,7 +83,7 @@ def rbf_operations(rbf: RBF, targets: int, sources: int, found: Mapping[str, obj
         # Each update searches the largest error and takes a column away; every round solves for at most all chosen.
         system = updates * n * (_DISTANCE + basis + 4 * _COMPONENTS)
         system += rounds * (_direct(centres, basis) + n * centres * (_DISTANCE + basis + 2 * _COMPONENTS))
-    elif rbf.solver == "minres":
+    elif isinstance(rbf, MinresRBF):
         centres = n
         iterations = found["iterations"]
         assert isinstance(iterations, list)

@@ -10,6 +10,7 @@ from meshdeform_core.methods import IDW, RBF, TFI, Options
 from meshdeform_core.methods.scattered.rbf import Basis
 
 from .experiment import Sample, Trial
+from .paper_methods import MinresRBF, ReweightedIDW
 
 # As in the paper, costs and operations are those of exact sums and a direct solver.
 # Eqs. 14-28 as printed: the exponents of Luke et al., every node with its own rotation, shares by weight.
@@ -40,6 +41,11 @@ def _idw(**options: Any) -> Options:
     return Options("idw", idw=IDW(**{**_EXACT, **options}))
 
 
+def _division(divisions: int) -> Options:
+    """The paper's division, which finds new weights in every step."""
+    return Options("idw", idw=ReweightedIDW(**_EXACT, rotation="division", divisions=divisions))
+
+
 def _greedy(basis: Basis, radius: float, **more: Any) -> RBF:
     """The paper's hybrid greedy reduction: absolute errors, eps_g = 1e-2, no correction of the remaining error."""
     chosen: dict[str, Any] = {
@@ -59,7 +65,7 @@ def table2(quick: bool) -> PaperTable:
     trials = [Trial("tfi", square, Options("tfi"))]
     for key in ("wc0", "wc2", "c1", "tps"):
         basis: dict[str, Any] = {"basis": "tps"} if key == "tps" else {"basis": _BASES[key], "radius": 1.5}
-        minres = RBF(solver="minres", tolerance=1e-12, max_iterations=iterations, summation="exact", **basis)
+        minres = MinresRBF(tolerance=1e-12, max_iterations=iterations, summation="exact", **basis)
         trials += [
             Trial(key, square, Options("rbf", rbf=minres)),
             Trial(f"{key}-direct", square, Options("rbf", rbf=RBF(**basis, **_DIRECT))),
@@ -67,11 +73,10 @@ def table2(quick: bool) -> PaperTable:
         if key != "tps":
             reduced = Options("rbf", rbf=_greedy(_BASES[key], 1.5))
             trials.append(Trial(f"{key}-greedy", square, reduced, starts=starts))
-    division = {"rotation": "division", "reweight": True}
     trials += [
         Trial("idw-none", square, _idw(rotation="none")),
-        Trial("idw-division-25", square, _idw(**division, divisions=25)),
-        Trial("idw-division-500", square, _idw(**division, divisions=many)),
+        Trial("idw-division-25", square, _division(25)),
+        Trial("idw-division-500", square, _division(many)),
         Trial("idw-lie", square, _idw(remove_mean=False)),
         Trial("idw-marching-25", square, Options("idw", idw=IDW(**_PAPER_IDW)), steps=25),
     ]
@@ -135,7 +140,7 @@ def figure_b(quick: bool) -> PaperTable:
     """Appendix B: the beam with the coordinate origin at the centre and at the lower left corner; always quick."""
     shifted: dict[str, Any] = {"options": (("origin", (2.0, 1.0)),), "constants": (("center", 2.0),)}
     centre, corner, fine = Sample("beam", 40), Sample("beam", 40, **shifted), Sample("beam", 400, **shifted)
-    paper, division = Options("idw", idw=IDW(**_PAPER_IDW)), _idw(rotation="division", reweight=True)
+    paper, division = Options("idw", idw=IDW(**_PAPER_IDW)), _division(25)
     trials = (
         Trial("one-centre", centre, paper),
         Trial("one-corner", corner, paper),

@@ -84,18 +84,6 @@ def test_several_steps_have_the_derivative_of_one(mesh):
         np.testing.assert_array_equal(a, b)
 
 
-def test_weights_computed_anew_in_every_part_of_the_rotation(mesh):
-    idw = {"rotation": "division", "divisions": 3}
-    once, anew = (md.prepare(mesh.grid, case(name="idw", idw=idw | {"reweight": each})) for each in (False, True))
-    at = bend(mesh)
-    one, found = (each.linearise(at, steps=1, repair="off") for each in (once, anew))
-    assert one.exact
-    assert not found.exact
-    assert "the derivative is that with the weights of the undeformed grid" in found.reason
-    for a, b in zip(found.jvp(at), one.jvp(at), strict=True):
-        np.testing.assert_array_equal(a, b)
-
-
 def test_centres_chosen_greedily_are_named(mesh):
     rbf = {"basis": "wendland-c2", "radius": 6.0, "greedy": "hybrid"}
     greedy = md.prepare(md.Grid([block.copy() for block in mesh.grid.blocks]), case(name="rbf", rbf=rbf))

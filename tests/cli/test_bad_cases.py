@@ -109,8 +109,6 @@ WRONG = {
     "value-alpha-huge": ("[method.idw]\nalpha = 1" + "0" * 400 + "\n" + SHIFT, ("64 bits",)),
     "value-rotation": ("[method.idw]\nrotation = 'li'\n" + SHIFT, ("rotation = 'li'", "lie")),
     "value-divisions": ("[method.idw]\ndivisions = 2.5\n" + SHIFT, ("divisions = 2.5", "whole number")),
-    "value-reweight": ("[method.idw]\nreweight = true\n" + SHIFT, ("reweight", "division")),
-    "type-reweight": ("[method.idw]\nrotation = 'division'\nreweight = 'x'\n" + SHIFT, ("reweight", "'x'")),
     "value-max-cells": ("[method.tfi]\nmax_cells = -4\n" + SHIFT, ("max_cells = -4",)),
     "value-method": ("[method]\nname = 'tfy'\n" + SHIFT, ("method 'tfy' is unknown", "idw-tfi")),
     "same-name-twice": (SHIFT + SHIFT, ("boundary", "names must differ", "body")),

@@ -33,7 +33,6 @@ VARIANTS = {
     "none": {"rotation": "none"},
     "quaternion": {"rotation": "quaternion"},
     "division": {"rotation": "division", "divisions": 4},
-    "division reweighted": {"rotation": "division", "divisions": 2, "reweight": True},
     "blend": {"rotation": "blend"},
     "lie": {},
     "other exponents": {"a": 2.5, "b": 4.0, "alpha": 0.3},
@@ -74,7 +73,7 @@ def test_error_stays_below_the_tolerance(name, tolerance, problem):
     ("name", "room"),
     [
         *((name, None) for name in VARIANTS),
-        *(pytest.param(name, 0, marks=() if name in ("lie", "shepard", "division reweighted") else pytest.mark.slow)
+        *(pytest.param(name, 0, marks=() if name in ("lie", "shepard") else pytest.mark.slow)
           for name in VARIANTS),
     ],
 )  # fmt: skip
@@ -241,19 +240,6 @@ def test_radial_sums(basis, radius, problem):
         for kind in ("exact", "fast")
     )
     assert 0 < (np.linalg.norm(fast - exact, axis=1) / cell_sizes(problem)).max() <= 1e-3
-
-
-def test_weights_found_anew_on_the_way_are_checked_where_they_are_worst():
-    """Bricks are cut anew for every step; those of the last one, as many as they are, tell where to look."""
-    grid = frame(16, 16)
-    problem = problem_of(grid.moved(grid.points * [1.0, 1.0, 3.0]), body_specs(turning(90)))
-    options = {"rotation": "division", "divisions": 4, "reweight": True}
-    fast, exact = (
-        make_method(Options("idw", idw=IDW(summation=kind, **options))).prepare(problem) for kind in ("fast", "exact")
-    )
-    gap = np.linalg.norm(fast.apply(told(problem)) - exact.apply(told(problem)), axis=1) / cell_sizes(problem)
-    assert fast.account.settings["sampled_error"].value <= 1e-2
-    assert gap.max() <= 2e-2
 
 
 def test_compact_sums_reach_every_target_of_a_region():

@@ -21,7 +21,7 @@ AWAY = np.array([1.0, -0.7, 0.3])
 # Methods that blend between the faces of blocks: other blocks, other results.
 BY_BLOCKS = {"tfi", "rbf-tfi", "idw-tfi", "idw-tfi-cut", "idw-rbf"}
 # Their rotations are about the origin of coordinates.
-ABOUT_ORIGIN = {"idw-quaternion", "idw-division", "idw-division-reweight"}
+ABOUT_ORIGIN = {"idw-quaternion", "idw-division"}
 
 
 def displaced(grid: Grid, name: str, motion: Motion, wall: tuple[str, ...] = WALL) -> np.ndarray:

@@ -26,7 +26,7 @@ FAST_IDW = {
     "none": {"rotation": "none"},
     "quaternion": {"rotation": "quaternion"},
     "blend": {"rotation": "blend"},
-    "division": {"rotation": "division", "divisions": 2, "reweight": True},
+    "division": {"rotation": "division", "divisions": 2},
     "automatic alpha": {"alpha": "auto"},
     "two exponents": {"weights": "shepard", "p_moving": 4.0},
     "one body, double precision": {"summation_tolerance": 1e-4},

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from meshdeform_core.boundary import Kind
 from meshdeform_core.methods import IDW, Problem
+from meshdeform_samples.reproduce.paper_methods import ReweightedIDW
 
 
 def slow_idw(problem: Problem, displacement: np.ndarray, targets: np.ndarray, options: IDW) -> np.ndarray:
@@ -103,7 +104,7 @@ def _divided(x, y, turns, options):
         at = p.copy()
         w = weights(p, x)
         for sources in path:
-            w = weights(at, sources) if options.reweight else w
+            w = weights(at, sources) if isinstance(options, ReweightedIDW) else w
             q = w @ quaternions
             at = Rotation.from_quat(q / np.linalg.norm(q), scalar_first=True).apply(at) + w @ np.array(shifts)
         return at - p

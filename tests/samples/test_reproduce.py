@@ -12,6 +12,7 @@ from meshdeform_core.methods import IDW, RBF, TFI, Options, make_method
 from meshdeform_samples.reproduce import WHAT, robustness
 from meshdeform_samples.reproduce.experiment import Sample, Trial, asymmetry, greedy_range, prepare_sample, run
 from meshdeform_samples.reproduce.operations import count_operations, count_pairs, idw_operations, tfi_operations
+from meshdeform_samples.reproduce.paper_methods import MinresRBF, ReweightedIDW
 from meshdeform_samples.reproduce.report import robustness_markdown
 from meshdeform_samples.reproduce.robustness import Bench, quality_of
 from meshdeform_samples.reproduce.rows import paper
@@ -69,8 +70,26 @@ def test_greedy_counts_vary_with_the_start_node():
 def test_idw_operations_are_pairs_times_thirty_one():
     assert idw_operations(IDW(), 1000, 500) == pytest.approx(31 * 1000 * 500, rel=0.01)
     assert idw_operations(IDW(rotation="blend"), 1000, 500) == pytest.approx(62 * 1000 * 500, rel=0.01)
-    division = IDW(rotation="division", divisions=25, reweight=True)
+    division = ReweightedIDW(rotation="division", divisions=25)
     assert idw_operations(division, 1000, 500) == pytest.approx(25 * 31 * 1000 * 500, rel=0.01)
+
+
+def test_minres_has_the_quality_of_the_direct_solver():
+    outcome = run({trial.key: trial for trial in TABLES["table2"](True).trials}["wc0"])
+    assert outcome.assessment.after.f_skew.harmonic_mean == pytest.approx(0.8675, abs=2.5e-3)
+    settings = outcome.account.settings
+    assert max(settings["residual"].value) <= 1e-12
+    assert all(0 < n <= 2000 for n in settings["iterations"].value[:2])
+
+
+def test_minres_that_does_not_converge_says_so():
+    problem = prepare_sample(Sample("square", 21)).problem
+    prepared = make_method(
+        Options("rbf", rbf=MinresRBF(basis="wendland-c2", radius=6.0, tolerance=1e-12, max_iterations=5))
+    ).prepare(problem)
+    prepared.apply(0.1 * np.sin(problem.source_points[:, [1, 0, 2]]))
+    assert max(prepared.account.settings["iterations"].value) == 5
+    assert "MINRES stopped after 5 iterations" in prepared.account.warnings[0]
 
 
 def test_hybrids_sum_over_their_skeleton_only():

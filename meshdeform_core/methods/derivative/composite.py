@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any, Protocol
 
 import numpy as np
@@ -19,7 +18,7 @@ from ..transfinite.edge_graph import PreparedEdgeGraph
 from ..transfinite.tfi import PreparedTFI
 from .constraints import Constraints, add_to_faces
 from .greedy import GreedyDerivative
-from .kinks import REWEIGHED, UNCHOSEN, Kinks
+from .kinks import UNCHOSEN, Kinks
 from .radial import BlockRBFDerivative, RBFDerivative
 from .transfinite import EdgeGraphDerivative, TFIDerivative
 from .weighting import IDWDerivative
@@ -189,11 +188,6 @@ def _interpolated(
 ) -> IDWDerivative | RBFDerivative | GreedyDerivative:
     bound, evaluator = mover._bound, mover._evaluator
     if isinstance(bound, PreparedIDW):
-        if bound.options.reweight:
-            once = dataclasses.replace(bound.options, reweight=False).bind(problem)
-            found = IDWDerivative(once, once.at(mover.flat), displacement)
-            found.kinks += Kinks({REWEIGHED: 1})
-            return found
         return IDWDerivative(bound, evaluator, displacement)
     assert isinstance(bound, PreparedRBF)
     if bound.options.greedy == "none":

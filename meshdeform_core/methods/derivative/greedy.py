@@ -9,35 +9,29 @@ import numpy as np
 from ...grid import FloatArray
 from ...parallel import require_whole
 from ..base import Problem
-from ..scattered.radial_system import RadialSystem
 from ..scattered.rbf import REACH, PreparedRBF
 from ..scattered.rbf_sums import RadialSums
 from .kinks import CHOSEN, Kinks
-from .radial import Corrections, RadialMap, accurate
+from .radial import RadialMap, accurate
 
 
 class GreedyDerivative:
     """Derivative of the displacement of some nodes at one displacement (n_sources, 3) of the sources.
 
     It includes the interpolation between the chosen centres, the residual at all sources, which nodes near them take
-    over, and the distance over which they do, which grows with the largest residual. The choice of centres, with
-    ``single`` their sequence, is held fixed.
+    over, and the distance over which they do, which grows with the largest residual. The choice of centres is held
+    fixed.
     """
 
     def __init__(self, method: PreparedRBF, problem: Problem, sums: RadialSums, displacement: FloatArray) -> None:
         require_whole(problem.grid.points, "a derivative of a greedy reduction")
-        self._images, self._n, self.flat = method._images, len(problem.source_numbers), sums.flat
-        self.kinks, images, centres = Kinks({CHOSEN: 1}), method._images, method.centres
+        self._images, self._n, self.flat = method.images, len(problem.source_numbers), sums.flat
+        self.kinks, images, centres = Kinks({CHOSEN: 1}), method.images, method.centres
         values = images.displaced(displacement)
         found = method.selected(values)
         self._active = found.active
         chosen = dataclasses.replace(centres, points=np.ascontiguousarray(centres.points[self._active]))
-        if method.options.greedy == "single":
-            place = np.empty(len(values), dtype=np.int64)
-            place[self._active] = np.arange(len(self._active))
-            system: Corrections | RadialSystem = Corrections(method.options.system, chosen, place[found.sequence])
-        else:
-            system = accurate(method.options.system, chosen, problem)
+        system = accurate(method.options.system, chosen, problem)
         self._inside = RadialMap(system, problem.grid.points[self.flat])
         self._at_sources = RadialMap(system, images.points)
         left = values - self._at_sources.push(values[self._active])

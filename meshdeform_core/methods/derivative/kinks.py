@@ -24,10 +24,6 @@ HALF_TURNS = (
 )
 FOLDED = "{} wall nodes have faces that are folded onto each other, where normals jump"
 LARGEST = "{} sources share the largest displacement, which sets alpha; the mean of their derivatives is taken"
-REWEIGHED = (
-    "the weights are computed anew in every part of the rotation; the derivative is that with the weights of the "
-    "undeformed grid"
-)
 _HALF_TURN = 1e-6
 """Relative difference from half a turn."""
 

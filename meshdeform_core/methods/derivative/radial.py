@@ -11,7 +11,6 @@ from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_sums
 from ...numerics.fastsum.radial.frozen import FrozenRadial
 from ...numerics.fastsum.radial.targets import RadialTargets
-from ...numerics.systems.greedy import correct_again, correct_transposed
 from ...parallel import agreed, alike, apart, rows_of, summed
 from ..base import Account, Problem
 from ..scattered.block_rbf import PreparedBlockRBF
@@ -28,31 +27,10 @@ _TOLERANCE = 1e-13
 _ROWS = 1 << 16
 
 
-class Corrections:
-    """What the greedy reduction ``single`` has in the place of a system: a ``sequence`` (u,) of centres, each of which
-    corrects the error at itself by its own basis function."""
-
-    def __init__(self, options: SystemOptions, centres: Centres, sequence: IntArray) -> None:
-        self.options, self.centres, self._sequence = options, centres, sequence
-        self._columns, self.terms = np.ascontiguousarray(centres.points.T), np.empty((len(centres.points), 0))
-
-    def solve(self, values: FloatArray, account: Account, progress: None) -> tuple[FloatArray, FloatArray]:
-        """Coefficients (n, 3) for values at the centres (n, 3), and no polynomial."""
-        left, coefficients = np.array(values), np.zeros_like(values)
-        correct_again(BASES[self.options.basis], self._columns, self._sequence, left, coefficients)
-        return coefficients, np.empty((0, 3))
-
-    def transposed(self, gradient: FloatArray) -> FloatArray:
-        """Gradient (n, 3) of the values from that of the coefficients."""
-        found = np.zeros_like(gradient)
-        correct_transposed(BASES[self.options.basis], self._columns, self._sequence, found, gradient)
-        return found
-
-
 class RadialMap:
     """The linear map from values at centres (m, 3) to those at points (n, 3), by exact sums, and its transpose."""
 
-    def __init__(self, system: RadialSystem | Corrections, points: FloatArray) -> None:
+    def __init__(self, system: RadialSystem, points: FloatArray) -> None:
         self._system, self._kind = system, BASES[system.options.basis]
         self._x = system.centres.normalised(points)
         self._terms = system.centres.polynomial(self._x)[:, : system.terms.shape[1]]
@@ -73,14 +51,12 @@ class RadialMap:
         return upper, self._terms.T @ gradient
 
 
-def solved_transposed(system: RadialSystem | Corrections, upper: FloatArray, lower: FloatArray) -> FloatArray:
+def solved_transposed(system: RadialSystem, upper: FloatArray, lower: FloatArray) -> FloatArray:
     """Gradient (m, 3) of the values at centres from those of coefficients (m, 3) and polynomial (q, 3).
 
     The matrix [A P; P^T 0] is symmetric. A combination of the columns of P satisfies the lower rows of the right-hand
     side; the solver takes what remains.
     """
-    if isinstance(system, Corrections):
-        return system.transposed(upper)
     terms = system.terms
     part = terms @ np.linalg.solve(terms.T @ terms, lower)
     return np.asarray(part + system.solve(upper - system.multiply(part), Account(), None)[0])
@@ -102,7 +78,7 @@ class RBFDerivative:
     """
 
     def __init__(self, method: PreparedRBF, problem: Problem, sums: RadialSums, kinks: Kinks | None = None) -> None:
-        self._images, self._points, self.flat = method._images, problem.grid.points, sums.flat
+        self._images, self._points, self.flat = method.images, problem.grid.points, sums.flat
         self._own = rows_of(self._points)
         self.kinks = kinks or Kinks()
         sums.prepare(len(method.centres.points))

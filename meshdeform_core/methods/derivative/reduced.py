@@ -22,20 +22,20 @@ def reduced(method: PreparedIDW, acting: BoolArray) -> PreparedIDW:
 
     Faces and their edges connect acting sources only.
     """
-    images, rest = method._images, np.flatnonzero(~acting)
+    images, rest = method.images, np.flatnonzero(~acting)
     kept = np.concatenate([np.flatnonzero(acting), rest[:1]])
     number = places_among(kept, len(acting))
     area = images.area[kept]
     if rest.size:
         area[-1] = images.area[rest].sum()
     found = copy.copy(method)
-    found._images = dataclasses.replace(
+    found.images = dataclasses.replace(
         images, points=images.points[kept], area=area, owner=images.owner[kept], reflection=images.reflection[kept],
         moving=images.moving[kept], corners=number[images.corners], edges=number[images.edges],
     )  # fmt: skip
-    found.area, found.points = found._images.area, found._images.points
-    normal = method._problem.plane_normal
-    found._rotations = SurfaceRotations(found.points, found._images.corners, found._images.edges, normal)
+    found.area, found.points = found.images.area, found.images.points
+    normal = method.problem.plane_normal
+    found._rotations = SurfaceRotations(found.points, found.images.corners, found.images.edges, normal)
     found._blunt = number[method._blunt]
     if method._share:
         found._share = dataclasses.replace(method._share, moving=method._share.moving[kept])

@@ -45,7 +45,7 @@ class IDWDerivative:
         variable = self._tape.variable(displacement)
         self._variable = variable.number
         # Within the frame of the mean motion, all sources at rest move alike.
-        images = method._images
+        images = method.images
         acting = with_motion(images) | images.displaced(displacement).any(axis=1)
         method = reduced(method, acting)
         fit = method.fit(variable)  # type: ignore[arg-type]
@@ -160,16 +160,16 @@ def automatic_alpha(method: PreparedIDW, displacement: Tracked) -> Tracked | Non
 
 def _arms(method: PreparedIDW, displacement: FloatArray) -> FloatArray:
     """Displacements (n, 3) of the images of sources relative to their mean."""
-    d = method._images.displaced(displacement)
+    d = method.images.displaced(displacement)
     frame = method._frame(d)
-    inside = d if frame.turn is None else frame.relative(method._images.points, d)
+    inside = d if frame.turn is None else frame.relative(method.images.points, d)
     arms: FloatArray = inside - weighted_total(method.area / method.area.sum(), inside)
     return arms
 
 
 def idw_kinks(method: PreparedIDW, fit: SourceValues, displacement: FloatArray) -> Kinks:
     """Where rotations jump, and what the largest displacement of several sources sets, at one (n_sources, 3)."""
-    images, counts = method._images, list[tuple[str, int]]()
+    images, counts = method.images, list[tuple[str, int]]()
     if method.options.rotation != "none":
         counts.append((HALF_TURNS, half_turns(plain(fit.turn), images.owner)))
         counts.append((FOLDED, method._rotations.folded(images.displaced(displacement))))

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...grid import FloatArray
 
-Solver = Literal["auto", "direct", "minres", "krylov"]
+Solver = Literal["auto", "direct", "krylov"]
 SOLVERS: tuple[str, ...] = get_args(Solver)
 DIRECT_CENTRES = 4000
 """Largest number of centres that ``auto`` solves directly; beyond it, GMRES with its set-up is faster."""

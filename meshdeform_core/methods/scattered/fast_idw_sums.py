@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from ...grid import FloatArray, IntArray
-from ...numerics.fastsum.clusters.targets import Targets, interpolation_order, make_targets
+from ...numerics.fastsum.clusters.targets import interpolation_order, make_targets
 from ...numerics.fastsum.clusters.tree import build_tree
 from ...numerics.fastsum.weighted.sums import FastSums, Summands
 from ...numerics.rigid import finish
 from ...numerics.rows import put_rows, take_rows
-from ...parallel import alike, apart, own_rows, rows_of
+from ...parallel import apart, rows_of
 from ..base import Account, Progress, of_stage
 from .idw_sums import Bound, ExactEvaluator, SourceValues, Weighed
 from .summation import largest_error, sum_accurately
@@ -23,55 +23,33 @@ class FastEvaluator:
         self.bound = bound
         self._tolerance = tolerance
         self._account = account
-        bound.grid.hold_neighbours()
-        with apart(bound.grid.points):
-            self._sums = self._sorted(bound.sources, bound.points)
+        grid, order = bound.grid, interpolation_order(tolerance)
+        grid.hold_neighbours()
+        with apart(grid.points):
+            trees = [build_tree(bound.sources[group], order) for group in bound.groups]
+            self._targets = make_targets(bound.points, grid.shapes, grid.offsets, bound.flat, order)
+            self._sums = FastSums(bound.strength, bound.groups, trees, self._targets, tolerance, bound.room)
         self._weighed: Weighed | None = None
-
-    def _sorted(self, sources: FloatArray, points: FloatArray) -> FastSums:
-        grid, order = self.bound.grid, interpolation_order(self._tolerance)
-        trees = [build_tree(sources[group], order) for group in self.bound.groups]
-        targets = make_targets(points, grid.shapes, grid.offsets, self.bound.flat, order)
-        if points is not self.bound.points:
-            # Accuracy is relative to the undeformed cells, although targets have moved in later steps.
-            targets = targets.sized(self.bound.points, grid.shapes, grid.offsets)
-        return FastSums(self.bound.strength, self.bound.groups, trees, targets, self._tolerance, self.bound.room)
 
     def evaluate(self, fit: SourceValues, out: FloatArray, progress: Progress | None) -> None:
         """Write the displacement of the targets into ``out`` (n_nodes, 3)."""
+        bound, rows, lasting = self.bound, rows_of(out), 1 if fit.transition.width else 0
+        summands = Summands(fit.weights, fit.values, fit.shift, fit.turn, fit.still, lasting)
+
+        def use(flat: IntArray, values: FloatArray) -> None:
+            x, moved = np.empty((len(flat), 3)), np.empty((len(flat), 3))
+            take_rows(bound.points, flat, x)
+            x -= fit.origin
+            finish(bound.rotation, values, x, moved, bound.repeats, fit.transition)
+            put_rows(fit.frame.absolute(x + fit.origin, moved), flat, rows)
 
         def exact(flat: IntArray) -> FloatArray:
-            found, self._weighed = ExactEvaluator(self.bound).checked(fit, flat, self._weighed)
+            found, self._weighed = ExactEvaluator(bound).checked(fit, flat, self._weighed)
             return found
 
         def once() -> float:
             with apart(out):
-                targets, risk = self._sum(fit, rows_of(out), progress)
-            return largest_error(self.bound.grid, targets, risk, rows_of(out), exact)
+                risk = self._sums.evaluate(summands, use, rows, of_stage(progress, "idw"))
+            return largest_error(bound.grid, self._targets, risk, rows, exact)
 
         sum_accurately("idw", self._sums, once, self._tolerance, self._account)
-
-    def _sum(self, fit: SourceValues, out: FloatArray, progress: Progress | None) -> tuple[Targets, FloatArray]:
-        """Write displacements to ``out``; return the last targets and an error bound for each brick, up to a factor."""
-        report = of_stage(progress, "idw")
-        bound, sums, points = self.bound, self._sums, self.bound.points
-        own = slice(*own_rows(bound.grid.points))
-        for step, sources in enumerate(fit.path):
-            if step:
-                points = rows_of(alike(bound.grid.points))
-                points[own] = bound.points[own]
-                points[bound.flat] += out[bound.flat] - fit.frame.shift
-                sums = self._sorted(sources + fit.origin, points)
-                sums.share = self._sums.share
-
-            def use(flat: IntArray, values: FloatArray, points: FloatArray = points, step: int = step) -> None:
-                x, moved = np.empty((len(flat), 3)), np.empty((len(flat), 3))
-                take_rows(points, flat, x)
-                x -= fit.origin
-                finish(bound.rotation, values, x, moved, bound.repeats, fit.transition)
-                put_rows(moved + out[flat] if step else fit.frame.absolute(x + fit.origin, moved), flat, out)
-
-            lasting = 1 if fit.transition.width else 0
-            summands = Summands(fit.weights, fit.values, fit.shift, fit.turn, fit.still, lasting)
-            risk = sums.evaluate(summands, use, out, report)
-        return sums.targets, np.asarray(risk)

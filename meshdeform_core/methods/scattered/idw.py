@@ -13,7 +13,6 @@ from ...grid import FloatArray, IntArray
 from ...numerics import rotation as rot
 from ...numerics.arrays import weighted_total
 from ...numerics.frame import AT_REST, Frame
-from ...numerics.paper.division import division_path
 from ...numerics.rigid import NO_TRANSITION
 from ...numerics.tape import plain
 from ...parallel import of_all
@@ -70,7 +69,6 @@ class IDW:
     length : L_def of eq. 16 (grid length unit), or ``"auto"``: eq. 17
     p_moving, p_fixed : exponents of ``shepard`` for moving and fixed sources
     divisions : m of eq. 26
-    reweight : paper only: ``division`` recomputes its weights in every step; m times the cost
     remove_mean : subtract the mean displacement (for ``lie``, if the whole boundary moves, the mean rigid motion) first
         and add it back; ``"auto"``: only for ``lie``
     summation : ``exact`` sums, or ``fast`` ones with clusters of sources, or ``"auto"``: fast from 2000
@@ -92,7 +90,6 @@ class IDW:
     p_moving: float = option(3.0, "as for fixed nodes; a larger value reduces the reach of the moving wall")
     p_fixed: float = option(3.0, "as for moving nodes")
     divisions: int = option(25, "the paper's; the distance from lie falls as 1/m")
-    reweight: bool = option(False, "m times the cost")
     remove_mean: bool | Literal["auto"] = option("auto", "only for lie, not for the paper's kinds")
     summation: Summation = option("auto", "fast where it pays")
     summation_tolerance: float = option(1e-2, "of the local cell: too small to affect any quality measure")
@@ -113,9 +110,6 @@ class IDW:
         positive("idw.divisions", self.divisions, whole=True)
         choose("idw.remove_mean", self.remove_mean, (True, False, "auto"))
         check_summation("idw", self.summation, self.summation_tolerance)
-        choose("idw.reweight", self.reweight, (True, False))
-        if self.reweight and self.rotation != "division":
-            raise MethodError(f'method.idw.reweight belongs to rotation = "division", not {self.rotation!r}')
 
     @property
     def idle(self) -> dict[str, str]:
@@ -151,14 +145,14 @@ class PreparedIDW:
     def __init__(self, options: IDW, problem: Problem):
         self.options = options
         self.account = Account()
-        self._problem = problem
-        self._images = mirror_images(problem)
-        self.area, self.points = self._images.area, self._images.points
+        self.problem = problem
+        self.images = mirror_images(problem)
+        self.area, self.points = self.images.area, self.images.points
         self._rotations = self._surface_rotations()
         self.length = self._length()
         width = self._width()
         self.far = self._far(width)
-        self._share = MovingShare.of(self._images, problem, self.far, width) if width else None
+        self._share = MovingShare.of(self.images, problem, self.far, width) if width else None
         self._blunt = self._near_edges()
         self.groups, self.strength = self._grouped()
         auto = options.remove_mean == "auto"
@@ -166,7 +160,7 @@ class PreparedIDW:
         self._record(auto)
 
     def _surface_rotations(self) -> rot.SurfaceRotations:
-        images, problem = self._images, self._problem
+        images, problem = self.images, self.problem
         if not problem.boundary.mirrors:
             return problem.rotations
         return rot.SurfaceRotations(images.points, images.corners, images.edges, problem.plane_normal)
@@ -174,23 +168,23 @@ class PreparedIDW:
     def _length(self) -> float:
         if self.options.length != "auto":
             return float(self.options.length)
-        return float(farthest(self._problem.source_points, self._problem.centroid))
+        return float(farthest(self.problem.source_points, self.problem.centroid))
 
     def _width(self) -> float:
         """Fraction of the gap at either end of the transition, see ``transition``; 0 without a transition."""
-        o, moving = self.options, with_motion(self._images)
+        o, moving = self.options, with_motion(self.images)
         if "transition" in o.idle or moving.all() or not moving.any():
             return 0.0
-        auto = WIDTH_IN_PLANES if self._problem.plane else WIDTH
+        auto = WIDTH_IN_PLANES if self.problem.plane else WIDTH
         return auto if o.transition == "auto" else float(o.transition)
 
     def _far(self, width: float) -> float:
         """Exponent a of eq. 16."""
         if self.options.a != "auto":
             return float(self.options.a)
-        if width and bodies(self._images) == 1:
+        if width and bodies(self.images) == 1:
             return FAR_OF_ONE_BODY
-        return FAR_IN_PLANES if self._problem.plane and self.options.rotation == "lie" else FAR
+        return FAR_IN_PLANES if self.problem.plane and self.options.rotation == "lie" else FAR
 
     @property
     def _rounds(self) -> int:
@@ -199,7 +193,7 @@ class PreparedIDW:
 
     def _near_edges(self) -> IntArray:
         """Pairs (e, 2) of neighbouring sources, the first of which is close to a sharp edge."""
-        images, normal = self._images, self._problem.plane_normal
+        images, normal = self.images, self.problem.plane_normal
         pairs = rot.neighbours(images.corners, images.edges, normal)
         if not self._rounds or not len(pairs):
             return np.empty((0, 2), dtype=np.int64)
@@ -208,7 +202,7 @@ class PreparedIDW:
 
     def _grouped(self) -> tuple[tuple[IntArray, ...], FloatArray]:
         """Groups of sources (index arrays) with a common weight function, and the strength (n,) of every source."""
-        o, moving = self.options, self._images.moving
+        o, moving = self.options, self.images.moving
         everything = (np.arange(len(moving)),)
         if o.weights == "luke":
             # Relative to the largest area, as in fast sums: the transition needs total weights in known units.
@@ -240,11 +234,11 @@ class PreparedIDW:
             settings["smoothing"] = Setting(self._rounds, f"{why}; {nodes} nodes are close to sharp edges")
         settings["length"] = dataclasses.replace(used(o, "length")["length"], value=self.length)
         if o.rotation == "division":
-            settings |= used(o, "divisions", "reweight")
+            settings |= used(o, "divisions")
         exact = "a translation of the whole boundary is then reproduced exactly"
         reason = exact if self.remove_mean else 'auto: only rotation = "lie" does'
         settings["remove_mean"] = Setting(self.remove_mean, reason if mean_is_auto else "given")
-        if len(self.area) > len(self._problem.source_points):
+        if len(self.area) > len(self.problem.source_points):
             settings["mirrored_sources"] = Setting(len(self.area), "images at symmetry planes take part")
 
     def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
@@ -253,14 +247,14 @@ class PreparedIDW:
         limit = PLAIN_ROTATION if plain else LARGEST_ROTATION
         what = 'rotation = "none" shears the cells beside them' if plain else "the direction of rotation is ambiguous"
         advice = "take more steps (--steps auto)" + (', or rotation = "lie"' if plain else "")
-        warnings = warn_of_rotation(self._problem, step, limit, what, advice)
+        warnings = warn_of_rotation(self.problem, step, limit, what, advice)
         if self.options.weights == "luke" and self.options.alpha == "auto":
-            warnings += warn_of_alpha(self._eq_18(self._images.displaced(step)), ALPHA_CAP)
+            warnings += warn_of_alpha(self._eq_18(self.images.displaced(step)), ALPHA_CAP)
         return warnings
 
     def fit(self, displacement: FloatArray, progress: Progress | None = None) -> SourceValues:
         """Rigid motions of the sources for one displacement (n_sources, 3)."""
-        images = self._images
+        images = self.images
         d = images.displaced(displacement)
         frame = self._frame(d)
         # Once the common rotation is removed, half a turn of the whole boundary is no special case.
@@ -273,25 +267,24 @@ class PreparedIDW:
             del found
         rest = frame.relative(images.points, d)
         # Frame-independent kinds are computed relative to the centroid, to reduce round-off.
-        origin = np.zeros(3) if self.options.rotation in ("quaternion", "division") else self._problem.centroid
+        origin = np.zeros(3) if self.options.rotation in ("quaternion", "division") else self.problem.centroid
         start = images.points - origin
         values = motion_values(self.options.rotation, self.options.divisions, start, rest, q, w)
         del q
-        path = division_path(start, values, self.options.divisions) if self.options.reweight else (start,)
         turn = np.linalg.norm(w, axis=1)
         at_rest = np.flatnonzero((turn == 0.0) & ~d.any(axis=1))
         still = values[:, at_rest[0]] if at_rest.size else None
         transition, shift = NO_TRANSITION, np.linalg.norm(rest, axis=1)
         if self._share and (divided := self._share.applied(values)):
             (values, transition), shift, still = divided, STEEPER * shift, np.zeros(len(values) + 1)
-        return SourceValues(path, values, self._weights(plain(inside)), shift, turn, origin, frame, still, transition)
+        return SourceValues(start, values, self._weights(plain(inside)), shift, turn, origin, frame, still, transition)
 
     def _frame(self, d: FloatArray) -> Frame:
         """The mean motion of the images, which is removed first: rigid for ``lie`` if the whole boundary moves."""
         if not self.remove_mean:
             return AT_REST
-        if self.options.rotation == "lie" and with_motion(self._images).all():
-            return Frame.fitted(self._images.points, d, self.area, self._problem.plane_normal)
+        if self.options.rotation == "lie" and with_motion(self.images).all():
+            return Frame.fitted(self.images.points, d, self.area, self.problem.plane_normal)
         return Frame(weighted_total(self.area / self.area.sum(), d))
 
     def _weights(self, d: FloatArray) -> tuple[tuple[float, float, float], ...]:
@@ -327,8 +320,8 @@ class PreparedIDW:
 
     def at(self, flat: IntArray) -> ExactEvaluator | FastEvaluator:
         """Bind to the target nodes ``flat``."""
-        o, grid, room = self.options, self._problem.grid, self._problem.memory.size // _KEPT
-        bound = Bound(grid, flat, self.points, self.strength, self.groups, o.rotation, o.divisions, o.reweight, room)
+        o, grid, room = self.options, self.problem.grid, self.problem.memory.size // _KEPT
+        bound = Bound(grid, flat, self.points, self.strength, self.groups, o.rotation, o.divisions, room)
         n_targets = sum(of_all(grid.points, len(flat)))
         fast, self.account.settings["summation"] = fast_pays(o.summation, n_targets, len(self.points))
         if not fast:

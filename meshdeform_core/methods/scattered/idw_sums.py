@@ -22,14 +22,13 @@ _CHECKED = 64
 class SourceValues:
     """A displacement prepared for summation.
 
-    ``path`` : source positions (n, 3) at the start of every step, relative to ``origin`` (3,); one step, unless the
-    weights are recomputed in each. ``values`` (k, n) per source; ``weights`` (a, b, kappa) per group; ``shift`` and
-    ``turn`` (n,), magnitude of the displacement and rotation angle (radians) of each source; ``frame``, the mean motion
-    that was removed; ``still`` (k,), the values of sources that do not move, if any; ``transition`` between moving
-    sources and others.
+    ``sources`` (n, 3) relative to ``origin`` (3,); ``values`` (k, n) per source; ``weights`` (a, b, kappa) per group;
+    ``shift`` and ``turn`` (n,), magnitude of the displacement and rotation angle (radians) of each source; ``frame``,
+    the mean motion that was removed; ``still`` (k,), the values of sources that do not move, if any; ``transition``
+    between moving sources and others.
     """
 
-    path: tuple[FloatArray, ...]
+    sources: FloatArray
     values: FloatArray
     weights: tuple[tuple[float, float, float], ...]
     shift: FloatArray
@@ -54,7 +53,6 @@ class Bound:
     groups: tuple[IntArray, ...]
     rotation: str
     divisions: int
-    reweight: bool
     room: int
 
     @property
@@ -65,7 +63,7 @@ class Bound:
     @property
     def repeats(self) -> int:
         """Number of steps in which the mean rigid motion is applied."""
-        return self.divisions if self.rotation == "division" and not self.reweight else 1
+        return self.divisions if self.rotation == "division" else 1
 
 
 @dataclass(frozen=True)
@@ -97,14 +95,12 @@ class ExactEvaluator:
     def displacement(self, fit: SourceValues, flat: IntArray) -> FloatArray:
         """Displacement (n, 3) of the nodes ``flat``."""
         x = rows_at(self.bound.points, flat) - fit.origin
-        total = np.zeros_like(x)
-        for sources in fit.path:
-            total += self._moved(fit, x + total, self._sums(fit, x + total, sources))
-        return fit.frame.absolute(rows_at(self.bound.points, flat), total)
+        moved = self._moved(fit, x, self._sums(fit, x))
+        return fit.frame.absolute(rows_at(self.bound.points, flat), moved)
 
     def checked(self, fit: SourceValues, flat: IntArray, known: Weighed | None) -> tuple[FloatArray, Weighed | None]:
         """:meth:`displacement` and the weights of these nodes, which are not summed again if ``known``."""
-        if len(fit.path) > 1 or fit.still is None:
+        if fit.still is None:
             return self.displacement(fit, flat), None
         x = rows_at(self.bound.points, flat) - fit.origin
         if known is None or known.weights != fit.weights or not np.array_equal(known.flat, flat):
@@ -113,16 +109,16 @@ class ExactEvaluator:
         return fit.frame.absolute(rows_at(self.bound.points, flat), moved), known
 
     def _moved(self, fit: SourceValues, x: FloatArray, sums: FloatArray) -> FloatArray:
-        """Displacement (n, 3) in one step of targets at ``x``, relative to the origin, from their sums (n, 1 + k)."""
+        """Displacement (n, 3) of targets at ``x``, relative to the origin, from their sums (n, 1 + k)."""
         moved = np.empty_like(x)
         finish(self.bound.rotation, sums, x, moved, self.bound.repeats, fit.transition)
         return moved
 
-    def _sums(self, fit: SourceValues, x: FloatArray, sources: FloatArray) -> FloatArray:
-        """Sums (n, 1 + k) at targets ``x`` over the sources, at their positions ``sources`` in one step."""
+    def _sums(self, fit: SourceValues, x: FloatArray) -> FloatArray:
+        """Sums (n, 1 + k) at targets ``x`` over the sources."""
         sums = np.zeros((len(x), 1 + len(fit.values)))
         for group, weights in zip(self.bound.groups, fit.weights, strict=True):
-            near = sources[group], self.bound.strength[group]
+            near = fit.sources[group], self.bound.strength[group]
             sums += weighted_sums(x, *near, weights, fit.values[:, group])
         return sums
 
@@ -130,7 +126,7 @@ class ExactEvaluator:
         """Total weight (n,) at targets ``x``."""
         total = np.zeros(len(x))
         for group, weights in zip(self.bound.groups, fit.weights, strict=True):
-            near = fit.path[0][group], self.bound.strength[group]
+            near = fit.sources[group], self.bound.strength[group]
             total += weighted_sums(x, *near, weights, np.empty((0, len(group))), chunk=_CHECKED)[:, 0]
         return total
 
@@ -148,7 +144,7 @@ class ExactEvaluator:
             for value, rest in zip(fit.values, fit.still, strict=True):
                 moving |= value[group] != rest
             some = group[moving]
-            near, values = (fit.path[0][some], self.bound.strength[some]), fit.values[:, some]
+            near, values = (fit.sources[some], self.bound.strength[some]), fit.values[:, some]
             values -= fit.still[:, None]
             sums[:, 1:] += weighted_sums(x, *near, weights, values, chunk=_CHECKED)[:, 1:]
         return sums

@@ -8,7 +8,6 @@ from ...grid import FloatArray
 from ...memory import UNLIMITED, MemoryLimit
 from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_matrix
-from ...numerics.paper.minres import minres
 from ...numerics.systems.greedy import independent
 from ...numerics.systems.krylov import KrylovSolver
 from ...numerics.systems.products import ExactProduct, nested_bytes, product_of
@@ -16,7 +15,7 @@ from ...numerics.systems.saddle import DirectSolver
 from ..base import Account, Progress, Setting, of_stage
 from .centres import DIRECT_CENTRES, Centres, SystemOptions
 
-_TOLERANCE = {"minres": 1e-10, "krylov": 1e-6}
+_TOLERANCE = 1e-6
 
 
 class RadialSystem:
@@ -35,12 +34,11 @@ class RadialSystem:
             self.solver = "direct" if n <= DIRECT_CENTRES else "krylov"
             self._reason = f"{n:,} centres, direct up to {DIRECT_CENTRES:,}"
         self._limit = limit
-        self._tolerance = _TOLERANCE.get(self.solver, 0.0) if options.tolerance == "auto" else float(options.tolerance)
+        self._tolerance = _TOLERANCE if options.tolerance == "auto" else float(options.tolerance)
         krylov = KrylovSolver.memory(n, self._tolerance) + nested_bytes(n)
         self._require(krylov if self.solver == "krylov" else dense)
         self._direct: DirectSolver | None = None
         self._krylov: KrylovSolver | None = None
-        self._matrix: FloatArray | None = None
 
     def _require(self, needed: int) -> None:
         """Refuse a system that exceeds the memory limit; another solver would change the result."""
@@ -54,8 +52,6 @@ class RadialSystem:
     def solve(self, values: FloatArray, account: Account, progress: Progress | None) -> tuple[FloatArray, FloatArray]:
         """Coefficients (n, 3) and polynomial (q, 3) for values at the centres (n, 3)."""
         account.settings["solver"] = Setting(self.solver, self._reason)
-        if self.solver == "minres":
-            return self._solve_minres(values, account, progress)
         if self.solver == "krylov":
             return self._solve_krylov(values, account, progress)
         return self._solve_direct(values, account)
@@ -92,37 +88,17 @@ class RadialSystem:
         found = self._krylov.solve(values, self._tolerance, self.options.max_iterations, report)
         account.settings["products"] = Setting(self._krylov.product.how)
         account.settings["iterations"] = Setting(found.iterations, "all components together")
-        self._report_residual(account, "GMRES", found.iterations, found.residual, found.stalled)
-        return found.coefficients, found.polynomial
-
-    def _solve_minres(
-        self, values: FloatArray, account: Account, progress: Progress | None
-    ) -> tuple[FloatArray, FloatArray]:
-        if self._matrix is None:
-            self._matrix = radial_matrix(self.kind, self.centres.points, self.centres.points)
-        matrix, terms = self._matrix, self.terms
-        n = len(terms)
-
-        def multiply(x: FloatArray) -> FloatArray:
-            return np.concatenate([matrix @ x[:n] + terms @ x[n:], terms.T @ x[:n]])
-
-        rhs = np.concatenate([values, np.zeros((terms.shape[1], values.shape[1]))])
-        report = of_stage(progress, "minres")
-        solution, iterations, residual = minres(multiply, rhs, self._tolerance, self.options.max_iterations, report)
-        account.settings["iterations"] = Setting(iterations.tolist(), "one number per component")
-        self._report_residual(account, "MINRES", int(iterations.max()), residual)
-        return solution[:n], solution[n:]
-
-    def _report_residual(
-        self, account: Account, name: str, iterations: int, residual: FloatArray, stalled: bool = False
-    ) -> None:
         account.settings["tolerance"] = Setting(self._tolerance)
-        account.settings["residual"] = Setting(residual.tolist(), "||b - K x|| / ||b||, computed from the solution")
+        account.settings["residual"] = Setting(
+            found.residual.tolist(), "||b - K x|| / ||b||, computed from the solution"
+        )
         # For smooth bases of large radius, coefficients nearly cancel, which limits the accuracy of their sums.
-        more = "the limit of round-off; " if stalled else "raise method.rbf.max_iterations, "
-        other = " or solver = direct" if self._direct_fits and not stalled else ""
+        more = "the limit of round-off; " if found.stalled else "raise method.rbf.max_iterations, "
+        other = " or solver = direct" if self._direct_fits and not found.stalled else ""
+        worst = float(found.residual.max())
         failed = (
-            f"{name} stopped after {iterations} iterations with a residual of {residual.max():.2e} (asked for "
+            f"GMRES stopped after {found.iterations} iterations with a residual of {worst:.2e} (asked for "
             f"{self._tolerance:g}); {more}loosen tolerance, use a smaller radius{other}"
         )
-        account.note("solver", failed if residual.max() > self._tolerance else None)
+        account.note("solver", failed if worst > self._tolerance else None)
+        return found.coefficients, found.polynomial

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from .rbf_sums import RadialSums
 
 Basis = Literal["tps", "wendland-c0", "wendland-c2", "ctps-c1", "ctps-c2a", "ctps-c2b"]
-Greedy = Literal["none", "single", "hybrid", "double-edged"]
+Greedy = Literal["none", "hybrid"]
 GreedyError = Literal["first-cell", "absolute"]
 GREEDY: tuple[str, ...] = get_args(Greedy)
 ERRORS: tuple[str, ...] = get_args(GreedyError)
@@ -48,12 +48,10 @@ class RBF:
     radius : support radius of the compact bases (grid length unit), or ``"auto"``: the support of every centre
         covers the whole moving body
     solver : ``direct`` (Cholesky on the null space of the side conditions), ``krylov`` (preconditioned GMRES,
-        for any number of centres), or ``"auto"``: direct up to 4000 centres, then krylov; paper only: ``minres``
-    tolerance : of the iterative solvers: ||r|| <= tolerance ||b||; ``"auto"``: 1e-10 for ``minres`` (eps_c of the
-        paper), 1e-6 for ``krylov``
-    max_iterations : of the iterative solvers; not converging is a warning
-    greedy : ``none`` or ``hybrid`` (the paper's choice); paper only, for comparison: ``single`` (Rendall & Allen),
-        ``double-edged`` (Wang et al.); compact bases only
+        for any number of centres), or ``"auto"``: direct up to 4000 centres, then krylov
+    tolerance : of ``krylov``: ||r|| <= tolerance ||b||; ``"auto"``: 1e-6
+    max_iterations : of ``krylov``; not converging is a warning
+    greedy : ``none`` or ``hybrid`` (Sen et al.: rounds of single-point updates and exact solutions); compact bases only
     greedy_error : ``first-cell``: errors relative to the height of the first cell at each node; ``absolute``: lengths
     greedy_tolerance : eps_g, largest error at any boundary node, in the unit of ``greedy_error``
     greedy_start : number of the first source, counted from 0
@@ -68,7 +66,7 @@ class RBF:
     basis: Basis = option("tps", "no radius to choose; no other basis has a better worst cell on the splitter plate")
     radius: float | Literal["auto"] = option("auto", "every node sees the whole moving body")
     solver: Solver = option("auto", f"direct up to {DIRECT_CENTRES:,} centres, then krylov")
-    tolerance: float | Literal["auto"] = option("auto", "minres 1e-10, krylov 1e-6")
+    tolerance: float | Literal["auto"] = option("auto", "krylov 1e-6")
     max_iterations: int = option(10000, "well above what a well-posed system needs")
     greedy: Greedy = option("none", "all centres are kept: exact at every boundary node")
     greedy_error: GreedyError = option("first-cell", "errors matter most where cells are thin")
@@ -150,13 +148,13 @@ class PreparedRBF:
 
         self.options = options
         self.account = Account()
-        self._problem = problem
-        self._images = mirror_images(problem)
-        self.centres = Centres.of(self._images.points, self._radius())
+        self.problem = problem
+        self.images = mirror_images(problem)
+        self.centres = Centres.of(self.images.points, self._radius())
         # Without greedy reduction the size of the system is known: refuse it now if it is too large.
-        self._system = None if options.greedy != "none" else RadialSystem(options.system, self.centres, problem.memory)
+        self.system = None if options.greedy != "none" else RadialSystem(options.system, self.centres, problem.memory)
         self.account.settings |= used(options, "basis", "solver", "tolerance", "max_iterations", "greedy") | {
-            "centres": Setting(len(self._images.points)),
+            "centres": Setting(len(self.images.points)),
             "polynomial": Setting(
                 f"linear in {len(self.centres.axes)} directions",
                 "" if len(self.centres.axes) == 3 else "the centres lie in a plane or on a line",
@@ -166,7 +164,7 @@ class PreparedRBF:
             self._announce_greedy()
 
     def _announce_greedy(self) -> None:
-        o, problem = self.options, self._problem
+        o, problem = self.options, self.problem
         names = ("error", "tolerance", "start", "updates", "max_points", "correct")
         self.account.settings |= used(o, *(f"greedy_{name}" for name in names))
         moving = problem.boundary.kind[problem.source_numbers] == Kind.MOVING
@@ -181,7 +179,7 @@ class PreparedRBF:
         if o.radius != "auto":
             self.account.settings |= used(o, "radius")
             return float(o.radius)
-        problem = self._problem
+        problem = self.problem
         moving = problem.source_points[problem.boundary.kind[problem.source_numbers] == Kind.MOVING]
         radius = float(covering_radius(moving, rows_at(problem.grid.points, problem.topology.first)))
         self.account.settings["radius"] = Setting(radius, "every node sees the whole moving body")
@@ -192,15 +190,15 @@ class PreparedRBF:
         if self.options.basis == "tps":
             return []
         terms = self.centres.polynomial(self.centres.points)
-        return warn_of_radius(self.centres.scale, terms, self._images.displaced(step))
+        return warn_of_radius(self.centres.scale, terms, self.images.displaced(step))
 
     def fit(self, displacement: FloatArray, progress: Progress | None = None) -> Coefficients:
         """Solve for one displacement of the sources (n_sources, 3)."""
-        values = self._images.displaced(displacement)
+        values = self.images.displaced(displacement)
         if self.options.greedy != "none":
             return self._fit_reduced(values, progress)
-        assert self._system is not None
-        return Coefficients(self.centres.points, *self._system.solve(values, self.account, progress))
+        assert self.system is not None
+        return Coefficients(self.centres.points, *self.system.solve(values, self.account, progress))
 
     def _fit_reduced(self, values: FloatArray, progress: Progress | None) -> Coefficients:
         found = self.selected(values, progress)
@@ -215,10 +213,10 @@ class PreparedRBF:
         o, n = self.options, len(values)
         scale = np.ones(n)
         if o.greedy_error == "first-cell":
-            scale = self._problem.first_cell_height[self._images.owner]
+            scale = self.problem.first_cell_height[self.images.owner]
         if o.greedy_start >= n:
             raise MethodError(f"method.rbf.greedy_start = {o.greedy_start}; expected 0 to {n - 1}")
-        search = Search(o.greedy, o.greedy_tolerance, o.greedy_start, o.greedy_updates or n, o.greedy_max_points or n)
+        search = Search(o.greedy_tolerance, o.greedy_start, o.greedy_updates or n, o.greedy_max_points or n)
         return select(
             BASES[o.basis], self.centres.points, self.centres.polynomial(self.centres.points), values, scale,
             search, of_stage(progress, "greedy"),
@@ -241,7 +239,7 @@ class PreparedRBF:
             "greedy": Setting(self.options.greedy),
             "greedy_points": Setting(len(found.active), f"of {len(found.error)} centres"),
             "greedy_rounds": Setting(found.rounds),
-            "greedy_updates_done": Setting(len(found.sequence)),
+            "greedy_updates_done": Setting(found.updates),
             "greedy_tolerance": Setting(self.options.greedy_tolerance, unit),
             "greedy_error_reached": Setting(float(found.error.max()), unit),
         }
@@ -255,7 +253,7 @@ class PreparedRBF:
         """Bind to the target nodes ``flat``."""
         from .rbf_sums import RadialSums
 
-        sums = RadialSums(self._problem.grid, flat, self.centres, self.options.sums, self.account)
+        sums = RadialSums(self.problem.grid, flat, self.centres, self.options.sums, self.account)
         if self.options.greedy == "none":
             sums.prepare(len(self.centres.points))
         return sums

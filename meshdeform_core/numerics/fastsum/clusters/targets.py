@@ -48,15 +48,6 @@ class Targets(NamedTuple):
         """Flat indices of the targets in the regions first <= g < last."""
         return self.bricks.targets[self.places(first, last)]
 
-    def sized(
-        self,
-        points: FloatArray,
-        shapes: Shapes,
-        offsets: IntArray,
-    ) -> Targets:
-        """These targets with ``sizes`` measured on other coordinates (n_nodes, 3)."""
-        return self._replace(sizes=_edges(points, shape_table(shapes), offsets, self.samples))
-
     def numbers(self, first: int, last: int) -> range:
         """Numbers of the bricks in the regions first <= g < last."""
         return range(self.regions.first[first], self.regions.first[last])

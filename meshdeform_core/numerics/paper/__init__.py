@@ -1,1 +1,0 @@
-"""Code needed only for the paper's tables: `meshdeform reproduce` uses it, no default does."""
