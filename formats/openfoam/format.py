@@ -19,9 +19,11 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FileFormat, FloatArray, Grid, IntArray
 
 from ..variant_options import checked_options
-from .block_mesh import read_block_mesh
+from .block_mesh import block_mesh
 from .case import POLY_MESH, case_folder, dictionary_of, is_case, mesh_files, replaced_mesh
+from .dictionary import read_dictionary
 from .existing import points_file, with_points_of
+from .layout import read_layout
 from .poly_mesh.extrusion import extruded
 from .poly_mesh.lists import read_points, write_points
 from .poly_mesh.mesh import PLACE, PolyMesh, poly_mesh, write_mesh
@@ -49,7 +51,7 @@ def read(path: Path) -> Grid:
         When there is no blockMeshDict, or it is damaged, uses what is not supported, or is not that of the mesh.
     """
     path = Path(path)
-    grid = read_block_mesh(dictionary_of(path) if is_case(path) else path)
+    grid = block_mesh(read_layout(read_dictionary(dictionary_of(path) if is_case(path) else path)))
     form = FoamFormat("openfoam", "float64", {"kind": "blockMeshDict"})
     points = points_file(case_folder(path) / POLY_MESH) if is_case(path) else None
     if points is not None:

@@ -65,6 +65,12 @@ def periodic_rotation(periodic: Periodicity) -> FloatArray:
     return rotation
 
 
+def periodic_image(points: FloatArray, periodic: Periodicity) -> FloatArray:
+    """Points (n, 3) moved by the motion of a periodic connection."""
+    center = np.array(periodic.rotation_center)
+    return np.asarray((points - center) @ periodic_rotation(periodic).T + center + np.array(periodic.translation))
+
+
 def check_connections(grid: Grid, topology: Topology) -> list[str]:
     """Disagreements between the declared connections and the coordinates, one message each."""
     declared = np.zeros(topology.n_unique, dtype=bool)
@@ -178,10 +184,7 @@ def _mismatch(grid: Grid, topology: Topology, connection: Connection, own: IntAr
             f"{int(apart.sum())} of {len(own)} node pairs do not coincide (largest gap {gap.max():.3g}, "
             f"{relative.max():.3g} of the local edge); the coordinates decide, the faces count as outside"
         )
-    p = connection.periodic
-    center = np.array(p.rotation_center)
-    image = (grid.points[own] - center) @ periodic_rotation(p).T + center + np.array(p.translation)
-    gap = np.linalg.norm(image - grid.points[donor], axis=1)
+    gap = np.linalg.norm(periodic_image(grid.points[own], connection.periodic) - grid.points[donor], axis=1)
     far = gap > 10 * RELATIVE_TOLERANCE * np.minimum(topology.edge[a], topology.edge[b])
     if far.any():
         return f"{int(far.sum())} of {len(own)} periodic node pairs differ, by up to {gap.max():.3g}"

@@ -1,22 +1,71 @@
-"""Curved edges of a blockMeshDict: positions by a parameter from 0 to 1, as blockMesh defines them.
+"""Edges of the blocks of a blockMeshDict: how they are divided, and curves on which their nodes lie, as in blockMesh.
 
 Arcs are uniform in angle; lines through points and splines in the length of the polygon through the points.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from meshdeform_core.grid import FloatArray
+from meshdeform_core.grid import FloatArray, IntArray
 
 _END = 1e-15
 """OpenFOAM's SMALL: parameters closer to an end of the curve are that end."""
 
 Curve = Callable[[FloatArray], FloatArray]
-"""Positions (n, 3) for parameters (n,)."""
+"""Positions (n, 3) for parameters (n,) from 0 to 1."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """Part of an edge: its share of the length and of the cells, and the ratio of its last to its first cell."""
+
+    length: float = 1.0
+    cells: float = 1.0
+    ratio: float = 1.0
+
+
+Grading = tuple[Section, ...]
+
+
+def reversed_grading(grading: Grading) -> Grading:
+    """The grading as seen from the other end of the edge."""
+    return tuple(Section(part.length, part.cells, 1.0 / part.ratio) for part in reversed(grading))
+
+
+def divide(cells: int, grading: Sequence[Section]) -> FloatArray:
+    """Parameters (cells + 1,) of the nodes from 0 to 1, as blockMesh places them.
+
+    An edge with fewer cells than sections is divided uniformly. The section with the largest share of cells absorbs
+    the rounding.
+    """
+    if cells < len(grading):
+        return np.linspace(0.0, 1.0, cells + 1)
+    lengths = np.array([part.length for part in grading])
+    found = [np.zeros(1)]
+    for part, length, count in zip(grading, lengths / lengths.sum(), section_cells(cells, grading), strict=True):
+        steps = np.arange(1, count + 1)
+        if count < 2 or abs(part.ratio - 1.0) < 1e-12:
+            own = steps / max(count, 1)
+        else:
+            growth = part.ratio ** (1.0 / (count - 1))
+            own = (1.0 - growth**steps) / (1.0 - growth**count)
+        found.append(found[-1][-1] + length * own)
+    nodes = np.concatenate(found)
+    nodes[-1] = 1.0
+    return nodes
+
+
+def section_cells(cells: int, grading: Sequence[Section]) -> IntArray:
+    """Cells of each section of an edge that has at least as many cells as sections."""
+    shares = np.array([part.cells for part in grading])
+    shares = shares / shares.sum()
+    counts = np.floor(shares * cells + 0.5).astype(np.int64)
+    counts[np.argmax(shares)] += cells - counts.sum()
+    return np.asarray(counts)
 
 
 @dataclass(frozen=True)
@@ -98,54 +147,40 @@ def arc_by_angle(first: FloatArray, last: FloatArray, degrees: float, axis: Floa
     return Arc(first, last, center, axis, float(angle))
 
 
-@dataclass(frozen=True)
-class Polygon:
-    """Straight lines through ``points`` (n, 3)."""
-
-    points: FloatArray
-
-    def __call__(self, parameter: FloatArray) -> FloatArray:
-        segment, local = _locate(self.points, parameter)
-        p, q = self.points[segment], self.points[segment + 1]
-        return _with_ends(p + local[:, None] * (q - p), parameter, self.points[0], self.points[-1])
-
-
-_CATMULL_ROM = 0.5 * np.array([[0, 2, 0, 0], [-1, 0, 1, 0], [2, -5, 4, -1], [-1, 3, -3, 1]], dtype=float)
-_B_SPLINE = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]], dtype=float) / 6.0
-
-
-@dataclass(frozen=True)
-class Spline:
-    """Piecewise cubic with a basis matrix: Catmull-Rom (through all points) or uniform B-spline (through the ends)."""
-
-    points: FloatArray
-    through: bool
-
-    def __call__(self, parameter: FloatArray) -> FloatArray:
-        points = self.points
-        padded = np.concatenate([2 * points[:1] - points[1:2], points, 2 * points[-1:] - points[-2:-1]])
-        segment, local = _locate(points, parameter)
-        powers = local[:, None] ** np.arange(4)
-        weights = powers @ (_CATMULL_ROM if self.through else _B_SPLINE)
-        found = sum(weights[:, n, None] * padded[segment + n] for n in range(4))
-        # blockMesh takes the points themselves at both ends of a segment, also where the B-spline misses them.
-        found = np.where((local <= 0)[:, None], points[segment], found)
-        found = np.where((local >= 1)[:, None], points[segment + 1], found)
-        return _with_ends(found, parameter, points[0], points[-1])
-
-
 def straight(first: FloatArray, last: FloatArray) -> Curve:
     """The straight line between two points, which may be the same."""
     return lambda parameter: _with_ends(first + parameter[:, None] * (last - first), parameter, first, last)
 
 
-def _locate(points: FloatArray, parameter: FloatArray) -> tuple[np.ndarray, FloatArray]:
-    """Segment and position in it, 0 to 1, by the length of the polygon."""
-    lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    lengths /= lengths[-1]
-    segment = np.clip(np.searchsorted(lengths, parameter, side="left") - 1, 0, len(points) - 2)
-    width = lengths[segment + 1] - lengths[segment]
-    return segment, (parameter - lengths[segment]) / np.where(width > 0, width, 1.0)
+_BASES = {
+    "polyLine": np.array([[0, 1, 0, 0], [0, -1, 1, 0], [0, 0, 0, 0], [0, 0, 0, 0]], dtype=float),
+    # Catmull-Rom, through all points, and the uniform B-spline, through the ends only.
+    "spline": 0.5 * np.array([[0, 2, 0, 0], [-1, 0, 1, 0], [2, -5, 4, -1], [-1, 3, -3, 1]], dtype=float),
+    "BSpline": np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]], dtype=float) / 6.0,
+}
+
+
+@dataclass(frozen=True)
+class Spline:
+    """Piecewise polynomial by points (n, 3), of a kind of edge of a blockMeshDict: polyLine, spline or BSpline."""
+
+    points: FloatArray
+    kind: str
+
+    def __call__(self, parameter: FloatArray) -> FloatArray:
+        points = self.points
+        lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        lengths /= lengths[-1]
+        segment = np.clip(np.searchsorted(lengths, parameter, side="left") - 1, 0, len(points) - 2)
+        width = lengths[segment + 1] - lengths[segment]
+        local = (parameter - lengths[segment]) / np.where(width > 0, width, 1.0)
+        padded = np.concatenate([2 * points[:1] - points[1:2], points, 2 * points[-1:] - points[-2:-1]])
+        weights = (local[:, None] ** np.arange(4)) @ _BASES[self.kind]
+        found = sum(weights[:, n, None] * padded[segment + n] for n in range(4))
+        # blockMesh takes the points themselves at both ends of a segment, also where the B-spline misses them.
+        found = np.where((local <= 0)[:, None], points[segment], found)
+        found = np.where((local >= 1)[:, None], points[segment + 1], found)
+        return _with_ends(found, parameter, points[0], points[-1])
 
 
 def _with_ends(found: FloatArray, parameter: FloatArray, first: FloatArray, last: FloatArray) -> FloatArray:

@@ -1,0 +1,240 @@
+"""blockMeshDict files, and the nodes that blockMesh generates from them.
+
+Nodes inside a block are blended from its twelve edges, each divided by its own grading and, where it is curved, placed
+on its curve. Source: C. Greenshields, "OpenFOAM user guide", section "Mesh generation with blockMesh"; positions agree
+with those of OpenFOAM's own program to round-off.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import Connection, FloatArray, Grid, Patch, Periodicity, Shape, Window
+from meshdeform_core.grid.connectivity.declared import periodic_image
+from meshdeform_core.memory import machine_memory, readable
+
+from .curves import divide, reversed_grading, straight
+from .layout import BlockSide, FoamPatch, HexBlock, Layout
+
+# Local vertices at the ends of the twelve edges: four along i, four along j, four along k.
+_EDGES = ((0, 1), (3, 2), (7, 6), (4, 5), (0, 3), (1, 2), (5, 6), (4, 7), (0, 4), (1, 5), (2, 6), (3, 7))
+# Bytes per node while nodes are generated, and number of nodes generated at a time.
+_NODE_BYTES = 40
+_AT_ONCE = 50_000
+_TOLERANCE = 1e-3
+"""Largest distance between the nodes of two blocks on a common edge, relative to the local spacing."""
+_CYCLIC_TOLERANCE = 1e-5
+"""Largest distance between the corner of a cyclic patch and its image, relative to the size of the patches."""
+
+Edge = tuple[FloatArray, FloatArray]
+"""Parameters (n + 1,) and positions (n + 1, 3) of the nodes of a block edge."""
+
+
+def block_mesh(layout: Layout) -> Grid:
+    """The blocks with their patches, in metres (``convertToMeters`` and ``scale`` applied).
+
+    Raises
+    ------
+    FormatError
+        When blocks do not fit together, or the nodes do not fit into memory.
+    """
+    shapes = [(a + 1, b + 1, c + 1) for a, b, c in (block.cells for block in layout.blocks)]
+    nodes, available = sum(math.prod(shape) for shape in shapes), machine_memory()
+    if nodes * _NODE_BYTES > available.size:
+        raise FormatError(
+            f"{layout.path} describes {nodes:,} nodes, which take about {readable(nodes * _NODE_BYTES)}; "
+            f"{available.source} {readable(available.size)}. Check the numbers of cells"
+        )
+    edges = [_edges(layout, block) for block in layout.blocks]
+    _require_matching(layout, edges)
+    names = [block.name for block in layout.blocks]
+    grid = Grid.allocate(shapes, names, patches=_patches(layout), path=layout.path)
+    grid.fill(lambda b: _blend(grid.block(b), layout.vertices[list(layout.blocks[b].vertices)], edges[b], layout.scale))
+    return _with_cyclic(grid, layout)
+
+
+def _edges(layout: Layout, block: HexBlock) -> list[Edge]:
+    found = []
+    for number, (a, b) in enumerate(_EDGES):
+        first, last = block.vertices[a], block.vertices[b]
+        cells, grading = block.cells[number // 4], block.gradings[number]
+        if (last, first) in layout.curves:
+            backwards = divide(cells, reversed_grading(grading))
+            found.append((1.0 - backwards[::-1], layout.curves[last, first](backwards)[::-1]))
+        else:
+            at = divide(cells, grading)
+            curve = layout.curves.get((first, last)) or straight(layout.vertices[first], layout.vertices[last])
+            found.append((at, curve(at)))
+    return found
+
+
+def _require_matching(layout: Layout, edges: Sequence[Sequence[Edge]]) -> None:
+    """Refuse blocks whose nodes differ from their neighbours' on a common edge: blockMesh joins blocks by vertices."""
+    seen: dict[tuple[int, int], tuple[HexBlock, FloatArray]] = {}
+    for block, own in zip(layout.blocks, edges, strict=True):
+        for (a, b), (_, points) in zip(_EDGES, own, strict=True):
+            first, last = block.vertices[a], block.vertices[b]
+            if first == last:
+                continue
+            if first > last:
+                first, last, points = last, first, points[::-1]
+            other, known = seen.setdefault((first, last), (block, points))
+            place = f"{layout.path}, line {block.line}: {block.name} and {other.name} (line {other.line})"
+            if len(known) != len(points):
+                raise FormatError(
+                    f"{place} have {len(points) - 1} and {len(known) - 1} cells on their common edge {first} {last}; "
+                    "expected equal numbers"
+                )
+            gap = np.linalg.norm(points - known, axis=1).max()
+            if gap > _TOLERANCE * np.linalg.norm(np.diff(known, axis=0), axis=1).min():
+                raise FormatError(
+                    f"{place} divide their common edge {first} {last} differently (by up to {gap:.3g} before scaling);"
+                    " expected the same grading"
+                )
+
+
+def _blend(out: FloatArray, corners: FloatArray, edges: Sequence[Edge], scale: FloatArray) -> None:
+    """Fill a block ``out`` (ni, nj, nk, 3) from its corners (8, 3) and edges, a few layers along i at a time.
+
+    The position is the sum over the three axes of the weighted mean of the four edges along each, less two thirds of
+    that of the straight lines in their place.
+    """
+    layers = max(_AT_ONCE // max(out.shape[1] * out.shape[2], 1), 1)
+    for begin in range(0, len(out), layers):
+        rows = slice(begin, begin + layers)
+        at = [
+            (values[rows] if number < 4 else values).reshape([-1 if axis == number // 4 else 1 for axis in range(3)])
+            for number, (values, _) in enumerate(edges)
+        ]
+        found = np.zeros(out[rows].shape)
+        for axis in range(3):
+            own = range(4 * axis, 4 * axis + 4)
+            weights = [_weight(at, number) for number in own]
+            total = sum(weights)
+            for number, weight in zip(own, weights, strict=True):
+                first, last = (corners[vertex] for vertex in _EDGES[number])
+                line = first + at[number][..., None] * (last - first)
+                points = edges[number][1][rows] if axis == 0 else edges[number][1]
+                found += (weight / total)[..., None] * (points.reshape(line.shape) - 2.0 / 3.0 * line)
+        out[rows] = found * scale
+
+
+def _weight(at: Sequence[FloatArray], number: int) -> FloatArray:
+    """The weight of an edge at the nodes: one at its own nodes, falling to zero at the opposite edges.
+
+    At each of its ends it is the product of the parameters, towards that end, of the other two edges there.
+    """
+    total: FloatArray | float = 0.0
+    for end, vertex in enumerate(_EDGES[number]):
+        part = at[number] if end else 1.0 - at[number]
+        for other, pair in enumerate(_EDGES):
+            if other != number and vertex in pair:
+                part = part * (at[other] if pair[1] == vertex else 1.0 - at[other])
+        total = total + part
+    return np.asarray(total)
+
+
+def _patches(layout: Layout) -> tuple[Patch, ...]:
+    """Patches under their names, which are their families, too; also those without faces."""
+    found = []
+    for patch in layout.patches:
+        windows = []
+        for block, side in patch.sides:
+            a, b = (layout.blocks[block].cells[axis] for axis in side.tangential)
+            windows.append(Window(block, side, (0, 0), (a, b)))
+        found.append(Patch(patch.name, tuple(windows), patch.name, patch.type))
+    return tuple(found)
+
+
+def _with_cyclic(grid: Grid, layout: Layout) -> Grid:
+    """The grid with the connections of its cyclic patches; a note for each pair whose faces do not fit."""
+    patches = {patch.name: patch for patch in layout.patches}
+    connections, notes, done = list(grid.connections), list(grid.notes), set[str]()
+    for name, patch in patches.items():
+        neighbour = patch.content.text("neighbourPatch") if patch.type == "cyclic" else ""
+        if not neighbour or neighbour in done:
+            continue
+        done.add(name)
+        other = patches.get(neighbour)
+        if other is None or other.content.text("neighbourPatch") != name:
+            raise FormatError(
+                f"{layout.path}: cyclic patch {name} has the neighbour {neighbour}, which does not have it"
+            )
+        found = _cyclic_pairs(grid, patch, other)
+        connections += found
+        if not found and (patch.sides or other.sides):
+            notes.append(f"{layout.path}: no motion maps cyclic patch {name} onto {neighbour}; they are not connected")
+    return dataclasses.replace(grid, connections=tuple(connections), notes=tuple(notes))
+
+
+def _cyclic_pairs(grid: Grid, one: FoamPatch, two: FoamPatch) -> list[Connection]:
+    """A connection for each block side of ``one``; none if any has no partner."""
+    if len(one.sides) != len(two.sides) or not one.sides:
+        return []
+    corners = {place: _corners(grid, place) for place in (*one.sides, *two.sides)}
+    means = [np.concatenate([corners[place][1] for place in patch.sides]).mean(axis=0) for patch in (one, two)]
+    motion = _motion(one, *means)
+    size = float(np.ptp(np.concatenate([points for _, points in corners.values()]), axis=0).max())
+    found = []
+    for number, own in enumerate(one.sides):
+        images = periodic_image(corners[own][1], motion)
+        for donor in two.sides:
+            gaps = np.linalg.norm(images[:, None] - corners[donor][1], axis=2)
+            nearest = gaps.argmin(axis=1).tolist()
+            if gaps.min(axis=1).max() <= _CYCLIC_TOLERANCE * size and len(set(nearest)) == 4:
+                there = [corners[donor][0][n] for n in nearest]
+                found.append(_connection(f"{one.name}-{number + 1}", own, corners[own][0], donor, there, motion))
+                break
+    return found if len(found) == len(one.sides) else []
+
+
+def _motion(patch: FoamPatch, mean: FloatArray, image: FloatArray) -> Periodicity:
+    """The rotation about the declared axis, else the translation, that maps one mean point onto the other."""
+    if patch.content.text("transform") != "rotational" and "rotationAxis" not in patch.content.entries:
+        x, y, z = (image - mean).tolist()
+        return Periodicity(translation=(x, y, z))
+    axis, center = (
+        np.array(found.point(key)) if (found := patch.content.reading(key)).more else np.array(default)
+        for key, default in (("rotationAxis", (0.0, 0.0, 1.0)), ("rotationCentre", (0.0, 0.0, 0.0)))
+    )
+    axis = axis / max(float(np.linalg.norm(axis)), 1e-30)
+    a, b = (x - center - ((x - center) @ axis) * axis for x in (mean, image))
+    turn = Rotation.from_rotvec(np.arctan2(np.cross(a, b) @ axis, a @ b) * axis)
+    # Lower case: about the fixed axes x, y, z in turn.
+    return Periodicity(*(tuple(values.tolist()) for values in (center, turn.as_euler("xyz", degrees=True))))
+
+
+def _corners(grid: Grid, place: BlockSide) -> tuple[list[Shape], FloatArray]:
+    """Indices and coordinates of the corners of a side: origin, far along the first tangential axis, second, both."""
+    block, side = place
+    shape = grid.shapes[block]
+    found = []
+    for b in (0, 1):
+        for a in (0, 1):
+            index = [side.layer(shape)] * 3
+            for axis, end in zip(side.tangential, (a, b), strict=True):
+                index[axis] = (shape[axis] - 1) * end
+            found.append((index[0], index[1], index[2]))
+    return found, np.array([grid.block(block)[at] for at in found])
+
+
+def _connection(
+    name: str, own: BlockSide, at: list[Shape], donor: BlockSide, there: list[Shape], motion: Periodicity
+) -> Connection:
+    """The connection from the indices of the corners of a side and of their images, ordered as in :func:`_corners`."""
+    (block, side), (other, opposite) = own, donor
+    transform = [0, 0, 0]
+    for axis, corner in zip(side.tangential, (1, 2), strict=True):
+        step = np.subtract(there[corner], there[0])
+        along = int(np.flatnonzero(step)[0])
+        transform[axis] = (along + 1) * (1 if step[along] > 0 else -1)
+    # The direction out of one side leads into the other.
+    transform[side.axis] = side.into(opposite)
+    i, j, k = transform
+    return Connection(name, block, at[0], at[3], other, there[0], there[3], (i, j, k), motion)

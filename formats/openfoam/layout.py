@@ -1,0 +1,352 @@
+"""The content of a blockMeshDict: vertices, blocks, curved edges and patches, checked entry by entry."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import FloatArray, Shape, Side
+from meshdeform_core.wording import vector
+
+from .curves import Arc, Curve, Grading, Section, Spline, arc_about, arc_by_angle, arc_through, section_cells, straight
+from .dictionary import Dictionary, Reading
+
+_MOST_CELLS = 2**40
+_GRADINGS = ("simpleGrading", "edgeGrading", "uniformGrading")
+_CURVES = ("arc", "line", "polyLine", "spline", "BSpline")
+# Local vertices of the block sides, in the order of Side, which is that of blockMesh.
+_SIDE_VERTICES = ((0, 4, 7, 3), (1, 2, 6, 5), (0, 1, 5, 4), (3, 7, 6, 2), (0, 3, 2, 1), (4, 5, 6, 7))
+_UNSUPPORTED = {
+    "mergePatchPairs": "it joins blocks whose nodes do not coincide; the grid is then not block-structured",
+    "faces": "it projects faces onto surfaces of other files",
+    "prescale": "only convertToMeters and scale change coordinates here",
+    "transform": "only convertToMeters and scale change coordinates here",
+}
+
+BlockSide = tuple[int, Side]
+
+
+@dataclass(frozen=True)
+class HexBlock:
+    """A block: its vertices (8,), cell zone, cells along i, j, k, and the grading of its 12 edges."""
+
+    name: str
+    vertices: tuple[int, ...]
+    zone: str
+    cells: Shape
+    gradings: tuple[Grading, ...]
+    line: int
+
+
+@dataclass(frozen=True)
+class FoamPatch:
+    """A patch: its block sides, and its entries other than faces."""
+
+    name: str
+    type: str
+    sides: tuple[BlockSide, ...]
+    content: Dictionary
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The geometry from which blockMesh generates a mesh.
+
+    Attributes
+    ----------
+    vertices : (n, 3) before scaling
+    scale : (3,) factors of the coordinates
+    curves : curved edges by their vertices (first, last)
+    patches : with the default patch of all other outside faces
+    joined : pairs of blocks with a common side: the same vertices, wherever these lie
+    """
+
+    path: Path
+    vertices: FloatArray
+    scale: FloatArray
+    blocks: tuple[HexBlock, ...]
+    curves: dict[tuple[int, int], Curve]
+    patches: tuple[FoamPatch, ...]
+    joined: tuple[tuple[int, int], ...]
+
+
+def read_layout(top: Dictionary) -> Layout:
+    """The layout that a blockMeshDict describes.
+
+    Raises
+    ------
+    FormatError
+        With file and line, for what is missing, wrong, or not supported (projection, merged patches).
+    """
+    for key in ("vertices", "blocks"):
+        if key not in top.entries:
+            raise FormatError(f"{top.path} is an OpenFOAM dictionary without {key}; expected a blockMeshDict")
+    for key, reason in _UNSUPPORTED.items():
+        entry = top.reading(key)
+        entry.next_number()
+        # An empty list may be preceded by its length.
+        if entry.more and (isinstance(top.entries[key], Dictionary) or entry.list(key).more or entry.more):
+            raise FormatError(f"{top.place(key)}: {key} is not supported: {reason}")
+    known = _Vertices(top)
+    blocks = _blocks(top, known)
+    sides: dict[tuple[int, ...], list[BlockSide]] = {}
+    for number, block in enumerate(blocks):
+        for side in Side:
+            sides.setdefault(_side_key(block, side), []).append((number, side))
+    joined = tuple((two[0][0], two[1][0]) for key, two in sides.items() if len(two) == 2 < len(key))
+    curves, patches = _curves(top, known), _Patches(top, known, blocks, sides).read()
+    return Layout(top.path, known.points, _scale(top), blocks, curves, patches, joined)
+
+
+class _Vertices:
+    """Points (n, 3) before scaling, and the numbers of those that have names; projected vertices are refused."""
+
+    def __init__(self, top: Dictionary):
+        items, points = top.list("vertices"), []
+        self.names: dict[str, int] = {}
+        while items.more:
+            word = items.next_word()
+            if word == "name":
+                self.names[items.word("the name of a vertex")] = len(points)
+                word = items.next_word()
+            if word is not None:
+                items.fail(f"{word} is not supported in vertices; expected points (x y z)")
+            points.append(items.point("a vertex"))
+        self.points: FloatArray = np.array(points, dtype=np.float64).reshape(-1, 3)
+
+    def take(self, items: Reading) -> int:
+        """Take the next vertex; returns its number."""
+        return items.numbered("vertex", self.names, len(self.points))
+
+
+def _scale(top: Dictionary) -> FloatArray:
+    key = "scale" if "scale" in top.entries else "convertToMeters"
+    found = top.reading(key)
+    if not found.more:
+        return np.ones(3)
+    factor = found.next_number()
+    scale = np.full(3, factor) if factor is not None else np.array(found.point("scale"))
+    if not (scale > 0).all():
+        raise FormatError(f"{top.place(key)}: {key} is {vector(scale)}; expected positive factors")
+    return scale
+
+
+def _blocks(top: Dictionary, vertices: _Vertices) -> tuple[HexBlock, ...]:
+    items = top.list("blocks")
+    found: list[HexBlock] = []
+    while items.more:
+        found.append(_block(items, vertices, len(found) + 1))
+    if not found:
+        items.fail("blocks is empty")
+    names = [block.name for block in found]
+    if len(set(names)) < len(names):
+        items.fail(f"two blocks are called {next(n for n in names if names.count(n) > 1)!r}")
+    return tuple(found)
+
+
+def _block(items: Reading, known: _Vertices, number: int) -> HexBlock:
+    word, name, line = items.word("hex"), f"block{number}", items.line
+    if word == "name":
+        name, word = items.word("the name of a block"), items.word("hex")
+    if word != "hex":
+        items.fail(f"found {word!r}, expected hex; blocks of other shapes are hex with repeated vertices")
+    corners = items.list("eight vertices")
+    vertices = [known.take(corners) for _ in range(8)]
+    # Like blockMesh, which wants these to exist, too.
+    while corners.more:
+        known.take(corners)
+    zone = items.next_word() or ""
+    expected = "the numbers of cells, like (10 20 1)"
+    first = items.next_number()
+    source = items if first is not None else items.list(expected)
+    counts = [] if first is None else [first]
+    counts += [source.number(expected) for _ in range(3 - len(counts))]
+    if source is not items and source.more:
+        source.fail(f"more than three numbers of cells; expected {expected}")
+    if any(n < 1 or n != int(n) for n in counts) or math.prod(counts) > _MOST_CELLS:
+        items.fail(f"a block of {' x '.join(f'{n:g}' for n in counts)} cells; expected {expected}")
+    cells = (int(counts[0]), int(counts[1]), int(counts[2]))
+    return HexBlock(name, tuple(vertices), zone, cells, _gradings(items, cells), line)
+
+
+def _gradings(items: Reading, cells: Shape) -> tuple[Grading, ...]:
+    word = items.next_word()
+    if word not in (None, *_GRADINGS):
+        items.fail(f"found {word!r}, expected simpleGrading or edgeGrading")
+    values, found = items.list("expansion ratios"), []
+    while values.more:
+        found.append(_grading(values))
+    if len(found) not in (1, 3, 12):
+        items.fail(f"{len(found)} expansion ratios; expected 1, 3 (along i, j, k) or 12 (one for each edge)")
+    edges = [found[number * len(found) // 12] for number in range(12)]
+    for number, grading in enumerate(edges):
+        count = cells[number // 4]
+        if count >= len(grading) and section_cells(count, grading).min() < 1:
+            items.fail(f"a section has no cells: {count} cells in parts {[p.cells for p in grading]}")
+    return tuple(edges)
+
+
+def _grading(values: Reading) -> Grading:
+    """One ratio, or a list of sections ``(length cells ratio)``."""
+    ratio = values.next_number()
+    if ratio is not None:
+        return (Section(ratio=_positive(values, ratio)),)
+    items, found = values.list("sections (length cells ratio)"), []
+    while items.more:
+        ratio = items.next_number()
+        if ratio is not None:
+            found.append(Section(ratio=_positive(items, ratio)))
+            continue
+        part = items.list("a section (length cells ratio)")
+        length, cells = part.number("the length of a section"), part.number("the cells of a section")
+        if length <= 0 or cells <= 0:
+            part.fail(f"a section of length {length:g} with {cells:g} cells; expected positive shares")
+        found.append(Section(length, cells, _positive(part, part.number("the expansion of a section"))))
+    if not found:
+        items.fail("a grading without sections")
+    return tuple(found)
+
+
+def _positive(items: Reading, ratio: float) -> float:
+    """The expansion ratio; a negative value means the reciprocal of its magnitude."""
+    if ratio == 0:
+        items.fail("an expansion ratio of 0; expected the ratio of the last to the first cell")
+    return -1.0 / ratio if ratio < 0 else ratio
+
+
+def _curves(top: Dictionary, vertices: _Vertices) -> dict[tuple[int, int], Curve]:
+    items, found = top.list("edges"), dict[tuple[int, int], Curve]()
+    while items.more:
+        kind = items.word("the kind of an edge")
+        if kind not in _CURVES:
+            items.fail(f"edges of kind {kind!r} are not supported; known are {', '.join(_CURVES)}")
+        first, last = vertices.take(items), vertices.take(items)
+        curve = _curve(items, kind, vertices.points[first], vertices.points[last])
+        # As in blockMesh, the first of several definitions counts.
+        if (last, first) not in found:
+            found.setdefault((first, last), curve)
+    return found
+
+
+def _curve(items: Reading, kind: str, first: FloatArray, last: FloatArray) -> Curve:
+    if not (first != last).any():
+        items.fail("both ends of the edge are at one point")
+    if kind == "line":
+        return straight(first, last)
+    if kind == "arc":
+        arc = _arc(items, first, last)
+        if arc is None:
+            items.fail("the points of the arc lie on one line")
+        return arc
+    points, values = [first], items.list("points (x y z)")
+    while values.more:
+        points.append(np.array(values.point("a point of the edge")))
+    return Spline(np.stack([*points, last]), kind)
+
+
+def _arc(items: Reading, first: FloatArray, last: FloatArray) -> Arc | None:
+    """``(x y z)``, ``origin [factor] (x y z)`` or ``degrees (axis)``."""
+    degrees = items.next_number()
+    if degrees is not None:
+        axis = np.array(items.point("the axis of an arc"))
+        if not 0 < abs(degrees) < 360 or not axis.any():
+            items.fail(f"an arc of {degrees:g} degrees about {vector(axis)}; expected 0 to 360 about a direction")
+        return arc_by_angle(first, last, degrees, axis)
+    word = items.next_word()
+    if word == "origin":
+        factor = items.next_number()
+        return arc_about(first, last, np.array(items.point("the origin of an arc")), factor or 1.0)
+    if word is not None:
+        items.fail(f"found {word!r}, expected a point of the arc, origin, or an angle in degrees")
+    return arc_through(first, np.array(items.point("a point of the arc")), last)
+
+
+class _Patches:
+    """The patches of a blockMeshDict; every face is an outside block side that no other patch has.
+
+    ``sides``: block sides by their vertices, ascending without repetition.
+    """
+
+    def __init__(
+        self, top: Dictionary, vertices: _Vertices, blocks: Sequence[HexBlock],
+        sides: dict[tuple[int, ...], list[BlockSide]],
+    ):  # fmt: skip
+        self._top, self._vertices, self._blocks, self._sides = top, vertices, blocks, sides
+        self._owners: dict[BlockSide, str] = {}
+
+    def read(self) -> tuple[FoamPatch, ...]:
+        """Those of ``boundary`` (or ``patches``, the form before OpenFOAM 2) and the default patch."""
+        top, found = self._top, list[FoamPatch]()
+        old = "boundary" not in top.entries
+        items = top.list("patches" if old else "boundary")
+        while items.more:
+            kind = items.word("the type of a patch") if old else ""
+            name = items.word("the name of a patch")
+            if old:
+                content, faces = Dictionary(top.path, items.line), items.list("faces")
+            else:
+                content = items.dictionary(f"patch {name}")
+                for key in ("type", "faces"):
+                    if key not in content.entries:
+                        raise FormatError(f"{top.path}, line {content.line}: the patch {name!r} has no {key}; "
+                                          "expected one")  # fmt: skip
+                kind, faces = content.text("type"), content.list("faces")
+            if name in (patch.name for patch in found):
+                raise FormatError(f"{top.path}: two patches are called {name!r}")
+            found.append(FoamPatch(name, kind, self._faces(faces, name), content))
+        return self._with_rest(found)
+
+    def _with_rest(self, found: list[FoamPatch]) -> tuple[FoamPatch, ...]:
+        """The patches with the default patch of all outside faces that none of them has."""
+        rest = [own[0] for key, own in self._sides.items()
+                if len(own) == 1 < len(key) - 1 and own[0] not in self._owners]  # fmt: skip
+        if not rest:
+            return tuple(found)
+        default = self._top.entries.get("defaultPatch")
+        content = default if isinstance(default, Dictionary) else Dictionary(self._top.path, 1)
+        name = content.text("name", "defaultFaces")
+        if any(patch.name == name and patch.sides for patch in found):
+            raise FormatError(f"{self._top.path}: the default patch has the name of another patch, {name!r}")
+        declared = next((patch for patch in found if patch.name == name), None)
+        if declared is None:
+            return (*found, FoamPatch(name, content.text("type", "empty"), tuple(rest), content))
+        return (*(patch for patch in found if patch is not declared),
+                FoamPatch(name, declared.type, tuple(rest), declared.content))  # fmt: skip
+
+    def _faces(self, items: Reading, name: str) -> tuple[BlockSide, ...]:
+        found: list[BlockSide] = []
+        while items.more:
+            face = items.list(f"a face of patch {name}")
+            # Two numbers are a block and its side, others are vertices.
+            pair, numbers = len(face) == 2, list[int]()
+            while face.more:
+                numbers.append(face.whole("a block and a side") if pair else self._vertices.take(face))
+            text = f"patch {name}: the face ({' '.join(map(str, numbers))})"
+            key = tuple(sorted(set(numbers)))
+            if pair and 0 <= numbers[0] < len(self._blocks) and 0 <= numbers[1] < 6:
+                key = _side_key(self._blocks[numbers[0]], Side(numbers[1]))
+            own = self._sides.get(key, []) if len(numbers) < 5 else []
+            if not own:
+                items.fail(f"{text} is not a side of any block")
+            if len(key) < 3:
+                # It is collapsed to a line.
+                continue
+            if len(own) > 1:
+                items.fail(f"{text} lies between two blocks; expected an outside face")
+            if own[0] in self._owners:
+                block, side = own[0]
+                items.fail(f"{text}, which is {self._blocks[block].name}.{side.label}, belongs to the patches "
+                           f"{self._owners[own[0]]} and {name}; expected one")  # fmt: skip
+            self._owners[own[0]] = name
+            found.append(own[0])
+        return tuple(found)
+
+
+def _side_key(block: HexBlock, side: Side) -> tuple[int, ...]:
+    """The vertices of a block side, ascending without repetition."""
+    return tuple(sorted({block.vertices[v] for v in _SIDE_VERTICES[side]}))
