@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from .boundary import classify
-from .boundary.plates import open_plates
+from .boundary.plates import with_plates
 from .deform import Case
 from .grid import Grid
 from .grid.connectivity.components import with_components
@@ -24,10 +24,10 @@ def judge_grid(grid: Grid, original: Grid, case: Case) -> tuple[Assessment, tupl
     """
     require_same_blocks(grid, original)
     original = with_components(original, case.components)
-    topology = open_plates(original, find_topology(original, case.tolerance), case.plates)
+    original, topology = with_plates(original, find_topology(original, case.tolerance), case.plates)
     boundary = None
     notes = original.notes
     if case.boundaries:
-        topology, boundary = classify(original, topology, case.boundaries, case.constants)
+        boundary = classify(original, topology, case.boundaries, case.constants)
         notes += boundary.notes
     return assess(Original(original, topology), grid.points, boundary), notes

@@ -10,6 +10,7 @@ import numpy as np
 
 from .boundary import Boundary, classify
 from .boundary.pinned import find_pinned
+from .boundary.plates import with_plates
 from .errors import GridError
 from .grid import FloatArray, Grid
 from .grid.connectivity.components import with_components
@@ -92,7 +93,8 @@ def mend(
     """
     require_same_blocks(grid, original)
     original = with_components(original, case.components)
-    topology, boundary = classify(original, find_topology(original, case.tolerance), case.boundaries, case.constants)
+    original, topology = with_plates(original, find_topology(original, case.tolerance), case.plates)
+    boundary = classify(original, topology, case.boundaries, case.constants)
     _require_closed(grid, topology, case.tolerance)
     width = precision or grid.precision
     measured = Original(original, topology, case.repair.min_jacobian)

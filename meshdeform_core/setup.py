@@ -13,7 +13,7 @@ from .boundary import Boundary, BoundarySpec, Kind, classify
 from .boundary.classification import UNSELECTED
 from .boundary.components import ComponentCrossings, boundary_of
 from .boundary.crossing import CrossingTest
-from .boundary.plates import open_plates
+from .boundary.plates import with_plates
 from .boundary.prescribed import prescribed_displacement
 from .boundary.unselected import opening_notes
 from .errors import CaseError, MotionError
@@ -252,8 +252,8 @@ def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryL
         openings = find_openings(grid, topology)
         if grid.components and case.open_faces is not True:
             require_apart(grid, topology)
-        topology = open_plates(grid, topology, case.plates)
-        topology, boundary = classify(grid, topology, case.boundaries, case.constants)
+        grid, topology = with_plates(grid, topology, case.plates)
+        boundary = classify(grid, topology, case.boundaries, case.constants)
         unselected = boundary.quads_of(lambda patch: patch.name == UNSELECTED)
         moving = boundary.quads_of(lambda patch: patch.kind is Kind.MOVING)
         warnings += opening_notes(grid, topology, openings, unselected, moving, case.open_faces)

@@ -81,7 +81,8 @@ def everything_moves(motion: Motion = STILL) -> list[BoundarySpec]:
 
 def problem_of(grid: Grid | None = None, specs: list[BoundarySpec] | None = None) -> Problem:
     grid = frame() if grid is None else grid
-    topology, boundary = classify(grid, find_topology(grid), specs or everything_moves(), {})
+    topology = find_topology(grid)
+    boundary = classify(grid, topology, specs or everything_moves(), {})
     return Problem(grid, topology, boundary)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -18,6 +19,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Connection, FloatArray, Grid, Patch, Periodicity, Shape, Window
 from meshdeform_core.grid.connectivity.declared import periodic_image
 from meshdeform_core.memory import machine_memory, readable
+from meshdeform_core.numerics.geometry.coincidence import connected_components
 
 from .curves import divide, reversed_grading, straight
 from .layout import BlockSide, FoamPatch, HexBlock, Layout
@@ -54,9 +56,24 @@ def block_mesh(layout: Layout) -> Grid:
     edges = [_edges(layout, block) for block in layout.blocks]
     _require_matching(layout, edges)
     names = [block.name for block in layout.blocks]
-    grid = Grid.allocate(shapes, names, patches=_patches(layout), path=layout.path)
+    grid = Grid.allocate(shapes, names, patches=_patches(layout), path=layout.path, components=_regions(layout))
     grid.fill(lambda b: _blend(grid.block(b), layout.vertices[list(layout.blocks[b].vertices)], edges[b], layout.scale))
     return _with_cyclic(grid, layout)
+
+
+def _regions(layout: Layout) -> tuple[str, ...]:
+    """The component of each block where the blocks form several that no common side joins, such as rotor and stator;
+    it has the name of the cell zone of its blocks, or a number."""
+    region = connected_components(len(layout.blocks), np.array(layout.joined, dtype=np.int64).reshape(-1, 2)).tolist()
+    if len(set(region)) == 1:
+        return ()
+    zones = {own: {block.zone for block, of in zip(layout.blocks, region, strict=True) if of == own} for own in region}
+    alone = Counter(zone for found in zones.values() for zone in found)
+    names = {
+        own: zone if len(found) == 1 and (zone := next(iter(found))) and alone[zone] == 1 else f"region{number}"
+        for number, (own, found) in enumerate(zones.items(), start=1)
+    }
+    return tuple(names[own] for own in region)
 
 
 def _edges(layout: Layout, block: HexBlock) -> list[Edge]:

@@ -85,6 +85,20 @@ def mesh_files(path: Path) -> list[Path]:
     return [file for name in _FILES for file in (mesh / name, mesh / f"{name}.gz") if file.is_file()]
 
 
+def mesh_file(mesh: Path, name: str) -> Path:
+    """The file of this name, or its compressed form, in the folder of a mesh.
+
+    Raises
+    ------
+    FormatError
+        When there is none.
+    """
+    for file in (mesh / name, mesh / f"{name}.gz"):
+        if file.is_file():
+            return file
+    raise FormatError(f"{mesh} has no file {name}; expected a mesh with {', '.join(_FILES)}")
+
+
 def case_files(path: Path) -> list[Path]:
     """The files from which a case is read."""
     folder = case_folder(path)

@@ -12,8 +12,7 @@ from meshdeform_core.grid import Grid
 
 from ..grids import read_grid, variant_of
 from ..inputs import digest
-from ..openfoam.case import has_dictionary, is_foam
-from ..openfoam.existing import points_file
+from ..openfoam.case import has_dictionary, is_foam, mesh_file
 from ..openfoam.format import MeshWriter
 from .manifest import NAME, Manifest
 
@@ -53,10 +52,7 @@ class Levels:
     def _with_points(self, folder: Path) -> Grid:
         """The undeformed grid with the points of a level."""
         grid, writer = self._mesh
-        points = points_file(folder / "polyMesh")
-        if points is None:
-            raise FormatError(f"{folder} has no polyMesh/points")
-        return grid.moved(writer.read_points(points))
+        return grid.moved(writer.read_points(mesh_file(folder / "polyMesh", "points")))
 
     @cached_property
     def _mesh(self) -> tuple[Grid, MeshWriter]:

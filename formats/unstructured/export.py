@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, FileFormat, FloatArray, Grid, IntArray
-from meshdeform_core.grid.topology import Topology, find_topology
+from meshdeform_core.grid.topology import Topology, find_topology, separated
 
 from ..files import replacing
 from ..hdf5_output import target
@@ -77,14 +77,14 @@ def write(grid: Grid, path: Path, variant: FileFormat) -> None:
     FormatError
         When the file cannot be written, or the format cannot hold the grid (2-D SU2 needs a plane grid).
     """
-    mesh = _unstructured(grid, find_topology(grid))
+    mesh = _unstructured(grid, separated(grid, find_topology(grid)))
     with replacing(Path(path)) as partial:
         _WRITERS[variant.options["kind"]](grid, mesh, partial, variant.options)
 
 
 def as_mesh(grid: Grid) -> meshio.Mesh:
     """The cells of a grid as an unstructured mesh: coincident nodes merged, with the fields that all blocks have."""
-    return _with_fields(grid, _unstructured(grid, find_topology(grid)))
+    return _with_fields(grid, _unstructured(grid, separated(grid, find_topology(grid))))
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ class _Unstructured:
 def _unstructured(grid: Grid, topology: Topology) -> _Unstructured:
     number, nodes = point_numbers(grid, topology)
     cells = [_cells(grid.block(b, number), int(topology.handedness[b])) for b in range(grid.n_blocks)]
-    markers = find_markers(grid, topology)
+    markers = [marker for marker in find_markers(grid, topology) if len(marker.quads)]
     return _Unstructured(
         points=grid.points[nodes],
         nodes=nodes,

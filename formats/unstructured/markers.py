@@ -9,8 +9,7 @@ import numpy as np
 from meshdeform_core.errors import GridError
 from meshdeform_core.grid import BoolArray, FloatArray, Grid, IntArray, Patch, Periodicity, Side
 from meshdeform_core.grid.connectivity.declared import connected_nodes, periodic_rotation
-from meshdeform_core.grid.selection import quads_of_patches
-from meshdeform_core.grid.topology import Topology
+from meshdeform_core.grid.topology import Topology, quads_of_patches
 from meshdeform_core.numerics.geometry.coincidence import equal_rows
 
 
@@ -37,11 +36,12 @@ def find_markers(grid: Grid, topology: Topology) -> list[Marker]:
     """The outside faces by family, patch (without a family) or block face (without a patch), in the file's order.
 
     Faces that a declared periodic connection pairs are markers of their own, the second in the order of the first. They
-    keep the name of their family if it has no other faces.
+    keep the name of their family if it has no other faces; else they come last. Patches that the file declares without
+    faces are markers without quads.
     """
     names, patches, group = _named(grid, topology)
     group[~topology.external] = -1
-    pairs = _pairs(grid, topology)
+    pairs = _pairs(grid, topology, np.where([patch is None for patch in patches], -1, np.arange(len(names)))[group])
     taken = set(names)
     markers: list[Marker] = []
     for own, donor, motion in pairs:
@@ -55,12 +55,14 @@ def find_markers(grid: Grid, topology: Topology) -> list[Marker]:
         group[own] = group[donor] = -1
     order = np.argsort(group, kind="stable")
     ends = np.searchsorted(group[order], np.arange(len(names) + 1))
-    rest = [
+    paired = {marker.name for marker in markers}
+    markers += [
         Marker(name, order[a:b], patch)
         for name, patch, a, b in zip(names, patches, ends[:-1], ends[1:], strict=True)
-        if b > a
+        if (b > a or (patch is not None and not patch.windows)) and name not in paired
     ]
-    return [*rest, *markers]
+    place = {name: number for number, name in enumerate(names)}
+    return sorted(markers, key=lambda marker: place.get(marker.name, len(names)))
 
 
 def _named(grid: Grid, topology: Topology) -> tuple[list[str], list[Patch | None], IntArray]:
@@ -90,8 +92,9 @@ def _label(names: list[str], group: IntArray, quads: IntArray, taken: set[str], 
     return f"periodic{count}{part}"
 
 
-def _pairs(grid: Grid, topology: Topology) -> list[tuple[IntArray, IntArray, Periodicity]]:
-    """Outside quads on both sides of the periodic connections, a pair of arrays for each motion."""
+def _pairs(grid: Grid, topology: Topology, group: IntArray) -> list[tuple[IntArray, IntArray, Periodicity]]:
+    """Outside quads on both sides of the periodic connections, a pair of arrays for each motion and pair of patches;
+    ``group`` (n_quads,) is the number of the patch of each."""
     free = topology.external.copy()
     found: list[tuple[FloatArray, Periodicity, list[tuple[IntArray, IntArray]]]] = []
     for connection in grid.connections:
@@ -106,7 +109,10 @@ def _pairs(grid: Grid, topology: Topology) -> list[tuple[IntArray, IntArray, Per
         if own.size == 0:
             continue
         free[own] = free[donor] = False
-        key = _signature(connection.periodic)
+        of_patches = [
+            own_group[0] if (own_group == own_group[0]).all() else -1 for own_group in (group[own], group[donor])
+        ]
+        key = np.append(_signature(connection.periodic), of_patches)
         parts = next((parts for known, _, parts in found if np.allclose(known, key, rtol=0, atol=1e-9)), None)
         if parts is None:
             found.append((key, connection.periodic, [(own, donor)]))

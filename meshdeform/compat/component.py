@@ -7,11 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from meshdeform_core.boundary.plates import open_two_sided_walls
 from meshdeform_core.errors import CaseError, GridError, MotionError
 from meshdeform_core.grid import FloatArray, Grid, IntArray, Patch
-from meshdeform_core.grid.selection import quads_of_patch
-from meshdeform_core.grid.topology import Topology, find_topology
+from meshdeform_core.grid.topology import Topology, find_topology, quads_of_patches
 from meshdeform_core.grid.windows import rectangles
 from meshdeform_core.wording import vector
 
@@ -48,7 +46,7 @@ class Zones:
             tuple(grid.names[z] for z in zones),
             patches=tuple(filter(None, (_within(patch, place) for patch in grid.patches))),
         )
-        self.topology: Topology = open_two_sided_walls(self.grid, find_topology(self.grid))[0]
+        self.topology: Topology = find_topology(self.grid)
 
     def wall_quads(self) -> IntArray:
         """The outside face quads that the options select as the surface.
@@ -67,7 +65,7 @@ class Zones:
             raise CaseError(
                 "the file declares no wall (BCWall...); expected specifiedSurfaces, or a call of setSurfaceDefinition"
             )
-        quads = np.unique(np.concatenate([quads_of_patch(self.topology.quads, patch) for patch in chosen]))
+        quads = np.unique(quads_of_patches(self.topology.quads, chosen)[0])
         return np.asarray(quads[self.topology.external[quads]])
 
     def symmetry(self) -> list[IntArray]:
@@ -79,7 +77,7 @@ class Zones:
             chosen = _of_families(self.grid, families, "symmetrySurfaces")
         else:
             chosen = [patch for patch in self.grid.patches if patch.bc_type.lower().startswith("bcsymmetry")]
-        return [quads_of_patch(self.topology.quads, patch) for patch in chosen]
+        return [quads_of_patches(self.topology.quads, [patch])[0] for patch in chosen]
 
     def _on_plane(self, point: FloatArray, normal: FloatArray) -> IntArray:
         outside = np.flatnonzero(self.topology.external)
@@ -196,7 +194,7 @@ def _mesh(zones: Zones, quads: IntArray, comm: Comm | None) -> Mesh:
     patches = (zones.patch(SURFACE, quads, "BCWall"), *mirrors)
     held = UserGrid._of(dataclasses.replace(zones.grid, patches=patches))
     rest = zones.topology.external.copy()
-    rest[np.concatenate([quads, *(quads_of_patch(zones.topology.quads, patch) for patch in mirrors)])] = False
+    rest[np.concatenate([quads, quads_of_patches(zones.topology.quads, mirrors)[0]])] = False
     mesh = prepare(
         held,
         moving=[SURFACE],

@@ -22,7 +22,6 @@ from .motions.doubts import tiny_rotations
 from .motions.expression import Expression
 from .motions.motion import Follow, FollowSequence, Motion, PreparedMotion
 from .periodic import Periodic, find_periodicity
-from .plates import open_two_sided_walls
 from .slip import Slip, find_sliding
 from .tables.fitting import Fit, fit_table
 from .tables.matching import Nodes, SurfaceData
@@ -134,20 +133,17 @@ class Boundary:
         return int(np.isin(self.kind, kinds).sum())
 
 
-def classify(
-    grid: Grid, topology: Topology, specs: Sequence[BoundarySpec], constants: Mapping[str, float]
-) -> tuple[Topology, Boundary]:
+def classify(grid: Grid, topology: Topology, specs: Sequence[BoundarySpec], constants: Mapping[str, float]) -> Boundary:
     """Apply the boundary entries of a case to a grid.
 
-    Returns the topology with two-sided walls opened, and the boundary. External faces that no entry selects are
-    fixed, except the end planes of a grid one cell thick, which slide, as otherwise nothing could move.
+    External faces that no entry selects are fixed, except the end planes of a grid one cell thick, which slide, as
+    otherwise nothing could move.
 
     Raises
     ------
     CaseError, MotionError
         When a selection matches nothing or a table matches no node.
     """
-    topology, notes = open_two_sided_walls(grid, topology)
     fits = [_fit(grid, topology, spec) for spec in specs]
     specs = [_following(spec, fit) for spec, fit in zip(specs, fits, strict=True)]
     selected = [
@@ -176,9 +172,8 @@ def classify(
     patches = tuple(
         ClassifiedPatch(n, k, distinct(topology.quads.corners[q], topology.n_unique), q) for n, k, q in entries
     )
-    notes = [*notes, *doubts, *more]
-    boundary = Boundary(node_kind, quad_kind, patches, tuple(movers), slip, periodic, mirrors, tuple(notes), tables)
-    return topology, boundary
+    notes = (*doubts, *more)
+    return Boundary(node_kind, quad_kind, patches, tuple(movers), slip, periodic, mirrors, notes, tables)
 
 
 def _bind_motions(

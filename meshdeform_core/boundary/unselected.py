@@ -11,8 +11,8 @@ from ..grid import Grid, IntArray, Window
 from ..grid.connectivity.openings import Opening, describe_group, patched_groups
 from ..grid.connectivity.overset import Overlap
 from ..grid.planes import plane_normal, plane_of
-from ..grid.selection import quads_of_windows, select_quads
-from ..grid.topology import Topology
+from ..grid.selection import select_quads
+from ..grid.topology import Topology, quads_of_windows
 from ..grid.windows import rectangles
 from ..parallel import rows_at
 from ..wording import listed

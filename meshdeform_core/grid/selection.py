@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import fnmatch
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
 from ..errors import CaseError, suggestion
-from ..numerics.arrays import spans
 from ..numerics.geometry.coincidence import distinct
 from ..wording import listed
 from .blocks import Grid, IntArray
 from .parts import Patch, Side, Window
-from .topology import FaceQuads, Topology
+from .topology import FaceQuads, Topology, quads_of_windows
 
 _FACE = re.compile(r"(?P<block>.+)\.(?P<side>[ijk*?][a-z*?]*)(?:\[(?P<window>[^\]]*)\])?", re.DOTALL)
 
@@ -42,32 +41,6 @@ def select_quads(grid: Grid, topology: Topology, patterns: Iterable[str], owner:
             )
     selected = distinct(np.concatenate(chosen), len(topology.partner))
     return selected[topology.external[selected]]
-
-
-def quads_of_windows(quads: FaceQuads, windows: Sequence[Window]) -> tuple[IntArray, IntArray]:
-    """Quads within windows, window after window, and the number of each quad's window; a line of nodes has no quads."""
-    rows = [(6 * window.block + window.side, *window.low, *window.high) for window in windows]
-    side, u0, v0, u1, v1 = np.array(rows, dtype=np.int64).reshape(-1, 5).T
-    size = np.stack([u1 - u0, v1 - v0], axis=1)
-    if quads.corners.shape[1] == 2:
-        # In a 2-D grid a window has no extent across the single plane of nodes, but contains one cell edge.
-        size[(size > 0).any(axis=1)] = np.maximum(size[(size > 0).any(axis=1)], 1)
-    window, place = spans(size.prod(axis=1))
-    u, v = np.divmod(place, size[window, 1])
-    columns = quads.counts[..., 1].ravel()[side]
-    first = quads.start.ravel()[side] + u0 * columns + v0
-    return np.asarray(first[window] + u * columns[window] + v, dtype=np.int64), window
-
-
-def quads_of_patch(quads: FaceQuads, patch: Patch) -> IntArray:
-    """Quads of all windows of a patch."""
-    return quads_of_windows(quads, patch.windows)[0]
-
-
-def quads_of_patches(quads: FaceQuads, patches: Sequence[Patch]) -> tuple[IntArray, IntArray]:
-    """Quads of all windows of patches, patch after patch, and the number of the patch of each."""
-    found, window = quads_of_windows(quads, [window for patch in patches for window in patch.windows])
-    return found, np.repeat(np.arange(len(patches)), [len(patch.windows) for patch in patches])[window]
 
 
 def quads_of_pattern(grid: Grid, quads: FaceQuads, pattern: str, owner: str) -> IntArray:

@@ -93,7 +93,7 @@ def test_wall_measures_are_those_of_the_report(make):
     topology = find_topology(grid)
     walls = ["block1.jmax"] if make is polar else ["block4.jmax", "block2.imax"]
     specs = (BoundarySpec("wall", tuple(walls), Kind.MOVING, None, STILL),)
-    topology, boundary = classify(grid, topology, specs, {})
+    boundary = classify(grid, topology, specs, {})
     after = waved(grid)
     quality = assess(Original(grid, topology), after.points, boundary).after
     moving = np.flatnonzero(boundary.quad_kind == Kind.MOVING)

@@ -24,9 +24,9 @@ from meshdeform_core.grid.connectivity.openings import find_openings
 from meshdeform_core.grid.extent import Bounds, block_extents
 from meshdeform_core.grid.faces.pieces import find_faces
 from meshdeform_core.grid.faces.surfaces import find_outside
-from meshdeform_core.grid.selection import quads_of_windows, select_quads
+from meshdeform_core.grid.selection import select_quads
 from meshdeform_core.grid.sides import side_numbers
-from meshdeform_core.grid.topology import find_topology, side_nodes
+from meshdeform_core.grid.topology import find_topology, quads_of_windows, side_nodes
 from meshdeform_core.grid.topology.handedness import block_handedness
 from meshdeform_core.grid.windows import rectangles
 from meshdeform_core.methods.transfinite.edge_graph import PreparedEdgeGraph, _face_parts, _Rows, _segments

@@ -18,7 +18,7 @@ from ...parallel import Part, alike, empty
 from ...wording import listed
 from ..blocks import Grid
 from ..near import NearNodes
-from ..topology import RELATIVE_TOLERANCE, FaceQuads, Topology
+from ..topology import RELATIVE_TOLERANCE, FaceQuads, Topology, quads_of_patches
 
 BY_PREFIX = "zone prefix"
 """Components are the blocks whose names differ in the number at their end only: ``flap.00001``, ``flap.00002``."""
@@ -185,14 +185,16 @@ def _local(grid: Grid, alone: Grid, blocks: IntArray, flat: IntArray) -> IntArra
 
 
 def require_apart(grid: Grid, topology: Topology) -> None:
-    """Refuse components that share block faces: a motion would tear the grid between such neighbours.
+    """Refuse components that share block faces other than declared patches: a motion would tear the grid there.
 
     Raises
     ------
     CaseError
         Naming two of the blocks.
     """
-    outside = np.flatnonzero(topology.external)
+    alone = topology.external.copy()
+    alone[quads_of_patches(topology.quads, grid.patches)[0]] = False
+    outside = np.flatnonzero(alone)
     nodes = distinct(topology.quads.corners[outside], topology.n_unique)
     label = np.zeros(topology.n_unique, dtype=np.int64)
     tolerance = RELATIVE_TOLERANCE * topology.edge[nodes]

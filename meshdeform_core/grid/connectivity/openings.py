@@ -19,8 +19,7 @@ from ...wording import listed
 from ..blocks import FloatArray, Grid, IntArray
 from ..faces.roles import Role, role_of_patch
 from ..parts import Side, Window
-from ..selection import quads_of_patch
-from ..topology import Topology
+from ..topology import Topology, quads_of_patches
 from ..windows import largest_rectangles, rectangles
 from .overset import Overlap, find_overlaps
 
@@ -137,9 +136,8 @@ def find_openings(grid: Grid, topology: Topology) -> tuple[Opening | Overlap, ..
 def declared_walls(grid: Grid, topology: Topology) -> BoolArray:
     """(n_quads,) whether a face quad belongs to a patch that the file declares as a wall."""
     wall = np.zeros(len(topology.partner), dtype=bool)
-    for patch in grid.patches:
-        if role_of_patch(patch) is Role.WALL:
-            wall[quads_of_patch(topology.quads, patch)] = True
+    walls = [patch for patch in grid.patches if role_of_patch(patch) is Role.WALL]
+    wall[quads_of_patches(topology.quads, walls)[0]] = True
     return wall
 
 

@@ -16,8 +16,7 @@ from ...parallel import empty
 from ..blocks import FloatArray, Grid, IntArray
 from ..parts import Patch, Window
 from ..planes import Plane, plane_normal, planes_of
-from ..selection import quads_of_patches
-from ..topology import FaceQuads, Topology
+from ..topology import FaceQuads, Topology, quads_of_patches
 from ..windows import Rectangles, rectangles
 
 _SAMPLED_LINES = 12

@@ -138,7 +138,7 @@ class Topology:
         return dataclasses.replace(self, partner=partner)
 
 
-def find_topology(grid: Grid, tolerance: float = RELATIVE_TOLERANCE) -> Topology:
+def coincident_topology(grid: Grid, tolerance: float = RELATIVE_TOLERANCE) -> Topology:
     """Identify coincident nodes and shared faces of ``grid``.
 
     Full and partial faces, O-grid seams, C-grid cuts, collapsed edges, poles and all relative orientations need no

@@ -1,1 +1,0 @@
-"""The polyMesh of OpenFOAM: faces, their owners and neighbours, patches and points."""
