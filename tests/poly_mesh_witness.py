@@ -8,7 +8,6 @@ import re
 import shutil
 import subprocess
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +16,10 @@ import pytest
 
 @dataclass
 class Mesh:
+    """``corners`` (n_faces, 4) of the faces, the last one of triangles twice."""
+
     points: np.ndarray
-    faces: list[list[int]]
+    corners: np.ndarray
     owner: np.ndarray
     neighbour: np.ndarray
     patches: dict[str, dict[str, str]]
@@ -26,69 +27,60 @@ class Mesh:
     def check(self) -> None:
         """What every mesh of OpenFOAM must fulfil."""
         n_internal, n_cells = len(self.neighbour), int(self.owner.max()) + 1
-        assert len(self.owner) == len(self.faces)
+        assert len(self.owner) == len(self.corners)
         inner = self.owner[:n_internal]
         assert (inner < self.neighbour).all()
         key = inner.astype(np.int64) * n_cells + self.neighbour
         assert (np.diff(key) > 0).all(), "internal faces are not in upper-triangular order, or come twice"
         self._check_patches(n_internal)
-        area, center = self.geometry()
-        total, size = np.zeros((n_cells, 3)), np.zeros(n_cells)
-        for cells, sign in ((self.owner, 1), (self.neighbour, -1)):
-            np.add.at(total, cells, sign * area[: len(cells)])
-            np.add.at(size, cells, np.linalg.norm(area[: len(cells)], axis=1))
+        kinds = 1 + np.count_nonzero(np.diff(np.sort(self.corners, axis=1), axis=1), axis=1)
+        assert (kinds == np.where(self.triangles, 3, 4)).all(), "faces pass through a point twice"
+        a, b, c, d = self.points[self.corners].transpose(1, 0, 2)
+        area, center = 0.5 * np.cross(c - a, d - b), self.centers()
+        total, size = self.of_cells(area), self.of_cells(np.linalg.norm(area, axis=1), both=True)
         assert (np.linalg.norm(total, axis=1) < 1e-12 * size).all(), "cells are not closed"
         assert (self.volumes() > 0).all()
-        middle = self.middles(center, n_cells)
-        outward = np.einsum("ni,ni->n", area, center - middle[self.owner])
-        assert (outward > 0).all(), "normals do not point out of the owner"
-        used = np.unique(np.concatenate([np.array(face) for face in self.faces]))
-        assert len(used) == len(self.points), "some points belong to no face"
+        ones = self.of_cells(np.ones(len(center)), both=True)
+        middle = self.of_cells(center, both=True) / ones[:, None]
+        assert (np.einsum("ni,ni->n", area, center - middle[self.owner]) > 0).all(), "normals do not leave the owner"
+        assert len(np.unique(self.corners)) == len(self.points), "some points belong to no face"
 
     def _check_patches(self, first: int) -> None:
         for entries in self.patches.values():
             assert int(entries["startFace"]) == first
             first += int(entries["nFaces"])
-        assert first == len(self.faces)
+        assert first == len(self.corners)
         for name, entries in self.patches.items():
             if entries["type"] == "cyclic":
                 other = self.patches[entries["neighbourPatch"]]
                 assert other["neighbourPatch"] == name
                 assert other["nFaces"] == entries["nFaces"]
 
-    def patch_faces(self, name: str) -> list[list[int]]:
+    @property
+    def triangles(self) -> np.ndarray:
+        return self.corners[:, 2] == self.corners[:, 3]
+
+    def patch_faces(self, name: str) -> np.ndarray:
         start, count = (int(self.patches[name][key]) for key in ("startFace", "nFaces"))
-        return self.faces[start : start + count]
+        return self.corners[start : start + count]
 
-    def geometry(self) -> tuple[np.ndarray, np.ndarray]:
-        """Area vectors and centres of the faces."""
-        area, center = np.empty((len(self.faces), 3)), np.empty((len(self.faces), 3))
-        for n, face in enumerate(self.faces):
-            x = self.points[face]
-            assert len(set(face)) == len(face) >= 3
-            center[n] = x.mean(axis=0)
-            area[n] = 0.5 * np.cross(x - center[n], np.roll(x, -1, axis=0) - center[n]).sum(axis=0)
-        return area, center
+    def centers(self) -> np.ndarray:
+        x = self.points[self.corners]
+        return np.where(self.triangles[:, None], x[:, :3].mean(axis=1), x.mean(axis=1))
 
-    def middles(self, center: np.ndarray, n_cells: int) -> np.ndarray:
-        total, count = np.zeros((n_cells, 3)), np.zeros(n_cells)
-        for cells in (self.owner, self.neighbour):
-            np.add.at(total, cells, center[: len(cells)])
-            np.add.at(count, cells, 1)
-        return total / count[:, None]
+    def of_cells(self, values: np.ndarray, both: bool = False) -> np.ndarray:
+        """Sums over the faces of each cell; of values that change their sign with the normal unless ``both``."""
+        found = np.zeros((int(self.owner.max()) + 1, *values.shape[1:]))
+        np.add.at(found, self.owner, values)
+        np.add.at(found, self.neighbour, values[: len(self.neighbour)] * (1 if both else -1))
+        return found
 
     def volumes(self) -> np.ndarray:
         """By the divergence theorem, faces cut into triangles about their centres."""
-        found = np.zeros(int(self.owner.max()) + 1)
-        part = np.empty(len(self.faces))
         origin = self.points.mean(axis=0)
-        for n, face in enumerate(self.faces):
-            x = self.points[face] - origin
-            c = x.mean(axis=0)
-            part[n] = np.einsum("ni,ni->", np.cross(x, np.roll(x, -1, axis=0)), np.broadcast_to(c, x.shape)) / 6
-        np.add.at(found, self.owner, part)
-        np.add.at(found, self.neighbour, -part[: len(self.neighbour)])
-        return found
+        x = self.points[self.corners] - origin
+        turns = np.cross(x, np.roll(x, -1, axis=1)).sum(axis=1)
+        return self.of_cells(np.einsum("ni,ni->n", turns, self.centers() - origin) / 6)
 
 
 def read_mesh(case: Path, points: Path | None = None) -> Mesh:
@@ -117,15 +109,16 @@ def _labels(path: Path) -> np.ndarray:
     return np.frombuffer(body[: 4 * count], "<i4") if "binary" in head else np.array(body.split()[:count], dtype=int)
 
 
-def _faces(path: Path) -> list[list[int]]:
+def _faces(path: Path) -> np.ndarray:
     head, count, body = _opened(path)
     if "binary" not in head:
-        return [[int(n) for n in line.split(b"(")[1].rstrip(b")").split()] for line in body.split(b"\n")[1 : count + 1]]
+        lines = [line.rstrip(b")").split(b"(")[1].split() for line in body.split(b"\n")[1 : count + 1]]
+        return np.array([(*line, line[-1])[:4] for line in lines], dtype=int)
     starts = np.frombuffer(body[: 4 * count], "<i4")
     rest = re.match(rb"\)\s*(\d+)\s*\(", body[4 * count :])
     assert rest is not None
     labels = np.frombuffer(body[4 * count + rest.end() :][: 4 * int(rest[1])], "<i4")
-    return [labels[a:b].tolist() for a, b in pairwise(starts.tolist())]
+    return labels[np.minimum(starts[:-1, None] + np.arange(4), starts[1:, None] - 1)]
 
 
 def _opened(path: Path) -> tuple[str, int, bytes]:

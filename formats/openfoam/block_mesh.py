@@ -7,7 +7,6 @@ with those of OpenFOAM's own program to round-off.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections import Counter
 from collections.abc import Sequence
@@ -16,14 +15,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import Connection, FloatArray, Grid, Patch, Periodicity, Shape, Window
+from meshdeform_core.grid import Connection, FloatArray, Grid, Patch, Periodicity, Window
 from meshdeform_core.grid.connectivity.declared import periodic_image
 from meshdeform_core.memory import machine_memory, readable
 from meshdeform_core.numerics.geometry.coincidence import connected_components
 
 from .curves import divide, reversed_grading, straight
-from .layout import BlockSide, FoamPatch, HexBlock, Layout
+from .layout import SIDE_VERTICES, BlockSide, FoamPatch, HexBlock, Layout
 
+_CORNERS = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))
 # Local vertices at the ends of the twelve edges: four along i, four along j, four along k.
 _EDGES = ((0, 1), (3, 2), (7, 6), (4, 5), (0, 3), (1, 2), (5, 6), (4, 7), (0, 4), (1, 5), (2, 6), (3, 7))
 # Bytes per node while nodes are generated, and number of nodes generated at a time.
@@ -56,9 +56,13 @@ def block_mesh(layout: Layout) -> Grid:
     edges = [_edges(layout, block) for block in layout.blocks]
     _require_matching(layout, edges)
     names = [block.name for block in layout.blocks]
-    grid = Grid.allocate(shapes, names, patches=_patches(layout), path=layout.path, components=_regions(layout))
+    connections, notes = _cyclic(layout)
+    grid = Grid.allocate(
+        shapes, names, patches=_patches(layout), connections=connections, notes=notes, path=layout.path,
+        components=_regions(layout),
+    )  # fmt: skip
     grid.fill(lambda b: _blend(grid.block(b), layout.vertices[list(layout.blocks[b].vertices)], edges[b], layout.scale))
-    return _with_cyclic(grid, layout)
+    return grid
 
 
 def _regions(layout: Layout) -> tuple[str, ...]:
@@ -169,10 +173,10 @@ def _patches(layout: Layout) -> tuple[Patch, ...]:
     return tuple(found)
 
 
-def _with_cyclic(grid: Grid, layout: Layout) -> Grid:
-    """The grid with the connections of its cyclic patches; a note for each pair whose faces do not fit."""
+def _cyclic(layout: Layout) -> tuple[tuple[Connection, ...], tuple[str, ...]]:
+    """The connections of cyclic patches, and a note for each pair whose faces do not fit."""
     patches = {patch.name: patch for patch in layout.patches}
-    connections, notes, done = list(grid.connections), list(grid.notes), set[str]()
+    connections, notes, done = list[Connection](), list[str](), set[str]()
     for name, patch in patches.items():
         neighbour = patch.content.text("neighbourPatch") if patch.type == "cyclic" else ""
         if not neighbour or neighbour in done:
@@ -183,30 +187,29 @@ def _with_cyclic(grid: Grid, layout: Layout) -> Grid:
             raise FormatError(
                 f"{layout.path}: cyclic patch {name} has the neighbour {neighbour}, which does not have it"
             )
-        found = _cyclic_pairs(grid, patch, other)
+        found = _cyclic_pairs(layout, patch, other)
         connections += found
         if not found and (patch.sides or other.sides):
             notes.append(f"{layout.path}: no motion maps cyclic patch {name} onto {neighbour}; they are not connected")
-    return dataclasses.replace(grid, connections=tuple(connections), notes=tuple(notes))
+    return tuple(connections), tuple(notes)
 
 
-def _cyclic_pairs(grid: Grid, one: FoamPatch, two: FoamPatch) -> list[Connection]:
+def _cyclic_pairs(layout: Layout, one: FoamPatch, two: FoamPatch) -> list[Connection]:
     """A connection for each block side of ``one``; none if any has no partner."""
     if len(one.sides) != len(two.sides) or not one.sides:
         return []
-    corners = {place: _corners(grid, place) for place in (*one.sides, *two.sides)}
-    means = [np.concatenate([corners[place][1] for place in patch.sides]).mean(axis=0) for patch in (one, two)]
-    motion = _motion(one, *means)
-    size = float(np.ptp(np.concatenate([points for _, points in corners.values()]), axis=0).max())
+    vertices = layout.vertices * layout.scale
+    corners = {(block, side): vertices[[layout.blocks[block].vertices[v] for v in SIDE_VERTICES[side]]]
+               for block, side in (*one.sides, *two.sides)}  # fmt: skip
+    motion = _motion(one, *(np.mean([corners[place] for place in patch.sides], axis=(0, 1)) for patch in (one, two)))
+    size = float(np.ptp(np.concatenate(list(corners.values())), axis=0).max())
     found = []
     for number, own in enumerate(one.sides):
-        images = periodic_image(corners[own][1], motion)
         for donor in two.sides:
-            gaps = np.linalg.norm(images[:, None] - corners[donor][1], axis=2)
+            gaps = np.linalg.norm(periodic_image(corners[own], motion)[:, None] - corners[donor], axis=2)
             nearest = gaps.argmin(axis=1).tolist()
             if gaps.min(axis=1).max() <= _CYCLIC_TOLERANCE * size and len(set(nearest)) == 4:
-                there = [corners[donor][0][n] for n in nearest]
-                found.append(_connection(f"{one.name}-{number + 1}", own, corners[own][0], donor, there, motion))
+                found.append(_connection(layout, f"{one.name}-{number + 1}", own, donor, nearest, motion))
                 break
     return found if len(found) == len(one.sides) else []
 
@@ -227,31 +230,20 @@ def _motion(patch: FoamPatch, mean: FloatArray, image: FloatArray) -> Periodicit
     return Periodicity(*(tuple(values.tolist()) for values in (center, turn.as_euler("xyz", degrees=True))))
 
 
-def _corners(grid: Grid, place: BlockSide) -> tuple[list[Shape], FloatArray]:
-    """Indices and coordinates of the corners of a side: origin, far along the first tangential axis, second, both."""
-    block, side = place
-    shape = grid.shapes[block]
-    found = []
-    for b in (0, 1):
-        for a in (0, 1):
-            index = [side.layer(shape)] * 3
-            for axis, end in zip(side.tangential, (a, b), strict=True):
-                index[axis] = (shape[axis] - 1) * end
-            found.append((index[0], index[1], index[2]))
-    return found, np.array([grid.block(block)[at] for at in found])
-
-
 def _connection(
-    name: str, own: BlockSide, at: list[Shape], donor: BlockSide, there: list[Shape], motion: Periodicity
+    layout: Layout, name: str, own: BlockSide, donor: BlockSide, image: Sequence[int], motion: Periodicity
 ) -> Connection:
-    """The connection from the indices of the corners of a side and of their images, ordered as in :func:`_corners`."""
-    (block, side), (other, opposite) = own, donor
+    """The connection of two block sides, from the corners of the second that are the images of those of the first."""
+    here, there = (
+        np.array(_CORNERS)[list(SIDE_VERTICES[side])] * layout.blocks[block].cells for block, side in (own, donor)
+    )
+    there = there[list(image)]
     transform = [0, 0, 0]
-    for axis, corner in zip(side.tangential, (1, 2), strict=True):
-        step = np.subtract(there[corner], there[0])
-        along = int(np.flatnonzero(step)[0])
-        transform[axis] = (along + 1) * (1 if step[along] > 0 else -1)
     # The direction out of one side leads into the other.
-    transform[side.axis] = side.into(opposite)
-    i, j, k = transform
-    return Connection(name, block, at[0], at[3], other, there[0], there[3], (i, j, k), motion)
+    transform[own[1].axis] = own[1].into(donor[1])
+    for corner in (1, 3):
+        step = there[corner] - there[0]
+        along = int(np.flatnonzero(step)[0])
+        transform[int(np.flatnonzero(here[corner] - here[0])[0])] = (along + 1) * int(np.sign(step[along]))
+    begin, end, first, last = (tuple(index.tolist()) for index in (here[0], here[2], there[0], there[2]))
+    return Connection(name, own[0], begin, end, donor[0], first, last, tuple(transform), motion)

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NoReturn
+from typing import NoReturn, TypeVar
 
-from meshdeform_core.errors import FormatError, suggestion
+from meshdeform_core.errors import FormatError
 
 from ..files import read_head, require_regular
 
@@ -21,7 +22,6 @@ _LARGEST_FILE = 64 * 2**20
 _DEEPEST = 50
 _MOST = 5_000_000
 """Values and entries, which bounds the memory of nested macros."""
-
 _TOKEN = re.compile(
     r"""(?P<blank>\s+|//[^\n]*|/\*.*?\*/)
     |(?P<open>/\*)
@@ -33,7 +33,6 @@ _TOKEN = re.compile(
     re.VERBOSE | re.DOTALL,
 )
 _CLASS = re.compile(rb"FoamFile\s*\{[^}]*?\bclass\s+(\w+)\s*;[^}]*\}")
-_MODES = ("merge", "overwrite", "protect")
 
 
 @dataclass(frozen=True)
@@ -43,10 +42,20 @@ class Atom:
     text: str
     line: int
 
+    @property
+    def number(self) -> float | None:
+        """The finite number that it spells, or ``None``."""
+        try:
+            value = float(self.text)
+        except ValueError:
+            return None
+        # Python also reads 1_000, inf and nan.
+        return value if math.isfinite(value) and "_" not in self.text else None
+
 
 @dataclass(frozen=True)
 class Items:
-    """A list in parentheses."""
+    """A list in parentheses, or the items up to the end of an entry."""
 
     values: tuple[Item, ...]
     line: int
@@ -54,34 +63,30 @@ class Items:
 
 @dataclass
 class Dictionary:
-    """Entries by key; the value of a key is a sequence of items, or a dictionary."""
+    """Entries by key."""
 
     path: Path
     line: int
     outer: Dictionary | None = None
-    entries: dict[str, Value] = field(default_factory=dict)
-    lines: dict[str, int] = field(default_factory=dict)
+    entries: dict[str, Items | Dictionary] = field(default_factory=dict)
 
     def place(self, key: str) -> str:
-        """File and line of a key, for messages."""
-        return f"{self.path}, line {self.lines.get(key, self.line)}"
+        """File and line of an entry, for messages."""
+        return f"{self.path}, line {self.entries[key].line}"
 
-    def put(self, key: str, value: Value, line: int, mode: str) -> None:
-        """Add an entry; where there is one, ``mode`` decides as OpenFOAM's ``#inputMode`` does."""
+    def put(self, key: str, value: Items | Dictionary) -> None:
+        """Add an entry; a later one replaces an earlier one, unless both are dictionaries, which are merged."""
         known = self.entries.get(key)
-        if known is not None and mode == "protect":
-            return
-        if isinstance(known, Dictionary) and isinstance(value, Dictionary) and mode == "merge":
+        if isinstance(known, Dictionary) and isinstance(value, Dictionary):
             for inner, one in value.entries.items():
-                known.put(inner, one, value.lines[inner], mode)
-            return
-        self.entries[key], self.lines[key] = value, line
+                known.put(inner, one)
+        else:
+            self.entries[key] = value
 
     def reading(self, key: str) -> Reading:
         """A cursor over the items of an entry; over none if it does not exist."""
-        value = self.entries.get(key, ())
-        items = (value,) if isinstance(value, Dictionary) else value
-        return Reading(self.path, items, self.lines.get(key, self.line))
+        value = self.entries.get(key, Items((), self.line))
+        return Reading(self.path, Items((value,), value.line) if isinstance(value, Dictionary) else value)
 
     def list(self, key: str) -> Reading:
         """The list of an entry; empty if it does not exist."""
@@ -95,7 +100,8 @@ class Dictionary:
 
 
 Item = Atom | Items | Dictionary
-Value = tuple[Item, ...] | Dictionary
+_Some = TypeVar("_Some", Atom, Items, Dictionary)
+_TITLES = {Items: "a list", Dictionary: "a dictionary", type(None): "the end of the list"}
 
 
 def read_dictionary(path: Path) -> Dictionary:
@@ -124,20 +130,18 @@ def parse_dictionary(text: str, path: Path) -> Dictionary:
     return _Parser(text, path).run()
 
 
-def item_text(item: Item | Value) -> str:
-    """An item, or the value of an entry, as it is written in a dictionary."""
+def written(item: Item) -> str:
+    """An item as it is written in a dictionary."""
     if isinstance(item, Atom):
         return item.text
-    if isinstance(item, Dictionary):
-        return "{ " + "".join(entry_text(key, value) + " " for key, value in item.entries.items()) + "}"
-    values = item.values if isinstance(item, Items) else item
-    text = " ".join(item_text(value) for value in values)
-    return f"({text})" if isinstance(item, Items) else text
+    if isinstance(item, Items):
+        return f"({' '.join(written(value) for value in item.values)})"
+    return "{ " + "".join(written_entry(key, value) + " " for key, value in item.entries.items()) + "}"
 
 
-def entry_text(key: str, value: Value) -> str:
+def written_entry(key: str, value: Items | Dictionary) -> str:
     """An entry as it is written in a dictionary."""
-    return f"{key} {item_text(value)}" + ("" if isinstance(value, Dictionary) else ";")
+    return f"{key} {written(value)}" if isinstance(value, Dictionary) else f"{key} {written(value)[1:-1]};"
 
 
 class _Parser:
@@ -151,7 +155,7 @@ class _Parser:
         self._path = path
         self._tokens = self._scan(text)
         self._next = next(self._tokens, None)
-        self._line, self._depth, self._count, self._mode = 1, 0, 0, _MODES[0]
+        self._line, self._depth, self._count = 1, 0, 0
 
     def run(self) -> Dictionary:
         top = Dictionary(self._path, 1)
@@ -179,8 +183,8 @@ class _Parser:
         self._next = next(self._tokens, None)
         return token
 
-    def _fail(self, message: str, line: int | None = None) -> NoReturn:
-        raise FormatError(f"{self._path}, line {line or self._line}: {message}")
+    def _fail(self, message: str) -> NoReturn:
+        raise FormatError(f"{self._path}, line {self._line}: {message}")
 
     def _until(self, end: str) -> Iterator[None]:
         """Once for each value or entry before the token ``end``, which is taken, too."""
@@ -188,6 +192,7 @@ class _Parser:
         if self._depth > _DEEPEST:
             self._fail(f"lists and dictionaries are nested more than {_DEEPEST} deep")
         while self._next is None or self._next.text != end:
+            self._add(1)
             yield
         self._take()
         self._depth -= 1
@@ -203,40 +208,32 @@ class _Parser:
         if key.text in "(){};[]":
             if key.text != ";":
                 self._fail(f"found {key.text}, expected a keyword")
-            return
-        if key.text == "#inputMode" and home is scope:
+        elif key.text == "#inputMode" and home is scope:
             mode = self._take().text
-            self._mode = _MODES[0] if mode == "default" else mode
-            if self._mode not in _MODES:
-                self._fail(f"#inputMode {mode} is not supported; expected {', '.join(_MODES)}")
-            return
-        if key.text.startswith("#"):
+            if mode not in ("merge", "default"):
+                self._fail(f"#inputMode {mode} is not supported; expected merge, as without it")
+        elif key.text.startswith("#"):
             self._refuse_directive(key)
-        if key.text.startswith("$"):
+        elif key.text.startswith("$"):
             found = self._lookup(scope, key)
             if not isinstance(found, Dictionary):
                 self._fail(f"{key.text} is not a dictionary, expected a keyword")
             self._add(len(found.entries))
             for name, value in found.entries.items():
-                home.put(name, value, found.lines[name], self._mode)
-            return
-        self._add(1)
-        value: Value
-        if self._next is not None and self._next.text == "{":
-            value = self._dictionary(self._take(), scope, within_list=home is not scope)
+                home.put(name, value)
+        elif self._next is not None and self._next.text == "{":
+            home.put(key.text.strip('"'), self._dictionary(scope, within_list=home is not scope))
         else:
-            value = self._values(scope, ";")
-        home.put(key.text.strip('"'), value, key.line, self._mode)
+            home.put(key.text.strip('"'), Items(self._values(scope, ";"), key.line))
 
     def _refuse_directive(self, token: Atom) -> NoReturn:
         self._fail(
             f"{token.text} is not evaluated here: dictionaries are read as data. Write the values themselves, for "
-            f"example with `foamDictionary -expand {self._path.name}`",
-            token.line,
+            f"example with `foamDictionary -expand {self._path.name}`"
         )
 
-    def _dictionary(self, brace: Atom, scope: Dictionary, within_list: bool) -> Dictionary:
-        inner = Dictionary(self._path, brace.line, scope)
+    def _dictionary(self, scope: Dictionary, within_list: bool) -> Dictionary:
+        inner = Dictionary(self._path, self._take().line, scope)
         for _ in self._until("}"):
             self._entry(inner, scope if within_list else inner)
         return inner
@@ -245,26 +242,26 @@ class _Parser:
         """Items up to ``end``, which is taken, too."""
         values: list[Item] = []
         for _ in self._until(end):
+            if self._next is not None and self._next.text == "{":
+                values.append(self._dictionary(scope, within_list=True))
+                continue
             token = self._take()
-            self._add(1)
             if token.text in ("(", "["):
                 values.append(Items(self._values(scope, ")" if token.text == "(" else "]"), token.line))
-            elif token.text == "{":
-                values.append(self._dictionary(token, scope, within_list=True))
             elif token.text in (")", "]", "}", ";"):
-                self._fail(f"found {token.text} where a value or the end of a list is expected", token.line)
+                self._fail(f"found {token.text} where a value or the end of a list is expected")
             elif token.text.startswith("#"):
                 self._refuse_directive(token)
             elif token.text.startswith("$"):
                 found = self._lookup(scope, token)
-                more = found if isinstance(found, tuple) else (found,)
+                more = found.values if isinstance(found, Items) else (found,)
                 self._add(len(more))
                 values.extend(more)
             else:
                 values.append(token)
         return tuple(values)
 
-    def _lookup(self, scope: Dictionary, token: Atom) -> Value:
+    def _lookup(self, scope: Dictionary, token: Atom) -> Items | Dictionary:
         """The value of a macro: in this dictionary or those around it, ``$:name`` in the outermost, ``$a.b`` inside."""
         name = token.text[2:-1] if token.text.startswith("${") else token.text[1:]
         place: Dictionary | None = scope
@@ -275,16 +272,15 @@ class _Parser:
         # $.x is in this dictionary, $..x in the one around it.
         for _ in range(len(name) - len(name.lstrip(".")) - 1):
             place = place.outer if place is not None else None
-        name = name.lstrip(".")
         while place is not None:
-            found = _at(place, name)
+            found = _at(place, name.lstrip("."))
             if found is not None:
                 return found
             place = place.outer
-        return self._fail(f"{token.text} refers to an entry that does not exist before it", token.line)
+        return self._fail(f"{token.text} refers to an entry that does not exist before it")
 
 
-def _at(place: Dictionary, name: str) -> Value | None:
+def _at(place: Dictionary, name: str) -> Items | Dictionary | None:
     """An entry by its name or by a path of names."""
     if name in place.entries:
         return place.entries[name]
@@ -298,59 +294,51 @@ def _at(place: Dictionary, name: str) -> Value | None:
 
 
 class Reading:
-    """A cursor over items, with messages that name file and line."""
+    """Items to be taken one after another, with messages that name file and line."""
 
-    def __init__(self, path: Path, items: Sequence[Item], line: int):
-        self._path, self._items, self._at, self._line = path, items, 0, line
+    def __init__(self, path: Path, items: Items):
+        self._path, self._left, self._line = path, deque(items.values), items.line
 
     def __len__(self) -> int:
-        return len(self._items)
+        return len(self._left)
 
     @property
     def more(self) -> bool:
-        return self._at < len(self._items)
+        return len(self._left) > 0
 
     @property
     def line(self) -> int:
         """Line of the next item, or of the last one."""
-        return self._items[self._at].line if self.more else self._line
+        return self._left[0].line if self._left else self._line
 
     def fail(self, message: str) -> NoReturn:
         raise FormatError(f"{self._path}, line {self.line}: {message}")
 
     def _refuse(self, expected: str) -> NoReturn:
-        """Say what is found in the place of what is ``expected``."""
-        item = self._items[self._at] if self.more else None
-        found = "the end of the list" if item is None else repr(item.text) if isinstance(item, Atom) else (
-            "a list" if isinstance(item, Items) else "a dictionary")  # fmt: skip
-        self.fail(f"expected {expected}, found {found}")
+        """Say what is found where something else is ``expected``."""
+        item = self._left[0] if self._left else None
+        self.fail(f"expected {expected}, found {repr(item.text) if isinstance(item, Atom) else _TITLES[type(item)]}")
 
-    def _taken(self) -> None:
-        self._line = self.line
-        self._at += 1
+    def _take(self, kind: type[_Some], expected: str) -> _Some:
+        item = self._left[0] if self._left else None
+        if not isinstance(item, kind):
+            self._refuse(expected)
+        self._line = item.line
+        self._left.popleft()
+        return item
+
+    def word(self, expected: str) -> str:
+        return self._take(Atom, expected).text.strip('"')
 
     def next_word(self) -> str | None:
         """Take the next item if it is a word and not a number."""
-        item = self._items[self._at] if self.more else None
-        if not isinstance(item, Atom) or _number(item.text) is not None:
-            return None
-        self._taken()
-        return item.text.strip('"')
+        item = self._left[0] if self._left else None
+        return self.word("") if isinstance(item, Atom) and item.number is None else None
 
     def next_number(self) -> float | None:
         """Take the next item if it is a number."""
-        item = self._items[self._at] if self.more else None
-        value = _number(item.text) if isinstance(item, Atom) else None
-        if value is not None:
-            self._taken()
-        return value
-
-    def word(self, expected: str) -> str:
-        item = self._items[self._at] if self.more else None
-        if not isinstance(item, Atom):
-            self._refuse(expected)
-        self._taken()
-        return item.text.strip('"')
+        item = self._left[0] if self._left else None
+        return self._take(Atom, "").number if isinstance(item, Atom) and item.number is not None else None
 
     def number(self, expected: str) -> float:
         value = self.next_number()
@@ -365,21 +353,13 @@ class Reading:
         return int(value)
 
     def list(self, expected: str) -> Reading:
-        # OpenFOAM itself writes the length in front of a list.
-        if self._at + 1 < len(self._items) and isinstance(self._items[self._at + 1], Items):
+        if len(self._left) > 1 and isinstance(self._left[1], Items):
+            # OpenFOAM itself writes the length in front of a list.
             self.next_number()
-        item = self._items[self._at] if self.more else None
-        if not isinstance(item, Items):
-            self._refuse(f"{expected} in parentheses")
-        self._taken()
-        return Reading(self._path, item.values, item.line)
+        return Reading(self._path, self._take(Items, f"{expected} in parentheses"))
 
     def dictionary(self, expected: str) -> Dictionary:
-        item = self._items[self._at] if self.more else None
-        if not isinstance(item, Dictionary):
-            self._refuse(f"{expected} in braces")
-        self._taken()
-        return item
+        return self._take(Dictionary, f"{expected} in braces")
 
     def point(self, expected: str) -> tuple[float, float, float]:
         values = self.list(expected)
@@ -387,25 +367,3 @@ class Reading:
         if values.more:
             values.fail(f"{expected} has more than three coordinates")
         return x, y, z
-
-    def numbered(self, kind: str, names: dict[str, int], count: int) -> int:
-        """Take the next item as the number of one of ``count`` things of this kind, or its name."""
-        word = self.next_word()
-        if word is not None:
-            if word not in names:
-                self.fail(f"there is no {kind} {word!r}{suggestion(word, names)}")
-            return names[word]
-        number = self.whole(f"the number of a {kind}")
-        if not 0 <= number < count:
-            self.fail(f"there is no {kind} {number}; the file has 0 to {count - 1}")
-        return number
-
-
-def _number(text: str) -> float | None:
-    """The finite number that a word spells, or ``None``."""
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    # Python also reads 1_000, inf and nan.
-    return value if math.isfinite(value) and "_" not in text else None

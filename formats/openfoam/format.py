@@ -21,7 +21,7 @@ from meshdeform_core.grid import FileFormat, FloatArray, Grid, IntArray
 from ..variant_options import checked_options
 from .block_mesh import block_mesh
 from .case import POLY_MESH, case_folder, dictionary_of, is_case, mesh_files, replaced_mesh
-from .dictionary import entry_text, read_dictionary
+from .dictionary import read_dictionary, written_entry
 from .existing import with_points_of
 from .layout import FoamPatch, read_layout
 from .lists import read_points, write_points
@@ -67,7 +67,7 @@ def read(path: Path) -> Grid:
 
 
 def _entries(patch: FoamPatch) -> tuple[str, ...]:
-    return tuple(entry_text(key, value) for key, value in patch.content.entries.items() if key not in _OF_FACES)
+    return tuple(written_entry(key, value) for key, value in patch.content.entries.items() if key not in _OF_FACES)
 
 
 def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from meshdeform_core.errors import FormatError
+from meshdeform_core.errors import FormatError, suggestion
 from meshdeform_core.grid import FloatArray, Shape, Side
 from meshdeform_core.wording import vector
 
@@ -20,7 +21,7 @@ _MOST_CELLS = 2**40
 _GRADINGS = ("simpleGrading", "edgeGrading", "uniformGrading")
 _CURVES = ("arc", "line", "polyLine", "spline", "BSpline")
 # Local vertices of the block sides, in the order of Side, which is that of blockMesh.
-_SIDE_VERTICES = ((0, 4, 7, 3), (1, 2, 6, 5), (0, 1, 5, 4), (3, 7, 6, 2), (0, 3, 2, 1), (4, 5, 6, 7))
+SIDE_VERTICES = ((0, 4, 7, 3), (1, 2, 6, 5), (0, 1, 5, 4), (3, 7, 6, 2), (0, 3, 2, 1), (4, 5, 6, 7))
 _UNSUPPORTED = {
     "mergePatchPairs": "it joins blocks whose nodes do not coincide; the grid is then not block-structured",
     "faces": "it projects faces onto surfaces of other files",
@@ -99,7 +100,7 @@ def read_layout(top: Dictionary) -> Layout:
         for side in Side:
             sides.setdefault(_side_key(block, side), []).append((number, side))
     joined = tuple((two[0][0], two[1][0]) for key, two in sides.items() if len(two) == 2 < len(key))
-    curves, patches = _curves(top, known), _Patches(top, known, blocks, sides).read()
+    curves, patches = _curves(top, known), _patches(top, known, blocks, sides)
     return Layout(top.path, known.points, _scale(top), blocks, curves, patches, joined)
 
 
@@ -121,7 +122,12 @@ class _Vertices:
 
     def take(self, items: Reading) -> int:
         """Take the next vertex; returns its number."""
-        return items.numbered("vertex", self.names, len(self.points))
+        word = items.next_word()
+        number = items.whole("the number of a vertex") if word is None else self.names.get(word, -1)
+        if not 0 <= number < len(self.points):
+            hint = suggestion(word, self.names) if word else f"; the file has 0 to {len(self.points) - 1}"
+            items.fail(f"there is no vertex {word or number!r}{hint}")
+        return number
 
 
 def _scale(top: Dictionary) -> FloatArray:
@@ -266,87 +272,65 @@ def _arc(items: Reading, first: FloatArray, last: FloatArray) -> Arc | None:
     return arc_through(first, np.array(items.point("a point of the arc")), last)
 
 
-class _Patches:
-    """The patches of a blockMeshDict; every face is an outside block side that no other patch has.
-
-    ``sides``: block sides by their vertices, ascending without repetition.
-    """
-
-    def __init__(
-        self, top: Dictionary, vertices: _Vertices, blocks: Sequence[HexBlock],
-        sides: dict[tuple[int, ...], list[BlockSide]],
-    ):  # fmt: skip
-        self._top, self._vertices, self._blocks, self._sides = top, vertices, blocks, sides
-        self._owners: dict[BlockSide, str] = {}
-
-    def read(self) -> tuple[FoamPatch, ...]:
-        """Those of ``boundary`` (or ``patches``, the form before OpenFOAM 2) and the default patch."""
-        top, found = self._top, list[FoamPatch]()
-        old = "boundary" not in top.entries
-        items = top.list("patches" if old else "boundary")
-        while items.more:
-            kind = items.word("the type of a patch") if old else ""
-            name = items.word("the name of a patch")
-            if old:
-                content, faces = Dictionary(top.path, items.line), items.list("faces")
-            else:
-                content = items.dictionary(f"patch {name}")
-                for key in ("type", "faces"):
-                    if key not in content.entries:
-                        raise FormatError(f"{top.path}, line {content.line}: the patch {name!r} has no {key}; "
-                                          "expected one")  # fmt: skip
-                kind, faces = content.text("type"), content.list("faces")
-            if name in (patch.name for patch in found):
-                raise FormatError(f"{top.path}: two patches are called {name!r}")
-            found.append(FoamPatch(name, kind, self._faces(faces, name), content))
-        return self._with_rest(found)
-
-    def _with_rest(self, found: list[FoamPatch]) -> tuple[FoamPatch, ...]:
-        """The patches with the default patch of all outside faces that none of them has."""
-        rest = [own[0] for key, own in self._sides.items()
-                if len(own) == 1 < len(key) - 1 and own[0] not in self._owners]  # fmt: skip
-        if not rest:
-            return tuple(found)
-        default = self._top.entries.get("defaultPatch")
-        content = default if isinstance(default, Dictionary) else Dictionary(self._top.path, 1)
-        name = content.text("name", "defaultFaces")
-        if any(patch.name == name and patch.sides for patch in found):
-            raise FormatError(f"{self._top.path}: the default patch has the name of another patch, {name!r}")
-        declared = next((patch for patch in found if patch.name == name), None)
-        if declared is None:
-            return (*found, FoamPatch(name, content.text("type", "empty"), tuple(rest), content))
-        return (*(patch for patch in found if patch is not declared),
-                FoamPatch(name, declared.type, tuple(rest), declared.content))  # fmt: skip
-
-    def _faces(self, items: Reading, name: str) -> tuple[BlockSide, ...]:
-        found: list[BlockSide] = []
-        while items.more:
-            face = items.list(f"a face of patch {name}")
-            # Two numbers are a block and its side, others are vertices.
-            pair, numbers = len(face) == 2, list[int]()
-            while face.more:
-                numbers.append(face.whole("a block and a side") if pair else self._vertices.take(face))
-            text = f"patch {name}: the face ({' '.join(map(str, numbers))})"
-            key = tuple(sorted(set(numbers)))
-            if pair and 0 <= numbers[0] < len(self._blocks) and 0 <= numbers[1] < 6:
-                key = _side_key(self._blocks[numbers[0]], Side(numbers[1]))
-            own = self._sides.get(key, []) if len(numbers) < 5 else []
-            if not own:
-                items.fail(f"{text} is not a side of any block")
-            if len(key) < 3:
-                # It is collapsed to a line.
-                continue
-            if len(own) > 1:
-                items.fail(f"{text} lies between two blocks; expected an outside face")
-            if own[0] in self._owners:
-                block, side = own[0]
-                items.fail(f"{text}, which is {self._blocks[block].name}.{side.label}, belongs to the patches "
-                           f"{self._owners[own[0]]} and {name}; expected one")  # fmt: skip
-            self._owners[own[0]] = name
-            found.append(own[0])
+def _patches(
+    top: Dictionary, vertices: _Vertices, blocks: Sequence[HexBlock], sides: Mapping[tuple[int, ...], list[BlockSide]]
+) -> tuple[FoamPatch, ...]:
+    """The patches of ``boundary`` (or ``patches``, the form before OpenFOAM 2), and the default patch of all outside
+    faces that none of them has; ``sides`` are the block sides by their vertices."""
+    old, found, owners = "boundary" not in top.entries, list[FoamPatch](), dict[BlockSide, str]()
+    items = top.list("patches" if old else "boundary")
+    while items.more:
+        kind = items.word("the type of a patch") if old else ""
+        name = items.word("the name of a patch")
+        content = Dictionary(top.path, items.line) if old else items.dictionary(f"patch {name}")
+        for key in () if old else ("type", "faces"):
+            if key not in content.entries:
+                raise FormatError(f"{top.path}, line {content.line}: the patch {name!r} has no {key}; expected one")
+        if name in (patch.name for patch in found):
+            items.fail(f"two patches are called {name!r}")
+        faces = items.list("faces") if old else content.list("faces")
+        own = list(_sides_of_faces(faces, name, vertices, blocks, sides))
+        for block, side in own:
+            if (block, side) in owners:
+                both = f"{owners[block, side]} and {name}"
+                faces.fail(f"{blocks[block].name}.{side.label} belongs to the patches {both}; expected one")
+            owners[block, side] = name
+        found.append(FoamPatch(name, kind or content.text("type"), tuple(own), content))
+    rest = [own[0] for key, own in sides.items() if len(own) == 1 < len(key) - 1 and own[0] not in owners]
+    if not rest:
         return tuple(found)
+    default = top.entries.get("defaultPatch", Dictionary(top.path, 1))
+    content = default if isinstance(default, Dictionary) else Dictionary(top.path, 1)
+    patch = FoamPatch(content.text("name", "defaultFaces"), content.text("type", "empty"), tuple(rest), content)
+    for declared in [other for other in found if other.name == patch.name]:
+        if declared.sides:
+            raise FormatError(f"{top.path}: the default patch has the name of another patch, {patch.name!r}")
+        found.remove(declared)
+        patch = dataclasses.replace(declared, sides=patch.sides)
+    return (*found, patch)
+
+
+def _sides_of_faces(
+    items: Reading, name: str, vertices: _Vertices, blocks: Sequence[HexBlock],
+    sides: Mapping[tuple[int, ...], list[BlockSide]],
+) -> Iterator[BlockSide]:  # fmt: skip
+    """The block sides of the faces of a patch, which are outside; none for those that are collapsed to lines."""
+    while items.more:
+        face = items.list(f"a face of patch {name}")
+        # Two numbers are a block and its side, others are vertices.
+        pair, numbers = len(face) == 2, list[int]()
+        while face.more:
+            numbers.append(face.whole("a block and a side") if pair else vertices.take(face))
+        key = tuple(sorted(set(numbers)))
+        if pair and 0 <= numbers[0] < len(blocks) and 0 <= numbers[1] < 6:
+            key = _side_key(blocks[numbers[0]], Side(numbers[1]))
+        own = sides.get(key, []) if len(numbers) < 5 else []
+        if not own or (len(own) > 1 and len(key) > 2):
+            wrong = "lies between two blocks; expected an outside face" if own else "is not a side of any block"
+            items.fail(f"patch {name}: the face ({' '.join(map(str, numbers))}) {wrong}")
+        yield from own[: len(key) > 2]
 
 
 def _side_key(block: HexBlock, side: Side) -> tuple[int, ...]:
     """The vertices of a block side, ascending without repetition."""
-    return tuple(sorted({block.vertices[v] for v in _SIDE_VERTICES[side]}))
+    return tuple(sorted({block.vertices[v] for v in SIDE_VERTICES[side]}))
