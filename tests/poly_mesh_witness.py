@@ -124,20 +124,33 @@ def _faces(path: Path) -> np.ndarray:
 def _opened(path: Path) -> tuple[str, int, bytes]:
     packed = path.with_name(path.name + ".gz")
     content = gzip.decompress(packed.read_bytes()) if packed.exists() else path.read_bytes()
-    found = re.search(rb"\}\s*(\d+)\s*\(", content)
+    found = re.search(rb"\}\s*(?://[^\n]*\s*)*(\d+)\s*\(", content)
     assert found is not None
     return content[: found.start()].decode("latin-1"), int(found[1]), content[found.end() :]
 
 
-def check_mesh(case: Path) -> str:
-    """What OpenFOAM's own program says; skips where it is not installed."""
-    if shutil.which("checkMesh") is None:
+def run_foam(program: str, case: Path, *arguments: str) -> str:
+    """What a program of OpenFOAM says about a case; skips where it is not installed."""
+    if shutil.which(program) is None:
         pytest.skip("OpenFOAM is not installed")
-    head = "FoamFile { version 2.0; format ascii; class dictionary; object x; }\n"
-    for name in ("fvSchemes", "fvSolution"):
-        (case / "system" / name).write_text(head + "divSchemes {} gradSchemes {} laplacianSchemes {}\n")
     settings = {"WM_PROJECT_DIR": "/usr/share/openfoam", **os.environ}
-    done = subprocess.run(
-        ["checkMesh", "-allTopology"], cwd=case, env=settings, capture_output=True, text=True, timeout=120, check=True
-    )
-    return done.stdout
+    return subprocess.run(
+        [program, *arguments], cwd=case, env=settings, capture_output=True, text=True, timeout=300, check=True
+    ).stdout
+
+
+def write_system(case: Path, **dictionaries: str) -> None:
+    """Dictionaries of a case, all of which OpenFOAM's programs read before they begin."""
+    (case / "system").mkdir(exist_ok=True)
+    control = "application x; startFrom startTime; startTime 0; stopAt endTime; endTime 1; deltaT 1; "
+    control += "writeControl timeStep; writeInterval 1; writePrecision 17; writeFormat ascii;"
+    empty = "divSchemes {} gradSchemes {} laplacianSchemes {}"
+    for name, text in ({"controlDict": control, "fvSchemes": empty, "fvSolution": empty} | dictionaries).items():
+        head = f"FoamFile {{ version 2.0; format ascii; class dictionary; object {name}; }}\n"
+        (case / "system" / name).write_text(text if text.startswith("FoamFile") else head + text)
+
+
+def check_mesh(case: Path) -> str:
+    """What OpenFOAM's own program says of a mesh."""
+    write_system(case, controlDict=(case / "system/controlDict").read_text())
+    return run_foam("checkMesh", case, "-allTopology")

@@ -54,29 +54,10 @@ def case_folder(path: Path) -> Path:
     return path.parent if is_foam(path) else path
 
 
-def has_dictionary(path: Path) -> bool:
-    """Whether a case can be read."""
-    return any((case_folder(path) / name).is_file() for name in _DICTIONARIES)
-
-
-def dictionary_of(path: Path) -> Path:
-    """The blockMeshDict of a case.
-
-    Raises
-    ------
-    FormatError
-        When it has none.
-    """
-    folder = case_folder(path)
-    for name in _DICTIONARIES:
-        if (folder / name).is_file():
-            return folder / name
-    if (folder / POLY_MESH).is_dir():
-        raise FormatError(
-            f"{folder} is an OpenFOAM case whose mesh (constant/polyMesh) is unstructured; a case can be read if it "
-            "has a system/blockMeshDict"
-        )
-    raise FormatError(f"{folder} has no {_DICTIONARIES[0]}; expected an OpenFOAM case with one")
+def dictionary_of(path: Path) -> Path | None:
+    """The blockMeshDict of a case, without which it cannot be read."""
+    places = (case_folder(path) / name for name in _DICTIONARIES)
+    return next((place for place in places if place.is_file()), None)
 
 
 def mesh_files(path: Path) -> list[Path]:
@@ -101,8 +82,8 @@ def mesh_file(mesh: Path, name: str) -> Path:
 
 def case_files(path: Path) -> list[Path]:
     """The files from which a case is read."""
-    folder = case_folder(path)
-    return [folder / name for name in _DICTIONARIES if (folder / name).is_file()] + mesh_files(path)
+    dictionary = dictionary_of(path)
+    return ([dictionary] if dictionary else []) + mesh_files(path)
 
 
 @contextmanager
@@ -122,7 +103,12 @@ def replaced_mesh(foam: Path) -> Iterator[Path]:
     if not folder.is_dir() and not folder.parent.is_dir():
         raise FormatError(f"cannot write {foam}: the folder {folder.parent} does not exist; create it first")
     mesh = folder / POLY_MESH
-    _require_independent(mesh)
+    found = [name for name in _DEPENDENT for entry in (name, f"{name}.gz") if (mesh / entry).exists()]
+    if found:
+        raise FormatError(
+            f"cannot write {mesh}: it has {', '.join(found)} of another mesh, which would not fit the new one; remove "
+            "them first"
+        )
     try:
         mesh.mkdir(parents=True, exist_ok=True)
         new = partial_path(mesh / "mesh")
@@ -134,24 +120,10 @@ def replaced_mesh(foam: Path) -> Iterator[Path]:
                 old.unlink()
             for file in sorted(new.iterdir(), key=lambda file: file.name.startswith("points")):
                 os.replace(file, mesh / file.name)
-            _complete(foam)
+            control = foam.parent / "system" / "controlDict"
+            if not control.exists():
+                control.parent.mkdir(exist_ok=True)
+                control.write_text(_CONTROL, encoding="ascii")
+            foam.touch()
     except OSError as error:
         raise FormatError(f"cannot write {foam}: {reason_of(error)}") from error
-
-
-def _require_independent(mesh: Path) -> None:
-    found = [name for name in _DEPENDENT for entry in (name, f"{name}.gz") if (mesh / entry).exists()]
-    if found:
-        raise FormatError(
-            f"cannot write {mesh}: it has {', '.join(found)} of another mesh, which would not fit the new one; remove "
-            "them first"
-        )
-
-
-def _complete(foam: Path) -> None:
-    control = foam.parent / "system" / "controlDict"
-    if not control.exists():
-        control.parent.mkdir(exist_ok=True)
-        control.write_text(_CONTROL, encoding="ascii")
-    if not foam.exists():
-        foam.touch()

@@ -16,7 +16,7 @@ from meshdeform_core.parallel import empty
 from meshdeform_core.wording import vector
 
 from ..plausible import LARGEST
-from ..unstructured.numbering import point_numbers
+from ..unstructured.markers import point_numbers
 from .case import mesh_file
 from .dictionary import parse_dictionary
 from .lists import read_content, read_faces, read_labels, read_points

@@ -56,7 +56,11 @@ def read(path: Path) -> Grid:
         When there is no blockMeshDict, or it is damaged, uses what is not supported, or is not that of the mesh.
     """
     path = Path(path)
-    layout = read_layout(read_dictionary(dictionary_of(path) if is_case(path) else path))
+    dictionary = dictionary_of(path) if is_case(path) else path
+    if dictionary is None:
+        only = "has an unstructured mesh only" if mesh_files(path) else "has no system/blockMeshDict"
+        raise FormatError(f"{case_folder(path)} {only}; expected an OpenFOAM case with a system/blockMeshDict")
+    layout = read_layout(read_dictionary(dictionary))
     grid = block_mesh(layout)
     form = FoamFormat("openfoam", "float64", {"kind": "blockMeshDict"}, {p.name: _entries(p) for p in layout.patches})
     mesh = case_folder(path) / POLY_MESH

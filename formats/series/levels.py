@@ -12,7 +12,7 @@ from meshdeform_core.grid import Grid
 
 from ..grids import read_grid, variant_of
 from ..inputs import digest
-from ..openfoam.case import has_dictionary, is_foam, mesh_file
+from ..openfoam.case import dictionary_of, is_foam, mesh_file
 from ..openfoam.format import MeshWriter
 from .manifest import NAME, Manifest
 
@@ -72,7 +72,7 @@ class Levels:
 def is_series(path: Path) -> bool:
     """Whether a path is the folder of a series, its ``series.json``, or its ``.foam`` file that is no grid."""
     if is_foam(path):
-        return (path.parent / NAME).is_file() and not has_dictionary(path)
+        return (path.parent / NAME).is_file() and dictionary_of(path) is None
     return path.name == NAME or (path / NAME).is_file()
 
 

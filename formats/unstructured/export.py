@@ -36,8 +36,7 @@ from ..text.rows import text_rows
 from ..variant_options import checked_options
 from ..vtk.dataset import storable
 from .gmsh import Entity, write_msh41
-from .markers import find_markers
-from .numbering import point_numbers
+from .markers import find_markers, point_numbers
 
 _BOUNDARY: dict[str, tuple[str, ...]] = {"boundary": ("false", "true")}
 _OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {

@@ -1,10 +1,12 @@
-"""The outside faces of a grid in named groups, one per family, for unstructured formats; periodic pairs."""
+"""What unstructured formats have in common: numbers of points, outside faces in named groups, periodic pairs."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from meshdeform_core.errors import GridError
 from meshdeform_core.grid import BoolArray, FloatArray, Grid, IntArray, Patch, Periodicity, Side
@@ -144,3 +146,12 @@ def _signature(motion: Periodicity) -> FloatArray:
     shift = np.array(motion.translation)
     scale = max(float(np.abs(shift).max()), 1e-300)
     return np.concatenate([periodic_rotation(motion).ravel(), shift / scale])
+
+
+def point_numbers(grid: Grid, topology: Topology) -> tuple[NDArray[Any], IntArray]:
+    """The point of every block node (n_nodes,), and the block node of every point (n_points,)."""
+    number = np.full(grid.n_nodes, -1, dtype=np.int64)
+    number[topology.face_nodes] = topology.number
+    interior = np.flatnonzero(number < 0)
+    number[interior] = topology.n_unique + np.arange(len(interior))
+    return number, np.concatenate([topology.first, interior])

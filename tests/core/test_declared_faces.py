@@ -10,23 +10,19 @@ import pytest
 from meshdeform_core.grid import Connection, Grid, Patch, Side, Window
 from meshdeform_core.grid.topology import find_topology, separated
 
-from ..grids import block_around
+from ..grids import block_around, whole_face
 
 
-def cube_of_blocks(rng, flip=False):
+def cube_of_blocks(rng):
     """2 x 2 x 2 blocks of 2 x 3 x 2 cells, some of them left-handed, of which all outside faces are patches."""
-    lines = [np.linspace(0, 1, n) for n in (3, 4, 3)]
     blocks, patches = [], []
-    for place in product((0, 1), repeat=3):
-        points = block_around(*(line + offset for line, offset in zip(lines, place, strict=True)))
-        number = len(blocks)
-        mirrored = flip and rng.random() < 0.5
+    for number, place in enumerate(product((0, 1), repeat=3)):
+        points = block_around(*(np.linspace(at, at + 1, n) for at, n in zip(place, (3, 4, 3), strict=True)))
+        mirrored = rng.random() < 0.5
         blocks.append(points[::-1] if mirrored else points)
         for side in Side:
-            outside = (side % 2 == place[side.axis]) != (mirrored and side.axis == 0)
-            a, b = (points.shape[axis] - 1 for axis in side.tangential)
-            if outside:
-                patches.append(Patch("outside", (Window(number, side, (0, 0), (a, b)),), bc_type="patch"))
+            if side % 2 == (place[side.axis] + (mirrored and side.axis == 0)) % 2:
+                patches.append(Patch("outside", (whole_face(points.shape[:3], number, side),), bc_type="patch"))
     return blocks, patches
 
 
@@ -59,7 +55,7 @@ def groups_of_cells(grid: Grid, both: set[frozenset]) -> int:
 @pytest.mark.parametrize("seed", range(4))
 def test_nodes_are_those_of_cells_that_faces_join(seed):
     rng = np.random.default_rng(seed)
-    blocks, patches = cube_of_blocks(rng, flip=True)
+    blocks, patches = cube_of_blocks(rng)
     undivided = find_topology(Grid.from_blocks(blocks))
     shared = np.flatnonzero(undivided.partner >= 0)
     chosen = shared[rng.random(len(shared)) < 0.4]
@@ -76,7 +72,6 @@ def test_nodes_are_those_of_cells_that_faces_join(seed):
     places = grid.points[undivided.first[undivided.quads.corners[chosen]]].round(9)
     both = {frozenset(map(tuple, quad)) for quad in places.tolist()}
     assert apart.n_unique + grid.n_nodes - len(topology.face_nodes) == groups_of_cells(grid, both)
-    # Numbers by first occurrence; the corners of every quad are nodes of its own block.
     assert (np.diff(apart.first) > 0).all()
     np.testing.assert_array_equal(apart.number[np.searchsorted(apart.face_nodes, apart.first)], range(apart.n_unique))
     corners = apart.first[apart.quads.corners]
@@ -121,9 +116,7 @@ def test_blocks_that_touch_at_an_edge_only():
     blocks = [block_around(x, x, x), block_around(1 + x, 1 + x, x)]
     bare = Grid.from_blocks(blocks)
     assert separated(bare, find_topology(bare)).n_unique == 2 * 26 - 3
-    patches = [
-        Patch("all", (Window(block, side, (0, 0), (2, 2)),)) for block in (0, 1) for side in Side
-    ]  # fmt: skip
+    patches = [Patch("all", (Window(block, side, (0, 0), (2, 2)),)) for block in (0, 1) for side in Side]
     grid = Grid.from_blocks(blocks, patches=tuple(patches))
     assert separated(grid, find_topology(grid)).n_unique == 2 * 26
     some = Grid.from_blocks(blocks, patches=tuple(patch for patch in patches if patch.windows[0].side != Side.IMAX))
@@ -147,5 +140,4 @@ def test_collapsed_edges_stay_one_node():
     topology = find_topology(joined)
     assert separated(joined, topology).n_unique == topology.n_unique
     divided = Grid.from_blocks(blocks, patches=(*outside, *ends, *plate))
-    # The plate doubles all its nodes, at the axis, too: the two prisms have nothing else in common.
     assert separated(divided, find_topology(divided)).n_unique == topology.n_unique + 12

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from grids import block_around
 from poly_mesh_witness import check_mesh, read_mesh, read_points
 
 from meshdeform_cli.main import run
@@ -45,8 +46,7 @@ boundary (top { type wall; faces ((3 7 6 2)); } bottom { type symmetryPlane; fac
 
 
 def box(*counts: int) -> np.ndarray:
-    axes = [np.linspace(0, n / 4, n + 1) for n in counts]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    return block_around(*(np.arange(n + 1) / 4 for n in counts))
 
 
 @pytest.mark.slow
@@ -227,15 +227,8 @@ def test_series_of_points(tmp_path, capsys):
     arguments = ["series", str(tmp_path / "old"), "-c", str(tmp_path / "case.toml"), "--times", "0:1:0.5"]
     out = tmp_path / "out"
     assert run([*arguments, "-o", str(out), "-q"]) == 0
-    assert sorted(path.name for path in out.iterdir()) == [
-        "0",
-        "0.5",
-        "1",
-        "constant",
-        "old.foam",
-        "series.json",
-        "system",
-    ]
+    names = ["0", "0.5", "1", "constant", "old.foam", "series.json", "system"]
+    assert sorted(path.name for path in out.iterdir()) == names
     for time in ("0", "0.5", "1"):
         mesh = read_mesh(out, out / time / "polyMesh/points")
         mesh.check()
