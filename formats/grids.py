@@ -55,6 +55,7 @@ FORMATS: dict[str, Format] = {
 }
 
 
+_HDF5 = b"\x89HDF\r\n\x1a\n"
 # First bytes of files in other formats, which are refused by name instead of being tried as Plot3D.
 _FOREIGN: tuple[tuple[bytes, str], ...] = (
     (b"$MeshFormat", "a Gmsh mesh (unstructured)"),
@@ -203,7 +204,7 @@ def format_at(path: Path) -> str:
 
 
 def _recognise(head: bytes, path: Path) -> str:
-    if head.startswith(b"\x89HDF\r\n\x1a\n") or b"ADF Database Version" in head[:64]:
+    if head.startswith(_HDF5) or b"ADF Database Version" in head[:64]:
         return "cgns"
     if head.startswith(b"# vtk DataFile") or b"<VTKFile" in head:
         return "vtk"
@@ -214,4 +215,11 @@ def _recognise(head: bytes, path: Path) -> str:
     for magic, title in _FOREIGN:
         if text.startswith(magic):
             raise FormatError(f"{path} is {title}, not a block-structured grid (Plot3D, CGNS, VTK or blockMeshDict)")
-    return "plot3d"
+    return "cgns" if _behind_user_block(path) else "plot3d"
+
+
+def _behind_user_block(path: Path) -> bool:
+    """Whether HDF5 begins behind a user block, of any content: 512 bytes, or twice that, and so on."""
+    with path.open("rb") as stream:
+        starts = (512 << n for n in range((path.stat().st_size >> 9).bit_length()))
+        return any(stream.seek(at) and stream.read(len(_HDF5)) == _HDF5 for at in starts)

@@ -130,7 +130,7 @@ def _pieces(path: Path) -> Iterator[Path]:
 
 def _linked_files(path: Path) -> Iterator[Path]:
     """The targets of links, including the targets of links in these files."""
-    from .cgns.storage.file import linked_files
+    from .cgns.file import linked_files
 
     found, waiting = {_identity(path)}, [path]
     while waiting:

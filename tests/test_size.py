@@ -14,7 +14,7 @@ BUDGETS = {
     "meshdeform": 3465,
     "sample_cases": 2169,
     "formats/case": 1717,
-    "formats/cgns": 3288,
+    "formats/cgns": 2832,
     "formats/displacement": 2130,
     "formats/neutral_map": 408,
     "formats/openfoam": 2162,
@@ -23,7 +23,7 @@ BUDGETS = {
     "formats/report": 2035,
     "formats/series": 837,
     "formats/vtk": 2816,
-    "formats": 2211,
+    "formats": 2161,
     "meshdeform_core/boundary": 3628,
     "meshdeform_core/grid": 3841,
     "meshdeform_core/methods": 5032,
@@ -32,7 +32,7 @@ BUDGETS = {
     "meshdeform_core/quality": 2616,
     "meshdeform_core/repair": 3179,
     "meshdeform_core": 2803,
-    "tests": 36580,
+    "tests": 36494,
 }
 """Lines of Python and of data files per package; a package's row excludes the rows below it."""
 LONGEST_FUNCTION, NINE_IN_TEN, LONGEST_FILE = 60, 25, 500

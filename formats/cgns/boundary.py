@@ -8,7 +8,7 @@ from meshdeform_core.grid import Patch
 
 from .notes import Notes
 from .points import condition_windows
-from .storage.tree import Node
+from .tree import Node
 from .zone import Base, Zone
 
 

@@ -10,7 +10,7 @@ from meshdeform_core.grid import Connection, Grid, Shape
 
 from .notes import Notes
 from .periodic import periodicity
-from .storage.tree import Node
+from .tree import Node
 from .zone import Base, Zone
 
 

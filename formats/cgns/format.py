@@ -17,12 +17,12 @@ from meshdeform_core.errors import FormatError, suggestion
 from meshdeform_core.grid import FileFormat, Grid, Planes, Shape
 
 from ..planes import Stored, ranges_of, read_planes
+from .adf import is_adf
 from .boundary import family_conditions, zone_patches
 from .connectivity import overset_only, zone_connections
+from .file import naming, opened_cgns
 from .notes import Notes
 from .original import Original, state_of
-from .storage.adf import is_adf
-from .storage.file import naming, opened_cgns
 from .zone import Zone, find_base, structured_zones
 
 _PRECISIONS = ("float32", "float64")

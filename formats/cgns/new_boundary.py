@@ -6,8 +6,7 @@ import numpy as np
 
 from meshdeform_core.grid import Grid, Patch, Shape, Window
 
-from .storage.names import unique_names
-from .storage.tree import Node, make
+from .tree import Node, make, unique_names
 
 _BC_TYPES = (
     "UserDefined",

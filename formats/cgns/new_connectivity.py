@@ -10,8 +10,7 @@ from meshdeform_core.grid import Connection, Grid, Periodicity, Shape
 
 from .new_boundary import point_range
 from .periodic import inverse_motion
-from .storage.names import unique_names
-from .storage.tree import Node, make, name_list
+from .tree import Node, make, name_list, unique_names
 
 
 def connectivity_nodes(grid: Grid, zones: tuple[str, ...]) -> list[list[Node]]:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from meshdeform_core.grid import Shape
 
 from ..planes import Stored
-from .storage.adf import is_adf
+from .adf import is_adf
 from .zone import Base, Zone
 
 

@@ -10,7 +10,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Connection, FloatArray, Grid, Periodicity
 
 from .notes import Notes
-from .storage.tree import Node
+from .tree import Node
 
 _ANGLE = 4  # position of the angle among the five units of DimensionalUnits_t
 

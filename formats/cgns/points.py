@@ -10,7 +10,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import IntArray, Side, Window
 
 from .notes import Notes
-from .storage.tree import Node
+from .tree import Node
 from .windows import window_of_range, windows_of_nodes, windows_of_quads
 from .zone import Zone
 

@@ -21,11 +21,11 @@ from ..files import replacing_by_all
 from ..hdf5_output import hdf5_output
 from ..planes import Stored, write_outputs
 from . import format as cgns
+from .file import opened_cgns
+from .hdf5 import hdf5_errors
+from .hdf5_write import own_group, put_node
 from .notes import Notes
-from .storage.file import opened_cgns
-from .storage.hdf5 import hdf5_errors
-from .storage.hdf5_write import own_group, put_node
-from .storage.tree import Node, data_type_of, make, name_list
+from .tree import Node, make, name_list, room
 from .write_new import Places, fields_by_place, outputs_of, solution_nodes
 from .zone import Zone, find_base, structured_zones
 
@@ -154,7 +154,7 @@ def _coordinates(zone: Zone, common: _Common, shape: Shape, places: list[Stored]
         places.append(Stored.within_rind(common.path, kind, shape, start, size=size))
 
     names = (node.name for node in zone.coordinates)
-    return [Node(name, Path(), name, "DataArray_t", data_type_of(kind), counts, kind, placed=placed) for name in names]
+    return [room(name, counts, kind, placed) for name in names]
 
 
 def _iterations(times: Sequence[float]) -> Node:

@@ -23,14 +23,13 @@ from meshdeform_core.parallel import Part
 
 from ..hdf5_output import hdf5_output
 from ..planes import Stored
+from .adf import is_adf
+from .file import naming, opened_cgns
+from .hdf5 import DATA, LINK, LINK_FILE, hdf5_errors, place_of
+from .hdf5_write import characters, has_other_names, own_group, put_node, reserve_dataset, write_hdf5
 from .notes import Notes
 from .original import Original, state_of
-from .storage.adf import is_adf
-from .storage.file import naming, opened_cgns
-from .storage.hdf5 import DATA, LINK, LINK_FILE, hdf5_errors, place_of
-from .storage.hdf5_write import characters, has_other_names, own_group, put_node, reserve_dataset, write_hdf5
-from .storage.names import unique_names
-from .storage.tree import Node, data_type_of
+from .tree import Node, data_type_of, unique_names
 from .write_new import Packed, Places, fields_by_place, solution_nodes, write_completed
 from .zone import Base, Zone, find_base, structured_zones
 
@@ -123,7 +122,7 @@ def _replace_coordinates(
     for block, (parent, zone) in enumerate(zip(parents, zones, strict=True)):
         group = own_group(parent, zone.grid)
         datasets = [_writable_dataset(own_group(group, node), precision, zone.counts) for node in zone.coordinates]
-        starts = [place_of(dataset.id) for dataset in datasets]
+        starts = [place_of(each.id, each.dtype) for each in datasets]
         found = [
             Stored.within_rind(path, each.dtype, each.shape[::-1], start, zone.core, each.id.get_storage_size())
             for start, each in zip(starts, datasets, strict=True)

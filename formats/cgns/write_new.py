@@ -21,12 +21,11 @@ from ..coordinates import ahead, split
 from ..files import replacing_by_all
 from ..hdf5_output import hdf5_output
 from ..planes import Output, Stored, on_first_rank, write_outputs
+from .hdf5 import hdf5_errors
+from .hdf5_write import write_hdf5
 from .new_boundary import boundary_nodes, family_names, family_nodes
 from .new_connectivity import connectivity_nodes
-from .storage.hdf5 import hdf5_errors
-from .storage.hdf5_write import write_hdf5
-from .storage.names import unique_names
-from .storage.tree import Node, data_type_of, make
+from .tree import Node, make, room, unique_names
 
 Place = tuple[int, int, np.dtype[Any]]
 """Offset, bytes and type of an array."""
@@ -162,9 +161,7 @@ def _coordinates(shape: Sequence[int], dimension: int, precision: str, starts: l
         starts.append((start, size))
 
     names = ("CoordinateX", "CoordinateY", "CoordinateZ")[:dimension]
-    arrays = [
-        Node(name, Path(), name, "DataArray_t", data_type_of(kind), tuple(shape), kind, placed=placed) for name in names
-    ]
+    arrays = [room(name, shape, kind, placed) for name in names]
     return make("GridCoordinates", "GridCoordinates_t", None, arrays)
 
 
@@ -247,7 +244,7 @@ def _array(number: int, name: str, kind: np.dtype[Any], size: Sequence[int], pla
     def placed(start: int, size: int) -> None:
         places.setdefault(number, []).append((start, size, kind))
 
-    return Node(name, Path(), name, "DataArray_t", data_type_of(kind), tuple(size), kind, placed=placed)
+    return room(name, size, kind, placed)
 
 
 def _kind(field: Field) -> np.dtype[Any]:

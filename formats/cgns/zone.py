@@ -12,7 +12,7 @@ from meshdeform_core.grid import FloatArray, Shape
 from ..coordinates import merge
 from ..planes import Stored
 from .notes import Notes
-from .storage.tree import Node
+from .tree import Node
 
 _COORDINATES = ("CoordinateX", "CoordinateY", "CoordinateZ")
 _FLOATS = (np.dtype(np.float32), np.dtype(np.float64))
@@ -215,7 +215,7 @@ def _coordinates(grid: Node, dimension: int, stored: tuple[int, ...], zone: str)
             raise FormatError(
                 f"{node.name} of zone {zone} has {array.dims} values; the zone has {stored} nodes (with rind)"
             )
-        array.require()
+        array.require_stored()
     return nodes
 
 

@@ -13,7 +13,7 @@ from meshdeform_core.grid import Connection, Field, Grid, Patch, Periodicity, Si
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.cgns.new_boundary import bc_type
 from meshdeform_formats.cgns.periodic import inverse_motion, rotation_matrix
-from meshdeform_formats.cgns.storage.names import unique_names
+from meshdeform_formats.cgns.tree import unique_names
 
 
 def two_blocks(**more: object) -> Grid:

@@ -345,7 +345,7 @@ def test_a_disk_full_of_packed_arrays_stops_all_ranks(tmp_path, monkeypatch):
     def full(path, mode):
         with target(path, mode) as sink, h5py.File(sink, mode) as file:
             yield file
-            sink.failure = OSError(28, "No space left on device")
+            sink.raw.failure = OSError(28, "No space left on device")
 
     monkeypatch.setattr(write_new, "hdf5_output", full)
 

@@ -21,28 +21,21 @@ from meshdeform_core.errors import FormatError
 NAME_LENGTH = 32
 # Real trees are about ten levels deep; a file with deeper nesting is damaged or malicious.
 MAXIMUM_DEPTH = 64
+# A longer chain of links is circular (the CGNS library has the same limit).
+_MOST_LINKS = 100
 
-# Names of nodes that the standard prescribes (some followed by a number); others are the user's choice.
+# Labels of nodes whose names the standard prescribes (some followed by a number); others are the user's choice.
 _PRESCRIBED = {
-    label: label.removesuffix("_t")
-    for label in (
-        *("AdditionalFamilyName_t", "BaseIterativeData_t", "DataConversion_t", "DimensionalUnits_t", "FamilyBC_t"),
-        *("FamilyName_t", "GridConnectivityProperty_t", "GridConnectivityType_t", "GridCoordinates_t"),
-        *("GridLocation_t", "Periodic_t", "Rind_t", "ZoneBC_t", "ZoneGridConnectivity_t", "ZoneType_t"),
-    )
+    *("AdditionalFamilyName_t", "BaseIterativeData_t", "DataConversion_t", "DimensionalUnits_t", "FamilyBC_t"),
+    *("FamilyName_t", "GridConnectivityProperty_t", "GridConnectivityType_t", "GridCoordinates_t", "GridLocation_t"),
+    *("Periodic_t", "Rind_t", "ZoneBC_t", "ZoneGridConnectivity_t", "ZoneType_t"),
 }
-# Other siblings of zones and families, and of boundary conditions, with telling names.
-_BESIDE_ZONES = (
-    *("Axisymmetry", "BaseIterativeData", "ConvergenceHistory", "DataClass", "Descriptor", "DimensionalUnits"),
-    *("FlowEquationSet", "FlowSolution", "GlobalConvergenceHistory", "Gravity", "IntegralData", "ReferenceState"),
-    *("RotatingCoordinates", "UserDefinedData", "Information"),
+# Beginnings of names of nodes of which nothing is read.
+_UNREAD = (
+    *("Axisymmetry", "BaseIterativeData", "CGNSLibraryVersion", "ConvergenceHistory", "DataClass", "Descriptor"),
+    *("DimensionalUnits", "FlowEquationSet", "FlowSolution", "GlobalConvergenceHistory", "Gravity", "Information"),
+    *("IntegralData", "ReferenceState", "RotatingCoordinates", "UserDefinedData"),
 )
-_OTHERS = {
-    "CGNSBase_t": ("CGNSLibraryVersion",),
-    "Zone_t": _BESIDE_ZONES,
-    "Family_t": _BESIDE_ZONES,
-    "BC_t": ("DataClass", "Descriptor", "DimensionalUnits", "ReferenceState", "UserDefinedData"),
-}
 
 # The two-letter data types in memory.
 DTYPES: dict[str, np.dtype[Any]] = {
@@ -70,66 +63,67 @@ class Link:
         return f"{self.file}:{self.path}" if self.file else self.path
 
 
-def _no_data() -> NDArray[Any]:
-    return np.empty(0, np.uint8)
-
-
-def _nothing() -> None:
-    return None
-
-
 @dataclass(eq=False)
 class Node:
     """One node. ``target`` is the node itself or, for a link, the node it points to.
 
-    ``dtype`` is the type of the stored values (byte order included), ``None`` without data. ``read``, ``expand`` and
-    ``follow`` fetch the data, the children and the link's target from the container; ``require`` raises FormatError
-    when less is stored than ``dims`` declare, before memory is allocated. ``place`` is the offset of the values in
-    ``file``, if they are stored contiguously and unchanged. For a node of which only type and ``dims`` are known,
-    ``placed`` is called with that offset, and the bytes there are for the values, when the node is written, so that
-    these can be written later.
+    Containers derive from it and override the ``fetch_`` methods, ``require_stored`` and ``place``.
+
+    Attributes
+    ----------
+    file, path : where it is stored
+    dtype : of the stored values (byte order included), ``None`` without data
     """
 
     name: str
-    file: Path
-    path: str
+    file: Path = Path()
+    path: str = ""
     label: str = ""
     data_type: str = "MT"
     dims: tuple[int, ...] = ()
     dtype: np.dtype[Any] | None = None
     link: Link | None = None
-    read: Callable[[], NDArray[Any]] = _no_data
-    require: Callable[[], object] = _nothing
-    expand: Callable[[], Iterable[Node]] = tuple
-    follow: Callable[[], Node | None] = _nothing
-    place: Callable[[], int | None] = _nothing
-    placed: Callable[[int, int], object] | None = None
-    _following: bool = False
+
+    def fetch_children(self) -> Iterable[Node]:
+        return ()
+
+    def fetch_values(self) -> NDArray[Any]:
+        """The values of shape ``dims``, possibly a view of the file."""
+        return np.empty(0, np.uint8)
+
+    def fetch_target(self) -> Node | None:
+        """The node, possibly a link itself, to which a link leads; ``None`` if there is none."""
+        return None
+
+    def require_stored(self) -> None:
+        """Raise FormatError when less is stored than ``dims`` declare, before memory is allocated."""
+
+    def place(self) -> int | None:
+        """Offset of the values in ``file``, if they are stored contiguously and unchanged."""
+        return None
 
     @cached_property
     def children(self) -> tuple[Node, ...]:
         """Children in file order, without following links."""
-        found = tuple(self.expand())
-        # What it holds to fetch them, like an open group of the library, is no longer needed; copies need the children.
-        self.expand = lambda: found
-        return found
+        return tuple(self.fetch_children())
 
     @property
     def target(self) -> Node:
         """The node with label, data and children; an empty node for a link that is broken or circular."""
-        # Not cached: a node that refers to itself would be freed late, and with it an open group of the library.
-        return self if self.link is None else self._followed
+        # Not cached: a node that refers to itself would be freed late, and with it an open file.
+        return self if self.link is None else self.followed
 
     @cached_property
-    def _followed(self) -> Node:
-        if self._following:
-            return self._empty()
-        self._following = True
-        found = self.follow()
-        return found.target if found else self._empty()
-
-    def _empty(self) -> Node:
-        return Node(self.name, self.file, self.path)
+    def followed(self) -> Node:
+        """The node to which this link leads in the end."""
+        node: Node | None = self
+        # What a link finds that leads through itself.
+        self.__dict__["followed"] = nothing = Node(self.name, self.file, self.path)
+        for _ in range(_MOST_LINKS):
+            if node is None or node.link is None:
+                return node or nothing
+            node = node.fetch_target()
+        return nothing
 
     @property
     def dangling(self) -> bool:
@@ -144,7 +138,7 @@ class Node:
         FormatError
             When it is a broken link.
         """
-        child = self.target._by_name.get(name)
+        child = self.target.by_name.get(name)
         if child is None:
             return None
         child.require_target()
@@ -156,26 +150,27 @@ class Node:
         Raises
         ------
         FormatError
-            When a broken link could be one of them.
+            When a broken link could be one of them, according to the names that the standard prescribes.
         """
         for child in self.target.broken_links:
-            if _may_be(child.name, label):
+            prescribed = child.name.startswith(label.removesuffix("_t"))
+            if prescribed if label in _PRESCRIBED else not child.name.startswith(_UNREAD):
                 child.require_target()
-        return list(self.target._by_label.get(label, ()))
+        return list(self.target.by_label.get(label, ()))
 
     @cached_property
     def broken_links(self) -> tuple[Node, ...]:
         """The children whose targets cannot be found."""
-        return tuple(child for child in self.children if child.link and child.dangling)
+        return tuple(child for child in self.children if child.dangling)
 
     # Cached for files of thousands of zones, each of which looks up the units of the base.
     @cached_property
-    def _by_name(self) -> dict[str, Node]:
+    def by_name(self) -> dict[str, Node]:
         """The first child of every name."""
         return {child.name: child for child in reversed(self.children)}
 
     @cached_property
-    def _by_label(self) -> dict[str, list[Node]]:
+    def by_label(self) -> dict[str, list[Node]]:
         """The children of every label, in file order."""
         found: dict[str, list[Node]] = {}
         for child in self.children:
@@ -193,11 +188,12 @@ class Node:
     @property
     def contents(self) -> str:
         """Description of the data for messages, e.g. ``3 x 2 R8 values``."""
-        return describe(self.target.dims, self.target.data_type)
+        node = self.target
+        return f"{' x '.join(map(str, node.dims))} {node.data_type} values" if node.dims else "no values"
 
     def data(self) -> NDArray[Any]:
         """The node's values of shape ``dims``, fastest index first; possibly a view of the file."""
-        return self.target.read()
+        return self.target.fetch_values()
 
     def text(self) -> str:
         """Character data as one string without trailing blanks; empty without data."""
@@ -228,26 +224,37 @@ class Node:
         return found.data().astype(np.int64)
 
 
-def _may_be(name: str, label: str) -> bool:
-    """Whether a node of that name can have that label, according to the names that the standard prescribes."""
-    own = _PRESCRIBED.get(label)
-    return name.startswith(own) if own else not name.startswith(_OTHERS.get(label, ()))
+@dataclass(eq=False)
+class NewNode(Node):
+    """A node in memory, to be written.
+
+    Of one with ``placed`` instead of a ``value`` only type and ``dims`` are known: when it is written, ``placed`` is
+    called with the offset and the number of the bytes for its values, so that these can be written later.
+    """
+
+    value: NDArray[Any] | None = None
+    members: Sequence[Node] = ()
+    placed: Callable[[int, int], object] | None = None
+
+    def fetch_children(self) -> Iterable[Node]:
+        return self.members
+
+    def fetch_values(self) -> NDArray[Any]:
+        return np.empty(0, np.uint8) if self.value is None else self.value
 
 
-def make(
-    name: str,
-    label: str,
-    value: str | NDArray[Any] | None = None,
-    children: Sequence[Node] = (),
-    dtype: np.dtype[Any] | None = None,
-) -> Node:
-    """A node in memory; ``value`` is an array (fastest index first), stored as ``dtype`` or unchanged."""
-    if value is None:
-        return Node(name, Path(), name, label, expand=lambda: children)
-    array = np.frombuffer(value.encode(), np.int8) if isinstance(value, str) else value
-    stored = dtype or array.dtype
-    data_type = data_type_of(stored)
-    return Node(name, Path(), name, label, data_type, array.shape, stored, read=lambda: array, expand=lambda: children)
+def make(name: str, label: str, value: str | NDArray[Any] | None = None, members: Sequence[Node] = ()) -> Node:
+    """A node in memory; ``value`` is text or an array (fastest index first)."""
+    node = NewNode(name, label=label, members=members)
+    if value is not None:
+        node.value = np.frombuffer(value.encode(), np.int8) if isinstance(value, str) else value
+        node.dims, node.dtype, node.data_type = node.value.shape, node.value.dtype, data_type_of(node.value.dtype)
+    return node
+
+
+def room(name: str, dims: Sequence[int], kind: np.dtype[Any], placed: Callable[[int, int], object]) -> Node:
+    """A DataArray_t whose values will be written later, see :class:`NewNode`."""
+    return NewNode(name, Path(), name, "DataArray_t", data_type_of(kind), tuple(dims), kind, placed=placed)
 
 
 def name_list(names: Sequence[str]) -> NDArray[np.int8]:
@@ -264,11 +271,6 @@ def data_type_of(dtype: np.dtype[Any]) -> str:
     raise FormatError(f"CGNS has no data type for {dtype}")
 
 
-def describe(dims: tuple[int, ...], data_type: str) -> str:
-    """Description of data, see :attr:`Node.contents`."""
-    return f"{' x '.join(str(n) for n in dims)} {data_type} values" if dims else "no values"
-
-
 def decoded(raw: bytes) -> str:
     """Text up to the first NUL without trailing blanks. Old files hold Latin-1, new ones UTF-8."""
     raw = raw.split(b"\0", 1)[0].rstrip()
@@ -276,3 +278,27 @@ def decoded(raw: bytes) -> str:
         return raw.decode()
     except UnicodeDecodeError:
         return raw.decode("latin-1")
+
+
+def unique_names(names: Iterable[str], otherwise: str, taken: Iterable[str] = ()) -> tuple[str, ...]:
+    """The names as CGNS allows them: without slashes, cut to 32 bytes, numbered where they repeat each other or
+    ``taken`` ones.
+
+    ``otherwise`` replaces empty names.
+    """
+
+    def cut(text: str, length: int) -> str:
+        return text.encode()[:length].decode(errors="ignore")
+
+    used, counts = set(taken), dict[str, int]()
+    result = []
+    for name in names:
+        base = cut(name.replace("/", "_").strip(), NAME_LENGTH).strip(". ") or otherwise
+        unique, count = base, counts.get(base, 1)
+        while unique in used:
+            count += 1
+            unique = f"{cut(base, NAME_LENGTH - len(str(count)) - 1)}_{count}"
+        counts[base] = count
+        used.add(unique)
+        result.append(unique)
+    return tuple(result)

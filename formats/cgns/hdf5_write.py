@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 
-from ...hdf5_output import hdf5_output
+from ..hdf5_output import hdf5_output
 from .hdf5 import DATA, LINK, LINK_FILE, LINK_PATH, attribute
-from .tree import DTYPES, MAXIMUM_DEPTH, NAME_LENGTH, Node
+from .tree import DTYPES, MAXIMUM_DEPTH, NAME_LENGTH, NewNode, Node
 
 _FORMAT = " format"
 _VERSION = " hdf5version"
@@ -117,7 +117,7 @@ def _write(parent: h5g.GroupID, node: Node, home: Path, depth: int) -> None:
 
 
 def _fill(group: h5g.GroupID, node: Node, home: Path, depth: int) -> None:
-    if node.placed:
+    if isinstance(node, NewNode) and node.placed:
         node.placed(*reserve_dataset(group, DATA, node.dims[::-1], DTYPES[node.data_type]))
     elif node.dims:
         write_dataset(group, DATA, np.ascontiguousarray(node.data().T, dtype=DTYPES.get(node.data_type)))

@@ -1,1 +1,0 @@
-"""Storage of CGNS trees in files: HDF5 (read and written) and ADF (read)."""
