@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from meshdeform_core.errors import CaseError, GridError
 from meshdeform_core.grid import FileFormat, Grid, Patch
-from meshdeform_core.grid.connectivity.components import with_components
+from meshdeform_core.grid.components import with_components
 
 from .case import CaseFile
 from .grids import read_grid_with_boundaries

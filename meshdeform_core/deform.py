@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 from .boundary import Kind
-from .boundary.prescribed import largest_displacement
 from .errors import CaseError
-from .grid import FloatArray, Grid
-from .grid.connectivity.components import Component, assembled
+from .grid import Grid
 from .memory import UNLIMITED, MemoryLimit
 from .methods import Account, Progress
-from .methods.components import account_of, named
-from .methods.limits import PatchMotion, patch_motions
+from .methods.limits import patch_motions
 from .notices import Notice
+from .overset import Overset, impose_on_components, set_up
 from .quality import Assessment, assess
-from .quality.groups import MAX_GROUPS
-from .quality.report import MAX_LISTED
 from .repair.limit import Limit
 from .repair.outcome import Repair
 from .repair.repair import COLLAPSING
-from .setup import BoundaryMotion, Case, Setup, Start, Timing, set_up
+from .result import Result
+from .setup import BoundaryMotion, Case, Setup, Start, Timing
 from .stepping.attempts import adaptively, in_equal_steps, until_valid
 from .stepping.course import Attempt, Course, doubts
 from .stepping.steps import Reached, State, beginning
@@ -42,49 +37,6 @@ __all__ = [
     "impose",
     "set_up",
 ]
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Result:
-    """A deformed grid, how it was made and how good it is.
-
-    ``reached`` is the fraction of the motion that was imposed: below 1 only when marching stopped before a step that
-    would have made cells invalid; the invalid cells of the assessment are then those of that step. ``displacement``
-    (n_unique, 3) is that of the boundary at the end of the motion. ``attempts`` lists the steps that were tried, in
-    order; ``repair`` summarises the repairs of the steps that led to the grid, or is ``None``. Each of the named
-    ``components`` of an overset grid has a result of its own. ``way`` tells how the grid was made: among grids made in
-    the same way it is a continuous function of the displacement. ``plain`` (n_nodes, 3) is the grid before the repair,
-    if there was one step with a repair.
-    """
-
-    setup: Setup
-    grid: Grid
-    assessment: Assessment
-    account: Account
-    steps: int
-    reached: float
-    displacement: FloatArray
-    timing: Timing
-    warnings: tuple[str, ...]
-    motion: tuple[PatchMotion, ...] = ()
-    attempts: tuple[Attempt, ...] = ()
-    repair: Repair | None = None
-    components: tuple[tuple[str, Result], ...] = ()
-    way: str = ""
-    plain: FloatArray | None = None
-
-    def __repr__(self) -> str:
-        return f"Result(valid={self.valid}, steps={self.steps}, reached={self.reached:g})"
-
-    @property
-    def max_displacement(self) -> float:
-        """Largest displacement of the boundary."""
-        return largest_displacement(self.displacement)
-
-    @property
-    def valid(self) -> bool:
-        """Whether the whole motion was imposed and no cell became invalid."""
-        return self.reached == 1.0 and self.assessment.valid
 
 
 def deform(
@@ -141,9 +93,12 @@ def impose(
         steps = "auto" if course.repairing else 1
     if steps != "auto" and not (isinstance(steps, int) and steps > 0):
         raise CaseError(f'steps = {steps!r}; expected a whole number >= 1 or "auto"')
-    if course.components:
-        return _joined(course, [(own, _result(_imposed(each, steps), start)) for own, each in course.components])
-    return _result(_imposed(course, steps), start)
+
+    def result(of: Course) -> Result:
+        return _result(_imposed(of, steps), start)
+
+    undeformed = setup.undeformed
+    return impose_on_components(course, undeformed, result) if isinstance(undeformed, Overset) else result(course)
 
 
 def _imposed(course: Course, steps: int | str) -> Reached:
@@ -153,34 +108,6 @@ def _imposed(course: Course, steps: int | str) -> Reached:
     if isinstance(steps, int):
         return in_equal_steps(course, steps)
     return until_valid(course) if course.repairing else adaptively(course)
-
-
-def _joined(course: Course, found: list[tuple[Component, Result]]) -> Result:
-    """The result for an overset grid from those of all of its components."""
-    setup, results = course.setup, [result for _, result in found]
-    points = assembled(setup.grid, [(component, result.grid.points) for component, result in found])
-    with course.timing.stage("quality"):
-        whole = assess(setup.original, points, setup.boundary)
-    listed, groups = ([each for r in results for each in getattr(r.assessment, name)] for name in ("invalid", "groups"))
-    groups.sort(key=lambda group: -group.cells)
-    warnings = [named(component.name, text) for component, result in found for text in result.warnings]
-    repairs = [result.repair for result in results if result.repair]
-    return Result(
-        setup=setup,
-        grid=setup.grid.moved(points),
-        assessment=dataclasses.replace(whole, invalid=tuple(listed[:MAX_LISTED]), groups=tuple(groups[:MAX_GROUPS])),
-        account=account_of({component.name: result.account for component, result in found if result.account.settings}),
-        steps=max(result.steps for result in results),
-        reached=min(result.reached for result in results),
-        displacement=course.total,
-        timing=course.timing,
-        warnings=(*course.log.warnings, *warnings),
-        motion=patch_motions(setup.problem, course.total),
-        attempts=tuple(attempt for result in results for attempt in result.attempts),
-        repair=functools.reduce(Repair.beside, repairs) if repairs else None,
-        components=tuple((component.name, result) for component, result in found),
-        way="; ".join(f"{component.name}: {result.way}" for component, result in found),
-    )
 
 
 def _result(reached: Reached, start: Start | None) -> Result:

@@ -6,7 +6,7 @@ from .boundary import classify
 from .boundary.plates import with_plates
 from .deform import Case
 from .grid import Grid
-from .grid.connectivity.components import with_components
+from .grid.components import with_components
 from .grid.topology import find_topology
 from .quality import Assessment, Original, assess
 from .quality.difference import require_same_blocks

@@ -13,11 +13,12 @@ from .boundary.pinned import find_pinned
 from .boundary.plates import with_plates
 from .errors import GridError
 from .grid import FloatArray, Grid
-from .grid.connectivity.components import with_components
+from .grid.components import with_components
 from .grid.precision import rounded
 from .grid.topology import Topology, find_topology
 from .memory import UNLIMITED, MemoryLimit
 from .methods import Progress
+from .overset import undeformed_of
 from .parallel import rows_at
 from .quality import Assessment, Original, assess
 from .quality.difference import require_same_blocks
@@ -30,7 +31,7 @@ from .repair.limit import Limit
 from .repair.outcome import Repair
 from .repair.regions import WEAK
 from .repair.repair import Repairer
-from .setup import Case, Undeformed
+from .setup import Case
 
 MANY = 0.01
 """If more than this share of the cells is bad, their positions are of little use: the interior is remade at once."""
@@ -179,7 +180,7 @@ def _reasons(original: Grid, topology: Topology, boundary: Boundary, points: Flo
     """Why no valid grid can be found, if the boundary alone shows it."""
     change = (points - original.points)[topology.first]
     found = []
-    for crossing in Undeformed(original, topology, boundary).crossing_test.crossings(change)[:1]:
+    for crossing in undeformed_of(original, topology, boundary).crossing_test.crossings(change)[:1]:
         place = ", ".join(f"{x:.6g}" for x in crossing.point)
         names = " and ".join(dict.fromkeys(crossing.patches))
         found.append(f"the boundary crosses itself, so no valid grid exists: {names} near ({place})")

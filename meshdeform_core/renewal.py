@@ -16,7 +16,8 @@ from .grid.topology import Topology
 from .memory import MemoryLimit
 from .methods import Progress
 from .numerics.geometry.coincidence import distinct
-from .setup import Case, Setup, Undeformed
+from .overset import undeformed_of
+from .setup import Case, Setup
 
 
 def renewed(
@@ -39,7 +40,7 @@ def renewed(
     if not moved.any():
         return None
     moving = _moving_where(original, topology, boundary, moved)
-    setup = Setup(Undeformed(original, topology, moving, memory, case.repair.min_jacobian), case, ())
+    setup = Setup(undeformed_of(original, topology, moving, memory, case.repair.min_jacobian), case, ())
     result = impose(setup, lambda fraction: fraction * change, None, precision, Timing(progress=progress), progress)
     points: FloatArray = np.array(result.grid.points)
     held = topology.face_nodes[boundary.known[topology.number]]

@@ -15,7 +15,7 @@ from .boundary import Kind
 from .deform import Result, Setup, Start, Timing, impose
 from .errors import CaseError
 from .grid import Field, FloatArray, IntArray
-from .methods import PreparedMethod, Progress, prepare_method
+from .methods import PreparedMethod, Progress
 from .numerics.arrays import lengths
 from .parallel import for_rows, of_all, own_rows
 from .smoothness import Moment, Smoothness, shortest_edges, smoothness
@@ -202,7 +202,7 @@ class _Series:
     def _prepared(self, timing: Timing) -> PreparedMethod:
         if self._reference is None:
             with timing.stage("prepare"):
-                self._reference = prepare_method(self.setup.case.method, self.problem)
+                self._reference = self.setup.prepare()
         return self._reference
 
     def _drift(self, result: Result, displacement: FloatArray) -> Drift:

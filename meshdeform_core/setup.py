@@ -11,24 +11,23 @@ from functools import cached_property, partial
 
 from .boundary import Boundary, BoundarySpec, Kind, classify
 from .boundary.classification import UNSELECTED
-from .boundary.components import ComponentCrossings, boundary_of
 from .boundary.crossing import CrossingTest
 from .boundary.plates import with_plates
 from .boundary.prescribed import prescribed_displacement
 from .boundary.unselected import opening_notes
 from .errors import CaseError, MotionError
 from .grid import FloatArray, Grid
-from .grid.connectivity.components import BY_PREFIX, Component, Components, require_apart, split, with_components
+from .grid.components import Components
 from .grid.connectivity.declared import check_connections
 from .grid.connectivity.openings import find_openings
 from .grid.connectivity.overset import coincident_blocks
 from .grid.extent import require_extent
 from .grid.topology import RELATIVE_TOLERANCE, Topology, find_topology
 from .memory import UNLIMITED, MemoryLimit, release_freed
-from .methods import Options, PreparedMethod, Problem, Progress
+from .methods import Options, PreparedMethod, Problem, Progress, prepare_method
 from .numerics.arrays import extent
 from .numerics.jit import compile_seconds
-from .parallel import own_rows, rows_at
+from .parallel import rows_at
 from .quality import Original
 from .repair import Mode, RepairOptions
 from .repair.basis import Basis
@@ -44,7 +43,7 @@ class Case:
     ``tolerance`` is the largest distance between coincident nodes, relative to the local edge; ``notes`` are warnings
     from reading the case, for the report; ``open_faces`` are outside faces (``True``: all) that are meant to lie close
     to others; ``plates`` are faces between blocks that are walls on both sides; ``components`` are those of an overset
-    grid, see :func:`meshdeform_core.grid.connectivity.components.with_components`.
+    grid, see :func:`.grid.components.with_components`.
     """
 
     boundaries: tuple[BoundarySpec, ...]
@@ -114,20 +113,7 @@ class Undeformed:
     @cached_property
     def problem(self) -> Problem:
         """The input of a method's ``prepare``."""
-        components = tuple((component, own.problem) for component, own in self.components)
-        return Problem(self.grid, self.topology, self.boundary, self.memory, components)
-
-    @cached_property
-    def components(self) -> tuple[tuple[Component, Undeformed], ...]:
-        """The components of an overset grid, each a grid of its own; empty if the blocks form a single component."""
-        memory = self.memory
-        if self.grid.components:
-            low, high = own_rows(self.grid.points)
-            memory = memory.after(24 * (high - low), "components as grids of their own")
-        return tuple(
-            (each, Undeformed(each.grid, each.topology, boundary_of(each, self.boundary), memory, self.min_jacobian))
-            for each in split(self.grid, self.topology)
-        )
+        return Problem(self.grid, self.topology, self.boundary, self.memory)
 
     @cached_property
     def original(self) -> Original:
@@ -135,10 +121,8 @@ class Undeformed:
         return Original(self.grid, self.topology, self.min_jacobian)
 
     @cached_property
-    def crossing_test(self) -> CrossingTest | ComponentCrossings:
+    def crossing_test(self) -> CrossingTest:
         """The test whether the boundary crosses itself after a displacement."""
-        if self.components:
-            return ComponentCrossings([(component, own.crossing_test) for component, own in self.components])
         return CrossingTest(self.grid, self.topology, self.boundary)
 
     @cached_property
@@ -154,10 +138,13 @@ class Undeformed:
 
     def expect_more(self) -> None:
         """Store measures of the undeformed grid for the judgement of further grids, if memory permits; for a series."""
-        for each in (self, *(own for _, own in self.components)):
-            kept = each.original.kept
-            if not kept.begun and kept.bytes <= self.memory.spare:
-                kept.begin()
+        kept = self.original.kept
+        if not kept.begun and kept.bytes <= self.memory.spare:
+            kept.begin()
+
+    def prepare(self, options: Options) -> PreparedMethod:
+        """The method that ``options`` describe, bound to the grid."""
+        return prepare_method(options, self.problem)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -201,6 +188,10 @@ class Setup:
         """The undeformed cells, against which every result is judged."""
         return self.undeformed.original
 
+    def prepare(self) -> PreparedMethod:
+        """The method of the case, bound to the grid."""
+        return self.undeformed.prepare(self.case.method)
+
     def with_repair(self, mode: Mode) -> Setup:
         """The set-up with another repair mode."""
         repair = dataclasses.replace(self.case.repair, mode=mode)
@@ -227,8 +218,16 @@ class Start:
     prepared: PreparedMethod | None = None
 
 
-def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryLimit = UNLIMITED) -> Setup:
+def set_up(
+    grid: Grid,
+    case: Case,
+    timing: Timing | None = None,
+    memory: MemoryLimit = UNLIMITED,
+    check: Callable[[Grid, Topology], None] | None = None,
+) -> Setup:
     """Find the topology and classify the boundary; ``memory`` is the method's limit in addition to the grid.
+
+    ``check`` may refuse the grid once its topology is known.
 
     Raises
     ------
@@ -237,21 +236,14 @@ def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryL
     """
     timing = timing or Timing()
     require_extent(grid)
-    grid = with_components(grid, case.components)
-    if grid.overset and not grid.components:
-        raise CaseError(
-            f"the {grid.n_blocks} blocks are connected by overset (Chimera) connectivity only, so nothing would keep "
-            f"them together; the case has to name the blocks that belong together: [grid] components = "
-            f'"{BY_PREFIX}", or patterns of block names'
-        )
     with timing.stage("topology"):
         topology = find_topology(grid, case.tolerance)
         warnings = [*grid.notes, *case.notes, *check_connections(grid, topology), *coincident_blocks(grid, topology)]
         if topology.crowded:
             warnings.append(f"{topology.crowded} face quads are shared by more than two blocks")
         openings = find_openings(grid, topology)
-        if grid.components and case.open_faces is not True:
-            require_apart(grid, topology)
+        if check:
+            check(grid, topology)
         grid, topology = with_plates(grid, topology, case.plates)
         boundary = classify(grid, topology, case.boundaries, case.constants)
         unselected = boundary.quads_of(lambda patch: patch.name == UNSELECTED)

@@ -24,15 +24,15 @@ BUDGETS = {
     "formats/series": 837,
     "formats/vtk": 2816,
     "formats": 2161,
-    "meshdeform_core/boundary": 3628,
-    "meshdeform_core/grid": 3841,
-    "meshdeform_core/methods": 5032,
+    "meshdeform_core/boundary": 3547,
+    "meshdeform_core/grid": 3683,
+    "meshdeform_core/methods": 4906,
     "meshdeform_core/numerics": 12008,
     "meshdeform_core/parallel": 1246,
     "meshdeform_core/quality": 2616,
     "meshdeform_core/repair": 3179,
-    "meshdeform_core": 2803,
-    "tests": 36494,
+    "meshdeform_core": 2991,
+    "tests": 36491,
 }
 """Lines of Python and of data files per package; a package's row excludes the rows below it."""
 LONGEST_FUNCTION, NINE_IN_TEN, LONGEST_FILE = 60, 25, 500

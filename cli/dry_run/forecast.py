@@ -11,7 +11,7 @@ from meshdeform_core.boundary.pinned import find_pinned
 from meshdeform_core.boundary.prescribed import largest_displacement
 from meshdeform_core.deform import Result, Setup, Timing, impose, set_up
 from meshdeform_core.memory import MemoryLimit
-from meshdeform_core.methods import PreparedMethod, prepare_method
+from meshdeform_core.methods import PreparedMethod
 from meshdeform_core.methods.limits import patch_motions
 from meshdeform_core.repair.limit import Limit
 from meshdeform_core.setup import Start
@@ -49,7 +49,7 @@ def plan(
     chosen = variant_of(job.grid, output, variant) if output is not None else None
     precision = chosen.precision if chosen else job.grid.precision
     setup = set_up(job.grid, imposed.case(job.case.case), memory=job.memory)
-    prepared = prepare_method(job.case.case.method, setup.problem)
+    prepared = setup.prepare()
     motion = setup.displacement(imposed.time)
     largest = largest_displacement(motion)
     report = plan_report(setup, prepared.account, largest, patch_motions(setup.problem, motion))
@@ -68,7 +68,7 @@ def plan_series(run: Run, levels: Levels, limit: MemoryLimit) -> tuple[Report, b
     """The report of a dry run (classification, parameters, node counts and, for a grid too large for a trial, its
     expense), whether no valid grid exists at the level of the largest displacement, and the levels as a line of text.
     """
-    prepared = prepare_method(run.setup.case.method, run.setup.problem)
+    prepared = run.setup.prepare()
     times = run.schedule.times
     largest, worst = max((largest_displacement(run.setup.displacement(t)), t) for t in times)
     last = run.files.path(len(times) - 1)

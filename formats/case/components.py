@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from meshdeform_core.grid.connectivity.components import BY_PREFIX, Components
+from meshdeform_core.grid.components import BY_PREFIX, Components
 from meshdeform_core.wording import literal
 
 from .values import Table, check_keys, fail, file_of

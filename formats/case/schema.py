@@ -10,7 +10,7 @@ from typing import Any
 
 from meshdeform_core.boundary import Kind
 from meshdeform_core.boundary.tables.matching import HOW
-from meshdeform_core.grid.connectivity.components import BY_PREFIX
+from meshdeform_core.grid.components import BY_PREFIX
 from meshdeform_core.methods import ALIASES, CATALOGUE, IDW, RBF, TFI, Options
 from meshdeform_core.methods.scattered.centres import SOLVERS
 from meshdeform_core.methods.scattered.idw import ROTATIONS, WEIGHTS

@@ -7,8 +7,8 @@ import numpy as np
 from meshdeform_core.deform import Result
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.methods import PreparedMethod
-from meshdeform_core.methods.components import PreparedComponents, named
-from meshdeform_core.methods.derivative import ComponentsDerivative, Derivative, derivative_of
+from meshdeform_core.methods.derivative import Derivative, derivative_of
+from meshdeform_core.overset import PreparedComponents
 from meshdeform_core.parallel import Part, combined, of_all, own_rows
 from meshdeform_core.repair.derivative import RepairDerivative, derivative_of_repair
 
@@ -24,11 +24,7 @@ def differentiated(result: Result, method: PreparedMethod, displacement: FloatAr
     components of an overset grid have derivatives of their own.
     """
     if isinstance(method, PreparedComponents):
-        parts = zip(method.parts, result.components, strict=True)
-        found = [differentiated(own, each, displacement[rows]) if each else None for (_, each, rows), (_, own) in parts]
-        names = [component.name for (component, _), _, _ in method.parts]
-        reasons = [named(name, each[1]) for name, each in zip(names, found, strict=True) if each and each[1]]
-        return ComponentsDerivative(method, [each[0] if each else None for each in found]), "; ".join(reasons)
+        return method.differentiated(result, displacement, differentiated)
     derivative = derivative_of(method, displacement)
     if result.steps > 1 and result.reached == 1.0:
         return derivative, f"the motion was imposed in {result.steps} steps; the derivative is that of one step"

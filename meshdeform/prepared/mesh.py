@@ -18,7 +18,7 @@ from meshdeform_core.boundary.prescribed import given_displacement
 from meshdeform_core.deform import BoundaryMotion, Setup, Start, Timing, impose
 from meshdeform_core.errors import CaseError, GridError, MotionError
 from meshdeform_core.grid import BoolArray, FloatArray, IntArray
-from meshdeform_core.methods import PreparedMethod, Progress, prepare_method
+from meshdeform_core.methods import PreparedMethod, Progress
 from meshdeform_core.numerics.arrays import places_among
 from meshdeform_core.parallel import Part, Ranks, dividing, sharing
 from meshdeform_core.repair.options import Mode
@@ -210,7 +210,7 @@ class Mesh:
     def _method(self, timing: Timing) -> PreparedMethod:
         if self._prepared is None:
             with timing.stage("prepare"):
-                self._prepared = prepare_method(self._setup.case.method, self._setup.problem)
+                self._prepared = self._setup.prepare()
         return self._prepared
 
     def _motion(self, displacement: Displacement | None, time: float) -> BoundaryMotion:

@@ -12,7 +12,7 @@ from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.motion import GIVEN
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.errors import CaseError, GridError
-from meshdeform_core.grid.connectivity.components import Components
+from meshdeform_core.grid.components import Components
 from meshdeform_core.memory import Demand, MemoryLimit, machine_memory, parse_memory
 from meshdeform_core.parallel import OneRank, Ranks, dividing, sharing
 from meshdeform_formats.case import CaseFile, case_of, read_case

@@ -17,10 +17,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from ..boundary import Kind
 from ..errors import MethodError
 from .base import Account, PreparedMethod, Problem, Progress, Setting
-from .components import PreparedComponents
 from .composite import Composite
 from .gaps import InGaps
 from .options import reason_of
@@ -172,12 +170,5 @@ def make_method(options: Options) -> Composite | InGaps:
 
 
 def prepare_method(options: Options, problem: Problem) -> PreparedMethod:
-    """The method that ``options`` describe, bound to a grid, or to every component of an overset grid."""
-    method = make_method(options)
-    if not problem.components:
-        return method.prepare(problem)
-    moving = [own.boundary.count(Kind.MOVING) for _, own in problem.components]
-    return PreparedComponents(
-        problem,
-        tuple(method.prepare(own) if n else None for n, (_, own) in zip(moving, problem.components, strict=True)),
-    )
+    """The method that ``options`` describe, bound to a grid."""
+    return make_method(options).prepare(problem)

@@ -15,7 +15,6 @@ import numpy as np
 
 from ..boundary import Boundary, Kind
 from ..grid import BoolArray, FloatArray, Grid, IntArray, Side
-from ..grid.connectivity.components import Component
 from ..grid.planes import plane_normal
 from ..grid.sides import end_planes, side_numbers
 from ..grid.topology import Topology, inward_step, side_nodes
@@ -60,14 +59,13 @@ class Problem:
     """One undeformed grid with its classified boundary: the input of ``prepare``.
 
     The sources are the unique nodes with known displacement (moving and fixed), N_s in the paper. ``memory`` limits
-    what methods may allocate. An overset grid has ``components``, each a problem of its own.
+    what methods may allocate.
     """
 
     grid: Grid
     topology: Topology
     boundary: Boundary
     memory: MemoryLimit = UNLIMITED
-    components: tuple[tuple[Component, Problem], ...] = ()
 
     def __repr__(self) -> str:
         return f"Problem({self.grid!r})"

@@ -12,10 +12,8 @@ from ..boundary import Kind
 from ..boundary.motions.doubts import positions_as_displacements
 from ..boundary.prescribed import largest_displacement
 from ..grid import FloatArray
-from ..grid.connectivity.components import Component
 from ..grid.precision import rounded
 from ..methods import Options, PreparedMethod, Progress
-from ..methods.components import PreparedComponents
 from ..notices import Notice, first_of_each_kind, kind_of
 from ..parallel import Part, rows_at
 from ..repair.limit import Limit
@@ -136,22 +134,6 @@ class Course:
         written = partial(rounded, precision=self.precision)
         return Repairer(setup.undeformed.repairs, written, setup.memory, self.progress, self.limit)
 
-    @cached_property
-    def components(self) -> tuple[tuple[Component, Course], ...]:
-        """The motion of each component of an overset grid; empty if the blocks form a single component."""
-        whole, start, parts = self.setup, self.start, self.setup.undeformed.components
-        methods = start.prepared.methods if isinstance(start.prepared, PreparedComponents) else (None,) * len(parts)
-        found = []
-        for (component, own), method in zip(parts, methods, strict=True):
-            points = own.grid.points if start.points is whole.grid.points else component.rows(whole.grid, start.points)
-            begin = Start(points, method)
-            setup, limit = Setup(own, whole.case, ()), Limit.of(own.grid.n_nodes, whole.case.repair.time_limit)
-            path = partial(_motion_of, component, self)
-            course = Course(setup, path, self.precision, self.timing, self.progress, begin, limit)
-            course.latest.put(points, whole.case.method, method)
-            found.append((component, course))
-        return tuple(found)
-
     @property
     def repairing(self) -> bool:
         """Whether the case asks for repairs."""
@@ -161,11 +143,6 @@ class Course:
     def polishing(self) -> bool:
         """Whether the case asks for better cells even in a valid grid."""
         return self.setup.case.repair.mode == "polish"
-
-
-def _motion_of(component: Component, whole: Course, fraction: float) -> FloatArray:
-    displacement = whole.total if fraction == 1.0 else whole.path(fraction)
-    return displacement[component.numbers]
 
 
 def doubts(course: Course, one_of_many: bool) -> Sequence[str]:

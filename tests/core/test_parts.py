@@ -20,7 +20,7 @@ from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.boundary.motions.motion import Motion
 from meshdeform_core.deform import Case, deform
 from meshdeform_core.grid import Grid
-from meshdeform_core.grid.connectivity.components import BY_PREFIX
+from meshdeform_core.grid.components import BY_PREFIX
 from meshdeform_core.grid.dealing import bounds_of
 from meshdeform_core.grid.lattice import SideLattice
 from meshdeform_core.grid.near import NearNodes

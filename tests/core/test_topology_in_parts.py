@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from random_grids import block_grids
 
 from meshdeform_core.grid import Grid
-from meshdeform_core.grid.connectivity.components import BY_PREFIX, with_components
+from meshdeform_core.grid.components import BY_PREFIX, with_components
 from meshdeform_core.grid.dealing import face_bounds
 from meshdeform_core.grid.near import NearNodes
 from meshdeform_core.grid.topology import find_topology, partners, strips

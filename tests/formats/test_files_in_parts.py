@@ -23,7 +23,7 @@ from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, Start, Timing, deform, impose
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, Grid
-from meshdeform_core.grid.connectivity.components import BY_PREFIX
+from meshdeform_core.grid.components import BY_PREFIX
 from meshdeform_core.methods import Options
 from meshdeform_core.numerics import pieces
 from meshdeform_core.parallel import WholeGridNeeded, current_ranks, dividing, parts

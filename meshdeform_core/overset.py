@@ -1,0 +1,447 @@
+"""Overset grids: groups of blocks that may overlap each other and have no node in common, each a grid of its own.
+
+The grid and its case are split into components; each is deformed as if it were alone, and the results are joined. What
+lies below this module deforms a grid without knowing whether it is a component of another.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+
+import numpy as np
+
+from .boundary import Boundary, Kind
+from .boundary.classification import ClassifiedPatch
+from .boundary.coverage import Tables
+from .boundary.crossing import Contact, Crossing
+from .boundary.periodic import Periodic
+from .boundary.slip import find_sliding
+from .errors import CaseError
+from .grid import FloatArray, Grid, IntArray
+from .grid.components import BY_PREFIX, with_components
+from .grid.near import NearNodes
+from .grid.topology import RELATIVE_TOLERANCE, FaceQuads, Topology, quads_of_patches
+from .memory import UNLIMITED, MemoryLimit
+from .methods import Account, Options, PreparedMethod, Problem, Progress
+from .methods.derivative import Derivative
+from .methods.derivative.kinks import Kinks
+from .methods.limits import patch_motions
+from .notices import Notice, kind_of
+from .numerics.arrays import BoolArray, places_among
+from .numerics.geometry.coincidence import distinct, equal_rows
+from .numerics.geometry.copies import coincident_groups
+from .parallel import Part, alike, empty, for_rows, own_rows
+from .quality import assess
+from .quality.groups import MAX_GROUPS
+from .quality.report import MAX_LISTED
+from .repair.limit import Limit
+from .repair.outcome import Repair
+from .result import Result
+from .setup import Case, Setup, Start, Timing, Undeformed
+from .setup import set_up as set_up_whole
+from .stepping.course import Course
+
+
+def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryLimit = UNLIMITED) -> Setup:
+    """:func:`.setup.set_up` for any grid; the undeformed state of an overset one is :class:`Overset`.
+
+    Raises
+    ------
+    CaseError, MotionError
+        When a boundary entry matches nothing, no node would move, or components share faces or are not named.
+    """
+    grid = with_components(grid, case.components)
+    if grid.overset and not grid.components:
+        raise CaseError(
+            f"the {grid.n_blocks} blocks are connected by overset (Chimera) connectivity only, so nothing would keep "
+            f"them together; the case has to name the blocks that belong together: [grid] components = "
+            f'"{BY_PREFIX}", or patterns of block names'
+        )
+    if not grid.component_numbers.any():
+        return set_up_whole(grid, case, timing, memory)
+    setup = set_up_whole(grid, case, timing, memory, None if case.open_faces is True else _require_apart)
+    whole = setup.undeformed
+    divided = undeformed_of(whole.grid, whole.topology, whole.boundary, whole.memory, whole.min_jacobian)
+    return dataclasses.replace(setup, undeformed=divided)
+
+
+def undeformed_of(
+    grid: Grid, topology: Topology, boundary: Boundary, memory: MemoryLimit = UNLIMITED, min_jacobian: float = 0.0
+) -> Undeformed:
+    """An undeformed grid; an :class:`Overset` one if it has several components."""
+    kind = Overset if grid.component_numbers.any() else Undeformed
+    return kind(grid, topology, boundary, memory, min_jacobian)
+
+
+def _require_apart(grid: Grid, topology: Topology) -> None:
+    """Refuse components that share block faces other than declared patches: a motion would tear the grid there."""
+    alone = topology.external.copy()
+    alone[quads_of_patches(topology.quads, grid.patches)[0]] = False
+    outside = np.flatnonzero(alone)
+    nodes = distinct(topology.quads.corners[outside], topology.n_unique)
+    label = np.zeros(topology.n_unique, dtype=np.int64)
+    tolerance = RELATIVE_TOLERANCE * topology.edge[nodes]
+    label[nodes] = coincident_groups(grid.points[topology.first[nodes]], tolerance)
+    corners = label[topology.quads.corners[outside]]
+    partner, _ = equal_rows(np.sort(corners, axis=1))
+    two = np.flatnonzero(partner >= 0)
+    block = topology.quads.block_side[outside] // 6
+    two = two[grid.component_numbers[block[two]] != grid.component_numbers[block[partner[two]]]]
+    two = two[_opposite(corners[two], corners[partner[two]])]
+    if two.size:
+        pair = block[two[0]], block[partner[two[0]]]
+        names, components = ([of[b] for b in pair] for of in (grid.names, grid.components))
+        raise CaseError(
+            f"grid.components: blocks {names[0]} of {components[0]!r} and {names[1]} of {components[1]!r} are "
+            f"neighbours with common faces ({len(two) // 2} between components in all), at which a motion would tear "
+            f"the grid; expected such blocks in one component"
+        )
+
+
+def _opposite(one: IntArray, two: IntArray) -> BoolArray:
+    """Whether quads with the same corners (n, c) are wound in opposite directions, as those of two neighbours are."""
+    count, row = one.shape[1], np.arange(len(one))
+    start = (two == one[:, :1]).argmax(axis=1)
+    return np.asarray(two[row, (start - 1) % count] == one[:, 1])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Component:
+    """One component as a grid of its own.
+
+    Attributes
+    ----------
+    name : of the component
+    blocks : (n,) its blocks in the whole grid, ascending
+    numbers : (n_unique,) its unique nodes in the whole grid, ascending
+    undeformed : the component with its boundary
+    """
+
+    name: str
+    blocks: IntArray
+    numbers: IntArray
+    undeformed: Undeformed
+
+    @property
+    def moves(self) -> bool:
+        """Whether any of its boundaries is moving; otherwise it remains at rest."""
+        return bool(self.undeformed.boundary.count(Kind.MOVING))
+
+    def rows(self, whole: Grid, values: FloatArray) -> FloatArray:
+        """The component's rows of ``values`` (n_nodes, 3) of the whole grid, in parts if it is."""
+        return _copied(self.undeformed.grid, lambda block: whole.in_planes(int(self.blocks[block]), values))
+
+    def motion(self, path: Callable[[float], FloatArray], fraction: float) -> FloatArray:
+        """Its rows of the boundary's displacement (n_unique, 3) on a ``path`` of the whole grid."""
+        return path(fraction)[self.numbers]
+
+
+class Overset(Undeformed):
+    """An undeformed overset grid: what is asked of it is asked of its components."""
+
+    @cached_property
+    def components(self) -> tuple[Component, ...]:
+        """The components in the order of their first blocks."""
+        low, high = own_rows(self.grid.points)
+        memory = self.memory.after(24 * (high - low), "components as grids of their own")
+        names = dict.fromkeys(self.grid.components)
+        return tuple(_component(self, name, number, memory) for number, name in enumerate(names))
+
+    @cached_property
+    def crossing_test(self) -> ComponentCrossings:  # type: ignore[override]
+        """Whether the boundary of any component crosses itself; components may pass through each other."""
+        return ComponentCrossings(self.components)
+
+    def expect_more(self) -> None:
+        """Store measures of the undeformed components for further judgements, if memory permits."""
+        super().expect_more()
+        for each in self.components:
+            each.undeformed.expect_more()
+
+    def prepare(self, options: Options) -> PreparedMethod:
+        """The method prepared on every component that moves."""
+        return PreparedComponents(self, options)
+
+
+def _component(whole: Undeformed, name: str, number: int, memory: MemoryLimit) -> Component:
+    grid, topology, faces = whole.grid, whole.topology, whole.topology.quads
+    member = grid.component_numbers == number
+    blocks = np.flatnonzero(member)
+    alone = _alone(grid, blocks)
+    quads = np.flatnonzero(member[faces.block_side // 6])
+    own = np.flatnonzero(member[_blocks_of(grid, topology.face_nodes)])
+    numbers = np.unique(topology.number[own])
+    sizes, partner = faces.counts[blocks].prod(axis=2), topology.partner[quads]
+    within = FaceQuads(
+        (np.cumsum(sizes) - sizes.ravel()).reshape(sizes.shape),
+        faces.counts[blocks],
+        np.searchsorted(numbers, faces.corners[quads]).astype(topology.number.dtype),
+        faces.in_order[blocks],
+    )
+    own_topology = Topology(
+        _local(grid, alone, blocks, topology.face_nodes[own]),
+        np.searchsorted(numbers, topology.number[own]).astype(topology.number.dtype),
+        _local(grid, alone, blocks, topology.first[numbers]),
+        topology.edge[numbers],
+        within,
+        np.where(partner >= 0, np.searchsorted(quads, partner), partner).astype(partner.dtype),
+        topology.handedness[blocks],
+        0,
+    )
+    boundary = _boundary_of(alone, own_topology, whole.boundary, numbers, quads)
+    return Component(name, blocks, numbers, Undeformed(alone, own_topology, boundary, memory, whole.min_jacobian))
+
+
+def _alone(grid: Grid, blocks: IntArray) -> Grid:
+    """Some blocks, ascending, as a grid of their own; of a grid in parts, every rank holds what it held before."""
+    shapes, names = tuple(grid.shapes[b] for b in blocks), tuple(grid.names[b] for b in blocks)
+    sizes, points = np.prod(shapes, axis=1), grid.points
+    rows: FloatArray
+    if isinstance(points, Part):
+        bounds = np.clip(points.bounds[:, None] - grid.offsets[blocks], 0, sizes).sum(axis=1)
+        rows = Part(points.ranks, bounds, (int(sizes.sum()), 3), np.float64)
+    else:
+        rows = empty((int(sizes.sum()), 3))
+    alone = Grid(rows, shapes, names, format=grid.format, path=grid.path)
+    for number, block in enumerate(blocks.tolist()):
+        alone.in_planes(number)[...] = grid.in_planes(block)
+    if isinstance(rows, Part):
+        rows.keep(NearNodes.of(shapes, alone.offsets))
+    return alone
+
+
+def _blocks_of(grid: Grid, flat: IntArray) -> IntArray:
+    return np.searchsorted(grid.offsets, flat, side="right") - 1
+
+
+def _local(grid: Grid, alone: Grid, blocks: IntArray, flat: IntArray) -> IntArray:
+    """Flat indices in ``alone``, the grid of ``blocks`` only, of nodes ``flat`` of the whole grid."""
+    block = _blocks_of(grid, flat)
+    return np.asarray(flat - grid.offsets[block] + alone.offsets[np.searchsorted(blocks, block)])
+
+
+def _boundary_of(grid: Grid, topology: Topology, whole: Boundary, numbers: IntArray, quads: IntArray) -> Boundary:
+    """The part of a boundary with the unique nodes ``numbers`` and the face ``quads``, which are those of ``grid``.
+
+    Motions are evaluated, and tables checked, by the boundary of the whole grid only.
+    """
+    node, quad = places_among(numbers, len(whole.kind)), places_among(quads, len(whole.quad_kind))
+    patches = tuple(
+        ClassifiedPatch(patch.name, patch.kind, _within(node, patch.nodes), own)
+        for patch in whole.patches
+        if (own := _within(quad, patch.quads)).size
+    )
+    moving = [patch.name for patch in patches if patch.kind is Kind.MOVING]
+    names = [patch.name for patch in whole.patches if patch.kind is Kind.MOVING]
+    movers = zip(names, whole.movers, strict=True)
+    kind = whole.kind[numbers]
+    sliding = [(p.name, p.quads, p.kind is Kind.SYMMETRY) for p in patches if p.kind in (Kind.SLIP, Kind.SYMMETRY)]
+    slip, mirrors = find_sliding(grid, topology, sliding, kind < Kind.FIXED)
+    pairs = whole.periodic
+    paired = (node[pairs.one] >= 0) & (node[pairs.two] >= 0)
+    return Boundary(
+        kind,
+        whole.quad_kind[quads],
+        patches,
+        tuple((_within(node, moved), motion) for name, (moved, motion) in movers if name in moving),
+        slip,
+        Periodic(node[pairs.one[paired]], node[pairs.two[paired]], pairs.rotation[paired]),
+        mirrors,
+        (),
+        Tables(topology, ()),
+    )
+
+
+def _within(place: IntArray, entries: IntArray) -> IntArray:
+    found = place[entries]
+    return found[found >= 0]
+
+
+def _joined(whole: Grid, parts: Sequence[tuple[Component, FloatArray]]) -> FloatArray:
+    """Values (n_nodes, 3) of the whole grid from those of all of its components."""
+    places = {int(b): (part, n) for part in parts for n, b in enumerate(part[0].blocks)}
+
+    def planes(number: int) -> FloatArray:
+        (component, values), place = places[number]
+        return component.undeformed.grid.in_planes(place, values)
+
+    return _copied(whole, planes)
+
+
+def _copied(grid: Grid, planes: Callable[[int], FloatArray]) -> FloatArray:
+    """A new array (n_nodes, 3) filled with the values ``planes(b)`` (i, nj, nk, 3) of this rank's planes of every
+    block of a grid."""
+    found: FloatArray = alike(grid.points)
+    for number in range(grid.n_blocks):
+        grid.in_planes(number, found)[...] = planes(number)
+    if isinstance(found, Part):
+        found.keep_like(grid.points)
+    return found
+
+
+class ComponentCrossings:
+    """Tests whether the boundary of any component crosses itself; components may pass through each other."""
+
+    def __init__(self, components: Sequence[Component]):
+        self._components = components
+
+    def crossings(self, displacement: FloatArray, gap: float = 0.0) -> tuple[Crossing, ...]:
+        """Patches of one component whose faces cross, see :meth:`.CrossingTest.crossings`."""
+        found = [
+            crossing
+            for each in self._components
+            for crossing in each.undeformed.crossing_test.crossings(displacement[each.numbers], gap)
+        ]
+        return tuple(sorted(found, key=lambda crossing: -crossing.count))
+
+    def contact(self, path: Callable[[float], FloatArray]) -> Contact | None:
+        """The first contact of a component with itself, see :meth:`.CrossingTest.contact`."""
+        found = [each.undeformed.crossing_test.contact(partial(each.motion, path)) for each in self._components]
+        return min((each for each in found if each), key=lambda contact: contact.fraction, default=None)
+
+
+Differentiated = Callable[[Result, PreparedMethod, FloatArray], tuple[Derivative, str]]
+
+
+class PreparedComponents:
+    """A method prepared on every component; ``None`` for one without moving boundaries, which remains at rest."""
+
+    def __init__(self, whole: Overset, options: Options):
+        self._grid, self._sources = whole.grid, whole.problem.source_numbers
+        self.components = whole.components
+        self.methods = [each.undeformed.prepare(options) if each.moves else None for each in self.components]
+
+    @property
+    def account(self) -> Account:
+        """Settings and warnings of all components."""
+        return _account_of({each.name: method.account for each, method, _ in self.parts() if method})
+
+    def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
+        """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
+        return [
+            _named(each.name, text)
+            for each, method, rows in self.parts()
+            if method
+            for text in method.warnings_for(motion[rows], step[rows])
+        ]
+
+    def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
+        """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""
+        moved = (
+            (each, method.apply(displacement[rows], progress) if method else _still(each.undeformed.grid))
+            for each, method, rows in self.parts()
+        )
+        return _joined(self._grid, list(moved))
+
+    def parts(self) -> Iterator[tuple[Component, PreparedMethod | None, IntArray]]:
+        """Each component with its method, and the rows of its sources among those of the whole grid."""
+        for each, method in zip(self.components, self.methods, strict=True):
+            own: Problem = each.undeformed.problem
+            yield each, method, np.searchsorted(self._sources, each.numbers[own.source_numbers])
+
+    def differentiated(self, result: Result, displacement: FloatArray, one: Differentiated) -> tuple[Derivative, str]:
+        """The derivative of a result, and the reason why it does not hold for it, from those of ``one`` component."""
+        parts, reasons = [], []
+        for (each, method, rows), (name, own) in zip(self.parts(), result.components, strict=True):
+            derivative, reason = one(own, method, displacement[rows]) if method else (None, "")
+            parts.append((each, rows, derivative))
+            reasons += [_named(name, reason)] if reason else []
+        return ComponentsDerivative(self._grid, len(self._sources), parts), "; ".join(reasons)
+
+
+def _still(grid: Grid) -> FloatArray:
+    found: FloatArray = alike(grid.points)
+    for_rows(lambda rows: found[rows].fill(0.0), found)
+    return found
+
+
+class ComponentsDerivative:
+    """Derivative of every component with respect to the displacement of its own sources, the rows in ``parts``."""
+
+    def __init__(self, grid: Grid, n_sources: int, parts: Sequence[tuple[Component, IntArray, Derivative | None]]):
+        self._grid, self._n_sources, self._parts = grid, n_sources, parts
+        self.kinks = sum((own.kinks for _, _, own in parts if own), Kinks())
+
+    def push(self, change: FloatArray) -> FloatArray:
+        """Change (n_nodes, 3) for a ``change`` (n_sources, 3) of the sources."""
+        moved = (
+            (each, own.push(change[rows]) if own else _still(each.undeformed.grid)) for each, rows, own in self._parts
+        )
+        return _joined(self._grid, list(moved))
+
+    def pull(self, gradient: FloatArray) -> FloatArray:
+        """Gradient (n_sources, 3) from that (n_nodes, 3) of all block nodes, which may be overwritten."""
+        found = np.zeros((self._n_sources, 3))
+        for each, rows, own in self._parts:
+            if own:
+                found[rows] = own.pull(each.rows(self._grid, gradient))
+        return found
+
+
+def impose_on_components(whole: Course, undeformed: Overset, one: Callable[[Course], Result]) -> Result:
+    """The result of a motion from those of ``one`` for the motion of each component."""
+    prepared = whole.start.prepared
+    known = prepared.methods if isinstance(prepared, PreparedComponents) else [None] * len(undeformed.components)
+    found, case = [], whole.setup.case
+    for each, method in zip(undeformed.components, known, strict=True):
+        own, points = each.undeformed, whole.start.points
+        points = own.grid.points if points is whole.setup.grid.points else each.rows(whole.setup.grid, points)
+        limit = Limit.of(own.grid.n_nodes, case.repair.time_limit)
+        path = partial(each.motion, lambda fraction: whole.total if fraction == 1.0 else whole.path(fraction))
+        course = Course(
+            Setup(own, case, ()), path, whole.precision, whole.timing, whole.progress, Start(points, method), limit
+        )
+        course.latest.put(points, case.method, method)
+        found.append((each, one(course)))
+    return _result(whole, found)
+
+
+def _result(course: Course, found: Sequence[tuple[Component, Result]]) -> Result:
+    setup, results = course.setup, [result for _, result in found]
+    points = _joined(setup.grid, [(component, result.grid.points) for component, result in found])
+    with course.timing.stage("quality"):
+        whole = assess(setup.original, points, setup.boundary)
+    listed_cells = [cell for result in results for cell in result.assessment.invalid]
+    groups = sorted((g for result in results for g in result.assessment.groups), key=lambda group: -group.cells)
+    warnings = [_named(component.name, text) for component, result in found for text in result.warnings]
+    repairs = [result.repair for result in results if result.repair]
+    return Result(
+        setup=setup,
+        grid=setup.grid.moved(points),
+        assessment=dataclasses.replace(
+            whole, invalid=tuple(listed_cells[:MAX_LISTED]), groups=tuple(groups[:MAX_GROUPS])
+        ),
+        account=_account_of({component.name: result.account for component, result in found if result.account.settings}),
+        steps=max(result.steps for result in results),
+        reached=min(result.reached for result in results),
+        displacement=course.total,
+        timing=course.timing,
+        warnings=(*course.log.warnings, *warnings),
+        motion=patch_motions(setup.problem, course.total),
+        attempts=tuple(attempt for result in results for attempt in result.attempts),
+        repair=functools.reduce(Repair.beside, repairs) if repairs else None,
+        components=tuple((component.name, result) for component, result in found),
+        way="; ".join(f"{component.name}: {result.way}" for component, result in found),
+    )
+
+
+def _account_of(accounts: Mapping[str, Account]) -> Account:
+    """The accounts of all components in one; a setting that differs between components is listed by component."""
+    merged = Account()
+    for key in dict.fromkeys(key for account in accounts.values() for key in account.settings):
+        settings = {name: account.settings[key] for name, account in accounts.items() if key in account.settings}
+        first = next(iter(settings.values()))
+        same = len(settings) == len(accounts) and all(each == first for each in settings.values())
+        merged.settings |= {key: first} if same else {f"{key} of {name}": each for name, each in settings.items()}
+    for name, account in accounts.items():
+        merged.notices |= {f"{name}: {kind}": _named(name, text) for kind, text in account.notices.items()}
+    return merged
+
+
+def _named(component: str, warning: str) -> Notice:
+    """A warning with the name of its component."""
+    return Notice(f"component {component!r}: {warning}", f"{component}: {kind_of(warning)}")
