@@ -122,7 +122,7 @@ def existing_outputs(output: Path) -> list[Path]:
 
 def _pieces(path: Path) -> Iterator[Path]:
     from .vtk.multiblock import referenced_files
-    from .vtk.xml.tags import file_kind
+    from .vtk.xml_tags import file_kind
 
     if file_kind(path) == "vtkMultiBlockDataSet":
         yield from referenced_files(path)

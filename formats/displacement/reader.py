@@ -132,7 +132,7 @@ def _read_hdf5(path: Path) -> DisplacementTable | Grid:
 
 
 def _read_vtk_legacy(path: Path) -> DisplacementTable | Grid:
-    from ..vtk.legacy_file import dataset_kind
+    from ..vtk.legacy import dataset_kind
 
     kind = dataset_kind(path)
     if kind == "POLYDATA":
@@ -143,7 +143,7 @@ def _read_vtk_legacy(path: Path) -> DisplacementTable | Grid:
 
 
 def _read_vtk_xml(path: Path) -> DisplacementTable | Grid:
-    from ..vtk.xml.tags import file_kind
+    from ..vtk.xml_tags import file_kind
 
     kind = file_kind(path)
     if kind in ("PolyData", "UnstructuredGrid"):

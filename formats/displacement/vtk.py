@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import IntArray
 
-from ..vtk.legacy_attributes import Attributes
-from ..vtk.legacy_file import LegacyFile
-from ..vtk.xml.arrays import ArrayReader
-from ..vtk.xml.attributes import joined, put_together, read_section
-from ..vtk.xml.tags import Element, read_tags
+from ..vtk.legacy import Attributes, LegacyFile
+from ..vtk.xml_arrays import ArrayReader, joined, read_section
+from ..vtk.xml_tags import Element, read_tags
 from .cells import fans, starts_of_list
 from .table import NO_TRIANGLES, DisplacementTable, surface_table
 
@@ -51,10 +49,10 @@ def read_vtk_xml(path: Path) -> DisplacementTable:
     for numbers, first in zip(triangles, np.cumsum([0, *sizes]), strict=False):
         numbers += first
     try:
-        arrays = {array.name: put_together(values) for array, values in joined(nodes)}
+        arrays = {array.name: np.concatenate(values) for array, values in joined(nodes)}
     except ValueError as error:
         raise FormatError(f"cannot read {path}: the node {error}") from error
-    return surface_table(path, put_together(points), arrays, np.concatenate(triangles))
+    return surface_table(path, np.concatenate(points), arrays, np.concatenate(triangles))
 
 
 def _polygons(reader: ArrayReader, piece: Element) -> IntArray:

@@ -23,10 +23,11 @@ from .legacy_write import begin_block as begin_legacy_block
 from .multiblock import read as read_multiblock
 from .multiblock import require_replaceable
 from .multiblock import write as write_multiblock
-from .xml import read as vtk_xml_read
-from .xml import write as vtk_xml_write
-from .xml.codecs import require_codec
-from .xml.tags import file_kind
+from .xml_arrays import lz4_block
+from .xml_read import read as read_xml
+from .xml_tags import file_kind
+from .xml_write import begin_block as begin_xml_block
+from .xml_write import plain
 
 _KINDS = {".vtk": "legacy", ".vts": "vts", ".vtm": "vtm"}
 _XML_KINDS = {"StructuredGrid": "vts", "RectilinearGrid": "vtr", "ImageData": "vti"}
@@ -67,7 +68,7 @@ def read(path: Path) -> Grid:
     if kind == "vtkMultiBlockDataSet":
         data_sets, names = read_multiblock(path)
         return assemble(path, "vtm", data_sets, names)
-    return assemble(path, _XML_KINDS.get(kind, kind), [vtk_xml_read.read(path)])
+    return assemble(path, _XML_KINDS.get(kind, kind), [read_xml(path)])
 
 
 def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> VtkFormat:
@@ -96,8 +97,9 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> VtkFormat:
         if chosen.get("compression", "none") != "none":
             raise FormatError(f"cannot write {path}: ascii is never compressed; choose encoding = appended or binary")
         switches["compression"] = "none"
-    require_codec(switches.get("compression", "none"), f"cannot write {path}")
-    if not (switches["encoding"] == "binary" if kind == "legacy" else vtk_xml_write.plain(switches)):
+    if switches.get("compression") == "lz4":
+        lz4_block(f"cannot write {path}")
+    if not (switches["encoding"] == "binary" if kind == "legacy" else plain(switches)):
         require_whole(grid.points, f"{path} is written as text or compressed")
     return VtkFormat("vtk", precision, {"kind": kind, **switches}, own.title, own.origins, own.field_data)
 
@@ -115,6 +117,6 @@ def write(grid: Grid, path: Path, variant: VtkFormat) -> None:
     if kind == "vtm":
         write_multiblock(grid, path, variant)
         return
-    begin = begin_legacy_block if kind == "legacy" else vtk_xml_write.begin_block
+    begin = begin_legacy_block if kind == "legacy" else begin_xml_block
     with replacing_by_all(path, grid.points) as partial:
         write_blocks(grid, [partial], variant, begin)

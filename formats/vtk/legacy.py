@@ -1,10 +1,18 @@
-"""Structured grids from legacy VTK files (.vtk), including RECTILINEAR_GRID and STRUCTURED_POINTS."""
+"""Structured grids from legacy VTK files (.vtk), including RECTILINEAR_GRID and STRUCTURED_POINTS.
+
+A file consists of keyword lines with runs of values between them. It is not read by VTK, whose reader fills the missing
+part of a truncated file with garbage and reports success. Source: VTK User's Guide, "VTK File Formats"; for versions
+4.2 to 5.1 the output of ``vtkDataWriter``.
+"""
 
 from __future__ import annotations
 
+import os
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
+from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,16 +21,250 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Shape
 from meshdeform_core.parallel import require_undivided
 
-from .dataset import DataSet, Values
-from .lattice import lattice, require_plausible_lattice
-from .legacy_attributes import Attributes
-from .legacy_file import LegacyFile
+from .dataset import DataArray, DataSet, Run, Values, lattice, require_plausible_lattice
+
+# Value types and their numpy codes. VTK writes ids in binary files with 4 bytes.
+TYPES = {
+    "char": "i1",
+    "signed_char": "i1",
+    "unsigned_char": "u1",
+    "short": "i2",
+    "unsigned_short": "u2",
+    "int": "i4",
+    "unsigned_int": "u4",
+    "long": "i8",
+    "unsigned_long": "u8",
+    "vtktypeint64": "i8",
+    "vtktypeuint64": "u8",
+    "vtkidtype": "i8",
+    "float": "f4",
+    "double": "f8",
+}
+_LONGEST_LINE = 4096
 
 _OTHER_KINDS = {"POLYDATA": "a polygon surface", "UNSTRUCTURED_GRID": "an unstructured grid", "FIELD": "field data"}
 
 # Geometry keywords and the number of values on their line, or per entry of the run that follows.
 _ON_THE_LINE = {"DIMENSIONS": 3, "EXTENT": 6, "ORIGIN": 3, "SPACING": 3, "ASPECT_RATIO": 3}
 _IN_A_RUN = {"POINTS": 3, "X_COORDINATES": 1, "Y_COORDINATES": 1, "Z_COORDINATES": 1}
+
+_LOCATIONS = {"POINT_DATA": "node", "CELL_DATA": "cell"}
+# Attributes with a fixed number of components, and the role of the array.
+_FIXED = {
+    "VECTORS": (3, "Vectors"),
+    "NORMALS": (3, "Normals"),
+    "TENSORS": (9, "Tensors"),
+    "TENSORS6": (6, "Tensors"),
+    "GLOBAL_IDS": (1, "GlobalIds"),
+    "PEDIGREE_IDS": (1, "PedigreeIds"),
+    "EDGE_FLAGS": (1, "EdgeFlag"),
+}
+# Words on the line of each section with attributes, and the most of them.
+_WORDS = {
+    **dict.fromkeys(_LOCATIONS, (2, 2)),
+    **dict.fromkeys((*_FIXED, "FIELD", "LOOKUP_TABLE", "COLOR_SCALARS"), (3, 3)),
+    "SCALARS": (3, 4),
+    "TEXTURE_COORDINATES": (4, 4),
+}
+
+
+class LegacyFile:
+    """A legacy file being read: keyword lines, runs of values, and the position of every error.
+
+    Attributes
+    ----------
+    title : second line of the file
+    binary : True for BINARY (big-endian), False for ASCII
+    kind : the word after DATASET, e.g. ``STRUCTURED_GRID``
+    """
+
+    def __init__(self, path: Path, stream: BinaryIO) -> None:
+        self.path = path
+        self.stream = stream
+        self.size = path.stat().st_size
+        self.binary = False
+        stream.readline(_LONGEST_LINE)
+        self.title = self._line()
+        # VTK's readers skip blank lines after the title.
+        encoding = " ".join(self.words()).upper()
+        if encoding not in ("ASCII", "BINARY"):
+            raise self.error(f"expected ASCII or BINARY, found {encoding[:40]!r}")
+        self.binary = encoding == "BINARY"
+        words = self.words()
+        if len(words) != 2 or words[0].upper() != "DATASET":
+            raise self.error(f"expected 'DATASET kind', found {' '.join(words)[:40]!r}")
+        self.kind = words[1].upper()
+
+    def error(self, message: str) -> FormatError:
+        """An error with the current position: the line, or the byte of a binary file."""
+        position = self.stream.tell()
+        self.stream.seek(0)
+        line = self.stream.read(position).count(b"\n")
+        self.stream.seek(position)
+        return FormatError(f"{self.path}, {f'byte {position}' if self.binary else f'line {line}'}: {message}")
+
+    def ends_in_a_line(self) -> bool:
+        """Whether the last line is complete; a number truncated at the end of a text is still a number."""
+        self.stream.seek(-1, 2)
+        return self.stream.read(1).isspace()
+
+    def words(self) -> list[str]:
+        """The words of the next line that has any; empty at the end of the file."""
+        while self.stream.tell() < self.size:
+            if words := self._line().split():
+                return words
+        return []
+
+    def _line(self) -> str:
+        return self.stream.readline(_LONGEST_LINE).decode("utf-8", "replace").strip()
+
+    def number(self, word: str) -> int:
+        """A count from a keyword line."""
+        if not (word.isascii() and word.isdigit()):
+            raise self.error(f"expected a number, found {word!r}")
+        return int(word)
+
+    def values(self, count: int, type_name: str, what: str, later: bool = False) -> Any:
+        """The next ``count`` values, ``(count,)``, in the byte order of the file; with ``later``, binary ones remain to
+        be read.
+
+        Raises
+        ------
+        FormatError
+            When the file ends too early, contains anything but numbers, or the type is unknown.
+        """
+        name = type_name.lower()
+        if name == "bit":
+            return self._bits(count, what)
+        if name not in TYPES:
+            raise self.error(f"{what}: unknown type {type_name!r}; known are {' '.join(TYPES)} and bit")
+        code = "i4" if self.binary and name == "vtkidtype" else TYPES[name]
+        dtype = np.dtype(code).newbyteorder(">" if self.binary else "=")
+        # Each number of a text takes at least two bytes: never allocate more than the file can hold.
+        needed = count * dtype.itemsize if self.binary else max(2 * count - 1, 0)
+        start = self.stream.tell()
+        if needed > self.size - start:
+            left = self.size - start
+            raise self.error(f"{what}: {count} values need {needed} bytes, {left} are left; the file is truncated")
+        if later and self.binary:
+            self.stream.seek(needed, os.SEEK_CUR)
+            return Run(self.path, dtype, start, (count,))
+        with warnings.catch_warnings():
+            # numpy before 2.3 warns where later versions raise.
+            warnings.simplefilter("error", DeprecationWarning)
+            try:
+                values = np.fromfile(self.stream, dtype, count, sep="" if self.binary else " ")
+            except (ValueError, DeprecationWarning) as error:
+                raise self.error(f"{what}: expected {count} values, found something that is not a number") from error
+        if len(values) != count:
+            raise self.error(f"{what}: expected {count} values, found {len(values)}; the file is truncated or wrong")
+        return values
+
+    def _bits(self, count: int, what: str) -> NDArray[np.uint8]:
+        if not self.binary:
+            return self.values(count, "unsigned_char", what)
+        return np.unpackbits(self.values((count + 7) // 8, "unsigned_char", what))[:count]
+
+    def component_names(self) -> tuple[str, ...]:
+        """Component names from the METADATA that may follow an array; the rest of METADATA is skipped."""
+        position = self.stream.tell()
+        if [word.upper() for word in self.words()] != ["METADATA"]:
+            self.stream.seek(position)
+            return ()
+        lines = list(iter(self._line, ""))
+        return tuple(map(unquote, lines[1:])) if lines and lines[0].upper() == "COMPONENT_NAMES" else ()
+
+    def skip_strings(self, count: int) -> None:
+        """Skip a string array: one string per line, or in binary after a length of 1, 2, 4 or 8 bytes."""
+        for _ in range(count):
+            if not self.binary:
+                self.stream.readline()
+            elif first := self.stream.read(1):
+                width = 1 << (3 - (first[0] >> 6))
+                length = int.from_bytes(first + self.stream.read(width - 1), "big") & ~(3 << (8 * width - 2))
+                self.stream.seek(min(length, self.size - self.stream.tell()), 1)
+
+
+def dataset_kind(path: Path) -> str:
+    """The word after DATASET of a legacy file, in capitals."""
+    with path.open("rb") as stream:
+        return LegacyFile(path, stream).kind
+
+
+class Attributes:
+    """Arrays gathered section by section, with notes on what is dropped.
+
+    With ``later``, binary values of nodes and cells remain to be read.
+    """
+
+    def __init__(self, file: LegacyFile, later: bool = False) -> None:
+        self.file, self._later = file, later
+        self.location = ""
+        self.length = 0
+        self.arrays: list[DataArray] = []
+        self.notes: list[str] = []
+
+    def read(self, words: list[str]) -> None:
+        """Read the section that begins with the line ``words``."""
+        keyword, number = words[0].upper(), self.file.number
+        few, many = _WORDS.get(keyword, (0, 0))
+        if not few <= len(words) <= many:
+            raise self.file.error(f"expected a section of a VTK file, found {' '.join(words)[:60]!r}")
+        if keyword in _LOCATIONS:
+            self.location, self.length = _LOCATIONS[keyword], number(words[1])
+        elif keyword == "FIELD":
+            self._fields(number(words[2]))
+        elif keyword == "LOOKUP_TABLE":
+            self.file.values(4 * number(words[2]), self._colour_type, f"lookup table {words[1]!r}")
+            self.notes.append(f"the lookup table {words[1]!r} is not kept")
+        elif keyword == "SCALARS":
+            table = self.file.words()
+            if len(table) != 2 or table[0].upper() != "LOOKUP_TABLE":
+                raise self.file.error(f"expected 'LOOKUP_TABLE name' after SCALARS, found {' '.join(table)[:60]!r}")
+            self._array(words[1], number(words[3]) if len(words) == 4 else 1, words[2], "Scalars")
+        elif keyword == "COLOR_SCALARS":
+            self._colours(words[1], number(words[2]))
+        elif keyword == "TEXTURE_COORDINATES":
+            self._array(words[1], number(words[2]), words[3], "TCoords")
+        else:
+            components, role = _FIXED[keyword]
+            self._array(words[1], components, words[2], role)
+
+    def _array(self, name: str, components: int, type_name: str, role: str = "", length: int | None = None) -> None:
+        length = self.length if length is None else length
+        later = self._later and bool(self.location)
+        values = self.file.values(components * length, type_name, f"array {unquote(name)!r}", later)
+        self._add(name, values if components == 1 else values.reshape(length, components), role)
+
+    @property
+    def _colour_type(self) -> str:
+        return "unsigned_char" if self.file.binary else "float"
+
+    def _colours(self, name: str, components: int) -> None:
+        values: Any = self.file.values(components * self.length, self._colour_type, f"colours {unquote(name)!r}")
+        if not self.file.binary:
+            values = np.rint(255 * np.clip(values, 0, 1)).astype(np.uint8)
+        self._add(name, values if components == 1 else values.reshape(self.length, components), "Scalars")
+
+    def _add(self, name: str, values: Values, role: str) -> None:
+        # VTK makes the first of several arrays of one kind the active one.
+        taken = any(role in a.roles for a in self.arrays if a.location == self.location)
+        roles = () if taken or not role else (role,)
+        self.arrays.append(DataArray(unquote(name), self.location, values, roles, self.file.component_names()))
+
+    def _fields(self, number: int) -> None:
+        for _ in range(number):
+            words = self.file.words()
+            if words[:1] == ["NULL_ARRAY"]:
+                continue
+            if len(words) != 4:
+                raise self.file.error(f"expected 'name components tuples type' of an array, found {' '.join(words)!r}")
+            components, length = self.file.number(words[1]), self.file.number(words[2])
+            if words[3].lower() in ("string", "utf8_string"):
+                self.file.skip_strings(components * length)
+                self.notes.append(f"the text array {unquote(words[0])!r} is not kept")
+            else:
+                self._array(words[0], components, words[3], length=length)
 
 
 def read(path: Path) -> DataSet:
@@ -34,7 +276,7 @@ def read(path: Path) -> DataSet:
         When the file is truncated, contradicts its keywords, or contains another kind of data set.
     """
     with path.open("rb") as stream:
-        file = LegacyFile(path, stream, later=True)
+        file = LegacyFile(path, stream)
         if file.kind not in ("STRUCTURED_GRID", "RECTILINEAR_GRID", "STRUCTURED_POINTS"):
             other = _OTHER_KINDS.get(file.kind, "another kind of data set")
             raise FormatError(f"{path} is {other} (DATASET {file.kind}); expected a structured grid")
@@ -53,7 +295,7 @@ def read(path: Path) -> DataSet:
 
 def _sections(file: LegacyFile) -> tuple[dict[str, Any], Attributes]:
     geometry: dict[str, Any] = {}
-    attributes = Attributes(file)
+    attributes = Attributes(file, later=True)
     while words := file.words():
         keyword = words[0].upper()
         if keyword in _ON_THE_LINE:
@@ -61,8 +303,8 @@ def _sections(file: LegacyFile) -> tuple[dict[str, Any], Attributes]:
         elif keyword in _IN_A_RUN:
             if len(words) != 3:
                 raise file.error(f"expected '{keyword} number type', found {' '.join(words)[:60]!r}")
-            read = file.values_or_run if keyword == "POINTS" else file.values
-            geometry[keyword] = read(_IN_A_RUN[keyword] * file.number(words[1]), words[2], keyword)
+            count = _IN_A_RUN[keyword] * file.number(words[1])
+            geometry[keyword] = file.values(count, words[2], keyword, later=keyword == "POINTS")
             file.component_names()
         else:
             attributes.read(words)

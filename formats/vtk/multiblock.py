@@ -18,9 +18,9 @@ from meshdeform_core.parallel import ranks_of
 
 from ..files import replacing_by_all, shown
 from .dataset import DataSet, VtkFormat, write_blocks
-from .xml.read import read as read_piece
-from .xml.tags import DEEPEST, Element, read_tags
-from .xml.write import attribute, begin_block
+from .xml_read import read as read_piece
+from .xml_tags import DEEPEST, Element, read_tags
+from .xml_write import attribute, begin_block
 
 _SET = "vtkMultiBlockDataSet"
 

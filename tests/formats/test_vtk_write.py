@@ -277,7 +277,7 @@ def test_a_full_disk(tmp_path, name, monkeypatch):
         path.symlink_to("/dev/full")
         return begin(grid, number, path, *rest)
 
-    module, begin = (vtk.format, "begin_legacy_block") if name == "a.vtk" else (vtk.xml.write, "begin_block")
+    module, begin = (vtk.format, "begin_legacy_block") if name == "a.vtk" else (vtk.format, "begin_xml_block")
     monkeypatch.setattr(module, begin, partial(write_to_full, getattr(module, begin)))
     with pytest.raises(FormatError, match=f"cannot write .*{name}: "):
         write_grid(grid, tmp_path / name)

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import binascii
+import itertools
+import lzma
+import os
 import re
-from collections.abc import Mapping, Sequence
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -12,15 +17,19 @@ import numpy as np
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
 
-from ...text.numbers import number_lines
-from ..dataset import Reserved, StoredArray, VtkFormat
-from .arrays import TYPES
-from .attributes import ID_ROLES, SECTIONS
-from .encode import ArrayEncoder
+from ..text.numbers import number_lines
+from .dataset import Reserved, StoredArray, VtkFormat
+from .xml_arrays import SECTIONS, TYPES, lz4_block
+from .xml_tags import COMPRESSORS
 
 _TYPE_NAMES = {code: name for name, code in TYPES.items()}
-_COMPRESSORS = {"zlib": "vtkZLibDataCompressor", "lz4": "vtkLZ4DataCompressor", "lzma": "vtkLZMADataCompressor"}
+_COMPRESSORS = {compression: name for name, compression in COMPRESSORS.items()}
 _BYTE_ORDERS = {"little": "LittleEndian", "big": "BigEndian"}
+
+# Bytes that VTK compresses as one block, its level of compression, and bytes encoded in base64 at a time.
+_BLOCK, _LEVEL = 1 << 15, 5
+_GROUPS = 3 << 16
+_SMALLEST_DICTIONARY = 4096
 
 # Space for the offset of an array in its tag, which is written before the offset is known.
 _OFFSET_DIGITS = 20
@@ -72,12 +81,42 @@ def attribute(text: str) -> str:
     return f'"{text.translate(_ESCAPES)}"'
 
 
+def packer(compression: str, path: str) -> Callable[[bytes], bytes] | None:
+    """The function that compresses one block."""
+    if compression == "zlib":
+        return lambda block: zlib.compress(block, _LEVEL)
+    if compression == "lz4":
+        compress = lz4_block(f"cannot write {path}").compress
+        return lambda block: bytes(compress(block, store_size=False))
+    return _pack_lzma if compression == "lzma" else None
+
+
+def _pack_lzma(block: bytes) -> bytes:
+    # A dictionary larger than the block costs time to clear for each block, and compresses no better.
+    filters = [{"id": lzma.FILTER_LZMA2, "preset": _LEVEL, "dict_size": max(len(block), _SMALLEST_DICTIONARY)}]
+    return lzma.compress(block, lzma.FORMAT_XZ, lzma.CHECK_CRC32, filters=filters)
+
+
+def _in_blocks(pieces: Iterable[bytes], size: int) -> Iterator[bytes]:
+    """The bytes of all pieces in blocks of equal size; the last one may be smaller."""
+    rest = b""
+    for piece in pieces:
+        data = rest + piece
+        whole = len(data) // size * size
+        for first in range(0, whole, size):
+            yield data[first : first + size]
+        rest = data[whole:]
+    if rest:
+        yield rest
+
+
 class _Output:
     """A .vts file being written."""
 
     def __init__(self, stream: BinaryIO, variant: VtkFormat, header: str, path: str) -> None:
         self.stream, self.header, self.options = stream, header, variant.options
-        self.encoder = ArrayEncoder(stream, variant.options, header, path)
+        self.order = "<" if self.options["byte_order"] == "little" else ">"
+        self.pack = packer(self.options["compression"], path)
         self.appended: list[tuple[StoredArray, int]] = []
         self.places: dict[int, tuple[int, np.dtype[Any]]] = {}
 
@@ -88,7 +127,7 @@ class _Output:
         # VTK calls the layout with the wider sizes version 1.0.
         version = "1.0" if self.header == "UInt64" else "0.1"
         order, compression = _BYTE_ORDERS[self.options["byte_order"]], self.options["compression"]
-        compressor = f' compressor="{_COMPRESSORS[compression]}"' if compression != "none" else ""
+        compressor = f' compressor="{_COMPRESSORS[compression]}"' if self.pack else ""
         self.line('<?xml version="1.0"?>')
         self.line(
             f'<VTKFile type="StructuredGrid" version="{version}" byte_order="{order}" header_type="{self.header}"'
@@ -117,7 +156,7 @@ class _Output:
 
     def array(self, array: StoredArray) -> None:
         words = [f'type="{_TYPE_NAMES[array.precision.str[1:]]}"']
-        if array.precision == np.int64 and not set(ID_ROLES).isdisjoint(array.roles):
+        if array.precision == np.int64 and not {"GlobalIds", "PedigreeIds"}.isdisjoint(array.roles):
             words.append('IdType="1"')
         words.append(f"Name={attribute(array.name)}")
         if array.components != 1:
@@ -137,7 +176,7 @@ class _Output:
         if kind == "ascii":
             self.text(array)
         else:
-            self.encoder.write(array)
+            self.binary(array)
         self.line(("" if kind == "ascii" else "\n") + "        </DataArray>")
 
     def text(self, array: StoredArray) -> None:
@@ -150,6 +189,41 @@ class _Output:
                 lines = memoryview(bytes(lines).replace(b"Infinity", b"inf").replace(b"NaN", b"nan"))
             self.stream.write(lines)
 
+    def binary(self, array: StoredArray) -> None:
+        """The sizes and values of an array; compressed or not, raw or in base64."""
+        pieces = (
+            slab.astype(np.dtype(self.order + slab.dtype.str[1:]), copy=False).tobytes() for slab in array.slabs()
+        )
+        if self.pack is None:
+            self.segment(itertools.chain([self.sizes([array.nbytes])], pieces))
+            return
+        number, last = -(-array.nbytes // _BLOCK), array.nbytes % _BLOCK
+        place, packed, pack = self.stream.tell(), [0] * number, self.pack
+
+        def blocks() -> Iterator[bytes]:
+            for index, block in enumerate(_in_blocks(pieces, _BLOCK)):
+                data = pack(block)
+                packed[index] = len(data)
+                yield data
+
+        # The compressed sizes precede the blocks: they are written again when they are known.
+        self.segment([self.sizes([number, _BLOCK, last, *packed])])
+        self.segment(blocks())
+        end = self.stream.tell()
+        self.stream.seek(place)
+        self.segment([self.sizes([number, _BLOCK, last, *packed])])
+        self.stream.seek(end)
+
+    def sizes(self, sizes: list[int]) -> bytes:
+        return np.array(sizes, self.order + ("u4" if self.header == "UInt32" else "u8")).tobytes()
+
+    def segment(self, pieces: Iterable[bytes]) -> None:
+        """Bytes as they are, or in base64 with padding only at the end."""
+        if self.options["encoding"] == "appended":
+            self.stream.writelines(pieces)
+        else:
+            self.stream.writelines(binascii.b2a_base64(part, newline=False) for part in _in_blocks(pieces, _GROUPS))
+
     def append(self) -> None:
         """All arrays in sequence, and their offsets in the tags."""
         raw = self.options["encoding"] == "appended"
@@ -161,7 +235,10 @@ class _Output:
             self.stream.write(f'{offset}"'.encode())
             self.stream.seek(start + offset)
             if array.in_planes and plain(self.options):
-                self.places[id(array)] = self.encoder.reserve(array)
+                # All ranks write these values later.
+                self.stream.write(self.sizes([array.nbytes]))
+                self.places[id(array)] = self.stream.tell(), np.dtype(self.order + array.precision.str[1:])
+                self.stream.seek(array.nbytes, os.SEEK_CUR)
             else:
-                self.encoder.write(array)
+                self.binary(array)
         self.line("\n  </AppendedData>")

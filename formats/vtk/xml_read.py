@@ -18,12 +18,9 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Shape
 from meshdeform_core.parallel import require_undivided
 
-from ..dataset import DataArray, DataSet, Values
-from ..lattice import lattice, require_plausible_lattice
-from .arrays import ArrayReader
-from .attributes import joined, read_field_data, read_section
-from .codecs import LARGEST_RATIO
-from .tags import Element, read_tags
+from .dataset import DataArray, DataSet, Values, lattice, require_plausible_lattice
+from .xml_arrays import LARGEST_RATIO, ArrayReader, joined, read_section
+from .xml_tags import Element, read_tags
 
 _KINDS = ("StructuredGrid", "RectilinearGrid", "ImageData")
 
@@ -100,12 +97,20 @@ def read(path: Path) -> DataSet:
         later = len(found) == 1 and file.kind == "StructuredGrid" and _extent(reader, found[0], "Extent") == whole
         if not later or file.options["encoding"] != "appended" or file.compression != "none":
             require_undivided(f"{path} is text, compressed or in several pieces")
-        pieces = [_read_piece(reader, data_set, piece, later, notes) for piece in found]
-        field_data = read_field_data(reader, data_set, notes)
+        pieces = []
+        for piece in found:
+            extent = _extent(reader, piece, "Extent")
+            n_nodes, n_cells = (math.prod(extent.shape(location)) for location in ("node", "cell"))
+            points = _piece_points(reader, data_set, piece, extent, later)
+            nodes = read_section(reader, piece, "PointData", n_nodes, notes, later)
+            cells = read_section(reader, piece, "CellData", n_cells, notes, later)
+            pieces.append(_Piece(extent, piece.line, points, nodes, cells))
+        field_data = read_section(reader, data_set, "FieldData", 0, notes)
         reader.require_no_rest()
-    points = _joined_points(path, whole, pieces)
-    arrays = [*_joined_arrays(path, whole, pieces, "node"), *_joined_arrays(path, whole, pieces, "cell"), *field_data]
-    return DataSet(points, tuple(arrays), file.options, whole.low, notes=tuple(dict.fromkeys(notes)))
+    if len(pieces) > 1 or pieces[0].extent != whole:
+        pieces = [_put_together(path, whole, pieces)]
+    arrays = (*pieces[0].nodes, *pieces[0].cells, *field_data)
+    return DataSet(pieces[0].points, arrays, file.options, whole.low, notes=tuple(dict.fromkeys(notes)))
 
 
 def _extent(reader: ArrayReader, element: Element, name: str) -> Extent:
@@ -141,26 +146,12 @@ def _pieces(reader: ArrayReader, data_set: Element, whole: Extent) -> list[Eleme
     return found
 
 
-def _read_piece(reader: ArrayReader, data_set: Element, piece: Element, later: bool, notes: list[str]) -> _Piece:
-    """A piece; ``later``: values that are stored as they are remain to be read."""
-    extent = _extent(reader, piece, "Extent")
-    n_nodes, n_cells = (math.prod(extent.shape(location)) for location in ("node", "cell"))
-    return _Piece(
-        extent,
-        piece.line,
-        _piece_points(reader, data_set, piece, extent, later),
-        read_section(reader, piece, "PointData", n_nodes, notes, later),
-        read_section(reader, piece, "CellData", n_cells, notes, later),
-    )
-
-
 def _piece_points(reader: ArrayReader, data_set: Element, piece: Element, extent: Extent, later: bool) -> Values:
     """Coordinates of a piece, ``(nk, nj, ni, 3)``."""
     shape = extent.shape()
     if reader.file.kind == "StructuredGrid":
         (array,) = reader.arrays_of(piece, "Points", 1)
-        read = reader.values_or_run if later else reader.values
-        return read(array, math.prod(shape), 3).reshape(*shape, 3)
+        return reader.values(array, math.prod(shape), 3, later).reshape(*shape, 3)
     if reader.file.kind == "RectilinearGrid":
         arrays = reader.arrays_of(piece, "Coordinates", 3)
         return lattice(*(reader.values(array, n, 1) for array, n in zip(arrays, shape[::-1], strict=True)))
@@ -182,38 +173,27 @@ def _numbers(reader: ArrayReader, element: Element, name: str, otherwise: str) -
     return numbers
 
 
-def _joined_points(path: Path, whole: Extent, pieces: list[_Piece]) -> Values:
-    """Coordinates of all nodes; pieces that share a node must agree on it."""
-    if len(pieces) == 1 and pieces[0].extent == whole:
-        return pieces[0].points
+def _put_together(path: Path, whole: Extent, pieces: list[_Piece]) -> _Piece:
+    """The contents of the whole extent; pieces that share a node must agree on its coordinates."""
     points = np.zeros((*whole.shape(), 3), pieces[0].points.dtype)
-    given = np.zeros(whole.shape(), bool)
+    given = {location: np.zeros(whole.shape(location), bool) for location in ("node", "cell")}
     for piece in pieces:
         window = piece.extent.window(whole, "node")
-        differs = given[window] & (points[window] != piece.points).any(axis=-1)
+        differs = given["node"][window] & (points[window] != piece.points).any(axis=-1)
         if differs.any():
             node = _first(differs, piece.extent.low)
             raise FormatError(f"cannot read {path}, line {piece.line}: another Piece places node {node} elsewhere")
-        points[window], given[window] = piece.points, True
-    _require_all(path, whole, given, "node")
-    _require_all(path, whole, _given_cells(whole, pieces), "cell")
-    return points
-
-
-def _given_cells(whole: Extent, pieces: list[_Piece]) -> NDArray[np.bool_]:
-    given = np.zeros(whole.shape("cell"), bool)
-    for piece in pieces:
-        given[piece.extent.window(whole, "cell")] = True
-    return given
-
-
-def _require_all(path: Path, whole: Extent, given: NDArray[np.bool_], what: str) -> None:
-    missing = ~given
-    if missing.any():
-        raise FormatError(
-            f"cannot read {path}: no Piece gives {missing.sum()} of the {given.size} {what}s of the WholeExtent "
-            f"{whole}; the first is the {what} at {_first(missing, whole.low)}"
-        )
+        points[window] = piece.points
+        for location, found in given.items():
+            found[piece.extent.window(whole, location)] = True
+    for location, found in given.items():
+        if not found.all():
+            raise FormatError(
+                f"cannot read {path}: no Piece gives {(~found).sum()} of the {found.size} {location}s of the "
+                f"WholeExtent {whole}; the first is the {location} at {_first(~found, whole.low)}"
+            )
+    nodes, cells = (_joined_arrays(path, whole, pieces, location) for location in given)
+    return _Piece(whole, pieces[0].line, points, nodes, cells)
 
 
 def _first(marked: NDArray[np.bool_], low: Shape) -> Shape:
@@ -223,13 +203,9 @@ def _first(marked: NDArray[np.bool_], low: Shape) -> Shape:
 
 
 def _joined_arrays(path: Path, whole: Extent, pieces: list[_Piece], location: str) -> list[DataArray]:
-    """The node or cell arrays of the whole extent."""
-    parts = [piece.nodes if location == "node" else piece.cells for piece in pieces]
-    if len(pieces) == 1:
-        return parts[0]
     shape, found = whole.shape(location), []
     try:
-        for array, values in joined(parts):
+        for array, values in joined([piece.nodes if location == "node" else piece.cells for piece in pieces]):
             all_values = np.empty((*shape, *array.values.shape[1:]), array.values.dtype)
             for piece, part in zip(pieces, values, strict=True):
                 window = all_values[piece.extent.window(whole, location)]

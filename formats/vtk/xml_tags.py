@@ -1,4 +1,4 @@
-"""The tags of a VTK XML file: its elements and the position of the text of each array, without the arrays.
+"""The tags of a VTK XML file: its elements and the position of each array, without the arrays.
 
 The layout is described in the VTK User's Guide, "XML File Formats". Tags are read by expat, and little else of XML is
 needed: a DOCTYPE, and with it every entity, is refused, and so are deeply nested and unclosed elements. The data after
@@ -17,8 +17,8 @@ from xml.parsers import expat
 
 from meshdeform_core.errors import FormatError
 
-# Words of the VTKFile tag, and ours; the first of each is the default.
-_COMPRESSIONS = {
+# Values of attributes, and our words for them.
+COMPRESSORS = {
     "": "none",
     "vtkZLibDataCompressor": "zlib",
     "vtkLZ4DataCompressor": "lz4",
@@ -30,7 +30,7 @@ _APPENDED_ENCODINGS = {"": "appended-base64", "base64": "appended-base64", "raw"
 
 _ENCODINGS = ("utf-8", "us-ascii", "ascii", "iso-8859-1", "latin-1")
 _ARRAYS = ("DataArray", "Array")
-_APPENDED_TAG = re.compile(rb"""<AppendedData(?:[^>"']|"[^"]*"|'[^']*')*>\s*_""")
+TAG = re.compile(rb"""<(?:[^>"']|"[^"]*"|'[^']*')*>""")
 _END = b"</VTKFile>"
 
 # Real files do not come near these limits; one that does would cost time and memory before it is refused.
@@ -43,14 +43,14 @@ _CHUNK = 1 << 20
 
 @dataclass(slots=True)
 class Element:
-    """One element; ``start`` and ``end`` are the first and last byte (exclusive) of the text of an array."""
+    """One element; ``start`` is the first byte of its tag, ``end`` that of the next tag: the text is between them."""
 
     tag: str
     attributes: dict[str, str]
     line: int
-    children: list[Element] = field(default_factory=list)
-    start: int = -1
+    start: int
     end: int = -1
+    children: list[Element] = field(default_factory=list)
 
     def get(self, name: str) -> str:
         return self.attributes.get(name, "")
@@ -118,7 +118,7 @@ def file_kind(path: Path) -> str:
     """
     with path.open("rb") as stream:
         _require_end(path, stream)
-        return _Tags(path, stream).root_only().get("type") or "unknown"
+        return _Tags(path, stream, root_only=True).root.get("type") or "unknown"
 
 
 def read_tags(path: Path) -> XmlFile:
@@ -133,22 +133,18 @@ def read_tags(path: Path) -> XmlFile:
     with path.open("rb") as stream:
         size = _require_end(path, stream)
         tags = _Tags(path, stream)
-        root = tags.whole()
-        compression = _known(path, root, "compressor", _COMPRESSIONS)
-        options = {
-            "encoding": "ascii",
-            "compression": compression,
-            "byte_order": _known(path, root, "byte_order", _BYTE_ORDERS),
-            "header_type": _known(path, root, "header_type", _HEADER_TYPES),
-        }
-        appended, encoding = (0, 0), ""
+        root, appended, encoding = tags.root, (0, 0), ""
         if tags.appended is not None:
             appended = _appended_data(path, stream, tags.appended.start, size)
             encoding = _known(path, tags.appended, "encoding", _APPENDED_ENCODINGS)
+    compression = _known(path, root, "compressor", COMPRESSORS)
     first = next((array.get("format") for array in root.below() if array.tag in _ARRAYS), "") or "ascii"
-    options["encoding"] = encoding or first if first == "appended" else first
-    if options["encoding"] == "ascii":
-        options["compression"] = "none"
+    options = {
+        "encoding": encoding or first if first == "appended" else first,
+        "compression": "none" if first == "ascii" else compression,
+        "byte_order": _known(path, root, "byte_order", _BYTE_ORDERS),
+        "header_type": _known(path, root, "header_type", _HEADER_TYPES),
+    }
     return XmlFile(path, size, root.get("type") or "unknown", root, options, compression, appended, encoding)
 
 
@@ -174,58 +170,45 @@ def _known(path: Path, element: Element, key: str, words: Mapping[str, str]) -> 
 def _appended_data(path: Path, stream: BinaryIO, start: int, size: int) -> tuple[int, int]:
     """The bytes between the ``_`` that opens the appended data and the tag that closes them."""
     stream.seek(start)
-    opening = _APPENDED_TAG.match(stream.read(4096))
-    if opening is None:
+    head = stream.read(4096)
+    opening = TAG.match(head)
+    rest = head[opening.end() :].lstrip() if opening else b""
+    if not rest.startswith(b"_"):
         raise FormatError(f"cannot read {path}: no '_' follows the AppendedData tag at byte {start}")
+    begin = start + len(head) - len(rest) + 1
     tail = max(start, size - 1024)
     stream.seek(tail)
     closing = stream.read(1024).rfind(b"</AppendedData")
-    if closing < 0 or tail + closing < start + opening.end():
+    if closing < 0 or tail + closing < begin:
         raise FormatError(f"cannot read {path}: the appended data do not end with </AppendedData>")
-    return start + opening.end(), tail + closing
+    return begin, tail + closing
 
 
-class _Appended(Exception):
-    """Raised after the AppendedData tag, which ends the XML part of the file."""
-
-
-class _Root(Exception):
-    """Raised after the first tag."""
+class _Complete(Exception):
+    """Raised after the last tag that is needed."""
 
 
 class _Tags:
-    """The elements of a file, gathered while expat reads it."""
+    """The elements of a file as expat reads it: all before the appended data, or the first one."""
 
-    def __init__(self, path: Path, stream: BinaryIO) -> None:
-        self.path, self.stream = path, stream
-        self.root: Element | None = None
+    def __init__(self, path: Path, stream: BinaryIO, root_only: bool = False) -> None:
+        self.path, self.root_only = path, root_only
         self.appended: Element | None = None
         self._open: list[Element] = []
-        self._depth = self._count = 0
+        self._found: list[Element] = []
+        self._count = 0
         self._parser = parser = expat.ParserCreate()
         parser.StartDoctypeDeclHandler = self._doctype
         parser.XmlDeclHandler = self._declaration
         parser.StartElementHandler = self._start
         parser.EndElementHandler = self._end
+        self._parse(stream)
+        if not self._found or self._found[0].tag != "VTKFile":
+            raise FormatError(f"cannot read {path}: its first element is not VTKFile")
+        self.root = self._found[0]
 
-    def root_only(self) -> Element:
-        """The VTKFile element without its contents."""
-        self._parser.StartElementHandler = self._first
-        self._parse(_Root)
-        return self._required_root()
-
-    def whole(self) -> Element:
-        """The VTKFile element with its contents."""
-        self._parse(_Appended)
-        return self._required_root()
-
-    def _required_root(self) -> Element:
-        if self.root is None or self.root.tag != "VTKFile":
-            raise FormatError(f"cannot read {self.path}: its first element is not VTKFile")
-        return self.root
-
-    def _parse(self, stop: type[Exception]) -> None:
-        prolog = self.stream.read(_LONGEST_PROLOG)
+    def _parse(self, stream: BinaryIO) -> None:
+        prolog = stream.read(_LONGEST_PROLOG)
         start = prolog.find(b"<VTKFile")
         if start < 0:
             raise FormatError(f"cannot read {self.path}: it has no VTKFile element")
@@ -233,10 +216,10 @@ class _Tags:
             # The prolog first: a DOCTYPE is refused before anything could use its definitions.
             self._parser.Parse(prolog[:start], False)
             self._parser.Parse(prolog[start:], False)
-            while chunk := self.stream.read(_CHUNK):
+            while chunk := stream.read(_CHUNK):
                 self._parser.Parse(chunk, False)
             self._parser.Parse(b"", True)
-        except stop:
+        except _Complete:
             pass
         except expat.ExpatError as error:
             raise FormatError(f"cannot read {self.path}: Error parsing XML: {error}") from error
@@ -251,53 +234,34 @@ class _Tags:
         if encoding and encoding.lower() not in _ENCODINGS:
             self._refuse(f"the text is encoded as {encoding}; expected UTF-8")
 
-    def _first(self, tag: str, attributes: dict[str, str]) -> NoReturn:
-        self.root = Element(tag, attributes, self._parser.CurrentLineNumber)
-        raise _Root
-
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
-        self._depth += 1
         self._count += 1
-        if self._depth > DEEPEST:
+        if len(self._open) >= DEEPEST:
             self._refuse(f"elements are nested more than {DEEPEST} deep")
         if self._count > _MOST_ELEMENTS:
             self._refuse(f"there are more than {_MOST_ELEMENTS} elements")
-        above = self._open[-1] if self._open else None
-        if above is not None and above.tag in _ARRAYS:
-            self._end_of_text(above)
-            return
-        element = Element(tag, attributes, self._parser.CurrentLineNumber)
-        if above is None:
-            self.root = element
-        elif tag == "AppendedData" and self._depth == 2:
-            element.start = self._parser.CurrentByteIndex
+        element = Element(tag, attributes, self._parser.CurrentLineNumber, self._parser.CurrentByteIndex)
+        if len(self._open) == 1 and tag == "AppendedData":
             self.appended = element
-            raise _Appended
+            raise _Complete
+        if self._open:
+            self._text_ends(self._open[-1])
+            self._open[-1].children.append(element)
         else:
-            above.children.append(element)
+            self._found.append(element)
+        if self.root_only:
+            raise _Complete
         self._open.append(element)
-        if tag in _ARRAYS:
-            self._parser.CharacterDataHandler = self._first_text
 
     def _end(self, tag: str) -> None:
-        self._depth -= 1
-        if len(self._open) > self._depth:
-            element = self._open.pop()
-            if element.tag in _ARRAYS:
-                self._end_of_text(element)
-                self._parser.CharacterDataHandler = None
-        elif len(self._open) == self._depth:
-            # After an element inside an array, such as a range of values, which the array's own text precedes.
+        self._text_ends(self._open.pop())
+        # The text of an array precedes elements inside it, such as a range of values.
+        if self._open and self._open[-1].tag in _ARRAYS:
             self._parser.CharacterDataHandler = self._later_text
 
-    def _end_of_text(self, array: Element) -> None:
-        if array.end < 0:
-            array.end = self._parser.CurrentByteIndex
-            array.start = array.end if array.start < 0 else array.start
-        self._parser.CharacterDataHandler = None
-
-    def _first_text(self, _: str) -> None:
-        self._open[-1].start = self._parser.CurrentByteIndex
+    def _text_ends(self, element: Element) -> None:
+        if element.end < 0:
+            element.end = self._parser.CurrentByteIndex
         self._parser.CharacterDataHandler = None
 
     def _later_text(self, text: str) -> None:

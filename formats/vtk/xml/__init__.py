@@ -1,1 +1,0 @@
-"""VTK's XML files: tags, arrays and their encodings, structured grids read and written."""

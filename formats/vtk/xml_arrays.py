@@ -1,0 +1,441 @@
+"""The values of the arrays in a VTK XML file, each checked against the expected number.
+
+A binary array is preceded by its number of bytes or, if compressed, by the number of blocks, the size of a block, the
+size of the last block if smaller (else 0), and the compressed size of each block. All of them are checked against the
+file and the expected number of values before anything is allocated. In base64, a compressed array is two segments, each
+padded to four characters; without compression size and values are one, of some writers two.
+"""
+
+from __future__ import annotations
+
+import binascii
+import importlib
+import io
+import lzma
+import re
+import warnings
+import zlib
+from collections.abc import Iterator
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshdeform_core.errors import FormatError
+
+from .dataset import DataArray, Run, native
+from .xml_tags import TAG, Element, XmlFile
+
+TYPES = {
+    "Int8": "i1",
+    "UInt8": "u1",
+    "Int16": "i2",
+    "UInt16": "u2",
+    "Int32": "i4",
+    "UInt32": "u4",
+    "Int64": "i8",
+    "UInt64": "u8",
+    "Float32": "f4",
+    "Float64": "f8",
+}
+
+SECTIONS = {"PointData": "node", "CellData": "cell", "FieldData": ""}
+# VTK's attribute types of an array, in its order.
+ROLES = (
+    "Scalars",
+    "Vectors",
+    "Normals",
+    "TCoords",
+    "Tensors",
+    "GlobalIds",
+    "PedigreeIds",
+    "EdgeFlag",
+    "Tangents",
+    "RationalWeights",
+    "HigherOrderDegrees",
+    "ProcessIds",
+)
+
+# Largest compression ratio, by the definition of zlib and lz4; lzma exceeds it for constants.
+LARGEST_RATIO = {"none": 1, "zlib": 1032, "lz4": 255, "lzma": 10_000}
+# Total size to which the arrays of a file may be decompressed, beyond what its size explains.
+_ALWAYS_ALLOWED = 64 << 20
+# Memory limit of decompression; the largest preset needs 65 MiB.
+_LZMA_MEMORY = 80 << 20
+
+
+class Encoded(NamedTuple):
+    """The bytes of an array between ``start`` and ``end`` of a stream, as they are or in base64."""
+
+    stream: BinaryIO
+    start: int
+    end: int
+    base64: bool
+
+    def end_of(self, place: int, count: int) -> int:
+        """End of a segment of ``count`` bytes that begins at ``place``."""
+        return place + (-(-count // 3) * 4 if self.base64 else count)
+
+    def segment(self, place: int, count: int) -> bytes:
+        """The ``count`` bytes of a segment that begins at ``place``; up to two more where it continues in base64.
+
+        Raises
+        ------
+        binascii.Error
+            When characters or padding are not base64, or there are fewer bytes.
+        """
+        self.stream.seek(place)
+        data = self.stream.read(self.end_of(place, count) - place)
+        if self.base64:
+            data = binascii.a2b_base64(data, strict_mode=True)
+        if len(data) < count:
+            raise binascii.Error("the data end too early")
+        return data
+
+
+class ArrayReader:
+    """Reads the arrays of one file."""
+
+    def __init__(self, file: XmlFile, stream: BinaryIO) -> None:
+        self.file, self._stream = file, stream
+        self._order = "<" if file.options["byte_order"] == "little" else ">"
+        self._head = np.dtype(self._order + ("u4" if file.options["header_type"] == "UInt32" else "u8"))
+        self._compressed = file.compression != "none"
+        self._left = _ALWAYS_ALLOWED + LARGEST_RATIO[file.compression] * file.size
+
+    def values(self, array: Element, tuples: int, components: int | None = None, later: bool = False) -> Any:
+        """The values of an array, ``(tuples,)`` or ``(tuples, components)``, in the byte order of the file.
+
+        ``components`` is the required number; ``None`` accepts that of the array. With ``later``, values that are
+        stored as they are remain to be read, as a :class:`.Run`.
+
+        Raises
+        ------
+        FormatError
+            When the array is damaged or does not have the expected number of values.
+        """
+        stated = self._number(array, "NumberOfComponents", 1)
+        if components is not None and stated != components:
+            raise self.error(array, f"has {stated} components, expected {components}")
+        kind = array.get("type")
+        if kind != "Bit" and kind not in TYPES:
+            raise self.error(array, f"is of type {kind!r}; known are {' '.join(TYPES)} Bit")
+        dtype, count = np.dtype(self._order + TYPES.get(kind, "u1")), tuples * stated
+        wanted = f"{count} values ({tuples} x {stated})" if stated > 1 else f"{count} values"
+        shape = (tuples,) if stated == 1 else (tuples, stated)
+        if array.get("format") in ("", "ascii"):
+            return self._text(array, count, dtype.newbyteorder("="), wanted).reshape(shape)
+        size = (count + 7) // 8 if kind == "Bit" else count * dtype.itemsize
+        try:
+            found = self._binary(array, size, wanted, later and kind != "Bit")
+        except binascii.Error as error:
+            raise self.error(array, f"contains something that is not base64: {error}") from error
+        if isinstance(found, int):
+            return Run(self.file.path, dtype, found, shape)
+        return (np.unpackbits(found)[:count] if kind == "Bit" else found.view(dtype)).reshape(shape)
+
+    def arrays_of(self, piece: Element, tag: str, number: int) -> list[Element]:
+        """The arrays of all ``tag`` elements in ``piece``, of which there must be ``number``."""
+        arrays = [array for section in piece.all(tag) for array in section.arrays()]
+        if len(arrays) != number:
+            raise self.error(piece, f"has {len(arrays)} arrays of {tag}, expected {number}")
+        return arrays
+
+    def number(self, element: Element, name: str) -> int:
+        """A count that an element must declare.
+
+        Raises
+        ------
+        FormatError
+            When it is missing or not a count.
+        """
+        return self._number(element, name, None)
+
+    def _number(self, element: Element, name: str, otherwise: int | None) -> int:
+        word = element.get(name).strip()
+        if not word and otherwise is not None:
+            return otherwise
+        if not re.fullmatch(r"\d{1,18}", word):
+            raise self.error(element, f"has {name} {word!r}, expected a count")
+        return int(word)
+
+    def require_no_rest(self) -> None:
+        """Require that the last appended array ends where the appended data do, white space aside.
+
+        Offsets count from the beginning of the data: bytes inserted into the last array would go unnoticed, and the
+        values after them would be read shifted.
+
+        Raises
+        ------
+        FormatError
+            When other bytes follow the last array.
+        """
+        end, closing = 0, self.file.appended[1]
+        for array in self.file.root.below():
+            if array.get("format") == "appended":
+                data = self._encoded(array)
+                _, place, count = self._sizes(array, data)
+                end = max(end, data.end_of(place, count))
+        self._stream.seek(end)
+        if end and self._stream.read(closing - end).strip():
+            raise FormatError(
+                f"cannot read {self.file.path}: the appended data go on after the last array, from byte {end} to "
+                f"{closing}; expected the closing tag there, the file is damaged"
+            )
+
+    def error(self, element: Element, message: str) -> FormatError:
+        """An error with the element and its line."""
+        what = element.tag
+        if element.tag in ("DataArray", "Array"):
+            what = f"array {element.get('Name') or 'without name'}"
+        return FormatError(f"cannot read {self.file.path}, line {element.line}: {what} {message}")
+
+    def _content(self, array: Element) -> bytes:
+        """The text of an array."""
+        self._stream.seek(array.start)
+        content = self._stream.read(array.end - array.start)
+        opening = TAG.match(content)
+        return content[opening.end() :] if opening else b""
+
+    def _text(self, array: Element, count: int, dtype: np.dtype[Any], wanted: str) -> NDArray[Any]:
+        try:
+            values = numbers_in_text(self._content(array), dtype)
+        except NotANumber as error:
+            raise self.error(array, f"holds {error}, expected {dtype.name} numbers") from error
+        if len(values) != count:
+            raise self.error(array, f"has {len(values)} values, expected {wanted}")
+        return values
+
+    def _binary(self, array: Element, size: int, wanted: str, later: bool) -> NDArray[np.uint8] | int:
+        """The ``size`` bytes of an array or, with ``later``, the position of those that are stored as they are."""
+        data = self._encoded(array)
+        sizes, place, count = self._sizes(array, data)
+        if self._compressed:
+            blocks, block, last = sizes[:3]
+            stated = blocks * block - (block - last if blocks and last else 0)
+            if stated != size:
+                raise self.error(array, f"decompresses to {stated} bytes, expected {size} for {wanted}")
+        elif sizes[0] != size:
+            raise self.error(array, f"has {sizes[0]} bytes, expected {size} for {wanted}")
+        elif later and not data.base64:
+            return place
+        self._left -= size
+        if self._left < 0:
+            raise self.error(array, f"cannot hold {wanted}: the file has only {self.file.size} bytes")
+        if array.get("format") == "binary" and data.end_of(place, count) != data.end:
+            raise self.error(array, "continues after its last value")
+        content = data.segment(place, count)
+        if self._compressed:
+            return self._unpacked(array, content, sizes, size)
+        return np.frombuffer(content, np.uint8)[count - size : count]
+
+    def _unpacked(self, array: Element, content: bytes, sizes: list[int], size: int) -> NDArray[np.uint8]:
+        values, filled, begin = np.empty(size, np.uint8), 0, 0
+        blocks, block, last, *packed = sizes
+        for number, length in enumerate(packed, start=1):
+            part = min(last if number == blocks and last else block, size - filled)
+            try:
+                unpacked = unpack(self.file.compression, content[begin : begin + length], part, self.file.path)
+            except DamagedBlock as error:
+                raise self.error(array, f"is damaged in block {number} of {blocks}: {error}") from error
+            values[filled : filled + part] = np.frombuffer(unpacked, np.uint8)
+            filled, begin = filled + part, begin + length
+        return values
+
+    def _encoded(self, array: Element) -> Encoded:
+        if array.get("format") == "binary":
+            text = self._content(array).strip()
+            return Encoded(io.BytesIO(text), 0, len(text), True)
+        if array.get("format") != "appended":
+            raise self.error(array, f"has format {array.get('format')!r}; known are ascii binary appended")
+        start, end = self.file.appended
+        if not self.file.appended_encoding:
+            raise self.error(array, "refers to appended data, but the file has none")
+        start += self.number(array, "offset")
+        if start > end:
+            raise self.error(array, f"begins at byte {start}, after the end of the appended data at {end}")
+        return Encoded(self._stream, start, end, self.file.appended_encoding != "appended")
+
+    def _sizes(self, array: Element, data: Encoded) -> tuple[list[int], int, int]:
+        """The sizes that precede an array, and the beginning and number of bytes of the segment with its values, which
+        are its last ones."""
+
+        def numbers(count: int) -> tuple[list[int], int]:
+            """So many sizes, and how many bytes of their segment follow at least."""
+            size = count * self._head.itemsize
+            if data.end_of(data.start, size) > data.end:
+                raise binascii.Error
+            head = data.segment(data.start, size)
+            return np.frombuffer(head, self._head, count).tolist(), len(head) - size
+
+        try:
+            number = 3 + numbers(3)[0][0] if self._compressed else 1
+            sizes, rest = numbers(number)
+            size, place = sum(sizes[3:]) if self._compressed else sizes[0], data.start
+            if rest:
+                size += number * self._head.itemsize
+            else:
+                place = data.end_of(place, number * self._head.itemsize)
+            if data.end_of(place, size) > data.end or (rest and self._compressed):
+                raise binascii.Error
+        except binascii.Error as error:
+            name, byte = array.get("Name") or "without name", max(data.start, array.start)
+            raise FormatError(
+                f"cannot read {self.file.path}: the size of array {name}, at byte {byte}, is impossible; the file is "
+                "damaged"
+            ) from error
+        return sizes, place, size
+
+
+class NotANumber(Exception):
+    """Something in a text is not a number of the expected type; the message quotes it."""
+
+
+def numbers_in_text(text: bytes, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """All numbers of a text between white space, in ``dtype``.
+
+    Raises
+    ------
+    NotANumber
+        When something is not a number, or exceeds the type.
+    """
+    if not text.strip():
+        return np.empty(0, dtype)
+    wide = np.dtype("f8" if dtype.kind == "f" else f"{dtype.kind if dtype.itemsize == 8 else 'i'}8")
+    with warnings.catch_warnings():
+        # numpy before 2.3 warns where later versions raise.
+        warnings.simplefilter("error", DeprecationWarning)
+        try:
+            numbers = np.fromstring(text, wide, sep=" ")
+        except (ValueError, DeprecationWarning) as error:
+            raise NotANumber(_first_stranger(text, float if dtype.kind == "f" else int)) from error
+    if dtype.kind == "f":
+        with np.errstate(over="ignore"):
+            values = numbers.astype(dtype, copy=False)
+        if np.isinf(values).any() and b"inf" not in text.lower():
+            raise NotANumber("a number out of range")
+        return values
+    limits, end = np.iinfo(dtype), np.iinfo(wide)
+    # The parser saturates at the limits of 64 bits; a number there may be anything beyond.
+    doubtful = (numbers < limits.min) | (numbers > limits.max) | (numbers == end.max) | (numbers == end.min)
+    if doubtful.any():
+        for word, doubt in zip(text.split(), doubtful, strict=True):
+            if doubt and not limits.min <= int(word) <= limits.max:
+                raise NotANumber(_shown(word))
+    return numbers.astype(dtype, copy=False)
+
+
+def _first_stranger(text: bytes, number: type) -> str:
+    for word in text.split():
+        try:
+            number(word)
+        except ValueError:
+            return _shown(word)
+    return "something that is not a number"
+
+
+def _shown(word: bytes) -> str:
+    return repr(word[:40].decode("utf-8", "replace"))
+
+
+class DamagedBlock(Exception):
+    """A compressed block contradicts its header; the message is the reason."""
+
+
+def lz4_block(path: Any) -> Any:
+    """The module that packs and unpacks blocks by lz4.
+
+    Raises
+    ------
+    FormatError
+        With the command that installs it.
+    """
+    try:
+        return importlib.import_module("lz4.block")
+    except ImportError as error:
+        raise FormatError(
+            f"{path}: compression lz4 needs the package lz4, which is not installed; pip install lz4, or choose "
+            "compression = zlib, lzma or none"
+        ) from error
+
+
+def unpack(compression: str, packed: bytes, size: int, path: Any) -> bytes:
+    """Decompress one block to exactly ``size`` bytes, never to more than one byte beyond.
+
+    Raises
+    ------
+    DamagedBlock
+        When it has another size, or is no such block.
+    """
+    complete, damaged = True, [ValueError, zlib.error, lzma.LZMAError]
+    if compression == "lz4":
+        lz4 = lz4_block(path)
+        damaged.append(lz4.LZ4BlockError)
+    try:
+        if compression == "lz4":
+            data = lz4.decompress(packed, uncompressed_size=size)
+        else:
+            xz = compression == "lzma"
+            stream: Any = lzma.LZMADecompressor(lzma.FORMAT_XZ, _LZMA_MEMORY) if xz else zlib.decompressobj()
+            data = stream.decompress(packed, size + 1)
+            complete = stream.eof
+    except tuple(damaged) as error:
+        raise DamagedBlock(str(error)) from error
+    if len(data) != size or not complete:
+        found = f"more than {size}" if len(data) > size else f"{len(data)}"
+        raise DamagedBlock(f"it decompresses to {found} bytes, expected {size}")
+    return bytes(data)
+
+
+def read_section(
+    reader: ArrayReader, above: Element, tag: str, tuples: int, notes: list[str], later: bool = False
+) -> list[DataArray]:
+    """The arrays of all ``tag`` elements (a key of :data:`SECTIONS`) in ``above``.
+
+    ``tuples`` is the number of nodes or cells; a line for each array that is not kept is added to ``notes``. With
+    ``later``, values that are stored as they are remain to be read; those of field data are in native byte order.
+
+    Raises
+    ------
+    FormatError
+        When an array is damaged or does not have the expected number of values.
+    """
+    found: dict[str, DataArray] = {}
+    for section in above.all(tag):
+        for index, element in enumerate(section.arrays()):
+            name = element.get("Name") or f"array{index}"
+            if element.tag != "DataArray":
+                notes.append(f"the text array {name!r} is not kept")
+                continue
+            if name in found:
+                notes.append(f"{SECTIONS[tag] or 'field'} array {name!r} exists twice; the last one is kept")
+            if SECTIONS[tag]:
+                values = reader.values(element, tuples, later=later)
+            else:
+                values = native(reader.values(element, reader.number(element, "NumberOfTuples")))
+            roles = tuple(role for role in ROLES if element.get("Name") and section.get(role) == name)
+            names = tuple(
+                element.get(f"ComponentName{index}") for index in range(values.shape[1] if values.ndim == 2 else 1)
+            )
+            found[name] = DataArray(name, SECTIONS[tag], values, roles, names if any(names) else ())
+    return list(found.values())
+
+
+def joined(parts: list[list[DataArray]]) -> Iterator[tuple[DataArray, list[NDArray[Any]]]]:
+    """Each array of the first piece with its values in all pieces.
+
+    Raises
+    ------
+    ValueError
+        With the array that one of the pieces lacks or has in another type.
+    """
+    by_name = [{array.name: array for array in arrays} for arrays in parts]
+    for number, arrays in enumerate(by_name[1:], start=2):
+        different = sorted(by_name[0].keys() ^ arrays.keys())
+        if different:
+            raise ValueError(f"array {different[0]!r} is in only one of Piece 1 and Piece {number}")
+    for name, first in by_name[0].items():
+        values = [arrays[name].values for arrays in by_name]
+        if len({(part.dtype, part.shape[1:]) for part in values}) > 1:
+            raise ValueError(f"array {name!r} does not have the same type and number of components in all pieces")
+        yield first, values
