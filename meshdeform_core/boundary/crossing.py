@@ -27,8 +27,7 @@ from ..memory import release_freed
 from ..notices import Notice
 from ..numerics.arrays import places_among
 from ..numerics.geometry.coincidence import distinct
-from ..numerics.geometry.crossing import crossing_faces, displaced, near_faces, with_moved
-from ..numerics.geometry.overlap import BESIDE, ORDINARY, SLIDING, FaceTree
+from ..numerics.geometry.crossing import BESIDE, ORDINARY, SLIDING, FaceTree, crossing_faces, near_faces
 from ..numerics.geometry.solid_angle import plane_winding, winding
 from ..parallel import ranks_of, rows_at
 from ..wording import counted
@@ -111,11 +110,12 @@ class CrossingTest:
         here but by :meth:`contact`.
         """
         surface = self._surface_for(displacement)
-        after, moved = displaced(surface.points, displacement[surface.nodes], surface.shift(gap))
-        asked = with_moved(surface.faces, moved) & (surface.role != SLIDING)
+        change = np.tile(displacement[surface.nodes], (len(surface.points) // len(surface.nodes), 1))
+        moved: BoolArray = np.asarray(change.any(axis=1))
+        asked = moved[surface.faces].any(axis=1) & (surface.role != SLIDING)
         if not asked.any():
             return ()
-        pairs, places = self._crossing(surface, after, asked)
+        pairs, places = self._crossing(surface, surface.points + change + surface.shift(gap), asked)
         if len(pairs):
             new = surface.were_apart(pairs, gap)
             pairs, places = pairs[new], places[new]

@@ -16,8 +16,7 @@ from meshdeform_core.boundary.motions.motion import Motion
 from meshdeform_core.deform import Case, Setup, Timing, deform, impose, set_up
 from meshdeform_core.grid import Grid, Patch, Side, Window
 from meshdeform_core.methods import Options
-from meshdeform_core.numerics.geometry.crossing import cross_exactly, crossing_faces
-from meshdeform_core.numerics.geometry.overlap import FaceTree
+from meshdeform_core.numerics.geometry.crossing import FaceTree, cross_exactly, crossing_faces
 from meshdeform_core.numerics.geometry.solid_angle import winding
 from meshdeform_core.repair import RepairOptions
 from meshdeform_core.series import Schedule, deform_series
@@ -47,30 +46,29 @@ FLOOR = BoundarySpec("floor", ("*.kmin",), Kind.FIXED)
 SIDES = BoundarySpec("sides", ("*.i*", "*.j*"), Kind.SLIP)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("lattice", [0, 3])
 def test_pairs_are_those_of_exact_arithmetic(lattice):
     """Random quads, also on a coarse lattice where most tetrahedra are flat and corners coincide in space."""
     random = np.random.default_rng(5)
-    middle = random.uniform(0, 3, (60, 1, 3))
-    points = (middle + random.uniform(-0.7, 0.7, (60, 4, 3))).reshape(-1, 3)
+    middle = random.uniform(0, 1.6, (24, 1, 3))
+    points = (middle + random.uniform(-0.7, 0.7, (24, 4, 3))).reshape(-1, 3)
     if lattice:
         points = np.round(points * lattice) / lattice
-    faces = np.arange(240).reshape(60, 4)
+    faces = np.arange(96).reshape(24, 4)
     faces[::7, 3] = faces[::7, 0]
     faces[1::9, 0] = faces[::9, 1][: len(faces[1::9])]
-    asked = random.random(60) < 0.7
-    tree = FaceTree(points + random.normal(0, 1, points.shape), faces, np.zeros(60, dtype=np.int8))
+    asked = random.random(24) < 0.7
+    tree = FaceTree(points + random.normal(0, 1, points.shape), faces, np.zeros(24, dtype=np.int8))
     pairs, places = crossing_faces(tree, points, faces, asked)
     wanted = [
         (a, b)
-        for a, b in combinations(range(60), 2)
+        for a, b in combinations(range(24), 2)
         if (asked[a] or asked[b])
         and not set(faces[a]) & set(faces[b])
         and cross_exactly(points[faces[a]], points[faces[b]]) is not None
     ]
     assert [tuple(pair) for pair in pairs] == wanted
-    assert len(wanted) > 20
+    assert len(wanted) > 10
     for (a, b), place in zip(pairs, places, strict=True):
         for face in (a, b):
             corners = points[faces[face]]

@@ -1,73 +1,127 @@
-"""Which of many axis-parallel boxes overlap; plain numpy, as ``meshdeform info`` must start fast without numba."""
+"""A tree of axis-parallel boxes along a space-filling curve, and which boxes overlap.
+
+Plain numpy, level by level: ``meshdeform info`` imports no numba, and a first run compiles nothing here.
+"""
 
 from __future__ import annotations
 
-import numpy as np
+from functools import reduce
+from typing import Any
 
-from ..arrays import FloatArray, IntArray, spans
-from .coincidence import mixed
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import BoolArray, FloatArray, IntArray, KeyArray
 
 Boxes = tuple[FloatArray, FloatArray]
 """Smallest and largest coordinates, (n, 3) each."""
 
-_FINEST = 20
-"""Boxes smaller than 2^-20 times the largest one are treated as if they had that size."""
+_TOGETHER = 1 << 16
+"""Pairs of boxes compared at a time, which bounds the memory."""
+
+
+class BoxTree:
+    """A balanced binary tree over places, whose boxes may change: it remains efficient while neighbours stay such.
+
+    Box n of level l contains the boxes 2 n and 2 n + 1 of level l + 1; those of the last level hold one place each, in
+    the order of the curve.
+
+    Attributes
+    ----------
+    order : (n,) the places along the curve
+    depth : number of levels below the root
+    """
+
+    def __init__(self, places: FloatArray):
+        self.order = _curve(places)
+        self.depth = max(0, len(places) - 1).bit_length()
+
+    def levels(self, low: FloatArray, high: FloatArray) -> list[Boxes]:
+        """Boxes (3, 2^l) of all levels l from those (n, 3) of the places; boxes without places are inside out."""
+        found = [(self._leaves(low, np.inf), self._leaves(high, -np.inf))]
+        for _ in range(self.depth):
+            low, high = found[-1]
+            found.append((np.minimum(low[:, ::2], low[:, 1::2]), np.maximum(high[:, ::2], high[:, 1::2])))
+        return found[::-1]
+
+    def _leaves(self, values: NDArray[Any], rest: float) -> NDArray[Any]:
+        leaves = np.full((values.shape[1], 1 << self.depth), rest, dtype=values.dtype)
+        leaves[:, : len(values)] = values.T[:, self.order]
+        return leaves
+
+    def overlapping(self, low: FloatArray, high: FloatArray, asked: BoolArray) -> IntArray:
+        """Pairs (m, 2) of different boxes (n, 3) with a point in common, at least one of them ``asked`` (n,).
+
+        The smaller number comes first; rows are not sorted.
+        """
+        if len(low) < 2:
+            return np.empty((0, 2), dtype=np.int64)
+        levels, active = self.levels(low, high), [self._leaves(asked[:, None], False)[0]]
+        for _ in range(self.depth):
+            active.append(active[-1][::2] | active[-1][1::2])
+        root = np.zeros(1, dtype=np.int64)
+        waiting, found = [(0, root, root)], [np.empty((0, 2), dtype=np.int64)]
+        while waiting:
+            level, a, b = waiting.pop()
+            if len(a) > _TOGETHER:
+                waiting.append((level, a[_TOGETHER:], b[_TOGETHER:]))
+                a, b = a[:_TOGETHER], b[:_TOGETHER]
+            some, (least, most) = active[self.depth - level], levels[level]
+            a, b = _chosen(some[a] | some[b], a, b)
+            for axis in range(3):
+                meet = (least[axis][a] <= most[axis][b]) & (least[axis][b] <= most[axis][a])
+                a, b = _chosen(meet, a, b)
+            if level == self.depth:
+                pairs = self.order[np.stack(_chosen(a != b, a, b), axis=1)]
+                found.append(np.sort(pairs, axis=1))
+                continue
+            both = np.concatenate([2 * a, 2 * a, 2 * a + 1, (2 * a + 1)[a != b]])
+            other = np.concatenate([2 * b, 2 * b + 1, 2 * b + 1, (2 * b)[a != b]])
+            waiting.append((level + 1, both, other))
+        return np.concatenate(found)
+
+
+def _chosen(some: BoolArray, *arrays: IntArray) -> list[IntArray]:
+    return [array[some] for array in arrays]
 
 
 def overlapping_boxes(one: Boxes, two: Boxes) -> IntArray:
-    """All pairs (m, 2) of a box of ``one`` and a box of ``two`` that have a point in common, in ascending order.
-
-    The boxes of each size, to within a factor of two, are entered into the cells of a raster of that width, together
-    with all smaller boxes of the other set; each touches at most eight cells. The cost is that of sorting times the
-    number of different sizes, whatever the arrangement of the boxes.
-    """
-    if not (len(one[0]) and len(two[0])):
-        return np.empty((0, 2), dtype=np.int64)
-    sizes = [(high - low).max(axis=1) for low, high in (one, two)]
-    largest = max(float(size.max()) for size in sizes) or 1.0
-    finest = np.frexp(largest)[1] - _FINEST
-    levels = [np.maximum(np.frexp(size)[1], finest) for size in sizes]
-    origin = np.minimum(one[0].min(axis=0), two[0].min(axis=0))
-    found = []
-    for level in np.unique(np.concatenate(levels)):
-        width = float(np.ldexp(1.0, int(level)))
-        same, finer = levels[0] == level, levels[1] <= level
-        found.append(_in_raster(one, two, np.flatnonzero(same), np.flatnonzero(finer), origin, width))
-        finer, same = levels[0] < level, levels[1] == level
-        found.append(_in_raster(one, two, np.flatnonzero(finer), np.flatnonzero(same), origin, width))
-    pairs = np.concatenate(found)
-    return pairs[np.lexsort(pairs.T[::-1])]
+    """All pairs (m, 2) of a box of ``one`` and a box of ``two`` that have a point in common, in ascending order."""
+    low, high = (np.concatenate([one[end], two[end]]) for end in (0, 1))
+    first = np.arange(len(low)) < len(one[0])
+    pairs = BoxTree(0.5 * (low + high)).overlapping(low, high, first)
+    pairs = pairs[(pairs[:, 0] < len(one[0])) & (pairs[:, 1] >= len(one[0]))]
+    pairs[:, 1] -= len(one[0])
+    return np.asarray(pairs[np.lexsort(pairs.T[::-1])])
 
 
-def _in_raster(one: Boxes, two: Boxes, mine: IntArray, theirs: IntArray, origin: FloatArray, width: float) -> IntArray:
-    """The overlapping pairs of boxes ``mine`` of one set and ``theirs`` of the other, none wider than a cell."""
-    if not (mine.size and theirs.size):
-        return np.empty((0, 2), dtype=np.int64)
-    cell, a = _registered(one, mine, origin, width)
-    other, b = _registered(two, theirs, origin, width)
-    keys = mixed(other)
-    order = np.argsort(keys)
-    other, b, keys = other[order], b[order], keys[order]
-    wanted = mixed(cell)
-    lower = np.searchsorted(keys, wanted)
-    run, place = spans(np.searchsorted(keys, wanted, side="right") - lower)
-    at = lower[run] + place
-    low, high = np.maximum(one[0][a[run]], two[0][b[at]]), np.minimum(one[1][a[run]], two[1][b[at]])
-    # Report each pair once, in the cell that contains the lowest corner of their intersection.
-    once = (low <= high) & (cell[run] == other[at]) & (_cell(low, origin, width) == cell[run])
-    kept = np.flatnonzero(once.all(axis=1))
-    return np.stack([a[run[kept]], b[at[kept]]], axis=1)
+def _curve(places: FloatArray) -> IntArray:
+    """Order of places (n, 3) along a space-filling (Morton) curve, on a lattice refined where they are dense."""
+    if not len(places):
+        return np.empty(0, dtype=np.int64)
+    key = places - np.median(places, axis=0)
+    key /= 1e-3 * max(float(np.median(np.maximum(key.max(axis=1), -key.min(axis=1)))), 1e-300)
+    np.arcsinh(key, out=key)
+    key -= key.min(axis=0)
+    most = max(float(key.max()), 1e-300)
+    key *= (1 << 21) - 1
+    key /= most
+    return np.argsort(_morton(key.astype(np.uint64)))
 
 
-def _cell(points: FloatArray, origin: FloatArray, width: float) -> IntArray:
-    return np.asarray(np.floor((points - origin) / width).astype(np.int64))
-
-
-def _registered(boxes: Boxes, some: IntArray, origin: FloatArray, width: float) -> tuple[IntArray, IntArray]:
-    """All pairs of a raster cell (m, 3) and the number (m,) of a box of ``some`` that touches it."""
-    low, high = (_cell(x[some], origin, width) for x in boxes)
-    extent = high - low + 1
-    run, place = spans(extent.prod(axis=1))
-    i, rest = np.divmod(place, extent[run, 1] * extent[run, 2])
-    j, k = np.divmod(rest, extent[run, 2])
-    return low[run] + np.stack([i, j, k], axis=1), some[run]
+def _morton(index: KeyArray) -> KeyArray:
+    """Bits of three numbers (n, 3) below 2^21 interleaved."""
+    spread = (
+        (32, 0x1F00000000FFFF),
+        (16, 0x1F0000FF0000FF),
+        (8, 0x100F00F00F00F00F),
+        (4, 0x10C30C30C30C30C3),
+        (2, 0x1249249249249249),
+    )
+    parts = []
+    for axis in range(3):
+        x = index[:, axis]
+        for shift, mask in spread:
+            x = (x | x << np.uint64(shift)) & np.uint64(mask)
+        parts.append(x << np.uint64(axis))
+    return reduce(np.bitwise_or, parts)

@@ -9,38 +9,76 @@ exact: where round-off could change one, the pair is decided in rational arithme
 from __future__ import annotations
 
 from fractions import Fraction
+from itertools import combinations, product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..jit import kernel
-from .overlap import ORDINARY, FaceTree
+from .boxes import BoxTree
+
+ORDINARY, BESIDE, SLIDING = 0, 1, 2
+"""Roles of faces. Faces beside a sliding face touch it; they are not tested against sliding faces."""
 
 # Bound of the round-off of a 3 x 3 determinant of differences, relative to its permanent (Shewchuk 1997, table 3).
 _ROUND_OFF = 8e-16
+# Faces whose projections on an axis are farther apart than this part of their size do so without round-off, too.
+_APART = 1e-13
+_TOGETHER = 1 << 14
+"""Pairs decided at a time, which bounds the memory."""
 
 # Ascending, so that the verdict on several triangles is the maximum of their verdicts.
 _NO, _DOUBTFUL, _YES = 0, 1, 2
+_Corners = tuple[int, int, int]
+# The halves of a face that is divided from corner 0 to 2, and from 1 to 3.
+_HALVES: tuple[tuple[_Corners, _Corners], ...] = (((0, 1, 2), (2, 3, 0)), ((1, 2, 3), (3, 0, 1)))
 
 _Point = list[Fraction]
 _Triangle = tuple[_Point, _Point, _Point]
+Signs = NDArray[np.int8]
 
 
-def displaced(points: FloatArray, displacement: FloatArray, shift: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Points (n, 3) after a displacement (k, 3) and a small shift (n, 3), and whether the displacement moves them (n,).
+class FaceTree:
+    """A tree over faces.
 
-    Row r of the points has row r modulo k of the displacement.
+    Parameters
+    ----------
+    points : (n, 3) undeformed nodes; the tree remains efficient as long as neighbours in space remain neighbours
+    faces : (m, 4) int nodes, m >= 1; triangles repeat a node
+    role : (m,) int8, ``ORDINARY``, ``BESIDE`` or ``SLIDING``
     """
-    after, moved = np.empty(points.shape), np.empty(len(points), dtype=np.bool_)
-    _displace(points, displacement, shift, after, moved)
-    return after, moved
+
+    def __init__(self, points: FloatArray, faces: IntArray, role: NDArray[np.int8]):
+        self._faces, self._role = faces, role
+        low, high = _bounds(points, faces)
+        self._tree = BoxTree(0.5 * (low + high))
+
+    def overlapping(self, points: FloatArray, asked: BoolArray, margin: FloatArray | None = None) -> IntArray:
+        """Pairs (c, 2) of faces with overlapping boxes and no common node, at least one of which is ``asked`` (m,).
+
+        ``points`` (n, 3) are the nodes, ``margin`` (m,) that by which the box of a face is larger than the face.
+        """
+        low, high = _bounds(points, self._faces)
+        if margin is not None:
+            low, high = low - margin[:, None], high + margin[:, None]
+        pairs = self._tree.overlapping(low, high, asked)
+        pairs = pairs[self._role[pairs].sum(axis=1) != BESIDE + SLIDING]
+        one, two = self._faces[pairs.T]
+        common = np.zeros(len(pairs), dtype=bool)
+        for a, b in product(range(4), range(4)):
+            common |= one[:, a] == two[:, b]
+        return pairs[~common]
 
 
-def with_moved(faces: IntArray, moved: BoolArray) -> BoolArray:
-    """Which faces (m, 4) have a ``moved`` (n,) node."""
-    found = np.empty(len(faces), dtype=np.bool_)
-    _with_moved(faces, moved, found)
-    return found
+def _bounds(points: FloatArray, faces: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest coordinates (m, 3) of faces."""
+    low = points[faces[:, 0]]
+    high = low.copy()
+    for corner in faces.T[1:]:
+        x = points[corner]
+        np.minimum(low, x, out=low)
+        np.maximum(high, x, out=high)
+    return low, high
 
 
 def crossing_faces(
@@ -63,8 +101,7 @@ def crossing_faces(
     places : (c, 3) a point common to both faces
     """
     pairs = tree.overlapping(points, asked)
-    verdict, places = np.empty(len(pairs), dtype=np.int8), np.empty((len(pairs), 3))
-    _decide(points, faces, pairs, verdict, places)
+    verdict, places = _decided(points, faces, pairs)
     for index in np.flatnonzero(verdict == _DOUBTFUL):
         place = cross_exactly(*points[faces[pairs[index]]])
         verdict[index] = _NO if place is None else _YES
@@ -87,12 +124,10 @@ def near_faces(points: FloatArray, faces: IntArray, asked: BoolArray, tolerance:
     """
     tree = FaceTree(points, faces, np.full(len(faces), ORDINARY, dtype=np.int8))
     pairs = tree.overlapping(points, asked, tolerance)
-    verdict, places = np.empty(len(pairs), dtype=np.int8), np.empty((len(pairs), 3))
-    _decide(points, faces, pairs, verdict, places)
-    touching = verdict == _YES
+    touching = _decided(points, faces, pairs)[0] == _YES
     reach = tolerance[pairs].max(axis=1)
     for one, two in (pairs.T, pairs[:, ::-1].T):
-        for triangle in ((0, 1, 2), (2, 3, 0)):
+        for triangle in _HALVES[0]:
             corner = points[faces[two][:, triangle]]
             for at in range(4):
                 touching |= _over(points[faces[one, at]], corner, reach)
@@ -116,140 +151,135 @@ def _over(points: FloatArray, corner: FloatArray, reach: FloatArray) -> BoolArra
     return whole & inside & (height <= reach)
 
 
-@kernel
-def _displace(points, displacement, shift, after, moved):
-    for row in range(points.shape[0]):
-        d = displacement[row % displacement.shape[0]]
-        moved[row] = d[0] != 0.0 or d[1] != 0.0 or d[2] != 0.0
-        for axis in range(3):
-            after[row, axis] = points[row, axis] + d[axis] + shift[row, axis]
+def _decided(points: FloatArray, faces: IntArray, pairs: IntArray) -> tuple[Signs, FloatArray]:
+    """Whether pairs (n, 2) of faces cross with every choice of diagonals; a point (n, 3) common to those that do."""
+    verdict, places = np.full(len(pairs), _NO, dtype=np.int8), np.zeros((len(pairs), 3))
+    for lo in range(0, len(pairs), _TOGETHER):
+        some = np.arange(lo, min(lo + _TOGETHER, len(pairs)))
+        some = some[_may_cross(points[faces[pairs[some]]])]
+        if some.size:
+            corners = faces[pairs[some]]
+            verdict[some], places[some] = _Signs(points[corners], corners).verdict()
+    return verdict, places
 
 
-@kernel
-def _with_moved(faces, moved, found):
-    for face in range(faces.shape[0]):
-        c = faces[face]
-        found[face] = moved[c[0]] or moved[c[1]] or moved[c[2]] or moved[c[3]]
+def _may_cross(x: FloatArray) -> IntArray:
+    """Numbers of the pairs of faces (n, 2, 4, 3) that no plane separates: normal to one of them, or along an edge."""
+    left = np.arange(len(x))
+    x = np.ascontiguousarray(np.moveaxis(x - x[:, :1, :1], 0, -1))
+    normals = [_cross(each[2] - each[0], each[3] - each[1]) for each in (x[0], x[1])]
+    for number in range(10):
+        which, corner = divmod(number, 5)
+        axis = normals[which]
+        if corner < 4:
+            axis = _cross(axis, x[which, (corner + 1) % 4] - x[which, corner])
+        at = (x * axis).sum(axis=2)
+        reach = _APART * np.abs(x).max(axis=(0, 1, 2)) * np.abs(axis).sum(axis=0)
+        low, high = at.min(axis=1), at.max(axis=1)
+        open_ = (low[0] <= high[1] + reach) & (low[1] <= high[0] + reach)
+        left, x, normals = left[open_], x[..., open_], [normal[:, open_] for normal in normals]
+    return left
 
 
-@kernel
-def _decide(points, faces, pairs, verdict, places):
-    for pair in range(pairs.shape[0]):
-        verdict[pair] = _cross(points, faces[pairs[pair, 0]], faces[pairs[pair, 1]], places[pair])
+def _cross(u: FloatArray, v: FloatArray) -> FloatArray:
+    """Products (3, n); component by component, as numpy is slow on axes of length 3."""
+    return np.stack([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
 
 
-@kernel
-def _cross(points, one, two, place):
-    """Whether two faces cross with every choice of diagonals; stores a common point in ``place``."""
-    first, second = np.empty(3, dtype=np.int64), np.empty(3, dtype=np.int64)
-    result = _YES
-    for choice in range(4):
-        best = _NO
-        for part in range(4):
-            _triangle(one, choice & 1, part & 1, first)
-            _triangle(two, choice >> 1, part >> 1, second)
-            if best != _YES and _is_triangle(first) and _is_triangle(second):
-                best = max(best, _triangles_cross(points, first, second, place))
-        if best == _NO:
-            return _NO
-        if best == _DOUBTFUL:
-            result = _DOUBTFUL
-    return result
+class _Signs:
+    """The signed volumes between the corners of pairs of faces, zero where round-off could change the sign.
+
+    Parameters
+    ----------
+    x : (n, 2, 4, 3) corners of both faces
+    nodes : (n, 2, 4) their numbers
+    """
+
+    def __init__(self, x: FloatArray, nodes: IntArray):
+        self._x = np.ascontiguousarray(np.moveaxis(x, 0, -1))
+        self._nodes = np.moveaxis(nodes, 0, -1)
+        # Corners of each face over the triangles of the other one; edges of the first about edges of the second.
+        self._heights = [
+            {
+                (a, b, c): [_volumes(own[a], own[b], own[c], corner) for corner in other]
+                for a, b, c in (*_HALVES[0], *_HALVES[1])
+            }
+            for own, other in ((self._x[0], self._x[1]), (self._x[1], self._x[0]))
+        ]
+        edges = list(combinations(range(4), 2))
+        self._about = {
+            ((p, q), (r, s)): np.sign(_volumes(self._x[0, p], self._x[0, q], self._x[1, r], self._x[1, s]))
+            for (p, q), (r, s) in product(edges, edges)
+        }
+
+    def verdict(self) -> tuple[Signs, FloatArray]:
+        """``_YES``, ``_NO`` or ``_DOUBTFUL`` (n,), and a common point (n, 3) where it is ``_YES``."""
+        self._places, self._placed = np.zeros(self._x[0, 0].shape), np.zeros(self._x.shape[-1], dtype=bool)
+        worst = np.full(len(self._placed), _YES, dtype=np.int8)
+        for one, two in product(_HALVES, _HALVES):
+            best = np.max([self._triangles(*halves) for halves in product(one, two)], axis=0)
+            worst = np.minimum(worst, best)
+        return worst, self._places.T
+
+    def _triangles(self, one: _Corners, two: _Corners) -> Signs:
+        """The verdict on a triangle of the first and one of the second face."""
+        possible = np.ones(len(self._placed), dtype=bool)
+        for face, own, other in ((0, one, two), (1, two, one)):
+            corners = self._nodes[face][list(own)]
+            possible &= (corners[0] != corners[1]) & (corners[1] != corners[2]) & (corners[2] != corners[0])
+            heights = [self._heights[face][own][c] for c in other]
+            possible &= np.any([h >= 0.0 for h in heights], axis=0) & np.any([h <= 0.0 for h in heights], axis=0)
+        best = np.full(len(possible), _NO, dtype=np.int8)
+        for face, edges, triangle in ((0, one, two), (1, two, one)):
+            heights = self._heights[1 - face][triangle]
+            for p, q in _sides(edges):
+                around = [self._around(face, (p, q), side) for side in _sides(triangle)]
+                outside = np.any([s > 0 for s in around], axis=0) & np.any([s < 0 for s in around], axis=0)
+                at, to = heights[p], heights[q]
+                pierced = possible & ~outside & (np.sign(at) * np.sign(to) <= 0.0)
+                doubtful = (at == 0.0) | (to == 0.0) | np.any([s == 0 for s in around], axis=0)
+                best = np.maximum(best, np.where(pierced, np.where(doubtful, _DOUBTFUL, _YES), _NO)).astype(np.int8)
+                new = pierced & ~doubtful & ~self._placed
+                if new.any():
+                    start, end = self._x[face, p][:, new], self._x[face, q][:, new]
+                    self._places[:, new] = start + at[new] / (at[new] - to[new]) * (end - start)
+                    self._placed |= new
+        return best
+
+    def _around(self, face: int, edge: tuple[int, int], side: tuple[int, int]) -> FloatArray:
+        """On which side of an edge of ``face`` a side of a triangle of the other face passes."""
+        sign = 1 if (edge[0] < edge[1]) == (side[0] < side[1]) else -1
+        one, two = ((min(a, b), max(a, b)) for a, b in ((edge, side) if face == 0 else (side, edge)))
+        return sign * self._about[one, two]
 
 
-@kernel
-def _triangle(face, diagonal, half, out):
-    """Corners of one half of a face that is divided from corner ``diagonal`` to the opposite one."""
-    begin = diagonal + 2 * half
-    for k in range(3):
-        out[k] = face[(begin + k) % 4]
-
-
-@kernel
-def _is_triangle(t):
-    return t[0] != t[1] and t[1] != t[2] and t[2] != t[0]
-
-
-@kernel
-def _triangles_cross(points, one, two, place):
-    first, second = np.empty(3), np.empty(3)
-    if not _sides(points, one, two, second) or not _sides(points, two, one, first):
-        return _NO
-    result = _NO
-    for k in range(3):
-        result = max(result, _pierces(points, two, k, second, one, place))
-        if result != _YES:
-            result = max(result, _pierces(points, one, k, first, two, place))
-        if result == _YES:
-            return result
-    return result
-
-
-@kernel
-def _sides(points, plane, corners, out):
-    """Store the signed volumes of a triangle's corners over the plane of another; return whether it may cross it."""
-    above = below = False
-    for k in range(3):
-        value, bound = _orient(points, plane[0], plane[1], plane[2], corners[k])
-        out[k] = 0.0 if abs(value) <= bound else value
-        above = above or value >= -bound
-        below = below or value <= bound
-    return above and below
-
-
-@kernel
-def _pierces(points, edges, k, volume, triangle, place):
-    """Whether edge ``k`` of a triangle pierces another one; ``volume`` as stored by :func:`_sides`."""
-    p, q = edges[k], edges[(k + 1) % 3]
-    at, to = volume[k], volume[(k + 1) % 3]
-    if at * to > 0.0:
-        return _NO
-    doubtful = at == 0.0 or to == 0.0
-    above = below = False
-    for side in range(3):
-        value, bound = _orient(points, p, q, triangle[side], triangle[(side + 1) % 3])
-        if abs(value) <= bound:
-            doubtful = True
-        elif value > 0.0:
-            above = True
-        else:
-            below = True
-    if above and below:
-        return _NO
-    share = 0.5 if doubtful else at / (at - to)
-    for axis in range(3):
-        place[axis] = points[p, axis] + share * (points[q, axis] - points[p, axis])
-    return _DOUBTFUL if doubtful else _YES
-
-
-@kernel
-def _orient(points, a, b, c, d):
-    """Six times the signed volume of a tetrahedron, and a bound of the round-off in it."""
-    ax, ay, az = points[a, 0] - points[d, 0], points[a, 1] - points[d, 1], points[a, 2] - points[d, 2]
-    bx, by, bz = points[b, 0] - points[d, 0], points[b, 1] - points[d, 1], points[b, 2] - points[d, 2]
-    cx, cy, cz = points[c, 0] - points[d, 0], points[c, 1] - points[d, 1], points[c, 2] - points[d, 2]
+def _volumes(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> FloatArray:
+    """Six times the signed volumes of tetrahedra with corners (3, n), zero where round-off could change the sign."""
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = a - d, b - d, c - d
     value = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
-    size = abs(ax) * (abs(by * cz) + abs(bz * cy)) + abs(ay) * (abs(bz * cx) + abs(bx * cz))
-    size += abs(az) * (abs(bx * cy) + abs(by * cx))
-    return value, _ROUND_OFF * size
+    size = np.abs(ax) * (np.abs(by * cz) + np.abs(bz * cy)) + np.abs(ay) * (np.abs(bz * cx) + np.abs(bx * cz))
+    size += np.abs(az) * (np.abs(bx * cy) + np.abs(by * cx))
+    return np.where(np.abs(value) <= _ROUND_OFF * size, 0.0, value)
+
+
+def _sides(triangle: _Corners) -> list[tuple[int, int]]:
+    a, b, c = triangle
+    return [(a, b), (b, c), (c, a)]
 
 
 def cross_exactly(one: FloatArray, two: FloatArray) -> list[float] | None:
     """Decide in rational arithmetic whether two faces, (4, 3) corners each, cross: a common point or ``None``."""
     place = None
-    for first in _halves(one):
-        for second in _halves(two):
-            common = (_pierced(s, t) for s in first for t in second)
-            place = next((point for point in common if point is not None), None)
-            if place is None:
-                return None
+    corners = [[[Fraction(float(x)) for x in corner] for corner in face] for face in (one, two)]
+    for first, second in product(_HALVES, _HALVES):
+        triangles = (
+            [(x[a], x[b], x[c]) for a, b, c in half] for x, half in ((corners[0], first), (corners[1], second))
+        )
+        common = (_pierced(s, t) for s, t in product(*triangles))
+        place = next((point for point in common if point is not None), None)
+        if place is None:
+            return None
     return place
-
-
-def _halves(face: FloatArray) -> tuple[tuple[_Triangle, _Triangle], tuple[_Triangle, _Triangle]]:
-    """Both pairs of triangles of a face, with rational coordinates."""
-    a, b, c, d = ([Fraction(float(x)) for x in corner] for corner in face)
-    return ((a, b, c), (c, d, a)), ((b, c, d), (d, a, b))
 
 
 def _pierced(one: _Triangle, two: _Triangle) -> list[float] | None:

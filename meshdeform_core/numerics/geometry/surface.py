@@ -6,10 +6,10 @@ import numpy as np
 
 from ..arrays import FloatArray, IntArray
 from ..jit import inlined, kernel
-from ..partition import partition
+from .boxes import BoxTree
 
-_LEAF = 8
-_DEPTH = 64
+_LEAF = 3
+"""Levels of the tree left out at its end: triangles are tried one by one in boxes of eight."""
 
 
 class TriangleTree:
@@ -22,15 +22,16 @@ class TriangleTree:
     """
 
     def __init__(self, points: FloatArray, triangles: IntArray) -> None:
-        self.triangles, points = triangles, np.ascontiguousarray(points)
-        self._order = np.arange(len(triangles))
-        # Boxes that are halved hold more than a leaf, so that leaves hold at least half of it.
-        most = max(4 * len(triangles) // _LEAF, 1)
-        node, box = np.empty((most, 3), dtype=np.int64), np.empty((most, 6))
-        used = _build(*_bounds(points, triangles), self._order, node, box)
-        self._node, self._box = node[:used], box[:used]
-        # Made only after the bounds are freed, to limit peak memory.
-        self._corners = points[triangles[self._order]]
+        self.triangles = triangles
+        corners = points[triangles]
+        low, high = corners.min(axis=1), corners.max(axis=1)
+        tree = BoxTree(0.5 * (low + high))
+        self._order, depth = tree.order, max(tree.depth - _LEAF, 0)
+        levels = tree.levels(low, high)[: depth + 1]
+        # Box n of a level follows all boxes of the levels before: the children of box b are 2 b + 1 and 2 b + 2.
+        self._box = np.concatenate([np.concatenate(boxes).T for boxes in levels])
+        self._leaf = 1 << (tree.depth - depth)
+        self._corners = corners[self._order]
 
     def closest(self, targets: FloatArray, within: FloatArray | None = None) -> tuple[IntArray, FloatArray, FloatArray]:
         """Closest surface points of ``targets`` (k, 3), or only those ``within`` a distance (k,), which is much faster.
@@ -41,106 +42,55 @@ class TriangleTree:
         weights : (k, 3) barycentric coordinates, in [0, 1] and summing to 1
         distance : (k,), infinite where no triangle is within the limit
         """
-        limit = np.full(len(targets), np.inf) if within is None else np.ascontiguousarray(within)
-        found, weights, distance = _search(
-            np.ascontiguousarray(targets, dtype=np.float64), limit, self._corners, self._node, self._box
-        )
+        count = len(targets)
+        distance = np.full(count, np.inf) if within is None else np.array(within, dtype=np.float64)
+        found, weights = np.zeros(count, dtype=np.int64), np.zeros((count, 3))
+        places, waiting = np.ascontiguousarray(targets, dtype=np.float64), np.empty(64, dtype=np.int64)
+        _search(places, self._corners, self._box, self._leaf, waiting, found, weights, distance)
         return self._order[found], weights, distance
 
 
-def _bounds(points: FloatArray, triangles: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Lowest and highest coordinates (m, 3) of every triangle."""
-    low = points[triangles[:, 0]]
-    high = low.copy()
-    for n in (1, 2):
-        corner = points[triangles[:, n]]
-        np.minimum(low, corner, out=low)
-        np.maximum(high, corner, out=high)
-    return low, high
-
-
 @kernel
-def _build(low, high, order, node, box):
-    """Halve boxes along their longest axis until they hold few triangles; return the number of boxes.
-
-    ``node[n] = (first, count, child)``; the children of a box are ``child`` and ``child + 1``, or -1 for leaves.
-    """
-    along = np.empty(order.shape[0])
-    node[0, 0], node[0, 1], node[0, 2] = 0, order.shape[0], -1
-    used, current = 1, 0
-    while current < used:
-        first, count = node[current, 0], node[current, 1]
-        longest = 0
-        for axis in range(3):
-            box[current, axis], box[current, 3 + axis] = np.inf, -np.inf
-            for place in range(first, first + count):
-                box[current, axis] = min(box[current, axis], low[order[place], axis])
-                box[current, 3 + axis] = max(box[current, 3 + axis], high[order[place], axis])
-            if box[current, 3 + axis] - box[current, axis] > box[current, 3 + longest] - box[current, longest]:
-                longest = axis
-        if count > _LEAF:
-            for place in range(first, first + count):
-                along[place] = low[order[place], longest] + high[order[place], longest]
-            half = count // 2
-            partition(order, along, first, first + count - 1, first + half)
-            node[current, 2] = used
-            node[used, 0], node[used, 1], node[used, 2] = first, half, -1
-            node[used + 1, 0], node[used + 1, 1], node[used + 1, 2] = first + half, count - half, -1
-            used += 2
-        current += 1
-    return used
-
-
-@kernel
-def _search(targets, limit, corners, node, box):
-    n = targets.shape[0]
-    found = np.zeros(n, dtype=np.int64)
-    weights = np.zeros((n, 3))
-    distance = np.empty(n)
-    stack, trial = np.empty(_DEPTH, dtype=np.int64), np.empty(3)
-    for t in range(n):
+def _search(targets, corners, box, leaf, waiting, found, weights, distance):
+    """``distance`` holds the limits; ``waiting`` is room for the boxes still to be searched."""
+    trial, bound = np.empty(3), np.empty(64)
+    first_leaf = box.shape[0] // 2
+    for t in range(targets.shape[0]):
         x, y, z = targets[t, 0], targets[t, 1], targets[t, 2]
-        best = limit[t] * limit[t]
-        first = best
-        stack[0] = 0
-        depth = 1
+        limit = best = distance[t] * distance[t]
+        waiting[0], bound[0], depth = 0, 0.0, 1
         while depth:
             depth -= 1
-            current = stack[depth]
-            if _box_distance2(x, y, z, box, current) >= best:
+            if bound[depth] >= best:
                 continue
-            child = node[current, 2]
-            if child < 0:
-                for m in range(node[current, 0], node[current, 0] + node[current, 1]):
-                    d2 = _triangle_distance2(x, y, z, corners, m, trial)
-                    if d2 < best:
-                        best = d2
-                        found[t] = m
-                        for c in range(3):
-                            weights[t, c] = trial[c]
-            else:
-                near, far = child, child + 1
-                if _box_distance2(x, y, z, box, far) < _box_distance2(x, y, z, box, near):
-                    near, far = far, near
-                stack[depth] = far
-                stack[depth + 1] = near
-                depth += 2
-        distance[t] = np.sqrt(best) if best < first else np.inf
-    return found, weights, distance
+            current = waiting[depth]
+            if current < first_leaf:
+                for child in range(2 * current + 1, 2 * current + 3):
+                    d2 = 0.0
+                    for axis in range(3):
+                        away = max(box[child, axis] - targets[t, axis], targets[t, axis] - box[child, 3 + axis])
+                        if away > 0.0:
+                            d2 += away * away
+                    waiting[depth], bound[depth] = child, d2
+                    depth += 1
+                if bound[depth - 1] > bound[depth - 2]:
+                    waiting[depth - 1], waiting[depth - 2] = waiting[depth - 2], waiting[depth - 1]
+                    bound[depth - 1], bound[depth - 2] = bound[depth - 2], bound[depth - 1]
+                continue
+            start = (current - first_leaf) * leaf
+            for m in range(start, min(start + leaf, corners.shape[0])):
+                d2 = _triangle_distance2(x, y, z, corners, m, trial)
+                if d2 < best:
+                    best, found[t] = d2, m
+                    for c in range(3):
+                        weights[t, c] = trial[c]
+        distance[t] = np.sqrt(best) if best < limit else np.inf
 
 
 # The loops below work on scalars: views of points cost atomic reference counts, and vector sums allocate memory.
 
 
-@inlined
-def _box_distance2(x, y, z, box, n):
-    a = max(box[n, 0] - x, 0.0, x - box[n, 3])
-    b = max(box[n, 1] - y, 0.0, y - box[n, 4])
-    c = max(box[n, 2] - z, 0.0, z - box[n, 5])
-    return a * a + b * b + c * c
-
-
-@inlined
+@kernel
 def _triangle_distance2(x, y, z, corners, m, weights):
     """Squared distance to triangle ``m``; fills the barycentric coordinates of the closest point.
 
