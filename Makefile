@@ -62,10 +62,10 @@ docs: $(VENV)/installed
 	PYTHONPATH=docs $(BIN)/python docs/build.py $(OPTIONS)
 	@echo "Open build/site/index.html."
 
-# Mutated files, tables, formulas and grids, judged independently; SEED=1 repeats a campaign, LOG=file goes on with one.
+# Mutated files, tables, formulas and grids, judged independently; SEED=1 repeats a campaign.
 fuzz: $(VENV)/installed
 	PYTHONPATH=tests $(BIN)/python -P -m fuzz.campaign $(or $(N),2000) $(if $(SEED),--seed $(SEED)) \
-	  --jobs $(or $(JOBS),1) $(if $(LOG),--log $(LOG))
+	  --jobs $(or $(JOBS),1)
 
 format: $(VENV)/installed
 	$(BIN)/ruff check --fix .

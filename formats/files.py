@@ -1,4 +1,4 @@
-"""Output files that are complete or absent: each is written next to its target and renamed when complete."""
+"""Output files that are complete or absent: each is written next to its target and renamed when done; options."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import re
 import secrets
 import shutil
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from meshdeform_core import interruption
-from meshdeform_core.errors import FormatError
+from meshdeform_core.errors import FormatError, suggestion
 from meshdeform_core.parallel import ranks_of
 
 
@@ -205,3 +205,24 @@ def read_head(path: Path) -> bytes:
     if not head:
         raise FormatError(f"{path} is empty")
     return head
+
+
+def checked_options(path: Path, options: Mapping[str, Any], known: Mapping[str, Sequence[str]]) -> dict[str, str]:
+    """The options unchanged, each a known key with one of its values.
+
+    Raises
+    ------
+    FormatError
+        For anything else; the message names the nearest known key or value and all known ones.
+    """
+    for key, value in options.items():
+        _require_known(path, "option", str(key), list(known))
+        _require_known(path, f"{key} =", str(value), known[key])
+    return {str(key): str(value) for key, value in options.items()}
+
+
+def _require_known(path: Path, what: str, word: str, known: Sequence[str]) -> None:
+    if word in known:
+        return
+    hint = suggestion(word, known)
+    raise FormatError(f"cannot write {path}: unknown {what} {word!r}{hint}; known are: {' '.join(known) or 'none'}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -14,6 +14,7 @@ from typing import Any
 from meshdeform_core.errors import FormatError, GridError, MeshDeformError
 from meshdeform_core.grid import FileFormat, Grid
 from meshdeform_core.parallel import require_whole
+from meshdeform_core.wording import listed
 
 from .files import read_head
 from .plausible import require_plausible
@@ -49,9 +50,7 @@ FORMATS: dict[str, Format] = {
     "cgns": Format("cgns", (".cgns", ".hdf", ".hdf5", ".adf"), "CGNS, HDF5 and ADF (ADF read-only)", together=True),
     "vtk": Format("vtk", (".vtk", ".vts", ".vtm"), "VTK legacy, .vts and .vtm structured grids", together=True),
     "openfoam": Format("openfoam", (".foam",), "OpenFOAM: blockMeshDict (read), polyMesh (written)"),
-    "meshio": Format(
-        "unstructured.export", (".vtu", ".su2", ".msh", ".inp", ".xdmf", ".med"), "unstructured, write-only"
-    ),
+    "meshio": Format("unstructured", (".vtu", ".su2", ".msh", ".inp", ".xdmf", ".med"), "unstructured, write-only"),
 }
 
 
@@ -120,8 +119,6 @@ def read_grid_with_boundaries(path: Path, boundary_file: Path | None, options: M
 def complete_for_export(grid: Grid, path: Path) -> Grid:
     """The grid, ready to be written to ``path``: with interfaces found from the coordinates if the format holds
     connections and the grid declares none, and with a note of the data that the format cannot hold."""
-    from .losses import losses
-
     kind = format_of(path)
     grid = dataclasses.replace(grid, notes=(*grid.notes, *losses(grid, path, kind)))
     own = grid.format is not None and grid.format.name == "cgns"
@@ -131,6 +128,34 @@ def complete_for_export(grid: Grid, path: Path) -> Grid:
     from meshdeform_core.grid.topology import find_topology
 
     return dataclasses.replace(grid, connections=find_interfaces(grid, find_topology(grid)))
+
+
+def losses(grid: Grid, target: Path, kind: str) -> list[str]:
+    """Warnings about fields, IBLANK and solutions that are not written to a file ``target`` of the format ``kind``.
+
+    Fields computed for the file itself (``--field``) do not count.
+    """
+    names = list(dict.fromkeys(_lost_fields(grid, target, kind)))
+    if grid.format is not None and grid.format.name == "cgns" and kind != "cgns" and grid.path is not None:
+        from .cgns.format import solutions
+
+        names += solutions(grid.path)
+    if not names:
+        return []
+    return [f"{target.suffix} files cannot hold these data of the grid, which are not written: {listed(names)}"]
+
+
+def _lost_fields(grid: Grid, target: Path, kind: str) -> Iterator[str]:
+    everywhere = {
+        (field.location, field.name): sum(f.location == field.location and f.name == field.name for f in grid.fields)
+        for field in grid.fields
+    }
+    for field in grid.fields:
+        kept = kind in ("vtk", "cgns") or (kind == "plot3d" and field.blanks)
+        if target.suffix.lower() in (".vtu", ".xdmf"):
+            kept = field.location in ("node", "cell") and everywhere[field.location, field.name] == grid.n_blocks
+        if not kept:
+            yield field.name.upper() if field.blanks else field.name
 
 
 def write_grid(

@@ -1,11 +1,15 @@
 """Arrays stored uncompressed in a file, of which every thread and rank reads and writes its own ranges of planes.
 
-Most formats store the values of a block with k running slowest, so that a range of planes k is one stretch of bytes.
+Most formats store the values of a block with k running slowest, so that a range of planes k is one stretch of bytes,
+and coordinates component after component. A grid holds x, y and z of a node together, with k running fastest:
+converting a component at a time would load every cache line three times, so a few lines along j are converted at a
+time, which stay in the cache between uses.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -18,13 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import Grid, IntArray, Planes, Shape
-from meshdeform_core.parallel import Part, Ranks, for_items
-
-from .coordinates import common_type, merge, split
+from meshdeform_core.grid import FloatArray, Grid, IntArray, Planes, Shape
+from meshdeform_core.parallel import Part, Ranks, for_chunks, for_items
 
 # Smallest numbers of nodes and planes per range, so that reads are large and cache lines of the grid are not split.
 _NODES, _PLANES = 1 << 18, 8
+# Larger blocks are converted component by component, without a copy of the block.
+_TOGETHER = 1 << 28
+_LINES = 8
 
 
 class Stretches:
@@ -213,6 +218,43 @@ class Output:
         return cls(block, shape, places, take)
 
 
+def common_type(stored: Iterable[Any]) -> np.dtype[Any]:
+    """The native type of numbers that holds those of all ``stored`` arrays or datasets."""
+    return np.result_type(*(each.dtype.newbyteorder("=") for each in stored))
+
+
+def split(block: FloatArray, kind: np.dtype[Any], count: int = 3) -> Iterator[NDArray[Any]]:
+    """The first ``count`` components (nk, nj, ni) of a block (ni, nj, nk, 3), of type ``kind``."""
+    for axes in _groups(block, count):
+        out = np.empty((axes.stop - axes.start, *block.shape[2::-1]), kind)
+
+        def work(lo: int, hi: int, out: NDArray[Any] = out, axes: slice = axes) -> None:
+            out[:, :, lo:hi] = block[:, lo:hi, :, axes].T
+
+        for_chunks(work, block.shape[1], _LINES)
+        yield from out
+
+
+def merge(block: FloatArray, components: Iterator[NDArray[Any]], count: int = 3) -> None:
+    """Fill the first ``count`` components of a block (ni, nj, nk, 3) from arrays of nk nj ni numbers each."""
+    for axes in _groups(block, count):
+        arrays = [next(components).reshape(block.shape[2::-1]) for _ in range(axes.start, axes.stop)]
+
+        def work(lo: int, hi: int, arrays: Sequence[NDArray[Any]] = arrays, first: int = axes.start) -> None:
+            # NaN in the file is reported by the caller, not by a warning of the conversion.
+            with np.errstate(invalid="ignore"):
+                for axis, array in enumerate(arrays, first):
+                    block[:, lo:hi, :, axis] = array[:, lo:hi].T
+
+        for_chunks(work, block.shape[1], _LINES)
+
+
+def _groups(block: FloatArray, count: int) -> list[slice]:
+    if 8 * count * math.prod(block.shape[:3]) <= _TOGETHER:
+        return [slice(0, count)]
+    return [slice(axis, axis + 1) for axis in range(count)]
+
+
 def ranges_of(blocks: Sequence[tuple[int, Shape]]) -> list[Planes]:
     """Ranges of planes of blocks, given by number and shape; they do not depend on threads and ranks."""
     found = []
@@ -298,19 +340,6 @@ def synchronous(ranks: Ranks) -> bool:
     """Whether the ranks wait for the disk after each piece of a file that all of them write."""
     # Clients of a network file system may otherwise write whole pages, with old bytes of other machines in them.
     return ranks.count > ranks.on_machine
-
-
-def on_first_rank(grid: Grid, block: int, own: NDArray[Any]) -> NDArray[Any]:
-    """Values (nk, nj, ni) of all nodes of a block on the first rank, from those in the planes i of each; other ranks
-    keep their own."""
-    points = grid.points
-    if not isinstance(points, Part):
-        return own
-    owners = _owners(grid, points.bounds, block, grid.shapes[block][0])
-    first = points.ranks.number == 0
-    others = {rank: np.empty((*own.shape[:2], n), own.dtype) for rank, n in owners.items() if first and rank}
-    points.ranks.swap({} if first or not own.size else {0: np.ascontiguousarray(own)}, others)
-    return np.concatenate([own, *(others[rank] for rank in sorted(others))], axis=2) if others else own
 
 
 Turn = dict[int, tuple[Output, Planes, dict[int, int]]]

@@ -10,7 +10,7 @@ import click
 import numpy as np
 
 from meshdeform_core.wording import listed
-from meshdeform_formats.text.json import json_text
+from meshdeform_formats.text import json_text
 
 from ..info_text import as_text
 from ..options import PATH, GridInput, force_option, grid_options, json_option, memory_option

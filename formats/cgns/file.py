@@ -1,4 +1,4 @@
-"""Open a CGNS file as a tree, in either container."""
+"""Open a CGNS file as a tree, in either container; remarks collected while it is read."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from meshdeform_core.errors import FormatError
+from meshdeform_core.wording import listed
 
 from .adf import is_adf, read_adf
 from .tree import MAXIMUM_DEPTH, Node
@@ -70,3 +71,27 @@ def linked_files(path: Path) -> Iterator[Path]:
                 waiting.append((child, depth + 1))
             elif child.link.file and not child.dangling:
                 yield child.target.file
+
+
+def state_of(path: Path) -> tuple[int, ...]:
+    """What tells whether a file has changed; nothing of a file that cannot be read."""
+    try:
+        found = path.stat()
+    except OSError:
+        return ()
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
+
+
+class Notes:
+    """Remarks for ``Grid.notes``; the same remark about several nodes becomes one line."""
+
+    def __init__(self) -> None:
+        # The places of each remark, in order and without repetition.
+        self._places: dict[str, dict[str, None]] = {}
+
+    def add(self, remark: str, place: str) -> None:
+        self._places.setdefault(remark, {})[place] = None
+
+    def lines(self) -> tuple[str, ...]:
+        """One line per remark, e.g. ``rind planes are ...: zone 1, zone 2 ... and 7 more``."""
+        return tuple(f"{remark}: {listed(places)}" for remark, places in self._places.items())

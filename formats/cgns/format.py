@@ -15,15 +15,14 @@ from typing import Any
 
 from meshdeform_core.errors import FormatError, suggestion
 from meshdeform_core.grid import FileFormat, Grid, Planes, Shape
+from meshdeform_core.parallel import require_undivided
 
 from ..planes import Stored, ranges_of, read_planes
 from .adf import is_adf
 from .boundary import family_conditions, zone_patches
 from .connectivity import overset_only, zone_connections
-from .file import naming, opened_cgns
-from .notes import Notes
-from .original import Original, state_of
-from .zone import Zone, find_base, structured_zones
+from .file import Notes, naming, opened_cgns, state_of
+from .zone import Original, Zone, find_base, structured_zones
 
 _PRECISIONS = ("float32", "float64")
 _MIXED = "mixed"
@@ -52,6 +51,8 @@ def read(path: Path) -> Grid:
         base = find_base(root, notes)
         zones = structured_zones(base, notes)
         places = [zone.places() for zone in zones]
+        if not all(places):
+            require_undivided(f"coordinates in {path} are compressed or stored in pieces")
         families = family_conditions(base)
         patches = [p for block, zone in enumerate(zones) for p in zone_patches(zone, block, families, notes)]
         grid = Grid.allocate(
@@ -77,7 +78,7 @@ def _fill(grid: Grid, zones: Sequence[Zone], places: Sequence[list[Stored] | Non
         if known := places[part.block]:
             read_planes(grid, part, known)
         else:
-            zones[part.block].read(grid.in_planes(part.block), grid.planes(part.block))
+            zones[part.block].read(grid.in_planes(part.block))
 
     grid.fill_planes(put, parts, threads=None if all(places) else 1)
 

@@ -21,10 +21,9 @@ from ..files import replacing_by_all
 from ..hdf5_output import hdf5_output
 from ..planes import Stored, write_outputs
 from . import format as cgns
-from .file import opened_cgns
+from .file import Notes, opened_cgns
 from .hdf5 import hdf5_errors
 from .hdf5_write import own_group, put_node
-from .notes import Notes
 from .tree import Node, make, name_list, room
 from .write_new import Places, fields_by_place, outputs_of, solution_nodes
 from .zone import Zone, find_base, structured_zones
@@ -91,7 +90,7 @@ def _add_levels(grid: Grid, path: Path, partial: Path, precision: str, times: Se
     with opened_cgns(partial) as root:
         base = find_base(root, Notes())
         zones = structured_zones(base, Notes())
-    places = [Places({}, {}, {}) for _ in times]
+    places = [Places({}, {}) for _ in times]
     common = _Common(grid, partial, np.dtype(precision), fields_by_place(grid))
     with hdf5_errors(path, "write"), hdf5_output(partial, "r+") as file:
         group = own_group(file, base.node)

@@ -22,16 +22,14 @@ from meshdeform_core.grid.extent import block_extents
 from meshdeform_core.parallel import Part
 
 from ..hdf5_output import hdf5_output
-from ..planes import Stored
+from ..planes import Stored, split
 from .adf import is_adf
-from .file import naming, opened_cgns
+from .file import Notes, naming, opened_cgns, state_of
 from .hdf5 import DATA, LINK, LINK_FILE, hdf5_errors, place_of
 from .hdf5_write import characters, has_other_names, own_group, put_node, reserve_dataset, write_hdf5
-from .notes import Notes
-from .original import Original, state_of
 from .tree import Node, data_type_of, unique_names
-from .write_new import Packed, Places, fields_by_place, solution_nodes, write_completed
-from .zone import Base, Zone, find_base, structured_zones
+from .write_new import Places, fields_by_place, solution_nodes, write_completed
+from .zone import Base, Original, Zone, find_base, structured_zones
 
 Boxes = Callable[[], tuple[FloatArray, FloatArray]]
 """Returns the lowest and highest coordinates (n_blocks, 3) of blocks."""
@@ -75,7 +73,7 @@ def _copied(original: Original, source: Path, path: Path, partial: Path) -> Plac
         with hdf5_output(partial, "r+") as file:
             _adapt_links(file, source.parent, path.parent)
     every = [[dataclasses.replace(place, path=partial) for place in places] for places in original.places]
-    return Places(dict(enumerate(every)), {}, {})
+    return Places(dict(enumerate(every)), {})
 
 
 def _begin(grid: Grid, source: Path, path: Path, partial: Path, precision: str | None, boxes: Boxes) -> Places:
@@ -92,7 +90,7 @@ def _begin(grid: Grid, source: Path, path: Path, partial: Path, precision: str |
                 _adapt_links(file, source.parent, path.parent)
                 group = own_group(file, base.node)
                 owns = [own_group(group, zone.node) for zone in zones]
-                places = _replace_coordinates(owns, zones, partial, precision, boxes)
+                places = _replace_coordinates(owns, zones, grid, partial, precision, boxes)
                 _add_fields(owns, zones, grid, places)
     return places
 
@@ -115,10 +113,10 @@ def _same_zones(root: Node, grid: Grid, source: Path, boxes: Boxes) -> tuple[Bas
 
 
 def _replace_coordinates(
-    parents: list[h5py.Group], zones: list[Zone], path: Path, precision: str | None, boxes: Boxes
+    parents: list[h5py.Group], zones: list[Zone], grid: Grid, path: Path, precision: str | None, boxes: Boxes
 ) -> Places:
-    """Prepare the coordinate arrays; returns their places."""
-    places = Places({}, {}, {})
+    """Prepare the coordinate arrays and fill compressed ones; returns the places of the others."""
+    places = Places({}, {})
     for block, (parent, zone) in enumerate(zip(parents, zones, strict=True)):
         group = own_group(parent, zone.grid)
         datasets = [_writable_dataset(own_group(group, node), precision, zone.counts) for node in zone.coordinates]
@@ -131,7 +129,8 @@ def _replace_coordinates(
         if len(found) == len(datasets):
             places.coordinates[block] = found
         else:
-            places.packed[block] = Packed([dataset.name for dataset in datasets], zone.core[::-1])
+            for dataset, values in zip(datasets, split(grid.block(block), np.dtype(float), len(datasets)), strict=True):
+                dataset[zone.core[::-1]] = values.reshape(zone.counts[::-1]).astype(dataset.dtype, copy=False)
         if zone.grid.target.dims == (len(datasets), 2):
             # GridCoordinates_t may hold the lowest and highest coordinates (SIDS 7.1).
             box = np.array([end[block] for end in boxes()])

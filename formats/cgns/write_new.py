@@ -2,41 +2,27 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import h5py
 import numpy as np
 
 from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import Field, FloatArray, Grid
+from meshdeform_core.grid import Field, Grid
 from meshdeform_core.numerics.arrays import extent
 from meshdeform_core.parallel import ranks_of
 
-from ..coordinates import ahead, split
 from ..files import replacing_by_all
-from ..hdf5_output import hdf5_output
-from ..planes import Output, Stored, on_first_rank, write_outputs
+from ..planes import Output, Stored, write_outputs
 from .hdf5 import hdf5_errors
 from .hdf5_write import write_hdf5
-from .new_boundary import boundary_nodes, family_names, family_nodes
-from .new_connectivity import connectivity_nodes
+from .new_nodes import boundary_nodes, connectivity_nodes, family_names, family_nodes
 from .tree import Node, make, room, unique_names
 
 Place = tuple[int, int, np.dtype[Any]]
 """Offset, bytes and type of an array."""
-
-
-class Packed(NamedTuple):
-    """Compressed coordinates of a block: names of their arrays in the file, and which nodes along k, j, i belong to the
-    grid."""
-
-    names: list[str]
-    core: tuple[slice, ...]
 
 
 class Places(NamedTuple):
@@ -45,7 +31,6 @@ class Places(NamedTuple):
 
     coordinates: dict[int, list[Stored]]
     fields: dict[int, list[Place]]
-    packed: dict[int, Packed]
 
 
 # The version of the standard that defines everything written here.
@@ -76,7 +61,6 @@ def write_completed(grid: Grid, path: Path, begin: Callable[[Path], Places]) -> 
     with replacing_by_all(path, grid.points) as partial:
         places = ranks_of(grid.points).on_first(lambda: begin(partial))
         write_outputs(grid, outputs_of(grid, partial, places))
-        _write_packed(grid, path, partial, places.packed)
 
 
 def outputs_of(grid: Grid, path: Path, places: Places) -> list[Output]:
@@ -90,27 +74,6 @@ def outputs_of(grid: Grid, path: Path, places: Places) -> list[Output]:
     return found
 
 
-def _write_packed(grid: Grid, path: Path, unfinished: Path, packed: Mapping[int, Packed]) -> None:
-    """Write compressed coordinates into the ``unfinished`` file, later ``path``: the first rank, a component of a block
-    at a time."""
-    ranks, opened = ranks_of(grid.points), list[h5py.File]()
-    with contextlib.ExitStack() as own, hdf5_errors(path, "write"):
-        if packed:
-            ranks.on_first(lambda: opened.append(own.enter_context(hdf5_output(unfinished, "r+"))))
-        for block, (names, core) in packed.items():
-            components = ahead(split(grid.in_planes(block), np.dtype(np.float64), len(names)))
-            for name, values in zip(names, components, strict=True):
-                ranks.on_first(partial(_pack, opened, name, core, on_first_rank(grid, block, values)))
-        # A full disk is reported only now, and must be on all ranks.
-        ranks.on_first(own.close)
-
-
-def _pack(opened: Sequence[h5py.File], name: str, core: tuple[slice, ...], values: FloatArray) -> None:
-    dataset = opened[0][name]
-    shape = tuple(part.stop - part.start for part in core)
-    dataset[core] = values.reshape(shape).astype(dataset.dtype, copy=False)
-
-
 def _begin(grid: Grid, path: Path, partial: Path, precision: str, dimension: int) -> Places:
     """Write everything but the values of nodes, cells and faces; returns the places of these."""
     starts: list[list[tuple[int, int]]] = [[] for _ in grid.shapes]
@@ -122,7 +85,7 @@ def _begin(grid: Grid, path: Path, partial: Path, precision: str, dimension: int
         block: [Stored.within_rind(partial, kind, shape, start, size=size) for start, size in found]
         for block, (shape, found) in enumerate(zip(grid.shapes, starts, strict=True))
     }
-    return Places(coordinates, fields, {})
+    return Places(coordinates, fields)
 
 
 def _tree(

@@ -15,8 +15,8 @@ from meshdeform_core.grid.topology import RELATIVE_TOLERANCE, find_topology, sep
 from meshdeform_core.parallel import empty
 from meshdeform_core.wording import vector
 
+from ..markers import point_numbers
 from ..plausible import LARGEST
-from ..unstructured.markers import point_numbers
 from .case import mesh_file
 from .dictionary import parse_dictionary
 from .lists import read_content, read_faces, read_labels, read_points

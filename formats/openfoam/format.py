@@ -18,7 +18,7 @@ import numpy as np
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FileFormat, FloatArray, Grid, IntArray
 
-from ..variant_options import checked_options
+from ..files import checked_options
 from .block_mesh import block_mesh
 from .case import POLY_MESH, case_folder, dictionary_of, is_case, mesh_files, replaced_mesh
 from .dictionary import read_dictionary, written_entry

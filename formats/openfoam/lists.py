@@ -15,7 +15,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, IntArray
 
 from ..files import reason_of, require_regular
-from ..text.rows import text_rows
+from ..text import text_rows
 from .case import POLY_MESH
 
 _ROWS_AT_ONCE = 20_000

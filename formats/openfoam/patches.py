@@ -17,7 +17,7 @@ from meshdeform_core.grid.planes import plane_of
 from meshdeform_core.grid.sides import end_planes
 from meshdeform_core.grid.topology import Topology, is_wall, side_nodes
 
-from ..unstructured.markers import Marker, find_markers
+from ..markers import Marker, find_markers
 
 # Characters that a word of a dictionary may not have.
 _FORBIDDEN = re.compile(r"[\s\"'/;{}()$#\[\]]+")

@@ -21,7 +21,7 @@ from meshdeform_core.grid import Connection, Grid, IntArray, Patch, Shape, Side
 from meshdeform_core.grid.planes import plane_normal
 from meshdeform_core.grid.topology import Topology, cells_behind, find_topology, separated
 
-from ..unstructured.markers import point_numbers
+from ..markers import point_numbers
 from .lists import write_boundary, write_faces, write_labels
 from .patches import BoundaryPatch, boundary_patches
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -12,7 +13,8 @@ from numpy.typing import NDArray
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Grid
 
-from .blocks import assemble, text_arrays
+from ..planes import merge, split
+from .binary import allocate, iblank_of
 from .detect import LONGEST_HEADER, Reading, UnknownFile, Writing, choose, header_variants, stream_readings
 from .numbers import count_integers, ends_with_integer, number_lines, read_numbers
 from .variant import Variant
@@ -28,7 +30,7 @@ def read_ascii(path: Path, options: Mapping[str, Any]) -> Grid:
         writing = Writing(ends_with_integer(stream), lambda: _count_integers(path))
 
     def load(reading: Reading) -> Grid:
-        return assemble(reading, path, _Text(path, numbers, reading.segments[0][0]))
+        return _assemble(reading, path, numbers)
 
     head = numbers[:LONGEST_HEADER]
     integers = np.where((head == np.rint(head)) & (np.abs(head) < 2**31), head, 0).astype(np.int64)
@@ -44,7 +46,7 @@ def write_ascii(grid: Grid, stream: BinaryIO, variant: Variant) -> None:
     for shape in grid.shapes:
         stream.write(" ".join(str(n) for n in shape[: variant.dimension]).encode() + b"\n")
     for index in range(grid.n_blocks):
-        for array in text_arrays(grid, variant, index):
+        for array in _text_arrays(grid, variant, index):
             for start in range(0, array.size, _LINES):
                 # If integers follow, a number without a dot must be an integer.
                 stream.write(number_lines(array[start : start + _LINES], dotted=variant.iblank))
@@ -55,17 +57,34 @@ def _count_integers(path: Path) -> int:
         return count_integers(stream)
 
 
-class _Text:
-    """The numbers of a text starting at ``position``, read in sequence."""
+def _assemble(reading: Reading, path: Path, numbers: FloatArray) -> Grid:
+    """The grid of a reading from all numbers of a text."""
+    grid, flags = allocate(reading, path)
+    dimension = reading.variant.dimension
+    position = reading.segments[0][0]
 
-    def __init__(self, path: Path, numbers: FloatArray, position: int) -> None:
-        self._path, self._numbers, self._position = path, numbers, position
+    def put(index: int) -> None:
+        nonlocal position
+        block, count = grid.block(index), math.prod(grid.shapes[index])
+        arrays = numbers[position:][: (dimension + reading.variant.iblank) * count].reshape(-1, count)
+        position += arrays.size
+        merge(block, iter(arrays[:dimension]), dimension)
+        block[..., dimension:] = 0.0
+        if flags:
+            flags[index][...] = _integers(arrays[dimension], path).reshape(block.shape[2::-1]).T
 
-    def take(self, dtype: np.dtype[Any], count: int) -> NDArray[Any]:
-        """The next ``count`` numbers."""
-        taken = self._numbers[self._position : self._position + count]
-        self._position += count
-        return taken if dtype.kind == "f" else _integers(taken, self._path)
+    grid.fill(put)
+    return grid
+
+
+def _text_arrays(grid: Grid, variant: Variant, index: int) -> Iterator[NDArray[Any]]:
+    """The flat arrays of one block in the order and types of a text."""
+    for array in split(grid.block(index), variant.real, variant.dimension):
+        yield array.reshape(-1)
+    if variant.iblank:
+        iblank = iblank_of(grid, index)
+        flags = np.ones(grid.shapes[index]) if iblank is None else iblank.values
+        yield np.ascontiguousarray(flags.T, variant.integer).reshape(-1)
 
 
 def _integers(values: FloatArray, path: Path) -> FloatArray:

@@ -1,9 +1,14 @@
-"""Plot3D in binary: C streams and Fortran unformatted records."""
+"""Plot3D in binary: C streams and Fortran unformatted records.
+
+A file contains, block by block, all x, all y, all z and all IBLANK, each with i running fastest (with records per
+plane: the same for each k in turn). A grid stores x, y, z together, with k running fastest.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import chain, product
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -11,11 +16,10 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from meshdeform_core.grid import Grid, Planes
-from meshdeform_core.parallel import ranks_of
+from meshdeform_core.grid import Field, Grid, Planes, Shape
+from meshdeform_core.parallel import empty, ranks_of
 
 from ..planes import Output, Stored, Stretches, ranges_of, read_planes, write_outputs
-from .blocks import allocate, iblank_of, places_of
 from .detect import LONGEST_HEADER, Reading, UnknownFile, choose, header_variants, stream_readings
 from .records import fortran_readings, laid_out, record_lengths
 from .variant import Variant
@@ -39,6 +43,18 @@ def binary_layout(path: Path, options: Mapping[str, Any]) -> Reading | None:
     return fitting[0] if len(fitting) == 1 else None
 
 
+def allocate(reading: Reading, path: Path) -> tuple[Grid, list[NDArray[Any]]]:
+    """The grid of a reading, still to be filled, and the IBLANK values of the planes i of every block that this rank
+    holds, if there are any."""
+    grid = Grid.allocate(reading.shapes, format=reading.variant.file_format(), path=path)
+    if not reading.variant.iblank:
+        return grid, []
+    flags = [empty(grid.own_shape(block, shape), np.int32) for block, shape in enumerate(grid.shapes)]
+    values = (grid.spread(own, shape[0]) for own, shape in zip(flags, grid.shapes, strict=True))
+    fields = tuple(Field("iblank", "node", block, each) for block, each in enumerate(values))
+    return replace(grid, fields=fields), flags
+
+
 def _load(reading: Reading, path: Path) -> Grid:
     grid, flags = allocate(reading, path)
     places, flag_places = places_of(reading.variant, grid.shapes, path, Stretches(reading.segments))
@@ -51,6 +67,29 @@ def _load(reading: Reading, path: Path) -> Grid:
 
     grid.fill_planes(put, ranges_of(list(enumerate(grid.shapes))))
     return grid
+
+
+def places_of(
+    variant: Variant, shapes: Sequence[Shape], path: Path, data: Stretches
+) -> tuple[list[list[Stored]], list[Stored]]:
+    """Positions of the components and, with IBLANK, of the flags of every block within the ``data`` of a file."""
+    coordinates: list[list[Stored]] = []
+    flags, begin = [], 0
+    for ni, nj, nk in shapes:
+        planes = 1 if variant.records == "plane" else nk
+        step = ni * nj * variant.real.itemsize
+        last = begin + variant.dimension * planes * step
+        end = last + variant.iblank * planes * ni * nj * variant.integer.itemsize
+        whole = end - begin if variant.records == "plane" else 0
+        coordinates.append(
+            [
+                Stored(path, variant.real, (nj, ni), begin + axis * planes * step, whole or step, data)
+                for axis in range(variant.dimension)
+            ]
+        )
+        flags.append(Stored(path, variant.integer, (nj, ni), last, whole or ni * nj * variant.integer.itemsize, data))
+        begin += (end - begin) * (nk // planes)
+    return coordinates, flags if variant.iblank else []
 
 
 def write_binary(grid: Grid, path: Path, variant: Variant) -> None:
@@ -75,6 +114,11 @@ def write_binary(grid: Grid, path: Path, variant: Variant) -> None:
     places, flag_places = places_of(variant, grid.shapes, path, data)
     outputs = [Output.of_coordinates(grid, block, arrays) for block, arrays in enumerate(places)]
     write_outputs(grid, [*outputs, *(_flags(grid, block, place) for block, place in enumerate(flag_places))])
+
+
+def iblank_of(grid: Grid, index: int) -> Field | None:
+    """IBLANK values of a block from any format."""
+    return next((field for field in grid.fields if field.block == index and field.blanks), None)
 
 
 def _flags(grid: Grid, block: int, place: Stored) -> Output:

@@ -19,8 +19,7 @@ from meshdeform_core.numerics.arrays import extent
 from meshdeform_core.parallel import require_whole
 
 from ..files import replacing_by_all
-from .binary import binary_layout, read_binary, write_binary
-from .blocks import iblank_of
+from .binary import binary_layout, iblank_of, read_binary, write_binary
 from .variant import Variant, parse_options
 
 _TEXT_SUFFIXES = (".fmt", ".p2dfmt", ".p3dfmt")

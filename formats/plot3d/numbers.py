@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray
 
-from ..text import numbers
+from .. import text
 
 # Bytes of text read at a time.
 _PIECE = 1 << 23
@@ -119,7 +119,7 @@ def number_lines(values: NDArray[Any], dotted: bool = False) -> bytes | memoryvi
     The last of real values, or with ``dotted`` each, is written as a real number: see :func:`ends_with_integer` and
     :func:`count_integers`.
     """
-    lines = numbers.number_lines(values)
+    lines = text.number_lines(values)
     if dotted and values.dtype.kind == "f":
         return _WHOLE_LINE.sub(rb"\1.", bytes(lines))
     last = _WORD.findall(bytes(lines[-_LONGEST_NUMBER:]))[-1]

@@ -10,7 +10,7 @@ from typing import Any
 from meshdeform_core.errors import FormatError
 
 from ..files import replacing
-from ..text.json import json_text
+from ..text import json_text
 from .figures import Illustrate, Illustrations
 from .parts import Report
 

@@ -15,8 +15,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
 from meshdeform_core.parallel import require_whole
 
-from ..files import replacing_by_all
-from ..variant_options import checked_options
+from ..files import checked_options, replacing_by_all
 from .dataset import VtkFormat, assemble, write_blocks
 from .legacy import read as read_legacy
 from .legacy_write import begin_block as begin_legacy_block
@@ -30,7 +29,6 @@ from .xml_write import begin_block as begin_xml_block
 from .xml_write import plain
 
 _KINDS = {".vtk": "legacy", ".vts": "vts", ".vtm": "vtm"}
-_XML_KINDS = {"StructuredGrid": "vts", "RectilinearGrid": "vtr", "ImageData": "vti"}
 
 _PRECISIONS = ("float32", "float64")
 _LEGACY_OPTIONS: dict[str, tuple[str, ...]] = {"encoding": ("ascii", "binary"), "precision": _PRECISIONS}
@@ -50,8 +48,6 @@ _DEFAULTS = {"legacy": {"encoding": "binary"}, "vts": _XML_DEFAULTS, "vtm": _XML
 def read(path: Path) -> Grid:
     """Read a VTK file; its kind is recognised by content.
 
-    RECTILINEAR_GRID, STRUCTURED_POINTS, .vtr and .vti become structured grids, with a note.
-
     Raises
     ------
     FormatError
@@ -68,7 +64,7 @@ def read(path: Path) -> Grid:
     if kind == "vtkMultiBlockDataSet":
         data_sets, names = read_multiblock(path)
         return assemble(path, "vtm", data_sets, names)
-    return assemble(path, _XML_KINDS.get(kind, kind), [read_xml(path)])
+    return assemble(path, "vts", [read_xml(path)])
 
 
 def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> VtkFormat:

@@ -1,4 +1,4 @@
-"""Structured grids from legacy VTK files (.vtk), including RECTILINEAR_GRID and STRUCTURED_POINTS.
+"""Structured grids from legacy VTK files (.vtk).
 
 A file consists of keyword lines with runs of values between them. It is not read by VTK, whose reader fills the missing
 part of a truncated file with garbage and reports success. Source: VTK User's Guide, "VTK File Formats"; for versions
@@ -21,7 +21,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Shape
 from meshdeform_core.parallel import require_undivided
 
-from .dataset import DataArray, DataSet, Run, Values, lattice, require_plausible_lattice
+from .dataset import DataArray, DataSet, Run, Values
 
 # Value types and their numpy codes. VTK writes ids in binary files with 4 bytes.
 TYPES = {
@@ -42,11 +42,13 @@ TYPES = {
 }
 _LONGEST_LINE = 4096
 
-_OTHER_KINDS = {"POLYDATA": "a polygon surface", "UNSTRUCTURED_GRID": "an unstructured grid", "FIELD": "field data"}
-
-# Geometry keywords and the number of values on their line, or per entry of the run that follows.
-_ON_THE_LINE = {"DIMENSIONS": 3, "EXTENT": 6, "ORIGIN": 3, "SPACING": 3, "ASPECT_RATIO": 3}
-_IN_A_RUN = {"POINTS": 3, "X_COORDINATES": 1, "Y_COORDINATES": 1, "Z_COORDINATES": 1}
+_OTHER_KINDS = {
+    "POLYDATA": "a polygon surface",
+    "UNSTRUCTURED_GRID": "an unstructured grid",
+    "RECTILINEAR_GRID": "a rectilinear grid; save it as a structured grid",
+    "STRUCTURED_POINTS": "an image; save it as a structured grid",
+    "FIELD": "field data",
+}
 
 _LOCATIONS = {"POINT_DATA": "node", "CELL_DATA": "cell"}
 # Attributes with a fixed number of components, and the role of the array.
@@ -277,96 +279,58 @@ def read(path: Path) -> DataSet:
     """
     with path.open("rb") as stream:
         file = LegacyFile(path, stream)
-        if file.kind not in ("STRUCTURED_GRID", "RECTILINEAR_GRID", "STRUCTURED_POINTS"):
+        if file.kind != "STRUCTURED_GRID":
             other = _OTHER_KINDS.get(file.kind, "another kind of data set")
             raise FormatError(f"{path} is {other} (DATASET {file.kind}); expected a structured grid")
-        if not file.binary or file.kind != "STRUCTURED_GRID":
-            require_undivided(f"{path} is text, or has no coordinates of nodes")
-        geometry, attributes = _sections(file)
-        shape, origin = _extent(file, geometry)
-        points = _points(file, geometry, shape)
+        if not file.binary:
+            require_undivided(f"{path} is text")
+        extent: tuple[Shape, Shape] | None = None
+        points: Values | None = None
+        attributes = Attributes(file, later=True)
+        while words := file.words():
+            keyword = words[0].upper()
+            if keyword in ("DIMENSIONS", "EXTENT"):
+                extent = _extent(file, keyword, words[1:])
+            elif keyword == "POINTS":
+                if len(words) != 3:
+                    raise file.error(f"expected 'POINTS number type', found {' '.join(words)[:60]!r}")
+                points = file.values(3 * file.number(words[1]), words[2], keyword, later=True)
+                file.component_names()
+            else:
+                attributes.read(words)
         complete = file.binary or file.ends_in_a_line()
-    notes = [] if file.kind == "STRUCTURED_GRID" else [f"{file.kind} is read as a structured grid"]
+    if extent is None or points is None:
+        missing = "DIMENSIONS" if extent is None else "POINTS"
+        raise FormatError(f"{path} has no {missing}; is the file truncated?")
+    origin, (ni, nj, nk) = extent
+    if len(points) != 3 * ni * nj * nk:
+        raise FormatError(f"{path} has {len(points) // 3} points; its DIMENSIONS {ni} {nj} {nk} need {ni * nj * nk}")
+    notes = []
     if not complete:
         notes.append("the last line has no line end; if the file is truncated there, its last number is wrong")
     options = {"encoding": "binary" if file.binary else "ascii"}
-    return DataSet(points, tuple(attributes.arrays), options, origin, file.title, (*notes, *attributes.notes))
+    notes += attributes.notes
+    points = points.reshape(nk, nj, ni, 3)
+    return DataSet(points, tuple(attributes.arrays), options, origin, file.title, tuple(notes))
 
 
-def _sections(file: LegacyFile) -> tuple[dict[str, Any], Attributes]:
-    geometry: dict[str, Any] = {}
-    attributes = Attributes(file, later=True)
-    while words := file.words():
-        keyword = words[0].upper()
-        if keyword in _ON_THE_LINE:
-            geometry[keyword] = _line_numbers(file, words[1:], _ON_THE_LINE[keyword])
-        elif keyword in _IN_A_RUN:
-            if len(words) != 3:
-                raise file.error(f"expected '{keyword} number type', found {' '.join(words)[:60]!r}")
-            count = _IN_A_RUN[keyword] * file.number(words[1])
-            geometry[keyword] = file.values(count, words[2], keyword, later=keyword == "POINTS")
-            file.component_names()
-        else:
-            attributes.read(words)
-    return geometry, attributes
-
-
-def _line_numbers(file: LegacyFile, words: Sequence[str], number: int) -> NDArray[np.float64]:
+def _extent(file: LegacyFile, keyword: str, words: Sequence[str]) -> tuple[Shape, Shape]:
+    """Index of the first node, and shape in nodes, from the words behind a keyword."""
+    number = 3 if keyword == "DIMENSIONS" else 6
     try:
-        numbers = np.array(words, dtype=float)
+        numbers = [float(word) for word in words]
     except ValueError as error:
         raise file.error(f"expected {number} numbers, found {' '.join(words)[:60]!r}") from error
     if len(numbers) != number:
         raise file.error(f"expected {number} numbers, found {len(numbers)}")
-    return numbers
-
-
-def _extent(file: LegacyFile, geometry: dict[str, Any]) -> tuple[Shape, Shape]:
-    """Shape in nodes, and index of the first node."""
-    if "DIMENSIONS" in geometry:
-        ni, nj, nk = _whole(file, geometry, "DIMENSIONS")
+    if not all(abs(each) < 2**31 and each == int(each) for each in numbers):
+        raise FormatError(f"{file.path}: {keyword} {' '.join(map(str, numbers))}; expected whole numbers")
+    if number == 3:
+        ni, nj, nk = map(int, numbers)
         i, j, k = 0, 0, 0
-    elif "EXTENT" in geometry:
-        i, last_i, j, last_j, k, last_k = _whole(file, geometry, "EXTENT")
-        ni, nj, nk = last_i - i + 1, last_j - j + 1, last_k - k + 1
     else:
-        raise FormatError(f"{file.path} has no DIMENSIONS; is the file truncated?")
+        i, last_i, j, last_j, k, last_k = map(int, numbers)
+        ni, nj, nk = last_i - i + 1, last_j - j + 1, last_k - k + 1
     if min(ni, nj, nk) < 1:
         raise FormatError(f"{file.path} is an empty grid: {ni} x {nj} x {nk} nodes")
-    return (ni, nj, nk), (i, j, k)
-
-
-def _whole(file: LegacyFile, geometry: dict[str, Any], keyword: str) -> list[int]:
-    numbers = geometry[keyword].tolist()
-    if not all(abs(number) < 2**31 and number == int(number) for number in numbers):
-        raise FormatError(f"{file.path}: {keyword} {' '.join(map(str, numbers))}; expected whole numbers")
-    return [int(number) for number in numbers]
-
-
-def _points(file: LegacyFile, geometry: dict[str, Any], shape: Shape) -> Values:
-    """Coordinates, ``(nk, nj, ni, 3)``."""
-    ni, nj, nk = shape
-    if file.kind == "STRUCTURED_GRID":
-        (run,) = _required(file, geometry, ["POINTS"])
-        if len(run) != 3 * ni * nj * nk:
-            raise FormatError(
-                f"{file.path} has {len(run) // 3} points; its DIMENSIONS {ni} {nj} {nk} need {ni * nj * nk}"
-            )
-        return run.reshape(nk, nj, ni, 3)
-    require_plausible_lattice(file.path, ni * nj * nk, file.size)
-    if file.kind == "STRUCTURED_POINTS":
-        geometry.setdefault("SPACING", geometry.get("ASPECT_RATIO", np.ones(3)))
-        origin, spacing = _required(file, geometry, ["ORIGIN", "SPACING"])
-        axes = [origin[a] + spacing[a] * np.arange(shape[a]) for a in range(3)]
-    else:
-        axes = _required(file, geometry, ["X_COORDINATES", "Y_COORDINATES", "Z_COORDINATES"])
-        if tuple(map(len, axes)) != shape:
-            raise FormatError(f"{file.path} has {tuple(map(len, axes))} coordinates along x, y, z; expected {shape}")
-    return lattice(*axes)
-
-
-def _required(file: LegacyFile, geometry: dict[str, Any], keywords: Sequence[str]) -> list[Any]:
-    missing = [keyword for keyword in keywords if keyword not in geometry]
-    if missing:
-        raise FormatError(f"{file.path} has no {' and no '.join(missing)}; is the file truncated?")
-    return [geometry[keyword] for keyword in keywords]
+    return (i, j, k), (ni, nj, nk)

@@ -17,7 +17,7 @@ import numpy as np
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
 
-from ..text.numbers import number_lines
+from ..text import number_lines
 from .dataset import Reserved, StoredArray, VtkFormat
 from .xml_arrays import SECTIONS, TYPES, lz4_block
 from .xml_tags import COMPRESSORS

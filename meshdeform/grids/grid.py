@@ -255,7 +255,7 @@ class Grid:
 
     def to_meshio(self) -> meshio.Mesh:
         """Unstructured hexahedra (2-D: quadrilaterals) with coincident nodes merged, and the fields of the file."""
-        from meshdeform_formats.unstructured.export import as_mesh
+        from meshdeform_formats.unstructured import as_mesh
 
         return as_mesh(self._whole("an unstructured grid"))
 

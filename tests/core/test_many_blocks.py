@@ -38,7 +38,7 @@ from meshdeform_core.quality.measures.cells import block_volumes
 from meshdeform_core.quality.measures.lines import interface_lines, kink_and_jump
 from meshdeform_core.quality.verdict import original
 from meshdeform_formats.picture.comparison import Pair
-from meshdeform_formats.text.json import json_text
+from meshdeform_formats.text import json_text
 
 
 def lattice(counts: tuple[int, int, int], nodes: int = 3, turned: bool = False, gap: float = 0.0) -> Grid:

@@ -11,8 +11,8 @@ from grids import whole_face
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Connection, Field, Grid, Patch, Periodicity, Side, Window
 from meshdeform_formats import read_grid, write_grid
-from meshdeform_formats.cgns.new_boundary import bc_type
-from meshdeform_formats.cgns.periodic import inverse_motion, rotation_matrix
+from meshdeform_formats.cgns.connectivity import inverse_motion, rotation_matrix
+from meshdeform_formats.cgns.new_nodes import bc_type
 from meshdeform_formats.cgns.tree import unique_names
 
 

@@ -1,7 +1,6 @@
 """Reading CGNS: third-party grids against their oracle, everything else against files of an independent writer."""
 
 import itertools
-import weakref
 from dataclasses import replace
 
 import h5py
@@ -25,7 +24,6 @@ from cgns_witness import (
 
 from meshdeform_core.grid import Connection, Grid, Side, Window
 from meshdeform_formats import read_grid, write_grid
-from meshdeform_formats.cgns.zone import Zone
 
 WING, WING_HDF5, AIRFOIL = "717_wl_L2.cgns", "717_wl_L2_hdf5.cgns", "nak_a_141.cgns"
 
@@ -460,23 +458,3 @@ def test_the_first_of_several_conditions_of_a_family_counts(tmp_path):
     )
     (patch,) = read_grid(write_hdf5(tmp_path / "grid.cgns", root)).patches
     assert patch.bc_type == "BCWall"
-
-
-def test_part_of_a_compressed_zone_is_read_a_component_at_a_time():
-    """Its values would keep all components in memory."""
-    whole, made = box(5, 4, 3), []
-
-    class Component:
-        def __init__(self, axis):
-            self.axis = axis
-
-        def data(self):
-            assert [each() for each in made] == [None] * self.axis
-            values = whole[..., self.axis].copy(order="F")
-            made.append(weakref.ref(values))
-            return values
-
-    core = (slice(0, 5), slice(0, 4), slice(0, 3))
-    found = np.empty((2, 4, 3, 3))
-    Zone(None, (5, 4, 3), None, tuple(map(Component, range(3))), core).read(found, slice(1, 3))
-    np.testing.assert_array_equal(found, whole[1:3])

@@ -8,7 +8,7 @@ from hypothesis.extra.numpy import arrays
 
 from meshdeform_core.grid import Side, Window
 from meshdeform_core.grid.windows import windows_of_quads
-from meshdeform_formats.cgns.windows import window_of_range, windows_of_nodes
+from meshdeform_formats.cgns.boundary import window_of_range, windows_of_nodes
 
 
 def quads_of(window: Window, shape: tuple[int, int, int]) -> set[tuple[int, int, int]]:

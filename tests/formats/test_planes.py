@@ -7,7 +7,9 @@ from hypothesis import strategies as st
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
-from meshdeform_formats.planes import Output, Stored, Stretches, ranges_of, write_outputs
+from meshdeform_core.parallel import set_threads
+from meshdeform_formats import planes
+from meshdeform_formats.planes import Output, Stored, Stretches, merge, ranges_of, split, write_outputs
 
 SIDES = st.integers(1, 2000)
 
@@ -71,3 +73,26 @@ def test_room_without_rind_planes(tmp_path):
     place.require_room((2, 2, 1))
     with pytest.raises(FormatError, match="room for 48 bytes"):
         place.require_room((2, 2, 2))
+
+
+@pytest.fixture(params=[1, 2])
+def threads(request):
+    set_threads(request.param)
+    yield request.param
+    set_threads(None)
+
+
+@pytest.mark.parametrize("count", [2, 3])
+@pytest.mark.parametrize("together", [0, 1 << 28])
+def test_blocks_are_split_and_merged(threads, count, together, monkeypatch):
+    monkeypatch.setattr(planes, "_TOGETHER", together)
+    block = np.random.default_rng(0).random((4, 19, 5, 3))
+    arrays = list(split(block, np.dtype(">f4"), count))
+    assert len(arrays) == count
+    for axis, array in enumerate(arrays):
+        assert array.flags.c_contiguous
+        np.testing.assert_array_equal(array, block[..., axis].T.astype(">f4"))
+    again = np.full_like(block, -1.0)
+    merge(again, iter([block[..., axis].T.copy().ravel() for axis in range(count)]), count)
+    np.testing.assert_array_equal(again[..., :count], block[..., :count])
+    assert (again[..., count:] == -1.0).all()

@@ -169,9 +169,7 @@ def fail():
 @pytest.mark.parametrize(
     ("action", "old_names"),
     [
-        (kill, "abc"), (fail, None),
-        *(pytest.param(action, names, marks=pytest.mark.slow)
-          for action, names in ((kill, None), (fail, "abc"), (kill, "a"), (fail, "a"))),
+        (kill, "ab"), (fail, None), pytest.param(fail, "abc", marks=pytest.mark.slow),
     ],
 )  # fmt: skip
 def test_a_set_is_replaced_as_a_whole_or_not_at_all(tmp_path, action, old_names):
@@ -270,11 +268,3 @@ def test_two_and_three_dimensions(tmp_path):
     write_set(tmp_path / "set.vtm", [("plane", blocks((2, 2, 1))[0]), ("body", blocks((2, 2, 2))[0])])
     with pytest.raises(GridError, match=r"set\.vtm: the grid mixes 2-D and 3-D blocks"):
         read_grid(tmp_path / "set.vtm")
-
-
-def test_a_read_only_folder(tmp_path):
-    if os.geteuid() == 0:
-        pytest.skip("root may write everywhere")
-    (tmp_path / "locked").mkdir(mode=0o500)
-    with pytest.raises(FormatError, match="Permission denied"):
-        write_grid(grid_of("a"), tmp_path / "locked" / "set.vtm")

@@ -35,7 +35,7 @@ def test_truncated_files_are_never_taken_for_complete(tmp_path, capfd, name, opt
     data = (tmp_path / name).read_bytes()
     # Past the last value only white space, closing tags or, without any, digits of the last number can be missing.
     end = data.rstrip().rfind(b" ") if name == "a.vtk" else data.rfind(b"</VTKFile>")
-    for length in [*range(60, end, max(end // 150, 1)), end - 1]:
+    for length in [*range(60, end, max(end // 40, 1)), end - 1]:
         (tmp_path / name).write_bytes(data[:length])
         try:
             grid = read_grid(tmp_path / name)
@@ -49,24 +49,6 @@ def test_truncated_files_are_never_taken_for_complete(tmp_path, capfd, name, opt
         else:
             assert "no line end" in grid.notes[0]
             np.testing.assert_array_equal(grid.points.ravel()[:-1], GRID.points.ravel()[:-1])
-    assert capfd.readouterr() == ("", "")
-
-
-@pytest.mark.parametrize("options", [o for name, o in VARIANTS if name == "a.vts"])
-def test_damaged_sizes_are_found_before_vtk_allocates_them(tmp_path, capfd, options):
-    write_grid(GRID, tmp_path / "a.vts", options)
-    data = (tmp_path / "a.vts").read_bytes()
-    rng = np.random.default_rng(1)
-    for _ in range(150):
-        damaged = bytearray(data)
-        for _ in range(int(rng.integers(1, 6))):
-            damaged[rng.integers(len(data))] = rng.integers(256)
-        (tmp_path / "b.vts").write_bytes(damaged)
-        try:
-            grid = read_grid(tmp_path / "b.vts")
-        except (FormatError, GridError):
-            continue
-        assert grid.points.size % 3 == 0
     assert capfd.readouterr() == ("", "")
 
 
@@ -99,8 +81,7 @@ LEGACY = {
     header(rest=SQUARE + "POINT_DATA 3\nSCALARS p float\nLOOKUP_TABLE t\n1 2 3\n"): "node array 'p' has 3 values",
     header(rest=SQUARE + "POINT_DATA 4\nFIELD f 1\np 1 4\n1 2 3 4\n"): "expected 'name components tuples type'",
     header(rest=SQUARE + "PIXELS 4\n"): "expected a section of a VTK file, found 'PIXELS 4'",
-    header("RECTILINEAR_GRID", "DIMENSIONS 2 1 1\nX_COORDINATES 2 float\n0 1\n"): "has no Y_COORDINATES and no Z_",
-    header("STRUCTURED_POINTS", "DIMENSIONS 2 1 1\n"): "has no ORIGIN",
+    header("RECTILINEAR_GRID", "DIMENSIONS 2 1 1\n"): "is a rectilinear grid; save it as a structured grid",
 }  # fmt: skip
 
 
@@ -111,63 +92,6 @@ def test_wrong_legacy_files(tmp_path, text):
         read_grid(tmp_path / "a.vtk")
     assert str(error.value).startswith(f"{tmp_path / 'a.vtk'}")
     assert LEGACY[text] in str(error.value)
-
-
-def vts(**changes):
-    """A small .vts file with some of its words replaced."""
-    words = {
-        "root": 'type="StructuredGrid" version="0.1" byte_order="LittleEndian"',
-        "whole": "0 1 0 1 0 0",
-        "points": "0 0 0 1 0 0 0 1 0 1 1 0",
-        "data": "",
-        "end": "</VTKFile>",
-    } | changes
-    return (
-        f'<VTKFile {words["root"]}><StructuredGrid WholeExtent="{words["whole"]}"><Piece Extent="{words["whole"]}">'
-        f"<PointData>{words['data']}</PointData><Points>"
-        f'<DataArray type="Float64" NumberOfComponents="3" format="ascii">'
-        f"{words['points']}</DataArray></Points></Piece></StructuredGrid>{words['end']}"
-    )
-
-
-def binary(words):
-    return f'<DataArray type="Float64" Name="p" format="binary">{words}</DataArray>'
-
-
-XML = {
-    vts(end=""): "does not end with </VTKFile>; the file is truncated",
-    vts(root='type="PolyData" byte_order="LittleEndian"'): "is a polygon surface (VTKFile type PolyData)",
-    vts(root='type="UnstructuredGrid" byte_order="LittleEndian"'): "is an unstructured grid",
-    vts(root='type="PStructuredGrid" byte_order="LittleEndian"'): "is the index of a parallel data set",
-    vts(root='type="Table" byte_order="LittleEndian"'): "is another kind of data set (VTKFile type Table)",
-    vts(root='type="StructuredGrid" byte_order="Middle"'): "has byte_order 'Middle'; known are LittleEndian BigEndian",
-    vts(root='type="StructuredGrid" byte_order="LittleEndian" compressor="gz"'): "has compressor 'gz'; known are",
-    vts(root='type="StructuredGrid" byte_order="LittleEndian" header_type="UInt16"'): "has header_type 'UInt16'",
-    vts(whole="0 99999 0 99999 0 99999"): "cannot hold 1000000000000000 entries",
-    vts(whole="0 -1 0 -1 0 -1", points=""): "is an empty grid",
-    vts(points="0 0 0 1"): "cannot read",
-    vts(points="0 0 0 one 0 0 0 1 0 1 1 0"): "cannot read",
-    vts(data=binary("IAAAAA==")): "cannot read",
-    vts(data=binary("////fw==")): "the size of array p, at byte",
-    vts(data=binary("?")): "the size of array p, at byte",
-    vts().replace("</Points>", "</Point>"): "Error parsing XML",
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("text", XML, ids=range(len(XML)))
-def test_wrong_xml_files(tmp_path, capfd, text):
-    (tmp_path / "a.vts").write_text(text)
-    with pytest.raises(FormatError) as error:
-        read_grid(tmp_path / "a.vts")
-    assert XML[text] in str(error.value)
-    assert str(tmp_path / "a.vts") in str(error.value)
-    assert "0x" not in str(error.value)
-    assert capfd.readouterr() == ("", "")
-
-
-def test_the_small_file_is_good_unchanged(tmp_path):
-    (tmp_path / "a.vts").write_text(vts())
-    assert read_grid(tmp_path / "a.vts").shapes == ((2, 2, 1),)
 
 
 @pytest.mark.parametrize("name", ["a.vtk", "a.vts"])

@@ -17,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkUnstructuredGrid
-from vtkmodules.vtkIOXML import vtkXMLStructuredGridWriter, vtkXMLUnstructuredGridWriter
+from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
 from meshdeform_core.errors import FormatError, MeshDeformError
 from meshdeform_core.grid import Field, Grid
@@ -28,11 +28,15 @@ from meshdeform_formats.vtk import xml_arrays, xml_write
 CUBE = np.stack(np.meshgrid([0.0, 1.0], [0.0, 1.0], [0.0, 1.0], indexing="ij"), axis=-1)
 ENCODINGS = ("ascii", "binary", "appended", "appended-base64")
 VARIANTS = [
-    {"encoding": encoding, "compression": compression, "byte_order": order, "header_type": header}
-    for encoding in ENCODINGS
-    for compression in (vtk_witness.COMPRESSIONS if encoding != "ascii" else ("none",))
+    {
+        "encoding": encoding,
+        "compression": compression,
+        "byte_order": order,
+        "header_type": "UInt32" if (number + other + (order == "big")) % 2 else "UInt64",
+    }
+    for number, encoding in enumerate(ENCODINGS)
+    for other, compression in enumerate(vtk_witness.COMPRESSIONS if encoding != "ascii" else ("none",))
     for order in ("little", "big")
-    for header in ("UInt32", "UInt64")
 ]
 
 
@@ -84,30 +88,6 @@ def test_values_that_are_not_finite_in_text(tmp_path):
     np.testing.assert_array_equal(vtk_witness.read(tmp_path / "a.vts")[1]["node", "f"], values)
 
 
-@pytest.mark.parametrize("encoding", ENCODINGS)
-@pytest.mark.parametrize("n", [2, 5])
-def test_pieces_of_vtk_are_put_together(tmp_path, encoding, n):
-    rng = np.random.default_rng(1)
-    points = rng.normal(size=(6, 5, 4, 3))
-    vts = vtk_witness.structured_grid(points, origin=(-2, 3, 0))
-    node, cell = rng.normal(size=(6, 5, 4)), rng.integers(0, 9, (5, 4, 3))
-    vtk_witness.add_array(vts.GetPointData(), "p", node, "Scalars")
-    vtk_witness.add_array(vts.GetCellData(), "c", cell)
-    writer = vtkXMLStructuredGridWriter()
-    writer.SetInputData(vts)
-    writer.SetNumberOfPieces(n)
-    writer.SetDataMode({"ascii": 0, "binary": 1}.get(encoding, 2))
-    writer.SetEncodeAppendedData(encoding == "appended-base64")
-    writer.SetFileName(str(tmp_path / "a.vts"))
-    assert writer.Write()
-    assert (tmp_path / "a.vts").read_bytes().count(b"<Piece") == n
-    grid = read_grid(tmp_path / "a.vts")
-    np.testing.assert_array_equal(grid.block(0), points)
-    np.testing.assert_array_equal(grid.fields[0].values, node)
-    np.testing.assert_array_equal(grid.fields[1].values, cell)
-    assert grid.format.origins == ((-2, 3, 0),)
-
-
 def array(values, name="Points", kind="Float64", components=3, text=None, **attributes):
     words = {"type": kind, "Name": name, "NumberOfComponents": components, "format": "ascii"} | attributes
     tag = " ".join(f'{key}="{value}"' for key, value in words.items())
@@ -132,7 +112,6 @@ def vts(*pieces, whole="0 2 0 1 0 0", root=""):
 
 PLANE = np.array([[x, y, 0.0] for y in range(2) for x in range(3)])
 LEFT, RIGHT = PLANE[[0, 1, 3, 4]], PLANE[[1, 2, 4, 5]]
-SHIFTED = RIGHT + [0, 1e-9, 0]
 
 
 def scalar(values, name="p", **attributes):
@@ -146,7 +125,6 @@ def base64_array(values, header="<u4"):
 
 GOOD = {
     "one piece": vts(piece("0 2 0 1 0 0", array(PLANE))),
-    "two pieces": vts(piece("0 1 0 1 0 0", array(LEFT)), piece("1 2 0 1 0 0", array(RIGHT))),
     "an empty piece": vts(piece("0 -1 0 -1 0 -1", array([])), piece("0 2 0 1 0 0", array(PLANE))),
     "extended by a comment": "<!-- a <!DOCTYPE in a comment -->" + vts(piece("0 2 0 1 0 0", array(PLANE))),
     "blanks around base64": vts(
@@ -170,33 +148,24 @@ ONE = piece("0 2 0 1 0 0", array(PLANE))
 LAUGHS = "".join(f'<!ENTITY l{n} "{f"&l{n - 1};" * 10}">' for n in range(1, 10))
 
 BAD = {
-    "a gap": (
-        vts(piece("0 1 0 1 0 0", array(LEFT))),
-        r"no Piece gives 2 of the 6 nodes of the WholeExtent 0 2 0 1 0 0; the first is the node at \(2, 0, 0\)",
+    "a piece of the extent": (
+        vts(piece("0 1 0 1 0 0", array(LEFT))), "expected one Piece with all nodes of the WholeExtent 0 2 0 1 0 0"
     ),
-    "a gap between the cells": (
-        vts(piece("0 1 0 1 0 0", array(LEFT)), piece("2 3 0 1 0 0", array(LEFT)), whole="0 3 0 1 0 0"),
-        r"no Piece gives 1 of the 3 cells .*\(1, 0, 0\)",
+    "two pieces": (
+        vts(piece("0 1 0 1 0 0", array(LEFT)), piece("1 2 0 1 0 0", array(RIGHT))), "Piece has Extent 0 1 0 1 0 0"
     ),
-    "pieces that contradict each other": (
-        vts(piece("0 1 0 1 0 0", array(LEFT)), piece("1 2 0 1 0 0", array(SHIFTED))),
-        r"another Piece places node \(1, 0, 0\) elsewhere",
-    ),
-    "a piece outside": (vts(piece("0 3 0 1 0 0", array(PLANE))), "does not fit into the WholeExtent 0 2 0 1 0 0"),
-    "a flat piece": (vts(ONE, piece("1 1 0 1 0 0", array(LEFT[:2]))), "does not fit into the WholeExtent"),
+    "another data set": (vts(ONE).replace('type="StructuredGrid"', 'type="PolyData"'), "is a polygon surface"),
+    "an image": (vts(ONE).replace('type="StructuredGrid"', 'type="ImageData"'), "save it as a structured grid"),
+    "a parallel index": (vts(ONE).replace('type="StructuredGrid"', 'type="PStructuredGrid"'), "index of a parallel"),
+    "a table": (vts(ONE).replace('type="StructuredGrid"', 'type="Table"'), "another kind of data set"),
+    "another byte order": (vts(ONE).replace("LittleEndian", "Middle"), "has byte_order 'Middle'; known are Little"),
+    "another compressor": (vts(ONE, root=' compressor="gz"'), "has compressor 'gz'; known are"),
+    "another header": (vts(ONE, root=' header_type="UInt16"'), "has header_type 'UInt16'"),
+    "a truncated file": (vts(ONE).replace("</VTKFile>", ""), "does not end with </VTKFile>; the file is truncated"),
+    "another end tag": (vts(ONE).replace("</Points>", "</Point>"), "Error parsing XML"),
+    "no size": (vts(piece("0 2 0 1 0 0", array([], text="?", format="binary"))), "the size of array Points, at byte"),
     "no piece": (vts(), "is an empty grid"),
     "no points": (vts(piece("0 2 0 1 0 0", "")), "has 0 arrays of Points, expected 1"),
-    "an array in one piece only": (
-        vts(piece("0 1 0 1 0 0", array(LEFT), scalar(range(4))), piece("1 2 0 1 0 0", array(RIGHT))),
-        "node array 'p' is in only one of Piece 1 and Piece 2",
-    ),
-    "an array of two types": (
-        vts(
-            piece("0 1 0 1 0 0", array(LEFT), scalar(range(4))),
-            piece("1 2 0 1 0 0", array(RIGHT), scalar(range(4), kind="Int32")),
-        ),
-        "does not have the same type and number of components",
-    ),
     "too many values": (
         vts(piece("0 2 0 1 0 0", array([*PLANE.ravel(), 1]))), r"Points has 19 values, expected 18 values \(6 x 3\)"
     ),
@@ -349,13 +318,6 @@ def test_bad_appended_data(tmp_path, capfd, name):
     assert capfd.readouterr() == ("", "")
 
 
-def lattice_file(kind, body, attributes=""):
-    return (
-        f'<VTKFile type="{kind}" byte_order="LittleEndian"><{kind} WholeExtent="0 999 0 999 0 99" {attributes}>'
-        f'<Piece Extent="0 999 0 999 0 99">{body}</Piece></{kind}></VTKFile>'
-    )
-
-
 def repeated_array():
     """Fields of 6 MB each that share one packed array of a few kB."""
     shared = packed(bytes(6_000_000), sizes=(6_000_000, 0))
@@ -371,11 +333,6 @@ def repeated_array():
 
 
 SMALL_BUT_LARGE = {
-    "an image": lambda: lattice_file("ImageData", "").encode(),
-    "three axes": lambda: lattice_file(
-        "RectilinearGrid",
-        "<Coordinates>" + "".join(scalar(range(n), "x") for n in (1000, 1000, 100)) + "</Coordinates>",
-    ).encode(),
     "one array many times": repeated_array,
     "a bomb": lambda: appended(packed(bytes(100_000_000), sizes=(100_000_000, 0)), root=ZLIB),
 }
@@ -511,7 +468,7 @@ def test_a_surface_of_vtk_in_every_encoding(tmp_path):
         assert data.triangles.tolist() == [[0, 1, 2], [1, 2, 3], [1, 3, 4]]
 
 
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(data=st.data())
 def test_damage_is_refused_or_harmless(tmp_path_factory, data):
     """Whatever is read of a damaged file has finite coordinates and the shape that its extent says."""

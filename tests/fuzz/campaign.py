@@ -1,13 +1,11 @@
 """A fuzz campaign: samples by number, each run in a worker process and judged.
 
-``PYTHONPATH=tests python -m fuzz.campaign N --seed S`` runs N samples and prints a table; ``make fuzz N=20000``. With
-``--log FILE`` every result is appended to a file, and samples that it already has are not run again.
+``PYTHONPATH=tests python -m fuzz.campaign N --seed S`` runs N samples and prints a table; ``make fuzz N=20000``.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import faulthandler
 import json
 import os
@@ -18,7 +16,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 LIMIT = 30.0
@@ -102,37 +100,19 @@ def _own_path() -> list[str]:
     return [path for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path]
 
 
-def _slices(count: int, done: set[int]) -> Iterator[tuple[int, int]]:
-    """First number and how many, of samples that are still to be run."""
-    for first in range(0, count, _SLICE):
-        left = [number for number in range(first, min(first + _SLICE, count)) if number not in done]
-        if left:
-            yield left[0], left[-1] + 1 - left[0]
+def run(count: int, seed: int, jobs: int) -> list[Sample]:
+    """All samples of a campaign, by several workers; what is wrong is printed at once."""
 
+    def one(first: int) -> list[Sample]:
+        samples = []
+        for sample in campaign(min(_SLICE, count - first), seed, first):
+            samples.append(sample)
+            if sample[2] not in RIGHT:
+                print(f"sample {sample[0]} of seed {seed} ({sample[1]}): {sample[2]}", flush=True)
+        return samples
 
-def run(count: int, seed: int, jobs: int, log: Path | None) -> dict[int, Sample]:
-    """All samples of a campaign; those in ``log`` are taken from there, new ones appended to it."""
-    found: dict[int, Sample] = {}
-    if log is not None and log.exists():
-        entries = [json.loads(line) for line in log.read_text().splitlines()]
-        found = {entry[1]: tuple(entry[1:]) for entry in entries if entry[0] == seed and entry[1] < count}
-    # A line is written at once, so that a campaign that is stopped can go on.
-    with log.open("a") if log else contextlib.nullcontext() as stream, ThreadPoolExecutor(jobs) as pool:
-
-        def one(part: tuple[int, int]) -> list[Sample]:
-            samples = []
-            for sample in campaign(part[1], seed, part[0]):
-                samples.append(sample)
-                if stream is not None:
-                    stream.write(json.dumps([seed, *sample]) + "\n")
-                    stream.flush()
-                if sample[2] not in RIGHT:
-                    print(f"sample {sample[0]} of seed {seed} ({sample[1]}): {sample[2]}", flush=True)
-            return samples
-
-        for part in as_completed([pool.submit(one, part) for part in _slices(count, set(found))]):
-            found |= {sample[0]: sample for sample in part.result()}
-    return found
+    with ThreadPoolExecutor(jobs) as pool:
+        return [sample for part in pool.map(one, range(0, count, _SLICE)) for sample in part]
 
 
 def table(samples: list[Sample], seed: int) -> str:
@@ -156,11 +136,10 @@ def main() -> int:
     parser.add_argument("count", type=int)
     parser.add_argument("--seed", type=int, default=int(time.time()))
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--log", type=Path, help="results are appended; samples that it has are not run again")
     options = parser.parse_args()
-    samples = run(options.count, options.seed, options.jobs, options.log)
-    print(table(list(samples.values()), options.seed))
-    return int(any(result not in RIGHT for _, _, result in samples.values()))
+    samples = run(options.count, options.seed, options.jobs)
+    print(table(samples, options.seed))
+    return int(any(result not in RIGHT for _, _, result in samples))
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-import numpy as np
 from grids import CASE
 
 from .bench import METHODS, Bench, called
@@ -110,55 +109,4 @@ _MOTIONS = (
 )
 
 
-def formula(bench: Bench, rng: Random) -> str:
-    """Formulas of random depth give what numpy gives; those too long or too deep are refused."""
-    from meshdeform_core.boundary.motions.expression import expression
-    from meshdeform_core.errors import CaseError
-
-    from .walls_told import formula_value
-
-    text = _formula(rng, rng.choice((2, 4, 4, 6)))
-    if rng.random() < 0.1:
-        count = rng.choice((10, 100, 10**4, 10**5))
-        text = _deep(rng, count)
-    points = np.stack([np.linspace(-2, 2, 9), np.linspace(1, 3, 9), np.linspace(0, 1, 9)], axis=1)
-    values = dict(zip("xyz", points.T, strict=True))
-    try:
-        got = np.broadcast_to(np.asarray(expression(text, values)(values), dtype=float), 9)
-    except CaseError as error:
-        return "refused" if len(text) > 200 else f"refused a formula: {error}"
-    expected = formula_value(text, points, {})
-    both = np.isfinite(got) & np.isfinite(expected)
-    same = np.allclose(got[both], expected[both], rtol=1e-12) and (np.isfinite(got) == np.isfinite(expected)).all()
-    return "ok" if same else f"{text} gives {got}"
-
-
-def _deep(rng: Random, count: int) -> str:
-    before, after = rng.choice((("(", ")"), ("-", ""), ("sin(", ")"), ("", "**1"), ("", "+x"), ("1<", ""), ("+-", "")))
-    return before * count + "x" + after * count
-
-
-_ONE = (
-    "sin", "cos", "exp", "tanh", "abs", "floor", "ceil", "sign", "sqrt", "log", "log2", "log10", "asin", "acos", "atan",
-    "sinh", "cosh", "tan", "asinh", "acosh", "atanh",
-)  # fmt: skip
-
-
-def _formula(rng: Random, depth: int) -> str:
-    """A random formula of x and y."""
-    if depth == 0 or rng.random() < 0.15:
-        return rng.choice(("x", "y", "z", "pi", str(rng.randrange(9)), f"{rng.uniform(-3, 3):.3g}", "0", "1e-300"))
-    one, two = (_formula(rng, depth - 1) for _ in range(2))
-    shape = rng.randrange(8)
-    if shape == 0:
-        return f"({one} / {two})"
-    if shape < 3:
-        return f"({one} {rng.choice(('+', '-', '*', '*', '%', '//', '**'))} {two})"
-    if shape < 5:
-        return f"{rng.choice(_ONE)}({one})"
-    if shape == 5:
-        return f"where({one} {rng.choice(('<', '<=', '>', '>=', '==', '!='))} {two}, {two}, {one})"
-    return f"{rng.choice(('hypot', 'min', 'max', 'atan2', 'mod'))}({one}, {two})"
-
-
-KINDS = {"case": case, "case, types": types, "options": options, "formula": formula}
+KINDS = {"case": case, "case, types": types, "options": options}

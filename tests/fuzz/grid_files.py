@@ -53,7 +53,8 @@ def accepted(bad: Path, judge: Callable[..., str]) -> str:
 
 
 def mutated_file(name: str, text: bool, judge: Callable[..., str], bench: Bench, rng: Random) -> str:
-    bad = Path(f"bad{Path(name).suffix}")
+    good, bad = (Path(f"{stem}{Path(name).suffix}") for stem in ("good", "bad"))
+    good.write_bytes(bench.valid[name])
     bad.write_bytes(mutated(bench.valid[name], text, rng))
     return accepted(bad, judge)
 
@@ -183,19 +184,19 @@ def set_index(bench: Bench, rng: Random) -> str:
 KINDS: dict[str, Kind] = {
     "plot3d Fortran": partial(mutated_file, "grid.xyz", False, judges.plot3d_binary),
     "plot3d stream": partial(mutated_file, "grid.bin", False, judges.plot3d_binary),
-    "plot3d ASCII": partial(mutated_file, "grid.p3dfmt", True, judges.plot3d_ascii),
+    "plot3d ASCII": partial(mutated_file, "grid.p3dfmt", True, judges.plot3d_text),
     "plot3d, all variants": plot3d_variants,
     "plot3d ASCII, all variants": plot3d_texts,
     "CGNS, HDF5": partial(mutated_file, "grid.cgns", False, judges.cgns),
     "CGNS, ADF": partial(mutated_file, "grid.adf", False, judges.adf),
     "CGNS, HDF5, nodes": partial(cgns_tree, False),
     "CGNS, ADF, nodes": partial(cgns_tree, True),
-    ".vts ASCII": partial(mutated_file, "grid.vts", True, judges.vts),
-    ".vts raw": partial(mutated_file, "raw.vts", False, judges.vts_raw),
-    ".vts zlib": partial(mutated_file, "packed.vts", True, judges.vts_packed),
+    ".vts ASCII": partial(mutated_file, "grid.vts", True, judges.vtk_points),
+    ".vts raw": partial(mutated_file, "raw.vts", False, judges.vtk_points),
+    ".vts zlib": partial(mutated_file, "packed.vts", True, judges.vtk_points),
     ".vts, tags": xml_tags,
-    ".vtk ASCII": partial(mutated_file, "grid.vtk", True, judges.vtk),
-    ".vtk binary": partial(mutated_file, "raw.vtk", False, judges.vtk_raw),
+    ".vtk ASCII": partial(mutated_file, "grid.vtk", True, judges.vtk_points),
+    ".vtk binary": partial(mutated_file, "raw.vtk", False, judges.vtk_points),
     ".vtk, header": legacy_lines,
     ".vtm": partial(mutated_file, "set.vtm", True, judges.vtm),
     ".vtm, tags": set_index,

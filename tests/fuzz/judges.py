@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import base64
 import contextlib
 import re
 import xml.etree.ElementTree as ElementTree
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -28,15 +26,6 @@ def plot3d_binary(path: Path, grid: Grid) -> str:
     blocks = [np.asarray(grid.block(b)) for b in range(grid.n_blocks)]
     again = binary_file(blocks, flags, **options, precision=grid.precision)
     return "" if again == path.read_bytes() else "the file is not what was read"
-
-
-def plot3d_ascii(path: Path, grid: Grid) -> str:
-    """All numbers of the text, in the order of the format."""
-    values = _fortran_numbers(re.split(r"[\s,]+", path.read_text(errors="replace").strip()))
-    read = [grid.block(b)[..., c].ravel(order="F") for b in range(grid.n_blocks) for c in range(3)]
-    expected = np.concatenate(read)
-    found = np.array(values)[-len(expected) :]
-    return "" if np.array_equal(found, expected) else "the numbers are not those of the text"
 
 
 def plot3d_text(path: Path, grid: Grid) -> str:
@@ -91,7 +80,7 @@ def _cgns_base(base: N, grid: Grid) -> str:
 
 
 def vtk_points(path: Path, grid: Grid) -> str:
-    """The points that the vtk package reads, or, where it reads nothing, those before the change of a tag."""
+    """The points that the vtk package reads, or, where it reads nothing, those before the change."""
     import vtk_witness
 
     with silent_vtk():
@@ -127,24 +116,6 @@ def cgns(path: Path, grid: Grid) -> str:
     return ""
 
 
-def vts(path: Path, grid: Grid) -> str:
-    """The text of the points of an ascii file."""
-    root = ElementTree.fromstring(path.read_bytes())
-    data = root.find(".//Points/DataArray")
-    found = np.array((data.text or "").split(), dtype=float).reshape(-1, 3)
-    expected = np.transpose(grid.block(0), (2, 1, 0, 3)).reshape(-1, 3)
-    return "" if np.array_equal(found, expected) else "the points are not those of the text"
-
-
-def vtk(path: Path, grid: Grid) -> str:
-    """The numbers behind POINTS of an ascii file."""
-    words = path.read_bytes().split()
-    at = [word.upper() for word in words].index(b"POINTS")
-    found = np.array([float(word) for word in words[at + 3 : at + 3 + 3 * int(words[at + 1])]]).reshape(-1, 3)
-    expected = np.transpose(grid.block(0), (2, 1, 0, 3)).reshape(-1, 3)
-    return "" if np.array_equal(found, expected) else "the points are not those of the text"
-
-
 def adf(path: Path, grid: Grid) -> str:
     """The bytes of every coordinate array stand in the file in one piece."""
     data = path.read_bytes()
@@ -159,50 +130,6 @@ def adf(path: Path, grid: Grid) -> str:
 def _is_transposed(grid: Grid, block: int, found: np.ndarray) -> bool:
     """Whether rows of points, i fastest, are those of a block."""
     return np.array_equal(found, np.transpose(grid.block(block), (2, 1, 0, 3)).reshape(-1, 3))
-
-
-def vts_raw(path: Path, grid: Grid) -> str:
-    """Numbers behind the underscore of the appended data, at the offset of the points."""
-    data = path.read_bytes()
-    head, _, tail = data.partition(b"<AppendedData")
-    points = head[head.index(b"<Points") :]
-    offset = int(re.search(rb'offset="\s*(\d+)\s*"', points)[1])
-    order = ">" if b"BigEndian" in head else "<"
-    header = "u4" if b"UInt32" in head[: head.index(b">", head.index(b"<VTKFile"))] else "u8"
-    kind = "f4" if b"Float32" in points else "f8"
-    start = tail.index(b"_") + 1 + offset
-    size = int(np.frombuffer(tail, order + header, 1, start)[0])
-    found = np.frombuffer(tail[start + int(header[1]) :][:size], order + kind).reshape(-1, 3)
-    return "" if _is_transposed(grid, 0, found) else "the points are not those of the file"
-
-
-def vts_packed(path: Path, grid: Grid) -> str:
-    """Points of a base64 array of zlib blocks."""
-    root = ElementTree.fromstring(path.read_bytes())
-    data = root.find(".//Points/DataArray")
-    order = ">" if root.get("byte_order") == "BigEndian" else "<"
-    header = "u4" if root.get("header_type", "UInt32") == "UInt32" else "u8"
-    text = "".join((data.text or "").split())
-    size = np.dtype(header).itemsize
-    count = int(np.frombuffer(base64.b64decode(text[: 4 * -(-size // 3)])[:size], order + header)[0])
-    length = 4 * -(-(3 + count) * size // 3)
-    blocks = np.frombuffer(base64.b64decode(text[:length])[: (3 + count) * size], order + header)[3:]
-    packed, parts = base64.b64decode(text[length:]), []
-    for block in blocks.tolist():
-        parts.append(zlib.decompress(packed[:block]))
-        packed = packed[block:]
-    kind = "f4" if data.get("type") == "Float32" else "f8"
-    found = np.frombuffer(b"".join(parts), order + kind).reshape(-1, 3)
-    return "" if _is_transposed(grid, 0, found) else "the points are not those of the file"
-
-
-def vtk_raw(path: Path, grid: Grid) -> str:
-    """Big-endian numbers behind the line of POINTS."""
-    data = path.read_bytes()
-    line = re.search(rb"(?i)\n\s*POINTS\s+(\d+)\s+(\w+)[^\n]*\n", data)
-    kind = ">f4" if line[2].lower() == b"float" else ">f8"
-    found = np.frombuffer(data, kind, 3 * int(line[1]), line.end()).reshape(-1, 3)
-    return "" if _is_transposed(grid, 0, found) else "the points are not those of the file"
 
 
 def vtm(path: Path, grid: Grid) -> str:

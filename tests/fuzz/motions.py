@@ -103,94 +103,6 @@ def rigid_body(bench: Bench, rng: Random) -> str:
     return _moved(f'rigid = {{ file = "bad.csv"{order} }}', bench, told)
 
 
-def amplitudes(bench: Bench, rng: Random) -> str:
-    """A shape whose amplitude is a table over time."""
-    rows = np.stack([[0.0, 0.5, 1.0], seeded(rng).uniform(-0.8, 0.8, 3)], axis=1)
-    text = "t,q\n" + "\n".join(f"{t:.17g},{q:.17g}" for t, q in rows.tolist()) + "\n"
-    Path("bad.csv").write_bytes(mutated(text.encode(), True, rng))
-
-    def told() -> Told:
-        _, table = _columns(Path("bad.csv"))
-        factor = np.interp(_TIME, table[:, 0], table[:, 1])
-        return lambda x: np.tile(factor * np.array([0.05, 0.02, 0.0]), (len(x), 1))
-
-    return _moved('modes = { files = ["table.csv"], amplitudes = { file = "bad.csv" } }', bench, told)
-
-
-def calculix(bench: Bench, rng: Random) -> str:
-    """The two shapes of a result file."""
-    points = np.unique(bench.grid.points[_wall(bench)], axis=0)
-    numbers = 5 + 2 * np.arange(len(points))
-    shapes = [0.03 * points @ seeded(rng).uniform(-1, 1, (3, 3)) for _ in range(2)]
-    Path("bad.frd").write_bytes(mutated(_frd(numbers, points, shapes).encode(), True, rng))
-
-    def told() -> Told:
-        nodes, found = _frd_blocks(Path("bad.frd").read_text())
-        known = {tuple(x): 0.5 * found[0][n] - found[1][n] for n, x in nodes.items()}
-        return lambda x: np.array([known[tuple(np.float64(f"{v:.5e}") for v in p)] for p in x])
-
-    return _moved('modes = { file = "bad.frd", amplitudes = [0.5, -1] }, tolerance = 1e-4', bench, told)
-
-
-def _frd(numbers: np.ndarray, points: np.ndarray, shapes: list[np.ndarray]) -> str:
-    def rows(values: np.ndarray) -> list[str]:
-        return [f" -1{n:10d}" + "".join(f"{v:12.5E}" for v in row) for n, row in zip(numbers, values, strict=True)]
-
-    lines = ["    1C", f"    2C{'':18s}{len(numbers):12d}{'':37s}1", *rows(points), " -3"]
-    for n, shape in enumerate(shapes, start=1):
-        lines += [f"  100CL  10{n} {10.0 * n:11.6f}{len(numbers):12d}{'':20s} 2{n:5d}MODAL      1"]
-        lines += [" -4  DISP        4    1", " -5  D1          1    2    1    0", *rows(shape), " -3"]
-    return "\n".join([*lines, " 9999", ""])
-
-
-def _frd_blocks(text: str) -> tuple[dict[int, np.ndarray], list[dict[int, np.ndarray]]]:
-    """Coordinates by node, and displacements by node of every block called DISP."""
-    blocks: list[dict[int, np.ndarray]] = []
-    nodes: dict[int, np.ndarray] = {}
-    current: dict[int, np.ndarray] | None = None
-    for line in text.splitlines():
-        if line.startswith("    2C"):
-            current = nodes
-        elif line.startswith(" -4"):
-            current = {}
-            if line.split()[1] == "DISP":
-                blocks.append(current)
-        elif line.startswith(" -3"):
-            current = None
-        elif line.startswith(" -1") and current is not None:
-            current[int(line[3:13])] = np.array([float(line[13 + 12 * n : 25 + 12 * n]) for n in range(3)])
-    return nodes, blocks
-
-
-def positions(bench: Bench, rng: Random) -> str:
-    """New positions of the nodes of the body by their numbers."""
-    number = _numbers(bench)
-    rows = _wall(bench)
-    moves = 0.03 * seeded(rng).uniform(-1, 1, (3, 3))
-    moves[:, 2] = 0.0
-    lines = {number[tuple(x)]: x + x @ moves for x in bench.grid.points[rows]}
-    text = "\n".join(f"{n} " + " ".join(f"{v:.17g}" for v in x) for n, x in lines.items()) + "\n"
-    Path("bad.dat").write_bytes(mutated(text.encode(), True, rng))
-
-    def told() -> Told:
-        split = [re.split(r"[,;\s]+", line.strip()) for line in Path("bad.dat").read_text("utf-8-sig").splitlines()]
-        known = {int(float(w[0])): np.array(w[1:], float) for w in split if w[0] and w[0][0] not in "#%"}
-        return lambda x: np.array([known[number[tuple(p)]] - p for p in x])
-
-    return _moved('positions = { file = "bad.dat" }', bench, told)
-
-
-def _numbers(bench: Bench) -> dict[tuple[float, ...], int]:
-    """Number of each point on a block face: block after block with k running fastest, where it comes first."""
-    number: dict[tuple[float, ...], int] = {}
-    for b in range(bench.grid.n_blocks):
-        block = bench.grid.block(b)
-        for ijk in np.ndindex(*block.shape[:3]):
-            if any(i in (0, n - 1) for i, n in zip(ijk, block.shape[:3], strict=True)):
-                number.setdefault(tuple(block[ijk].tolist()), len(number))
-    return number
-
-
 def dictionary(bench: Bench, rng: Random) -> str:
     """A blockMeshDict of two blocks."""
     numbers = seeded(rng)
@@ -251,9 +163,6 @@ def mesh_points(binary: bool, bench: Bench, rng: Random) -> str:
 
 KINDS: dict[str, Callable[[Bench, Random], str]] = {
     "rigid body": rigid_body,
-    "amplitudes of modes": amplitudes,
-    ".frd": calculix,
-    "positions by number": positions,
     "blockMeshDict": dictionary,
     "polyMesh points, ASCII": partial(mesh_points, False),
     "polyMesh points, binary": partial(mesh_points, True),

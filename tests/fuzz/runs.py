@@ -1,9 +1,8 @@
-"""Classes of other commands: repairs, series that are continued, and commands that only look."""
+"""Classes of other commands: repairs, and commands that only look."""
 
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 from random import Random
 
@@ -20,12 +19,11 @@ FOLDED = CASE.replace("turn = 10.0", "turn = 70.0")
 
 
 def prepare(bench: Bench) -> None:
-    """A grid with invalid cells, as another program might make it, and a series to continue."""
+    """A grid with invalid cells, as another program might make it."""
     Path("folded.toml").write_text(FOLDED)
     arguments = ("deform", "grid.xyz", "-c", "folded.toml", "-m", "tfi", "--repair", "off", "--steps", "1", "-q")
     assert called(*arguments, "--allow-invalid", "-o", "folded.xyz")[0] == 0
     write_grid(read_grid("folded.xyz"), "folded.fmt", {"encoding": "ascii"})
-    Path("moving.toml").write_text(CASE.replace('angle = "turn"', 'angle = "turn * t"'))
 
 
 # --- repair ---------------------------------------------------------------------------------------------------------
@@ -45,7 +43,7 @@ def repair(bench: Bench, rng: Random) -> str:
         return "ok" if code == 3 else refusal(code, told)
     before, bent, after = (read_grid(name) for name in ("reference.fmt", "bad.fmt", "mended.xyz"))
     for name, grid in (("reference.fmt", before), ("bad.fmt", bent)):
-        if wrong := judges.plot3d_ascii(Path(name), grid):
+        if wrong := judges.plot3d_text(Path(name), grid):
             return f"{name}: {wrong}"
     bad = judges.newly_bad(before, after)
     if bad:
@@ -53,46 +51,6 @@ def repair(bench: Bench, rng: Random) -> str:
     outside = np.abs(before.points[:, :2]).max(axis=1)
     still = (np.abs(outside - 2.0) < 1e-9) | (outside < 0.51)
     return "ok" if np.abs(after.points - bent.points)[still].max() < 1e-9 else "the boundary has moved"
-
-
-# --- series ---------------------------------------------------------------------------------------------------------
-
-
-def series(bench: Bench, rng: Random) -> str:
-    """A series of which a file was changed or lost goes on to the same levels, or says what is wrong."""
-    shutil.rmtree("levels", ignore_errors=True)
-    suffix = rng.choice((".xyz", ".cgns", ".vtm"))
-    arguments = ["series", "grid.xyz", "-c", "moving.toml", "-m", "tfi", "--times", "0:2:1", "--suffix", suffix, "-q"]
-    arguments += rng.choice(([], ["--from", "last"], ["--single-file"] if suffix == ".cgns" else []))
-    code, told = called(*arguments, "-o", "levels")
-    if code != 0:
-        return refusal(code, told)
-    expected = _levels("levels", suffix)
-    state, levels = Path("levels/series.json"), sorted(Path("levels").glob(f"*{suffix}"))
-    record = json.loads(state.read_text())
-    if rng.random() < 0.5:
-        record["complete"] = False
-        record["levels"] = record["levels"][: rng.randrange(3)]
-        state.write_text(json.dumps(record))
-    if rng.random() < 0.7:
-        state.write_bytes(mutated(state.read_bytes(), True, rng))
-    if rng.random() < 0.5:
-        rng.choice(levels).unlink()
-    again = rng.choice(("--resume", "--resume", "--force", ""))
-    code, told = called(*arguments, "-o", "levels", *([again] if again else []))
-    if code != 0:
-        return refusal(code, told)
-    found = _levels("levels", suffix)
-    if "--single-file" in arguments:
-        return "ok" if list(Path("levels").glob("*.cgns")) else "the file of all levels is missing"
-    if found.keys() != expected.keys():
-        return f"levels {sorted(found)} instead of {sorted(expected)}"
-    worst = max(np.abs(found[name] - expected[name]).max() for name in expected)
-    return "ok" if worst == 0 else f"a level differs by {worst}"
-
-
-def _levels(folder: str, suffix: str) -> dict[str, np.ndarray]:
-    return {path.name: read_grid(path).points for path in Path(folder).glob(f"*{suffix}")}
 
 
 # --- looking --------------------------------------------------------------------------------------------------------
@@ -141,4 +99,4 @@ def _refused(word: str) -> None:
     raise ValueError(f"{word} is no JSON")
 
 
-KINDS = {"repair": repair, "series, continued": series, "looks": looks}
+KINDS = {"repair": repair, "looks": looks}

@@ -17,9 +17,7 @@ KINDS: dict[str, Callable[[Bench, Random], str]] = {
     **runs.KINDS,
     **limits.KINDS,
 }
-# Those that start processes come once in so many rounds of all others.
-_ROUNDS = 5
-SCHEDULE = (*_ROUNDS * tuple(KINDS), *limits.RARE)
+SCHEDULE = tuple(KINDS)
 
 
 class Worker:
@@ -43,5 +41,4 @@ class Worker:
     def sample(self, number: int) -> tuple[str, str]:
         """Class and result of a sample: ``ok`` (accepted, right), ``refused``, ``skipped``, or what is wrong."""
         name = SCHEDULE[number % len(SCHEDULE)]
-        kind = KINDS.get(name) or limits.RARE[name]
-        return name, kind(self.bench, Random(f"{self.seed}/{number}"))
+        return name, KINDS[name](self.bench, Random(f"{self.seed}/{number}"))

@@ -125,11 +125,7 @@ def _addition(rng: Random) -> N:
     return copy.deepcopy(
         rng.choice(
             (
-                N(
-                    "Rind",
-                    "Rind_t",
-                    np.array(rng.choice(_RINDS), "i4"),
-                ),
+                N("Rind", "Rind_t", np.array(rng.choice(_RINDS), "i4")),
                 N("DataClass", "DataClass_t", rng.choice(("Dimensional", "NormalizedByDimensional"))),
                 N("DataConversion", "DataConversion_t", np.array([2.0, 1.0])),
                 N("GridLocation", "GridLocation_t", rng.choice(("CellCenter", "Vertex", "KFaceCenter"))),
@@ -165,16 +161,7 @@ def _damaged_data(data: Any, other: Any, rng: Random) -> Any:
 # --- tags -----------------------------------------------------------------------------------------------------------
 
 _VALUES = {
-    b"type": (
-        b"Float32",
-        b"Float64",
-        b"Int32",
-        b"UInt8",
-        b"StructuredGrid",
-        b"ImageData",
-        b"vtkMultiBlockDataSet",
-        b"",
-    ),
+    b"type": tuple(b"Float32 Float64 Int32 UInt8 StructuredGrid ImageData vtkMultiBlockDataSet".split()),
     b"format": (b"ascii", b"binary", b"appended", b"Ascii", b""),
     b"encoding": (b"raw", b"base64", b"hex"),
     b"header_type": (b"UInt32", b"UInt64", b"Int8"),

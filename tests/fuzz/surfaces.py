@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import re
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from pathlib import Path
 
-import h5py
-import meshio
 import numpy as np
 
 Surface = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -26,35 +21,8 @@ def write(path: Path, surface: Surface, kind: str) -> None:
         _write_vtk(path, surface, kind)
     elif path.suffix == ".ply":
         _write_ply(path, surface, kind)
-    elif path.suffix == ".msh":
+    else:
         _write_msh(path, surface)
-    else:
-        _write_meshio(path, surface, kind)
-
-
-def _write_meshio(path: Path, surface: Surface, kind: str) -> None:
-    # It says on stdout what it adds of its own.
-    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-        _write_by_meshio(path, surface, kind)
-
-
-def _write_by_meshio(path: Path, surface: Surface, kind: str) -> None:
-    points, moves, triangles = surface
-    cells = [("triangle", triangles)] if len(triangles) else [("vertex", np.arange(len(points))[:, None])]
-    mesh = meshio.Mesh(points, cells, point_data={"displacement": moves})
-    if path.suffix == ".xdmf":
-        meshio.xdmf.write(str(path), mesh, data_format="XML")
-    elif path.suffix == ".med":
-        meshio.med.write(str(path), mesh)
-    elif path.suffix == ".avs":
-        meshio.avsucd.write(str(path), mesh)
-    else:
-        points, moves = points.T, moves.T
-        names = 'VARIABLES = "X", "Y", "Z", "dx", "dy", "dz"\n'
-        zone = f"ZONE NODES={points.shape[1]}, ELEMENTS={len(triangles)}, DATAPACKING=BLOCK, ZONETYPE=FETRIANGLE\n"
-        rows = [" ".join(map(repr, row)) for row in [*points.tolist(), *moves.tolist()]]
-        rows += [" ".join(str(node + 1) for node in triangle) for triangle in triangles.tolist()]
-        path.write_text(names + zone + "\n".join(rows) + "\n")
 
 
 def _write_msh(path: Path, surface: Surface) -> None:
@@ -135,9 +103,7 @@ def _write_ply(path: Path, surface: Surface, kind: str) -> None:
 
 def read(path: Path) -> Surface | None:
     """The surface as something else than the program reads it; none if that finds no surface."""
-    readers: dict[str, Callable[[Path], Surface | None]] = {
-        ".ply": _ply, ".msh": _msh, ".xdmf": _xdmf, ".med": _med, ".avs": _avs, ".tec": _tecplot,
-    }  # fmt: skip
+    readers: dict[str, Callable[[Path], Surface | None]] = {".ply": _ply, ".msh": _msh}
     return readers.get(path.suffix, _vtk)(path)
 
 
@@ -215,59 +181,3 @@ def _msh(path: Path) -> Surface:
             triangles.append([number[node] for node in words[-3:]])
     displacement = np.array([by_node[identity] for identity in nodes[:, 0].tolist()])
     return nodes[:, 1:], displacement, np.array(triangles, dtype=int).reshape(-1, 3)
-
-
-def _xdmf(path: Path) -> Surface:
-    grid = ElementTree.fromstring(path.read_bytes()).find(".//Grid")
-
-    def numbers(place: str) -> np.ndarray:
-        item = grid.find(place)
-        shape = [int(n) for n in item.get("Dimensions").split()]
-        # Four bytes unless the file says something else.
-        kind = {"8": "f8", "16": "f8"}.get(item.get("Precision", "4"), "f4")
-        return np.array((item.text or "").split(), dtype=kind).astype(float).reshape(shape)
-
-    kind = grid.find("Topology").get("TopologyType")
-    cells = numbers("Topology/DataItem").astype(int) if kind == "Triangle" else np.empty((0, 3), int)
-    return numbers("Geometry/DataItem"), numbers("Attribute/DataItem"), cells
-
-
-def _med(path: Path) -> Surface:
-    with h5py.File(path) as file:
-        (mesh,) = file["ENS_MAA"].values()
-        (step,) = mesh.values()
-        points = step["NOE/COO"][()].reshape(3, -1).T
-        cells = step["MAI"]
-        triangles = cells["TR3/NOD"][()].reshape(3, -1).T - 1 if "TR3" in cells else np.empty((0, 3), int)
-        (field,) = file["CHA"].values()
-        (step,) = field.values()
-        (values,) = (group["CO"][()] for group in step["NOE"].values())
-        return points, values.reshape(3, -1).T, triangles
-
-
-def _avs(path: Path) -> Surface:
-    lines = [
-        line.split()
-        for line in path.read_text("utf-8", "replace").splitlines()
-        if line.strip() and not line.startswith("#")
-    ]
-    n, m = int(lines[0][0]), int(lines[0][1])
-    nodes, cells, rest = lines[1 : n + 1], lines[n + 1 : n + m + 1], lines[n + m + 1 :]
-    number = {int(row[0]): at for at, row in enumerate(nodes)}
-    names = int(rest[0][0])
-    values = {int(row[0]): [float(word) for word in row[1:4]] for row in rest[1 + names :][:n]}
-    triangles = [[number[int(node)] for node in row[3:6]] for row in cells if row[2] == "tri"]
-    points = np.array([row[1:4] for row in nodes], dtype=float)
-    moves = np.array([values[int(row[0])] for row in nodes])
-    return points, moves, np.array(triangles, dtype=int).reshape(-1, 3)
-
-
-def _tecplot(path: Path) -> Surface:
-    text = path.read_text("utf-8", "replace")
-    n, m = (int(re.search(rf"(?i)\b(?:{key})\s*=\s*(\d+)", text)[1]) for key in ("NODES|N", "ELEMENTS|E"))
-    lines = text.splitlines()
-    at = next(k for k, line in enumerate(lines) if "ZONE" in line.upper()) + 1
-    numbers = " ".join(lines[at:]).split()
-    rows = np.array(numbers[: 6 * n], dtype=float).reshape(6, n)
-    triangles = np.array(numbers[6 * n : 6 * n + 3 * m], dtype=int).reshape(m, 3) - 1
-    return rows[:3].T, rows[3:].T, triangles

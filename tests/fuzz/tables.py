@@ -25,10 +25,6 @@ VARIANTS = {
     ".vtk": ("ascii", "binary", "poly ascii", "poly binary", "old ascii", "poly old binary"),
     ".ply": ("ascii", "ascii", "little", "big"),
     ".msh": ("ascii",),
-    ".xdmf": ("ascii",),
-    ".med": ("binary",),
-    ".avs": ("ascii",),
-    ".tec": ("ascii",),
 }
 _NEAR = 1e-9
 
@@ -55,15 +51,14 @@ def array_table(names: tuple[str, ...], text: bool, bench: Bench, rng: Random) -
 
 def surface_table(suffix: str, bench: Bench, rng: Random) -> str:
     """A surface with triangles or without, coarse or at the nodes, damaged or not."""
-    # Tecplot's zones of elements have some.
-    kind, triangles = rng.choice(VARIANTS[suffix]), rng.random() < 0.7 or suffix == ".tec"
+    kind, triangles = rng.choice(VARIANTS[suffix]), rng.random() < 0.7
     path = Path(f"bad{suffix}")
     match = rng.choice(("nearest", "exact", "interpolate"))
     surface = body_surface(rng, coarse=match == "interpolate" and triangles)
     surface = surface if triangles else (*surface[:2], surface[2][:0])
     surfaces.write(path, surface, kind)
     data, how = path.read_bytes(), rng.randrange(4)
-    if how == 1 and suffix in (".vtu", ".vtp", ".xdmf"):
+    if how == 1 and suffix in (".vtu", ".vtp"):
         data = structure.tags(data, rng)
     elif how:
         data = mutated(data, "ascii" in kind, rng)

@@ -13,7 +13,6 @@ from grids import CASE, frame
 
 from fuzz.bench import called, refusal
 from fuzz.campaign import limited, table
-from fuzz.samples import KINDS, SCHEDULE
 from meshdeform_formats import write_grid
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGPROF"), reason="clocks of POSIX systems")
@@ -55,11 +54,6 @@ def test_a_hang_is_wrong_and_never_refused(hang, place, tmp_path, monkeypatch):
     assert signal.getitimer(signal.ITIMER_PROF) == (0.0, 0.0)
     assert "| judge | 1 | 0 | 0 | 1 |" in table([(0, "judge", result)], 1)
     assert limited(sample, 0)[1] == "ok"
-
-
-def test_every_class_has_its_turn():
-    assert set(SCHEDULE[: len(KINDS)]) == set(KINDS)
-    assert {name for name in SCHEDULE if name not in KINDS} == {"two ranks", "memory peak"}
 
 
 def test_what_the_machine_lacks_is_counted_apart():

@@ -49,19 +49,8 @@ class Series(RuleBasedStateMachine):
         Path("case.toml").write_text(FOLDING if folding else MOVING)
         write_grid(frame(2, 2), "grid.xyz")
         self.folding = folding
-        self.command = [
-            "series",
-            "grid.xyz",
-            "-c",
-            "case.toml",
-            "-m",
-            "tfi",
-            "--times",
-            "0:3:1",
-            "--repair",
-            "off",
-            "-q",
-        ]
+        command = ["series", "grid.xyz", "-c", "case.toml", "-m", "tfi", "--times", "0:3:1"]
+        self.command = [*command, "--repair", "off", "-q"]
         self.command += [*self.options, "--suffix", self.suffix, *(["--from", "last"] if marching else [])]
         code, told = called(*self.command, "-o", "whole")
         assert code == (3 if self.invalid_levels("whole") else 0), told

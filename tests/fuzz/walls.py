@@ -1,4 +1,4 @@
-"""Classes of grids with all kinds of boundaries: walls, slip planes, symmetry, periodic pairs, several tables."""
+"""Classes of grids with all kinds of boundaries: walls, slip planes, symmetry, periodic pairs."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from pathlib import Path
 from random import Random
 
 import numpy as np
-from grids import SPANS, frame, stretched
+from grids import frame
 
 from meshdeform_core.grid import Grid
 from meshdeform_formats import read_grid, write_grid
 
-from .bench import METHODS, Bench, called, refusal, seeded
+from .bench import METHODS, Bench, seeded
 
 Entry = dict[str, str]
 
@@ -143,50 +143,4 @@ def _constraints(entries: list[Entry], pairs: list[int], before: Grid, after: Gr
     return ""
 
 
-def two_tables(bench: Bench, rng: Random) -> str:
-    """Two parts of a body that move by tables of their own, one of them perhaps damaged."""
-    from .mutations import mutated
-
-    line = stretched(SPANS[1], 3)
-    nodes = np.array([(x, y, z) for x in line for y in line for z in (0.0, 0.5, 1.0)])
-    nodes = nodes[np.abs(nodes[:, :2]).max(axis=1) > 0.499]
-    spread = seeded(rng).uniform(-1, 1, (3, 3)) * 0.03
-    told: dict[tuple[float, ...], np.ndarray] = {}
-    for name, part in (("one", nodes[:, 0] < 0.1), ("two", nodes[:, 0] > -0.51)):
-        rows = np.hstack([nodes[part], nodes[part] @ spread])
-        np.savetxt(f"{name}.csv", rows, "%.17g", delimiter=",")
-        told |= {tuple(row[:3].tolist()): row[3:] for row in rows}
-    damaged = rng.random() < 0.5
-    if damaged:
-        Path("two.csv").write_bytes(mutated(Path("two.csv").read_bytes(), True, rng))
-    low = {"where": "'max(abs(x), abs(y)) < 0.51 and x < -0.2'", "motion": "[{ file = 'one.csv', match = 'exact' }]"}
-    high = {
-        "where": "'max(abs(x), abs(y)) < 0.51 and x > -0.3'",
-        "motion": f"[{{ file = 'two.csv', match = '{rng.choice(('exact', 'nearest'))}' }}]",
-    }
-    common = {"select": "['*.i*', '*.j*']"}
-    Path("tables.toml").write_text(_toml([common | low, common | high]))
-    arguments = ("grid.xyz", "-c", "tables.toml", "-m", "tfi", "--allow-invalid")
-    code, message = called("deform", *arguments, "-o", "out.xyz", "--force", "-q")
-    if code != 0:
-        return refusal(code, message)
-    after = read_grid("out.xyz")
-    if damaged:
-        from .tables import text_table
-
-        rows, moves, _ = text_table(Path("two.csv"))
-        fresh = {tuple(row): move for row, move in zip(rows.tolist(), moves, strict=True)}
-        told = {node: move for node, move in told.items() if node[0] < -0.3} | {
-            # A node that the damaged table does not name has moved like the nearest one that it names.
-            node: fresh[node]
-            for node in told
-            if node[0] > -0.2 and node in fresh
-        }
-    for old, new in zip(bench.grid.points, after.points, strict=True):
-        move = told.get(tuple(old.tolist()))
-        if move is not None and np.abs(new - old - move).max() > 1e-9:
-            return f"the node {old.tolist()} moved by {(new - old).tolist()}, its table says {move.tolist()}"
-    return "ok"
-
-
-KINDS = {"grid": nasty_grid, "slip, symmetry, periodic": constrained, "two tables": two_tables}
+KINDS = {"grid": nasty_grid, "slip, symmetry, periodic": constrained}

@@ -1,0 +1,381 @@
+"""NASA neutral map files (.nmf): the boundary conditions and block connections that a Plot3D file does not hold.
+
+Source: "The Neutral Map File", W. T. Jones, GEOLAB, NASA Langley; kept with the NASA turbulence modeling resource.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import Connection, Grid, Patch, Shape, Side, Window
+
+from .files import replacing, require_regular
+
+Face = tuple[Side, tuple[int, int]]
+
+# Face number: side, primary and secondary index.
+FACES: dict[int, Face] = {
+    1: (Side.KMIN, (0, 1)),
+    2: (Side.KMAX, (0, 1)),
+    3: (Side.IMIN, (1, 2)),
+    4: (Side.IMAX, (1, 2)),
+    5: (Side.JMIN, (2, 0)),
+    6: (Side.JMAX, (2, 0)),
+}
+
+_COMMENT = re.compile(r"#.*|\\\s*$")
+_WORD = re.compile(r"'[^']*'|\"[^\"]*\"|\S+")
+_LOGICAL = {".true.": True, "true": True, "t": True, ".false.": False, "false": False, "f": False}
+
+
+@dataclass(frozen=True)
+class Line:
+    """The words of a line, without comments, and its position."""
+
+    place: str
+    words: tuple[str, ...]
+
+    def integers(self, first: int, meaning: str) -> tuple[int, ...]:
+        """All words starting at ``first`` as integers."""
+        try:
+            return tuple(int(word) for word in self.words[first:])
+        except ValueError:
+            raise FormatError(f"{self.place}: expected {meaning}, found {' '.join(self.words)!r}") from None
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A boundary condition or connection.
+
+    ``ranges`` are one or two face ranges as written: block, face, S1, E1, S2, E2 (1-based). ``flag`` is the logical at
+    the end of the line: Swap for connections, absent (``None``) or ignored for boundary conditions.
+    """
+
+    place: str
+    type: str
+    ranges: tuple[tuple[int, ...], ...]
+    flag: bool | None
+
+    @property
+    def is_one_to_one(self) -> bool:
+        return self.type.lower().replace("-", "_") == "one_to_one"
+
+
+@dataclass(frozen=True)
+class NeutralMap:
+    """A whole file: block sizes in nodes, and entries in file order."""
+
+    sizes: tuple[Shape, ...]
+    entries: tuple[Entry, ...]
+    notes: tuple[str, ...]
+
+
+def parse_neutral_map(path: Path) -> NeutralMap:
+    """Read the text of a neutral map file; comments and stray backslashes at line ends are skipped.
+
+    Raises
+    ------
+    FormatError
+        When the file cannot be read or a line does not conform to the format.
+    """
+    require_regular(path)
+    try:
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise FormatError(f"cannot read {path}: {error.strerror or error}") from error
+    lines = []
+    for number, line in enumerate(text.splitlines(), 1):
+        words = tuple(word.strip("'\"").strip() for word in _WORD.findall(_COMMENT.sub("", line)))
+        if words:
+            lines.append(Line(f"{path}, line {number}", words))
+    if not lines:
+        raise FormatError(f"{path} is not a neutral map: it has only comments and empty lines")
+    sizes, notes = _sizes(lines, path)
+    return NeutralMap(sizes, tuple(_entry(line) for line in lines[1 + len(sizes) :]), notes)
+
+
+def _sizes(lines: list[Line], path: Path) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
+    count = lines[0].integers(0, "the number of blocks")
+    if len(count) != 1 or count[0] < 1:
+        raise FormatError(f"{lines[0].place}: expected the number of blocks, found {' '.join(lines[0].words)!r}")
+    rows = []
+    for line in lines[1 : 1 + count[0]]:
+        meaning = f"block number, IDIM, JDIM, KDIM for {count[0]} blocks"
+        row = line.integers(0, meaning)
+        if len(row) != 4 or min(row[1:]) < 1:
+            raise FormatError(f"{line.place}: expected {meaning}, found {' '.join(line.words)!r}")
+        rows.append(row)
+    if len(rows) < count[0]:
+        raise FormatError(f"{path} declares {count[0]} blocks but ends after the sizes of {len(rows)}")
+    notes: tuple[str, ...] = ()
+    if sorted(row[0] for row in rows) == list(range(1, len(rows) + 1)):
+        rows.sort()
+    else:
+        notes = (f"{path}: the block numbers {[row[0] for row in rows]} are not 1 to {len(rows)}; taken in file order",)
+    return tuple((ni, nj, nk) for _, ni, nj, nk in rows), notes
+
+
+def _entry(line: Line) -> Entry:
+    flag = _LOGICAL.get(line.words[-1].lower())
+    numbers = (line if flag is None else Line(line.place, line.words[:-1])).integers(
+        1, "a type, B1 F1 S1 E1 S2 E2, and for connections B2 F2 S1 E1 S2 E2 Swap"
+    )
+    entry = Entry(line.place, line.words[0], tuple(numbers[i : i + 6] for i in range(0, len(numbers), 6)), flag)
+    if len(numbers) not in (6, 12):
+        raise FormatError(f"{line.place}: {entry.type} has {len(numbers)} numbers; a face range has 6, a connection 12")
+    if entry.is_one_to_one and (len(numbers) != 12 or flag is None):
+        raise FormatError(f"{line.place}: {entry.type} needs two face ranges and Swap (true or false)")
+    return entry
+
+
+# Construct2D numbers the four edges of its 2-D grids (KDIM = 1) instead.
+_EDGES: dict[int, Face] = {
+    1: (Side.IMIN, (1, 2)),
+    2: (Side.IMAX, (1, 2)),
+    3: (Side.JMIN, (0, 2)),
+    4: (Side.JMAX, (0, 2)),
+}
+
+
+@dataclass(frozen=True)
+class _Range:
+    """A rectangle of nodes on a block face, from ``begin`` to ``end`` in either direction (0-based)."""
+
+    block: int
+    side: Side
+    axes: tuple[int, int]
+    begin: Shape
+    end: Shape
+
+    @property
+    def window(self) -> Window:
+        first, second = ((self.begin[axis], self.end[axis]) for axis in self.side.tangential)
+        return Window(self.block, self.side, (min(first), min(second)), (max(first), max(second)))
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """The mapping from face ranges of the file to ranges of the grid.
+
+    ``sizes`` are the block sizes in the file, ``axes`` the index of the grid for each index of the file, ``dropped``
+    the index of the file that a 2-D grid lacks.
+    """
+
+    sizes: tuple[Shape, ...]
+    faces: Mapping[int, Face]
+    axes: Shape
+    dropped: int | None
+
+    def locate(self, numbers: Sequence[int], place: str) -> _Range:
+        """The range of the grid for block, face, S1, E1, S2, E2 of the file."""
+        block, face, *limits = numbers
+        if not 1 <= block <= len(self.sizes):
+            raise FormatError(f"{place}: block {block} does not exist; the file has blocks 1 to {len(self.sizes)}")
+        if face not in self.faces:
+            raise FormatError(f"{place}: face {face} does not exist; faces are 1 to {len(self.faces)}")
+        size, (side, tangential) = self.sizes[block - 1], self.faces[face]
+        begin, end = [0, 0, 0], [0, 0, 0]
+        begin[side.axis] = end[side.axis] = side.layer(size)
+        for axis, first, last in zip(tangential, limits[::2], limits[1::2], strict=True):
+            if not (1 <= first <= size[axis] and 1 <= last <= size[axis]):
+                raise FormatError(
+                    f"{place}: range {first} to {last} along {'ijk'[axis]} on face {face} ({side.label}) of block "
+                    f"{block}, which has nodes 1 to {size[axis]} there"
+                )
+            begin[axis], end[axis] = first - 1, last - 1
+        for corner in (begin, end):
+            if self.dropped is not None:
+                corner[self.dropped] = 0
+        primary, secondary = tangential
+        return _Range(
+            block - 1,
+            Side(2 * self.axes[side.axis] + side.value % 2),
+            (self.axes[primary], self.axes[secondary]),
+            self._in_grid(begin),
+            self._in_grid(end),
+        )
+
+    def _in_grid(self, corner: Sequence[int]) -> Shape:
+        i, j, k = (corner[self.axes.index(axis)] for axis in range(3))
+        return i, j, k
+
+
+def read_neutral_map(path: Path, grid: Grid) -> Grid:
+    """The grid with the patches and connections of a neutral map file added.
+
+    An entry becomes a patch whose family and ``bc_type`` are the type of the entry and whose name is numbered, like
+    ``viscous_solid-2``; a one-to-one entry becomes a connection. A 2-D grid also accepts the map of the same grid with
+    one layer of cells; entries on the plane of the 2-D grid itself are omitted with a note.
+
+    Raises
+    ------
+    FormatError
+        When the file cannot be read, is not a neutral map, or describes blocks that the grid does not have.
+    """
+    file = parse_neutral_map(Path(path))
+    frame = _frame(file, grid, Path(path))
+    patches, connections, left_out = list(grid.patches), list(grid.connections), 0
+    counts = Counter(patch.family for patch in patches)
+    for entry in file.entries:
+        ranges = [frame.locate(numbers, entry.place) for numbers in entry.ranges]
+        if any(grid.shapes[r.block][r.side.axis] == 1 for r in ranges):
+            left_out += 1
+            continue
+        counts[entry.type] += 1
+        name = f"{entry.type}-{counts[entry.type]}"
+        if entry.is_one_to_one:
+            connections.append(_connection(name, entry, *ranges))
+        else:
+            patches.append(Patch(name, tuple(r.window for r in ranges), entry.type, entry.type))
+    notes = list(file.notes)
+    if left_out:
+        notes.append(f"{path}: {left_out} entries lie on the plane of the 2-D grid itself and are ignored")
+    return replace(grid, patches=tuple(patches), connections=tuple(connections), notes=(*grid.notes, *notes))
+
+
+def _frame(file: NeutralMap, grid: Grid, path: Path) -> _Frame:
+    if len(file.sizes) != grid.n_blocks:
+        raise FormatError(
+            f"{path} describes {len(file.sizes)} blocks, the grid has {grid.n_blocks}; expected the map of this grid"
+        )
+    if file.sizes == grid.shapes:
+        return _Frame(file.sizes, _EDGES if _counts_edges(file) else FACES, (0, 1, 2), None)
+    siblings = [
+        (flat, dropped)
+        for flat, dropped in product(range(3), range(3))
+        if all(shape[flat] == 1 for shape in grid.shapes)
+        and all(size[dropped] <= 2 for size in file.sizes)
+        and [np.delete(size, dropped).tolist() for size in file.sizes]
+        == [np.delete(shape, flat).tolist() for shape in grid.shapes]
+    ]
+    if len(siblings) == 1:
+        flat, dropped = siblings[0]
+        axes = np.insert(np.delete(np.arange(3), flat), dropped, flat)
+        return _Frame(file.sizes, FACES, (int(axes[0]), int(axes[1]), int(axes[2])), dropped)
+    raise FormatError(_other_blocks(file, grid, path))
+
+
+def _other_blocks(file: NeutralMap, grid: Grid, path: Path) -> str:
+    index = next(i for i, (size, shape) in enumerate(zip(file.sizes, grid.shapes, strict=True)) if size != shape)
+    size, shape = ("x".join(str(n) for n in sizes[index]) for sizes in (file.sizes, grid.shapes))
+    return (
+        f"{path}: block {index + 1} has {size} nodes, {grid.names[index]} of the grid has {shape}; expected "
+        f"the map of this grid or, for a 2-D grid, that of the same grid with one layer of cells"
+    )
+
+
+def _counts_edges(file: NeutralMap) -> bool:
+    """Whether faces 1 and 2 are edges: a range of a single line of nodes in a 2-D grid cannot be its plane."""
+    ranges = [numbers for entry in file.entries for numbers in entry.ranges]
+    flat = all(nk == 1 for _, _, nk in file.sizes)
+    return flat and any(face in (1, 2) and s2 == e2 == 1 for _, face, _, _, s2, e2 in ranges)
+
+
+def _connection(name: str, entry: Entry, here: _Range, there: _Range) -> Connection:
+    """Map one range onto the other: begin to begin, primary to primary index or, with Swap, to secondary."""
+    transform = [0, 0, 0]
+    for axis, partner in zip(here.axes, there.axes[::-1] if entry.flag else there.axes, strict=True):
+        along, across = here.end[axis] - here.begin[axis], there.end[partner] - there.begin[partner]
+        if abs(along) != abs(across):
+            raise FormatError(
+                f"{entry.place}: {abs(along) + 1} nodes of block {here.block + 1} along {'ijk'[axis]} meet "
+                f"{abs(across) + 1} of block {there.block + 1} along {'ijk'[partner]}; check the ranges and Swap"
+            )
+        transform[axis] = (partner + 1) * (-1 if along * across < 0 else 1)
+    # The direction out of one block leads into the other.
+    transform[here.side.axis] = here.side.into(there.side)
+    i, j, k = transform
+    return Connection(name, here.block, here.begin, here.end, there.block, there.begin, there.end, (i, j, k))
+
+
+_NUMBERED = {side: (number, axes) for number, (side, axes) in FACES.items()}
+_WIDE = "=" * 83
+_THIN = "-" * 83
+
+# First and last node (0-based) along each index axis of a face range.
+Spans = Mapping[int, tuple[int, int]]
+
+
+def write_neutral_map(grid: Grid, path: Path) -> None:
+    """Write patches and connections of ``grid`` as a neutral map file, replacing ``path`` as a whole.
+
+    Raises
+    ------
+    FormatError
+        When the file cannot be written.
+    """
+    with replacing(Path(path)) as partial:
+        partial.write_text(neutral_map_text(grid), encoding="utf-8")
+
+
+def neutral_map_text(grid: Grid) -> str:
+    """Patches and connections of ``grid`` in the format of neutral map files.
+
+    The type of a patch is its ``bc_type``, else its family or name. A connection that both blocks declare is written
+    once; both sides of a periodic one, for which the format has no entry, have the type ``periodic``.
+    """
+    lines = [f"# ===== Neutral Map File written by meshdeform {'=' * 39}", f"# {_WIDE}"]
+    lines += ["# Block#   IDIM   JDIM   KDIM", f"# {_THIN}", f"{grid.n_blocks:8d}", ""]
+    lines += [f"{b:8d}{ni:7d}{nj:7d}{nk:7d}" for b, (ni, nj, nk) in enumerate(grid.shapes, 1)]
+    lines += ["", f"# {_WIDE}"]
+    lines += ["# Type                B1  F1     S1     E1     S2     E2  B2  F2     S1     E1     S2     E2  Swap"]
+    lines += [f"# {_THIN}"]
+    lines += [line for patch in grid.patches for line in _patch_lines(patch)]
+    lines += _connection_lines(grid)
+    return "\n".join(lines) + "\n"
+
+
+def _patch_lines(patch: Patch) -> list[str]:
+    word = re.sub(r"[\s#'\"\\]+", "_", patch.bc_type or patch.family or patch.name)
+    ranges = [
+        _range(w.block, w.side, dict(zip(w.side.tangential, zip(w.low, w.high, strict=True), strict=True)))
+        for w in patch.windows
+    ]
+    # A patched interface is one entry with both its faces.
+    if word.lower() == "patched" and len(ranges) == 2:
+        ranges = ["".join(ranges)]
+    return [f"{word:20s}{text}" for text in ranges]
+
+
+def _connection_lines(grid: Grid) -> Iterator[str]:
+    written = set()
+    for connection in grid.connections:
+        faces = _faces(connection, grid.shapes[connection.block])
+        ends = frozenset((block, *(tuple(sorted(span)) for span in spans.values())) for block, _, spans in faces)
+        if ends in written:
+            continue
+        written.add(ends)
+        here, there = (_range(*face) for face in faces)
+        if connection.periodic is None:
+            (primary, _), (_, donor_secondary) = (_NUMBERED[side][1] for _, side, _ in faces)
+            swap = abs(connection.transform[primary]) - 1 == donor_secondary
+            yield f"{'one-to-one':20s}{here}{there}  {str(swap).lower()}"
+        else:
+            yield from (f"{'periodic':20s}{here}", f"{'periodic':20s}{there}")
+
+
+def _faces(connection: Connection, shape: Shape) -> tuple[tuple[int, Side, Spans], tuple[int, Side, Spans]]:
+    """Block, side and range of both sides of a connection."""
+    begin, end, donor_begin = connection.begin, connection.end, connection.donor_begin
+    axis = next(a for a in range(3) if begin[a] == end[a] and shape[a] > 1 and begin[a] in (0, shape[a] - 1))
+    donor_axis = abs(connection.transform[axis]) - 1
+    spans = dict(enumerate(zip(begin, end, strict=True)))
+    donor_spans = dict(enumerate(zip(donor_begin, connection.donor_end, strict=True)))
+    return (
+        (connection.block, Side(2 * axis + (begin[axis] > 0)), spans),
+        (connection.donor_block, Side(2 * donor_axis + (donor_begin[donor_axis] > 0)), donor_spans),
+    )
+
+
+def _range(block: int, side: Side, spans: Spans) -> str:
+    number, (primary, secondary) = _NUMBERED[side]
+    limits = (*spans[primary], *spans[secondary])
+    return f" {block + 1:3d} {number:3d}" + "".join(f" {limit + 1:6d}" for limit in limits)

@@ -1,0 +1,56 @@
+"""Text that several formats and the command line write: JSON, exact numbers, rows of numbers."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from numpy.typing import NDArray
+
+_ROWS_AT_ONCE = 20_000
+_LONG = 100
+"""Longer lists are written by the json library's compiled encoder, which does not indent."""
+
+
+def json_text(record: Mapping[str, Any], allow_nan: bool = True) -> str:
+    """``record`` as JSON text, indented by two.
+
+    Raises
+    ------
+    ValueError
+        For NaN and infinite numbers, which JSON lacks, unless ``allow_nan``.
+    """
+    rows = []
+    for key, value in record.items():
+        if isinstance(value, list) and len(value) > _LONG:
+            entries = ",\n    ".join(json.dumps(entry, allow_nan=allow_nan) for entry in value)
+            text = f"[\n    {entries}\n  ]"
+        else:
+            # Text never contains a line break of its own: it is escaped.
+            text = json.dumps(value, indent=2, allow_nan=allow_nan).replace("\n", "\n  ")
+        rows.append(f"  {json.dumps(key)}: {text}")
+    return "{\n" + ",\n".join(rows) + "\n}" if rows else "{}"
+
+
+def number_lines(values: NDArray[Any]) -> memoryview:
+    """The values one per line, each with the fewest digits that represent it exactly in its own type.
+
+    scipy's Matrix Market writer does this several times faster than ``repr``. ``values`` are real, or integers of 32 or
+    64 bits; at least one.
+    """
+    from scipy.io import mmwrite  # takes longer to import than most files to write
+
+    text = io.BytesIO()
+    mmwrite(text, values.reshape(-1, 1), symmetry="general")
+    sizes = b"\n%d 1\n" % values.size
+    buffer = text.getbuffer()
+    return buffer[bytes(buffer[:1000]).index(sizes) + len(sizes) :]
+
+
+def text_rows(rows: NDArray[Any], line: str) -> Iterator[bytes]:
+    """Rows (n, m) in pieces of text, each row by the ``%`` pattern ``line``."""
+    for begin in range(0, len(rows), _ROWS_AT_ONCE):
+        part = rows[begin : begin + _ROWS_AT_ONCE]
+        yield (line * len(part) % tuple(part.ravel().tolist())).encode()
