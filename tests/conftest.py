@@ -14,7 +14,7 @@ import pytest  # noqa: E402
 
 from meshdeform_cli.process import progress  # noqa: E402
 from meshdeform_core import memory  # noqa: E402
-from meshdeform_formats.picture.drawing import figure  # noqa: E402
+from meshdeform_formats.picture import STYLE  # noqa: E402
 
 # The same examples in every run, and no limits of time: a loaded machine is no reason to fail.
 hypothesis.settings.register_profile(
@@ -32,7 +32,7 @@ def _no_times_in_messages() -> None:
 @pytest.fixture(scope="session", autouse=True)
 def _small_pictures() -> None:
     """Commands called in this process draw a tenth of the pixels; what is drawn and where stays the same."""
-    figure.STYLE |= {"figure.dpi": 60, "savefig.dpi": 70}
+    STYLE.update({"figure.dpi": 60, "savefig.dpi": 70})
 
 
 @pytest.fixture(scope="session", autouse=True)

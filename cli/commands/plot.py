@@ -18,7 +18,7 @@ from ..process.progress import ProgressBar
 
 if TYPE_CHECKING:
     from meshdeform_core.grid import Grid
-    from meshdeform_formats.picture import Request, Subject
+    from meshdeform_formats.picture import PlotOptions, Subject
 
 
 @click.command("plot")
@@ -82,7 +82,7 @@ def command(
     from meshdeform_formats.picture import PlotOptions, check_picture_path, picture, save_page
     from meshdeform_formats.series.levels import is_series
 
-    request = PlotOptions(**options, lead="--").request()  # type: ignore[arg-type]
+    request = PlotOptions(**options, lead="--")  # type: ignore[arg-type]
     if is_series(source.path):
         return _film(source, output, reference, title, rate, force, request)
     check_picture_path(output)
@@ -106,7 +106,7 @@ def _film(
     title: str | None,
     rate: float,
     force: bool,
-    request: Request,
+    request: PlotOptions,
 ) -> int:
     from meshdeform_formats.files import shown
     from meshdeform_formats.picture.film import check_film_path, film, save_film

@@ -1,20 +1,16 @@
-"""Pictures of grids: an image from a depth buffer in matplotlib axes, as png, svg or pdf.
+"""Pictures of grids: an image from a depth buffer in matplotlib axes, as png, svg or pdf; films.
 
-``overview`` is the default picture of a grid; ``page_png`` gives the bytes of a page of panels.
+``picture`` gives the page that options describe, ``overview`` the default one; ``page_png`` its bytes.
 """
 
-from .boundaries import boundaries
+from .colours import Choice
 from .comparison import Pair, apart, moved_walls, plane_around, quality_planes, worst_cells
-from .content.facets import Facets, block_facets, cut_facets, joined, plane_facets, surface_facets
-from .content.subject import METRICS, Subject
-from .content.worst import worst_cell
-from .drawing.figure import FILMS, STYLE, SUFFIXES, check_picture_path, page_figure, page_png, save_page
-from .drawing.page import Page, Panel
-from .drawing.vector import draw
-from .overview import Choice, overview
-from .plot_options import PlotOptions
-from .request import Request, picture
-from .view import along
+from .facets import Facets, block_facets, cut_facets, joined, plane_facets, surface_facets
+from .overview import boundaries, overview
+from .page import FILMS, STYLE, SUFFIXES, Page, Panel, check_picture_path, draw, page_figure, page_png, save_page
+from .request import PlotOptions, picture
+from .subject import METRICS, Subject, worst_cell
+from .view import Window, along
 
 __all__ = [
     "FILMS",
@@ -27,8 +23,8 @@ __all__ = [
     "Pair",
     "Panel",
     "PlotOptions",
-    "Request",
     "Subject",
+    "Window",
     "along",
     "apart",
     "block_facets",

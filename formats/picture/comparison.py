@@ -9,21 +9,18 @@ from functools import cached_property
 import numpy as np
 
 from meshdeform_core.grid import FloatArray, Grid, IntArray, Shape
-from meshdeform_core.grid.faces.surfaces import Surface
 from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.topology import Topology
 from meshdeform_core.quality import Original
 
-from .content.end_plane import is_flat, plane_of_grid
-from .content.facets import Facets, block_facets, block_outlines, cut_facets, joined, surface_facets
-from .content.subject import Subject
-from .content.walls import body_walls, middle_plane, nodes_of, onto_walls
-from .drawing.image import Scene
-from .drawing.page import Page, Panel
-from .overview import Choice, flat_scene, moved_into
-from .view import View, Window, facing, shaped, window_of
+from .colours import Choice
+from .facets import block_facets, cut_facets, joined
+from .page import Page, Panel
+from .scene import Scene, cut_scene, onto_walls, surface_scene, whole_scene
+from .subject import Subject
+from .view import View, Window, facing
 
-_GREY = np.array([0.72, 0.74, 0.78])
+_GREY = (0.72, 0.74, 0.78)
 _AROUND = 7
 """Number of cells that a close-up shows on either side of the worst one."""
 
@@ -51,91 +48,71 @@ class Pair:
         return Subject(self.after, self.topology, self.undeformed or self.before, original=self.old)
 
 
-def moved_walls(pair: Pair, quads: IntArray) -> Page:
-    """The moving walls before and after, in the same view, coloured by displacement.
-
-    Parameters
-    ----------
-    quads : the moving face quads of a 3-D grid; for a 2-D or extruded grid the plane around them is shown
-    """
-    old, new = pair.old, pair.new
-    if is_flat(old):
-        return _flat_walls(pair, quads)
-    choice = Choice("displacement")
-    view = onto_walls(old)
-    before, after = surface_facets(old, quads), _displaced(new, quads)
-    scale = choice.scale(after)
-    window = shaped(window_of(view, np.concatenate([before.corners, after.corners]), 0.06), (0.6, 1.0))
-    panels = []
-    for facets, colours, grid, name in (
-        (before, np.tile(_GREY, (len(before), 1)), pair.before, "before"),
-        (after, scale.colours(after), pair.after, "after"),
-    ):
-        scene = Scene(facets, colours, block_outlines(grid, pair.topology, quads), lit=True)
-        panels.append(Panel(scene, view, window, name))
-    return Page(tuple(panels), "", scale)
+def apart(page: Page) -> tuple[Page, Page]:
+    """The two panels of a page as pages of the same size, axes, colour bar and legend, without their titles."""
+    panels = [dataclasses.replace(panel, title="") for panel in page.panels]
+    one, two = (dataclasses.replace(page, panels=(panel,), marks=page.explained) for panel in panels)
+    return one, two
 
 
-def _displaced(subject: Subject, quads: IntArray) -> Facets:
-    """Facets of the face quads, coloured by the mean displacement of their corners."""
-    facets = surface_facets(subject, quads)
-    assert subject.reference is not None
-    before = surface_facets(dataclasses.replace(subject, grid=subject.reference, reference=None), quads)
-    moved = np.linalg.norm(facets.corners - before.corners, axis=2).mean(axis=1)
-    return dataclasses.replace(facets, values=moved)
-
-
-def _flat_walls(pair: Pair, quads: IntArray) -> Page:
-    choice = Choice()
-    nodes = pair.topology.first[np.unique(pair.topology.quads.corners[quads])]
-    planes = [plane_of_grid(subject, choice.metric) for subject in (pair.old, pair.new)]
-    found = [plane for plane in planes if plane is not None]
-    view = found[0][2]
-    points = np.concatenate([pair.before.points[nodes], pair.after.points[nodes]])
-    window = shaped(window_of(view, points, 0.25), (0.4, 1.0))
-    return _twins(pair, choice, found, view, (window, window))
-
-
-Flat = tuple[Facets, FloatArray, View]
-"""Polygons, block outlines and view of a plane."""
-
-
-def _twins(pair: Pair, choice: Choice, planes: Sequence[Flat], view: View, windows: tuple[Window, Window]) -> Page:
-    """Two planes side by side in common colours."""
-    scale = choice.scale(*(facets for facets, _, _ in planes))
+def _twins(scenes: Sequence[Scene], windows: Sequence[Window], choice: Choice) -> Page:
+    """The same part of two grids side by side in common colours, from the first one's direction."""
+    view = scenes[0].view
     panels = [
-        Panel(flat_scene(subject, choice, scale, facets, outlines, view), view, window, name)
-        for subject, (facets, outlines, _), window, name in zip(
-            (pair.old, pair.new), planes, windows, ("before", "after"), strict=True
-        )
+        Panel(dataclasses.replace(scene, view=view), window, name)
+        for scene, window, name in zip(scenes, windows, ("before", "after"), strict=True)
     ]
-    return Page(tuple(panels), "", scale)
+    return Page.of(panels, choice)
 
 
-def worst_cells(
-    pair: Pair,
-    block: int,
-    cell: Shape,
-    choice: Choice | None = None,
-) -> Page:
+def moved_walls(pair: Pair, quads: IntArray) -> Page | None:
+    """Moving face quads before and after in the same view, coloured by displacement; ``None`` for flat grids."""
+    if pair.old.grid.dimension == 2 or pair.old.end_plane is not None:
+        return None
+    view = onto_walls(pair.old)
+    before, after = (surface_scene(subject, quads, "", view) for subject in (pair.old, pair.new))
+    moved = np.linalg.norm(after.facets.corners - before.facets.corners, axis=2).mean(axis=1)
+    after = dataclasses.replace(after, facets=dataclasses.replace(after.facets, values=moved))
+    both = np.concatenate([before.facets.corners, after.facets.corners])
+    window = view.window(both, 0.06).shaped(0.6, 1.0)
+    return _twins([dataclasses.replace(before, colour=_GREY), after], (window, window), Choice("displacement"))
+
+
+def quality_planes(pair: Pair) -> tuple[Page, Page]:
+    """A plane through the grid around its walls, before and after, in the same frame and colours (for a slider)."""
+    scenes = [_plane(subject, Choice()) for subject in (pair.old, pair.new)]
+    points = np.concatenate([subject.corners(pair.old.bodies) for subject in (pair.old, pair.new)])
+    window = _window_around(scenes[0], points)
+    return apart(_twins(scenes, (window, window), Choice()))
+
+
+def plane_around(subject: Subject, points: FloatArray, choice: Choice) -> Page:
+    """A plane through a grid around ``points`` (n, 3), coloured by quality; the whole plane if there are none."""
+    scene = _plane(subject, choice)
+    return Page.of([Panel(scene, _window_around(scene, points))], choice)
+
+
+def _plane(subject: Subject, choice: Choice) -> Scene:
+    """The plane of a flat grid, else a cut through the middle of the bodies."""
+    return whole_scene(subject, choice.metric) or cut_scene(subject, subject.middle_plane(), choice.metric)
+
+
+def _window_around(scene: Scene, points: FloatArray) -> Window:
+    whole = scene.view.window(scene.facets.corners, 0.0)
+    if not points.size:
+        return whole.grown(0.02 * whole.extent).shaped(0.3, 1.0)
+    return scene.view.window(points, 0.6).within(whole).shaped(0.5, 0.9).moved_into(whole)
+
+
+def worst_cells(pair: Pair, block: int, cell: Shape, choice: Choice | None = None) -> Page:
     """The surroundings of a cell (0-based ``cell`` of ``block``) before and after, on the same scale."""
     choice = choice or Choice()
-    old, new = pair.old, pair.new
-    flat = plane_of_grid(old, choice.metric), plane_of_grid(new, choice.metric)
-    if flat[0] is not None and flat[1] is not None:
-        planes, view = [flat[0], flat[1]], flat[0][2]
-        sizes = _surroundings(pair, block, cell, view)
-    else:
+    scenes = [whole_scene(subject, choice.metric) for subject in (pair.old, pair.new)]
+    found = [scene for scene in scenes if scene is not None]
+    if len(found) < 2:
         axis, normal = _telling_plane(pair, block, cell)
-        view = facing(normal)
-        planes = [(_around(subject, block, axis, cell, normal, choice), np.empty((0, 2, 3)), view)
-                  for subject in (old, new)]  # fmt: skip
-        sizes = _surroundings(pair, block, cell, view)
-    page = _twins(pair, choice, planes, view, sizes)
-    panels = (
-        dataclasses.replace(panel, title=name) for panel, name in zip(page.panels, ("before", "after"), strict=True)
-    )
-    return dataclasses.replace(page, panels=tuple(panels))
+        found = [_through(subject, block, axis, cell, normal, choice.metric) for subject in (pair.old, pair.new)]
+    return _twins(found, _surroundings(pair, block, cell, found[0].view), choice)
 
 
 def _corners(grid: Grid, block: int, cell: Shape, more: int = 0) -> FloatArray:
@@ -144,19 +121,18 @@ def _corners(grid: Grid, block: int, cell: Shape, more: int = 0) -> FloatArray:
     return grid.few(block, window).reshape(-1, 3)
 
 
-def _surroundings(pair: Pair, block: int, cell: Shape, view: View) -> tuple[Window, Window]:
+def _surroundings(pair: Pair, block: int, cell: Shape, view: View) -> list[Window]:
     """Windows of the same size around a cell before and after."""
-    centers = [view.project(_corners(grid, block, cell).mean(axis=0))[:2] for grid in (pair.before, pair.after)]
-    reach = 0.0
-    for grid, center in zip((pair.before, pair.after), centers, strict=True):
-        near = np.abs(view.project(_corners(grid, block, cell, _AROUND))[:, :2] - center).max(axis=1)
+    centers, reach = [], 0.0
+    for grid in (pair.before, pair.after):
+        center = view.project(_corners(grid, block, cell).mean(axis=0))[:2]
+        near, close = (
+            np.abs(view.project(_corners(grid, block, cell, more))[:, :2] - center).max(axis=1) for more in (_AROUND, 1)
+        )
         # Where cells grow quickly, the window is limited so that the worst cell remains visible.
-        close = np.abs(view.project(_corners(grid, block, cell, 1))[:, :2] - center).max()
-        reach = max(reach, min(float(np.quantile(near, 0.7)), 8.0 * float(close)))
-    one, two = (
-        (float(x) - reach, float(x) + reach, float(y) - 0.8 * reach, float(y) + 0.8 * reach) for x, y in centers
-    )
-    return one, two
+        reach = max(reach, min(float(np.quantile(near, 0.7)), 8.0 * float(close.max())))
+        centers.append(center.tolist())
+    return [Window(x - reach, x + reach, y - 0.8 * reach, y + 0.8 * reach) for x, y in centers]
 
 
 def _telling_plane(pair: Pair, block: int, cell: Shape) -> tuple[int, FloatArray]:
@@ -164,84 +140,24 @@ def _telling_plane(pair: Pair, block: int, cell: Shape) -> tuple[int, FloatArray
     found = []
     for axis in range(3):
         window = tuple(slice(at, at + (1 if a == axis else 2)) for a, at in enumerate(cell))
-        old, new = (grid.few(block, window).reshape(2, 2, 3) for grid in (pair.before, pair.after))
-        normal = np.cross(old[1, 1] - old[0, 0], old[0, 1] - old[1, 0])
+        # The corners of a face in cyclic order.
+        old, new = (grid.few(block, window).reshape(4, 3)[[0, 2, 3, 1]] for grid in (pair.before, pair.after))
+        normal = np.cross(old[2] - old[0], old[3] - old[1])
         length = float(np.linalg.norm(normal))
         if length == 0.0:
             continue
-        corner = [np.cross(new[1 - a, b] - new[a, b], new[a, 1 - b] - new[a, b]) * (1 if a == b else -1)
-                  for a in (0, 1) for b in (0, 1)]  # fmt: skip
-        size = [np.linalg.norm(new[1 - a, b] - new[a, b]) * np.linalg.norm(new[a, 1 - b] - new[a, b])
-                for a in (0, 1) for b in (0, 1)]  # fmt: skip
-        sign = np.sign(np.cross(old[1, 0] - old[0, 0], old[0, 1] - old[0, 0]) @ normal)
-        found.append((min(sign * (c @ normal) / length / max(s, 1e-300) for c, s in zip(corner, size, strict=True)),
-                      axis, normal / length))  # fmt: skip
+        ahead, behind = np.roll(new, -1, axis=0) - new, np.roll(new, 1, axis=0) - new
+        size = np.linalg.norm(ahead, axis=1) * np.linalg.norm(behind, axis=1)
+        area = np.cross(ahead, behind) @ normal / length
+        found.append((float((area / np.maximum(size, 1e-300)).min()), axis, normal / length))
     _, axis, normal = min(found, key=lambda each: each[0])
     return axis, normal
 
 
-def _around(subject: Subject, block: int, axis: int, cell: Shape, normal: FloatArray, choice: Choice) -> Facets:
+def _through(subject: Subject, block: int, axis: int, cell: Shape, normal: FloatArray, metric: str) -> Scene:
     """The index plane of a block through a cell, and where its plane in space cuts the other blocks."""
-    own = block_facets(subject, block, axis, cell[axis], choice.metric)
-    center = _corners(subject.grid, block, cell).mean(axis=0)
-    cut = cut_facets(subject, Plane(center, normal), choice.metric)
+    own, view = block_facets(subject, block, axis, cell[axis], metric), facing(normal)
+    cut = cut_facets(subject, Plane(_corners(subject.grid, block, cell).mean(axis=0), normal), metric)
     # Drawn behind the index plane, which may deviate from the plane in space but stays in front everywhere.
-    behind = dataclasses.replace(cut, corners=cut.corners - subject.size * normal * np.sign(_viewed(normal)))
-    return joined([own, behind])
-
-
-def _viewed(normal: FloatArray) -> float:
-    """Whether a normal points towards a viewer who faces its plane."""
-    return float(facing(normal).towards @ normal)
-
-
-def quality_planes(pair: Pair) -> tuple[Page, Page]:
-    """A plane through the grid around its walls, before and after, in the same frame and colours (for a slider)."""
-    return apart(_planes_around(pair, Choice(), _wall_points(pair, body_walls(pair.old))))
-
-
-def apart(page: Page) -> tuple[Page, Page]:
-    """The two panels of a page as pages of the same size, axes, colour bar and legend, without their titles."""
-    panels = [dataclasses.replace(panel, title="") for panel in page.panels]
-    one, two = (dataclasses.replace(page, panels=(panel,), explained=page.invalid > 0) for panel in panels)
-    return one, two
-
-
-def plane_around(subject: Subject, points: FloatArray, choice: Choice) -> Page:
-    """A plane through a grid around ``points`` (n, 3), coloured by quality; the whole plane if there are none."""
-    choice = choice or Choice()
-    facets, outlines, view = _plane_at(subject, choice)
-    window = _window_around(view, facets, points)
-    scale = choice.scale(facets)
-    return Page((Panel(flat_scene(subject, choice, scale, facets, outlines, view), view, window),), "", scale)
-
-
-def _planes_around(pair: Pair, choice: Choice, points: FloatArray) -> Page:
-    planes = [_plane_at(subject, choice) for subject in (pair.old, pair.new)]
-    view = planes[0][2]
-    window = _window_around(view, planes[0][0], points)
-    return _twins(pair, choice, planes, view, (window, window))
-
-
-def _plane_at(subject: Subject, choice: Choice) -> Flat:
-    """The plane of a flat grid, else a cut through the middle of the bodies."""
-    flat = plane_of_grid(subject, choice.metric)
-    if flat is not None:
-        return flat
-    plane = middle_plane(subject)
-    return cut_facets(subject, plane, choice.metric), np.empty((0, 2, 3)), facing(plane.normal)
-
-
-def _window_around(view: View, facets: Facets, points: FloatArray) -> Window:
-    if not points.size:
-        return shaped(window_of(view, facets.corners, 0.02), (0.3, 1.0))
-    whole = window_of(view, facets.corners, 0.0)
-    left, right, bottom, top = window_of(view, points, 0.6)
-    left, right = max(left, whole[0]), min(right, whole[1])
-    bottom, top = max(bottom, whole[2]), min(top, whole[3])
-    return moved_into(shaped((left, right, bottom, top), (0.5, 0.9)), whole)
-
-
-def _wall_points(pair: Pair, walls: Sequence[Surface]) -> FloatArray:
-    """Nodes of walls before and after."""
-    return np.concatenate([nodes_of(subject, walls) for subject in (pair.old, pair.new)])
+    behind = dataclasses.replace(cut, corners=cut.corners - subject.size * view.towards)
+    return Scene(joined([own, behind]), view)

@@ -1,228 +1,254 @@
-"""A picture as requested by the user: part of the grid, view, and comparison with the undeformed grid."""
+"""A picture as requested by the user: options from the command line or Python, and the page that they describe."""
 
 from __future__ import annotations
 
 import dataclasses
 import fnmatch
+import math
+import re
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 
 from meshdeform_core.errors import CaseError
-from meshdeform_core.grid import FloatArray, Grid, IntArray
+from meshdeform_core.grid import FloatArray
 from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.selection import select_quads
 from meshdeform_core.numerics.arrays import extent
 from meshdeform_core.wording import listed
 
+from .colours import Choice
 from .comparison import Pair, worst_cells
-from .content.end_plane import plane_of_grid
-from .content.facets import Facets, block_outlines, cut_facets, plane_facets, plane_outlines, surface_facets
-from .content.subject import Subject
-from .content.walls import all_walls, corners_of, onto_walls, quads_of
-from .content.worst import worst_cell
-from .drawing.colours import Scale
-from .drawing.image import Scene
-from .drawing.page import Page, Panel
-from .overview import Choice, flat_scene, overview
-from .view import View, Window, along, facing, iso, shaped, window_of
+from .overview import overview
+from .page import Page, Panel
+from .scene import Scene, cut_scene, index_scene, surface_scene, whole_scene
+from .subject import Subject, quads_of, worst_cell
+from .view import View, Window, along, iso, towards
 
+_IN_SPACE = r"([xyz])=([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)"
 _ARROWS = 20
-_GREY = np.array([0.80, 0.81, 0.84])
+"""Number of arrows across a picture."""
+_GREY = (0.80, 0.81, 0.84)
 
 
 @dataclasses.dataclass(frozen=True)
-class Request:
-    """The requested picture; without any options, the default one.
+class PlotOptions:
+    """Options as ``meshdeform plot --help`` explains them; ``zoom`` and ``limits`` may be numbers instead of text.
 
-    Attributes
-    ----------
-    index_plane : index axis and node (0-based, ``None``: the middle)
-    space_plane : coordinate axis (``x``, ``y`` or ``z``) and position of a plane through all blocks
-    blocks : names of the blocks of an index plane, with wildcards; all if there are none
-    select : patterns of patches or block faces, as in a case file
-    view : direction of view, ``None`` for a suitable one
-    window : part of the picture
-    zoom : ``worst``, ``walls`` or nothing
-    before : ``side``, ``overlay`` or nothing: draw the undeformed grid too
-    arrows : displacements as arrows
-    lead : what stands before the names of options in messages
+    ``lead`` is what stands before the names in messages: two dashes on the command line.
+
+    Raises
+    ------
+    CaseError
+        When an option is not understood, or options exclude each other.
     """
 
-    choice: Choice = dataclasses.field(default_factory=Choice)
-    index_plane: tuple[int, int | None] | None = None
-    space_plane: tuple[str, float] | None = None
-    blocks: tuple[str, ...] = ()
+    metric: str = "f_skew"
+    plane: str | None = None
+    block: tuple[str, ...] = ()
     select: tuple[str, ...] = ()
-    view: View | None = None
-    window: Window | None = None
-    zoom: str = ""
-    before: str = ""
+    view: str = "auto"
+    zoom: str | Sequence[float] | None = None
+    before: str | None = None
     arrows: bool = False
+    limits: str | Sequence[float] | None = None
+    log: bool = False
+    lines: bool = True
     lead: str = ""
+
+    def __post_init__(self) -> None:
+        if self.plane and self.select:
+            raise CaseError(f"{self.lead}plane and {self.lead}select exclude each other; give one of them")
+        if self.before not in (None, "side", "overlay"):
+            raise CaseError(f"{self.lead}before {self.before!r}: expected side or overlay")
+        _ = self.choice, self.index_plane, self.direction, self.window
 
     @property
     def plain(self) -> bool:
         """Whether only the colouring is specified."""
-        return dataclasses.replace(self, choice=Choice(), lead="") == Request()
+        return not (self.plane or self.block or self.select or self.zoom or self.before or self.arrows) and (
+            self.view == "auto"
+        )
+
+    @cached_property
+    def choice(self) -> Choice:
+        """What colours the cells."""
+        if self.limits is None:
+            return Choice(self.metric, None, self.log, self.lines)
+        # The command line has another name for it than Python, where `range` is a built-in function.
+        name = f"{self.lead}range" if self.lead else "limits"
+        low, high = _numbers(name, self.limits, "low,high", 2)
+        if not low < high:
+            raise CaseError(f"{name} {self.limits!r}: expected low < high")
+        return Choice(self.metric, (low, high), self.log, self.lines)
+
+    @property
+    def space_plane(self) -> tuple[str, float] | None:
+        """Coordinate axis and position of a plane through all blocks."""
+        match = re.fullmatch(_IN_SPACE, self.plane or "")
+        return (match[1], float(match[2])) if match else None
+
+    @property
+    def index_plane(self) -> tuple[int, int | None] | None:
+        """Index axis and node (0-based, ``None``: the middle): ``k=3`` is (2, 2), ``k=mid`` (2, None)."""
+        if self.plane is None or self.space_plane:
+            return (2, None) if self.block else None
+        match = re.fullmatch(r"([ijk])=(mid|[1-9]\d*)", self.plane)
+        if not match:
+            raise CaseError(
+                f"{self.lead}plane {self.plane!r}: expected a plane of nodes, like k=1 or k=mid, or one in space, like "
+                f"z=0.25"
+            )
+        return "ijk".index(match[1]), None if match[2] == "mid" else int(match[2]) - 1
+
+    @property
+    def close(self) -> str:
+        """``worst``, ``walls`` or nothing."""
+        return self.zoom if isinstance(self.zoom, str) and self.zoom in ("worst", "walls") else ""
+
+    @cached_property
+    def window(self) -> Window | None:
+        """A part of the picture by numbers."""
+        if self.zoom is None or self.close:
+            return None
+        window = Window(*_numbers(f"{self.lead}zoom", self.zoom, "worst, walls or left,right,bottom,top", 4))
+        if not (window.left < window.right and window.bottom < window.top):
+            raise CaseError(
+                f"{self.lead}zoom {self.zoom!r}: expected left,right,bottom,top with left < right, bottom < top"
+            )
+        return window
+
+    @cached_property
+    def direction(self) -> View | None:
+        """The view by name or direction; ``None`` for ``auto``."""
+        if self.view in ("auto", "iso"):
+            return iso() if self.view == "iso" else None
+        if self.view in ("x", "y", "z"):
+            return along(self.view)
+        expected = "auto, x, y, z, iso or a direction like 1,-1,0.5"
+        direction = np.array(_numbers(f"{self.lead}view", self.view, expected, 3))
+        if not direction.any():
+            raise CaseError(f"{self.lead}view {self.view!r}: a direction has a length")
+        return towards(direction)
 
 
-@dataclasses.dataclass(frozen=True)
-class _Part:
-    """A part of a grid: polygons, block edges, view, whether in space or in a plane; ``quads`` of surfaces."""
+def _numbers(name: str, given: str | Sequence[float], expected: str, count: int) -> tuple[float, ...]:
+    try:
+        numbers = tuple(float(part) for part in (given.split(",") if isinstance(given, str) else given))
+    except (TypeError, ValueError):
+        numbers = ()
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        raise CaseError(f"{name} {given!r}: expected {expected}")
+    return numbers
 
-    facets: Facets
-    outlines: FloatArray
-    view: View
-    solid: bool
-    quads: IntArray | None = None
 
-
-def picture(subject: Subject, request: Request, title: str = "") -> Page:
-    """The page for a request.
+def picture(subject: Subject, options: PlotOptions, title: str = "") -> Page:
+    """The page that options describe.
 
     Raises
     ------
     CaseError
         When a plane does not meet the grid, a name matches nothing, or something needs the undeformed grid.
     """
-    if (request.before or request.arrows) and subject.reference is None:
+    choice = options.choice
+    if (options.before or options.arrows) and subject.reference is None:
         raise CaseError("before and after, and arrows, need the undeformed grid: give --reference")
-    if request.plain:
-        return overview(subject, request.choice, title)
-    if request.zoom == "worst":
-        return _worst(subject, request, title)
-    part = _part(subject, request)
-    view = request.view or part.view
-    old = _part(_undeformed(subject), request) if request.before or request.arrows else None
-    scale = request.choice.scale(*(p.facets for p in (part, old) if p is not None))
-    window = _window(subject, request, part, old, view)
-    panel = Panel(_scene(subject, request.choice, scale, part, view), view, window)
-    if old is not None and request.arrows:
-        panel = dataclasses.replace(panel, arrows=_arrows(old, part, view, window))
-    return Page(_beside(subject, request, scale, panel, old), title, scale)
+    if options.plain:
+        return overview(subject, choice, title)
+    if options.close == "worst":
+        return _worst(subject, choice, title)
+    scene = _scene(subject, options)
+    scenes, old = [scene], None
+    if options.before or options.arrows:
+        # The undeformed grid, with itself as reference so that all metrics have a value.
+        old = _scene(dataclasses.replace(subject, grid=subject.reference or subject.grid), options)
+        old = dataclasses.replace(old, view=scene.view)
+        scenes.append(old)
+    panel = Panel(scene, _window(subject, options, scenes))
+    if old is not None and options.arrows:
+        panel = dataclasses.replace(panel, arrows=_arrows(old, panel))
+    panels = [panel]
+    if old is not None and options.before == "overlay":
+        panels = [dataclasses.replace(panel, under=dataclasses.replace(old, colour=_GREY))]
+    elif old is not None and options.before:
+        panels = [Panel(old, panel.window, "before"), dataclasses.replace(panel, title="after")]
+    return dataclasses.replace(Page.of(panels, choice, title), scale=choice.scale(*(each.facets for each in scenes)))
 
 
-def _beside(subject: Subject, request: Request, scale: Scale, panel: Panel, old: _Part | None) -> tuple[Panel, ...]:
-    if old is None or not request.before:
-        return (panel,)
-    before = _scene(_undeformed(subject), request.choice, scale, old, panel.view)
-    if request.before == "overlay":
-        grey = dataclasses.replace(before, colours=np.tile(_GREY, (len(before.facets), 1)))
-        return (dataclasses.replace(panel, under=grey),)
-    return Panel(before, panel.view, panel.window, "before"), dataclasses.replace(panel, title="after")
+def _scene(subject: Subject, options: PlotOptions) -> Scene:
+    """The part of a grid that options name, in the direction that they ask for."""
+    metric = options.choice.metric
+    if options.select:
+        if subject.grid.dimension == 2:
+            raise CaseError("a 2-D grid has no surfaces to select; leave --select out to draw the whole grid")
+        quads = select_quads(subject.reference or subject.grid, subject.topology, options.select, "plot")
+        scene = surface_scene(subject, quads, metric)
+    elif options.space_plane is not None:
+        scene = cut_scene(subject, _space_plane(subject, options), metric)
+    elif options.index_plane is not None:
+        scene = index_scene(subject, *options.index_plane, metric, _blocks(subject.grid.names, options))
+    else:
+        walls = subject.wall_surfaces
+        scene = whole_scene(subject, metric) or surface_scene(
+            subject, quads_of(walls) if walls else np.flatnonzero(subject.topology.external), metric,
+            None if walls else iso(),
+        )  # fmt: skip
+    return dataclasses.replace(scene, view=options.direction or scene.view)
 
 
-def _undeformed(subject: Subject) -> Subject:
-    """The undeformed grid, with itself as reference so that all metrics have a value."""
-    return dataclasses.replace(subject, grid=subject.reference or subject.grid)
-
-
-def _part(subject: Subject, request: Request) -> _Part:
-    metric = request.choice.metric
-    if request.select:
-        return _selected(subject, request, metric)
-    if request.space_plane is not None:
-        plane = _space_plane(subject.grid, *request.space_plane, request.lead)
-        return _Part(cut_facets(subject, plane, metric), np.empty((0, 2, 3)), facing(plane.normal), False)
-    if request.index_plane is not None or request.blocks:
-        axis, index = request.index_plane or (2, None)
-        blocks = _blocks(subject.grid.names, request)
-        facets = plane_facets(subject, axis, index, metric, blocks)
-        outlines = plane_outlines(subject, axis, index, blocks)
-        return _Part(facets, outlines, *_view_of(facets))
-    flat = plane_of_grid(subject, metric)
-    if flat is not None:
-        return _Part(*flat, False)
-    walls = all_walls(subject)
-    quads = quads_of(walls) if walls else np.flatnonzero(subject.topology.external)
-    return _surface(subject, quads, metric, onto_walls(subject) if walls else iso())
-
-
-def _blocks(names: Sequence[str], request: Request) -> tuple[int, ...] | None:
+def _blocks(names: Sequence[str], options: PlotOptions) -> tuple[int, ...] | None:
     """Numbers of the blocks whose names match the patterns; ``None`` means all."""
     found: list[int] = []
-    for pattern in request.blocks:
+    for pattern in options.block:
         matching = [n for n, name in enumerate(names) if fnmatch.fnmatchcase(name, pattern)]
         if not matching:
-            raise CaseError(f"{request.lead}block {pattern!r} matches no block; blocks are {listed(names)}")
+            raise CaseError(f"{options.lead}block {pattern!r} matches no block; blocks are {listed(names)}")
         found += matching
     return tuple(dict.fromkeys(found)) or None
 
 
-def _space_plane(grid: Grid, axis: str, at: float, lead: str) -> Plane:
-    """The plane on which the coordinate ``axis`` is ``at``."""
-    number = "xyz".index(axis)
-    if grid.dimension == 2:
-        raise CaseError(f"a 2-D grid cannot be cut; leave {lead}plane out to draw the whole grid")
-    lowest, highest = extent(grid.points)
-    low, high, tiny = lowest[number], highest[number], 1e-9 * float((highest - lowest).max())
+def _space_plane(subject: Subject, options: PlotOptions) -> Plane:
+    assert options.space_plane is not None
+    axis, at = options.space_plane
+    if subject.grid.dimension == 2:
+        raise CaseError(f"a 2-D grid cannot be cut; leave {options.lead}plane out to draw the whole grid")
+    normal = np.eye(3)["xyz".index(axis)]
+    low, high = (float(end @ normal) for end in extent(subject.grid.points))
+    tiny = 1e-9 * subject.size
     if not low - tiny <= at <= high + tiny:
         raise CaseError(f"no part of the grid lies at {axis} = {at:g}; it spans {axis} = {low:.6g} to {high:.6g}")
-    normal = np.eye(3)[number]
     return Plane(at * normal, normal)
 
 
-def _selected(subject: Subject, request: Request, metric: str) -> _Part:
-    if subject.grid.dimension == 2:
-        raise CaseError("a 2-D grid has no surfaces to select; leave --select out to draw the whole grid")
-    quads = select_quads(subject.reference or subject.grid, subject.topology, request.select, "plot")
-    return _surface(subject, quads, metric, onto_walls(subject))
+def _window(subject: Subject, options: PlotOptions, scenes: Sequence[Scene]) -> Window:
+    view = scenes[0].view
+    if options.window:
+        return options.window
+    if options.close == "walls":
+        if not subject.wall_surfaces:
+            raise CaseError(f"{options.lead}zoom walls: no wall is known; see `meshdeform info`")
+        return view.window(subject.corners(subject.wall_surfaces), 0.3).shaped(0.4, 1.2)
+    corners = np.concatenate([scene.facets.corners.reshape(-1, 3) for scene in scenes])
+    return view.window(corners, 0.03).shaped(0.05, 1.4)
 
 
-def _surface(subject: Subject, quads: IntArray, metric: str, view: View) -> _Part:
-    facets = surface_facets(subject, quads, metric)
-    view, solid = (view, True) if _view_of(facets)[1] else _view_of(facets)
-    return _Part(facets, block_outlines(subject.grid, subject.topology, quads), view, solid, quads)
+def _worst(subject: Subject, choice: Choice, title: str) -> Page:
+    block, cell = worst_cell(subject, choice.metric)
+    page = worst_cells(Pair(subject.reference or subject.grid, subject.grid, subject.topology), block, cell, choice)
+    before, after = page.panels
+    after = dataclasses.replace(after, title=f"worst cell: {subject.grid.label(block, cell)}")
+    return dataclasses.replace(page, panels=(after,) if subject.reference is None else (before, after), title=title)
 
 
-def _view_of(facets: Facets) -> tuple[View, bool]:
-    """The view of polygons, and whether they are not flat along an axis."""
-    size = np.ptp(facets.corners.reshape(-1, 3), axis=0)
-    axis = int(np.argmin(size))
-    if size[axis] <= 1e-6 * size.max():
-        return along("xyz"[axis]), False
-    return iso(), True
-
-
-def _scene(subject: Subject, choice: Choice, scale: Scale, part: _Part, view: View) -> Scene:
-    if not part.solid:
-        return flat_scene(subject, choice, scale, part.facets, part.outlines, view)
-    return Scene(part.facets, scale.colours(part.facets), part.outlines, lit=True, lines=choice.lines)
-
-
-def _window(subject: Subject, request: Request, part: _Part, old: _Part | None, view: View) -> Window:
-    if request.window:
-        return request.window
-    corners = np.concatenate([p.facets.corners.reshape(-1, 3) for p in (part, old) if p is not None])
-    if request.zoom == "walls":
-        walls = all_walls(subject)
-        if not walls:
-            raise CaseError(f"{request.lead}zoom walls: no wall is known; see `meshdeform info`")
-        return shaped(window_of(view, corners_of(subject, walls), 0.3), (0.4, 1.2))
-    return shaped(window_of(view, corners, 0.03), (0.05, 1.4))
-
-
-def _worst(subject: Subject, request: Request, title: str) -> Page:
-    block, cell = worst_cell(subject, request.choice.metric)
-    pair = Pair(subject.reference or subject.grid, subject.grid, subject.topology)
-    page = worst_cells(pair, block, cell, request.choice)
-    after = dataclasses.replace(page.panels[1], title=f"worst cell: {subject.grid.label(block, cell)}")
-    if subject.reference is None:
-        return dataclasses.replace(page, panels=(after,), title=title)
-    return dataclasses.replace(page, panels=(page.panels[0], after), title=title)
-
-
-def _arrows(old: _Part, new: _Part, view: View, window: Window) -> FloatArray:
+def _arrows(old: Scene, new: Panel) -> FloatArray:
     """Arrows (k, 2, 3), undeformed position and displacement, of polygons spread over the picture."""
-    if len(old.facets) != len(new.facets):
+    if len(old.facets) != len(new.scene.facets):
         raise CaseError("arrows need a plane of nodes, a surface or a flat grid; a cut in space has no cells in common")
-    start, end = old.facets.corners[:, 0], new.facets.corners[:, 0]
-    left, right, bottom, top = window
-    at = view.project(start)[:, :2]
-    step = (right - left) / _ARROWS
-    cell = np.floor((at - (left, bottom)) / step).astype(np.int64)
-    inside = ((at >= (left, bottom)) & (at <= (right, top))).all(axis=1)
-    _, first = np.unique(cell[inside, 0] * 10_000 + cell[inside, 1], return_index=True)
-    chosen = np.flatnonzero(inside)[first]
-    return np.stack([start[chosen], (end - start)[chosen]], axis=1)
+    start, end = old.facets.corners[:, 0], new.scene.facets.corners[:, 0]
+    window = new.window
+    at = old.view.project(start)[:, :2] - (window.left, window.bottom)
+    cell = np.floor(at / (window.width / _ARROWS)).astype(np.int64)
+    inside = np.flatnonzero(((at >= 0) & (at <= (window.width, window.height))).all(axis=1))
+    _, first = np.unique(cell[inside], axis=0, return_index=True)
+    return np.stack([start, end - start], axis=1)[inside[first]]

@@ -3,10 +3,65 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from meshdeform_core.grid import FloatArray
+
+
+class Window(NamedTuple):
+    """A rectangle in the picture's coordinates (length unit)."""
+
+    left: float
+    right: float
+    bottom: float
+    top: float
+
+    @property
+    def width(self) -> float:
+        return self.right - self.left
+
+    @property
+    def height(self) -> float:
+        return self.top - self.bottom
+
+    @property
+    def extent(self) -> float:
+        """The larger of width and height."""
+        return max(self.width, self.height)
+
+    def grown(self, margin: float) -> Window:
+        """With a margin on every side (length unit)."""
+        return Window(self.left - margin, self.right + margin, self.bottom - margin, self.top + margin)
+
+    def shaped(self, least: float, most: float) -> Window:
+        """Enlarged until height over width is within limits."""
+        wanted = min(max(self.height / self.width, least), most)
+        width, height = max(self.width, self.height / wanted), max(self.height, wanted * self.width)
+        x, y = 0.5 * (self.left + self.right), 0.5 * (self.bottom + self.top)
+        return Window(x - width / 2, x + width / 2, y - height / 2, y + height / 2)
+
+    def within(self, whole: Window) -> Window:
+        """The part inside another one."""
+        return Window(
+            max(self.left, whole.left), min(self.right, whole.right),
+            max(self.bottom, whole.bottom), min(self.top, whole.top),
+        )  # fmt: skip
+
+    def moved_into(self, whole: Window) -> Window:
+        """Shifted to lie within another one and a narrow rim, as far as it fits."""
+        outer = whole.grown(0.03 * self.extent)
+        across = max(outer.left - self.left, 0.0) or min(outer.right - self.right, 0.0)
+        upwards = max(outer.bottom - self.bottom, 0.0) or min(outer.top - self.top, 0.0)
+        return Window(self.left + across, self.right + across, self.bottom + upwards, self.top + upwards)
+
+    def joined(self, other: Window) -> Window:
+        """The smallest one that contains both."""
+        return Window(
+            min(self.left, other.left), max(self.right, other.right),
+            min(self.bottom, other.bottom), max(self.top, other.top),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -29,6 +84,13 @@ class View:
     def project(self, points: FloatArray) -> FloatArray:
         """Coordinates (..., 3) in the picture: to the right, up and towards the viewer (length unit)."""
         return np.asarray(points @ np.stack([self.right, self.up, self.towards], axis=1))
+
+    def window(self, points: FloatArray, margin: float = 0.04) -> Window:
+        """The window that contains all points (..., 3), with a margin (fraction of the larger extent)."""
+        flat = self.project(points.reshape(-1, 3))[:, :2]
+        (left, bottom), (right, top) = flat.min(axis=0).tolist(), flat.max(axis=0).tolist()
+        window = Window(left, right, bottom, top)
+        return window.grown(margin * (window.extent or 1.0))
 
 
 def along(axis: str, mirrored: bool = False) -> View:
@@ -62,28 +124,7 @@ def facing(normal: FloatArray) -> View:
 
 
 def spread(points: FloatArray) -> View:
-    """The view onto points that are flat along a coordinate axis, else the isometric one."""
-    extent = np.ptp(points.reshape(-1, 3), axis=0)
-    axis = int(np.argmin(extent))
-    return along("xyz"[axis]) if extent[axis] < 1e-6 * extent.max() else iso()
-
-
-Window = tuple[float, float, float, float]
-"""Left, right, bottom, top in the picture's coordinates (length unit)."""
-
-
-def window_of(view: View, points: FloatArray, margin: float = 0.04) -> Window:
-    """The window that contains all points (..., 3), with a margin (fraction of the larger extent)."""
-    flat = view.project(points.reshape(-1, 3))[:, :2]
-    low, high = flat.min(axis=0), flat.max(axis=0)
-    rim = margin * float((high - low).max() or 1.0)
-    return float(low[0] - rim), float(high[0] + rim), float(low[1] - rim), float(high[1] + rim)
-
-
-def shaped(window: Window, aspect: tuple[float, float]) -> Window:
-    """The window, enlarged until height over width is within limits."""
-    left, right, bottom, top = window
-    width, height = right - left, top - bottom
-    wanted = min(max(height / width, aspect[0]), aspect[1])
-    more_height, more_width = max(wanted * width - height, 0.0), max(height / wanted - width, 0.0)
-    return left - more_width / 2, right + more_width / 2, bottom - more_height / 2, top + more_height / 2
+    """The view onto points (..., 3) that are flat along a coordinate axis, else the isometric one."""
+    size = np.ptp(points.reshape(-1, 3), axis=0)
+    axis = int(np.argmin(size))
+    return along("xyz"[axis]) if size[axis] <= 1e-6 * size.max() else iso()

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 def plot(grid: Grid, reference: Grid | None, title: str | None, options: PlotOptions) -> Figure:
     """See :meth:`meshdeform.Grid.plot`."""
     name = grid.path.name if grid.path else ""
-    return page_figure(picture(_subject(grid, reference), options.request(), name if title is None else title))
+    return page_figure(picture(_subject(grid, reference), options, name if title is None else title))
 
 
 def pyvista_blocks(grid: Grid, reference: Grid | None, measures: Sequence[str]) -> pyvista.MultiBlock:

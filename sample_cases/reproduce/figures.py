@@ -11,7 +11,7 @@ import numpy as np
 from meshdeform_core.deform import Setup
 from meshdeform_core.grid import FloatArray, Grid
 from meshdeform_formats.files import replacing
-from meshdeform_formats.picture import STYLE, Facets, Subject, along, block_facets, draw, joined
+from meshdeform_formats.picture import STYLE, Facets, Subject, Window, along, block_facets, draw, joined
 
 from .experiment import Outcome, Trial
 from .small_png import save_small
@@ -223,13 +223,9 @@ def _draw_panel(axes: Any, part: Slice, panel: Panel, figure: Figure) -> Any:
     from matplotlib.collections import LineCollection
 
     view = along(part.view)
-    facets, lines = part.facets, [view.project(line)[:, :2] for line in part.lines]
-    if panel.zoom:
-        left, far, low, high = panel.zoom
-        flat = view.project(facets.corners)[..., :2]
-        seen = ((flat.max(axis=1) > [left, low]) & (flat.min(axis=1) < [far, high])).all(axis=1)
-        facets = facets.where(seen)
-    collection = draw(axes, facets, view=view, limits=(figure.low, 1.0), lines=False)
+    lines = [view.project(line)[:, :2] for line in part.lines]
+    window = Window(*panel.zoom) if panel.zoom else None
+    collection = draw(axes, part.facets, view=view, window=window, limits=(figure.low, 1.0), lines=False)
     axes.add_collection(LineCollection(lines, colors="black", linewidths=0.18))
     if panel.zoom:
         axes.set_xlim(*panel.zoom[:2])

@@ -12,7 +12,7 @@ from PIL import Image
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid.topology import find_topology
-from meshdeform_formats.picture import Choice, Request, Subject
+from meshdeform_formats.picture import PlotOptions, Subject
 from meshdeform_formats.picture.film import Common, film, save_film
 from meshdeform_formats.picture.request import picture
 
@@ -27,7 +27,7 @@ def levels():
         yield f"shift {shift}", Subject(grid.moved(moved), topology, grid)
 
 
-OF_DISPLACEMENT = Request(Choice("displacement"))
+OF_DISPLACEMENT = PlotOptions("displacement")
 
 
 def test_pictures_have_one_size_one_window_and_one_scale():

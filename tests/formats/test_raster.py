@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from meshdeform_formats.picture.drawing.raster import draw_polygons, draw_segments
+from meshdeform_formats.picture.raster import draw_polygons, draw_segments
 
 
 def drawn(corners, shape=(40, 50), scale=1.0):

@@ -12,8 +12,9 @@ from meshdeform_core.grid import BoolArray, FloatArray, Grid, IntArray, Side
 from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.topology import Topology, side_nodes
 from meshdeform_core.parallel import alike, for_rows, of_all, rows_of
+from meshdeform_core.quality.fields import Cells
 
-from .subject import Cells, Subject
+from .subject import Subject
 
 
 @dataclass(frozen=True)
@@ -62,17 +63,29 @@ def plane_facets(
 
     Blocks that do not extend to the index are omitted; a 2-D grid is drawn completely.
     """
-    grid, planes = subject.grid, []
+    planes = _planes(subject.grid, axis, index, blocks)
+    if not planes:
+        longest = max(shape[axis] for shape in subject.grid.shapes)
+        raise CaseError(f"no block has a node plane {'ijk'[axis]} = {(index or 0) + 1}; the largest is {longest}")
+    return joined([block_facets(subject, *plane, metric) for plane in planes])
+
+
+def plane_outlines(subject: Subject, axis: int, index: int | None, blocks: Sequence[int] | None = None) -> FloatArray:
+    """Edges (n, 2, 3) of the blocks in an index plane."""
+    layers = [_layer(subject.grid, *plane) for plane in _planes(subject.grid, axis, index, blocks)]
+    return np.concatenate([_outline(x, np.ones((x.shape[0] - 1, x.shape[1] - 1), dtype=bool)) for x in layers])
+
+
+def _planes(grid: Grid, axis: int, index: int | None, blocks: Sequence[int] | None) -> list[tuple[int, int, int]]:
+    """Block, axis and index of the planes of nodes of blocks."""
+    found = []
     for block in range(grid.n_blocks) if blocks is None else blocks:
         shape = grid.shapes[block]
         along = shape.index(1) if grid.dimension == 2 else axis
         at = (shape[along] - 1) // 2 if index is None or grid.dimension == 2 else index
         if at < shape[along]:
-            planes.append(block_facets(subject, block, along, at, metric))
-    if not planes:
-        longest = max(shape[axis] for shape in grid.shapes)
-        raise CaseError(f"no block has a node plane {'ijk'[axis]} = {(index or 0) + 1}; the largest is {longest}")
-    return joined(planes)
+            found.append((block, along, at))
+    return found
 
 
 def block_facets(subject: Subject, block: int, axis: int, index: int, metric: str) -> Facets:
@@ -97,7 +110,7 @@ def _layer(grid: Grid, block: int, axis: int, index: int) -> FloatArray:
 
 def _facets(subject: Subject, block: int, cells: Cells, quads: FloatArray, metric: str, group: int) -> Facets:
     with subject.ready(metric):
-        look = subject.of_all(lambda own: subject.values(metric, block, own), block, cells) if metric else None
+        look = subject.of_all(lambda own: subject.shown(metric, block, own), block, cells) if metric else None
         bad = subject.of_all(lambda own: subject.bad(block, own), block, cells)
     values = np.full(len(quads), np.nan) if look is None else look.ravel()
     return Facets(quads, values, bad.ravel(), np.full(len(quads), group))
@@ -178,7 +191,7 @@ def _cut_block(subject: Subject, block: int, level: FloatArray, shift: float, me
     polygons = _polygons(points, values)
     return Facets(
         polygons,
-        subject.values(metric, block, cells)[at] if metric else np.full(len(polygons), np.nan),
+        subject.shown(metric, block, cells)[at] if metric else np.full(len(polygons), np.nan),
         subject.bad(block, cells)[at],
         np.full(len(polygons), block),
     )
@@ -231,16 +244,3 @@ def _outline(x: FloatArray, mask: BoolArray) -> FloatArray:
             np.stack([x[along[0], along[1]], x[along[0] + 1, along[1]]], axis=1),
         ]
     )
-
-
-def plane_outlines(subject: Subject, axis: int, index: int | None, blocks: Sequence[int] | None = None) -> FloatArray:
-    """Edges (n, 2, 3) of the blocks in an index plane."""
-    parts = []
-    for block in range(subject.grid.n_blocks) if blocks is None else blocks:
-        shape = subject.grid.shapes[block]
-        along = shape.index(1) if subject.grid.dimension == 2 else axis
-        at = (shape[along] - 1) // 2 if index is None or subject.grid.dimension == 2 else index
-        if at < shape[along]:
-            x = _layer(subject.grid, block, along, at)
-            parts.append(_outline(x, np.ones((x.shape[0] - 1, x.shape[1] - 1), dtype=bool)))
-    return np.concatenate(parts)

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import FloatArray
 
-from ..content.facets import Facets
-from ..content.subject import METRICS
-from .image import INVALID_COLOUR
+from .facets import Facets
+from .scene import Scene
+from .subject import METRICS
 
+if TYPE_CHECKING:
+    from matplotlib.cm import ScalarMappable
+
+INVALID_COLOUR = (0.90, 0.00, 0.42)
+"""Not in any of the colour maps; colour-blind people can distinguish it from them by lightness or hue."""
 _REACHES = (0.01, 0.02, 0.05)
 """Shortest ranges for metrics with a fixed end; longer ones are multiples of a tenth."""
 SEQUENTIAL, DIVERGING = "viridis", "PuOr"
@@ -39,29 +45,45 @@ class Scale:
     extended: str = "neither"
 
     @property
-    def label(self) -> str:
-        return METRICS[self.metric].label
-
-    @property
-    def map_name(self) -> str:
-        return DIVERGING if METRICS[self.metric].diverging else SEQUENTIAL
-
-    def norm(self):  # type: ignore[no-untyped-def]
-        """The matplotlib norm."""
+    def mappable(self) -> ScalarMappable:
+        """Norm and colour map, for matplotlib's colour bars."""
+        from matplotlib.cm import ScalarMappable
         from matplotlib.colors import LogNorm, Normalize
 
-        return (LogNorm if self.logarithmic else Normalize)(self.low, self.high, clip=True)
+        return ScalarMappable((LogNorm if self.logarithmic else Normalize)(self.low, self.high, clip=True), self._map)
+
+    @property
+    def _map(self) -> str:
+        return DIVERGING if METRICS[self.metric].diverging else SEQUENTIAL
 
     def colours(self, facets: Facets) -> FloatArray:
         """RGB (n, 3) of polygons by value; invalid cells have a colour of their own, those without a value are grey."""
-        from matplotlib import colormaps
-
         known = np.isfinite(facets.values)
-        values = np.where(known, facets.values, self.low)
-        colours = np.array(colormaps[self.map_name](self.norm()(values)))[:, :3]
+        colours = np.asarray(self.mappable.to_rgba(np.where(known, facets.values, self.low)))[:, :3]
         colours[~known] = NO_VALUE
         colours[facets.bad] = INVALID_COLOUR
         return colours
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Metric and scale of the colours.
+
+    ``limits`` of the colours, ``logarithmic`` scale, ``lines``: draw grid lines.
+    """
+
+    metric: str = "f_skew"
+    limits: tuple[float, float] | None = None
+    logarithmic: bool = False
+    lines: bool = True
+
+    def scale(self, *facets: Facets) -> Scale:
+        """Colours for the values of all polygons together."""
+        return self.scale_of(np.concatenate([each.values for each in facets]))
+
+    def scale_of(self, values: FloatArray) -> Scale:
+        """Colours for values (n,)."""
+        return scale_of(self.metric, values, self.limits, self.logarithmic)
 
 
 def scale_of(
@@ -108,10 +130,14 @@ def _range(
     return low, high
 
 
-def group_colours(facets: Facets) -> FloatArray:
-    """RGB (n, 3) of polygons by group."""
-    colours = np.array([colour_of(n) for n in range(int(facets.group.max(initial=0)) + 1)])
-    return np.asarray(colours[facets.group])
+def colours_of(scene: Scene, scale: Scale | None) -> FloatArray:
+    """RGB (n, 3) of the polygons of a scene: its own colour, else by value, without a scale by group."""
+    if scene.colour is not None:
+        return np.tile(scene.colour, (len(scene.facets), 1))
+    if scale is not None:
+        return scale.colours(scene.facets)
+    groups = scene.facets.group
+    return np.array([colour_of(n) for n in range(int(groups.max(initial=0)) + 1)])[groups]
 
 
 def colour_of(group: int) -> tuple[float, float, float]:

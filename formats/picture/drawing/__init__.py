@@ -1,1 +1,0 @@
-"""From polygons to files: depth buffer, image, lines, colours, pages of panels."""

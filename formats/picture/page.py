@@ -1,0 +1,311 @@
+"""Pages of panels as matplotlib figures: images of scenes in axes of equal scales, colour bar, legend, files."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import FloatArray
+
+from ..files import replacing
+from .colours import INVALID_COLOUR, NO_VALUE, Choice, Scale, colours_of, scale_of
+from .facets import Facets
+from .raster import FINE, Image, render
+from .scene import Scene
+from .subject import METRICS
+from .view import View, Window, spread
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.figure import Figure
+
+SUFFIXES = (".png", ".svg", ".pdf")
+FILMS = (".gif", ".mp4")
+STYLE: dict[Any, Any] = {
+    "font.size": 9,
+    "axes.labelsize": 9,
+    "axes.titlesize": 9.5,
+    "axes.linewidth": 0.6,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "legend.fontsize": 8,
+    "figure.dpi": 150,
+    "savefig.dpi": 200,
+    # The same picture gives the same file.
+    "svg.hashsalt": "meshdeform",
+    "svg.fonttype": "none",
+}
+_WIDTH = 7.2
+"""Width of a page, in inches."""
+_CORNER = 64.0
+"""Full width of the triad of axes, in points."""
+_HIGH = 3.5
+"""Height of a figure, in inches, from which on the label of the colour bar fits in one line."""
+Colour = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One picture on a page.
+
+    Attributes
+    ----------
+    window : what is shown, in coordinates of the view
+    arrows : (k, 2, 3) points and displacements, drawn as arrows at their true length
+    frames : windows of close-ups, drawn as rectangles
+    under : another scene, drawn first and seen through this one
+    strokes : thick lines (k, 2, 3) in colours of their own
+    """
+
+    scene: Scene
+    window: Window
+    title: str = ""
+    arrows: FloatArray = field(default_factory=lambda: np.empty((0, 2, 3)))
+    frames: tuple[Window, ...] = ()
+    under: Scene | None = None
+    strokes: tuple[tuple[FloatArray, Colour], ...] = ()
+
+    @property
+    def aspect(self) -> float:
+        """Height over width."""
+        return self.window.height / self.window.width
+
+
+@dataclass(frozen=True)
+class Page:
+    """Panels side by side, or one below the other if they are flat, with colour bar and legend.
+
+    ``legend`` are names and colours of groups; ``marks`` which cells the legend always explains, besides those that
+    the page shows: ``invalid`` ones, those of ``absent`` values. ``lines``: draw the edges of the cells.
+    """
+
+    panels: tuple[Panel, ...]
+    title: str = ""
+    scale: Scale | None = None
+    legend: tuple[tuple[str, Colour], ...] = ()
+    marks: frozenset[str] = frozenset()
+    lines: bool = True
+
+    @classmethod
+    def of(cls, panels: Sequence[Panel], choice: Choice, title: str = "") -> Page:
+        """Panels in the colours of all their values together."""
+        facets = [each.facets for panel in panels for each in (panel.scene, panel.under) if each is not None]
+        return cls(tuple(panels), title, choice.scale(*facets), lines=choice.lines)
+
+    @property
+    def explained(self) -> frozenset[str]:
+        """Kinds of cells that the legend explains."""
+        scenes = [panel.scene for panel in self.panels]
+        invalid = {"invalid"} if any(scene.facets.bad.any() for scene in scenes) else set()
+        absent = {"absent"} if self.scale is not None and any(scene.absent for scene in scenes) else set()
+        return self.marks | invalid | absent
+
+
+def check_picture_path(path: Path) -> None:
+    """Refuse an unknown suffix before anything is computed."""
+    if path.suffix.lower() in FILMS:
+        raise FormatError(f"{path} is a film; it needs a series: the folder that `meshdeform series` has written")
+    if path.suffix.lower() not in SUFFIXES:
+        raise FormatError(f"picture {path}: suffix {path.suffix!r} is unknown; expected {', '.join(SUFFIXES)}")
+
+
+def save_page(page: Page, path: Path) -> None:
+    """Write a page; the suffix picks png, svg or pdf."""
+    check_picture_path(path)
+    # Into memory first, as matplotlib cannot close a file on a full disk.
+    data = _saved(page, path.suffix.lower().lstrip("."), _WIDTH, STYLE["savefig.dpi"], FINE)
+    with replacing(path) as partial:
+        partial.write_bytes(data)
+
+
+def page_png(page: Page, width: float = _WIDTH, dpi: int | None = None) -> bytes:
+    """A page as the bytes of a PNG file, by default with the resolution of ``STYLE`` for the screen."""
+    return _saved(page, "png", width, dpi or STYLE["figure.dpi"], 2)
+
+
+def _saved(page: Page, kind: str, width: float, dpi: int, fine: int) -> bytes:
+    import matplotlib as mpl
+
+    metadata = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
+    buffer = io.BytesIO()
+    with mpl.rc_context(STYLE | {"savefig.dpi": dpi}):
+        page_figure(page, width, dpi, fine).savefig(buffer, format=kind, metadata=metadata)
+    return buffer.getvalue()
+
+
+def page_figure(page: Page, width: float = _WIDTH, dpi: int = 150, fine: int = FINE) -> Figure:
+    """A page as a matplotlib figure, ``width`` inches wide."""
+    import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    with mpl.rc_context(STYLE | {"figure.dpi": dpi, "savefig.dpi": dpi}):
+        # Ticks may change when panels get their final shape, so that their labels need some room.
+        layout = ConstrainedLayoutEngine(w_pad=0.08)
+        figure = Figure(figsize=_size(page, width), layout=layout)
+        FigureCanvasAgg(figure)
+        axes = _frames(figure, page)
+        # The layout alone, without drawing; `None` also keeps `savefig` from laying out once more.
+        layout.execute(figure)
+        figure.set_layout_engine(None)
+        for ax, panel in zip(axes, page.panels, strict=True):
+            _fill(ax, panel, page, fine)
+        return figure
+
+
+def _stacked(page: Page) -> bool:
+    return len(page.panels) > 1 and page.panels[0].aspect < 0.45
+
+
+def _shares(page: Page) -> list[float]:
+    """Relative widths of panels side by side, so that they are equally high."""
+    return [1 / max(panel.aspect, 0.4) for panel in page.panels]
+
+
+def _size(page: Page, width: float) -> tuple[float, float]:
+    """Width and height of the page in inches."""
+    aspects = [panel.aspect for panel in page.panels]
+    side = 0.15 + (0.9 if page.scale else 0.1)
+    if _stacked(page):
+        height = sum((width - side - 0.5) * min(aspect, 0.8) + 0.6 for aspect in aspects)
+    else:
+        shares = _shares(page)
+        each = (width - side - 0.55 * len(aspects)) / sum(shares)
+        height = max(each * share * aspect for share, aspect in zip(shares, aspects, strict=True)) + 0.8
+    below = 0.35 if page.legend or page.explained else 0.0
+    return width, min(max(height, 2.2), 1.4 * width) + (0.3 if page.title else 0.0) + below
+
+
+def _frames(figure: Figure, page: Page) -> list[Axes]:
+    """Empty axes, colour bar, legend and titles, which determine the size of the panels."""
+    from matplotlib.patches import Patch
+
+    n = len(page.panels)
+    if _stacked(page):
+        grid = figure.subplots(n, 1, squeeze=False, height_ratios=[min(p.aspect, 0.8) for p in page.panels])
+    else:
+        grid = figure.subplots(1, n, squeeze=False, width_ratios=_shares(page))
+    axes = list(grid.ravel())
+    for ax, panel in zip(axes, page.panels, strict=True):
+        ax.set(xlim=panel.window[:2], ylim=panel.window[2:], title=panel.title)
+        if panel.scene.view.flat:
+            ax.set(xlabel=panel.scene.view.labels[0], ylabel=panel.scene.view.labels[1])
+        else:
+            ax.set_axis_off()
+    legend = list(page.legend)
+    if page.scale:
+        known = METRICS[page.scale.metric]
+        # Keeps the label shorter than the bar.
+        label = known.label if figure.get_figheight() > _HIGH else known.label.replace(" (", "\n(")
+        bar = figure.colorbar(page.scale.mappable, ax=axes, label=label, shrink=0.85, aspect=28, pad=0.015,
+                              extend=page.scale.extended)  # fmt: skip
+        bar.outline.set_linewidth(0.5)
+        legend += [(known.absent, NO_VALUE)] if "absent" in page.explained else []
+    legend += [("invalid cell", INVALID_COLOUR)] if "invalid" in page.explained else []
+    if legend:
+        entries = [Patch(facecolor=colour, edgecolor="0.3", linewidth=0.4, label=name) for name, colour in legend]
+        figure.legend(handles=entries, loc="outside lower center", ncols=min(len(entries), 5), frameon=False)
+    if page.title:
+        figure.suptitle(page.title, fontsize=10.5, fontweight="bold")
+    return axes
+
+
+def _fill(ax: Axes, panel: Panel, page: Page, fine: int) -> None:
+    from matplotlib.collections import LineCollection, PolyCollection
+    from matplotlib.patches import Rectangle
+
+    scene, view = panel.scene, panel.scene.view
+    image = None
+    for each in (panel.under, scene):
+        if each is not None:
+            width = max(64, round(ax.get_window_extent().width))
+            image = render(each, colours_of(each, page.scale), panel.window, width, fine, page.lines, image)
+    assert image is not None
+    ax.imshow(image.pixels, extent=panel.window, interpolation="nearest", aspect="equal", zorder=1)
+    if not scene.lit and scene.facets.bad.any():
+        # Edges of invalid cells of a plane, which would otherwise be too thin to be seen.
+        thin = list(view.project(scene.facets.corners[scene.facets.bad])[..., :2])
+        ax.add_collection(
+            PolyCollection(thin, facecolors="none", edgecolors=[INVALID_COLOUR], linewidths=0.7, zorder=2)
+        )
+    # Not earlier: the layout measures labels and titles with panels of their full size.
+    ax.set(xlim=panel.window[:2], ylim=panel.window[2:], aspect="equal")
+    ax.apply_aspect()
+    if not view.flat:
+        _triad(ax, view, image, len(scene.facets))
+    if len(panel.arrows):
+        at, shift = view.project(panel.arrows[:, 0]), view.project(panel.arrows[:, 1])
+        ax.quiver(at[:, 0], at[:, 1], shift[:, 0], shift[:, 1], angles="xy", scale_units="xy", scale=1.0,
+                  width=0.0028, facecolor="white", edgecolor="black", linewidth=0.35, zorder=4)  # fmt: skip
+    for frame in panel.frames:
+        ax.add_patch(Rectangle((frame.left, frame.bottom), frame.width, frame.height, fill=False, linewidth=1.0,
+                               edgecolor="#c03000", zorder=3))  # fmt: skip
+    for edges, colour in panel.strokes:
+        lines = list(view.project(edges)[..., :2])
+        ax.add_collection(LineCollection(lines, colors=[colour], linewidths=2.2, capstyle="round", zorder=3))
+
+
+def draw(
+    axes: Axes, facets: Facets, *, view: View | None = None, window: Window | None = None,
+    limits: tuple[float, float] | None = None, lines: bool = True,
+) -> ScalarMappable:  # fmt: skip
+    """Draw polygons, coloured by f_skew, into axes of a figure assembled by the caller; what a colour bar needs.
+
+    ``limits`` of the colours default to those of the values, ``window`` to all polygons.
+    """
+    scene = Scene(facets, view or spread(facets.corners))
+    window, scale = window or scene.view.window(facets.corners), scale_of("f_skew", facets.values, limits)
+    image = render(scene, scale.colours(facets), window, 1000, 2, lines)
+    axes.imshow(image.pixels, extent=window, interpolation="antialiased", aspect="equal")
+    axes.set(xlabel=scene.view.labels[0], ylabel=scene.view.labels[1])
+    return scale.mappable
+
+
+def free_corner(item: np.ndarray, polygons: int, part: float) -> tuple[float, float]:
+    """The corner of a panel, in fractions of its width and height, that shows least apart from the backdrop.
+
+    ``item`` is that of the image of ``polygons`` and a backdrop; corners are squares whose side is the fraction
+    ``part`` of the width.
+    """
+    drawn = (item >= 0) & (item < polygons)
+    reach = max(1, min(round(part * drawn.shape[1]), *drawn.shape))
+    rows = {0.0: np.s_[-reach:], 1.0: np.s_[:reach]}
+    columns = {0.0: np.s_[:reach], 1.0: np.s_[-reach:]}
+    corners = ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0))
+    return min(corners, key=lambda corner: float(drawn[rows[corner[1]], columns[corner[0]]].mean()))
+
+
+def _triad(ax: Axes, view: View, image: Image, polygons: int) -> None:
+    """The directions of x, y and z in a free corner."""
+    from matplotlib.patheffects import withStroke
+
+    white = [withStroke(linewidth=2.0, foreground="white")]
+    box, points = ax.get_window_extent(), 72 / ax.get_figure(root=True).dpi  # type: ignore[union-attr]
+    width, height = box.width * points, box.height * points
+    size = min(1.0, width / 260)
+    side = _CORNER * size
+    right, up = free_corner(image.item, polygons, side / width)
+    x, y = side / 2 + right * (width - side), side / 2 + up * (height - side)
+    for name, unit in zip("xyz", np.eye(3), strict=True):
+        across, upwards, _ = view.project(unit) * size
+        # Seen end-on, an axis would be a meaningless dot.
+        if np.hypot(across, upwards) < 0.15 * size:
+            continue
+        ax.annotate(
+            "", xy=(x + 20 * across, y + 20 * upwards), xytext=(x, y), xycoords="axes points",
+            textcoords="axes points", zorder=5,
+            arrowprops={"arrowstyle": "-|>", "linewidth": 0.75, "color": "0.15", "shrinkA": 0, "shrinkB": 0,
+                        "mutation_scale": 6 * size, "path_effects": white},
+        )  # fmt: skip
+        ax.annotate(
+            name, xy=(x + 27 * across, y + 27 * upwards), xycoords="axes points", ha="center", va="center",
+            fontsize=5 + 3 * size, zorder=5, path_effects=white,
+        )  # fmt: skip

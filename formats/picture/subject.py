@@ -1,0 +1,215 @@
+"""The subject of a picture: a grid with its walls, the plane that represents it, its worst cell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from meshdeform_core.grid import FloatArray, IntArray, Shape
+from meshdeform_core.grid.faces.pieces import Face
+from meshdeform_core.grid.faces.roles import Role
+from meshdeform_core.grid.faces.surfaces import Surface, thin_direction
+from meshdeform_core.grid.planes import Plane
+from meshdeform_core.numerics.arrays import extent
+from meshdeform_core.numerics.geometry.vectors import doubled_areas
+from meshdeform_core.parallel import of_all, own_rows, rows_of
+from meshdeform_core.quality.fields import CELL_MEASURES, CellFields, Cells
+
+_ROUND_OFF = 1e-9
+_ALONG = 1 - 1e-6
+_CORNERS = ("f_skew", "scaled_jacobian", "jacobian")
+"""Measures of corners: zero at collapsed edges, whatever the shape of the cell."""
+
+
+@dataclass(frozen=True)
+class Metric:
+    """The measure that colours cells: its values, the label of the colour bar, the range that is always shown, if any.
+
+    ``diverging`` measures have the neutral value 1; for ``rising`` ones large values are bad; ``absent`` is why cells
+    have no value.
+    """
+
+    label: str
+    limits: tuple[float, float] | None = None
+    diverging: bool = False
+    rising: bool = False
+    absent: str = "no value"
+
+
+_LIMITS = {"f_skew": (0.0, 1.0), "scaled_jacobian": (0.0, 1.0)}
+_DIVERGING = ("volume_ratio", "first_cell_height_ratio")
+_RISING = (
+    "displacement", "aspect_ratio", "growth_ratio", "non_orthogonality_deg", "skewness", "wall_normal_deviation_deg",
+    "interface_kink_deg", "interface_spacing_jump",
+)  # fmt: skip
+METRICS = {
+    name: Metric(
+        measure.definition, _LIMITS.get(name), name in _DIVERGING, name in _RISING,
+        "collapsed edge" if name in _CORNERS else "no value",
+    )
+    for name, measure in CELL_MEASURES.items()
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Subject(CellFields):
+    """A grid to draw; cells that are invalid are marked, with a reference only those that became invalid."""
+
+    def shown(self, metric: str, block: int, cells: Cells) -> FloatArray:
+        """:meth:`values` for the colours of a box of cells: NaN where a collapsed edge makes a measure of corners zero,
+        which says nothing of the cell."""
+        values = self.values(metric, block, cells)
+        if metric not in _CORNERS:
+            return values
+        return np.where(np.abs(self.measure(block, cells).scaled) <= _ROUND_OFF, np.nan, values)
+
+    @cached_property
+    def thin(self) -> FloatArray | None:
+        """Normal of the plane of a 2-D grid, or of a grid that is one cell thick."""
+        return thin_direction(self.grid)
+
+    @cached_property
+    def size(self) -> float:
+        """Largest extent of the grid."""
+        low, high = extent(self.grid.points)
+        return float((high - low).max())
+
+    def reach(self, normal: FloatArray) -> tuple[float, float]:
+        """Smallest and largest x . ``normal`` of all nodes x."""
+        rows = rows_of(self.grid.points)[slice(*own_rows(self.grid.points))]
+        level = rows[:, 0] * normal[0] + rows[:, 1] * normal[1] + rows[:, 2] * normal[2]
+        ends = of_all(self.grid.points, (level.min(), level.max()) if level.size else (np.inf, -np.inf))
+        return float(min(low for low, _ in ends)), float(max(high for _, high in ends))
+
+    @property
+    def bodies(self) -> tuple[Surface, ...]:
+        """Walls of bodies in the grid, and likely thin plates."""
+        return self.outside.bodies + self.outside.plates
+
+    @property
+    def wall_surfaces(self) -> tuple[Surface, ...]:
+        """All walls, and likely thin plates."""
+        return self.outside.of_role(Role.WALL) + self.outside.plates
+
+    def corners(self, surfaces: Iterable[Surface]) -> FloatArray:
+        """The corners (n, m, 3) of the face quads of surfaces; in 2-D the ends (n, 2, 3) of edges."""
+        nodes = self.topology.quads.corners[quads_of(surfaces)]
+        return np.asarray(self.grid.points[self.topology.first[nodes]])
+
+    def outward(self, surface: Surface) -> FloatArray:
+        """Mean unit normal of a surface, out of the grid; zero for a closed one."""
+        total = doubled_areas(self.corners([surface])).sum(axis=0)
+        length = float(np.linalg.norm(total))
+        return np.asarray(total / length) if length > 0 else np.zeros(3)
+
+    @cached_property
+    def end_plane(self) -> tuple[IntArray, FloatArray] | None:
+        """Face quads and normal of one of the two end planes of an extruded grid, which represents the whole grid."""
+        ends = self._ends()
+        if not ends or ends[0].plane is None:
+            return None
+        normal = ends[0].plane.normal
+        if not all(self._upright(plate, normal) for plate in self.outside.plates):
+            return None
+        height = [float(face.plane.point @ normal) if face.plane is not None else np.inf for face in ends]
+        lowest = min(height) + 1e-6 * self.size
+        return np.concatenate([face.quads for face, h in zip(ends, height, strict=True) if h <= lowest]), normal
+
+    def _ends(self) -> list[Face]:
+        """Faces at both ends, else faces across the direction in which the grid is one cell thick, else faces in two
+        parallel symmetry planes between which all walls stand upright."""
+        ends = self._faces(Role.END)
+        if not ends and self.thin is not None:
+            ends = _across([face for face in self.outside.faces if face.outside], self.thin)
+        if ends and ends[0].plane is not None:
+            return ends
+        walls, planes = self._faces(Role.WALL), [face for face in self._faces(Role.SYMMETRY) if face.plane]
+        tried: list[FloatArray] = []
+        for face in planes:
+            assert face.plane is not None
+            normal = face.plane.normal
+            # The faces of many blocks lie in the same few planes.
+            if any(abs(other @ normal) > 1 - 1e-12 for other in tried):
+                continue
+            tried.append(normal)
+            same = _across(planes, normal)
+            heights = [float(f.plane.point @ normal) for f in same if f.plane is not None]
+            (low, high), near = self.reach(normal), 1e-6 * self.size
+            both = min(heights) <= low + near and max(heights) >= high - near and np.ptp(heights) > near
+            if both and walls and all(self._upright(wall, normal) for wall in walls):
+                return same
+        return []
+
+    def _faces(self, role: Role) -> list[Face]:
+        return [face for face, of in zip(self.outside.faces, self.outside.roles, strict=True) if of is role]
+
+    def _upright(self, wall: Face | Surface, normal: FloatArray) -> bool:
+        """Whether a wall reaches through the whole grid along a direction."""
+        low, high = self.reach(normal)
+        return bool(np.ptp(wall.box, axis=0) @ np.abs(normal) >= 0.99 * (high - low))
+
+    def middle_plane(self) -> Plane:
+        """A plane through the middle of the bodies, parallel to a symmetry plane or else across their longest extent;
+        without bodies through the middle of the grid, across its shortest extent."""
+        low, high = self.box_of(self.bodies) if self.bodies else extent(self.grid.points)
+        mirrors = self.outside.of_role(Role.SYMMETRY)
+        if not self.bodies:
+            axis = int(np.argmin(high - low))
+        elif mirrors:
+            axis = int(np.argmax(np.abs(self.outward(mirrors[0]))))
+        else:
+            axis = int(np.argmax(high - low))
+        return Plane(0.5 * (low + high), np.eye(3)[axis])
+
+    @staticmethod
+    def box_of(surfaces: Iterable[Surface]) -> FloatArray:
+        """Lowest and highest coordinates (2, 3) of surfaces."""
+        boxes = np.array([surface.box for surface in surfaces])
+        return np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
+
+
+def _across(faces: Iterable[Face], normal: FloatArray) -> list[Face]:
+    """Faces in planes across a direction."""
+    return [face for face in faces if face.plane is not None and abs(face.plane.normal @ normal) > _ALONG]
+
+
+def quads_of(surfaces: Iterable[Surface]) -> IntArray:
+    """The face quads (n,) of surfaces."""
+    return np.concatenate([np.empty(0, dtype=np.int64), *(surface.quads for surface in surfaces)])
+
+
+def worst_cell(subject: Subject, metric: str) -> tuple[int, Shape]:
+    """Block and cell (0-based) where a metric is worst; among invalid cells the one with the worst corner.
+
+    Worst is the smallest value, for rising measures the largest, for ratios the one farthest from 1.
+    """
+    with subject.ready(metric):
+        best = _worst_of_rank(subject, metric)
+    _, block, cell = min(of_all(subject.grid.points, best), key=lambda each: each[0])
+    return block, cell
+
+
+def _worst_of_rank(subject: Subject, metric: str) -> tuple[float, int, Shape]:
+    """Badness (smallest is worst), block and place of the worst cell that this rank holds."""
+    known = METRICS[metric]
+    best = (np.inf, 0, (0, 0, 0))
+    for block in range(subject.grid.n_blocks):
+        cells = subject.own(block, subject.whole(block))
+        if cells[0].start == cells[0].stop:
+            continue
+        values = subject.shown(metric, block, cells)
+        rank = -np.abs(np.log(np.maximum(values, 1e-300))) if known.diverging else -values if known.rising else values
+        rank = np.where(np.isfinite(values), rank, np.inf)
+        bad = subject.bad(block, cells)
+        if bad.any():
+            # Invalid cells rank below all valid ones, by the size of their negative corner Jacobian.
+            scaled = subject.measure(block, cells).scaled
+            rank = np.where(bad, -1e300 * (1.0 - 0.5 * scaled) / 1.5, rank)
+        at = int(np.argmin(rank))
+        if rank.ravel()[at] < best[0]:
+            i, j, k = (int(n) for n in np.unravel_index(at, rank.shape))
+            best = (float(rank.ravel()[at]), block, (cells[0].start + i, j, k))
+    return best
