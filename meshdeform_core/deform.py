@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from .boundary import Kind
 from .errors import CaseError
@@ -14,15 +15,19 @@ from .methods import Account, Progress
 from .methods.limits import patch_motions
 from .notices import Notice
 from .overset import Overset, impose_on_components, set_up
-from .quality import Assessment, assess
+from .quality import Assessment, Quality, assess
 from .repair.limit import Limit
 from .repair.outcome import Repair
-from .repair.repair import COLLAPSING
+from .repair.tuned import COLLAPSING
 from .result import Result
 from .setup import BoundaryMotion, Case, Setup, Start, Timing
 from .stepping.attempts import adaptively, in_equal_steps, until_valid
 from .stepping.course import Attempt, Course, doubts
 from .stepping.steps import Reached, State, beginning
+from .wording import counted
+
+_WORSE = 0.9
+"""A repair that lowers the smallest scaled Jacobian below this share of its value says so."""
 
 __all__ = [
     "Attempt",
@@ -127,6 +132,12 @@ def _result(reached: Reached, start: Start | None) -> Result:
             broken = assess(setup.original, points, setup.boundary, cells)
             assessment = dataclasses.replace(assessment, invalid=broken.invalid, groups=broken.groups)
         assessment = assessment.with_steps(setup.grid, state.first_bad, state.steps + (failed is not None))
+    repair = sum(state.repairs[1:], state.repairs[0]) if state.repairs else None
+    if repair and state.plain:
+        with course.timing.stage("quality"):
+            points, cells = course.rounded(state.plain.points), state.plain.cells
+            before = assess(setup.original, points, setup.boundary, cells)
+        repair = dataclasses.replace(repair, before=main_measures(before.after))
     return Result(
         setup=setup,
         grid=setup.grid.moved(final),
@@ -138,15 +149,53 @@ def _result(reached: Reached, start: Start | None) -> Result:
         timing=course.timing,
         warnings=tuple(
             itertools.chain(
-                course.log.warnings, state.notices.values(), _nearly_collapsed(assessment), _overlaps(state, assessment)
+                course.log.warnings,
+                state.notices.values(),
+                repair_notices(repair, assessment),
+                _nearly_collapsed(assessment),
+                _overlaps(state, assessment),
             )
         ),
         motion=motion,
         attempts=tuple(course.log.attempts),
-        repair=sum(state.repairs[1:], state.repairs[0]) if state.repairs else None,
+        repair=repair,
         way=state.way,
-        plain=state.plain,
+        plain=state.plain.points if state.plain else None,
     )
+
+
+def main_measures(quality: Quality) -> dict[str, Any]:
+    """The worst cell, the skewness and the walls of a grid, as in the report of its repair."""
+    walls, heights = quality.wall_normal_deviation_deg, quality.first_cell_height_ratio
+    return {
+        "invalid_cells": quality.invalid_cells,
+        "min_scaled_jacobian": quality.min_scaled_jacobian,
+        "min_relative_jacobian": quality.min_relative_jacobian,
+        "f_skew": {"min": quality.f_skew.min, "mean": quality.f_skew.mean},
+        "wall_normal_deviation_deg": None if walls is None else dataclasses.asdict(walls),
+        "first_cell_height_ratio": None if heights is None else dataclasses.asdict(heights),
+    }
+
+
+def repair_notices(repair: Repair | None, assessment: Assessment) -> list[Notice]:
+    """What users need to know about a repair: that it was left out, is unfinished, or made the worst cell worse."""
+    found = []
+    if repair and repair.left_out:
+        found.append(Notice(f"the grid was not repaired: {repair.left_out}", "no repair"))
+    elif repair and assessment.valid and not repair.converged:
+        text = (
+            f"the repair ended after {counted(repair.newton_steps, 'Newton step')}, before the minimum that it "
+            f"searches for; the grid depends on how far it came"
+        )
+        found.append(Notice(text, "unfinished repair"))
+    before, after = (repair.before if repair else None), assessment.after.min_scaled_jacobian
+    if before and not before["invalid_cells"] and after < _WORSE * before["min_scaled_jacobian"]:
+        text = (
+            f"the repair lowers the smallest scaled Jacobian from {before['min_scaled_jacobian']:.3g} to {after:.3g} "
+            f"for better cells elsewhere; --repair off keeps the method's grid"
+        )
+        found.append(Notice(text, "a worse worst cell"))
+    return found
 
 
 def _overlaps(state: State, assessment: Assessment) -> list[str]:

@@ -28,9 +28,9 @@ from .renewal import renewed
 from .repair.basis import Basis
 from .repair.constraints import Constraints
 from .repair.limit import Limit
-from .repair.outcome import Repair
-from .repair.regions import WEAK
-from .repair.repair import Repairer
+from .repair.outcome import Judged, Repair
+from .repair.repair import WEAK, Repairer
+from .repair.tuned import FARTHEST
 from .setup import Case
 
 MANY = 0.01
@@ -101,14 +101,22 @@ def mend(
     measured = Original(original, topology, case.repair.min_jacobian)
     # Another program may have left nodes off the surface on which they slide.
     constraints = Constraints.of(measured, boundary).without_sliding()
-    moved = np.abs(grid.points - original.points)[topology.first].max(axis=1) > 0.0
+    change = np.abs(grid.points - original.points)[topology.first].max(axis=1)
+    moved, largest = change > 0.0, float(change[constraints.held].max(initial=0.0))
     constraints = dataclasses.replace(constraints, walls=constraints.walls | (constraints.held & moved))
     limit = Limit.of(original.n_nodes, case.repair.time_limit)
-    repairer = Repairer(Basis(measured, constraints), lambda points: rounded(points, width), memory, progress, limit)
+    repairer = Repairer(
+        Basis(measured, constraints),
+        lambda points: rounded(points, width),
+        memory,
+        progress,
+        limit,
+        FARTHEST * largest if largest else np.inf,
+    )
     cells = Comparison(measured, rounded(grid.points, width))
     found = _Found(grid.points, cells.verdict)
     mode = case.repair.mode
-    if mode == "polish" or (mode == "auto" and repairer.needed(grid.points, cells.verdict)):
+    if mode != "off":
 
         def renew(reason: str, than: _Found) -> _Found:
             result = renewed(grid, original, (topology, boundary), case, width, memory, progress)
@@ -128,6 +136,8 @@ def mend(
     reasons = [] if found.verdict.valid else _reasons(original, topology, boundary, grid.points)
     if not found.verdict.valid and not case.boundaries:
         reasons.append("all outside nodes stay where they are; a case file (-c) tells which faces may slide")
+    if found.repair and found.repair.left_out:
+        reasons.append(f"the grid was not repaired: {found.repair.left_out}")
     assessment, told = assess(measured, final, walls), (*notes, *reasons)
     return Mended(grid.moved(final), original, topology, boundary, assessment, found.repair, told, found.renewal)
 
@@ -154,9 +164,10 @@ def _mended(start: _Found, repairer: Repairer, renew: Callable[[str, _Found], _F
     if many:
         found = renew(f"{bad:,} of {len(verdict.failed):,} cells were bad", found)
     if found.renewal is None or not found.verdict.valid:
-        outcome = repairer.repair(start.points, verdict, polish)
-        moved = _Found(outcome.points, outcome.verdict, outcome.repair if outcome.repair.newton_steps else None)
-        found = moved if found is start else found.or_better(moved)
+        outcome = repairer.repair(Judged(start.points, verdict), polish)
+        if outcome:
+            moved = _Found(outcome.points, outcome.verdict, outcome.repair)
+            found = moved if found is start else found.or_better(moved)
     if not many and not found.verdict.valid:
         found = renew(f"moving nodes left {len(found.verdict.invalid):,} invalid cells", found)
     return found

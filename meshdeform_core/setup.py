@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property, partial
+from typing import TYPE_CHECKING
 
 from .boundary import Boundary, BoundarySpec, Kind, classify
 from .boundary.classification import UNSELECTED
@@ -30,7 +31,9 @@ from .numerics.jit import compile_seconds
 from .parallel import rows_at
 from .quality import Original
 from .repair import Mode, RepairOptions
-from .repair.basis import Basis
+
+if TYPE_CHECKING:
+    from .repair.basis import Basis
 
 BoundaryMotion = Callable[[float], FloatArray]
 """``motion(fraction)``: displacement (n_unique, 3) of all face nodes for that fraction of the motion."""
@@ -128,6 +131,9 @@ class Undeformed:
     @cached_property
     def repairs(self) -> Basis:
         """Data that all repairs share."""
+        # Imported late, as its loops take time to load, which most motions do not need.
+        from .repair.basis import Basis
+
         return Basis(self.original, self.boundary)
 
     @cached_property

@@ -8,7 +8,7 @@ from meshdeform_core.wording import counted
 
 _LAYERS = (("first cell", "first_cell_height_ratio"), ("first cells together", "layer_thickness_ratio"))
 
-_NO_MINIMUM = "the search did not reach the minimum, so the grid depends on how it was found"
+_WEAK = "weak: sheared by more than 55 degrees, or stretched or shortened as much"
 
 
 def repair_sentence(report: dict[str, Any]) -> str:
@@ -17,24 +17,41 @@ def repair_sentence(report: dict[str, Any]) -> str:
 
 
 def repair_lines(report: dict[str, Any]) -> list[str]:
-    """Number of cells repaired, largest movement of nodes, result of the method alone, whether the minimum was missed,
-    and fraction of the layers at walls that changed; empty without a repair."""
+    """How many cells were repaired, how far nodes moved, and measures of the method's grid beside those of the repaired
+    one; empty without a repair."""
     done = report.get("repair")
     if not done:
         return []
-    cells = f"{counted(done['cells'], 'invalid or weak cell')} repaired" if done["cells"] else "weak cells improved"
+    if done["left_out"]:
+        return [f"not repaired: {done['left_out']}"]
+    counts = [f"{done[kind]:,} {kind}" for kind in ("invalid", "weak") if done[kind]]
+    cells = f"{' and '.join(counts) or 'no bad'} {'cell' if done['invalid'] + done['weak'] == 1 else 'cells'}"
+    left = report.get("quality", {}).get("after", {}).get("invalid_cells", 0)
+    what = f"not repaired: {counted(left, 'cell')} of {cells} stay invalid" if left else f"{cells} repaired"
     largest = report.get("boundary", {}).get("max_displacement")
     part = f" ({done['max_movement'] / largest:.2g} of the largest displacement)" if largest else ""
-    tried = [part["attempts"] for part in report.get("components", ())] or [report.get("attempts", ())]
-    alone = [next((a["invalid_cells"] for a in attempts if not a["repair"]), 0) for attempts in tried if attempts]
-    before = f"; the method alone leaves {counted(sum(alone), 'invalid cell')}" if alone else ""
-    what = (
-        f"{cells}, {counted(done['nodes'], 'node')} moved by up to {done['max_movement']:.4g}{part}, "
-        f"{counted(done['newton_steps'], 'Newton step')}{before}"
+    moved = (
+        f"{what}, {counted(done['nodes'], 'node')} moved by up to {done['max_movement']:.4g}{part}, "
+        f"{counted(done['newton_steps'], 'Newton step')}"
     )
-    found = [] if done.get("converged", True) or "reference" in report else [_NO_MINIMUM]
+    found = [moved, *_compared(report), *([_WEAK] if done["weak"] else [])]
     changes = report.get("repaired_layers") or {}
-    return [what, *found, *(_layer_text(name, change) for name, change in changes.items() if change)]
+    return [*found, *(_layer_text(name, change) for name, change in changes.items() if change)]
+
+
+def _compared(report: dict[str, Any]) -> list[str]:
+    """Measures of the method's grid and of the repaired one."""
+    before, after = report["repair"]["before"], report.get("quality", {}).get("after")
+    if not before or not after:
+        return []
+    found = [f"smallest scaled Jacobian {before['min_scaled_jacobian']:.3g} -> {after['min_scaled_jacobian']:.3g}"]
+    found.append(f"smallest f_skew {before['f_skew']['min']:.3g} -> {after['f_skew']['min']:.3g}")
+    key = "wall_normal_deviation_deg"
+    if before[key] and after[key]:
+        found.append(f"angle at walls {before[key]['rms']:.3g} -> {after[key]['rms']:.3g} degrees rms")
+    if before["invalid_cells"]:
+        found.append(f"invalid cells {before['invalid_cells']:,} -> {after['invalid_cells']:,}")
+    return [f"the method alone -> repaired: {', '.join(found)}"]
 
 
 def _layer_text(name: str, change: dict[str, Any]) -> str:

@@ -48,10 +48,13 @@ def acceleration_of(level: Report) -> float | None:
 
 
 def repaired(level: Report) -> str:
-    """Whether nodes were moved by a repair: ``yes`` to its minimum, ``other`` elsewhere."""
+    """Whether nodes were moved by a repair: ``yes`` to its minimum, ``other`` elsewhere, ``no``
+    if it was left out."""
     repair = level.get("repair")
     if not repair:
         return ""
+    if repair["left_out"]:
+        return "no"
     return "yes" if repair["converged"] else "other"
 
 

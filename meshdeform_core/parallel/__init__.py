@@ -1,7 +1,6 @@
 """Loops over shared arrays by threads and MPI ranks."""
 
 from .exchange import Route, collected, joined
-from .halo import Halo
 from .loops import (
     Shared,
     agreed,
@@ -42,7 +41,6 @@ from .parts import (
 from .ranks import OneRank, Ranks
 
 __all__ = [
-    "Halo",
     "OneRank",
     "Part",
     "Ranks",

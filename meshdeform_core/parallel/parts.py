@@ -320,8 +320,9 @@ def held_together(array: Any) -> AbstractContextManager[None]:
 
 
 def together(array: Any, action: Callable[[], T]) -> T:
-    """The result of ``action`` on all ranks together, if the array is in parts, else on the first rank alone."""
-    return action() if isinstance(array, Part) else current_ranks().on_first(action)
+    """The result, on all ranks, of ``action`` of the first rank alone: of those that hold parts of the array, else of
+    all."""
+    return (array.ranks if isinstance(array, Part) else current_ranks()).on_first(action)
 
 
 def combined(operation: Callable[..., object], one: Any, two: Any) -> Any:

@@ -14,11 +14,10 @@ import numpy as np
 
 from ..grid import BoolArray, FloatArray
 from ..parallel import together
-from .basis import Basis, Whole
-from .energy.elements import Penalty
-from .energy.onset import kept_along_lines, share_of, share_slopes
-from .energy.region import Region
+from .basis import Basis
+from .energy import Penalty, Region, kept_along_lines, share_of, share_slopes
 from .extrusion import Extrusion
+from .region import Plot
 from .tuned import CUBIC, POLISHED
 
 _LOOSE, _ITERATIONS, _REFINEMENTS = 1e-3, 5000, 40
@@ -63,10 +62,10 @@ def derivative_of_repair(basis: Basis, start: FloatArray, end: FloatArray, polis
 
 
 def _at_minimum(basis: Basis, start: FloatArray, end: FloatArray, polish: bool) -> _AtMinimum | None:
-    whole = basis.whole
-    if whole is None:
+    plot = basis.whole
+    if plot is None:
         return None
-    found = _AtMinimum(whole, start, end, polish)
+    found = _AtMinimum(plot, start, end, polish)
     return found if found.share > 0.0 else None
 
 
@@ -108,11 +107,11 @@ class _AtMinimum:
     projects onto. Forces vanish in the directions of F, which follow the normals.
     """
 
-    def __init__(self, whole: Whole, start: FloatArray, end: FloatArray, polish: bool) -> None:
-        self._whole, self._plot = whole, whole.plot
+    def __init__(self, plot: Plot, start: FloatArray, end: FloatArray, polish: bool) -> None:
+        self._plot = plot
         self._start, self._x = self._plot.inside(start), self._plot.inside(end)
-        self.share, energy = share_of(self._plot.region.energy, self._start, self._plot.region.dealt)
-        of_share, of_between = share_slopes(energy, self._start, self._plot.region.dealt)
+        self.share, energy = share_of(self._plot.region.energy, self._start)
+        of_share, of_between = share_slopes(energy, self._start)
         if polish and self.share <= 1.0:
             self.share, of_share = 1.0, np.zeros_like(of_share)
         self._slopes = of_share, of_between
@@ -125,13 +124,13 @@ class _AtMinimum:
         region, self._surfaces = self._region, None
         self._frame = region.directions(self._x)[0].frame
         if region.slides:
-            system = self._whole.system
+            system = self._plot.system
             system.fill(replace(region, slides=()), self._x, self._start, self._penalty(1.0))
             self._surfaces = _Surfaces(region, self._x, system.gradient)
 
     def push(self, change: FloatArray) -> FloatArray:
         plot, moved = self._plot, np.array(change)
-        given = plot.inside(change)
+        given = plot.vectors(change)
 
         def make() -> FloatArray:
             excess, _ = self._of_excess(given, np.zeros(self._cells))
@@ -168,7 +167,7 @@ class _AtMinimum:
         def make() -> FloatArray:
             for _ in range(_STEPS):
                 self._fill()
-                self._x = self._x + self._spread(self._solved(-self._whole.system.gradient.copy()))
+                self._x = self._x + self._spread(self._solved(-self._plot.system.gradient.copy()))
                 if not self._regular:
                     return np.full_like(self._x, np.inf)
                 for slide in self._region.slides:
@@ -179,11 +178,11 @@ class _AtMinimum:
         before = self._x
         self._x = together(before, make)
         moved = np.maximum(np.abs(self._x - before).max(axis=1) - rounding, 0.0)
-        return float((moved / self._whole.edges).max())
+        return float((moved / self._plot.edges).max())
 
     def change_of_share(self, change: FloatArray) -> float:
         """Change of the share for a change (n_nodes, 3) of the method's grid."""
-        given = self._plot.inside(change)
+        given = self._plot.vectors(change)
         return together(change, lambda: float(self._slopes[0] @ self._of_excess(given, np.zeros(self._cells))[0]))
 
     def gradient_of_share(self, size: int) -> FloatArray:
@@ -204,7 +203,7 @@ class _AtMinimum:
         return Penalty(0.0, self.share, CUBIC, elastic, 1.0)
 
     def _fill(self) -> None:
-        self._whole.system.fill(self._region, self._x, self._start, self._penalty(1.0))
+        self._plot.system.fill(self._region, self._x, self._start, self._penalty(1.0))
 
     def _solved(self, right: FloatArray, transposed: bool = False) -> FloatArray:
         """Solution (n_unknowns, d) of the linear system with the Hessian and the ``right``-hand side.
@@ -212,7 +211,7 @@ class _AtMinimum:
         Curved surfaces make the matrix slightly different from that of Newton's method, and from its transpose.
         """
         self._fill()
-        system, found, rest = self._whole.system, np.zeros_like(right), right
+        system, found, rest = self._plot.system, np.zeros_like(right), right
         size = before = np.linalg.norm(right)
         for _ in range(_REFINEMENTS):
             if before <= _ENOUGH * size:
@@ -270,11 +269,11 @@ class _AtMinimum:
     def _products(
         self, change: FloatArray, elastic: float, share: float, between: FloatArray
     ) -> tuple[FloatArray, float, FloatArray]:
-        """See :meth:`.energy.elements.Energy.products`."""
+        """See :meth:`.energy.Hexahedra.products`."""
         return self._region.energy.products(self._x, self._penalty(elastic), change, share, between)
 
     def _of_excess(self, change: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See :meth:`.energy.elements.Energy.excess_products`, at the method's grid."""
+        """See :meth:`.energy.Hexahedra.excess_products`, at the method's grid."""
         return self._region.energy.excess_products(self._start, change, gradient)
 
 

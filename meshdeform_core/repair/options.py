@@ -9,6 +9,8 @@ from ..errors import CaseError
 from ..wording import literal
 
 Mode = Literal["auto", "off", "polish"]
+Effort = Literal["hasty", "quick", "patient", "all"]
+"""How long a repair tries: ``hasty`` where no valid grid exists; ``all``: first quick, then patient."""
 MODES: tuple[str, ...] = get_args(Mode)
 
 

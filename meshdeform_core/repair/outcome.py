@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 from ..grid import FloatArray
 from ..quality.verdict.validity import Verdict
@@ -12,42 +13,53 @@ from ..quality.verdict.validity import Verdict
 class Repair:
     """Summary of repairs.
 
-    ``cells``: number of cells that were invalid or weak; ``nodes``: number of nodes moved; ``max_movement``: largest
-    movement (grid length unit). ``converged``: the grid is the minimum of the energy over all nodes, a smooth function
-    of the displacement of the boundary; otherwise it depends on the path of the search, and may change abruptly with
-    the displacement.
+    ``invalid`` and ``weak``: numbers of cells that were invalid, and of others beyond the onset of repairs; ``nodes``:
+    number of nodes moved; ``max_movement``: largest movement (grid length unit). ``converged``: the grid is the minimum
+    of the energy over all nodes, a smooth function of the displacement of the boundary; otherwise it depends on the
+    path of the search, and may change abruptly with the displacement. ``before``: measures of the method's grid, of a
+    single step. ``left_out``: the reason why nothing was done.
     """
 
-    cells: int
+    invalid: int
+    weak: int
     nodes: int
     max_movement: float
     newton_steps: int
     seconds: float
     converged: bool = False
+    before: dict[str, Any] | None = None
+    left_out: str | None = None
 
     def __add__(self, other: Repair) -> Repair:
         return Repair(
-            self.cells + other.cells,
+            self.invalid + other.invalid,
+            self.weak + other.weak,
             max(self.nodes, other.nodes),
             max(self.max_movement, other.max_movement),
             self.newton_steps + other.newton_steps,
             self.seconds + other.seconds,
             other.converged,
+            left_out=other.left_out,
         )
+
+    def again(self, other: Repair) -> Repair:
+        """Joint summary of two repairs of the same grid."""
+        return replace(self + other, invalid=self.invalid, weak=self.weak)
 
     def beside(self, other: Repair) -> Repair:
         """Joint summary of repairs in two different parts of a grid."""
         nodes, converged = self.nodes + other.nodes, self.converged and other.converged
-        return replace(self + other, nodes=nodes, converged=converged)
+        return replace(self + other, nodes=nodes, converged=converged, left_out=self.left_out or other.left_out)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Coordinates (n_nodes, 3) after a repair, their verdict, and what was done."""
+    """Coordinates (n_nodes, 3) after a repair, their verdict, what was done, and the share of the energy of cells."""
 
     points: FloatArray
     verdict: Verdict
     repair: Repair
+    share: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -1,36 +1,57 @@
 """Repair of deformed grids: nodes are moved until every cell is sound; the boundary stays in place.
 
-The repaired grid is the minimum of an energy over all nodes, a smooth function of the displacement of the boundary:
-see :mod:`.onset`. Where that minimum is out of reach, cells are untangled in regions: see :mod:`.regions`.
+The repaired grid is the minimum of an energy over all nodes, a smooth function of the displacement of the boundary: see
+:mod:`.energy`. In large grids with few bad cells it is that over the nodes around them. Where the minimum is out of
+reach, cells are untangled in regions that grow until all cells are sound. A repair begins with the method's grid,
+whatever was repaired earlier. It runs in one process: of ranks, the first one.
 """
 
 from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..grid import FloatArray
+from ..errors import MethodError
+from ..grid import FloatArray, IntArray
 from ..memory import UNLIMITED, MemoryLimit
 from ..numerics.arrays import lengths
 from ..parallel import alike, combined, for_rows, of_all, own_rows, rows_of, together
-from ..quality.verdict.validity import Verdict, judge
-from .basis import Basis, Whole
-from .energy.newton import NewtonSystem
-from .energy.onset import kept_along_lines, share_of
-from .energy.untangle import CLOSE
+from ..quality.verdict.validity import judge
+from .basis import Basis
+from .energy import kept_along_lines
 from .extrusion import Extrusion
 from .limit import Limit
-from .minimum import Progress, Search, minimise
+from .newton import NewtonSystem
+from .onset import unhealthy_cells
+from .options import Effort
 from .outcome import Judged, Outcome, Repair
-from .regions import EVERY_WAY, WEAK, Growth, Way
+from .region import Plot
+from .search import WAYS, Progress, Search, Searcher, Way
+from .tuned import FEW, LARGE, LAYERS, PER_NODE, REGIONS
+from .untangle import CLOSE
 
-POOR = 0.1
-"""Valid cells with a corner below this fraction of its undeformed Jacobian are counted as weak in reports."""
-COLLAPSING = 0.01
-"""Valid cells below this fraction are nearly collapsed and cause a warning."""
+WEAK = 0.35
+"""Cells with a corner below this fraction of its undeformed Jacobian are the centres of regions."""
+_ROUNDS, _LAST_ROUNDS = 2, 6
+# More layers are tried while the largest f exceeds _ENOUGH; in valid grids only if the first layers reduced it to less
+# than _GAIN of its value.
+_ENOUGH, _GAIN = 2.9, 0.9
+
+
+@dataclass(frozen=True)
+class _Found:
+    """The best grid, how many Newton steps were taken to it, whether it is the minimum, the share of the energy, how
+    many cells of an extruded grid were weak, and the reason why nothing was done."""
+
+    grid: Judged
+    steps: int = 0
+    converged: bool = False
+    share: float = 0.0
+    weak: int = 0
+    left_out: str | None = None
 
 
 class Repairer:
@@ -40,6 +61,7 @@ class Repairer:
     ----------
     rounded : function that rounds coordinates to the precision of the output, to which the verdict applies
     memory, limit : memory of each repair; time and work of all repairs together
+    farthest : no node moves farther than this (grid length unit)
     """
 
     def __init__(
@@ -49,9 +71,10 @@ class Repairer:
         memory: MemoryLimit = UNLIMITED,
         progress: Progress | None = None,
         limit: Limit | None = None,
+        farthest: float = np.inf,
     ):
         self.basis, self.original, self.rounded = basis, basis.original, rounded
-        self.memory, self.progress, self.limit = memory, progress, limit or Limit()
+        self.memory, self.progress, self.limit, self.farthest = memory, progress, limit or Limit(), farthest
 
     @property
     def size(self) -> int:
@@ -59,148 +82,203 @@ class Repairer:
         basis = self.basis.extrusion[1] if self.basis.extrusion else self.basis
         return basis.original.grid.n_nodes
 
-    def needed(self, points: FloatArray, verdict: Verdict) -> bool:
-        """Whether any cell is invalid or weak.
-
-        Raises
-        ------
-        MethodError
-            When the memory limit is too small to find out, or to repair them.
-        """
-        if verdict.failed.any():
-            return True
-
-        flat, basis = self._flattened(points) or (points, self.basis)
-        return self._share(flat, basis) > 0.0
-
-    def _share(self, points: FloatArray, basis: Basis) -> float:
-        """How much the energy of weak cells counts; 0 where no cell is weak."""
-
-        def share() -> float:
-            if basis.healthy(points):
-                return 0.0
-            whole = self._whole(basis)
-            if whole is None:
-                return 0.0
-            region = whole.plot.region
-            return share_of(region.energy, whole.plot.inside(points), region.dealt)[0]
-
-        return together(points, share)
-
     def repair(
-        self,
-        points: FloatArray,
-        verdict: Verdict,
-        polish: bool = False,
-        ways: tuple[Way, ...] = EVERY_WAY,
-        guess: FloatArray | None = None,
-        close: float = CLOSE,
-    ) -> Outcome:
-        """Make cells sound; the result may still have invalid cells, but no more than ``points`` (n_nodes, 3).
+        self, start: Judged, polish: bool = False, effort: Effort = "all", close: float = CLOSE
+    ) -> Outcome | None:
+        """Make cells sound; the result may still have invalid cells, but no more than the grid at the ``start``, which
+        is not touched outside the neighbourhood of the cells that are or were invalid then. ``None`` if no cell is
+        invalid or weak.
 
-        If it is found, the result is the minimum of the energy over all nodes. Newton's method starts from ``guess``
-        (n_nodes, 3), the displacement by the repair of a similar grid, which saves time.
+        If it is found, the result is the minimum of the energy. Otherwise cells are untangled in regions, and the
+        minimum is searched for from there. ``polish``: the weakest cells count as weak however good they are.
+        ``close``: the distance from the minimum at which the search ends.
+        """
+        begin, valid = clock.perf_counter(), start.verdict.valid
+        flat, basis = self._flattened(start.points)
+        weak = np.empty(0, dtype=np.int64) if flat is not None else unhealthy_cells(self.original, start.points)
+        bad = np.union1d(weak, start.verdict.invalid)
+        if flat is None and not (bad.size or polish):
+            return None
+        limit = self.limit.for_valid(self.original.grid.n_nodes) if valid else self.limit
+        try:
+            if flat is not None:
+                found = self._in_plane(start, flat, basis, polish, effort, close)
+            else:
+                found = self._found(start, bad, polish, effort, limit, close)
+        except MethodError as error:
+            found = _Found(start, left_out=str(error))
+        if found is None or (valid and not (found.steps or found.left_out)):
+            return None
+        count = found.weak or len(np.setdiff1d(weak, start.verdict.invalid))
+        record = replace(self._record(start, found, clock.perf_counter() - begin), weak=count)
+        return Outcome(found.grid.points, found.grid.verdict, record, found.share)
 
-        Otherwise the search is repeated without the guess; then cells are untangled in regions, and the minimum is
-        searched for from there. The ``ways`` are tried in turn until one succeeds; without any, only the search for the
-        minimum is made, once. ``polish``: the weakest cells count as weak however good they are. ``close``: the
-        distance from the minimum at which the search ends.
+    def _found(
+        self, start: Judged, bad: IntArray, polish: bool, effort: Effort, limit: Limit, close: float
+    ) -> _Found | None:
+        plot = self._plot(bad, polish)
+        found: _Found | None = _Found(start)
+        if plot is not None and effort != "hasty":
+            found = self._minimum(start, plot, polish, limit, None, close)
+        if found and not found.grid.verdict.valid:
+            found = self._by_regions(start, found, plot, polish, () if limit.reached else WAYS[effort])
+            if not found.grid.verdict.valid:
+                found = replace(found, grid=self._undone(start, found.grid))
+        return found
+
+    def _plot(self, bad: IntArray, polish: bool) -> Plot | None:
+        """All nodes that may move or, in large grids with few ``bad`` cells, those around them.
 
         Raises
         ------
         MethodError
-            When the memory limit is too small.
+            When they do not fit into memory.
         """
-        plane = self._in_plane(points, verdict, polish, ways, guess, close)
-        if plane is not None:
-            return plane
-        begin, start = clock.perf_counter(), Judged(points, verdict)
-        best, steps, converged = start, 0, False
-        if not any(way.hasty for way in ways):
-            best, steps, converged = self._minimum(start, polish, guess, close)
-        if guess is not None and ways and not (converged and best.verdict.valid):
-            best, more, converged = self._minimum(start, polish, None)
-            steps += more
-        if not best.verdict.valid:
-            left = () if self.limit.reached else ways
-            best, more, converged = self._by_regions(start, best, polish, left)
-            steps += more
-        record = self._record(start, best, steps, clock.perf_counter() - begin)
-        return Outcome(best.points, best.verdict, replace(record, converged=converged and best.verdict.valid))
+        neighbourhood, grid = self.basis.neighbourhood, self.original.grid
+        nodes = neighbourhood.n_unknowns
+        if nodes > LARGE and not polish and bad.size < FEW * grid.n_cells:
+            room = min(PER_NODE * grid.n_nodes, self.memory.size) // NewtonSystem.memory(1, grid.dimension)
+            near = neighbourhood.near(bad, max(LAYERS))
+            layers = near.largest_below(room, LAYERS)
+            if layers is not None:
+                return neighbourhood.plot(near._replace(most=layers))
+        self._require(nodes)
+        return self.basis.whole
 
-    def _by_regions(self, start: Judged, best: Judged, polish: bool, ways: tuple[Way, ...]) -> tuple[Judged, int, bool]:
-        """The best grid of all ``ways``, the number of Newton steps, and whether the minimum was found from there."""
-        weak = max(WEAK, min(1.0, 2.0 * start.verdict.smallest_ratio)) if polish else WEAK
-        growth, steps = Growth(self.basis, self._moved, self.progress, self.limit), 0
-        best = min(best, start, key=lambda grid: grid.count)
+    def _require(self, nodes: int) -> None:
+        needed = NewtonSystem.memory(nodes, self.original.grid.dimension)
+        self.memory.require(needed, f"a repair of {nodes:,} nodes", "allow more, or take --repair off")
+
+    def _searched(
+        self, start: Judged, plot: Plot, limit: Limit, search: Callable[[Searcher], Search | None]
+    ) -> Search | None:
+        """A search in one process; of ranks, by the first one."""
+        reference, left = plot.inside(start.points), limit.left
+
+        def searched() -> tuple[Search | None, float]:
+            found = search(Searcher(plot, reference, self.farthest, self.progress, limit))
+            return found, left - limit.left
+
+        found, spent = together(start.points, searched)
+        # Of the other ranks.
+        limit.spend(spent - (left - limit.left))
+        return found
+
+    def _minimum(
+        self, start: Judged, plot: Plot, polish: bool, limit: Limit, near: Judged | None, close: float = CLOSE
+    ) -> _Found | None:
+        """The grid at, or on the way to, the minimum of the energy, searched for from ``near``, by default from the
+        ``start``; ``None`` if no cell is weak."""
+        shift = None if near is None else plot.vectors(combined(np.subtract, near.points, start.points))
+        found = self._searched(start, plot, limit, lambda searcher: searcher.minimum(polish, shift, close))
+        if found is None:
+            return None if start.verdict.valid else _Found(start)
+        end = self._moved(start, plot, found.shift)
+        if not end.verdict.valid and found.untangled is not None:
+            # On the way to a minimum that is not reached, cells may become invalid between their samples.
+            end = self._moved(start, plot, found.untangled)
+        if start.verdict.valid and not end.verdict.valid:
+            end = start
+        converged = found.succeeded and plot.whole and end.verdict.valid
+        return _Found(end, found.steps, converged, found.share)
+
+    def _by_regions(
+        self, start: Judged, found: _Found, plot: Plot | None, polish: bool, ways: tuple[Way, ...]
+    ) -> _Found:
+        """The best grid of all ``ways``, and whether the minimum was found from there."""
+        best, steps = min(found.grid, start, key=lambda grid: grid.count), found.steps
         for way in ways:
-            other, more = growth.best(start, weak, way)
+            other, more = self._growing(start, way)
             best, steps = (other if other.count < best.count else best), steps + more
             if best.verdict.valid or self.limit.reached:
                 break
-        if not best.verdict.valid or best is start:
-            return best, steps, False
-        nearer, more, converged = self._minimum(start, polish, combined(np.subtract, best.points, start.points))
-        return (nearer if nearer.verdict.valid else best), steps + more, converged
+        if plot is None or not best.verdict.valid or best is start:
+            return replace(found, grid=best, steps=steps)
+        nearer = self._minimum(start, plot, polish, self.limit, best) or found
+        grid = nearer.grid if nearer.grid.verdict.valid else best
+        return replace(nearer, grid=grid, steps=steps + nearer.steps)
 
-    def _minimum(
-        self, start: Judged, polish: bool, guess: FloatArray | None, close: float = CLOSE
-    ) -> tuple[Judged, int, bool]:
-        """The grid at, or on the way to, the minimum of the energy over all nodes; the number of Newton steps; and
-        whether the minimum was reached."""
+    def _growing(self, start: Judged, way: Way) -> tuple[Judged, int]:
+        """The best grid, and the Newton steps taken, of regions around cells with a relative Jacobian below WEAK.
 
-        def make() -> Search | None:
-            whole = self._whole(self.basis)
-            if whole is None:
-                return None
-            return minimise(whole, start.points, polish, guess, self.progress, self.limit, close)
+        First the nodes within a few layers move, then more, until the worst cell is close enough to its undeformed
+        shape or more nodes do not help; a patient strategy moves all nodes at once.
+        """
+        best = now = start
+        steps, density, done = 0, np.inf, 0
+        for layers in REGIONS[self.original.grid.dimension][-1 if way.patient else 0 : 1 if way.hasty else None]:
+            if self.limit.reached:
+                break
+            found, rounds = None, 0
+            while rounds < (_ROUNDS if layers else _LAST_ROUNDS):
+                plot = self._around(now, layers, way.even)
+                if plot is None or len(plot.moved) == done:
+                    break
+                other = self._searched(now, plot, self.limit, lambda searcher: searcher.untangled(way))
+                assert other is not None
+                found, steps, rounds, now = other, steps + other.steps, rounds + 1, self._moved(now, plot, other.shift)
+                size, helped = len(plot.moved), _ENOUGH < found.after < _GAIN * found.before
+                if not found.succeeded or (now.verdict.valid and (layers or not helped)):
+                    break
+            if found is None:
+                break
+            if now.count < best.count or (now.count == best.count and found.after < density):
+                best, density = now, found.after
+            if now.verdict.valid and density < _ENOUGH:
+                break
+            done = size if now.verdict.valid else 0
+        return best, steps
 
-        found = together(start.points, make)
-        if found is None:
-            return start, 0, False
-        end = self._moved(start, found)
-        if not end.verdict.valid and found.untangled is not None:
-            # On the way to a minimum that is not reached, cells may become invalid between their samples.
-            end = self._moved(start, replace(found, shift=found.untangled))
-        return end, found.steps, found.succeeded
+    def _around(self, now: Judged, layers: int | None, even: bool) -> Plot | None:
+        """The nodes within ``layers`` layers of weak cells, or all; ``None`` if there are none."""
+        neighbourhood = self.basis.neighbourhood
+        if layers is None:
+            self._require(neighbourhood.n_unknowns)
+            return neighbourhood.plot(even=even)
+        near = neighbourhood.near(np.concatenate(of_all(now.points, now.verdict.weak(WEAK))), layers)
+        return neighbourhood.plot(near, even)
 
-    def _whole(self, basis: Basis) -> Whole | None:
-        nodes, dimension = basis.neighbourhood.shares.largest, basis.original.grid.dimension
-        self.memory.require(
-            NewtonSystem.memory(nodes, dimension), f"a repair of {nodes:,} nodes", "allow more, or take --repair off"
-        )
-        return basis.whole
+    def _undone(self, start: Judged, end: Judged) -> Judged:
+        """The grid ``end`` near cells that are invalid in it or at the ``start``, and the ``start`` far from them."""
+        cells, neighbourhood = np.union1d(start.verdict.invalid, end.verdict.invalid), self.basis.neighbourhood
+        for layers in LAYERS[2:]:
+            distance, points = neighbourhood.near(cells, 2 * layers).layers, alike(end.points)
 
-    def _flattened(self, points: FloatArray) -> tuple[FloatArray, Basis] | None:
+            def fill(rows: slice) -> None:
+                part = np.clip((2.0 * layers - rows_of(distance)[rows]) / layers, 0.0, 1.0)[:, None]  # noqa: B023
+                points[rows] = start.points[rows] + part * (end.points[rows] - start.points[rows])  # noqa: B023
+
+            for_rows(fill, points)
+            neighbourhood.back_to_surfaces(points)
+            found = Judged(points, judge(self.original, self.rounded(points)))
+            if found.count <= end.count:
+                return found
+        return end
+
+    def _flattened(self, points: FloatArray) -> tuple[FloatArray | None, Basis]:
         """Coordinates and basis of the plane grid that this one is extruded from, if the motion stays in its plane."""
         if self.basis.extrusion is None:
-            return None
+            return None, self.basis
         extrusion, basis = self.basis.extrusion
         change = extrusion.flattened(combined(np.subtract, points, self.original.grid.points))
-        return None if change is None else (extrusion.plane.points + change, basis)
+        return (None if change is None else extrusion.plane.points + change), basis
 
     def _in_plane(
-        self,
-        points: FloatArray,
-        verdict: Verdict,
-        polish: bool,
-        ways: tuple[Way, ...],
-        guess: FloatArray | None,
-        close: float,
-    ) -> Outcome | None:
-        """The repair on the plane grid that this one is extruded from, if the motion stays in its plane."""
-        begin, found = clock.perf_counter(), self._flattened(points)
-        if found is None or self.basis.extrusion is None:
+        self, start: Judged, flat: FloatArray, basis: Basis, polish: bool, effort: Effort, close: float
+    ) -> _Found | None:
+        """The repair on the plane grid that this one is extruded from."""
+        assert self.basis.extrusion is not None
+        extrusion = self.basis.extrusion[0]
+        repairer = Repairer(basis, self.rounded, self.memory, self.progress, self.limit, self.farthest)
+        end = repairer.repair(Judged(flat, judge(basis.original, self.rounded(flat))), polish, effort, close)
+        if end is None:
             return None
-        (flat, basis), extrusion = found, self.basis.extrusion[0]
-        repairer = Repairer(basis, self.rounded, self.memory, self.progress, self.limit)
-        guess = None if guess is None else extrusion.flattened(guess)
-        end = repairer.repair(flat, judge(basis.original, self.rounded(flat)), polish, ways, guess, close)
-        kept = 0.0 if polish else kept_along_lines(self._share(flat, basis))[0]
-        after = self._spread(extrusion, points, flat, end.points, kept)
-        seconds = clock.perf_counter() - begin
-        record = self._record(Judged(points, verdict), after, end.repair.newton_steps, seconds)
-        return Outcome(after.points, after.verdict, replace(record, converged=end.repair.converged))
+        if end.repair.left_out:
+            return _Found(start, left_out=end.repair.left_out)
+        kept = 0.0 if polish else kept_along_lines(end.share)[0]
+        after = self._spread(extrusion, start.points, flat, end.points, kept)
+        weak = end.repair.weak * (self.original.grid.n_cells // extrusion.plane.n_cells)
+        return _Found(after, end.repair.newton_steps, end.repair.converged, end.share, weak)
 
     def _spread(
         self, extrusion: Extrusion, points: FloatArray, flat: FloatArray, end: FloatArray, kept: float
@@ -212,15 +290,18 @@ class Repairer:
         after = Judged(spread, judge(self.original, self.rounded(spread)))
         return after if after.verdict.valid or not kept else self._spread(extrusion, points, flat, end, 0.0)
 
-    def _moved(self, now: Judged, found: Search) -> Judged:
+    def _moved(self, now: Judged, plot: Plot, shift: FloatArray) -> Judged:
         points: FloatArray = alike(now.points)
         for_rows(lambda rows: np.copyto(points[rows], now.points[rows]), points)
-        rows_of(points)[found.moved] += found.shift
+        own = slice(*np.searchsorted(plot.moved, own_rows(points)).tolist())
+        rows_of(points)[plot.moved[own]] += shift[own]
         return Judged(points, judge(self.original, self.rounded(points)))
 
-    def _record(self, start: Judged, end: Judged, steps: int, seconds: float) -> Repair:
+    def _record(self, start: Judged, found: _Found, seconds: float) -> Repair:
         low, high = own_rows(start.points)
-        distance = lengths(end.points[low:high] - start.points[low:high])
-        own = len(start.verdict.weak(POOR)), int((distance > 0).sum()), float(distance.max(initial=0.0))
-        cells, nodes, farthest = zip(*of_all(start.points, own), strict=True)
-        return Repair(sum(cells), sum(nodes), max(farthest), steps, seconds)
+        distance = lengths(found.grid.points[low:high] - start.points[low:high])
+        own = int((distance > 0).sum()), float(distance.max(initial=0.0))
+        nodes, farthest = zip(*of_all(start.points, own), strict=True)
+        converged = found.converged and found.grid.verdict.valid
+        moved = sum(nodes), max(farthest), found.steps, seconds, converged
+        return Repair(start.count, found.weak, *moved, left_out=found.left_out)

@@ -7,10 +7,15 @@ After changing any parameter, run all of these studies.
 
 import numpy as np
 
+COLLAPSED = 1e-10
+"""A corner whose undeformed Jacobian is below this fraction of the product of its edges is collapsed."""
 HEALTHY, SOFT, NORM = 2.15, 0.5, 24.0
 """An element is healthy while its f, regularised by SOFT, is below HEALTHY: sheared by less than 29 degrees, or
 stretched or shortened by less than a factor of 1.47. The excess log(f / HEALTHY) of corners is combined into that of a
 cell, and that of cells into that of the grid, by the p-norm with p = NORM."""
+AS_PLANE = 2.0 + 0.6 * (HEALTHY - 2.0)
+"""Of an extruded grid f is that of its plane grid, where it is larger for the same map. If it is 3 there, it is at
+least 2.63 in space: (6 D - D^2) / (3 D^(2/3)) + (D^2 + 1) / (2 D) for a determinant D."""
 FULL, POWER = np.log(15.0 / HEALTHY), 2.0
 """The share is (excess / FULL)^POWER, 1 for the excess of one corner with f = 15; the elastic energy then matters
 little."""
@@ -39,3 +44,14 @@ ROOM, CRAMPED = 4.0, 8.0
 at walls there, and the others would be sacrificed to them."""
 THIN, GROWTH, HEAVIEST = 50.0, 1.25, 40.0
 """Weights of cells of aspect ratio a are (a / THIN)^GROWTH, limited to 1 ... HEAVIEST."""
+LARGE, FEW, PER_NODE = 100_000, 0.1, 400
+"""Where more nodes than LARGE may move and less than the share FEW of the cells is bad, only nodes near those move: as
+many layers of cells around them as take at most PER_NODE bytes per node of the grid (studies/repairs.py)."""
+LAYERS = (2, 4, 8, 16, 32)
+"""Numbers of layers from which the neighbourhood of bad cells is chosen."""
+REGIONS: dict[int, tuple[int | None, ...]] = {2: (32, None), 3: (8, 32, None)}
+"""Numbers of layers around bad cells in which they are untangled in turn, in the plane and in space; then all nodes."""
+FARTHEST = 5.0
+"""No node moves farther than this, times the largest displacement of the boundary."""
+COLLAPSING = 0.01
+"""Valid cells with a corner below this fraction of its undeformed Jacobian are nearly collapsed and cause a warning."""

@@ -9,8 +9,7 @@ from ..boundary.pinned import find_pinned
 from ..errors import MethodError
 from ..methods import Options
 from ..notices import Notice
-from ..repair.regions import HASTILY, QUICKLY
-from ..repair.repair import COLLAPSING
+from ..repair.tuned import COLLAPSING
 from .course import Course
 from .steps import (
     Reached,
@@ -22,7 +21,6 @@ from .steps import (
     patient_step,
     plain_step,
     repaired,
-    settled,
     step,
     warnings_ahead,
 )
@@ -69,20 +67,18 @@ def until_valid(course: Course) -> Reached:
     with another method. If the boundary alone shows that no valid grid exists, only one step and a part of the motion
     are tried, each with a short repair.
 
-    Smaller steps and other methods only serve to reach a valid grid. From there, the search is for the minimum that the
-    repair of a single step with the chosen method defines, so that the result does not depend on which attempt
-    succeeded. If that minimum is not found, the valid grid is kept, or, if it is nearly collapsed, the best one of
-    several methods. If nothing succeeds, the grid with the fewest invalid cells is kept, with its boundary as
-    prescribed; the warnings say why, and for which part of the motion a valid grid was found.
+    If the valid grid of one step is nearly collapsed, the best one of several methods is kept. If nothing succeeds, the
+    grid with the fewest invalid cells is kept, with its boundary as prescribed; the warnings say why, and for which
+    part of the motion a valid grid was found.
     """
     state = beginning(course, course.setup.case.method)
     course.log.warn(*warnings_ahead(state, 0.0))
     plain = plain_step(state, 1.0)
     impossible = None if plain.valid else _find_impossible(course)
-    best = repaired(plain, HASTILY if impossible else QUICKLY)
+    best = repaired(plain, "hasty" if impossible else "quick")
     if impossible and not best.valid:
         course.log.warn(*impossible.reasons)
-        step(state, BEFORE * impossible.fraction, HASTILY)
+        step(state, BEFORE * impossible.fraction, "hasty")
     elif not best.valid:
         found = _persistently(best)
         if isinstance(found, State):
@@ -106,15 +102,15 @@ def _persistently(first: Trial) -> Trial | State:
         return best
     reached = _in_smaller_steps(course, options)
     if reached:
-        return settled(first, reached.points) or reached
+        return reached
     for trial in _with_other_methods(course, (RESCUE,), options):
         other = trial if trial.valid else insist(trial)
         if other.invalid_cells < best.invalid_cells:
             best = other
         if best.valid:
-            return settled(first, best.found.points) or best
+            return best
         if reached := _in_smaller_steps(course, trial.state.options):
-            return settled(first, reached.points) or reached
+            return reached
     return best
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,8 +18,14 @@ from ..methods import Options, PreparedMethod, Progress
 from ..notices import Notice, first_of_each_kind, kind_of
 from ..parallel import Part, rows_at
 from ..repair.limit import Limit
-from ..repair.repair import Repairer
+from ..repair.onset import unhealthy_cells
+from ..repair.options import Effort
+from ..repair.outcome import Judged, Outcome
+from ..repair.tuned import AS_PLANE, FARTHEST
 from ..setup import BoundaryMotion, Setup, Start, Timing
+
+if TYPE_CHECKING:
+    from ..repair.repair import Repairer
 
 _FEWEST_UNITS = 100
 """Below this many units in the last place of the coordinates, a motion is visibly rounded."""
@@ -129,10 +136,20 @@ class Course:
     @cached_property
     def repairer(self) -> Repairer:
         """The repairer, which compares cells with the undeformed grid."""
+        # Imported late, as its loops take time to load, which most motions do not need.
+        from ..repair.repair import Repairer
+
         setup = self.setup
         # Not `self.rounded`: with a reference cycle, large arrays would stay until the garbage collector runs.
         written = partial(rounded, precision=self.precision)
-        return Repairer(setup.undeformed.repairs, written, setup.memory, self.progress, self.limit)
+        farthest = FARTHEST * self.max_displacement
+        return Repairer(setup.undeformed.repairs, written, setup.memory, self.progress, self.limit, farthest)
+
+    def repaired(self, start: Judged, effort: Effort, polish: bool) -> Outcome | None:
+        """A repair of the grid at the ``start``; ``None`` if no cell needs it."""
+        if not polish and start.verdict.valid and not unhealthy_cells(self.setup.original, start.points, AS_PLANE).size:
+            return None
+        return self.repairer.repair(start, polish, effort)
 
     @property
     def repairing(self) -> bool:

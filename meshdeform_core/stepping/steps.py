@@ -12,11 +12,11 @@ import numpy as np
 from ..errors import MethodError
 from ..grid import FloatArray
 from ..methods import Account, Options, PreparedMethod, Problem, prepare_method
-from ..parallel import combined, for_rows
+from ..parallel import for_rows
 from ..quality.verdict.comparison import Comparison
 from ..quality.verdict.validity import Verdict, judge
-from ..repair.outcome import Repair
-from ..repair.regions import PATIENTLY, QUICKLY, Way
+from ..repair.options import Effort
+from ..repair.outcome import Judged, Repair
 from ..wording import vector
 from .course import Attempt, Course
 
@@ -44,7 +44,7 @@ class State:
     notices : the method's warnings in all steps, the last one of each kind
     repairs : repairs in all steps
     first_bad : cell number -> the step that made it invalid
-    plain : (n_nodes, 3) the grid before the repair, if a single repaired step with the chosen method led here
+    plain : the grid before the repair, if a single repaired step with the chosen method led here
     """
 
     course: Course
@@ -58,7 +58,7 @@ class State:
     notices: Mapping[str, str] = field(default_factory=dict)
     repairs: tuple[Repair, ...] = ()
     first_bad: Mapping[int, int] = field(default_factory=dict)
-    plain: FloatArray | None = None
+    plain: Coordinates | None = None
 
     @property
     def way(self) -> str:
@@ -123,9 +123,9 @@ def warnings_ahead(state: State, first: float) -> list[str]:
     return prepared_on(state).warnings_for(motion, step)
 
 
-def step(state: State, fraction: float, ways: tuple[Way, ...] = QUICKLY) -> Trial:
+def step(state: State, fraction: float, effort: Effort = "quick") -> Trial:
     """Move from the grid of a state to ``fraction`` of the motion, and repair the result if the case asks for it."""
-    return repaired(plain_step(state, fraction), ways)
+    return repaired(plain_step(state, fraction), effort)
 
 
 def plain_step(state: State, fraction: float) -> Trial:
@@ -140,26 +140,16 @@ def plain_step(state: State, fraction: float) -> Trial:
     return _noted(Trial(state, fraction, found, found, _copy(prepared.account)), repair=False)
 
 
-def repaired(trial: Trial, ways: tuple[Way, ...] = QUICKLY) -> Trial:
+def repaired(trial: Trial, effort: Effort = "quick") -> Trial:
     """A plain trial, repaired if its cells need it and the case asks for it."""
     course, plain = trial.state.course, trial.plain
     if not course.repairing:
         return trial
     if course.polishing:
-        polished = _repaired(trial, ways, polish=True)
+        polished = _repaired(trial, effort, polish=True)
         if not plain.verdict.valid or _smallest_scaled(course, polished.found) >= _smallest_scaled(course, plain):
             return polished
-    if not course.repairer.needed(plain.points, plain.verdict):
-        return trial
-    return _repaired(trial, ways)
-
-
-def settled(trial: Trial, points: FloatArray) -> Trial | None:
-    """The minimum that the repair of a plain trial should find, searched for from ``points`` (n_nodes, 3), a valid grid
-    obtained otherwise; ``None`` if it is not found."""
-    plain = dataclasses.replace(trial, found=trial.plain, repair=None)
-    found = _repaired(plain, (), combined(np.subtract, points, trial.plain.points), trial.state.course.polishing)
-    return found if found.repair and found.repair.converged else None
+    return _repaired(trial, effort)
 
 
 def patient_step(state: State, fraction: float) -> Trial:
@@ -171,13 +161,13 @@ def patient_step(state: State, fraction: float) -> Trial:
 def insist(trial: Trial) -> Trial:
     """Repair the plain grid of a trial again, with a patient strategy; returns the better of the two results."""
     course = trial.state.course
-    if course.limit.reached:
+    if course.limit.reached or (trial.repair and trial.repair.left_out):
         return trial
-    other = _repaired(dataclasses.replace(trial, found=trial.plain, repair=None), PATIENTLY, polish=course.polishing)
+    plain = dataclasses.replace(trial, found=trial.plain, repair=None)
+    other = _repaired(plain, "patient", polish=course.polishing)
     better = other if other.invalid_cells < trial.invalid_cells else trial
     if trial.repair and other.repair:
-        both = dataclasses.replace(trial.repair + other.repair, cells=trial.repair.cells)
-        return dataclasses.replace(better, repair=both)
+        return dataclasses.replace(better, repair=trial.repair.again(other.repair))
     return better
 
 
@@ -196,7 +186,7 @@ def accept(trial: Trial) -> State:
         notices={**before.notices, **trial.account.notices},
         repairs=(*before.repairs, trial.repair) if trial.repair else before.repairs,
         first_bad={**dict.fromkeys(trial.found.verdict.invalid.tolist(), steps), **before.first_bad},
-        plain=trial.plain.points if steps == 1 and trial.repair and chosen else None,
+        plain=trial.plain if steps == 1 and trial.repair and chosen else None,
     )
 
 
@@ -253,15 +243,15 @@ def _smallest_scaled(course: Course, found: Coordinates) -> float:
     return cells.after.smallest_scaled[1]
 
 
-def _repaired(trial: Trial, ways: tuple[Way, ...], guess: FloatArray | None = None, polish: bool = False) -> Trial:
+def _repaired(trial: Trial, effort: Effort, polish: bool = False) -> Trial:
     course, plain = trial.state.course, trial.plain
     with course.timing.stage("repair"):
-        outcome = course.repairer.repair(plain.points, plain.verdict, polish, ways, guess)
-    moved = outcome.repair.newton_steps > 0
-    found = Coordinates(outcome.points, outcome.verdict) if moved else plain
-    # A valid grid in which nothing was moved counts as not repaired.
-    done = outcome.repair if moved or not plain.verdict.valid else None
-    repair = trial.repair + done if trial.repair and done else done or trial.repair
+        outcome = course.repaired(Judged(plain.points, plain.verdict), effort, polish)
+    if outcome is None:
+        return trial
+    done = outcome.repair
+    found = Coordinates(outcome.points, outcome.verdict) if done.newton_steps else plain
+    repair = trial.repair + done if trial.repair else done
     return _noted(dataclasses.replace(trial, found=found, repair=repair), repair=True)
 
 

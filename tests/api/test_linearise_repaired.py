@@ -8,10 +8,9 @@ from grids import frame, frame_2d
 
 import meshdeform as md
 from meshdeform_core.grid.parts import FileFormat
-from meshdeform_core.repair import derivative, minimum
+from meshdeform_core.repair import derivative, search, untangle
 from meshdeform_core.repair.derivative import derivative_of_repair
-from meshdeform_core.repair.energy import untangle
-from meshdeform_core.repair.energy.untangle import CLOSE
+from meshdeform_core.repair.untangle import CLOSE
 
 BODY = {"where": "abs(x) < 0.51 and abs(y) < 0.51", "select": ["*.i*", "*.j*"], "kind": "moving", "name": "body"}
 STILL = [{"displace": ["0", "0", "0"]}]
@@ -117,7 +116,7 @@ def test_central_differences_through_a_repair(name, converged):
 
 def test_a_repair_that_ends_elsewhere_says_so(monkeypatch):
     mesh = prepared(frame_2d(9), plane=True)
-    monkeypatch.setattr(minimum, "_CONVERGING", 2)
+    monkeypatch.setattr(search, "_CONVERGING", 2)
     found = mesh.linearise(bend(mesh, 1.2), steps=1)
     assert found.step.repair is not None
     assert not found.step.repair.converged

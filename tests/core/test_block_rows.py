@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from meshdeform_core.numerics.systems.block_rows import with_room
-from meshdeform_core.repair.energy.products import multiply_rows, sweep_back, sweep_on
+from meshdeform_core.repair.newton import multiply_rows, sweep_back, sweep_on
 
 
 def matrix_of(n, d):

@@ -30,14 +30,10 @@ from meshdeform_core.numerics import pieces as pieces_module
 from meshdeform_core.numerics.pieces import pieces
 from meshdeform_core.parallel import Part, WholeGridNeeded, alone, dividing, scratch
 from meshdeform_core.parallel.scratch import Scratch, scratch_in
-from meshdeform_core.repair import RepairOptions, limit, regions
-from meshdeform_core.repair.energy import newton, products, surroundings, untangle
-from meshdeform_core.repair.neighbourhood import shares
-from meshdeform_core.repair.regions import Way
+from meshdeform_core.repair import RepairOptions
+from meshdeform_core.repair import repair as repair_module
 from meshdeform_core.series import Schedule, deform_series
-from meshdeform_core.setup import Start, Timing, set_up
-from meshdeform_core.stepping.course import Course
-from meshdeform_core.stepping.steps import beginning, plain_step
+from meshdeform_core.setup import set_up
 from meshdeform_formats import plausible
 from meshdeform_formats.grids import read_grid, write_grid
 
@@ -66,16 +62,6 @@ def small_pieces(monkeypatch):
     pieces_module._ends.cache_clear()
     yield
     pieces_module._ends.cache_clear()
-
-
-@pytest.fixture
-def small_ranges(monkeypatch):
-    """Small regions are shared by several ranks."""
-    for module, name, size in (
-        (shares, "ROWS", 64), (shares, "CELLS", 16), (newton, "_ROWS", 16),
-        (products, "_LONG", 32), (products, "_SWEPT", 64),
-    ):  # fmt: skip
-        monkeypatch.setattr(module, name, size)
 
 
 @pytest.fixture
@@ -273,7 +259,7 @@ def test_ranks_with_arrays_in_files_give_the_same_bytes(name, tmp_path, small_pi
 
 
 @pytest.mark.parametrize(("angle", "grid"), [(50.0, (5, 4)), (100.0, (9, 8))])
-def test_repairs_with_arrays_in_files_give_the_same_bytes(angle, grid, tmp_path, small_pieces, small_ranges, in_files):
+def test_repairs_with_arrays_in_files_give_the_same_bytes(angle, grid, tmp_path, small_pieces, in_files):
     assert same_on_ranks(tmp_path, 2, repaired(angle), grid=frame(*grid), store=in_files)[-1].newton_steps > 0
 
 
@@ -284,7 +270,7 @@ def test_periodic_sides_that_move_give_the_same_bytes(name, tmp_path, small_piec
 
 
 @pytest.mark.parametrize("angle", [60.0, 100.0])
-def test_repairs_between_periodic_sides_give_the_same_bytes(angle, tmp_path, small_pieces, small_ranges, poisoned):
+def test_repairs_between_periodic_sides_give_the_same_bytes(angle, tmp_path, small_pieces, poisoned):
     swaying = formulas("0.05*sin(2*pi*z)", "0.0", "0.0")
     motion = Motion((*swaying.steps, *turning(angle).steps), {})
     case = dataclasses.replace(repaired(angle), boundaries=tuple(body_specs(motion, Kind.PERIODIC)))
@@ -308,7 +294,7 @@ def overset(**grids):
 @pytest.mark.parametrize(
     ("name", "repair"), [("tfi", "auto"), ("idw-tfi", "auto"), ("idw-fast", "off"), ("rbf-exact", "off")]
 )
-def test_components_of_overset_grids_give_the_same_bytes(name, repair, tmp_path, small_pieces, small_ranges, poisoned):
+def test_components_of_overset_grids_give_the_same_bytes(name, repair, tmp_path, small_pieces, poisoned):
     grid, specs = overset(bar=tapered(5, 4), bg=frame(5, 3), rod=frame(6, 5))
     options = RepairOptions(mode=repair)
     case = Case(specs, method=METHODS[name], components=BY_PREFIX, repair=options, open_faces=True)
@@ -400,109 +386,31 @@ def tapered(*size):
 @pytest.mark.parametrize(("count", "angle", "mode"), [
     (3, 50.0, "auto"), (2, 50.0, "polish"), pytest.param(4, 110.0, "auto", marks=pytest.mark.slow)
 ])  # fmt: skip
-def test_repairs_of_grids_in_parts_give_the_same_bytes(
-    count, angle, mode, tmp_path, small_pieces, small_ranges, poisoned
-):
+def test_repairs_of_grids_in_parts_give_the_same_bytes(count, angle, mode, tmp_path, small_pieces, poisoned):
     """Of weak cells and of inverted ones."""
     assert same_on_ranks(tmp_path, count, repaired(angle, mode), grid=tapered(5, 4))[-1].newton_steps > 1
 
 
 @pytest.mark.parametrize(("count", "angle"), [(6, 50.0), (2, 90.0)])
-def test_ranks_without_nodes_take_part_in_repairs(count, angle, tmp_path, small_ranges, poisoned):
+def test_ranks_without_nodes_take_part_in_repairs(count, angle, tmp_path, poisoned):
     """Blocks are not cut, and there are more ranks than blocks; or two, with inverted cells."""
     assert same_on_ranks(tmp_path, count, repaired(angle), grid=tapered(4, 3))[-1].newton_steps > 1
 
 
-def test_ranks_without_cells_take_part_in_untangling(tmp_path, small_pieces, poisoned):
-    """A plane block of 25 cells, some of them folded, is less than seven ranks can share."""
-    line = np.linspace(0.0, 1.0, 6)
-    near, far = (expression(text, {"x", "y", "z"}) for text in ("x < 0.3", "x > 0.6"))
-    motion = formulas("0.4*y*sin(3*y)", "0.4*cos(2*x)", "0")
-    sides = BoundarySpec("wall", ("*",), Kind.MOVING, near, motion), BoundarySpec("side", ("*",), Kind.SLIP, far)
-    case = dataclasses.replace(repaired(0.0), boundaries=sides, method=METHODS["idw-fast"], open_faces=True)
-    same_on_ranks(tmp_path, 7, case, grid=Grid.from_blocks([block_around(line, line, np.zeros(1))]))
-
-
-def test_squeezed_cells_are_compared_with_those_around_them_on_other_ranks(
-    tmp_path, small_pieces, small_ranges, poisoned, monkeypatch
-):
-    """Not only where a gap closes to a few per cent, which takes a large grid."""
-    found, around = [], untangle.among_others
-
-    def noted(*given):
-        found.append(around(*given))
-        return found[-1]
-
-    monkeypatch.setattr(surroundings, "_SQUEEZED", 10.0)
-    monkeypatch.setattr(untangle, "among_others", noted)
-    same_on_ranks(tmp_path, 3, repaired(90.0), grid=tapered(4, 3))
-    assert any(energy is not None for energy in found)
-
-
-def test_where_the_work_is_spent_invalid_cells_are_no_reason_to_start_again(
-    tmp_path, small_pieces, small_ranges, poisoned, monkeypatch
-):
-    monkeypatch.setattr(limit, "_PER_NODE", 20_000.0 / limit._FEWEST)
-    same_on_ranks(tmp_path, 2, repaired(110.0), grid=tapered(5, 4))
-
-
-def way_through(source, case, way):
-    """What a repair in regions makes of the method's grid."""
-    setup = set_up(read_grid(source), case)
-    start = Start(setup.grid.points)
-    course = Course(setup, setup.motion(1.0), "float64", Timing(), None, start, limit.Limit())
-    plain = plain_step(beginning(course, setup.case.method), 1.0).plain
-    found = course.repairer.repair(plain.points, plain.verdict, ways=(way,))
-    points, moved = (p[np.arange(setup.grid.n_nodes)] for p in (found.points, plain.points))
-    assert (points != moved).any()
-    return points.tobytes(), found.verdict.invalid.tolist(), dataclasses.replace(found.repair, seconds=0.0)
-
-
-WAYS = {"quick": Way(), "patient": Way(patient=True, even=True), "hasty": Way(hasty=True)}
-
-
-@pytest.mark.parametrize(("name", "count", "plane"), [
-    *((name, 3, True) for name in WAYS),
-    ("hasty", 4, False),
-    pytest.param("quick", 2, False, marks=pytest.mark.slow),
-])  # fmt: skip
-def test_regions_give_the_same_bytes(name, count, plane, tmp_path, small_pieces, small_ranges, poisoned, monkeypatch):
-    """Where the search for the minimum fails."""
-    monkeypatch.setattr(regions, "_LAYERS", {2: (2, None), 3: (1, 3, None)})
-    source, case = tmp_path / "grid.xyz", repaired(160.0)
+@pytest.mark.parametrize(("angle", "plane"), [(60.0, True), (160.0, True), (60.0, False)])
+def test_regions_around_bad_cells_give_the_same_bytes(angle, plane, tmp_path, small_pieces, poisoned, monkeypatch):
+    """As in large grids, and where the search for the minimum fails."""
+    for name, value in (("LARGE", 0), ("FEW", 1.0), ("PER_NODE", 1000), ("REGIONS", {2: (2, None), 3: (1, 3, None)})):
+        monkeypatch.setattr(repair_module, name, value)
+    case = repaired(angle)
     if plane:
-        body = dataclasses.replace(body_specs(turning(160.0))[0], select=("*",))
+        body = dataclasses.replace(body_specs(turning(angle))[0], select=("*",))
         case = dataclasses.replace(case, boundaries=(body,))
-    write_grid(frame_2d(5) if plane else tapered(5, 4), source)
-    expected = way_through(source, case, WAYS[name])
-
-    def act(number):
-        with dividing():
-            return way_through(source, case, WAYS[name])
-
-    assert on_ranks(count, act) == [expected] * count
+    grid = frame_2d(5) if plane else tapered(5, 4)
+    assert same_on_ranks(tmp_path, 3, case, ".xyz", grid)[-1].newton_steps > 1
 
 
-def test_a_search_for_the_minimum_alone_may_fail_in_parts(tmp_path, small_pieces, small_ranges):
-    """As where a second solution is looked for: cells stay invalid, and nothing else is tried."""
-    source = tmp_path / "grid.cgns"
-    write_grid(tapered(5, 4), source)
-
-    def act(number):
-        with dividing():
-            setup = set_up(read_grid(source), repaired(160.0))
-            start = Start(setup.grid.points)
-            course = Course(setup, setup.motion(1.0), "float64", Timing(), None, start, limit.Limit())
-            plain = plain_step(beginning(course, setup.case.method), 1.0).plain
-            outcome = course.repairer.repair(plain.points, plain.verdict, ways=())
-            return outcome.verdict.valid, outcome.repair.converged, len(outcome.verdict.invalid)
-
-    (expected,) = on_ranks(1, act)
-    assert expected[:2] == (False, False)
-    assert on_ranks(2, act) == [expected] * 2
-
-
-def test_repairs_on_curved_slip_surfaces_give_the_same_bytes(tmp_path, small_pieces, small_ranges, poisoned):
+def test_repairs_on_curved_slip_surfaces_give_the_same_bytes(tmp_path, small_pieces, poisoned):
     """A quarter of a shell, whose inner side bulges towards the outer one."""
     angle, radius, z = np.linspace(0.0, np.pi / 2, 21), np.linspace(1.0, 2.0, 9), np.linspace(0.0, 0.6, 7)
     a, r, h = np.meshgrid(angle, radius, z, indexing="ij")
@@ -515,7 +423,7 @@ def test_repairs_on_curved_slip_surfaces_give_the_same_bytes(tmp_path, small_pie
 
 
 @pytest.mark.parametrize("axes", [(0, 1, 2), (2, 0, 1)], ids=["along k", "along i"])
-def test_repairs_of_extrusions_in_parts_give_the_same_bytes(axes, tmp_path, small_pieces, small_ranges, poisoned):
+def test_repairs_of_extrusions_in_parts_give_the_same_bytes(axes, tmp_path, small_pieces, poisoned):
     body = dataclasses.replace(body_specs(turning(50))[0], select=("*",))
     ends = BoundarySpec("ends", ("*",), Kind.SLIP, expression("z < 0.01 or z > 0.99", {"x", "y", "z"}))
     case = dataclasses.replace(repaired(50.0), boundaries=(body, ends))
@@ -523,13 +431,13 @@ def test_repairs_of_extrusions_in_parts_give_the_same_bytes(axes, tmp_path, smal
     assert same_on_ranks(tmp_path, 3, case, grid=grid)[-1].newton_steps > 1
 
 
-def test_repairs_of_plane_grids_in_parts_give_the_same_bytes(tmp_path, small_pieces, small_ranges, poisoned):
+def test_repairs_of_plane_grids_in_parts_give_the_same_bytes(tmp_path, small_pieces, poisoned):
     body = dataclasses.replace(body_specs(turning(60))[0], select=("*",))
     case = dataclasses.replace(repaired(60.0), boundaries=(body,))
     assert same_on_ranks(tmp_path, 3, case, ".xyz", frame_2d(9))[-1].newton_steps > 1
 
 
-def test_repairs_in_a_series_are_the_same(tmp_path, small_pieces, small_ranges, poisoned):
+def test_repairs_in_a_series_are_the_same(tmp_path, small_pieces, poisoned):
     source, schedule = tmp_path / "grid.cgns", Schedule((0.0, 1.0, 2.0))
     write_grid(tapered(5, 4), source)
     case = Case(tuple(body_specs(turning("40*t"))), method=METHODS["tfi"])

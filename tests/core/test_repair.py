@@ -19,16 +19,16 @@ from meshdeform_core.grid import Grid
 from meshdeform_core.numerics.cell.foldover.plane import add_triangles
 from meshdeform_core.parallel import set_threads
 from meshdeform_core.quality.verdict.validity import judge, newly_invalid
-from meshdeform_core.repair import RepairOptions, minimum
+from meshdeform_core.repair import RepairOptions, newton, search
 from meshdeform_core.repair.basis import Basis
 from meshdeform_core.repair.constraints import Constraints
-from meshdeform_core.repair.energy import products
-from meshdeform_core.repair.energy.elements import Penalty
-from meshdeform_core.repair.energy.newton import NewtonSystem
-from meshdeform_core.repair.energy.untangle import Untangler
+from meshdeform_core.repair.energy import Penalty
 from meshdeform_core.repair.extrusion import _heights, find_extrusion
-from meshdeform_core.repair.neighbourhood import Neighbourhood
+from meshdeform_core.repair.newton import NewtonSystem
+from meshdeform_core.repair.outcome import Judged
+from meshdeform_core.repair.region import Neighbourhood
 from meshdeform_core.repair.repair import Repairer
+from meshdeform_core.repair.untangle import Untangler
 from meshdeform_samples.reproduce.experiment import Sample, prepare_sample
 
 
@@ -43,8 +43,7 @@ def fixed_setup(grid, *more):
 
 
 def whole_region(setup):
-    near = Neighbourhood(Constraints.of(setup.original, setup.boundary))
-    return near.plot(near.around(np.arange(setup.grid.n_cells), 1))
+    return Neighbourhood(Constraints.of(setup.original, setup.boundary)).plot()
 
 
 def untangler_of(region, reference):
@@ -137,7 +136,7 @@ def test_the_minimum_is_found_where_exact_second_derivatives_are_indefinite_on_t
 @pytest.mark.parametrize("rows", [7, 1 << 15])
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_a_direction_solves_the_linear_system_in_ranges_of_any_size(dimension, rows, monkeypatch):
-    monkeypatch.setattr(products, "_SWEPT", rows)
+    monkeypatch.setattr(newton, "_SWEPT", rows)
     setup = fixed_setup(cube(6, dimension))
     plot, random = whole_region(setup), np.random.default_rng(2)
     start = plot.inside(setup.grid.points)
@@ -155,8 +154,8 @@ def test_over_relaxed_sweeps_take_half_the_iterations(monkeypatch):
     setup = fixed_setup(cube(80, 2))
     plot = whole_region(setup)
     start, taken = plot.inside(setup.grid.points), []
-    for slack in (products._SLACK, np.sqrt(plot.region.n_unknowns)):
-        monkeypatch.setattr(products, "_SLACK", slack)
+    for slack in (newton._SLACK, np.sqrt(plot.region.n_unknowns)):
+        monkeypatch.setattr(newton, "_SLACK", slack)
         system = NewtonSystem(plot.region)
         system.fill(plot.region, start, start, Penalty(0.0, 1.0, 2.0, 1.0))
         system.gradient[...] = 1.0
@@ -230,10 +229,10 @@ def test_a_node_thrown_out_of_its_cells_comes_back(dimension):
     points[middle, :dimension] += 0.6
     verdict = judge(setup.original, points)
     assert not verdict.valid
-    outcome = Repairer(Basis(setup.original, setup.boundary)).repair(points, verdict)
+    outcome = Repairer(Basis(setup.original, setup.boundary)).repair(Judged(points, verdict))
     assert outcome.verdict.valid
     assert not newly_invalid(setup.original, outcome.points).size
-    assert outcome.repair.cells == verdict.invalid.size
+    assert outcome.repair.invalid == verdict.invalid.size
     assert outcome.repair.converged
     assert 0 < outcome.repair.nodes < setup.grid.n_nodes
     assert outcome.repair.max_movement > 0.1
@@ -285,7 +284,7 @@ def test_polishing_a_healthy_grid_improves_its_worst_cells(angle):
 
 
 def test_a_polished_grid_with_a_smaller_scaled_jacobian_is_not_taken(monkeypatch):
-    monkeypatch.setattr(minimum, "POLISHED", 1.0)
+    monkeypatch.setattr(search, "POLISHED", 1.0)
     plain, polished = (turned(frame_2d(6), 20, mode=mode) for mode in ("off", "polish"))
     np.testing.assert_array_equal(polished.grid.points, plain.grid.points)
     assert polished.repair is None
@@ -329,7 +328,7 @@ def test_periodic_sides_move_alike():
     block[-1, 4, 4, 2] += 0.5
     verdict = judge(setup.original, points)
     assert not verdict.valid
-    outcome = Repairer(Basis(setup.original, setup.boundary)).repair(points, verdict)
+    outcome = Repairer(Basis(setup.original, setup.boundary)).repair(Judged(points, verdict))
     assert outcome.verdict.valid
     moved = grid.block(0, outcome.points - grid.points)
     np.testing.assert_allclose(moved[0], moved[-1], rtol=0, atol=1e-15)
@@ -356,7 +355,7 @@ def test_cells_of_a_boundary_layer_that_only_turn_keep_their_heights():
     points = setup.grid.points.copy()
     inner = setup.grid.block(0, points)
     inner[4, 4, 14] += [0.3, 0.3, 0.4]
-    outcome = Repairer(Basis(setup.original, setup.boundary)).repair(points, judge(setup.original, points))
+    outcome = Repairer(Basis(setup.original, setup.boundary)).repair(Judged(points, judge(setup.original, points)))
     assert outcome.verdict.valid
     ratio = outcome.verdict.ratio.reshape(8, 8, -1)
     assert ratio[:, :, :6].min() > 0.7
@@ -524,7 +523,7 @@ def test_nodes_slide_on_curved_surfaces_and_stay_on_them(dimension):
         block[:, :, [0, -1]] = setup.grid.block(0)[:, :, [0, -1]]
     verdict = judge(setup.original, points)
     assert verdict.failed.any()
-    outcome = Repairer(Basis(setup.original, setup.boundary)).repair(points, verdict)
+    outcome = Repairer(Basis(setup.original, setup.boundary)).repair(Judged(points, verdict))
     assert outcome.verdict.valid
     after = outcome.points[setup.topology.first[sliding.nodes]]
     before = points[setup.topology.first[sliding.nodes]]
@@ -555,7 +554,7 @@ def test_pinned_corners_do_not_end_an_improvement():
     block[4, 4] += 0.97 * (block[5, 4] - block[4, 4])
     before = judge(setup.original, points)
     assert before.valid
-    outcome = Repairer(Basis(setup.original, setup.boundary)).repair(points, before)
+    outcome = Repairer(Basis(setup.original, setup.boundary)).repair(Judged(points, before))
     ratio = [verdict.ratio.reshape(8, 8)[2:, 2:].min() for verdict in (before, outcome.verdict)]
     assert ratio[0] < 0.05
     assert ratio[1] > 0.3
@@ -569,7 +568,7 @@ def test_a_deep_fold_is_opened():
     start = impose(setup, setup.motion(0.0), 1, "float64", Timing()).grid.points
     verdict = judge(setup.original, start)
     assert verdict.failed.any()
-    outcome = Repairer(Basis(setup.original, setup.boundary)).repair(start, verdict)
+    outcome = Repairer(Basis(setup.original, setup.boundary)).repair(Judged(start, verdict))
     assert outcome.verdict.valid
 
 

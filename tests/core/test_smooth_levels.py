@@ -14,7 +14,7 @@ from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.boundary.motions.motion import Motion, Rotate
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.repair.basis import Basis
-from meshdeform_core.repair.energy.onset import share_of, share_slopes
+from meshdeform_core.repair.energy import share_of, share_slopes
 from meshdeform_core.series import Schedule, deform_series
 
 
@@ -48,7 +48,7 @@ def test_the_grid_does_not_jump_where_a_repair_begins():
 
 def test_samples_between_corners_count_smoothly_from_cells_of_f_4_on():
     setup = set_up(frame(4, 3), Case(tuple(body_specs(turning("5")))))
-    plot = Basis(setup.original, setup.boundary).whole.plot
+    plot = Basis(setup.original, setup.boundary).whole
     whole = plot.region.energy
 
     def sheared(amount):

@@ -13,12 +13,11 @@ from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, Timing, deform, impose, set_up
 from meshdeform_core.grid import Grid
 from meshdeform_core.repair import limit
-from meshdeform_core.repair.energy.elements import Penalty
-from meshdeform_core.repair.energy.newton import NewtonSystem
-from meshdeform_core.repair.energy.surroundings import among_others
-from meshdeform_core.repair.energy.untangle import Untangler
+from meshdeform_core.repair.energy import Penalty, among_others
 from meshdeform_core.repair.limit import Limit
-from meshdeform_core.repair.minimum import QUICK
+from meshdeform_core.repair.newton import NewtonSystem
+from meshdeform_core.repair.search import QUICK
+from meshdeform_core.repair.untangle import Untangler
 
 
 def butterfly(n=5, layers=4, planes=27):
@@ -49,7 +48,7 @@ def throat(left, grid=None):
 def test_cells_that_are_all_stretched_alike_are_healthy_among_each_other(dimension):
     grid = butterfly(planes=3) if dimension == 3 else frame_2d(4)
     moving = BoundarySpec("all", ("*",), Kind.MOVING, None, formulas("0", "0", "0"))
-    plot = set_up(grid, Case((moving,))).undeformed.repairs.whole.plot
+    plot = set_up(grid, Case((moving,))).undeformed.repairs.whole
     start = plot.inside(grid.points)
     x = start @ np.array([[0.03, 0.5, 0.0], [0.0, 0.02, 0.1], [0.2, 0.0, 1.0]])[:dimension, :dimension].T
     own, among = (
@@ -67,9 +66,9 @@ def test_folds_in_a_throat_open_within_a_few_steps():
     setup = throat(0.03)
     plain = impose(setup.with_repair("off"), setup.motion(0.0), 1, "float64", Timing())
     assert not plain.valid
-    whole = setup.undeformed.repairs.whole
-    x = whole.plot.inside(plain.grid.points)
-    alone, among = (Untangler(whole.plot.region, x, x, NewtonSystem(whole.plot.region)) for _ in range(2))
+    plot = setup.undeformed.repairs.whole
+    x = plot.inside(plain.grid.points)
+    alone, among = (Untangler(plot.region, x, x, NewtonSystem(plot.region)) for _ in range(2))
     assert not alone.untangle(dataclasses.replace(QUICK, around=0))
     assert among.untangle(QUICK)
     assert among.steps <= 10

@@ -10,29 +10,39 @@ from meshdeform_formats.report.page.figures import figure_lines
 from meshdeform_formats.report.repaired import repair_sentence
 from meshdeform_formats.report.series_text import acceleration_of, repaired
 
-DONE = {"cells": 12, "nodes": 1, "max_movement": 0.5, "newton_steps": 3}
+DONE = {
+    "invalid": 2, "weak": 10, "nodes": 1, "max_movement": 0.5, "newton_steps": 3, "converged": True, "before": None,
+    "left_out": None,
+}  # fmt: skip
+WEAK = "weak: sheared by more than 55 degrees, or stretched or shortened as much"
+
+
+def measures(invalid, scaled):
+    return {
+        "invalid_cells": invalid, "min_scaled_jacobian": scaled, "f_skew": {"min": 0.5},
+        "wall_normal_deviation_deg": {"rms": 2.0},
+    }  # fmt: skip
 
 
 def test_it_says_what_was_done_and_what_the_method_alone_gives():
-    attempts = [{"repair": False, "invalid_cells": 1}, {"repair": True, "invalid_cells": 0}]
-    report = {"repair": DONE, "attempts": attempts, "boundary": {"max_displacement": 2.0}}
+    report = {
+        "repair": DONE | {"before": measures(2, -0.25)},
+        "boundary": {"max_displacement": 2.0},
+        "quality": {"after": measures(0, 0.75)},
+    }
     assert repair_sentence(report) == (
-        "12 invalid or weak cells repaired, 1 node moved by up to 0.5 (0.25 of the largest displacement), 3 Newton "
-        "steps; the method alone leaves 1 invalid cell"
+        "2 invalid and 10 weak cells repaired, 1 node moved by up to 0.5 (0.25 of the largest displacement), 3 Newton "
+        "steps; the method alone -> repaired: smallest scaled Jacobian -0.25 -> 0.75, smallest f_skew 0.5 -> 0.5, "
+        f"angle at walls 2 -> 2 degrees rms, invalid cells 2 -> 0; {WEAK}"
     )
 
 
-def test_nothing_is_said_without_a_repair_and_no_cells_are_counted_where_none_were_bad():
+def test_it_does_not_claim_what_was_not_done():
     assert repair_sentence({"repair": None}) == ""
-    assert repair_sentence({"repair": DONE | {"cells": 0}}).startswith("weak cells improved, 1 node moved")
-
-
-@pytest.mark.parametrize(("converged", "told"), [(True, False), (False, True)])
-def test_it_says_where_the_minimum_was_not_reached(converged, told):
-    report = {"repair": {**DONE, "converged": converged}}
-    assert ("depends on how it was found" in repair_sentence(report)) == told
-    # A grid that another program deformed is mended where it is bad.
-    assert "depends" not in repair_sentence({**report, "reference": {}})
+    left = {"repair": DONE | {"weak": 0}, "quality": {"after": measures(2, 0.0)}}
+    assert repair_sentence(left).startswith("not repaired: 2 cells of 2 invalid cells stay invalid, 1 node moved")
+    assert repair_sentence({"repair": DONE | {"left_out": "no memory"}}) == "not repaired: no memory"
+    assert repaired({"repair": DONE | {"left_out": "no memory"}}) == "no"
 
 
 def test_it_says_which_part_of_the_layers_changed():

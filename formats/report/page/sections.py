@@ -13,6 +13,7 @@ from ..components import HEADS, component_rows
 from ..measures import measure_rows, place_text
 from ..parts import Report
 from ..remedies import remedy_of
+from ..repaired import repair_lines
 from ..text import number
 from .charts import histogram
 from .tables import table
@@ -132,13 +133,8 @@ def attempts_section(report: Report) -> str:
     if new := report.get("new_interior"):
         reason = f"by {escape(new['method'])}: {escape(new['reason'])}"
         html += f"<p>The interior was remade from the reference {reason}.</p>"
-    repair = report.get("repair")
-    if repair:
-        html += (
-            f"<p>Repair: {repair['cells']:,} cells made valid or better by moving {repair['nodes']:,} nodes, "
-            f"none by more than {repair['max_movement']:.4g}; {repair['newton_steps']} Newton steps, "
-            f"{repair['seconds']:.1f} s. Moving and fixed boundary nodes stay where they were put.</p>"
-        )
+    if lines := repair_lines(report):
+        html += f"<p>Repair: {escape('; '.join(lines))}. Moving and fixed boundary nodes stay where they were put.</p>"
     return html
 
 

@@ -7,15 +7,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ...grid import FloatArray
-from ...parallel import for_chunks
-from ..limit import Limit
-from ..tuned import CUBIC, SOFTENED
-from .elements import Energy, Penalty
+from ..grid import FloatArray
+from ..parallel import for_chunks
+from .energy import Energy, Penalty, Region, among_others
+from .limit import Limit
 from .newton import NewtonSystem
-from .region import Region
-from .surroundings import among_others
+from .tuned import CUBIC, SOFTENED
 
+# Energies are summed over this many cells at a time.
+_CELLS = 4096
 # Measured work of evaluating the energy, relative to that of its derivatives.
 _EVALUATION = 0.15
 _ROUGH, _ROUGH_ITERATIONS = 3e-2, 200
@@ -62,7 +62,8 @@ class Pace:
 class Untangler:
     """Moves the unknowns of a region from coordinates ``x`` (n, d), within a limit.
 
-    ``reference`` (n, d) are the coordinates of zero elastic energy. ``damping``: the part of the indefinite second
+    ``reference`` (n, d) are the coordinates of zero elastic energy, from which no node moves more than ``farthest``.
+    ``damping``: the part of the indefinite second
     derivatives that the next step leaves out first, ``damped`` that which the last one left out; see :meth:`_exact`.
     """
 
@@ -70,6 +71,7 @@ class Untangler:
     x: FloatArray
     reference: FloatArray
     system: NewtonSystem
+    farthest: float = np.inf
     steps: int = 0
     progress: Callable[[str, int, int], None] | None = None
     limit: Limit = field(default_factory=Limit)
@@ -77,29 +79,27 @@ class Untangler:
     damped: float = 1.0
 
     def state(self, x: FloatArray, penalty: Penalty) -> State:
-        chunks, rows = self.region.dealt.chunks, self.region.dealt.rows
-        parts = np.empty((len(chunks) - 1, 3))
+        energy, size = self.region.energy, len(self.region.energy.nodes)
+        parts = np.empty((-(-size // _CELLS), 3))
 
-        def work(number: int, _: int) -> None:
-            low, high = chunks[number : number + 2]
-            parts[number] = self.region.energy.sum(x, self.reference, penalty, low, high)
+        def work(low: int, high: int) -> None:
+            parts[low // _CELLS] = energy.sum(x, self.reference, penalty, low, high)
 
-        for_chunks(work, len(parts), 1)
-        parts = rows.joined(parts)
-        self.limit.spend(_EVALUATION * self.region.work)
-        return State(x, parts[:, 0].sum(), parts[:, 1].min(), parts[:, 2].max())
+        for_chunks(work, size, _CELLS)
+        self.limit.spend(_EVALUATION * self.region.energy.work)
+        return State(x, parts[:, 0].sum(), parts[:, 1].min(initial=np.inf), parts[:, 2].max(initial=0.0))
 
     def untangle(self, pace: Pace) -> bool:
         """Newton steps until every determinant is positive; returns whether this succeeded.
 
         Cells are compared with undeformed ones; if some are squeezed, first with those around them, see
-        :mod:`.surroundings`. Cells at walls have smaller weights than in the energy to be minimised, as folds open
+        :mod:`.energy`. Cells at walls have smaller weights than in the energy to be minimised, as folds open
         sooner if all cells take part.
         """
         if self.state(self.x, Penalty(pace.first)).lowest > 0.0:
             return True
         start, energy = self.x, self.region.energy.softened(SOFTENED)
-        among = among_others(energy, start, self.region.dealt) if pace.around else None
+        among = among_others(energy, start) if pace.around else None
         if among is not None and self._untangle(among, replace(pace, steps=pace.around)):
             return True
         self.x = start
@@ -143,11 +143,11 @@ class Untangler:
             self._tell(step, most)
             tolerance = min(_ROUGH, max(_FINE, _FORCING * length))
             after, part = self._step(now, penalty, tolerance)
-            before, length = length, self._largest(np.abs(after.x - now.x).max(axis=1) / edges)
+            before, length = length, float((np.abs(after.x - now.x).max(axis=1) / edges).max(initial=0.0))
             now = after
             self.x = now.x
             # The next step is estimated from the linear solver's tolerance and Newton's quadratic convergence.
-            shrinking = max(tolerance, (length / before) ** 2)
+            shrinking = max(tolerance, (length / before) ** 2) if before else np.inf
             # A step that was shortened, or not solved for, says nothing about the distance from the minimum, and where
             # the second derivatives are indefinite there is none.
             if (
@@ -160,9 +160,6 @@ class Untangler:
             if part == 0.0:
                 break
         return False
-
-    def _largest(self, lengths: FloatArray) -> float:
-        return float(self.region.dealt.nodes.joined(np.array([lengths.max(initial=0.0)])).max())
 
     def _tell(self, done: int, most: int) -> None:
         if self.progress:
@@ -187,7 +184,13 @@ class Untangler:
         return after, length
 
     def _moved(self, now: State, penalty: Penalty, step: FloatArray, length: float) -> State:
-        return self.state(self.region.moved(now.x, self.system.unknowns, step, length), penalty)
+        x = self.region.moved(now.x, self.system.unknowns, step, length)
+        if self.farthest < np.inf:
+            change = x - self.reference
+            distance = np.sqrt((change**2).sum(axis=1))
+            far = distance > self.farthest
+            x[far] = self.reference[far] + change[far] * (self.farthest / distance[far])[:, None]
+        return self.state(x, penalty)
 
     def _exact(self, now: State, penalty: Penalty, tolerance: float) -> FloatArray | None:
         """The step with as much of the indefinite second derivatives as leaves the whole positive definite.
@@ -208,7 +211,7 @@ class Untangler:
         return None
 
     def _fill(self, x: FloatArray, penalty: Penalty) -> bool:
-        self.limit.spend(self.region.work)
+        self.limit.spend(self.region.energy.work)
         return self.system.fill(self.region, x, self.reference, penalty)
 
     def _direction(self, tolerance: float, most: int) -> tuple[FloatArray, bool]:

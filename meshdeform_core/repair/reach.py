@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from ...grid import IntArray
-from ...numerics.cell.layers import spread_layers
-from ...parallel import Part, empty, of_all, own_rows, rows_of
-from ..constraints import Constraints
+from ..grid import IntArray
+from ..numerics.cell.layers import spread_layers
+from ..parallel import Part, empty, of_all, own_rows, rows_of
+from .constraints import Constraints
 
 
 class Reach:

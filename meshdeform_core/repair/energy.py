@@ -1,0 +1,384 @@
+"""The energy of a region as a sum over elements: hexahedra, or triangles at the corners of quadrilaterals.
+
+No effect while all cells are healthy, and a smoothly growing effect as they become weak: a repair with a sharp
+threshold would make a moving grid jump when the threshold is passed. The energy of the cells is therefore weighted,
+against the elastic energy that holds the grid, by a *share* that grows as a power of the *excess* of the grid: the norm
+of log(f / HEALTHY) over all corners, with f regularised to stay finite on inversion.
+
+Where a gap closes to a few per cent, the cells of every valid grid are far from their undeformed shape, and an energy
+relative to that shape folds some cells so that others keep theirs. Relative to the mean metric of the surrounding
+deformed cells, a folded cell differs from its neighbours and unfolds within a few steps. Cells that are sheared between
+walls rotating against each other gain nothing from that metric and are compared with undeformed cells.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..grid import BoolArray, FloatArray, IntArray
+from ..numerics.cell.foldover.hexahedra import Unknowns, add_derivatives, energy_of_cells, excess_of_cells
+from ..numerics.cell.foldover.plane import (
+    add_triangles,
+    corner_triangles,
+    energy_of_triangles,
+    excess_of_triangles,
+)
+from ..numerics.cell.foldover.samples import Samples, shortest_edges
+from .tuned import ALONG, BETWEEN, COLLAPSED, FULL, HEALTHY, NORM, POWER, SLOWLY, SOFT
+
+_CORNERS = (1 << 8) - 1
+_SQUEEZED = 0.03
+"""Cells count as squeezed if the mean volume around them is below this fraction of the undeformed volume."""
+_ROUNDS = 4
+"""Number of times that metrics are averaged over the elements at each node and back over the nodes of each element."""
+# Measured work for the derivatives at one sample of a hexahedron, and of a triangle, in the unit of :mod:`.limit`.
+_SAMPLE, _TRIANGLE = 0.9, 0.4
+
+
+class Penalty(NamedTuple):
+    """The parameters of the energy, see :mod:`..numerics.cell.foldover`; ``exact``: the share of the indefinite part of
+    its second derivatives that is added to their convex part."""
+
+    eps: float = 0.0
+    share: float = 1.0
+    cubic: float = 0.0
+    elastic: float = 0.0
+    exact: float = 0.0
+
+
+class Rows(NamedTuple):
+    """The rows ``first <= row < last`` of a block-sparse matrix.
+
+    The ``columns`` of row r begin at ``starts[r]``; ``matrix`` (n_blocks, d, d) holds the blocks of these rows,
+    ``gradient`` (n_unknowns, d) all rows.
+    """
+
+    first: int
+    last: int
+    starts: IntArray
+    columns: NDArray[np.int32]
+    matrix: FloatArray
+    gradient: FloatArray
+
+    @property
+    def pattern(self) -> tuple[int, int, IntArray, NDArray[np.int32]]:
+        """The arguments of the loops over rows."""
+        return self[:4]
+
+
+@dataclass(frozen=True)
+class Hexahedra:
+    """The energy of hexahedra.
+
+    Attributes
+    ----------
+    start, own : (k, 3) undeformed coordinates, and the rows (m, 8) of each cell's corners
+    nodes : (m, 8) nodes of each cell, in the order of :func:`..numerics.cell.foldover.samples.cell_samples`
+    mask : (m,) int64, bit s set where sample point s counts
+    samples : the sample points
+    weight : (m,) of the cells
+    between : (m,) share of the samples between corners
+    """
+
+    start: FloatArray
+    own: IntArray
+    nodes: IntArray
+    mask: IntArray
+    samples: Samples
+    weight: FloatArray
+    between: FloatArray
+
+    @property
+    def work(self) -> float:
+        """Work of computing all second derivatives, see :mod:`.limit`."""
+        return _SAMPLE * int(np.bitwise_count(self.mask).sum())
+
+    def edges(self) -> FloatArray:
+        """Length (n,) of the shortest undeformed edge at every node, ignoring zero lengths; infinite if none."""
+        pairs = [(a, a | bit) for a in range(8) for bit in (1, 2, 4) if not a & bit]
+        return shortest_edges(self.start, self.nodes, np.array(pairs))
+
+    def softened(self, power: float) -> Hexahedra:
+        """The energy with all weights raised to ``power``."""
+        return dataclasses.replace(self, weight=self.weight**power)
+
+    def excess(self, x: FloatArray) -> FloatArray:
+        """Excess (m,) of the elements, with corners as samples."""
+        return np.asarray(excess_of_cells(x, *self._corners, HEALTHY, NORM, SOFT))
+
+    def with_between(self, share: FloatArray) -> Hexahedra:
+        """The energy with shares (m,) of the samples between corners; samples with a share of 0 are left out."""
+        return dataclasses.replace(self, mask=np.where(share > 0.0, self.mask, self.mask & _CORNERS), between=share)
+
+    def sum(
+        self, x: FloatArray, reference: FloatArray, penalty: Penalty, low: int, high: int
+    ) -> tuple[float, float, float]:
+        """Energy, smallest determinant and largest f of the elements low <= m < high."""
+        return energy_of_cells(x, *self._loops, reference, tuple(penalty), low, high)
+
+    def add(
+        self, x: FloatArray, reference: FloatArray, penalty: Penalty, which: IntArray, unknowns: Unknowns, rows: Rows
+    ) -> None:
+        """See :func:`..numerics.cell.foldover.hexahedra.add_derivatives`."""
+        rest = tuple(penalty), which, unknowns, rows.pattern, rows.matrix, rows.gradient
+        add_derivatives(x, *self._loops, reference, *rest)
+
+    def products(
+        self, x: FloatArray, penalty: Penalty, change: FloatArray, share: float, between: FloatArray
+    ) -> tuple[FloatArray, float, FloatArray]:
+        """Change (n, d) of the gradient for changes of ``x`` (n, d), of the share, and of the shares ``between`` (m,)
+        of samples between corners; and the transposes with respect to the two kinds of shares.
+
+        See :func:`..numerics.cell.foldover.tangents.products_of_cells`."""
+        from ..numerics.cell.foldover.tangents import products_of_cells
+
+        found, gradient = np.zeros_like(change), np.zeros(len(self.nodes))
+        total = products_of_cells(x, *self._loops, tuple(penalty), change, share, between, found, gradient)
+        return found, total, gradient
+
+    def excess_products(self, x: FloatArray, change: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Change (m,) of the excess for a ``change`` (n, d) of ``x``, and the transpose for a ``gradient`` (m,)."""
+        from ..numerics.cell.foldover.tangents import slopes_of_cells
+
+        excess, found = np.zeros(len(self.nodes)), np.zeros_like(change)
+        slopes_of_cells(x, *self._corners, HEALTHY, NORM, SOFT, change, gradient, excess, found)
+        return excess, found
+
+    def matrices(self, x: FloatArray) -> FloatArray:
+        """Jacobian matrices (m, d, d) of the maps from undeformed elements, averaged over each hexahedron."""
+        before = _edges(self.start, self.own)
+        # Undeformed cells without volume have no shape to compare with.
+        before[np.linalg.det(before) == 0.0] = np.eye(3)
+        return np.asarray(_edges(x, self.nodes) @ np.linalg.inv(before))
+
+    def stretched(self, stretch: FloatArray) -> Hexahedra:
+        """The energy relative to undeformed elements to each of which a linear map ``stretch`` (m, d, d) is applied."""
+        corners = np.einsum("mij,mnj->mni", stretch, self.start[self.own]).reshape(-1, 3)
+        return dataclasses.replace(self, start=corners, own=np.arange(len(corners)).reshape(-1, 8))
+
+    @cached_property
+    def _loops(self) -> tuple[Any, ...]:
+        weights = np.stack([self.weight, self.between], axis=1)
+        return self.nodes, self.start, self.own, self.mask, self.samples, weights
+
+    @property
+    def _corners(self) -> tuple[Any, ...]:
+        return self.nodes, self.start, self.own, self.mask & _CORNERS, self.samples
+
+
+@dataclass(frozen=True)
+class Triangles:
+    """The energy of the corners of quadrilaterals, as triangles of ``nodes`` (m, 3).
+
+    ``slope`` (m, 3, 2) are the gradients of the shape functions in the undeformed grid, ``start`` (n, 2) undeformed
+    coordinates, ``weight`` (m,) the weights of the cells.
+    """
+
+    nodes: IntArray
+    slope: FloatArray
+    start: FloatArray
+    weight: FloatArray
+
+    @property
+    def work(self) -> float:
+        return _TRIANGLE * len(self.nodes)
+
+    def edges(self) -> FloatArray:
+        return shortest_edges(self.start, self.nodes, np.array([(0, 1), (0, 2)]))
+
+    def softened(self, power: float) -> Triangles:
+        return dataclasses.replace(self, weight=self.weight**power)
+
+    def excess(self, x: FloatArray) -> FloatArray:
+        return np.asarray(excess_of_triangles(x, self.nodes, self.slope, HEALTHY, SOFT))
+
+    @classmethod
+    def at_corners(
+        cls, start: FloatArray, cells: IntArray, sign: FloatArray, weight: FloatArray, moves: BoolArray
+    ) -> Triangles:
+        """From the sound corners of undeformed quadrilaterals (m, 4) with at least one node that ``moves`` (n,);
+        ``sign`` (m,) is the sign of sound Jacobians."""
+        most = 4 * len(cells)
+        nodes, slope, cell = np.empty((most, 3), np.int64), np.empty((most, 3, 2)), np.empty(most, np.int64)
+        count = corner_triangles(start, cells, sign, COLLAPSED, nodes, slope, cell)
+        kept = np.flatnonzero(moves[nodes[:count]].any(axis=1))
+        return cls(nodes[kept], slope[kept], start, weight[cell[kept]])
+
+    def sum(
+        self, x: FloatArray, reference: FloatArray, penalty: Penalty, low: int, high: int
+    ) -> tuple[float, float, float]:
+        return energy_of_triangles(x, self.nodes, self.slope, self.weight, reference, tuple(penalty), low, high)
+
+    def add(
+        self, x: FloatArray, reference: FloatArray, penalty: Penalty, which: IntArray, unknowns: Unknowns, rows: Rows
+    ) -> None:
+        rest = tuple(penalty), which, unknowns, rows.pattern, rows.matrix, rows.gradient
+        add_triangles(x, self.nodes, self.slope, self.weight, reference, *rest)
+
+    def products(
+        self, x: FloatArray, penalty: Penalty, change: FloatArray, share: float, between: FloatArray
+    ) -> tuple[FloatArray, float, FloatArray]:
+        from ..numerics.cell.foldover.plane_tangents import products_of_triangles
+
+        found, where = np.zeros_like(change), (self.nodes, self.slope, self.weight)
+        total = products_of_triangles(x, *where, tuple(penalty), change, share, found)
+        return found, total, np.zeros(len(self.nodes))
+
+    def excess_products(self, x: FloatArray, change: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
+        from ..numerics.cell.foldover.plane_tangents import slopes_of_triangles
+
+        excess, found = np.zeros(len(self.nodes)), np.zeros_like(change)
+        slopes_of_triangles(x, self.nodes, self.slope, HEALTHY, SOFT, change, gradient, excess, found)
+        return excess, found
+
+    def with_between(self, share: FloatArray) -> Triangles:
+        return self
+
+    def matrices(self, x: FloatArray) -> FloatArray:
+        return np.asarray(np.einsum("mni,mnk->mik", x[self.nodes], self.slope))
+
+    def stretched(self, stretch: FloatArray) -> Triangles:
+        return dataclasses.replace(self, slope=np.einsum("mnk,mkj->mnj", self.slope, np.linalg.inv(stretch)))
+
+
+Energy = Hexahedra | Triangles
+
+
+class Slide(NamedTuple):
+    """Nodes (k,) that remain on a surface: ``normals`` returns its unit normals (k, d) near coordinates (k, d),
+    ``back`` projects coordinates onto it, ``slopes`` returns the derivatives (k, d, d) of both, first that of ``back``.
+    """
+
+    nodes: IntArray
+    normals: Callable[[FloatArray], FloatArray]
+    back: Callable[[FloatArray], FloatArray]
+    slopes: Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+
+
+@dataclass(frozen=True)
+class Region:
+    """Cells whose nodes are moved; nodes have local numbers and coordinates (n, d) in space or in the plane.
+
+    ``fixed`` (n_unknowns, d, d) projects onto the directions in which unknowns may move, ignoring ``slides``.
+    """
+
+    energy: Energy
+    unknowns: Unknowns
+    fixed: FloatArray
+    slides: tuple[Slide, ...] = ()
+
+    @property
+    def n_unknowns(self) -> int:
+        return len(self.fixed)
+
+    @property
+    def dimension(self) -> int:
+        return self.fixed.shape[1]
+
+    @property
+    def number(self) -> IntArray:
+        return self.unknowns.number
+
+    def directions(self, x: FloatArray) -> tuple[Unknowns, FloatArray]:
+        """Dependence of nodes at ``x`` (n, d) on the unknowns, and projectors onto the directions of these."""
+        if not self.slides:
+            return self.unknowns, self.fixed
+        frame, plain, freedom = self.unknowns.frame.copy(), self.unknowns.plain.copy(), self.fixed.copy()
+        for slide in self.slides:
+            across = slide.normals(x[slide.nodes])
+            unknown = self.number[slide.nodes]
+            freedom[unknown] -= across[:, :, None] * across[:, None, :]
+            frame[slide.nodes], plain[slide.nodes] = freedom[unknown], False
+        return Unknowns(self.number, frame, plain), freedom
+
+    def moved(self, x: FloatArray, unknowns: Unknowns, step: FloatArray, length: float) -> FloatArray:
+        """Coordinates after ``length`` times the step (n_unknowns, d) of the unknowns."""
+        number, frame, plain = unknowns
+        free = number >= 0
+        move = step[number[free]]
+        turned = ~plain[free]
+        move[turned] = np.einsum("nij,nj->ni", frame[free][turned], move[turned])
+        result = x.copy()
+        result[free] += length * move
+        for slide in self.slides:
+            result[slide.nodes] = slide.back(result[slide.nodes])
+        return result
+
+
+def _edges(x: FloatArray, nodes: IntArray) -> FloatArray:
+    """Mean edge vectors of hexahedra along their index axes, as columns of matrices (m, 3, 3)."""
+    corners = x[nodes].reshape(-1, 2, 2, 2, 3)
+    means = [np.diff(corners, axis=axis).mean(axis=(1, 2, 3)) for axis in (1, 2, 3)]
+    return np.stack(means, axis=-1)
+
+
+def share_of(energy: Energy, x: FloatArray) -> tuple[float, Energy]:
+    """The share for a grid at ``x`` (n, d), 0 where all cells are healthy, and the energy to which it applies.
+
+    Samples of hexahedra between corners are weighted by the excess of their own cell, with corners as the upper limit.
+    """
+    excess, whole = _excess(energy, x)
+    if whole == 0.0:
+        return 0.0, energy
+    return (whole / FULL) ** POWER, energy.with_between(_share_between(excess))
+
+
+def share_slopes(energy: Energy, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Derivatives of the share, and of each cell's share of samples between corners, with respect to excess (m,)."""
+    excess, whole = _excess(energy, x)
+    if whole == 0.0:
+        return np.zeros_like(excess), np.zeros_like(excess)
+    between, beyond = _share_between(excess), excess - BETWEEN
+    inside = (between > 0.0) & (between < 1.0)
+    of_between = np.divide(SLOWLY * between, beyond, out=np.zeros_like(excess), where=inside)
+    return POWER / FULL * (whole / FULL) ** (POWER - 1.0) * (excess / whole) ** (NORM - 1.0), of_between
+
+
+def kept_along_lines(share: float) -> tuple[float, float]:
+    """The part of the differences along the lines of an extruded grid that a repair keeps, and its derivative with
+    respect to the share; smooth where it ends."""
+    part = min(share / ALONG, 1.0)
+    return (1.0 - part) ** 2 * (1.0 + 2.0 * part), -6.0 * part * (1.0 - part) / ALONG
+
+
+def _excess(energy: Energy, x: FloatArray) -> tuple[FloatArray, float]:
+    """The excess (m,) of the cells, and that of the grid."""
+    excess = energy.excess(x)
+    largest = float(excess.max(initial=0.0))
+    if largest == 0.0:
+        return excess, 0.0
+    return excess, largest * float(((excess / largest) ** NORM).sum()) ** (1.0 / NORM)
+
+
+def _share_between(excess: FloatArray) -> FloatArray:
+    return np.asarray(np.clip((excess - BETWEEN) / (FULL - BETWEEN), 0.0, 1.0) ** SLOWLY)
+
+
+def among_others(energy: Energy, x: FloatArray) -> Energy | None:
+    """The energy relative to elements stretched like the average of their surroundings in the grid ``x`` (n, d);
+    ``None`` if no element is squeezed."""
+    stretch = _stretch(energy.matrices(x), energy.nodes, len(x))
+    return energy.stretched(stretch) if np.linalg.det(stretch).min(initial=np.inf) < _SQUEEZED else None
+
+
+def _stretch(matrix: FloatArray, nodes: IntArray, n: int) -> FloatArray:
+    """The square root (m, d, d) of the mean metric around elements (m, k), from their Jacobian matrices (m, d, d)."""
+    metric = np.einsum("mji,mjk->mik", matrix, matrix)
+    shape, corners = metric.shape, nodes.shape[1]
+    at = nodes.ravel()
+    count = np.maximum(np.bincount(at, minlength=n), 1)
+    metric = metric.reshape(shape[0], shape[1] * shape[2])
+    for _ in range(_ROUNDS):
+        columns = [np.bincount(at, np.repeat(column, corners), minlength=n) / count for column in metric.T]
+        metric = np.stack([column[nodes].mean(axis=1) for column in columns], axis=1)
+    squares, axes = np.linalg.eigh(metric.reshape(shape))
+    # A small extent remains where all surrounding cells are flat.
+    lengths = np.sqrt(np.maximum(squares, 1e-12))
+    return np.einsum("mij,mj,mkj->mik", axes, lengths, axes)

@@ -1,0 +1,313 @@
+"""The nodes that a repair moves, the cells around them, and how the nodes depend on the unknowns.
+
+A region is either all nodes that may move or those within some layers of cells. Its cells have weights: with equal
+ones, the minimum of the energy concentrates shear at a rotating wall (in a ring, like 1 / r^2), where first cells would
+lose nine tenths of their height. Weights that decay with a high power of distance reverse that. Where a grid is
+squeezed, the largest distortion is smallest if all cells share it, boundary layers included. Thin cells therefore have
+larger weights, also at fixed walls; this costs little, as they take up little space.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..grid import BoolArray, FloatArray, IntArray
+from ..grid.planes import plane_axes, plane_normal
+from ..numerics.cell.foldover.hexahedra import Unknowns
+from ..numerics.cell.foldover.samples import cell_samples, samples_with_any, sound_samples
+from ..parallel import of_all, own_rows, rows_at, rows_of
+from .constraints import Constraints, Sliding
+from .energy import Energy, Hexahedra, Region, Slide, Triangles
+from .newton import NewtonSystem
+from .reach import Reach
+from .tuned import COLLAPSED, CRAMPED, FALL, FIRST, GROWTH, HEAVIEST, REACH, ROOM, SHARE, STEEP, THIN
+
+FARTHEST = math.ceil(REACH / SHARE)
+"""Distances beyond this many cells from walls need not be distinguished."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plot:
+    """A region of a grid.
+
+    ``moved`` (k,): block nodes, ascending, that follow the region's nodes ``at`` (k,). ``nodes`` (n,): one block node
+    for each node of the region, whose coordinates are the components along ``axes`` (d, 3) of the vectors from
+    ``origin`` (3,), near the grid, so that they are as accurate far from the origin of space as at it. ``whole``: these
+    are all nodes that may move.
+    """
+
+    region: Region
+    moved: IntArray
+    at: IntArray
+    nodes: IntArray
+    axes: FloatArray
+    origin: FloatArray
+    whole: bool
+
+    @cached_property
+    def edges(self) -> FloatArray:
+        """The shortest undeformed edges (n,) at the nodes."""
+        return self.region.energy.edges()
+
+    @cached_property
+    def system(self) -> NewtonSystem:
+        """The linear system of Newton's method; its sparsity pattern is found once."""
+        return NewtonSystem(self.region)
+
+    def inside(self, points: FloatArray) -> FloatArray:
+        """Coordinates (n, d) of the region's nodes; all ranks that hold parts of ``points`` call this together."""
+        return components(rows_at(points, self.nodes) - self.origin, self.axes)
+
+    def vectors(self, change: FloatArray) -> FloatArray:
+        """As :meth:`inside`, of displacements (n_nodes, 3)."""
+        return components(rows_at(change, self.nodes), self.axes)
+
+    def shift(self, change: FloatArray) -> FloatArray:
+        """Shift (k, 3) of the block nodes ``moved`` for a change (n, d) of the region's coordinates."""
+        return components(change[self.at], self.axes.T)
+
+
+def components(vectors: FloatArray, axes: FloatArray) -> FloatArray:
+    """Products (n, d) of vectors (n, e) and ``axes`` (d, e); the same to the last bit for any n, unlike ``@``."""
+    return np.asarray(sum(vectors[:, e, None] * axes[:, e] for e in range(axes.shape[1])))
+
+
+class Near(NamedTuple):
+    """Block nodes within ``most`` cells of some; ``layers`` (n_nodes,) are their distances, in parts if the grid is."""
+
+    layers: Any
+    most: int
+
+    def largest_below(self, count: int, choices: tuple[int, ...]) -> int | None:
+        """The largest of the ``choices`` of layers with at most ``count`` block nodes; ``None`` if all have more."""
+        low, high = own_rows(self.layers)
+        own = np.bincount(rows_of(self.layers)[low:high].clip(max=self.most + 1), minlength=self.most + 2)
+        total = np.cumsum(np.sum(of_all(self.layers, own), axis=0))
+        return next((layers for layers in sorted(choices, reverse=True) if total[layers] <= count), None)
+
+
+class Neighbourhood:
+    """Data shared by all regions of one undeformed grid."""
+
+    def __init__(self, constraints: Constraints):
+        self.constraints, self.grid, self.topology = constraints, constraints.grid, constraints.topology
+        normal = plane_normal(self.grid)
+        self.normal = np.zeros(3) if normal is None else normal
+        self.axes = np.eye(3) if normal is None else plane_axes(normal)
+
+    @property
+    def n_unknowns(self) -> int:
+        """Number of unknowns of all nodes that may move."""
+        on_faces = len(np.unique(self.constraints.root[~self.constraints.held]))
+        return self.grid.n_nodes - len(self.topology.face_nodes) + on_faces
+
+    @cached_property
+    def _reach(self) -> Reach:
+        return Reach(self.constraints)
+
+    @cached_property
+    def _from_walls(self) -> tuple[Any, int]:
+        """Distance of every block node (n_nodes,) from walls, in cells, and the largest one."""
+        walls = self.topology.face_nodes[self.constraints.walls[self.topology.number]]
+        return self._reach.layers(walls, FARTHEST)
+
+    def near(self, cells: IntArray, layers: int) -> Near:
+        """The nodes within ``layers`` cells of ``cells``, of which each rank gives those in its part, ascending."""
+        seeds = np.unique(np.concatenate(of_all(self.grid.points, np.unique(self.corners(cells)))))
+        return Near(self._reach.layers(seeds, layers)[0], layers)
+
+    def plot(self, near: Near | None = None, even: bool = False) -> Plot | None:
+        """The region of the nodes that are near, by default of all that may move, or ``None`` if none may; ``even``:
+        cells at walls count like others. All ranks that hold parts of the grid call this together."""
+        own = [np.concatenate(each) for each in zip(*self._by_block(near), strict=True)]
+        moved, cells = (np.concatenate(each) for each in zip(*of_all(self.grid.points, own), strict=True))
+        if not moved.size:
+            return None
+        corners, owners = self.corners(cells), self._owners(moved)
+        nodes, local = np.unique(self._owners(corners.ravel()), return_inverse=True)
+        moves = self.may_move(nodes)
+        if near:
+            moves &= rows_at(near.layers, nodes) <= near.most
+        unknowns, freedom = self._unknowns(nodes, moves)
+        origin = rows_at(self.grid.points, np.array([0]))[0]
+        start = components(rows_at(self.grid.points, nodes) - origin, self.axes)
+        cell_nodes = local.reshape(corners.shape)
+        weight = np.ones(len(cells)) if even else self._weights(nodes, start, cell_nodes)
+        energy = self._energy(start, cell_nodes, self._signs(cells), weight, unknowns.number >= 0)
+        region = Region(energy, unknowns, freedom, tuple(self._slides(nodes, unknowns, origin)))
+        return Plot(region, moved, np.searchsorted(nodes, owners), nodes, self.axes, origin, near is None)
+
+    def back_to_surfaces(self, points: FloatArray) -> None:
+        """Project the nodes that slide on curved surfaces back onto them, in place."""
+        low, high = own_rows(points)
+        own = slice(*np.searchsorted(self.topology.face_nodes, [low, high]).tolist())
+        for each in self.constraints.sliding:
+            rows = self.topology.face_nodes[own][np.isin(self.topology.number[own], each.nodes)]
+            if rows.size:
+                rows_of(points)[rows] = each.project(rows_of(points)[rows])
+
+    def _by_block(self, near: Near | None) -> Iterator[tuple[IntArray, IntArray]]:
+        """Nodes of a region, and the cells at nodes of it, of this rank's part of every block."""
+        grid = self.grid
+        if near:
+            grid.hold_neighbours(near.layers)
+        for block, (ni, nj, nk) in enumerate(grid.shapes):
+            own, start = grid.planes(block), int(grid.offsets[block])
+            last = min(own.stop + 1, ni) if own.stop > own.start else own.stop
+            rows = slice(start + own.start * nj * nk, start + last * nj * nk)
+            moves = np.ones(rows.stop - rows.start, dtype=bool)
+            faces = slice(*np.searchsorted(self.topology.face_nodes, [rows.start, rows.stop]).tolist())
+            held = self.constraints.held[self.topology.number[faces]]
+            moves[self.topology.face_nodes[faces][held] - rows.start] = False
+            if near:
+                moves &= rows_of(near.layers)[rows] <= near.most
+            touched, size = moves.reshape(-1, nj, nk), (own.stop - own.start) * nj * nk
+            for axis, n in enumerate((ni, nj, nk)):
+                low, high = (tuple(slice(*ends) if axis == a else slice(None) for a in range(3)) for ends in _ENDS)
+                touched = touched[low] | touched[high] if n > 1 else touched
+            _, cj, ck = grid.cell_shapes[block]
+            first = int(grid.cell_offsets[block]) + own.start * cj * ck
+            yield rows.start + np.flatnonzero(moves[:size]), first + np.flatnonzero(touched)
+
+    def corners(self, cells: IntArray) -> IntArray:
+        """Block nodes (m, 8), in 2-D (m, 4), at the corners of cells, ascending."""
+        grid = self.grid
+        found = np.empty((len(cells), 2**grid.dimension), dtype=np.int64)
+        ends = np.searchsorted(cells, grid.cell_offsets)
+        for block in np.flatnonzero(np.diff(ends)).tolist():
+            shape, mine = grid.shapes[block], slice(ends[block], ends[block + 1])
+            ijk = np.unravel_index(cells[mine] - grid.cell_offsets[block], grid.cell_shapes[block])
+            strides = [step for step, n in zip((shape[1] * shape[2], shape[2], 1), shape, strict=True) if n > 1]
+            low = np.ravel_multi_index(ijk, shape) + grid.offsets[block]
+            found[mine] = low[:, None] + np.array([sum(c) for c in itertools.product(*((0, s) for s in strides))])
+        return found
+
+    def _numbers(self, nodes: IntArray) -> IntArray:
+        """Unique numbers of block nodes, -1 inside blocks."""
+        face = self.topology.face_nodes
+        place = np.minimum(np.searchsorted(face, nodes), len(face) - 1)
+        return np.where(face[place] == nodes, self.topology.number[place], -1)
+
+    def may_move(self, nodes: IntArray) -> BoolArray:
+        """Whether block nodes may move."""
+        number = self._numbers(nodes)
+        return np.asarray((number < 0) | ~self.constraints.held[number])
+
+    def _owners(self, nodes: IntArray) -> IntArray:
+        """The block node that represents each of ``nodes``."""
+        number = self._numbers(nodes)
+        return np.where(number >= 0, self.topology.first[number], nodes)
+
+    def _weights(self, nodes: IntArray, start: FloatArray, cells: IntArray) -> FloatArray:
+        layers, most = self._from_walls
+        share, first = nearness(rows_at(layers, nodes), most)
+        return weigh(share[cells], first, start, cells)
+
+    def _slides(self, nodes: IntArray, unknowns: Unknowns, origin: FloatArray) -> Iterator[Slide]:
+        """The slides of the region's nodes, see :class:`Region`."""
+
+        def outside(x: FloatArray) -> FloatArray:
+            return components(x, self.axes.T) + origin
+
+        def inside(points: FloatArray) -> FloatArray:
+            return components(points - origin, self.axes)
+
+        def slopes(sliding: Sliding, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+            onto, normals = sliding.slopes(outside(x))
+            return self.axes @ onto @ self.axes.T, self.axes @ normals @ self.axes.T
+
+        for each in self.constraints.sliding:
+            local = np.flatnonzero(np.isin(nodes, self.topology.first[each.nodes]) & (unknowns.number >= 0))
+            if local.size:
+                yield Slide(
+                    local,
+                    lambda x, each=each: components(each.normals(outside(x)), self.axes),  # type: ignore[misc]
+                    lambda x, each=each: inside(each.project(outside(x))),  # type: ignore[misc]
+                    partial(slopes, each),
+                )
+
+    def _energy(
+        self, start: FloatArray, cells: IntArray, sign: FloatArray, weight: FloatArray, moves: BoolArray
+    ) -> Energy:
+        """The energy of the samples that depend on a node that ``moves`` (n,), as all others are constant."""
+        if self.grid.dimension == 2:
+            return Triangles.at_corners(start, cells, sign, weight, moves)
+        samples = cell_samples()
+        mask = sound_samples(start, cells, samples, sign, COLLAPSED)
+        mask &= samples_with_any(moves[cells], samples)
+        return Hexahedra(start, cells, cells, mask, samples, weight, np.ones(len(cells)))
+
+    def _signs(self, cells: IntArray) -> FloatArray:
+        """Sign (m,) of the determinants of sound cells, with edges in the order of their index axes."""
+        block = np.searchsorted(self.grid.cell_offsets, cells, side="right") - 1
+        sign = self.topology.handedness.astype(np.float64)
+        if self.grid.dimension == 2:
+            flat = np.array([shape.index(1) for shape in self.grid.shapes])
+            # As in quality.measures.cells: the normal is positive for axes (i, j) and (j, k), negative for (i, k).
+            sign *= np.where(flat == 1, -1.0, 1.0) * np.sign(self.normal[np.argmax(np.abs(self.normal))])
+        return sign[block]
+
+    def _unknowns(self, nodes: IntArray, moves: BoolArray) -> tuple[Unknowns, FloatArray]:
+        """The dependence of a region's ``nodes`` on its unknowns, and the directions of these; see :class:`Region`."""
+        constraints, axes = self.constraints, self.axes
+        number = self._numbers(nodes)
+        on_face = number >= 0
+        roots = np.where(on_face, self.topology.first[constraints.root[number]], nodes)
+        roots, of_node = np.unique(roots[moves], return_inverse=True)
+        unknown = np.full(len(nodes), -1, dtype=np.int64)
+        unknown[moves] = of_node
+        one = np.eye(len(axes))
+        freedom = np.tile(one, (len(roots), 1, 1))
+        at = self._numbers(roots)
+        freedom[at >= 0] -= axes @ constraints.removed[at[at >= 0]] @ axes.T
+        frame = np.tile(one, (len(nodes), 1, 1))
+        frame[moves] = freedom[of_node]
+        for local in np.flatnonzero(on_face & moves) if constraints.turn else ():
+            turn = constraints.turn.get(int(number[local]))
+            if turn is not None:
+                frame[local] = axes @ turn @ axes.T @ frame[local]
+        return Unknowns(unknown, frame, (frame == one).all(axis=(1, 2))), freedom
+
+
+_ENDS = ((None, -1), (1, None))
+
+
+def nearness(layers: np.ndarray, largest: int) -> tuple[FloatArray, float]:
+    """Distance (n,) of nodes from walls relative to the reach of walls, at most 1, and that of walls themselves.
+
+    ``layers`` (n,) are the distances in cells, more than FARTHEST where no wall is that near, ``largest`` the largest
+    distance in the grid up to that.
+    """
+    reach = max(1.0, min(REACH, SHARE * largest))
+    return np.minimum((layers + 1.0) / reach, 1.0), 1.0 / reach
+
+
+def weigh(share: FloatArray, first: float, start: FloatArray, cells: IntArray) -> FloatArray:
+    """Weights (m,) of ``cells`` (m, k) with undeformed node coordinates ``start`` (n, d); ``share`` (m, k) is the
+    :func:`nearness` of their nodes, ``first`` that of nodes on walls."""
+    near = share.min(axis=1)
+    thin = np.clip((_aspect_ratio(start, cells) / THIN) ** GROWTH, 1.0, HEAVIEST)
+    # The layer, from 1 at walls.
+    layer, reach = np.where(near < 1.0, near / first, np.inf), 1.0 / first
+    rigid = FIRST * reach * min(1.0, reach / ROOM) ** CRAMPED
+    return np.asarray(np.maximum.reduce([near**-FALL, rigid / layer**STEEP, thin]))
+
+
+def _aspect_ratio(start: FloatArray, cells: IntArray) -> FloatArray:
+    """Longest over shortest edge of cells (m,); collapsed edges do not count."""
+    shortest, longest = np.full(len(cells), np.inf), np.zeros(len(cells))
+    corners = cells.shape[1]
+    for one, step in itertools.product(range(corners), (1, 2, 4)):
+        if one & step or step >= corners:
+            continue
+        length = np.linalg.norm(start[cells[:, one | step]] - start[cells[:, one]], axis=1)
+        np.maximum(longest, length, out=longest)
+        np.minimum(shortest, length, out=shortest, where=length > 0.0)
+    return longest / shortest
