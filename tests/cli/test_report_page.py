@@ -173,10 +173,22 @@ def test_attempts_and_repair_are_told(far):
             {"method": "idw-tfi", "steps": 1, "repair": False, "invalid_cells": 581, "reached": 1.0},
             {"method": "idw-tfi", "steps": 2, "repair": True, "invalid_cells": 0, "reached": 0.5},
         ],
-        "repair": {"cells": 603, "nodes": 8121, "max_movement": 1.25, "newton_steps": 16, "seconds": 7.0},
+        "repair": {
+            "invalid": 600,
+            "weak": 3,
+            "nodes": 8121,
+            "max_movement": 1.25,
+            "newton_steps": 16,
+            "seconds": 7.0,
+            "converged": True,
+            "before": None,
+            "left_out": None,
+        },
     }
     text = Page(as_html(report)).text
-    assert all(part in text for part in ("581", "50.0%", "603 cells", "8,121 nodes", "1.25", "16 Newton steps"))
+    assert all(
+        part in text for part in ("581", "50.0%", "600 invalid", "3 weak", "8,121 nodes", "1.25", "16 Newton steps")
+    )
 
 
 def test_names_cannot_break_the_page(bench, call):
