@@ -2,7 +2,7 @@
 
 python benchmarks/run.py                                  tables on stdout
 python benchmarks/run.py --quick --only idw
-python benchmarks/run.py --write docs/performance.md      and into the page, between its marks
+python benchmarks/run.py --write benchmarks/RESULTS.md      and into the page, between its marks
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 python studies/default_method.py                        the table on stdout
 python studies/default_method.py --only channel         some of the motions
-python studies/default_method.py --write docs/validity.md    put the table in its place on the page
+python studies/default_method.py --write studies/RESULTS.md  put the table in its place on the page
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 python studies/jumps.py                            the table on stdout
 python studies/jumps.py --only backstep            some of the motions
-python studies/jumps.py --write docs/series.md     put the table in its place on the page
+python studies/jumps.py --write studies/RESULTS.md  put the table in its place on the page
 
 Every motion goes to its end and back on the same way, in 40 intervals.
 """

@@ -3,7 +3,7 @@
 python studies/random_flows.py                                        200 flows, table on stdout
 python studies/random_flows.py --count 30 --grid wing --steps auto    a part of them
 python studies/random_flows.py --method idw-tfi --method rbf-tfi      several methods
-python studies/random_flows.py --write docs/validity.md               put the rows in the table on the page
+python studies/random_flows.py --write studies/RESULTS.md  put the rows in the table on the page
 
 A flow carries all nodes of a grid to a grid that is valid; the program is given the boundary only. Flow n belongs to
 grid n modulo the number of grids, whichever of them are run.

@@ -3,7 +3,7 @@
 python studies/robustness_table.py                            all rows, table on stdout
 python studies/robustness_table.py --only plate               some of them
 python studies/robustness_table.py --grids FOLDER             where third-party grids lie (default: MESHDEFORM_GRIDS)
-python studies/robustness_table.py --write docs/validity.md   put the table in its place on the page
+python studies/robustness_table.py --write studies/RESULTS.md  put the table in its place on the page
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Motions towards and away from plane slip sides: how normal displacements should fade out beside them.
 
 python studies/slip_sides.py                         the table on stdout
-python studies/slip_sides.py --write docs/methods.md    put the table in its place on the page
+python studies/slip_sides.py --write studies/RESULTS.md  put the table in its place on the page
 """
 
 from __future__ import annotations

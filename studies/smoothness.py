@@ -2,7 +2,7 @@
 
 python studies/smoothness.py                            the table on stdout
 python studies/smoothness.py --only nozzle              some of the motions
-python studies/smoothness.py --write docs/series.md     put the table in its place on the page
+python studies/smoothness.py --write studies/RESULTS.md  put the table in its place on the page
 """
 
 from __future__ import annotations

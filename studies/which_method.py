@@ -2,7 +2,7 @@
 
 python studies/which_method.py                       the table on stdout
 python studies/which_method.py --only beam           some of the motions
-python studies/which_method.py --write docs/methods.md    put the table in its place on the page
+python studies/which_method.py --write studies/RESULTS.md  put the table in its place on the page
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 python studies/witnesses.py                           every motion of robustness_table.py, table on stdout
 python studies/witnesses.py --only plate              some of them
 python studies/witnesses.py --grids FOLDER            where third-party grids lie (default: MESHDEFORM_GRIDS)
-python studies/witnesses.py --write docs/validity.md  put the table in its place on the page
+python studies/witnesses.py --write studies/RESULTS.md  put the table in its place on the page
 
 Needs `pip install mfem` (4.10 or later) or plot3dToFoam and checkMesh on the path (Debian: `apt install openfoam`);
 columns whose program is not installed are left out.

@@ -29,7 +29,7 @@ def test_tables_of_the_page_are_renewed_and_nothing_else(monkeypatch):
     from run import SECTIONS, renewed
     from tables import MarkdownTable
 
-    page = (FOLDER.parent / "docs" / "performance.md").read_text()
+    page = (FOLDER.parent / "benchmarks" / "RESULTS.md").read_text()
     for name in SECTIONS.keys() - {"derivatives"}:
         assert page.count(f"<!-- run.py {name} begin -->") == page.count(f"<!-- run.py {name} end -->") == 1
     new = renewed(page, {"loop": [MarkdownTable("Sums", [{"pairs": 1.5}])], "derivatives": []})

@@ -31,7 +31,7 @@ def texts() -> str:
 
 
 def test_messages_that_the_page_quotes_exist():
-    assert len(QUOTED) > 70
+    assert len(QUOTED) > 30
     source = texts()
     quoted = [quote for quote in QUOTED if quote not in FOREIGN | NO_MESSAGES]
     parts = [(quote, part.strip()) for quote in quoted for part in re.split(r"\.\.\.|\bN\b", quote)]

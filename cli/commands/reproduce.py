@@ -33,7 +33,7 @@ def command(
     Examples:
       meshdeform reproduce table4 -o reproduced
       meshdeform reproduce all -o reproduced --quick
-      meshdeform reproduce all -o reproduced --validation docs/validation.md --force
+      meshdeform reproduce all -o reproduced --validation reproduced/validation.md --force
 
     Every row is shown with the paper's own number. Sizes are the paper's unless --quick is given; in full, all takes
     about an hour on two cores.

@@ -1,4 +1,4 @@
-"""``docs/validation.md``: our numbers, the paper's, the differences, and their reasons."""
+"""The page of validation: our numbers, the paper's, the differences, and their reasons."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def validation_page(results: Results, figures: str) -> str:
         "# Validation against the paper",
         "Sen, De Nayer, Breuer: A fast and robust hybrid method for block-structured mesh deformation with emphasis on "
         "FSI-LES applications, Int. J. Numer. Meth. Engng (2017). This page is written by `meshdeform reproduce all "
-        f"-o reproduced --validation docs/validation.md`. {sizes}",
+        f"-o reproduced --validation reproduced/validation.md`. {sizes}",
         "`measured` is from an independent implementation of the same definitions. Differences are ours minus the "
         "paper's, which prints two digits: up to 0.005 is rounding. Nothing is fitted per row; what the paper leaves "
         "open is stated with each table. Costs are CPU times relative to one row, of set-up and deformation (`cost`) "
