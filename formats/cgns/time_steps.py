@@ -6,37 +6,27 @@ are fields) per level, to which ZoneIterativeData_t points; BaseIterativeData_t 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial as partial_call
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
 
 from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import FileFormat, FloatArray, Grid, Shape
+from meshdeform_core.grid import FileFormat, FloatArray, Grid
 from meshdeform_core.parallel import ranks_of
 
 from ..files import replacing_by_all
 from ..hdf5_output import hdf5_output
-from ..planes import Stored, write_outputs
+from ..planes import write_outputs
 from . import format as cgns
 from .file import Notes, opened_cgns
 from .hdf5 import hdf5_errors
 from .hdf5_write import own_group, put_node
-from .tree import Node, make, name_list, room
+from .tree import Node, make, name_list
 from .write_new import Places, fields_by_place, outputs_of, solution_nodes
-from .zone import Zone, find_base, structured_zones
-
-
-class _Common(NamedTuple):
-    """What the levels have in common: grid and fields but for their values, file, type of the coordinates, numbers of
-    the fields."""
-
-    grid: Grid
-    path: Path
-    kind: np.dtype[Any]
-    numbers: Mapping[tuple[int, str], list[int]]
+from .zone import find_base, structured_zones
 
 
 def require_steady(grid: Grid) -> None:
@@ -69,20 +59,11 @@ def write_series(
     """
     with replacing_by_all(path, grid.points) as partial:
         cgns.write(grid, partial, variant)
-        places = _begin(level(0), path, partial, variant.precision, times)
-        for number in range(1, len(times)):
-            _write_level(level(number), partial, places[number])
-
-
-def _begin(first: Grid, path: Path, partial: Path, precision: str, times: Sequence[float]) -> list[Places]:
-    """Make room for all levels and write the first; returns the places of their values."""
-    places = ranks_of(first.points).on_first(lambda: _add_levels(first, path, partial, precision, times))
-    _write_level(first, partial, places[0])
-    return places
-
-
-def _write_level(level: Grid, path: Path, places: Places) -> None:
-    write_outputs(level, outputs_of(level, path, places))
+        first = level(0)
+        add = partial_call(_add_levels, first, path, partial, variant.precision, times)
+        for number, places in enumerate(ranks_of(grid.points).on_first(add)):
+            values = level(number) if number else first
+            write_outputs(values, outputs_of(values, places))
 
 
 def _add_levels(grid: Grid, path: Path, partial: Path, precision: str, times: Sequence[float]) -> list[Places]:
@@ -90,16 +71,22 @@ def _add_levels(grid: Grid, path: Path, partial: Path, precision: str, times: Se
     with opened_cgns(partial) as root:
         base = find_base(root, Notes())
         zones = structured_zones(base, Notes())
-    places = [Places({}, {}) for _ in times]
-    common = _Common(grid, partial, np.dtype(precision), fields_by_place(grid))
+    places = [Places(partial) for _ in times]
+    numbers, kind = fields_by_place(grid), np.dtype(precision)
+    pointers: list[dict[str, list[str]]] = [{} for _ in zones]
     with hdf5_errors(path, "write"), hdf5_output(partial, "r+") as file:
         group = own_group(file, base.node)
         groups = [own_group(group, zone.node) for zone in zones]
-        pointers = [_add_level(groups, zones, common, n, each) for n, each in enumerate(places)]
-        for block, own in enumerate(groups):
-            names = {key: [found[block][key] for found in pointers] for key in pointers[0][block]}
+        for number, own in enumerate(places, start=1):
+            for block, zone in enumerate(zones):
+                arrays = own.coordinate_arrays(grid, block, [node.name for node in zone.coordinates], zone.counts, kind)
+                solutions = solution_nodes(grid, block, zone.counts, numbers, own)
+                for key, node in _level_nodes(number, arrays, solutions).items():
+                    put_node(groups[block], node)
+                    pointers[block].setdefault(key, []).append(node.name)
+        for parent, names in zip(groups, pointers, strict=True):
             arrays = [make(key, "DataArray_t", name_list(words)) for key, words in names.items()]
-            put_node(own, make("ZoneIterativeData", "ZoneIterativeData_t", None, arrays))
+            put_node(parent, make("ZoneIterativeData", "ZoneIterativeData_t", None, arrays))
         put_node(group, _iterations(times))
         put_node(group, make("SimulationType", "SimulationType_t", "TimeAccurate"))
     return places
@@ -126,34 +113,14 @@ def read_level(grid: Grid, path: Path, number: int) -> FloatArray:
     return points
 
 
-def _add_level(
-    groups: Sequence[h5py.Group], zones: Sequence[Zone], common: _Common, number: int, places: Places
-) -> list[dict[str, str]]:
-    """Add the nodes of one level; returns their names by the pointer of ZoneIterativeData_t, for each zone."""
-    pointers = []
-    for block, (group, zone) in enumerate(zip(groups, zones, strict=True)):
-        arrays = _coordinates(zone, common, common.grid.shapes[block], places.coordinates.setdefault(block, []))
-        nodes = {"GridCoordinatesPointers": make(f"GridCoordinates#{number + 1}", "GridCoordinates_t", None, arrays)}
-        for solution in solution_nodes(common.grid, block, zone.counts, common.numbers, places.fields):
-            # The standard has one pointer; solutions at other locations than the first are found by theirs.
-            key = "FlowSolutionPointers" if "FlowSolutionPointers" not in nodes else f"{solution.name}Pointers"
-            nodes[key] = make(f"{solution.name}#{number + 1}", solution.label, None, solution.children)
-        for node in nodes.values():
-            put_node(group, node)
-        pointers.append({key: node.name for key, node in nodes.items()})
-    return pointers
-
-
-def _coordinates(zone: Zone, common: _Common, shape: Shape, places: list[Stored]) -> list[Node]:
-    """Coordinate arrays of a zone, without values; writing them appends their places, as of a block of this shape:
-    a block in the plane has an index axis that its zone may lack."""
-    counts, kind = zone.counts, common.kind
-
-    def placed(start: int, size: int) -> None:
-        places.append(Stored.within_rind(common.path, kind, shape, start, size=size))
-
-    names = (node.name for node in zone.coordinates)
-    return [room(name, counts, kind, placed) for name in names]
+def _level_nodes(number: int, arrays: Sequence[Node], solutions: Sequence[Node]) -> dict[str, Node]:
+    """The nodes of one level of a zone by the pointers of ZoneIterativeData_t to them."""
+    nodes = {"GridCoordinatesPointers": make(f"GridCoordinates#{number}", "GridCoordinates_t", None, arrays)}
+    for solution in solutions:
+        # The standard has one pointer; solutions at other locations than the first are found by theirs.
+        key = "FlowSolutionPointers" if "FlowSolutionPointers" not in nodes else f"{solution.name}Pointers"
+        nodes[key] = make(f"{solution.name}#{number}", solution.label, None, solution.children)
+    return nodes
 
 
 def _iterations(times: Sequence[float]) -> Node:

@@ -73,7 +73,7 @@ def _copied(original: Original, source: Path, path: Path, partial: Path) -> Plac
         with hdf5_output(partial, "r+") as file:
             _adapt_links(file, source.parent, path.parent)
     every = [[dataclasses.replace(place, path=partial) for place in places] for places in original.places]
-    return Places(dict(enumerate(every)), {})
+    return Places(partial, dict(enumerate(every)))
 
 
 def _begin(grid: Grid, source: Path, path: Path, partial: Path, precision: str | None, boxes: Boxes) -> Places:
@@ -116,7 +116,7 @@ def _replace_coordinates(
     parents: list[h5py.Group], zones: list[Zone], grid: Grid, path: Path, precision: str | None, boxes: Boxes
 ) -> Places:
     """Prepare the coordinate arrays and fill compressed ones; returns the places of the others."""
-    places = Places({}, {})
+    places = Places(path)
     for block, (parent, zone) in enumerate(zip(parents, zones, strict=True)):
         group = own_group(parent, zone.grid)
         datasets = [_writable_dataset(own_group(group, node), precision, zone.counts) for node in zone.coordinates]
@@ -142,7 +142,7 @@ def _add_fields(parents: list[h5py.Group], zones: list[Zone], grid: Grid, places
     """Make room for fields as flow solutions. One with the same arrays, from an earlier run, is replaced."""
     numbers = fields_by_place(grid)
     for block, (parent, zone) in enumerate(zip(parents, zones, strict=True)):
-        for solution in solution_nodes(grid, block, zone.counts, numbers, places.fields):
+        for solution in solution_nodes(grid, block, zone.counts, numbers, places):
             arrays = {child.name for child in solution.children}
             others = [
                 old.name

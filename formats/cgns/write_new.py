@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from dataclasses import field as dataclass_field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import Field, Grid
+from meshdeform_core.grid import Field, Grid, Shape
 from meshdeform_core.numerics.arrays import extent
 from meshdeform_core.parallel import ranks_of
 
@@ -21,16 +23,33 @@ from .hdf5_write import write_hdf5
 from .new_nodes import boundary_nodes, connectivity_nodes, family_names, family_nodes
 from .tree import Node, make, room, unique_names
 
-Place = tuple[int, int, np.dtype[Any]]
-"""Offset, bytes and type of an array."""
 
+@dataclass
+class Places:
+    """Where the values go for which the file ``path`` has room: coordinates by the number of the block, fields by their
+    number in the grid; a list with every component."""
 
-class Places(NamedTuple):
-    """Where the values go for which a file has room: coordinates by the number of the block, fields by their number in
-    the grid; a list with every component."""
+    path: Path
+    coordinates: dict[int, list[Stored]] = dataclass_field(default_factory=dict)
+    fields: dict[int, list[Stored]] = dataclass_field(default_factory=dict)
 
-    coordinates: dict[int, list[Stored]]
-    fields: dict[int, list[Place]]
+    def room(self, found: list[Stored], name: str, dims: Sequence[int], kind: np.dtype[Any], shape: Shape) -> Node:
+        """An array without values; writing it adds its place to ``found``.
+
+        The place is that of a block of this ``shape``, which has an index axis that a zone in the plane lacks.
+        """
+
+        def placed(start: int, size: int) -> None:
+            found.append(Stored.within_rind(self.path, kind, shape, start, size=size))
+
+        return room(name, dims, kind, placed)
+
+    def coordinate_arrays(
+        self, grid: Grid, block: int, names: Sequence[str], dims: Sequence[int], kind: np.dtype[Any]
+    ) -> list[Node]:
+        """Coordinate arrays of a block, without values."""
+        found = self.coordinates.setdefault(block, [])
+        return [self.room(found, name, dims, kind, grid.shapes[block]) for name in names]
 
 
 # The version of the standard that defines everything written here.
@@ -60,41 +79,28 @@ def write_completed(grid: Grid, path: Path, begin: Callable[[Path], Places]) -> 
     """Write a file with ``begin``, on the first rank, and then, on all of them, the values for which it leaves room."""
     with replacing_by_all(path, grid.points) as partial:
         places = ranks_of(grid.points).on_first(lambda: begin(partial))
-        write_outputs(grid, outputs_of(grid, partial, places))
+        write_outputs(grid, outputs_of(grid, places))
 
 
-def outputs_of(grid: Grid, path: Path, places: Places) -> list[Output]:
-    """The values of a grid and their places in a file."""
+def outputs_of(grid: Grid, places: Places) -> list[Output]:
+    """The values of a grid on their way to their places."""
     found = [Output.of_coordinates(grid, block, arrays) for block, arrays in places.coordinates.items()]
     for number, arrays in places.fields.items():
         field = grid.fields[number]
         ni, nj, nk = field.values.shape[:3]
-        stored = [Stored.within_rind(path, kind, (ni, nj, nk), start, size=size) for start, size, kind in arrays]
-        found.append(Output.of_values(field.block, (ni, nj, nk), field.own, stored))
+        found.append(Output.of_values(field.block, (ni, nj, nk), field.own, arrays))
     return found
 
 
 def _begin(grid: Grid, path: Path, partial: Path, precision: str, dimension: int) -> Places:
     """Write everything but the values of nodes, cells and faces; returns the places of these."""
-    starts: list[list[tuple[int, int]]] = [[] for _ in grid.shapes]
-    fields: dict[int, list[Place]] = {}
+    places = Places(partial)
     with hdf5_errors(path, "write"):
-        write_hdf5(_tree(grid, dimension, precision, starts, fields), partial)
-    kind = np.dtype(precision)
-    coordinates = {
-        block: [Stored.within_rind(partial, kind, shape, start, size=size) for start, size in found]
-        for block, (shape, found) in enumerate(zip(grid.shapes, starts, strict=True))
-    }
-    return Places(coordinates, fields)
+        write_hdf5(_tree(grid, dimension, np.dtype(precision), places), partial)
+    return places
 
 
-def _tree(
-    grid: Grid,
-    dimension: int,
-    precision: str,
-    starts: list[list[tuple[int, int]]],
-    fields: dict[int, list[Place]],
-) -> Node:
+def _tree(grid: Grid, dimension: int, kind: np.dtype[Any], places: Places) -> Node:
     names = unique_names(grid.names, "Zone")
     families = family_names(grid, names)
     conditions, connectivity = boundary_nodes(grid, families), connectivity_nodes(grid, names)
@@ -102,10 +108,12 @@ def _tree(
     zones = []
     for block, name in enumerate(names):
         shape = np.array([n for n in grid.shapes[block] if n > 1], np.int32)
+        letters = [f"Coordinate{letter}" for letter in "XYZ"[:dimension]]
+        arrays = places.coordinate_arrays(grid, block, letters, shape.tolist(), kind)
         children = [
             make("ZoneType", "ZoneType_t", "Structured"),
-            _coordinates(shape.tolist(), dimension, precision, starts[block]),
-            *solution_nodes(grid, block, shape.tolist(), numbers, fields),
+            make("GridCoordinates", "GridCoordinates_t", None, arrays),
+            *solution_nodes(grid, block, shape.tolist(), numbers, places),
             *conditions[block],
             *connectivity[block],
         ]
@@ -114,18 +122,6 @@ def _tree(
     base = make("Base", "CGNSBase_t", sizes, [*zones, *family_nodes(grid, families)])
     version = make("CGNSLibraryVersion", "CGNSLibraryVersion_t", np.array([_LIBRARY_VERSION], np.float32))
     return make("", "", None, [version, base])
-
-
-def _coordinates(shape: Sequence[int], dimension: int, precision: str, starts: list[tuple[int, int]]) -> Node:
-    """Coordinate arrays of a zone, still without values; writing them appends their offsets and sizes to ``starts``."""
-    kind = np.dtype(precision)
-
-    def placed(start: int, size: int) -> None:
-        starts.append((start, size))
-
-    names = ("CoordinateX", "CoordinateY", "CoordinateZ")[:dimension]
-    arrays = [room(name, shape, kind, placed) for name in names]
-    return make("GridCoordinates", "GridCoordinates_t", None, arrays)
 
 
 def fields_by_place(grid: Grid) -> Mapping[tuple[int, str], list[int]]:
@@ -142,7 +138,7 @@ def solution_nodes(
     block: int,
     shape: Sequence[int],
     numbers: Mapping[tuple[int, str], list[int]],
-    places: dict[int, list[Place]],
+    places: Places,
 ) -> list[Node]:
     """Flow solutions of a block, one for each location of its fields: nodes, cells, and the faces across each axis.
 
@@ -169,8 +165,10 @@ def solution_nodes(
             _require_shape(grid, grid.fields[number])
         arrays = [(n, name) for n in numbers[block, location] for name in _components(grid.fields[n])]
         names = unique_names((name for _, name in arrays), "Field", ["GridLocation"])
-        kinds = [(n, _kind(grid.fields[n])) for n, _ in arrays]
-        nodes = [_array(n, name, kind, size, places) for name, (n, kind) in zip(names, kinds, strict=True)]
+        nodes = []
+        for name, (number, _) in zip(names, arrays, strict=True):
+            field, own = grid.fields[number], places.fields.setdefault(number, [])
+            nodes.append(places.room(own, name, size, _kind(field), field.values.shape[:3]))
         location_node = make("GridLocation", "GridLocation_t", word)
         solutions.append(make(f"FlowSolution{word}", "FlowSolution_t", None, [location_node, *nodes]))
     return solutions
@@ -199,15 +197,6 @@ def _located(location: str, word: str, shape: Sequence[int], nodes: Sequence[int
         size[axis] += 1
         word = f"{'IJK'[axis]}FaceCenter"
     return size, word
-
-
-def _array(number: int, name: str, kind: np.dtype[Any], size: Sequence[int], places: dict[int, list[Place]]) -> Node:
-    """A component of a field, still without values."""
-
-    def placed(start: int, size: int) -> None:
-        places.setdefault(number, []).append((start, size, kind))
-
-    return room(name, size, kind, placed)
 
 
 def _kind(field: Field) -> np.dtype[Any]:

@@ -1,6 +1,5 @@
 """The ADF container: all its variants, links, and every kind of damage."""
 
-import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -47,14 +46,6 @@ def test_data_types(tmp_path, kind, long, order):
     root = N("", "", None, [N("values", "DataArray_t", values)])
     node = read_adf(AdfWriter("A02011", order, 3, long).write(tmp_path / "a.adf", root)).children[0]
     np.testing.assert_array_equal(node.data(), values)
-
-
-def test_data_are_a_view_of_the_file(tmp_path):
-    values = np.arange(1e5)
-    root = N("", "", None, [N("values", "DataArray_t", values)])
-    data = read_adf(AdfWriter().write(tmp_path / "a.adf", root)).children[0].data()
-    assert not data.flags.owndata
-    assert not data.flags.writeable
 
 
 @pytest.mark.parametrize("version", ["A02011", "A01xxx"])
@@ -227,19 +218,10 @@ def test_truncated_anywhere(tmp_path):
     raw = AdfWriter(chunks=2).write(tmp_path / "whole.adf", two_zones()).read_bytes()
     content = len(raw.rstrip(b"\0"))
     path = tmp_path / "short.adf"
-    for length in [0, 1, 25, 31, 185, 186, 300, *range(512, content, 97), content - 1]:
+    for length in [0, 1, 25, 31, 185, 186, 300, *range(512, content, 397), content - 1]:
         path.write_bytes(raw[:length])
         with pytest.raises(FormatError, match=r"short\.adf"):
             walk(read_adf(path))
-
-
-def test_third_party_file_truncated_at_many_lengths(third_party, tmp_path):
-    raw = (third_party / "nak_a_141.cgns").read_bytes()
-    path = tmp_path / "short.cgns"
-    for length in itertools.chain(range(186, 6000, 331), range(6000, len(raw) - 8192, 9973)):
-        path.write_bytes(raw[:length])
-        with pytest.raises(FormatError, match=r"short\.cgns"):
-            read_grid(path)
 
 
 @pytest.fixture(scope="module")
@@ -262,7 +244,7 @@ def grid_or_message(path: Path) -> Grid | str:
         return str(error)
 
 
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(
     which=st.integers(0, 1),
     changes=st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(0, 255)), min_size=1, max_size=6),
@@ -275,7 +257,7 @@ def test_random_damage_ends_in_a_clear_error_or_a_grid(originals, scratch, which
     assert grid_or_message(scratch)
 
 
-@settings(max_examples=200)
+@settings(max_examples=70)
 @given(
     which=st.integers(0, 1),
     node=st.integers(0, 200),

@@ -193,15 +193,6 @@ def test_two_dimensional_grids(tmp_path, flat, in_plane):
     assert_cgnscheck_finds_no_error(tmp_path / "new.cgns")
 
 
-@pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_precision(tmp_path, precision):
-    grid = two_blocks()
-    write_grid(grid, tmp_path / "new.cgns", {"precision": precision})
-    again = read_grid(tmp_path / "new.cgns")
-    assert again.precision == precision
-    np.testing.assert_array_equal(again.points, grid.points.astype(precision))
-
-
 def test_long_and_repeated_names(tmp_path):
     long = "a very long name of a block that goes on"
     names = [f"{long} {b}" for b in range(3)]
@@ -226,27 +217,3 @@ def test_unique_names():
         "x" * 30 + "_2",
     )
     assert unique_names(["ü" * 20], "Zone") == ("ü" * 16,)  # 32 bytes
-
-
-def test_vtk_reads_the_same_coordinates(tmp_path):
-    from vtkmodules.util.numpy_support import vtk_to_numpy
-    from vtkmodules.vtkIOCGNSReader import vtkCGNSReader
-
-    grid = two_blocks(fields=(Field("iblank", "node", 0, np.ones((4, 3, 5), np.int32)),))
-    write_grid(grid, tmp_path / "new.cgns")
-    reader = vtkCGNSReader()
-    reader.SetFileName(str(tmp_path / "new.cgns"))
-    reader.SetDoublePrecisionMesh(1)
-    reader.Update()
-    base = reader.GetOutput().GetBlock(0)
-    assert base.GetNumberOfBlocks() == 2
-    for index in range(2):
-        points = vtk_to_numpy(base.GetBlock(index).GetPoints().GetData())
-        np.testing.assert_array_equal(points, grid.block(index).transpose(2, 1, 0, 3).reshape(-1, 3))
-
-
-def test_third_party_plot3d(third_party, tmp_path):
-    grid = read_grid(third_party / "cylinder_ring_4blk.x")
-    write_grid(grid, tmp_path / "new.cgns")
-    np.testing.assert_array_equal(read_grid(tmp_path / "new.cgns").points, grid.points)
-    assert_cgnscheck_finds_no_error(tmp_path / "new.cgns")

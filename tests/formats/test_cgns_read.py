@@ -49,17 +49,6 @@ def connected_nodes(grid: Grid, connection: Connection) -> tuple[np.ndarray, np.
 
 
 @pytest.mark.parametrize("name", [WING, WING_HDF5, AIRFOIL])
-def test_third_party_coordinates_are_exact(third_party, name):
-    grid = read_grid(third_party / name)
-    oracle = np.load(third_party / "oracle" / f"{name.replace('_hdf5', '')}.npz", allow_pickle=False)
-    assert grid.n_blocks == len(oracle.files)
-    for block in range(grid.n_blocks):
-        np.testing.assert_array_equal(grid.block(block), oracle[f"b{block}"])
-    assert grid.precision == "float64"
-    assert grid.notes == ()
-
-
-@pytest.mark.parametrize("name", [WING, WING_HDF5, AIRFOIL])
 def test_third_party_connections_join_coincident_nodes(third_party, name):
     grid = read_grid(third_party / name)
     assert grid.connections
@@ -89,14 +78,6 @@ def test_the_wing(third_party):
         assert patch.family != "Sym" or np.ptp(points[:, 2]) < 1e-11
 
 
-def test_adf_and_hdf5_give_the_same_grid(third_party):
-    adf, hdf5 = read_grid(third_party / WING), read_grid(third_party / WING_HDF5)
-    np.testing.assert_array_equal(adf.points, hdf5.points)
-    for name in ("shapes", "names", "patches", "connections", "notes"):
-        assert getattr(adf, name) == getattr(hdf5, name)
-    assert (adf.format.options["container"], hdf5.format.options["container"]) == ("ADF", "HDF5")
-
-
 def test_two_zones(tmp_path):
     grid = read_grid(write_hdf5(tmp_path / "grid.cgns", two_zones()))
     assert grid.names == ("left", "right")
@@ -120,11 +101,6 @@ def test_zones_come_in_file_order(tmp_path, track):
     root = tree(*(zone(name, box(2, 2, 2)) for name in names))
     assert read_grid(write_hdf5(tmp_path / "grid.cgns", root, track=track)).names == tuple(names)
     assert read_grid(AdfWriter().write(tmp_path / "grid.adf", root)).names == tuple(names)
-
-
-def test_packed_datasets(tmp_path):
-    path = write_hdf5(tmp_path / "grid.cgns", two_zones(), dataset={"compression": "gzip", "shuffle": True})
-    np.testing.assert_array_equal(read_grid(path).block(0), box(4, 3, 5))
 
 
 @pytest.mark.parametrize(

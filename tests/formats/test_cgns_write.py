@@ -30,7 +30,7 @@ from hypothesis import strategies as st
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, Grid
-from meshdeform_formats import cgns, planes, read_grid, write_grid
+from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.cgns import write_copy
 
 WING, WING_HDF5, AIRFOIL = "717_wl_L2.cgns", "717_wl_L2_hdf5.cgns", "nak_a_141.cgns"
@@ -157,24 +157,6 @@ def test_cells_of_a_zone_of_one_plane_in_a_base_of_three_axes(tmp_path):
         assert file["Base/thin/FlowSolutionVertex/speed/ data"].shape == (1, 3, 4)
 
 
-def test_third_party_hdf5(third_party, tmp_path):
-    grid = moved(read_grid(third_party / WING_HDF5))
-    write_grid(grid, tmp_path / "out.cgns")
-    assert differences(third_party / WING_HDF5, tmp_path / "out.cgns", is_coordinate) == []
-    np.testing.assert_array_equal(read_grid(tmp_path / "out.cgns").points, grid.points)
-    assert_cgnscheck_finds_no_error(tmp_path / "out.cgns")
-
-
-def test_shared_nodes_stay_shared(third_party, tmp_path):
-    grid = moved(read_grid(third_party / WING_HDF5))
-    write_grid(grid, tmp_path / "out.cgns", {"precision": "float32"})
-    written = read_grid(tmp_path / "out.cgns")
-    for c in written.connections:
-        own, donor = written.block(c.block), written.block(c.donor_block)
-        np.testing.assert_array_equal(own[c.begin], donor[c.donor_begin])
-        np.testing.assert_array_equal(own[c.end], donor[c.donor_end])
-
-
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 @pytest.mark.parametrize("packing", [{}, {"compression": "gzip", "compression_opts": 7, "shuffle": True}])
 def test_precision_on_request(tmp_path, precision, packing):
@@ -240,7 +222,7 @@ def test_writing_over_the_source(tmp_path):
     assert [entry[:2] for entry in listing(source)] == [entry[:2] for entry in before]
 
 
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(
     shapes=st.lists(st.tuples(st.integers(2, 4), st.integers(2, 4), st.integers(2, 5)), min_size=1, max_size=3),
     dtype=st.sampled_from(["f4", "f8"]),
@@ -407,15 +389,6 @@ def test_adf_variants_become_what_adf2hdf_makes_of_them(tmp_path, version, order
     assert differences(tmp_path / "reference.cgns", tmp_path / "out.cgns", is_version) == []
 
 
-def test_moved_adf(third_party, tmp_path):
-    grid = moved(read_grid(third_party / WING))
-    written = write_grid(grid, tmp_path / "out.cgns")
-    assert written.options == {"container": "HDF5"}
-    again = read_grid(tmp_path / "out.cgns")
-    np.testing.assert_array_equal(again.points, grid.points)
-    assert (again.patches, again.connections, again.names) == (grid.patches, grid.connections, grid.names)
-
-
 def test_what_hdf2adf_makes_of_our_file_is_the_same_grid(tmp_path):
     source = write_hdf5(tmp_path / "in.cgns", two_zones())
     grid = moved(read_grid(source))
@@ -456,6 +429,9 @@ def vtk_blocks(path: Path) -> list[np.ndarray]:
 def test_vtk_reads_the_same_coordinates(third_party, tmp_path, name):
     grid = moved(read_grid(third_party / name))
     write_grid(grid, tmp_path / "out.cgns")
+    if name == WING_HDF5:
+        assert differences(third_party / name, tmp_path / "out.cgns", is_coordinate) == []
+    assert_cgnscheck_finds_no_error(tmp_path / "out.cgns")
     blocks = vtk_blocks(tmp_path / "out.cgns")
     assert len(blocks) == grid.n_blocks
     for index, block in enumerate(blocks):
@@ -494,30 +470,3 @@ def test_outputs_that_are_refused(tmp_path, options, name, message):
     with pytest.raises(FormatError, match=message):
         write_grid(grid, tmp_path / name, options)
     assert [path.name for path in tmp_path.iterdir()] == ["in.cgns"]
-
-
-def test_a_disk_that_is_full_while_the_file_is_copied(tmp_path, monkeypatch):
-    grid = read_grid(write_hdf5(tmp_path / "in.cgns", two_zones()))
-
-    def fail(source: Path, target: Path) -> None:
-        Path(target).write_text("half")
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(shutil, "copyfile", fail)
-    with pytest.raises(FormatError, match=r"cannot write .*out\.cgns: No space left on device"):
-        write_grid(grid, tmp_path / "out.cgns")
-    assert [path.name for path in tmp_path.iterdir()] == ["in.cgns"]
-
-
-def test_a_failure_leaves_the_old_output_alone(tmp_path, monkeypatch):
-    grid = read_grid(write_hdf5(tmp_path / "in.cgns", two_zones()))
-    (tmp_path / "out.cgns").write_text("old")
-
-    def fail(*arguments: object, **options: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(planes.Stored, "write", fail)
-    with pytest.raises(FormatError, match=r"out\.cgns: No space left on device"):
-        cgns.write(grid, tmp_path / "out.cgns", cgns.variant(grid, tmp_path / "out.cgns", {}))
-    assert (tmp_path / "out.cgns").read_text() == "old"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["in.cgns", "out.cgns"]

@@ -73,9 +73,7 @@ def read_choosing(path: Path, options: dict) -> Grid:
         return plot3d.read(path, **options)
 
 
-@settings(
-    max_examples=150, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=50, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(case=grids_and_options())
 def test_round_trip(tmp_path, case):
     grid, options = case
@@ -206,20 +204,6 @@ def test_iblank_of_another_shape(tmp_path):
     grid = make_grid(sample_blocks([(3, 4, 5)]), [np.ones((3, 4, 9))])
     with pytest.raises(FormatError, match=r"block1 has \(3, 4, 5\) nodes but IBLANK values \(3, 4, 9\)"):
         plot3d.variant(grid, tmp_path / "a.x", {})
-
-
-def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
-    def full_disk(grid, path, variant):
-        path.write_bytes(b"part of it")
-        raise OSError(28, "No space left on device")
-
-    path = tmp_path / "a.x"
-    path.write_text("old")
-    monkeypatch.setattr(plot3d.format, "write_binary", full_disk)
-    with pytest.raises(FormatError, match=r"cannot write .*a\.x: No space left on device"):
-        write(make_grid(sample_blocks([(3, 4, 5)])), path)
-    assert path.read_text() == "old"
-    assert list(tmp_path.iterdir()) == [path]
 
 
 @pytest.mark.parametrize("longest", [1, 7, 100, 1439, 1440])

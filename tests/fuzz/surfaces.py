@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import re
 from collections.abc import Callable
 from pathlib import Path
 
+import meshio
 import numpy as np
 
 Surface = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -21,6 +24,12 @@ def write(path: Path, surface: Surface, kind: str) -> None:
         _write_vtk(path, surface, kind)
     elif path.suffix == ".ply":
         _write_ply(path, surface, kind)
+    elif path.suffix == ".avs":
+        points, moves, triangles = surface
+        mesh = meshio.Mesh(points, [("triangle", triangles)], point_data={"displacement": moves})
+        # It says on stdout what it adds of its own.
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            meshio.avsucd.write(str(path), mesh)
     else:
         _write_msh(path, surface)
 
