@@ -7,7 +7,6 @@ are fields) per level, to which ZoneIterativeData_t points; BaseIterativeData_t 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial as partial_call
 from pathlib import Path
 
 import h5py
@@ -59,11 +58,20 @@ def write_series(
     """
     with replacing_by_all(path, grid.points) as partial:
         cgns.write(grid, partial, variant)
-        first = level(0)
-        add = partial_call(_add_levels, first, path, partial, variant.precision, times)
-        for number, places in enumerate(ranks_of(grid.points).on_first(add)):
-            values = level(number) if number else first
-            write_outputs(values, outputs_of(values, places))
+        places = _begin(level(0), path, partial, variant.precision, times)
+        for number in range(1, len(times)):
+            _write_level(level(number), places[number])
+
+
+def _begin(first: Grid, path: Path, partial: Path, precision: str, times: Sequence[float]) -> list[Places]:
+    """Make room for all levels and write the first; returns the places of their values."""
+    places = ranks_of(first.points).on_first(lambda: _add_levels(first, path, partial, precision, times))
+    _write_level(first, places[0])
+    return places
+
+
+def _write_level(level: Grid, places: Places) -> None:
+    write_outputs(level, outputs_of(level, places))
 
 
 def _add_levels(grid: Grid, path: Path, partial: Path, precision: str, times: Sequence[float]) -> list[Places]:
