@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import CaseError
-from ..grid import BoolArray, FloatArray, Grid, IntArray
+from ..grid import BoolArray, FloatArray, Grid, IntArray, Side
 from ..grid.planes import FLATNESS, Plane, plane_normal, plane_of
 from ..grid.topology import Topology
 from ..parallel import rows_at
+from ..wording import vector
 
 if TYPE_CHECKING:
     from ..numerics.geometry.surface import TriangleTree
@@ -118,7 +119,10 @@ def find_sliding(
             else:
                 sides.append((plane, part))
         if bent and symmetry:
-            raise CaseError(f'boundary {name!r} is a symmetry but not plane; use kind = "slip" for curved surfaces')
+            raise CaseError(
+                f"boundary {name!r} is a symmetry but not plane: {_farthest(grid, topology, bent, normal)}; "
+                f'use kind = "slip" for curved surfaces'
+            )
         if bent:
             curved.append(_curved_surface(grid, topology, np.concatenate(bent), free))
     normals, which = _directions([plane for plane, _ in sides])
@@ -127,6 +131,21 @@ def find_sliding(
     ]
     slip = Slip(tuple(planes), _groups(planes, free), tuple(zip(normals, parts, strict=True)), tuple(curved))
     return slip, _distinct(mirrors)
+
+
+def _farthest(grid: Grid, topology: Topology, bent: Sequence[IntArray], normal: FloatArray | None) -> str:
+    """The one of several sides whose nodes are farthest from a plane, and how far."""
+    found = []
+    for quads in bent:
+        nodes = topology.first[np.unique(topology.quads.corners[quads])]
+        x = rows_at(grid.points, nodes)
+        arms = x - x.mean(axis=0)
+        axes = np.linalg.svd(arms, full_matrices=False)[2]
+        off = np.abs(arms @ (axes[-1] if normal is None else np.cross(normal, axes[0])))
+        block, side = divmod(int(topology.quads.block_side[quads[0]]), 6)
+        found.append((float(off.max()), f"{grid.names[block]}.{Side(side).label}", vector(x[int(off.argmax())])))
+    distance, face, place = max(found)
+    return f"{face} lies up to {distance:.3g} off its mean plane, at {place}"
 
 
 def _curved_surface(grid: Grid, topology: Topology, quads: IntArray, free: BoolArray) -> CurvedSurface:

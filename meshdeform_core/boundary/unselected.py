@@ -106,7 +106,7 @@ def opening_notes(
         if any(np.isin(opening.quads, known).all() for known in (meant, moving)):
             continue
         text = opening.describe(grid)
-        apart = _overset_advice(grid, opening)
+        apart = overlap_advice(grid) if isinstance(opening, Overlap) else ""
         if np.isin(opening.quads, unselected).any():
             count = f" ({len(openings)} such places, see `meshdeform info`)" if len(openings) > 1 else ""
             close = "Close the gap with that tolerance, or say" if opening.matching else "Say"
@@ -116,9 +116,10 @@ def opening_notes(
                 f"{apart}"
             )
         told.append(opening)
-    return [describe_group(grid, group) + _overset_advice(grid, group[0]) for group in patched_groups(told)]
+    groups = ((describe_group(grid, group), group[0]) for group in patched_groups(told))
+    return [text + (overlap_advice(grid) if isinstance(first, Overlap) else "") for text, first in groups]
 
 
-def _overset_advice(grid: Grid, opening: Opening | Overlap) -> str:
-    overset = isinstance(opening, Overlap) and not grid.components
-    return "; blocks that overlap on purpose: name their groups in [grid] components" if overset else ""
+def overlap_advice(grid: Grid) -> str:
+    """What to do about blocks that overlap; empty if the grid is divided into components."""
+    return "" if grid.components else "; blocks that overlap on purpose: name their groups in [grid] components"

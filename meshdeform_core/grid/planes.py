@@ -39,7 +39,7 @@ def planes_of(points: FloatArray, plane_normal: FloatArray | None) -> list[Plane
     some = np.flatnonzero(size)
     axes = _main_axes(arms[some])
     normal = axes[:, -1] if plane_normal is None else np.cross(plane_normal, axes[:, 0])
-    normal = _snapped(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+    normal = snapped(normal / np.linalg.norm(normal, axis=1, keepdims=True))
     flat = np.abs((arms[some] @ normal[..., None])[..., 0]).max(axis=1, initial=0.0) <= FLATNESS * size[some]
     for number, one in zip(some[flat].tolist(), normal[flat], strict=True):
         found[number] = Plane(center[number], one)
@@ -51,7 +51,7 @@ def _main_axes(arms: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.svd(arms, full_matrices=False)[2])
 
 
-def _snapped(normal: FloatArray) -> FloatArray:
+def snapped(normal: FloatArray) -> FloatArray:
     """Unit normals (m, 3) with a positive largest component; those along an axis up to round-off become exact."""
     unit = np.eye(3)[np.argmax(np.abs(normal), axis=1)]
     positive = normal * np.sign((normal * unit).sum(axis=1, keepdims=True))

@@ -17,10 +17,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from ..boundary.layer import find_layer
 from ..errors import MethodError
 from .base import Account, PreparedMethod, Problem, Progress, Setting
 from .composite import Composite
 from .gaps import InGaps
+from .layer import PreparedLayer
 from .options import reason_of
 from .scattered.idw import IDW
 from .scattered.rbf import RBF
@@ -171,4 +173,6 @@ def make_method(options: Options) -> Composite | InGaps:
 
 def prepare_method(options: Options, problem: Problem) -> PreparedMethod:
     """The method that ``options`` describe, bound to a grid."""
-    return make_method(options).prepare(problem)
+    method = make_method(options)
+    layer = find_layer(problem.grid, problem.topology, problem.boundary)
+    return method.prepare(problem) if layer is None else PreparedLayer(method, problem, layer)

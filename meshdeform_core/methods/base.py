@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..boundary import Boundary, Kind
+from ..boundary.layer import Layer
 from ..grid import BoolArray, FloatArray, Grid, IntArray, Side
 from ..grid.planes import plane_normal
 from ..grid.sides import end_planes, side_numbers
@@ -59,13 +60,14 @@ class Problem:
     """One undeformed grid with its classified boundary: the input of ``prepare``.
 
     The sources are the unique nodes with known displacement (moving and fixed), N_s in the paper. ``memory`` limits
-    what methods may allocate.
+    what methods may allocate; nodes that follow others in a ``layer`` of cells are not sought.
     """
 
     grid: Grid
     topology: Topology
     boundary: Boundary
     memory: MemoryLimit = UNLIMITED
+    layer: Layer | None = None
 
     def __repr__(self) -> str:
         return f"Problem({self.grid!r})"

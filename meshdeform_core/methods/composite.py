@@ -156,17 +156,12 @@ class PreparedComposite:
 
     def _constrain(self, face: FloatArray, out: FloatArray) -> None:
         """Impose slip and periodicity on ``face`` (n_unique, 3) and copy it to all coincident nodes of ``out``."""
-        topology, boundary = self._problem.topology, self._problem.boundary
-        boundary.slip.constrain(face, self._problem.grid.points, topology.first)
+        problem, boundary = self._problem, self._problem.boundary
+        if problem.layer:
+            problem.layer.follow(face)
+        boundary.slip.constrain(face, problem.grid.points, problem.topology.first)
         boundary.periodic.constrain(face, ~boundary.known)
-
-        begin, end = np.searchsorted(topology.face_nodes, own_rows(out)).tolist()
-        number, nodes, rows = topology.number[begin:end], topology.face_nodes[begin:end], rows_of(out)
-
-        def work(lo: int, hi: int) -> None:
-            spread_rows(face, number[lo:hi], nodes[lo:hi], rows)
-
-        for_chunks(work, end - begin, _NODES)
+        put_on_faces(face, out, problem)
 
 
 def check_displacement(displacement: FloatArray, n_sources: int) -> None:
@@ -202,6 +197,18 @@ def _on_faces(displacement: FloatArray, problem: Problem) -> FloatArray:
     return face
 
 
+def put_on_faces(face: FloatArray, out: FloatArray, problem: Problem) -> None:
+    """Copy displacements (n_unique, 3) to all coincident nodes in the rows of ``out`` (n_nodes, 3)."""
+    topology = problem.topology
+    begin, end = np.searchsorted(topology.face_nodes, own_rows(out)).tolist()
+    number, nodes, rows = topology.number[begin:end], topology.face_nodes[begin:end], rows_of(out)
+
+    def work(lo: int, hi: int) -> None:
+        spread_rows(face, number[lo:hi], nodes[lo:hi], rows)
+
+    for_chunks(work, end - begin, _NODES)
+
+
 def first_step_nodes(problem: Problem, skeleton: Skeleton | None) -> IntArray:
     """Flat indices, ascending, of the nodes that the first step moves: sources left out, coincident nodes once.
 
@@ -220,6 +227,8 @@ def first_step_nodes(problem: Problem, skeleton: Skeleton | None) -> IntArray:
         for numbers in of_all(problem.grid.points, np.unique(topology.number[begin:end][chosen[faces]])):
             wanted[numbers] = True
     wanted[problem.source_numbers] = False
+    if problem.layer:
+        wanted[problem.layer.followers] = False
     chosen[faces] = False
     first = topology.first[wanted]
     chosen[first[(first >= low) & (first < high)] - low] = True

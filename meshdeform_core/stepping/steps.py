@@ -9,10 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..boundary.unselected import overlap_advice
 from ..errors import MethodError
 from ..grid import FloatArray
+from ..grid.connectivity.overset import find_overlaps
 from ..methods import Account, Options, PreparedMethod, Problem, prepare_method
-from ..parallel import for_rows
+from ..parallel import Part, for_rows
 from ..quality.verdict.comparison import Comparison
 from ..quality.verdict.validity import Verdict, judge
 from ..repair.options import Effort
@@ -220,9 +222,17 @@ def _add(state: State, moved: FloatArray) -> None:
 def _require_finite(state: State, points: FloatArray, first: int) -> None:
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if bad.size:
+        setup = state.course.setup
+        overlaps = () if isinstance(setup.grid.points, Part) else find_overlaps(setup.grid, setup.topology)
+        # Nodes of one block on a moving face of another are sources and interior nodes at once.
+        expected = (
+            f"{overlaps[0].describe(setup.grid)}{overlap_advice(setup.grid)}"
+            if overlaps
+            else ("expected finite coordinates, from options and a motion of the size of the grid")
+        )
         raise MethodError(
-            f"{state.options.name} moves {state.course.setup.grid.node_label(first + int(bad[0]))} to "
-            f"{vector(points[bad[0]])}; expected finite coordinates, from options and a motion of the size of the grid"
+            f"{state.options.name} moves {setup.grid.node_label(first + int(bad[0]))} to {vector(points[bad[0]])}; "
+            f"{expected}"
         )
 
 

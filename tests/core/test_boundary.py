@@ -404,3 +404,9 @@ def test_deformed_grids_as_displacement():
 def test_nothing_moves_is_an_error():
     with pytest.raises(MotionError, match="no node moves"):
         set_up(FRAME, Case(tuple(specs_of(("all", "*", Kind.FIXED, None)))))
+
+
+def test_a_curved_symmetry_is_named_with_its_distance_from_a_plane():
+    message = r"'wall' is a symmetry but not plane: block1\.jmin lies up to [\d.]+ off its mean plane, at \("
+    with pytest.raises(CaseError, match=message):
+        set_up(polar(16, 4, 2), Case((BoundarySpec("wall", ("*.jmin",), Kind.SYMMETRY),)))

@@ -6,12 +6,12 @@ import dataclasses
 
 import numpy as np
 import pytest
-from cases import formulas
+from cases import constant, formulas
 from grids import block_around, frame, polar, whole_face
 
 from meshdeform_core.boundary import BoundarySpec, Kind
-from meshdeform_core.deform import Case, set_up
-from meshdeform_core.errors import CaseError
+from meshdeform_core.deform import Case, deform, set_up
+from meshdeform_core.errors import CaseError, MethodError
 from meshdeform_core.grid import Grid, Patch, Side
 from meshdeform_core.grid.connectivity.openings import describe_group, find_openings, patched_groups
 from meshdeform_core.grid.connectivity.overset import Overlap, coincident_blocks
@@ -234,3 +234,18 @@ def test_a_block_that_is_there_twice_is_named(flat):
 
 def test_a_block_that_closes_on_itself_is_not_there_twice():
     assert coincident_blocks(polar(), find_topology(polar())) == []
+
+
+def test_a_moving_block_with_nodes_inside_another_is_named():
+    """An inner node of one block at a moving node of the other is a source and is not one."""
+    line = np.linspace(0.0, 1.0, 5)
+    inner = 0.25 + 0.5 * line
+    grid = Grid.from_blocks([block_around(line, line, line), block_around(inner, inner, inner)], ["bg", "body"])
+    specs = (
+        BoundarySpec("body", ("body.*",), Kind.MOVING, None, constant(0.01, 0.0, 0.0)),
+        BoundarySpec("rest", ("bg.*",), Kind.FIXED),
+    )
+    with pytest.raises(
+        MethodError, match=r"nan.*body\.imin.* lies inside bg.*name their groups in \[grid\] components"
+    ):
+        deform(grid, Case(specs))

@@ -1,0 +1,95 @@
+"""Grids one cell thick: planes that mirror each other stay equal to the last bit, with half the sums."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cases import ALL_METHODS, constant, formulas, turning
+from grids import polar
+
+from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary.layer import find_layer
+from meshdeform_core.deform import Case, set_up
+from meshdeform_core.grid import Grid
+from meshdeform_core.methods import IDW, RBF, Options, make_method
+from meshdeform_core.methods.composite import first_step_nodes
+from meshdeform_core.methods.layer import PreparedLayer
+
+FAST = (
+    Options("idw-tfi", idw=IDW(summation="fast")),
+    Options("idw", idw=IDW(summation="fast")),
+    Options("rbf-tfi", rbf=RBF(solver="krylov", summation="fast")),
+)
+OUTER = BoundarySpec("far", ("*.jmax",), Kind.FIXED)
+
+
+def ring(thickness: float = 0.3) -> Grid:
+    """One layer of cells around a cylinder; the planes of one half of the blocks are in the opposite order."""
+    x = polar(24, 6, 1).block(0) * [1.0, 1.0, thickness]
+    return Grid.from_blocks([x[:13], x[12:, :, ::-1]])
+
+
+def wedge() -> Grid:
+    """A wedge of 5 degrees about the x axis with a bump on its axis and a collapsed edge."""
+    x, r = np.meshgrid(np.linspace(0.0, 3.0, 13), np.linspace(0.0, 1.0, 9), indexing="ij")
+    angle = np.radians([-2.5, 2.5])
+    points = [x[..., None] + 0.0 * angle, r[..., None] * np.cos(angle), r[..., None] * np.sin(angle)]
+    return Grid.from_blocks([np.stack(points, axis=-1)])
+
+
+def prepared(grid: Grid, method: Options, *specs: BoundarySpec):
+    setup = set_up(grid, Case(specs, method=method))
+    return setup, setup.prepare(), setup.displacement(0.0)[setup.problem.source_numbers]
+
+
+def in_ring(motion) -> tuple[BoundarySpec, BoundarySpec]:
+    return BoundarySpec("wall", ("*.jmin",), Kind.MOVING, None, motion), OUTER
+
+
+@pytest.mark.parametrize("method", FAST, ids=lambda method: method.name)
+def test_planes_of_an_extrusion_stay_equal(method):
+    setup, found, moved = prepared(ring(), method, *in_ring(turning(20.0)))
+    both = make_method(method).prepare(setup.problem).apply(moved)
+    out = found.apply(moved)
+    for block in (0, 1):
+        front, back = np.moveaxis(setup.grid.block(block, out), 2, 0)
+        np.testing.assert_array_equal(front[..., :2], back[..., :2])
+        assert not out[:, 2].any()
+    np.testing.assert_allclose(out, both, atol=1e-4)
+    layer = find_layer(setup.grid, setup.topology, setup.boundary)
+    assert layer is not None
+    assert (layer.normal == [0, 0, 1]).all()
+    assert len(first_step_nodes(found._half._problem, None)) * 2 == len(first_step_nodes(setup.problem, None))
+
+
+@pytest.mark.parametrize("method", FAST, ids=lambda method: method.name)
+def test_radii_of_a_wedge_stay_equal(method):
+    specs = (
+        BoundarySpec("wall", ("*.jmax",), Kind.MOVING, None, formulas("0", "-0.2*y*sin(pi*x/3)", "-0.2*z*sin(pi*x/3)")),
+        BoundarySpec("ends", ("*.i*",), Kind.FREE),
+        BoundarySpec("planes", ("*.k*",), Kind.SLIP),
+    )
+    setup, found, moved = prepared(wedge(), method, *specs)
+    front, back = np.moveaxis(setup.grid.block(0, setup.grid.points + found.apply(moved)), 2, 0)
+    np.testing.assert_array_equal(front, back * [1.0, 1.0, -1.0])
+
+
+@pytest.mark.parametrize("name", ALL_METHODS)
+def test_the_layer_changes_nothing_but_rounding(name):
+    setup, found, moved = prepared(ring(), ALL_METHODS[name], *in_ring(constant(0.2, -0.1, 0.0)))
+    assert isinstance(found, PreparedLayer)
+    whole = make_method(ALL_METHODS[name]).prepare(setup.problem)
+    np.testing.assert_allclose(found.apply(moved), whole.apply(moved), atol=1e-7 if "krylov" in name else 1e-12)
+
+
+def test_other_motions_are_those_of_both_planes():
+    slip = BoundarySpec("planes", ("*.k*",), Kind.FREE)
+    setup, found, moved = prepared(ring(), FAST[0], *in_ring(formulas("0.1*z", "0", "0.1*x")), slip)
+    assert isinstance(found, PreparedLayer)
+    np.testing.assert_array_equal(found.apply(moved), make_method(FAST[0]).prepare(setup.problem).apply(moved))
+
+
+def test_planes_that_are_no_images_and_thicker_grids_are_no_layer():
+    for grid in (polar(24, 6, 2), ring().moved(ring().points * np.where(ring().points[:, 2:] > 0, [1.1, 1, 1], 1.0))):
+        setup = set_up(grid, Case(in_ring(constant(0.1, 0.0, 0.0))))
+        assert find_layer(setup.grid, setup.topology, setup.boundary) is None
