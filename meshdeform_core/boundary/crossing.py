@@ -112,22 +112,25 @@ class CrossingTest:
         surface = self._surface_for(displacement)
         change = np.tile(displacement[surface.nodes], (len(surface.points) // len(surface.nodes), 1))
         moved: BoolArray = np.asarray(change.any(axis=1))
-        asked = moved[surface.faces].any(axis=1) & (surface.role != SLIDING)
+        carried: BoolArray = np.asarray(moved[surface.faces].any(axis=1))
+        asked = carried & (surface.role != SLIDING)
         if not asked.any():
             return ()
-        pairs, places = self._crossing(surface, surface.points + change + surface.shift(gap), asked)
+        pairs, places = self._crossing(surface, surface.points + change, surface.shift(gap), asked, carried)
         if len(pairs):
             new = surface.were_apart(pairs, gap)
             pairs, places = pairs[new], places[new]
         return _grouped(self._names(surface, moved)[pairs], places) if len(pairs) else ()
 
-    def _crossing(self, surface: _Surface, points: FloatArray, asked: BoolArray) -> tuple[IntArray, FloatArray]:
-        """:func:`.crossing_faces` of a surface with its nodes at ``points``; of a grid in parts, every rank tests an
-        equal share of the faces that are ``asked``."""
+    def _crossing(
+        self, surface: _Surface, points: FloatArray, shift: FloatArray, asked: BoolArray, moved: BoolArray
+    ) -> tuple[IntArray, FloatArray]:
+        """:func:`.crossing_faces` of a surface with its nodes at ``points`` plus a ``shift``; of a grid in parts, every
+        rank tests an equal share of the faces that are ``asked``."""
         ranks, numbers = ranks_of(self._grid.points), np.flatnonzero(asked)
-        own = np.zeros_like(asked)
+        own, reach = np.zeros_like(asked), float(np.abs(shift).max())
         own[np.array_split(numbers, ranks.count)[ranks.number]] = True
-        found = ranks.gather([crossing_faces(surface.tree, points, surface.faces, own)])
+        found = ranks.gather([crossing_faces(surface.tree, points + shift, surface.faces, own, reach, moved)])
         # Two ranks find a pair whose faces belong to different shares.
         pairs, once = np.unique(np.concatenate([pairs for pairs, _ in found]), axis=0, return_index=True)
         return pairs, np.concatenate([places for _, places in found])[once]

@@ -1,4 +1,4 @@
-"""A tree of axis-parallel boxes along a space-filling curve, and which boxes overlap.
+"""Trees of axis-parallel boxes along a space-filling curve, and which boxes overlap.
 
 Plain numpy, level by level: ``meshdeform info`` imports no numba, and a first run compiles nothing here.
 """
@@ -20,82 +20,75 @@ _TOGETHER = 1 << 16
 """Pairs of boxes compared at a time, which bounds the memory."""
 
 
-class BoxTree:
-    """A balanced binary tree over places, whose boxes may change: it remains efficient while neighbours stay such.
+def levels_of(low: FloatArray, high: FloatArray) -> list[Boxes]:
+    """The boxes (3, 2^l) of each level l of a balanced binary tree over boxes (n, 3) in the order of :func:`curve`.
 
-    Box n of level l contains the boxes 2 n and 2 n + 1 of level l + 1; those of the last level hold one place each, in
-    the order of the curve.
-
-    Attributes
-    ----------
-    order : (n,) the places along the curve
-    depth : number of levels below the root
+    Box n of a level contains the boxes 2 n and 2 n + 1 of the next one; those without content are inside out.
     """
-
-    def __init__(self, places: FloatArray):
-        self.order = _curve(places)
-        self.depth = max(0, len(places) - 1).bit_length()
-
-    def levels(self, low: FloatArray, high: FloatArray) -> list[Boxes]:
-        """Boxes (3, 2^l) of all levels l from those (n, 3) of the places; boxes without places are inside out."""
-        found = [(self._leaves(low, np.inf), self._leaves(high, -np.inf))]
-        for _ in range(self.depth):
-            low, high = found[-1]
-            found.append((np.minimum(low[:, ::2], low[:, 1::2]), np.maximum(high[:, ::2], high[:, 1::2])))
-        return found[::-1]
-
-    def _leaves(self, values: NDArray[Any], rest: float) -> NDArray[Any]:
-        leaves = np.full((values.shape[1], 1 << self.depth), rest, dtype=values.dtype)
-        leaves[:, : len(values)] = values.T[:, self.order]
-        return leaves
-
-    def overlapping(self, low: FloatArray, high: FloatArray, asked: BoolArray) -> IntArray:
-        """Pairs (m, 2) of different boxes (n, 3) with a point in common, at least one of them ``asked`` (n,).
-
-        The smaller number comes first; rows are not sorted.
-        """
-        if len(low) < 2:
-            return np.empty((0, 2), dtype=np.int64)
-        levels, active = self.levels(low, high), [self._leaves(asked[:, None], False)[0]]
-        for _ in range(self.depth):
-            active.append(active[-1][::2] | active[-1][1::2])
-        root = np.zeros(1, dtype=np.int64)
-        waiting, found = [(0, root, root)], [np.empty((0, 2), dtype=np.int64)]
-        while waiting:
-            level, a, b = waiting.pop()
-            if len(a) > _TOGETHER:
-                waiting.append((level, a[_TOGETHER:], b[_TOGETHER:]))
-                a, b = a[:_TOGETHER], b[:_TOGETHER]
-            some, (least, most) = active[self.depth - level], levels[level]
-            a, b = _chosen(some[a] | some[b], a, b)
-            for axis in range(3):
-                meet = (least[axis][a] <= most[axis][b]) & (least[axis][b] <= most[axis][a])
-                a, b = _chosen(meet, a, b)
-            if level == self.depth:
-                pairs = self.order[np.stack(_chosen(a != b, a, b), axis=1)]
-                found.append(np.sort(pairs, axis=1))
-                continue
-            both = np.concatenate([2 * a, 2 * a, 2 * a + 1, (2 * a + 1)[a != b]])
-            other = np.concatenate([2 * b, 2 * b + 1, 2 * b + 1, (2 * b)[a != b]])
-            waiting.append((level + 1, both, other))
-        return np.concatenate(found)
+    depth = depth_of(len(low))
+    found = [(_leaves(low, depth, np.inf), _leaves(high, depth, -np.inf))]
+    for _ in range(depth):
+        low, high = found[-1]
+        found.append((np.minimum(low[:, ::2], low[:, 1::2]), np.maximum(high[:, ::2], high[:, 1::2])))
+    return found[::-1]
 
 
-def _chosen(some: BoolArray, *arrays: IntArray) -> list[IntArray]:
-    return [array[some] for array in arrays]
+def depth_of(count: int) -> int:
+    """Number of levels below the root of a tree over so many boxes."""
+    return max(0, count - 1).bit_length()
+
+
+def _leaves(values: NDArray[Any], depth: int, rest: float) -> NDArray[Any]:
+    leaves = np.full((values.shape[1], 1 << depth), rest, dtype=values.dtype)
+    leaves[:, : len(values)] = values.T
+    return leaves
+
+
+def overlapping(low: FloatArray, high: FloatArray, asked: BoolArray, left_out: int = 0) -> IntArray:
+    """Pairs (2, m) of boxes (n, 3) with a point in common, at least one of them ``asked`` (n,); in no order.
+
+    The boxes are in the order of :func:`curve`, at least nearly. If the last levels of the tree are ``left_out``, pairs
+    are those of the boxes of the last level searched, also with themselves.
+    """
+    if not len(low):
+        return np.empty((2, 0), dtype=np.int64)
+    levels, active = levels_of(low, high), [_leaves(asked[:, None], depth_of(len(low)), False)[0]]
+    for _ in levels[1:]:
+        active.append(active[-1][::2] | active[-1][1::2])
+    last = max(len(levels) - 1 - left_out, 0)
+    waiting: list[tuple[int, NDArray[np.int64]]] = [(0, np.zeros((2, 1), dtype=np.int64))]
+    found = [np.empty((2, 0), dtype=np.int64)]
+    while waiting:
+        level, pairs = waiting.pop()
+        if pairs.shape[1] > _TOGETHER:
+            waiting.append((level, pairs[:, _TOGETHER:]))
+            pairs = pairs[:, :_TOGETHER]
+        some, (least, most) = active[-1 - level], levels[level]
+        pairs = pairs[:, some[pairs[0]] | some[pairs[1]]]
+        for axis in range(3):
+            (a, b), (c, d) = least[axis][pairs], most[axis][pairs]
+            pairs = pairs[:, (a <= d) & (b <= c)]
+        both = pairs[0] != pairs[1]
+        if level == last:
+            found.append(pairs if left_out else pairs[:, both])
+            continue
+        first = 2 * pairs
+        second = first[:, both] + [[1], [0]]
+        waiting.append((level + 1, np.concatenate([first, first + [[0], [1]], first + 1, second], axis=1)))
+    return np.concatenate(found, axis=1)
 
 
 def overlapping_boxes(one: Boxes, two: Boxes) -> IntArray:
     """All pairs (m, 2) of a box of ``one`` and a box of ``two`` that have a point in common, in ascending order."""
     low, high = (np.concatenate([one[end], two[end]]) for end in (0, 1))
-    first = np.arange(len(low)) < len(one[0])
-    pairs = BoxTree(0.5 * (low + high)).overlapping(low, high, first)
+    order = curve(0.5 * (low + high))
+    pairs = np.sort(order[overlapping(low[order], high[order], order < len(one[0]))], axis=0).T
     pairs = pairs[(pairs[:, 0] < len(one[0])) & (pairs[:, 1] >= len(one[0]))]
     pairs[:, 1] -= len(one[0])
     return np.asarray(pairs[np.lexsort(pairs.T[::-1])])
 
 
-def _curve(places: FloatArray) -> IntArray:
+def curve(places: FloatArray) -> IntArray:
     """Order of places (n, 3) along a space-filling (Morton) curve, on a lattice refined where they are dense."""
     if not len(places):
         return np.empty(0, dtype=np.int64)

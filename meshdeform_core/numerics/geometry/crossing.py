@@ -15,10 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import BoolArray, FloatArray, IntArray
-from .boxes import BoxTree
+from ..jit import kernel
+from .boxes import curve, overlapping
 
 ORDINARY, BESIDE, SLIDING = 0, 1, 2
 """Roles of faces. Faces beside a sliding face touch it; they are not tested against sliding faces."""
+
+_LEAF = 3
+"""Levels of the tree left out at its end: faces are compared one by one between leaves of eight."""
 
 # Bound of the round-off of a 3 x 3 determinant of differences, relative to its permanent (Shewchuk 1997, table 3).
 _ROUND_OFF = 8e-16
@@ -50,24 +54,60 @@ class FaceTree:
 
     def __init__(self, points: FloatArray, faces: IntArray, role: NDArray[np.int8]):
         self._faces, self._role = faces, role
-        low, high = _bounds(points, faces)
-        self._tree = BoxTree(0.5 * (low + high))
+        self._low, self._high = _bounds(points, faces)
+        self._order = curve(0.5 * (self._low + self._high))
 
-    def overlapping(self, points: FloatArray, asked: BoolArray, margin: FloatArray | None = None) -> IntArray:
+    def overlapping(
+        self, points: FloatArray, asked: BoolArray, margin: FloatArray | float = 0.0, moved: BoolArray | None = None
+    ) -> IntArray:
         """Pairs (c, 2) of faces with overlapping boxes and no common node, at least one of which is ``asked`` (m,).
 
-        ``points`` (n, 3) are the nodes, ``margin`` (m,) that by which the box of a face is larger than the face.
+        The smaller number comes first. ``points`` (n, 3) are the nodes, ``margin`` is that by which the box of a face
+        is larger than the face. Faces that have not ``moved`` (m,) are within the margin of their undeformed position.
         """
-        low, high = _bounds(points, self._faces)
-        if margin is not None:
-            low, high = low - margin[:, None], high + margin[:, None]
-        pairs = self._tree.overlapping(low, high, asked)
-        pairs = pairs[self._role[pairs].sum(axis=1) != BESIDE + SLIDING]
-        one, two = self._faces[pairs.T]
-        common = np.zeros(len(pairs), dtype=bool)
-        for a, b in product(range(4), range(4)):
-            common |= one[:, a] == two[:, b]
-        return pairs[~common]
+        wider = np.broadcast_to(margin, asked.shape)[:, None]
+        order = self._order
+        if moved is not None and asked.any():
+            low, high = _bounds(points, self._faces[asked])
+            reach = 2.0 * wider.max()
+            low, high = low.min(axis=0) - reach, high.max(axis=0) + reach
+            order = order[(moved | ((self._low <= high) & (self._high >= low)).all(axis=1))[order]]
+        low, high = _bounds(points, self._faces[order])
+        low, high = low - wider[order], high + wider[order]
+        leaves = overlapping(low, high, asked[order], _LEAF)
+        given = leaves, self._faces[order], self._role[order], asked[order], low, high
+        pairs = np.empty((len(order), 2), dtype=np.int64)
+        if (count := _pairs_in_leaves(*given, pairs)) > len(pairs):
+            pairs = np.empty((count, 2), dtype=np.int64)
+            _pairs_in_leaves(*given, pairs)
+        return np.sort(order[pairs[:count]], axis=1)
+
+
+@kernel
+def _pairs_in_leaves(leaves, faces, role, asked, low, high, pairs):
+    """Store as many pairs of faces as fit into ``pairs``, with a box in common and no node, of pairs of ``leaves``
+    (2, n) of the tree; returns their number."""
+    count, size = 0, 1 << _LEAF
+    for n in range(leaves.shape[1]):
+        first, second = size * leaves[0, n], size * leaves[1, n]
+        for i in range(first, min(first + size, faces.shape[0])):
+            for j in range(max(second, i + 1) if first == second else second, min(second + size, faces.shape[0])):
+                if not (asked[i] or asked[j]) or role[i] + role[j] == BESIDE + SLIDING:
+                    continue
+                apart = False
+                for axis in range(3):
+                    apart = apart or low[i, axis] > high[j, axis] or low[j, axis] > high[i, axis]
+                if apart:
+                    continue
+                for a in range(4):
+                    for b in range(4):
+                        apart |= faces[i, a] == faces[j, b]
+                if apart:
+                    continue
+                if count < pairs.shape[0]:
+                    pairs[count, 0], pairs[count, 1] = i, j
+                count += 1
+    return count
 
 
 def _bounds(points: FloatArray, faces: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -82,7 +122,12 @@ def _bounds(points: FloatArray, faces: IntArray) -> tuple[FloatArray, FloatArray
 
 
 def crossing_faces(
-    tree: FaceTree, points: FloatArray, faces: IntArray, asked: BoolArray
+    tree: FaceTree,
+    points: FloatArray,
+    faces: IntArray,
+    asked: BoolArray,
+    reach: float = 0.0,
+    moved: BoolArray | None = None,
 ) -> tuple[IntArray, FloatArray]:
     """Pairs of faces that cross and have no node in common, of which at least one is ``asked``.
 
@@ -94,13 +139,14 @@ def crossing_faces(
     points : (n, 3) float64
     faces : (m, 4) int64, m >= 1; triangles repeat a node
     asked : (m,) bool
+    reach, moved : faces that have not moved (m,) are within this distance of their undeformed position
 
     Returns
     -------
     pairs : (c, 2) int64, each pair once, ascending
     places : (c, 3) a point common to both faces
     """
-    pairs = tree.overlapping(points, asked)
+    pairs = tree.overlapping(points, asked, reach, moved)
     verdict, places = _decided(points, faces, pairs)
     for index in np.flatnonzero(verdict == _DOUBTFUL):
         place = cross_exactly(*points[faces[pairs[index]]])

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..arrays import FloatArray, IntArray
 from ..jit import inlined, kernel
-from .boxes import BoxTree
+from .boxes import curve, depth_of, levels_of
 
 _LEAF = 3
 """Levels of the tree left out at its end: triangles are tried one by one in boxes of eight."""
@@ -25,12 +25,13 @@ class TriangleTree:
         self.triangles = triangles
         corners = points[triangles]
         low, high = corners.min(axis=1), corners.max(axis=1)
-        tree = BoxTree(0.5 * (low + high))
-        self._order, depth = tree.order, max(tree.depth - _LEAF, 0)
-        levels = tree.levels(low, high)[: depth + 1]
+        self._order = curve(0.5 * (low + high))
+        whole = depth_of(len(triangles))
+        depth = max(whole - _LEAF, 0)
+        levels = levels_of(low[self._order], high[self._order])[: depth + 1]
         # Box n of a level follows all boxes of the levels before: the children of box b are 2 b + 1 and 2 b + 2.
         self._box = np.concatenate([np.concatenate(boxes).T for boxes in levels])
-        self._leaf = 1 << (tree.depth - depth)
+        self._leaf = 1 << (whole - depth)
         self._corners = corners[self._order]
 
     def closest(self, targets: FloatArray, within: FloatArray | None = None) -> tuple[IntArray, FloatArray, FloatArray]:
