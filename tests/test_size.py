@@ -23,14 +23,14 @@ BUDGETS = {
     "formats/series": 837,
     "formats/vtk": 2245,
     "formats": 2445,
-    "meshdeform_core/boundary": 3547,
+    "meshdeform_core/boundary": 3654,
     "meshdeform_core/grid": 3683,
-    "meshdeform_core/methods": 4906,
-    "meshdeform_core/numerics": 12008,
+    "meshdeform_core/methods": 4983,
+    "meshdeform_core/numerics": 11945,
     "meshdeform_core/parallel": 1246,
     "meshdeform_core/quality": 2616,
     "meshdeform_core/repair": 3179,
-    "meshdeform_core": 2991,
+    "meshdeform_core": 3070,
     "tests": 36491,
 }
 """Lines of Python and of data files per package; a package's row excludes the rows below it."""
