@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-import inspect
 import json
-import re
 import textwrap
 from collections.abc import Iterator
 
@@ -43,29 +40,17 @@ def command(name: str | None) -> int:
 
 def _part_lines(part: type) -> Iterator[str]:
     """A method's section of the case file: its description, then every option with default, meaning and reason."""
-    from meshdeform_core.methods import reason_of
+    from meshdeform_core.methods import declared, description
 
-    text, _, attributes = inspect.cleandoc(part.__doc__ or "").partition("Attributes\n----------\n")
     yield f"\n[method.{part.__name__.lower()}]"
-    yield from (_prose(paragraph) + "\n" for paragraph in text.strip().split("\n\n"))
-    meanings = _meanings(attributes)
-    for field in dataclasses.fields(part):
-        names = next((names for names in meanings if field.name in names), ())
-        yield f"  {field.name} = {json.dumps(field.default)}"
-        if names and names[0] == field.name:
-            shared = f"{', '.join(names)}: " if len(names) > 1 else ""
-            yield _prose(shared + meanings[names], "      ")
-        yield _prose(f"default: {reason_of(field)}", "      ")
-
-
-def _meanings(attributes: str) -> dict[tuple[str, ...], str]:
-    """The attributes section of a docstring, as texts keyed by the names that each entry explains."""
-    found: dict[tuple[str, ...], str] = {}
-    for entry in re.split(r"\n(?=\S)", attributes.strip()):
-        names, colon, text = entry.partition(" : ")
-        if colon:
-            found[tuple(name.strip() for name in names.split(","))] = " ".join(text.split())
-    return found
+    yield from (_prose(paragraph) + "\n" for paragraph in description(part).split("\n\n"))
+    options = list(declared(part).values())
+    for option, before in zip(options, [None, *options[:-1]], strict=True):
+        yield f"  {option.name} = {json.dumps(option.default)}"
+        if before is None or before.meaning != option.meaning:
+            alike = ", ".join(other.name for other in options if other.meaning == option.meaning)
+            yield _prose(f"{alike}: {option.meaning}" if alike != option.name else option.meaning, "      ")
+        yield _prose(f"default: {option.why}", "      ")
 
 
 def _prose(text: str, indent: str = "") -> str:

@@ -1,200 +1,305 @@
-"""Motions defined by TOML tables: free-form deformation, rigid bodies from files, modes, airfoils, positions."""
+"""The motions of a case file: what each table may contain, and the step of the core that it becomes.
+
+To add a motion: a form with ``step``, a field of :class:`MotionStep` with the form as its type.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from itertools import permutations, product
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
+from msgspec import Meta
 
+from meshdeform_core.boundary.motions.expression import Expression
 from meshdeform_core.boundary.motions.histories import History, Modes, RigidHistory
 from meshdeform_core.boundary.motions.lattice import ControlMove, Lattice
-from meshdeform_core.boundary.motions.motion import Step
+from meshdeform_core.boundary.motions.motion import Displace, Follow, FollowSequence, Rotate, Step
 from meshdeform_core.boundary.motions.numbered import FollowNumbers
 from meshdeform_core.boundary.motions.section import Airfoil
 from meshdeform_core.boundary.tables.matching import Matching, SurfaceData
-from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import FloatArray, Grid, IntArray
+from meshdeform_core.errors import CaseError, FormatError
+from meshdeform_core.grid import Grid, IntArray
 from meshdeform_core.wording import literal
 
 from ..displacement import read_displacement
-from ..displacement.structural import read_shapes
+from ..displacement.frd import read_shapes
+from .forms import File, Form, Formula, Three, ThreeNumbers, about, fail, formula_of
 from .sequences import files_over_time, sequence_files
 from .tables import columns, read_airfoil, read_history, read_positions
-from .values import Table, check_keys, fail, file_of, formula_of, number_of, three_of
 
 _MOST_CONTROLS = 10_000
 _TURNS = ("rx", "ry", "rz")
 _QUATERNION = ("qx", "qy", "qz", "qw")
-_EULER = {"".join(axes) for axes in permutations("xyz")}
+_ORDERS = [order for axes in permutations("xyz") for order in ("".join(axes), "".join(axes).upper())]
+_FILE = "a file name: "
+_Whole = Annotated[int, Meta(ge=1)]
+_TwoOrMore = Annotated[int, Meta(ge=2)]
+_Index = int | Literal["*"]
+_Files = Annotated[File | list[File] | None, about('a pattern like "surface_*.csv" or a list of file names')]
+_Times = Annotated[str | list[float] | None, about('"START:STOP:STEP", like "0:1e-3:5e-5", or ascending numbers')]
 
 
-def _ffd(value: Any, known: Sequence[str], folder: Path, where: str) -> Step:
-    where = f"{where}, ffd"
-    table = _table(value, ("origin", "edges", "points", "move"), where)
-    origin, edges = _vector(table.get("origin"), f"{where}: origin"), table.get("edges")
-    frame = np.array([_vector(edge, f"{where}: edges") for edge in three_of(edges, f"{where}: edges")])
-    if not abs(np.linalg.det(frame)) > 1e-12 * float(np.prod(np.linalg.norm(frame, axis=1))):
-        raise fail(
-            where, f"edges = {literal(edges)} span no volume; expected three directions, like [[1,0,0],[0,1,0],[0,0,1]]"
-        )
-    counts = three_of(table.get("points"), f"{where}: points")
-    if any(not isinstance(n, int) or isinstance(n, bool) or n < 2 for n in counts) or np.prod(counts) > _MOST_CONTROLS:
-        raise fail(
-            where, f"points = {literal(counts)}; expected three numbers of control points of at least 2 along each edge"
-        )
-    moves = table.get("move")
-    if not isinstance(moves, list) or not moves:
-        raise fail(where, 'expected move = [{ at = [2, "*", 2], by = [0, 0, 0.1] }, ...]')
-    ni, nj, nk = counts
-    parts = tuple(_control(move, (ni, nj, nk), known, f"{where}, move {n}") for n, move in enumerate(moves, start=1))
-    return Lattice(origin, frame, (ni, nj, nk), parts)
+@dataclass(frozen=True)
+class Context:
+    """What a motion needs beside its own table: names that its formulas may use, the folder of the case file, how
+    tables are matched, and its place for messages."""
+
+    names: tuple[str, ...]
+    folder: Path
+    where: str
+    matching: Matching
+
+    def fail(self, message: str) -> CaseError:
+        """The error to raise for a motion."""
+        return fail(self.where, message)
+
+    def formula(self, value: Any, of_time: bool = False) -> Expression:
+        """A formula of the names, or of those that are the same for all nodes."""
+        known = [name for name in self.names if not (of_time and name in ("x", "y", "z"))]
+        return formula_of(value, known, self.where)
+
+    def three(self, values: Three, of_time: bool = False) -> tuple[Expression, Expression, Expression]:
+        """Three formulas."""
+        x, y, z = (self.formula(value, of_time) for value in values)
+        return x, y, z
 
 
-def _control(value: Any, counts: tuple[int, int, int], known: Sequence[str], where: str) -> ControlMove:
-    table = _table(value, ("at", "by"), where)
-    choices = [
-        _numbers(entry, count, where) for entry, count in zip(three_of(table.get("at"), where), counts, strict=True)
+class RotateForm(Form):
+    """Rotation about an axis."""
+
+    angle: Annotated[float | str, about("degrees: a number or a formula in quotes")]
+    axis: Annotated[ThreeNumbers, about("three values: the direction of the axis")] = (0.0, 0.0, 1.0)
+    center: Annotated[Three, about("three values or formulas: a point on the axis")] = (0.0, 0.0, 0.0)
+
+    def step(self, context: Context) -> Step:
+        x, y, z = self.axis
+        if not any(self.axis):
+            raise context.fail("axis = [0, 0, 0] has no direction")
+        return Rotate(context.formula(self.angle), (x, y, z), context.three(self.center))
+
+
+class ControlForm(Form):
+    """Control points and their displacement."""
+
+    at: Annotated[tuple[_Index, _Index, _Index], about('three values: numbers from 1, or "*" for all')]
+    by: Annotated[Three, about("three values or formulas of t: the displacement")]
+
+
+class LatticeForm(Form):
+    """Free-form deformation: a box of control points carries along the nodes inside it."""
+
+    origin: Annotated[ThreeNumbers, about("three values: a corner of the box")]
+    edges: Annotated[tuple[ThreeNumbers, ThreeNumbers, ThreeNumbers], about("three directions of three values")]
+    points: Annotated[
+        tuple[_TwoOrMore, _TwoOrMore, _TwoOrMore],
+        about("three numbers of control points along the edges, at least 2"),
     ]
-    formulas = [name for name in known if name not in ("x", "y", "z")]
-    x, y, z = (formula_of(part, formulas, f"{where}: by") for part in three_of(table.get("by"), f"{where}: by"))
-    points: IntArray = np.array(list(product(*choices)), dtype=np.int64)
-    return ControlMove(points, (x, y, z))
+    move: Annotated[list[ControlForm], about('move = [{ at = [2, "*", 2], by = [0, 0, 0.1] }, ...]', minItems=1)]
+
+    def step(self, context: Context) -> Step:
+        frame = np.array(self.edges)
+        if not abs(np.linalg.det(frame)) > 1e-12 * float(np.prod(np.linalg.norm(frame, axis=1))):
+            raise context.fail(f"edges = {literal(self.edges)} span no volume; expected three directions")
+        if not self.move:
+            raise context.fail('expected move = [{ at = [2, "*", 2], by = [0, 0, 0.1] }, ...]')
+        ni, nj, nk = self.points
+        if ni * nj * nk > _MOST_CONTROLS:
+            raise context.fail(f"points = {literal(self.points)}; expected at most {_MOST_CONTROLS:,} control points")
+        moves = []
+        for number, move in enumerate(self.move, start=1):
+            for entry, count in zip(move.at, self.points, strict=True):
+                if entry != "*" and not (isinstance(entry, int) and 1 <= entry <= count):
+                    raise context.fail(
+                        f"move {number}, at: found {literal(entry)}; expected a control point from 1 to {count}, "
+                        f'or "*" for all'
+                    )
+            chosen = [
+                range(count) if isinstance(entry, str) else range(entry - 1, entry)
+                for entry, count in zip(move.at, self.points, strict=True)
+            ]
+            points: IntArray = np.array(list(product(*chosen)), dtype=np.int64)
+            moves.append(ControlMove(points, context.three(move.by, of_time=True)))
+        return Lattice(np.array(self.origin), frame, (ni, nj, nk), tuple(moves))
 
 
-def _numbers(entry: Any, count: int, where: str) -> range:
-    if entry == "*":
-        return range(count)
-    if not isinstance(entry, int) or isinstance(entry, bool) or not 1 <= entry <= count:
-        raise fail(where, f'at: found {literal(entry)}; expected a control point from 1 to {count}, or "*" for all')
-    return range(entry - 1, entry)
+class RigidForm(Form):
+    """A rigid body with six degrees of freedom."""
 
+    file: Annotated[File, about(_FILE + "a table with t, x y z, and rx ry rz (degrees) or qx qy qz qw")]
+    order: Annotated[str, about('axes of the angles: "xyz" fixed, "XYZ" of the body', enum=["", *_ORDERS])] = ""
+    center: Annotated[ThreeNumbers, about("three values: the point about which it turns")] = (0.0, 0.0, 0.0)
 
-def _rigid(value: Any, known: Sequence[str], folder: Path, where: str) -> Step:
-    """A table with t, x y z (translation) and rx ry rz (angles) or qx qy qz qw (quaternion)."""
-    where = f"{where}, rigid"
-    table = _table(value, ("file", "order", "center"), where)
-    path = file_of(table.get("file"), folder, f"{where}: file")
-    names, values = read_history(path)
-    strange = [name for name in names if name not in ("t", "x", "y", "z", *_TURNS, *_QUATERNION)]
-    if strange:
-        raise fail(where, f"{path} has a column {strange[0]!r}; known are t x y z, rx ry rz and qx qy qz qw")
-    angles, quaternions = (columns(names, values, wanted, str(path)) for wanted in (_TURNS, _QUATERNION))
-    order = table.get("order", "")
-    if angles is not None and quaternions is not None:
-        raise fail(where, f"{path} has angles and quaternions; expected one of them")
-    if (
-        (angles is not None) != bool(order)
-        or not isinstance(order, str)
-        or (order and order.lower() not in _EULER)
-        or (order not in (order.lower(), order.upper()))
-    ):
-        raise fail(
-            where,
-            f"order = {literal(order)}; expected, only for angles rx ry rz in degrees, the sequence of axes: "
-            '"xyz" about the fixed axes, "XYZ" about those of the body',
+    def step(self, context: Context) -> Step:
+        path = context.folder / self.file
+        names, values = read_history(path)
+        strange = [name for name in names if name not in ("t", "x", "y", "z", *_TURNS, *_QUATERNION)]
+        if strange:
+            raise context.fail(f"{path} has a column {strange[0]!r}; known are t x y z, rx ry rz and qx qy qz qw")
+        shift, angles, quaternions = (
+            columns(names, values, wanted, str(path)) for wanted in (("x", "y", "z"), _TURNS, _QUATERNION)
         )
-    if quaternions is not None:
-        _require_turns(quaternions, path)
-    shift = columns(names, values, ("x", "y", "z"), str(path))
-    if angles is not None:
-        # The first angle belongs to the first axis of the order.
-        at = ["xyz".index(axis) for axis in order.lower()]
-        angles = History(angles.times, angles.values[:, at], angles.label)
-    center = _vector(table.get("center", [0, 0, 0]), f"{where}: center")
-    still = History(values[:, 0], np.zeros((len(values), 3)), str(path))
-    return RigidHistory(shift or still, angles if angles is not None else quaternions, order, tuple(center.tolist()))
+        if angles is not None and quaternions is not None:
+            raise context.fail(f"{path} has angles and quaternions; expected one of them")
+        if (angles is not None) != bool(self.order) or (self.order and self.order not in _ORDERS):
+            raise context.fail(
+                f"order = {literal(self.order)}; expected, only for angles rx ry rz in degrees, the sequence of axes: "
+                '"xyz" about the fixed axes, "XYZ" about those of the body'
+            )
+        if quaternions is not None:
+            size = np.linalg.norm(quaternions.values, axis=1)
+            if (off := np.flatnonzero(np.abs(size - 1) > 1e-3)).size:
+                time, length = quaternions.times[off[0]], size[off[0]]
+                raise FormatError(f"{path}: the quaternion at t = {time:g} has the length {length:.6g}; expected 1")
+        if angles is not None:
+            # The first angle belongs to the first axis of the order.
+            places = ["xyz".index(axis) for axis in self.order.lower()]
+            angles = History(angles.times, angles.values[:, places], angles.label)
+        still = History(values[:, 0], np.zeros((len(values), 3)), str(path))
+        x, y, z = self.center
+        return RigidHistory(shift or still, angles if angles is not None else quaternions, self.order, (x, y, z))
 
 
-def _require_turns(quaternions: History, path: Path) -> None:
-    size = np.linalg.norm(quaternions.values, axis=1)
-    off = np.flatnonzero(np.abs(size - 1) > 1e-3)
-    if off.size:
+class AmplitudesForm(Form):
+    """A table of amplitudes."""
+
+    file: Annotated[File, about(_FILE + "a table with t and a column for each shape, like q1")]
+
+
+class ModesForm(Form):
+    """A sum of shapes, each times its amplitude."""
+
+    amplitudes: Annotated[list[Formula] | AmplitudesForm, about("formulas of t, one for each shape, or { file = ... }")]
+    files: _Files = None
+    file: Annotated[File | None, about(_FILE + "a result of CalculiX (.frd) with shapes")] = None
+    shapes: Annotated[list[_Whole] | None, about("numbers of the shapes in the file")] = None
+
+    def step(self, context: Context) -> Step:
+        labels, shapes = self._shapes(context)
+        if isinstance(self.amplitudes, list):
+            if len(self.amplitudes) != len(shapes):
+                raise context.fail(f"{len(self.amplitudes)} amplitudes for {len(shapes)} shapes; expected one for each")
+            return Modes(shapes, tuple(context.formula(part, True) for part in self.amplitudes), context.matching)
+        path = context.folder / self.amplitudes.file
+        names, values = read_history(path)
+        order = [_column(path, names, *label, alone=len(labels) == 1) for label in labels]
+        return Modes(shapes, History(values[:, 0], values[:, order], str(path)), context.matching)
+
+    def _shapes(self, context: Context) -> tuple[list[tuple[int, str]], tuple[SurfaceData | Grid, ...]]:
+        """Number and name of each shape, and the shapes: one per file, or some of those in a result file."""
+        if self.file is None:
+            if self.files is None or self.shapes is not None:
+                raise context.fail(f"found {self.given()}; expected files, with one shape each, or file, with shapes")
+            paths = sequence_files(self.files, context.folder, context.where)
+            labels = [(number, path.stem.lower()) for number, path in enumerate(paths, start=1)]
+            return labels, tuple(read_displacement(path) for path in paths)
+        if self.files is not None:
+            raise context.fail(f"found {self.given()}; expected files, with one shape each, or file, with shapes")
+        found = read_shapes(path := context.folder / self.file)
+        chosen = list(range(1, len(found) + 1)) if self.shapes is None else self.shapes
+        if max(chosen) > len(found):
+            raise context.fail(f"shapes = {literal(chosen)}; expected numbers from 1 to {len(found)}, which {path} has")
+        return [(number, "") for number in chosen], tuple(found[number - 1] for number in chosen)
+
+
+def _column(path: Path, names: list[str], number: int, name: str, alone: bool) -> int:
+    """The column of a shape, called like its file or by its number: ``q2``, ``mode_2``, ``2``; of a single shape the
+    only one."""
+    if len(names) == 2 and alone:
+        return 1
+    numbered = [column for column in names[1:] if column.lstrip("abcdefghijklmnopqrstuvwxyz_-") == str(number)]
+    found = [column for column in names[1:] if name and column == name] or numbered
+    if len(found) != 1:
         raise FormatError(
-            f"{path}: the quaternion at t = {quaternions.times[off[0]]:g} has the length {size[off[0]]:.6g}; expected 1"
+            f"{path} has the columns {' '.join(names)}, of which {len(found) or 'none'} belong to shape {number}; "
+            f"expected one called q{number}{f' or {name}' if name else ''}"
         )
+    return names.index(found[0])
 
 
-def modes_of(value: Any, matching: Matching, known: Sequence[str], folder: Path, where: str) -> Step:
-    """Shapes from displacement tables, amplitudes as formulas or from a table with t and a column for each shape."""
-    where = f"{where}, modes"
-    table = _table(value, ("files", "file", "geometry", "shapes", "amplitudes"), where)
-    shapes = _shapes(table, folder, where)
-    given = table.get("amplitudes")
-    if isinstance(given, list):
-        if len(given) != len(shapes):
-            raise fail(where, f"{len(given)} amplitudes for {len(shapes)} shapes; expected one for each")
-        formulas = [name for name in known if name not in ("x", "y", "z")]
-        return Modes(shapes, tuple(formula_of(part, formulas, f"{where}: amplitudes") for part in given), matching)
-    path = file_of(_table(given, ("file",), f"{where}: amplitudes").get("file"), folder, f"{where}: amplitudes")
-    names, values = read_history(path)
-    if len(names) != len(shapes) + 1:
-        raise fail(
-            where, f"{path} has {len(names) - 1} columns beside t for {len(shapes)} shapes; expected one for each"
-        )
-    return Modes(shapes, History(values[:, 0], values[:, 1:], str(path)), matching)
+class AirfoilForm(Form):
+    """A new shape of an airfoil."""
+
+    file: Annotated[File, about(_FILE + "coordinates in Selig's or Lednicer's form")]
+    plane: Annotated[
+        Literal["xy", "xz", "yx", "yz", "zx", "zy"], about('the axes along the chord and upwards, like "xy" or "xz"')
+    ] = "xy"
+    fit: Annotated[Literal["chord", "none"], about('"chord" (leading and trailing edge stay) or "none"')] = "chord"
+
+    def step(self, context: Context) -> Step:
+        path, (along, upwards) = context.folder / self.file, self.plane
+        axes = ("xyz".index(along), "xyz".index(upwards))
+        return Airfoil(read_airfoil(path), axes, self.fit == "chord", str(path))
 
 
-def _shapes(table: Table, folder: Path, where: str) -> tuple[SurfaceData | Grid, ...]:
-    """One shape per file, or some of those in a result file of a structural solver."""
-    if ("file" in table) == ("files" in table) or ("files" in table and {"geometry", "shapes"} & set(table)):
-        raise fail(
-            where, f"found {sorted(table)}; expected files, with one shape each, or file, with shapes and geometry"
-        )
-    if "files" in table:
-        return tuple(read_displacement(path) for path in sequence_files(table["files"], folder, where))
-    geometry = file_of(table["geometry"], folder, f"{where}: geometry") if "geometry" in table else None
-    path = file_of(table["file"], folder, f"{where}: file")
-    found = read_shapes(path, geometry)
-    chosen = table.get("shapes", list(range(1, len(found) + 1)))
-    known = range(1, len(found) + 1)
-    if not isinstance(chosen, list) or not chosen or any(isinstance(n, bool) or n not in known for n in chosen):
-        raise fail(where, f"shapes = {literal(chosen)}; expected numbers from 1 to {len(found)}, which {path} has")
-    return tuple(found[int(n) - 1] for n in chosen)
+class PositionsForm(Form):
+    """New positions by the numbers of the points, like SU2's surface_positions.dat: one file, or several with times."""
+
+    file: Annotated[File | None, about(_FILE + "lines of a number and coordinates")] = None
+    files: _Files = None
+    times: _Times = None
+
+    def step(self, context: Context) -> Step:
+        if self.given() not in (["file"], ["files", "times"]):
+            raise context.fail(f"found {self.given()}; expected file, or files and times")
+        if self.files is None:
+            data = read_positions(context.folder / str(self.file))
+            return FollowNumbers((), lambda number: data)
+        paths, times = files_over_time(self.files, self.times, context.folder, context.where)
+        return FollowNumbers(times, lambda number: read_positions(paths[number]))
 
 
-def _airfoil(value: Any, known: Sequence[str], folder: Path, where: str) -> Step:
-    where = f"{where}, airfoil"
-    table = _table(value, ("file", "plane", "fit"), where)
-    plane, fit = table.get("plane", "xy"), table.get("fit", "chord")
-    if not isinstance(plane, str) or sorted(plane) not in (["x", "y"], ["x", "z"], ["y", "z"]):
-        raise fail(where, f'plane = {literal(plane)}; expected the axes along the chord and upwards, like "xy" or "xz"')
-    if fit not in ("chord", "none"):
-        raise fail(
-            where, f'fit = {literal(fit)}; expected "chord" (leading and trailing edge stay) or "none" (as in the file)'
-        )
-    path = file_of(table.get("file"), folder, f"{where}: file")
-    axes = ("xyz".index(plane[0]), "xyz".index(plane[1]))
-    return Airfoil(read_airfoil(path), axes, fit == "chord", str(path))
+_How = Literal["exact", "nearest", "interpolate"]
+_ALSO = {"file": ("match", "tolerance"), "files": ("times", "match", "tolerance"), "modes": ("match", "tolerance")}
 
 
-def _positions(value: Any, known: Sequence[str], folder: Path, where: str) -> Step:
-    """Positions by number: one file, or several with their times."""
-    where = f"{where}, positions"
-    table = _table(value, ("file", "files", "times"), where)
-    if ("file" in table) == ("files" in table) or ("files" in table) != ("times" in table):
-        raise fail(where, f"found {sorted(table)}; expected file, or files and times")
-    if "file" in table:
-        data = read_positions(file_of(table["file"], folder, f"{where}: file"))
-        return FollowNumbers((), lambda number: data)
-    paths, times = files_over_time(table["files"], table["times"], folder, where)
-    return FollowNumbers(times, lambda number: read_positions(paths[number]))
+class MotionStep(Form):
+    """One motion; a table has match and tolerance, several tables their times."""
+
+    rotate: Annotated[RotateForm | None, about("{ angle = degrees, axis = [..], center = [..] }")] = None
+    translate: Annotated[Three | None, about("three values: numbers or formulas")] = None
+    displace: Annotated[Three | None, about("three values: numbers or formulas of x, y, z, t")] = None
+    file: Annotated[Any, about(_FILE + "a displacement table", type="string")] = None
+    files: _Files = None
+    ffd: LatticeForm | None = None
+    rigid: RigidForm | None = None
+    modes: ModesForm | None = None
+    airfoil: AirfoilForm | None = None
+    positions: PositionsForm | None = None
+    times: _Times = None
+    match: Annotated[_How | None, about(f"one of {', '.join(get_args(_How))}")] = None
+    tolerance: Annotated[float | None, about("a finite number: the largest distance of a match")] = None
+
+    def step(self, names: tuple[str, ...], folder: Path, where: str) -> Step:
+        """The step of the core; ``names`` may be used in formulas, ``where`` is its place for messages."""
+        given = self.given()
+        kinds = [name for name in given if name in KINDS]
+        if len(kinds) != 1:
+            raise fail(where, f"found {given}; expected exactly one of {', '.join(KINDS)}")
+        if beside := [name for name in given if name not in (*kinds, *_ALSO.get(kinds[0], ()))]:
+            raise fail(where, f"{kinds[0]} takes no {beside[0]}")
+        value = getattr(self, kinds[0])
+        context = Context(names, folder, where, self._matching(where))
+        if isinstance(value, Form):
+            return value.step(replace(context, where=f"{where}, {kinds[0]}"))  # type: ignore[attr-defined]
+        if kinds[0] == "files":
+            paths, times = files_over_time(value, self.times, folder, where)
+            return FollowSequence(times, lambda number: read_displacement(paths[number]), context.matching)
+        if kinds[0] == "file":
+            if not isinstance(value, SurfaceData | str) or value == "" or "\0" in str(value):
+                raise fail(where, f"file: expected a file name, found {literal(value)}")
+            data = value if isinstance(value, SurfaceData) else read_displacement(folder / value)
+            return Follow(data, context.matching)
+        return Displace(context.three(value))
+
+    def _matching(self, where: str) -> Matching:
+        try:
+            return Matching(self.match or "nearest", self.tolerance)
+        except CaseError as error:
+            raise fail(where, str(error)) from None
 
 
-def _table(value: Any, known: Sequence[str], where: str) -> Table:
-    if not isinstance(value, dict):
-        raise fail(where, f"found {literal(value)}; expected a table with {', '.join(known)}")
-    check_keys(value, known, where)
-    return value
-
-
-def _vector(value: Any, where: str) -> FloatArray:
-    return np.array([number_of(part, where) for part in three_of(value, where)])
-
-
-WITHOUT_MATCHING: dict[str, Callable[[Any, Sequence[str], Path, str], Step]] = {
-    "ffd": _ffd, "rigid": _rigid, "airfoil": _airfoil, "positions": _positions,
-}  # fmt: skip
-"""Readers of the motions that need no matching, by name."""
+KINDS = tuple(name for name in MotionStep.__struct_fields__ if name not in ("times", "match", "tolerance"))
+"""The motions by name; each step has exactly one."""

@@ -7,10 +7,10 @@ from typing import Any
 
 from meshdeform_core.boundary import BoundarySpec
 from meshdeform_core.errors import CaseError, suggestion
-from meshdeform_core.methods import IDW, RBF, Options, entry_of
+from meshdeform_core.methods import MethodOptions, Options, entry_of
 
+from .forms import Table
 from .toml import parsed_override
-from .values import Table
 
 
 def unread(data: Table, specs: Sequence[BoundarySpec], options: Options, overrides: Iterable[str]) -> tuple[str, ...]:
@@ -59,11 +59,9 @@ def _idle_option(path: Sequence[str], options: Options) -> str:
     """Reason why the chosen method does not use an option; empty if it does."""
     if path[0] != "method" or len(path) < 2 or path[1] not in ("idw", "rbf", "tfi"):
         return ""
-    part = {"idw": IDW, "rbf": RBF}.get(path[1])
+    own: MethodOptions = getattr(options, path[1])
     used = entry_of(options.name).parts
-    if getattr(options, path[1]).__class__ not in used:
+    if type(own) not in used:
         names = ", ".join(f"method.{kind.__name__.lower()}" for kind in used) or "no options"
         return f"the method {options.name!r} uses only {names}"
-    if part is None or len(path) < 3:
-        return ""
-    return getattr(options, path[1]).idle.get(path[2], "")
+    return own.idle.get(path[2], "") if len(path) > 2 else ""

@@ -1,4 +1,4 @@
-"""Case files: TOML tables checked key by key and turned into the core's records.
+"""Case files: TOML tables turned into the core's records.
 
 A case is data: formulas go through :mod:`meshdeform_core.boundary.motions.expression`, and every unknown key is an
 error.
@@ -6,45 +6,114 @@ error.
 
 from __future__ import annotations
 
+import glob
 import keyword
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import msgspec
+from msgspec import Meta
 
 from meshdeform_core.boundary import BoundarySpec, Kind
-from meshdeform_core.boundary.motions.expression import Expression
-from meshdeform_core.boundary.motions.motion import VARIABLES, Displace, Follow, Motion, Rotate, Step
-from meshdeform_core.boundary.tables.matching import AUTOMATIC, Matching, SurfaceData
+from meshdeform_core.boundary.motions.motion import VARIABLES, Follow, FollowSequence, Motion, Step
+from meshdeform_core.boundary.tables.matching import AUTOMATIC, Matching
 from meshdeform_core.deform import Case
 from meshdeform_core.errors import CaseError, MethodError, suggestion
+from meshdeform_core.grid.components import BY_PREFIX, Components
 from meshdeform_core.grid.topology import RELATIVE_TOLERANCE
 from meshdeform_core.methods import IDW, RBF, TFI, Options, entry_of
-from meshdeform_core.repair import RepairOptions
+from meshdeform_core.repair import MODES, RepairOptions
 from meshdeform_core.wording import literal
 
 from ..displacement import read_displacement
-from .components import ComponentFile, components_of
-from .motions import WITHOUT_MATCHING, modes_of
+from .forms import File, Form, Table, about, fail, filled, formula_of, plain
+from .motions import MotionStep
 from .reach import unread
-from .sequences import named_files, read_sequence, sequence_files
-from .toml import TABLES, load, override
-from .values import Table, check_keys, fail, file_of, formula_of, number_of, plain, table_of, three_of
+from .sequences import files_over_time, named_files
+from .toml import load, override
 
-_KINDS = {kind.label: kind for kind in reversed(Kind) if kind is not Kind.INTERFACE}
-_STEPS = {
-    "rotate": ("rotate",),
-    "translate": ("translate",),
-    "displace": ("displace",),
-    "file": ("file", "match", "tolerance"),
-    "files": ("files", "times", "match", "tolerance"),
-    "ffd": ("ffd",),
-    "rigid": ("rigid",),
-    "modes": ("modes", "match", "tolerance"),
-    "airfoil": ("airfoil",),
-    "positions": ("positions",),
-}
+KINDS = {kind.label: kind for kind in reversed(Kind) if kind is not Kind.INTERFACE}
+PARTS = {"idw": IDW, "rbf": RBF, "tfi": TFI}
+_MAIN = "main"
+_COMPONENTS = (
+    f'expected "{BY_PREFIX}", or names with block patterns, like {{ wing = ["wing*"], flap = ["flap*"] }}, or with a '
+    f'file, like {{ flap = {{ file = "flap.cgns" }} }}'
+)
+_Names = Annotated[tuple[str, ...], Meta(min_length=1)]
+
+
+class GridForm(Form):
+    """How to read the grid."""
+
+    boundary_file: Annotated[File | None, about("a file name: NASA neutral map, relative to the case file")] = None
+    tolerance: Annotated[
+        float,
+        Meta(gt=0, lt=0.5),
+        about("a finite number, between 0 and 0.5 of the edge at coincident nodes"),
+    ] = RELATIVE_TOLERANCE
+    open: Annotated[
+        bool | tuple[str, ...], about('true, or faces like ["block1.imax"]: outside faces meant to lie close to others')
+    ] = False
+    plates: Annotated[
+        tuple[str, ...], about('faces like ["block1.kmax[10:20,*]"] between blocks that are walls on both sides')
+    ] = ()
+    components: Annotated[Any, about("Components of an overset grid: patterns of block names, or files.")] = None
+
+
+class ComponentForm(Form):
+    """A component in a file of its own."""
+
+    file: Annotated[File, about("a grid file, relative to the case file")]
+    boundary_file: Annotated[File | None, about("a file name: its neutral map (.nmf)")] = None
+
+
+class BoundaryForm(Form):
+    """One part of the boundary."""
+
+    name: Annotated[str | None, about("a string in quotes: its name in reports")] = None
+    select: Annotated[
+        str | _Names, about('a list of names, like ["wing", "block2.jmin[1:65,*]"]; default: all outside faces')
+    ] = ("*",)
+    where: Annotated[Any, about("a condition, like x > 0.5 and y < 1, for all corners of a face", type="string")] = None
+    kind: Annotated[Any, about("kind of its nodes; default: moving if it has a motion", enum=[*KINDS])] = None
+    motion: Annotated[
+        MotionStep | tuple[MotionStep, ...], about("a list of tables, like [{ translate = [0, 0.1, 0] }]")
+    ] = ()
+
+
+class RepairForm(Form):
+    """Treatment of cells that become invalid."""
+
+    mode: Annotated[str, about("auto: repair them; off: never; polish: improve others, too", enum=list(MODES))] = "auto"
+    min_jacobian: Annotated[
+        float, about("a finite number: cells with a corner below this share of its original are invalid")
+    ] = RepairOptions.min_jacobian
+    time_limit: Annotated[
+        float, about("a finite number: no further repair or attempt begins after so many seconds")
+    ] = RepairOptions.time_limit
+
+
+class CaseForm(Form):
+    """meshdeform case file"""
+
+    grid: Annotated[GridForm, about("a table [grid]")] = msgspec.field(default_factory=GridForm)
+    constants: Annotated[
+        dict[str, Any], about("a table [constants] of names for numbers", additionalProperties={"type": "number"})
+    ] = msgspec.field(default_factory=dict)
+    boundary: Annotated[tuple[BoundaryForm, ...], about("[[boundary]] entries (double brackets)")] = ()
+    method: Annotated[dict[str, Any], about("a table [method]")] = msgspec.field(default_factory=dict)
+    repair: Annotated[RepairForm, about("a table [repair]")] = msgspec.field(default_factory=RepairForm)
+
+
+@dataclass(frozen=True)
+class ComponentFile:
+    """A component in a separate file; ``boundary_file`` is its neutral map file."""
+
+    path: Path
+    boundary_file: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -93,19 +162,20 @@ def read_case(
         override(data, text)
     folder = path.parent if path else Path()
     if method:
-        _require_method(method)
+        try:
+            # Before the case file, so that the message does not name it.
+            entry_of(method)
+        except MethodError as error:
+            raise MethodError(f"--method {method}: {error}") from None
     try:
-        if method:
-            data.setdefault("method", {})
-            table_of(data, "method")["name"] = method
+        if method and isinstance(data.setdefault("method", {}), dict):
+            data["method"]["name"] = method
         parsed = _parse(data, folder, overrides)
     except (CaseError, MethodError) as error:
         raise type(error)(f"{_origin(path, folder, bool(overrides or method))}: {error}") from error
-    return (
-        parsed
-        if table is None
-        else _with_table(parsed, Path(table), times, matching or Matching(AUTOMATIC, partial=True))
-    )
+    if table is None:
+        return parsed
+    return _with_table(parsed, Path(table), times, matching or Matching(AUTOMATIC, partial=True))
 
 
 def _origin(path: Path | None, folder: Path, changed: bool) -> str:
@@ -115,14 +185,6 @@ def _origin(path: Path | None, folder: Path, changed: bool) -> str:
             _parse(load(path), folder)
             return "command line"
     return str(path or "command line")
-
-
-def _require_method(name: str) -> None:
-    """Check the method of the command line before the case file, so that the message does not name the file."""
-    try:
-        entry_of(name)
-    except MethodError as error:
-        raise MethodError(f"--method {name}: {error}") from None
 
 
 def case_of(content: Mapping[str, Any], folder: str | Path = ".") -> CaseFile:
@@ -146,186 +208,122 @@ def _with_table(parsed: CaseFile, table: Path, times: str | None, matching: Matc
     if times is None:
         step, files = Follow(read_displacement(table), matching), [table]
     else:
-        step = read_sequence(str(table), times, Path(), matching, where)
-        files = sequence_files(str(table), Path(), where)
+        files, when = files_over_time(str(table), times, Path(), where)
+        step = FollowSequence(when, lambda number: read_displacement(files[number]), matching)
     spec = BoundarySpec(table.name, ("*",), Kind.MOVING, None, Motion((step,), parsed.case.constants))
     case = replace(parsed.case, boundaries=(*parsed.case.boundaries, spec))
     return replace(parsed, case=case, files=(*parsed.files, *files))
 
 
 def _parse(data: Table, folder: Path, overrides: Sequence[str] = ()) -> CaseFile:
-    check_keys(data, TABLES, "case")
-    grid = table_of(data, "grid")
-    check_keys(grid, ("boundary_file", "tolerance", "open", "plates", "components"), "[grid]")
-    constants = _constants(table_of(data, "constants"))
-    entries = data.get("boundary", [])
-    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-        raise fail("boundary", "expected [[boundary]] entries (double brackets)")
-    specs = tuple(_boundary(entry, number, constants, folder) for number, entry in enumerate(entries, 1))
+    form = filled(CaseForm, data)
+    constants = _constants(form.constants)
+    specs = tuple(_boundary(entry, number, constants, folder) for number, entry in enumerate(form.boundary, 1))
     names = [spec.name for spec in specs]
     if len(set(names)) < len(names):
         raise fail("boundary", f"names must differ, found {names}")
-    tolerance = number_of(grid.get("tolerance", RELATIVE_TOLERANCE), "grid.tolerance")
-    if not 0 < tolerance < 0.5:
-        raise fail("grid.tolerance", f"{tolerance} of the local edge; expected a fraction between 0 and 0.5")
-    options = _options(table_of(data, "method"))
-    notes, repair = unread(data, specs, options, overrides), _repair(table_of(data, "repair"))
-    components = components_of(grid, folder)
-    case = Case(
-        specs, constants, options, tolerance, notes, _open_faces(grid), repair, _plates(grid), components.patterns
-    )
-    boundary_file = file_of(grid["boundary_file"], folder, "[grid]: boundary_file") if "boundary_file" in grid else None
-    return CaseFile(case, boundary_file, tuple(named_files(data, folder)), data, components.files)
-
-
-def _open_faces(grid: Table) -> bool | tuple[str, ...]:
-    """``grid.open``: true, or a list of faces."""
-    value = grid.get("open", False)
-    if isinstance(value, bool):
-        return value
-    if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
-        raise fail("grid.open", f'expected true, or faces like ["block1.imax"], found {literal(value)}')
-    return tuple(value)
-
-
-def _plates(grid: Table) -> tuple[str, ...]:
-    """``grid.plates``: a list of faces."""
-    value = grid.get("plates", [])
-    if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
-        raise fail("grid.plates", f'expected faces like ["block1.kmax[10:20,*]"], found {literal(value)}')
-    return tuple(value)
-
-
-def _repair(table: Table) -> RepairOptions:
-    check_keys(table, ("mode", "min_jacobian", "time_limit"), "[repair]")
-    smallest = number_of(table.get("min_jacobian", 0.0), "repair.min_jacobian")
-    seconds = number_of(table.get("time_limit", RepairOptions.time_limit), "repair.time_limit")
+    options = _options(form.method)
     try:
-        return RepairOptions(table.get("mode", "auto"), smallest, seconds)
+        repair = RepairOptions(form.repair.mode, form.repair.min_jacobian, form.repair.time_limit)  # type: ignore[arg-type]
     except CaseError as error:
         raise fail("repair", str(error)) from None
+    grid = form.grid
+    patterns, files = _components(grid.components, folder)
+    case = Case(
+        specs,
+        constants,
+        options,
+        grid.tolerance,
+        unread(data, specs, options, overrides),
+        grid.open,
+        repair,
+        grid.plates,
+        patterns,
+    )
+    boundary_file = None if grid.boundary_file is None else folder / grid.boundary_file
+    return CaseFile(case, boundary_file, tuple(named_files(data, folder)), data, files)
 
 
 def _constants(table: Table) -> dict[str, float]:
-    constants = {name: number_of(value, f"constants.{name}") for name, value in table.items()}
-    for name in constants:
+    for name, value in table.items():
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise fail(f"constants.{name}", f"expected a finite number, found {literal(value)}")
         if name in VARIABLES or name == "pi" or keyword.iskeyword(name):
             raise fail(f"constants.{name}", f"{name} already has a meaning in formulas; choose another name")
         if not name.isidentifier():
             raise fail(f"constants.{name}", "expected a name of letters, digits and _ only")
-    return constants
+    return {name: float(value) for name, value in table.items()}
 
 
-def _boundary(entry: Table, number: int, constants: Mapping[str, float], folder: Path) -> BoundarySpec:
-    name = entry.get("name", f"boundary {number}")
+def _components(value: Any, folder: Path) -> tuple[Components, dict[str, ComponentFile]]:
+    """Block patterns of the components, and the separate files of some of them."""
+    if value is None or value == BY_PREFIX:
+        return "" if value is None else BY_PREFIX, {}
+    if not isinstance(value, dict) or not value:
+        raise fail("grid.components", f"found {literal(value)}; {_COMPONENTS}")
+    files, own = {}, {}
+    for name, entry in value.items():
+        patterns = [entry] if isinstance(entry, str) else entry
+        if isinstance(entry, dict):
+            form = filled(ComponentForm, entry, f"grid.components.{name}")
+            table = None if form.boundary_file is None else folder / form.boundary_file
+            files[name] = ComponentFile(folder / form.file, table)
+        elif not isinstance(patterns, list) or not patterns or not all(isinstance(each, str) for each in patterns):
+            raise fail(f"grid.components.{name}", f"found {literal(entry)}; {_COMPONENTS}")
+        else:
+            own[name] = tuple(patterns)
+    if files and not own:
+        if _MAIN in files:
+            raise fail("grid.components", f"{_MAIN!r} is the name of the blocks of the grid itself; choose another one")
+        own = {_MAIN: ("*",)}
+    return {**{name: (f"{glob.escape(name)}.*",) for name in files}, **own}, files
+
+
+def _boundary(entry: BoundaryForm, number: int, constants: Mapping[str, float], folder: Path) -> BoundarySpec:
+    name = f"boundary {number}" if entry.name is None else entry.name
     where = f"boundary {literal(name)}"
-    check_keys(entry, ("name", "select", "where", "kind", "motion"), where)
-    if not isinstance(name, str):
-        raise fail(where, f"name = {literal(name)}; expected a string in quotes")
-    kind = _kind(entry, where)
-    select = entry.get("select", ["*"])
-    select = [select] if isinstance(select, str) else select
-    if not isinstance(select, list) or not select or not all(isinstance(item, str) for item in select):
-        raise fail(where, f'select = {literal(select)}; expected a list of names, like ["wing", "block2.jmin"]')
-    steps = entry.get("motion", [])
+    steps = [entry.motion] if isinstance(entry.motion, MotionStep) else entry.motion
+    known = f"expected one of {', '.join(KINDS)}"
+    if entry.kind is None and not steps:
+        raise fail(where, f"has no kind; {known}")
+    label = "moving" if entry.kind is None else entry.kind
+    if not isinstance(label, str) or label not in KINDS:
+        raise fail(where, f"kind = {literal(label)}; {known}{suggestion(label, KINDS)}")
+    kind = KINDS[label]
     if (kind is Kind.MOVING) != bool(steps):
         missing = "moves but has no motion" if kind is Kind.MOVING else f"is {kind.label} but has a motion"
         raise fail(where, f'{missing}; expected motion = [...] for kind = "moving", and only for this kind')
-    condition = _condition(entry["where"], constants, where) if "where" in entry else None
-    motion = _motion(steps, constants, where, folder) if steps else None
-    return BoundarySpec(name, tuple(select), kind, condition, motion)
-
-
-def _condition(value: Any, constants: Iterable[str], where: str) -> Expression:
-    condition = formula_of(value, (*constants, "x", "y", "z"), f"{where}: where")
-    if not condition.is_condition:
-        raise fail(
-            where, f"where = {literal(value)} is neither true nor false; expected a condition, like x > 0.5 and y < 1"
-        )
-    return condition
-
-
-def _kind(entry: Table, where: str) -> Kind:
-    """The kind of the entry; ``moving`` if it has a motion but no kind."""
-    known = f"expected one of {', '.join(_KINDS)}"
-    if "kind" not in entry and "motion" not in entry:
-        raise fail(where, f"has no kind; {known}")
-    kind = entry.get("kind", "moving")
-    if not isinstance(kind, str) or kind not in _KINDS:
-        raise fail(where, f"kind = {literal(kind)}; {known}{suggestion(kind, _KINDS)}")
-    return _KINDS[kind]
-
-
-def _motion(steps: Any, constants: Mapping[str, float], where: str, folder: Path) -> Motion:
-    if isinstance(steps, dict):
-        steps = [steps]
-    if not isinstance(steps, list) or not all(isinstance(step, dict) for step in steps):
-        raise fail(where, "motion: expected a list of tables, like [{ translate = [0, 0.1, 0] }]")
-    known = (*constants, *VARIABLES)
-    return Motion(tuple(_step(step, n, known, where, folder) for n, step in enumerate(steps, 1)), dict(constants))
-
-
-def _step(step: Table, number: int, known: tuple[str, ...], where: str, folder: Path) -> Step:
-    where = f"{where}, motion step {number}"
-    kinds = [name for name in _STEPS if name in step]
-    if len(kinds) != 1:
-        raise fail(where, f"found {sorted(step)}; expected exactly one of {', '.join(_STEPS)}{_guess(step)}")
-    check_keys(step, _STEPS[kinds[0]], where)
-    value = step[kinds[0]]
-    if kinds[0] == "file":
-        in_memory = isinstance(value, SurfaceData)
-        data = value if in_memory else read_displacement(file_of(value, folder, f"{where}: file"))
-        return Follow(data, _matching(step, where))
-    if kinds[0] == "files":
-        return read_sequence(value, step.get("times"), folder, _matching(step, where), where)
-    if kinds[0] == "modes":
-        return modes_of(value, _matching(step, where), known, folder, where)
-    if kinds[0] in WITHOUT_MATCHING:
-        return WITHOUT_MATCHING[kinds[0]](value, known, folder, where)
-    if kinds[0] == "rotate":
-        return _rotation(value, known, where)
-    x, y, z = (formula_of(part, known, where) for part in three_of(value, f"{where}: {kinds[0]}"))
-    return Displace((x, y, z))
-
-
-def _matching(step: Table, where: str) -> Matching:
-    tolerance = number_of(step["tolerance"], f"{where}: tolerance") if "tolerance" in step else None
-    try:
-        return Matching(step.get("match", "nearest"), tolerance)
-    except CaseError as error:
-        raise fail(where, str(error)) from None
-
-
-def _rotation(value: Any, known: tuple[str, ...], where: str) -> Rotate:
-    if not isinstance(value, dict):
-        raise fail(where, f"rotate = {literal(value)}; expected {{ angle = degrees, axis = [..], center = [..] }}")
-    check_keys(value, ("angle", "axis", "center"), f"{where}, rotate")
-    if "angle" not in value:
-        raise fail(where, "rotate has no angle; expected degrees, or a formula of t")
-    axis = [number_of(a, f"{where}: axis") for a in three_of(value.get("axis", [0, 0, 1]), f"{where}: axis")]
-    if not any(axis):
-        raise fail(where, "axis = [0, 0, 0] has no direction")
-    center = [formula_of(c, known, where) for c in three_of(value.get("center", [0, 0, 0]), f"{where}: center")]
-    return Rotate(
-        formula_of(value["angle"], known, where), (axis[0], axis[1], axis[2]), (center[0], center[1], center[2])
-    )
-
-
-def _guess(step: Table) -> str:
-    return next((hint for key in step if (hint := suggestion(key, _STEPS))), "")
+    condition = None
+    if entry.where is not None:
+        condition = formula_of(entry.where, (*constants, "x", "y", "z"), f"{where}: where")
+        if not condition.is_condition:
+            found = f"where = {literal(entry.where)} is neither true nor false"
+            raise fail(where, f"{found}; expected a condition, like x > 0.5 and y < 1")
+    names = (*constants, *VARIABLES)
+    built = tuple(step.step(names, folder, f"{where}, motion step {n}") for n, step in enumerate(steps, 1))
+    motion = Motion(built, dict(constants)) if built else None
+    select = (entry.select,) if isinstance(entry.select, str) else entry.select
+    return BoundarySpec(name, select, kind, condition, motion)
 
 
 def _options(table: Table) -> Options:
-    check_keys(table, [f.name for f in fields(Options)], "[method]")
+    check_keys(table, [each.name for each in fields(Options)], "[method]")
     name = table.get("name", Options().name)
     if not isinstance(name, str):
         raise fail("method.name", f"expected a name, found {literal(name)}")
-    parts = {part: _build(kind, table_of(table, part, "method."), f"[method.{part}]")
-             for part, kind in (("idw", IDW), ("rbf", RBF), ("tfi", TFI))}  # fmt: skip
+    parts = {}
+    for part, kind in PARTS.items():
+        own = table.get(part, {})
+        if not isinstance(own, dict):
+            raise fail(f"method.{part}", f"expected a table [method.{part}], found {literal(own)}")
+        check_keys(own, [each.name for each in fields(kind)], f"[method.{part}]")
+        parts[part] = kind(**own)
     return Options.relevant(name, **parts)
 
 
-def _build(kind: type, table: Table, where: str) -> Any:
-    """A dataclass of options from its table, whose keys are the fields."""
-    check_keys(table, [f.name for f in fields(kind)], where)
-    return kind(**table)
+def check_keys(table: Table, known: Sequence[str], where: str) -> None:
+    """Refuse an unknown key, with the nearest known one."""
+    for key in table:
+        if key not in known:
+            hint = suggestion(key, known) or f"; known are {', '.join(known)}"
+            raise fail(where, f"unknown key {key!r}{hint}")

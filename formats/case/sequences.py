@@ -11,13 +11,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from meshdeform_core.boundary.motions.motion import FollowSequence
-from meshdeform_core.boundary.tables.matching import Matching, SurfaceData
 from meshdeform_core.errors import CaseError
-from meshdeform_core.grid import Grid
 from meshdeform_core.wording import literal
-
-from ..displacement import read_displacement
 
 _EXPECTED = 'expected "START:STOP:STEP", like "0:1e-3:5e-5", or ascending numbers'
 _MAXIMUM = 1_000_000
@@ -57,10 +52,10 @@ def _ascending(numbers: Sequence[float], where: str) -> tuple[float, ...]:
 
 
 def named_files(value: Any, folder: Path) -> Iterator[Path]:
-    """Files named by ``file``, ``files``, ``boundary_file`` and ``geometry`` anywhere in the tables of a case."""
+    """Files named by ``file``, ``files`` and ``boundary_file`` anywhere in the tables of a case."""
     if isinstance(value, (dict, list)):
         for key, item in value.items() if isinstance(value, dict) else enumerate(value):
-            if key in ("file", "boundary_file", "geometry") and isinstance(item, str):
+            if key in ("file", "boundary_file") and isinstance(item, str):
                 yield folder / item
             elif key == "files":
                 yield from sequence_files(item, folder, "files")
@@ -68,18 +63,18 @@ def named_files(value: Any, folder: Path) -> Iterator[Path]:
                 yield from named_files(item, folder)
 
 
-def sequence_files(value: Any, folder: Path, where: str) -> list[Path]:
+def sequence_files(value: str | list[str], folder: Path, where: str) -> list[Path]:
     """Files of a list of names, or of a pattern like ``surface_*.csv`` in the order of the numbers in their names."""
     if isinstance(value, str) and value and "\0" not in value:
         found = glob.glob(os.path.join(glob.escape(str(folder)), value))
         if not found:
             raise CaseError(f"{where}: no file matches {literal(value)} in {folder.absolute()}")
         return [Path(name) for name in sorted(found, key=_numerically)]
-    if isinstance(value, list) and value and all(isinstance(name, str) and name and "\0" not in name for name in value):
-        return [folder / name for name in value]
-    raise CaseError(
-        f'{where}: files = {literal(value)}; expected a pattern like "surface_*.csv" or a list of file names'
-    )
+    if not value or "\0" in "".join(value):
+        raise CaseError(
+            f'{where}: files = {literal(value)}; expected a pattern like "surface_*.csv" or a list of file names'
+        )
+    return [folder / name for name in value]
 
 
 def _numerically(name: str) -> list[tuple[int, str]]:
@@ -87,23 +82,9 @@ def _numerically(name: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
 
 
-def read_sequence(files: Any, times: Any, folder: Path, matching: Matching, where: str) -> FollowSequence:
-    """A motion step that follows one displacement file per time; each file is read when its time is reached.
-
-    Raises
-    ------
-    CaseError
-        When files are missing, or their number differs from that of the times.
-    """
-    paths, when = files_over_time(files, times, folder, where)
-
-    def read(index: int) -> SurfaceData | Grid:
-        return read_displacement(paths[index])
-
-    return FollowSequence(when, read, matching)
-
-
-def files_over_time(files: Any, times: Any, folder: Path, where: str) -> tuple[list[Path], tuple[float, ...]]:
+def files_over_time(
+    files: str | list[str], times: str | list[float] | None, folder: Path, where: str
+) -> tuple[list[Path], tuple[float, ...]]:
     """Files, which must exist, and their times, one for each file.
 
     Raises
@@ -115,19 +96,12 @@ def files_over_time(files: Any, times: Any, folder: Path, where: str) -> tuple[l
     for path in paths:
         if not path.is_file():
             raise CaseError(f"{where}: {path} does not exist")
-    when = _times(times, f"{where}: times")
+    if times is None:
+        raise CaseError(f"{where}: times: there are none; {_EXPECTED}")
+    when = parse_times(times, f"{where}: times") if isinstance(times, str) else _ascending(times, f"{where}: times")
     if len(when) != len(paths):
         raise CaseError(
             f"{where}: {len(paths)} files ({paths[0].name} to {paths[-1].name}) for {len(when)} times; "
             f"expected one time for each"
         )
     return paths, when
-
-
-def _times(value: Any, where: str) -> tuple[float, ...]:
-    if isinstance(value, str):
-        return parse_times(value, where)
-    if not isinstance(value, list) or any(isinstance(n, bool) or not isinstance(n, (int, float)) for n in value):
-        found = "there are none" if value is None else f"found {literal(value)}"
-        raise CaseError(f"{where}: {found}; {_EXPECTED}")
-    return _ascending(value, where)

@@ -10,7 +10,7 @@ from typing import Any
 from meshdeform_core.errors import CaseError, FormatError
 
 from ..files import require_regular
-from .values import Table
+from .forms import Table
 
 _PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
 _DEEP_KEY = re.compile(rf"(?<![\w.-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{30}}")

@@ -1,23 +1,29 @@
-"""Displacement tables as arrays: .npy, .npz and HDF5."""
+"""Displacement tables as arrays: .npy, .npz and HDF5, each checked against its size in the file before it is read."""
 
 from __future__ import annotations
 
+import math
+import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import h5py
+import numpy as np
 from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError, MeshDeformError
 
 from ..files import reason_of
-from .numpy_files import load_array, load_arrays
 from .table import DISPLACEMENT_NAMES, NO_TRIANGLES, POINT_NAMES, DisplacementTable, pick_vector, row_place
 
-# Deflate cannot compress more; a dataset that declares more data was never written or is damaged.
+# Deflate cannot compress more; what declares more data was never written or is damaged.
 _MAXIMUM_COMPRESSION = 1100
+# Coordinates and displacements compress far less; only zeros may compress more.
+_LARGEST_WHOLE_RATIO, _SMALL = 100, 1 << 28
+_ENCRYPTED = 1
+_SUFFIX = ".npy"
 
 
 def read_npy(path: Path) -> DisplacementTable:
@@ -28,7 +34,7 @@ def read_npy(path: Path) -> DisplacementTable:
     FormatError
         When the file is truncated or has other content.
     """
-    values = load_array(path)
+    values = _load_array(path)
     if values.ndim != 2 or values.shape[1] not in (4, 6) or values.dtype.kind not in "iuf":
         raise FormatError(f"{path} holds {values.dtype} numbers of shape {values.shape}; expected (n, 6) or (n, 4)")
     half = values.shape[1] // 2
@@ -43,7 +49,7 @@ def read_npz(path: Path) -> DisplacementTable:
     FormatError
         When the file is truncated or has no such arrays; the message lists those found.
     """
-    arrays = load_arrays(path)
+    arrays = _load_arrays(path)
     table = _table({name: values for name, values in arrays.items() if values.dtype.kind in "iuf"})
     if table is None:
         raise FormatError(f"{path} needs arrays points and displacement, (n, 3) each; found {_list(arrays)}")
@@ -130,3 +136,79 @@ def _table(arrays: Mapping[str, NDArray[Any]]) -> DisplacementTable | None:
 
 def _list(arrays: Mapping[str, NDArray[Any]]) -> str:
     return ", ".join(f"{name} {values.shape}" for name, values in arrays.items()) or "none"
+
+
+def _load_array(path: Path) -> NDArray[Any]:
+    """The array of a .npy file."""
+    try:
+        with path.open("rb") as stream:
+            return _array(stream, path.stat().st_size, path.name)
+    except MeshDeformError as error:
+        raise FormatError(f"cannot read {path}: {error}") from error
+    # numpy evaluates the header as Python, which raises various errors for a damaged file.
+    except Exception as error:
+        raise FormatError(f"cannot read {path}: {reason_of(error)}") from error
+
+
+def _load_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """The arrays of a .npz file by name."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            _require_plausible(archive)
+            arrays: dict[str, NDArray[Any]] = {}
+            for name, values in _members(archive):
+                if name in arrays:
+                    raise FormatError(f"it has two arrays called {name}; expected one")
+                arrays[name] = values
+            return arrays
+    except MeshDeformError as error:
+        raise FormatError(f"cannot read {path}: {error}") from error
+    # zipfile and its decompressors raise various errors for a damaged file.
+    except Exception as error:
+        raise FormatError(f"cannot read {path}: {reason_of(error)}") from error
+
+
+def _require_plausible(archive: zipfile.ZipFile) -> None:
+    """Refuse, before memory is allocated, members that unpack to far more than data would."""
+    members = archive.infolist()
+    packed, unpacked = (sum(sizes) for sizes in zip(*((m.compress_size, m.file_size) for m in members), strict=True))
+    if unpacked > max(_SMALL, _LARGEST_WHOLE_RATIO * packed):
+        raise FormatError(
+            f"its {len(members)} arrays unpack from {packed:,} to {unpacked:,} bytes, which no table of displacements "
+            f"does; expected at most {_LARGEST_WHOLE_RATIO} times as many"
+        )
+
+
+def _members(archive: zipfile.ZipFile) -> Iterator[tuple[str, NDArray[Any]]]:
+    for member in archive.infolist():
+        if not member.filename.endswith(_SUFFIX):
+            raise FormatError(f"its member {member.filename!r} is not an array; expected a file written by numpy.savez")
+        if member.flag_bits & _ENCRYPTED:
+            raise FormatError(f"its member {member.filename!r} is encrypted; save it without a password")
+        if member.file_size > _MAXIMUM_COMPRESSION * max(member.compress_size, 1):
+            raise FormatError(
+                f"its member {member.filename!r} unpacks from {member.compress_size} to {member.file_size} bytes; the "
+                "file is damaged"
+            )
+        with archive.open(member) as stream:
+            values = _array(stream, member.file_size, member.filename)
+            # Reading to the end also verifies the checksum.
+            if stream.read(1):
+                raise FormatError(f"its member {member.filename!r} continues after the array")
+        yield member.filename.removesuffix(_SUFFIX), values
+
+
+def _array(stream: IO[bytes], size: int, name: str) -> NDArray[Any]:
+    """The array in a stream of ``size`` bytes."""
+    version = np.lib.format.read_magic(stream)
+    readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    if version not in readers:
+        raise FormatError(f"{name} is an array of structures (format {version[0]}.{version[1]}); expected numbers")
+    shape, _, dtype = readers[version](stream)
+    if dtype.hasobject:
+        raise FormatError(f"{name} holds Python objects, which are not read (allow_pickle=False); expected numbers")
+    needed, left = math.prod(shape) * dtype.itemsize, size - stream.tell()
+    if min(shape, default=1) < 0 or needed > left:
+        raise FormatError(f"{name} declares {dtype} values of shape {shape}, {needed} bytes; {left} are left")
+    stream.seek(0)
+    return np.lib.format.read_array(stream, allow_pickle=False)

@@ -1,14 +1,17 @@
-"""Displacement tables as surfaces, read by meshio."""
+"""Displacement tables as surfaces, read by meshio, with checks of what meshio takes without looking."""
 
 from __future__ import annotations
 
 import contextlib
 import io
+import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import meshio
 import numpy as np
+from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 
@@ -17,6 +20,9 @@ from .table import NO_TRIANGLES, DisplacementTable, surface_table
 
 # Corners of two-dimensional cells; nodes on edges and inside follow them.
 _CORNERS = {"triangle": 3, "triangle6": 3, "triangle7": 3, "quad": 4, "quad8": 4, "quad9": 4}
+# Nodes of Gmsh's surface elements, by type.
+_GMSH_NODES = {2: 3, 3: 4, 9: 6, 10: 9, 16: 8}
+_AVS_CORNERS = {"tri": 3, "quad": 4}
 
 
 def read(path: Path, file_format: str) -> DisplacementTable:
@@ -25,15 +31,19 @@ def read(path: Path, file_format: str) -> DisplacementTable:
     Raises
     ------
     FormatError
-        When the file is damaged, with meshio's message, or has no displacement.
+        When the file is damaged, with meshio's message, or has no displacement; when its data are not one for each
+        node, in Gmsh in the order of the nodes.
     """
     try:
+        source = _SOURCES.get(file_format, str)(path)
         # Not meshio.read, which prints errors and ends the program.
         with contextlib.redirect_stderr(io.StringIO()) as doubts:
-            mesh = getattr(meshio, file_format).read(_source(path, file_format))
+            mesh = getattr(meshio, file_format).read(source)
         if doubts.getvalue():
             # meshio has skipped cells.
             raise ValueError(" ".join(doubts.getvalue().split()))
+        if isinstance(source, _Ply):
+            source.require_all(mesh)
         triangles = [
             split_cells(np.asarray(block.data), _CORNERS.get(block.type, len(block.data[0])))
             for block in mesh.cells
@@ -46,19 +56,164 @@ def read(path: Path, file_format: str) -> DisplacementTable:
     return surface_table(path, mesh.points, mesh.point_data, np.concatenate([NO_TRIANGLES, *triangles]))
 
 
-def _source(path: Path, file_format: str) -> Any:
-    """The source for a reader; meshio's Tecplot reader loops on truncated files unless reading at the end raises."""
-    if file_format == "tecplot":
-        return _EndingText(path.read_text(encoding="utf-8"))
+class _EndingText(io.StringIO):
+    """A text whose end is an error: meshio's reader of Tecplot loops on truncated files."""
+
+    def __init__(self, path: Path):
+        super().__init__(path.read_text(encoding="utf-8"))
+
+    def readline(self, size: Any = -1, /) -> Any:
+        line = super().readline(size)
+        if not line:
+            raise EOFError("the file is truncated")
+        return line
+
+
+def _gmsh(path: Path) -> str:
+    """Refuse values of nodes that are not in the order of the nodes: meshio assigns ``$NodeData`` by position.
+
+    Format: Gmsh reference manual, "Gmsh file formats".
+    """
+    data = path.read_bytes()
+    version, kind = (word.decode() for word in data.split(maxsplit=3)[1:3])
+    binary = kind == "1"
+    sections = re.findall(rb"^\$(Nodes|Elements|NodeData)[ \t]*\r?\n(.*?)\$End\1", data, re.DOTALL | re.MULTILINE)
+    names = [name for name, _ in sections]
+    if names.count(b"Nodes") != 1 or names.count(b"Elements") > 1:
+        raise ValueError("expected one section $Nodes and one $Elements")
+    bodies = dict(sections)
+    if version.startswith("2"):
+        # In binary files meshio requires the numbers 1, 2, ... itself.
+        count = int(bodies[b"Nodes"].split(maxsplit=1)[0])
+        rows = None if binary else np.array(bodies[b"Nodes"].split()[1:], dtype=np.float64).reshape(count, 4)
+        nodes = np.arange(1, count + 1) if rows is None else rows[:, 0]
+        if not binary:
+            _require_elements(bodies.get(b"Elements", b"0"))
+    else:
+        nodes = _numbers_in_blocks(bodies[b"Nodes"], binary)
+    if len(np.unique(nodes)) != len(nodes) or (nodes != np.floor(nodes)).any() or nodes.min(initial=1) < 1:
+        raise ValueError("the numbers of its nodes are not different whole numbers")
+    found = [_numbers_of_data(body, binary) for name, body in sections if name == b"NodeData"]
+    if len({name for name, _ in found}) < len(found):
+        raise ValueError("several $NodeData have the same name (steps in time?); expected one")
+    for name, numbers in found:
+        if not np.array_equal(numbers, nodes):
+            raise ValueError(f"$NodeData {name} does not have one row for each node, in the order of $Nodes; sort them")
     return str(path)
 
 
-class _EndingText(io.StringIO):
-    def readline(self, size: Any = -1, /) -> Any:
-        return _required(super().readline(size))
+def _numbers_in_blocks(body: bytes, binary: bool) -> NDArray[Any]:
+    """Numbers of the nodes in the blocks of version 4."""
+    words, at = None if binary else np.array(body.split(), dtype=np.float64), 0
+
+    def take(count: int, kind: str) -> NDArray[Any]:
+        nonlocal at
+        begin, at = at, at + count * (np.dtype(kind).itemsize if binary else 1)
+        return np.frombuffer(body, kind, count, begin) if words is None else words[begin:at]
+
+    numbers = []
+    for _ in range(int(take(4, "u8")[0])):
+        take(3, "i4")
+        count = int(take(1, "u8")[0])
+        numbers.append(take(count, "u8"))
+        take(3 * count, "f8")
+    return np.concatenate(numbers)
 
 
-def _required(line: str) -> str:
-    if not line:
-        raise EOFError("the file is truncated")
-    return line
+def _numbers_of_data(body: bytes, binary: bool) -> tuple[str, NDArray[Any]]:
+    """Name of a ``$NodeData`` section, and the numbers of the nodes that its rows name."""
+    lines, at, tags = body.split(b"\n"), 0, []
+    for _ in range(3):
+        count = int(lines[at])
+        tags.append(lines[at + 1 : at + 1 + count])
+        at += 1 + count
+    components, rows = int(tags[2][1]), int(tags[2][2])
+    rest = b"\n".join(lines[at:])
+    if binary:
+        record = np.dtype([("number", "i4"), ("values", "f8", (components,))])
+        numbers = np.frombuffer(rest, record, rows)["number"]
+    else:
+        numbers = np.array(rest.split(), dtype=np.float64).reshape(rows, 1 + components)[:, 0]
+    return tags[0][0].decode("utf-8", "replace").strip(), numbers
+
+
+def _require_elements(body: bytes) -> None:
+    """Refuse elements with a wrong number of nodes, of which meshio takes the last ones, or with nodes below 1, which
+    it counts from the end."""
+    for line in body.split(b"\n")[1:]:
+        words = [int(word) for word in line.split()]
+        if not words:
+            continue
+        nodes = words[3 + words[2] :]
+        if min(nodes, default=0) < 1 or len(nodes) != _GMSH_NODES.get(words[1], len(nodes)):
+            raise ValueError(f"the element {' '.join(map(str, words))} does not have the nodes of its type")
+
+
+class _Ply(io.BytesIO):
+    """A PLY file whose faces have nothing but vertices: meshio misreads others, and takes what is there."""
+
+    def __init__(self, path: Path):
+        data = path.read_bytes().replace(b" vertex_index\n", b" vertex_indices\n")
+        super().__init__(data)
+        head, end, body = data.partition(b"end_header")
+        if not end:
+            raise ValueError("its header has no end")
+        self._ascii, self._body = b"format ascii" in head, body.partition(b"\n")[2]
+        elements = [element.split() for element in re.split(rb"^element ", head, flags=re.MULTILINE)[1:]]
+        self._count = {words[0]: int(words[1]) for words in elements}
+        self._kinds = {words[0]: words[3::3] if words[0] == b"vertex" else words[4:6] for words in elements}
+        faces = [words[2:4] + words[6:] for words in elements if words[0] == b"face"]
+        if faces not in ([], [[b"property", b"list", b"vertex_indices"]]) or len(self._count) < len(elements):
+            raise ValueError("its faces have more properties than a list of vertices; expected vertex_indices alone")
+
+    def require_all(self, mesh: meshio.Mesh) -> None:
+        """Refuse a mesh that is not all that the file holds, and only that."""
+        faces = [(len(block.data), block.data.shape[1]) for block in mesh.cells]
+        if (len(mesh.points), sum(rows for rows, _ in faces)) != (self._count[b"vertex"], self._count.get(b"face", 0)):
+            raise ValueError("it does not have the vertices and faces of its header")
+        if self._ascii:
+            size = len(self._body.split())
+            expected = len(mesh.points) * len(self._kinds[b"vertex"]) + sum(n * (1 + width) for n, width in faces)
+        else:
+            size = len(self._body)
+            count, index = map(_size, self._kinds.get(b"face", (b"uchar", b"int")))
+            expected = len(mesh.points) * sum(map(_size, self._kinds[b"vertex"]))
+            expected += sum(n * (count + width * index) for n, width in faces)
+        if size != expected:
+            raise ValueError("its rows are not those that its header announces")
+
+
+def _size(kind: bytes) -> int:
+    """Bytes of a number of PLY, like ``float`` or ``uint16``."""
+    bits = re.sub(rb"\D", b"", kind)
+    return int(bits) // 8 if bits else {b"char": 1, b"short": 2, b"double": 8}.get(kind.removeprefix(b"u"), 4)
+
+
+def _avs(path: Path) -> str:
+    """Refuse node data that are not one row for each node: meshio leaves the others undefined.
+
+    Format: AVS Developer's Guide, "UCD ASCII file format".
+    """
+    text = path.read_text(encoding="utf-8")
+    lines = [line.split() for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    nodes, cells, components, more = (int(word) for word in lines[0][:4])
+    end = 1 + nodes + cells
+    if any(len(row) != 3 + _AVS_CORNERS.get(row[2], len(row) - 3) for row in lines[1 + nodes : end]):
+        raise ValueError("a cell does not have the corners of its type")
+    if components:
+        arrays = int(lines[end][0])
+        names = [" ".join(row).split(",")[0] for row in lines[end + 1 : end + 1 + arrays]]
+        rows = lines[end + 1 + arrays :][:nodes]
+        numbers = sorted(row[0] for row in lines[1 : 1 + nodes])
+        if sorted(row[0] for row in rows) != numbers or len(set(numbers)) < nodes:
+            raise ValueError("its node data are not one row for each node")
+        if any(len(row) != 1 + components for row in rows) or len(set(names)) < arrays:
+            raise ValueError(f"its node data are not {components} values with different names in each row")
+        end += 1 + arrays + nodes
+    if len(lines) > end and not more:
+        raise ValueError(f"{len(lines) - end} lines follow that its first line does not announce")
+    return str(path)
+
+
+_SOURCES: dict[str, Callable[[Path], Any]] = {"avsucd": _avs, "gmsh": _gmsh, "ply": _Ply, "tecplot": _EndingText}
+"""What meshio's reader of a format gets, if not the name of the file."""

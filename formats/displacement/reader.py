@@ -28,15 +28,9 @@ from .table import VECTOR_NAMES, DisplacementTable, checked_surface, pick_vector
 
 # meshio's formats that can hold a displacement at points, by suffix; others are recognised by a magic number.
 _MESHIO_FORMATS = {
-    ".dat": "tecplot",
-    ".med": "med",
-    ".tec": "tecplot",
-    ".xdmf": "xdmf",
-    ".xmf": "xdmf",
-}
-_OWN_FORMATS = {".avs": "avs", ".msh": "gmsh", ".ply": "ply"}
-STRUCTURAL = (".frd", ".op2")
-"""Results of structural solvers, which may hold several displacements."""
+    ".avs": "avsucd", ".dat": "tecplot", ".med": "med", ".msh": "gmsh", ".ply": "ply", ".tec": "tecplot",
+    ".xdmf": "xdmf", ".xmf": "xdmf",
+}  # fmt: skip
 _TEXT_SUFFIXES = (".csv", ".txt", ".dat", ".tsv")
 
 
@@ -92,11 +86,8 @@ def _read(path: Path, head: bytes) -> DisplacementTable | Grid:
         return _module("text").read(path)
     if b"ADF Database Version" in head[:64] or path.suffix.lower() in FORMATS["plot3d"].suffixes:
         return _read_structured(path)
-    if path.suffix.lower() in STRUCTURAL:
-        table: DisplacementTable = _module("structural").read_single(path)
-        return table
-    if path.suffix.lower() in _OWN_FORMATS:
-        return _module(_OWN_FORMATS[path.suffix.lower()]).read(path)
+    if path.suffix.lower() == ".frd":
+        return _module("frd").read(path)
     return _module("meshio").read(path, _meshio_format(path))
 
 
@@ -113,7 +104,7 @@ def _is_tecplot(head: bytes) -> bool:
 def _meshio_format(path: Path) -> str:
     suffix = path.suffix.lower()
     if suffix not in _MESHIO_FORMATS:
-        known = " ".join(sorted({**_OWN_FORMATS, **_MESHIO_FORMATS, ".frd": ""}))
+        known = " ".join(sorted({*_MESHIO_FORMATS, ".frd"}))
         called = f"with suffix {suffix}" if suffix else "without suffix"
         raise FormatError(
             f"{path}: a file {called} is not a displacement table; expected text "

@@ -23,7 +23,7 @@ from .base import Account, PreparedMethod, Problem, Progress, Setting
 from .composite import Composite
 from .gaps import InGaps
 from .layer import PreparedLayer
-from .options import reason_of
+from .options import MethodOptions, declared, description
 from .scattered.idw import IDW
 from .scattered.rbf import RBF
 from .transfinite.tfi import TFI
@@ -36,15 +36,17 @@ __all__ = [
     "TFI",
     "Account",
     "Composite",
+    "MethodOptions",
     "Options",
     "PreparedMethod",
     "Problem",
     "Progress",
     "Setting",
+    "declared",
+    "description",
     "entry_of",
     "make_method",
     "prepare_method",
-    "reason_of",
 ]
 
 ALIASES = {"tfi": "tfi-tfi", "rbf": "rbf-rbf", "idw": "idw-idw"}

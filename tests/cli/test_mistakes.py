@@ -84,15 +84,6 @@ MISTAKES = {
         nothing, (*DEFORM, "-s", "turn=10"), "--set 'turn=10': unknown key 'turn'; did you mean 'constants.turn'?",
     ),
     "option of another command": (nothing, ("quality", "grid.xyz", "-m", "tfi"), "No such option '-m'"),
-    "y and z exchanged": (
-        table(lambda p: p[:, [0, 2, 1]]), WITH_TABLE, "(with its coordinates in the order x z y, 100% of its points",
-    ),
-    "x and z exchanged": (
-        table(lambda p: p[:, [2, 1, 0]]), WITH_TABLE, "(with its coordinates in the order z y x, 100% of its points",
-    ),
-    "all signs": (
-        table(lambda p: -p), WITH_TABLE, "(with the opposite sign of x, y and z, 100% of its points",
-    ),
     "millimetres": (
         table(lambda p: 1e3 * p), WITH_TABLE, "in millimetres where the grid is in metres?)",
     ),

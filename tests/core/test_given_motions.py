@@ -206,6 +206,16 @@ def test_modes_add_up(tmp_path):
     for amplitudes, exact in (({"file": "q.csv"}, (1.0, 2.0)), (["t", "1 - t**2"], (0.5, 0.75))):
         found = moved(nodes, {"modes": {**files, "amplitudes": amplitudes}, "match": "exact"}, tmp_path, 0.5)
         np.testing.assert_allclose(found, exact[0] * shapes[0] + exact[1] * shapes[1], atol=1e-12)
+    for header in ("t,mode1,mode0", "t,2,other,1"):
+        width = header.count(",")
+        rows = ["0" + ",0" * width, "1," + ",".join(["3", "7", "2"] if width == 3 else ["3", "2"])]
+        (tmp_path / "q.csv").write_text("\n".join([header, *rows]))
+        found = moved(nodes, {"modes": {**files, "amplitudes": {"file": "q.csv"}}, "match": "exact"}, tmp_path, 1.0)
+        np.testing.assert_allclose(found, 2 * shapes[0] + 3 * shapes[1], atol=1e-12)
+    for header in ("t,q1,q3", "t,a,b", "t,q1,mode_1"):
+        (tmp_path / "q.csv").write_text(f"{header}\n0,0,0\n")
+        with pytest.raises(FormatError, match=r"belong to shape [12]; expected one called q"):
+            moved(nodes, {"modes": {**files, "amplitudes": {"file": "q.csv"}}, "match": "exact"}, tmp_path)
     with pytest.raises(CaseError, match="1 amplitudes for 2 shapes"):
         moved(nodes, {"modes": {**files, "amplitudes": [1]}}, tmp_path)
 
@@ -328,8 +338,8 @@ def test_boxes_are_checked(key):
 
 
 def test_control_points_are_checked():
-    for at, message in (([4, 1, 1], "from 1 to 3"), ([0, 1, 1], "from 1 to 3"), ([True, 1, 1], "from 1 to 3"),
-                        (["a", 1, 1], "from 1 to 3")):  # fmt: skip
+    for at, message in (([4, 1, 1], "from 1 to 3"), ([0, 1, 1], "from 1 to 3"), ([True, 1, 1], "numbers from 1"),
+                        (["a", 1, 1], "numbers from 1")):  # fmt: skip
         with pytest.raises(CaseError, match=message):
             moved(box_nodes(), box([(at, [0, 0, 0])]))
     with pytest.raises(CaseError, match="x"):

@@ -27,14 +27,8 @@ NODES = Nodes.of_quads(GRID, TOPOLOGY, select_quads(GRID, TOPOLOGY, ["wing"], "w
 TABLE = TABLES["structure.npz"]
 # An asymmetric part of the structural model, so that no two frames fit alike.
 POINTS = TABLE.points[TABLE.points[:, 2] > 0.005]
-TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 FRAMES = {
-    "y and z swapped": (POINTS[:, [0, 2, 1]], "with its coordinates in the order x z y, 100% .*columns exchanged"),
-    "x and z swapped": (POINTS[:, [2, 1, 0]], "with its coordinates in the order z y x, 100% .*columns exchanged"),
-    "all signs": (-POINTS, "with the opposite sign of x, y and z, 100%"),
-    "one sign": (POINTS * [1, -1, 1], "with the opposite sign of y, 100%"),
-    "turned": (POINTS @ TURN.T, "rotated by -90 degrees about z, 100%"),
     "shifted": (POINTS + [5.0, -3.0, 2.0], "shifted by .*another origin"),
     "millimetres": (POINTS * 1e3, r"multiplied by 0.001, 100% .*in millimetres where the grid is in metres"),
     "inches": (POINTS / 0.0254, r"multiplied by 0.0254, 100% .*in inches where the grid is in metres"),
@@ -73,9 +67,9 @@ def test_a_table_of_the_nodes_is_matched_to_the_nodes():
     assert match.matched.sum() == len(NODES.numbers)
 
 
-def test_a_table_on_the_symmetry_plane_that_would_fit_the_wing_is_refused():
+def test_a_table_with_swapped_columns_is_refused():
     swapped = SurfaceData(TABLE.points[:, [0, 2, 1]], TABLE.displacement, TABLE.triangles, "swapped.csv")
-    with pytest.raises(MotionError, match=r"columns exchanged|lie on no outside face"):
+    with pytest.raises(MotionError, match=r"expected a table of a wall|lie on no outside face"):
         on_table_alone(swapped)
 
 

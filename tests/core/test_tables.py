@@ -103,8 +103,8 @@ def test_a_table_a_thousand_times_larger_is_refused_where_it_covers_the_wall():
 def test_swapped_columns_are_refused(order):
     points = bar() * [1.0, 1.0, 3.0] + [4.0, 0.0, 0.0]
     grid = FRAME.moved(FRAME.points * [1.0, 1.0, 3.0] + [4.0, 0.0, 0.0])
-    motion = Motion((Follow(data(points[:, order]), Matching(partial=True, tolerance=9.0)),), {})
-    with pytest.raises(MotionError, match="with its coordinates in the order"):
+    motion = Motion((Follow(data(points[:, order]), Matching(partial=True)),), {})
+    with pytest.raises(MotionError, match=r"no match|lie on no"):
         set_up(grid, Case((BoundarySpec("t", ("*",), Kind.MOVING, None, motion),)))
 
 

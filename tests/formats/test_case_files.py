@@ -13,7 +13,7 @@ from grids import frame
 from meshdeform_core.deform import set_up
 from meshdeform_core.errors import CaseError, MotionError
 from meshdeform_core.series import Schedule, deform_series
-from meshdeform_formats.case import read_case, sequences
+from meshdeform_formats.case import motions, read_case
 from meshdeform_formats.case.sequences import parse_times
 
 CASE = """\
@@ -70,7 +70,7 @@ def folder(tmp_path: Path) -> Path:
 
 def test_levels_follow_the_file_of_their_time_and_one_is_in_memory(folder, monkeypatch, own_garbage):
     alive: list[weakref.ref] = []
-    read = sequences.read_displacement
+    read = motions.read_displacement
 
     def watched(path):
         gc.collect()
@@ -79,7 +79,7 @@ def test_levels_follow_the_file_of_their_time_and_one_is_in_memory(folder, monke
         alive.append(weakref.ref(table))
         return table
 
-    monkeypatch.setattr(sequences, "read_displacement", watched)
+    monkeypatch.setattr(motions, "read_displacement", watched)
     case = read_case(folder / "case.toml")
     assert [path.name for path in case.files] == [f"surface_{n}.csv" for n in range(11)]
     grid = frame()
@@ -115,7 +115,7 @@ def test_files_that_cover_other_nodes_are_refused(folder):
         ('"surface_*.csv"', "3", "expected a pattern"),
         ('"0:1:0.1"', '"0:1:0.5"', "11 files .* for 3 times"),
         (', times = "0:1:0.1"', "", "times: there are none"),
-        ('"0:1:0.1"', "[0, true]", "times: found"),
+        ('"0:1:0.1"', "[0, true]", "times = .0, true."),
         ('"0:1:0.1"', "[1, 0]", "do not ascend"),
         ("times =", "when =", "unknown key 'when'"),
     ],

@@ -44,9 +44,11 @@ def text(rows, separator):
     return "".join(separator.join(map(repr, row)) + "\n" for row in rows.tolist())
 
 
-@pytest.mark.parametrize("separator", [",", ", ", ";", "\t", " ", "   "])
-@pytest.mark.parametrize("header", ["", "x y z dx dy dz\n", "# by hand\n\n"])
-@pytest.mark.parametrize("suffix", [".csv", ".txt", ".dat", ".tsv", ".CSV"])
+@pytest.mark.parametrize(
+    ("separator", "header", "suffix"),
+    [(",", "", ".csv"), (", ", "x y z dx dy dz\n", ".CSV"), (";", "# by hand\n\n", ".txt"), ("\t", "", ".tsv"),
+     (" ", "x y z dx dy dz\n", ".dat"), ("   ", "", ".dat")],
+)  # fmt: skip
 def test_text_by_order(tmp_path, separator, header, suffix):
     path = tmp_path / f"table{suffix}"
     path.write_text(header + text(ROWS, separator))
@@ -306,10 +308,10 @@ def test_a_structured_surface_with_components(tmp_path):
     assert area.tolist() == [0.5] * 4
 
 
-finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
+finite = st.floats(-1e99, 1e99)
 
 
-@settings(max_examples=30)
+@settings(max_examples=15, deadline=None)
 @given(rows=npst.arrays(float, st.tuples(st.integers(1, 6), st.just(6)), elements=finite, fill=st.nothing()))
 @pytest.mark.parametrize("suffix", [".csv", ".npz"])
 def test_write_and_read(tmp_path_factory, suffix, rows):

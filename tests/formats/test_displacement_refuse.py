@@ -1,6 +1,8 @@
 """Displacement tables that are none: each refused with what was found and where."""
 
 import dataclasses
+import re
+import struct
 
 import h5py
 import meshio
@@ -179,7 +181,7 @@ def test_wrong_cells(tmp_path, capfd, cell, message):
 
 def test_truncated_polygons(tmp_path):
     text = POLYGONS.format(cells="2 8\n3 0 1 2 3 1 3 2")
-    for length in range(30, len(text) - 2):
+    for length in range(30, len(text) - 2, 7):
         (tmp_path / "a.vtk").write_text(text[:length])
         with pytest.raises(FormatError):
             read_displacement(tmp_path / "a.vtk")
@@ -279,7 +281,7 @@ $EndNodes
 $Elements
 4
 1 2 2 0 1 1 2 3
-2 2   0 1 2 3 4
+2 2 2 0 1 2 3 4
 3 2 2 0 1 2 3 4
 4 2 2 0 1 1 3 4
 $EndElements
@@ -298,21 +300,113 @@ $NodeData
 4 0 0 1
 $EndNodeData
 """
+NODES_4 = """$Nodes
+1 4 1 4
+2 1 0 4
+1
+2
+3
+4
+0 0 0
+1 0 0
+1 1 0
+0 1 0
+$EndNodes
+$Elements
+1 1 1 1
+2 1 2 1
+1 1 2 3
+$EndElements
+"""
 
 
-def test_elements_of_gmsh_that_are_read_out_of_step(tmp_path):
-    """Without one of its numbers element 2 ends early: what follows reads as another element 4."""
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("2 2 2 0 1 2 3 4", "2 2   0 1 2 3 4", "does not have the nodes of its type"),
+        ("1 1 2 3", "1 1 2 0", "does not have the nodes of its type"),
+        ("3 1 1 0\n", "2.5 1 1 0\n", "different whole numbers"),
+        ("3 1 1 0\n", "2 1 1 0\n", "different whole numbers"),
+        ("3 0 0 1\n4", "4 0 0 1\n3", "in the order of \\$Nodes"),
+        ("4 0 0 1\n", "", "reshape"),
+        ("$EndNodeData", "$EndNodeData\n" + GMSH[GMSH.index("$NodeData") :], "have the same name"),
+    ],
+)
+@pytest.mark.parametrize("version", [2, 4])
+def test_what_meshio_would_misread_of_gmsh(tmp_path, old, new, message, version):
+    if version == 4 and "type" in message:
+        return
     path = tmp_path / "a.msh"
-    path.write_text(GMSH)
-    with pytest.raises(FormatError, match="has two elements 4"):
+    text, change = GMSH, (old, new)
+    if version == 4:
+        text = GMSH[: GMSH.index("$Nodes")].replace("2.2", "4.1") + NODES_4 + GMSH[GMSH.index("$NodeData") :]
+        change = tuple(re.sub(r"(\S+) 1 1 0\n", r"\1\n", each) for each in change)
+    path.write_text(text)
+    assert len(read_displacement(path).points) == 4
+    path.write_text(text.replace(*change, 1))
+    with pytest.raises(FormatError, match=message):
         read_displacement(path)
 
 
-@pytest.mark.parametrize("number", ["1e17", "2.5", "-1e300"])
-def test_node_numbers_of_gmsh_are_whole_and_no_larger_than_floats_tell_apart(tmp_path, number):
-    path = tmp_path / "a.msh"
-    path.write_text(GMSH.replace("3 1 1 0\n", f"{number} 1 1 0\n"))
-    with pytest.raises(FormatError, match="a whole number was expected"):
+def test_binary_data_of_gmsh_out_of_order(tmp_path):
+    mesh = meshio.Mesh(POINTS, [("triangle", [[0, 1, 2]])], {"displacement": POINTS})
+    for name in ("gmsh22", "gmsh"):
+        mesh.write(tmp_path / "a.msh", file_format=name)
+        assert len(read_displacement(tmp_path / "a.msh").points) == 4
+        data = (tmp_path / "a.msh").read_bytes()
+        head, mark, rest = data.rpartition(b"$NodeData")
+        swapped = rest.replace(struct.pack("i", 2), b"????").replace(struct.pack("i", 3), struct.pack("i", 2))
+        (tmp_path / "a.msh").write_bytes(head + mark + swapped.replace(b"????", struct.pack("i", 3)))
+        with pytest.raises(FormatError):
+            read_displacement(tmp_path / "a.msh")
+
+
+PLY = """ply
+format ascii 1.0
+element vertex 4
+property float x
+property float y
+property float z
+property float dx
+property float dy
+property float dz
+element face 2
+property list uchar int vertex_index
+end_header
+0 0 0 1 0 0
+1 0 0 1 0 0
+1 1 0 1 0 0
+0 1 0 1 0 2
+3 0 1 2
+4 0 1 2 3
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("3 0 1 2\n", "2 0 1 2\n"),
+        ("3 0 1 2\n", "3 0 1 9\n"),
+        ("3 0 1 2\n", "3 0 1 2.5\n"),
+        ("3 0 1 2\n", "3 0 1 2 3\n"),
+        ("4 0 1 2 3\n", ""),
+        ("0 1 0 1 0 2\n", "0 1 0 1 0 nan\n"),
+        ("0 1 0 1 0 2\n", "0 1 0 1 0\n"),
+        ("vertex 4", "vertex 3"),
+        ("vertex 4", "vertex 5"),
+        ("face 2", "face 1"),
+        ("property float y", "property float x"),
+        ("property list", "property uchar red\nproperty list"),
+        ("end_header", "end"),
+    ],
+)
+def test_what_the_header_of_ply_does_not_announce(tmp_path, old, new):
+    path = tmp_path / "a.ply"
+    path.write_text(PLY)
+    assert read_displacement(path).triangles.tolist() == [[0, 1, 2], [0, 1, 2], [0, 2, 3]]
+    assert PLY.count(old) >= 1
+    path.write_text(PLY.replace(old, new, 1))
+    with pytest.raises(FormatError):
         read_displacement(path)
 
 

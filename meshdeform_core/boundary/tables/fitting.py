@@ -91,14 +91,17 @@ def _misfit(grid: Grid, topology: Topology, quads: IntArray, data: SurfaceData, 
 def _require_wall(
     grid: Grid, topology: Topology, data: SurfaceData, found: tuple[Surface, ...], surfaces: tuple[Surface, ...]
 ) -> None:
-    """Refuse a table on a symmetry plane or the far field if it would lie on a wall in another frame."""
+    """Refuse a table on a symmetry plane, or on the far field if it would lie on a wall in another frame."""
     walls = [surface.quads for surface in surfaces if surface.role is Role.WALL]
     if not walls or any(surface.role in (Role.WALL, Role.UNKNOWN) for surface in found):
         return
     hint = other_frame(data.points, Nodes.of_quads(grid, topology, np.concatenate(walls)))
-    if hint:
+    if hint or all(surface.role is Role.SYMMETRY for surface in found):
         places = ", ".join(f"{surface.name!r} ({surface.role.value})" for surface in found)
-        raise MotionError(f"{data.label}: its points lie on {places}{hint}; expected a table of a wall")
+        raise MotionError(
+            f"{data.label}: its points lie on {places}{hint}; expected a table of a wall; "
+            f"a face that is meant to move is selected in a case file"
+        )
 
 
 def _under(data: SurfaceData, points: FloatArray, center: FloatArray, reach: FloatArray) -> BoolArray:

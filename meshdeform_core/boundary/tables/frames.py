@@ -1,9 +1,8 @@
-"""Tables in another length unit, order of columns or frame than the nodes that they should match."""
+"""Tables in another length unit, or with another origin, than the nodes that they should match."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import permutations, product
 
 import numpy as np
 import scipy
@@ -38,8 +37,7 @@ def far_points(points: FloatArray, nodes: Nodes) -> BoolArray:
 def other_frame(points: FloatArray, nodes: Nodes) -> str:
     """A hint on what would make table points match the nodes, with the share of points that would then lie on them.
 
-    Tried are length units, orders and signs of the columns, rotations by 90 degrees about an axis, and a shift. Of
-    those that fit, the one with the smallest distances is named; among equals the simplest, in that order.
+    Tried are length units and shifts. Of those that fit, the one with the smallest distances is named.
 
     Returns
     -------
@@ -84,10 +82,6 @@ def _candidates(
     """Changes with the likely reason, and the changed points."""
     for factor, unit in _UNITS:
         yield (f"multiplied by {factor:.6g}", f"different length units, {unit}"), points * factor
-    for order in permutations(range(3)):
-        for signs in sorted(product((1.0, -1.0), repeat=3), key=lambda s: (s.count(-1.0) == 2, s.count(-1.0), s)):
-            if order != (0, 1, 2) or min(signs) < 0:
-                yield _columns(order, signs), points[:, order] * signs
     for shift in _shifts(points, nodes, tree):
         yield (f"shifted by ({', '.join(f'{x:.6g}' for x in shift)})", "another origin"), points + shift
 
@@ -104,35 +98,6 @@ def _shifts(points: FloatArray, nodes: Nodes, tree: scipy.spatial.cKDTree) -> It
         shifts = shifts[distance <= ON_NODE * nodes.edge[nearest]]
     if len(probes) > 3 and len(shifts):
         yield shifts[int(np.argmin(np.linalg.norm(shifts, axis=1)))]
-
-
-def _columns(order: tuple[int, ...], signs: tuple[float, ...]) -> tuple[str, str]:
-    names = ["xyz"[axis] for axis in order]
-    moved = [axis for axis in range(3) if order[axis] != axis]
-    flipped = [axis for axis in range(3) if signs[axis] < 0]
-    if not moved and len(flipped) != 2:
-        return f"with the opposite sign of {_listed('xyz'[axis] for axis in flipped)}", "other directions of the axes"
-    if turned := _rotation(order, signs):
-        return turned, "other directions of the axes"
-    opposite = f" and the opposite sign of {_listed(names[axis] for axis in flipped)}" if flipped else ""
-    return f"with its coordinates in the order {' '.join(names)}{opposite}", "columns exchanged"
-
-
-def _rotation(order: tuple[int, ...], signs: tuple[float, ...]) -> str:
-    """A rotation about a coordinate axis in words; empty for other permutations and signs."""
-    matrix = np.zeros((3, 3))
-    matrix[range(3), order] = signs
-    axis = [n for n in range(3) if matrix[n, n] == 1.0]
-    if np.linalg.det(matrix) < 0 or len(axis) != 1:
-        return ""
-    b, c = (axis[0] + 1) % 3, (axis[0] + 2) % 3
-    angle = 180 if matrix[b, b] < 0 else int(90 * matrix[c, b])
-    return f"rotated by {angle} degrees about {'xyz'[axis[0]]}"
-
-
-def _listed(names: Iterator[str]) -> str:
-    *rest, last = names
-    return f"{', '.join(rest)} and {last}" if rest else last
 
 
 def _sizes(points: FloatArray, nodes: Nodes) -> str:

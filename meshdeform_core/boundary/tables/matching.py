@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from ...errors import CaseError
+from ...errors import CaseError, MotionError
 from ...grid import BoolArray, FloatArray, Grid, IntArray
 from ...grid.planes import plane_normal
 from ...grid.topology import Topology
@@ -18,6 +18,7 @@ from ...parallel import rows_at
 from ...wording import literal
 
 HOW = ("exact", "nearest", "interpolate")
+_LARGEST = 1e100
 AUTOMATIC = "automatic"
 """``nearest`` for a table of the grid's own nodes, else ``interpolate``; only for tables that select their nodes."""
 
@@ -39,6 +40,13 @@ class SurfaceData:
     triangles: IntArray
     label: str
     plane: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse numbers whose squares overflow."""
+        for what, values in (("coordinates", self.points), ("displacements", self.displacement)):
+            largest = float(np.abs(values).max(initial=0.0))
+            if largest > _LARGEST:
+                raise MotionError(f"{self.label} has {what} of {largest:.3g}; expected lengths below {_LARGEST:g}")
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,6 @@ from .matching import Matching, Nodes, SurfaceData, Transfer, spacings
 
 # Two displacements at one point are the same up to this fraction of the largest one.
 _ALIKE = 1e-6
-_LARGEST = 1e100
 _INTERPOLATE = ', match = "interpolate"'
 # Points of a table closer than the first fraction of its extent are treated as one point if the surface between them
 # would be stretched by more than the second factor.
@@ -33,8 +32,6 @@ def transfer(data: SurfaceData | Grid, matching: Matching, nodes: Nodes) -> Tran
     MotionError
         When no node matches, or when some do not and ``matching.partial`` is false.
     """
-    if not isinstance(data, Grid):
-        _require_plausible(data)
     if isinstance(data, Grid):
         result = _from_deformed_grid(data, matching, nodes)
     elif matching.how == "interpolate":
@@ -43,14 +40,6 @@ def transfer(data: SurfaceData | Grid, matching: Matching, nodes: Nodes) -> Tran
         result = _from_points(data, matching, nodes)
     _require_matches(result, matching, nodes, data)
     return dataclasses.replace(result, walls=matching.walls)
-
-
-def _require_plausible(data: SurfaceData) -> None:
-    """Refuse numbers whose squares overflow."""
-    for what, values in (("coordinates", data.points), ("displacements", data.displacement)):
-        largest = float(np.abs(values).max(initial=0.0))
-        if largest > _LARGEST:
-            raise MotionError(f"{data.label} has {what} of {largest:.3g}; expected lengths below {_LARGEST:g}")
 
 
 def _from_points(data: SurfaceData, matching: Matching, nodes: Nodes) -> Transfer:

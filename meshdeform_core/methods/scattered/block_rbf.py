@@ -14,7 +14,6 @@ from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_sums
 from ...parallel import Shared, alone, apart, current_ranks, for_chunks, for_items, rows_of
 from ..base import Account, Problem, Progress, Setting, of_stage
-from ..options import used
 from ..transfinite.skeleton import Skeleton, make_skeleton
 from .centres import Centres
 from .radial_system import RadialSystem
@@ -72,7 +71,7 @@ class PreparedBlockRBF:
         self._keep = 8 * sum(n * n for n in sizes) < problem.memory.size // 2
         self.account = Account()
         self.account.settings |= {
-            **used(options, "basis", "solver", "tolerance"),
+            **options.used("basis", "solver", "tolerance"),
             "largest_block_system": Setting(max(sizes, default=0), "face nodes that are on no slip plane"),
             "factorisations_kept": Setting(self._keep, "all block systems fit half the memory" if self._keep else ""),
         }

@@ -6,14 +6,11 @@ Separate from the system and the sums themselves, whose loops take a while to lo
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 import numpy as np
 
 from ...grid import FloatArray
 
-Solver = Literal["auto", "direct", "krylov"]
-SOLVERS: tuple[str, ...] = get_args(Solver)
 DIRECT_CENTRES = 4000
 """Largest number of centres that ``auto`` solves directly; beyond it, GMRES with its set-up is faster."""
 

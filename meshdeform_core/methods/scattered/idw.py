@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -16,36 +17,29 @@ from ...numerics.frame import AT_REST, Frame
 from ...numerics.rigid import NO_TRANSITION
 from ...numerics.tape import plain
 from ...parallel import of_all
-from ...wording import literal
 from ..base import Account, Problem, Progress, Setting
 from ..limits import LARGEST_ROTATION, PLAIN_ROTATION, warn_of_alpha, warn_of_rotation
-from ..options import choose, option, positive, used
+from ..options import MethodOptions, option
 from .idw_sums import Bound, ExactEvaluator, SourceValues
 from .mirror import mirror_images
 from .motion_values import motion_values
-from .summation import Summation, check_summation, fast_pays
+from .summation import Summation, fast_pays, summation_tolerance
 from .transition import MovingShare, bodies, with_motion
 from .tuned import ALPHA_CAP, FAR, FAR_IN_PLANES, FAR_OF_ONE_BODY, ROUNDS, STEEPER, WIDTH, WIDTH_IN_PLANES
 
 if TYPE_CHECKING:
     from .fast_idw_sums import FastEvaluator
 
-Rotation = Literal["none", "quaternion", "division", "blend", "lie"]
-Weights = Literal["luke", "shepard"]
-ROTATIONS: tuple[str, ...] = get_args(Rotation)
-WEIGHTS: tuple[str, ...] = get_args(Weights)
-
-
 # Fraction of the remaining memory for data kept between displacements.
 _KEPT = 2
-
-
-_LARGEST_ALPHA, _LARGEST_POWER = 1e4, 20.0
-"""Largest exponent accepted, so that powers of distances relative to the grid remain finite."""
+# Powers of distances relative to the grid remain finite up to these exponents.
+_FACTOR, _EXPONENT = "(0, 1e4]", "(0, 20]"
+_LUKE: Mapping[str, tuple[str, ...]] = {"weights": ("luke",)}
+_SHEPARD: Mapping[str, tuple[str, ...]] = {"weights": ("shepard",)}
 
 
 @dataclass(frozen=True)
-class IDW:
+class IDW(MethodOptions):
     """Weighted mean of the boundary's rigid motions; cost N_v x N_s, no system to solve.
 
     Moves the near-wall grid rigidly with the wall and pushes the deformation outwards. Fails where a moving wall meets
@@ -76,57 +70,39 @@ class IDW:
     summation_tolerance : of fast sums: error of a node's displacement relative to its shortest cell edge, 1e-8 to 0.1
     """
 
-    rotation: Rotation = option("lie", "independent of the frame, keeps walls best, costs one step")
-    weights: Weights = option("luke", "near and far field in one formula, nodal areas included")
-    alpha: float | Literal["auto"] = option(
-        0.1, "0.3 keeps walls better at large rotations, but skews the cells farther away more"
+    rotation: Literal["none", "quaternion", "division", "blend", "lie"] = option(
+        "lie", "independent of the frame, keeps walls best, costs one step"
     )
-    eta: float = option(5.0, "Luke et al.")
-    a: float | str = option("auto", "Luke et al.: 3; for lie by the kind of grid and motion")
-    b: float = option(5.0, "Luke et al.: the near field")
-    transition: float | str = option("auto", "shears the cells between boundaries evenly; walls move rigidly")
-    smoothing: int | str = option("auto", "only for lie, not for the paper's kinds; smooth walls are unaffected")
+    weights: Literal["luke", "shepard"] = option("luke", "near and far field in one formula, nodal areas included")
+    alpha: float | Literal["auto"] = option(
+        0.1,
+        "0.3 keeps walls better at large rotations, but skews the cells farther away more",
+        range=_FACTOR,
+        only_if=_LUKE,
+    )
+    eta: float = option(5.0, "Luke et al.", range=_FACTOR, only_if={**_LUKE, "alpha": ("auto",)})
+    a: float | Literal["auto"] = option(
+        "auto", "Luke et al.: 3; for lie by the kind of grid and motion", range=_EXPONENT, only_if=_LUKE
+    )
+    b: float = option(5.0, "Luke et al.: the near field", range=_EXPONENT, only_if=_LUKE)
+    transition: float | Literal["auto"] = option(
+        "auto",
+        "shears the cells between boundaries evenly; walls move rigidly",
+        range="[0, 0.5]",
+        only_if={**_LUKE, "rotation": ("lie",)},
+    )
+    smoothing: int | Literal["auto"] = option(
+        "auto", "only for lie, not for the paper's kinds; smooth walls are unaffected", range="[0, inf)"
+    )
     length: float | Literal["auto"] = option("auto", "eq. 17: farthest source from the centroid of all nodes")
-    p_moving: float = option(3.0, "as for fixed nodes; a larger value reduces the reach of the moving wall")
-    p_fixed: float = option(3.0, "as for moving nodes")
-    divisions: int = option(25, "the paper's; the distance from lie falls as 1/m")
+    p_moving: float = option(
+        3.0, "as for fixed nodes; larger values reduce the reach of the moving wall", range=_EXPONENT, only_if=_SHEPARD
+    )
+    p_fixed: float = option(3.0, "as for moving nodes", range=_EXPONENT, only_if=_SHEPARD)
+    divisions: int = option(25, "the paper's; the distance from lie falls as 1/m", only_if={"rotation": ("division",)})
     remove_mean: bool | Literal["auto"] = option("auto", "only for lie, not for the paper's kinds")
     summation: Summation = option("auto", "fast where it pays")
-    summation_tolerance: float = option(1e-2, "of the local cell: too small to affect any quality measure")
-
-    def __post_init__(self) -> None:
-        choose("idw.rotation", self.rotation, ROTATIONS)
-        choose("idw.weights", self.weights, WEIGHTS)
-        positive("idw.length", self.length, auto=True)
-        positive("idw.alpha", self.alpha, auto=True, most=_LARGEST_ALPHA)
-        positive("idw.a", self.a, auto=True, most=_LARGEST_POWER)
-        positive("idw.transition", self.transition, auto=True, zero=True)
-        if self.transition != "auto" and float(self.transition) > 0.5:
-            raise MethodError(f'method.idw.transition = {literal(self.transition)}; expected 0 to 0.5, or "auto"')
-        positive("idw.smoothing", self.smoothing, auto=True, whole=True, zero=True)
-        positive("idw.eta", self.eta, most=_LARGEST_ALPHA)
-        for name in ("b", "p_moving", "p_fixed"):
-            positive(f"idw.{name}", getattr(self, name), most=_LARGEST_POWER)
-        positive("idw.divisions", self.divisions, whole=True)
-        choose("idw.remove_mean", self.remove_mean, (True, False, "auto"))
-        check_summation("idw", self.summation, self.summation_tolerance)
-
-    @property
-    def idle(self) -> dict[str, str]:
-        """Options that have no effect in combination with the others, and why."""
-        shepard, luke = ("p_moving", "p_fixed"), ("alpha", "eta", "a", "b")
-        idle = dict.fromkeys(
-            shepard if self.weights == "luke" else luke, f'it is not used with method.idw.weights = "{self.weights}"'
-        )
-        if self.weights == "luke" and self.alpha != "auto":
-            idle["eta"] = 'it is only used with method.idw.alpha = "auto"'
-        if self.rotation != "division":
-            idle["divisions"] = 'it is only used with method.idw.rotation = "division"'
-        if self.rotation != "lie" or self.weights != "luke":
-            idle["transition"] = 'it is only used with method.idw.rotation = "lie" and weights = "luke"'
-        if self.summation == "exact":
-            idle["summation_tolerance"] = 'it is not used with method.idw.summation = "exact"'
-        return idle
+    summation_tolerance: float = summation_tolerance()
 
     def bind(self, problem: Problem) -> PreparedIDW:
         """Bind to the sources: their images at symmetry planes, nodal areas, L_def."""
@@ -215,26 +191,26 @@ class PreparedIDW:
 
     def _record(self, mean_is_auto: bool) -> None:
         o, settings = self.options, self.account.settings
-        settings |= used(o, "rotation", "weights")
+        settings |= o.used("rotation", "weights")
         if o.weights == "luke":
             of = {FAR_OF_ONE_BODY: "one moving body", FAR_IN_PLANES: "lie in a plane grid"}
             a = Setting(self.far, of.get(self.far, "Luke et al.: the far field") if o.a == "auto" else "given")
-            settings |= used(o, "alpha") | {"a": a} | used(o, "b")
+            settings |= o.used("alpha") | {"a": a} | o.used("b")
             width = self._share.width if self._share else 0.0
             why_width = "lie" if width else "only for lie between moving and fixed boundaries"
             settings["transition"] = Setting(width, why_width if o.transition == "auto" else "given")
         else:
-            settings |= used(o, "p_moving", "p_fixed")
+            settings |= o.used("p_moving", "p_fixed")
         if o.alpha == "auto":
             settings["alpha"] = Setting("auto", "eq. 18 at each displacement")
-            settings |= used(o, "eta")
+            settings |= o.used("eta")
         if o.rotation != "none":
             nodes = len(np.unique(self._blunt[:, 0]))
             why = "given" if o.smoothing != "auto" else "lie" if self._rounds else 'auto: only for rotation = "lie"'
             settings["smoothing"] = Setting(self._rounds, f"{why}; {nodes} nodes are close to sharp edges")
-        settings["length"] = dataclasses.replace(used(o, "length")["length"], value=self.length)
+        settings["length"] = dataclasses.replace(o.used("length")["length"], value=self.length)
         if o.rotation == "division":
-            settings |= used(o, "divisions")
+            settings |= o.used("divisions")
         exact = "a translation of the whole boundary is then reproduced exactly"
         reason = exact if self.remove_mean else 'auto: only rotation = "lie" does'
         settings["remove_mean"] = Setting(self.remove_mean, reason if mean_is_auto else "given")
@@ -326,7 +302,7 @@ class PreparedIDW:
         fast, self.account.settings["summation"] = fast_pays(o.summation, n_targets, len(self.points))
         if not fast:
             return ExactEvaluator(bound)
-        self.account.settings |= used(o, "summation_tolerance")
+        self.account.settings |= o.used("summation_tolerance")
         # Imported here, as its loops take a while to load and exact sums need none of them.
         from .fast_idw_sums import FastEvaluator
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Literal, get_args
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -14,20 +15,19 @@ from ...numerics.exact.basis import BASES
 from ...parallel import rows_at
 from ..base import Account, Problem, Progress, Setting, of_stage
 from ..limits import warn_of_coarse_tolerance, warn_of_radius
-from ..options import choose, option, positive, used
-from .centres import DIRECT_CENTRES, SOLVERS, Centres, Coefficients, Solver, SumOptions, SystemOptions
+from ..options import MethodOptions, option
+from .centres import DIRECT_CENTRES, Centres, Coefficients, SumOptions, SystemOptions
 from .mirror import mirror_images
-from .summation import Summation, check_summation
+from .summation import Summation, summation_tolerance
 
 if TYPE_CHECKING:
     from ...numerics.systems.greedy import Selection
     from .rbf_sums import RadialSums
 
 Basis = Literal["tps", "wendland-c0", "wendland-c2", "ctps-c1", "ctps-c2a", "ctps-c2b"]
-Greedy = Literal["none", "hybrid"]
-GreedyError = Literal["first-cell", "absolute"]
-GREEDY: tuple[str, ...] = get_args(Greedy)
-ERRORS: tuple[str, ...] = get_args(GreedyError)
+_GREEDY: Mapping[str, tuple[str, ...]] = {"greedy": ("hybrid",)}
+_COMPACT: Mapping[str, tuple[str, ...]] = {"basis": tuple(name for name in BASES if name != "tps")}
+_ITERATIVE: Mapping[str, tuple[str, ...]] = {"solver": ("auto", "krylov")}
 
 REACH = 20.0
 """Distance from a wall over which nodes are corrected by the residual of a greedy reduction there, as a multiple of the
@@ -35,7 +35,7 @@ residual; large enough that the correction cannot fold cells."""
 
 
 @dataclass(frozen=True)
-class RBF:
+class RBF(MethodOptions):
     """Interpolation by radial basis functions: one linear system in N_s, then a sum of cost N_v x N_s.
 
     Smooth over the whole domain and valid at larger rotations than the other methods, but does not move the near-wall
@@ -64,54 +64,31 @@ class RBF:
     """
 
     basis: Basis = option("tps", "no radius to choose; no other basis has a better worst cell on the splitter plate")
-    radius: float | Literal["auto"] = option("auto", "every node sees the whole moving body")
-    solver: Solver = option("auto", f"direct up to {DIRECT_CENTRES:,} centres, then krylov")
-    tolerance: float | Literal["auto"] = option("auto", "krylov 1e-6")
-    max_iterations: int = option(10000, "well above what a well-posed system needs")
-    greedy: Greedy = option("none", "all centres are kept: exact at every boundary node")
-    greedy_error: GreedyError = option("first-cell", "errors matter most where cells are thin")
-    greedy_tolerance: float = option(0.1, "of the first-cell height: wall cells keep their shape")
-    greedy_start: int = option(0, "changes the number of points by only about 10 %")
-    greedy_updates: int = option(0, "the number of sources, as in the paper")
-    greedy_max_points: int = option(0, "no limit: the tolerance decides")
-    greedy_correct: bool = option(True, "walls are matched exactly")
+    radius: float | Literal["auto"] = option("auto", "every node sees the whole moving body", only_if=_COMPACT)
+    solver: Literal["auto", "direct", "krylov"] = option(
+        "auto", f"direct up to {DIRECT_CENTRES:,} centres, then krylov"
+    )
+    tolerance: float | Literal["auto"] = option("auto", "krylov 1e-6", only_if=_ITERATIVE)
+    max_iterations: int = option(10000, "well above what a well-posed system needs", only_if=_ITERATIVE)
+    greedy: Literal["none", "hybrid"] = option("none", "all centres are kept: exact at every boundary node")
+    greedy_error: Literal["first-cell", "absolute"] = option(
+        "first-cell", "errors matter most where cells are thin", only_if=_GREEDY
+    )
+    greedy_tolerance: float = option(0.1, "of the first-cell height: wall cells keep their shape", only_if=_GREEDY)
+    greedy_start: int = option(0, "changes the number of points by only about 10 %", range="[0, inf)", only_if=_GREEDY)
+    greedy_updates: int = option(0, "the number of sources, as in the paper", range="[0, inf)", only_if=_GREEDY)
+    greedy_max_points: int = option(0, "no limit: the tolerance decides", range="[0, inf)", only_if=_GREEDY)
+    greedy_correct: bool = option(True, "walls are matched exactly", only_if=_GREEDY)
     summation: Summation = option("auto", "fast where it pays")
-    summation_tolerance: float = option(1e-2, "of the local cell: too small to affect any quality measure")
+    summation_tolerance: float = summation_tolerance()
 
     def __post_init__(self) -> None:
-        choose("rbf.basis", self.basis, tuple(BASES))
-        choose("rbf.solver", self.solver, SOLVERS)
-        choose("rbf.greedy", self.greedy, GREEDY)
-        choose("rbf.greedy_error", self.greedy_error, ERRORS)
-        positive("rbf.radius", self.radius, auto=True)
-        positive("rbf.tolerance", self.tolerance, auto=True)
-        positive("rbf.greedy_tolerance", self.greedy_tolerance)
-        positive("rbf.max_iterations", self.max_iterations, whole=True)
-        for name in ("greedy_start", "greedy_updates", "greedy_max_points"):
-            positive(f"rbf.{name}", getattr(self, name), whole=True, zero=True)
-        check_summation("rbf", self.summation, self.summation_tolerance)
-        choose("rbf.greedy_correct", self.greedy_correct, (True, False))
+        super().__post_init__()
         if self.basis == "tps" and self.greedy != "none":
             raise MethodError(
                 "method.rbf.greedy does not work with the thin plate spline: its value at distance 0 is 0, so no "
                 'centre can correct its own error; choose a compact basis, like wendland-c2, or greedy = "none"'
             )
-
-    @property
-    def idle(self) -> dict[str, str]:
-        """Options that have no effect in combination with the others, and why."""
-        idle = {}
-        if self.basis == "tps":
-            idle["radius"] = 'method.rbf.basis = "tps" has no radius'
-        if self.solver == "direct":
-            iterative = 'it is not used with method.rbf.solver = "direct"'
-            idle |= {"tolerance": iterative, "max_iterations": iterative}
-        if self.greedy == "none":
-            greedy = [f.name for f in fields(self) if f.name.startswith("greedy_")]
-            idle |= dict.fromkeys(greedy, 'it is not used with method.rbf.greedy = "none"')
-        if self.summation == "exact":
-            idle["summation_tolerance"] = 'it is not used with method.rbf.summation = "exact"'
-        return idle
 
     @property
     def system(self) -> SystemOptions:
@@ -153,7 +130,7 @@ class PreparedRBF:
         self.centres = Centres.of(self.images.points, self._radius())
         # Without greedy reduction the size of the system is known: refuse it now if it is too large.
         self.system = None if options.greedy != "none" else RadialSystem(options.system, self.centres, problem.memory)
-        self.account.settings |= used(options, "basis", "solver", "tolerance", "max_iterations", "greedy") | {
+        self.account.settings |= options.used("basis", "solver", "tolerance", "max_iterations", "greedy") | {
             "centres": Setting(len(self.images.points)),
             "polynomial": Setting(
                 f"linear in {len(self.centres.axes)} directions",
@@ -166,7 +143,7 @@ class PreparedRBF:
     def _announce_greedy(self) -> None:
         o, problem = self.options, self.problem
         names = ("error", "tolerance", "start", "updates", "max_points", "correct")
-        self.account.settings |= used(o, *(f"greedy_{name}" for name in names))
+        self.account.settings |= o.used(*(f"greedy_{name}" for name in names))
         moving = problem.boundary.kind[problem.source_numbers] == Kind.MOVING
         height = problem.first_cell_height[moving]
         tolerance = o.greedy_tolerance * (height if o.greedy_error == "first-cell" else np.ones(len(height)))
@@ -177,7 +154,7 @@ class PreparedRBF:
         if o.basis == "tps":
             return None
         if o.radius != "auto":
-            self.account.settings |= used(o, "radius")
+            self.account.settings |= o.used("radius")
             return float(o.radius)
         problem = self.problem
         moving = problem.source_points[problem.boundary.kind[problem.source_numbers] == Kind.MOVING]

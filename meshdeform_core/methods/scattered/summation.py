@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal, Protocol, get_args
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from ...errors import MethodError
 from ...grid import FloatArray, Grid, IntArray
 from ...parallel import agreed, apart, of_all, ranks_of, rows_at, rows_of
 from ..base import Account, Setting
-from ..options import choose, positive
+from ..options import option
 
 _FAST_PAIRS, _FAST_SOURCES = 2e8, 2000
 """Pairs of nodes and sources, and sources, from which fast sums are faster than exact ones (``benchmarks/idw.py``)."""
@@ -21,15 +20,16 @@ MAX_RETRIES = 3
 """Largest number of times that fast sums are repeated with higher accuracy."""
 
 Summation = Literal["auto", "exact", "fast"]
-SUMMATIONS: tuple[str, ...] = get_args(Summation)
 
 
-def check_summation(method: str, summation: str, tolerance: float) -> None:
-    """Refuse an invalid ``summation`` or ``summation_tolerance`` of a method."""
-    choose(f"{method}.summation", summation, SUMMATIONS)
-    positive(f"{method}.summation_tolerance", tolerance)
-    if not 1e-8 <= tolerance <= 0.1:
-        raise MethodError(f"method.{method}.summation_tolerance = {tolerance:g}; expected 1e-8 to 0.1 of a cell")
+def summation_tolerance() -> Any:
+    """The field ``summation_tolerance`` of a method's options."""
+    return option(
+        1e-2,
+        "of the local cell: too small to affect any quality measure",
+        range="[1e-8, 0.1]",
+        only_if={"summation": ("auto", "fast")},
+    )
 
 
 def fast_pays(summation: str, n_targets: int, n_sources: int) -> tuple[bool, Setting]:

@@ -14,7 +14,7 @@ from ...numerics.arrays import batches
 from ...numerics.transfinite.boxes import box_nodes, box_numbers
 from ...parallel import Part, Shared, alone, apart, for_items, own_rows, rows_of
 from ..base import Account, Problem, Progress, Setting, of_stage
-from ..options import option, positive, used
+from ..options import MethodOptions, option
 from .curved import Bent, CurvedLines
 from .groups import Group
 from .skeleton import Skeleton, make_skeleton
@@ -30,7 +30,7 @@ _TOGETHER = 1 << 17
 
 
 @dataclass(frozen=True)
-class TFI:
+class TFI(MethodOptions):
     """Linear blending of face displacements by arc length; cost N_v, a few operations per node.
 
     Keeps the clustering of the grid. Loses wall orthogonality, crosses cells when a body rotates by more than about 40
@@ -43,11 +43,8 @@ class TFI:
     """
 
     max_cells: int | Literal["auto"] = option(
-        "auto", "keeps wall angles close to pure IDW (2.6 degrees deviation; 10.3 without sub-blocks)"
+        "auto", "keeps wall angles close to pure IDW (2.6 degrees deviation; 10.3 without sub-blocks)", range="[0, inf)"
     )
-
-    def __post_init__(self) -> None:
-        positive("tfi.max_cells", self.max_cells, whole=True, zero=True, auto=True)
 
     def cells(self, problem: Problem) -> int:
         """Cells per direction of a sub-block."""
@@ -92,7 +89,7 @@ class PreparedTFI:
         self._points, self._subs = rows_of(problem.grid.points), skeleton.sub_blocks()
         self.account = Account()
         cells = options.cells(problem)
-        setting = dataclasses.replace(used(options, "max_cells")["max_cells"], value=cells)
+        setting = dataclasses.replace(options.used("max_cells")["max_cells"], value=cells)
         if options.max_cells == "auto":
             setting = dataclasses.replace(setting, reason=_reason(problem, setting.reason.removeprefix("default: ")))
         self.account.settings["max_cells"] = setting

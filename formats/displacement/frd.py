@@ -1,0 +1,254 @@
+"""Results of CalculiX as text (``.frd``): displacements, such as mode shapes, at the nodes of a model's surface.
+
+Lines have fields of fixed width that may touch. Format: G. Dhondt, K. Wittig, "CalculiX CrunchiX/GraphiX user's
+manual", section "Result Format".
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshdeform_core.boundary.tables.matching import SurfaceData
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import FloatArray, IntArray
+from meshdeform_core.wording import listed
+
+from .cells import split_cells
+from .table import NO_TRIANGLES, DisplacementTable, checked_surface, row_place
+
+_NUMBER = re.compile(r"[-+]?\d\.\d+E[-+]\d{2,3}")
+# Width of node numbers by the last word of a block's first line; binary blocks have 2 and 3.
+_WIDTHS = {"0": 5, "1": 10}
+# Type of element: nodes, corners, and whether it is a solid.
+_ELEMENTS = {1: (8, 8, True), 2: (6, 6, True), 3: (4, 4, True), 4: (20, 8, True), 5: (15, 6, True), 6: (10, 4, True),
+             7: (3, 3, False), 8: (6, 3, False), 9: (4, 4, False), 10: (8, 4, False), 11: (2, 2, False),
+             12: (3, 2, False)}  # fmt: skip
+_COMPLEX = ("DISPI", "PDISP")
+# Kind of analysis in which the value of a step is a frequency; else it is a time or a number.
+_FREQUENCY = "2"
+SOLIDS: Mapping[int, tuple[tuple[int, ...], ...]] = {
+    4: ((0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3)),
+    6: ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
+    8: ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
+}
+"""Corners of the faces of solids, by the number of corners of the solid."""
+
+
+def read_shapes(path: Path) -> tuple[SurfaceData, ...]:
+    """All displacements of a result file, in its order.
+
+    Points and triangles are those of the outer surface of the model; of beams, all points.
+
+    Raises
+    ------
+    FormatError
+        When the file is damaged, binary, or has no displacement.
+    """
+    if path.suffix.lower() != ".frd":
+        raise FormatError(f"{path} is not a result file of a structural solver; expected CalculiX's .frd")
+    return tuple(checked_surface(table, path) for table in _read(path).values())
+
+
+def read(path: Path) -> DisplacementTable:
+    """The displacement of a result file that has only one.
+
+    Raises
+    ------
+    FormatError
+        When it has several; the message lists them.
+    """
+    tables = _read(path)
+    if len(tables) > 1:
+        labels = listed((f"{number}: {label}" for number, label in enumerate(tables, start=1)), "; ")
+        raise FormatError(
+            f"{path} has {len(tables)} displacements ({labels}), but a table has one. Use them in a case as "
+            f"modes = {{ file = ..., shapes = [...], amplitudes = [...] }}"
+        )
+    return next(iter(tables.values()))
+
+
+@dataclass(frozen=True)
+class _Displacements:
+    """Displacements (n, 3) of the nodes ``numbers`` (n,)."""
+
+    label: str
+    numbers: IntArray
+    values: FloatArray
+
+
+class _Lines:
+    """The lines of a file, with the number of the current one."""
+
+    def __init__(self, text: str):
+        self._lines, self.number = text.splitlines(), 0
+
+    def __iter__(self) -> Iterator[str]:
+        while self.number < len(self._lines):
+            self.number += 1
+            yield self._lines[self.number - 1]
+
+    def block(self) -> list[str]:
+        """The lines up to the end of a block."""
+        found: list[str] = []
+        for line in self:
+            if line.startswith(" -3"):
+                return found
+            found.append(line)
+        raise ValueError("a block has no end")
+
+
+def _read(path: Path) -> dict[str, DisplacementTable]:
+    """Displacements at the surface by their labels, like ``shape 1 (12.5 Hz)``."""
+    try:
+        lines = _Lines(path.read_text(encoding="ascii"))
+    except UnicodeDecodeError:
+        raise FormatError(f"{path} is binary; write it as text (in CalculiX the default)") from None
+    try:
+        return _read_blocks(path, lines)
+    except (ValueError, IndexError) as error:
+        raise FormatError(f"cannot read {path} as .frd: {error}, line {lines.number}; the file is damaged") from error
+
+
+def _read_blocks(path: Path, lines: _Lines) -> dict[str, DisplacementTable]:
+    numbers, points = np.empty(0, dtype=np.int64), np.empty((0, 3))
+    faces: list[IntArray] = []
+    found: list[_Displacements] = []
+    ended = False
+    for line in lines:
+        key, values = line[:6].strip(), line.split()
+        if key == "2C":
+            numbers, points = _rows(lines.block(), _width(values), int(values[1]))
+        elif key == "3C":
+            faces = _faces(lines.block(), _width(values), int(values[1]))
+        elif line[2:7] == "100CL":
+            step = _step(path, lines, line, len(found) + 1)
+            found += [step] if step else []
+        elif key == "9999":
+            ended = True
+    if not ended:
+        raise ValueError("it does not end with 9999")
+    if not len(numbers):
+        raise FormatError(f"{path} has no nodes")
+    return _at_surface(path, numbers, points, faces, found)
+
+
+def _width(words: list[str]) -> int:
+    if words[-1] not in _WIDTHS:
+        raise ValueError(f"a block has the form {words[-1]}; expected text, 0 or 1")
+    return _WIDTHS[words[-1]]
+
+
+def _rows(block: list[str], width: int, expected: int) -> tuple[IntArray, FloatArray]:
+    """Number and three values of each line."""
+    if len(block) != expected:
+        raise ValueError(f"a block has {len(block)} lines, {expected} are announced")
+    if any(line[:3] != " -1" for line in block):
+        raise ValueError("a line of values does not begin with -1")
+    words = [_NUMBER.findall(line[3 + width :]) for line in block]
+    for line, found in zip(block, words, strict=True):
+        if len(found) < 3 or "".join(found) != line[3 + width :].replace(" ", ""):
+            raise ValueError(f"{line!r} does not hold a number and 3 values")
+    numbers = np.array([int(line[3 : 3 + width]) for line in block], dtype=np.int64)
+    return numbers, np.array([found[:3] for found in words], dtype=np.float64).reshape(len(block), 3)
+
+
+def _faces(block: list[str], width: int, expected: int) -> list[IntArray]:
+    """Faces of shells, and of the outside of solids."""
+    cells: dict[int, list[list[int]]] = {}
+    kind, nodes = 0, []  # type: int, list[int]
+    count = 0
+    for line in [*block, " -1"]:
+        if line.startswith(" -1"):
+            if kind:
+                cells.setdefault(kind, []).append(_whole(kind, nodes))
+            if line != " -1":
+                kind, nodes, count = int(line[3 + width : 8 + width]), [], count + 1
+        else:
+            nodes += [int(line[at : at + width]) for at in range(3, len(line.rstrip()), width)]
+    if count != expected:
+        raise ValueError(f"a block has {count} elements, {expected} are announced")
+    corners = {kind: np.array(rows, dtype=np.int64)[:, : _ELEMENTS[kind][1]] for kind, rows in cells.items()}
+    shells = [own for kind, own in corners.items() if not _ELEMENTS[kind][2] and own.shape[1] > 2]
+    return [*shells, *outer_faces([own for kind, own in corners.items() if _ELEMENTS[kind][2]])]
+
+
+def _whole(kind: int, nodes: list[int]) -> list[int]:
+    if kind not in _ELEMENTS:
+        raise ValueError(f"an element has the unknown type {kind}")
+    if len(nodes) != _ELEMENTS[kind][0]:
+        raise ValueError(f"an element of type {kind} has {len(nodes)} nodes, not {_ELEMENTS[kind][0]}")
+    return nodes
+
+
+def outer_faces(solids: Sequence[NDArray[Any]]) -> list[IntArray]:
+    """Faces (m, 3) and (m, 4) that belong to one solid only; ``solids`` (k, corners) for each kind of element."""
+    faces: dict[int, list[IntArray]] = {3: [], 4: []}
+    for cells in solids:
+        for face in SOLIDS[cells.shape[1]]:
+            faces[len(face)].append(cells[:, face].astype(np.int64))
+    found = []
+    for every in (np.concatenate(parts) for parts in faces.values() if parts):
+        _, where, count = np.unique(np.sort(every, axis=1), axis=0, return_inverse=True, return_counts=True)
+        found.append(every[count[where.ravel()] == 1])
+    return found
+
+
+def _step(path: Path, lines: _Lines, head: str, number: int) -> _Displacements | None:
+    """The displacements of a block of results, ``None`` if it holds other values."""
+    title = next(iter(lines))
+    if not title.startswith(" -4"):
+        raise ValueError("a block of results has no name")
+    block = lines.block()
+    name = title.split()[1]
+    if name in _COMPLEX:
+        raise FormatError(f"{path} has complex displacements ({name}), line {lines.number}; expected real ones")
+    if name != "DISP":
+        return None
+    value, frequency = float(head[12:24]), head[56:58].strip() == _FREQUENCY
+    width = _width([head[73:75].strip()]) if head[73:75].strip() else 10
+    numbers, values = _rows([line for line in block if not line.startswith(" -5")], width, int(head[24:36]))
+    return _Displacements(f"shape {number} ({value:g}{' Hz' if frequency else ''})", numbers, values)
+
+
+def _at_surface(
+    path: Path, numbers: IntArray, points: FloatArray, faces: Sequence[IntArray], found: Sequence[_Displacements]
+) -> dict[str, DisplacementTable]:
+    """Displacements at the nodes of the ``faces`` (m, 3) or (m, 4), node numbers of their corners."""
+    if not found:
+        raise FormatError(f"{path} has no displacements of nodes")
+    corners = np.concatenate([NO_TRIANGLES, *(split_cells(face, face.shape[1]) for face in faces)])
+    used = np.unique(corners) if len(corners) else np.unique(numbers)
+    # This also covers nodes without coordinates, or with two of them.
+    _rows_of(path, numbers, used)
+    for each in found:
+        missing = used[~np.isin(used, each.numbers)]
+        if missing.size and len(corners):
+            raise FormatError(
+                f"{path}: {each.label} has no displacement at {missing.size} nodes of the surface, first {missing[0]}"
+            )
+        used = used[np.isin(used, each.numbers)]
+    place, triangles = points[_rows_of(path, numbers, used)], np.searchsorted(used, corners)
+    return {
+        each.label: DisplacementTable(place, each.values[_rows_of(path, each.numbers, used)], triangles, row_place)
+        for each in found
+    }
+
+
+def _rows_of(path: Path, numbers: IntArray, wanted: IntArray) -> IntArray:
+    """Rows of the nodes with the ``wanted`` numbers (n,)."""
+    order = np.argsort(numbers, kind="stable")
+    ascending = numbers[order]
+    twice = np.flatnonzero(ascending[1:] == ascending[:-1])
+    if twice.size:
+        raise FormatError(f"{path}: two nodes have the number {ascending[twice[0]]}; the file is damaged")
+    unknown = wanted[~np.isin(wanted, numbers)]
+    if unknown.size:
+        raise FormatError(f"{path} refers to the node {unknown[0]}, which it does not have")
+    return np.asarray(order[np.searchsorted(ascending, wanted)])
