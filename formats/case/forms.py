@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -94,9 +93,6 @@ def schema_of(form: type[Form]) -> Table:
     return msgspec.json.schema(form)
 
 
-_schema = cache(schema_of)
-
-
 def _not_finite(value: Any) -> list[str | int] | None:
     """Where a number that is not finite is."""
     if isinstance(value, dict | list):
@@ -117,9 +113,9 @@ class _Place:
     """A place in the content of a form, in words: ``boundary 'body', motion step 1, rotate``, and a key there."""
 
     def __init__(self, form: type[Form], value: Any, where: str, path: list[str | int]):
-        self._definitions = _schema(form)["$defs"]
+        self._definitions = schema_of(form)["$defs"]
         self.tables, self.key, self.found = ([where] if where else []), "", value
-        self.node, self._dotted = self._resolved(_schema(form)), True
+        self.node, self._dotted = self._resolved(schema_of(form)), True
         for step in path:
             if isinstance(step, str):
                 self._enter()

@@ -257,8 +257,8 @@ def _constants(table: Table) -> dict[str, float]:
 
 def _components(value: Any, folder: Path) -> tuple[Components, dict[str, ComponentFile]]:
     """Block patterns of the components, and the separate files of some of them."""
-    if value is None or value == BY_PREFIX:
-        return "" if value is None else BY_PREFIX, {}
+    if value in (None, "", BY_PREFIX):
+        return value or "", {}
     if not isinstance(value, dict) or not value:
         raise fail("grid.components", f"found {literal(value)}; {_COMPONENTS}")
     files, own = {}, {}

@@ -246,4 +246,5 @@ def _connection(
         along = int(np.flatnonzero(step)[0])
         transform[int(np.flatnonzero(here[corner] - here[0])[0])] = (along + 1) * int(np.sign(step[along]))
     begin, end, first, last = (tuple(index.tolist()) for index in (here[0], here[2], there[0], there[2]))
-    return Connection(name, own[0], begin, end, donor[0], first, last, tuple(transform), motion)
+    i, j, k = transform
+    return Connection(name, own[0], begin, end, donor[0], first, last, (i, j, k), motion)

@@ -76,17 +76,14 @@ def with_points_of(grid: Grid, mesh: Path) -> tuple[Grid, IntArray]:
         note = f"{path} has {digits} digits only: the undeformed coordinates are those of the blockMeshDict"
         return dataclasses.replace(grid, notes=(*grid.notes, note)), numbering
     placed = dataclasses.replace(grid, points=empty(grid.points.shape))
-
-    def put(block: int) -> None:
-        placed.block(block)[...] = points[grid.block(block, numbering)]
-
-    placed.fill(put)
+    np.take(points, numbering, axis=0, out=placed.points, mode="clip")
     return placed, numbering
 
 
 def _numbers_of_block_mesh(grid: Grid, number: IntArray) -> IntArray:
     """blockMesh's number of each point: in the order of the blocks, i running fastest, each where it comes first."""
-    order = np.concatenate([grid.block(b, number).ravel(order="F") for b in range(grid.n_blocks)])
+    ranges = zip(grid.offsets, grid.offsets[1:], grid.shapes, strict=False)
+    order = np.concatenate([number[low:high].reshape(shape).ravel(order="F") for low, high, shape in ranges])
     first = np.unique(order, return_index=True)[1]
     found = np.empty(len(first), dtype=np.int64)
     found[np.argsort(first)] = np.arange(len(first))

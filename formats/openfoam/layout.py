@@ -108,7 +108,8 @@ class _Vertices:
     """Points (n, 3) before scaling, and the numbers of those that have names; projected vertices are refused."""
 
     def __init__(self, top: Dictionary):
-        items, points = top.list("vertices"), []
+        items = top.list("vertices")
+        points: list[tuple[float, float, float]] = []
         self.names: dict[str, int] = {}
         while items.more:
             word = items.next_word()

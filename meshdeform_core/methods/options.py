@@ -11,7 +11,6 @@ import inspect
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from functools import cache
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from ..errors import MethodError, suggestion
@@ -78,7 +77,6 @@ class Option:
         return f"{text} or {choices}" if choices else text
 
 
-@cache
 def declared(kind: type) -> Mapping[str, Option]:
     """The options of a class by name."""
     hints, meanings = get_type_hints(kind), _meanings(inspect.cleandoc(kind.__doc__ or ""))

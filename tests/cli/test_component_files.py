@@ -128,7 +128,7 @@ def test_component_files_are_inputs_that_no_output_replaces(folder, call):
         ({"a": 3}, "grid.components.a: found 3"),
         ({"a": []}, "grid.components.a: found"),
         ({"a": {"fiel": "x.cgns"}}, "unknown key 'fiel'"),
-        ({"a": {}}, "names no file"),
+        ({"a": {}}, "there is no file; expected a grid file"),
         ({"main": {"file": "x.cgns"}}, "'main' is the name of the blocks of the grid itself"),
     ],
 )

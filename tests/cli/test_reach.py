@@ -17,7 +17,7 @@ RUN = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz")
         ("constants={turn=1,trun=40}", ["no formula uses the constant 'trun'"]),
         ("method.rbf.basis=wendland-c2", ["has no effect", "'idw-tfi' uses only method.idw, method.tfi"]),
         ("method.idw.eta=4", ["has no effect", 'method.idw.alpha = "auto"']),
-        ("method.idw.p_fixed=4", ["has no effect", 'method.idw.weights = "luke"']),
+        ("method.idw.p_fixed=4", ["has no effect", 'method.idw.weights = "shepard"']),
         ("method.idw.divisions=4", ["has no effect", 'method.idw.rotation = "division"']),
     ],
 )
