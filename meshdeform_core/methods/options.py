@@ -79,7 +79,10 @@ class Option:
 
 def declared(kind: type) -> Mapping[str, Option]:
     """The options of a class by name."""
-    hints, meanings = get_type_hints(kind), _meanings(inspect.cleandoc(kind.__doc__ or ""))
+    hints = get_type_hints(kind)
+    meanings: dict[str, str] = {}
+    for each_class in reversed(kind.__mro__):
+        meanings |= _meanings(inspect.cleandoc(each_class.__doc__ or ""))
     found = {}
     for each in fields(kind):
         hint = hints[each.name]
