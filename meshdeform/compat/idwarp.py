@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from meshdeform_core.errors import CaseError, MotionError
 from meshdeform_core.grid import FloatArray
 
+from ..grid import read
 from .options import Options
 from .surface import Definition
 from .warp import Warp, grid_of, ranks_of
@@ -266,9 +267,7 @@ class MultiUSMesh(_Interface):
 
 def _surface_file(name: str) -> tuple[FloatArray, np.ndarray[Any, Any]]:
     """Points (n, 3), i fastest in each block, and faces (n_faces, 4) of a Plot3D file of surfaces."""
-    from ..grids.files import read
-
-    blocks, points, faces, first = read(name)._core, [], [], 0
+    blocks, points, faces, first = read(name).core, [], [], 0
     for block in range(blocks.n_blocks):
         patch = blocks.block(block)
         flat = [axis for axis, size in enumerate(patch.shape[:3]) if size == 1]

@@ -384,7 +384,7 @@ def test_a_function_may_deform_another_mesh(mesh, bend):
 def test_a_forked_process_does_not_wait_for_threads_that_it_lacks(mesh, bend):
     code = """
 import os, threading, time, numpy as np, meshdeform as md
-from meshdeform.prepared.turns import one_at_a_time
+from meshdeform.session import one_at_a_time
 held = threading.Event()
 def hold():
     with one_at_a_time():
@@ -429,7 +429,7 @@ def test_what_is_given_is_not_touched_or_kept(mesh, bend):
 
 def test_objects_are_pleasant_at_a_prompt(plate, mesh, bend):
     step = mesh.deform(bend)
-    for thing in (plate.grid, mesh, step, step._result, step._result.setup):
+    for thing in (plate.grid, mesh, step, step.result, step.result.setup):
         assert len(repr(thing)) < 200
         assert "array" not in repr(thing)
     assert repr(plate.grid) == "Grid(10 blocks, 52,480 nodes, 39,360 cells, 3-D)"

@@ -5,6 +5,7 @@ import pytest
 from grids import frame, frame_2d
 
 import meshdeform as md
+from meshdeform.grid import wrapped
 
 jax = pytest.importorskip("jax")
 from meshdeform.jax import deform_function  # noqa: E402
@@ -22,7 +23,7 @@ def _double():
 
 @pytest.fixture(scope="module")
 def mesh():
-    blocks = [np.array(block) for block in md.Grid._of(frame(2, 1)).blocks]
+    blocks = [np.array(block) for block in wrapped(frame(2, 1)).blocks]
     return md.prepare(md.Grid(blocks), moving=BODY, slip={"span": ["*.kmin", "*.kmax"]})
 
 
@@ -63,7 +64,7 @@ def test_several_displacements(mesh):
 
 
 def test_plane_grid():
-    grid = md.Grid([np.array(block) for block in md.Grid._of(frame_2d(3), True).blocks])
+    grid = md.Grid([np.array(block) for block in wrapped(frame_2d(3), True).blocks])
     mesh = md.prepare(grid, moving=BODY)
     gradient = jax.grad(lambda d: cost(deform_function(mesh)(d)))(np.zeros(mesh.points.shape))
     assert gradient.shape == mesh.points.shape

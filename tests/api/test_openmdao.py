@@ -5,6 +5,7 @@ import pytest
 from grids import frame
 
 import meshdeform as md
+from meshdeform.grid import wrapped
 
 om = pytest.importorskip("openmdao.api")
 pytest.importorskip("mphys")
@@ -21,7 +22,7 @@ X = MPhysVariables.Aerodynamics.Surface
 
 
 def prepared(comm=None, size=(2, 1)):
-    blocks = [np.array(block) for block in md.Grid._of(frame(*size)).blocks]
+    blocks = [np.array(block) for block in wrapped(frame(*size)).blocks]
     return md.prepare(md.Grid(blocks), moving=BODY, slip={"span": ["*.kmin", "*.kmax"]}, comm=comm)
 
 
@@ -121,7 +122,7 @@ def test_complex_steps_are_refused(mesh):
 
 
 def test_other_ranks_than_those_of_the_mesh(mesh, monkeypatch):
-    monkeypatch.setattr(type(mesh._ranks), "count", 3)
+    monkeypatch.setattr(type(mesh.session.ranks), "count", 3)
     problem = om.Problem()
     problem.model.add_subsystem("deform", MeshDeformComp(mesh=mesh))
     with pytest.raises(md.CaseError, match="prepared for 3 ranks"):
