@@ -78,7 +78,7 @@ def nothing() -> None:
 
 # What is done first, the command, and the first line of the message.
 MISTAKES = {
-    "command": (nothing, ("deforn", "grid.xyz"), "No such command 'deforn'; did you mean 'deform'?"),
+    "command": (nothing, ("deforn", "grid.xyz"), "no such command: 'deforn'; did you mean 'deform'?"),
     "method": (nothing, (*DEFORM, "-m", "idv"), "--method idv: method 'idv' is unknown; known are "),
     "constant": (
         nothing, (*DEFORM, "-s", "turn=10"), "--set 'turn=10': unknown key 'turn'; did you mean 'constants.turn'?",
