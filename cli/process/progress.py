@@ -15,7 +15,7 @@ from meshdeform_core import interruption
 from .messages import tell
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
+    from rich.progress import Progress, TaskID
 
 PATIENCE = 1.0
 """Runs longer than this have a bar (seconds)."""
@@ -115,7 +115,7 @@ class ProgressBar:
         if self._over.wait(PATIENCE):
             return
         with _bar() as bar:
-            tasks = {}
+            tasks: dict[str, TaskID] = {}
             while not self._over.wait(_TICK):
                 lines = self._under_way()
                 for name in set(tasks) - {name for name, _, _ in lines}:

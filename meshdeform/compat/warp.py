@@ -62,6 +62,22 @@ class Warp:
         return rows_of_file(self._grid, np.arange(own.start, own.stop))
 
     @property
+    def knows_solver_nodes(self) -> bool:
+        """Whether :attr:`solver_rows` are known."""
+        return self._solver_rows is not None
+
+    def by_component(self) -> tuple[list[FloatArray], int]:
+        """Deformed coordinates (3 n,) of this rank's share of each component, and the number of coordinates of all."""
+        found, total = [], 0
+        for zones in self._zones:
+            ends = self._grid.offsets[zones.zones], self._grid.offsets[zones.zones + 1]
+            numbers = np.concatenate([np.arange(low, high) for low, high in zip(*ends, strict=True)])
+            own = numbers[share_of(len(numbers), self._ranks)]
+            found.append(self.coordinates(rows_of_file(self._grid, own)))
+            total += 3 * len(numbers)
+        return found, total
+
+    @property
     def solver_rows(self) -> IntArray:
         """Rows of ``grid.points`` of the nodes that the solver holds on this rank.
 

@@ -22,7 +22,7 @@ H = 1e-6
 @pytest.fixture(scope="module")
 def wing(tmp_path_factory):
     path = str(tmp_path_factory.mktemp("idwarp") / "wing.cgns")
-    md.write(md.sample("wing", "small").grid, path)
+    md.write(md.sample("wing", 8).grid, path)
     return path
 
 
@@ -201,6 +201,9 @@ def test_components_move_together(overset):
     grid = mesh.getSolverGrid().reshape(-1, 3)
     np.testing.assert_array_equal(grid[solver.wall_of], moved)
     np.testing.assert_array_equal(grid[zone == 3], solver.start[zone == 3])
+    parts, count = mesh.getWarpGrid()
+    assert (len(parts), count) == (2, sum(map(len, parts)))
+    np.testing.assert_array_equal(np.concatenate(parts), mesh.getCommonGrid()[:count])
     shift = grid[zone == 2] - solver.start[zone == 2]
     np.testing.assert_allclose(shift, np.broadcast_to([0.1, 0.2, 0.0], shift.shape), atol=1e-12)
     random = np.random.default_rng(2)

@@ -1,6 +1,7 @@
 """``mesh.linearise``: shapes, errors, and when it is not the derivative of the step."""
 
 import dataclasses
+import pickle
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from grids import frame, frame_2d
 import meshdeform as md
 from meshdeform.grid import wrapped
 from meshdeform.linearisation import differentiated
+from meshdeform_core.deform import impose
 from meshdeform_core.methods import Options, prepare_method
 from meshdeform_core.setup import Timing
 
@@ -134,6 +136,23 @@ def test_bad_arrays(mesh):
             found.vjp(given)
     with pytest.raises(md.GridError, match="complex numbers"):
         found.operator @ (1j * np.ones(mesh.points.size))
+
+
+def test_the_step_just_made_is_not_made_again(mesh, monkeypatch):
+    made = []
+    monkeypatch.setattr("meshdeform.mesh.impose", lambda *given: made.append(1) or impose(*given))
+    step = mesh.deform(bend(mesh))
+    assert mesh.linearise(bend(mesh)).step is step
+    assert len(made) == 1
+    assert mesh.linearise(bend(mesh), repair="off").step is not step
+    assert mesh.linearise(0.5 * bend(mesh)).step is not step
+    assert len(made) == 3
+    # What nobody holds is not kept.
+    del step
+    mesh.deform(bend(mesh))
+    mesh.linearise(bend(mesh))
+    assert len(made) == 5
+    assert pickle.loads(pickle.dumps(mesh)).linearise(bend(mesh)).exact
 
 
 def test_a_derivative_changes_no_later_step(mesh):
