@@ -42,9 +42,10 @@ def packed(record: type, name: str, *options: Option) -> Option:
             found = {key: given.pop(key) for key in own if key in given}
             return command(**{name: record(**found)}, **given)
 
+        decorated: Command = call
         for option in reversed(options):
-            call = option(call)
-        return call
+            decorated = option(decorated)
+        return decorated
 
     return decorate
 

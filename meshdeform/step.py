@@ -72,8 +72,8 @@ class Step:
             raise GridError(f"previous is a {type(before).__name__}; expected a step or a grid")
         require_same_blocks(grid.core, before.core)
         own, other = grid.core.points, before.core.points
-        bounds = [points.bounds if isinstance(points, Part) else None for points in (own, other)]
-        if not np.array_equal(*bounds):
+        one, two = (points.bounds.tolist() if isinstance(points, Part) else None for points in (own, other))
+        if one != two:
             for each in (grid, before):
                 whole(each, "swept volumes from a grid that is not divided likewise")
         undeformed = self.result.setup.grid
