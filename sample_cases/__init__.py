@@ -62,7 +62,7 @@ def require_sample(name: str) -> None:
         With the known ones.
     """
     if name not in SAMPLES:
-        raise CaseError(f"sample {name!r} is unknown{suggestion(name, SAMPLES)}; known are {', '.join(SAMPLES)}")
+        raise CaseError(f"sample {name!r} is unknown; known are {', '.join(SAMPLES)}{suggestion(name, SAMPLES)}")
 
 
 def generate(name: str, size: int | str | None = None) -> tuple[Grid, dict[str, SurfaceData]]:

@@ -165,7 +165,7 @@ def entry_of(name: str) -> MethodEntry:
         raise MethodError(f"method {name!r} is not offered: {REFUSED[full]}")
     if full not in CATALOGUE:
         known = [*ALIASES, *CATALOGUE]
-        raise MethodError(f"method {name!r} is unknown{suggestion(name, known)}; known are {', '.join(known)}")
+        raise MethodError(f"method {name!r} is unknown; known are {', '.join(known)}{suggestion(name, known)}")
     return CATALOGUE[full]
 
 
