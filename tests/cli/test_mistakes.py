@@ -126,7 +126,9 @@ def test_the_message_names_the_mistake(name, bench, call):
 DOUBTS = {
     "positions": (table(lambda p: p, lambda p: p), WITH_TABLE, "are they positions?"),
     "another unit": (
-        nothing, (*DEFORM, "-s", "boundary=[{motion=[{translate=[1e3, 0, 0]}]}]", "--dry-run"), "the size of the grid",
+        nothing,
+        (*DEFORM, "-s", "boundary=[{motion=[{translate=[1e3, 0, 0]}]}]", "--dry-run"),
+        "the size of the grid",
     ),
     "radians": (nothing, (*DEFORM, "-s", "constants.turn=0.17", "--dry-run"), "degrees; angles are in degrees"),
 }
