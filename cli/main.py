@@ -65,7 +65,7 @@ class LazyGroup(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         name = args[0]
         if not name.startswith("-") and name not in _COMMANDS:
-            raise click.UsageError(f"no such command: {name!r}{suggestion(name, _COMMANDS)}", ctx)
+            raise click.UsageError(f"no such command {name!r}{suggestion(name, _COMMANDS)}", ctx)
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -170,7 +170,7 @@ def _invoke(args: Sequence[str] | None) -> int:
         return 0
     except click.ClickException as error:
         where = error.ctx.command_path if isinstance(error, click.UsageError) and error.ctx else ""
-        return _fail(error.format_message() + (f" (see {where} --help)" if where else ""))
+        return _fail(error.format_message().removesuffix(".") + (f" (see {where} --help)" if where else ""))
     except (KeyboardInterrupt, click.Abort) as stop:
         if isinstance(stop.__cause__, EOFError):
             # click takes it for the end of what a user types; here it is an error of a reader.

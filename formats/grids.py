@@ -215,7 +215,7 @@ def format_of(path: Path) -> str:
             return name
     known = "; ".join(f"{name}: {' '.join(entry.suffixes)}" for name, entry in FORMATS.items())
     hint = suggestion(suffix, (each for entry in FORMATS.values() for each in entry.suffixes))
-    raise FormatError(f"cannot tell the format of {path} from its suffix {suffix!r}{hint or f'; known are {known}'}")
+    raise FormatError(f"cannot tell the format of {path} from its suffix {suffix!r}; known are {known}{hint}")
 
 
 def format_at(path: Path) -> str:

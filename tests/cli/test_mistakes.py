@@ -78,10 +78,10 @@ def nothing() -> None:
 
 # What is done first, the command, and the first line of the message.
 MISTAKES = {
-    "suffix": (nothing, (*DEFORM[:-1], "out.cgn"), "its suffix '.cgn'; did you mean '.cgns'?"),
+    "suffix": (nothing, (*DEFORM[:-1], "out.cgn"), "did you mean '.cgns'?"),
     "hyphen": (nothing, (*DEFORM, "-m", "idwtfi"), "did you mean 'idw-tfi'?"),
     "option of a part": (nothing, (*DEFORM, "-s", "method.alpha=1"), "did you mean 'method.idw.alpha'?"),
-    "command": (nothing, ("deforn", "grid.xyz"), "no such command: 'deforn'; did you mean 'deform'?"),
+    "command": (nothing, ("deforn", "grid.xyz"), "no such command 'deforn'; did you mean 'deform'?"),
     "method": (nothing, (*DEFORM, "-m", "idv"), "--method idv: method 'idv' is unknown; known are "),
     "constant": (
         nothing, (*DEFORM, "-s", "turn=10"), "--set 'turn=10': unknown key 'turn'; did you mean 'constants.turn'?",
