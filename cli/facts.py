@@ -53,19 +53,7 @@ def gather(grid: Grid, file: str) -> Facts:
             }
             for b, (name, shape, hand) in enumerate(zip(grid.names, grid.shapes, topology.handedness, strict=True))
         ],
-        **_outside_facts(grid, outside),
-        "patches": [
-            {
-                "name": patch.name,
-                "family": patch.family,
-                "type": patch.bc_type,
-                "windows": [
-                    {"face": sides[6 * w.block + w.side], "first": _from_one(w.low), "last": _from_one(w.high)}
-                    for w in patch.windows
-                ],
-            }
-            for patch in grid.patches
-        ],
+        **_outside_facts(grid, outside, sides),
         "interfaces": [
             {
                 "blocks": [grid.names[face.block], grid.names[face.donor_block]],
@@ -96,8 +84,8 @@ def _from_one(index: Sequence[int]) -> list[int]:
     return [n + 1 for n in index]
 
 
-def _outside_facts(grid: Grid, outside: Outside) -> Facts:
-    """Boundaries by name, and all pieces of faces."""
+def _outside_facts(grid: Grid, outside: Outside, sides: list[str]) -> Facts:
+    """Boundaries by name, all pieces of faces, and the patches of the file."""
     surfaces = [
         {
             "name": surface.name,
@@ -132,7 +120,19 @@ def _outside_facts(grid: Grid, outside: Outside) -> Facts:
         }
         for face, role in zip(outside.faces, outside.roles, strict=True)
     ]
-    return {"surfaces": surfaces, "faces": faces}
+    patches = [
+        {
+            "name": patch.name,
+            "family": patch.family,
+            "type": patch.bc_type,
+            "windows": [
+                {"face": sides[6 * w.block + w.side], "first": _from_one(w.low), "last": _from_one(w.high)}
+                for w in patch.windows
+            ],
+        }
+        for patch in grid.patches
+    ]
+    return {"surfaces": surfaces, "faces": faces, "patches": patches}
 
 
 def _collapsed(topology: Topology, sides: list[str]) -> list[Facts]:
