@@ -45,8 +45,7 @@ def main(folder: Path, comm: Comm | None = None) -> list[md.Step]:
         print(f"t = {time}: {step}", file=sys.stderr)
         steps.append(step)
     if comm is None or comm.rank == 0:
-        folder.mkdir(parents=True, exist_ok=True)
-        md.write(steps[-1].grid, folder / "bent.cgns", force=True)
+        md.write(steps[-1].grid, folder / "bent.cgns")
     return steps
 
 
@@ -56,5 +55,4 @@ if __name__ == "__main__":
         from mpi4py import MPI
 
         world = MPI.COMM_WORLD
-    folders = [word for word in sys.argv[1:] if not word.startswith("--")]
-    main(Path(folders[0] if folders else "."), world)
+    main(Path(sys.argv[1]), world)

@@ -61,19 +61,15 @@ def with_fields(cells: CellFields, names: Sequence[str]) -> Grid:
     grid = cells.grid
     if not names:
         return grid
-    wanted = list(dict.fromkeys(each for name in names for each in (_all(cells) if name == ALL else [name])))
-    kept = (field for field in grid.fields if field.name not in wanted)
-    return dataclasses.replace(grid, fields=(*kept, *(f for name in wanted for f in _fields(cells, name))))
-
-
-def _all(cells: CellFields) -> list[str]:
     compared, walls = cells.reference is not None, len(cells.walls) > 0
     measured = [
         name
         for name, measure in CELL_MEASURES.items()
         if (compared or not measure.from_reference) and (walls or not measure.of_walls)
     ]
-    return [*measured, INVALID]
+    wanted = list(dict.fromkeys(each for name in names for each in ([*measured, INVALID] if name == ALL else [name])))
+    kept = (field for field in grid.fields if field.name not in wanted)
+    return dataclasses.replace(grid, fields=(*kept, *(f for name in wanted for f in _fields(cells, name))))
 
 
 def _fields(cells: CellFields, name: str) -> Iterator[Field]:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from meshdeform_core.errors import FormatError, GridError, MeshDeformError, suggestion
+from meshdeform_core.errors import FormatError, GridError, MeshDeformError
 from meshdeform_core.grid import FileFormat, Grid
 from meshdeform_core.parallel import require_whole
 from meshdeform_core.wording import listed
@@ -135,7 +136,15 @@ def losses(grid: Grid, target: Path, kind: str) -> list[str]:
 
     Fields computed for the file itself (``--field``) do not count.
     """
-    names = list(dict.fromkeys(_lost_fields(grid, target, kind)))
+    blocks = Counter((field.location, field.name) for field in grid.fields)
+    lost = []
+    for field in grid.fields:
+        kept = kind in ("vtk", "cgns") or (kind == "plot3d" and field.blanks)
+        if target.suffix.lower() in (".vtu", ".xdmf"):
+            kept = field.location in ("node", "cell") and blocks[field.location, field.name] == grid.n_blocks
+        if not kept:
+            lost.append(field.name.upper() if field.blanks else field.name)
+    names = list(dict.fromkeys(lost))
     if grid.format is not None and grid.format.name == "cgns" and kind != "cgns" and grid.path is not None:
         from .cgns.format import solutions
 
@@ -143,19 +152,6 @@ def losses(grid: Grid, target: Path, kind: str) -> list[str]:
     if not names:
         return []
     return [f"{target.suffix} files cannot hold these data of the grid, which are not written: {listed(names)}"]
-
-
-def _lost_fields(grid: Grid, target: Path, kind: str) -> Iterator[str]:
-    everywhere = {
-        (field.location, field.name): sum(f.location == field.location and f.name == field.name for f in grid.fields)
-        for field in grid.fields
-    }
-    for field in grid.fields:
-        kept = kind in ("vtk", "cgns") or (kind == "plot3d" and field.blanks)
-        if target.suffix.lower() in (".vtu", ".xdmf"):
-            kept = field.location in ("node", "cell") and everywhere[field.location, field.name] == grid.n_blocks
-        if not kept:
-            yield field.name.upper() if field.blanks else field.name
 
 
 def write_grid(
@@ -214,8 +210,7 @@ def format_of(path: Path) -> str:
         if suffix in entry.suffixes:
             return name
     known = "; ".join(f"{name}: {' '.join(entry.suffixes)}" for name, entry in FORMATS.items())
-    hint = suggestion(suffix, (each for entry in FORMATS.values() for each in entry.suffixes))
-    raise FormatError(f"cannot tell the format of {path} from its suffix {suffix!r}; known are {known}{hint}")
+    raise FormatError(f"cannot tell the format of {path} from its suffix {suffix!r}; known are {known}")
 
 
 def format_at(path: Path) -> str:
@@ -241,11 +236,8 @@ def _recognise(head: bytes, path: Path) -> str:
     for magic, title in _FOREIGN:
         if text.startswith(magic):
             raise FormatError(f"{path} is {title}, not a block-structured grid (Plot3D, CGNS, VTK or blockMeshDict)")
-    return "cgns" if _behind_user_block(path) else "plot3d"
-
-
-def _behind_user_block(path: Path) -> bool:
-    """Whether HDF5 begins behind a user block, of any content: 512 bytes, or twice that, and so on."""
+    # HDF5 may begin behind a user block of any content: 512 bytes, or twice that, and so on.
     with path.open("rb") as stream:
         starts = (512 << n for n in range((path.stat().st_size >> 9).bit_length()))
-        return any(stream.seek(at) and stream.read(len(_HDF5)) == _HDF5 for at in starts)
+        behind = any(stream.seek(at) and stream.read(len(_HDF5)) == _HDF5 for at in starts)
+    return "cgns" if behind else "plot3d"

@@ -23,7 +23,10 @@ def files_of(path: Path) -> list[Path]:
 
 def digest(path: Path) -> str:
     """SHA-256 of the content of a file; of several files, that of their digests."""
-    found = [_digest(file) for file in files_of(path)]
+    found = []
+    for file in files_of(path):
+        with file.open("rb") as stream:
+            found.append(hashlib.file_digest(stream, "sha256").hexdigest())
     return found[0] if len(found) == 1 else hashlib.sha256("".join(found).encode()).hexdigest()
 
 
@@ -70,11 +73,6 @@ def _of_openfoam(path: Path) -> bool:
     return path.suffix.lower() == ".foam" or path.is_dir()
 
 
-def _digest(path: Path) -> str:
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
 @functools.lru_cache(maxsize=64)
 def _files_behind(path: Path, state: tuple[int, ...]) -> tuple[Path, ...]:
     """Cached while the file is unchanged, as the outputs of a series are compared with its inputs one by one."""
@@ -90,7 +88,11 @@ def _related(path: Path) -> Iterator[Path]:
     try:
         head = read_head(path)
         if b"<VTKFile" in head:
-            yield from _pieces(path)
+            from .vtk.multiblock import referenced_files
+            from .vtk.xml_tags import file_kind
+
+            if file_kind(path) == "vtkMultiBlockDataSet":
+                yield from referenced_files(path)
         elif head.startswith(b"\x89HDF\r\n\x1a\n") or b"ADF Database Version" in head[:64]:
             yield from _linked_files(path)
     except FormatError:
@@ -118,14 +120,6 @@ def existing_outputs(output: Path) -> list[Path]:
 
         found += mesh_files(output)
     return found
-
-
-def _pieces(path: Path) -> Iterator[Path]:
-    from .vtk.multiblock import referenced_files
-    from .vtk.xml_tags import file_kind
-
-    if file_kind(path) == "vtkMultiBlockDataSet":
-        yield from referenced_files(path)
 
 
 def _linked_files(path: Path) -> Iterator[Path]:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 
 from meshdeform_core.errors import CaseError, GridError
-from meshdeform_core.grid import FileFormat, Grid, Patch
+from meshdeform_core.grid import Grid
 from meshdeform_core.grid.components import with_components
 
 from .case import CaseFile
@@ -43,7 +43,10 @@ def join(grid: Grid, others: Mapping[str, Grid]) -> Grid:
     if len(set(names)) < len(names):
         raise GridError(f"blocks of {', '.join(others)} have the names of others; rename these components")
     first = [sum(each.n_blocks for each in grids[:n]) for n in range(len(grids))]
-    form = _format(grids)
+    # The common format, if its files can be written without a copy of an original.
+    form = grids[0].format
+    if form is None or form.name not in _WITHOUT_TREE or any(each.format != form for each in grids):
+        form = None
     notes = [note for each in grids for note in each.notes]
     if form is None and any(each.format and each.format.name not in _WITHOUT_TREE for each in grids):
         notes.append(
@@ -53,7 +56,11 @@ def join(grid: Grid, others: Mapping[str, Grid]) -> Grid:
     return Grid.from_blocks(
         [each.block(b) for each in grids for b in range(each.n_blocks)],
         names,
-        patches=tuple(_shifted_patches(grids, first)),
+        patches=tuple(
+            dataclasses.replace(p, windows=tuple(dataclasses.replace(w, block=w.block + start) for w in p.windows))
+            for each, start in zip(grids, first, strict=True)
+            for p in each.patches
+        ),
         connections=tuple(
             dataclasses.replace(c, block=c.block + start, donor_block=c.donor_block + start)
             for each, start in zip(grids, first, strict=True)
@@ -69,17 +76,3 @@ def join(grid: Grid, others: Mapping[str, Grid]) -> Grid:
         overset=any(each.overset for each in grids),
         notes=tuple(notes),
     )
-
-
-def _shifted_patches(grids: Sequence[Grid], first: Sequence[int]) -> Iterable[Patch]:
-    for grid, start in zip(grids, first, strict=True):
-        for patch in grid.patches:
-            windows = tuple(dataclasses.replace(window, block=window.block + start) for window in patch.windows)
-            yield dataclasses.replace(patch, windows=windows)
-
-
-def _format(grids: Sequence[Grid]) -> FileFormat | None:
-    """The common format of several grids, if its files can be written without a copy of an original."""
-    form = grids[0].format
-    alike = form is not None and form.name in _WITHOUT_TREE and all(each.format == form for each in grids)
-    return form if alike else None

@@ -114,7 +114,10 @@ def _pairs(grid: Grid, topology: Topology, group: IntArray) -> list[tuple[IntArr
         of_patches = [
             own_group[0] if (own_group == own_group[0]).all() else -1 for own_group in (group[own], group[donor])
         ]
-        key = np.append(_signature(connection.periodic), of_patches)
+        # Numbers that are equal for equal motions: rotation, and translation relative to its size.
+        shift = np.array(connection.periodic.translation)
+        scale = max(float(np.abs(shift).max()), 1e-300)
+        key = np.concatenate([periodic_rotation(connection.periodic).ravel(), shift / scale, of_patches])
         parts = next((parts for known, _, parts in found if np.allclose(known, key, rtol=0, atol=1e-9)), None)
         if parts is None:
             found.append((key, connection.periodic, [(own, donor)]))
@@ -139,13 +142,6 @@ def _paired(topology: Topology, free: BoolArray, one: IntArray, two: IntArray) -
     # A quad is not its own image, and belongs to one side only.
     distinct = (own != donor) & ~np.isin(donor, own)
     return own[distinct], donor[distinct]
-
-
-def _signature(motion: Periodicity) -> FloatArray:
-    """Numbers that are equal for equal motions: rotation, and translation relative to its size."""
-    shift = np.array(motion.translation)
-    scale = max(float(np.abs(shift).max()), 1e-300)
-    return np.concatenate([periodic_rotation(motion).ravel(), shift / scale])
 
 
 def point_numbers(grid: Grid, topology: Topology) -> tuple[NDArray[Any], IntArray]:

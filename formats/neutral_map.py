@@ -247,7 +247,11 @@ def _frame(file: NeutralMap, grid: Grid, path: Path) -> _Frame:
             f"{path} describes {len(file.sizes)} blocks, the grid has {grid.n_blocks}; expected the map of this grid"
         )
     if file.sizes == grid.shapes:
-        return _Frame(file.sizes, _EDGES if _counts_edges(file) else FACES, (0, 1, 2), None)
+        # Faces 1 and 2 are edges if a range of a single line of nodes, in a 2-D grid, cannot be its plane.
+        ranges = [numbers for entry in file.entries for numbers in entry.ranges]
+        plane = all(nk == 1 for _, _, nk in file.sizes)
+        edges = plane and any(face in (1, 2) and s2 == e2 == 1 for _, face, _, _, s2, e2 in ranges)
+        return _Frame(file.sizes, _EDGES if edges else FACES, (0, 1, 2), None)
     siblings = [
         (flat, dropped)
         for flat, dropped in product(range(3), range(3))
@@ -260,23 +264,12 @@ def _frame(file: NeutralMap, grid: Grid, path: Path) -> _Frame:
         flat, dropped = siblings[0]
         axes = np.insert(np.delete(np.arange(3), flat), dropped, flat)
         return _Frame(file.sizes, FACES, (int(axes[0]), int(axes[1]), int(axes[2])), dropped)
-    raise FormatError(_other_blocks(file, grid, path))
-
-
-def _other_blocks(file: NeutralMap, grid: Grid, path: Path) -> str:
     index = next(i for i, (size, shape) in enumerate(zip(file.sizes, grid.shapes, strict=True)) if size != shape)
     size, shape = ("x".join(str(n) for n in sizes[index]) for sizes in (file.sizes, grid.shapes))
-    return (
+    raise FormatError(
         f"{path}: block {index + 1} has {size} nodes, {grid.names[index]} of the grid has {shape}; expected "
         f"the map of this grid or, for a 2-D grid, that of the same grid with one layer of cells"
     )
-
-
-def _counts_edges(file: NeutralMap) -> bool:
-    """Whether faces 1 and 2 are edges: a range of a single line of nodes in a 2-D grid cannot be its plane."""
-    ranges = [numbers for entry in file.entries for numbers in entry.ranges]
-    flat = all(nk == 1 for _, _, nk in file.sizes)
-    return flat and any(face in (1, 2) and s2 == e2 == 1 for _, face, _, _, s2, e2 in ranges)
 
 
 def _connection(name: str, entry: Entry, here: _Range, there: _Range) -> Connection:

@@ -121,18 +121,17 @@ class Stored:
         try:
             with self.path.open("rb", buffering=0) as file:
                 for at, part in self._parts(first, values):
-                    self._read(file, at, part)
+                    file.seek(at)
+                    while part:
+                        done = file.readinto(part)
+                        if not done:
+                            raise FormatError(
+                                f"{self.path} ends before all of its coordinates: it was cut while it was read"
+                            )
+                        part = part[done:]
         except OSError as error:
             raise FormatError(f"cannot read {self.path}: {error.strerror or error}") from error
         return values[:, *self.core] if self.core else values
-
-    def _read(self, file: Any, at: int, part: memoryview) -> None:
-        file.seek(at)
-        while part:
-            done = file.readinto(part)
-            if not done:
-                raise FormatError(f"{self.path} ends before all of its coordinates: it was cut while it was read")
-            part = part[done:]
 
     def write(self, first: int, values: NDArray[Any], synchronous: bool = False) -> None:
         """Write planes (n, *plane) from k = ``first`` on into the file, which the first rank has created.

@@ -38,7 +38,11 @@ def require_plausible(grid: Grid, path: Path) -> None:
             f"{path}: {share:.0%} of the coordinates are smaller than any normal number ({size[size > 0].min():g}); "
             "they are bits of something else, or in the other byte order"
         )
-    if _on_one_line(sample) and _all_on_one_line(grid.points):
+    if not _on_one_line(sample):
+        return
+    # A sample is not enough, as it may happen to lie on a grid line.
+    require_whole(grid.points, "a sample of its nodes lies on one line")
+    if _on_one_line(grid.points):
         first, (low, high) = grid.points[0], extent(grid.points)
         what = "on one line" if (low < high).any() else f"at one point, {vector(first)}"
         raise GridError(f"{path}: all {grid.n_nodes} nodes lie {what}; a grid needs at least a surface")
@@ -63,12 +67,6 @@ def _require_bounded(grid: Grid, path: Path) -> None:
             f"{path} has {count} nodes whose coordinates are {what}; the first is "
             f"{grid.node_label(first)} = {vector(point)}"
         )
-
-
-def _all_on_one_line(points: FloatArray) -> bool:
-    """Whether all nodes lie on one line; a sample is not enough, as it may happen to lie on a grid line."""
-    require_whole(points, "a sample of its nodes lies on one line")
-    return _on_one_line(points)
 
 
 def _on_one_line(points: FloatArray) -> bool:

@@ -154,16 +154,15 @@ def _of_variant(grid: Grid, mesh: _Unstructured, options: Mapping[str, Any]) -> 
     if options["boundary"] == "false":
         return found
     inside, outside = len(mesh.cells), len(mesh.faces)
-    data = {name: [values[0], _missing(values[0], outside)] for name, values in found.cell_data.items()}
+    data = {}
+    for name, (values,) in found.cell_data.items():
+        # Faces have no values: NaN, or -1.
+        missing = np.full((outside, *values.shape[1:]), np.nan if values.dtype.kind == "f" else -1)
+        data[name] = [values, missing.astype(values.dtype)]
     data["family"] = [np.zeros(inside, np.int32), (mesh.patch + 1).astype(np.int32)]
     for number, name in enumerate(mesh.names):
         data[f"family {name}"] = [np.zeros(inside, np.int32), (mesh.patch == number).astype(np.int32)]
     return meshio.Mesh(mesh.points, _cells_and_faces(mesh), found.point_data, data)
-
-
-def _missing(values: NDArray[Any], count: int) -> NDArray[Any]:
-    """Values of the type of those of the cells for faces, which have none: NaN, or -1."""
-    return np.full((count, *values.shape[1:]), np.nan if values.dtype.kind == "f" else -1).astype(values.dtype)
 
 
 def _with_fields(grid: Grid, mesh: _Unstructured) -> meshio.Mesh:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import IntArray, Patch, Shape, Side, Window
@@ -62,7 +61,10 @@ def condition_windows(condition: Node, zone: Zone, block: int, notes: Notes) -> 
     if not sets:
         notes.add("boundary conditions without a point set are not used", place)
         return []
-    location = _location(condition, sets[0])
+    # ElementRange and ElementList are old names for face centres.
+    location = "FaceCenter"
+    if not sets[0].name.startswith("Element"):
+        location = next((node.text() for node in condition.labelled("GridLocation_t")), "Vertex")
     points, is_range = _points(sets[0], zone), sets[0].name.endswith("Range")
     if location == "Vertex":
         windows, unused = _of_nodes(points, is_range, zone.shape, block)
@@ -79,14 +81,6 @@ def condition_windows(condition: Node, zone: Zone, block: int, notes: Notes) -> 
     elif unused:
         notes.add("listed points that belong to no part of a block face are not used", f"{place} ({unused})")
     return windows
-
-
-def _location(condition: Node, points: Node) -> str:
-    """Location of the points; ElementRange and ElementList are old names for face centres."""
-    if points.name.startswith("Element"):
-        return "FaceCenter"
-    nodes = condition.labelled("GridLocation_t")
-    return nodes[0].text() if nodes else "Vertex"
 
 
 def _points(node: Node, zone: Zone) -> IntArray:
@@ -179,25 +173,15 @@ def windows_of_nodes(shape: Shape, block: int, nodes: IntArray) -> tuple[list[Wi
         on_side = nodes[:, side.axis] == side.layer(shape)
         member = np.zeros((shape[a], shape[b]), bool)
         member[nodes[on_side, a], nodes[on_side, b]] = True
-        quads = _quads(member)
+        # Quads (edges in a 2-D grid) all of whose corners are members; then the corners of these.
+        quads = member
+        for axis in (0, 1):
+            n = quads.shape[axis]
+            if n > 1:
+                quads = quads.take(range(1, n), axis) & quads.take(range(n - 1), axis)
         windows += windows_of_quads(shape, block, side, quads)
-        unused[on_side] &= ~_corners(quads, member.shape)[nodes[on_side, a], nodes[on_side, b]]
-    return windows, int(unused.sum())
-
-
-def _quads(member: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Quads (edges in a 2-D grid) all of whose corners are members."""
-    for axis in (0, 1):
-        if member.shape[axis] > 1:
-            member = member.take(range(1, member.shape[axis]), axis) & member.take(range(member.shape[axis] - 1), axis)
-    return member
-
-
-def _corners(quads: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """Nodes that are a corner of a marked quad."""
-    corners = np.zeros(shape, bool)
-    more = [range(n - m + 1) for n, m in zip(shape, quads.shape, strict=True)]
-    for i in more[0]:
-        for j in more[1]:
+        corners = np.zeros(member.shape, bool)
+        for i, j in np.ndindex(member.shape[0] - quads.shape[0] + 1, member.shape[1] - quads.shape[1] + 1):
             corners[i : i + quads.shape[0], j : j + quads.shape[1]] |= quads
-    return corners
+        unused[on_side] &= ~corners[nodes[on_side, a], nodes[on_side, b]]
+    return windows, int(unused.sum())

@@ -12,7 +12,7 @@ from meshdeform_core.grid import Connection, FloatArray, Grid, Periodicity, Shap
 
 from .file import Notes
 from .tree import Node
-from .zone import Base, Zone
+from .zone import Base, Zone, declared_unit
 
 _ANGLE = 4  # position of the angle among the five units of DimensionalUnits_t
 
@@ -36,7 +36,8 @@ def zone_connections(base: Base, zones: Sequence[Zone], grid: Grid, notes: Notes
             for node in _members(group):
                 kind, place = _kind(node), f"{zone.name}/{node.name}"
                 if kind == "1to1":
-                    donor = blocks.get(_donor_name(node, base))
+                    # Base/Zone is accepted for the same base.
+                    donor = blocks.get(node.text().removeprefix(f"{base.node.name}/"))
                     connection = None if donor is None else _connection(node, block, donor, zones)
                     if connection is None:
                         notes.add("connections that do not match their zones are not used", place)
@@ -71,16 +72,13 @@ def _kind(node: Node) -> str:
     return "Overset" if label == "OversetHoles_t" else ""
 
 
-def _donor_name(node: Node, base: Base) -> str:
-    """Name of the donor zone; ``Base/Zone`` is accepted for the same base."""
-    return node.text().removeprefix(f"{base.node.name}/")
-
-
 def _connection(node: Node, block: int, donor: int, zones: Sequence[Zone]) -> Connection | None:
     axes = len(zones[block].core)
     begin, end = _range(node, "PointRange", axes)
     donor_begin, donor_end = _range(node, "PointRangeDonor", axes)
-    transform = _transform(node, axes)
+    signed = node.child("Transform")
+    # Without one the axes correspond in order (SIDS 8.2).
+    transform = _three(signed.integers(axes).tolist(), 3) if signed else (1, 2, 3)
     if sorted(abs(axis) for axis in transform) != [1, 2, 3]:
         return None
     reached = list(donor_begin)
@@ -104,12 +102,6 @@ def _range(node: Node, name: str, axes: int) -> tuple[Shape, Shape]:
     return _three([n - 1 for n in first], 0), _three([n - 1 for n in last], 0)
 
 
-def _transform(node: Node, axes: int) -> Shape:
-    """Signed donor axis of each axis; without one the axes correspond in order (SIDS 8.2)."""
-    child = node.child("Transform")
-    return _three(child.integers(axes).tolist(), 3) if child else (1, 2, 3)
-
-
 def _three(numbers: Sequence[int], *others: int) -> Shape:
     """Numbers of two or three axes, those of missing axes from the ``others``."""
     a, b, c = (*numbers, *others)[:3]
@@ -131,7 +123,7 @@ def periodicity(
     angle = _vector(found[0], "RotationAngle")
     translation = _vector(found[0], "Translation")
     degrees = np.degrees(angle)
-    unit = _angle_unit([*found[0].labelled("DataArray_t"), found[0], *outer])
+    unit = declared_unit([*found[0].labelled("DataArray_t"), found[0], *outer], _ANGLE)
     if unit == "Degree":
         degrees = angle
     elif unit != "Radian" and angle.any():
@@ -165,15 +157,6 @@ def _vector(periodic: Node, name: str) -> FloatArray:
     return values
 
 
-def _angle_unit(places: Sequence[Node]) -> str:
-    """The unit of angles that the innermost DimensionalUnits_t declares; empty if there is none."""
-    for place in places:
-        for units in place.labelled("DimensionalUnits_t"):
-            names = units.words()
-            return names[_ANGLE] if len(names) > _ANGLE else ""
-    return ""
-
-
 def _misfit(
     connection: Connection, grid: Grid, center: FloatArray, degrees: FloatArray, translation: FloatArray
 ) -> float:
@@ -189,16 +172,10 @@ def inverse_motion(periodic: Periodicity) -> Periodicity:
     """The motion back from the donor: ``x = R^T (x' - c - t) + c``."""
     back = rotation_matrix(np.array(periodic.rotation_angle)).T
     x, y, z = (-back @ np.array(periodic.translation)).tolist()
-    return Periodicity(periodic.rotation_center, _angles(back, periodic), (x, y, z))
-
-
-def _angles(matrix: FloatArray, forward: Periodicity) -> tuple[float, float, float]:
-    """Angles about x, y, z in turn that give ``matrix``; for a single axis simply the opposite angle."""
-    if np.count_nonzero(forward.rotation_angle) <= 1:
-        x, y, z = (-angle for angle in forward.rotation_angle)
-        return x, y, z
-    about_x = np.arctan2(matrix[2, 1], matrix[2, 2])
-    about_y = np.arctan2(-matrix[2, 0], np.hypot(matrix[2, 1], matrix[2, 2]))
-    about_z = np.arctan2(matrix[1, 0], matrix[0, 0])
-    x, y, z = np.degrees([about_x, about_y, about_z]).tolist()
-    return x, y, z
+    about_x, about_y, about_z = (-angle for angle in periodic.rotation_angle)
+    if np.count_nonzero(periodic.rotation_angle) > 1:
+        # Angles about x, y, z in turn that give the matrix.
+        sines = back[2, 1], -back[2, 0], back[1, 0]
+        cosines = back[2, 2], np.hypot(back[2, 1], back[2, 2]), back[0, 0]
+        about_x, about_y, about_z = np.degrees(np.arctan2(sines, cosines)).tolist()
+    return Periodicity(periodic.rotation_center, (about_x, about_y, about_z), (x, y, z))

@@ -3,6 +3,7 @@ requires."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -75,7 +76,7 @@ def bc_type(word: str) -> str:
     return next((kind for start, kind in _WORDS.items() if word.lower().startswith(start)), "UserDefined")
 
 
-def point_range(shape: Shape, begin: Shape, end: Shape) -> np.ndarray:
+def point_range(shape: Shape, begin: Sequence[int], end: Sequence[int]) -> np.ndarray:
     """1-based node range ``(axes, 2)`` without the axis of a single node."""
     axes = [axis for axis in range(3) if shape[axis] > 1]
     return np.array([[begin[axis] + 1, end[axis] + 1] for axis in axes], np.int32)
@@ -87,7 +88,10 @@ def _family(patch: Patch) -> str:
 
 
 def _condition(name: str, patch: Patch, window: Window, shape: Shape, families: dict[str, str]) -> Node:
-    begin, end = _corners(window, shape)
+    begin, end = [0, 0, 0], [0, 0, 0]
+    begin[window.side.axis] = end[window.side.axis] = window.side.layer(shape)
+    for axis, low, high in zip(window.side.tangential, window.low, window.high, strict=True):
+        begin[axis], end[axis] = low, high
     children = [make("PointRange", "IndexRange_t", point_range(shape, begin, end))]
     if _family(patch):
         children.append(make("FamilyName", "FamilyName_t", families[_family(patch)]))
@@ -95,14 +99,6 @@ def _condition(name: str, patch: Patch, window: Window, shape: Shape, families: 
     if patch.bc_type and kind != patch.bc_type:
         children.append(make("BoundaryCondition", "Descriptor_t", patch.bc_type))
     return make(name, "BC_t", kind, children)
-
-
-def _corners(window: Window, shape: Shape) -> tuple[Shape, Shape]:
-    begin, end = [0, 0, 0], [0, 0, 0]
-    begin[window.side.axis] = end[window.side.axis] = window.side.layer(shape)
-    for axis, low, high in zip(window.side.tangential, window.low, window.high, strict=True):
-        begin[axis], end[axis] = low, high
-    return (begin[0], begin[1], begin[2]), (end[0], end[1], end[2])
 
 
 def connectivity_nodes(grid: Grid, zones: tuple[str, ...]) -> list[list[Node]]:
@@ -170,8 +166,12 @@ def _node(name: str, connection: Connection, grid: Grid, zones: tuple[str, ...])
     shape, donor_shape = grid.shapes[connection.block], grid.shapes[connection.donor_block]
     own = point_range(shape, connection.begin, connection.end)
     donor = point_range(donor_shape, connection.donor_begin, connection.donor_end)
+    # Signed donor axes, counted without the axes of a single node.
+    number = {axis: place + 1 for place, axis in enumerate(a for a in range(3) if donor_shape[a] > 1)}
+    donors = [connection.transform[axis] for axis in range(3) if shape[axis] > 1]
+    transform = np.array([int(np.sign(each)) * number[abs(each) - 1] for each in donors], np.int32)
     children = [
-        make("Transform", '"int[IndexDimension]"', _transform(connection, shape, donor_shape)),
+        make("Transform", '"int[IndexDimension]"', transform),
         make("PointRange", "IndexRange_t", own),
         make("PointRangeDonor", "IndexRange_t", donor),
     ]
@@ -179,14 +179,6 @@ def _node(name: str, connection: Connection, grid: Grid, zones: tuple[str, ...])
         periodic = make("Periodic", "Periodic_t", None, _motion(connection.periodic))
         children.append(make("GridConnectivityProperty", "GridConnectivityProperty_t", None, [periodic]))
     return make(name, "GridConnectivity1to1_t", zones[connection.donor_block], children)
-
-
-def _transform(connection: Connection, shape: Shape, donor_shape: Shape) -> np.ndarray:
-    """Signed donor axes, counted without the axes of a single node."""
-    number = {axis: place + 1 for place, axis in enumerate(a for a in range(3) if donor_shape[a] > 1)}
-    axes = [axis for axis in range(3) if shape[axis] > 1]
-    donors = [connection.transform[axis] for axis in axes]
-    return np.array([int(np.sign(donor)) * number[abs(donor) - 1] for donor in donors], np.int32)
 
 
 def _motion(periodic: Periodicity) -> list[Node]:

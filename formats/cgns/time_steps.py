@@ -23,7 +23,7 @@ from . import format as cgns
 from .file import Notes, opened_cgns
 from .hdf5 import hdf5_errors
 from .hdf5_write import own_group, put_node
-from .tree import Node, make, name_list
+from .tree import make, name_list
 from .write_new import Places, fields_by_place, outputs_of, solution_nodes
 from .zone import find_base, structured_zones
 
@@ -89,13 +89,25 @@ def _add_levels(grid: Grid, path: Path, partial: Path, precision: str, times: Se
             for block, zone in enumerate(zones):
                 arrays = own.coordinate_arrays(grid, block, [node.name for node in zone.coordinates], zone.counts, kind)
                 solutions = solution_nodes(grid, block, zone.counts, numbers, own)
-                for key, node in _level_nodes(number, arrays, solutions).items():
+                nodes = {
+                    "GridCoordinatesPointers": make(f"GridCoordinates#{number}", "GridCoordinates_t", None, arrays)
+                }
+                for solution in solutions:
+                    # The standard has one pointer; solutions at other locations than the first are found by theirs.
+                    key = "FlowSolutionPointers" if "FlowSolutionPointers" not in nodes else f"{solution.name}Pointers"
+                    nodes[key] = make(f"{solution.name}#{number}", solution.label, None, solution.children)
+                for key, node in nodes.items():
                     put_node(groups[block], node)
                     pointers[block].setdefault(key, []).append(node.name)
         for parent, names in zip(groups, pointers, strict=True):
             arrays = [make(key, "DataArray_t", name_list(words)) for key, words in names.items()]
             put_node(parent, make("ZoneIterativeData", "ZoneIterativeData_t", None, arrays))
-        put_node(group, _iterations(times))
+        numbering = np.arange(1, len(times) + 1, dtype=np.int32)
+        arrays = [
+            make("TimeValues", "DataArray_t", np.array(times, np.float64)),
+            make("IterationValues", "DataArray_t", numbering),
+        ]
+        put_node(group, make("BaseIterativeData", "BaseIterativeData_t", numbering[-1:], arrays))
         put_node(group, make("SimulationType", "SimulationType_t", "TimeAccurate"))
     return places
 
@@ -119,21 +131,3 @@ def read_level(grid: Grid, path: Path, number: int) -> FloatArray:
             for axis, node in enumerate(zone.coordinates):
                 target[..., axis] = file[name][node.name][" data"][()].T.reshape(grid.shapes[block])
     return points
-
-
-def _level_nodes(number: int, arrays: Sequence[Node], solutions: Sequence[Node]) -> dict[str, Node]:
-    """The nodes of one level of a zone by the pointers of ZoneIterativeData_t to them."""
-    nodes = {"GridCoordinatesPointers": make(f"GridCoordinates#{number}", "GridCoordinates_t", None, arrays)}
-    for solution in solutions:
-        # The standard has one pointer; solutions at other locations than the first are found by theirs.
-        key = "FlowSolutionPointers" if "FlowSolutionPointers" not in nodes else f"{solution.name}Pointers"
-        nodes[key] = make(f"{solution.name}#{number}", solution.label, None, solution.children)
-    return nodes
-
-
-def _iterations(times: Sequence[float]) -> Node:
-    arrays = [
-        make("TimeValues", "DataArray_t", np.array(times, np.float64)),
-        make("IterationValues", "DataArray_t", np.arange(1, len(times) + 1, dtype=np.int32)),
-    ]
-    return make("BaseIterativeData", "BaseIterativeData_t", np.array([len(times)], np.int32), arrays)

@@ -161,7 +161,9 @@ def _writable_dataset(group: h5py.Group, precision: str | None, counts: tuple[in
     dtype = stored if precision is None else np.dtype(precision)
     if dtype == stored and not has_other_names(dataset):
         return dataset
-    shape, chunks, packing = dataset.shape, dataset.chunks, _packing(dataset)
+    shape, chunks = dataset.shape, dataset.chunks
+    kept = ("chunks", "compression", "compression_opts", "shuffle", "fletcher32")
+    packing = {name: getattr(dataset, name) for name in kept}
     values = dataset[()].astype(dtype) if shape != counts[::-1] else None
     del group[DATA]
     group.attrs.modify("type", np.bytes_(data_type_of(dtype)))
@@ -169,16 +171,6 @@ def _writable_dataset(group: h5py.Group, precision: str | None, counts: tuple[in
         reserve_dataset(group.id, DATA, shape, dtype)
         return group[DATA]
     return group.create_dataset(DATA, shape, dtype, data=values, **packing)
-
-
-def _packing(dataset: h5py.Dataset) -> dict[str, object]:
-    return {
-        "chunks": dataset.chunks,
-        "compression": dataset.compression,
-        "compression_opts": dataset.compression_opts,
-        "shuffle": dataset.shuffle,
-        "fletcher32": dataset.fletcher32,
-    }
 
 
 def _adapt_links(file: h5py.File, old: Path, new: Path) -> None:

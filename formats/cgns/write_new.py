@@ -72,7 +72,14 @@ def write_new(grid: Grid, path: Path, precision: str) -> None:
     # The first rank alone does not know them.
     low, high = extent(grid.points)
     dimension = 3 if grid.dimension == 3 or low[2] or high[2] else 2
-    write_completed(grid, path, lambda partial: _begin(grid, path, partial, precision, dimension))
+
+    def begin(partial: Path) -> Places:
+        places = Places(partial)
+        with hdf5_errors(path, "write"):
+            write_hdf5(_tree(grid, dimension, np.dtype(precision), places), partial)
+        return places
+
+    write_completed(grid, path, begin)
 
 
 def write_completed(grid: Grid, path: Path, begin: Callable[[Path], Places]) -> None:
@@ -90,14 +97,6 @@ def outputs_of(grid: Grid, places: Places) -> list[Output]:
         ni, nj, nk = field.values.shape[:3]
         found.append(Output.of_values(field.block, (ni, nj, nk), field.own, arrays))
     return found
-
-
-def _begin(grid: Grid, path: Path, partial: Path, precision: str, dimension: int) -> Places:
-    """Write everything but the values of nodes, cells and faces; returns the places of these."""
-    places = Places(partial)
-    with hdf5_errors(path, "write"):
-        write_hdf5(_tree(grid, dimension, np.dtype(precision), places), partial)
-    return places
 
 
 def _tree(grid: Grid, dimension: int, kind: np.dtype[Any], places: Places) -> Node:
@@ -161,8 +160,15 @@ def solution_nodes(
                 f"cells nor faces for the {location} field {grid.fields[numbers[block, location][0]].name!r}; write to "
                 f"VTK, or leave the field out"
             )
-        for number in numbers[block, location]:
-            _require_shape(grid, grid.fields[number])
+        across = "ijk".find(location[0]) if location.endswith("face") else -1
+        expected = tuple(
+            n if axis == across or location == "node" else max(n - 1, 1) for axis, n in enumerate(grid.shapes[block])
+        )
+        for field in (grid.fields[number] for number in numbers[block, location]):
+            if field.values.shape[:3] != expected:
+                label = f"{location} field {field.name!r} of {grid.names[block]}"
+                found = f"has shape {field.values.shape}; expected {expected}, followed by its components"
+                raise FormatError(f"{label} {found}")
         arrays = [(n, name) for n in numbers[block, location] for name in _components(grid.fields[n])]
         names = unique_names((name for _, name in arrays), "Field", ["GridLocation"])
         nodes = []
@@ -172,16 +178,6 @@ def solution_nodes(
         location_node = make("GridLocation", "GridLocation_t", word)
         solutions.append(make(f"FlowSolution{word}", "FlowSolution_t", None, [location_node, *nodes]))
     return solutions
-
-
-def _require_shape(grid: Grid, field: Field) -> None:
-    shape: Sequence[int] = grid.shapes[field.block]
-    if field.location != "node":
-        across = "ijk".find(field.location[0]) if field.location != "cell" else -1
-        shape = tuple(n if axis == across else max(n - 1, 1) for axis, n in enumerate(shape))
-    if field.values.shape[:3] != shape:
-        label = f"{field.location} field {field.name!r} of {grid.names[field.block]}"
-        raise FormatError(f"{label} has shape {field.values.shape}; expected {shape}, followed by its components")
 
 
 def _located(location: str, word: str, shape: Sequence[int], nodes: Sequence[int]) -> tuple[list[int], str]:

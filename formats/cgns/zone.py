@@ -18,6 +18,7 @@ from .tree import Node
 
 _COORDINATES = ("CoordinateX", "CoordinateY", "CoordinateZ")
 _FLOATS = (np.dtype(np.float32), np.dtype(np.float64))
+_LENGTH = 1  # position of the length among the units of DimensionalUnits_t
 
 
 @dataclass(frozen=True)
@@ -135,8 +136,9 @@ def structured_zones(base: Base, notes: Notes) -> list[Zone]:
         When a zone is unstructured, has no Cartesian coordinates, or its sizes and arrays disagree.
     """
     nodes = base.node.labelled("Zone_t")
-    types = [(node.name, _zone_type(node)) for node in nodes]
-    others = [(name, kind) for name, kind in types if kind != "Structured"]
+    # Files older than ZoneType_t contain only structured zones.
+    types = [next((kind.text() for kind in node.labelled("ZoneType_t")), "Structured") for node in nodes]
+    others = [(node.name, kind) for node, kind in zip(nodes, types, strict=True) if kind != "Structured"]
     if others:
         raise FormatError(
             f"{len(others)} of {len(nodes)} zones are not Structured; the first is {others[0][0]!r} ({others[0][1]}); "
@@ -171,12 +173,6 @@ def _note_dangling(node: Node, notes: Notes) -> None:
         notes.add("broken links are kept as they are", f"{node.name}/{child.name} -> {child.link}")
 
 
-def _zone_type(node: Node) -> str:
-    # Files older than ZoneType_t contain only structured zones.
-    types = node.labelled("ZoneType_t")
-    return types[0].text() if types else "Structured"
-
-
 def _zone(node: Node, base: Base, notes: Notes) -> Zone:
     sizes, cells, _ = node.integers(base.cell_dimension, 3).T
     if (sizes < 1).any():
@@ -197,7 +193,9 @@ def _zone(node: Node, base: Base, notes: Notes) -> Zone:
                 "coordinates linked from another file become part of the written file", f"{node.name} ({linked.link})"
             )
     _note_dangling(node, notes)
-    _note_units((*coordinates[:1], grid, node, base.node), notes)
+    unit = declared_unit((*coordinates[:1], grid, node, base.node), _LENGTH)
+    if unit not in ("", "Null", "UserDefined"):
+        notes.add("the length unit in the file is", unit)
     for array in coordinates:
         if array.labelled("DataConversion_t"):
             notes.add("coordinates have a DataConversion; they are used as stored", f"{node.name}/{array.name}")
@@ -251,11 +249,10 @@ def _coordinates(grid: Node, dimension: int, stored: tuple[int, ...], zone: str)
     return nodes
 
 
-def _note_units(places: tuple[Node, ...], notes: Notes) -> None:
-    """Note the length unit; the innermost declaration counts (SIDS 4.3)."""
+def declared_unit(places: Sequence[Node], position: int) -> str:
+    """The unit at a position of the words of DimensionalUnits_t; the innermost declaration counts (SIDS 4.3)."""
     for place in places:
         for units in place.labelled("DimensionalUnits_t"):
             names = units.words()
-            if len(names) > 1 and names[1] not in ("", "Null", "UserDefined"):
-                notes.add("the length unit in the file is", names[1])
-            return
+            return names[position] if len(names) > position else ""
+    return ""

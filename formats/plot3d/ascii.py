@@ -27,7 +27,11 @@ def read_ascii(path: Path, options: Mapping[str, Any]) -> Grid:
     """Read a Plot3D text of any variant that ``options`` allow."""
     with path.open("rb") as stream:
         numbers = read_numbers(stream, path)
-        writing = Writing(ends_with_integer(stream), lambda: _count_integers(path))
+        with_integer = ends_with_integer(stream)
+
+    def integers_in_text() -> int:
+        with path.open("rb") as stream:
+            return count_integers(stream)
 
     def load(reading: Reading) -> Grid:
         return _assemble(reading, path, numbers)
@@ -36,6 +40,7 @@ def read_ascii(path: Path, options: Mapping[str, Any]) -> Grid:
     integers = np.where((head == np.rint(head)) & (np.abs(head) < 2**31), head, 0).astype(np.int64)
     variants = header_variants(encoding="ascii", precision=options.get("precision", "float64"))
     readings = stream_readings(variants, integers, numbers.size)
+    writing = Writing(with_integer, integers_in_text)
     return choose(readings, UnknownFile(path, numbers.size, "numbers", options, load, writing))
 
 
@@ -50,11 +55,6 @@ def write_ascii(grid: Grid, stream: BinaryIO, variant: Variant) -> None:
             for start in range(0, array.size, _LINES):
                 # If integers follow, a number without a dot must be an integer.
                 stream.write(number_lines(array[start : start + _LINES], dotted=variant.iblank))
-
-
-def _count_integers(path: Path) -> int:
-    with path.open("rb") as stream:
-        return count_integers(stream)
 
 
 def _assemble(reading: Reading, path: Path, numbers: FloatArray) -> Grid:

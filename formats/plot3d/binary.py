@@ -102,9 +102,15 @@ def write_binary(grid: Grid, path: Path, variant: Variant) -> None:
 
     def begin() -> None:
         with path.open("wb") as stream:
-            for at, data in chain(markers, *map(_divided, header, records)):
+            for at, data in markers:
                 stream.seek(at)
                 stream.write(data)
+            for array, stretches in zip(header, records, strict=False):
+                data = array.tobytes()
+                for at, length in stretches:
+                    stream.seek(at)
+                    stream.write(data[:length])
+                    data = data[length:]
             # The data come later; the last marker of a Fortran file is behind them.
             if not markers:
                 stream.truncate(sum(records[-1][-1]))
@@ -113,27 +119,17 @@ def write_binary(grid: Grid, path: Path, variant: Variant) -> None:
     data = Stretches(list(chain.from_iterable(records[len(header) :])))
     places, flag_places = places_of(variant, grid.shapes, path, data)
     outputs = [Output.of_coordinates(grid, block, arrays) for block, arrays in enumerate(places)]
-    write_outputs(grid, [*outputs, *(_flags(grid, block, place) for block, place in enumerate(flag_places))])
+    for block, place in enumerate(flag_places):
+        shape, field = grid.shapes[block], iblank_of(grid, block)
+        # All 1 where the block has none.
+        own = np.broadcast_to(np.ones((), place.dtype), grid.own_shape(block, shape)) if field is None else field.own
+        outputs.append(Output.of_values(block, shape, own, [place]))
+    write_outputs(grid, outputs)
 
 
 def iblank_of(grid: Grid, index: int) -> Field | None:
     """IBLANK values of a block from any format."""
     return next((field for field in grid.fields if field.block == index and field.blanks), None)
-
-
-def _flags(grid: Grid, block: int, place: Stored) -> Output:
-    """IBLANK values of a block; all 1 if it has none."""
-    shape, field = grid.shapes[block], iblank_of(grid, block)
-    own = np.broadcast_to(np.ones((), place.dtype), grid.own_shape(block, shape)) if field is None else field.own
-    return Output.of_values(block, shape, own, [place])
-
-
-def _divided(array: NDArray[Any], stretches: list[tuple[int, int]]) -> Iterator[tuple[int, bytes]]:
-    """The bytes of an array at their places in a file."""
-    data = array.tobytes()
-    for at, length in stretches:
-        yield at, data[:length]
-        data = data[length:]
 
 
 def _readings(stream: BinaryIO) -> list[Reading]:

@@ -96,16 +96,12 @@ def write(grid: Grid, path: Path, variant: FileFormat) -> None:
     _require_writable(grid, Path(path), chosen)
     with replacing_by_all(Path(path), grid.points) as partial:
         if chosen.encoding == "ascii":
-            _write_text(grid, partial, chosen)
+            from .ascii import write_ascii
+
+            with partial.open("wb") as stream:
+                write_ascii(grid, stream, chosen)
         else:
             write_binary(grid, partial, chosen)
-
-
-def _write_text(grid: Grid, path: Path, variant: Variant) -> None:
-    from .ascii import write_ascii
-
-    with path.open("wb") as stream:
-        write_ascii(grid, stream, variant)
 
 
 def _usual_variant(grid: Grid, path: Path) -> Variant:

@@ -83,21 +83,17 @@ def fortran_readings(stream: BinaryIO) -> Iterator[Reading]:
         walk = walk_records(stream, base)
         if not walk.records or walk.records[0].length not in (4, 8, 12):
             continue
-        integers = _leading_integers(stream, walk.records, base)
+        content = bytearray()
+        for offset, length in chain.from_iterable(record.segments for record in walk.records[: 1 + MOST_BLOCKS]):
+            stream.seek(offset)
+            content += stream.read(min(length, 4 * LONGEST_HEADER - len(content)))
+        integers = np.frombuffer(content, base.integer, count=len(content) // 4).astype(np.int64)
         headers = list(_headers(base, walk, integers))
         for variant, shapes, used in headers:
             yield from _data_readings(variant, shapes, walk, used)
         if not headers:
             defect = f"its header {integers[:9].tolist()} is not a block count with sizes that fill whole records"
             yield Reading(base, (), walk.size, (), (1, 0), defect)
-
-
-def _leading_integers(stream: BinaryIO, records: list[Record], variant: Variant) -> NDArray[np.int64]:
-    content = bytearray()
-    for offset, length in chain.from_iterable(record.segments for record in records[: 1 + MOST_BLOCKS]):
-        stream.seek(offset)
-        content += stream.read(min(length, 4 * LONGEST_HEADER - len(content)))
-    return np.frombuffer(content, variant.integer, count=len(content) // 4).astype(np.int64)
 
 
 def _headers(
@@ -125,7 +121,10 @@ def _data_readings(header: Variant, shapes: tuple[Shape, ...], walk: Walk, used:
         expected = found[:used] + [length for shape in shapes for length in record_lengths(variant, shape)]
         good = len(list(takewhile(lambda pair: pair[0] == pair[1], zip(found, expected, strict=False))))
         defect = _defect(found, expected, good, walk.problem)
-        size = _stored(expected, variant) if defect else walk.size
+        size = walk.size
+        if defect:
+            marks = 2 * variant.marker.itemsize
+            size = sum(length + marks * math.ceil(length / _longest(variant)) for length in expected)
         yield Reading(variant, shapes, size, segments, (1, good), defect)
 
 
@@ -153,16 +152,6 @@ def _longest(variant: Variant) -> int:
     return LONGEST_SUBRECORD if variant.markers == 4 else sys.maxsize
 
 
-def _subrecords(length: int, variant: Variant) -> list[int]:
-    longest = _longest(variant)
-    return [min(longest, length - start) for start in range(0, length, longest)]
-
-
-def _stored(lengths: list[int], variant: Variant) -> int:
-    """Size in the file of records with data of these lengths."""
-    return sum(length + 2 * variant.marker.itemsize * math.ceil(length / _longest(variant)) for length in lengths)
-
-
 def laid_out(lengths: Sequence[int], variant: Variant) -> tuple[list[tuple[int, bytes]], list[list[tuple[int, int]]]]:
     """Layout of a file whose records have data of these lengths; records of a C stream have no markers.
 
@@ -174,7 +163,8 @@ def laid_out(lengths: Sequence[int], variant: Variant) -> tuple[list[tuple[int, 
     markers, records, at = [], [], 0
     width = variant.marker.itemsize if variant.encoding == "fortran" else 0
     for length in lengths:
-        parts = _subrecords(length, variant) if width else [length]
+        longest = _longest(variant) if width else max(length, 1)
+        parts = [min(longest, length - start) for start in range(0, length, longest)]
         stretches = []
         for number, part in enumerate(parts, 1):
             stretches.append((at + width, part))

@@ -120,16 +120,15 @@ def parse_options(options: Mapping[str, Any]) -> dict[str, Any]:
     FormatError
         For an unknown option or value; the message names the nearest known one.
     """
-    return {key: _value(key, value) for key, value in options.items()}
-
-
-def _value(key: str, value: Any) -> Any:
-    if key not in CHOICES:
-        raise FormatError(f"unknown Plot3D option {key!r}{_known(key, list(CHOICES))}")
-    words = {str(choice).lower(): choice for choice in CHOICES[key]}
-    if str(value).lower() not in words:
-        raise FormatError(f"Plot3D option {key}={value} is not known{_known(str(value), list(words))}")
-    return words[str(value).lower()]
+    found = {}
+    for key, value in options.items():
+        if key not in CHOICES:
+            raise FormatError(f"unknown Plot3D option {key!r}{_known(key, list(CHOICES))}")
+        words = {str(choice).lower(): choice for choice in CHOICES[key]}
+        if str(value).lower() not in words:
+            raise FormatError(f"Plot3D option {key}={value} is not known{_known(str(value), list(words))}")
+        found[key] = words[str(value).lower()]
+    return found
 
 
 def _known(word: str, known: list[str]) -> str:

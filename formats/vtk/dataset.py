@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -136,41 +136,26 @@ def assemble(path: Path, kind: str, data_sets: Sequence[DataSet], names: Sequenc
     except GridError as error:
         raise GridError(f"{path}: {error}") from error
     fields = [
-        [
-            (_field(path, array, block, grid), _in_planes(array, shapes[block]))
-            for array in data_set.arrays
-            if array.location
-        ]
+        [_field(path, array, block, grid) for array in data_set.arrays if array.location]
         for block, data_set in enumerate(data_sets)
     ]
 
     def put(part: Planes) -> None:
-        points = grid.in_planes(part.block), data_sets[part.block].points
-        _fill(grid, part, [points, *((field.own, values) for field, values in fields[part.block])])
+        """Fill some planes k of all arrays of a block, as far as this rank holds them, from values along k, j, i."""
+        own, (block, first, last) = grid.planes(part.block), part
+        pairs = [(field.own, values) for field, values in fields[block]]
+        for target, values in [(grid.in_planes(block), data_sets[block].points), *pairs]:
+            end = min(last, target.shape[2])
+            if first < end:
+                read = values.stored.read(first, end) if isinstance(values, Run) else values[first:end]
+                target[:, :, first:end] = read[:, :, own.start : own.start + len(target)].swapaxes(0, 2)
 
     grid.fill_planes(put, ranges_of(list(enumerate(shapes))))
     return dataclasses.replace(grid, fields=tuple(field for found in fields for field, _ in found))
 
 
-def _fill(grid: Grid, part: Planes, targets: Iterable[tuple[NDArray[Any], Values]]) -> None:
-    """Fill some planes k of arrays (ni, nj, nk, ...) of a block, as far as this rank holds them, from values along
-    k, j, i."""
-    own, (_, first, last) = grid.planes(part.block), part
-    for target, values in targets:
-        end = min(last, target.shape[2])
-        if first < end:
-            read = values.stored.read(first, end) if isinstance(values, Run) else values[first:end]
-            target[:, :, first:end] = read[:, :, own.start : own.start + len(target)].swapaxes(0, 2)
-
-
-def _in_planes(array: DataArray, nodes: Shape) -> Any:
-    """Values of an array along k, j, i."""
-    ni, nj, nk = nodes if array.location == "node" else (max(n - 1, 1) for n in nodes)
-    return array.values.reshape(nk, nj, ni, *array.values.shape[1:])
-
-
-def _field(path: Path, array: DataArray, block: int, grid: Grid) -> VtkField:
-    """A field with room for the values of an array."""
+def _field(path: Path, array: DataArray, block: int, grid: Grid) -> tuple[VtkField, Any]:
+    """A field with room for the values of an array, and these along k, j, i."""
     ni, nj, nk = grid.shapes[block] if array.location == "node" else grid.cell_shapes[block]
     if len(array.values) != ni * nj * nk:
         raise FormatError(
@@ -179,7 +164,8 @@ def _field(path: Path, array: DataArray, block: int, grid: Grid) -> VtkField:
         )
     kind = array.values.dtype.newbyteorder("=")
     own = empty((*grid.own_shape(block, (ni, nj, nk)), *array.values.shape[1:]), kind)
-    return VtkField(array.name, array.location, block, grid.spread(own, ni), array.roles, array.components)
+    field = VtkField(array.name, array.location, block, grid.spread(own, ni), array.roles, array.components)
+    return field, array.values.reshape(nk, nj, ni, *array.values.shape[1:])
 
 
 # Values are written in slabs of so many bytes, or of so many planes k = const where a plane is larger.
@@ -254,7 +240,10 @@ def write_blocks(grid: Grid, paths: Sequence[Path], variant: VtkFormat, begin: B
 
     ``begin`` takes the arrays of a block, of which the first are the coordinates.
     """
-    contents = [_arrays_to_write(grid, block, variant, fields) for block, fields in enumerate(_fields_of_blocks(grid))]
+    fields: list[list[Field]] = [[] for _ in grid.shapes]
+    for field in grid.fields:
+        fields[field.block].append(field)
+    contents = [_arrays_to_write(grid, block, variant, own) for block, own in enumerate(fields)]
 
     def all_begun() -> list[Reserved]:
         return [begin(grid, block, paths[block], variant, arrays) for block, arrays in enumerate(contents)]
@@ -265,13 +254,6 @@ def write_blocks(grid: Grid, paths: Sequence[Path], variant: VtkFormat, begin: B
         for number, place in places.items()
     ]
     write_outputs(grid, outputs)
-
-
-def _fields_of_blocks(grid: Grid) -> list[list[Field]]:
-    found: list[list[Field]] = [[] for _ in grid.shapes]
-    for field in grid.fields:
-        found[field.block].append(field)
-    return found
 
 
 def _arrays_to_write(grid: Grid, block: int, variant: VtkFormat, fields: Sequence[Field]) -> list[StoredArray]:
@@ -287,7 +269,7 @@ def _arrays_to_write(grid: Grid, block: int, variant: VtkFormat, fields: Sequenc
     found: dict[tuple[str, str], StoredArray] = {}
     for field in fields:
         label = f"{field.location} field {field.name!r} of {grid.names[block]}"
-        values, whole = field.own.swapaxes(0, 2), _reversed(field.values.shape)
+        values, whole = field.own.swapaxes(0, 2), (*field.values.shape[2::-1], *field.values.shape[3:])
         if field.location.endswith("face"):
             # VTK has no values at faces: one array for each index axis, i fastest like all others.
             name = f"{field.name}{field.location[0].upper()}"
@@ -309,11 +291,6 @@ def _arrays_to_write(grid: Grid, block: int, variant: VtkFormat, fields: Sequenc
         *(StoredArray(a.name, "", a.values, a.values.shape, a.values.dtype, *a[3:]) for a in kept),
         *found.values(),
     ]
-
-
-def _reversed(shape: tuple[int, ...]) -> tuple[int, ...]:
-    """Shape of values along k, j, i."""
-    return (*shape[2::-1], *shape[3:])
 
 
 def storable(values: NDArray[Any], label: str) -> NDArray[Any]:

@@ -15,7 +15,6 @@ from typing import Any, BinaryIO
 from urllib.parse import unquote
 
 import numpy as np
-from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Shape
@@ -137,7 +136,9 @@ class LegacyFile:
         """
         name = type_name.lower()
         if name == "bit":
-            return self._bits(count, what)
+            if not self.binary:
+                return self.values(count, "unsigned_char", what)
+            return np.unpackbits(self.values((count + 7) // 8, "unsigned_char", what))[:count]
         if name not in TYPES:
             raise self.error(f"{what}: unknown type {type_name!r}; known are {' '.join(TYPES)} and bit")
         code = "i4" if self.binary and name == "vtkidtype" else TYPES[name]
@@ -161,11 +162,6 @@ class LegacyFile:
         if len(values) != count:
             raise self.error(f"{what}: expected {count} values, found {len(values)}; the file is truncated or wrong")
         return values
-
-    def _bits(self, count: int, what: str) -> NDArray[np.uint8]:
-        if not self.binary:
-            return self.values(count, "unsigned_char", what)
-        return np.unpackbits(self.values((count + 7) // 8, "unsigned_char", what))[:count]
 
     def component_names(self) -> tuple[str, ...]:
         """Component names from the METADATA that may follow an array; the rest of METADATA is skipped."""

@@ -13,9 +13,8 @@ from typing import Any, BinaryIO
 from urllib.parse import quote
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshdeform_core.grid import Grid, Shape
+from meshdeform_core.grid import Grid
 
 from .dataset import Reserved, StoredArray, VtkFormat
 
@@ -32,13 +31,13 @@ _TYPE_NAMES = {
     "f8": "double",
 }
 
-# Sections that define the role of an array, and their possible numbers of components.
+# Sections that define the role of an array: keyword, the line, and possible numbers of components.
 _SECTIONS = {
-    "Scalars": ("SCALARS", (1, 2, 3, 4)),
-    "Vectors": ("VECTORS", (3,)),
-    "Normals": ("NORMALS", (3,)),
-    "Tensors": ("TENSORS", (9,)),
-    "TCoords": ("TEXTURE_COORDINATES", (1, 2, 3)),
+    "Scalars": ("SCALARS", "{0} {1} {3} {2}\nLOOKUP_TABLE default", (1, 2, 3, 4)),
+    "Vectors": ("VECTORS", "{0} {1} {3}", (3,)),
+    "Normals": ("NORMALS", "{0} {1} {3}", (3,)),
+    "Tensors": ("TENSORS", "{0} {1} {3}", (9,)),
+    "TCoords": ("TEXTURE_COORDINATES", "{0} {1} {2} {3}", (1, 2, 3)),
 }
 
 # VTK encodes blanks, quotation marks and percent signs in names.
@@ -61,18 +60,14 @@ def begin_block(grid: Grid, block: int, path: Path, variant: VtkFormat, contents
         output.line(variant.options["encoding"].upper())
         output.line("DATASET STRUCTURED_GRID")
         output.fields([a for a in arrays if not a.location])
-        output.line(_extent(grid.shapes[block], variant.origins[block] if variant.origins else (0, 0, 0)))
+        shape, origin = grid.shapes[block], variant.origins[block] if variant.origins else (0, 0, 0)
+        extent = " ".join(f"{low} {low + n - 1}" for low, n in zip(origin, shape, strict=True))
+        output.line(f"EXTENT {extent}" if any(origin) else "DIMENSIONS {} {} {}".format(*shape))
         output.line(f"POINTS {points.tuples} {_type_name(points)}")
         output.values(points)
         for keyword, location in (("CELL_DATA", "cell"), ("POINT_DATA", "node")):
             output.attributes(keyword, [a for a in arrays if a.location == location])
     return {number: output.places[id(array)] for number, array in enumerate(contents) if id(array) in output.places}
-
-
-def _extent(shape: Shape, origin: Shape) -> str:
-    if origin == (0, 0, 0):
-        return f"DIMENSIONS {shape[0]} {shape[1]} {shape[2]}"
-    return "EXTENT " + " ".join(f"{low} {low + n - 1}" for low, n in zip(origin, shape, strict=True))
 
 
 class _Output:
@@ -88,7 +83,14 @@ class _Output:
 
     def values(self, array: StoredArray) -> None:
         if not self.binary:
-            self._text(array.run())
+            flat = array.run()
+            number = {"f4": "%.9g", "f8": "%.17g"}.get(flat.dtype.str[1:], "%d")
+            line = " ".join([number] * _VALUES_PER_LINE) + "\n"
+            at_once = _LINES_AT_ONCE * _VALUES_PER_LINE
+            for start in range(0, flat.size, at_once):
+                part = flat[start : start + at_once].tolist()
+                full, rest = divmod(len(part), _VALUES_PER_LINE)
+                self.line((line * full + " ".join([number] * rest)) % tuple(part))
             return
         kind = array.precision.newbyteorder(">")
         if array.in_planes:
@@ -98,35 +100,20 @@ class _Output:
             self.stream.write(array.run().astype(kind, copy=False).data)
         self.stream.write(b"\n")
 
-    def _text(self, flat: NDArray[Any]) -> None:
-        number = {"f4": "%.9g", "f8": "%.17g"}.get(flat.dtype.str[1:], "%d")
-        line = " ".join([number] * _VALUES_PER_LINE) + "\n"
-        at_once = _LINES_AT_ONCE * _VALUES_PER_LINE
-        for start in range(0, flat.size, at_once):
-            part = flat[start : start + at_once].tolist()
-            full, rest = divmod(len(part), _VALUES_PER_LINE)
-            self.line((line * full + " ".join([number] * rest)) % tuple(part))
-
     def attributes(self, keyword: str, arrays: Sequence[StoredArray]) -> None:
         """CELL_DATA or POINT_DATA: sections for the arrays with a role, the others as a FIELD."""
-        if not arrays:
-            return
-        self.line(f"{keyword} {arrays[0].tuples}")
+        if arrays:
+            self.line(f"{keyword} {arrays[0].tuples}")
         others = []
         for array in arrays:
-            if section := _section_keyword(array):
-                self._section(section, array)
-            else:
+            found = (_SECTIONS[role] for role in array.roles if role in _SECTIONS)
+            section, form, _ = next((each for each in found if array.components in each[2]), ("", "", ()))
+            if not section:
                 others.append(array)
+                continue
+            self.line(form.format(section, _encoded(array.name), array.components, _type_name(array)))
+            self._values_and_metadata(array)
         self.fields(others)
-
-    def _section(self, keyword: str, array: StoredArray) -> None:
-        components = {"SCALARS": " {1} {0}", "TEXTURE_COORDINATES": " {0} {1}"}.get(keyword, " {1}")
-        words = components.format(array.components, _type_name(array))
-        self.line(f"{keyword} {_encoded(array.name)}{words}")
-        if keyword == "SCALARS":
-            self.line("LOOKUP_TABLE default")
-        self._values_and_metadata(array)
 
     def fields(self, arrays: Sequence[StoredArray]) -> None:
         """A FIELD of arrays."""
@@ -142,14 +129,6 @@ class _Output:
         if array.component_names:
             self.line("METADATA\nCOMPONENT_NAMES")
             self.line("\n".join(map(_encoded, array.component_names)) + "\n")
-
-
-def _section_keyword(array: StoredArray) -> str:
-    for role in array.roles:
-        keyword, components = _SECTIONS.get(role, ("", ()))
-        if array.components in components:
-            return keyword
-    return ""
 
 
 def _type_name(array: StoredArray) -> str:

@@ -124,15 +124,21 @@ class ArrayReader:
         wanted = f"{count} values ({tuples} x {stated})" if stated > 1 else f"{count} values"
         shape = (tuples,) if stated == 1 else (tuples, stated)
         if array.get("format") in ("", "ascii"):
-            return self._text(array, count, dtype.newbyteorder("="), wanted).reshape(shape)
+            try:
+                found = numbers_in_text(self._content(array), dtype.newbyteorder("="))
+            except NotANumber as error:
+                raise self.error(array, f"holds {error}, expected {dtype.name} numbers") from error
+            if len(found) != count:
+                raise self.error(array, f"has {len(found)} values, expected {wanted}")
+            return found.reshape(shape)
         size = (count + 7) // 8 if kind == "Bit" else count * dtype.itemsize
         try:
-            found = self._binary(array, size, wanted, later and kind != "Bit")
+            stored = self._binary(array, size, wanted, later and kind != "Bit")
         except binascii.Error as error:
             raise self.error(array, f"contains something that is not base64: {error}") from error
-        if isinstance(found, int):
-            return Run(self.file.path, dtype, found, shape)
-        return (np.unpackbits(found)[:count] if kind == "Bit" else found.view(dtype)).reshape(shape)
+        if isinstance(stored, int):
+            return Run(self.file.path, dtype, stored, shape)
+        return (np.unpackbits(stored)[:count] if kind == "Bit" else stored.view(dtype)).reshape(shape)
 
     def arrays_of(self, piece: Element, tag: str, number: int) -> list[Element]:
         """The arrays of all ``tag`` elements in ``piece``, of which there must be ``number``."""
@@ -196,15 +202,6 @@ class ArrayReader:
         content = self._stream.read(array.end - array.start)
         opening = TAG.match(content)
         return content[opening.end() :] if opening else b""
-
-    def _text(self, array: Element, count: int, dtype: np.dtype[Any], wanted: str) -> NDArray[Any]:
-        try:
-            values = numbers_in_text(self._content(array), dtype)
-        except NotANumber as error:
-            raise self.error(array, f"holds {error}, expected {dtype.name} numbers") from error
-        if len(values) != count:
-            raise self.error(array, f"has {len(values)} values, expected {wanted}")
-        return values
 
     def _binary(self, array: Element, size: int, wanted: str, later: bool) -> NDArray[np.uint8] | int:
         """The ``size`` bytes of an array or, with ``later``, the position of those that are stored as they are."""
@@ -308,7 +305,13 @@ def numbers_in_text(text: bytes, dtype: np.dtype[Any]) -> NDArray[Any]:
         try:
             numbers = np.fromstring(text, wide, sep=" ")
         except (ValueError, DeprecationWarning) as error:
-            raise NotANumber(_first_stranger(text, float if dtype.kind == "f" else int)) from error
+            number = float if dtype.kind == "f" else int
+            for word in text.split():
+                try:
+                    number(word)
+                except ValueError:
+                    raise NotANumber(_shown(word)) from error
+            raise NotANumber("something that is not a number") from error
     if dtype.kind == "f":
         with np.errstate(over="ignore"):
             values = numbers.astype(dtype, copy=False)
@@ -323,15 +326,6 @@ def numbers_in_text(text: bytes, dtype: np.dtype[Any]) -> NDArray[Any]:
             if doubt and not limits.min <= int(word) <= limits.max:
                 raise NotANumber(_shown(word))
     return numbers.astype(dtype, copy=False)
-
-
-def _first_stranger(text: bytes, number: type) -> str:
-    for word in text.split():
-        try:
-            number(word)
-        except ValueError:
-            return _shown(word)
-    return "something that is not a number"
 
 
 def _shown(word: bytes) -> str:

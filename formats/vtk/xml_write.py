@@ -88,13 +88,15 @@ def packer(compression: str, path: str) -> Callable[[bytes], bytes] | None:
     if compression == "lz4":
         compress = lz4_block(f"cannot write {path}").compress
         return lambda block: bytes(compress(block, store_size=False))
-    return _pack_lzma if compression == "lzma" else None
+    if compression == "none":
+        return None
 
+    def pack(block: bytes) -> bytes:
+        # A dictionary larger than the block costs time to clear for each block, and compresses no better.
+        filters = [{"id": lzma.FILTER_LZMA2, "preset": _LEVEL, "dict_size": max(len(block), _SMALLEST_DICTIONARY)}]
+        return lzma.compress(block, lzma.FORMAT_XZ, lzma.CHECK_CRC32, filters=filters)
 
-def _pack_lzma(block: bytes) -> bytes:
-    # A dictionary larger than the block costs time to clear for each block, and compresses no better.
-    filters = [{"id": lzma.FILTER_LZMA2, "preset": _LEVEL, "dict_size": max(len(block), _SMALLEST_DICTIONARY)}]
-    return lzma.compress(block, lzma.FORMAT_XZ, lzma.CHECK_CRC32, filters=filters)
+    return pack
 
 
 def _in_blocks(pieces: Iterable[bytes], size: int) -> Iterator[bytes]:

@@ -18,7 +18,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from ..boundary.layer import find_layer
-from ..errors import MethodError, suggestion
+from ..errors import MethodError
 from .base import Account, PreparedMethod, Problem, Progress, Setting
 from .composite import Composite
 from .gaps import InGaps
@@ -164,8 +164,7 @@ def entry_of(name: str) -> MethodEntry:
     if full in REFUSED:
         raise MethodError(f"method {name!r} is not offered: {REFUSED[full]}")
     if full not in CATALOGUE:
-        known = [*ALIASES, *CATALOGUE]
-        raise MethodError(f"method {name!r} is unknown; known are {', '.join(known)}{suggestion(name, known)}")
+        raise MethodError(f"method {name!r} is unknown; known are {', '.join([*ALIASES, *CATALOGUE])}")
     return CATALOGUE[full]
 
 

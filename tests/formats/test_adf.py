@@ -48,25 +48,6 @@ def test_data_types(tmp_path, kind, long, order):
     np.testing.assert_array_equal(node.data(), values)
 
 
-@pytest.mark.parametrize("version", ["A02011", "A01xxx"])
-def test_links_inside_the_file_and_to_other_files(tmp_path, version):
-    (tmp_path / "mesh").mkdir()
-    points = box(3, 3, 3)
-    AdfWriter(version).write(tmp_path / "mesh" / "other.adf", tree(zone("far", points)))
-    whole = zone("here", points)
-    inner = N("GridCoordinates", "", link=("", "/Base/here/GridCoordinates"))
-    outer = N("GridCoordinates", "", link=("mesh/other.adf", "/Base/far/GridCoordinates"))
-    sizes, kind = whole.data, whole["ZoneType"]
-    linked = [replace(whole, name=name, children=[kind, node]) for name, node in (("a", inner), ("b", outer))]
-    AdfWriter(version).write(tmp_path / "main.adf", tree(whole, *linked))
-    grid = read_grid(tmp_path / "main.adf")
-    assert grid.names == ("here", "a", "b")
-    assert sizes[0, 0] == 3
-    for block in range(3):
-        np.testing.assert_array_equal(grid.block(block), points)
-    assert any("b (mesh/other.adf:/Base/far/GridCoordinates)" in note for note in grid.notes)
-
-
 @pytest.mark.parametrize(
     "link",
     [

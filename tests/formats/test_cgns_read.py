@@ -103,22 +103,6 @@ def test_zones_come_in_file_order(tmp_path, track):
     assert read_grid(AdfWriter().write(tmp_path / "grid.adf", root)).names == tuple(names)
 
 
-@pytest.mark.parametrize(
-    ("first", "second", "precision", "options"),
-    [
-        ("f4", "f4", "float32", {"container": "HDF5"}),
-        ("f8", "f8", "float64", {"container": "HDF5"}),
-        ("f8", "f4", "float32", {"container": "HDF5", "precision": "mixed"}),
-    ],
-)
-def test_precision(tmp_path, first, second, precision, options):
-    root = tree(zone("a", box(3, 2, 2), dtype=first), zone("b", box(3, 2, 2), dtype=second))
-    grid = read_grid(write_hdf5(tmp_path / "grid.cgns", root))
-    assert grid.precision == precision
-    assert grid.format.options == options
-    np.testing.assert_array_equal(grid.block(1), box(3, 2, 2).astype(second))
-
-
 def test_big_endian_data(tmp_path):
     path = write_hdf5(tmp_path / "grid.cgns", two_zones())
     with h5py.File(path, "r+") as file:
@@ -188,25 +172,6 @@ def test_point_sets(tmp_path, condition, windows):
     grid = read_grid(write_hdf5(tmp_path / "grid.cgns", root))
     assert grid.patches[0].windows == windows
     assert grid.notes == ()
-
-
-def test_point_list_of_an_l_shape_and_of_both_ends(tmp_path):
-    member = np.zeros((5, 6), bool)
-    member[:3, :] = member[:, :3] = True
-    nodes = np.column_stack([np.argwhere(member) + 1, np.ones(member.sum(), int)])
-    both = np.vstack([face_list(0, 1, (5, 6, 3)), face_list(0, 5, (5, 6, 3))])
-    ell, ends = (
-        bc("ell", "BCWall", nodes, point_set="PointList"),
-        bc("ends", "BCWall", both, located("IFaceCenter"), point_set="PointList"),
-    )
-    grid = read_grid(write_hdf5(tmp_path / "grid.cgns", tree(zone("z", box(5, 6, 3), zone_bc(ell, ends)))))
-    assert {w.side for w in grid.patches[0].windows} == {Side.KMIN}
-    cells = np.zeros((4, 5), int)
-    for window in grid.patches[0].windows:
-        cells[window.low[0] : window.high[0], window.low[1] : window.high[1]] += 1
-    expected = member[1:, 1:] & member[:-1, 1:] & member[1:, :-1] & member[:-1, :-1]
-    np.testing.assert_array_equal(cells, expected)
-    assert [w.side for w in grid.patches[1].windows] == [Side.IMIN, Side.IMAX]
 
 
 def test_face_centres_of_a_single_layer_of_cells(tmp_path):
@@ -288,15 +253,6 @@ def test_periodic_angles_are_degrees_whatever_their_unit(tmp_path, stored, inner
     assert noted is None or any(f"read as {noted}" in note for note in grid.notes)
 
 
-def test_periodic_translation(tmp_path):
-    motion = periodic([1, 2, 3], [0, 0, 0], [0.0, 0.0, 4.0])
-    sides = connectivity(one_to_one("p", "z", [[1, 1, 1], [3, 3, 1]], [[1, 1, 5], [3, 3, 5]], None, motion))
-    grid = read_grid(write_hdf5(tmp_path / "grid.cgns", tree(zone("z", box(3, 3, 5), sides))))
-    assert grid.connections[0].periodic.translation == (0.0, 0.0, 4.0)
-    assert grid.connections[0].periodic.rotation_center == (1.0, 2.0, 3.0)
-    assert grid.notes == ()
-
-
 @pytest.mark.parametrize(
     ("own", "donor", "transform", "name"),
     [
@@ -331,19 +287,6 @@ def test_other_connectivity_is_noted(tmp_path, kind):
     notes = read_grid(write_hdf5(tmp_path / "grid.cgns", root)).notes
     assert any(f"{kind} connectivity is kept in the file but not used" in n and "left/g" in n for n in notes)
     assert any("Overset connectivity is kept" in n and "left/h" in n for n in notes)
-
-
-def test_rind_planes_are_left_out(tmp_path):
-    whole = box(6, 4, 5)
-    inner = zone("z", whole[1:4, :, 1:])
-    arrays = [N(f"Coordinate{'XYZ'[c]}", "DataArray_t", whole[..., c]) for c in range(3)]
-    rind = N("Rind", "Rind_t", np.array([1, 2, 0, 0, 1, 0], np.int32))
-    coordinates = N("GridCoordinates", "GridCoordinates_t", None, [rind, *arrays])
-    root = tree(replace(inner, children=[inner["ZoneType"], coordinates]))
-    grid = read_grid(write_hdf5(tmp_path / "grid.cgns", root))
-    assert grid.shapes == ((3, 4, 4),)
-    np.testing.assert_array_equal(grid.block(0), whole[1:4, :, 1:])
-    assert any("rind planes are not part of the grid" in note for note in grid.notes)
 
 
 def test_what_else_a_file_holds_is_noted(tmp_path):

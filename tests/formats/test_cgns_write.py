@@ -116,17 +116,6 @@ def test_what_reading_has_found_is_not_looked_up_again(tmp_path, monkeypatch):
     np.testing.assert_array_equal(read_grid(tmp_path / "later.cgns").block(0), grid.block(0))
 
 
-@pytest.mark.parametrize("change", ["precision", "fields"])
-def test_more_than_values_of_coordinates_change(tmp_path, change):
-    grid = moved(read_grid(write_hdf5(tmp_path / "in.cgns", full_file())))
-    if change == "fields":
-        grid = replace(grid, fields=(Field("speed", "node", 0, np.arange(60.0).reshape(4, 3, 5)),))
-    for name, original in (("one", grid.format.original), ("two", None)):
-        own = replace(grid, format=replace(grid.format, original=original))
-        write_grid(own, tmp_path / f"{name}.cgns", {"precision": "float32"} if change == "precision" else {})
-    assert (tmp_path / "one.cgns").read_bytes() == (tmp_path / "two.cgns").read_bytes()
-
-
 @pytest.mark.parametrize("shared", ["CoordinateY", "CoordinateY/ data"])
 @pytest.mark.parametrize("options", [{}, {"precision": "float32"}])
 def test_coordinates_that_are_stored_once_for_two_zones(tmp_path, shared, options):
@@ -200,17 +189,6 @@ def test_rind_planes_and_bounding_box(tmp_path):
         expected[1:, :3] = grid.block(0)
         np.testing.assert_array_equal(stored, expected.astype(precision))
         np.testing.assert_array_equal(box_stored, [grid.points.min(axis=0), grid.points.max(axis=0)])
-
-
-def test_bases_of_two_index_axes(tmp_path):
-    source = write_hdf5(tmp_path / "in.cgns", tree(zone("z", box(4, 3, 1)[:, :, 0, :2]), cell=2, physical=2))
-    grid = moved(read_grid(source))
-    write_grid(grid, tmp_path / "out.cgns")
-    np.testing.assert_array_equal(read_grid(tmp_path / "out.cgns").points, grid.points)
-    assert_cgnscheck_finds_no_error(tmp_path / "out.cgns")
-    with pytest.raises(FormatError, match=r"stores only x and y .* moved out of the plane z = 0"):
-        write_grid(grid.moved(grid.points + 1.0), tmp_path / "other.cgns")
-    assert not (tmp_path / "other.cgns").exists()
 
 
 def test_writing_over_the_source(tmp_path):
@@ -387,17 +365,6 @@ def test_adf_variants_become_what_adf2hdf_makes_of_them(tmp_path, version, order
     run("adf2hdf", source, tmp_path / "reference.cgns")
     write_grid(read_grid(source), tmp_path / "out.cgns")
     assert differences(tmp_path / "reference.cgns", tmp_path / "out.cgns", is_version) == []
-
-
-def test_what_hdf2adf_makes_of_our_file_is_the_same_grid(tmp_path):
-    source = write_hdf5(tmp_path / "in.cgns", two_zones())
-    grid = moved(read_grid(source))
-    write_grid(grid, tmp_path / "out.cgns")
-    run("hdf2adf", tmp_path / "out.cgns", tmp_path / "back.cgns")
-    back = read_grid(tmp_path / "back.cgns")
-    assert back.format.options["container"] == "ADF"
-    np.testing.assert_array_equal(back.points, grid.points)
-    assert back.patches == grid.patches
 
 
 # --- other readers ------------------------------------------------------------------------------------------------

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 import vtk_witness
 
-from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality.measures.cells import block_volumes
@@ -79,20 +78,6 @@ def test_every_plot3d_variant_and_back(name, third_party, tmp_path):
         assert back.precision == "float64"
 
 
-@EACH
-def test_plot3d_in_the_plane_and_single_blocks(name, third_party, tmp_path):
-    """2-D files and files without block count hold what fits them and refuse the rest."""
-    known, grid = oracle(third_party, name), read_grid(third_party / name)
-    for options, fits in (({"dimension": 2}, grid.dimension == 2), ({"multiblock": "false"}, grid.n_blocks == 1)):
-        path = tmp_path / "grid.xyz"
-        if fits:
-            write_grid(grid, path, options)
-            assert_same(read_grid(path), known)
-        else:
-            with pytest.raises(FormatError, match="cannot write"):
-                write_grid(grid, path, options)
-
-
 @pytest.mark.parametrize("name", [pytest.param(n, marks=() if n in FEW else pytest.mark.slow) for n in NAMES])
 @pytest.mark.parametrize("suffix", VTK)
 def test_every_vtk_variant_and_back(name, suffix, third_party, tmp_path):
@@ -107,15 +92,6 @@ def test_every_vtk_variant_and_back(name, suffix, third_party, tmp_path):
         assert again.precision == grid.precision
         write_grid(again, tmp_path / f"{number}.cgns")
         assert_same(read_grid(tmp_path / f"{number}.cgns"), known)
-
-
-@EACH
-def test_single_precision_is_rounding_once(name, third_party, tmp_path):
-    known, grid = oracle(third_party, name), read_grid(third_party / name)
-    rounded = [block.astype(np.float32).astype(np.float64) for block in known]
-    for target, options in (("grid.xyz", {"encoding": "binary"}), ("grid.cgns", {})):
-        write_grid(grid, tmp_path / target, {"precision": "float32", **options})
-        assert_same(read_grid(tmp_path / target), rounded)
 
 
 EXPORTS = (

@@ -1,7 +1,5 @@
 """Every variant on request: written as a witness writes it, read back, read by VTK and gfortran."""
 
-import shutil
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -216,54 +214,6 @@ def test_long_records_become_subrecords(tmp_path, monkeypatch, longest):
     assert np.array_equal(plot3d.read(tmp_path / "a.x").block(1), blocks[1])
     write(make_grid(blocks), tmp_path / "b.x", markers=8)
     assert (tmp_path / "b.x").read_bytes() == binary_file(blocks, encoding="fortran", markers=8)
-
-
-FORTRAN = """
-program witness
-  implicit none
-  integer :: nb, b, c, m
-  integer, allocatable :: dims(:,:), iblank(:)
-  real(8), allocatable :: x(:,:)
-  open(1, file='in.x', form='unformatted', status='old')
-  open(2, file='out.fmt', form='formatted')
-  open(3, file='out.big', form='unformatted', convert='big_endian')
-  read(1) nb
-  allocate(dims(3, nb))
-  read(1) dims
-  write(2, *) nb
-  write(2, *) dims
-  write(3) nb
-  write(3) dims
-  do b = 1, nb
-    m = product(dims(:, b))
-    allocate(x(m, 3), iblank(m))
-    read(1) (x(:, c), c = 1, 3), iblank
-    write(2, *) x
-    write(2, *) iblank
-    write(3) x, iblank
-    deallocate(x, iblank)
-  end do
-end program
-"""
-
-
-@pytest.mark.skipif(shutil.which("gfortran") is None, reason="gfortran is not installed")
-@pytest.mark.parametrize("markers", [4, 8])
-def test_gfortran_reads_what_we_write_and_we_what_it_writes(tmp_path, monkeypatch, markers):
-    flags = [f"-frecord-marker={markers}", *(["-fmax-subrecord-length=500"] if markers == 4 else [])]
-    (tmp_path / "w.f90").write_text(FORTRAN)
-    subprocess.run(["gfortran", *flags, "w.f90", "-o", "w"], cwd=tmp_path, check=True, timeout=60)
-    shapes = [(3, 4, 5), (2, 3, 2)]
-    grid = make_grid(sample_blocks(shapes), sample_iblank(shapes))
-    monkeypatch.setattr(plot3d_records, "LONGEST_SUBRECORD", 333)
-    write(grid, tmp_path / "in.x", markers=markers)
-    subprocess.run(["./w"], cwd=tmp_path, check=True, timeout=60)
-    for name in ("out.fmt", "out.big"):
-        back = plot3d.read(tmp_path / name)
-        assert np.array_equal(back.points, grid.points)
-        assert [f.values.tolist() for f in back.fields] == [f.values.tolist() for f in grid.fields]
-    assert back.format.options["byte_order"] == "big"
-    assert back.format.options["markers"] == markers
 
 
 @pytest.mark.parametrize(

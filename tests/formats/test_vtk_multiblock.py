@@ -15,7 +15,7 @@ from vtkmodules.vtkCommonDataModel import vtkCompositeDataSet, vtkMultiBlockData
 from vtkmodules.vtkIOXML import vtkXMLMultiBlockDataReader, vtkXMLMultiBlockDataWriter
 
 from meshdeform_core.errors import FormatError, GridError
-from meshdeform_core.grid import Field, Grid
+from meshdeform_core.grid import Grid
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.vtk import multiblock as vtk_multiblock
 
@@ -91,15 +91,6 @@ def test_vtk_reads_our_set(tmp_path):
     again = read_grid(tmp_path / "set.vtm")
     assert again.names == grid.names
     np.testing.assert_array_equal(again.points, grid.points)
-
-
-def test_fields_belong_to_their_block(tmp_path):
-    fields = (Field("iblank", "node", 1, np.ones((2, 3, 3), np.int32)), Field("q", "cell", 0, np.zeros((1, 2, 1))))
-    grid = Grid.from_blocks(blocks((2, 3, 2), (2, 3, 3)), fields=fields)
-    write_grid(grid, tmp_path / "set.vtm", {"compression": "lzma"})
-    again = read_grid(tmp_path / "set.vtm")
-    assert {(f.name, f.location, f.block) for f in again.fields} == {("iblank", "node", 1), ("q", "cell", 0)}
-    assert again.format.options["compression"] == "lzma"
 
 
 def content(folder):

@@ -6,9 +6,6 @@ import re
 import numpy as np
 import pytest
 import vtk_witness
-from vtkmodules.vtkCommonDataModel import vtkPolyData, vtkUnstructuredGrid
-from vtkmodules.vtkIOLegacy import vtkPolyDataWriter, vtkUnstructuredGridWriter
-from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter, vtkXMLUnstructuredGridWriter
 
 from meshdeform_core.errors import FormatError, GridError
 from meshdeform_core.grid import Field, Grid
@@ -107,21 +104,3 @@ def test_a_line_of_nodes_is_no_block(tmp_path):
     vtk_witness.write_xml(tmp_path / "a.vts", vtk_witness.structured_grid(np.zeros((5, 1, 1, 3))))
     with pytest.raises(GridError, match=r"a\.vts: block1: \(5, 1, 1\) nodes is not a block"):
         read_grid(tmp_path / "a.vts")
-
-
-@pytest.mark.parametrize(
-    ("data_set", "writer", "message"),
-    [
-        (vtkPolyData, vtkPolyDataWriter, "is a polygon surface"),
-        (vtkPolyData, vtkXMLPolyDataWriter, "is a polygon surface"),
-        (vtkUnstructuredGrid, vtkUnstructuredGridWriter, "is an unstructured grid"),
-        (vtkUnstructuredGrid, vtkXMLUnstructuredGridWriter, "is an unstructured grid"),
-    ],
-)
-def test_other_data_sets_of_vtk(tmp_path, data_set, writer, message):
-    out = writer()
-    out.SetInputData(data_set())
-    out.SetFileName(str(tmp_path / "a"))
-    assert out.Write()
-    with pytest.raises(FormatError, match=message):
-        read_grid(tmp_path / "a")

@@ -4,7 +4,6 @@ import base64
 import itertools
 import lzma
 import re
-import subprocess
 import sys
 import time
 import tracemalloc
@@ -23,7 +22,6 @@ from meshdeform_core.errors import FormatError, MeshDeformError
 from meshdeform_core.grid import Field, Grid
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.displacement import read_displacement
-from meshdeform_formats.vtk import xml_arrays, xml_write
 
 CUBE = np.stack(np.meshgrid([0.0, 1.0], [0.0, 1.0], [0.0, 1.0], indexing="ij"), axis=-1)
 ENCODINGS = ("ascii", "binary", "appended", "appended-base64")
@@ -414,17 +412,6 @@ def test_without_the_package_lz4(tmp_path, monkeypatch):
         read_grid(tmp_path / "b.vts")
 
 
-def test_blocks_unpack_to_what_they_were():
-    rng = np.random.default_rng(0)
-    for compression, size in itertools.product(vtk_witness.COMPRESSIONS[1:], (1, 100, 32768)):
-        block = rng.integers(0, 4, size).astype(np.uint8).tobytes()
-        data = xml_write.packer(compression, "")(block)
-        assert xml_arrays.unpack(compression, data, size, "") == block
-        for wrong in (size - 1, size + 1):
-            with pytest.raises(xml_arrays.DamagedBlock):
-                xml_arrays.unpack(compression, data, wrong, "")
-
-
 def test_pieces_of_a_surface(tmp_path):
     one = (
         '<Piece NumberOfPoints="3" NumberOfCells="1"><PointData>{moves}</PointData><Points>{points}</Points><Cells>'
@@ -488,14 +475,3 @@ def test_damage_is_refused_or_harmless(tmp_path_factory, data):
     extent = re.search(rb'WholeExtent="([^"]*)"', content)
     numbers = np.array(extent[1].split(), int).reshape(3, 2)
     assert grid.shapes[0] == tuple(numbers[:, 1] - numbers[:, 0] + 1)
-
-
-def test_no_command_imports_vtk(tmp_path):
-    write_grid(Grid.from_blocks([CUBE]), tmp_path / "a.vts")
-    code = (
-        "import sys\nfrom meshdeform_formats import read_grid, write_grid\n"
-        "write_grid(read_grid(sys.argv[1]), sys.argv[1].replace('a.vts', 'b.vtm'))\n"
-        "print([name for name in sys.modules if name.startswith('vtk')])"
-    )
-    done = subprocess.run([sys.executable, "-c", code, tmp_path / "a.vts"], capture_output=True, text=True, check=True)
-    assert done.stdout == "[]\n"

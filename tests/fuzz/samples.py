@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from random import Random
 
-from . import case_files, grid_files, limits, motions, runs, tables, walls
+from . import case_files, grid_files, limits, runs, tables, walls
 from .bench import METHODS, Bench, called
 
 KINDS: dict[str, Callable[[Bench, Random], str]] = {
     **grid_files.KINDS,
     **tables.KINDS,
-    **motions.KINDS,
     **case_files.KINDS,
     **walls.KINDS,
     **runs.KINDS,

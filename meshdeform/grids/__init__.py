@@ -1,0 +1,1 @@
+"""Grids of the library: the public object, its files and pictures, grids as arguments."""
