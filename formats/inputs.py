@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 from collections.abc import Iterable, Iterator
@@ -9,7 +10,7 @@ from pathlib import Path
 
 from meshdeform_core.errors import FormatError
 
-from .files import read_head
+from .grids import format_at
 
 
 def files_of(path: Path) -> list[Path]:
@@ -81,22 +82,19 @@ def _files_behind(path: Path, state: tuple[int, ...]) -> tuple[Path, ...]:
 
 def _related(path: Path) -> Iterator[Path]:
     yield path
-    if _of_openfoam(path):
-        yield from files_of(path)
-        return
     # Errors in the file are reported when it is read.
-    try:
-        head = read_head(path)
-        if b"<VTKFile" in head:
+    with contextlib.suppress(FormatError):
+        kind = format_at(path)
+        if kind == "openfoam":
+            yield from files_of(path)
+        elif kind == "cgns":
+            yield from _linked_files(path)
+        elif kind == "vtk":
             from .vtk.multiblock import referenced_files
             from .vtk.xml_tags import file_kind
 
             if file_kind(path) == "vtkMultiBlockDataSet":
                 yield from referenced_files(path)
-        elif head.startswith(b"\x89HDF\r\n\x1a\n") or b"ADF Database Version" in head[:64]:
-            yield from _linked_files(path)
-    except FormatError:
-        return
 
 
 def _replaced(output: Path) -> Iterable[Path]:

@@ -33,6 +33,9 @@ def inputs(bench):
     Path("follow.toml").write_text(
         '[[boundary]]\nname = "b"\nselect = ["left.imin"]\nkind = "moving"\nmotion = [{ file = "table.txt" }]\n'
     )
+    with h5py.File("linked.cgns") as plain, h5py.File("block.cgns", "w", userblock_size=512, track_order=True) as file:
+        for name in plain:
+            plain.copy(name, file)
     os.link("table.txt", "same.txt")
     os.symlink("follow.toml", "case.json")
     os.symlink(bench / "parts" / "second.cgns", "short.cgns")
@@ -44,6 +47,7 @@ def inputs(bench):
     [
         ("convert", "linked.cgns", "parts/second.cgns"),
         ("convert", "linked.cgns", "short.cgns"),
+        ("convert", "block.cgns", "parts/second.cgns"),
         ("convert", "linked.cgns", "linked.cgns"),
         ("convert", "other.vtm", "set.vtm"),
         ("convert", "set.vtm", "set.vtm"),
