@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import gc
 import importlib
-import importlib.util
 import os
 import sys
 import traceback
@@ -23,48 +22,13 @@ from .process.messages import drop_output, flush_messages, flush_output, open_st
 from .process.mpi import place, run_on_ranks
 from .process.signals import Handler, end_of
 
-_COMMANDS = (
-    "deform", "series", "repair", "quality", "info", "init", "convert", "compare", "plot", "view", "methods", "sample",
-    "reproduce", "schema", "warm-up",
-)  # fmt: skip
 _ON_RANKS = ("deform", "series")
 _OBJECTS = 200_000
 """New objects in containers that make the collector look for cycles among them."""
 _OF_STREAMS = (errno.ENOSPC, errno.EIO, errno.EDQUOT, errno.EFBIG, errno.EBADF)
 
 
-def _module(name: str) -> str:
-    """The module of a command."""
-    return name.replace("-", "_")
-
-
-class LazyGroup(click.Group):
-    """A group whose commands are imported on demand, one file each, so that ``--help`` stays fast."""
-
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        return [name for name in _COMMANDS if importlib.util.find_spec(f"{__package__}.commands.{_module(name)}")]
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name not in self.list_commands(ctx):
-            return None
-        command: click.Command = importlib.import_module(f"{__package__}.commands.{_module(cmd_name)}").command
-        return command
-
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        name = args[0]
-        if not name.startswith("-") and name not in _COMMANDS:
-            raise click.UsageError(f"No such command {name!r}{suggestion(name, _COMMANDS)}", ctx)
-        return super().resolve_command(ctx, args)
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        # One-line descriptions without importing every command.
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, _SUMMARIES[name]) for name in self.list_commands(ctx)])
-
-
-_SUMMARIES = {
+_COMMANDS = {
     "deform": "Deform a grid: read, deform, judge, write.",
     "series": "Deform a grid over time, one grid per time level.",
     "repair": "Make a grid valid that another program deformed.",
@@ -80,6 +44,33 @@ _SUMMARIES = {
     "reproduce": "Rerun the tables and figures of the paper.",
     "warm-up": "Compile all loops now (container images).",
 }
+"""Commands with one-line descriptions, as importing every command for ``--help`` would take long."""
+
+
+class LazyGroup(click.Group):
+    """A group whose commands are imported on demand, one file each."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(_COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in _COMMANDS:
+            return None
+        module = importlib.import_module(f"{__package__}.commands.{cmd_name.replace('-', '_')}")
+        command: click.Command = module.command
+        return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        name = args[0]
+        if not name.startswith("-") and name not in _COMMANDS:
+            raise click.UsageError(f"no such command {name!r}{suggestion(name, _COMMANDS)}", ctx)
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(list(_COMMANDS.items()))
 
 
 def _print_version(context: click.Context, _: click.Parameter, wanted: bool) -> None:
@@ -149,7 +140,9 @@ def run(args: Sequence[str] | None = None) -> int:
         if interruption.requested() is None:
             if not isinstance(error, Exception):
                 raise
-            code = _report_bug()
+            traceback.print_exc()
+            tell("internal error (a bug); please report it with the lines above")
+            code = EXIT_BUG
     finally:
         interruption.clean_up()
     unwritten = flush_output()
@@ -176,8 +169,8 @@ def _invoke(args: Sequence[str] | None) -> int:
         click.echo(error.format_message())
         return 0
     except click.ClickException as error:
-        error.show()
-        return EXIT_INPUT
+        where = error.ctx.command_path if isinstance(error, click.UsageError) and error.ctx else ""
+        return _fail(error.format_message().removesuffix(".") + (f" (see {where} --help)" if where else ""))
     except (KeyboardInterrupt, click.Abort) as stop:
         if isinstance(stop.__cause__, EOFError):
             # click takes it for the end of what a user types; here it is an error of a reader.
@@ -191,8 +184,9 @@ def _invoke(args: Sequence[str] | None) -> int:
         drop_output()
         return 0
     except OSError as error:
-        # From the operating system: no permission, a name too long, a full disk.
-        return _fail(_refusal(error))
+        # From the operating system: no permission, a name too long, a full disk; without a file it is of stdout.
+        where = error.filename or ("cannot write to stdout" if error.errno in _OF_STREAMS else "")
+        return _fail(f"{where}: {error.strerror}" if where else str(error))
     except MemoryError as error:
         return _fail(f"out of memory ({error}); see --max-memory, or use a smaller grid or method")
 
@@ -213,19 +207,6 @@ def _check_environment() -> None:
     threads = os.environ.get("NUMBA_NUM_THREADS")
     if threads is not None and not (threads.isdecimal() and int(threads) > 0):
         raise CaseError(f"NUMBA_NUM_THREADS={threads}: expected a whole number >= 1; correct or unset this variable")
-
-
-def _refusal(error: OSError) -> str:
-    """The message for an error of the operating system; errors without a file name are those of stdout."""
-    if error.filename:
-        return f"{error.filename}: {error.strerror}"
-    return f"cannot write to stdout: {error.strerror}" if error.errno in _OF_STREAMS else str(error)
-
-
-def _report_bug() -> int:
-    traceback.print_exc()
-    tell("internal error (a bug); please report it with the lines above")
-    return EXIT_BUG
 
 
 def _fail(message: str) -> int:

@@ -4,7 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import click
+
 from meshdeform_core.errors import CaseError, FormatError
+
+from .options import CaseInput, GridInput, RunInput
+
+
+def check_order(source: GridInput, case: CaseInput) -> None:
+    """Refuse a case file in the place of the grid."""
+    if source.path.suffix.lower() == ".toml":
+        grid = case.file if case.file and case.file.suffix.lower() != ".toml" else "GRID"
+        raise click.UsageError(f"{source.path} is a case file; expected the grid first: {grid} -c {source.path}")
 
 
 def keep_inputs(path: Path, *inputs: Path | None) -> None:
@@ -38,6 +49,24 @@ def check_output(path: Path, force: bool, *inputs: Path | None) -> None:
     if not folder.is_dir():
         reason = "is a file" if folder.exists() else "does not exist; create it first"
         raise FormatError(f"cannot write {path}: the folder {folder} {reason}")
+
+
+def check_target(output: Path | None, run: RunInput, *inputs: Path | None) -> None:
+    """Refuse the output of a command that makes a grid if it cannot be written, before anything is computed."""
+    from meshdeform_formats.fields import check_fields
+    from meshdeform_formats.files import invalid_path
+    from meshdeform_formats.grids import format_of
+
+    if run.dry_run:
+        return
+    if output is None:
+        raise click.UsageError("Missing option '-o' / '--output' (or --dry-run).")
+    format_of(output)
+    check_fields(run.fields, output, True)
+    check_output(output, run.force, *inputs)
+    if not run.allow_invalid:
+        # The invalid grid of an earlier run may be replaced, an input never.
+        check_output(invalid_path(output), True, *inputs)
 
 
 def make_folder(output: Path) -> None:

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
-import functools
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import click
 
 from meshdeform_core.memory import SMOOTHNESS_ARRAYS, SWEPT_ARRAYS, VELOCITY_ARRAYS
 
-from .options import PATH, Command, parse_steps
+from .options import PATH, packed, steps_option
 
 
 @dataclass(frozen=True)
@@ -39,35 +36,25 @@ class SeriesInput:
         return SMOOTHNESS_ARRAYS + self.velocity_arrays
 
 
-def series_options(command: Command) -> Command:
-    """Options about the levels, passed as ``wanted``."""
-
-    @click.option("-o", "--output", type=PATH, required=True, help="Folder for the levels; created if missing.")
-    @click.option(
+series_options = packed(
+    SeriesInput,
+    "wanted",
+    click.option("-o", "--output", type=PATH, required=True, help="Folder for the levels; created if missing."),
+    click.option(
         "--times", metavar="START:STOP:STEP",
         help="Time levels, or a list a,b,c; by default those of the case's sequence of displacement files.",
-    )  # fmt: skip
-    @click.option(
+    ),
+    click.option(
         "--from", "origin", type=click.Choice(("reference", "last")), default="reference", show_default=True,
         help="Make each level from the undeformed grid, or from the previous level (marching).",
-    )  # fmt: skip
-    @click.option(
-        "--steps",
-        metavar="N|auto",
-        callback=parse_steps,
-        help="Impose each level in N steps; by default in as many as needed.",
-    )
-    @click.option(
+    ),
+    steps_option("each level"),
+    click.option(
         "--velocity", type=click.Choice(("none", "first", "second", "swept")), default="none", show_default=True,
         help="Write the grid velocity, by backward differences of this order, or the volumes swept by the cell faces "
         "as well (VTK and CGNS).",
-    )  # fmt: skip
-    @click.option("--suffix", help="Format of the levels, by suffix (default: that of GRID).")
-    @click.option("--single-file", is_flag=True, help="All levels in one CGNS file.")
-    @click.option("--resume", is_flag=True, help="Continue an interrupted run of the same series.")
-    @functools.wraps(command)
-    def packed(**options: Any) -> Any:
-        own = {field.name: options.pop(field.name) for field in dataclasses.fields(SeriesInput)}
-        return command(wanted=SeriesInput(**own), **options)
-
-    return packed
+    ),
+    click.option("--suffix", help="Format of the levels, by suffix (default: that of GRID)."),
+    click.option("--single-file", is_flag=True, help="All levels in one CGNS file."),
+    click.option("--resume", is_flag=True, help="Continue an interrupted run of the same series."),
+)  # fmt: skip

@@ -38,7 +38,7 @@ from meshdeform_formats.series.single import SingleFile
 from .options import GridInput, RunInput
 from .outputs import keep_inputs
 from .process.messages import Warnings
-from .process.progress import ProgressBar, writing
+from .process.progress import ProgressBar, stage
 from .series_options import SeriesInput
 from .work import Job, cells_of
 
@@ -287,7 +287,7 @@ class Recorder:
         """
         if self._level is not None and self._writing is not None:
             if not self._writing.done():
-                with writing(self._level.result.grid.points.nbytes):
+                with stage("write"):
                     wait([self._writing])
             done, self._writing, self._level = self._writing, None, None
             done.result()
@@ -312,7 +312,7 @@ def _record(run: Run, level: Level, beside: bool = False) -> None:
     files, before = run.files, clock.perf_counter()
     if not level.result.valid and not run.allow_invalid:
         files.invalid.add(level.number)
-    with contextlib.nullcontext() if beside else writing(level.result.grid.points.nbytes):
+    with contextlib.nullcontext() if beside else stage("write"):
         files.write(level.number, level.result.grid, level.velocity, level.faces)
     run.job.ranks.on_first(lambda: _note(run, level, clock.perf_counter() - before))
     if level.number + 1 < len(run.schedule.times):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import time as clock
 from collections.abc import Callable, Sequence
@@ -16,6 +17,7 @@ from meshdeform_core.boundary import Kind
 from meshdeform_core.boundary.motions.motion import Follow
 from meshdeform_core.boundary.tables.matching import SurfaceData
 from meshdeform_core.deform import Case, Setup, deform
+from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import COORDINATE_ARRAYS, Demand, MemoryLimit, peak_memory
 from meshdeform_core.methods import make_method
@@ -33,7 +35,8 @@ from meshdeform_core.wording import counted
 from meshdeform_formats.case import CaseFile
 from meshdeform_formats.fields import with_fields
 from meshdeform_formats.files import invalid_path
-from meshdeform_formats.grids import complete_for_export, variant_of, write_grid
+from meshdeform_formats.grids import complete_for_export, require_earlier_grid, variant_of, write_grid
+from meshdeform_formats.inputs import existing_outputs
 from meshdeform_formats.joined import grid_of_case
 from meshdeform_formats.placing import existing, require_space
 from meshdeform_formats.report import Report, as_json, deformation_report
@@ -44,7 +47,7 @@ from .exit_codes import EXIT_INVALID
 from .options import CaseInput, GridInput, RunInput
 from .outputs import keep_inputs
 from .process.messages import tell
-from .process.progress import ProgressBar, writing
+from .process.progress import ProgressBar, stage
 from .reporting import STDOUT, Delivery, deliver
 from .room import make_room
 
@@ -85,7 +88,7 @@ def load(
     for path in outputs:
         keep_inputs(path, *what.files)
     make_method(what.case.method)
-    files = [source, *(GridInput(each.path, None, ()) for each in what.component_files.values())]
+    files = [source, *(GridInput(each.path) for each in what.component_files.values())]
     arrays = COORDINATE_ARRAYS + more_arrays
     make_room(memory, "deforming", files, workplace and existing(workplace.absolute()), arrays)
     start = clock.perf_counter()
@@ -156,30 +159,54 @@ def print_plan(report: Report, impossible: bool, run: RunInput, more: str = "") 
     return EXIT_INVALID if impossible and not run.allow_invalid else 0
 
 
+def require_room_for_invalid(output: Path | None, grid: Grid, run: RunInput) -> None:
+    """Refuse to replace anything but the invalid grid of an earlier run by that of this run."""
+    if output is not None and not (run.force or run.dry_run or run.allow_invalid):
+        require_earlier_grid(invalid_path(output), grid)
+
+
+def write_judged(grid: Grid, valid: bool, output: Path, run: RunInput, cells: Callable[[], CellFields]) -> Path:
+    """Write a grid under its name, or beside it if it is invalid; returns the path.
+
+    The invalid grid that an earlier run has left goes when the grid is valid.
+    """
+    beside = invalid_path(output)
+    target = output if valid or run.allow_invalid else beside
+    with stage("write"):
+        found = cells()
+        write_grid(grid, target, run.variant_options, lambda _: with_fields(found, run.fields))
+    if valid:
+        ranks_of(grid.points).on_first(lambda: _remove_earlier(beside, grid))
+    return target
+
+
+def _remove_earlier(path: Path, grid: Grid) -> None:
+    """Remove the file of an invalid grid that an earlier run has left; anything else stays."""
+    with contextlib.suppress(FormatError):
+        if existing_outputs(path) == [path]:
+            require_earlier_grid(path, grid)
+            path.unlink()
+
+
 def run(
-    job: Job, output: Path, imposed: Imposed, variant: dict[str, str], options: RunInput, progress: ProgressBar
+    job: Job, output: Path, imposed: Imposed, options: RunInput, progress: ProgressBar
 ) -> tuple[Report, Illustrate]:
     """Deform and write; returns the report and a function that draws its pictures."""
-    chosen = variant_of(job.grid, output, variant)
+    chosen = variant_of(job.grid, output, options.variant_options)
     require_space(job.grid, output, chosen)
-    precision = chosen.precision
-    grid = complete_for_export(job.grid, output)
     result = deform(
-        grid,
+        complete_for_export(job.grid, output),
         imposed.case(job.case.case),
         time=imposed.time,
         steps=imposed.steps,
-        precision=precision,
+        precision=chosen.precision,
         memory=job.memory,
         progress=progress,
         warn=options.warnings.tell,
     )
     options.warnings.tell(result.warnings)
-    target = output if result.valid or options.allow_invalid else invalid_path(output)
     before = clock.perf_counter()
-    with writing(grid.n_nodes * 3 * np.dtype(precision).itemsize):
-        cells = cells_of(result.setup, result.grid)
-        write_grid(result.grid, target, variant, lambda _: with_fields(cells, options.fields))
+    target = write_judged(result.grid, result.valid, output, options, lambda: cells_of(result.setup, result.grid))
     seconds = {"read": job.read_seconds, "write": clock.perf_counter() - before}
 
     def illustrate() -> Illustrations:
@@ -187,9 +214,8 @@ def run(
 
         return deformation_figures(result)
 
-    return deformation_report(result, seconds, max(job.ranks.gather([peak_memory()]))) | {
-        "output": str(target)
-    }, illustrate
+    peak = max(job.ranks.gather([peak_memory()]))
+    return deformation_report(result, seconds, peak) | {"output": str(target)}, illustrate
 
 
 def cells_of(setup: Setup, after: Grid) -> CellFields:

@@ -45,7 +45,8 @@ def main(folder: Path, comm: Comm | None = None) -> list[md.Step]:
         print(f"t = {time}: {step}", file=sys.stderr)
         steps.append(step)
     if comm is None or comm.rank == 0:
-        md.write(steps[-1].grid, folder / "bent.cgns")
+        folder.mkdir(parents=True, exist_ok=True)
+        md.write(steps[-1].grid, folder / "bent.cgns", force=True)
     return steps
 
 
@@ -55,4 +56,5 @@ if __name__ == "__main__":
         from mpi4py import MPI
 
         world = MPI.COMM_WORLD
-    main(Path(sys.argv[1]), world)
+    folders = [word for word in sys.argv[1:] if not word.startswith("--")]
+    main(Path(folders[0] if folders else "."), world)

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from meshdeform_core.errors import FormatError, GridError, MeshDeformError
+from meshdeform_core.errors import FormatError, GridError, MeshDeformError, suggestion
 from meshdeform_core.grid import FileFormat, Grid
 from meshdeform_core.parallel import require_whole
 from meshdeform_core.wording import listed
@@ -210,7 +210,8 @@ def format_of(path: Path) -> str:
         if suffix in entry.suffixes:
             return name
     known = "; ".join(f"{name}: {' '.join(entry.suffixes)}" for name, entry in FORMATS.items())
-    raise FormatError(f"cannot tell the format of {path} from its suffix {suffix!r}; known are {known}")
+    hint = suggestion(suffix, (each for entry in FORMATS.values() for each in entry.suffixes))
+    raise FormatError(f"cannot tell the format of {path} from its suffix {suffix!r}; known are {known}{hint}")
 
 
 def format_at(path: Path) -> str:

@@ -21,59 +21,37 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from meshdeform_core.errors import CaseError as CaseError
-    from meshdeform_core.errors import FormatError as FormatError
-    from meshdeform_core.errors import GridError as GridError
-    from meshdeform_core.errors import MeshDeformError as MeshDeformError
-    from meshdeform_core.errors import MethodError as MethodError
-    from meshdeform_core.errors import MotionError as MotionError
-    from meshdeform_core.methods import IDW as IDW
-    from meshdeform_core.methods import RBF as RBF
-    from meshdeform_core.methods import TFI as TFI
+    from meshdeform_core.errors import CaseError, FormatError, GridError, MeshDeformError, MethodError, MotionError
+    from meshdeform_core.methods import IDW, RBF, TFI
 
-    from .choice import Hybrid as Hybrid
-    from .grids.files import read as read
-    from .grids.files import write as write
-    from .grids.grid import Grid as Grid
-    from .prepared.mesh import Mesh as Mesh
-    from .prepared.preparation import prepare as prepare
-    from .prepared.step import Step as Step
-    from .tasks import Difference as Difference
-    from .tasks import Sample as Sample
-    from .tasks import compare as compare
-    from .tasks import deform as deform
-    from .tasks import quality as quality
-    from .tasks import sample as sample
+    from .choice import Hybrid
+    from .grid import Grid, read, write
+    from .mesh import Mesh
+    from .preparation import prepare
+    from .step import Step
+    from .tasks import Difference, Sample, compare, deform, quality, sample
 
     __version__: str
 
-_ERRORS, _METHODS = "meshdeform_core.errors", "meshdeform_core.methods"
-_HOME = {
-    "read": ".grids.files",
-    "write": ".grids.files",
-    "Grid": ".grids.grid",
-    "prepare": ".prepared.preparation",
-    "Mesh": ".prepared.mesh",
-    "Step": ".prepared.step",
-    "deform": ".tasks",
-    "quality": ".tasks",
-    "compare": ".tasks",
-    "Difference": ".tasks",
-    "sample": ".tasks",
-    "Sample": ".tasks",
-    "TFI": _METHODS,
-    "RBF": _METHODS,
-    "IDW": _METHODS,
-    "Hybrid": ".choice",
-    "MeshDeformError": _ERRORS,
-    "GridError": _ERRORS,
-    "FormatError": _ERRORS,
-    "CaseError": _ERRORS,
-    "MotionError": _ERRORS,
-    "MethodError": _ERRORS,
-}
+__all__ = [
+    "IDW", "RBF", "TFI", "CaseError", "Difference", "FormatError", "Grid", "GridError", "Hybrid", "Mesh",
+    "MeshDeformError", "MethodError", "MotionError", "Sample", "Step", "__version__", "compare", "deform", "prepare",
+    "quality", "read", "sample", "write",
+]  # fmt: skip
 
-__all__ = [*_HOME, "__version__"]
+_NAMES = {
+    ".grid": ("Grid", "read", "write"),
+    ".preparation": ("prepare",),
+    ".mesh": ("Mesh",),
+    ".step": ("Step",),
+    ".tasks": ("Difference", "Sample", "compare", "deform", "quality", "sample"),
+    ".choice": ("Hybrid",),
+    "meshdeform_core.methods": ("TFI", "RBF", "IDW"),
+    "meshdeform_core.errors": (
+        "MeshDeformError", "GridError", "FormatError", "CaseError", "MotionError", "MethodError",
+    ),
+}  # fmt: skip
+_HOME = {name: module for module, names in _NAMES.items() for name in names}
 
 if not TYPE_CHECKING:
 

@@ -105,7 +105,7 @@ def checked_time(value: Any, error: type[MeshDeformError]) -> float:
     return float(value)
 
 
-def whole(value: Any) -> Any:
+def whole_number(value: Any) -> Any:
     """An integer of any type, such as numpy's, as ``int``; anything else is returned unchanged."""
     return int(value) if isinstance(value, numbers.Integral) and not isinstance(value, bool) else value
 

@@ -22,8 +22,9 @@ from meshdeform_core.errors import GridError, MethodError
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.repair.options import Mode
 
-from .prepared.linearisation import Linearisation
-from .prepared.mesh import Mesh
+from .linearisation import Linearisation
+from .mesh import Mesh
+from .step import Step, unusable
 
 __all__ = ["deform_function"]
 
@@ -35,7 +36,8 @@ def deform_function(
 ) -> Callable[[Any], Blocks]:
     """The deformation as a function of JAX: displacements (n_moving, 3) to arrays like ``mesh.grid.blocks``.
 
-    It works inside ``jax.jit`` and, one displacement after another, inside ``jax.vmap``.
+    It works inside ``jax.jit`` and, one displacement after another, inside ``jax.vmap``; for a grid given in the plane
+    displacements may be (n_moving, 2). A value and its gradient take one deformation.
 
     Parameters
     ----------
@@ -45,10 +47,10 @@ def deform_function(
 
     Raises
     ------
-    GridError
-        When a deformed grid is invalid (inside compiled programs JAX wraps it in an error of its own).
+    jax.errors.JaxRuntimeError
+        When a deformed grid is invalid, inside compiled programs and outside of them; it quotes the ``GridError``.
     MethodError
-        For single precision.
+        For single precision, or a displacement of another shape.
 
     Warns
     -----
@@ -58,64 +60,63 @@ def deform_function(
     if mode not in ("reverse", "forward"):
         raise MethodError(f"mode = {mode!r}; expected 'reverse' or 'forward'")
     host = _Host(mesh, steps, repair)
-    return host.reverse() if mode == "reverse" else host.forward()
+    blocks = [jax.ShapeDtypeStruct(block.shape, np.float64) for block in mesh.grid.blocks]
 
-
-class _Host:
-    """What is called outside of JAX, with the derivative at the last displacement."""
-
-    def __init__(self, mesh: Mesh, steps: int, repair: Mode):
-        self._mesh, self._steps, self._repair = mesh, steps, repair
-        self._at: FloatArray = np.empty((0, 3))
-        self._derivative: Linearisation | None = None
-        self._points = jax.ShapeDtypeStruct(mesh.points.shape, np.float64)
-        self._blocks = [jax.ShapeDtypeStruct(block.shape, np.float64) for block in mesh.grid.blocks]
-
-    def reverse(self) -> Callable[[Any], Blocks]:
-        """The function with its transposed derivative."""
-        deform = jax.custom_vjp(self._called)
-
-        def begin(displacement: Any) -> tuple[Blocks, Any]:
-            return self._called(displacement), displacement
-
-        def end(displacement: Any, gradient: Blocks) -> tuple[Any]:
-            return (_outside(self._pull, self._points, displacement, gradient),)
-
-        deform.defvjp(begin, end)
-        return deform
-
-    def forward(self) -> Callable[[Any], Blocks]:
-        """The function with its forward derivative."""
-        deform = jax.custom_jvp(self._called)
-
-        @deform.defjvp
-        def push(at: tuple[Any], change: tuple[Any]) -> tuple[Blocks, Blocks]:
-            return self._called(*at), _outside(self._push, self._blocks, *at, *change)
-
-        return deform
-
-    def _called(self, displacement: Any) -> Blocks:
+    def called(displacement: Any) -> Blocks:
         given = jnp.asarray(displacement)
         if given.dtype != jnp.float64:
             raise MethodError(
                 f"displacement is {given.dtype}; expected float64: jax.config.update('jax_enable_x64', True)"
             )
-        if given.shape != self._points.shape:
-            raise MethodError(f"displacement is {given.shape}; expected {self._points.shape}, like mesh.points")
-        return _outside(self._deform, self._blocks, given)
+        expected = [mesh.points.shape, *([(len(mesh.points), 2)] if mesh.session.plane else [])]
+        if given.shape not in expected:
+            raise MethodError(f"displacement is {given.shape}; expected {expected[-1]}, like mesh.points")
+        return _outside(host.deform, blocks, given)
 
-    def _deform(self, displacement: Any) -> list[FloatArray]:
-        step = self._mesh.deform(np.asarray(displacement), steps=self._steps, repair=self._repair)
-        if not step.valid:
-            first = step.invalid_cells[0] if step.invalid_cells else "none is invalid"
-            raise GridError(f"the deformed grid cannot be used: {step!r}; first cell: {first}")
-        return [np.array(block) for block in step.grid.blocks]
+    if mode == "forward":
+        onward = jax.custom_jvp(called)
 
-    def _push(self, displacement: Any, change: Any) -> list[FloatArray]:
+        @onward.defjvp
+        def push(at: tuple[Any], change: tuple[Any]) -> tuple[Blocks, Blocks]:
+            return called(*at), _outside(host.push, blocks, *at, *change)
+
+        return onward
+    backward = jax.custom_vjp(called)
+
+    def end(displacement: Any, gradient: Blocks) -> tuple[Any]:
+        like = jax.ShapeDtypeStruct(displacement.shape, np.float64)
+        return (_outside(host.pull, like, displacement, gradient),)
+
+    backward.defvjp(lambda displacement: (called(displacement), displacement), end)
+    return backward
+
+
+def _outside(function: Callable[..., Any], shape: Any, *arguments: Any) -> Any:
+    return jax.pure_callback(function, shape, *arguments, vmap_method="sequential")
+
+
+class _Host:
+    """What is called outside of JAX, with the last step and its derivative."""
+
+    def __init__(self, mesh: Mesh, steps: int, repair: Mode):
+        self._mesh, self._steps, self._repair = mesh, steps, repair
+        self._step: Step | None = None
+        self._at: FloatArray = np.empty((0, 3))
+        self._derivative: Linearisation | None = None
+
+    def deform(self, displacement: Any) -> list[FloatArray]:
+        # As long as the step is kept, its derivative does not deform the grid again.
+        self._step = self._mesh.deform(np.asarray(displacement), steps=self._steps, repair=self._repair)
+        if not self._step.valid:
+            raise GridError(unusable(self._step))
+        return [np.array(block) for block in self._step.grid.blocks]
+
+    def push(self, displacement: Any, change: Any) -> list[FloatArray]:
         return self._linearised(displacement).jvp(np.asarray(change))
 
-    def _pull(self, displacement: Any, gradient: list[Any]) -> FloatArray:
-        return self._linearised(displacement).vjp([np.asarray(block) for block in gradient])
+    def pull(self, displacement: Any, gradient: list[Any]) -> FloatArray:
+        found = self._linearised(displacement).vjp([np.asarray(block) for block in gradient])
+        return found[:, : np.shape(displacement)[1]]
 
     def _linearised(self, displacement: Any) -> Linearisation:
         at = np.asarray(displacement)
@@ -125,7 +126,3 @@ class _Host:
                 warnings.warn(f"the derivative is not that of the grid: {found.reason}", stacklevel=2)
             self._at, self._derivative = at.copy(), found
         return self._derivative
-
-
-def _outside(function: Callable[..., Any], shape: Any, *arguments: Any) -> Any:
-    return jax.pure_callback(function, shape, *arguments, vmap_method="sequential")

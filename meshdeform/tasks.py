@@ -11,11 +11,10 @@ from meshdeform_core.quality.difference import Difference, compare_points
 from meshdeform_core.repair.options import Mode
 
 from .choice import Method
-from .grids.grid import Grid
-from .grids.inputs import core_grid
+from .grid import Grid, user_grid, whole, wrapped
 from .notebook import QualityReport
-from .prepared.preparation import CaseLike, parsed_case, prepare
-from .prepared.step import Step
+from .preparation import CaseLike, parsed_case, prepare
+from .step import Step
 
 __all__ = ["Difference", "Sample", "compare", "deform", "quality", "sample"]
 
@@ -60,9 +59,9 @@ def quality(
     """
     from meshdeform_formats.report import quality_report
 
-    own = core_grid(grid)
+    own = whole(user_grid(grid), "a report")
     what = parsed_case({} if case is None else case)
-    original = None if reference is None else core_grid(reference)
+    original = None if reference is None else whole(user_grid(reference), "a report")
     assessment, notes = judge_grid(own, original or own, what.case)
     return QualityReport(quality_report(own, assessment, notes, original=original))
 
@@ -75,7 +74,8 @@ def compare(a: Grid | str | Path, b: Grid | str | Path) -> Difference:
     GridError
         When the two have different blocks.
     """
-    return compare_points(core_grid(a), core_grid(b))
+    one, other = (whole(user_grid(grid), "a comparison") for grid in (a, b))
+    return compare_points(one, other)
 
 
 def sample(name: str, size: int | str | None = None) -> Sample:
@@ -91,4 +91,4 @@ def sample(name: str, size: int | str | None = None) -> Sample:
     if size is not None and (isinstance(size, bool) or not isinstance(size, int | str)):
         raise CaseError(f"size = {size!r}; expected a whole number or a name")
     grid, tables = generate(name, size)
-    return Sample(Grid._of(grid), case_content(name, tables))
+    return Sample(wrapped(grid), case_content(name, tables))

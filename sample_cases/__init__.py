@@ -14,7 +14,7 @@ from importlib.resources.abc import Traversable
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from meshdeform_core.errors import CaseError
+from meshdeform_core.errors import CaseError, suggestion
 
 if TYPE_CHECKING:
     from meshdeform_core.boundary.tables.matching import SurfaceData
@@ -62,7 +62,7 @@ def require_sample(name: str) -> None:
         With the known ones.
     """
     if name not in SAMPLES:
-        raise CaseError(f"sample {name!r} is unknown; known are {', '.join(SAMPLES)}")
+        raise CaseError(f"sample {name!r} is unknown; known are {', '.join(SAMPLES)}{suggestion(name, SAMPLES)}")
 
 
 def generate(name: str, size: int | str | None = None) -> tuple[Grid, dict[str, SurfaceData]]:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 
 import numpy as np
 
-from meshdeform_core.grid import Grid, Shape, Side, Window
+from meshdeform_core.grid import Grid, Patch, Shape, Side, Window
+from meshdeform_core.grid.topology import find_topology
+from meshdeform_core.grid.windows import windows_of_quads
 
 CASE = """\
 [constants]
@@ -126,3 +129,20 @@ def thin_layers() -> Grid:
     x = inner[:, None] + share * (outer - inner)[:, None]
     x[-1] = x[0]
     return Grid.from_blocks([np.concatenate([x, np.zeros((*x.shape[:2], 1))], axis=2)[:, :, None]])
+
+
+def with_walls(grid: Grid) -> Grid:
+    """``frame`` with the patches ``body``, ``outer`` and ``span``."""
+    topology = find_topology(grid)
+    windows: dict[str, list] = {"body": [], "outer": [], "span": []}
+    for block in range(grid.n_blocks):
+        for side in Side:
+            chosen = topology.external[topology.quads.of_side(block, side)]
+            low = grid.points[topology.first[topology.quads.corners[topology.quads.of_side(block, side)]]]
+            near = np.abs(low[..., :2]).max() < 0.51
+            name = "span" if side.axis == 2 else "body" if near else "outer"
+            counts = tuple(topology.quads.counts[block, side])
+            windows[name] += windows_of_quads(grid.shapes[block], block, side, chosen.reshape(counts))
+    kinds = {"body": "BCWall", "outer": "BCFarfield", "span": "BCSymmetryPlane"}
+    patches = tuple(Patch(name, tuple(found), name, kinds[name]) for name, found in windows.items())
+    return dataclasses.replace(grid, patches=patches)

@@ -27,7 +27,7 @@ class Solver:
     @classmethod
     def of(cls, path, rank=0, count=1):
         """Every zone is cut in two along i; the pieces go round the ranks, the last of three or more has none."""
-        grid = md.read(path)._core
+        grid = md.read(path).core
         busy = count - 1 if count > 2 else count
         pieces = []
         for zone, (ni, nj, nk) in enumerate(grid.shapes):

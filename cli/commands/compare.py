@@ -40,7 +40,7 @@ def command(first: Path, second: Path, tolerance: float | None, max_memory: str 
     from meshdeform_core.quality.difference import compare_points
     from meshdeform_formats import read_grid
 
-    sources = [GridInput(path, None, ()) for path in (first, second)]
+    sources = [GridInput(path) for path in (first, second)]
     make_room(limit_of(max_memory), "comparing", sources, temporary_folder(), _ARRAYS)
     difference = compare_points(read_grid(first), read_grid(second))
     click.echo(json.dumps(dataclasses.asdict(difference), indent=2) if as_json else _text(difference))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,7 +28,7 @@ from ..options import (
 )
 from ..outputs import check_output
 from ..process.messages import tell
-from ..process.progress import ProgressBar, writing
+from ..process.progress import ProgressBar, stage
 from ..room import limit_of, make_room
 
 if TYPE_CHECKING:
@@ -71,7 +73,7 @@ def command(
     options = parse_pairs(variant, "--variant")
     check_output(target, force, *source.files, reference)
     check_fields(fields, target, reference is not None)
-    sources = [source, *([GridInput(reference, None, ())] if reference else [])]
+    sources = [source, *([GridInput(reference)] if reference else [])]
     arrays = _ARRAYS + (_FIELD_ARRAYS if fields else 0)
     make_room(limit_of(max_memory), "converting", sources, existing(target.absolute().parent), arrays)
     with ProgressBar(not quiet, compiles=bool(fields)) as progress:
@@ -79,13 +81,13 @@ def command(
         if fields:
             progress("quality", 0, 0)
             grid = with_fields(measured(grid, reference), fields)
-        boundaries = _beside(grid, kind, target)
-        if boundaries is not None and not _is_there(grid, boundaries):
-            _check_boundaries(boundaries, target, force, *source.files)
-        with writing(grid.points.nbytes):
+        boundaries, write_boundaries = target.with_suffix(".nmf"), None
+        if kind in ("plot3d", "vtk") and (grid.patches or grid.connections):
+            write_boundaries = _write_boundaries(grid, boundaries, target, force, *source.files)
+        with stage("write"):
             written = write_grid(grid, target, options)
-        if boundaries is not None and not _is_there(grid, boundaries):
-            _write_boundaries(grid, boundaries)
+        if write_boundaries:
+            write_boundaries()
     for note in grid.notes:
         tell(f"warning: {note}")
     if target.suffix.lower() in (".vtu", ".xdmf") and options.get("boundary") != "true" and grid.patches:
@@ -94,28 +96,24 @@ def command(
             "faces with their families by --variant boundary=true"
         )
     if not quiet:
-        beside = f"; boundaries in {boundaries}" if boundaries is not None else ""
+        beside = f"; boundaries in {boundaries}" if write_boundaries else ""
         click.echo(f"{target}: {written.label}, {counted(grid.n_blocks, 'block')}, {grid.n_nodes:,} nodes{beside}")
     return 0
 
 
-def _beside(grid: Grid, kind: str, target: Path) -> Path | None:
-    """The neutral map file for boundaries, if the target format cannot hold them."""
-    return target.with_suffix(".nmf") if kind in ("plot3d", "vtk") and (grid.patches or grid.connections) else None
+def _write_boundaries(grid: Grid, path: Path, target: Path, force: bool, *inputs: Path | None) -> Callable[[], None]:
+    """Refuse to replace a file with other boundaries than those of the grid; returns a function that writes it.
 
+    Types are the families or names of patches, so that case files remain usable.
+    """
+    from meshdeform_formats.neutral_map import neutral_map_text, write_neutral_map
 
-def _is_there(grid: Grid, path: Path) -> bool:
-    """Whether the file already holds these boundaries, as after a conversion of the same grid to another format."""
-    from meshdeform_formats.neutral_map import neutral_map_text
-
-    try:
-        return path.is_file() and path.read_bytes() == neutral_map_text(_by_name(grid)).encode("utf-8")
-    except OSError:
-        return False
-
-
-def _check_boundaries(path: Path, target: Path, force: bool, *inputs: Path | None) -> None:
-    """Refuse to replace a file with other boundaries."""
+    named = tuple(dataclasses.replace(patch, bc_type=patch.family or patch.name) for patch in grid.patches)
+    mapped = dataclasses.replace(grid, patches=named)
+    with contextlib.suppress(OSError):
+        # As after a conversion of the same grid to another format.
+        if path.is_file() and path.read_bytes() == neutral_map_text(mapped).encode("utf-8"):
+            return lambda: None
     try:
         check_output(path, force, *inputs)
     except FormatError as error:
@@ -123,15 +121,4 @@ def _check_boundaries(path: Path, target: Path, force: bool, *inputs: Path | Non
             f"{error}. {target.suffix} files cannot hold boundaries, which are therefore written next to {target} as "
             f"{path.name}, but that file has other content"
         ) from error
-
-
-def _write_boundaries(grid: Grid, path: Path) -> None:
-    from meshdeform_formats.neutral_map import write_neutral_map
-
-    write_neutral_map(_by_name(grid), path)
-
-
-def _by_name(grid: Grid) -> Grid:
-    """The grid with the families or names of its patches as their types, so that case files remain usable."""
-    named = (dataclasses.replace(patch, bc_type=patch.family or patch.name) for patch in grid.patches)
-    return dataclasses.replace(grid, patches=tuple(named))
+    return lambda: write_neutral_map(mapped, path)

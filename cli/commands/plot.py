@@ -12,13 +12,13 @@ import click
 
 from .. import completion
 from ..measures import MEASURES, measured
-from ..options import PATH, FiniteNumber, GridInput, force_option, grid_options
+from ..options import PATH, FiniteNumber, GridInput, force_option, grid_options, quiet_option
 from ..outputs import check_output
 from ..process.progress import ProgressBar
 
 if TYPE_CHECKING:
-    from meshdeform_core.grid import Grid
-    from meshdeform_formats.picture import PlotOptions, Subject
+    from meshdeform_core.quality.fields import CellFields
+    from meshdeform_formats.picture import Subject
 
 
 @click.command("plot")
@@ -30,20 +30,10 @@ if TYPE_CHECKING:
 @click.option("--metric", type=click.Choice(MEASURES), default="f_skew", show_default=True, metavar="MEASURE",
               help=f"Colour by this: {', '.join(MEASURES)}.")  # fmt: skip
 @click.option("--plane", metavar="AXIS=N", help="Plane of nodes (k=1, j=mid) or cut in space (z=0.25).")
-@click.option(
-    "--block",
-    multiple=True,
-    metavar="PATTERN",
-    shell_complete=completion.blocks,
-    help="Only these blocks of a plane of nodes (repeatable).",
-)
-@click.option(
-    "--select",
-    multiple=True,
-    metavar="PATTERN",
-    shell_complete=completion.patches,
-    help="Patches or block faces (repeatable).",
-)
+@click.option("--block", multiple=True, metavar="PATTERN", shell_complete=completion.blocks,
+              help="Only these blocks of a plane of nodes (repeatable).")  # fmt: skip
+@click.option("--select", multiple=True, metavar="PATTERN", shell_complete=completion.patches,
+              help="Patches or block faces (repeatable).")  # fmt: skip
 @click.option("--view", default="auto", show_default=True, metavar="auto|x|y|z|iso|X,Y,Z",
               help="Look along an axis, or from a direction.")  # fmt: skip
 @click.option("--zoom", metavar="worst|walls|L,R,B,T", help="Close-up, or window: left, right, bottom, top.")
@@ -56,8 +46,9 @@ if TYPE_CHECKING:
               help="Levels per second of a film.")  # fmt: skip
 @click.option("--title", default=None, help="Default: the file's name.")
 @force_option
+@quiet_option
 def command(
-    source: GridInput, output: Path, reference: Path | None, title: str | None, rate: float, force: bool,
+    source: GridInput, output: Path, reference: Path | None, title: str | None, rate: float, force: bool, quiet: bool,
     **options: object,
 ) -> int:  # fmt: skip
     """Draw GRID coloured by a measure of its cells, or a series as a film.
@@ -80,52 +71,36 @@ def command(
     """
     from meshdeform_formats.files import shown
     from meshdeform_formats.picture import PlotOptions, check_picture_path, picture, save_page
-    from meshdeform_formats.series.levels import is_series
+    from meshdeform_formats.picture.film import check_film_path, film, save_film
+    from meshdeform_formats.series.levels import is_series, open_levels
 
     request = PlotOptions(**options, lead="--")  # type: ignore[arg-type]
-    if is_series(source.path):
-        return _film(source, output, reference, title, rate, force, request)
-    check_picture_path(output)
-    check_output(output, force, *source.files, reference)
-    subject = _subject(source.read(), reference)
-    save_page(picture(subject, request, shown(Path(source.path.name)) if title is None else title), output)
-    return 0
-
-
-def _subject(grid: Grid, reference: Path | None) -> Subject:
-    from meshdeform_formats.picture import Subject
-
-    cells = measured(grid, reference)
-    return Subject(cells.grid, cells.topology, cells.reference)
-
-
-def _film(
-    source: GridInput,
-    output: Path,
-    reference: Path | None,
-    title: str | None,
-    rate: float,
-    force: bool,
-    request: PlotOptions,
-) -> int:
-    from meshdeform_formats.files import shown
-    from meshdeform_formats.picture.film import check_film_path, film, save_film
-    from meshdeform_formats.series.levels import open_levels
-
+    if not is_series(source.path):
+        check_picture_path(output)
+        check_output(output, force, *source.files, reference)
+        name = shown(Path(source.path.name)) if title is None else title
+        with ProgressBar(not quiet):
+            save_page(picture(_of(measured(source.read(), reference)), request, name), output)
+        return 0
     check_film_path(output)
     check_output(output, force, reference)
     levels = open_levels(source.path)
-    first = _subject(levels.read(0), reference or levels.undeformed)
+    first = _of(measured(levels.read(0), reference or levels.undeformed))
     name = shown(Path(source.path.resolve().name)) if title is None else title
-    with ProgressBar() as progress:
+    with ProgressBar(not quiet) as progress:
 
         def every() -> Iterator[tuple[str, Subject]]:
             for number, time in enumerate(levels.times):
                 progress("draw", next(drawn), 2 * len(levels.times))
-                points = levels.read(number).points
-                moved = dataclasses.replace(first, grid=first.grid.moved(points))
-                yield f"{name}, t = {time:g}", moved
+                moved = first.grid.moved(levels.read(number).points)
+                yield f"{name}, t = {time:g}", dataclasses.replace(first, grid=moved)
 
         drawn = itertools.count()
         save_film(film(every, request), output, rate)
     return 0
+
+
+def _of(cells: CellFields) -> Subject:
+    from meshdeform_formats.picture import Subject
+
+    return Subject(cells.grid, cells.topology, cells.reference)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time as clock
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -23,15 +22,9 @@ from ..options import (
     threads_option,
 )
 from ..outputs import check_reports, keep_inputs
-from ..process.machine import use_threads
 from ..process.messages import Warnings
 from ..process.progress import ProgressBar
 from ..room import limit_of, make_room, temporary_folder
-
-if TYPE_CHECKING:
-    from meshdeform_core.grid import Grid
-    from meshdeform_formats.case import CaseFile
-
 
 # Memory in units of the coordinates: these, the verdict, totals, and buffers of reading.
 _ARRAYS = 2.5
@@ -48,7 +41,7 @@ _ARRAYS = 2.5
 @json_option
 @quiet_option
 def command(
-    source: GridInput, reference: Path | None, case: CaseInput, reports: tuple[Path, ...], threads: int | None,
+    source: GridInput, reference: Path | None, case: CaseInput, reports: tuple[Path, ...],
     max_memory: str | None, force: bool, as_json: bool, quiet: bool,
 ) -> int:  # fmt: skip
     """Judge GRID, by itself or against its original.
@@ -63,38 +56,28 @@ def command(
     Without it, cells with such corners count as inherited. A case file (-c) defines the moving walls.
     """
     start = clock.perf_counter()
-    use_threads(threads)
     check_reports(reports, force, reference, *source.files, *case.files)
+
+    from meshdeform_core.judgement import judge_grid
+    from meshdeform_formats import read_grid
+    from meshdeform_formats.report import quality_report
+
     from ..reporting import Delivery, deliver
 
     what = case.read()
     for path in reports:
         keep_inputs(path, *what.files)
-    sources = [source, *([GridInput(reference, None, ())] if reference else [])]
+    sources = [source, *([GridInput(reference)] if reference else [])]
     make_room(limit_of(max_memory), "judging", sources, temporary_folder(), _ARRAYS)
     with ProgressBar(not quiet) as progress:
-        report = judged(source, reference, what, progress)
+        grid = source.read(what.boundary_file)
+        # Boundaries that the file of the original lacks are those of the deformed grid.
+        original = None if reference is None else read_grid(reference).with_patches_of(grid)
+        progress("quality", 0, 0)
+        assessment, notes = judge_grid(grid, original or grid, what.case)
+        report = quality_report(grid, assessment, notes, str(reference) if reference else None, original)
     Warnings().tell(report["warnings"])
     files = [*source.roles, ("reference", reference), ("case", case.file)]
     # With --json the text would be redundant.
     deliver(report, reports, as_json, quiet or as_json, Delivery(start, files))
     return 0 if report["valid"] else EXIT_INVALID
-
-
-def judged(source: GridInput, reference: Path | None, what: CaseFile, progress: ProgressBar) -> dict[str, Any]:
-    """The quality report of a grid against ``reference``, or on its own."""
-    from meshdeform_core.judgement import judge_grid
-    from meshdeform_formats.report import quality_report
-
-    grid = source.read(what.boundary_file)
-    original = None if reference is None else _original(grid, reference)
-    progress("quality", 0, 0)
-    assessment, notes = judge_grid(grid, original or grid, what.case)
-    return quality_report(grid, assessment, notes, str(reference) if reference else None, original)
-
-
-def _original(grid: Grid, reference: Path) -> Grid:
-    """The original grid, with the boundaries of the deformed one if its own file has none."""
-    from meshdeform_formats import read_grid
-
-    return read_grid(reference).with_patches_of(grid)

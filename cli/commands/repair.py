@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
-import functools
 import time as clock
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from ..exit_codes import EXIT_INVALID
-from ..options import OUTPUT, PATH, CaseInput, GridInput, RunInput, grid_options, run_options
-from ..outputs import check_reports, keep_inputs
-from ..process.machine import use_threads
+from ..options import OUTPUT, PATH, CaseInput, GridInput, RunInput, grid_options, min_jacobian_option, run_options
+from ..outputs import check_reports, check_target, keep_inputs
 from ..process.messages import tell
-from ..process.progress import ProgressBar, writing
+from ..process.progress import ProgressBar
 from ..room import make_room
-from .deform import check_target
-
-if TYPE_CHECKING:
-    from meshdeform_core.grid import Grid
-    from meshdeform_core.mending import Mended
 
 
 @click.command("repair")
@@ -29,9 +22,7 @@ if TYPE_CHECKING:
 @click.option("-o", "--output", type=OUTPUT, help="Repaired grid; the suffix selects the format.")
 @click.option("-c", "--case", "case_file", type=PATH, help="Case file: which faces move, slide or repeat.")
 @click.option("--polish", is_flag=True, help="Improve the worst cells of a valid grid, too.")
-@click.option(
-    "--min-jacobian", type=float, metavar="R", help="Count a cell as invalid below R times its undeformed Jacobian."
-)
+@min_jacobian_option
 @run_options
 def command(
     source: GridInput, reference: Path, output: Path | None, case_file: Path | None, polish: bool,
@@ -51,16 +42,11 @@ def command(
     the suffix (exit code 3).
     """
     start = clock.perf_counter()
-    use_threads(run.threads)
-    if output is None and not run.dry_run:
-        raise click.UsageError("Missing option '-o' / '--output' (or --dry-run).")
     inputs = (reference, case_file, *source.files)
-    if output is not None and not run.dry_run:
-        check_target(output, run, *inputs)
+    check_target(output, run, *inputs)
     check_reports(run.reports, run.force, output, *inputs)
-    settings = () if min_jacobian is None else (f"repair.min_jacobian={min_jacobian!r}",)
     mode = "polish" if polish else "off" if run.dry_run else "auto"
-    case = CaseInput(case_file, None, None, (*settings, f'repair.mode="{mode}"'))
+    case = CaseInput(case_file, repair=mode, min_jacobian=min_jacobian)
     from ..reporting import Delivery, deliver
 
     with ProgressBar(not run.quiet) as progress:
@@ -80,55 +66,45 @@ def repaired(
     """Repair and write; returns the report."""
     from meshdeform_core.memory import Demand, peak_memory
     from meshdeform_core.mending import mend
-    from meshdeform_formats.files import invalid_path
-    from meshdeform_formats.grids import complete_for_export, read_grid, require_earlier_grid, variant_of
+    from meshdeform_core.quality.fields import CellFields
+    from meshdeform_formats.grids import complete_for_export, read_grid, variant_of
     from meshdeform_formats.placing import existing, require_space, shortage
     from meshdeform_formats.report import mended_report
+
+    from ..work import require_room_for_invalid, write_judged
 
     what = case.read()
     for path in (*run.reports, *([output] if output else [])):
         keep_inputs(path, *what.files)
-    sources = [source, GridInput(reference, None, ())]
-    make_room(run.memory, "repairing", sources, existing(output.absolute().parent) if output else None)
+    place = existing(output.absolute().parent) if output else None
+    make_room(run.memory, "repairing", [source, GridInput(reference)], place)
     start = clock.perf_counter()
     grid = source.read(what.boundary_file)
     # Boundaries are selected on the reference.
     original = read_grid(reference).with_patches_of(grid)
-    seconds = {"read": clock.perf_counter() - start}
-    if output is not None and not (run.force or run.dry_run or run.allow_invalid):
-        require_earlier_grid(invalid_path(output), grid)
-    options = run.variant_options
-    chosen = variant_of(grid, output, options) if output else None
-    missing = shortage(grid, output, chosen) if output and chosen and run.dry_run else ""
-    if output and chosen and not run.dry_run:
-        require_space(grid, output, chosen)
-    precision = chosen.precision if chosen else None
-    memory = Demand.of("repairing", grid, original).left_of(run.memory)
+    seconds, missing = {"read": clock.perf_counter() - start}, ""
+    require_room_for_invalid(output, grid, run)
+    precision, whole = None, grid
+    if output:
+        chosen = variant_of(grid, output, run.variant_options)
+        precision, whole = chosen.precision, complete_for_export(grid, output)
+        if run.dry_run:
+            missing = shortage(grid, output, chosen)
+        else:
+            require_space(grid, output, chosen)
     start = clock.perf_counter()
-    whole = complete_for_export(grid, output) if output else grid
+    memory = Demand.of("repairing", grid, original).left_of(run.memory)
     mended = mend(whole, original, what.case, precision, memory, progress)
     seconds["repair"] = clock.perf_counter() - start
     target = None
-    if output is not None and not run.dry_run:
+    if output and not run.dry_run:
         start = clock.perf_counter()
-        target = _write(mended, output, options, run)
+
+        def cells() -> CellFields:
+            return CellFields(mended.grid, mended.topology, mended.original)
+
+        target = str(write_judged(mended.grid, mended.assessment.valid, output, run, cells))
         seconds["write"] = clock.perf_counter() - start
-    name = None if target is None else str(target)
-    report = {**mended_report(mended, str(reference), seconds, peak_memory()), "output": name}
+    report = {**mended_report(mended, str(reference), seconds, peak_memory()), "output": target}
     report["warnings"] += [missing] if missing else []
     return report
-
-
-def _write(mended: Mended, output: Path, variant: dict[str, str], run: RunInput) -> Path:
-    """Write the grid with the requested fields; returns the path of the file."""
-    from meshdeform_core.quality.fields import CellFields
-    from meshdeform_formats.fields import with_fields
-    from meshdeform_formats.files import invalid_path
-    from meshdeform_formats.grids import write_grid
-
-    target = output if mended.assessment.valid or run.allow_invalid else invalid_path(output)
-    cells = functools.partial(CellFields, mended.grid, mended.topology, mended.original)
-    grid: Grid = with_fields(cells(), run.fields) if run.fields else mended.grid
-    with writing(grid.points.nbytes):
-        write_grid(grid, target, variant)
-    return target

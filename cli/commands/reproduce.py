@@ -8,7 +8,6 @@ import click
 
 from ..options import PATH, force_option, quiet_option, threads_option
 from ..outputs import check_output, make_folder
-from ..process.machine import use_threads
 
 _RESULT = "results.json"
 
@@ -23,9 +22,7 @@ _RESULT = "results.json"
 @threads_option
 @force_option
 @quiet_option
-def command(
-    what: str, output: Path, quick: bool, validation: Path | None, threads: int | None, force: bool, quiet: bool
-) -> int:
+def command(what: str, output: Path, quick: bool, validation: Path | None, force: bool, quiet: bool) -> int:
     """Rerun the evaluation of Sen, De Nayer, Breuer (2017): WHAT is table2, table3, table4, table5, figB, robustness
     or all.
 
@@ -38,7 +35,6 @@ def command(
     Every row is shown with the paper's own number. Sizes are the paper's unless --quick is given; in full, all takes
     about an hour on two cores.
     """
-    use_threads(threads)
     from meshdeform_samples.reproduce import check, reproduce
     from meshdeform_samples.reproduce.report import as_markdown
 

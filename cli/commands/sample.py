@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -12,11 +11,8 @@ from meshdeform_core.errors import CaseError
 from meshdeform_core.wording import counted
 
 from .. import completion
-from ..options import PATH, force_option, parse_pairs, variant_option
+from ..options import PATH, force_option, parse_pairs, quiet_option, variant_option
 from ..outputs import check_output, make_folder
-
-if TYPE_CHECKING:
-    from meshdeform_core.grid import Grid
 
 _BOUNDARY_FILE = "grid.nmf"
 
@@ -33,8 +29,10 @@ _BOUNDARY_FILE = "grid.nmf"
 )
 @variant_option
 @force_option
+@quiet_option
 def command(
-    name: str | None, output: Path | None, size: str | None, suffix: str, variant: tuple[str, ...], force: bool
+    name: str | None, output: Path | None, size: str | None, suffix: str, variant: tuple[str, ...], force: bool,
+    quiet: bool,
 ) -> int:  # fmt: skip
     """Write the sample case NAME into a folder; without NAME, list all samples.
 
@@ -48,7 +46,8 @@ def command(
     from meshdeform_formats.displacement import write_displacement
     from meshdeform_formats.files import replacing
     from meshdeform_formats.grids import format_of, variant_of, write_grid
-    from meshdeform_samples import generate, require_sample
+    from meshdeform_formats.neutral_map import write_neutral_map
+    from meshdeform_samples import folder, generate, require_sample
 
     if name is None:
         click.echo(_catalogue())
@@ -64,19 +63,25 @@ def command(
     grid, tables = generate(name, size)
     variant_of(grid, target, options)
     boundary_file = None if kind == "cgns" else _BOUNDARY_FILE
-    texts = _texts(name, boundary_file)
+    texts = {file: (folder(name) / file).read_text(encoding="utf-8") for file in ("case.toml", "README.md")}
+    if boundary_file:
+        texts["case.toml"] = f'[grid]\nboundary_file = "{boundary_file}"\n\n{texts["case.toml"]}'
     make_folder(output)
     for file in (target.name, boundary_file or target.name, *tables, *texts):
         check_output(output / file, force)
     write_grid(grid, target, options)
     if boundary_file:
-        _write_boundaries(grid, output / boundary_file)
+        # Types are the names that the case selects.
+        named = tuple(dataclasses.replace(patch, bc_type="", family=patch.name) for patch in grid.patches)
+        write_neutral_map(dataclasses.replace(grid, patches=named), output / boundary_file)
     for file, table in tables.items():
         write_displacement(output / file, table)
     for file, text in texts.items():
         with replacing(output / file) as partial:
             partial.write_text(text, encoding="utf-8")
-    click.echo(f"{target}: {counted(grid.n_blocks, 'block')}, {grid.n_nodes:,} nodes; case in {output / 'case.toml'}")
+    if not quiet:
+        blocks = counted(grid.n_blocks, "block")
+        click.echo(f"{target}: {blocks}, {grid.n_nodes:,} nodes; case in {output / 'case.toml'}")
     return 0
 
 
@@ -90,21 +95,3 @@ def _catalogue() -> str:
         names = ", ".join(f"{name} = {size}" for name, size in module.SIZES.items())
         entries.append(f"{key}\n    {title}\n    --size: {module.SIZE_HELP}; default {module.DEFAULT_SIZE}; {names}")
     return "\n".join(entries)
-
-
-def _texts(name: str, boundary_file: str | None) -> dict[str, str]:
-    """case.toml and README.md; the case names the neutral map file if there is one."""
-    from meshdeform_samples import folder
-
-    texts = {file: (folder(name) / file).read_text(encoding="utf-8") for file in ("case.toml", "README.md")}
-    if boundary_file:
-        texts["case.toml"] = f'[grid]\nboundary_file = "{boundary_file}"\n\n{texts["case.toml"]}'
-    return texts
-
-
-def _write_boundaries(grid: Grid, path: Path) -> None:
-    """Write boundaries as a neutral map file whose types are the names that the case selects."""
-    from meshdeform_formats.neutral_map import write_neutral_map
-
-    named = tuple(dataclasses.replace(patch, bc_type="", family=patch.name) for patch in grid.patches)
-    write_neutral_map(dataclasses.replace(grid, patches=named), path)

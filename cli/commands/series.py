@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ..options import CaseInput, GridInput, RunInput, case_options, grid_options, run_options
-from ..outputs import check_reports
-from ..process.machine import use_threads
+from ..outputs import check_order, check_reports
 from ..process.progress import ProgressBar
 from ..room import too_large
 from ..series_options import SeriesInput, series_options
@@ -42,7 +41,6 @@ def command(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunInp
     the suffix (exit code 3).
     """
     start = clock.perf_counter()
-    use_threads(run.threads)
     _check(source, case, wanted, run)
 
     from .. import series_run, work
@@ -104,6 +102,7 @@ def _check(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunInpu
     """Refuse options that do not go together, and reports that would replace a file."""
     if case.empty:
         raise click.UsageError("Nothing to do: give a case file (-c) or displacement files (-d).")
+    check_order(source, case)
     if case.displacement and not wanted.times:
         raise click.UsageError("Displacement files (-d 'surface_*.csv') need their times: --times START:STOP:STEP.")
     if wanted.resume and run.force:

@@ -12,18 +12,18 @@ from meshdeform_core.grid import Field, FloatArray, Grid
 from meshdeform_core.parallel import require_whole
 
 from ..files import remove_partial, replacing
-from ..grids import variant_of
 from ..openfoam.case import POLY_MESH, mesh_files, replaced_mesh
 from ..openfoam.format import MeshWriter
-from .outputs import Dress, as_it_is
+from .outputs import SeriesFiles
 
 _LONGEST = 17
 
 
-class FoamFiles:
+class FoamFiles(SeriesFiles):
     """``NAME.foam``, ``constant/polyMesh`` and ``TIME/polyMesh/points``, as OpenFOAM's moving meshes have them.
 
-    Levels with invalid cells are in ``TIME.invalid``, which OpenFOAM does not take for a time.
+    Levels with invalid cells are in ``TIME.invalid``, which OpenFOAM does not take for a time. OpenFOAM and ParaView
+    find the times by their folders.
 
     Raises
     ------
@@ -36,82 +36,51 @@ class FoamFiles:
     ):
         if velocity != "none":
             raise FormatError("OpenFOAM finds the grid velocity from the points; omit --velocity")
-        self._grid, self._folder, self._names = grid, folder, _time_names(times)
-        self.view = folder / name
-        self.variant = variant_of(grid, self.view, options)
-        self.dress: Dress = as_it_is
-        self.invalid: set[int] = set()
+        self.time_names = _time_names(times)
+        super().__init__(grid, folder, name, times, options, velocity)
+        self.view = self.plain
         self._begun = False
 
     @cached_property
     def _writer(self) -> MeshWriter:
-        return MeshWriter(self._grid, self.variant)
+        return MeshWriter(self.grid, self.variant)
 
-    @property
-    def outputs(self) -> list[Path]:
-        return [self.view, *(self._points(self.path(number)) for number in range(len(self._names)))]
+    def names(self, number: int) -> tuple[Path, Path]:
+        return self.folder / self.time_names[number], self.folder / f"{self.time_names[number]}.invalid"
 
-    @property
-    def replaced(self) -> list[Path]:
-        both = [self._points(path) for number in range(len(self._names)) for path in self._folders(number)]
-        return [self.view, *both]
-
-    def path(self, number: int) -> Path:
-        return self._folders(number)[number in self.invalid]
-
-    def _folders(self, number: int) -> tuple[Path, Path]:
-        """Folders of a level if it is valid, and if it is invalid."""
-        return self._folder / self._names[number], self._folder / f"{self._names[number]}.invalid"
-
-    def _points(self, folder: Path) -> Path:
-        packed = self.variant.options["compression"] == "gzip"
-        return folder / "polyMesh" / ("points.gz" if packed else "points")
-
-    def recall(self, records: Sequence[Mapping[str, Any]]) -> None:
-        self.invalid = {n for n, record in enumerate(records) if record["file"] == self._folders(n)[1].name}
+    def stored(self, path: Path) -> Path:
+        return path / "polyMesh" / ("points.gz" if self.variant.options["compression"] == "gzip" else "points")
 
     def write(self, number: int, grid: Grid, velocity: FloatArray | None, faces: Sequence[Field] = ()) -> None:
         require_whole(grid.points, "levels are written for OpenFOAM")
         if not self._begun:
-            with replaced_mesh(self.view) as folder:
-                self._writer.write(folder, self._grid)
+            with replaced_mesh(self.plain) as folder:
+                self._writer.write(folder, self.grid)
             self._begun = True
-        target = self._points(self.path(number))
+        target = self.stored(self.path(number))
         target.parent.mkdir(parents=True, exist_ok=True)
         with replacing(target) as partial:
-            self._writer.write_points(partial, grid, f"{self._names[number]}/polyMesh")
-        # Remove the level of an earlier run with the other verdict, which could be mistaken for this one.
-        self._remove(self._folders(number)[number not in self.invalid])
-
-    def read(self, number: int) -> FloatArray:
-        return self._writer.read_points(self._points(self.path(number)))
-
-    @property
-    def readable(self) -> bool:
-        return True
-
-    def has(self, number: int) -> bool:
-        return self._points(self.path(number)).is_file() and len(mesh_files(self.view)) > 0
-
-    def least_bytes(self, first: int) -> int:
-        return 0
-
-    def publish(self, done: int) -> None:
-        """Nothing to publish: OpenFOAM and ParaView find the times by their folders."""
-
-    def clean(self, complete: bool = False) -> None:
-        for folder in (self._folder, self._folder / POLY_MESH):
-            remove_partial(folder)
-        for number in range(len(self._names)):
-            for folder in self._folders(number):
-                remove_partial(folder / "polyMesh")
-
-    def _remove(self, folder: Path) -> None:
-        """Remove the points of a level, and its folder unless something else is in it."""
-        self._points(folder).unlink(missing_ok=True)
-        for empty in (folder / "polyMesh", folder):
+            self._writer.write_points(partial, grid, f"{self.time_names[number]}/polyMesh")
+        # Remove the level of an earlier run with the other verdict, which could be mistaken for this one, and its
+        # folder unless something else is in it.
+        other = self.names(number)[number not in self.invalid]
+        self.stored(other).unlink(missing_ok=True)
+        for empty in (other / "polyMesh", other):
             if empty.is_dir() and not any(empty.iterdir()):
                 empty.rmdir()
+
+    def read(self, number: int) -> FloatArray:
+        return self._writer.read_points(self.stored(self.path(number)))
+
+    def has(self, number: int) -> bool:
+        return super().has(number) and len(mesh_files(self.plain)) > 0
+
+    def clean(self, complete: bool = False) -> None:
+        super().clean(complete)
+        remove_partial(self.folder / POLY_MESH)
+        for number in range(len(self.time_names)):
+            for folder in self.names(number):
+                remove_partial(folder / "polyMesh")
 
 
 def _time_names(times: Sequence[float]) -> list[str]:

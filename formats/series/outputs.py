@@ -1,15 +1,16 @@
-"""The files of a series: one grid file per level with an index, or one CGNS file for all."""
+"""The files of a series: what they have in common, and one grid file per level with an index."""
 
 from __future__ import annotations
 
+import abc
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import Field, FileFormat, FloatArray, Grid
+from meshdeform_core.grid import Field, FloatArray, Grid
 from meshdeform_core.parallel import ranks_of
 from meshdeform_core.velocity import FLUX, SWEPT
 
@@ -21,78 +22,91 @@ from .index import index_path, write_index
 
 VELOCITY = "GridVelocity"
 _WITH_FACES = (*FORMATS["vtk"].suffixes, *FORMATS["cgns"].suffixes)
-Dress = Callable[[Grid], Grid]
-"""A level with fields added."""
 
 
-def as_it_is(grid: Grid) -> Grid:
-    """The level unchanged, without further fields."""
-    return grid
-
-
-class SeriesFiles(Protocol):
+class SeriesFiles(abc.ABC):
     """The levels on disk. Every file is complete or absent, whenever the program is stopped.
 
-    ``dress`` adds fields to a level before it is written. ``invalid`` are the numbers of the levels that are kept
-    under the name of an invalid grid (:func:`~meshdeform_formats.files.invalid_path`).
+    Parameters
+    ----------
+    name : of the file, or of the files of all levels, in ``folder``
+    options : of the variant of the format
+    velocity : how grid velocities are computed that the files hold; ``none``
+
+    Attributes
+    ----------
+    dress : adds fields to a level before it is written
+    invalid : numbers of the levels that are kept under the name of an invalid grid
+    view : the file to open in ParaView
     """
 
-    variant: FileFormat
-    dress: Dress
-    invalid: set[int]
+    view: Path | None
+
+    def __init__(
+        self, grid: Grid, folder: Path, name: str, times: tuple[float, ...], options: Mapping[str, Any], velocity: str
+    ):
+        self.grid, self.folder, self.times = grid, folder, times
+        self.plain, self.options, self.velocity = folder / name, options, velocity
+        self.dress: Callable[[Grid], Grid] = lambda level: level
+        self.invalid: set[int] = set()
+        self.variant = variant_of(grid, self.plain, options)
+
+    @abc.abstractmethod
+    def names(self, number: int) -> tuple[Path, Path]:
+        """File or folder of a level if it is valid, and if it is invalid."""
+
+    @abc.abstractmethod
+    def write(self, number: int, grid: Grid, velocity: FloatArray | None, faces: Sequence[Field] = ()) -> None:
+        """Write one level, with the grid velocity (n_nodes, 3) and fields at the cell faces; on all ranks."""
+
+    @abc.abstractmethod
+    def read(self, number: int) -> FloatArray:
+        """Coordinates (n_nodes, 3) of a written level, in the order of the series' grid."""
+
+    def stored(self, path: Path) -> Path:
+        """The file with the coordinates of a level whose file or folder is ``path``."""
+        return path
+
+    def path(self, number: int) -> Path:
+        """The file or folder that holds a level when the series is complete."""
+        return self.names(number)[number in self.invalid]
 
     @property
     def outputs(self) -> list[Path]:
         """All files of the complete series."""
-        ...
+        levels = [self.stored(self.path(number)) for number in range(len(self.times))]
+        return list(dict.fromkeys([*levels, *([self.view] if self.view else [])]))
 
     @property
     def replaced(self) -> list[Path]:
         """All files that may be written or removed, for checks before anything is computed."""
-        ...
-
-    @property
-    def view(self) -> Path | None:
-        """The file to open in ParaView."""
-        ...
-
-    def path(self, number: int) -> Path:
-        """The file that holds a level when the series is complete."""
-        ...
-
-    def write(self, number: int, grid: Grid, velocity: FloatArray | None, faces: Sequence[Field] = ()) -> None:
-        """Write one level, with the grid velocity (n_nodes, 3) and fields at the cell faces; on all ranks."""
-        ...
-
-    def read(self, number: int) -> FloatArray:
-        """Coordinates (n_nodes, 3) of a written level, in the order of the series' grid."""
-        ...
+        both = [self.stored(path) for number in range(len(self.times)) for path in self.names(number)]
+        return list(dict.fromkeys([*both, *([self.view] if self.view else [])]))
 
     @property
     def readable(self) -> bool:
         """Whether the files that :meth:`read` needs exist, including after completion of the series."""
-        ...
+        return True
 
     def has(self, number: int) -> bool:
         """Whether a level has been written."""
-        ...
+        return self.stored(self.path(number)).is_file()
 
     def recall(self, records: Sequence[Mapping[str, Any]]) -> None:
         """Take over the names of levels that an earlier run has written, from their records in the report."""
-        ...
+        self.invalid = {n for n, record in enumerate(records) if record["file"] == self.names(n)[1].name}
 
     def least_bytes(self, first: int) -> int:
         """Smallest space on the disk that the levels from number ``first`` on take in addition to files that they
         replace; 0 for text and compressed files, whose size is not known."""
-        ...
+        return 0
 
-    def publish(self, done: int) -> None:
+    def publish(self, done: int) -> None:  # noqa: B027 (not every format has an index)
         """Make the first ``done`` levels visible to other programs; on all ranks."""
-        ...
 
     def clean(self, complete: bool = False) -> None:
         """Remove remains of a killed run and, when the series is complete, files that are no longer needed."""
-        ...
+        remove_partial(self.folder)
 
 
 def with_velocity(grid: Grid, velocity: FloatArray | None, faces: Sequence[Field], precision: str) -> Grid:
@@ -113,7 +127,7 @@ def level_name(stem: str, number: int, count: int, suffix: str) -> str:
     return f"{stem}_{number:0{max(4, len(str(count - 1)))}d}{suffix}"
 
 
-class LevelFiles:
+class LevelFiles(SeriesFiles):
     """One grid file per level, ``NAME_0000.vtm`` ..., and an index of them for ParaView.
 
     Raises
@@ -125,95 +139,73 @@ class LevelFiles:
     def __init__(
         self, grid: Grid, folder: Path, name: str, times: tuple[float, ...], options: Mapping[str, Any], velocity: str
     ):
-        self._grid, self._folder, self._times = grid, folder, times
-        self._stem, self._suffix = Path(name).stem, Path(name).suffix.lower()
+        self.suffix = Path(name).suffix.lower()
         format_of(Path(name))
         able = _WITH_FACES if velocity == "swept" else WITH_FIELDS
-        if velocity != "none" and self._suffix not in able:
+        if velocity != "none" and self.suffix not in able:
             what = "values at cell faces" if velocity == "swept" else "the grid velocity"
             raise FormatError(
-                f"{self._suffix} files cannot hold {what}; choose one of {' '.join(dict.fromkeys(able))}, or omit the "
+                f"{self.suffix} files cannot hold {what}; choose one of {' '.join(dict.fromkeys(able))}, or omit the "
                 f"velocity"
             )
-        self._options, self._velocity = options, velocity
-        self.dress: Dress = as_it_is
-        self.invalid: set[int] = set()
-        self.variant = variant_of(grid, folder / name, options)
-        self.view = index_path(folder, self._stem, self._suffix)
+        super().__init__(grid, folder, name, times, options, velocity)
+        self.view = index_path(folder, self.plain.stem, self.suffix)
 
-    @property
-    def outputs(self) -> list[Path]:
-        levels = [self.path(number) for number in range(len(self._times))]
-        return [*levels, self.view] if self.view else levels
-
-    @property
-    def replaced(self) -> list[Path]:
-        return [*self.outputs, *(path for number in range(len(self._times)) for path in self._names(number))]
-
-    def path(self, number: int) -> Path:
-        return self._names(number)[number in self.invalid]
-
-    def _names(self, number: int) -> tuple[Path, Path]:
-        """Paths of a level if it is valid, and if it is invalid."""
-        plain = self._folder / level_name(self._stem, number, len(self._times), self._suffix)
+    def names(self, number: int) -> tuple[Path, Path]:
+        plain = self.folder / level_name(self.plain.stem, number, len(self.times), self.suffix)
         return plain, invalid_path(plain)
-
-    def recall(self, records: Sequence[Mapping[str, Any]]) -> None:
-        self.invalid = {n for n, record in enumerate(records) if record["file"] == self._names(n)[1].name}
 
     def write(self, number: int, grid: Grid, velocity: FloatArray | None, faces: Sequence[Field] = ()) -> None:
         def dressed(level: Grid) -> Grid:
             return with_velocity(self.dress(level), velocity, faces, self.variant.precision)
 
-        write_grid(grid, self.path(number), self._options, dressed)
-        # Remove the level of an earlier run with the other verdict, which could be mistaken for this one.
-        ranks_of(grid.points).on_first(lambda: self._remove(self._names(number)[number not in self.invalid]))
+        def remove_other() -> None:
+            # The level of an earlier run with the other verdict could be mistaken for this one.
+            other = self.names(number)[number not in self.invalid]
+            other.unlink(missing_ok=True)
+            self._remove_lone_pieces(other)
+
+        write_grid(grid, self.path(number), self.options, dressed)
+        ranks_of(grid.points).on_first(remove_other)
 
     def read(self, number: int) -> FloatArray:
         path = self.path(number)
         if not self.readable:
             raise FormatError(
-                f"cannot continue after {path}: the next level needs its coordinates, and {self._suffix} files cannot "
+                f"cannot continue after {path}: the next level needs its coordinates, and {self.suffix} files cannot "
                 f"be read; restart the series (--force), or use a format that can be read"
             )
         grid = read_grid(path)
-        if grid.n_nodes != self._grid.n_nodes:
-            raise FormatError(f"{path} has {grid.n_nodes:,} nodes; a level of this series has {self._grid.n_nodes:,}")
+        if grid.n_nodes != self.grid.n_nodes:
+            raise FormatError(f"{path} has {grid.n_nodes:,} nodes; a level of this series has {self.grid.n_nodes:,}")
         return grid.points
 
     @property
     def readable(self) -> bool:
         return hasattr(FORMATS[format_of(self.path(0))].load(), "read")
 
-    def has(self, number: int) -> bool:
-        return self.path(number).is_file()
-
     def least_bytes(self, first: int) -> int:
-        paths = [self.path(number) for number in range(first, len(self._times))]
-        each = least_bytes(self._grid, self.path(first), self.variant) if paths else 0
-        each += velocity_bytes(self._grid, self._velocity, self.variant.precision) if each else 0
+        paths = [self.path(number) for number in range(first, len(self.times))]
+        each = least_bytes(self.grid, self.path(first), self.variant) if paths else 0
+        each += velocity_bytes(self.grid, self.velocity, self.variant.precision) if each else 0
         # A level is complete before it replaces another one.
         return max(each, len(paths) * each - sum(map(bytes_at, paths)))
 
     def publish(self, done: int) -> None:
         if self.view:
-            levels = [(self._times[number], self.path(number).name) for number in range(done)]
-            ranks_of(self._grid.points).on_first(partial(write_index, self.view, levels, self.variant))
+            levels = [(self.times[number], self.path(number).name) for number in range(done)]
+            ranks_of(self.grid.points).on_first(partial(write_index, self.view, levels, self.variant))
 
     def clean(self, complete: bool = False) -> None:
-        remove_partial(self._folder)
-        if self._suffix == ".vtm":
-            for number in range(len(self._times)):
-                for path in self._names(number):
-                    self._remove_lone_pieces(path)
-
-    def _remove(self, path: Path) -> None:
-        path.unlink(missing_ok=True)
-        if self._suffix == ".vtm":
-            self._remove_lone_pieces(path)
+        super().clean(complete)
+        for number in range(len(self.times)):
+            for path in self.names(number):
+                self._remove_lone_pieces(path)
 
     def _remove_lone_pieces(self, index: Path) -> None:
         """Remove remains of a multi-block set from a killed run, and the pieces of one whose index was removed."""
+        if self.suffix != ".vtm":
+            return
         from ..vtk.multiblock import clean
 
         clean(index)

@@ -16,15 +16,15 @@ from meshdeform_core.parallel import Part, alike, on_each, own_rows, ranks_of, r
 from meshdeform_core.velocity import face_fields, grid_velocity
 
 from ..files import invalid_path, remove_partial, replacing_by_all
-from ..grids import format_of, variant_of
+from ..grids import format_of
 from ..placing import velocity_bytes
 from ..planes import Stored, synchronous
-from .outputs import Dress, as_it_is, level_name, with_velocity
+from .outputs import SeriesFiles, level_name, with_velocity
 
 _ROWS = 1 << 18
 
 
-class SingleFile:
+class SingleFile(SeriesFiles):
     """All levels in ``NAME.cgns``. Until the last one is written they are kept in the folder ``NAME.levels``."""
 
     def __init__(
@@ -32,38 +32,25 @@ class SingleFile:
     ):
         from ..cgns.time_steps import require_steady
 
-        self._grid, self._folder, self._times, self._velocity = grid, folder, times, velocity
-        self._plain = folder / name
-        if format_of(self._plain) != "cgns":
-            raise FormatError(f"{self._plain}: only a CGNS file can hold all levels; choose the suffix .cgns")
+        if format_of(folder / name) != "cgns":
+            raise FormatError(f"{folder / name}: only a CGNS file can hold all levels; choose the suffix .cgns")
         require_steady(grid)
-        self.dress: Dress = as_it_is
-        self.invalid: set[int] = set()
-        self.variant = variant_of(grid, self._plain, options)
-        self._levels = folder / f"{self._plain.stem}.levels"
+        super().__init__(grid, folder, name, times, options, velocity)
+        self._levels = folder / f"{self.plain.stem}.levels"
+
+    def names(self, number: int) -> tuple[Path, Path]:
+        return self.plain, invalid_path(self.plain)
 
     @property
-    def outputs(self) -> list[Path]:
-        return [self.view]
-
-    @property
-    def replaced(self) -> list[Path]:
-        return [self._plain, invalid_path(self._plain)]
-
-    @property
-    def view(self) -> Path:
-        return invalid_path(self._plain) if self.invalid else self._plain
+    def view(self) -> Path:  # type: ignore[override]
+        return self.names(0)[bool(self.invalid)]
 
     def path(self, number: int) -> Path:
+        # From the first invalid level on: all of them are in one file.
         return self.view
 
-    def recall(self, records: Sequence[Mapping[str, Any]]) -> None:
-        # From the first invalid level on: all of them are in one file.
-        bad = invalid_path(self._plain).name
-        self.invalid = {number for number, record in enumerate(records) if record["file"] == bad}
-
     def _part(self, number: int) -> Path:
-        return self._levels / level_name("level", number, len(self._times), ".npy")
+        return self._levels / level_name("level", number, len(self.times), ".npy")
 
     def write(self, number: int, grid: Grid, velocity: FloatArray | None, faces: Sequence[Field] = ()) -> None:
         # Velocities are differences of coordinates, computed when the file is assembled.
@@ -75,10 +62,10 @@ class SingleFile:
             _on_all(grid.points, lambda: _put(stored, rows_of(grid.points), own_rows(grid.points), synchronous(ranks)))
 
     def read(self, number: int) -> FloatArray:
-        points: FloatArray = alike(self._grid.points)
+        points: FloatArray = alike(self.grid.points)
         _on_all(points, lambda: _get(self._part(number), rows_of(points), own_rows(points)))
         if isinstance(points, Part):
-            points.keep_like(self._grid.points)
+            points.keep_like(self.grid.points)
         return points
 
     @property
@@ -90,31 +77,31 @@ class SingleFile:
 
     def least_bytes(self, first: int) -> int:
         # The folder of the levels is removed when the file is complete.
-        grid, count, precision = self._grid, len(self._times), self.variant.precision
+        grid, count, precision = self.grid, len(self.times), self.variant.precision
         values = np.dtype(precision).itemsize * grid.n_nodes
-        level = grid.dimension * values + velocity_bytes(grid, self._velocity, precision)
+        level = grid.dimension * values + velocity_bytes(grid, self.velocity, precision)
         return 3 * values * (count - first) + level * count if first < count else 0
 
     def publish(self, done: int) -> None:
-        if done == len(self._times):
+        if done == len(self.times):
             from ..cgns.time_steps import write_series
 
-            write_series(self._grid, self.view, self.variant, self._times, self._level)
-            other = self._plain if self.invalid else invalid_path(self._plain)
-            ranks_of(self._grid.points).on_first(lambda: other.unlink(missing_ok=True))
+            write_series(self.grid, self.view, self.variant, self.times, self._level)
+            other = self.plain if self.invalid else invalid_path(self.plain)
+            ranks_of(self.grid.points).on_first(lambda: other.unlink(missing_ok=True))
 
     def _level(self, number: int) -> Grid:
-        grid = self.dress(dataclasses.replace(self._grid, points=self.read(number), fields=()))
-        if self._velocity == "none":
+        grid = self.dress(dataclasses.replace(self.grid, points=self.read(number), fields=()))
+        if self.velocity == "none":
             return grid
         points = [*(self.read(n) for n in range(max(0, number - 2), number)), grid.points]
-        times = self._times[: number + 1]
-        velocity = grid_velocity(times, points, self._velocity)
-        faces = face_fields(self._grid, times, points) if self._velocity == "swept" else ()
+        times = self.times[: number + 1]
+        velocity = grid_velocity(times, points, self.velocity)
+        faces = face_fields(self.grid, times, points) if self.velocity == "swept" else ()
         return with_velocity(grid, velocity, faces, self.variant.precision)
 
     def clean(self, complete: bool = False) -> None:
-        remove_partial(self._folder)
+        super().clean(complete)
         if complete and self._levels.is_dir():
             shutil.rmtree(self._levels)
         elif self._levels.is_dir():

@@ -14,11 +14,12 @@ from meshdeform_core.grid.windows import rectangles
 from meshdeform_core.wording import vector
 
 from ..choice import options_of
-from ..grids.grid import Grid as UserGrid
-from ..prepared.linearisation import Linearisation
-from ..prepared.mesh import Mesh
-from ..prepared.preparation import prepare
-from ..prepared.step import Step
+from ..grid import wrapped
+from ..linearisation import Linearisation
+from ..mesh import Mesh
+from ..preparation import prepare
+from ..session import Session
+from ..step import Step
 from .options import Options
 
 if TYPE_CHECKING:
@@ -108,7 +109,7 @@ class Component:
     def __init__(self, zones: Zones, quads: IntArray, pairs: tuple[IntArray, IntArray], comm: Comm | None):
         self.rows = zones.rows
         self._mesh, self._repair = _mesh(zones, quads, comm), zones.options["repair"]
-        numbers, topology = self._mesh._numbers, self._mesh._setup.topology
+        numbers, topology = self._mesh.session.numbers, self._mesh.session.setup.topology
         self.point, node = pairs
         self._row = np.searchsorted(numbers, node)
         if not np.array_equal(numbers[self._row], node):
@@ -143,7 +144,7 @@ class Component:
         """Write the deformed nodes into an array (n_nodes, 3) of all zones; wall nodes are exactly where they were
         set."""
         if self._step is not None:
-            whole[self.rows] = self._step._result.grid.points
+            whole[self.rows] = self._step.result.grid.points
             whole[self._wall] = self._positions[self._wall_row]
 
     def derivative(self) -> Linearisation:
@@ -176,7 +177,7 @@ class Component:
         """
         start = surface[self._first]
         apart = surface[self.point] - start[self._row]
-        edge = self._mesh._setup.topology.edge[self._mesh._numbers]
+        edge = self._mesh.session.setup.topology.edge[self._mesh.session.numbers]
         gap = np.linalg.norm(apart, axis=1) / edge[self._row]
         worst = int(np.argmax(gap))
         if gap[worst] > _DISAGREE:
@@ -192,7 +193,7 @@ def _mesh(zones: Zones, quads: IntArray, comm: Comm | None) -> Mesh:
     """The mesh whose surface ``quads`` move: symmetry planes mirror them, all other outside nodes are free."""
     mirrors = [zones.patch(f"symmetry{n}", each, "BCSymmetryPlane") for n, each in enumerate(zones.symmetry(), 1)]
     patches = (zones.patch(SURFACE, quads, "BCWall"), *mirrors)
-    held = UserGrid._of(dataclasses.replace(zones.grid, patches=patches))
+    held = wrapped(dataclasses.replace(zones.grid, patches=patches))
     rest = zones.topology.external.copy()
     rest[np.concatenate([quads, quads_of_patches(zones.topology.quads, mirrors)[0]])] = False
     mesh = prepare(
@@ -204,10 +205,10 @@ def _mesh(zones: Zones, quads: IntArray, comm: Comm | None) -> Mesh:
         comm=comm,
     )
     # The method's L_def depends on the sources, which are known only after the set-up.
-    problem = mesh._setup.problem
-    length = float(np.linalg.norm(problem.source_points - problem.centroid, axis=1).max())
-    case = dataclasses.replace(mesh._setup.case, method=options_of(zones.options.method(length)))
-    return Mesh(dataclasses.replace(mesh._setup, case=case), False, mesh._ranks, None)
+    setup = mesh.session.setup
+    length = float(np.linalg.norm(setup.problem.source_points - setup.problem.centroid, axis=1).max())
+    case = dataclasses.replace(setup.case, method=options_of(zones.options.method(length)))
+    return Mesh(Session(dataclasses.replace(setup, case=case), False, mesh.session.ranks, None))
 
 
 def _within(patch: Patch, place: dict[int, int]) -> Patch | None:

@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshdeform_core.errors import CaseError, MotionError
-from meshdeform_core.grid import FloatArray
+from meshdeform_core.grid import FloatArray, IntArray
 
+from ..grid import read
 from .options import Options
 from .surface import Definition
 from .warp import Warp, grid_of, ranks_of
@@ -45,15 +46,6 @@ class _Interface:
         its x, y, z have three times that number plus 0, 1, 2. Nodes may repeat.
         """
         self._warp.set_solver_nodes(ind)
-
-    def setSurfaceDefinition(
-        self, pts: ArrayLike, conn: ArrayLike, faceSizes: ArrayLike, cgnsBlockIDs: ArrayLike | None = None
-    ) -> None:
-        """The solver's surface on this rank: undeformed points (n, 3), corners of the faces from 0, 3 or 4 each.
-
-        Points may repeat; a rank may have none. ``cgnsBlockIDs``: the zone of each face, from 1.
-        """
-        self._warp.define(Definition.of(pts, conn, faceSizes, cgnsBlockIDs))
 
     def setSurfaceDefinitionFromFile(self, surfFile: str) -> None:
         """The surface from a Plot3D file with a block for each patch; the first rank holds its points."""
@@ -83,20 +75,16 @@ class _Interface:
         """The solver's nodes (3 n,) on this rank; wall nodes are exactly where they were set."""
         return self._warp.coordinates(self._warp.solver_rows)
 
-    def getWarpGrid(self) -> FloatArray:
+    def getCommonGrid(self) -> FloatArray:
         """This rank's share (3 n,) of all nodes, which are divided evenly in the order of the file."""
         return self._warp.coordinates(self._warp.own_rows)
-
-    def getCommonGrid(self) -> FloatArray:
-        """As :meth:`getWarpGrid`, as the order of the file is the only one."""
-        return self.getWarpGrid()
 
     def getdXs(self) -> FloatArray:
         """The gradient (n, 3) of this rank's points computed by the last :meth:`warpDeriv`."""
         return self._warp.gradient
 
     def warpDerivFwd(self, dXs: ArrayLike, solverVec: bool = True) -> FloatArray:
-        """Change (3 n,) of the solver's nodes, or of those of :meth:`getWarpGrid`, for a change of the points.
+        """Change (3 n,) of the solver's nodes, or of those of :meth:`getCommonGrid`, for a change of the points.
 
         ``dXs`` is (n, 3) or flat.
         """
@@ -151,7 +139,7 @@ class _Interface:
     def warp(self) -> SimpleNamespace:
         """Sizes as callers ask for them: ``warp.griddata.warpmeshdof``, ``solvermeshdof``, ``commonmeshdof``."""
         own = 3 * len(self._warp.own_rows)
-        solver = 0 if self._warp._solver_rows is None else 3 * len(self._warp.solver_rows)
+        solver = 3 * len(self._warp.solver_rows) if self._warp.knows_solver_nodes else 0
         return SimpleNamespace(griddata=SimpleNamespace(warpmeshdof=own, commonmeshdof=own, solvermeshdof=solver))
 
     @property
@@ -189,6 +177,19 @@ class USMesh(_Interface):
         self._file = self._options["gridFile"]
         grid = grid_of(self._file, self._options["fileType"], ranks)
         self._warp = Warp(grid, [(np.arange(grid.n_blocks), self._options)], self._comm, ranks)
+
+    def setSurfaceDefinition(
+        self, pts: ArrayLike, conn: ArrayLike, faceSizes: ArrayLike, cgnsBlockID: ArrayLike | None = None
+    ) -> None:
+        """The solver's surface on this rank: undeformed points (n, 3), corners of the faces from 0, 3 or 4 each.
+
+        Points may repeat; a rank may have none. ``cgnsBlockID``: the zone of each face, from 1.
+        """
+        self._warp.define(Definition.of(pts, conn, faceSizes, cgnsBlockID))
+
+    def getWarpGrid(self) -> FloatArray:
+        """As :meth:`getCommonGrid`, as the order of the file is the only one."""
+        return self.getCommonGrid()
 
     def getOption(self, name: str) -> Any:
         """Value of an option."""
@@ -241,7 +242,7 @@ class MultiUSMesh(_Interface):
         self._file = str(CGNSFile)
         grid = grid_of(self._file, "CGNS", ranks)
         member = np.array([name.split(".")[0].lower() for name in grid.names])
-        groups = []
+        groups: list[tuple[IntArray, Options]] = []
         for name, options in optionsDict.items():
             zones = np.flatnonzero(member == name.lower())
             if not zones.size:
@@ -250,6 +251,8 @@ class MultiUSMesh(_Interface):
             groups.append((zones, Options({**options, "gridFile": self._file})))
         if not groups:
             raise CaseError("optionsDict is empty; expected options for at least one component")
+        # In the order of the file, as IDWarp has its instances.
+        groups.sort(key=lambda group: int(group[0][0]))
         self._warp = Warp(grid, groups, self._comm, ranks)
 
     def setSurfaceDefinition(
@@ -257,7 +260,11 @@ class MultiUSMesh(_Interface):
     ) -> None:
         """As :meth:`USMesh.setSurfaceDefinition`, after :meth:`setExternalMeshIndices`."""
         self._warp.solver_rows  # noqa: B018  (refuses the wrong order)
-        super().setSurfaceDefinition(pts, conn, faceSizes, cgnsBlockIDs)
+        self._warp.define(Definition.of(pts, conn, faceSizes, cgnsBlockIDs))
+
+    def getWarpGrid(self) -> tuple[list[FloatArray], int]:
+        """This rank's share (3 n,) of the nodes of each component that moves, and the number of coordinates of all."""
+        return self._warp.by_component()
 
     def warpDeriv(self, dXv: ArrayLike, solverVec: bool = True) -> FloatArray:
         """As :meth:`USMesh.warpDeriv`; returns the gradient (n, 3), too."""
@@ -266,9 +273,7 @@ class MultiUSMesh(_Interface):
 
 def _surface_file(name: str) -> tuple[FloatArray, np.ndarray[Any, Any]]:
     """Points (n, 3), i fastest in each block, and faces (n_faces, 4) of a Plot3D file of surfaces."""
-    from ..grids.files import read
-
-    blocks, points, faces, first = read(name)._core, [], [], 0
+    blocks, points, faces, first = read(name).core, [], [], 0
     for block in range(blocks.n_blocks):
         patch = blocks.block(block)
         flat = [axis for axis, size in enumerate(patch.shape[:3]) if size == 1]

@@ -13,14 +13,12 @@ from meshdeform_core.grid import FloatArray, Grid, IntArray
 from meshdeform_core.parallel import OneRank, Ranks, sharing
 from meshdeform_core.wording import vector
 
-from ..grids.files import read, write
-from ..grids.grid import Grid as UserGrid
+from ..grid import read, wrapped, write
 from ..pieces import gathered, share_of, summed
-from ..prepared.turns import one_at_a_time
+from ..session import one_at_a_time, ranks_of_comm
 from .component import Component, Zones
-from .numbering import rows_of_file, rows_of_freedoms
 from .options import Options
-from .surface import Definition, match, require_found
+from .surface import Definition, match, require_found, rows_of_file, rows_of_freedoms
 
 if TYPE_CHECKING:
     from mpi4py.MPI import Comm
@@ -62,6 +60,22 @@ class Warp:
         """Rows of ``grid.points`` of this rank's share of the nodes, in the order of the file."""
         own = share_of(self._grid.n_nodes, self._ranks)
         return rows_of_file(self._grid, np.arange(own.start, own.stop))
+
+    @property
+    def knows_solver_nodes(self) -> bool:
+        """Whether :attr:`solver_rows` are known."""
+        return self._solver_rows is not None
+
+    def by_component(self) -> tuple[list[FloatArray], int]:
+        """Deformed coordinates (3 n,) of this rank's share of each component, and the number of coordinates of all."""
+        found, total = [], 0
+        for zones in self._zones:
+            ends = self._grid.offsets[zones.zones], self._grid.offsets[zones.zones + 1]
+            numbers = np.concatenate([np.arange(low, high) for low, high in zip(*ends, strict=True)])
+            own = numbers[share_of(len(numbers), self._ranks)]
+            found.append(self.coordinates(rows_of_file(self._grid, own)))
+            total += 3 * len(numbers)
+        return found, total
 
     @property
     def solver_rows(self) -> IntArray:
@@ -211,7 +225,7 @@ class Warp:
 
     def write(self, name: str) -> None:
         """The deformed grid as a copy of the file, made by the first rank."""
-        moved = UserGrid._of(self._grid.moved(self._points))
+        moved = wrapped(self._grid.moved(self._points))
         self._ranks.on_first(lambda: write(moved, name, force=True))
 
 
@@ -224,7 +238,7 @@ def grid_of(name: str, file_type: str, ranks: Ranks) -> Grid:
         When the file is of another type than ``file_type``.
     """
     with one_at_a_time(), sharing(ranks, None):
-        grid = read(name)._core
+        grid = read(name).core
     found = grid.format.name if grid.format else ""
     if found != file_type.lower():
         raise CaseError(f"{name}: found a file of type {found}; fileType is {file_type!r}")
@@ -241,6 +255,4 @@ def ranks_of(comm: Comm | None) -> tuple[Comm | None, Ranks]:
         comm = MPI.COMM_WORLD
     if comm is None or comm.size == 1:
         return None, OneRank()
-    from meshdeform_core.parallel.mpi import MPIRanks
-
-    return comm, MPIRanks(comm)
+    return comm, ranks_of_comm(comm)

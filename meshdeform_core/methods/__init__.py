@@ -18,7 +18,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from ..boundary.layer import find_layer
-from ..errors import MethodError
+from ..errors import MethodError, suggestion
 from .base import Account, PreparedMethod, Problem, Progress, Setting
 from .composite import Composite
 from .gaps import InGaps
@@ -164,7 +164,8 @@ def entry_of(name: str) -> MethodEntry:
     if full in REFUSED:
         raise MethodError(f"method {name!r} is not offered: {REFUSED[full]}")
     if full not in CATALOGUE:
-        raise MethodError(f"method {name!r} is unknown; known are {', '.join([*ALIASES, *CATALOGUE])}")
+        known = [*ALIASES, *CATALOGUE]
+        raise MethodError(f"method {name!r} is unknown; known are {', '.join(known)}{suggestion(name, known)}")
     return CATALOGUE[full]
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..boundary import Kind
-from ..boundary.motions.doubts import positions_as_displacements
+from ..boundary.motions.doubts import far_motion, positions_as_displacements
 from ..boundary.prescribed import largest_displacement
 from ..grid import FloatArray
 from ..grid.precision import rounded
@@ -174,6 +174,9 @@ def doubts(course: Course, one_of_many: bool) -> Sequence[str]:
     moving = np.flatnonzero(boundary.kind == Kind.MOVING)
     points = course.setup.grid.points[course.setup.topology.first[moving]]
     found += positions_as_displacements(points, course.total[moving])
+    # Faces enclose the grid.
+    outside = course.setup.grid.points[course.setup.topology.first]
+    found += far_motion(np.ptp(outside, axis=0), largest)
     departure = boundary.slip.departure(course.total)
     # A motion that returns to zero leaves round-off in all directions.
     if departure > 1e-6 * largest and departure > course.setup.undeformed.round_off:

@@ -69,7 +69,7 @@ class MinresRBF(RBF):
     def bind(self, problem: Problem) -> PreparedRBF:
         """Bind to the sources; the matrix is made when it is first needed."""
         prepared = PreparedRBF(self, problem)
-        prepared.system = MinresSystem(self, prepared)
+        prepared.system = MinresSystem(self, prepared)  # type: ignore[assignment]
         return prepared
 
 

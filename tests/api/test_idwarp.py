@@ -13,6 +13,7 @@ from solver_stub import Solver
 import meshdeform as md
 from meshdeform.compat.idwarp import MultiUSMesh, USMesh
 from meshdeform.compat.options import Options
+from meshdeform.grid import wrapped
 from meshdeform_core.grid import Grid, Patch, Side, Window
 
 H = 1e-6
@@ -21,7 +22,7 @@ H = 1e-6
 @pytest.fixture(scope="module")
 def wing(tmp_path_factory):
     path = str(tmp_path_factory.mktemp("idwarp") / "wing.cgns")
-    md.write(md.sample("wing", "small").grid, path)
+    md.write(md.sample("wing", 8).grid, path)
     return path
 
 
@@ -45,7 +46,7 @@ def overset(tmp_path):
         for side in (Side.KMIN, Side.KMAX):
             patches.append(Patch("sym", (Window(zone, side, (0, 0), (ni - 1, nj - 1)),), "sym", "BCSymmetryPlane"))
     path = tmp_path / "overset.cgns"
-    md.write(md.Grid._of(Grid.from_blocks(blocks, names, patches=tuple(patches))), path)
+    md.write(wrapped(Grid.from_blocks(blocks, names, patches=tuple(patches))), path)
     return str(path)
 
 
@@ -163,7 +164,7 @@ def test_written_grid(mesh, wing, tmp_path):
 
 def test_plot3d_and_surface_files(tmp_path):
     ring = polar(12, 5, 2)
-    md.write(md.Grid._of(ring), tmp_path / "ring.xyz")
+    md.write(wrapped(ring), tmp_path / "ring.xyz")
     wall = md.Grid([ring.block(0)[:, :1]])
     md.write(wall, tmp_path / "wall.xyz")
     wider = [1.1, 1.1, 1.0]
@@ -200,6 +201,9 @@ def test_components_move_together(overset):
     grid = mesh.getSolverGrid().reshape(-1, 3)
     np.testing.assert_array_equal(grid[solver.wall_of], moved)
     np.testing.assert_array_equal(grid[zone == 3], solver.start[zone == 3])
+    parts, count = mesh.getWarpGrid()
+    assert (len(parts), count) == (2, sum(map(len, parts)))
+    np.testing.assert_array_equal(np.concatenate(parts), mesh.getCommonGrid()[:count])
     shift = grid[zone == 2] - solver.start[zone == 2]
     np.testing.assert_allclose(shift, np.broadcast_to([0.1, 0.2, 0.0], shift.shape), atol=1e-12)
     random = np.random.default_rng(2)
@@ -262,10 +266,10 @@ def test_options_are_honoured(wing, capsys):
     assert mesh.getOption("AEXP") == 2.0
     mesh.setOption("alpha", 0.3)
     mesh.getSurfaceCoordinates()
-    part = mesh._warp._components[0]._mesh._setup.case.method.idw
+    part = mesh._warp._components[0]._mesh.session.setup.case.method.idw
     reach = USMesh({"gridFile": wing})
     reach.getSurfaceCoordinates()
-    usual = reach._warp._components[0]._mesh._setup.case.method.idw
+    usual = reach._warp._components[0]._mesh.session.setup.case.method.idw
     assert (part.a, part.alpha, part.rotation, usual.rotation) == (2.0, 0.3, "none", "lie")
     assert part.length == pytest.approx(50 * usual.length)
     assert part.summation_tolerance == usual.summation_tolerance == 5e-7

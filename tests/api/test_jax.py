@@ -5,9 +5,11 @@ import pytest
 from grids import frame, frame_2d
 
 import meshdeform as md
+from meshdeform.grid import wrapped
 
 jax = pytest.importorskip("jax")
 from meshdeform.jax import deform_function  # noqa: E402
+from meshdeform_core.deform import impose  # noqa: E402
 
 BODY = {"body": ["block2.imax", "block4.jmax", "block5.jmin", "block7.imin"]}
 
@@ -22,7 +24,7 @@ def _double():
 
 @pytest.fixture(scope="module")
 def mesh():
-    blocks = [np.array(block) for block in md.Grid._of(frame(2, 1)).blocks]
+    blocks = [np.array(block) for block in wrapped(frame(2, 1)).blocks]
     return md.prepare(md.Grid(blocks), moving=BODY, slip={"span": ["*.kmin", "*.kmax"]})
 
 
@@ -63,16 +65,30 @@ def test_several_displacements(mesh):
 
 
 def test_plane_grid():
-    grid = md.Grid([np.array(block) for block in md.Grid._of(frame_2d(3), True).blocks])
+    grid = md.Grid([np.array(block) for block in wrapped(frame_2d(3), True).blocks])
     mesh = md.prepare(grid, moving=BODY)
     gradient = jax.grad(lambda d: cost(deform_function(mesh)(d)))(np.zeros(mesh.points.shape))
     assert gradient.shape == mesh.points.shape
     assert not np.any(gradient[:, 2])
+    plane = jax.grad(lambda d: cost(deform_function(mesh)(d)))(np.zeros((len(mesh.points), 2)))
+    np.testing.assert_array_equal(plane, gradient[:, :2])
+    onward = deform_function(mesh, "forward")
+    slope = jax.jvp(onward, (np.zeros(plane.shape),), (np.ones(plane.shape),))[1]
+    assert [each.shape for each in slope] == [block.shape for block in mesh.grid.blocks]
 
 
-def test_an_invalid_grid_is_an_error(mesh):
-    with pytest.raises(Exception, match=r"INVALID.*first cell"):
-        deform_function(mesh)(mesh.points * [-2.0, 0.0, 0.0])
+def test_a_value_and_its_gradient_deform_once(mesh, monkeypatch):
+    made = []
+    monkeypatch.setattr("meshdeform.mesh.impose", lambda *given: made.append(1) or impose(*given))
+    value, _ = jax.value_and_grad(lambda d: cost(deform_function(mesh)(d)))(bend(mesh))
+    assert float(value) == pytest.approx(cost(mesh.deform(bend(mesh), repair="off").grid.blocks))
+    assert len(made) == 2
+
+
+@pytest.mark.parametrize("wrap", [lambda f: f, jax.jit], ids=["plain", "jit"])
+def test_an_invalid_grid_is_the_same_error_everywhere(mesh, wrap):
+    with pytest.raises(jax.errors.JaxRuntimeError, match=r"GridError: .*INVALID.*first cell"):
+        jax.block_until_ready(wrap(deform_function(mesh))(mesh.points * [-2.0, 0.0, 0.0]))
 
 
 def test_an_inexact_derivative_is_a_warning(mesh, monkeypatch):

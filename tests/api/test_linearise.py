@@ -1,13 +1,16 @@
 """``mesh.linearise``: shapes, errors, and when it is not the derivative of the step."""
 
 import dataclasses
+import pickle
 
 import numpy as np
 import pytest
 from grids import frame, frame_2d
 
 import meshdeform as md
-from meshdeform.prepared.differentiated import differentiated
+from meshdeform.grid import wrapped
+from meshdeform.linearisation import differentiated
+from meshdeform_core.deform import impose
 from meshdeform_core.methods import Options, prepare_method
 from meshdeform_core.setup import Timing
 
@@ -22,7 +25,7 @@ def case(**method):
 
 @pytest.fixture(scope="module")
 def mesh():
-    return md.prepare(md.Grid([block.copy() for block in md.Grid._of(frame()).blocks]), case())
+    return md.prepare(md.Grid([block.copy() for block in wrapped(frame()).blocks]), case())
 
 
 def bend(mesh, size=0.05):
@@ -62,7 +65,7 @@ def test_operator_and_transpose(mesh):
 
 
 def test_plane_grid():
-    blocks = md.Grid._of(frame_2d(5), True).blocks
+    blocks = wrapped(frame_2d(5), True).blocks
     body = {**BODY, "motion": [{"displace": ["0.1", "0", "0"]}]}
     flat = md.prepare(md.Grid([block.copy() for block in blocks]), {"boundary": [body]})
     found = flat.linearise()
@@ -97,18 +100,20 @@ def test_centres_chosen_greedily_are_named(mesh):
 
 def test_a_part_of_the_motion_is_told(mesh):
     found = mesh.linearise(bend(mesh, 3.0), steps="auto", repair="off")
-    assert found.step._result.reached < 1.0
+    assert found.step.result.reached < 1.0
     assert not found.exact
     assert "of the motion was imposed; the derivative is that of the method for all of it" in found.reason
 
 
 def test_another_method_is_told(mesh):
     step = mesh.deform(bend(mesh), steps=1, repair="off")
-    method, problem = mesh._method(Timing()), mesh._setup.problem
-    total = mesh._motion(bend(mesh), 0.0)(1.0)[problem.source_numbers]
-    assert differentiated(step._result, method, total)[1] == ""
+    method, problem = mesh._method(Timing()), mesh.session.setup.problem
+    total = mesh.session.of_boundary(bend(mesh))[problem.source_numbers]
+    assert differentiated(step.result, method, total)[1] == ""
     other = prepare_method(Options("tfi"), problem).apply(total)
-    replaced = dataclasses.replace(step._result, grid=mesh._setup.grid.moved(mesh._setup.grid.points + other))
+    replaced = dataclasses.replace(
+        step.result, grid=mesh.session.setup.grid.moved(mesh.session.setup.grid.points + other)
+    )
     assert "another method replaced the chosen one" in differentiated(replaced, method, total)[1]
 
 
@@ -131,6 +136,23 @@ def test_bad_arrays(mesh):
             found.vjp(given)
     with pytest.raises(md.GridError, match="complex numbers"):
         found.operator @ (1j * np.ones(mesh.points.size))
+
+
+def test_the_step_just_made_is_not_made_again(mesh, monkeypatch):
+    made = []
+    monkeypatch.setattr("meshdeform.mesh.impose", lambda *given: made.append(1) or impose(*given))
+    step = mesh.deform(bend(mesh))
+    assert mesh.linearise(bend(mesh)).step is step
+    assert len(made) == 1
+    assert mesh.linearise(bend(mesh), repair="off").step is not step
+    assert mesh.linearise(0.5 * bend(mesh)).step is not step
+    assert len(made) == 3
+    # What nobody holds is not kept.
+    del step
+    mesh.deform(bend(mesh))
+    mesh.linearise(bend(mesh))
+    assert len(made) == 5
+    assert pickle.loads(pickle.dumps(mesh)).linearise(bend(mesh)).exact
 
 
 def test_a_derivative_changes_no_later_step(mesh):

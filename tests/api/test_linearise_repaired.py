@@ -7,6 +7,7 @@ import pytest
 from grids import frame, frame_2d
 
 import meshdeform as md
+from meshdeform.grid import wrapped
 from meshdeform_core.grid.parts import FileFormat
 from meshdeform_core.repair import derivative, search, untangle
 from meshdeform_core.repair.derivative import derivative_of_repair
@@ -17,7 +18,7 @@ STILL = [{"displace": ["0", "0", "0"]}]
 
 
 def prepared(grid, plane=False, ends="slip", **options):
-    own = md.Grid([block.copy() for block in md.Grid._of(grid, plane).blocks])
+    own = md.Grid([block.copy() for block in wrapped(grid, plane).blocks])
     return md.prepare(own, {**case(plane, ends), **options})
 
 
@@ -79,7 +80,7 @@ def converged(monkeypatch):
 
 def components():
     """Two components of a plane overset grid, of which each has weak cells, and one at rest."""
-    own = [block.copy() for block in md.Grid._of(frame_2d(9), True).blocks]
+    own = [block.copy() for block in wrapped(frame_2d(9), True).blocks]
     blocks = [block + [shift, 0.0] for shift in (0.0, 0.3, 0.1) for block in own]
     body = [
         {**BODY, "name": name, "motion": STILL, "select": [f"{name}.*.i*", f"{name}.*.j*"]}
@@ -129,9 +130,9 @@ def test_a_grid_that_is_not_the_minimum_is_told():
     """What a repair calls the minimum is that to a millionth of an edge."""
     mesh = prepared(frame(5, 4))
     at = bend(mesh, 0.6, 0.3)
-    step, setup = mesh.deform(at, steps=1), mesh._setup
+    step, setup = mesh.deform(at, steps=1), mesh.session.setup
     plain = mesh.deform(at, steps=1, repair="off")
-    start, end = plain._result.grid.points, step._result.grid.points
+    start, end = plain.result.grid.points, step.result.grid.points
     there = derivative_of_repair(setup.undeformed.repairs, start, end, polish=False)
     beside = derivative_of_repair(setup.undeformed.repairs, start, 0.99 * end + 0.01 * start, polish=False)
     assert there.settle(0.0) < CLOSE < 1e-4 < beside.settle(0.0)
@@ -152,11 +153,11 @@ def test_a_system_that_is_hardly_determined_ends_the_search_at_once(monkeypatch)
 
 
 def test_coordinates_in_single_precision_are_near_enough_to_the_minimum():
-    grid = md.Grid([block.astype(np.float32) for block in md.Grid._of(frame(5, 4)).blocks])._core
+    grid = md.Grid([block.astype(np.float32) for block in wrapped(frame(5, 4)).blocks]).core
     written = dataclasses.replace(grid, format=FileFormat("plot3d", "float32"))
     at = bend(prepared(grid), 0.6, 0.3)
-    double, single = (md.prepare(md.Grid._of(each), case(False, "slip")) for each in (grid, written))
-    assert single._setup.grid.precision == "float32"
+    double, single = (md.prepare(wrapped(each), case(False, "slip")) for each in (grid, written))
+    assert single.session.setup.grid.precision == "float32"
     one, two = (mesh.linearise(at, steps=1) for mesh in (double, single))
     assert one.step.repair.converged
     assert two.exact, two.reason
@@ -167,5 +168,5 @@ def test_coordinates_in_single_precision_are_near_enough_to_the_minimum():
 
 def test_healthy_grids_have_no_repair_to_differentiate():
     mesh = prepared(frame(5, 4))
-    points = mesh._setup.grid.points
-    assert derivative_of_repair(mesh._setup.undeformed.repairs, points, points, polish=False) is None
+    points = mesh.session.setup.grid.points
+    assert derivative_of_repair(mesh.session.setup.undeformed.repairs, points, points, polish=False) is None

@@ -9,7 +9,7 @@ from forked_ranks import on_ranks, poison_parts
 from grids import frame, frame_2d
 
 import meshdeform as md
-from meshdeform.prepared import preparation
+from meshdeform import preparation
 from meshdeform_core.numerics import pieces as pieces_module
 from meshdeform_core.parallel import OneRank, current_ranks
 
@@ -19,7 +19,7 @@ MEASURES = "f_skew", "f_skew_min", "scaled_jacobian_min", "volume"
 @pytest.fixture
 def source(tmp_path, monkeypatch):
     """A grid file; ``comm`` is the ranks themselves, and blocks are cut although they are small."""
-    monkeypatch.setattr(preparation, "_ranks", lambda comm: comm or OneRank())
+    monkeypatch.setattr(preparation, "ranks_of_comm", lambda comm: comm or OneRank())
     monkeypatch.setattr(pieces_module, "_NODES", 100)
     monkeypatch.setattr(pieces_module, "_CELLS", 4)
     pieces_module._ends.cache_clear()
@@ -121,7 +121,7 @@ def test_derivatives_in_parts(source, name, monkeypatch):
 
     rng = np.random.default_rng(4)
     whole = prepared(source, method=METHODS[name]).linearise(small, repair="off")
-    change = rng.standard_normal((len(whole._moving.numbers), 3))
+    change = rng.standard_normal((len(whole._session.numbers), 3))
     gradient = [rng.standard_normal(block.shape) for block in whole.step.grid.blocks]
     pushed, pulled, reason = whole.jvp(change), whole.vjp(gradient), whole.reason
     poison_parts(monkeypatch)

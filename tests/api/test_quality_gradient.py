@@ -5,6 +5,7 @@ import pytest
 from grids import frame, frame_2d
 
 import meshdeform as md
+from meshdeform.grid import wrapped
 
 MEASURES = ("f_skew", "f_skew_min", "scaled_jacobian_min", "volume")
 
@@ -13,7 +14,7 @@ def bent(grid, plane=False):
     specs = {"name": "body", "select": ["*.i*", "*.j*"], "where": "abs(x) < 0.51 and abs(y) < 0.51", "kind": "moving"}
     motion = [{"rotate": {"angle": 6, "axis": [0, 0, 1]}}]
     # One block reversed: left-handed.
-    blocks = [block.copy() for block in md.Grid._of(grid, plane).blocks]
+    blocks = [block.copy() for block in wrapped(grid, plane).blocks]
     blocks[0] = blocks[0][::-1].copy()
     return md.prepare(md.Grid(blocks), {"boundary": [{**specs, "motion": motion}]}).deform()
 
@@ -26,7 +27,7 @@ def step(request):
 @pytest.mark.parametrize("measure", MEASURES)
 def test_central_differences(step, measure):
     found, rng = step.quality_gradient(measure, sharpness=40.0), np.random.default_rng(2)
-    core, topology = step._result.grid, step._result.setup.topology
+    core, topology = step.result.grid, step.result.setup.topology
     from meshdeform_core.quality.measures.gradients import quality_gradient
 
     change = rng.standard_normal(core.points.shape)
@@ -61,7 +62,7 @@ def test_values_are_those_of_the_report(step):
 def test_refusals(step):
     with pytest.raises(md.GridError, match="expected one of f_skew, f_skew_min"):
         step.quality_gradient("beauty")
-    grid = md.Grid._of(frame())
+    grid = wrapped(frame())
     body = {"name": "body", "select": ["*.i*", "*.j*"], "where": "abs(x) < 0.51 and abs(y) < 0.51", "kind": "moving"}
     motion = [{"displace": ["5.0", "0", "0"]}]
     mesh = md.prepare(md.Grid([b.copy() for b in grid.blocks]), {"boundary": [{**body, "motion": motion}]})

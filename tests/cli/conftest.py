@@ -11,13 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from grids import CASE, frame, frame_2d
+from grids import CASE, frame, frame_2d, with_walls
 from started_ranks import TESTS, start
 
 from meshdeform_cli.main import run
-from meshdeform_core.grid import Grid, Patch, Side
-from meshdeform_core.grid.topology import find_topology
-from meshdeform_core.grid.windows import windows_of_quads
 from meshdeform_formats import write_grid
 
 
@@ -90,23 +87,6 @@ def bench(_template: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> I
     shutil.copytree(_template, folder)
     monkeypatch.chdir(folder)
     return folder
-
-
-def with_walls(grid: Grid) -> Grid:
-    """``frame`` with the patches ``body``, ``outer`` and ``span``."""
-    topology = find_topology(grid)
-    windows: dict[str, list] = {"body": [], "outer": [], "span": []}
-    for block in range(grid.n_blocks):
-        for side in Side:
-            chosen = topology.external[topology.quads.of_side(block, side)]
-            low = grid.points[topology.first[topology.quads.corners[topology.quads.of_side(block, side)]]]
-            near = np.abs(low[..., :2]).max() < 0.51
-            name = "span" if side.axis == 2 else "body" if near else "outer"
-            counts = tuple(topology.quads.counts[block, side])
-            windows[name] += windows_of_quads(grid.shapes[block], block, side, chosen.reshape(counts))
-    kinds = {"body": "BCWall", "outer": "BCFarfield", "span": "BCSymmetryPlane"}
-    patches = tuple(Patch(name, tuple(found), name, kinds[name]) for name, found in windows.items())
-    return dataclasses.replace(grid, patches=patches)
 
 
 def contents(folder: Path) -> dict[str, bytes | None]:

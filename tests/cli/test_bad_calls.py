@@ -11,7 +11,7 @@ DEFORM = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz")
 # id: (arguments, fragments of the message)
 WRONG = {
     # commands and options
-    "command-unknown": (("deforn", "grid.xyz"), ("No such command 'deforn'",)),
+    "command-unknown": (("deforn", "grid.xyz"), ("no such command 'deforn'",)),
     "option-unknown": ((*DEFORM, "--stepz", "3"), ("No such option", "--stepz", "--steps")),
     "argument-missing": (("deform",), ("Missing argument 'GRID'",)),
     "argument-extra": (("info", "grid.xyz", "grid.cgns"), ("unexpected extra argument",)),
@@ -185,9 +185,9 @@ def test_wrong_call_is_refused(name, bench, call, snapshot):
     assert result.out == ""
     missing = [fragment for fragment in fragments if fragment not in result.err]
     assert not missing, result.err
-    *usage, message = result.err.rstrip("\n").split("\n\n")
+    message = result.err.rstrip("\n")
     assert "\n" not in message
-    assert message.startswith("Error: " if usage or name == "value-missing" else "meshdeform: error: ")
+    assert message.startswith("meshdeform: error: ")
 
 
 @pytest.mark.parametrize("link", [os.symlink, os.link])

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import shutil
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 from cgns_witness import N, box, tree, write_hdf5, zone
@@ -105,16 +103,6 @@ def test_a_link_is_no_index_of_a_set(inputs, call, snapshot):
     assert "a.vtm: it is a link" in result.err
     assert "set.vtm" in result.err
     assert snapshot(inputs) == before
-
-
-def test_links_in_a_circle_end(inputs, call):
-    # Links into other files keep those open until the tree of the grid is gone.
-    gc.collect()
-    with h5py.File("parts/second.cgns", "r+") as file:
-        file["Base/left/again"] = h5py.SoftLink("/Base")
-    write_grid(frame(), "out.cgns")
-    assert call("convert", "linked.cgns", "parts/second.cgns", "--force").code == 2
-    assert "a link forms a loop" in call("convert", "linked.cgns", "out.cgns", "--force").err
 
 
 def test_the_files_behind_an_input_are_looked_up_once_and_again_when_it_changes(inputs, monkeypatch):

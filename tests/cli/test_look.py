@@ -82,13 +82,6 @@ def test_info_names_left_handed_blocks_and_collapsed_edges(bench, call):
     assert "left-handed" in call("info", "other.xyz").out
 
 
-def test_info_guesses_that_lengths_are_no_metres(bench, call):
-    assert "length unit" not in call("info", "grid.cgns").out
-    grid = read_grid(bench / "grid.cgns")
-    write_grid(grid.moved(1000 * grid.points), bench / "large.cgns")
-    assert "the length unit may be millimetres or inches" in call("info", "large.cgns").out
-
-
 # quality
 
 
@@ -111,12 +104,6 @@ def test_quality_against_the_original(bench, call):
     assert one == two
 
 
-def test_quality_quietly(bench, call):
-    result = call("quality", "grid.xyz", "-q", "--report", "q.txt")
-    assert (result.code, result.out, result.err) == (0, "", "")
-    assert "verdict" in (bench / "q.txt").read_text()
-
-
 def test_quality_of_folded_grid_is_inherited(bench, call):
     grid = read_grid("grid.xyz")
     points = grid.points.copy()
@@ -133,13 +120,6 @@ def test_quality_of_folded_grid_is_inherited(bench, call):
 
 
 # compare
-
-
-def test_compare_equal_grids_of_different_formats(bench, call):
-    result = call("compare", "grid.xyz", "grid.cgns", "--tolerance", "0")
-    assert result.code == 0
-    assert "largest 0.000000e+00" in result.out
-    assert "0 of 1,152 nodes differ" in result.out
 
 
 def test_compare_says_how_far_and_where(bench, call):
@@ -161,34 +141,26 @@ def test_compare_says_how_far_and_where(bench, call):
 # plot
 
 
-@pytest.mark.parametrize(
-    ("suffix", "magic"), [(".png", b"\x89PNG\r\n"), (".pdf", b"%PDF-"), (".svg", b"<?xml"), (".PNG", b"\x89PNG\r\n")]
-)
+@pytest.mark.parametrize(("suffix", "magic"), [(".pdf", b"%PDF-"), (".svg", b"<?xml"), (".PNG", b"\x89PNG\r\n")])
 def test_plot_formats(suffix, magic, bench, call):
-    result = call("plot", "grid.xyz", "-o", f"picture{suffix}")
-    assert (result.code, result.out, result.err) == (0, "", "")
-    assert (bench / f"picture{suffix}").read_bytes().startswith(magic)
-
-
-def slow(*options):
-    return pytest.param(options, marks=pytest.mark.slow)
+    for force in ((), ("--force",)):
+        result = call("plot", "flat.p2dfmt", "-o", f"picture{suffix}", "-q", *force)
+        assert (result.code, result.out, result.err) == (0, "", "")
+        assert (bench / f"picture{suffix}").read_bytes().startswith(magic)
+    assert call("plot", "flat.p2dfmt", "-o", f"picture{suffix}").code == 2
 
 
 @pytest.mark.parametrize(
     "options",
     [
         ("--plane", "j=mid", "--metric", "volume"),
-        slow("--plane", "k=4", "--metric", "scaled_jacobian", "--no-lines"),
         ("--select", "body", "--view", "iso", "--title", "The body"),
         ("--select", "block1.imin", "--select", "block*.kmax[1:2,*]", "--view", "x"),
-        slow("--zoom", "-1,1,-0.5,0.5", "--plane", "i=1"),
         ("--zoom=-1,1,-0.5,0.5", "--title", "x < y & z"),
         ("--plane", "z=0.4", "--zoom", "walls", "--range", "0.5,1", "--metric", "wall_distance"),
-        slow("--plane", "x=-2", "--view", "1,1,0.5"),
         ("--reference", "grid.xyz", "--metric", "volume_ratio", "--log", "--plane", "k=2", "--block", "block[12]"),
-        slow("--reference", "grid.xyz", "--before", "side"),
         ("--reference", "grid.xyz", "--before", "overlay", "--select", "body", "--metric", "displacement"),
-        slow("--reference", "grid.xyz", "--arrows", "--metric", "relative_jacobian"),
+        ("--reference", "grid.xyz", "--arrows", "--view", "1,1,0.5", "--no-lines"),
         ("--zoom", "worst"),
     ],
 )
@@ -221,14 +193,6 @@ def test_plot_refuses_what_is_not_there(options, words, bench, call):
     assert (result.code, result.out) == (2, "")
     assert words in result.err
     assert not (bench / "picture.png").exists()
-
-
-def test_plot_of_a_flat_grid_and_force(bench, call):
-    assert call("plot", "flat.p2dfmt", "-o", "picture.png").code == 0
-    first = (bench / "picture.png").read_bytes()
-    assert call("plot", "flat.p2dfmt", "-o", "picture.png").code == 2
-    assert call("plot", "flat.p2dfmt", "-o", "picture.png", "--force").code == 0
-    assert (bench / "picture.png").read_bytes()[:8] == first[:8]
 
 
 @pytest.mark.slow
@@ -267,23 +231,16 @@ def test_a_film_of_levels_in_one_file(bench, call):
 # methods
 
 
-def test_methods_lists_all(call):
-    result = call("methods")
-    assert result.code == 0
+def test_methods_lists_and_explains_all(call):
+    listed = call("methods").out
     for name in (*ALIASES, *CATALOGUE):
-        assert name in result.out
-
-
-@pytest.mark.parametrize("name", [*ALIASES, *CATALOGUE])
-def test_methods_explains_each(name, call):
-    result = call("methods", name)
-    assert result.code == 0
-    entry = CATALOGUE[ALIASES.get(name, name)]
-    assert entry.summary in result.out
-    for part in entry.parts:
-        assert f"[method.{part.__name__.lower()}]" in result.out
-        for option in part.__dataclass_fields__:
-            assert re.search(rf"^  {option} = ", result.out, re.MULTILINE), option
+        assert name in listed
+        text, entry = call("methods", name).out, CATALOGUE[ALIASES.get(name, name)]
+        assert entry.summary in text
+        for part in entry.parts:
+            assert f"[method.{part.__name__.lower()}]" in text
+            for option in part.__dataclass_fields__:
+                assert re.search(rf"^  {option} = ", text, re.MULTILINE), option
 
 
 # sample
@@ -303,7 +260,7 @@ SIZES = {"square": 11, "airfoil": 41, "splitter-plate": 8, "hemisphere": 8, "bea
 @pytest.mark.parametrize("name", SAMPLES)
 def test_samples_are_cases_to_start_from_in_every_format(name, bench, call):
     points = []
-    for suffix in (".cgns", ".xyz", ".vtm"):
+    for suffix in (".cgns", ".xyz"):
         folder = f"sample{suffix}"
         size = ("--size", SIZES.get(name, "small"))
         result = call("sample", name, "-o", folder, "--suffix", suffix, *size)
@@ -314,7 +271,6 @@ def test_samples_are_cases_to_start_from_in_every_format(name, bench, call):
         assert result.code == 0, result.err
         points.append(read_grid(f"{folder}/out{suffix}").points)
     np.testing.assert_allclose(points[1], points[0], rtol=0, atol=1e-13)
-    np.testing.assert_allclose(points[2], points[0], rtol=0, atol=1e-13)
 
 
 def test_sample_overwrites_only_by_force(bench, call, snapshot):
@@ -333,8 +289,8 @@ def test_sample_overwrites_only_by_force(bench, call, snapshot):
 # help
 
 
-@pytest.mark.parametrize("arguments", [(), ("--help",), ("-h",), ("deform", "--help"), ("--version",)])
-def test_help_and_version(arguments, call):
-    result = call(*arguments)
-    assert (result.code, result.err) == (0, "")
-    assert "meshdeform" in result.out
+def test_info_guesses_that_lengths_are_no_metres(bench, call):
+    assert "length unit" not in call("info", "grid.cgns").out
+    grid = read_grid(bench / "grid.cgns")
+    write_grid(grid.moved(1000 * grid.points), bench / "large.cgns")
+    assert "the length unit may be millimetres or inches" in call("info", "large.cgns").out

@@ -78,7 +78,10 @@ def nothing() -> None:
 
 # What is done first, the command, and the first line of the message.
 MISTAKES = {
-    "command": (nothing, ("deforn", "grid.xyz"), "No such command 'deforn'; did you mean 'deform'?"),
+    "suffix": (nothing, (*DEFORM[:-1], "out.cgn"), "did you mean '.cgns'?"),
+    "hyphen": (nothing, (*DEFORM, "-m", "idwtfi"), "did you mean 'idw-tfi'?"),
+    "option of a part": (nothing, (*DEFORM, "-s", "method.alpha=1"), "did you mean 'method.idw.alpha'?"),
+    "command": (nothing, ("deforn", "grid.xyz"), "no such command 'deforn'; did you mean 'deform'?"),
     "method": (nothing, (*DEFORM, "-m", "idv"), "--method idv: method 'idv' is unknown; known are "),
     "constant": (
         nothing, (*DEFORM, "-s", "turn=10"), "--set 'turn=10': unknown key 'turn'; did you mean 'constants.turn'?",
@@ -122,6 +125,11 @@ def test_the_message_names_the_mistake(name, bench, call):
 
 DOUBTS = {
     "positions": (table(lambda p: p, lambda p: p), WITH_TABLE, "are they positions?"),
+    "another unit": (
+        nothing,
+        (*DEFORM, "-s", "boundary=[{motion=[{translate=[1e3, 0, 0]}]}]", "--dry-run"),
+        "the size of the grid",
+    ),
     "radians": (nothing, (*DEFORM, "-s", "constants.turn=0.17", "--dry-run"), "degrees; angles are in degrees"),
 }
 

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,12 +19,6 @@ from meshdeform_formats.files import replacing
 STRANGE = os.fsdecode(b"gr\xff d")
 
 
-def program(*arguments: str) -> subprocess.CompletedProcess[bytes]:
-    """A command in a process of its own: only there stdout takes any bytes."""
-    command = [sys.executable, "-m", "meshdeform_cli", *arguments]
-    return subprocess.run(command, capture_output=True, timeout=120, check=False)
-
-
 @pytest.mark.parametrize("suffix", [".xyz", ".fmt", ".cgns", ".vts", ".vtk"])
 def test_names_that_are_not_utf8(bench, call, suffix):
     grid = Grid.from_blocks([frame().block(0)])
@@ -36,22 +26,6 @@ def test_names_that_are_not_utf8(bench, call, suffix):
     done = call("convert", STRANGE + suffix, f"again{STRANGE}{suffix}", "-q")
     assert (done.code, done.err) == (0, "")
     np.testing.assert_array_equal(read_grid(f"again{STRANGE}{suffix}").points, grid.points)
-
-
-@pytest.mark.slow
-def test_everything_named_in_other_bytes(bench):
-    for name in ("grid.xyz", "case.toml"):
-        os.rename(name, STRANGE + Path(name).suffix)
-    grid, case = f"{STRANGE}.xyz", f"{STRANGE}.toml"
-    reports = [f"{STRANGE}.{suffix}" for suffix in ("json", "txt")]
-    done = program("deform", grid, "-c", case, "-o", f"out{grid}", "--report", reports[0], "--report", reports[1])
-    assert done.returncode == 0, done.stderr
-    assert json.loads(Path(reports[0]).read_text())["valid"]
-    assert program("plot", grid, "-o", f"{STRANGE}.png").returncode == 0
-    assert program("init", grid, "-o", f"new{case}").returncode == 0
-    assert "gr\ufffd d" in Path(f"new{case}").read_text(encoding="utf-8")
-    missing = program("info", f"no{grid}")
-    assert (missing.returncode, missing.stdout) == (2, b"")
 
 
 def test_a_set_has_a_name_in_utf8(bench, call, snapshot):

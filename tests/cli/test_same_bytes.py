@@ -155,19 +155,3 @@ def test_a_file_does_not_depend_on_where_its_arrays_lay(name, run, in_files, ben
     assert len(expected) > 1
     assert deformed("threads", "--threads", "2") == expected
     assert deformed("files", *in_files()) == expected
-
-
-def test_a_repair_does_not_depend_on_where_its_arrays_lay(run, in_files, bench):
-    """Of ``repair``: the grid and the report."""
-    run("deform", "grid.cgns", "-c", "case.toml", "-m", "tfi", *FOLDED, "--repair", "off", "-o", "bad.cgns",
-        "--allow-invalid")  # fmt: skip
-    words = ("repair", "bad.cgns", "--reference", "grid.cgns", "-c", "case.toml")
-
-    def repaired(folder: str, *way: str) -> dict[str, bytes | object]:
-        Path(folder).mkdir()
-        run(*words, "-o", f"{folder}/out.cgns", "--report", f"{folder}/report.json", *way)
-        return made(folder)
-
-    expected = repaired("whole", "--threads", "1")
-    assert repaired("threads", "--threads", "2") == expected
-    assert repaired("files", *in_files()) == expected

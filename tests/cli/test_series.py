@@ -102,16 +102,6 @@ def test_text_and_page_have_a_line_per_level(swing, call):
     assert "All 5 levels are valid" in Path("r.html").read_text()
 
 
-def test_the_table_has_a_column_of_accelerations(swing, call):
-    result = call(*RUN, "--report", "r.json")
-    (head,) = (line for line in result.out.splitlines() if line.startswith("level "))
-    column = slice(head.index("accel.") - 2, head.index("accel.") + len("accel."))
-    shown = [line[column].strip() for line in result.out.splitlines() if line.strip()[:1].isdigit() and "°" in line]
-    found = [level["smoothness"]["acceleration"] for level in json.loads(Path("r.json").read_text())["levels"]]
-    assert shown == ["", "", *(f"{value:.3f}" for value in found[2:])]
-    assert float(shown[2]) > 1.0
-
-
 def test_marching_reports_its_drift(swing, call):
     report = report_of(call, *RUN, "--from", "last")
     drift = np.linalg.norm(read_grid("out/grid_0004.xyz").points - read_grid("grid.xyz").points, axis=1).max()
@@ -192,23 +182,6 @@ def test_a_series_with_a_broken_level_goes_on(options, swing, call):
     assert [pieces.sub(r"\1\2", name) for name in files_in("part")] == before == files_in("whole")
 
 
-def test_what_takes_the_other_name_replaces_it(swing, call):
-    """A level that is broken no more, or is now, leaves no file of the series before."""
-    text = SWING.replace("20*sin(2*pi*t)", "ANGLE*sin(pi*t)")
-    run = ("series", "grid.xyz", "-c", "swing.toml", "--times", "0:1:0.5", "--repair", "off", "-q", "-o", "out")
-    for suffix in (".vtm", ".xyz"):
-        seen = []
-        for angle in ("150", "10", "150"):
-            (swing / "swing.toml").write_text(text.replace("ANGLE", angle))
-            assert call(*run, "--force", "--suffix", suffix).code == (3 if angle == "150" else 0)
-            seen.append(
-                [name for name in files_in("out") if name.endswith(suffix) or (suffix == ".vtm" and ".vts" in name)]
-            )
-        assert [name for name in seen[0] if ".invalid" in name]
-        assert not [name for name in seen[1] if ".invalid" in name]
-        assert len(seen[0]) == len(seen[1]) == len(seen[2])
-
-
 def test_later_tables_are_checked_like_the_first(swing, call):
     """A third table in other units, and one whose points lie off the wall."""
     table = np.loadtxt("table.csv", delimiter=",")
@@ -241,13 +214,6 @@ def test_a_dry_run_writes_nothing(swing, call, snapshot):
     assert result.code == 0
     assert snapshot(swing) == before
     assert "5 levels from t = 0 to 1: out/grid_0000.xyz ... out/grid_0004.xyz" in result.out
-
-
-def test_a_dry_run_gives_the_warnings_of_the_method(swing, call):
-    Path("swing.toml").write_text(SWING.replace("20*sin", "40*sin"))
-    result = call(*RUN, "-s", 'method.idw.rotation="none"', "--steps", "1", "--dry-run")
-    found = [text for text in result.warnings if "where the displacement is largest: walls turn by up to 40" in text]
-    assert len(found) == 1
 
 
 KILLED = """\
@@ -356,41 +322,6 @@ def test_a_changed_series_is_refused_with_what_changed(change, words, swing, cal
     assert snapshot(swing) == before
 
 
-def _as_by_an_older_program(state):
-    """As version 0.1.0 wrote it: the keys of the case, no defaults, no number of the algorithms."""
-    state["ingredients"] = {key: v for key, v in state["ingredients"].items() if not key.startswith(("repair.", "alg"))}
-
-
-def _as_with_another_default(state):
-    state["ingredients"]["method.idw.a"] = 2.75
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (
-            lambda state: state["ingredients"].update(algorithms=REVISION - 1),
-            f"algorithms was {REVISION - 1}, is {REVISION}",
-        ),
-        (_as_with_another_default, "method.idw.a was 2.75, is "),
-        (_as_by_an_older_program, f"algorithms is new ({REVISION}); repair.mode is new ('auto')"),
-    ],
-)
-def test_a_series_begun_by_a_program_with_other_results_is_refused(change, words, swing, call, snapshot):
-    assert call(*RUN, "-q").code == 0
-    path = Path("out/series.json")
-    state = json.loads(path.read_text())
-    change(state)
-    state["levels"].pop()
-    path.write_text(json.dumps(state))
-    before = snapshot(swing)
-    result = call(*RUN, "--resume")
-    assert result.code == 2
-    assert "cannot continue the series in out, its inputs have changed: " in result.err
-    assert words in result.err
-    assert snapshot(swing) == before
-
-
 def test_the_state_of_a_series_holds_every_option_with_its_value(swing, call):
     assert call(*RUN, "-q").code == 0
     stored = json.loads(Path("out/series.json").read_text())["ingredients"]
@@ -428,26 +359,6 @@ def test_wrong_calls_are_refused(arguments, words, swing, call, snapshot):
     assert snapshot(swing) == before
 
 
-@pytest.mark.parametrize("command", [RUN, ("deform", "grid.xyz", "-c", "swing.toml", "-o", "out.xyz", "--time", "0.2")])
-def test_methods_keep_to_the_memory_limit(command, swing, call):
-    result = call(*command, "-m", "rbf", "--max-memory", "241.8MiB")
-    assert result.code == 2
-    assert "a radial basis function system of" in result.err
-    assert "--max-memory allows" in result.err
-    # What failed before its first level is not in the way.
-    assert call(*command, "-q").code == 0
-
-
-def test_an_earlier_series_is_in_the_way(swing, call, snapshot):
-    assert call(*RUN, "-q").code == 0
-    before = snapshot(swing)
-    result = call(*RUN)
-    assert result.code == 2
-    assert "series.json exists; use --resume to continue it, or --force" in result.err
-    assert snapshot(swing) == before
-    assert call(*RUN, "--force", "-q").code == 0
-
-
 @pytest.mark.parametrize(
     "suffix", [".xyz", *(pytest.param(each, marks=pytest.mark.slow) for each in (".vtm", ".foam"))]
 )
@@ -467,18 +378,6 @@ def test_levels_of_an_earlier_series_that_remain_are_told(suffix, swing, call):
     assert call(*words, "-q", "--force").code == 0
 
 
-@pytest.mark.slow
-def test_the_hemisphere_returns_after_a_period(bench, call):
-    assert call("sample", "hemisphere", "-o", "case", "--size", "8").code == 0
-    run = ("series", "case/grid.cgns", "-c", "case/case.toml", "-o")
-    report = report_of(call, *run, "period", "--times", "0:1e-3:1e-4")
-    assert report["levels"][2]["max_displacement"] > 0.01
-    start, end = (read_grid(f"period/grid_{n:04d}.cgns").points for n in (0, 10))
-    np.testing.assert_allclose(end, start, rtol=0, atol=1e-12)
-    report = report_of(call, *run, "marched", "--times", "0:1e-3:1e-4", "--from", "last")
-    assert 1e-5 < report["series"]["drift"]["max"] < 5e-3
-
-
 def test_formats_that_are_not_read_cannot_go_on_marching(swing, call):
     options = (*RUN, "--suffix", ".vtu", "--from", "last", "-q")
     assert call(*options).code == 0
@@ -486,3 +385,29 @@ def test_formats_that_are_not_read_cannot_go_on_marching(swing, call):
     result = call(*options, "--resume")
     assert result.code == 2
     assert "cannot continue after out/grid_0002.vtu" in result.err
+
+
+@pytest.mark.parametrize(
+    ("key", "old", "words"),
+    [
+        ("algorithms", REVISION - 1, f"algorithms was {REVISION - 1}, is {REVISION}"),
+        ("method.idw.a", 2.75, "method.idw.a was 2.75, is "),
+        ("repair.mode", None, "repair.mode is new ('auto')"),
+    ],
+)
+def test_a_series_begun_by_a_program_with_other_results_is_refused(key, old, words, swing, call, snapshot):
+    run = (*RUN[:-1], "0:0.5:0.25")
+    assert call(*run, "-q").code == 0
+    path = Path("out/series.json")
+    state = json.loads(path.read_text())
+    state["ingredients"][key] = old
+    if old is None:
+        del state["ingredients"][key]
+    state["levels"].pop()
+    path.write_text(json.dumps(state))
+    before = snapshot(swing)
+    result = call(*run, "--resume")
+    assert result.code == 2
+    assert "cannot continue the series in out, its inputs have changed: " in result.err
+    assert words in result.err
+    assert snapshot(swing) == before

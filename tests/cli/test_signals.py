@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import sys
@@ -166,18 +165,3 @@ def test_output_that_cannot_be_written_is_an_error(redirection, reason, bench):
     done = run_closed(redirection, "info", "grid.xyz", cwd=bench)
     assert done.returncode == 2
     assert done.stderr == f"meshdeform: error: cannot write to stdout: {reason}\n"
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="file names are bytes on Linux")
-def test_file_names_need_not_be_text(bench):
-    name = b"gr\xffd.xyz"
-    os.rename("grid.xyz", name)
-    environment = {**os.environ, "PYTHONUTF8": "1"}
-    arguments = [PROGRAM, b"deform", name, "-c", "case.toml", "-o", b"\xfe.xyz", "--report", b"\xfe.txt"]
-    done = subprocess.run(arguments, capture_output=True, env=environment, check=False, timeout=60)
-    assert done.returncode == 0, done.stderr
-    assert name in done.stdout
-    assert os.path.exists(b"\xfe.xyz")
-    assert name in Path(os.fsdecode(b"\xfe.txt")).read_bytes()
-    missing = subprocess.run([PROGRAM, b"info", b"\xfd.xyz"], capture_output=True, env=environment, check=False)
-    assert (missing.returncode, b"\xfd.xyz does not exist" in missing.stderr) == (2, True)

@@ -80,16 +80,6 @@ def test_a_folder_that_was_removed(bench):
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")
-def test_a_full_stdout_is_named(bench):
-    with open("/dev/full", "w") as full:
-        done = subprocess.run([sys.executable, "-m", "meshdeform_cli", "deform", "grid.xyz", "-c", "case.toml", "-o",
-                               "out.xyz"], stdout=full, stderr=subprocess.PIPE, text=True, timeout=60)  # fmt: skip
-    assert done.returncode == 2
-    assert "error: cannot write to stdout: No space left on device" in done.stderr
-    assert (bench / "out.xyz").exists()
-
-
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")
 def test_what_the_last_flush_cannot_write_is_an_error(monkeypatch, capsys):
     """A library may print without flushing; the loss shows only when the program ends."""
     monkeypatch.setattr(main, "cli", SimpleNamespace(main=lambda **_: print("done", end="")))

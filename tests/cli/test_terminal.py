@@ -7,7 +7,6 @@ import os
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from click.shell_completion import ShellComplete
@@ -162,36 +161,38 @@ def on_a_terminal(code: str, **environment: str) -> tuple[str, int]:
 
 
 DRAWN = """
-import math, os, threading
+import os, threading
 from meshdeform_cli.process import progress
 
-drawn, update = threading.Event(), progress.ProgressBar._update
+drawn, make = threading.Event(), progress._bar
 
-def updated(self, bar, tasks):
-    update(self, bar, tasks)
-    bar.refresh()
-    drawn.set()
+def watched():
+    bar = make()
+    update = bar.update
+    def updated(*args, **more):
+        update(*args, **more)
+        bar.refresh()
+        drawn.set()
+    bar.update = updated
+    return bar
 
-def shown(patience):
-    progress.PATIENCE = patience
+def shown():
     # What is under way may have begun with the stage before.
-    for _ in range(2):
+    for _ in range(3):
         drawn.clear()
         assert drawn.wait(60)
 
-progress.ProgressBar._update, progress._TICK, progress.LOGGED = updated, 0.001, 0.0
+progress._bar, progress.PATIENCE, progress._TICK, progress.LOGGED = watched, 0.0, 0.001, 0.0
 for colour in ({}, {"NO_COLOR": "1"}):
     os.environ |= colour
     with progress.ProgressBar(compiles=False) as bar:
         bar("idw", 2, 8)
-        shown(-1.0)
-        bar("fast", 0, 0)
-        shown(math.inf)
+        shown()
         bar("levels", 1, 2)
         bar("idw", 4, 8)
-        shown(-1.0)
-        with progress.writing(1000):
-            shown(-1.0)
+        shown()
+        with progress.stage("write"):
+            shown()
     os.write(2, b"|")
 with progress.ProgressBar(False, compiles=False) as bar:
     bar("idw", 2, 8)
@@ -206,7 +207,6 @@ def test_a_terminal_shows_stages_and_what_remains():
     for words in ("idw", "levels", "write", "remaining", "50%", "0:00:0"):
         assert words in coloured
         assert words in plain
-    assert "fast" not in seen
     assert re.search(r"\x1b\[[0-9;]*3[0-8][;0-9]*m", coloured)
     assert not re.search(r"\x1b\[[0-9;]*3[0-8][;0-9]*m", plain)
     # The bar goes when all is done, and a terminal needs no summary.
@@ -265,12 +265,3 @@ def test_long_work_tells_a_log_how_far_it_is(monkeypatch, capsys):
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 8
     assert lines[:2] == [f"meshdeform: {n} s, levels 0 of 2, idw 3 of 8" for n in (10, 20)]
-
-
-@pytest.mark.skipif(not Path("/proc/self/io").exists(), reason="the system does not count bytes")
-def test_bytes_that_were_written_are_counted(tmp_path):
-    extent = progress._counted("wchar", 10_000)
-    (tmp_path / "file").write_bytes(bytes(4000))
-    done, total = extent()
-    assert 4000 <= done < 6000
-    assert total == 10_000

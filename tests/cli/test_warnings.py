@@ -41,11 +41,6 @@ def test_strict_refuses_and_writes_nothing(doubtful, call, snapshot):
     assert snapshot(doubtful) == before
 
 
-def test_strict_lets_a_case_without_doubt_pass(bench, call):
-    result = call("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz", "--strict")
-    assert (result.code, result.err) == (0, "")
-
-
 def test_strict_counts_warnings_of_the_motion_as_well(bench, call):
     result = call("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz", "--strict", "-s", "constants.turn=0")
     assert result.code == 2

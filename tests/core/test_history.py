@@ -9,7 +9,8 @@ import pytest
 from cases import ALL_METHODS, constant
 from grids import frame_2d
 
-from meshdeform.prepared.mesh import Mesh
+from meshdeform.mesh import Mesh
+from meshdeform.session import Session
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.methods import Options
@@ -22,7 +23,7 @@ def mesh_of(options: Options) -> Mesh:
     """A hollow bar in a frame; two of its sides move, no cells lie between them."""
     left = BoundarySpec("left", ("block2.imax",), Kind.MOVING, None, constant(0, 0, 0))
     right = BoundarySpec("right", ("block7.imin",), Kind.MOVING, None, constant(0, 0, 0))
-    return Mesh(set_up(frame_2d(), Case((left, right), {}, options)), False, OneRank(), None)
+    return Mesh(Session(set_up(frame_2d(), Case((left, right), {}, options)), False, OneRank(), None))
 
 
 def bulge(depth: float, points: np.ndarray, _: float) -> np.ndarray:
@@ -49,12 +50,12 @@ CALLS = {
 
 @pytest.mark.parametrize("name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in ALL_METHODS])
 def test_calls_in_any_order_give_what_they_give_alone(name):
-    alone = {call: mesh_of(ALL_METHODS[name]).deform(told, **more)._result for call, (told, more) in CALLS.items()}
+    alone = {call: mesh_of(ALL_METHODS[name]).deform(told, **more).result for call, (told, more) in CALLS.items()}
     order = np.random.default_rng(len(name)).permutation([*CALLS, *CALLS])
     mesh = mesh_of(ALL_METHODS[name])
     for call in order.tolist():
         told, more = CALLS[call]
-        found, expected = mesh.deform(told, **more)._result, alone[call]
+        found, expected = mesh.deform(told, **more).result, alone[call]
         assert found.warnings == expected.warnings, call
         assert found.attempts == expected.attempts, call
         assert (found.valid, found.steps, found.reached) == (expected.valid, expected.steps, expected.reached)
@@ -66,7 +67,7 @@ def test_calls_in_any_order_give_what_they_give_alone(name):
 def test_the_calls_differ_in_what_they_are_to_show():
     """Else the test above would compare the same thing over and over."""
     mesh = mesh_of(Options("tfi"))
-    found = {call: mesh.deform(told, **more)._result for call, (told, more) in CALLS.items()}
+    found = {call: mesh.deform(told, **more).result for call, (told, more) in CALLS.items()}
     crossing = {call for call, each in found.items() if any("crosses itself" in text for text in each.warnings)}
     assert {"through the other side", "a little less"} <= crossing
     assert "harmless" not in crossing

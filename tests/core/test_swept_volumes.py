@@ -207,7 +207,7 @@ def test_step_gives_the_volumes_since_another_step():
         assert across_i.shape == (6, 4)
         assert across_j.shape == (5, 5)
         start = before.grid if isinstance(before, md.Step) else before
-        area = [np.array(volumes(g._core, g._core.points)[0])[..., 0] for g in (start, step.grid)]
+        area = [np.array(volumes(g.core, g.core.points)[0])[..., 0] for g in (start, step.grid)]
         np.testing.assert_allclose(area[1] - area[0], np.diff(across_i, axis=0) + np.diff(across_j, axis=1), atol=1e-15)
     with pytest.raises(md.GridError, match="expected a step or a grid"):
         one.swept_volumes(3)

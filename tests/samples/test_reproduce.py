@@ -128,7 +128,7 @@ def test_costs_are_of_the_run_and_positive():
 @pytest.fixture(autouse=True)
 def keep_environment(monkeypatch):
     """The command tells linear algebra to use one thread, by environment variables that outlive it."""
-    monkeypatch.setattr("meshdeform_cli.process.machine._LIBRARIES", ())
+    monkeypatch.setattr("meshdeform_cli.options.LIBRARIES", ())
 
 
 def test_command_writes_data_tables_figures_and_the_page(tmp_path, capsys):

@@ -10,6 +10,8 @@ from .motion import Motion, Rotate
 _ALIKE = 0.1
 """Displacements are positions if they differ from the coordinates by less than this part of the coordinates' spread."""
 _FEWEST = 4
+_FAR = 10.0
+"""Sizes of the grid beyond which a displacement is hardly in its length unit."""
 _SMALL_ANGLE = 0.2
 """Constant rotations by fewer degrees may be meant in radians (up to 11 degrees)."""
 
@@ -26,6 +28,17 @@ def positions_as_displacements(points: FloatArray, displacement: FloatArray) -> 
     return [
         "the displacements are nearly the coordinates of the nodes themselves, so the wall would double its size: are "
         "they positions? The displacement is the new position minus the old one"
+    ]
+
+
+def far_motion(extent: FloatArray, largest: float) -> list[str]:
+    """A warning if a wall moves by many times the ``extent`` (3,) of the grid."""
+    size = float(np.linalg.norm(extent))
+    if largest <= _FAR * size:
+        return []
+    return [
+        f"the largest displacement, {largest:.4g}, is {largest / size:.3g} times the size of the grid, {size:.4g}: is "
+        "it in the length unit of the grid?"
     ]
 
 

@@ -13,11 +13,12 @@ from meshdeform_core.deform import Result
 from meshdeform_core.errors import GridError
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.memory import peak_memory
+from meshdeform_core.parallel import Part
 from meshdeform_core.quality import InvalidCell
 from meshdeform_core.repair.outcome import Repair
 
-from ..grids.grid import Grid
-from ..notebook import html_table, quality_rows
+from .grid import Grid, by_part, together, whole, wrapped
+from .notebook import html_table, quality_rows
 
 
 class QualityGradient(NamedTuple):
@@ -31,22 +32,22 @@ class Step:
     """A deformed grid and the verdict on it; made by :meth:`Mesh.deform` and :func:`meshdeform.deform`."""
 
     def __init__(self, result: Result, plane: bool):
-        self._result, self._plane = result, plane
+        self.result, self._plane = result, plane
 
     @property
     def valid(self) -> bool:
         """Whether the whole displacement was imposed and no cell became invalid."""
-        return self._result.valid
+        return self.result.valid
 
     @cached_property
     def grid(self) -> Grid:
         """The deformed grid, with all data that came with the undeformed one."""
-        return Grid._of(self._result.grid, self._plane)
+        return wrapped(self.result.grid, self._plane)
 
     @property
     def invalid_cells(self) -> tuple[InvalidCell, ...]:
         """Cells that were valid and no longer are: block, i, j, k (from 1), position, nearest patch."""
-        return self._result.assessment.invalid
+        return self.result.assessment.invalid
 
     def swept_volumes(self, previous: Step | Grid) -> list[tuple[FloatArray, ...]]:
         """Volumes that the cell faces sweep on straight paths from the grid of another step, or the undeformed one.
@@ -69,13 +70,15 @@ class Step:
         grid, before = self.grid, previous.grid if isinstance(previous, Step) else previous
         if not isinstance(before, Grid):
             raise GridError(f"previous is a {type(before).__name__}; expected a step or a grid")
-        require_same_blocks(grid._core, before._core)
-        if not grid._divided_like(before):
+        require_same_blocks(grid.core, before.core)
+        own, other = grid.core.points, before.core.points
+        one, two = (points.bounds.tolist() if isinstance(points, Part) else None for points in (own, other))
+        if one != two:
             for each in (grid, before):
-                each._whole("swept volumes from a grid that is not divided likewise")
-        undeformed = self._result.setup.grid
-        with grid._together():
-            found = at_faces(undeformed, swept_volumes(undeformed, before._core.points, grid._core.points))
+                whole(each, "swept volumes from a grid that is not divided likewise")
+        undeformed = self.result.setup.grid
+        with together(grid):
+            found = at_faces(undeformed, swept_volumes(undeformed, before.core.points, grid.core.points))
         return [_at_axes(undeformed.shapes[part.block], found[part.block]) for part in grid.part]
 
     def quality_gradient(
@@ -102,45 +105,51 @@ class Step:
         """
         from meshdeform_core.quality.measures.gradients import quality_gradient
 
-        grid, topology = self.grid, self._result.setup.topology
-        with grid._together():
-            core = grid._core
+        grid, topology = self.grid, self.result.setup.topology
+        with together(grid):
+            core = grid.core
             value, gradient = quality_gradient(core, core.points, topology, measure, sharpness, blocks)
-        return QualityGradient(value, grid._parted(gradient))
+        return QualityGradient(value, by_part(grid, gradient))
 
     @property
     def steps(self) -> int:
         """Number of increments in which the displacement was imposed."""
-        return self._result.steps
+        return self.result.steps
 
     @property
     def repair(self) -> Repair | None:
         """Summary of the repairs made: cells, nodes, largest movement; ``None`` if nothing was repaired."""
-        return self._result.repair
+        return self.result.repair
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """All warnings about this deformation."""
-        return self._result.warnings
+        return self.result.warnings
 
     @cached_property
     def report(self) -> dict[str, Any]:
         """The report of the command line as a dictionary (see docs/report.md): quality, verdict, parameters, times."""
         from meshdeform_formats.report import deformation_report
 
-        seconds = self._result.timing.seconds
-        return deformation_report(self._result, {"total": sum(seconds.values())}, peak_memory())
+        seconds = self.result.timing.seconds
+        return deformation_report(self.result, {"total": sum(seconds.values())}, peak_memory())
 
     def __repr__(self) -> str:
-        invalid = self._result.assessment.after.invalid_cells
+        invalid = self.result.assessment.after.invalid_cells
         verdict = "valid" if self.valid else f"INVALID: {invalid:,} cells"
-        if self._result.reached < 1.0:
-            verdict += f", {self._result.reached:.1%} imposed"
+        if self.result.reached < 1.0:
+            verdict += f", {self.result.reached:.1%} imposed"
         count = f"{self.steps} {'step' if self.steps == 1 else 'steps'}"
-        return f"Step({verdict}; {count}, largest displacement {self._result.max_displacement:.6g})"
+        return f"Step({verdict}; {count}, largest displacement {self.result.max_displacement:.6g})"
 
     def _repr_html_(self) -> str:
-        return html_table(repr(self), quality_rows(asdict(self._result.assessment.after)))
+        return html_table(repr(self), quality_rows(asdict(self.result.assessment.after)))
+
+
+def unusable(step: Step) -> str:
+    """A message on an invalid grid, for programs that cannot go on with it."""
+    first = step.invalid_cells[0] if step.invalid_cells else "none is invalid"
+    return f"the deformed grid cannot be used: {step!r}; first cell: {first}"
 
 
 def _at_axes(shape: tuple[int, int, int], faces: tuple[FloatArray, ...]) -> tuple[FloatArray, ...]:

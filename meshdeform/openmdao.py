@@ -1,21 +1,41 @@
-"""Components of OpenMDAO models: the deformed grid, measures of it, the undeformed surface."""
+"""Grid deformation in OpenMDAO models and MPhys scenarios; needs the extra ``openmdao``.
+
+    import openmdao.api as om
+    from meshdeform.openmdao import MeshDeformComp
+
+    problem.model.add_subsystem("deform", MeshDeformComp(mesh=md.prepare("wing.cgns", moving=["wing"])))
+
+Surface and volume coordinates are flat vectors, distributed if there are several ranks. Rank r of P holds the rows
+int(n r / P) to int(n (r + 1) / P) of ``mesh.points``, and of the nodes of all blocks in block order, C order within a
+block.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import openmdao.api as om
-from mphys.core import MPhysVariables
+from mphys.core import Builder, MPhysGroup, MPhysVariables
 
 from meshdeform_core.boundary import Kind
 from meshdeform_core.errors import CaseError, MethodError
-from meshdeform_core.grid import FloatArray
+from meshdeform_core.grid import FloatArray, IntArray
 from meshdeform_core.quality.measures.gradients import quality_gradient
 
-from ..pieces import gathered, share_of
-from ..prepared.linearisation import Linearisation
-from ..prepared.mesh import Mesh
+from .grid import Grid
+from .linearisation import Linearisation
+from .mesh import Mesh
+from .pieces import gathered, share_of
+from .preparation import prepare
+from .step import Step, unusable
+
+if TYPE_CHECKING:
+    from mpi4py.MPI import Comm
+
+__all__ = ["MeshCoordinates", "MeshDeformBuilder", "MeshDeformComp", "MeshQualityComp"]
 
 SURFACE = MPhysVariables.Aerodynamics.Surface
 VOLUME = "x_aero_volume"
@@ -30,7 +50,7 @@ class _OnMesh(om.ExplicitComponent):
 
     def setup(self) -> None:
         mesh = self.options["mesh"]
-        self.mesh, self.ranks = mesh, mesh._ranks
+        self.mesh, self.ranks = mesh, mesh.session.ranks
         if self.comm.size != self.ranks.count:
             raise CaseError(
                 f"the mesh was prepared for {self.ranks.count} ranks, the component runs on {self.comm.size}; expected "
@@ -57,11 +77,13 @@ class MeshDeformComp(_OnMesh):
     surface, volume : names of the input and the output
     initial : name of a further input without effect: MPhys scenarios connect the undeformed surface
     steps, repair : as of :meth:`Mesh.deform`, by default one step without repair, which has an exact derivative
+    on_invalid : ``"raise"``, or ``"keep"``: an invalid grid is an output like any other. Drivers of scipy, which
+        cannot back up after an error, then turn back at a constraint of :class:`MeshQualityComp`
 
     Raises
     ------
     openmdao.api.AnalysisError
-        When the grid is invalid, so that drivers back up.
+        When the grid is invalid and ``on_invalid = "raise"``, so that drivers back up.
     """
 
     def initialize(self) -> None:
@@ -71,13 +93,15 @@ class MeshDeformComp(_OnMesh):
         self.options.declare("initial", default="", desc="name of the undeformed surface, an input without effect")
         self.options.declare("steps", default=1, desc="as of Mesh.deform")
         self.options.declare("repair", default="off", values=["off", "auto", "polish"], desc="as of Mesh.deform")
+        self.options.declare("on_invalid", default="raise", values=["raise", "keep"], desc="what an invalid grid is")
+        self._step: Step | None = None
         self._derivative: Linearisation | None = None
         self._at: FloatArray = np.empty((0, 3))
 
     def setup(self) -> None:
         super().setup()
         o, mesh = self.options, self.mesh
-        points, nodes = mesh.points[self.own_points], mesh._setup.grid.points[self.own_nodes]
+        points, nodes = mesh.points[self.own_points], mesh.session.setup.grid.points[self.own_nodes]
         for name in filter(None, (o["surface"], o["initial"])):
             self.add_input(name, points.ravel(), distributed=self.divided, tags=["mphys_coordinates"])
         self.add_output(o["volume"], nodes.ravel(), distributed=self.divided, tags=["mphys_coupling"])
@@ -85,11 +109,11 @@ class MeshDeformComp(_OnMesh):
     def compute(self, inputs: Any, outputs: Any) -> None:
         """Deform the grid; all ranks reach the same verdict."""
         displacement = self.whole(inputs[self.options["surface"]]) - self.mesh.points
-        step = self.mesh.deform(displacement, steps=self.options["steps"], repair=self.options["repair"])
-        if not step.valid:
-            first = step.invalid_cells[0] if step.invalid_cells else "none is invalid"
-            raise om.AnalysisError(f"{self.pathname}: the deformed grid cannot be used: {step!r}; first cell: {first}")
-        outputs[self.options["volume"]] = step._result.grid.points[self.own_nodes].ravel()
+        # As long as the step is kept, its derivative does not deform the grid again.
+        self._step = self.mesh.deform(displacement, steps=self.options["steps"], repair=self.options["repair"])
+        if not self._step.valid and self.options["on_invalid"] == "raise":
+            raise om.AnalysisError(f"{self.pathname}: {unusable(self._step)}")
+        outputs[self.options["volume"]] = self._step.result.grid.points[self.own_nodes].ravel()
 
     def compute_jacvec_product(self, inputs: Any, d_inputs: Any, d_outputs: Any, mode: str) -> None:
         """Products with the derivative at ``inputs``, which is computed once per set of inputs."""
@@ -137,7 +161,7 @@ class MeshQualityComp(_OnMesh):
 
     def setup(self) -> None:
         super().setup()
-        nodes = self.mesh._setup.grid.points[self.own_nodes]
+        nodes = self.mesh.session.setup.grid.points[self.own_nodes]
         self.add_input(self.options["volume"], nodes.ravel(), distributed=self.divided, tags=["mphys_coupling"])
         for measure in self.options["measures"]:
             self.add_output(f"quality_{measure}", 0.0, tags=["mphys_result"])
@@ -162,8 +186,8 @@ class MeshQualityComp(_OnMesh):
                 d_inputs[volume] += sum(self.ranks.gather([float(d_outputs[name][0])])) * own
 
     def _measured(self, inputs: Any, measure: str) -> tuple[float, FloatArray]:
-        setup, points = self.mesh._setup, self.whole(inputs[self.options["volume"]])
-        with self.mesh._at_work():
+        setup, points = self.mesh.session.setup, self.whole(inputs[self.options["volume"]])
+        with self.mesh.session.at_work():
             return quality_gradient(setup.grid, points, setup.topology, measure, self.options["sharpness"])
 
 
@@ -202,7 +226,7 @@ class MeshCoordinates(_OnMesh):
         ----------
         groupName : a moving patch; all by default
         """
-        setup, names = self.mesh._setup, self.mesh.patches if groupName is None else [groupName]
+        setup, names = self.mesh.session.setup, self.mesh.patches if groupName is None else [groupName]
         patches = [p for p in setup.boundary.patches if p.kind is Kind.MOVING and p.name in names]
         if not patches:
             raise CaseError(f"no moving patch {groupName!r}; expected one of {', '.join(self.mesh.patches)}")
@@ -224,3 +248,108 @@ class MeshCoordinates(_OnMesh):
                 d_outputs[SURFACE.Mesh.COORDINATES] += d_inputs[self._GIVEN]
             else:
                 d_inputs[self._GIVEN] += d_outputs[SURFACE.Mesh.COORDINATES]
+
+
+class DeformationGroup(MPhysGroup):
+    """The deformation, then the solver that takes the volume coordinates."""
+
+    def initialize(self) -> None:
+        self.options.declare("parts", recordable=False, desc="subsystems by name, in their order")
+
+    def setup(self) -> None:
+        for name, part in self.options["parts"].items():
+            self.mphys_add_subsystem(name, part)
+
+
+class MeshDeformBuilder(Builder):
+    """An MPhys builder: the surface of a grid, its deformation in the coupling group, a solver on the volume.
+
+    Parameters
+    ----------
+    grid : a grid, the name of its file, or a function that prepares a mesh for a communicator
+    solver : builder of a solver whose coupling subsystem has an input ``x_aero_volume`` (distributed, see
+        :mod:`meshdeform.openmdao`); its subsystems before and after the coupling are added, too
+    measures : of :class:`MeshQualityComp`, added after the coupling
+    steps, repair, on_invalid : as of :class:`MeshDeformComp`
+    prepare_options : arguments of :func:`meshdeform.prepare`
+    """
+
+    def __init__(
+        self, grid: Grid | str | Path | Callable[[Comm | None], Mesh], *, solver: Any = None,
+        measures: Sequence[str] = (), steps: int | str = 1, repair: str = "off", on_invalid: str = "raise",
+        **prepare_options: Any,
+    ) -> None:  # fmt: skip
+        self._grid, self._solver, self._measures = grid, solver, tuple(measures)
+        self._options, self._prepare = {"steps": steps, "repair": repair, "on_invalid": on_invalid}, prepare_options
+        self._mesh: Mesh | None = None
+
+    def initialize(self, comm: Any) -> None:
+        """Prepare the mesh, and the solver, for the ranks of a communicator."""
+        shared = comm if comm is not None and comm.size > 1 else None
+        if callable(self._grid):
+            self._mesh = self._grid(shared)
+        else:
+            self._mesh = prepare(self._grid, comm=shared, **self._prepare)
+        if self._solver is not None:
+            self._solver.initialize(comm)
+
+    @property
+    def mesh(self) -> Mesh:
+        """The prepared mesh.
+
+        Raises
+        ------
+        CaseError
+            Before :meth:`initialize`.
+        """
+        if self._mesh is None:
+            raise CaseError("the builder has no communicator yet; expected a call of initialize(comm)")
+        return self._mesh
+
+    def get_mesh_coordinate_subsystem(self, scenario_name: str | None = None) -> MeshCoordinates:
+        """The undeformed surface."""
+        return MeshCoordinates(mesh=self.mesh)
+
+    def get_pre_coupling_subsystem(self, scenario_name: str | None = None) -> Any:
+        """The solver's own subsystem before the coupling."""
+        return None if self._solver is None else self._solver.get_pre_coupling_subsystem(scenario_name)
+
+    def get_coupling_group_subsystem(self, scenario_name: str | None = None) -> Any:
+        """The deformation, followed by the solver if there is one."""
+        deformation = MeshDeformComp(mesh=self.mesh, initial=SURFACE.COORDINATES_INITIAL, **self._options)
+        if self._solver is None:
+            return deformation
+        solver = self._solver.get_coupling_group_subsystem(scenario_name)
+        return DeformationGroup(parts={"deformation": deformation, "solver": solver})
+
+    def get_post_coupling_subsystem(self, scenario_name: str | None = None) -> Any:
+        """The solver's own subsystem after the coupling, and the measures of the grid."""
+        parts: dict[str, Any] = {}
+        if self._measures:
+            parts["quality"] = MeshQualityComp(mesh=self.mesh, measures=self._measures)
+        solver = None if self._solver is None else self._solver.get_post_coupling_subsystem(scenario_name)
+        if solver is None or not parts:
+            return solver or parts.get("quality")
+        return DeformationGroup(parts={**parts, "solver": solver})
+
+    def get_number_of_nodes(self, groupName: str | None = None) -> int:
+        """This rank's surface nodes, all or those of a moving patch."""
+        return len(self._rows(None if groupName is None else [groupName]))
+
+    def get_ndof(self) -> int:
+        """Number of coordinates of a node."""
+        return 3
+
+    def get_tagged_indices(self, tags: Any) -> list[int]:
+        """Numbers, within this rank's share, of the nodes of moving patches; -1 for all."""
+        given: list[Any] = [tags] if isinstance(tags, str | int) else list(tags)
+        return [int(row) for row in self._rows(None if -1 in given else given)]
+
+    def _rows(self, names: Sequence[str] | None) -> IntArray:
+        mesh = self.mesh
+        chosen = np.ones(len(mesh.points), dtype=bool)
+        if names is not None:
+            chosen[:] = False
+            for name in names:
+                chosen |= mesh.mask(name)
+        return np.flatnonzero(chosen[share_of(len(chosen), mesh.session.ranks)])

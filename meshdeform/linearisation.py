@@ -2,37 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from meshdeform_core.boundary.prescribed import given_displacement, given_gradient
+from meshdeform_core.boundary.prescribed import given_gradient
+from meshdeform_core.deform import Result
 from meshdeform_core.errors import GridError
-from meshdeform_core.grid import FloatArray, IntArray
+from meshdeform_core.grid import FloatArray
 from meshdeform_core.methods import PreparedMethod
-from meshdeform_core.methods.derivative import reason_of
-from meshdeform_core.parallel import Part, alike, for_rows, on_each
+from meshdeform_core.methods.derivative import Derivative, derivative_of, reason_of
+from meshdeform_core.overset import PreparedComponents
+from meshdeform_core.parallel import Part, alike, combined, for_rows, of_all, on_each, own_rows
+from meshdeform_core.repair.derivative import RepairDerivative, derivative_of_repair
 
-from ..gate import checked_array
-from .differentiated import differentiated
+from .gate import checked_array
+from .grid import by_part, rows_of_block, whole
+from .session import Session
 from .step import Step
 
 if TYPE_CHECKING:
     from scipy.sparse.linalg import LinearOperator
 
-
-@dataclass(frozen=True)
-class Moving:
-    """The moving nodes of a mesh: their unique ``numbers``, a check of arrays with a row for each, and the lock that
-    calls hold."""
-
-    numbers: IntArray
-    checked: Callable[[ArrayLike, str, int], FloatArray]
-    at_work: Callable[[], AbstractContextManager[None]]
+_CLOSE = 1e-4
+"""A repaired grid farther from the minimum than this fraction of the shortest edge, round-off aside, is not at it."""
+_NOT_MINIMAL = "but is not the minimum of the repair's energy"
 
 
 class Linearisation:
@@ -43,10 +39,9 @@ class Linearisation:
     steps it is that of the method in one step, and :attr:`exact` is false.
     """
 
-    def __init__(self, moving: Moving, method: PreparedMethod, step: Step, displacement: FloatArray) -> None:
-        setup = step._result.setup
-        self._moving, self._setup, self._step = moving, setup, step
-        self._derivative, why = differentiated(step._result, method, displacement)
+    def __init__(self, session: Session, method: PreparedMethod, step: Step, of_sources: FloatArray) -> None:
+        self._session, self._setup, self._step = session, step.result.setup, step
+        self._derivative, why = differentiated(step.result, method, of_sources)
         self._reason = "; ".join(filter(None, (why, reason_of(self._derivative.kinks))))
 
     @property
@@ -79,9 +74,9 @@ class Linearisation:
         MotionError
             For an array of another shape, values that are not finite, or a change out of the plane of a 2-D grid.
         """
-        with self._moving.at_work():
-            change = self._moving.checked(displacement, "displacement", len(self._moving.numbers))
-            return self._step.grid._parted(self._pushed(change))
+        with self._session.at_work():
+            change = self._session.checked(displacement, "displacement", len(self._session.numbers))
+            return by_part(self._step.grid, self._pushed(change))
 
     def vjp(self, gradients: Sequence[ArrayLike]) -> FloatArray:
         """Gradient (n_moving, 3) with respect to the displacement from that with respect to the coordinates.
@@ -98,7 +93,7 @@ class Linearisation:
         GridError
             When their number or shapes are not those of the blocks, or values are not finite.
         """
-        with self._moving.at_work():
+        with self._session.at_work():
             return self._pulled(self._flat(gradients))
 
     @property
@@ -114,30 +109,28 @@ class Linearisation:
         """
         from scipy.sparse.linalg import LinearOperator
 
-        self._step.grid._whole("a linear operator")
-        nodes, moving = self._setup.grid.n_nodes, len(self._moving.numbers)
+        whole(self._step.grid, "a linear operator")
+        nodes, moving = self._setup.grid.n_nodes, len(self._session.numbers)
 
         def push(x: FloatArray) -> FloatArray:
-            with self._moving.at_work():
+            with self._session.at_work():
                 return self._pushed(_real(x).reshape(moving, 3)).ravel()
 
         def pull(w: FloatArray) -> FloatArray:
-            with self._moving.at_work():
+            with self._session.at_work():
                 return self._pulled(_real(w).reshape(nodes, 3)).ravel()
 
         return LinearOperator((3 * nodes, 3 * moving), matvec=push, rmatvec=pull, dtype=np.float64)
 
     def _pushed(self, change: FloatArray) -> FloatArray:
-        setup = self._setup
-        total = given_displacement(setup.grid, setup.topology, setup.boundary, self._moving.numbers, change)
-        return self._derivative.push(total[setup.problem.source_numbers])
+        return self._derivative.push(self._session.of_boundary(change)[self._setup.problem.source_numbers])
 
     def _pulled(self, gradient: FloatArray) -> FloatArray:
         """:meth:`vjp` of a gradient (n_nodes, 3), which is overwritten."""
         setup = self._setup
         total = np.zeros((setup.topology.n_unique, 3))
         total[setup.problem.source_numbers] = self._derivative.pull(gradient)
-        return given_gradient(setup.grid, setup.boundary, self._moving.numbers, total)
+        return given_gradient(setup.grid, setup.boundary, self._session.numbers, total)
 
     def _flat(self, gradients: Sequence[Any]) -> FloatArray:
         """Gradients of the parts of the grid as one array (n_nodes, 3), in parts if the grid is."""
@@ -152,7 +145,7 @@ class Linearisation:
             for (block, _, _, points), each in zip(parts, found, strict=True):
                 what, meaning = f"gradient of block {block + 1}", f"expected those of the {len(parts)} blocks"
                 values = checked_array(each, points.shape, what, meaning, GridError)
-                self._step.grid._rows(block, flat)[...] = values
+                rows_of_block(self._step.grid, block, flat)[...] = values
 
         if isinstance(flat, Part):
             on_each(flat, fill)
@@ -167,3 +160,66 @@ def _real(values: Any) -> FloatArray:
     if found.dtype.kind == "c":
         raise GridError("found complex numbers; expected real ones: apply the operator to both parts")
     return found.astype(np.float64)
+
+
+def differentiated(result: Result, method: PreparedMethod, displacement: FloatArray) -> tuple[Derivative, str]:
+    """The derivative of a deformed grid, and the reason why it does not hold for this grid; empty if it does.
+
+    ``method`` is prepared on the undeformed grid, and ``displacement`` (n_sources, 3) that of its sources. The
+    components of an overset grid have derivatives of their own.
+    """
+    if isinstance(method, PreparedComponents):
+        return method.differentiated(result, displacement, differentiated)
+    derivative = derivative_of(method, displacement)
+    if result.steps > 1 and result.reached == 1.0:
+        return derivative, f"the motion was imposed in {result.steps} steps; the derivative is that of one step"
+    points = combined(np.add, result.setup.grid.points, method.apply(displacement))
+    if _largest(combined(np.subtract, points, result.grid.points)) <= _rounding(result):
+        return derivative, ""
+    if result.reached < 1.0:
+        part = f"only {result.reached:.1%} of the motion was imposed"
+        return derivative, f"{part}; the derivative is that of the method for all of it"
+    if result.repair is None:
+        return derivative, "another method replaced the chosen one; the derivative is that of the chosen one"
+    repair, why = _of_repair(result, points)
+    if repair is None:
+        return derivative, f"the grid was repaired, {why}; the derivative is that of the method before the repair"
+    return _Repaired(derivative, repair), ""
+
+
+def _of_repair(result: Result, plain: FloatArray) -> tuple[RepairDerivative | None, str]:
+    """The derivative of the repair of ``plain`` (n_nodes, 3), or the reason why it has none."""
+    setup = result.setup
+    if isinstance(plain, Part):
+        return None, "in parts, and the derivative of that takes the whole grid on every rank"
+    if result.repair is None or not result.repair.converged:
+        return None, _NOT_MINIMAL
+    polish = setup.case.repair.mode == "polish"
+    found = derivative_of_repair(setup.undeformed.repairs, plain, result.grid.points, polish)
+    if found is None or found.settle(_rounding(result)) > _CLOSE:
+        return None, _NOT_MINIMAL
+    return found, ""
+
+
+def _rounding(result: Result) -> float:
+    """Largest difference between the coordinates of the result and those before rounding."""
+    return 4.0 * float(np.finfo(result.setup.grid.precision).eps) * _largest(result.setup.grid.points)
+
+
+def _largest(values: FloatArray) -> float:
+    """Largest magnitude of ``values`` (n_nodes, 3), of all ranks if they are in parts."""
+    own = values[slice(*own_rows(values))]
+    return max(of_all(values, max(float(own.max(initial=0.0)), -float(own.min(initial=0.0)))))
+
+
+class _Repaired:
+    """Derivative of a method followed by a repair."""
+
+    def __init__(self, method: Derivative, repair: RepairDerivative) -> None:
+        self._method, self._repair, self.kinks = method, repair, method.kinks
+
+    def push(self, change: FloatArray) -> FloatArray:
+        return self._repair.push(self._method.push(change))
+
+    def pull(self, gradient: FloatArray) -> FloatArray:
+        return self._method.pull(self._repair.pull(gradient))

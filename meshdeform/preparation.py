@@ -14,15 +14,14 @@ from meshdeform_core.deform import Case, set_up
 from meshdeform_core.errors import CaseError, GridError
 from meshdeform_core.grid.components import Components
 from meshdeform_core.memory import Demand, MemoryLimit, machine_memory, parse_memory
-from meshdeform_core.parallel import OneRank, Ranks, dividing, sharing
+from meshdeform_core.parallel import Ranks, dividing, sharing
 from meshdeform_formats.case import CaseFile, case_of, read_case
 
-from ..choice import Method, options_of
-from ..gate import in_parts, whole
-from ..grids.grid import Grid
-from ..grids.inputs import user_grid
+from .choice import Method, options_of
+from .gate import in_parts, whole_number
+from .grid import Grid, user_grid, whole, wrapped
 from .mesh import Mesh
-from .turns import one_at_a_time
+from .session import Session, one_at_a_time, ranks_of_comm
 
 if TYPE_CHECKING:
     from mpi4py.MPI import Comm
@@ -77,7 +76,7 @@ def prepare(
         raise GridError(
             f"parts = True and a {type(grid).__name__}; expected the name of a grid file, read by all ranks"
         )
-    ranks, threads = _ranks(comm), whole(threads)
+    ranks, threads = ranks_of_comm(comm), whole_number(threads)
     if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
         raise CaseError(f"threads = {threads!r}; expected a whole number >= 1")
     selections = {
@@ -92,39 +91,30 @@ def prepare(
         what = _case(case, selections, components)
         held = _grid_of(user_grid(grid), what, ranks)
         chosen = what.case if method is None else dataclasses.replace(what.case, method=options_of(method))
-        own = held._core
-        memory = Demand.of("deforming", own).left_of(_memory(max_memory))
-        setup = set_up(own, chosen, memory=memory)
-        return Mesh(setup, held._plane, ranks, threads)
+        memory = Demand.of("deforming", held.core).left_of(_memory(max_memory))
+        setup = set_up(held.core, chosen, memory=memory)
+        return Mesh(Session(setup, held.plane, ranks, threads))
 
 
 def _grid_of(grid: Grid, what: CaseFile, ranks: Ranks) -> Grid:
     """The grid with the patches and components that the case names files for."""
     if ranks.count == 1:
-        grid._whole("preparing it without comm=")
+        whole(grid, "preparing it without comm=")
     if what.boundary_file is not None:
         from meshdeform_formats.neutral_map import read_neutral_map
 
-        grid = Grid._of(read_neutral_map(what.boundary_file, grid._core), grid._plane)
+        grid = wrapped(read_neutral_map(what.boundary_file, grid.core), grid.plane)
     if what.component_files:
         from meshdeform_formats.joined import grid_of_case
 
-        grid = Grid._of(grid_of_case(grid._core, what), grid._plane)
+        grid = wrapped(grid_of_case(grid.core, what), grid.plane)
     return grid
-
-
-def _ranks(comm: Comm | None) -> Ranks:
-    if comm is None:
-        return OneRank()
-    from meshdeform_core.parallel.mpi import MPIRanks
-
-    return MPIRanks(comm)
 
 
 def _memory(size: int | str | None) -> MemoryLimit:
     if size is None:
         return machine_memory()
-    size = whole(size)
+    size = whole_number(size)
     if isinstance(size, bool) or not isinstance(size, int | str) or (isinstance(size, int) and size <= 0):
         raise CaseError(f'max_memory = {size!r}; expected bytes, or a size like "2GiB"')
     return parse_memory(str(size), "max_memory")

@@ -1,0 +1,288 @@
+"""What ``meshdeform info`` finds out about a grid, as a dictionary and as text."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from meshdeform_core.grid import Grid
+from meshdeform_core.grid.connectivity.declared import check_connections
+from meshdeform_core.grid.connectivity.interfaces import find_interfaces
+from meshdeform_core.grid.connectivity.openings import describe_group, find_openings, patched_groups
+from meshdeform_core.grid.connectivity.overset import coincident_blocks
+from meshdeform_core.grid.faces.roles import Role, declared_role
+from meshdeform_core.grid.faces.surfaces import Outside, clustered_interfaces, find_outside, thin_direction
+from meshdeform_core.grid.topology import Topology, find_topology
+from meshdeform_core.numerics.arrays import extent
+from meshdeform_core.wording import counted, listed, vector
+
+Facts = dict[str, Any]
+
+_MAX_LISTED = 24
+"""Largest number of blocks, interfaces or unnamed faces that are listed one by one."""
+# In metres: bodies are rarely larger, and first cells of boundary layers rarely thicker.
+_LARGEST_BODY, _THICKEST_LAYER = 150.0, 0.02
+
+
+def gather(grid: Grid, file: str) -> Facts:
+    """Everything ``info`` prints, as one dictionary; node indices are 1-based."""
+    topology = find_topology(grid)
+    outside = find_outside(grid, topology)
+    thin = thin_direction(grid)
+    sides = [f"{name}.{side}" for name in grid.names for side in ("imin", "imax", "jmin", "jmax", "kmin", "kmax")]
+    external = np.bincount(topology.quads.block_side[topology.external], minlength=len(sides))
+    corners = [corner.tolist() for corner in extent(grid.points)]
+    return {
+        "file": file,
+        "format": grid.format.label if grid.format else None,
+        "dimension": grid.dimension,
+        "nodes": grid.n_nodes,
+        "unique_nodes": grid.n_nodes - len(topology.face_nodes) + topology.n_unique,
+        "cells": grid.n_cells,
+        "bounding_box": corners,
+        "shortest_face_edge": float(topology.edge.min()),
+        "thin_direction": None if thin is None else thin.tolist(),
+        "blocks": [
+            {
+                "name": name,
+                "nodes": list(shape),
+                "handedness": "right" if hand > 0 else "left",
+                "bbox": [corner.tolist() for corner in extent(grid.block(b))],
+            }
+            for b, (name, shape, hand) in enumerate(zip(grid.names, grid.shapes, topology.handedness, strict=True))
+        ],
+        **_outside_facts(grid, outside, sides),
+        "interfaces": [
+            {
+                "blocks": [grid.names[face.block], grid.names[face.donor_block]],
+                "name": face.name,
+                "first": _from_one(face.begin),
+                "last": _from_one(face.end),
+                "donor_first": _from_one(face.donor_begin),
+                "donor_last": _from_one(face.donor_end),
+                "transform": list(face.transform),
+            }
+            for face in find_interfaces(grid, topology)
+        ],
+        "declared_connections": len(grid.connections),
+        "external_faces": {sides[s]: int(external[s]) for s in np.flatnonzero(external)},
+        "collapsed": _collapsed(topology, sides),
+        "fields": sorted({f"{f.name} ({f.location})" for f in grid.fields}),
+        "notes": [
+            *grid.notes,
+            *check_connections(grid, topology),
+            *coincident_blocks(grid, topology),
+            *(describe_group(grid, group) for group in patched_groups(find_openings(grid, topology))),
+            *_remarks(grid, topology, outside),
+        ],
+    }
+
+
+def _from_one(index: Sequence[int]) -> list[int]:
+    return [n + 1 for n in index]
+
+
+def _outside_facts(grid: Grid, outside: Outside, sides: list[str]) -> Facts:
+    """Boundaries by name, all pieces of faces, and the patches of the file."""
+    surfaces = [
+        {
+            "name": surface.name,
+            "named": surface.named,
+            "role": surface.role.value,
+            "declared": surface.declared,
+            "patches": list(surface.patches),
+            "faces": [face.label(grid) for face in surface.faces],
+            "quads": len(surface.quads),
+            "area": surface.area,
+            "bbox": surface.box.tolist(),
+            "first_cell_height": {"min": surface.first_height, "median": surface.median_height},
+        }
+        for surface in outside.surfaces
+    ]
+    faces = [
+        {
+            "block": grid.names[face.window.block],
+            "side": face.window.side.label,
+            "range": face.window.ranges,
+            "patch": face.patch.name if face.patch else None,
+            "family": (face.patch.family or None) if face.patch else None,
+            "outside": face.outside,
+            "quads": len(face.quads),
+            "bbox": face.box.tolist(),
+            "area": face.area,
+            "first_cell_height": {"min": face.first_height, "median": face.median_height},
+            "stretching": face.stretching,
+            "normal": None if face.plane is None else face.plane.normal.tolist(),
+            "role": role.value,
+            "declared": declared_role(face) is role,
+        }
+        for face, role in zip(outside.faces, outside.roles, strict=True)
+    ]
+    patches = [
+        {
+            "name": patch.name,
+            "family": patch.family,
+            "type": patch.bc_type,
+            "windows": [
+                {"face": sides[6 * w.block + w.side], "first": _from_one(w.low), "last": _from_one(w.high)}
+                for w in patch.windows
+            ],
+        }
+        for patch in grid.patches
+    ]
+    return {"surfaces": surfaces, "faces": faces, "patches": patches}
+
+
+def _collapsed(topology: Topology, sides: list[str]) -> list[Facts]:
+    """Block faces with quads that have a collapsed edge (triangles) or no area (lines, points)."""
+    corners = np.sort(topology.quads.corners, axis=1)
+    distinct = 1 + np.count_nonzero(np.diff(corners, axis=1), axis=1)
+    flat = topology.partner == -2
+    found = []
+    for what, mask in (("no area", flat), ("a collapsed edge", (distinct == corners.shape[1] - 1) & ~flat)):
+        count = np.bincount(topology.quads.block_side[mask], minlength=len(sides))
+        found += [{"face": sides[s], "what": what, "quads": int(count[s])} for s in np.flatnonzero(count)]
+    return found
+
+
+def _remarks(grid: Grid, topology: Topology, outside: Outside) -> list[str]:
+    """Remarks that follow from the shape of the grid but not from the file: thin plates, and units of length."""
+    walls = outside.of_role(Role.WALL)
+    if outside.plates:
+        from meshdeform_formats.case.template import plates_line
+
+        remarks = [
+            f"{listed([plate.name for plate in outside.plates])}: likely a thin plate (a wall without thickness "
+            f"between blocks): cells cluster from both sides, and it does not reach the far field; if it "
+            f"is a wall, the case needs: [grid] {plates_line(outside.plates)}"
+        ]
+    elif not walls and (names := [face.label(grid) for face in clustered_interfaces(topology, outside)]):
+        remarks = [
+            f"no wall was found, but cells cluster from both sides towards {listed(names)}: a wake, or in part a thin "
+            f'plate, whose nodes the case can name: [grid] plates = ["{names[0]}[1:9,*]"]'
+        ]
+    else:
+        remarks = []
+    if walls:
+        size = max(float(np.ptp(wall.box, axis=0).max()) for wall in walls)
+        height = min(wall.median_height for wall in walls)
+        # Large bodies with first cells too thick for layers in metres.
+        if size >= _LARGEST_BODY and height >= _THICKEST_LAYER / 10:
+            remarks.append(
+                f"the walls extend over {size:.4g} and their first cells are {height:.3g} high: the length unit may "
+                f"be millimetres or inches rather than metres; tables and motions must use the same unit"
+            )
+    return remarks
+
+
+def as_text(facts: Facts, verbose: bool = False) -> str:
+    """The facts as lines; ``verbose``: every patch and face."""
+    normal, layer = facts["thin_direction"], ""
+    if normal is not None and facts["dimension"] == 3:
+        along = [name for name, c in zip("xyz", normal, strict=True) if abs(c) > 1 - 1e-6]
+        layer = f", one cell thick along {along[0] if along else vector(normal)}"
+    blocks, found = facts["blocks"], facts["interfaces"]
+    width = max(len(b["name"]) for b in blocks)
+    sizes = [" x ".join(map(str, b["nodes"])) for b in blocks]
+    wide = max(map(len, sizes))
+    lines = [
+        f"{facts['file']}: {facts['format']}",
+        f"{facts['dimension']}-D{layer}, {counted(len(blocks), 'block')}, {facts['nodes']:,} nodes "
+        f"({facts['unique_nodes']:,} unique), {counted(facts['cells'], 'cell')}",
+        f"extent {_box(facts['bounding_box'])}, shortest edge on a block face {facts['shortest_face_edge']:.3g}",
+        "",
+        "blocks",
+        *_first(
+            verbose,
+            [
+                f"  {b['name']:{width}s}  {size:{wide}s}  {b['handedness']}-handed  {_box(b['bbox'])}"
+                for b, size in zip(blocks, sizes, strict=True)
+            ],
+        ),
+        "",
+        *_surface_lines(facts["surfaces"], verbose),
+    ]
+    if verbose and facts["patches"]:
+        lines += ["", f"patches ({len(facts['patches'])})", *map(_patch_line, facts["patches"])]
+    lines += [
+        "",
+        f"interfaces ({len(found)} found, {facts['declared_connections']} declared in the file)",
+        *_first(
+            verbose,
+            [f"  {f['name']}  {_node(f['first'])}..{_node(f['last'])}  transform {f['transform']}" for f in found],
+        ),
+        *(f"collapsed  {each['face']}: {each['quads']:,} quads with {each['what']}" for each in facts["collapsed"]),
+    ]
+    if facts["fields"]:
+        lines.append(f"fields     {', '.join(facts['fields'])}")
+    return "\n".join([*lines, *(f"note       {note}" for note in facts["notes"])])
+
+
+def _first(verbose: bool, lines: list[str]) -> list[str]:
+    """All lines, or the first ones and how many more there are."""
+    if verbose or len(lines) <= _MAX_LISTED:
+        return lines
+    return [*lines[: _MAX_LISTED - 1], f"  ... and {len(lines) - _MAX_LISTED + 1} more (-v shows all)"]
+
+
+def _surface_lines(surfaces: list[Facts], verbose: bool) -> list[str]:
+    """A table of the boundaries; many unnamed ones are summed up by role."""
+    if not surfaces:
+        return ["boundaries (none: every face is shared)"]
+    nameless = [s for s in surfaces if not s["named"]]
+    if not verbose and len(nameless) > _MAX_LISTED:
+        surfaces = [s for s in surfaces if s["named"]]
+        for role in dict.fromkeys(s["role"] for s in nameless):
+            surfaces.append(_summed([s for s in nameless if s["role"] == role]))
+    order = ("wall", "symmetry", "end", "far", "unknown")
+    rows = [("", "role", "quads", "area", "first cell (min, median)", "extent")]
+    for s in sorted(surfaces, key=lambda s: order.index(s["role"]) if s["role"] in order else len(order)):
+        title, height = s["name"], s["first_cell_height"]
+        if s["named"] and any(name != title for name in s["patches"]):
+            title += f" ({counted(len(s['patches']), 'patch', 'patches')})"
+        elif s["named"]:
+            title += f" ({counted(len(s['faces']), 'face')})"
+        mark = "" if s["declared"] or s["role"] == "unknown" else "?"
+        heights = f"{height['min']:.3g}, {height['median']:.3g}"
+        rows.append((title, f"{s['role']}{mark}", f"{s['quads']:,}", f"{s['area']:.4g}", heights, _box(s["bbox"])))
+    a, b, c, d, e, _ = (max(map(len, column)) for column in zip(*rows, strict=True))
+    table = [f"  {r[0]:{a}s}  {r[1]:{b}s}  {r[2]:>{c}s}  {r[3]:>{d}s}  {r[4]:{e}s}  {r[5]}".rstrip() for r in rows]
+    return ["boundaries ('?': guessed from the shape of the grid)", *table]
+
+
+def _summed(surfaces: list[Facts]) -> Facts:
+    """Unnamed faces of one role as one entry."""
+    boxes = np.array([s["bbox"] for s in surfaces])
+    heights = [s["first_cell_height"] for s in surfaces]
+    medians = sorted(h["median"] for h in heights)
+    return {
+        **surfaces[0],
+        "name": f"{len(surfaces)} faces",
+        "quads": sum(s["quads"] for s in surfaces),
+        "area": sum(s["area"] for s in surfaces),
+        "bbox": [boxes[:, 0].min(axis=0).tolist(), boxes[:, 1].max(axis=0).tolist()],
+        "first_cell_height": {"min": min(h["min"] for h in heights), "median": medians[len(medians) // 2]},
+    }
+
+
+def _patch_line(patch: Facts) -> str:
+    places = []
+    for window in patch["windows"]:
+        ranges = ",".join(f"{a}:{b}" for a, b in zip(window["first"], window["last"], strict=True))
+        places.append(f"{window['face']}[{ranges}]")
+    kind = ", ".join(word for word in (patch["family"], patch["type"]) if word)
+    return f"  {patch['name']}  ({kind or 'no type'})  {', '.join(places)}"
+
+
+def _node(node: list[int]) -> str:
+    return f"({', '.join(map(str, node))})"
+
+
+def _box(box: list[list[float]]) -> str:
+    """The ranges of coordinates; values within round-off of the others count as 0."""
+    tiny = 1e-9 * max(abs(v) for end in box for v in end)
+    ends = [[0.0 if abs(v) < tiny else v for v in end] for end in box]
+    ranges = (f"{a:.5g}" if b - a <= tiny else f"{a:.5g}..{b:.5g}" for a, b in zip(*ends, strict=True))
+    return "  ".join(f"{name} {text}" for name, text in zip("xyz", ranges, strict=True))

@@ -1,0 +1,405 @@
+"""The public grid object, its files and pictures, and grids as arguments."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from meshdeform_core import grid as core
+from meshdeform_core.errors import FormatError, GridError
+from meshdeform_core.grid import FloatArray
+from meshdeform_core.grid.topology import find_topology
+from meshdeform_core.parallel import Part, held_together, require_whole
+
+from .gate import checked_array, in_parts
+from .notebook import html_table
+
+if TYPE_CHECKING:
+    import meshio
+    import pyvista
+    from matplotlib.figure import Figure
+
+    from meshdeform_formats.picture import Subject
+
+
+class BlockPart(NamedTuple):
+    """Coordinates ``points`` (last - first, nj, nk, 3) of the planes first <= i < last of a block, counted from 0."""
+
+    block: int
+    first: int
+    last: int
+    points: FloatArray
+
+
+class Grid:
+    """A block-structured grid.
+
+    Parameters
+    ----------
+    blocks : coordinates of each block, (ni, nj, nk, 3) or, for plane grids, (ni, nj, 2); any real type, copied
+        (grid length unit)
+    names : of the blocks; ``block1``, ``block2``, ... by default
+
+    Raises
+    ------
+    GridError
+        When a block is not an array of finite numbers with such a shape, when plane and spatial blocks are mixed, or
+        when names are missing or repeated.
+    """
+
+    def __init__(self, blocks: Sequence[ArrayLike], names: Sequence[str] | None = None):
+        if isinstance(blocks, np.ndarray):
+            raise GridError(f"blocks is one array {blocks.shape}; expected a sequence of arrays, like [block]")
+        if not isinstance(blocks, Sequence) or isinstance(blocks, str):
+            raise GridError(f"blocks is a {type(blocks).__name__}; expected a sequence of arrays, like [block]")
+        if isinstance(names, str) or not all(isinstance(name, str) and name for name in names or ()):
+            raise GridError(f"names = {names!r}; expected one string per block, like ['upper', 'lower']")
+        labels = [f"block{n}" for n in range(1, len(blocks) + 1)] if names is None else list(names)
+        if len(labels) != len(blocks):
+            raise GridError(f"{len(labels)} names for {len(blocks)} blocks; expected one each")
+        arrays = []
+        for block, name in zip(blocks, labels, strict=True):
+            plane = np.ndim(block) == 3
+            shape, meaning = ((None, None, 2), "(x, y)") if plane else ((None, None, None, 3), "(x, y, z)")
+            meaning += f"{' of plane blocks' if plane else ''} by index, or (ni, nj, 2) in a plane"
+            arrays.append(checked_array(block, shape, f"block {name!r}", meaning, GridError))
+        if len({array.ndim for array in arrays}) > 1:
+            raise GridError("plane (ni, nj, 2) and spatial (ni, nj, nk, 3) blocks are mixed; expected one kind")
+        self.plane = bool(arrays) and arrays[0].ndim == 3
+        if self.plane:
+            arrays = [np.pad(array[:, :, None], ((0, 0), (0, 0), (0, 0), (0, 1))) for array in arrays]
+        self.core = core.Grid.from_blocks(arrays, labels)
+
+    @property
+    def blocks(self) -> list[FloatArray]:
+        """Read-only views of the blocks' coordinates: (ni, nj, nk, 3), or (ni, nj, 2) if given in that form.
+
+        Raises
+        ------
+        GridError
+            When every rank holds a :attr:`part` of the grid.
+        """
+        grid = whole(self, "all blocks")
+        views = [grid.block(b)[:, :, 0, :2] if self.plane else grid.block(b) for b in range(len(self))]
+        return [_read_only(view) for view in views]
+
+    @property
+    def part(self) -> list[BlockPart]:
+        """The nodes of this rank if ``prepare(..., comm=comm, parts=True)`` has distributed the grid; else all blocks.
+
+        Ranks hold consecutive ranges of planes i, block after block, with about equally many nodes.
+        """
+        core, found = self.core, []
+        for number in range(len(self)):
+            planes = core.planes(number)
+            if planes.start < planes.stop:
+                points = _read_only(rows_of_block(self, number, core.points))
+                found.append(BlockPart(number, planes.start, planes.stop, points))
+        return found
+
+    def gathered(self, *, first_only: bool = False) -> Grid:
+        """The whole grid from the parts of all ranks, which must all call this; the grid itself if it is not in parts.
+
+        Parameters
+        ----------
+        first_only : only the first rank gets the whole grid, the others this one
+        """
+        points = self.core.points
+        if not isinstance(points, Part) or points.ranks.count == 1:
+            return self
+        if not first_only:
+            every = points.ranks.collect(points.own, np.diff(points.bounds).tolist())
+        else:
+            first = points.ranks.number == 0
+            every = np.empty(points.shape) if first else points.own
+            sources = range(1, points.ranks.count) if first else ()
+            bounds = points.bounds.tolist()
+            points.ranks.swap({} if first else {0: points.own}, {n: every[bounds[n] : bounds[n + 1]] for n in sources})
+            if not first:
+                return self
+            every[: bounds[1]] = points.own
+        return wrapped(self.core.moved(every), self.plane)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the blocks."""
+        return self.core.names
+
+    @property
+    def shapes(self) -> tuple[tuple[int, int, int], ...]:
+        """Nodes (ni, nj, nk) of each block; one along the missing index of a 2-D grid."""
+        return self.core.shapes
+
+    @property
+    def patches(self) -> tuple[str, ...]:
+        """Names of the patches and families that the file declares; block faces can be selected as well."""
+        patches = self.core.patches
+        return tuple(dict.fromkeys(name for patch in patches for name in (patch.name, patch.family) if name))
+
+    @property
+    def n_nodes(self) -> int:
+        """Nodes of all blocks; coincident nodes count once per block."""
+        return self.core.n_nodes
+
+    @property
+    def n_cells(self) -> int:
+        """Cells of all blocks."""
+        return self.core.n_cells
+
+    @property
+    def dimension(self) -> int:
+        """2 if every block is one plane of nodes, else 3."""
+        return self.core.dimension
+
+    @property
+    def path(self) -> Path | None:
+        """The file that the grid was read from."""
+        return self.core.path
+
+    @property
+    def format(self) -> str | None:
+        """Format and variant of that file, in words."""
+        return self.core.format.label if self.core.format else None
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings of the reader."""
+        return self.core.notes
+
+    def plot(
+        self, metric: str = "f_skew", *, reference: Grid | None = None, plane: str | None = None,
+        block: Sequence[str] = (), select: Sequence[str] = (), view: str = "auto",
+        zoom: str | tuple[float, float, float, float] | None = None, before: str | None = None, arrows: bool = False,
+        limits: tuple[float, float] | None = None, log: bool = False, lines: bool = True, title: str | None = None,
+    ) -> Figure:  # fmt: skip
+        """A picture of the grid, as ``meshdeform plot`` draws it; the arguments are that command's options.
+
+        Parameters
+        ----------
+        metric : what colours the cells, like ``"volume_ratio"``
+        reference : the undeformed grid, for measures that compare, ``before`` and ``arrows``
+        plane : of nodes, like ``"k=1"`` or ``"j=mid"``, or in space, like ``"z=0.25"``
+        block, select : patterns of blocks, of patches or block faces
+        view : ``"auto"``, ``"x"``, ``"y"``, ``"z"``, ``"iso"`` or a direction like ``"1,-1,0.5"``
+        zoom : ``"worst"``, ``"walls"`` or a window (left, right, bottom, top)
+        before : ``"side"`` or ``"overlay"``: draw the reference too
+        limits : ends of the colours
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            Shown by notebooks; ``savefig`` writes it.
+
+        Raises
+        ------
+        CaseError
+            When an argument is not understood, or there is nothing to draw.
+        """
+        from meshdeform_formats.picture import PlotOptions, page_figure, picture
+
+        options = PlotOptions(
+            metric=metric, plane=plane, block=tuple(block), select=tuple(select), view=view, zoom=zoom, before=before,
+            arrows=arrows, limits=limits, log=log, lines=lines,
+        )  # fmt: skip
+        name = self.path.name if self.path else ""
+        subject = _subject(self, reference, "a picture")
+        return page_figure(picture(subject, options, name if title is None else title))
+
+    def to_pyvista(self, *measures: str, reference: Grid | None = None) -> pyvista.MultiBlock:
+        """The blocks as pyvista structured grids, by name, with the file's fields at nodes and cells.
+
+        ``grid.to_pyvista("f_skew").plot(scalars="f_skew")`` opens a window to turn and cut the grid.
+
+        Parameters
+        ----------
+        measures, reference : cell measures to add, and the undeformed grid for those that compare, as for :meth:`plot`
+
+        Raises
+        ------
+        CaseError
+            When a measure is unknown or not available for this grid.
+        """
+        import pyvista
+
+        cells, grid = _subject(self, reference, "a pyvista grid"), self.core
+        blocks = pyvista.MultiBlock()
+        for number, name in enumerate(grid.names):
+            block = pyvista.StructuredGrid(*np.moveaxis(grid.block(number), 3, 0))
+            for field in grid.fields:
+                data = {"node": block.point_data, "cell": block.cell_data}.get(field.location)
+                if field.block == number and data is not None:
+                    # VTK counts the first index fastest; vectors have a trailing axis.
+                    data[field.name] = field.values.reshape(-1, *field.values.shape[3:], order="F")
+            for measure in measures:
+                block.cell_data[measure] = cells.values(measure, number, cells.whole(number)).ravel(order="F")
+            blocks.append(block, name)
+        return blocks
+
+    def to_meshio(self) -> meshio.Mesh:
+        """Unstructured hexahedra (2-D: quadrilaterals) with coincident nodes merged, and the fields of the file."""
+        from meshdeform_formats.unstructured import as_mesh
+
+        return as_mesh(whole(self, "an unstructured grid"))
+
+    def __len__(self) -> int:
+        """Number of blocks."""
+        return self.core.n_blocks
+
+    def __eq__(self, other: object) -> bool:
+        """The same blocks with the same names and coordinates."""
+        if not isinstance(other, Grid):
+            return NotImplemented
+        one, two = self.core, other.core
+        same = one.shapes == two.shapes and one.names == two.names and self.plane == other.plane
+        return same and np.array_equal(whole(self, "a comparison").points, whole(other, "a comparison").points)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        where = f", {self.path.name!r}" if self.path else ""
+        return (
+            f"Grid({len(self)} {'block' if len(self) == 1 else 'blocks'}, {self.n_nodes:,} nodes, "
+            f"{self.n_cells:,} cells, {self.dimension}-D{where})"
+        )
+
+    def _repr_html_(self) -> str:
+        shown = zip(self.names[:12], self.shapes, strict=False)
+        rows = [(name, " × ".join(map(str, shape))) for name, shape in shown]
+        more = [(f"and {len(self) - 12} more", "")] if len(self) > 12 else []
+        return html_table(repr(self), [*rows, *more], ("block", "nodes"))
+
+
+def _read_only(view: FloatArray) -> FloatArray:
+    view = view.view()
+    view.flags.writeable = False
+    return view
+
+
+def wrapped(grid: core.Grid, plane: bool = False) -> Grid:
+    """A grid of the core as one of the library; ``plane`` if its blocks are given to users as (ni, nj, 2)."""
+    own = Grid.__new__(Grid)
+    own.core, own.plane = grid, plane
+    return own
+
+
+def whole(grid: Grid, what: str) -> core.Grid:
+    """The grid of the core, of which ``what`` takes the whole.
+
+    Raises
+    ------
+    GridError
+        When every rank holds a part of it.
+    """
+    with in_parts():
+        require_whole(grid.core.points, what)
+    return grid.core
+
+
+@contextmanager
+def together(grid: Grid) -> Iterator[None]:
+    """Context of work by all ranks that hold parts of the grid."""
+    with in_parts(), held_together(grid.core.points):
+        yield
+
+
+def rows_of_block(grid: Grid, number: int, values: FloatArray) -> FloatArray:
+    """View of the rows of ``values`` (n_nodes, 3) that this rank holds of a block, in the form of its blocks."""
+    view = grid.core.in_planes(number, values)
+    return view[:, :, 0, :2] if grid.plane else view
+
+
+def by_part(grid: Grid, values: FloatArray) -> list[FloatArray]:
+    """The rows of ``values`` (n_nodes, 3) that this rank holds: one array per ``grid.part``."""
+    return [rows_of_block(grid, part.block, values).copy() for part in grid.part]
+
+
+def _subject(grid: Grid, reference: Grid | None, what: str) -> Subject:
+    """The cells to draw or measure, compared with those of the reference."""
+    from meshdeform_core.quality.difference import require_same_blocks
+    from meshdeform_formats.picture import Subject
+
+    own = whole(grid, what)
+    if reference is None:
+        return Subject(own, find_topology(own))
+    other = whole(reference, what)
+    require_same_blocks(own, other)
+    other = other.with_patches_of(own)
+    return Subject(own, find_topology(other), other)
+
+
+def read(path: str | Path, *, boundary_file: str | Path | None = None, **variant: str) -> Grid:
+    """Read a block-structured grid: Plot3D, CGNS, VTK or a blockMeshDict of OpenFOAM, recognised by its content.
+
+    Parameters
+    ----------
+    boundary_file : NASA neutral map file with the boundaries, for formats that hold none
+    variant : how to read an ambiguous Plot3D file, like ``byte_order="big"`` (see docs/formats.md)
+
+    Raises
+    ------
+    FormatError, GridError
+        When the file is missing, damaged, ambiguous or not a block-structured grid.
+    """
+    from meshdeform_formats.grids import read_grid_with_boundaries
+
+    boundaries = None if boundary_file is None else _path(boundary_file)
+    return wrapped(read_grid_with_boundaries(_path(path), boundaries, variant))
+
+
+def write(grid: Grid, path: str | Path, *, force: bool = False, **variant: str) -> None:
+    """Write a grid; the suffix selects the format. By default the variant is that of the file the grid was read from.
+
+    The file is replaced as a whole or, if anything fails, left untouched.
+
+    Parameters
+    ----------
+    grid : if it is in parts, all ranks call this together, and each writes its part
+    force : overwrite an existing file; the file that the grid was read from is never overwritten
+    variant : format variant, like ``encoding="ascii"`` (see docs/formats.md)
+
+    Raises
+    ------
+    FormatError
+        When the file exists, cannot be written, or the format has no such variant.
+    """
+    from meshdeform_formats.grids import complete_for_export, write_grid
+
+    if not isinstance(grid, Grid):
+        raise GridError(f"found a {type(grid).__name__}; expected a Grid to write")
+    target, own = _path(path), grid.core
+    if target.exists():
+        if own.path is not None and own.path.exists() and target.samefile(own.path):
+            raise FormatError(f"{target} is the file that the grid was read from; choose another name")
+        if not force:
+            raise FormatError(f"{target} exists; choose another name, or force=True to overwrite it")
+    with together(grid):
+        write_grid(complete_for_export(own, target), target, variant)
+
+
+def _path(path: object) -> Path:
+    if not isinstance(path, str | Path):
+        raise FormatError(f"file name {path!r} is a {type(path).__name__}; expected a string or a Path")
+    if "\0" in str(path):
+        raise FormatError(f"file name {str(path)!r} has a null character; expected the name of a file")
+    return Path(path)
+
+
+def user_grid(grid: object) -> Grid:
+    """The argument as a :class:`Grid`; a file name is read.
+
+    Raises
+    ------
+    GridError
+        For anything else.
+    """
+    if isinstance(grid, Grid):
+        return grid
+    if isinstance(grid, str | Path):
+        return read(grid)
+    hint = "; wrap coordinate arrays in Grid([block, ...])" if isinstance(grid, np.ndarray | Sequence | Mapping) else ""
+    raise GridError(f"found a {type(grid).__name__}; expected a Grid or the name of a grid file{hint}")

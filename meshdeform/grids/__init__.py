@@ -1,1 +1,0 @@
-"""Grids of the library: the public object, its files and pictures, grids as arguments."""
