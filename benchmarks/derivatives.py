@@ -12,7 +12,6 @@ from tables import MarkdownTable, Row, exponent
 
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.methods import Options, make_method
-from meshdeform_core.methods.derivative import derivative_of
 
 CASES = {"splitter-plate": (16, 32), "hemisphere": (24, 48, 92)}
 QUICK = {"splitter-plate": (8,), "hemisphere": (16,)}
@@ -51,7 +50,7 @@ def _row(case: Motion, name: str) -> Row:
     method.apply(at)
     one = _cpu(lambda: method.apply(at))
     begin = time.process_time()
-    derivative = derivative_of(method, at)
+    derivative = method.linearised(at)
     linearise = time.process_time() - begin
     random = np.random.default_rng(0)
     change = random.standard_normal(at.shape) * at.any(axis=1, keepdims=True)
@@ -104,7 +103,7 @@ def _against_jax(case: Motion) -> list[Row]:
 
     flat, at = inner_nodes(case.problem), case.displacement
     method = make_method(Options("idw", idw=dense_jax.OPTIONS)).prepare(case.problem)
-    derivative = derivative_of(method, at)
+    derivative = method.linearised(at)
     theirs = dense_jax.dense(case.problem, case.setup.grid.points[flat])
     random = np.random.default_rng(0)
     change = random.standard_normal(at.shape) * at.any(axis=1, keepdims=True)

@@ -13,7 +13,8 @@ from meshdeform_core.deform import Result
 from meshdeform_core.errors import GridError
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.methods import PreparedMethod
-from meshdeform_core.methods.derivative import Derivative, derivative_of, reason_of
+from meshdeform_core.methods.base import Linearised
+from meshdeform_core.methods.kinks import reason_of
 from meshdeform_core.overset import PreparedComponents
 from meshdeform_core.parallel import Part, alike, combined, for_rows, of_all, on_each, own_rows
 from meshdeform_core.repair.derivative import RepairDerivative, derivative_of_repair
@@ -162,7 +163,7 @@ def _real(values: Any) -> FloatArray:
     return found.astype(np.float64)
 
 
-def differentiated(result: Result, method: PreparedMethod, displacement: FloatArray) -> tuple[Derivative, str]:
+def differentiated(result: Result, method: PreparedMethod, displacement: FloatArray) -> tuple[Linearised, str]:
     """The derivative of a deformed grid, and the reason why it does not hold for this grid; empty if it does.
 
     ``method`` is prepared on the undeformed grid, and ``displacement`` (n_sources, 3) that of its sources. The
@@ -170,7 +171,7 @@ def differentiated(result: Result, method: PreparedMethod, displacement: FloatAr
     """
     if isinstance(method, PreparedComponents):
         return method.differentiated(result, displacement, differentiated)
-    derivative = derivative_of(method, displacement)
+    derivative = method.linearised(displacement)
     if result.steps > 1 and result.reached == 1.0:
         return derivative, f"the motion was imposed in {result.steps} steps; the derivative is that of one step"
     points = combined(np.add, result.setup.grid.points, method.apply(displacement))
@@ -215,7 +216,7 @@ def _largest(values: FloatArray) -> float:
 class _Repaired:
     """Derivative of a method followed by a repair."""
 
-    def __init__(self, method: Derivative, repair: RepairDerivative) -> None:
+    def __init__(self, method: Linearised, repair: RepairDerivative) -> None:
         self._method, self._repair, self.kinks = method, repair, method.kinks
 
     def push(self, change: FloatArray) -> FloatArray:

@@ -27,8 +27,8 @@ from .grid.near import NearNodes
 from .grid.topology import RELATIVE_TOLERANCE, FaceQuads, Topology, quads_of_patches
 from .memory import UNLIMITED, MemoryLimit
 from .methods import Account, Options, PreparedMethod, Problem, Progress
-from .methods.derivative import Derivative
-from .methods.derivative.kinks import Kinks
+from .methods.base import Linearised
+from .methods.kinks import Kinks
 from .methods.limits import patch_motions
 from .notices import Notice, kind_of
 from .numerics.arrays import BoolArray, places_among
@@ -304,7 +304,7 @@ class ComponentCrossings:
         return min((each for each in found if each), key=lambda contact: contact.fraction, default=None)
 
 
-Differentiated = Callable[[Result, PreparedMethod, FloatArray], tuple[Derivative, str]]
+Differentiated = Callable[[Result, PreparedMethod, FloatArray], tuple[Linearised, str]]
 
 
 class PreparedComponents:
@@ -343,7 +343,15 @@ class PreparedComponents:
             own: Problem = each.undeformed.problem
             yield each, method, np.searchsorted(self._sources, each.numbers[own.source_numbers])
 
-    def differentiated(self, result: Result, displacement: FloatArray, one: Differentiated) -> tuple[Derivative, str]:
+    def linearised(self, displacement: FloatArray) -> ComponentsDerivative:
+        """The derivative at a displacement (n_sources, 3)."""
+        parts = [
+            (each, rows, method.linearised(displacement[rows]) if method else None)
+            for each, method, rows in self.parts()
+        ]
+        return ComponentsDerivative(self._grid, len(self._sources), parts)
+
+    def differentiated(self, result: Result, displacement: FloatArray, one: Differentiated) -> tuple[Linearised, str]:
         """The derivative of a result, and the reason why it does not hold for it, from those of ``one`` component."""
         parts, reasons = [], []
         for (each, method, rows), (name, own) in zip(self.parts(), result.components, strict=True):
@@ -362,7 +370,7 @@ def _still(grid: Grid) -> FloatArray:
 class ComponentsDerivative:
     """Derivative of every component with respect to the displacement of its own sources, the rows in ``parts``."""
 
-    def __init__(self, grid: Grid, n_sources: int, parts: Sequence[tuple[Component, IntArray, Derivative | None]]):
+    def __init__(self, grid: Grid, n_sources: int, parts: Sequence[tuple[Component, IntArray, Linearised | None]]):
         self._grid, self._n_sources, self._parts = grid, n_sources, parts
         self.kinks = sum((own.kinks for _, _, own in parts if own), Kinks())
 

@@ -13,7 +13,6 @@ from mpi4py import MPI
 
 from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.methods import IDW, RBF, Options, make_method
-from meshdeform_core.methods.derivative import derivative_of
 from meshdeform_core.parallel import OneRank, set_ranks
 from meshdeform_core.parallel.mpi import MPIRanks
 from meshdeform_core.quality import Original, assess
@@ -57,7 +56,7 @@ def results(options, problem):
 def derivatives(options, problem):
     """Changes and gradients: the derivatives of one displacement, forward and transposed."""
     told = prescribed_displacement(problem.grid, problem.topology, problem.boundary)[problem.source_numbers]
-    found = derivative_of(make_method(options).prepare(problem), told)
+    found = make_method(options).prepare(problem).linearised(told)
     weight = np.sin(np.arange(3.0 * problem.grid.n_nodes)).reshape(-1, 3)
     return found.push(told[:, [2, 0, 1]]), found.pull(weight.copy())
 

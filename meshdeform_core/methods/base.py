@@ -26,6 +26,7 @@ from ..numerics.geometry.coincidence import distinct, integers
 from ..numerics.geometry.vectors import face_sizes
 from ..numerics.rotation import SurfaceRotations
 from ..parallel import rows_at
+from .kinks import Kinks
 
 _FACES = 250_000
 """Faces whose areas are computed at a time, which bounds the memory."""
@@ -205,6 +206,22 @@ class Account:
         self.notices |= other.notices
 
 
+class Linearised(Protocol):
+    """Derivative of the displacement (n_nodes, 3) of all block nodes with respect to that (n_sources, 3) of the
+    sources; ``kinks``: why it is not that of the displacement field, see :mod:`.kinks`.
+    """
+
+    kinks: Kinks
+
+    def push(self, change: FloatArray) -> FloatArray:
+        """Change (n_nodes, 3) for a ``change`` (n_sources, 3) of the sources."""
+        ...
+
+    def pull(self, gradient: FloatArray) -> FloatArray:
+        """Gradient (n_sources, 3) from that (n_nodes, 3) of all block nodes, which is overwritten."""
+        ...
+
+
 class PreparedMethod(Protocol):
     """A method prepared on one undeformed grid."""
 
@@ -222,6 +239,25 @@ class PreparedMethod(Protocol):
 
         A new array from :func:`meshdeform_core.parallel.empty`, owned by the caller.
         """
+        ...
+
+    def linearised(self, displacement: FloatArray) -> Linearised:
+        """The derivative at a displacement (n_sources, 3)."""
+        ...
+
+
+class LinearMover(Protocol):
+    """Derivative of the first step of a method at one displacement."""
+
+    kinks: Kinks
+
+    def push(self, change: FloatArray, out: FloatArray) -> FloatArray:
+        """As :meth:`Mover.move`, for a ``change`` (n_sources, 3) of the displacement."""
+        ...
+
+    def pull(self, face: FloatArray, gradient: FloatArray) -> FloatArray:
+        """Gradient (n_sources, 3) from those of the nodes on block faces (n_unique, 3) and, rows of ``gradient``
+        (n_nodes, 3), inside blocks; both are overwritten."""
         ...
 
 
@@ -242,12 +278,30 @@ class Mover(Protocol):
         """
         ...
 
+    def linearised(self, displacement: FloatArray) -> LinearMover:
+        """The derivative at a displacement (n_sources, 3)."""
+        ...
+
 
 class Evaluator(Protocol):
     """An interpolation bound to its target nodes."""
 
     def evaluate(self, fit: Any, out: FloatArray, progress: Progress | None) -> None:
         """Write the displacement of the target nodes into their rows of ``out`` (n_nodes, 3)."""
+        ...
+
+
+class LinearNodes(Protocol):
+    """Derivative of the displacement of the nodes of an evaluator at one displacement of the sources."""
+
+    kinks: Kinks
+
+    def push(self, change: FloatArray, out: FloatArray) -> None:
+        """Write the change of the nodes into their rows of ``out`` (n_nodes, 3), for a ``change`` of the sources."""
+        ...
+
+    def pull(self, gradient: FloatArray) -> FloatArray:
+        """Gradient (n_sources, 3) from that of the nodes, rows of ``gradient`` (n_nodes, 3)."""
         ...
 
 
@@ -266,6 +320,10 @@ class PreparedInterpolation(Protocol):
 
     def fit(self, displacement: FloatArray, progress: Progress | None = None) -> Any:
         """Fit the displacement (n_sources, 3) of the sources; returns the coefficients for the evaluation."""
+        ...
+
+    def linearised(self, evaluator: Any, displacement: FloatArray) -> LinearNodes:
+        """The derivative of the displacement of an evaluator's nodes at a displacement (n_sources, 3)."""
         ...
 
 

@@ -6,20 +6,22 @@ method alone moves all nodes in the first step and has no second one.
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 
+from ..boundary import Kind
 from ..errors import MotionError
 from ..grid import FloatArray, IntArray
 from ..memory import release_freed
-from ..numerics.rows import put_rows, spread_rows, take_rows
+from ..numerics.rows import put_rows, take_rows
 from ..parallel import Part, alike, for_chunks, for_rows, of_all, own_rows, rows_of
 from ..wording import vector
-from .base import Account, Interpolation, Mover, PreparedMethod, Problem, Progress
+from .base import Account, Interpolation, LinearMover, Mover, PreparedMethod, Problem, Progress
 from .beside_slip import BesideSlip
-from .periodic_steps import PreparedPeriodic, free_periodic, with_known_periodic
+from .constraints import Constraints, add_to_faces, impose
 from .transfinite.edge_graph import PreparedEdgeGraph
 from .transfinite.skeleton import Skeleton
 
@@ -33,7 +35,15 @@ class PreparedFiller(Protocol):
     account: Account
 
     def fill(self, displacement: FloatArray, progress: Progress | None = None) -> None:
-        """Fill block interiors, in place, from the nodes that the first step moved."""
+        """Fill block interiors, in place, from the nodes that the first step moved; linear in their displacement."""
+        ...
+
+    def differentiable(self) -> PreparedFiller:
+        """The same, accurate enough for :meth:`fill` and :meth:`pull` to be transposes of each other."""
+        ...
+
+    def pull(self, gradient: FloatArray) -> None:
+        """Transpose of :meth:`fill`: pass gradients (n_nodes, 3) from inside blocks on to their faces, in place."""
         ...
 
 
@@ -74,11 +84,11 @@ def _mover(interpolation: Interpolation | None, problem: Problem, flat: IntArray
     """An interpolation for the nodes ``flat``, or TFI on the edge graph, which moves all face nodes."""
     if interpolation is None:
         return PreparedEdgeGraph(problem)
-    return _Scattered(interpolation, problem, flat)
+    return Scattered(interpolation, problem, flat)
 
 
 @dataclass
-class _Scattered:
+class Scattered:
     """An interpolation as the first step, which moves the nodes of the skeleton that are not sources."""
 
     interpolation: Interpolation
@@ -87,81 +97,217 @@ class _Scattered:
     account: Account = field(init=False)
 
     def __post_init__(self) -> None:
-        self._bound = self.interpolation.bind(self.problem)
-        self._evaluator = self._bound.at(self.flat)
+        self.bound = self.interpolation.bind(self.problem)
+        self.evaluator = self.bound.at(self.flat)
         self.beside_slip = BesideSlip(self.problem, self.flat)
-        self.account = self._bound.account
+        self.account = self.bound.account
 
     def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
-        return self._bound.warnings_for(motion, step)
+        return self.bound.warnings_for(motion, step)
 
     def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> FloatArray:
-        self.interpolate(displacement, out, progress)
+        values = self.bound.fit(displacement, progress)
+        release_freed()
+        self.evaluator.evaluate(values, out, progress)
         release_freed()
         self.beside_slip.apply(out, progress)
-        face = _on_faces(out, self.problem)
+        face = on_faces(out, self.problem)
         put_rows(displacement, self.problem.source_numbers, face)
         return face
 
-    def interpolate(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> None:
-        """Write the interpolated displacement into the rows of ``out`` (n_nodes, 3) of the target nodes."""
-        values = self._bound.fit(displacement, progress)
-        release_freed()
-        self._evaluator.evaluate(values, out, progress)
+    def linearised(self, displacement: FloatArray) -> LinearMover:
+        return _LinearScattered(self, displacement)
+
+
+class _LinearScattered:
+    """Derivative of an interpolation as the first step; sources on faces take the change prescribed for them."""
+
+    def __init__(self, mover: Scattered, displacement: FloatArray) -> None:
+        self._problem, self._beside_slip = mover.problem, mover.beside_slip
+        self.inside = mover.bound.linearised(mover.evaluator, displacement)
+        self.kinks = self.inside.kinks
+
+    def push(self, change: FloatArray, out: FloatArray) -> FloatArray:
+        self.inside.push(change, out)
+        self._beside_slip.damp(rows_of(out))
+        face = on_faces(out, self._problem)
+        face[self._problem.source_numbers] = change
+        return face
+
+    def pull(self, face: FloatArray, gradient: FloatArray) -> FloatArray:
+        own = face[self._problem.source_numbers].copy()
+        face[self._problem.source_numbers] = 0.0
+        add_to_faces(face, self._problem.topology, gradient)
+        self._beside_slip.damp(rows_of(gradient))
+        return np.asarray(own + self.inside.pull(gradient))
 
 
 class PreparedComposite:
     """Two prepared steps and the constraints between them."""
 
     def __init__(self, method: Composite, problem: Problem):
-        self._problem = problem
+        self.problem = problem
         skeleton = method.filler.skeleton(problem) if method.filler else None
-        nodes = first_step_nodes(problem, skeleton)
-        self._mover = _mover(method.mover, problem, nodes)
-        self._filler = method.filler.prepare(problem, skeleton) if method.filler and skeleton else None
-        self._left_out = skeleton is not None and bool(skeleton.left_out)
+        self.mover = _mover(method.mover, problem, first_step_nodes(problem, skeleton))
+        self.filler = method.filler.prepare(problem, skeleton) if method.filler and skeleton else None
+        self.left_out = skeleton is not None and bool(skeleton.left_out)
 
     @property
     def account(self) -> Account:
         """Settings and warnings of both steps."""
-        parts = [self._mover.account] + ([self._filler.account] if self._filler else [])
         merged = Account()
-        for part in parts:
-            merged.include(part)
+        for part in (self.mover, self.filler):
+            if part:
+                merged.include(part.account)
         return merged
 
     def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
         """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
-        return self._mover.warnings_for(motion, step)
+        return self.mover.warnings_for(motion, step)
 
     def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
         """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""
-        problem = self._problem
+        problem = self.problem
         check_displacement(displacement, len(problem.source_numbers))
         # Every row is set: each node lies on a block face, in the skeleton, or inside a block or sub-block.
-        out = alike(problem.grid.points)
-        if self._left_out:
-            # Read the face values before the second step overwrites them.
-            for_rows(lambda rows: out[rows].fill(np.nan), out)
-        self._constrain(self._mover.move(displacement, out, progress), out)
-        if self._filler:
-            self._filler.fill(out, progress)
-            if self._left_out:
-                self._constrain(_on_faces(out, problem), out)
+        out = _blank(problem) if self.left_out else alike(problem.grid.points)
+        impose(problem, self.mover.move(displacement, out, progress), out)
+        if self.filler:
+            self.filler.fill(out, progress)
+            if self.left_out:
+                self.constrain_again(out)
         return out
 
     def constrain_again(self, out: FloatArray) -> None:
         """Impose the constraints again, in place, on displacements (n_nodes, 3) that were changed since."""
-        self._constrain(_on_faces(out, self._problem), out)
+        impose(self.problem, on_faces(out, self.problem), out)
 
-    def _constrain(self, face: FloatArray, out: FloatArray) -> None:
-        """Impose slip and periodicity on ``face`` (n_unique, 3) and copy it to all coincident nodes of ``out``."""
-        problem, boundary = self._problem, self._problem.boundary
-        if problem.layer:
-            problem.layer.follow(face)
-        boundary.slip.constrain(face, problem.grid.points, problem.topology.first)
-        boundary.periodic.constrain(face, ~boundary.known)
-        put_on_faces(face, out, problem)
+    def linearised(self, displacement: FloatArray) -> _LinearComposite:
+        """The derivative at a displacement (n_sources, 3)."""
+        return _LinearComposite(self, displacement)
+
+
+class _LinearComposite:
+    """Derivative of a composite, from those of its two steps and of the constraints between them."""
+
+    def __init__(self, method: PreparedComposite, displacement: FloatArray) -> None:
+        problem = self._problem = method.problem
+        self.mover = method.mover.linearised(displacement)
+        self._filler = method.filler.differentiable() if method.filler else None
+        out = _blank(problem)
+        face = method.mover.move(displacement, out)
+        self._first = Constraints(problem, face.copy())
+        self.kinks = self.mover.kinks + self._first.kinks
+        # Constraints on the sides that the second step fills.
+        self._second = None
+        if method.left_out and self._filler:
+            impose(problem, face, out)
+            self._filler.fill(out)
+            self._second = Constraints(problem, on_faces(out, problem))
+            self.kinks += self._second.kinks
+
+    def push(self, change: FloatArray) -> FloatArray:
+        problem = self._problem
+        out = _blank(problem) if self._second else alike(problem.grid.points)
+        self._first.impose(self.mover.push(change, out), out)
+        if self._filler:
+            self._filler.fill(out)
+        if self._second:
+            self._second.impose(on_faces(out, problem), out)
+        return out
+
+    def pull(self, gradient: FloatArray) -> FloatArray:
+        if self._second:
+            add_to_faces(self._second.gathered(gradient), self._problem.topology, gradient)
+        if self._filler:
+            self._filler.pull(gradient)
+        return self.mover.pull(self._first.gathered(gradient), gradient)
+
+
+def free_periodic(problem: Problem) -> IntArray:
+    """Unique numbers of the periodic nodes that no boundary of higher precedence moves or fixes."""
+    periodic = problem.boundary.periodic
+    nodes = np.unique(np.r_[periodic.one, periodic.two])
+    return np.asarray(nodes[~problem.boundary.known[nodes]])
+
+
+def with_known_periodic(problem: Problem) -> Problem:
+    """The problem with its free periodic nodes as sources."""
+    boundary = problem.boundary
+    kind, quad_kind = boundary.kind.copy(), boundary.quad_kind.copy()
+    kind[free_periodic(problem)] = Kind.MOVING
+    quad_kind[quad_kind == Kind.PERIODIC] = Kind.MOVING
+    return dataclasses.replace(problem, boundary=dataclasses.replace(boundary, kind=kind, quad_kind=quad_kind))
+
+
+@dataclass(frozen=True)
+class PreparedPeriodic:
+    """A method that moves free periodic nodes before all others, in pairs; then these are sources, too.
+
+    Averaging the pairs afterwards would leave a jump next to the boundary, because the interpolation ignores the
+    periodic images of the body.
+    """
+
+    problem: Problem
+    first: Mover
+    rest: PreparedMethod
+    guided: Problem
+
+    @property
+    def account(self) -> Account:
+        """Settings and warnings of the method itself."""
+        return self.rest.account
+
+    def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
+        """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
+        return self.first.warnings_for(motion, step)
+
+    def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
+        """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""
+        face = self.first.move(displacement, _filled(self.problem, 0.0), progress)
+        impose(self.problem, face)
+        return self.rest.apply(face[self.guided.source_numbers], progress)
+
+    def linearised(self, displacement: FloatArray) -> _LinearPeriodic:
+        """The derivative at a displacement (n_sources, 3)."""
+        return _LinearPeriodic(self, displacement)
+
+
+class _LinearPeriodic:
+    """Derivative of a method that moves periodic nodes first, and all others with these as additional sources."""
+
+    def __init__(self, method: PreparedPeriodic, displacement: FloatArray) -> None:
+        problem = self._problem = method.problem
+        self._sources, self._mover = method.guided.source_numbers, method.first.linearised(displacement)
+        face = method.first.move(displacement, _filled(problem, 0.0))
+        self._constraints = Constraints(problem, face.copy())
+        impose(problem, face)
+        self._rest = method.rest.linearised(face[self._sources])
+        self.kinks = self._mover.kinks + self._constraints.kinks + self._rest.kinks
+
+    def push(self, change: FloatArray) -> FloatArray:
+        face = self._mover.push(change, alike(self._problem.grid.points))
+        self._constraints.push(face)
+        return self._rest.push(face[self._sources])
+
+    def pull(self, gradient: FloatArray) -> FloatArray:
+        face = np.zeros((self._problem.topology.n_unique, 3))
+        face[self._sources] = self._rest.pull(gradient)
+        self._constraints.pull(face)
+        for_rows(lambda rows: gradient[rows].fill(0.0), gradient)
+        return self._mover.pull(face, gradient)
+
+
+def _filled(problem: Problem, value: float) -> FloatArray:
+    """An array (n_nodes, 3) of equal numbers."""
+    out = alike(problem.grid.points)
+    for_rows(lambda rows: out[rows].fill(value), out)
+    return out
+
+
+def _blank(problem: Problem) -> FloatArray:
+    """An array (n_nodes, 3) in which nodes that no step has reached are no numbers."""
+    return _filled(problem, np.nan)
 
 
 def check_displacement(displacement: FloatArray, n_sources: int) -> None:
@@ -188,25 +334,13 @@ def check_displacement(displacement: FloatArray, n_sources: int) -> None:
         )
 
 
-def _on_faces(displacement: FloatArray, problem: Problem) -> FloatArray:
+def on_faces(displacement: FloatArray, problem: Problem) -> FloatArray:
     """The rows (n_unique, 3) of ``displacement`` (n_nodes, 3) at nodes on block faces."""
     if isinstance(displacement, Part):
         return np.asarray(displacement[problem.topology.first])
     face, first = np.empty((problem.topology.n_unique, 3)), problem.topology.first
     for_chunks(lambda lo, hi: take_rows(displacement, first[lo:hi], face[lo:hi]), len(first), _NODES)
     return face
-
-
-def put_on_faces(face: FloatArray, out: FloatArray, problem: Problem) -> None:
-    """Copy displacements (n_unique, 3) to all coincident nodes in the rows of ``out`` (n_nodes, 3)."""
-    topology = problem.topology
-    begin, end = np.searchsorted(topology.face_nodes, own_rows(out)).tolist()
-    number, nodes, rows = topology.number[begin:end], topology.face_nodes[begin:end], rows_of(out)
-
-    def work(lo: int, hi: int) -> None:
-        spread_rows(face, number[lo:hi], nodes[lo:hi], rows)
-
-    for_chunks(work, end - begin, _NODES)
 
 
 def first_step_nodes(problem: Problem, skeleton: Skeleton | None) -> IntArray:

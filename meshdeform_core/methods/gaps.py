@@ -17,9 +17,10 @@ from ..boundary.slip import Slip
 from ..grid import BoolArray, FloatArray, IntArray
 from ..numerics.arrays import lengths
 from ..numerics.geometry.surface import TriangleTree
-from ..parallel import alike, for_rows
-from .base import Account, Interpolation, PreparedMethod, Problem, Progress, Setting
-from .composite import Composite, Filler, PreparedComposite
+from ..parallel import alike, for_rows, require_whole
+from .base import Account, Interpolation, Linearised, PreparedMethod, Problem, Progress, Setting
+from .composite import Composite, Filler, PreparedComposite, on_faces
+from .constraints import Constraints
 from .transfinite.tfi import TFI
 
 OPEN = 0.8
@@ -71,7 +72,7 @@ class PreparedInGaps:
     """A prepared composite, with TFI for closing gaps."""
 
     def __init__(self, method: PreparedComposite, problem: Problem, moving: BoolArray):
-        self.method, self._problem, self._moving = method, problem, moving
+        self.method, self.problem, self._moving = method, problem, moving
         self._account = Account()
         why = "share of its thickness that a gap to a moving wall keeps before its cells follow both walls as TFI does"
         self._account.settings["open_gap"] = Setting(OPEN, why)
@@ -101,20 +102,28 @@ class PreparedInGaps:
             moved += share[rows] * (lines[rows] - moved)
 
         for_rows(blend, out)
-        if self._problem.boundary.slip.curved:
+        if self.problem.boundary.slip.curved:
             self.method.constrain_again(out)
         return out
+
+    def linearised(self, displacement: FloatArray) -> Linearised:
+        """The derivative at a displacement (n_sources, 3)."""
+        closing = self.closing(displacement)
+        if closing is None:
+            return self.method.linearised(displacement)
+        require_whole(self.problem.grid.points, "a derivative of a motion that closes a gap")
+        return _LinearInGaps(self, closing, displacement)
 
     @cached_property
     def transfinite(self) -> PreparedMethod:
         """TFI on the whole grid, prepared when a gap closes for the first time."""
-        return _TRANSFINITE.prepare(self._problem)
+        return _TRANSFINITE.prepare(self.problem)
 
     @cached_property
     def scalar(self) -> PreparedMethod:
         """:attr:`transfinite` without constraints, for scalars instead of displacements."""
-        boundary = dataclasses.replace(self._problem.boundary, slip=Slip())
-        return _TRANSFINITE.prepare(dataclasses.replace(self._problem, boundary=boundary))
+        boundary = dataclasses.replace(self.problem.boundary, slip=Slip())
+        return _TRANSFINITE.prepare(dataclasses.replace(self.problem, boundary=boundary))
 
     def spread(self, share: FloatArray) -> FloatArray:
         """Values (n_nodes, 1) from 0 to 1 at all nodes, by TFI of the values (n_sources,) at the sources."""
@@ -126,7 +135,7 @@ class PreparedInGaps:
     @cached_property
     def _gap(self) -> FloatArray:
         """Distance (n_sources,) of every moving source from the nearest resting one, and vice versa."""
-        return self._across(self._problem.source_points)[0]
+        return self._across(self.problem.source_points)[0]
 
     def _across(self, points: FloatArray, within: FloatArray | None = None) -> tuple[FloatArray, IntArray]:
         distance, other = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
@@ -143,7 +152,7 @@ class PreparedInGaps:
         longest = float(lengths(displacement).max())
         if longest <= (1.0 - OPEN) * float(self._gap.min()):
             return None
-        points = self._problem.source_points + displacement
+        points = self.problem.source_points + displacement
         # Sources farther apart than this distance are in no closing gap; the factor allows for round-off.
         distance, other = self._across(points, OPEN * (1.0 + 1e-9) * self._gap)
         # Boundaries that touch in the undeformed grid without sharing nodes have no gap.
@@ -157,3 +166,56 @@ class PreparedInGaps:
         away = np.divide(arm, distance[rows, None], out=np.zeros_like(arm), where=distance[rows, None] > 0.0)
         slope = (-6.0 * t * (1.0 - t) / (OPEN * self._gap[rows]))[:, None] * away
         return Closing(share, rows, other[rows], slope)
+
+
+class _LinearInGaps:
+    """Derivative of the blend of the method with TFI, including that of the share of TFI."""
+
+    def __init__(self, method: PreparedInGaps, closing: Closing, displacement: FloatArray) -> None:
+        self._closing, self._share = closing, method.spread(closing.share)
+        inside = (self._share > 0.0) & (self._share < 1.0)
+        own = method.method.apply(displacement)
+        apart = method.transfinite.apply(displacement) - own
+        self._apart = inside * apart
+        self._own = method.method.linearised(displacement)
+        self._lines, self._scalar = (each.linearised(displacement) for each in (method.transfinite, method.scalar))
+        self.kinks = self._own.kinks + self._lines.kinks
+        # Blended nodes are projected back onto curved slip surfaces.
+        self._problem, self._again = method.problem, None
+        if self._problem.boundary.slip.curved:
+            blend = own + self._share * apart
+            self._again = Constraints(self._problem, on_faces(blend, self._problem))
+            self.kinks += self._again.kinks
+
+    def push(self, change: FloatArray) -> FloatArray:
+        closing, out = self._closing, self._own.push(change)
+        # In place, so that only one array is needed besides the result.
+        more = self._lines.push(change)
+        more -= out
+        more *= self._share
+        out += more
+        del more
+        share = np.zeros_like(change)
+        share[closing.rows, 0] = np.einsum("ni,ni->n", closing.slope, change[closing.rows] - change[closing.other])
+        more = self._scalar.push(share)
+        np.multiply(self._apart, more[:, :1].copy(), out=more)
+        out += more
+        if self._again:
+            self._again.impose(on_faces(out, self._problem), out)
+        return out
+
+    def pull(self, gradient: FloatArray) -> FloatArray:
+        if self._again:
+            face = self._again.gathered(gradient)
+            gradient[self._problem.topology.first] += face
+        closing, part = self._closing, np.zeros_like(gradient)
+        part[:, 0] = np.einsum("ni,ni->n", gradient, self._apart)
+        share = self._scalar.pull(part)[closing.rows, :1] * closing.slope
+        np.multiply(gradient, self._share, out=part)
+        gradient -= part
+        found = self._lines.pull(part)
+        del part
+        found += self._own.pull(gradient)
+        np.add.at(found, closing.rows, share)
+        np.subtract.at(found, closing.other, share)
+        return np.asarray(found)

@@ -10,8 +10,9 @@ import numpy as np
 
 from ..boundary.layer import Layer
 from ..grid import FloatArray
-from .base import Account, PreparedMethod, Problem, Progress
-from .composite import _on_faces, put_on_faces
+from .base import Account, Linearised, PreparedMethod, Problem, Progress
+from .composite import on_faces
+from .constraints import put_on_faces
 
 
 class Preparable(Protocol):
@@ -52,7 +53,12 @@ class PreparedLayer:
         if not self._layer.mirrors(known):
             return self.whole.apply(displacement, progress)
         out = self._half.apply(displacement, progress)
-        face = _on_faces(out, problem)
+        face = on_faces(out, problem)
         self._layer.follow(face)
         put_on_faces(face, out, problem)
         return out
+
+    def linearised(self, displacement: FloatArray) -> Linearised:
+        """The derivative at a displacement (n_sources, 3), on both planes, as changes of single sources are not
+        mirrored."""
+        return self.whole.linearised(displacement)

@@ -30,7 +30,7 @@ def fail(*_):
     raise MethodError("made to fail")
 
 if mpi.place().number == 1:
-    composite._on_faces = fail
+    composite.on_faces = fail
 main()
 """
 FULL_DISK = """

@@ -13,13 +13,12 @@ import meshdeform as md
 from meshdeform_core.boundary import Kind
 from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.methods import IDW, RBF, Options, make_method
-from meshdeform_core.methods.derivative import derivative_of, radial, weighting
-from meshdeform_core.methods.derivative.kinks import CHOSEN, EDGES, FOLDED, HALF_TURNS, LARGEST, UNCHOSEN
-from meshdeform_core.methods.derivative.sums import TOLERANCE, ExactSums
+from meshdeform_core.methods.kinks import CHOSEN, EDGES, FOLDED, HALF_TURNS, LARGEST, UNCHOSEN
+from meshdeform_core.methods.scattered import linear_idw, linear_rbf
+from meshdeform_core.methods.scattered.idw_sums import ExactSums
+from meshdeform_core.methods.scattered.summation import DERIVATIVE_TOLERANCE
 from meshdeform_core.numerics.exact.basis import BASES
-from meshdeform_core.numerics.exact.mixed import Scale
-from meshdeform_core.numerics.fastsum.weighted import frozen
-from meshdeform_core.numerics.fastsum.weighted.frozen import FrozenSums
+from meshdeform_core.numerics.fastsum.weighted.sums import FastSums
 from meshdeform_core.numerics.systems import greedy as greedy_system
 from meshdeform_core.numerics.tape import Tape
 from meshdeform_core.parallel import OneRank, sharing
@@ -30,7 +29,7 @@ OTHERS = [name for name in METHODS if name not in FEW]
 
 
 def check(method, at, change):
-    derivative = derivative_of(method, at)
+    derivative = method.linearised(at)
     found = derivative.push(change)
     size = np.abs(found).max()
     assert np.isfinite(found).all()
@@ -89,9 +88,9 @@ def test_sliding_on_a_curved_surface(name):
     # No node may come to the edge of a flat face within the step.
     method = make_method(METHODS[name]).prepare(where)
     check(method, 0.3 * smooth, 1e-2 * rough)
-    assert derivative_of(method, 0.3 * smooth).kinks == {}
+    assert method.linearised(0.3 * smooth).kinks == {}
     # Undeformed, they all are at corners of these faces.
-    assert derivative_of(method, 0.0 * smooth).kinks[EDGES] > 0
+    assert method.linearised(0.0 * smooth).kinks[EDGES] > 0
 
 
 def test_sliding_where_a_gap_closes():
@@ -130,22 +129,20 @@ def test_fast_sums_are_differentiated_within_their_tolerance(name):
     smooth, rough = directions(where)
     at = smooth * (1.0 + 0.2 * where.source_points @ [[1.0], [0.5], [0.3]])
     exact, fast = (
-        derivative_of(
-            make_method(Options("idw", idw=dataclasses.replace(FAST[name], summation=kind))).prepare(where), at
-        )
+        make_method(Options("idw", idw=dataclasses.replace(FAST[name], summation=kind))).prepare(where).linearised(at)
         for kind in ("exact", "fast")
     )
     weight = np.random.default_rng(6).standard_normal((where.grid.n_nodes, 3))
     for change in (rough, smooth):
         one, two = exact.push(change), fast.push(change)
         gap = np.abs(one - two).max()
-        assert 0.0 < gap < TOLERANCE * np.abs(one).max()
+        assert 0.0 < gap < DERIVATIVE_TOLERANCE * np.abs(one).max()
         product, size = (fast.pull(weight.copy()) * change).sum(), np.linalg.norm(weight) * np.linalg.norm(two)
         assert abs((weight * two).sum() - product) < 1e-12 * size
     # The gradient of sources that no case moves is not defined with fast sums.
     moving = where.boundary.kind[where.source_numbers] == Kind.MOVING
     one, two = exact.pull(weight.copy())[moving], fast.pull(weight.copy())[moving]
-    assert np.abs(one - two).max() < TOLERANCE * np.abs(one).max()
+    assert np.abs(one - two).max() < DERIVATIVE_TOLERANCE * np.abs(one).max()
 
 
 @pytest.mark.parametrize("tolerance", [1e-7, 1e-15])
@@ -155,10 +152,10 @@ def test_fast_sums_that_are_too_wrong_are_made_more_accurate_or_exact(monkeypatc
     derivatives = {}
     for kind in ("exact", "fast"):
         method = make_method(Options("idw", idw=IDW(summation=kind))).prepare(where)
-        monkeypatch.setattr(weighting, "TOLERANCE", tolerance)
-        derivatives[kind] = derivative_of(method, smooth)._mover._derivative
+        monkeypatch.setattr(linear_idw, "DERIVATIVE_TOLERANCE", tolerance)
+        derivatives[kind] = method.linearised(smooth).mover.inside
     sums = derivatives["fast"]._sums
-    assert isinstance(sums, ExactSums if tolerance == 1e-15 else FrozenSums)
+    assert isinstance(sums, ExactSums if tolerance == 1e-15 else FastSums)
     out = {kind: np.zeros_like(where.grid.points) for kind in derivatives}
     for kind, derivative in derivatives.items():
         derivative.push(rough, out[kind])
@@ -179,7 +176,7 @@ def test_all_ranks_decide_alike_whether_fast_sums_are_accurate_enough():
     ways = Options("idw", idw=IDW(summation="fast")), Options("rbf", rbf=RBF(summation="fast"))
     methods = [make_method(options).prepare(where) for options in ways]
     with sharing(_OneOfTwo(), 1):
-        idw, rbf = (derivative_of(method, smooth)._mover._derivative for method in methods)
+        idw, rbf = (method.linearised(smooth).mover.inside for method in methods)
     assert isinstance(idw._sums, ExactSums)
     assert rbf._fast is None
 
@@ -194,7 +191,7 @@ def test_memory(name):
         np.linalg.norm(where.source_points - where.source_points[np.flatnonzero(smooth.any(axis=1))[0]], axis=1) < 0.6
     )
     smooth, rough = smooth * near[:, None], rough * near[:, None]
-    derivative = derivative_of(make_method(Options(name)).prepare(where), smooth)
+    derivative = make_method(Options(name)).prepare(where).linearised(smooth)
     weight, peaks = np.ones((where.grid.n_nodes, 3)), []
     for work in (lambda: derivative.push(rough), lambda: derivative.pull(weight.copy())):
         work()
@@ -206,26 +203,14 @@ def test_memory(name):
     assert peaks[1] < 2.3
 
 
-def test_weights_too_large_for_single_precision_are_in_double_precision(monkeypatch):
-    where = problem_of(frame(9, 6), body_specs(turning(20)))
-    smooth, rough = directions(where)
-    monkeypatch.setattr(frozen, "scale_of", lambda parts: Scale(np.zeros(3), 2.0**-30))
-    found = []
-    for kind in ("exact", "fast"):
-        derivative = derivative_of(make_method(Options("idw", idw=IDW(summation=kind))).prepare(where), smooth)
-        found.append(derivative.push(rough))
-    assert isinstance(derivative._mover._derivative._sums, FrozenSums)
-    assert np.abs(found[1] - found[0]).max() < TOLERANCE * np.abs(found[0]).max()
-
-
 @pytest.mark.parametrize("tolerance", [1e-7, 1e-17])
 def test_fast_radial_sums_that_are_too_wrong_are_made_more_accurate_or_exact(monkeypatch, tolerance):
     where = problem_of(frame_2d(30), body_specs(turning(20))[:1])
     smooth, rough = directions(where)
-    monkeypatch.setattr(radial, "TOLERANCE", tolerance)
+    monkeypatch.setattr(linear_rbf, "DERIVATIVE_TOLERANCE", tolerance)
     options = [Options("rbf", rbf=RBF(summation=kind)) for kind in ("exact", "fast")]
-    exact, fast = (derivative_of(make_method(each).prepare(where), smooth) for each in options)
-    assert (fast._mover._derivative._fast is None) == (tolerance == 1e-17)
+    exact, fast = (make_method(each).prepare(where).linearised(smooth) for each in options)
+    assert (fast.mover.inside._fast is None) == (tolerance == 1e-17)
     one, two = exact.push(rough), fast.push(rough)
     assert np.abs(one - two).max() < 1e-6 * np.abs(one).max()
 
@@ -235,10 +220,10 @@ def test_fast_radial_sums_of_rough_directions_are_judged_by_the_derivative():
     sample = md.sample("hemisphere", 8)
     meshes = [md.prepare(sample.grid, sample.case, method=md.RBF(summation=kind)) for kind in ("exact", "fast")]
     exact, fast = (mesh.linearise(steps=1, repair="off") for mesh in meshes)
-    assert fast._derivative._mover._derivative._fast is not None
+    assert fast._derivative.mover.inside._fast is not None
     rough = np.random.default_rng(1).standard_normal(meshes[0].points.shape)
     one, two = (np.concatenate([block.ravel() for block in found.jvp(rough)]) for found in (exact, fast))
-    assert 0.0 < np.abs(one - two).max() < TOLERANCE * np.abs(one).max()
+    assert 0.0 < np.abs(one - two).max() < DERIVATIVE_TOLERANCE * np.abs(one).max()
 
 
 @pytest.mark.parametrize("plane", [False, True])
@@ -248,16 +233,16 @@ def test_fast_radial_sums_are_differentiated(options, plane):
     where = problem_of(frame_2d(30), turn[:1]) if plane else problem_of(frame(9, 6), turn)
     smooth, rough = directions(where)
     methods = [make_method(Options("rbf", rbf=RBF(summation=kind, **options))) for kind in ("exact", "fast")]
-    exact, fast = (derivative_of(method.prepare(where), smooth) for method in methods)
+    exact, fast = (method.prepare(where).linearised(smooth) for method in methods)
     weight = np.random.default_rng(6).standard_normal((where.grid.n_nodes, 3))
     for change in (rough, smooth):
         one, two = exact.push(change), fast.push(change)
         gap = np.abs(one - two).max()
-        assert 0.0 < gap < TOLERANCE * np.abs(one).max()
+        assert 0.0 < gap < DERIVATIVE_TOLERANCE * np.abs(one).max()
         product, size = (fast.pull(weight.copy()) * change).sum(), np.linalg.norm(weight) * np.linalg.norm(two)
         assert abs((weight * two).sum() - product) < 1e-12 * size
     one, two = exact.pull(weight.copy()), fast.pull(weight.copy())
-    assert np.abs(one - two).max() < TOLERANCE * np.abs(one).max()
+    assert np.abs(one - two).max() < DERIVATIVE_TOLERANCE * np.abs(one).max()
 
 
 def test_threads_change_no_bit_of_a_derivative():
@@ -270,7 +255,7 @@ def test_threads_change_no_bit_of_a_derivative():
         method = make_method(options).prepare(where)
         for threads in (1, 2, 3):
             with sharing(OneRank(), threads):
-                derivative = derivative_of(method, smooth)
+                derivative = method.linearised(smooth)
                 found.append((derivative.push(rough), derivative.pull(weight.copy())))
     for one, two, three in (found[:3], found[3:6], found[6:]):
         for part in range(2):
@@ -293,7 +278,7 @@ def test_greedy_centres_are_held_fixed(monkeypatch, correct):
     smooth, rough = directions(where)
     # No two sources share the largest rest.
     smooth = smooth * (1.0 + 0.2 * where.source_points @ [[1.0], [0.5], [0.3]])
-    bound = method._mover._bound
+    bound = method.mover.bound
     chosen = bound.selected(bound.images.displaced(smooth))
 
     def held(values, progress=None):
@@ -317,7 +302,7 @@ def test_fast_sums_of_many_nodes():
     rough = np.random.default_rng(1).standard_normal(at.shape)
     for change in (rough, 1000.0 * at[:, [2, 0, 1]]):
         one, two = (np.concatenate([block.ravel() for block in found.jvp(change)]) for found in (exact, fast))
-        assert np.abs(one - two).max() < TOLERANCE * np.abs(one).max()
+        assert np.abs(one - two).max() < DERIVATIVE_TOLERANCE * np.abs(one).max()
 
 
 def test_where_centres_are_chosen_the_reason_is_named():
@@ -329,10 +314,10 @@ def test_where_centres_are_chosen_the_reason_is_named():
         make_method(Options("rbf", rbf=each)).prepare(where)
         for each in (options, dataclasses.replace(options, greedy="none"))
     )
-    assert derivative_of(greedy, smooth).kinks == {CHOSEN: 1}
-    found = derivative_of(greedy, 0.0 * smooth)
+    assert greedy.linearised(smooth).kinks == {CHOSEN: 1}
+    found = greedy.linearised(0.0 * smooth)
     assert found.kinks == {UNCHOSEN: 1}
-    np.testing.assert_array_equal(found.push(rough), derivative_of(whole, 0.0 * smooth).push(rough))
+    np.testing.assert_array_equal(found.push(rough), whole.linearised(0.0 * smooth).push(rough))
 
 
 def test_where_there_is_no_derivative_is_named():
@@ -341,12 +326,12 @@ def test_where_there_is_no_derivative_is_named():
     at = prescribed_displacement(where.grid, where.topology, where.boundary)[where.source_numbers]
     moving = int(at.any(axis=1).sum())
     method = make_method(METHODS["idw-lie"]).prepare(where)
-    assert derivative_of(method, at).kinks[HALF_TURNS] == moving
+    assert method.linearised(at).kinks[HALF_TURNS] == moving
     # Half-way along straight lines the body has no breadth.
-    assert set(derivative_of(method, 0.5 * at).kinks) == {FOLDED}
+    assert set(method.linearised(0.5 * at).kinks) == {FOLDED}
     shift = at.any(axis=1, keepdims=True) * [0.05, 0.02, 0.0]
     for name, kinks in (("idw-lie", {}), ("idw-alpha-none", {LARGEST: moving})):
-        assert derivative_of(make_method(METHODS[name]).prepare(where), shift).kinks == kinks
+        assert make_method(METHODS[name]).prepare(where).linearised(shift).kinks == kinks
 
 
 def test_an_operation_without_a_rule_is_an_error_and_no_lost_derivative():
@@ -364,7 +349,7 @@ def test_coincident_block_nodes_add_their_gradients():
     where = problem_of(frame(), everything_moves())
     method = make_method(Options("idw-tfi")).prepare(where)
     shift = np.tile([0.3, -0.2, 0.5], (len(where.source_points), 1))
-    gradient = derivative_of(method, np.zeros_like(shift)).pull(np.ones((where.grid.n_nodes, 3)))
+    gradient = method.linearised(np.zeros_like(shift)).pull(np.ones((where.grid.n_nodes, 3)))
     assert (gradient * shift).sum() == pytest.approx(where.grid.n_nodes * 0.6, rel=1e-12)
 
 
@@ -372,5 +357,5 @@ def test_memory_limits_change_no_derivative():
     where = KINDS["slip"]()
     smooth, rough = directions(where)
     tight = dataclasses.replace(where, memory=dataclasses.replace(where.memory, size=2**24))
-    one, two = (derivative_of(make_method(Options("rbf-tfi")).prepare(each), smooth) for each in (where, tight))
+    one, two = (make_method(Options("rbf-tfi")).prepare(each).linearised(smooth) for each in (where, tight))
     np.testing.assert_array_equal(one.push(rough), two.push(rough))

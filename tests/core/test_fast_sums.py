@@ -15,18 +15,18 @@ from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.errors import MethodError
 from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.methods import IDW, RBF, Account, Options, make_method
+from meshdeform_core.methods.scattered import fast_idw_sums
 from meshdeform_core.methods.scattered.summation import sum_accurately
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.exact.elementary import exp, log
 from meshdeform_core.numerics.exact.radial import radial_sums
-from meshdeform_core.numerics.fastsum.clusters import boxes
+from meshdeform_core.numerics.fastsum.clusters.boxes import fit_boxes, interpolate, make_boxes
 from meshdeform_core.numerics.fastsum.clusters.bricks import build_bricks, make_regions, node_sizes
 from meshdeform_core.numerics.fastsum.clusters.targets import shape_table
-from meshdeform_core.numerics.fastsum.clusters.tree import build_tree, gather_charges, interpolation_points
+from meshdeform_core.numerics.fastsum.clusters.tree import build_tree, interpolation_points
 from meshdeform_core.numerics.fastsum.radial.sums import FastRadial
 from meshdeform_core.numerics.fastsum.radial.targets import make_radial_targets
-from meshdeform_core.numerics.fastsum.weighted import sums as fastsum
-from meshdeform_core.numerics.fastsum.weighted.treesum import Charges, charge_rows, gather
+from meshdeform_core.numerics.fastsum.weighted.plan import Charges, gather
 from meshdeform_core.parallel import alone
 
 VARIANTS = {
@@ -114,7 +114,7 @@ def test_two_dimensional_grid():
 def test_error_that_is_too_large_is_found_and_mended(problem, monkeypatch):
     options = Options("idw", idw=IDW(summation="fast", summation_tolerance=1e-3))
     exact = apply(Options("idw", idw=IDW(summation="exact")), problem, told(problem))
-    monkeypatch.setattr(fastsum, "SHARE", 3e4)
+    monkeypatch.setattr(fast_idw_sums, "SHARE", 3e4)
     prepared = make_method(options).prepare(problem)
     error = np.linalg.norm(prepared.apply(told(problem)) - exact, axis=1) / cell_sizes(problem)
     assert prepared.account.settings["sampled_error"].value <= 1e-3
@@ -185,10 +185,8 @@ def test_clusters_hold_their_sources_and_keep_their_charges(n, flat, seed):
     charges = rng.random((n, 8))
     tree = build_tree(points, 3)
     np.testing.assert_array_equal(np.sort(tree.order), np.arange(n))
-    rows, start = charge_rows(tree)
-    rows[:n, 3:] = charges[tree.order]
-    gather_charges(tree, rows, start, np.ones(len(tree.span), dtype=bool), 0, len(tree.span))
-    proxy = rows[n:, 3:]
+    values = np.concatenate([charges[tree.order], np.zeros((tree.boxes.proxy[-1], 8))])
+    proxy = gather(tree, tree.boxes.proxy, values).values[n:]
     for c, (lo, hi) in enumerate(tree.span):
         members = tree.order[lo:hi]
         inside = np.abs((points[members] - tree.boxes.center[c]) @ tree.boxes.axes[c].T)
@@ -202,14 +200,21 @@ def test_clusters_hold_their_sources_and_keep_their_charges(n, flat, seed):
                 np.testing.assert_allclose(points_of.T @ proxy[mine], moments, rtol=1e-9, atol=1e-9)
 
 
-def test_interpolation_reproduces_polynomials():
-    for n in (1, 2, 3, 5, 8):
-        node, weight, value = np.empty(n), np.empty(n), np.empty(n)
-        boxes.chebyshev(n, node, weight)
-        for t in np.r_[np.linspace(-1, 1, 9), node]:
-            boxes.lagrange(n, node, weight, t, value)
-            for power in range(n):
-                assert value @ node**power == pytest.approx(t**power, abs=1e-13)
+@pytest.mark.parametrize("order", [1, 2, 3, 5, 8])
+def test_interpolation_reproduces_polynomials_and_its_transpose_is_one(order):
+    """In a box that is no cube, from its interpolation points to more points than are interpolated together."""
+    rng = np.random.default_rng(order)
+    x = rng.uniform(-1.0, 1.0, (300, 3)) * [3.0, 1.0, 0.4] @ np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    box = make_boxes(*fit_boxes(x, np.arange(300), np.array([[0, 300]])), order)
+    points, task = np.concatenate([x, box.proxies]), np.array([[0, 300, 0, 300]])
+    powers = (points @ rng.standard_normal((3, 8))) ** ((box.per_side.min() - 1) * np.arange(8) // 7)
+    values = np.where(np.arange(len(points))[:, None] < 300, 0.0, powers)
+    interpolate(box, task, points, values, 0, 8, False)
+    np.testing.assert_allclose(values[:300], powers[:300], atol=1e-11 * np.abs(powers).max())
+    weight = np.concatenate([rng.standard_normal((300, 8)), np.zeros((len(box.proxies), 8))])
+    back = weight.copy()
+    interpolate(box, task, points, back, 0, 8, True)
+    assert (weight * values)[:300].sum() == pytest.approx((back * powers)[300:].sum(), rel=1e-10)
 
 
 def test_logarithm_and_exponential():
@@ -274,16 +279,14 @@ def test_an_error_that_is_no_number_is_told_and_spoils_nothing():
 def test_charges_of_used_clusters_are_the_same_without_the_others():
     rng = np.random.default_rng(3)
     tree = build_tree(rng.standard_normal((900, 3)), 3)
-    used = rng.random(len(tree.child)) < 0.4
-    found = []
-    for chosen in (None, used):
-        rows, start = charge_rows(tree, chosen)
-        rows[:900, 3:] = np.random.default_rng(4).random((900, 8))
-        found.append(gather(tree, rows, start))
-    every, some = found
-    assert len(some.rows) == 900 + np.diff(tree.boxes.proxy)[used].sum() < len(every.rows)
+    used, charges = rng.random(len(tree.child)) < 0.4, rng.random((900, 8))
+    every, some = (
+        gather(tree, start, np.concatenate([charges, np.zeros((start[-1], 8))]))
+        for start in (tree.boxes.proxy, np.append(0, np.cumsum(np.where(used, np.diff(tree.boxes.proxy), 0))))
+    )
+    assert len(some.values) == 900 + np.diff(tree.boxes.proxy)[used].sum() < len(every.values)
     for cluster in np.flatnonzero(used):
-        one, other = (each.rows[each.start[cluster] : each.start[cluster + 1]] for each in (every, some))
+        one, other = (each.values[each.start[cluster] : each.start[cluster + 1]] for each in (every, some))
         np.testing.assert_array_equal(one, other)
 
 
@@ -305,14 +308,15 @@ def test_sources_that_act_through_clusters_only_are_left_out():
     rng = np.random.default_rng(3)
     tree = build_tree(rng.random((1000, 3)), 4)
     n, leaves = 1000, np.flatnonzero(tree.child < 0)
-    rows, start = rng.random((n + 7, 11)), np.minimum(n + np.arange(len(tree.child) + 1), n + 7)
+    rows, start = rng.random((n + 7, 8)), np.minimum(n + np.arange(len(tree.child) + 1), n + 7)
     direct = np.zeros(len(tree.child), dtype=bool)
     direct[leaves[[1, 4, 5]]] = True
-    found = Charges(rows, start, tree.span, True).of_sources(tree, direct)
-    assert len(found.rows) == 7 + np.diff(tree.span[direct], axis=1).sum()
+    found = Charges(rows[:, :3], rows, start, tree.span, True).of_sources(tree, direct)
+    assert np.array_equal(found.points, found.values[:, :3])
+    assert len(found.values) == 7 + np.diff(tree.span[direct], axis=1).sum()
     for cluster in np.flatnonzero(direct):
-        assert np.array_equal(found.rows[slice(*found.span[cluster])], rows[slice(*tree.span[cluster])])
+        assert np.array_equal(found.values[slice(*found.span[cluster])], rows[slice(*tree.span[cluster])])
     for cluster in range(len(tree.child)):
         assert np.array_equal(
-            found.rows[slice(*found.start[cluster : cluster + 2])], rows[slice(*start[cluster : cluster + 2])]
+            found.values[slice(*found.start[cluster : cluster + 2])], rows[slice(*start[cluster : cluster + 2])]
         )

@@ -11,7 +11,6 @@ from meshdeform_core.deform import Case, deform
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import IDW, TFI, Options, make_method
 from meshdeform_core.methods.composite import Composite
-from meshdeform_core.methods.derivative import derivative_of
 from meshdeform_core.methods.gaps import OPEN, PreparedInGaps
 from meshdeform_core.quality import Original, assess
 from meshdeform_core.repair import RepairOptions
@@ -122,7 +121,7 @@ def test_derivative_is_that_of_the_blend(make):
     # Sources at rest all have the same motion, or none of the shares that depend on it is what it was.
     moving = problem.boundary.kind[problem.source_numbers] == Kind.MOVING
     change = moving[:, None] * rng.normal(size=at.shape) * [1.0, 1.0, float(make is frame)]
-    derivative, h = derivative_of(method, at), 1e-6
+    derivative, h = method.linearised(at), 1e-6
     pushed = derivative.push(change)
     np.testing.assert_allclose(
         pushed,

@@ -59,7 +59,7 @@ def test_planes_of_an_extrusion_stay_equal(method):
     layer = find_layer(setup.grid, setup.topology, setup.boundary)
     assert layer is not None
     assert (layer.normal == [0, 0, 1]).all()
-    assert len(first_step_nodes(found._half._problem, None)) * 2 == len(first_step_nodes(setup.problem, None))
+    assert len(first_step_nodes(found._half.problem, None)) * 2 == len(first_step_nodes(setup.problem, None))
 
 
 @pytest.mark.parametrize("method", FAST, ids=lambda method: method.name)

@@ -111,7 +111,7 @@ def test_greedy_reduction_keeps_its_tolerance(name):
     prepared = make_method(Options("rbf", rbf=options)).prepare(problem)
     values = told(problem)
     prepared.apply(values)
-    bound = prepared._mover._bound
+    bound = prepared.mover.bound
     fit = bound.fit(values)
     settings = prepared.account.settings
     kept = settings["greedy_points"].value

@@ -156,14 +156,14 @@ def test_threads_of_linear_algebra_change_no_bit_of_many_sources():
 
 def test_sums_made_finer_for_one_displacement_are_not_for_the_next(monkeypatch):
     """The first error allowed to a cluster is far too large here, so that every displacement takes several attempts."""
-    monkeypatch.setattr("meshdeform_core.numerics.fastsum.weighted.sums.SHARE", 1e4)
+    monkeypatch.setattr("meshdeform_core.methods.scattered.fast_idw_sums.SHARE", 1e4)
     where = problem("fast lie")
     told = displacements(where)
     fresh = [moved(METHODS["fast lie"], where, each) for each in told]
     prepared = make_method(METHODS["fast lie"]).prepare(where)
     for number in (0, 4, 0, 1, 5, 4):
         np.testing.assert_array_equal(prepared.apply(told[number]), fresh[number])
-    assert len({plan.key.share for plan in prepared._mover._evaluator._sums._plans}) == 2
+    assert len({plan.key.accuracy for plan in prepared.mover.evaluator.sums.plans}) == 2
 
 
 @pytest.mark.parametrize("basis", ["tps", "wendland-c2"])

@@ -12,11 +12,11 @@ from ...grid import FloatArray, IntArray, Side
 from ...grid.topology import side_nodes
 from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_sums
-from ...parallel import Shared, alone, apart, current_ranks, for_chunks, for_items, rows_of
+from ...parallel import Shared, alone, apart, current_ranks, for_chunks, for_items, require_whole, rows_of
 from ..base import Account, Problem, Progress, Setting, of_stage
 from ..transfinite.skeleton import Skeleton, make_skeleton
 from .centres import Centres
-from .radial_system import RadialSystem
+from .radial_system import ROUND_OFF, RadialSystem
 from .rbf import RBF
 
 _TARGETS, _TERMS = 1024, 4
@@ -62,7 +62,7 @@ class PreparedBlockRBF:
     """
 
     def __init__(self, options: RBF, problem: Problem, skeleton: Skeleton):
-        self._options, self._problem = options, problem
+        self._options, self._problem, self._skeleton = options, problem, skeleton
         blocks = (self._block(n, skeleton.left_out) for n in range(problem.grid.n_blocks))
         self._blocks = [block for block in blocks if block]
         sizes = [len(block.known) for block in self._blocks]
@@ -120,6 +120,27 @@ class PreparedBlockRBF:
         with apart(displacement):
             for_chunks(work, len(tiles), 1, of_stage(progress, "rbf"), shared)
 
+    def differentiable(self) -> PreparedBlockRBF:
+        """The same with accurate solutions, so that :meth:`fill` and :meth:`pull` are transposes of each other."""
+        require_whole(self._problem.grid.points, "a derivative with radial basis functions inside blocks")
+        options = dataclasses.replace(self._options, solver="auto", tolerance=ROUND_OFF)
+        return PreparedBlockRBF(options, self._problem, self._skeleton)
+
+    def pull(self, gradient: FloatArray) -> None:
+        """Transpose of :meth:`fill`: pass gradients (n_nodes, 3) from inside blocks on to their faces, in place."""
+        for block in self._blocks:
+            system, centres = self._system(block), block.centres
+            x, inside = centres.normalised(self._problem.grid.points[block.targets]), gradient[block.targets]
+            upper = radial_sums(BASES[self._options.basis], centres.points, x, inside)
+            lower = centres.polynomial(x)[:, : system.terms.shape[1]].T @ inside
+            gradient[block.targets] = 0.0
+            gradient[block.known] += system.solve_transposed(upper, lower)
+
+    def _system(self, block: _Block) -> RadialSystem:
+        system = block.system or RadialSystem(self._options.system, block.centres, self._problem.memory)
+        block.system = system if self._keep else None
+        return system
+
     def _solved(self, displacement: FloatArray, progress: Progress | None) -> FloatArray:
         """Coefficients (n, 3) of all blocks, of each those of its centres and of the polynomial, the last ones zero."""
         known = [block.known for block in self._blocks]
@@ -132,10 +153,10 @@ class PreparedBlockRBF:
             # Each system is solved by one rank.
             block, account, first = self._blocks[number], Account(), self._first[number]
             with alone():
-                system = block.system or RadialSystem(self._options.system, block.centres, self._problem.memory)
-                found = np.concatenate(system.solve(values[ends[number] : ends[number + 1]], account, None))
+                found = np.concatenate(
+                    self._system(block).solve(values[ends[number] : ends[number + 1]], account, None)
+                )
             coefficients[first : first + len(found)] = found
-            block.system = system if self._keep else None
             accounts.append((number, account))
 
         def rows(first: int, last: int) -> range:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,14 +11,14 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from ...errors import MethodError
-from ...grid import FloatArray, IntArray
+from ...grid import BoolArray, FloatArray, IntArray
 from ...numerics import rotation as rot
-from ...numerics.arrays import weighted_total
+from ...numerics.arrays import places_among, weighted_total
 from ...numerics.frame import AT_REST, Frame
 from ...numerics.rigid import NO_TRANSITION
 from ...numerics.tape import plain
 from ...parallel import of_all
-from ..base import Account, Problem, Progress, Setting
+from ..base import Account, LinearNodes, Problem, Progress, Setting
 from ..limits import LARGEST_ROTATION, PLAIN_ROTATION, warn_of_alpha, warn_of_rotation
 from ..options import MethodOptions, option
 from .idw_sums import Bound, ExactEvaluator, SourceValues
@@ -124,7 +125,7 @@ class PreparedIDW:
         self.problem = problem
         self.images = mirror_images(problem)
         self.area, self.points = self.images.area, self.images.points
-        self._rotations = self._surface_rotations()
+        self.rotations = self._surface_rotations()
         self.length = self._length()
         width = self._width()
         self.far = self._far(width)
@@ -232,13 +233,13 @@ class PreparedIDW:
         """Rigid motions of the sources for one displacement (n_sources, 3)."""
         images = self.images
         d = images.displaced(displacement)
-        frame = self._frame(d)
+        frame = self.frame_of(d)
         # Once the common rotation is removed, half a turn of the whole boundary is no special case.
         inside = d if frame.turn is None else frame.relative(images.points, d)
         if self.options.rotation == "none":
             q, w = np.tile([1.0, 0.0, 0.0, 0.0], (len(d), 1)), np.zeros((len(d), 3))
         else:
-            found = self._rotations.quaternions(inside), self._rotations.vectors(inside)
+            found = self.rotations.quaternions(inside), self.rotations.vectors(inside)
             q, w = rot.smoothed(*found, self._blunt, self._rounds)
             del found
         rest = frame.relative(images.points, d)
@@ -253,9 +254,40 @@ class PreparedIDW:
         transition, shift = NO_TRANSITION, np.linalg.norm(rest, axis=1)
         if self._share and (divided := self._share.applied(values)):
             (values, transition), shift, still = divided, STEEPER * shift, np.zeros(len(values) + 1)
-        return SourceValues(start, values, self._weights(plain(inside)), shift, turn, origin, frame, still, transition)
+        return SourceValues(values, self._weights(plain(inside)), shift, turn, origin, frame, still, transition)
 
-    def _frame(self, d: FloatArray) -> Frame:
+    def reduced(self, acting: BoolArray) -> PreparedIDW:
+        """The same with only the ``acting`` (n,) images of sources, in order, followed by the first of the others, with
+        the area of all of them: they share the same values whatever the others do.
+
+        Faces and their edges connect acting sources only.
+        """
+        images, rest = self.images, np.flatnonzero(~acting)
+        kept = np.concatenate([np.flatnonzero(acting), rest[:1]])
+        number = places_among(kept, len(acting))
+        area = images.area[kept]
+        if rest.size:
+            area[-1] = images.area[rest].sum()
+        found = copy.copy(self)
+        found.images = dataclasses.replace(
+            images, points=images.points[kept], area=area, owner=images.owner[kept], reflection=images.reflection[kept],
+            moving=images.moving[kept], corners=number[images.corners], edges=number[images.edges],
+        )  # fmt: skip
+        found.area, found.points = found.images.area, found.images.points
+        normal = self.problem.plane_normal
+        found.rotations = rot.SurfaceRotations(found.points, found.images.corners, found.images.edges, normal)
+        found._blunt = number[self._blunt]
+        if self._share:
+            found._share = dataclasses.replace(self._share, moving=self._share.moving[kept])
+        return found
+
+    def linearised(self, evaluator: ExactEvaluator | FastEvaluator, displacement: FloatArray) -> LinearNodes:
+        """The derivative of the displacement of the nodes of ``evaluator`` at a displacement (n_sources, 3)."""
+        from .linear_idw import LinearIDW
+
+        return LinearIDW(self, evaluator, displacement)
+
+    def frame_of(self, d: FloatArray) -> Frame:
         """The mean motion of the images, which is removed first: rigid for ``lie`` if the whole boundary moves."""
         if not self.remove_mean:
             return AT_REST

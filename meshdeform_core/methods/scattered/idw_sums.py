@@ -2,35 +2,41 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from ...grid import FloatArray, Grid, IntArray
-from ...numerics.exact.direct import weighted_sums
+from ...grid import BoolArray, FloatArray, Grid, IntArray
+from ...numerics.exact.direct import N_VALUES, weighted_sums
 from ...numerics.frame import Frame
 from ...numerics.rigid import NO_TRANSITION, Transition, finish
-from ...parallel import Shared, apart, for_chunks, rows_at, rows_of
+from ...parallel import Shared, apart, empty, for_chunks, rows_at, rows_of
 from ..base import Progress, of_stage
 
 _CHUNK = 2048
 # Nodes per chunk when fast sums are checked.
 _CHECKED = 64
+_PORTIONS = 32
+
+Weights = tuple[tuple[float, float, float], ...]
+Use = Callable[[slice, IntArray, FloatArray], object]
+Make = Callable[[slice, IntArray, int], FloatArray]
 
 
 @dataclass(frozen=True)
 class SourceValues:
     """A displacement prepared for summation.
 
-    ``sources`` (n, 3) relative to ``origin`` (3,); ``values`` (k, n) per source; ``weights`` (a, b, kappa) per group;
-    ``shift`` and ``turn`` (n,), magnitude of the displacement and rotation angle (radians) of each source; ``frame``,
-    the mean motion that was removed; ``still`` (k,), the values of sources that do not move, if any; ``transition``
-    between moving sources and others.
+    ``values`` (k, n) per source, relative to ``origin`` (3,); ``weights`` (a, b, kappa) per group; ``shift`` and
+    ``turn`` (n,), magnitude of the displacement and rotation angle (radians) of each source; ``frame``, the mean motion
+    that was removed; ``still`` (k,), the values of sources that do not move, if any; ``transition`` between moving
+    sources and others.
     """
 
-    sources: FloatArray
     values: FloatArray
-    weights: tuple[tuple[float, float, float], ...]
+    weights: Weights
     shift: FloatArray
     turn: FloatArray
     origin: FloatArray
@@ -65,14 +71,99 @@ class Bound:
         """Number of steps in which the mean rigid motion is applied."""
         return self.divisions if self.rotation == "division" else 1
 
+    def displacement(self, fit: SourceValues, flat: IntArray, sums: FloatArray) -> FloatArray:
+        """Displacement (n, 3) of the nodes ``flat`` from their sums (n, 1 + k)."""
+        x = rows_at(self.points, flat)
+        moved = np.empty_like(x)
+        finish(self.rotation, sums, x - fit.origin, moved, self.repeats, fit.transition)
+        return fit.frame.absolute(x, moved)
 
-@dataclass(frozen=True)
-class Weighed:
-    """Total weight (n,) of the nodes ``flat`` with the weight functions of each group, from exact sums."""
+    def exact(self, fit: SourceValues, flat: IntArray) -> FloatArray:
+        """Displacement (n, 3) of some nodes by exact sums, with which fast ones are compared."""
+        return self.displacement(fit, flat, ExactSums(self, fit.weights).at(flat, fit.values, chunk=_CHECKED))
 
-    flat: IntArray
-    weights: tuple[tuple[float, float, float], ...]
-    total: FloatArray
+
+class ExactSums:
+    """Exact sums of values over the sources, every node with every source, and their transposes.
+
+    Interface as :class:`...numerics.fastsum.weighted.sums.FastSums`; ``acting`` (n,) are the sources with values other
+    than zero, by default all.
+    """
+
+    def __init__(self, bound: Bound, weights: Weights, acting: BoolArray | None = None) -> None:
+        self._bound, self._weights = bound, weights
+        self.acting = np.ones(len(bound.sources), dtype=bool) if acting is None else acting
+
+    @property
+    def flat(self) -> IntArray:
+        """Flat indices (n,) of the nodes at which sums are taken."""
+        return self._bound.flat
+
+    @cached_property
+    def portions(self) -> int:
+        """Number of parts of the nodes that :meth:`transpose` sums separately; their sums together are no larger than
+        half of the coordinates."""
+        size = 2 * (1 + N_VALUES) * max(int(self.acting.sum()), 1)
+        return max(1, min(_PORTIONS, len(self.flat) // _CHUNK, 3 * len(self._bound.grid.points) // size))
+
+    def at(self, flat: IntArray, values: FloatArray, weigh: bool = True, chunk: int | None = None) -> FloatArray:
+        """Sums (m, 1 + k) of values (k, n) at some nodes, the total weight first, or zero unless ``weigh``; ``chunk``
+        nodes at a time, if no other loop uses the threads."""
+        bound = self._bound
+        x, sums = rows_at(bound.points, flat), np.zeros((len(flat), 1 + len(values)))
+        for group, weights in zip(bound.groups, self._weights, strict=True):
+            acts = self.acting[group]
+            for some, kept in ((group[acts], values), (group[~acts], values[:0])):
+                if len(some) and (weigh or len(kept)):
+                    near = bound.sources[some], bound.strength[some]
+                    sums[:, : 1 + len(kept)] += weighted_sums(x, *near, weights, kept[:, some], chunk=chunk or len(x))
+        if not weigh:
+            sums[:, 0] = 0.0
+        return sums
+
+    def apply(
+        self,
+        values: FloatArray,
+        use: Use,
+        result: FloatArray | None = None,
+        kept: Sequence[FloatArray] = (),
+        weigh: bool = True,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> None:
+        """Call ``use`` with sums (m, 1 + k) of values (k, n) for some rows, with these rows and flat indices (m,)."""
+        flat = self.flat
+        shared = [Shared(each) for each in kept]
+        shared += [] if result is None else [Shared(result, lambda lo, hi: flat[lo:hi])]
+
+        def work(lo: int, hi: int) -> None:
+            use(slice(lo, hi), flat[lo:hi], self.at(flat[lo:hi], values, weigh))
+
+        for_chunks(work, len(flat), _CHUNK, progress, shared)
+
+    def transpose(self, make: Make, k: int, beside: FloatArray) -> FloatArray:
+        """Transpose of :meth:`apply`: gradients (k, n_sources) from those (m, k) of the sums of values."""
+        bound, n, n_acting = self._bound, len(self._bound.sources), int(self.acting.sum())
+        cut = np.linspace(0, len(bound.flat), self.portions + 1).astype(np.int64)
+        place = np.cumsum(self.acting) - 1
+        totals = empty((self.portions, k, n_acting))
+
+        def work(lo: int, hi: int) -> None:
+            for portion in range(lo, hi):
+                totals[portion] = 0.0
+                for first in range(cut[portion], cut[portion + 1], _CHUNK):
+                    rows = slice(first, min(first + _CHUNK, int(cut[portion + 1])))
+                    flat = bound.flat[rows]
+                    given = np.ascontiguousarray(make(rows, flat, portion).T)
+                    x, ones = bound.points[flat], np.ones(len(flat))
+                    for group, weights in zip(bound.groups, self._weights, strict=True):
+                        some = group[self.acting[group]]
+                        found = weighted_sums(bound.sources[some], x, ones, weights, given, chunk=n)
+                        totals[portion][:, place[some]] += bound.strength[some] * found[:, 1:].T
+
+        for_chunks(work, self.portions, 1, shared=[Shared(totals), Shared(beside)])
+        gradient = np.zeros((k, n))
+        gradient[:, self.acting] = sum(totals[portion] for portion in range(self.portions))
+        return gradient
 
 
 @dataclass(frozen=True)
@@ -83,68 +174,10 @@ class ExactEvaluator:
 
     def evaluate(self, fit: SourceValues, out: FloatArray, progress: Progress | None) -> None:
         """Write the displacement of the targets into ``out`` (n_nodes, 3)."""
-        flat, rows = self.bound.flat, rows_of(out)
+        bound, rows = self.bound, rows_of(out)
 
-        def work(lo: int, hi: int) -> None:
-            rows[flat[lo:hi]] = self.displacement(fit, flat[lo:hi])
+        def use(_: slice, flat: IntArray, sums: FloatArray) -> None:
+            rows[flat] = bound.displacement(fit, flat, sums)
 
         with apart(out):
-            shared = [Shared(rows, lambda lo, hi: flat[lo:hi])]
-            for_chunks(work, len(flat), _CHUNK, of_stage(progress, "idw"), shared)
-
-    def displacement(self, fit: SourceValues, flat: IntArray) -> FloatArray:
-        """Displacement (n, 3) of the nodes ``flat``."""
-        x = rows_at(self.bound.points, flat) - fit.origin
-        moved = self._moved(fit, x, self._sums(fit, x))
-        return fit.frame.absolute(rows_at(self.bound.points, flat), moved)
-
-    def checked(self, fit: SourceValues, flat: IntArray, known: Weighed | None) -> tuple[FloatArray, Weighed | None]:
-        """:meth:`displacement` and the weights of these nodes, which are not summed again if ``known``."""
-        if fit.still is None:
-            return self.displacement(fit, flat), None
-        x = rows_at(self.bound.points, flat) - fit.origin
-        if known is None or known.weights != fit.weights or not np.array_equal(known.flat, flat):
-            known = Weighed(flat, fit.weights, self._weight(fit, x))
-        moved = self._moved(fit, x, self._sums_of_moving(fit, x, known.total))
-        return fit.frame.absolute(rows_at(self.bound.points, flat), moved), known
-
-    def _moved(self, fit: SourceValues, x: FloatArray, sums: FloatArray) -> FloatArray:
-        """Displacement (n, 3) of targets at ``x``, relative to the origin, from their sums (n, 1 + k)."""
-        moved = np.empty_like(x)
-        finish(self.bound.rotation, sums, x, moved, self.bound.repeats, fit.transition)
-        return moved
-
-    def _sums(self, fit: SourceValues, x: FloatArray) -> FloatArray:
-        """Sums (n, 1 + k) at targets ``x`` over the sources."""
-        sums = np.zeros((len(x), 1 + len(fit.values)))
-        for group, weights in zip(self.bound.groups, fit.weights, strict=True):
-            near = fit.sources[group], self.bound.strength[group]
-            sums += weighted_sums(x, *near, weights, fit.values[:, group])
-        return sums
-
-    def _weight(self, fit: SourceValues, x: FloatArray) -> FloatArray:
-        """Total weight (n,) at targets ``x``."""
-        total = np.zeros(len(x))
-        for group, weights in zip(self.bound.groups, fit.weights, strict=True):
-            near = fit.sources[group], self.bound.strength[group]
-            total += weighted_sums(x, *near, weights, np.empty((0, len(group))), chunk=_CHECKED)[:, 0]
-        return total
-
-    def _sums_of_moving(self, fit: SourceValues, x: FloatArray, total: FloatArray) -> FloatArray:
-        """Sums (n, 1 + k), with the ``total`` weight (n,), of values relative to those of the sources at rest.
-
-        Only moving sources are summed.
-        """
-        assert fit.still is not None
-        sums = np.empty((len(x), 1 + len(fit.values)))
-        sums[:, 0], sums[:, 1:] = total, total[:, None] * fit.still
-        for group, weights in zip(self.bound.groups, fit.weights, strict=True):
-            moving = np.zeros(len(group), dtype=bool)
-            # Value by value: the differences of all of them would take as much memory as the values.
-            for value, rest in zip(fit.values, fit.still, strict=True):
-                moving |= value[group] != rest
-            some = group[moving]
-            near, values = (fit.sources[some], self.bound.strength[some]), fit.values[:, some]
-            values -= fit.still[:, None]
-            sums[:, 1:] += weighted_sums(x, *near, weights, values, chunk=_CHECKED)[:, 1:]
-        return sums
+            ExactSums(bound, fit.weights).apply(fit.values, use, rows, progress=of_stage(progress, "idw"))

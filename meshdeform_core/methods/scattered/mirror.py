@@ -34,6 +34,12 @@ class Images:
         """Displacements of all images from those of the sources."""
         return np.einsum("nij,nj->ni", self.reflection, displacement[self.owner])
 
+    def gathered(self, gradient: FloatArray) -> FloatArray:
+        """Transpose of :meth:`displaced`: gradients of the sources from those (n, 3) of all images."""
+        found = np.zeros((int(self.owner.max(initial=-1)) + 1, 3))
+        np.add.at(found, self.owner, np.einsum("nij,ni->nj", self.reflection, gradient))
+        return found
+
 
 def mirror_images(problem: Problem) -> Images:
     """The sources of a problem with their images at all symmetry planes."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from ...grid import FloatArray
@@ -16,6 +18,8 @@ from ..base import Account, Progress, Setting, of_stage
 from .centres import DIRECT_CENTRES, Centres, SystemOptions
 
 _TOLERANCE = 1e-6
+ROUND_OFF = 1e-13
+"""Tolerance of iterative solutions to which forward and transposed derivatives agree."""
 
 
 class RadialSystem:
@@ -55,6 +59,24 @@ class RadialSystem:
         if self.solver == "krylov":
             return self._solve_krylov(values, account, progress)
         return self._solve_direct(values, account)
+
+    @classmethod
+    def accurate(cls, options: SystemOptions, centres: Centres, limit: MemoryLimit) -> RadialSystem:
+        """The system for derivatives: with a direct solution, or an iterative one to round-off; it is factorised here,
+        once."""
+        system = cls(dataclasses.replace(options, solver="auto", tolerance=ROUND_OFF), centres, limit)
+        system.solve(np.zeros_like(centres.points), Account(), None)
+        return system
+
+    def solve_transposed(self, upper: FloatArray, lower: FloatArray) -> FloatArray:
+        """Transpose of :meth:`solve`: gradient (n, 3) of the values from those of the coefficients (n, 3) and of the
+        polynomial (q, 3).
+
+        The matrix [A P; P^T 0] is symmetric. A combination of the columns of P satisfies the lower rows of the
+        right-hand side; the solver takes what remains.
+        """
+        part = self.terms @ np.linalg.solve(self.terms.T @ self.terms, lower)
+        return np.asarray(part + self.solve(upper - self.multiply(part), Account(), None)[0])
 
     def multiply(self, coefficients: FloatArray) -> FloatArray:
         """The matrix of basis values between centres times coefficients (n, 3), with the solver's latest accuracy."""

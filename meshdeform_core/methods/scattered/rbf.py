@@ -13,7 +13,7 @@ from ...errors import MethodError
 from ...grid import FloatArray, IntArray
 from ...numerics.exact.basis import BASES
 from ...parallel import rows_at
-from ..base import Account, Problem, Progress, Setting, of_stage
+from ..base import Account, LinearNodes, Problem, Progress, Setting, of_stage
 from ..limits import warn_of_coarse_tolerance, warn_of_radius
 from ..options import MethodOptions, option
 from .centres import DIRECT_CENTRES, Centres, Coefficients, SumOptions, SystemOptions
@@ -225,6 +225,12 @@ class PreparedRBF:
             f"({unit}); asked for {self.options.greedy_tolerance:g}. Raise greedy_max_points or greedy_tolerance"
         )
         self.account.note("greedy", None if found.converged else failed)
+
+    def linearised(self, evaluator: RadialSums, displacement: FloatArray) -> LinearNodes:
+        """The derivative of the displacement of the nodes of ``evaluator`` at a displacement (n_sources, 3)."""
+        from .linear_rbf import linear_rbf
+
+        return linear_rbf(self, evaluator, displacement)
 
     def at(self, flat: IntArray) -> RadialSums:
         """Bind to the target nodes ``flat``."""

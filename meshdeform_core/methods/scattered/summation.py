@@ -19,6 +19,9 @@ _WORST_BRICKS, _RANDOM_NODES = 64, 256
 MAX_RETRIES = 3
 """Largest number of times that fast sums are repeated with higher accuracy."""
 
+DERIVATIVE_TOLERANCE = 1e-5
+"""Error of fast sums in derivatives, relative to the largest change of a value."""
+
 Summation = Literal["auto", "exact", "fast"]
 
 

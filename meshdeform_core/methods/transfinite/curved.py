@@ -15,6 +15,7 @@ import numpy as np
 from ...grid import FloatArray, IntArray
 from ...numerics.transfinite.boxes import inner_numbers
 from ...numerics.transfinite.deviation import add_images, deviations
+from ...numerics.transfinite.transposed import images_transposed
 from ...parallel import for_chunks
 from .groups import Group
 
@@ -79,6 +80,12 @@ class CurvedLines:
             add_images(displacement, self.deviation, self.subs, lo, hi, gradient)
 
         for_chunks(work, len(self.subs), _chunk(self.subs))
+
+    def pull(self, gradient: FloatArray) -> None:
+        """Transpose of :meth:`add`: add to the gradients (n_nodes, 3) of the corners, in place."""
+        found = np.empty((len(self.subs), 3, 3))
+        images_transposed(gradient, self.deviation, self.subs, found)
+        np.add.at(gradient, self.bent.corners, np.einsum("nac,nak->nkc", found, self.bent.inverse))
 
 
 def _measured(group: Group, rows: IntArray, one_plane: bool = False) -> tuple[IntArray, FloatArray, FloatArray]:

@@ -19,6 +19,7 @@ from ...numerics.arrays import distinct_rows, spans
 from ...numerics.rows import put_rows
 from ...parallel import rows_at
 from ..base import Account, Problem, Progress
+from ..kinks import Kinks
 from ..limits import TFI_ROTATION, warn_of_rotation
 from .faces import Faces, Lines
 
@@ -81,7 +82,7 @@ class PreparedEdgeGraph:
     account: Account
 
     def __init__(self, problem: Problem):
-        self.account = Account()
+        self.account, self.kinks = Account(), Kinks()
         self._problem = problem
         grid, topology = problem.grid, problem.topology
         known = problem.boundary.known
@@ -120,6 +121,24 @@ class PreparedEdgeGraph:
         self._lines.blend(face)
         self._faces.blend(face)
         return face
+
+    def linearised(self, displacement: FloatArray) -> PreparedEdgeGraph:
+        """The derivative, which is the same at all displacements."""
+        return self
+
+    push = move
+
+    def pull(self, face: FloatArray, gradient: FloatArray) -> FloatArray:
+        """Transpose of :meth:`push`: gradient (n_sources, 3) from that of the face nodes (n_unique, 3), which is
+        overwritten; no other node is moved here."""
+        self._faces.pull(face)
+        self._lines.pull(face)
+        if self._graph:
+            graph = self._graph
+            found = graph.harmonic(face[self._free])
+            face[self._free] = 0.0
+            np.add.at(face, graph.known, graph.weight[:, None] * found[graph.row])
+        return face[self._problem.source_numbers]
 
 
 def _block_edges(grid: Grid, topology: Topology) -> _Rows:

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...grid import BoolArray, FloatArray, IntArray
 from ...numerics.transfinite.faces import blend_faces, blend_lines, face_coordinates
+from ...numerics.transfinite.transposed import faces_transposed, lines_transposed
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,10 @@ class Lines:
     def blend(self, displacement: FloatArray) -> None:
         """Compute the displacement inside the lines from that of their ends, in place, line by line."""
         blend_lines(displacement, self.start, self.nodes, self.arc)
+
+    def pull(self, gradient: FloatArray) -> None:
+        """Transpose of :meth:`blend`: pass gradients on from inside the lines to their ends, in place."""
+        lines_transposed(gradient, self.start, self.nodes, self.arc)
 
 
 @dataclass(frozen=True)
@@ -73,6 +78,10 @@ class Faces:
     def blend(self, displacement: FloatArray) -> None:
         """Compute the displacement inside the rectangles from that of their edges, in place, one by one."""
         blend_faces(displacement, self.start, self.width, self.nodes, self.wanted, self.s, self.t)
+
+    def pull(self, gradient: FloatArray) -> None:
+        """Transpose of :meth:`blend`: pass gradients on from inside the rectangles to their edges, in place."""
+        faces_transposed(gradient, self.start, self.width, self.nodes, self.wanted, self.s, self.t)
 
 
 def _starts(parts: Sequence[np.ndarray]) -> IntArray:

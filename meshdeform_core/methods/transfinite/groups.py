@@ -11,6 +11,7 @@ from ...numerics.arrays import portions
 from ...numerics.transfinite.arcs import arc_coordinates, arc_numbers, arc_parts
 from ...numerics.transfinite.blend import blend_slabs
 from ...numerics.transfinite.boxes import apart, box_nodes, box_numbers
+from ...numerics.transfinite.transposed import blend_transposed
 from ...parallel import for_chunks
 from .faces import Faces
 
@@ -68,6 +69,14 @@ class Group:
             blend_slabs(values, self.arc, self.subs, chosen[lo:hi])
 
         for_chunks(work, len(chosen), 1 + len(chosen) // _CHUNKS)
+
+    def pull(self, gradient: FloatArray) -> None:
+        """Transpose of :meth:`blend` of all planes: pass gradients (n_nodes, 3) from inside the sub-blocks on to their
+        faces, in place."""
+        if self.faces:
+            self.faces.pull(gradient)
+        else:
+            blend_transposed(gradient, self.arc, self.subs)
 
     @property
     def slabs(self) -> IntArray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -109,8 +110,11 @@ class PreparedTFI:
         # The bent sub-blocks of each group, once it has been examined.
         self._bent: dict[int, Bent] = {}
 
-    def touching(self) -> PreparedTFI:
+    @cached_property
+    def _touching(self) -> PreparedTFI:
         """The same for all sub-blocks with nodes of this rank, on their faces, too; all ranks must call this."""
+        if not isinstance(self.problem.grid.points, Part):
+            return self
         found = copy.copy(self)
         found._subs = self._skeleton.sub_blocks()
         found._choose(inside=False)
@@ -135,6 +139,24 @@ class PreparedTFI:
         with apart(displacement):
             for_items(work, len(self._groups), [Shared(values, filled)], of_stage(progress, "tfi"))
 
+    def differentiable(self) -> PreparedTFI:
+        """The same, as it is linear to round-off."""
+        return self
+
+    def pull(self, gradient: FloatArray) -> None:
+        """Transpose of :meth:`fill`: pass gradients (n_nodes, 3) from inside sub-blocks on to their faces, in place."""
+        # A rank passes on the gradients of all sub-blocks with nodes of its own, on their faces, too.
+        method = self._touching
+        if isinstance(gradient, Part):
+            gradient.widen(*method.rows)
+        values = rows_of(gradient)
+        for number in range(len(method._groups)):
+            with apart(gradient):
+                group, curved = method.group(number)
+            if curved:
+                curved.pull(values)
+            group.pull(values)
+
     def group(self, number: int) -> tuple[Group, CurvedLines | None]:
         """A group of sub-blocks, and the deviations of those grid lines that TFI would not generate."""
         first, last = self._groups[number]
@@ -144,11 +166,6 @@ class PreparedTFI:
         curved = CurvedLines.of(group, self._bent.get(number))
         self._bent[number] = curved.bent
         return group, curved if len(curved.bent.rows) else None
-
-    @property
-    def n_groups(self) -> int:
-        """Number of groups."""
-        return len(self._groups)
 
 
 def _within(subs: IntArray, low: int, high: int, inside: bool) -> tuple[IntArray, tuple[int, int]]:

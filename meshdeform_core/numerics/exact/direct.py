@@ -1,4 +1,4 @@
-"""Exact inverse-distance sums: every target with every source, limited only by the machine's arithmetic.
+"""Inverse-distance sums: every target with every source, in one loop for single and double precision.
 
 The inner loop runs over sources in separate arrays, so that the compiler turns it into vector instructions; on AVX2
 machines it is bound by multiplications and additions once the square root and the division are in single precision.
@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba import types
+from numba.extending import overload
 
 from ...parallel import for_chunks
 from ..arrays import FloatArray, Report
@@ -17,9 +19,16 @@ from .elementary import exp, log
 
 N_VALUES = 7
 """Values that one pass accumulates in addition to the weight; shorter sets are padded with zeros."""
+DOUBLE, SINGLE = np.empty(0), np.empty(0, np.float32)
+"""Precision of :func:`sum_groups`: to round-off, or to about 1e-5."""
 
-_TILE = 128
+# A tile of sources stays in the first-level cache while all targets are summed over it. Its size is fixed, so that the
+# compiler sees that its rows do not alias.
+_TILE = 256
 _CHUNK = 2048
+# Sum of the inverse fourth powers of distances, in units of the extent, above which single precision is not enough:
+# there the fifth power is wrong by a tenth, and it overflows at distances below 1e-8.
+_CLOSE = 2.0**68
 
 
 def weighted_sums(
@@ -46,17 +55,18 @@ def weighted_sums(
     -------
     sums : (n, 1 + k), the weight in column 0
     """
-    a, b, kappa = (float(part) for part in weights)
-    every = np.array([[0, len(sources)]]), np.array([[0, 1]])
-    result = np.empty((len(targets), 1 + len(values)))
+    every, result = (np.array([[0, len(sources)]]), np.array([[0, 1]])), np.empty((len(targets), 1 + len(values)))
+    sources = np.ascontiguousarray(sources)
     for first in range(0, max(len(values), 1), N_VALUES):
         some = values[first : first + N_VALUES]
-        charged = np.zeros((len(sources), 4 + N_VALUES))
-        charged[:, :3], charged[:, 3], charged[:, 4 : 4 + len(some)] = sources, strength, (strength * some).T
+        charges = np.zeros((len(sources), 1 + N_VALUES))
+        charges[:, 0], charges[:, 1 : 1 + len(some)] = strength, (strength * some).T
         sums = np.zeros((len(targets), 1 + N_VALUES))
 
-        def work(lo: int, hi: int, charged: FloatArray = charged, sums: FloatArray = sums) -> None:
-            sum_groups(targets, np.array([[lo, hi]]), charged, *every, a, b, kappa, True, sums)
+        def work(lo: int, hi: int, charges: FloatArray = charges, sums: FloatArray = sums) -> None:
+            sum_groups(
+                targets, np.array([[lo, hi]]), sources, charges, *every, *map(float, weights), True, DOUBLE, sums
+            )
 
         for_chunks(work, len(targets), chunk, progress)
         result[:, 0] = sums[:, 0]
@@ -65,115 +75,220 @@ def weighted_sums(
 
 
 @fast_kernel
-def sum_groups(targets, target_span, charged, pieces, piece_span, a, b, kappa, all_charges, out):
+def sum_groups(targets, target_span, sources, charges, pieces, piece_span, a, b, kappa, all_charges, precision, out):
     """Add to ``out`` (n, 8) the sums of charge * (r^-a + kappa r^-b), for groups of targets and of sources.
 
     Parameters
     ----------
     targets : (n, 3)
     target_span : (m, 2) int64, first and one past the last target of each group
-    charged : (s, 11) x, y, z and eight charges of the sources
+    sources, charges : (s, 3), (s, 8)
     pieces : (p, 2) int64, first and one past the last source of each piece, none of them empty
     piece_span : (m, 2) int64, first and one past the last piece that acts on each group
     all_charges : whether all eight charges are summed; otherwise the first and the last one are taken as zero
+    precision : :data:`DOUBLE`, or :data:`SINGLE` for a = 3 or 4 with b = 5: twice as many numbers per vector register.
+        Coordinates are then relative to the targets and in units of their extent, so that a distance is wrong by less
+        than 1e-7 of that extent however far away the origin is; distances below 1e-5 of it are computed in double
+        precision. Charges should be of the order of one.
     """
     # Whole exponents: r^-3 (three + four / r + five / r^2) in one vector loop.
     whole = (a == 3.0 or a == 4.0) and b == 5.0
-    # Square roots take a fraction of the time of logarithms and exponentials.
-    roots = a == 2.5 and b == 5.0
-    # A tile of sources stays in the first-level cache while all targets are summed over it. Its size is fixed, so that
-    # the compiler sees that its rows do not alias.
-    tile, weight = np.empty((11, _TILE)), np.empty(_TILE)
+    tile, weight = np.empty((11, _TILE), precision.dtype), np.empty(_TILE, precision.dtype)
+    # Of this precision: coordinates of a target, factors of r^-3, r^-4 and r^-5, zero.
+    own, center, row = np.empty(7, precision.dtype), np.empty(3), np.empty(_TILE, np.int64)
+    own[6] = 0.0
     for group in range(target_span.shape[0]):
-        piece, end = piece_span[group, 0], piece_span[group, 1]
-        at = pieces[piece, 0] if piece < end else 0
-        unit = three = four = five = 1.0
-        if whole and piece < end and target_span[group, 0] < target_span[group, 1]:
-            unit = _unit(targets, target_span[group, 0], charged, at)
-            three, four = (unit**3, 0.0) if a == 3.0 else (0.0, unit**4)
-            five = kappa * unit**5
+        first, last, piece, end = (
+            target_span[group, 0],
+            target_span[group, 1],
+            piece_span[group, 0],
+            piece_span[group, 1],
+        )
+        if first == last or piece == end:
+            continue
+        at = pieces[piece, 0]
+        unit = _frame(precision, targets, first, last, sources, at, center) if whole else _unscaled(center)
+        back = _factors(a, kappa, unit, own) if whole else 1.0
+        three, four, five, zero = own[3], own[4], own[5], own[6]
         while piece < end:
             m = 0
             while piece < end and m < _TILE:
                 more = min(pieces[piece, 1] - at, _TILE - m)
                 for s in range(more):
-                    for row in range(3):
-                        tile[row, m + s] = unit * charged[at + s, row]
-                    for row in range(3, 11):
-                        tile[row, m + s] = charged[at + s, row]
+                    row[m + s] = at + s
+                    for d in range(3):
+                        tile[d, m + s] = unit * (sources[at + s, d] - center[d])
+                    for c in range(8):
+                        tile[3 + c, m + s] = charges[at + s, c]
                 m += more
                 at += more
                 if at == pieces[piece, 1]:
                     piece += 1
                     at = pieces[min(piece, end - 1), 0]
-            for t in range(target_span[group, 0], target_span[group, 1]):
-                px, py, pz = unit * targets[t, 0], unit * targets[t, 1], unit * targets[t, 2]
+            for t in range(first, last):
+                for d in range(3):
+                    own[d] = unit * (targets[t, d] - center[d])
+                px, py, pz = own[0], own[1], own[2]
                 if not whole:
-                    _weights(px, py, pz, tile, m, a, b, kappa, roots, weight)
-                _add(px, py, pz, tile, m, three, four, five, whole, all_charges, weight, out, t)
+                    _add_any(px, py, pz, tile, m, a, b, kappa, weight, out, t)
+                    continue
+                a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = close = zero
+                for s in range(m):
+                    dx, dy, dz = px - tile[0, s], py - tile[1, s], pz - tile[2, s]
+                    r = _inverse_root(dx * dx + dy * dy + dz * dz)
+                    r2 = r * r
+                    # A sum, unlike a minimum, is vectorised.
+                    close = _closer(close, r2)
+                    w = r * r2 * (three + r * (four + five * r))
+                    weight[s] = w
+                    a1 += w * tile[4, s]
+                    a2 += w * tile[5, s]
+                    a3 += w * tile[6, s]
+                    a4 += w * tile[7, s]
+                    a5 += w * tile[8, s]
+                    a6 += w * tile[9, s]
+                if close > _CLOSE:
+                    _add_in_double(targets, t, sources, charges, row, m, a, kappa, all_charges, out)
+                    continue
+                out[t, 1] += back * a1
+                out[t, 2] += back * a2
+                out[t, 3] += back * a3
+                out[t, 4] += back * a4
+                out[t, 5] += back * a5
+                out[t, 6] += back * a6
+                if all_charges:
+                    for s in range(m):
+                        a0 += weight[s] * tile[3, s]
+                        a7 += weight[s] * tile[10, s]
+                    out[t, 0] += back * a0
+                    out[t, 7] += back * a7
 
 
-@inlined
-def _unit(targets, target, charged, source):
-    """A power of two that scales the distances of a group to the order of one."""
-    largest = 0.0
-    for d in range(3):
-        largest = max(largest, abs(targets[target, d] - charged[source, d]))
-    return math.ldexp(1.0, -math.frexp(largest)[1])
+def _inverse_root(square):
+    """One over the root of a square, in its precision."""
+    raise NotImplementedError
 
 
-@inlined
-def _add(px, py, pz, tile, m, three, four, five, whole, all_charges, weight, out, t):
-    """Contribution of a tile to one target; ``whole``: weights three r^-3 + four r^-4 + five r^-5, one vector loop.
+@overload(_inverse_root, inline="always")
+def _inverse_root_of(square):
+    def single(square):
+        return np.float32(1.0) / math.sqrt(square)
 
-    A root and a division in double precision would take longer than the rest of the loop. They are computed in single
-    precision, to a relative error below 3e-7, and refined by two terms of the binomial series to round-off. Distances
-    within a group may differ by a factor of 1e19.
-    """
-    a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = 0.0
-    for s in range(m):
-        if whole:
-            dx, dy, dz = px - tile[0, s], py - tile[1, s], pz - tile[2, s]
-            square = dx * dx + dy * dy + dz * dz
-            r = np.float64(np.float32(1.0) / math.sqrt(np.float32(square)))
-            rest = 1.0 - square * r * r
-            r += r * rest * (0.5 + 0.375 * rest)
-            r2 = r * r
-            w = r * r2 * (three + r * (four + five * r))
-            weight[s] = w
-        else:
-            w = weight[s]
-        a1 += w * tile[4, s]
-        a2 += w * tile[5, s]
-        a3 += w * tile[6, s]
-        a4 += w * tile[7, s]
-        a5 += w * tile[8, s]
-        a6 += w * tile[9, s]
-    out[t, 1] += a1
-    out[t, 2] += a2
-    out[t, 3] += a3
-    out[t, 4] += a4
-    out[t, 5] += a5
-    out[t, 6] += a6
-    if all_charges:
+    def double(square):
+        # A root and a division in double precision would take longer than the rest of the loop. They are computed in
+        # single precision, to a relative error below 3e-7, and refined by two terms of the binomial series to
+        # round-off. Distances within a group may differ by a factor of 1e19.
+        r = np.float64(np.float32(1.0) / math.sqrt(np.float32(square)))
+        rest = 1.0 - square * r * r
+        return r + r * rest * (0.5 + 0.375 * rest)
+
+    return single if square == types.float32 else double
+
+
+def _closer(close, r2):
+    """Sum of fourth powers, which only single precision needs."""
+    raise NotImplementedError
+
+
+@overload(_closer, inline="always")
+def _closer_of(close, r2):
+    def single(close, r2):
+        return close + r2 * r2
+
+    def double(close, r2):
+        return close
+
+    return single if r2 == types.float32 else double
+
+
+def _frame(precision, targets, first, last, sources, source, center):
+    """Store the origin of a group in ``center`` and return the factor that scales its distances to the order of one."""
+    raise NotImplementedError
+
+
+@overload(_frame)
+def _frame_of(precision, targets, first, last, sources, source, center):
+    def single(precision, targets, first, last, sources, source, center):
+        # The middle of the targets, and their extent or, for one target, a part of its distance.
+        extent = apart = 0.0
+        for d in range(3):
+            low = high = targets[first, d]
+            for t in range(first, last):
+                low, high = min(low, targets[t, d]), max(high, targets[t, d])
+            center[d] = 0.5 * (low + high)
+            extent += (high - low) ** 2
+            apart += (sources[source, d] - center[d]) ** 2
+        return 1.0 / max(math.sqrt(extent), 1e-3 * math.sqrt(apart), 1e-300)
+
+    def double(precision, targets, first, last, sources, source, center):
+        largest = 0.0
+        for d in range(3):
+            center[d] = 0.0
+            largest = max(largest, abs(targets[first, d] - sources[source, d]))
+        return math.ldexp(1.0, -math.frexp(largest)[1])
+
+    return single if precision.dtype == types.float32 else double
+
+
+def _add_any(px, py, pz, tile, m, a, b, kappa, weight, out, t):
+    """Contribution of ``m`` sources of a tile to one target, for any exponents; in double precision only."""
+    raise NotImplementedError
+
+
+@overload(_add_any, jit_options={"fastmath": True})
+def _add_any_of(px, py, pz, tile, m, a, b, kappa, weight, out, t):
+    def none(px, py, pz, tile, m, a, b, kappa, weight, out, t):
+        pass
+
+    def double(px, py, pz, tile, m, a, b, kappa, weight, out, t):
+        # Square roots take a fraction of the time of logarithms and exponentials.
+        roots = a == 2.5 and b == 5.0
         for s in range(m):
-            a0 += weight[s] * tile[3, s]
-            a7 += weight[s] * tile[10, s]
-        out[t, 0] += a0
-        out[t, 7] += a7
+            dx, dy, dz = px - tile[0, s], py - tile[1, s], pz - tile[2, s]
+            weight[s] = dx * dx + dy * dy + dz * dz
+        for s in range(m):
+            if roots:
+                r = 1.0 / math.sqrt(weight[s])
+                half = r * r * math.sqrt(r)
+                weight[s] = half * (1.0 + kappa * half)
+            else:
+                log_r = 0.5 * log(weight[s])
+                weight[s] = exp(-a * log_r) + kappa * exp(-b * log_r)
+        for c in range(8):
+            total, charge = 0.0, tile[3 + c]
+            for s in range(m):
+                total += weight[s] * charge[s]
+            out[t, c] += total
+
+    return double if weight.dtype == types.float64 else none
 
 
 @inlined
-def _weights(px, py, pz, tile, m, a, b, kappa, roots, weight):
-    """Weights of ``m`` sources of a tile for a target; with ``roots`` (a = 2.5, b = 5) from square roots."""
+def _unscaled(center):
+    center[0] = center[1] = center[2] = 0.0
+    return 1.0
+
+
+@inlined
+def _factors(a, kappa, unit, factors):
+    """Store the factors of r^-3, r^-4 and r^-5, with r in units of the extent; return the common factor of the sums."""
+    first_power, last_power = 1.0 if a == 3.0 else unit, kappa * unit * unit
+    # Dividing by the larger of the two keeps the weights of all distances that are not close finite.
+    largest = math.ldexp(1.0, math.frexp(max(first_power, last_power))[1])
+    factors[3], factors[4] = (first_power / largest, 0.0) if a == 3.0 else (0.0, first_power / largest)
+    factors[5] = last_power / largest
+    return unit * unit * unit * largest
+
+
+@inlined
+def _add_in_double(targets, target, sources, charges, row, m, a, kappa, all_charges, out):
+    """Contribution of ``m`` sources, those of the numbers ``row``, to one target."""
+    low, high = (0, 8) if all_charges else (1, 7)
     for s in range(m):
-        dx, dy, dz = px - tile[0, s], py - tile[1, s], pz - tile[2, s]
-        weight[s] = dx * dx + dy * dy + dz * dz
-    for s in range(m):
-        if roots:
-            r = 1.0 / math.sqrt(weight[s])
-            half = r * r * math.sqrt(r)
-            weight[s] = half * (1.0 + kappa * half)
-        else:
-            log_r = 0.5 * log(weight[s])
-            weight[s] = exp(-a * log_r) + kappa * exp(-b * log_r)
+        square = 0.0
+        for d in range(3):
+            square += (targets[target, d] - sources[row[s], d]) ** 2
+        r = 1.0 / math.sqrt(square)
+        w = (r * r * r if a == 3.0 else r * r * r * r) + kappa * r * r * r * r * r
+        for c in range(low, high):
+            out[target, c] += w * charges[row[s], c]

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import FloatArray, IntArray
-from ...jit import inlined, kernel
+from ...arrays import FloatArray, IntArray, batches
+from ...arrays import spans as runs_of
+from ...jit import fast_kernel, inlined
 from ..tuned import REFERENCE_RATIO
+
+_TOGETHER = 1 << 18
+"""Points to which boxes are fitted at a time."""
+# Points that are interpolated at a time, and the most interpolation points per side.
+_LENGTH, _MOST = 128, 32
 
 
 class Boxes(NamedTuple):
@@ -43,20 +50,25 @@ def make_boxes(
     sizes = per_side.prod(axis=1)
     if fewest is not None:
         sizes[sizes >= fewest] = 0
-    proxy = np.append(0, np.cumsum(sizes))
-    proxies = np.empty((0, 3)) if fewest is not None else place_points(center, axes, half, per_side, proxy)
-    return Boxes(center, axes, half, per_side, proxy, proxies)
+    boxes = Boxes(center, axes, half, per_side, np.append(0, np.cumsum(sizes)), np.empty((0, 3)))
+    return boxes if fewest is not None else boxes._replace(proxies=place_points(boxes, boxes.proxy))
 
 
 def fit_boxes(points: FloatArray, members: IntArray, span: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Smallest boxes along the principal axes of ``points[members[lo:hi]]`` for each row lo, hi of ``span`` (m, 2).
 
-    Returns middles (m, 3), axes (m, 3, 3) in rows, longest first, and half widths (m, 3).
+    Returns middles (m, 3), axes (m, 3, 3) in rows, longest first, and half widths (m, 3); middles and half widths are
+    zero for boxes without members.
     """
-    m = len(span)
-    center, covariance = np.empty((m, 3)), np.empty((m, 3, 3))
-    _moments(points, members, span, center, covariance)
-    axes = np.ascontiguousarray(np.linalg.eigh(covariance)[1].transpose(0, 2, 1)[:, ::-1])
+    center, scatter = np.zeros((len(span), 3)), np.zeros((len(span), 3, 3))
+    for boxes, begin, x in _members(points, members, span):
+        mean = np.add.reduceat(x, begin) / np.diff(span[boxes], axis=1)
+        center[boxes] = mean
+        x -= np.repeat(mean, span[boxes, 1] - span[boxes, 0], axis=0)
+        for d in range(3):
+            for e in range(d + 1):
+                scatter[boxes, d, e] = np.add.reduceat(x[:, d] * x[:, e], begin)
+    axes = np.ascontiguousarray(np.linalg.eigh(scatter)[1].transpose(0, 2, 1)[:, ::-1])
     low, high = extents(points, members, span, center, axes)
     center += np.einsum("md,mde->me", 0.5 * (low + high), axes)
     return center, axes, 0.5 * (high - low)
@@ -70,43 +82,24 @@ def extents(
     Both are 0 for boxes without members.
     """
     low, high = np.zeros(center.shape), np.zeros(center.shape)
-    _extents(points, members, span, center, axes, low, high)
+    for boxes, begin, x in _members(points, members, span):
+        sizes = span[boxes, 1] - span[boxes, 0]
+        x -= np.repeat(center[boxes], sizes, axis=0)
+        for row in range(3):
+            along = np.einsum("nd,nd->n", x, np.repeat(axes[boxes, row], sizes, axis=0))
+            low[boxes, row], high[boxes, row] = np.minimum.reduceat(along, begin), np.maximum.reduceat(along, begin)
     return low, high
 
 
-@kernel
-def _moments(points, members, span, center, covariance):
-    """Means of the members, and the lower triangles of their scatter matrices (sums of products about the means)."""
-    for b in range(span.shape[0]):
-        lo, hi = span[b, 0], span[b, 1]
-        share = 1.0 / max(hi - lo, 1)
-        for d in range(3):
-            mean = 0.0
-            for i in range(lo, hi):
-                mean += points[members[i], d]
-            center[b, d] = mean * share
-        for d in range(3):
-            for e in range(d + 1):
-                total = 0.0
-                for i in range(lo, hi):
-                    n = members[i]
-                    total += (points[n, d] - center[b, d]) * (points[n, e] - center[b, e])
-                covariance[b, d, e] = total
-
-
-@kernel
-def _extents(points, members, span, center, axes, low, high):
-    for b in range(span.shape[0]):
-        for row in range(3):
-            u, v, w = axes[b, row, 0], axes[b, row, 1], axes[b, row, 2]
-            x, y, z = center[b, 0], center[b, 1], center[b, 2]
-            for i in range(span[b, 0], span[b, 1]):
-                n = members[i]
-                at = u * (points[n, 0] - x) + v * (points[n, 1] - y) + w * (points[n, 2] - z)
-                if i == span[b, 0] or at < low[b, row]:
-                    low[b, row] = at
-                if i == span[b, 0] or at > high[b, row]:
-                    high[b, row] = at
+def _members(points: FloatArray, members: IntArray, span: IntArray) -> Iterator[tuple[IntArray, IntArray, FloatArray]]:
+    """Numbers of some boxes with members, where each begins in a list of all members of these, and the coordinates of
+    the members; a few boxes at a time, which bounds the memory."""
+    filled = np.flatnonzero(span[:, 1] > span[:, 0])
+    for lo, hi in batches(span[filled, 1] - span[filled, 0], _TOGETHER):
+        boxes = filled[lo:hi]
+        sizes = span[boxes, 1] - span[boxes, 0]
+        box, place = runs_of(sizes)
+        yield boxes, np.cumsum(sizes) - sizes, points[members[span[boxes[box], 0] + place]]
 
 
 def points_per_side(half: FloatArray, order: int) -> IntArray:
@@ -117,63 +110,93 @@ def points_per_side(half: FloatArray, order: int) -> IntArray:
     return np.where(thick, np.maximum(wanted, 1.0), 1.0).astype(np.int64)
 
 
-def place_points(
-    center: FloatArray, axes: FloatArray, half: FloatArray, count: IntArray, start: IntArray
-) -> FloatArray:
-    """Interpolation points (total, 3) of all boxes; those of box b begin at ``start[b]``."""
-    points = np.empty((start[-1], 3))
-    _place_points(center, axes, half, count, start, points)
+def place_points(boxes: Boxes, start: IntArray) -> FloatArray:
+    """Interpolation points of boxes, tensor products of Chebyshev points along their sides: those of box b are the rows
+    from ``start[b]`` to ``start[b + 1]``; some boxes may have none."""
+    box, place = runs_of(np.diff(start))
+    count = boxes.per_side[box]
+    number = np.stack(
+        [place // (count[:, 1] * count[:, 2]), place // count[:, 2] % count[:, 1], place % count[:, 2]], 1
+    )
+    along = boxes.half[box] * np.cos((2 * number + 1) * math.pi / (2 * count))
+    points = boxes.center[box]
+    for row in range(3):
+        points += along[:, row, None] * boxes.axes[box, row]
     return points
 
 
-@kernel
-def _place_points(center, axes, half, count, start, out):
-    """Tensor products of Chebyshev points along the sides; boxes without any points are skipped."""
-    node = np.empty((3, 32))
-    for b in range(center.shape[0]):
-        n = start[b]
-        if start[b + 1] == n:
-            continue
-        for d in range(3):
-            for i in range(count[b, d]):
-                node[d, i] = half[b, d] * math.cos((2 * i + 1) * math.pi / (2 * count[b, d]))
-        for i in range(count[b, 0]):
-            for j in range(count[b, 1]):
-                for k in range(count[b, 2]):
-                    x, y, z = node[0, i], node[1, j], node[2, k]
-                    for d in range(3):
-                        out[n, d] = center[b, d] + x * axes[b, 0, d] + y * axes[b, 1, d] + z * axes[b, 2, d]
-                    n += 1
+@fast_kernel
+def interpolate(boxes, tasks, points, values, low, high, transposed):
+    """Add to ``values`` (n, 8) of some points those interpolated from the interpolation points of a box around them.
+
+    ``transposed``: add to the values of the interpolation points those of the points, shared out by the same weights.
+
+    Parameters
+    ----------
+    tasks : (t, 4) box, row of its first interpolation point, row of the first point, and one past the last
+    points : (n, 3); only the coordinates of points inside boxes are used
+    low, high : columns of ``values`` that are not zero
+    """
+    share, line = np.empty((3 * _MOST, _LENGTH)), np.empty((8, _LENGTH))
+    at, product = np.empty(_LENGTH), np.empty(_LENGTH)
+    for task in range(tasks.shape[0]):
+        b = tasks[task, 0]
+        for first in range(tasks[task, 2], tasks[task, 3], _LENGTH):
+            n, m = min(_LENGTH, tasks[task, 3] - first), tasks[task, 1]
+            for d in range(3):
+                _shares(boxes, b, points, first, n, d, at, product, share)
+            for c in range(low, high):
+                for t in range(n):
+                    line[c, t] = values[first + t, c] if transposed else 0.0
+            for i in range(boxes.per_side[b, 0]):
+                for j in range(boxes.per_side[b, 1]):
+                    for k in range(boxes.per_side[b, 2]):
+                        one, two, three = share[i], share[_MOST + j], share[2 * _MOST + k]
+                        for t in range(n):
+                            product[t] = one[t] * two[t] * three[t]
+                        for c in range(low, high):
+                            if transposed:
+                                total = 0.0
+                                for t in range(n):
+                                    total += line[c, t] * product[t]
+                                values[m, c] += total
+                            else:
+                                value = values[m, c]
+                                for t in range(n):
+                                    line[c, t] += value * product[t]
+                        m += 1
+            if not transposed:
+                for c in range(low, high):
+                    for t in range(n):
+                        values[first + t, c] += line[c, t]
 
 
 @inlined
-def chebyshev(n, node, weight):
-    """Chebyshev points of the first kind in [-1, 1] and their barycentric weights."""
-    for i in range(n):
-        angle = (2 * i + 1) * math.pi / (2 * n)
-        node[i] = math.cos(angle)
-        weight[i] = (math.sin(angle) if i % 2 == 0 else -math.sin(angle)) * 2.0 ** (n - 1) / n
+def _shares(boxes, b, points, first, n, d, at, product, share):
+    """Lagrange polynomials along side ``d`` of a box at ``n`` points, in rows of ``share`` from d * _MOST on.
 
-
-@inlined
-def lagrange(n, node, weight, t, value):
-    """Values of the n Lagrange polynomials at ``t``, as products of the distances from the other points."""
-    product = 1.0
-    for i in range(n):
-        value[i] = weight[i] * product
-        product *= t - node[i]
-    product = 1.0
-    for i in range(n - 1, -1, -1):
-        value[i] *= product
-        product *= t - node[i]
-
-
-@inlined
-def box_coordinate(points, s, center, axes, half, b, row):
-    """Coordinate of point ``s`` along axis ``row`` of box ``b``, from -1 to 1 inside the box."""
-    at = 0.0
-    if half[b, row] > 0.0:
-        for d in range(3):
-            at += axes[b, row, d] * (points[s, d] - center[b, d])
-        at /= half[b, row]
-    return at
+    The nodes are Chebyshev points of the first kind, with barycentric weights.
+    """
+    count = boxes.per_side[b, d]
+    for t in range(n):
+        at[t], product[t] = 0.0, 1.0
+    if boxes.half[b, d] > 0.0:
+        for e in range(3):
+            factor, origin = boxes.axes[b, d, e] / boxes.half[b, d], boxes.center[b, e]
+            for t in range(n):
+                at[t] += factor * (points[first + t, e] - origin)
+    for i in range(count):
+        angle = (2 * i + 1) * math.pi / (2 * count)
+        node, weight = math.cos(angle), math.sin(angle) * (1.0 - 2.0 * (i % 2)) * 2.0 ** (count - 1) / count
+        row = share[d * _MOST + i]
+        for t in range(n):
+            row[t] = weight * product[t]
+            product[t] *= at[t] - node
+    for t in range(n):
+        product[t] = 1.0
+    for i in range(count - 1, -1, -1):
+        node = math.cos((2 * i + 1) * math.pi / (2 * count))
+        row = share[d * _MOST + i]
+        for t in range(n):
+            row[t] *= product[t]
+            product[t] *= at[t] - node

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...arrays import FloatArray, IntArray
-from ...jit import kernel
+from ....parallel import for_chunks
+from ...arrays import BoolArray, FloatArray, IntArray
 from ...pieces import pieces
 from ..tuned import RADIAL_REGION
 from .boxes import fit_boxes
-from .bricks import list_targets, longest_side
 
 
-class TargetTree(NamedTuple):
-    """Binary trees over the targets of parts of the grid (regions).
+class Halves(NamedTuple):
+    """Parts of blocks as binary trees: index ranges, halved until they hold at most a number of targets.
 
-    Nodes of the trees are numbered so that parents come before their children.
+    Tree nodes are numbered so that parents come before their children.
 
     Attributes
     ----------
@@ -25,8 +24,132 @@ class TargetTree(NamedTuple):
     span : (m, 2) first and one past the last target below each tree node
     child : (m, 2) children of each tree node, -1 for leaves and for parts without targets
     region : (g + 1,) first tree node of each region, its root
-    center, axes, half : (m, 3), (m, 3, 3), (m, 3) boxes along principal axes
     """
+
+    targets: np.ndarray
+    span: np.ndarray
+    child: np.ndarray
+    region: np.ndarray
+
+    @property
+    def leaves(self) -> IntArray:
+        """Tree nodes that are leaves and hold targets, in the order of these."""
+        found = np.flatnonzero((self.child[:, 0] < 0) & (self.span[:, 1] > self.span[:, 0]))
+        return np.asarray(found[np.argsort(self.span[found, 0])])
+
+
+def halve(
+    points: FloatArray, shapes: IntArray, offsets: IntArray, flat: IntArray, capacity: float, region: int
+) -> Halves:
+    """Trees of the nodes ``flat`` (n,), ascending, of a grid, with leaves of at most about ``capacity`` targets.
+
+    Index ranges are halved along the direction in which they are longest in space, so that leaves are compact although
+    cells are stretched. A region is a range with about ``region`` leaves. No tree extends beyond a piece of a block
+    (:mod:`...pieces`), so trees do not depend on which other parts of the grid are evaluated, or held by this rank.
+
+    Parameters
+    ----------
+    points : (n_nodes, 3)
+    shapes : (n_blocks, 3) int64, nodes
+    offsets : (n_blocks + 1,) int64
+    """
+    block, low, high = pieces(shapes).T
+    rows = offsets[block] + np.stack([low, high]) * shapes[block, 1:].prod(axis=1)
+    ends = np.searchsorted(flat, rows)
+    some = np.flatnonzero(ends[1] > ends[0])
+    parts: dict[int, Halves] = {}
+
+    def cut(number: int, _: int) -> None:
+        piece = some[number]
+        (lo, hi), own = rows[:, piece], flat[slice(*ends[:, piece])]
+        shape = (high[piece] - low[piece], *shapes[block[piece], 1:])
+        mask = np.zeros(hi - lo, dtype=bool)
+        mask[own - lo] = True
+        volume = capacity * mask.size / len(own)
+        found = _cut(points[lo:hi].reshape(*shape, 3), mask.reshape(shape), volume, region)
+        parts[number] = found._replace(targets=found.targets + lo)
+
+    for_chunks(cut, len(some), 1)
+    none, pairs = np.empty(0, np.int64), np.empty((0, 2), np.int64)
+    every, used, nodes = [Halves(none, pairs, pairs, none)], 0, 0
+    for _, (targets, span, child, roots) in sorted(parts.items()):
+        every.append(Halves(targets, span + used, np.where(child >= 0, child + nodes, -1), roots + nodes))
+        used, nodes = used + len(targets), nodes + len(span)
+    targets, span, child, roots = (np.concatenate(each) for each in zip(*every, strict=True))
+    return Halves(targets, span, child, np.append(roots, nodes))
+
+
+def _cut(x: FloatArray, mask: BoolArray, capacity: float, region: int) -> Halves:
+    """The trees of one piece, its targets counted from 0; all index ranges of a level are halved together."""
+    # First and one past the last index along each axis, and the tree node of each range, -1 outside regions.
+    box, node, used = np.array([[[0, n] for n in mask.shape]]), np.array([-1]), 0
+    # Path from the whole piece as a binary number, and that of the region: the lower half comes first.
+    path, root, bit = np.zeros(1, dtype=np.int64), np.zeros(1, dtype=np.int64), 1 << 61
+    # Of every tree node: path, path of its region, level; parents and their children; leaves.
+    places, families, leaves = [], [], []
+    for level in range(62):
+        size = np.diff(box, axis=2).prod(axis=(1, 2))
+        new = np.flatnonzero((node < 0) & (size <= region * capacity))
+        node[new], root[new], used = used + np.arange(len(new)), path[new], used + len(new)
+        places.append((path[new], root[new], np.full(len(new), 2 * level)))
+        whole = size <= capacity
+        leaves.append((path[whole], node[whole], box[whole]))
+        box, node, path, root = (each[~whole] for each in (box, node, path, root))
+        if not len(box):
+            break
+        axis, every = _longest_sides(x, box), np.arange(len(box))
+        halves, inside = np.stack([box, box], axis=1), np.flatnonzero(node >= 0)
+        halves[every, 0, axis, 1] = halves[every, 1, axis, 0] = box[every, axis].sum(axis=1) // 2
+        path, root, bit = np.stack([path, path + bit], axis=1), np.repeat(root, 2), bit >> 1
+        numbers = np.full((len(box), 2), -1)
+        numbers[inside] = used + np.arange(2 * len(inside)).reshape(-1, 2)
+        families.append((node[inside], numbers[inside]))
+        used += 2 * len(inside)
+        kept = numbers.ravel() >= 0
+        places.append((path.ravel()[kept], root[kept], np.full(2 * len(inside), 2 * level + 1)))
+        box, node, path = halves.reshape(-1, 3, 2), numbers.ravel(), path.ravel()
+    return _numbered(mask, places, families, leaves)
+
+
+def _numbered(mask: BoolArray, places: list[Any], families: list[Any], leaves: list[Any]) -> Halves:
+    """:class:`Halves` from the lists of :func:`_cut`: tree nodes by region and level, targets in the order of paths."""
+    paths, roots, levels = (np.concatenate(each) for each in zip(*places, strict=True))
+    order = np.lexsort((paths, levels, roots))
+    number = np.empty(len(order), dtype=np.int64)
+    number[order] = np.arange(len(order))
+    child, span = np.full((len(order), 2), -1), np.zeros((len(order), 2), dtype=np.int64)
+    for parents, both in families:
+        child[number[parents]] = number[both]
+    path, node, box = (np.concatenate(each) for each in zip(*leaves, strict=True))
+    every, targets, used = np.arange(mask.size).reshape(mask.shape), [], 0
+    for leaf in np.argsort(path):
+        (i0, i1), (j0, j1), (k0, k1) = box[leaf].tolist()
+        found = every[i0:i1, j0:j1, k0:k1][mask[i0:i1, j0:j1, k0:k1]]
+        span[number[node[leaf]]] = used, used + len(found)
+        used += len(found)
+        targets.append(found)
+    for n in np.flatnonzero(child[:, 0] >= 0)[::-1]:
+        span[n] = span[child[n, 0], 0], span[child[n, 1], 1]
+    return Halves(np.concatenate(targets), span, child, np.flatnonzero(np.append(True, np.diff(roots[order]) != 0)))
+
+
+def _longest_sides(x: FloatArray, box: IntArray) -> IntArray:
+    """Index axis (n,) along which each index range (n, 3, 2) is longest: mean length of its edges, taken through their
+    quarter points."""
+    low, reach = box[:, :, 0], box[:, :, 1] - box[:, :, 0] - 1
+    points, step = x.reshape(-1, 3), np.array([x.shape[1] * x.shape[2], x.shape[2], 1])
+    length = np.full((len(box), 3), -1.0)
+    for axis in range(3):
+        one, two = (d for d in range(3) if d != axis)
+        at = (low @ step)[:, None, None] + (reach[:, axis, None] * np.arange(5) // 4 * step[axis])[:, None]
+        corners = [a * reach[:, one] * step[one] + b * reach[:, two] * step[two] for a in (0, 1) for b in (0, 1)]
+        edges = np.diff(points[at + np.stack(corners, axis=1)[:, :, None]], axis=2)
+        length[:, axis] = np.where(reach[:, axis] > 0, np.linalg.norm(edges, axis=3).sum(axis=(1, 2)), -1.0)
+    return np.asarray(np.argmax(length, axis=1))
+
+
+class TargetTree(NamedTuple):
+    """:class:`Halves` with boxes along principal axes: ``center, axes, half`` (m, 3), (m, 3, 3), (m, 3)."""
 
     targets: np.ndarray
     span: np.ndarray
@@ -40,81 +163,14 @@ class TargetTree(NamedTuple):
 def build_target_tree(
     points: FloatArray, shapes: IntArray, offsets: IntArray, flat: IntArray, capacity: int
 ) -> TargetTree:
-    """Trees of the nodes ``flat`` (n,), ascending, of a grid, with leaves of at most about ``capacity`` targets.
-
-    Index ranges are halved along the direction in which they are longest in space, so that leaves are compact although
-    cells are stretched. No tree extends beyond a piece of a block (:mod:`...pieces`), so trees do not depend on which
-    other parts of the grid are evaluated, or held by this rank.
-    """
-    none, pairs = np.empty(0, np.int64), np.empty((0, 2), np.int64)
-    parts = [(none, pairs, pairs, none)]
-    used = nodes = 0
-    block, low, high = pieces(shapes).T
-    rows = offsets[block] + np.stack([low, high]) * shapes[block, 1:].prod(axis=1)
-    ends = np.searchsorted(flat, rows)
-    for number in np.flatnonzero(ends[1] > ends[0]).tolist():
-        (lo, hi), own = rows[:, number], flat[slice(*ends[:, number])]
-        shape = (high[number] - low[number], *shapes[block[number], 1:])
-        mask = np.zeros(hi - lo, dtype=bool)
-        mask[own - lo] = True
-        volume = capacity * mask.size / len(own)
-        x = points[lo:hi].reshape(*shape, 3)
-        targets, span, child, roots = _cut(x, mask.reshape(shape), len(own), volume, RADIAL_REGION)
-        parts.append((targets + lo, span + used, np.where(child >= 0, child + nodes, -1), roots + nodes))
-        used, nodes = used + len(targets), nodes + len(span)
-    targets, span, child, roots = (np.concatenate(each) for each in zip(*parts, strict=True))
-    return TargetTree(targets, span, child, np.append(roots, nodes), *_fit(points, targets, span, child))
-
-
-@kernel
-def _cut(x, mask, count, capacity, region):
-    """Targets, spans, children and roots of one block."""
-    # Per box: first and last index along each axis, and its tree node, -1 outside regions.
-    box = np.empty((4096, 7), dtype=np.int64)
-    at, previous = np.empty(3, dtype=np.int64), np.empty(3)
-    box[0, 0] = box[0, 2] = box[0, 4] = 0
-    (box[0, 1], box[0, 3], box[0, 5]), box[0, 6] = mask.shape, -1
-    depth, used, nodes, regions = 1, 0, 0, 0
-    limit = 64 + int(4 * mask.size / max(capacity, 1.0)) * 2
-    targets, roots = np.empty(count, dtype=np.int64), np.empty(limit, dtype=np.int64)
-    span, child = np.zeros((limit, 2), dtype=np.int64), np.full((limit, 2), -1)
-    while depth:
-        depth -= 1
-        b = box[depth].copy()
-        size = (b[1] - b[0]) * (b[3] - b[2]) * (b[5] - b[4])
-        if b[6] < 0 and size <= region * capacity:
-            b[6] = roots[regions] = nodes
-            nodes, regions = nodes + 1, regions + 1
-        if size > capacity:
-            axis = longest_side(x, b, at, previous)
-            middle = (b[2 * axis] + b[2 * axis + 1]) // 2
-            box[depth] = box[depth + 1] = b
-            box[depth + 1, 2 * axis + 1] = middle
-            box[depth, 2 * axis] = middle
-            if b[6] >= 0:
-                box[depth + 1, 6], box[depth, 6] = nodes, nodes + 1
-                child[b[6]] = nodes, nodes + 1
-                nodes += 2
-            depth += 2
-            continue
-        span[b[6], 0] = used
-        used = list_targets(mask, b, targets, used)
-        span[b[6], 1] = used
-    for n in range(nodes - 1, -1, -1):
-        if child[n, 0] >= 0:
-            span[n, 0], span[n, 1] = span[child[n, 0], 0], span[child[n, 1], 1]
-    return targets, span[:nodes].copy(), child[:nodes].copy(), roots[:regions].copy()
-
-
-def _fit(
-    points: FloatArray, targets: IntArray, span: IntArray, child: IntArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Boxes of all tree nodes: around the targets of leaves, and around the boxes of the children of other nodes."""
-    center, axes, half = fit_boxes(points, targets, np.where(child[:, :1] < 0, span, 0))
-    filled = span[:, 1] > span[:, 0]
+    """Trees of the nodes ``flat``, as :func:`halve` makes them, with a box for every tree node: around the targets of
+    leaves, and around the boxes of the children of others."""
+    halves = halve(points, shapes, offsets, flat, capacity, RADIAL_REGION)
+    child, filled = halves.child, halves.span[:, 1] > halves.span[:, 0]
+    center, axes, half = fit_boxes(points, halves.targets, np.where(child[:, :1] < 0, halves.span, 0))
     for level in reversed(_levels(child)):
-        one, two = child[level[child[level, 0] >= 0]].T
         parents = level[child[level, 0] >= 0]
+        one, two = child[parents].T
         # A child without targets has no box.
         one, two = np.where(filled[one], one, two), np.where(filled[two], two, one)
         corners = np.concatenate([_corners(center[n], axes[n], half[n]) for n in (one, two)], axis=1)
@@ -123,7 +179,7 @@ def _fit(
         boxes = fit_boxes(corners.reshape(-1, 3), places, np.stack([starts, starts + 16], axis=1))
         center[parents], axes[parents], half[parents] = boxes
     center[~filled], half[~filled] = 0.0, 0.0
-    return center, axes, half
+    return TargetTree(*halves, center, axes, half)
 
 
 def _levels(child: IntArray) -> list[IntArray]:

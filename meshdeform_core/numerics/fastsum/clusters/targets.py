@@ -13,6 +13,13 @@ from .bricks import Bricks, Regions, build_bricks, make_regions, node_sizes
 _SAMPLES = 9
 
 
+class Rows(NamedTuple):
+    """Positions of samples (b, 9) and of all targets (n,) in a list of targets."""
+
+    samples: np.ndarray
+    every: np.ndarray
+
+
 class Targets(NamedTuple):
     """Target nodes in bricks, and where the accuracy of each brick is judged.
 
@@ -47,6 +54,15 @@ class Targets(NamedTuple):
     def flat(self, first: int, last: int) -> IntArray:
         """Flat indices of the targets in the regions first <= g < last."""
         return self.bricks.targets[self.places(first, last)]
+
+    def rows_in(self, first: int, last: int) -> range:
+        """Positions in the list of targets of those in the regions first <= g < last."""
+        return range(*self.bricks.start[self.regions.first[[first, last]]])
+
+    @property
+    def numbered(self) -> Rows:
+        """The samples and all targets as positions in the list of targets."""
+        return Rows(sample_places(self.bricks.start), np.arange(len(self.every)))
 
     def numbers(self, first: int, last: int) -> range:
         """Numbers of the bricks in the regions first <= g < last."""

@@ -16,8 +16,7 @@ from ....parallel import Shared, agreed, for_chunks, numbered
 from ...arrays import FloatArray, IntArray, Report
 from ...exact.basis import BASES
 from ...exact.radial import radial_block, radial_sums
-from ...jit import kernel
-from ..clusters.acceptance import distance2, square
+from ...jit import inlined, kernel
 from ..clusters.target_tree import TargetTree
 from ..clusters.tree import build_tree
 from ..tuned import AIM, RADIAL_LEAF, REACH, SKELETONS, TRIAL_LEAVES, TRIALS
@@ -261,6 +260,18 @@ def _add(n, boxes, polynomial, x, out):
     add_polynomial(tree.center[n], tree.axes[n], tree.half[n], degree, polynomial, x, out)
 
 
+@inlined
+def _square(x, i):
+    """Squared length of row ``i`` of ``x`` (n, 3), without a view of the row, whose reference count would cost more."""
+    return x[i, 0] ** 2 + x[i, 1] ** 2 + x[i, 2] ** 2
+
+
+@inlined
+def _distance2(x, i, y, j):
+    """Squared distance of row ``i`` of ``x`` (n, 3) from row ``j`` of ``y`` (m, 3)."""
+    return (x[i, 0] - y[j, 0]) ** 2 + (x[i, 1] - y[j, 1]) ** 2 + (x[i, 2] - y[j, 2]) ** 2
+
+
 @kernel
 def _error(error, distance, radius):
     """Error of a box's polynomial for a unit charge at a distance from its middle, in the unit of ``Spaces.error``."""
@@ -281,14 +292,14 @@ def look(n, boxes, tops, clusters, far, near, left, risk):
     leaf = tree.child[n, 0] < 0
     # With fewer targets than coefficients, a polynomial does not pay.
     few = leaf and tree.span[n, 1] - tree.span[n, 0] <= boxes.spaces.start[s + 1] - boxes.spaces.start[s]
-    own = np.sqrt(square(tree.half, n))
+    own = np.sqrt(_square(tree.half, n))
     for top in tops:
         stack[0] = top
         depth = 1
         while depth:
             depth -= 1
             c = stack[depth]
-            radius, d = clusters.radius[c], np.sqrt(distance2(tree.center, n, clusters.center, c))
+            radius, d = clusters.radius[c], np.sqrt(_distance2(tree.center, n, clusters.center, c))
             if clusters.compact and d >= 1.0 + own + radius:
                 continue
             smooth = not clusters.compact or d + own + radius <= 1.0

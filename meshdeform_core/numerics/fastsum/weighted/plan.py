@@ -1,20 +1,28 @@
-"""Which clusters act where: the lists that all displacements with the same key share."""
+"""Which clusters act where, which all displacements with the same key share; the points and charges that this takes."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ....parallel import Shared, current_ranks, for_chunks
 from ...arrays import BoolArray, FloatArray, IntArray
-from ...exact.mixed import Scale
+from ...exact.direct import DOUBLE, SINGLE, sum_groups
 from ..clusters.acceptance import Kernel
+from ..clusters.boxes import interpolate
+from ..clusters.bricks import spans
 from ..clusters.targets import Targets
-from ..clusters.tree import CHARGES, SourceTree
-from .treesum import Charges, interpolate_sums, places_of, sum_lists
-from .walk import Lists, Reach, list_clusters
+from ..clusters.tree import CHARGES, SourceTree, interpolation_points
+from .walk import Lists, Reach, few_nodes, list_clusters
+
+# Portions into which the clusters of a tree are divided among threads.
+_PORTIONS = 64
+_SURVEYED = 16
+"""Chunks whose lists are made together."""
+_SAMPLES = 2048
 
 
 def rounded_up(bounds: list[FloatArray]) -> list[FloatArray]:
@@ -27,6 +35,14 @@ def rounded_up(bounds: list[FloatArray]) -> list[FloatArray]:
     return [np.where(each > 0.0, common, 0.0) for each in bounds]
 
 
+def cluster_reach(tree: SourceTree, strength: FloatArray, shift: FloatArray, turn: FloatArray) -> Reach:
+    """:class:`Reach` of every cluster from the sources' strength, displacement and rotation (n,)."""
+    # reduceat takes the spans as pairs of positions; the results between spans are discarded.
+    places = tree.span.ravel()
+    sums, most = np.append(strength[tree.order], 0.0), (np.append(each[tree.order], 0.0) for each in (shift, turn))
+    return Reach(np.add.reduceat(sums, places)[::2], *(np.maximum.reduceat(each, places)[::2] for each in most))
+
+
 @dataclass(frozen=True, eq=False)
 class PlanKey:
     """Everything that determines which clusters act where, and how their sums are taken.
@@ -36,20 +52,20 @@ class PlanKey:
     kinds : weight function of each group
     reaches : bounds of the effect of each group's clusters, rounded up
     moving : (n,) which sources are summed separately from the others
-    share : error allowed to one cluster, as a multiple of that allowed to the whole sum
+    accuracy : :class:`.sums.Accuracy`
     lasting : number of values per source whose sums are stored with the weights
     """
 
     kinds: list[Kernel]
     reaches: list[Reach]
     moving: BoolArray
-    share: float
+    accuracy: Any
     lasting: int
 
     def agrees(self, other: PlanKey) -> bool:
         """Whether both lead to the same plan."""
         return (
-            (self.kinds, self.share, self.lasting) == (other.kinds, other.share, other.lasting)
+            (self.kinds, self.accuracy, self.lasting) == (other.kinds, other.accuracy, other.lasting)
             and np.array_equal(self.moving, other.moving)
             and all(
                 np.array_equal(one, two)
@@ -59,10 +75,146 @@ class PlanKey:
         )
 
 
+class Charges(NamedTuple):
+    """Charges (strength, strength times values) of sources and of the interpolation points of clusters.
+
+    Attributes
+    ----------
+    points, values : (n + k, 3), (n + k, 8) of the sources in tree order, then of the interpolation points
+    start : (m + 1,) first row of the interpolation points of each cluster
+    span : (m, 2) first row of the sources of each cluster, and one past the last
+    all : whether the first or the last charge can be nonzero; the first, the strength, is omitted once the weights are
+        known, and the last is needed by few kinds of rotation only
+    """
+
+    points: np.ndarray
+    values: np.ndarray
+    start: np.ndarray
+    span: np.ndarray
+    all: bool
+
+    @classmethod
+    def none(cls, tree: SourceTree) -> Charges:
+        """Those of a group that does not act."""
+        return cls(np.empty((0, 3)), np.empty((0, CHARGES)), np.zeros(len(tree.child) + 1, np.int64), tree.span, False)
+
+    def of_sources(self, tree: SourceTree, direct: BoolArray) -> Charges:
+        """The same without the sources of clusters that are not ``direct`` (m,): where only interpolation points act.
+
+        A rank that holds a part of the grid needs few sources by themselves.
+        """
+        n, ends = len(tree.order), np.zeros(len(tree.order) + 1, dtype=np.int32)
+        np.add.at(ends, tree.span[direct, 0], 1)
+        np.subtract.at(ends, tree.span[direct, 1], 1)
+        kept = np.cumsum(ends[:n]) > 0
+        place = np.append(0, np.cumsum(kept))
+        if 2 * place[n] > n:
+            return self
+        points, values = (np.concatenate([each[:n][kept], each[n:]]) for each in (self.points, self.values))
+        return Charges(points, values, self.start - (n - place[n]), place[tree.span], self.all)
+
+
+def charge_points(tree: SourceTree, start: IntArray) -> FloatArray:
+    """``points`` of :class:`Charges`; after the sources, the interpolation points of cluster c: rows ``start[c]`` to
+    ``start[c + 1]``."""
+    return np.concatenate([tree.points, interpolation_points(tree, start)])
+
+
+def gather(tree: SourceTree, start: IntArray, values: FloatArray) -> Charges:
+    """:class:`Charges` from ``values`` (n + k, 8) with those of the sources; each cluster's are shared out among its
+    interpolation points, rows ``start[c]`` to ``start[c + 1]`` of those of all."""
+    n, points = len(tree.order), charge_points(tree, start)
+    charged = np.append(0, np.cumsum(values[:n].any(axis=1)))
+    active = (charged[tree.span[:, 1]] > charged[tree.span[:, 0]]) & (np.diff(start) > 0)
+    tasks = np.column_stack([np.arange(len(tree.child)), n + start[:-1], tree.span])[active]
+    # Portions of about equal cost; clusters near the root cost most.
+    work = np.append(0, np.cumsum(np.diff(tree.span, axis=1)[active, 0] * np.diff(start)[active]))
+    cut = np.unique(np.searchsorted(work, np.linspace(0, work[-1], _PORTIONS + 1)))
+
+    def share_out(lo: int, hi: int) -> None:
+        interpolate(tree.boxes, tasks[cut[lo] : cut[hi]], points, values, 0, CHARGES, True)
+
+    for_chunks(share_out, len(cut) - 1, 1)
+    return Charges(points, values, n + start, tree.span, bool(values[:n, [0, -1]].any()))
+
+
+class Places(NamedTuple):
+    """Points at which the sums for some neighbouring regions are taken.
+
+    Attributes
+    ----------
+    points : (n, 3) coordinates: the nodes of the bricks, then the interpolation points of bricks and regions
+    span : (items, 2) int64, rows of ``points`` that belong to each list of :class:`.walk.Lists`
+    region, brick : (b,) region and number of each brick
+    item : (b,) number of the list of each brick's interpolation points; that of its nodes follows
+    above : (b,) number of the list of each brick's region
+    few : (b,) whether the brick has no interpolation points of its own
+    """
+
+    points: np.ndarray
+    span: np.ndarray
+    region: np.ndarray
+    brick: np.ndarray
+    item: np.ndarray
+    above: np.ndarray
+    few: np.ndarray
+
+    def tasks(self, filled: BoolArray) -> tuple[IntArray, IntArray]:
+        """Tasks of :func:`.boxes.interpolate` for ``filled`` (items,) lists: from regions to the interpolation points
+        of their bricks, or the nodes of those that have none, and from bricks to nodes."""
+        to = self.span[self.item + self.few]
+        down = filled[self.above]
+        of_regions = np.column_stack([self.region, self.span[self.above, 0], to])[down]
+        inside = ~self.few & (filled[self.item] | down)
+        of_bricks = np.column_stack([self.brick, self.span[self.item, 0], self.span[self.item + 1]])[inside]
+        return of_regions, of_bricks
+
+    def add(
+        self, tree: SourceTree, charges: Charges, lists: Lists, function: Kernel, acting: BoolArray, out: FloatArray
+    ) -> BoolArray:
+        """Add weighted sums over the ``acting`` (m,) clusters of a tree at all places to ``out`` (n, 8).
+
+        Returns which lists (items,) hold any cluster.
+        """
+        number, raw = lists.codes >> 1, lists.codes & 1 == 1
+        active = acting[number]
+        number, raw = number[active], raw[active]
+        # Rows of each list entry: those of a cluster's interpolation points, or of its sources.
+        rows = np.where(raw, charges.span[number].T, np.stack([charges.start[number], charges.start[number + 1]])).T
+        stop = np.append(0, np.cumsum(active))[np.append(0, lists.stop)]
+        sum_groups(
+            self.points, self.span, charges.points, charges.values, np.ascontiguousarray(rows), spans(stop),
+            *function[:3], charges.all, SINGLE if function.single else DOUBLE, out,
+        )  # fmt: skip
+        return np.asarray(stop[1:] > stop[:-1])
+
+
+def places_of(first: int, last: int, targets: Targets) -> Places:
+    """:class:`Places` of the regions first <= g < last."""
+    bricks, regions = targets.bricks, targets.regions
+    ends = regions.first[first : last + 1]
+    low, high = int(ends[0]), int(ends[-1])
+    start, proxy = bricks.start[low : high + 1], bricks.boxes.proxy[low : high + 1]
+    region = regions.boxes.proxy[first : last + 1]
+    x = [targets.points[bricks.targets[start[0] : start[-1]]], bricks.boxes.proxies[proxy[0] : proxy[-1]],
+         regions.boxes.proxies[region[0] : region[-1]]]  # fmt: skip
+    start, proxy = start - start[0], proxy - proxy[0] + start[-1] - start[0]
+    region = region - region[0] + proxy[-1]
+    # The list of a region precedes the two lists of each of its bricks.
+    number = np.repeat(np.arange(last - first), np.diff(ends))
+    above = (np.arange(last - first) + 2 * (ends[:-1] - low))[number]
+    item = 2 * np.arange(high - low) + number + 1
+    span = np.empty((last - first + 2 * (high - low), 2), dtype=np.int64)
+    span[above] = np.stack([region[:-1], region[1:]], axis=1)[number]
+    span[item], span[item + 1] = spans(proxy), spans(start)
+    few = few_nodes(bricks, low, high)
+    return Places(np.concatenate(x), span, first + number, np.arange(low, high), item, above, few)
+
+
 class Plan:
     """The lists of clusters of one :class:`PlanKey`, made on demand and stored while they fit into ``room`` (bytes).
 
-    Weights of targets are stored only with ``weights``; ``scale`` as for :func:`.treesum.sum_lists`.
+    Weights of targets are stored only if ``keep_weights``.
 
     Attributes
     ----------
@@ -79,40 +231,55 @@ class Plan:
         key: PlanKey,
         targets: Targets,
         trees: list[tuple[IntArray, SourceTree]],
-        allowed: FloatArray,
-        mean: FloatArray,
         room: int,
-        weights: bool = True,
-        scale: Scale | None = None,
+        keep_weights: bool,
     ) -> None:
         self.key, self._targets, self._trees = key, targets, [tree for _, tree in trees]
-        self._allowed, self._mean, self._scale = allowed, mean, scale
-        self.risk = np.zeros(len(allowed))
+        self._allowed, self._mean = _allowance(targets, self._trees, key)
+        self.risk = np.zeros(len(self._allowed))
         self.moving = [_any_of(tree, key.moving[group]) for group, tree in trees]
         self._kept: dict[int, list[Lists]] = {}
         rows = len(targets.every)
-        size = 8 * rows * (1 + key.lasting) if weights else 0
-        self.weight = np.empty((rows, 1 + key.lasting)) if weights and size <= room else None
+        size = 8 * rows * (1 + key.lasting) if keep_weights else 0
+        self.weight = np.empty((rows, 1 + key.lasting)) if keep_weights and size <= room else None
         self.weighed = False
         self._surveyed: tuple[int, int] | None = None
         self.used, self.direct = ([np.zeros(len(tree.child), dtype=bool) for tree in self._trees] for _ in range(2))
         self._room = room - size
 
     def survey(self, chunk: int) -> None:
-        """Make the lists of all regions, ``chunk`` at a time, which tell the clusters whose charges are needed.
+        """Make the lists of all regions, which tell the clusters whose charges are needed, and store those of ``chunk``
+        regions at a time.
 
         Of several ranks, or beside few targets, these are a part of the clusters. What one rank of several knows is
         not enough where it works alone, so a plan is surveyed again by other ranks.
         """
         ranks, targets = current_ranks(), self._targets
-        if self._surveyed != (ranks.number, ranks.count):
-            for_chunks(self.lists_of, targets.n_regions, chunk, shared=[Shared(self.risk, targets.numbers)])
-            self.weighed, self._surveyed = False, (ranks.number, ranks.count)
+        if self._surveyed == (ranks.number, ranks.count):
+            return
+
+        def work(lo: int, hi: int) -> None:
+            found = self._made(lo, hi)
+            for first in range(lo, hi, chunk):
+                items = [2 * int(targets.regions.first[g] - targets.regions.first[lo]) + g - lo
+                         for g in (first, min(first + chunk, hi))]  # fmt: skip
+                parts = [_part(each, *items) for each in found]
+                size = sum(lists.codes.nbytes + lists.stop.nbytes for lists in parts)
+                if size <= self._room:
+                    self._room -= size
+                    self._kept[first] = parts
+
+        self._kept = {}
+        # Each rank lists what it will sum.
+        together = _SURVEYED * chunk if ranks.count == 1 else chunk
+        for_chunks(work, targets.n_regions, together, shared=[Shared(self.risk, targets.numbers)])
+        self.weighed, self._surveyed = False, (ranks.number, ranks.count)
 
     def lists_of(self, first: int, last: int) -> list[Lists]:
         """:class:`.walk.Lists` of each group for the regions first <= g < last; called from several threads."""
-        if first in self._kept:
-            return self._kept[first]
+        return self._kept[first] if first in self._kept else self._made(first, last)
+
+    def _made(self, first: int, last: int) -> list[Lists]:
         targets, key = self._targets, self.key
         self.risk[targets.numbers(first, last)] = 0.0
         where = targets.regions, targets.bricks
@@ -123,10 +290,6 @@ class Plan:
         for used, direct, lists in zip(self.used, self.direct, found, strict=True):
             for acting, raw in ((used, 0), (direct, 1)):
                 acting[lists.codes[lists.codes & 1 == raw] >> 1] = True
-        size = sum(lists.codes.nbytes + lists.stop.nbytes for lists in found)
-        if size <= self._room:
-            self._room -= size
-            self._kept[first] = found
         return found
 
     def sums(self, first: int, last: int, passes: Sequence[Sequence[Charges]], weighing: bool) -> list[FloatArray]:
@@ -135,25 +298,67 @@ class Plan:
         A pass consists of the charges of each tree. Clusters without moving sources count only in the first pass, when
         ``weighing``, and are summed separately, so the sums of the moving ones are the same to the last bit either way.
         """
-        targets, lists = self._targets, self.lists_of(first, last)
-        bricks, regions = targets.bricks, targets.regions
-        places, found = places_of(first, last, targets.points, bricks, regions), []
-        n_nodes = len(targets.flat(first, last))
+        targets, lists, found = self._targets, self.lists_of(first, last), []
+        places = places_of(first, last, targets)
         for number, charges in enumerate(passes):
             total, filled = np.zeros((len(places.points), CHARGES)), np.zeros(len(places.span), dtype=bool)
             for tree, charge, kind, each, moving in zip(
                 self._trees, charges, self.key.kinds, lists, self.moving, strict=True
             ):
-                filled |= sum_lists(places, tree, charge, each, kind, moving, self._scale, total)
+                filled |= places.add(tree, charge, each, kind, moving, total)
                 if weighing and number == 0:
-                    filled |= sum_lists(places, tree, charge, each, kind, ~moving, self._scale, total)
-            every = any(charge.all for charge in charges)
-            interpolate_sums(first, last, bricks, regions, places, filled, every, total)
-            found.append(total[:n_nodes])
+                    filled |= places.add(tree, charge, each, kind, ~moving, total)
+            columns = (0, CHARGES) if any(charge.all for charge in charges) else (1, CHARGES - 1)
+            of_regions, of_bricks = places.tasks(filled)
+            for boxes, tasks in ((targets.regions.boxes, of_regions), (targets.bricks.boxes, of_bricks)):
+                interpolate(boxes, tasks, places.points, total, *columns, False)
+            found.append(total[: len(targets.flat(first, last))])
         return found
+
+
+def _part(lists: Lists, first: int, last: int) -> Lists:
+    """The lists of the items first <= n < last."""
+    ends = np.append(0, lists.stop)[first : last + 1]
+    return Lists(lists.codes[ends[0] : ends[-1]].copy(), ends[1:] - ends[0])
 
 
 def _any_of(tree: SourceTree, chosen: BoolArray) -> BoolArray:
     """Which clusters (m,) hold any of the ``chosen`` sources (n,)."""
     count = np.append(0, np.cumsum(chosen[tree.order]))
     return np.asarray(count[tree.span[:, 1]] > count[tree.span[:, 0]])
+
+
+def _allowance(targets: Targets, trees: Sequence[SourceTree], key: PlanKey) -> tuple[FloatArray, FloatArray]:
+    """Weighted displacement error that one cluster may cause in each brick, and the mean displacement there."""
+    samples = targets.samples
+    total, moved = np.zeros(samples.size), np.zeros(samples.size)
+
+    def work(lo: int, hi: int) -> None:
+        at = targets.points[samples.ravel()[lo:hi]]
+        for tree, reach, kind in zip(trees, key.reaches, key.kinds, strict=True):
+            _add_totals(at, tree, reach, kind, total[lo:hi], moved[lo:hi])
+
+    for_chunks(work, samples.size, _SAMPLES, shared=[Shared(total), Shared(moved)])
+    sizes = targets.sizes if key.accuracy.local else np.ones(samples.shape)
+    allowed = (total.reshape(samples.shape) * sizes).min(axis=1) * key.accuracy.tolerance
+    return allowed, (moved / total).reshape(samples.shape).max(axis=1)
+
+
+def _add_totals(
+    samples: FloatArray, tree: SourceTree, reach: Reach, function: Kernel, total: FloatArray, moved: FloatArray
+) -> None:
+    """Add to ``total`` (n,) the total weight at ``samples`` (n, 3), to ``moved`` (n,) a bound of the weighted
+    displacement."""
+    extents = np.einsum("md,md->m", tree.boxes.half, tree.boxes.half)
+    sample, cluster = np.arange(len(samples)), np.zeros(len(samples), dtype=np.int64)
+    while len(sample):
+        arm = samples[sample] - tree.boxes.center[cluster]
+        square, extent = np.einsum("nd,nd->n", arm, arm), extents[cluster]
+        done = (square > 2.0 * extent) | (tree.child[cluster] < 0)
+        at, c = sample[done], cluster[done]
+        # A leaf that may contain the sample: the weight at its rim is a lower bound.
+        weight = reach.strength[c] * function.weight(np.sqrt(np.maximum(square[done], 0.25 * extent[done])))
+        total += np.bincount(at, weight, len(total))
+        moved += np.bincount(at, weight * (reach.shift[c] + reach.turn[c] * np.sqrt(square[done])), len(total))
+        sample = np.repeat(sample[~done], 2)
+        cluster = np.stack([tree.child[cluster[~done]], tree.child[cluster[~done]] + 1], axis=1).ravel()

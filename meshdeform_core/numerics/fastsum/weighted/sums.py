@@ -1,4 +1,14 @@
-"""Fast weighted sums as one object: trees, bricks and accuracy of one undeformed grid (see :mod:`.treesum`)."""
+"""Fast weighted sums between clusters of sources and bricks of target nodes, and their transposes.
+
+:mod:`.walk` lists which clusters act on the interpolation points of a region of bricks, on those of a brick and on its
+nodes. Here these lists are evaluated; results are interpolated from a region to its bricks and from these to the nodes.
+
+Numerator and denominator of a weighted mean (eq. 14) use the same approximate weights, so its error is the error of the
+weights times the *difference* of a cluster's displacement from the mean: a motion common to all sources is exact.
+
+Source: barycentric cluster-cluster treecodes (Wang, Krasny, Tlupova 2020), with two levels of targets and the
+acceptance of a weighted mean.
+"""
 
 from __future__ import annotations
 
@@ -8,16 +18,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ....parallel import Shared, for_chunks
+from ....parallel import Shared, empty, for_chunks
 from ...arrays import BoolArray, FloatArray, IntArray, Report, weighted_total
-from ...exact.direct import N_VALUES
-from ..clusters.acceptance import Kernel, inverse_powers
-from ..clusters.targets import Targets, interpolation_order
-from ..clusters.tree import SourceTree
-from ..tuned import SHARE, SINGLE_TOLERANCE
-from .plan import Plan, PlanKey, rounded_up
-from .treesum import Charges, add_totals, charge_rows, cluster_reach, gather
-from .walk import Reach
+from ...exact.direct import DOUBLE, N_VALUES, sum_groups
+from ..clusters.acceptance import Kernel
+from ..clusters.boxes import interpolate
+from ..clusters.bricks import spans
+from ..clusters.targets import Targets
+from ..clusters.tree import CHARGES, SourceTree
+from .plan import Charges, Plan, PlanKey, charge_points, cluster_reach, gather, places_of, rounded_up
+from .walk import Lists, Reach
 
 CHUNK = 2
 """Regions per call, if they are no smaller than usual."""
@@ -27,29 +37,11 @@ _TOGETHER = 50_000
 """Sources whose charges are computed at a time, which bounds the memory."""
 # Plans that are kept: a motion that swings passes between two sizes.
 _PLANS = 2
+_MOST_PORTIONS = 64
+_SOURCES = 2048
 
-
-Use = Callable[[IntArray, FloatArray], object]
-
-
-class Summands(NamedTuple):
-    """What is summed at one displacement.
-
-    Attributes
-    ----------
-    weights : (a, b, kappa) per group of sources
-    values : (k, n) per source
-    shift, turn : (n,) displacement and rotation angle (radians) of each source, for error bounds
-    still : (k,) values of the sources that do not move, if there are any
-    lasting : number of trailing rows of ``values`` that never change; their sums are stored with the weights
-    """
-
-    weights: Sequence[tuple[float, float, float]]
-    values: FloatArray
-    shift: FloatArray
-    turn: FloatArray
-    still: FloatArray | None = None
-    lasting: int = 0
+Use = Callable[[slice, IntArray, FloatArray], object]
+Make = Callable[[slice, IntArray, int], FloatArray]
 
 
 @dataclass(frozen=True)
@@ -68,13 +60,17 @@ class Scaled:
     spread: FloatArray
 
     @classmethod
-    def of(cls, summands: Summands, strength: FloatArray) -> Scaled:
-        """The values of summands."""
-        values = summands.values
-        middle = weighted_total(strength, values.T) / strength.sum() if summands.still is None else summands.still
+    def of(cls, values: FloatArray, still: FloatArray | None, strength: FloatArray) -> Scaled:
+        """``values`` (k, n) and those of the sources that do not move, if there are any."""
+        middle = weighted_total(strength, values.T) / strength.sum() if still is None else still
         spread = np.array([np.abs(row - offset).max() for row, offset in zip(values, middle, strict=True)])
         spread[spread == 0.0] = 1.0
         return cls(values, middle, spread)
+
+    @classmethod
+    def plain(cls, values: FloatArray) -> Scaled:
+        """The values themselves."""
+        return cls(values, np.zeros(len(values)), np.ones(len(values)))
 
     def part(self, which: slice, sources: slice | IntArray) -> FloatArray:
         """The values ``which`` of some sources, (m, s)."""
@@ -92,8 +88,17 @@ class Scaled:
         return found
 
 
+class Accuracy(NamedTuple):
+    """Accuracy of sums: the error that one cluster may cause, relative to the cell sizes at the targets times the total
+    weight, or to the total weight alone if not ``local``; whether weights may be in ``single`` precision."""
+
+    tolerance: float
+    local: bool
+    single: bool
+
+
 class FastSums:
-    """Weighted sums over groups of sources, with an error that is small relative to the cells at each target.
+    """Sums of weights and of weights times values over groups of sources, at target nodes; linear in the values.
 
     Which clusters act where, and the weight of every target, are stored for all displacements with the same
     :class:`.plan.PlanKey`. Once the weights are known, only sources that move are summed; as these are always summed
@@ -105,12 +110,7 @@ class FastSums:
     groups : index arrays, the sources of each weight function
     trees : source tree of each group, from :func:`..clusters.tree.build_tree`, of the order that the tolerance requires
     targets : from :func:`..clusters.targets.make_targets`
-    tolerance : error of the weighted mean displacement relative to the local cell size
     room : limit in bytes for stored lists and weights; results do not depend on it
-
-    Attributes
-    ----------
-    share : error allowed to one cluster; once :meth:`refine` has reduced it, sums are in double precision
     """
 
     def __init__(
@@ -119,129 +119,248 @@ class FastSums:
         groups: Sequence[IntArray],
         trees: Sequence[SourceTree],
         targets: Targets,
-        tolerance: float,
         room: int,
     ) -> None:
-        self._strength, self.targets = strength / strength.max(), targets
-        self.tolerance = tolerance
+        self.strength, self.targets = strength / strength.max(), targets
         self._groups = [(np.asarray(group), tree) for group, tree in zip(groups, trees, strict=True)]
         self._room = room
-        self._plans: list[Plan] = []
-        self.restart()
+        self.plans: list[Plan] = []
+        self._chunk = max(CHUNK, _TARGETS * targets.n_regions // max(len(targets.every), 1))
 
-    def restart(self) -> None:
-        """Return to the initial accuracy, with which the first sum of every displacement is taken."""
-        self.share = self._first_share = SHARE / (interpolation_order(self.tolerance) - 2) ** 2
+    @property
+    def acting(self) -> BoolArray:
+        """Which sources (n,) have values."""
+        return self._plan.key.moving
 
-    def refine(self, excess: float) -> None:
-        """Raise the accuracy of all sums until :meth:`restart`, as the error was ``excess`` times too large."""
-        self.share *= 0.25 / excess
+    @property
+    def risk(self) -> FloatArray:
+        """Bound (b,) of the error in each brick, in arbitrary units."""
+        return self._plan.risk
 
-    def evaluate(self, summands: Summands, use: Use, result: FloatArray, progress: Report | None = None) -> FloatArray:
-        """Compute the sums brick by brick and call ``use`` with those of each chunk.
+    @property
+    def _plan(self) -> Plan:
+        return self.plans[0]
+
+    @property
+    def flat(self) -> IntArray:
+        """Flat indices (n,) of the nodes at which sums are taken, in the order of their rows."""
+        return self.targets.every
+
+    def prepare(
+        self,
+        weights: Sequence[tuple[float, float, float]],
+        shift: FloatArray,
+        turn: FloatArray,
+        moving: BoolArray,
+        accuracy: Accuracy,
+        lasting: int | None = None,
+    ) -> None:
+        """Find which clusters act where, for weights (a, b, kappa) per group and motions, unless it is known.
 
         Parameters
         ----------
-        use : called with flat indices (m,) and sums (m, 1 + k), the weight first, from several threads
-        result : (n_nodes, ...) array of which ``use`` fills these rows
-
-        Returns
-        -------
-        risk : (b,) bound of each brick's error, in arbitrary units
+        shift, turn : (n,) displacement and rotation angle (radians) of each source, for error bounds
+        moving : (n,) which sources have values other than zero
+        lasting : number of trailing values that never change, whose sums are stored with the weights; ``None``: weights
+            are not stored
         """
-        targets, k, lasting = self.targets, len(summands.values), summands.lasting
-        scaled = Scaled.of(summands, self._strength)
-        chunk = max(CHUNK, _TARGETS * targets.n_regions // max(len(targets.every), 1))
-        plan = self._planned(summands, scaled.moving)
-        plan.survey(chunk)
-        weight = plan.weight if plan.weighed else None
+        kinds = [Kernel.of(*each, accuracy.single) for each in weights]
+        bounds = [cluster_reach(tree, self.strength[g], shift[g], turn[g]) for g, tree in self._groups]
+        shifts, turns = rounded_up([each.shift for each in bounds]), rounded_up([each.turn for each in bounds])
+        reaches = [Reach(each.strength, *both) for each, *both in zip(bounds, shifts, turns, strict=True)]
+        key = PlanKey(kinds, reaches, moving, accuracy, lasting or 0)
+        plan = next((each for each in self.plans if each.key.agrees(key)), None)
+        others = [each for each in self.plans if each is not plan]
+        if plan is None:
+            del others[_PLANS - 1 :]
+            self.plans = others
+            plan = Plan(key, self.targets, self._groups, self._room // _PLANS, lasting is not None)
+        self.plans = [plan, *others]
+        plan.survey(self._chunk)
+
+    def apply(
+        self,
+        scaled: Scaled,
+        use: Use,
+        result: FloatArray | None = None,
+        kept: Sequence[FloatArray] = (),
+        weigh: bool = True,
+        progress: Report | None = None,
+    ) -> None:
+        """Call ``use`` with sums (m, 1 + k) of values (k, n) for some rows, with these rows and flat indices (m,).
+
+        The first column is the total weight of all sources if ``weigh``, else zero. ``use`` is called from several
+        threads and fills the nodes of ``result`` (n_nodes, ...) and the rows of the arrays ``kept`` (n, ...).
+        """
+        plan, targets, k = self._plan, self.targets, len(scaled.values)
+        lasting = plan.key.lasting
+        known = plan.weight if plan.weighed and weigh else None
+        summing = weigh and known is None
         # Sums of values that never change are known once the weights are.
-        end = k if weight is None else k - lasting
+        end = k if known is None else k - lasting
         passes = [
-            self._charges(scaled, slice(first, min(first + N_VALUES, end)), plan, weight is None and first == 0)
-            for first in range(0, k, N_VALUES)
+            self._charges(scaled, slice(first, min(first + N_VALUES, end)), plan, summing and first == 0)
+            for first in range(0, max(k, 1), N_VALUES)
         ]
-        middle, spread = scaled.middle, scaled.spread
 
         def work(lo: int, hi: int) -> None:
             flat, here = targets.flat(lo, hi), targets.places(lo, hi)
-            sums = np.empty((len(flat), 1 + k))
-            for number, part in enumerate(plan.sums(lo, hi, passes, weight is None)):
-                if number == 0:
-                    sums[:, 0] = part[:, 0] if weight is None else weight[here, 0]
+            sums = np.zeros((len(flat), 1 + k))
+            for number, part in enumerate(plan.sums(lo, hi, passes, summing)):
+                if number == 0 and weigh:
+                    sums[:, 0] = part[:, 0] if known is None else known[here, 0]
                 columns = slice(number * N_VALUES, min(k, (number + 1) * N_VALUES))
                 some = sums[:, 1 + columns.start : 1 + columns.stop]
-                np.multiply(part[:, 1 : 1 + some.shape[1]], spread[columns], out=some)
-                if middle.any():
-                    some += sums[:, :1] * middle[columns]
-            if plan.weight is not None:
-                one, other = (sums, plan.weight[here]) if weight is not None else (plan.weight[here], sums)
-                _copy_lasting(one, other, lasting)
-            use(flat, sums)
+                np.multiply(part[:, 1 : 1 + some.shape[1]], scaled.spread[columns], out=some)
+                if scaled.middle.any():
+                    some += sums[:, :1] * scaled.middle[columns]
+            if known is not None:
+                _copy_lasting(sums, known[here], lasting)
+            elif plan.weight is not None and weigh:
+                stored = plan.weight[here]
+                _copy_lasting(stored, sums, lasting)
+            use(here, flat, sums)
 
-        for_chunks(work, targets.n_regions, chunk, progress, [Shared(result, targets.flat)])
-        plan.weighed = plan.weight is not None
-        return plan.risk
+        shared = [Shared(each, targets.rows_in) for each in kept]
+        shared += [] if result is None else [Shared(result, targets.flat)]
+        for_chunks(work, targets.n_regions, self._chunk, progress, shared)
+        plan.weighed = plan.weighed or (weigh and plan.weight is not None)
 
-    def _reaches(self, shift: FloatArray, turn: FloatArray) -> list[Reach]:
-        """Bounds, rounded up, of the effect of each group's clusters."""
-        found = [cluster_reach(tree, self._strength[g], shift[g], turn[g]) for g, tree in self._groups]
-        shifts, turns = (rounded_up([getattr(each, name) for each in found]) for name in ("shift", "turn"))
-        return [Reach(each.strength, *bounds) for each, *bounds in zip(found, shifts, turns, strict=True)]
+    @property
+    def portions(self) -> int:
+        """Number of parts of the targets that :meth:`transpose` sums separately; depends on sizes only."""
+        size = CHARGES * sum(
+            len(tree.order) + tree.boxes.proxy[-1]
+            for (_, tree), moving in zip(self._groups, self._plan.moving, strict=True) if moving.any()
+        )  # fmt: skip
+        # The sums of all portions together are no larger than a quarter of the coordinates, unless there are two.
+        return int(np.clip(3 * len(self.targets.points) // (4 * max(size, 1)), 2, _MOST_PORTIONS))
 
-    def _planned(self, summands: Summands, moving: BoolArray) -> Plan:
-        """The plan for these weights and motions: a stored one or a new one."""
-        single = self.tolerance >= SINGLE_TOLERANCE and self.share == self._first_share
-        kinds = [
-            inverse_powers(a, b, kappa, single and a in (3.0, 4.0) and b == 5.0) for a, b, kappa in summands.weights
+    def transpose(self, make: Make, k: int, beside: FloatArray) -> FloatArray:
+        """Transpose of :meth:`apply`: gradients (k, n_sources) of the values from those (m, k) of their sums.
+
+        ``make(rows, flat, portion)`` returns the gradients of the sums of some rows; it is called from several threads,
+        within a portion one call after the other. Charges of groups without moving sources are skipped.
+        """
+        plan = self._plan
+        points = [
+            charge_points(tree, tree.boxes.proxy) if moving.any() else np.empty((0, 3))
+            for (_, tree), moving in zip(self._groups, plan.moving, strict=True)
         ]
-        reaches = self._reaches(summands.shift, summands.turn)
-        key = PlanKey(kinds, reaches, moving, self.share, summands.lasting)
-        plan = next((each for each in self._plans if each.key.agrees(key)), None)
-        others = [each for each in self._plans if each is not plan]
-        if plan is None:
-            del others[_PLANS - 1 :]
-            self._plans = others
-            trees = [tree for _, tree in self._groups]
-            allowed = allowance(self.targets, trees, kinds, reaches, self.tolerance * self.share)
-            plan = Plan(key, self.targets, self._groups, *allowed, self._room // _PLANS)
-        self._plans = [plan, *others]
-        return plan
+        ends = np.append(0, np.cumsum([len(each) for each in points]))
+        passes, portions, targets = -(-k // N_VALUES), self.portions, self.targets
+        # Lists are stored for chunks that begin at multiples of the chunk size.
+        cut = np.linspace(0, -(-targets.n_regions // self._chunk), portions + 1).astype(np.int64)
+        totals = empty((portions, passes, int(ends[-1]), CHARGES))
+
+        def work(lo: int, hi: int) -> None:
+            for portion in range(lo, hi):
+                totals[portion] = 0.0
+                for chunk in range(cut[portion], cut[portion + 1]):
+                    first, last = chunk * self._chunk, min((chunk + 1) * self._chunk, targets.n_regions)
+                    gradient = make(targets.places(first, last), targets.flat(first, last), portion)
+                    self._spread(plan, first, last, gradient, points, totals[portion], ends)
+
+        for_chunks(work, portions, 1, shared=[Shared(totals), Shared(beside)])
+        found = np.zeros((k, len(self.strength)))
+        for number in range(passes):
+            some = slice(number * N_VALUES, min(k, (number + 1) * N_VALUES))
+            for (group, tree), x, lo, hi in zip(self._groups, points, ends[:-1], ends[1:], strict=True):
+                if lo < hi:
+                    total = np.asarray(sum(totals[portion, number, lo:hi] for portion in range(portions)))
+                    _to_sources(tree, x, total)
+                    members = group[tree.order]
+                    source = total[: len(members), 1 : 1 + some.stop - some.start]
+                    found[some, members] = self.strength[members] * source.T
+        return np.where(plan.key.moving, found, 0.0)
+
+    def _spread(
+        self, plan: Plan, first: int, last: int, gradient: FloatArray, points: list[FloatArray], total: FloatArray,
+        ends: IntArray,
+    ) -> None:  # fmt: skip
+        """Add the contributions of some regions with gradients (m, k) to ``total`` (passes, points, 8)."""
+        targets, lists = self.targets, plan.lists_of(first, last)
+        places = places_of(first, last, targets)
+        filled = np.logical_or.reduce([_filled(each, m) for each, m in zip(lists, plan.moving, strict=True)])
+        of_regions, of_bricks = places.tasks(filled)
+        here = np.empty((len(places.points), CHARGES))
+        for number in range(len(total)):
+            here[:] = 0.0
+            part = gradient[:, number * N_VALUES : (number + 1) * N_VALUES]
+            here[: len(part), 1 : 1 + part.shape[1]] = part
+            every = bool(here[:, -1].any())
+            columns = (0, CHARGES) if every else (1, CHARGES - 1)
+            for boxes, tasks in ((targets.bricks.boxes, of_bricks), (targets.regions.boxes, of_regions)):
+                interpolate(boxes, tasks, places.points, here, *columns, True)
+            for (_, tree), x, each, kind, moving, lo, hi in zip(
+                self._groups, points, lists, plan.key.kinds, plan.moving, ends[:-1], ends[1:], strict=True
+            ):
+                if lo < hi:
+                    _to_clusters(
+                        places.points, here, places.span, tree, x, each, kind, moving, every, total[number, lo:hi]
+                    )
 
     def _charges(self, scaled: Scaled, which: slice, plan: Plan, weighing: bool) -> list[Charges]:
         """Charges of one pass, per group: of the values ``which``; ``weighing`` includes the strength itself, whose sum
         is the weight."""
         charges = []
-        for (group, tree), used, direct in zip(self._groups, plan.used, plan.direct, strict=True):
-            (rows, start), members = charge_rows(tree, used), group[tree.order]
+        for (group, tree), used, direct, moving in zip(self._groups, plan.used, plan.direct, plan.moving, strict=True):
+            if not (weighing or moving.any()):
+                charges.append(Charges.none(tree))
+                continue
+            members = group[tree.order]
+            start = np.append(0, np.cumsum(np.where(used, np.diff(tree.boxes.proxy), 0)))
+            values = np.zeros((len(members) + start[-1], CHARGES))
             for lo in range(0, len(members), _TOGETHER):
                 some = members[lo : lo + _TOGETHER]
-                source = rows[lo : lo + len(some), 3:]
+                source = values[lo : lo + len(some)]
                 if weighing:
-                    source[:, 0] = self._strength[some]
-                values = self._strength[some] * scaled.part(which, some)
-                source[:, 1 : 1 + len(values)] = values.T
-            charges.append(gather(tree, rows, start).of_sources(tree, direct))
+                    source[:, 0] = self.strength[some]
+                parts = self.strength[some] * scaled.part(which, some)
+                source[:, 1 : 1 + len(parts)] = parts.T
+            charges.append(gather(tree, start, values).of_sources(tree, direct))
         return charges
 
 
-def allowance(
-    targets: Targets, trees: Sequence[SourceTree], kinds: list[Kernel], reaches: list[Reach], tolerance: float
-) -> tuple[FloatArray, FloatArray]:
-    """Weighted displacement error that one cluster may cause in each brick, and the mean displacement there.
+def _to_clusters(
+    points: FloatArray, gradients: FloatArray, place: IntArray, tree: SourceTree, charged: FloatArray, lists: Lists,
+    function: Kernel, acting: BoolArray, all_charges: bool, out: FloatArray,
+) -> None:  # fmt: skip
+    """Transpose of :meth:`.plan.Places.add`: add to ``out`` (n + m, 8) the gradients of sources and interpolation
+    points ``charged`` (n + m, 3) of a tree, from those (p, 8) of places (p, 3), the rows ``place`` of each list."""
+    active = acting[lists.codes >> 1]
+    item = np.repeat(np.arange(len(lists.stop)), np.diff(lists.stop, prepend=0))[active]
+    codes = lists.codes[active]
+    order = np.argsort(codes, kind="stable")
+    found, start = np.unique(codes[order], return_index=True)
+    if len(found):
+        number, raw = found >> 1, found & 1 == 1
+        first = len(tree.order) + np.stack([tree.boxes.proxy[number], tree.boxes.proxy[number + 1]])
+        rows = np.ascontiguousarray(np.where(raw, tree.span[number].T, first).T)
+        pieces, span = place[item[order]], spans(np.append(start, len(order)))
+        # Places without points: bricks of few nodes have no interpolation points.
+        sum_groups(charged, rows, points, gradients, pieces, span, *function[:3], all_charges, DOUBLE, out)
 
-    ``tolerance`` is that of one cluster, relative to the cell sizes at the targets.
-    """
-    points, samples = targets.points, targets.samples
-    total, moved = np.zeros(samples.shape), np.zeros(samples.shape)
+
+def _filled(lists: Lists, acting: BoolArray) -> BoolArray:
+    """Which lists (items,) hold any of the ``acting`` (m,) clusters."""
+    count = np.append(0, np.cumsum(acting[lists.codes >> 1]))
+    return np.asarray(np.diff(count[np.append(0, lists.stop)]) > 0)
+
+
+def _to_sources(tree: SourceTree, points: FloatArray, total: FloatArray) -> None:
+    """Transpose of :func:`.plan.gather`: add to the gradients of sources, the first rows of ``total`` (n + m, 8), those
+    of the interpolation points of their clusters."""
+    n, every = len(tree.order), np.arange(len(tree.child))
+    count = np.append(0, np.cumsum(total[n:].any(axis=1)))
+    used = count[tree.boxes.proxy[1:]] > count[tree.boxes.proxy[:-1]]
 
     def work(lo: int, hi: int) -> None:
-        at = points[samples[lo:hi].ravel()]
-        for tree, reach, kind in zip(trees, reaches, kinds, strict=True):
-            add_totals(at, tree, reach, kind, total[lo:hi].reshape(-1), moved[lo:hi].reshape(-1))
+        low, high = np.maximum(tree.span[:, 0], lo), np.minimum(tree.span[:, 1], hi)
+        tasks = np.stack([every, n + tree.boxes.proxy[:-1], low, high], axis=1)[used & (low < high)]
+        interpolate(tree.boxes, tasks, points, total, 0, CHARGES, False)
 
-    for_chunks(work, len(samples), 64, shared=[Shared(total), Shared(moved)])
-    return (total * targets.sizes).min(axis=1) * tolerance, (moved / total).max(axis=1)
+    for_chunks(work, n, _SOURCES)
 
 
 def _copy_lasting(one: FloatArray, other: FloatArray, lasting: int) -> None:

@@ -10,18 +10,15 @@ for every displacement that moves no cluster further than the one they were made
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import FloatArray
-from ...jit import inlined, kernel
-from ..clusters.acceptance import Kernel, box_error, distance2, square
+from ...arrays import FloatArray, IntArray, spans
+from ..clusters.acceptance import Kernel
+from ..clusters.boxes import Boxes
 from ..clusters.bricks import Bricks, Regions
 from ..clusters.tree import SourceTree
-
-_STACK = 256
 
 
 class Reach(NamedTuple):
@@ -73,109 +70,115 @@ def list_clusters(
     risk : (b,), added to: the sum of the error bounds of all clusters, relative to ``allowed``
     """
     ends = regions.first[first : last + 1]
-    stop = np.empty(len(ends) - 1 + 2 * int(ends[-1] - ends[0]), dtype=np.int64)
-    found = risk[ends[0] : ends[-1]]
-    m = len(tree.child)
-    length = 2048 + 4 * m
-    while True:
-        codes, bounds = np.empty(length, dtype=np.int32), np.zeros(len(found))
-        used = _look(first, last, regions, bricks, tree, reach, function, allowed, mean, codes, stop, bounds)
-        if used >= 0:
-            found += bounds
-            return Lists(codes[:used].copy(), stop)
-        length *= 4
+    low, high = int(ends[0]), int(ends[-1])
+    sizes, start = np.diff(ends), ends[:-1] - low
+    of_brick, _ = spans(sizes)
+    walk = _Walk(tree, reach, function)
+    least, most = np.minimum.reduceat(allowed[low:high], start), np.maximum.reduceat(mean[low:high], start)
+    every, never = np.arange(first, last), np.zeros(last - first, dtype=bool)
+    root = np.zeros(last - first, dtype=np.int64)
+    whole = _Box(regions.boxes, every, least, most, never, region=True)
+    # What the bricks of each region inherit.
+    (far, codes), (left, clusters), bound = walk.of(whole, np.arange(last - first), root)
+    order = np.argsort(left, kind="stable")
+    left, clusters = left[order], clusters[order]
+    begin, end = np.searchsorted(left, of_brick), np.searchsorted(left, of_brick, side="right")
+    brick, place = spans(end - begin)
+    few = few_nodes(bricks, low, high)
+    parts = _Box(bricks.boxes, np.arange(low, high), allowed[low:high], mean[low:high], few, region=False)
+    (on_points, some), (on_nodes, others), more = walk.of(parts, brick, clusters[begin[brick] + place])
+    risk[low:high] += bound[of_brick] + more
+    # The list of a region precedes the two lists of each of its bricks.
+    item = np.arange(high - low) * 2 + of_brick + 1
+    items = np.concatenate([(np.arange(last - first) + 2 * start)[far], item[on_points], item[on_nodes] + 1])
+    entries = np.concatenate([codes, some, others])
+    order = np.lexsort((entries, items))
+    stop = np.cumsum(np.bincount(items, minlength=last - first + 2 * (high - low)))
+    return Lists(entries[order].astype(np.int32), stop)
 
 
-@kernel
-def _look(first, last, regions, bricks, tree, reach, function, allowed, mean, codes, stop, risk):
-    """Fill ``codes`` and ``stop``; return the number of codes, or -1 if the array is too short for them."""
-    m = tree.child.size
-    stack, root = np.empty(_STACK, np.int64), np.empty(1, np.int64)
-    left, near = np.empty(m, np.int64), np.empty(m, np.int64)
-    root[0] = 0
-    at = item = n_left = 0
-    start = regions.first[first]
-    for g in range(first, last):
-        least, most, bound = np.inf, 0.0, 0.0
-        for b in range(regions.first[g], regions.first[g + 1]):
-            least, most = min(least, allowed[b]), max(most, mean[b])
-        # The region, then its bricks: one loop for both is compiled once.
-        for b in range(regions.first[g] - 1, regions.first[g + 1]):
-            if at + 2 * m > codes.size:
-                return -1
-            region = b < regions.first[g]
-            tops, n_tops, other = (root, 1, left) if region else (left, n_left, near)
-            boxes, box = (regions.boxes, g) if region else (bricks.boxes, b)
-            limit, moved = (least, most) if region else (allowed[b], mean[b])
-            few = not region and few_nodes(bricks, b)
-            at, n_other, more = _walk(
-                tops, n_tops, region, few, boxes, box, tree, reach, function, limit, moved, stack, codes,
-                at, other,
-            )  # fmt: skip
-            stop[item] = at
-            item += 1
-            if region:
-                n_left, bound = n_other, more
-            else:
-                for n in range(n_other):
-                    codes[at + n] = near[n]
-                at += n_other
-                stop[item] = at
-                item += 1
-                risk[b - start] += bound + more
-    return at
+def few_nodes(bricks: Bricks, first: int, last: int) -> np.ndarray:
+    """Whether the bricks first <= b < last have so few nodes that they need no interpolation points of their own."""
+    nodes, points = np.diff(bricks.start[first : last + 1]), np.diff(bricks.boxes.proxy[first : last + 1])
+    return np.asarray(nodes <= 2 * points)
 
 
-@inlined
-def few_nodes(bricks, b):
-    """Whether a brick has so few nodes that it needs no interpolation points of its own."""
-    return bricks.start[b + 1] - bricks.start[b] <= 2 * (bricks.boxes.proxy[b + 1] - bricks.boxes.proxy[b])
+class _Box(NamedTuple):
+    """Regions or bricks: their numbers among ``boxes``, the error that one cluster may cause, the mean displacement,
+    and whether no cluster may act on their interpolation points."""
+
+    boxes: Boxes
+    number: IntArray
+    allowed: FloatArray
+    mean: FloatArray
+    few: np.ndarray
+    region: bool
 
 
-@inlined
-def _walk(tops, n_tops, region, few, boxes, b, tree, reach, function, allowed, mean, stack, codes, at, other):
-    """Traverse the tree from the clusters ``tops`` on for box ``b``, a ``region`` or a brick.
+class _Walk(NamedTuple):
+    """A traversal of the tree."""
 
-    Entries that act on the box's interpolation points go into ``codes`` from ``at`` on; ``other`` gets the clusters
-    left to the bricks of a region, or the entries that act on the nodes of a brick. Returns the ends of both and the
-    bound of the error.
-    """
-    bound = 0.0
-    n_other = 0
-    center, half, count = boxes.center, boxes.half, boxes.per_side
-    radius = math.sqrt(square(half, b))
-    for top in range(n_tops):
-        stack[0] = tops[top]
-        depth = 1
-        while depth:
-            depth -= 1
-            c = stack[depth]
-            d2 = distance2(center, b, tree.boxes.center, c)
-            distance, extent = math.sqrt(d2), math.sqrt(square(tree.boxes.half, c))
-            raw = tree.boxes.proxy[c + 1] == tree.boxes.proxy[c]
+    tree: SourceTree
+    reach: Reach
+    function: Kernel
+
+    def of(
+        self, where: _Box, box: IntArray, cluster: IntArray
+    ) -> tuple[tuple[IntArray, IntArray], tuple[IntArray, IntArray], FloatArray]:
+        """Traverse the tree from pairs of a box (n,), counted among those of ``where``, and a cluster (n,).
+
+        Returns pairs of box and entry that act on the interpolation points of boxes, pairs of region and cluster left
+        to the bricks of the region or of brick and entry that acts on its nodes, and the bound of each box's error.
+        """
+        inner, extents = self.tree.boxes, np.sqrt(np.einsum("md,md->m", self.tree.boxes.half, self.tree.boxes.half))
+        without = np.diff(inner.proxy) == 0
+        half = where.boxes.half[where.number]
+        radii = np.sqrt(np.einsum("md,md->m", half, half))
+        bound, far, other = np.zeros(len(where.number)), [(box[:0], box[:0])], [(box[:0], box[:0])]
+        while len(box):
+            arm = where.boxes.center[where.number[box]] - inner.center[cluster]
+            distance, extent = np.sqrt(np.einsum("nd,nd->n", arm, arm)), extents[cluster]
+            raw, radius = without[cluster], radii[box]
             # Effect of a cluster on the mean if its weights are wrong by 100 %, relative to its allowed error.
-            pull = reach.strength[c] * (reach.shift[c] + reach.turn[c] * distance + mean) / allowed
-            if not few and distance > extent and (raw or distance > radius):
-                error = box_error(half, count, b, distance - extent, distance, function)
-                if not raw:
-                    error = max(error, box_error(tree.boxes.half, tree.boxes.per_side, c, distance, distance, function))
-                if pull * error < 0.5:
-                    bound += pull * error
-                    codes[at] = 2 * c + (1 if raw else 0)
-                    at += 1
-                    continue
-            if not region and not raw and distance > radius:
-                gap = distance - radius
-                error = box_error(tree.boxes.half, tree.boxes.per_side, c, gap, gap, function)
-                if pull * error < 0.5:
-                    bound += pull * error
-                    other[n_other] = 2 * c
-                    n_other += 1
-                    continue
-            if tree.child[c] >= 0 and not raw and (not region or extent > radius):
-                stack[depth], stack[depth + 1] = tree.child[c], tree.child[c] + 1
-                depth += 2
-            else:
-                other[n_other] = c if region else 2 * c + 1
-                n_other += 1
-    return at, n_other, bound
+            pull = self.reach.shift[cluster] + self.reach.turn[cluster] * distance + where.mean[box]
+            pull *= self.reach.strength[cluster] / where.allowed[box]
+            error = np.full(len(box), np.inf)
+            some = np.flatnonzero(~where.few[box] & (distance > extent) & (raw | (distance > radius)))
+            error[some] = self._error_over(
+                where.boxes, where.number[box[some]], distance[some] - extent[some], distance[some]
+            )
+            both = some[~raw[some]]
+            error[both] = np.maximum(
+                error[both], self._error_over(inner, cluster[both], distance[both], distance[both])
+            )
+            cost = _product(pull, error)
+            near = cost >= 0.5
+            far.append((box[~near], 2 * cluster[~near] + raw[~near]))
+            bound += np.bincount(box[~near], cost[~near], len(bound))
+            box, cluster, raw = box[near], cluster[near], raw[near]
+            distance, extent, radius, pull = (each[near] for each in (distance, extent, radius, pull))
+            if not where.region:
+                error = np.full(len(box), np.inf)
+                some = np.flatnonzero(~raw & (distance > radius))
+                gap = distance[some] - radius[some]
+                error[some] = self._error_over(inner, cluster[some], gap, gap)
+                cost = _product(pull, error)
+                near = cost >= 0.5
+                other.append((box[~near], 2 * cluster[~near]))
+                bound += np.bincount(box[~near], cost[~near], len(bound))
+                box, cluster, raw = box[near], cluster[near], raw[near]
+                extent, radius = extent[near], radius[near]
+            split = (self.tree.child[cluster] >= 0) & ~raw & ((extent > radius) | (not where.region))
+            other.append((box[~split], cluster[~split] if where.region else 2 * cluster[~split] + 1))
+            box = np.repeat(box[split], 2)
+            cluster = np.stack([self.tree.child[cluster[split]], self.tree.child[cluster[split]] + 1], axis=1).ravel()
+        (one, codes), (two, others) = (tuple(map(np.concatenate, zip(*pairs, strict=True))) for pairs in (far, other))
+        return (one, codes), (two, others), bound
+
+    def _error_over(self, boxes: Boxes, number: IntArray, gap: FloatArray, distance: FloatArray) -> FloatArray:
+        return self.function.box_error(boxes.half[number], boxes.per_side[number], gap, distance)
+
+
+def _product(pull: FloatArray, error: FloatArray) -> FloatArray:
+    """The bound of the error; infinite where the interpolation has no bound, even without effect on the mean."""
+    return np.multiply(pull, error, out=np.full(len(pull), np.inf), where=np.isfinite(error))

@@ -1,4 +1,4 @@
-"""Derivative of radial basis functions, which are linear, so that only the transposes are new."""
+"""Derivative of radial basis functions: linear in the displacement, but for the greedy choice of centres."""
 
 from __future__ import annotations
 
@@ -11,20 +11,25 @@ from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_sums
 from ...numerics.fastsum.radial.frozen import FrozenRadial
 from ...numerics.fastsum.radial.targets import RadialTargets
-from ...parallel import agreed, alike, apart, rows_of, summed
-from ..base import Account, Problem
-from ..scattered.block_rbf import PreparedBlockRBF
-from ..scattered.centres import Centres, SystemOptions
-from ..scattered.radial_system import RadialSystem
-from ..scattered.rbf import PreparedRBF
-from ..scattered.rbf_sums import RadialSums
-from ..scattered.summation import MAX_RETRIES, doubtful
-from .kinks import Kinks
-from .sums import TOLERANCE
+from ...parallel import agreed, alike, apart, require_whole, rows_of, summed
+from ..base import Account
+from ..kinks import CHOSEN, UNCHOSEN, Kinks
+from .radial_system import RadialSystem
+from .rbf import REACH, PreparedRBF
+from .rbf_sums import RadialSums
+from .summation import DERIVATIVE_TOLERANCE, MAX_RETRIES, doubtful
 
-_TOLERANCE = 1e-13
-"""Tolerance of iterative solutions, to which forward and transposed derivatives agree."""
 _ROWS = 1 << 16
+
+
+def linear_rbf(method: PreparedRBF, sums: RadialSums, displacement: FloatArray) -> LinearRBF | LinearGreedy:
+    """The derivative of the displacement of the nodes of ``sums`` at a displacement (n_sources, 3)."""
+    if method.options.greedy == "none":
+        return LinearRBF(method, sums, Kinks())
+    if not displacement.any():
+        # Few centres chosen for nothing would be those of no direction.
+        return LinearRBF(method, sums, Kinks({UNCHOSEN: 1}))
+    return LinearGreedy(method, sums, displacement)
 
 
 class RadialMap:
@@ -43,7 +48,7 @@ class RadialMap:
 
     def pull(self, gradient: FloatArray) -> FloatArray:
         """Gradient (m, 3) of the values from that (n, 3) at the points."""
-        return solved_transposed(self._system, *self.gathered(gradient))
+        return self._system.solve_transposed(*self.gathered(gradient))
 
     def gathered(self, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Gradients of the coefficients (m, 3) and of the polynomial (q, 3) from that (n, 3) at the points."""
@@ -51,39 +56,19 @@ class RadialMap:
         return upper, self._terms.T @ gradient
 
 
-def solved_transposed(system: RadialSystem, upper: FloatArray, lower: FloatArray) -> FloatArray:
-    """Gradient (m, 3) of the values at centres from those of coefficients (m, 3) and polynomial (q, 3).
-
-    The matrix [A P; P^T 0] is symmetric. A combination of the columns of P satisfies the lower rows of the right-hand
-    side; the solver takes what remains.
-    """
-    terms = system.terms
-    part = terms @ np.linalg.solve(terms.T @ terms, lower)
-    return np.asarray(part + system.solve(upper - system.multiply(part), Account(), None)[0])
-
-
-def accurate(options: SystemOptions, centres: Centres, problem: Problem) -> RadialSystem:
-    """The system with a direct solution, or an iterative one to round-off; it is factorised here, once."""
-    system = RadialSystem(dataclasses.replace(options, solver="auto", tolerance=_TOLERANCE), centres, problem.memory)
-    system.solve(np.zeros_like(centres.points), Account(), None)
-    return system
-
-
-class RBFDerivative:
+class LinearRBF:
     """Derivative of the displacement of some nodes with respect to that of the sources, all of which are centres; the
     same at all displacements.
 
     If the method uses fast sums, so does the derivative, provided their error, checked against exact sums at some
-    nodes, is below :data:`.sums.TOLERANCE` of the derivative; otherwise sums are exact.
+    nodes, is below :data:`.summation.DERIVATIVE_TOLERANCE` of the derivative; otherwise sums are exact.
     """
 
-    def __init__(self, method: PreparedRBF, problem: Problem, sums: RadialSums, kinks: Kinks | None = None) -> None:
-        self._images, self._points, self.flat = method.images, problem.grid.points, sums.flat
+    def __init__(self, method: PreparedRBF, sums: RadialSums, kinks: Kinks) -> None:
+        self._images, self._points, self.flat, self.kinks = method.images, method.problem.grid.points, sums.flat, kinks
         self._own = rows_of(self._points)
-        self.kinks = kinks or Kinks()
         sums.prepare(len(method.centres.points))
-        self._n = len(problem.source_numbers)
-        self._system = accurate(method.options.system, method.centres, problem)
+        self._system = RadialSystem.accurate(method.options.system, method.centres, method.problem.memory)
         self._fast = self._accurate(sums.targets) if sums.targets else None
         self._exact = None if self._fast else RadialMap(self._system, self._own[self.flat])
 
@@ -104,7 +89,7 @@ class RBFDerivative:
 
         some = doubtful(self._points, targets, np.zeros(len(targets.leaves)))
         size = agreed(float(np.abs(exactly(some) + self._terms(some) @ polynomial).max(initial=0.0)))
-        allowed = TOLERANCE * size
+        allowed = DERIVATIVE_TOLERANCE * size
         for _ in range(1 + MAX_RETRIES):
             fast = FrozenRadial(kind, centres.points, targets, coefficients, allowed)
 
@@ -117,11 +102,11 @@ class RBFDerivative:
             # All ranks must decide alike, even if their processors round differently.
             gap = float(np.abs(found[flat] - exactly(flat)).max(initial=0.0))
             error = agreed(gap) / size
-            if error <= TOLERANCE:
+            if error <= DERIVATIVE_TOLERANCE:
                 return fast
             if not np.isfinite(error):
                 break
-            allowed *= 0.25 * TOLERANCE / error
+            allowed *= 0.25 * DERIVATIVE_TOLERANCE / error
         return None
 
     def push(self, change: FloatArray, out: FloatArray) -> None:
@@ -141,7 +126,7 @@ class RBFDerivative:
 
     def pull(self, gradient: FloatArray) -> FloatArray:
         """Gradient (n_sources, 3) from that of the nodes, rows of ``gradient`` (n_nodes, 3)."""
-        total, rows = np.zeros((self._n, 3)), rows_of(gradient)
+        rows = rows_of(gradient)
         with apart(self._points):
             if self._exact:
                 upper, lower = self._exact.gathered(rows[self.flat])
@@ -152,9 +137,7 @@ class RBFDerivative:
                     flat = self.flat[first : first + _ROWS]
                     lower += self._terms(flat).T @ rows[flat]
         upper, lower = (summed(self._points, each) for each in (upper, lower))
-        found = solved_transposed(self._system, upper, lower)
-        np.add.at(total, self._images.owner, np.einsum("nij,ni->nj", self._images.reflection, found))
-        return total
+        return self._images.gathered(self._system.solve_transposed(upper, lower))
 
     def _terms(self, flat: IntArray) -> FloatArray:
         """Polynomial terms (n, q) at some nodes."""
@@ -162,24 +145,54 @@ class RBFDerivative:
         return centres.polynomial(centres.normalised(self._own[flat]))[:, : self._system.terms.shape[1]]
 
 
-class BlockRBFDerivative:
-    """Transpose of the filling of blocks by :class:`.block_rbf.PreparedBlockRBF`."""
+class LinearGreedy:
+    """Derivative of the displacement of some nodes at one displacement (n_sources, 3) of the sources.
 
-    def __init__(self, method: PreparedBlockRBF, problem: Problem) -> None:
-        points = problem.grid.points
-        self._blocks = [
-            (each, RadialMap(accurate(method._options.system, each.centres, problem), points[each.targets]))
-            for each in method._blocks
-        ]
+    It includes the interpolation between the chosen centres, the residual at all sources, which nodes near them take
+    over, and the distance over which they do, which grows with the largest residual. The choice of centres is held
+    fixed.
+    """
 
-    def push(self, change: FloatArray) -> None:
-        """Fill blocks from their faces, in place."""
-        for block, inside in self._blocks:
-            change[block.targets] = inside.push(change[block.known])
+    def __init__(self, method: PreparedRBF, sums: RadialSums, displacement: FloatArray) -> None:
+        problem, images, centres = method.problem, method.images, method.centres
+        require_whole(problem.grid.points, "a derivative of a greedy reduction")
+        self._images, self.flat, self.kinks = images, sums.flat, Kinks({CHOSEN: 1})
+        values = images.displaced(displacement)
+        found = method.selected(values)
+        self._active = found.active
+        chosen = dataclasses.replace(centres, points=np.ascontiguousarray(centres.points[self._active]))
+        system = RadialSystem.accurate(method.options.system, chosen, problem.memory)
+        self._inside = RadialMap(system, problem.grid.points[self.flat])
+        self._at_sources = RadialMap(system, images.points)
+        left = values - self._at_sources.push(values[self._active])
+        length = np.linalg.norm(left, axis=1)
+        self._worst = int(np.argmax(length))
+        reach = REACH * float(length[self._worst])
+        self._corrects = method.options.greedy_correct and reach > 0.0
+        if self._corrects:
+            distance, self._nearest = sums.nearest()
+            r = np.minimum(distance / reach, 1.0)
+            self._share = ((1.0 - r) ** 4 * (4.0 * r + 1.0))[:, None]
+            # The correction of a node depends on the reach, and the reach on the largest residual.
+            self._growth = (20.0 * r**2 * (1.0 - r) ** 3 / reach)[:, None] * left[self._nearest]
+            self._of_reach = REACH * left[self._worst] / length[self._worst]
 
-    def pull(self, gradient: FloatArray) -> None:
-        """Pass gradients from inside blocks on to their faces, in place."""
-        for block, inside in self._blocks:
-            found = inside.pull(gradient[block.targets])
-            gradient[block.targets] = 0.0
-            gradient[block.known] += found
+    def push(self, change: FloatArray, out: FloatArray) -> None:
+        """Write the change of the nodes into their rows of ``out`` (n_nodes, 3), for a ``change`` of the sources."""
+        values = self._images.displaced(change)
+        moved = self._inside.push(values[self._active])
+        if self._corrects:
+            left = values - self._at_sources.push(values[self._active])
+            moved += self._share * left[self._nearest] + self._growth * (self._of_reach @ left[self._worst])
+        out[self.flat] = moved
+
+    def pull(self, gradient: FloatArray) -> FloatArray:
+        """Gradient (n_sources, 3) from that of the nodes, rows of ``gradient`` (n_nodes, 3)."""
+        g, values = gradient[self.flat], np.zeros((len(self._images.owner), 3))
+        of_active = self._inside.pull(g)
+        if self._corrects:
+            np.add.at(values, self._nearest, self._share * g)
+            values[self._worst] += self._of_reach * (self._growth * g).sum()
+            of_active -= self._at_sources.pull(values)
+        values[self._active] += of_active
+        return self._images.gathered(values)

@@ -1,16 +1,38 @@
-"""Derivatives of the constraints on the displacement of face nodes: slip, periodicity, coincidence."""
+"""Constraints on the displacement of face nodes: slip, periodicity, coincidence; and their derivatives."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from ...boundary.slip import CurvedSurface
-from ...grid import FloatArray, IntArray
-from ...grid.topology import Topology
-from ...numerics.rows import collect_rows, project_rows, spread_rows
-from ...parallel import Part, own_rows, rows_of
-from ..base import Problem
+from ..boundary.slip import CurvedSurface
+from ..grid import FloatArray, IntArray
+from ..grid.topology import Topology
+from ..numerics.rows import collect_rows, project_rows, spread_rows
+from ..parallel import Part, for_chunks, own_rows, rows_of
+from .base import Problem
 from .kinks import EDGES, Kinks, kinks_of
+
+# Face nodes per chunk: large enough to outweigh the cost of starting a thread.
+_NODES = 100_000
+
+
+def impose(problem: Problem, face: FloatArray, out: FloatArray | None = None) -> None:
+    """Impose slip and periodicity on ``face`` (n_unique, 3), in place, and copy it to all coincident nodes of ``out``
+    (n_nodes, 3)."""
+    topology, boundary = problem.topology, problem.boundary
+    if problem.layer and out is not None:
+        problem.layer.follow(face)
+    boundary.slip.constrain(face, problem.grid.points, topology.first)
+    boundary.periodic.constrain(face, ~boundary.known)
+    if out is not None:
+        put_on_faces(face, out, problem)
+
+
+def put_on_faces(face: FloatArray, out: FloatArray, problem: Problem) -> None:
+    """Copy displacements (n_unique, 3) to all coincident nodes in the rows of ``out`` (n_nodes, 3)."""
+    number, nodes = own_face_nodes(problem.topology, out)
+    rows = rows_of(out)
+    for_chunks(lambda lo, hi: spread_rows(face, number[lo:hi], nodes[lo:hi], rows), len(nodes), _NODES)
 
 
 class Constraints:
@@ -74,8 +96,7 @@ class Constraints:
     def impose(self, face: FloatArray, out: FloatArray) -> None:
         """Impose the constraints on a change ``face``, and copy it to all coincident nodes of ``out`` (n_nodes, 3)."""
         self.push(face)
-        number, nodes = own_face_nodes(self._problem.topology, out)
-        spread_rows(face, number, nodes, rows_of(out))
+        put_on_faces(face, out, self._problem)
 
     def gathered(self, gradient: FloatArray) -> FloatArray:
         """Transpose of :meth:`impose`: gradient (n_unique, 3) of the face nodes, with the rows of coincident nodes in

@@ -7,8 +7,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from ...grid import FloatArray, IntArray
-from ...numerics.tape import largest
+from ..grid import FloatArray, IntArray
+from ..numerics.tape import largest
 
 Kinks = Counter[str]
 """Number of places by kind, one of the texts below, in which ``{}`` stands for the number."""

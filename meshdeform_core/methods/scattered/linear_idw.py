@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ...grid import BoolArray, FloatArray, Grid, IntArray
 from ...numerics.arrays import lengths, weighted_total
-from ...numerics.exact.direct import weighted_sums
-from ...numerics.fastsum.weighted.frozen import FrozenSums
+from ...numerics.fastsum.weighted.sums import FastSums, Scaled
 from ...numerics.rigid import finish
 from ...numerics.tangents import finish_gradients, finish_tangents
 from ...numerics.tape import Tape, Tracked, plain
 from ...parallel import agreed, apart, empty, rows_of, summed
-from ..scattered.fast_idw_sums import FastEvaluator
-from ..scattered.idw import PreparedIDW
-from ..scattered.idw_sums import Bound, ExactEvaluator, SourceValues
-from ..scattered.summation import MAX_RETRIES, doubtful
-from ..scattered.transition import with_motion
-from ..scattered.tuned import ALPHA_CAP
-from .kinks import FOLDED, HALF_TURNS, LARGEST, Kinks, half_turns, kinks_of, tied
-from .reduced import reduced
-from .sums import TOLERANCE, LinearSums, Weights, sums_of
+from ..kinks import FOLDED, HALF_TURNS, LARGEST, Kinks, half_turns, kinks_of, tied
+from .fast_idw_sums import FastEvaluator, fast_sums
+from .idw import PreparedIDW
+from .idw_sums import Bound, ExactEvaluator, ExactSums, SourceValues, Use, Weights
+from .summation import DERIVATIVE_TOLERANCE, MAX_RETRIES, doubtful
+from .transition import with_motion
+from .tuned import ALPHA_CAP
 
 _LEAST_ALPHA = 1e-3
 _FIRST_SHARE = 1.7
@@ -29,8 +28,10 @@ the plates need half of it."""
 # Nodes per chunk when fast sums are checked.
 _CHECKED = 64
 
+Sums = ExactSums | FastSums
 
-class IDWDerivative:
+
+class LinearIDW:
     """Derivative of the displacement of the nodes of an evaluator at one displacement (n_sources, 3) of the sources.
 
     The rotations, their smoothing and the mean motion are differentiated operation by operation; sums over sources
@@ -47,7 +48,7 @@ class IDWDerivative:
         # Within the frame of the mean motion, all sources at rest move alike.
         images = method.images
         acting = with_motion(images) | images.displaced(displacement).any(axis=1)
-        method = reduced(method, acting)
+        method = method.reduced(acting)
         fit = method.fit(variable)  # type: ignore[arg-type]
         self._fit = fit
         self._transition = fit.transition._replace(rest=plain(fit.transition.rest))
@@ -109,7 +110,7 @@ class IDWDerivative:
 
         moved_rows = rows_of(out)
         with apart(bound.grid.points):
-            self._sums.push(values, use, moved_rows)
+            _push(self._sums, values, use, moved_rows, weigh=False)
 
     def pull(self, gradient: FloatArray) -> FloatArray:
         """Gradient (n_sources, 3) from that of the nodes, rows of ``gradient`` (n_nodes, 3)."""
@@ -136,7 +137,7 @@ class IDWDerivative:
         acting, rows = self._sums.acting, rows_of(gradient)
         values = np.zeros((k, np.count_nonzero(acting)))
         with apart(bound.grid.points):
-            own = self._sums.pull(make, changing, parts)[:, acting]
+            own = self._sums.transpose(make, changing, parts)[:, acting]
         values[:changing] = summed(bound.grid.points, own)
         part = summed(bound.grid.points, parts.sum(axis=0))
         if not acting.all():
@@ -161,7 +162,7 @@ def automatic_alpha(method: PreparedIDW, displacement: Tracked) -> Tracked | Non
 def _arms(method: PreparedIDW, displacement: FloatArray) -> FloatArray:
     """Displacements (n, 3) of the images of sources relative to their mean."""
     d = method.images.displaced(displacement)
-    frame = method._frame(d)
+    frame = method.frame_of(d)
     inside = d if frame.turn is None else frame.relative(method.images.points, d)
     arms: FloatArray = inside - weighted_total(method.area / method.area.sum(), inside)
     return arms
@@ -172,7 +173,7 @@ def idw_kinks(method: PreparedIDW, fit: SourceValues, displacement: FloatArray) 
     images, counts = method.images, list[tuple[str, int]]()
     if method.options.rotation != "none":
         counts.append((HALF_TURNS, half_turns(plain(fit.turn), images.owner)))
-        counts.append((FOLDED, method._rotations.folded(images.displaced(displacement))))
+        counts.append((FOLDED, method.rotations.folded(images.displaced(displacement))))
     if method.options.alpha == "auto" and automatic_alpha(method, Tape().variable(displacement)) is not None:
         counts.append((LARGEST, tied(lengths(_arms(method, displacement)), images.owner)))
     return kinks_of(counts)
@@ -188,27 +189,30 @@ def _apart(values: FloatArray, acting: BoolArray) -> tuple[FloatArray, FloatArra
 
 def _accurate(
     bound: Bound, weights: Weights, values: FloatArray, acting: BoolArray, fast: bool, transition: bool
-) -> tuple[LinearSums, _AtNodes]:
+) -> tuple[Sums, _AtNodes]:
     """Fast sums, refined until their error at the nodes where they are compared with exact ones is small enough; exact
-    sums if it remains too large.
-
-    Weights are in single precision unless they overflow it, or refinement did not help.
-    """
-    share, single = _FIRST_SHARE, True
-    for attempt in range(1 + MAX_RETRIES if fast else 0):
-        sums = sums_of(bound, True, weights, acting, share, single and attempt < 2)
-        found = _AtNodes(bound.grid, sums, values, True, transition)
-        assert isinstance(sums, FrozenSums)
+    sums if it remains too large."""
+    share = _FIRST_SHARE
+    for _ in range(1 + MAX_RETRIES if fast else 0):
+        sums = fast_sums(bound, weights, acting, share)
+        found = _AtNodes(bound.grid, sums, values, transition)
         # All ranks must decide alike, also those whose processors round otherwise.
         error = agreed(found.error(bound, sums, weights, values))
-        if error <= TOLERANCE:
+        if error <= DERIVATIVE_TOLERANCE:
             return sums, found
-        if np.isfinite(error):
-            share *= 0.9 * TOLERANCE / error
-        else:
-            single = False
-    sums = sums_of(bound, False, weights, acting)
-    return sums, _AtNodes(bound.grid, sums, values, False, transition)
+        if not np.isfinite(error):
+            break
+        share *= 0.9 * DERIVATIVE_TOLERANCE / error
+    exact = ExactSums(bound, weights, acting)
+    return exact, _AtNodes(bound.grid, exact, values, transition)
+
+
+def _push(sums: Sums, values: FloatArray, use: Use, result: FloatArray | None = None, **options: Any) -> None:
+    """Sums of values as they are, exact or fast."""
+    if isinstance(sums, FastSums):
+        sums.apply(Scaled.plain(values), use, result, **options)
+    else:
+        sums.apply(values, use, result, **options)
 
 
 class _AtNodes:
@@ -218,11 +222,13 @@ class _AtNodes:
     means of fast sums single precision suffices.
     """
 
-    def __init__(self, grid: Grid, sums: LinearSums, values: FloatArray, fast: bool, transition: bool) -> None:
+    def __init__(self, grid: Grid, sums: Sums, values: FloatArray, transition: bool) -> None:
         values, common = _apart(values, sums.acting)
         lasting = 1 if transition else 0
         self._weight = empty((len(sums.flat), 1 + lasting))
-        self._means = empty((len(sums.flat), len(values) - lasting), np.float32 if fast else np.float64)
+        self._means = empty(
+            (len(sums.flat), len(values) - lasting), np.float32 if isinstance(sums, FastSums) else np.float64
+        )
         self._k = 1 + len(values)
 
         def keep(rows: slice, flat: IntArray, found: FloatArray) -> None:
@@ -231,21 +237,18 @@ class _AtNodes:
             self._means[rows] = found[:, 1 : self._k - lasting] / found[:, :1]
 
         with apart(grid.points):
-            sums.push(values, keep, kept=(self._weight, self._means), weigh=True)
+            _push(sums, values, keep, kept=(self._weight, self._means))
 
-    def error(self, bound: Bound, sums: FrozenSums, weights: Weights, values: FloatArray) -> float:
+    def error(self, bound: Bound, sums: FastSums, weights: Weights, values: FloatArray) -> float:
         """Largest error of a sum of unit values relative to the total weight, at the nodes with the largest error
         bounds and at random ones; infinite if any sum is not finite."""
         if not np.isfinite(self._weight).all():
             return np.inf
         own, common = _apart(values, sums.acting)
-        rows = np.unique(doubtful(bound.grid.points, sums, sums.risk))
-        x, exact, acting = bound.points[sums.flat[rows]], np.zeros((len(rows), self._k)), np.zeros(len(rows))
-        strength = bound.strength / bound.strength.max()
-        for group, each in zip(bound.groups, weights, strict=True):
-            exact += weighted_sums(x, bound.sources[group], strength[group], each, own[:, group], chunk=_CHECKED)
-            some = group[sums.acting[group]]
-            acting += weighted_sums(x, bound.sources[some], strength[some], each, own[:0, some], chunk=_CHECKED)[:, 0]
+        rows = np.unique(doubtful(bound.grid.points, sums.targets.numbered, sums.risk))
+        exact = ExactSums(bound, weights).at(sums.flat[rows], np.vstack([own, sums.acting]), chunk=_CHECKED)
+        exact /= bound.strength.max()
+        exact, acting = exact[:, :-1], exact[:, -1]
         found = self.rows(rows)
         found[:, 1:] -= found[:, :1] * common
         gap = np.abs(found - exact) / exact[:, :1]

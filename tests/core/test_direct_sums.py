@@ -1,17 +1,16 @@
-"""Sums in single precision beside plain numpy, for distances of all sizes."""
+"""Sums in single and double precision beside plain numpy, for distances of all sizes."""
 
 import numpy as np
 import pytest
 
-from meshdeform_core.numerics.exact.single import sum_groups_single
+from meshdeform_core.numerics.exact.direct import DOUBLE, SINGLE, sum_groups
 
 
-def _sums(targets, sources, charges, a, kappa, every=True):
+def _sums(targets, sources, charges, a, kappa, every=True, precision=SINGLE):
     out = np.zeros((len(targets), 8))
-    charged = np.concatenate([sources, charges], axis=1)
     half = len(sources) // 2
-    pieces = np.array([[0, half], [half, len(sources)]])
-    sum_groups_single(targets, np.array([[0, len(targets)]]), charged, pieces, np.array([[0, 2]]), a, kappa, every, out)
+    pieces, span = np.array([[0, half], [half, len(sources)]]), np.array([[0, len(targets)]])
+    sum_groups(targets, span, sources, charges, pieces, np.array([[0, 2]]), a, 5.0, kappa, every, precision, out)
     return out
 
 
@@ -23,16 +22,17 @@ def _exact(targets, sources, charges, a, kappa):
 
 @pytest.mark.parametrize("a", [3.0, 4.0])
 @pytest.mark.parametrize("kappa", [0.3, 1e12])
+@pytest.mark.parametrize(("precision", "error"), [(SINGLE, 2e-5), (DOUBLE, 1e-14)])
 @pytest.mark.parametrize("n_sources", [7, 1300])
-def test_as_plain_numpy(a, kappa, n_sources):
+def test_as_plain_numpy(a, kappa, n_sources, precision, error):
     random = np.random.default_rng(0)
     targets, sources = 50.0 + random.random((33, 3)), 50.7 + random.random((n_sources, 3))
     charges = random.standard_normal((n_sources, 8))
     wanted, size = _exact(targets, sources, charges, a, kappa)
-    assert np.abs((_sums(targets, sources, charges, a, kappa) - wanted) / size).max() < 2e-5
-    some = _sums(targets, sources, charges, a, kappa, every=False)
+    assert np.abs((_sums(targets, sources, charges, a, kappa, True, precision) - wanted) / size).max() < error
+    some = _sums(targets, sources, charges, a, kappa, False, precision)
     assert not some[:, [0, 7]].any()
-    assert np.abs((some - wanted)[:, 1:7] / size[:, 1:7]).max() < 2e-5
+    assert np.abs((some - wanted)[:, 1:7] / size[:, 1:7]).max() < error
 
 
 @pytest.mark.parametrize("a", [3.0, 4.0])
