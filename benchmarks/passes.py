@@ -39,7 +39,7 @@ def memory_speed(quick: bool) -> MarkdownTable:
             "copies, new copies: wall time with all threads, against copying with as many",
             "CPU copies: CPU time of all threads against that of a copy on one of them",
             "a level of a series: writing goes to a binary Plot3D file and includes making it; as in `meshdeform "
-            "series`, a level is written while the next one is computed, and undeformed cells are kept",
+            "series`, a level is written while the next one is computed",
             "a level of the command: the difference between series of 3 and of 13 levels, in which everything is "
             "included (evaluating the motion, rotations of walls, crossing boundaries, the state of the series)",
         ],
@@ -86,17 +86,14 @@ def _works(case: Motion, file: Path) -> dict[str, tuple[Callable[[], object]] | 
     hybrid = make_method(Options("idw-tfi"))
     filler = hybrid.filler.prepare(case.problem, hybrid.filler.skeleton(case.problem))
     field = np.zeros_like(grid.points)
-    known, kept = (Original(grid, setup.topology) for _ in range(2))
-    kept.kept.begin()
-    for original in (known, kept):
-        assess(original, after, setup.boundary)
+    known = Original(grid, setup.topology)
+    assess(known, after, setup.boundary)
     return {
         "TFI, whole apply": (lambda: prepared.apply(case.displacement),),
         "TFI of sub-blocks, filling": (lambda: filler.fill(field),),
         "TFI, set-up": (lambda: make_method(Options("tfi")).prepare(case.problem),),
-        "a level by TFI: apply, quality, writing": (lambda: _levels(prepared, case, kept, file), _LEVELS),
-        "quality, further level": (lambda: assess(kept, after, setup.boundary),),
-        "quality, further level, nothing kept": (lambda: assess(known, after, setup.boundary),),
+        "a level by TFI: apply, quality, writing": (lambda: _levels(prepared, case, known, file), _LEVELS),
+        "quality, further level": (lambda: assess(known, after, setup.boundary),),
         "quality, before and after": (lambda: assess(Original(grid, setup.topology), after, setup.boundary),),
         "valid or not": (lambda: newly_invalid(known, after),),
         "topology": (lambda: find_topology(grid),),

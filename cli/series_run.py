@@ -275,7 +275,7 @@ class Recorder:
         last = level.number + 1 == len(run.schedule.times)
         if run.job.ranks.count > 1 or thread_count() == 1 or last or not plain:
             return True
-        return WRITING_ARRAYS * size + run.setup.original.kept.bytes > run.setup.memory.spare
+        return WRITING_ARRAYS * size > run.setup.memory.spare
 
     def finish(self) -> None:
         """Wait until the last level is written and recorded.

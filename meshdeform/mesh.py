@@ -199,7 +199,6 @@ class Mesh:
         setup = setup if repair is None else setup.with_repair(repair)
         start = Start(setup.grid.points, self._method(timing))
         result = impose(setup, motion, steps, setup.grid.precision, timing, progress, start)
-        setup.undeformed.expect_more()
         return Step(result, self.session.plane)
 
     def _method(self, timing: Timing) -> PreparedMethod:

@@ -156,12 +156,6 @@ class Overset(Undeformed):
         """Whether the boundary of any component crosses itself; components may pass through each other."""
         return ComponentCrossings(self.components)
 
-    def expect_more(self) -> None:
-        """Store measures of the undeformed components for further judgements, if memory permits."""
-        super().expect_more()
-        for each in self.components:
-            each.undeformed.expect_more()
-
     def prepare(self, options: Options) -> PreparedMethod:
         """The method prepared on every component that moves."""
         return PreparedComponents(self, options)

@@ -164,7 +164,6 @@ class _Series:
         marching = schedule.origin == "last" and bool(past)
         start = Start(past[-1]) if marching else Start(setup.grid.points, reference)
         result = impose(setup, setup.motion(time), schedule.steps, self.precision, timing, self.progress, start)
-        setup.undeformed.expect_more()
         displacement = result.displacement[self.problem.source_numbers]
         drift = velocity = None
         if schedule.origin == "last":

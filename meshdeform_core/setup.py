@@ -142,12 +142,6 @@ class Undeformed:
         low, high = extent(rows_at(self.grid.points, self.topology.first))
         return 1e-12 * float((high - low).max())
 
-    def expect_more(self) -> None:
-        """Store measures of the undeformed grid for the judgement of further grids, if memory permits; for a series."""
-        kept = self.original.kept
-        if not kept.begun and kept.bytes <= self.memory.spare:
-            kept.begin()
-
     def prepare(self, options: Options) -> PreparedMethod:
         """The method that ``options`` describe, bound to the grid."""
         return prepare_method(options, self.problem)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 from llvmlite import ir
@@ -26,8 +25,6 @@ POINTS, GRID, CELLS = 3 * N, (ROWS + 1) * N, _FIGURES * WIDTH
 # Each lane of a vector has its own histogram, so that the increments do not depend on each other.
 BIN_ROW = 32
 COUNTS = BIN_ROW * WIDTH
-# Numbers stored per sixteen undeformed cells: corner Jacobians and volume.
-KEPT = 9 * WIDTH
 # Scaled Jacobians below the first limit are decided in double precision; so are those above the second, which result
 # only from overflow or not-a-number.
 _FLAT, _IMPOSSIBLE = 0.01, 1.001
@@ -126,28 +123,6 @@ def _total(lines: Lines) -> list[Lanes]:
 
 def _square(x: Any) -> Lanes:
     return x[0] * x[0] + x[1] * x[1] + x[2] * x[2]
-
-
-@lanes
-def keep(t: Array, old: ir.Value, kept: Array, at: ir.Value) -> None:
-    """Store what :func:`compare_cells` needs of undeformed cells; a volume of NaN marks cells never decided here."""
-    for n in range(8):
-        kept.store(at, t.load(old, (_JACOBIAN + n) * WIDTH), n * WIDTH)
-    least, unit, volume = (t.load(old, n * WIDTH) for n in (_LEAST, _LEAST_UNIT, _VOLUME))
-    kept.store(at, _comparable(least, unit, volume).choose(volume, math.nan), 8 * WIDTH)
-
-
-@lanes
-def recall(kept: Array, at: ir.Value, t: Array, old: ir.Value) -> None:
-    """Restore what :func:`keep` has stored."""
-    corners = [kept.load(at, n * WIDTH) for n in range(8)]
-    least = corners[0]
-    for n, jacobian in enumerate(corners):
-        t.store(old, jacobian, (_JACOBIAN + n) * WIDTH)
-        least = least.min(jacobian)
-    t.store(old, least, _LEAST * WIDTH)
-    t.store(old, least * 0.0 + 1.0, _LEAST_UNIT * WIDTH)
-    t.store(old, kept.load(at, 8 * WIDTH), _VOLUME * WIDTH)
 
 
 def _comparable(least: Lanes, unit: Lanes, volume: Lanes) -> Mask:

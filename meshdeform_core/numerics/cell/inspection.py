@@ -41,7 +41,6 @@ from .formulas import (
     CHANGE,
     COUNTS,
     GRID,
-    KEPT,
     LONGEST,
     NODES,
     OPEN,
@@ -58,31 +57,16 @@ from .formulas import (
     collect,
     compare_cells,
     edges,
-    keep,
     measure,
     move,
-    recall,
     skewness,
 )  # fmt: skip
 
-__all__ = ["CHANGE", "RATIO", "SCALED", "SCALED_BEFORE", "SKEW", "SKEW_BEFORE", "inspect_hexahedra", "kept_numbers"]
-
-
-def kept_numbers(shape: tuple[int, int, int], layers: int) -> int:
-    """Size of ``kept`` of :func:`inspect_hexahedra` for ``layers`` layers of cells of a block with ``shape`` nodes."""
-    _, cj, ck = (n - 1 for n in shape)
-    step = -(-ck // -(-ck // LONGEST))
-    vectors = 0
-    for k0 in range(0, ck, step):
-        width = min(ck - k0, step) + 1
-        height = max(min(NODES // width, cj + 1), 2)
-        for j0 in range(0, cj, height - 1):
-            vectors += -(-((min(cj - j0 + 1, height) - 1) * width - 1) // WIDTH)
-    return KEPT * vectors * layers
+__all__ = ["CHANGE", "RATIO", "SCALED", "SCALED_BEFORE", "SKEW", "SKEW_BEFORE", "inspect_hexahedra"]
 
 
 @kernel
-def inspect_hexahedra(before, x, compare, both, sign, scale, i0, i1, out, is_open, sums, counts, kept, known):
+def inspect_hexahedra(before, x, compare, both, sign, scale, i0, i1, out, is_open, sums, counts):
     """Measures of the cells i0 <= i < i1 of a block.
 
     Parameters
@@ -98,8 +82,6 @@ def inspect_hexahedra(before, x, compare, both, sign, scale, i0, i1, out, is_ope
     is_open : (i1 - i0, cj, ck) bool, out: cells neither proved sound nor measured, left to the double-precision pass
     sums : (2, 2), added to: sums of 1 / f_skew and of f_skew over the cells that are not open, after and before
     counts : (2, 20), added to: histogram of the f_skew of these cells, equal bins of [0, 1]
-    kept : float32, measures of ``before``: if ``known``, those stored by an earlier pass over these cells; otherwise
-        filled, unless empty (:func:`kept_numbers`). ``known`` and ``both`` exclude each other
     """
     # One-dimensional arrays without views: numba counts references to views with atomic operations.
     points, e = np.zeros(4 * POINTS), np.ones(2 * GRID, np.float32)
@@ -107,8 +89,7 @@ def inspect_hexahedra(before, x, compare, both, sign, scale, i0, i1, out, is_ope
     inside, total, bins = np.empty(N, np.float32), np.zeros(4 * WIDTH), np.zeros(2 * COUNTS, np.int32)
     single, signed = np.float32(scale), np.float32(sign * scale)
     cj, ck = x.shape[1] - 1, x.shape[2] - 1
-    left = 1 if compare and not known else 0
-    place = 0
+    left = 1 if compare else 0
     step = -(-ck // -(-ck // LONGEST))
     for k0 in range(0, ck, step):
         width = min(ck - k0, step) + 1
@@ -127,15 +108,9 @@ def inspect_hexahedra(before, x, compare, both, sign, scale, i0, i1, out, is_ope
                     _edges(points, new, new + 3, e, to + ALONG_K * N + here, rows * width - 1, single)
                 if i > i0:
                     for m in range(0, (rows - 1) * width - 1, WIDTH):
-                        if known:
-                            recall(kept, place, t, CELLS)
-                        elif compare:
+                        if compare:
                             at = m + GRID
                             measure(e, at, at + last, at + here, width, t, CELLS)
-                            if kept.size:
-                                keep(t, CELLS, kept, place)
-                        if kept.size:
-                            place += KEPT
                         compare_cells(e, m, m + last, m + here, width, t, 0, CELLS if compare else 0, r)
                         for g in range(left + 1 if both else 1):
                             skewness(t, g * CELLS)

@@ -8,13 +8,17 @@ coefficient is a mean of triple products u x v . w.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ..arrays import BoolArray, FloatArray
 from ..jit import inlined, kernel
 from .volume import along
 
 COLLAPSED = 1e-10
 """Corners below this share of the largest corner Jacobian of the undeformed cell are collapsed: no ratio is taken."""
 _DEPTH = 10
+_TOGETHER = 1 << 12
+"""Cells, or parts of them, judged at a time, which bounds the memory."""
 
 
 @kernel
@@ -42,8 +46,7 @@ def _quad_corner(x, normal, i, j, a, b):
     return along(normal, u, v)
 
 
-@kernel
-def decide(before, x, sign):
+def decide(before: FloatArray, x: FloatArray, sign: FloatArray) -> NDArray[np.int8]:
     """Which hexahedra have become invalid: (m,) int8, 0 valid, 1 Jacobian not positive inside, 2 negative volume.
 
     Only the volume is judged if the undeformed Jacobian is already negative somewhere. Coefficients that vanish in the
@@ -55,94 +58,64 @@ def decide(before, x, sign):
     sign : (m,) handedness
     """
     failed = np.zeros(len(x), dtype=np.int8)
-    old, new = np.empty((3, 3, 3)), np.empty((3, 3, 3))
-    zero = np.empty((3, 3, 3), dtype=np.bool_)
-    stack = np.empty((8 * _DEPTH, 3, 3, 3))
-    for m in range(len(x)):
-        _bernstein(x[m], sign[m], new)
-        _bernstein(before[m], sign[m], old)
-        largest = np.abs(old).max()
-        for n in range(27):
-            zero.flat[n] = abs(old.flat[n]) <= COLLAPSED * largest
-        if _positive(new, zero, stack):
-            continue
+    for lo in range(0, len(x), _TOGETHER):
+        some = slice(lo, lo + _TOGETHER)
+        new, old = _bernstein(x[some], sign[some]), _bernstein(before[some], sign[some])
+        zero = np.abs(old) <= COLLAPSED * np.abs(old).max(axis=(1, 2, 3), keepdims=True)
+        left = np.flatnonzero(~_positive(new, zero))
+        new, old = new[left], old[left]
         # The mean of the coefficients is the volume.
-        if _positive(old, zero, stack):
-            failed[m] = 1
-        elif old.sum() > 0.0 and new.sum() <= 0.0:
-            failed[m] = 2
+        gone = (old.sum(axis=(1, 2, 3)) > 0.0) & (new.sum(axis=(1, 2, 3)) <= 0.0)
+        failed[lo + left] = np.where(_positive(old, zero[left]), 1, np.where(gone, 2, 0))
     return failed
 
 
-@kernel
-def _bernstein(x, sign, b):
-    """The 27 coefficients of a cell with corners ``x`` (8, 3)."""
-    b[...] = 0.0
+def _bernstein(x: FloatArray, sign: FloatArray) -> FloatArray:
+    """The 27 coefficients (m, 3, 3, 3) of cells with corners ``x`` (m, 8, 3)."""
+    # Component by component, as numpy is slow on axes of length 3.
+    x = np.ascontiguousarray(np.moveaxis(x, 0, -1))
+    found = np.zeros((3, 3, 3, x.shape[-1]))
     for p in range(4):
         u = x[4 + p] - x[p]
         for q in range(4):
             v = x[4 * (q >> 1) + 2 + (q & 1)] - x[4 * (q >> 1) + (q & 1)]
-            x0, y0, z0 = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
+            area = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
             for r in range(4):
                 w = x[2 * r + 1] - x[2 * r]
                 # u at (j, k) = p, v at (i, k) = q, w at (i, j) = r.
                 i, j, k = (q >> 1) + (r >> 1), (p >> 1) + (r & 1), (p & 1) + (q & 1)
                 terms = (2 if i == 1 else 1) * (2 if j == 1 else 1) * (2 if k == 1 else 1)
-                b[i, j, k] += sign * (x0 * w[0] + y0 * w[1] + z0 * w[2]) / terms
+                found[i, j, k] += sign * (area[0] * w[0] + area[1] * w[1] + area[2] * w[2]) / terms
+    return np.ascontiguousarray(np.moveaxis(found, -1, 0))
 
 
-@kernel
-def _positive(b, zero, stack):
-    """Whether the coefficients ``b`` prove positivity; those in ``zero`` vanish by construction and do not count."""
-    lowest = np.inf
-    for n in range(27):
-        if not zero.flat[n]:
-            lowest = min(lowest, b.flat[n])
-    if lowest > 0.0 or zero.all():
-        return lowest > 0.0
-    if zero.any():
-        # Next to a collapsed edge subdivision is not exact: all coefficients must be positive.
-        return False
-    stack[0] = b
-    depth = np.zeros(len(stack), dtype=np.int64)
-    top = 1
-    while top:
-        top -= 1
-        part, level = stack[top].copy(), depth[top]
-        for n in range(8):
-            if part[2 * (n >> 2), 2 * (n >> 1 & 1), 2 * (n & 1)] <= 0.0:
-                return False
-        if part.min() > 0.0:
-            continue
-        if level == _DEPTH - 1:
-            return False
-        for n in range(8):
-            _half(part, n >> 2, n >> 1 & 1, n & 1, stack[top])
-            depth[top] = level + 1
-            top += 1
-    return True
+def _positive(b: FloatArray, zero: BoolArray) -> BoolArray:
+    """Whether coefficients (m, 3, 3, 3) prove positivity; those in ``zero`` vanish by construction and do not count."""
+    proved: BoolArray = np.asarray(np.where(zero, np.inf, b).min(axis=(1, 2, 3), initial=np.inf) > 0.0)
+    # Next to a collapsed edge subdivision is not exact: all coefficients must be positive.
+    owner = np.flatnonzero(~proved & ~zero.any(axis=(1, 2, 3)))
+    proved[owner] = True
+    waiting = [(0, owner, b[owner])]
+    while waiting:
+        level, owner, parts = waiting.pop()
+        if len(parts) > _TOGETHER:
+            waiting.append((level, owner[_TOGETHER:], parts[_TOGETHER:]))
+            owner, parts = owner[:_TOGETHER], parts[:_TOGETHER]
+        negative = (parts[:, ::2, ::2, ::2] <= 0.0).any(axis=(1, 2, 3))
+        open_ = ~(parts > 0.0).all(axis=(1, 2, 3))
+        proved[owner[negative | open_ & (level == _DEPTH - 1)]] = False
+        left = open_ & proved[owner]
+        owner, parts = owner[left], parts[left]
+        if len(parts):
+            for axis in (1, 2, 3):
+                parts = _halves(parts, axis)
+            waiting.append((level + 1, np.tile(owner, 8), parts))
+    return proved
 
 
-@inlined
-def _half(b, i, j, k, out):
-    """Coefficients on one of the eight halves in each direction, by de Casteljau's algorithm."""
-    out[...] = b
-    for p in range(3):
-        for q in range(3):
-            _split(out[:, p, q], i)
-    for p in range(3):
-        for q in range(3):
-            _split(out[p, :, q], j)
-    for p in range(3):
-        for q in range(3):
-            _split(out[p, q, :], k)
-
-
-@inlined
-def _split(line, upper):
-    first, middle, last = line[0], line[1], line[2]
+def _halves(b: FloatArray, axis: int) -> FloatArray:
+    """Coefficients on both halves along an axis, by de Casteljau's algorithm."""
+    first, middle, last = np.moveaxis(b, axis, 0)
     center = 0.25 * (first + 2.0 * middle + last)
-    if upper:
-        line[0], line[1] = center, 0.5 * (middle + last)
-    else:
-        line[1], line[2] = 0.5 * (first + middle), center
+    low = np.stack([first, 0.5 * (first + middle), center], axis=axis)
+    return np.concatenate([low, np.stack([center, 0.5 * (middle + last), last], axis=axis)])

@@ -1,4 +1,4 @@
-"""Logarithm, exponential and cube root without branches, so that loops over them are vectorised."""
+"""Logarithm and exponential without branches, so that loops over them are vectorised."""
 
 from __future__ import annotations
 
@@ -69,20 +69,3 @@ def exp(x):
     series = 1.0 / 720.0 + t * (1.0 / 5040.0 + t * (1.0 / 40320.0 + t * (1.0 / 362880.0 + t * tail)))
     series = 1.0 + t * (1.0 + t * (0.5 + t * (1.0 / 6.0 + t * (1.0 / 24.0 + t * (1.0 / 120.0 + t * series)))))
     return _from_bits(_bits(series) + (_bits(shifted) << 52))
-
-
-@contracted_kernel
-def cube_root(x):
-    """Cube root for 1e-200 < x < 1e200; error below 1e-15 relative."""
-    # x^(-1/3) to about 4 %: a third of the exponent and mantissa bits, subtracted; the upper 32 bits suffice.
-    upper = _from_bits((_bits(x) >> 32) | 0x4330000000000000) - 4503599627370496.0
-    guess = 1430194749.0 - upper * (1.0 / 3.0) + 4503599627370496.0
-    r = _closer(x, _closer(x, _from_bits(_bits(guess) << 32)))
-    return x * r * r
-
-
-@contracted_kernel
-def _closer(x, r):
-    """A better x^(-1/3): the relative error becomes about its fifth power, by the series of (1 - e)^(-1/3)."""
-    e = 1.0 - x * r * r * r
-    return r + r * e * (1.0 / 3.0 + e * (2.0 / 9.0 + e * (14.0 / 81.0 + e * (35.0 / 243.0))))

@@ -10,10 +10,12 @@ import numpy as np
 
 from ...grid import FloatArray, Grid, IntArray
 from ...numerics.arrays import batches
-from ...numerics.cell.measures import measure_hexahedra, measure_quads
+from ...numerics.cell.measures import measure_quads, scattered_hexahedra
 from ...parallel import Part, Shared, empty, for_chunks, on_each, rows_at
 
 _SLAB_CELLS = 131072
+_TOGETHER = 1 << 14
+"""Cells measured at a time in double precision, which bounds the memory."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,11 @@ def measure_block(
     measures = CellMeasures(skew, scaled, jacobian, volume, np.empty(shape, dtype=np.uint8))
     arrays = list(vars(measures).values())
     if plane_normal is None:
-        measure_hexahedra(x, sign, first, last, *arrays)
+        step = max(1, _TOGETHER // (nj * nk))
+        for lo in range(first, last, step):
+            layers = slice(lo - first, min(lo + step, last) - first)
+            for values, found in zip(arrays, _measure_layers(x[lo : min(lo + step, last) + 1], sign), strict=True):
+                values[layers] = found
         return measures
     flat = x.shape.index(1)
     normal = side_of_good_quads(flat, sign, plane_normal)
@@ -53,6 +59,16 @@ def measure_block(
     rows = (0, plane.shape[0] - 1) if flat == 0 else (first, last)
     measure_quads(plane, normal, *rows, *(a.squeeze(axis=flat) for a in arrays))
     return measures
+
+
+def _measure_layers(x: FloatArray, sign: float) -> list[np.ndarray]:
+    """The arrays of :class:`CellMeasures` of all cells between nodes ``x`` (ni, nj, nk, 3)."""
+    shape = tuple(n - 1 for n in x.shape[:3])
+    ends = [[slice(end, end + n) for end in (0, 1)] for n in shape]
+    corners = np.stack([x[i, j, k] for i in ends[0] for j in ends[1] for k in ends[2]], axis=3).reshape(-1, 8, 3)
+    skew, scaled, jacobian, volume = scattered_hexahedra(corners, np.full(len(corners), sign))
+    bad = np.packbits(jacobian <= 0.0, axis=1, bitorder="little")[:, 0]
+    return [values.reshape(shape) for values in (skew, scaled, jacobian.min(axis=1), volume, bad)]
 
 
 def side_of_good_quads(flat: int, sign: float, plane_normal: FloatArray) -> FloatArray:

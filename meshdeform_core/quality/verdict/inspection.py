@@ -18,7 +18,6 @@ from ...numerics.cell.measures import scattered_hexahedra
 from ...numerics.cell.positivity import COLLAPSED, decide, judge_quads
 from ...parallel import rows_of
 from ..measures.cells import Slab, corners_of, measure_block, side_of_good_quads
-from ..measures.kept import NOTHING
 from ..measures.tally import HISTOGRAM_BINS, Sums
 from .original import Original
 
@@ -95,12 +94,10 @@ def _hexahedra(original: Original, after: FloatArray, slab: Slab, both: bool) ->
     out, is_open = _scratch(slab.stop - slab.start)
     sums, counts = np.zeros((2, 2)), np.zeros((2, HISTOGRAM_BINS), dtype=np.int64)
     compare = after is not grid.points
-    kept, known = original.kept.of(slab, both) if compare else (NOTHING, False)
     rows.inspect_hexahedra(
         before, x, compare, both, sign, _scale(before, slab), slab.first, slab.last,
-        out.reshape(6, *shape), is_open.reshape(shape), sums, counts, kept, known,
+        out.reshape(6, *shape), is_open.reshape(shape), sums, counts,
     )  # fmt: skip
-    original.kept.put(slab, kept)
     figures = SlabMeasures(
         out[rows.SKEW], out[rows.SCALED], out[rows.RATIO], out[rows.CHANGE], np.zeros(len(is_open), np.int8),
         Sums(float(sums[0, 0]), float(sums[0, 1]), counts[0]), Sums(float(sums[1, 0]), float(sums[1, 1]), counts[1]),

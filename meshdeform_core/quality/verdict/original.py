@@ -15,7 +15,6 @@ from ...grid.faces.roles import Role, declared_role
 from ...grid.faces.surfaces import Outside, find_outside
 from ...grid.planes import plane_normal
 from ...grid.topology import Topology
-from ..measures.kept import KeptCells
 from ..measures.lines import (
     InterfaceLines,
     WallFace,
@@ -41,8 +40,7 @@ class Original:
     """An undeformed grid with the data that the judgement needs.
 
     ``min_jacobian``: cells with a corner below this share of its undeformed Jacobian count as invalid; ``measured``:
-    totals over its cells, filled by the first comparison with another grid; ``normal``: of the plane of a 2-D grid;
-    ``kept``: stored measures of its cells.
+    totals over its cells, filled by the first comparison with another grid; ``normal``: of the plane of a 2-D grid.
     """
 
     grid: Grid
@@ -50,12 +48,10 @@ class Original:
     min_jacobian: float = 0.0
     measured: Tally | None = field(default=None, init=False)
     normal: FloatArray | None = field(init=False)
-    kept: KeptCells = field(init=False)
     _walls: tuple[Boundary, dict[str, Walls]] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         self.normal = plane_normal(self.grid)
-        self.kept = KeptCells(self.grid)
 
     @property
     def tally(self) -> Tally:
