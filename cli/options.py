@@ -54,9 +54,10 @@ class OutputPath(click.Path):
     """The path of a grid that is written; a folder is an OpenFOAM case, of which this is the ``.foam`` file."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        path = Path(str(super().convert(value, param, ctx)))
-        case = str(value).endswith("/") or any((path / name).is_dir() for name in ("system", "constant"))
-        return path / f"{path.absolute().name}.foam" if case else path
+        from meshdeform_formats.openfoam.case import output_path
+
+        super().convert(value, param, ctx)
+        return output_path(str(value))
 
 
 OUTPUT = OutputPath(path_type=Path)

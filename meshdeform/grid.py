@@ -352,8 +352,9 @@ def read(path: str | Path, *, boundary_file: str | Path | None = None, **variant
 
 
 def write(grid: Grid, path: str | Path, *, force: bool = False, **variant: str) -> None:
-    """Write a grid; the suffix selects the format. By default the variant is that of the file the grid was read from.
+    """Write a grid; the suffix selects the format, and a folder (``case/``) is an OpenFOAM case.
 
+    By default the variant is that of the file the grid was read from.
     The file is replaced as a whole or, if anything fails, left untouched.
 
     Parameters
@@ -368,10 +369,12 @@ def write(grid: Grid, path: str | Path, *, force: bool = False, **variant: str) 
         When the file exists, cannot be written, or the format has no such variant.
     """
     from meshdeform_formats.grids import complete_for_export, write_grid
+    from meshdeform_formats.openfoam.case import output_path
 
     if not isinstance(grid, Grid):
         raise GridError(f"found a {type(grid).__name__}; expected a Grid to write")
-    target, own = _path(path), grid.core
+    _path(path)
+    target, own = output_path(path), grid.core
     if target.exists():
         if own.path is not None and own.path.exists() and target.samefile(own.path):
             raise FormatError(f"{target} is the file that the grid was read from; choose another name")

@@ -55,8 +55,7 @@ def case_template(
 ) -> str:
     """The text of a case file for a grid.
 
-    Walls of bodies are moving, floors and far fields fixed, symmetry planes symmetry, end planes slip. In a grid
-    without a wall the largest face of unknown role is moving, so that the case can be tried at once.
+    Walls of bodies are moving, floors and far fields fixed, symmetry planes symmetry, end planes slip.
 
     Parameters
     ----------
@@ -77,8 +76,9 @@ def case_template(
                    "# them an entry below that moves them:", f"# {plates_line(outside.plates)}"]  # fmt: skip
     if header:
         lines += ["[grid]", *header, ""]
-    if not any(surface.role is Role.WALL for entry in entries for surface in entry.surfaces):
-        lines += ['# No wall was found: set kind = "moving" for the boundary that moves.', ""]
+    if not any(entry.kind == "moving" for entry in entries):
+        lines += ['# No wall was found. The boundary that moves has kind = "moving" and a motion, for example:',
+                  '#   kind = "moving"', "#   motion = [ { translate = [0.0, 0.0, 0.0] } ]", ""]  # fmt: skip
     for entry in entries:
         lines += [*_entry_lines(grid, outside, entry, table), ""]
     return "\n".join([*lines, _METHOD])
@@ -90,9 +90,8 @@ def plates_line(plates: Sequence[Surface]) -> str:
 
 
 def _entries(grid: Grid, outside: Outside, table: FittedTable | None) -> Iterator[_Entry]:
-    if table is None:
-        moving = _moving(outside)
-    else:
+    moving = outside.bodies or outside.of_role(Role.WALL)
+    if table is not None:
         moving = tuple(surface for surface in outside.surfaces if surface.name in table.surfaces)
     taken: set[str] = set()
     groups: dict[tuple[str, str], list[Surface]] = {}
@@ -109,15 +108,6 @@ def _entries(grid: Grid, outside: Outside, table: FittedTable | None) -> Iterato
             unique = f"{unique}-{kind}" if unique == name else f"{unique}+"
         taken.add(unique)
         yield _Entry(unique, kind, tuple(surfaces))
-
-
-def _moving(outside: Outside) -> tuple[Surface, ...]:
-    """Walls of bodies; else all walls; else the largest face of unknown role; else the largest face."""
-    walls = outside.bodies or outside.of_role(Role.WALL)
-    if walls:
-        return walls
-    unknown = outside.of_role(Role.UNKNOWN) or outside.surfaces
-    return (max(unknown, key=lambda s: s.area),) if unknown else ()
 
 
 def _kind(grid: Grid, surface: Surface) -> str:
@@ -168,11 +158,14 @@ def _motion(grid: Grid, outside: Outside, entry: _Entry) -> Iterator[str]:
 
 
 def _bending(low: FloatArray, high: FloatArray, along: int, place: float | None) -> str:
-    """A displacement of a twentieth of the wall's length, largest at its middle or away from the symmetry plane."""
-    name, length = "xyz"[along], high[along] - low[along]
-    begin = low[along] if place is None else place
-    start = "" if abs(begin) < 1e-3 * length else f" {'-' if begin > 0 else '+'} {abs(begin):.4g}"
-    part = f"({name}{start})/{length:.3g}" if start else f"{name}/{length:.3g}"
+    """A displacement of a twentieth of the wall's length, largest at its middle or away from the symmetry plane.
+
+    It has all digits of the ends, where it is zero: they may belong to faces that do not move.
+    """
+    name, length = "xyz"[along], float(high[along] - low[along])
+    begin = float(low[along]) if place is None else place
+    part = name if begin == 0.0 else f"({name} {'-' if begin > 0 else '+'} {abs(begin)!r})"
+    part = f"{part}/{length!r}"
     return f"{length / 20:.2g}*sin(pi*{part})" if place is None else f"{length / 20:.2g}*({part})**2"
 
 

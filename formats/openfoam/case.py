@@ -49,6 +49,14 @@ def is_foam(path: Path) -> bool:
     return path.suffix.lower() == ".foam" and not path.is_dir()
 
 
+def output_path(path: str | Path) -> Path:
+    """The path of a grid that is written: of a folder, which is a case or ends with a slash, its ``.foam`` file."""
+    folder = Path(path)
+    if str(path).endswith("/") or any((folder / name).is_dir() for name in ("system", "constant")):
+        return folder / f"{folder.absolute().name}.foam"
+    return folder
+
+
 def case_folder(path: Path) -> Path:
     """The folder of a case."""
     return path.parent if is_foam(path) else path

@@ -116,7 +116,7 @@ def _words(names: Sequence[str]) -> list[str]:
     """The names converted to distinct words of OpenFOAM."""
     found: list[str] = []
     for name in names:
-        word = plain = _FORBIDDEN.sub("_", name).strip("_") or "patch"
+        word = plain = name if not _FORBIDDEN.search(name) else _FORBIDDEN.sub("_", name).strip("_") or "patch"
         count = 1
         while word in found:
             count += 1

@@ -153,7 +153,7 @@ def classify(grid: Grid, topology: Topology, specs: Sequence[BoundarySpec], cons
     quad_kind = np.zeros(len(topology.partner), dtype=np.int8)
     movers, tables = _bind_motions(grid, topology, specs, selected)
     doubts = [text for spec in specs if spec.motion for text in tiny_rotations(spec.name, spec.motion)]
-    doubts += tables.warnings()
+    doubts += [*tables.warnings(), *(note for _, motion in movers for note in motion.notes)]
     for spec, quads in zip(specs, selected, strict=True):
         quad_kind[quads] = np.maximum(quad_kind[quads], spec.kind)
     defaults, more = _unselected(grid, topology, quad_kind, specs, movers)

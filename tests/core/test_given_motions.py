@@ -11,6 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from meshdeform_core.boundary import Kind
+from meshdeform_core.boundary.motions.section import Outline
 from meshdeform_core.boundary.tables.matching import Nodes
 from meshdeform_core.deform import set_up
 from meshdeform_core.errors import CaseError, FormatError, MotionError
@@ -271,7 +272,9 @@ def test_walls_become_the_new_airfoil(blunt, tmp_path):
     close = 0.1015 if blunt else 0.1036
     old, new = naca(0.12, 0.0, 41, close), naca(0.15, 0.04, 90, close)
     nodes = wall(old)
-    displacement = moved(nodes, write_selig(tmp_path / "new.dat", new), tmp_path)
+    step = write_selig(tmp_path / "new.dat", new)
+    step["airfoil"]["fit"] = "none"
+    displacement = moved(nodes, step, tmp_path)
     assert (displacement[:, 2] == 0).all()
     places = (nodes.points + displacement)[:, :2]
     assert distance_to_curve(places, new).max() < 1e-9
@@ -283,6 +286,29 @@ def test_walls_become_the_new_airfoil(blunt, tmp_path):
     # Arc lengths: the node half-way along the upper side of the wall is half-way along the new one.
     same = moved(nodes, write_selig(tmp_path / "same.dat", old), tmp_path)
     assert np.abs(same).max() < 1e-13
+
+
+@pytest.mark.parametrize("n", [31, 60])
+def test_an_airfoil_of_its_own_shape_is_not_turned(n, tmp_path):
+    """NACA 4412 as it is defined, thickness across the mean line: the leading edge is at 0, 0, where no point is."""
+    x = 0.5 * (1 + np.cos(np.linspace(0, np.pi, 2 * n) + 0.3 / n))[1:-1]
+    y = 0.6 * (0.2969 * np.sqrt(x) - 0.126 * x - 0.3516 * x**2 + 0.2843 * x**3 - 0.1036 * x**4)
+    mean = np.where(x < 0.4, 0.25 * (0.8 * x - x**2), (0.2 + 0.8 * x - x**2) / 9)
+    slope = np.arctan(np.where(x < 0.4, 0.5 * (0.4 - x), 2 * (0.4 - x) / 9))
+    across = y[:, None] * np.stack([-np.sin(slope), np.cos(slope)], axis=1)
+    line = np.stack([x, mean], axis=1)
+    outline = np.concatenate([[[1, 0]], line + across, (line - across)[::-1], [[1, 0]]])
+    found = Outline.through(outline, "naca4412")
+    np.testing.assert_allclose(found.leading, [0, 0], atol=2e-4)
+    farthest = outline[np.argmax(np.linalg.norm(outline - [1, 0], axis=1))]
+    assert abs(farthest[1]) > 5 * abs(found.leading[1])
+    nodes, shape = wall(naca(0.12, 0, 61)), write_selig(tmp_path / "a.dat", outline)
+    case = case_of({"boundary": [{"motion": shape}]}, tmp_path).case
+    assert case.boundaries[0].motion.prepare(nodes).notes == ()
+    turned = outline @ Rotation.from_euler("z", 3, degrees=True).as_matrix()[:2, :2].T
+    case = case_of({"boundary": [{"motion": write_selig(tmp_path / "b.dat", turned)}]}, tmp_path).case
+    (note,) = case.boundaries[0].motion.prepare(nodes).notes
+    assert "b.dat is turned by -3" in note
 
 
 def test_arc_length_is_kept(tmp_path):

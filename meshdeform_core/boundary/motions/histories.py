@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import scipy
@@ -14,7 +14,7 @@ from ...grid import FloatArray, Grid
 from ..tables.matching import Matching, Nodes, SurfaceData
 from ..tables.transfer import transfer
 from .expression import Expression
-from .motion import Imposed, at_time
+from .motion import Imposed, PreparedStep, Step, at_time
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class History:
 
 
 @dataclass(frozen=True)
-class RigidHistory:
+class RigidHistory(Step, PreparedStep):
     """A rigid body: rotation about a point that is fixed in the body, then translation, both from a table.
 
     Attributes
@@ -62,15 +62,15 @@ class RigidHistory:
     rotation: History | None
     order: str
     center: tuple[float, float, float]
-    names: ClassVar[frozenset[str]] = frozenset({"t"})
+
+    @property
+    def names(self) -> frozenset[str]:
+        return frozenset({"t"})
 
     def require(self, time: float, constants: Mapping[str, float]) -> None:
         for table in (self.translation, self.rotation):
             if table is not None:
                 table.require(time)
-
-    def prepare(self, nodes: Nodes) -> RigidHistory:
-        return self
 
     def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
         time = float(values["t"])
@@ -101,7 +101,7 @@ class RigidHistory:
 
 
 @dataclass(frozen=True)
-class Modes:
+class Modes(Step):
     """The sum of shapes, each times its amplitude: a history, or formulas of t and constants."""
 
     shapes: tuple[SurfaceData | Grid, ...]

@@ -16,9 +16,8 @@ import scipy
 from ...errors import MotionError
 from ...grid import FloatArray, IntArray
 from ...wording import vector
-from ..tables.matching import Nodes
 from .expression import Expression
-from .motion import at_time
+from .motion import PreparedStep, Step, at_time
 
 _ROWS_AT_ONCE = 20_000
 
@@ -35,7 +34,7 @@ class ControlMove:
 
 
 @dataclass(frozen=True)
-class Lattice:
+class Lattice(Step, PreparedStep):
     """A box of control points: products of Bernstein polynomials along its three edges.
 
     Nodes on and inside the box move, others do not. The box refers to positions after the motion's preceding steps.
@@ -69,9 +68,6 @@ class Lattice:
             i, j, k = move.points.T
             found[i, j, k] += [at_time(part, time, constants, "displacement of control points") for part in move.vector]
         return found
-
-    def prepare(self, nodes: Nodes) -> Lattice:
-        return self
 
     def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
         place = (current - self.origin) @ self._to_box

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 
@@ -27,38 +27,38 @@ LARGEST = 1e30
 """Largest displacement, as for coordinates (``formats.plausible``): its square is finite."""
 
 
-class Step(Protocol):
-    """One entry of ``motion = [...]``."""
+class PreparedStep:
+    """A step bound to its nodes; ``notes`` are for the report."""
+
+    notes: tuple[str, ...] = ()
+
+    def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
+        """Displacement (n, 3) from the ``current`` positions; ``values`` are the variables at the undeformed nodes."""
+        raise NotImplementedError
+
+
+class Step:
+    """One entry of ``motion = [...]``.
+
+    A step that does not depend on its nodes is its own prepared one, and inherits from :class:`PreparedStep` too.
+    """
 
     @property
     def names(self) -> frozenset[str]:
         """Variables and constants that its formulas use."""
-        ...
-
-    def prepare(self, nodes: Nodes) -> PreparedStep:
-        """Compute everything that depends only on the undeformed nodes."""
-        ...
-
-
-@runtime_checkable
-class Timed(Protocol):
-    """A step that is not defined at all times."""
+        return frozenset()
 
     def require(self, time: float, constants: Mapping[str, float]) -> None:
         """Refuse a time at which it is not defined."""
-        ...
 
-
-class PreparedStep(Protocol):
-    """A step bound to its nodes."""
-
-    def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
-        """Displacement (n, 3) from the ``current`` positions; ``values`` are the variables at the undeformed nodes."""
-        ...
+    def prepare(self, nodes: Nodes) -> PreparedStep:
+        """Compute everything that depends only on the undeformed nodes."""
+        assert isinstance(self, PreparedStep)
+        return self
 
 
 @dataclass(frozen=True)
-class Rotate:
+class Rotate(Step, PreparedStep):
     """Rotation by ``angle`` (degrees, right-handed) about ``axis`` through ``center``; all may be formulas."""
 
     angle: Expression
@@ -68,9 +68,6 @@ class Rotate:
     @property
     def names(self) -> frozenset[str]:
         return self.angle.names.union(*(part.names for part in self.center))
-
-    def prepare(self, nodes: Nodes) -> PreparedStep:
-        return self
 
     def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
         arm = current - _vector(self.center, values, len(current))
@@ -84,7 +81,7 @@ class Rotate:
 
 
 @dataclass(frozen=True)
-class Displace:
+class Displace(Step, PreparedStep):
     """Displacement by three formulas of the undeformed x, y, z and t; a translation if they are constant."""
 
     vector: tuple[Expression, Expression, Expression]
@@ -93,20 +90,16 @@ class Displace:
     def names(self) -> frozenset[str]:
         return frozenset().union(*(part.names for part in self.vector))
 
-    def prepare(self, nodes: Nodes) -> PreparedStep:
-        return self
-
     def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
         return fraction * _vector(self.vector, values, len(current))
 
 
 @dataclass(frozen=True)
-class Follow:
+class Follow(Step):
     """Displacement from a table or from a grid that holds the deformed positions of the same nodes."""
 
     data: SurfaceData | Grid
     matching: Matching
-    names: ClassVar[frozenset[str]] = frozenset()
 
     @property
     def first(self) -> SurfaceData | Grid:
@@ -118,7 +111,7 @@ class Follow:
 
 
 @dataclass(frozen=True)
-class Imposed:
+class Imposed(PreparedStep):
     """A displacement that has been transferred to the nodes."""
 
     match: Transfer
@@ -128,7 +121,7 @@ class Imposed:
 
 
 @dataclass(frozen=True)
-class FollowSequence:
+class FollowSequence(Step):
     """Displacement from one table per time, read when needed; only one is in memory at a time.
 
     ``times`` ascend; ``read(n)`` reads the table of ``times[n]``.
@@ -137,7 +130,10 @@ class FollowSequence:
     times: tuple[float, ...]
     read: Callable[[int], SurfaceData | Grid]
     matching: Matching
-    names: ClassVar[frozenset[str]] = frozenset({"t"})
+
+    @property
+    def names(self) -> frozenset[str]:
+        return frozenset({"t"})
 
     @property
     def first(self) -> SurfaceData | Grid:
@@ -151,7 +147,7 @@ class FollowSequence:
         return ImposedSequence(self, nodes)
 
 
-class ImposedSequence:
+class ImposedSequence(PreparedStep):
     """Tables transferred to the nodes one at a time; ``match`` is the transfer of the last one used."""
 
     def __init__(self, sequence: FollowSequence, nodes: Nodes):
@@ -200,10 +196,9 @@ class Motion:
         MotionError
             Naming the table and the time.
         """
-        for step in self.steps:
-            if isinstance(step, Timed):
-                for time in times:
-                    step.require(time, self.constants)
+        for time in times:
+            for step in self.steps:
+                step.require(time, self.constants)
 
     def matched_by(self, matching: Matching) -> Motion:
         """The motion with another matching of its tables."""
@@ -232,6 +227,11 @@ class PreparedMotion:
     def matches(self) -> tuple[Transfer, ...]:
         """The matches of all tables, for the report."""
         return tuple(step.match for step in self.steps if isinstance(step, Imposed | ImposedSequence))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes of all steps, for the report."""
+        return tuple(note for step in self.steps for note in step.notes)
 
     @property
     def moved(self) -> BoolArray:

@@ -13,7 +13,7 @@ from ...numerics.arrays import places_among
 from ...parallel import rows_at
 from ..tables.matching import Matching, Nodes, SurfaceData
 from ..tables.transfer import transfer
-from .motion import FollowSequence, Imposed, PreparedStep, level_at
+from .motion import FollowSequence, Imposed, PreparedStep, Step, level_at
 
 _ROUGH = 3.0
 """If the displacements of neighbours typically differ by more than this many edges, the numbers belong to another
@@ -72,7 +72,7 @@ class Positions:
 
 
 @dataclass(frozen=True)
-class FollowNumbers:
+class FollowNumbers(Step):
     """Displacement from positions by number: one file, or one for each of ``times``, read when needed."""
 
     times: tuple[float, ...]

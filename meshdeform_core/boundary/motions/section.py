@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import scipy
@@ -13,6 +13,7 @@ from ...errors import MotionError
 from ...grid import FloatArray, IntArray
 from ...wording import vector
 from ..tables.matching import Nodes
+from .motion import PreparedStep, Step
 
 _SAME = 1e-9
 """Points of a section closer than this fraction of the chord are one point."""
@@ -20,11 +21,15 @@ _CORNER = 60.0
 """Smallest angle (degrees) by which the outline turns at a trailing edge."""
 _BASE = 0.1
 """A blunt trailing edge is shorter than this fraction of the chord."""
+_NOSE = 0.01, 0.08
+"""Inscribed circles that touch the outline at this distance from its end, in chords, tell where the mean line ends."""
+_TOLD = 0.05
+"""Turns of a new outline by fewer degrees may come from the digits of its file."""
 _GAUSS = np.polynomial.legendre.leggauss(8)
 
 
 @dataclass(frozen=True)
-class Airfoil:
+class Airfoil(Step):
     """A wall becomes the airfoil through given points, section by section.
 
     Attributes
@@ -39,7 +44,6 @@ class Airfoil:
     axes: tuple[int, int]
     fitted: bool
     label: str
-    names: ClassVar[frozenset[str]] = frozenset()
 
     def prepare(self, nodes: Nodes) -> ImposedOutline:
         """Find the outline of the nodes and the position of each on the new one.
@@ -55,7 +59,16 @@ class Airfoil:
         loop = np.roll(loop, -start)
         ring = points[loop]
         old = Outline.through(np.concatenate([ring[:count], ring[: int(sharp)]]), "the wall")
-        target = Outline.through(self._placed(old, Outline.through(self.outline, self.label)), self.label)
+        target = Outline.through(self.outline, self.label)
+        notes: tuple[str, ...] = ()
+        if self.fitted:
+            p, q = (np.array([line.leading, line.trailing]) @ [1.0, 1j] for line in (old, target))
+            factor = (p[1] - p[0]) / (q[1] - q[0])
+            placed = p[0] + factor * (self.outline @ [1.0, 1j] - q[0])
+            target = Outline.through(np.stack([placed.real, placed.imag], axis=1), self.label)
+            if abs(turn := float(np.degrees(np.angle(factor)))) > _TOLD:
+                notes = (f"{self.label} is turned by {turn:.3g} degrees, so that leading and trailing edge stay in "
+                         f'place; with fit = "none" it is where the file has it',)  # fmt: skip
         if target.blunt == sharp:
             kinds = ("sharp", "blunt") if sharp else ("blunt", "sharp")
             raise MotionError(
@@ -69,22 +82,15 @@ class Airfoil:
         found[loop[count:]] = first + share[:, None] * (last - first)
         displacement = np.zeros_like(nodes.points)
         displacement[:, list(self.axes)] = (found - points)[of_node]
-        return ImposedOutline(displacement)
-
-    def _placed(self, old: Outline, new: Outline) -> FloatArray:
-        if not self.fitted:
-            return self.outline
-        p, q = (np.array([line.leading, line.trailing]) @ [1.0, 1j] for line in (old, new))
-        factor = (p[1] - p[0]) / (q[1] - q[0])
-        moved = p[0] + factor * (self.outline @ [1.0, 1j] - q[0])
-        return np.stack([moved.real, moved.imag], axis=1)
+        return ImposedOutline(displacement, notes)
 
 
 @dataclass(frozen=True)
-class ImposedOutline:
+class ImposedOutline(PreparedStep):
     """Displacements (n, 3) onto the new shape."""
 
     displacement: FloatArray
+    notes: tuple[str, ...]
 
     def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
         return fraction * self.displacement
@@ -99,14 +105,16 @@ class Outline:
     points : (n, 2)
     spline, knots : through the points, with the length of the polygon up to each of them as parameter
     lengths : (n,) arc lengths of the points
-    nose : index of the leading edge, the point farthest from the middle of the trailing edge
+    half : arc length of the leading edge, where the mean line through the centres of inscribed circles ends
+    leading : (2,) the leading edge
     """
 
     points: FloatArray
     spline: scipy.interpolate.CubicSpline
     knots: FloatArray
     lengths: FloatArray
-    nose: int
+    half: float
+    leading: FloatArray
 
     @classmethod
     def through(cls, points: FloatArray, label: str) -> Outline:
@@ -120,15 +128,14 @@ class Outline:
             )
         knots = np.concatenate([[0.0], np.cumsum(steps)])
         spline = scipy.interpolate.CubicSpline(knots, points)
-        nose = int(np.argmax(np.linalg.norm(points - 0.5 * (points[0] + points[-1]), axis=1)))
-        if not 2 <= nose <= len(points) - 3:
+        farthest = int(np.argmax(np.linalg.norm(points - 0.5 * (points[0] + points[-1]), axis=1)))
+        if not 2 <= farthest <= len(points) - 3:
             raise MotionError(f"{label}: its leading edge is at an end of the list; the trailing edge must be")
         lengths = np.concatenate([[0.0], np.cumsum(_arc(spline, knots[:-1], knots[1:]))])
-        return cls(points, spline, knots, lengths, nose)
-
-    @property
-    def leading(self) -> FloatArray:
-        return self.points[self.nose]
+        nose = _nose(spline, knots, farthest)
+        before = int(np.searchsorted(knots, nose, side="right")) - 1
+        half = lengths[before] + float(_arc(spline, knots[before : before + 1], np.array([nose]))[0])
+        return cls(points, spline, knots, lengths, half, spline(nose))
 
     @property
     def trailing(self) -> FloatArray:
@@ -143,14 +150,12 @@ class Outline:
     @property
     def parts(self) -> FloatArray:
         """Relative arc length (n,) of every point: 0 to 1 from the trailing to the leading edge, 1 to 2 back."""
-        half, whole = self.lengths[self.nose], self.lengths[-1]
-        first = self.lengths / half
-        second = 1.0 + (self.lengths - half) / (whole - half)
-        return np.where(np.arange(len(self.lengths)) <= self.nose, first, second)
+        second = 1.0 + (self.lengths - self.half) / (self.lengths[-1] - self.half)
+        return np.where(self.lengths <= self.half, self.lengths / self.half, second)
 
     def at(self, parts: FloatArray) -> FloatArray:
         """Points (n, 2) of the spline at relative arc lengths ``parts``; given points are reproduced exactly."""
-        half, whole = self.lengths[self.nose], self.lengths[-1]
+        half, whole = self.half, self.lengths[-1]
         length = np.where(parts <= 1.0, parts * half, half + (parts - 1.0) * (whole - half))
         segment = np.clip(np.searchsorted(self.lengths, length, side="right") - 1, 0, len(self.lengths) - 2)
         low, high = self.knots[segment], self.knots[segment + 1]
@@ -161,6 +166,41 @@ class Outline:
             error = self.lengths[segment] + _arc(self.spline, low, place) - length
             place = np.clip(place - error / np.maximum(speed, 1e-300), low, high)
         return np.asarray(self.spline(place))
+
+
+def _nose(spline: scipy.interpolate.CubicSpline, knots: FloatArray, farthest: int) -> float:
+    """Parameter of the leading edge: the mean line, continued from inscribed circles behind it, meets the outline.
+
+    The point farthest from the trailing edge is off the mean line of a cambered section, by .18 degrees for NACA 4412.
+    """
+    tip, trailing = spline(knots[farthest]), 0.5 * (spline(knots[0]) + spline(knots[-1]))
+    chord = float(np.linalg.norm(trailing - tip))
+    # Complex numbers: the real axis along the chord, in chords, from the farthest point.
+    axis = complex(*(trailing - tip)) / chord
+    low, high = max(knots[farthest] - 0.3 * chord, knots[0]), min(knots[farthest] + 0.3 * chord, knots[-1])
+    place = np.linspace(low, high, 2001)
+    outline = (spline(place) - tip) @ [1.0, 1j] / (axis * chord)
+    tangent = spline(place, 1) @ [1.0, 1j] / axis
+    inward = 1j * tangent / np.abs(tangent)
+    centres = []
+    for one in np.flatnonzero((outline.real > _NOSE[0]) & (outline.real < _NOSE[1]))[::3]:
+        arm = outline - outline[one]
+        height = (arm * inward[one].conjugate()).real
+        apart = (height > 1e-9) & (np.abs(place - place[one]) > 2e-3 * chord)
+        # The largest circle that touches the outline here and has no other point of it inside.
+        centres.append(
+            outline[one] + inward[one] * (np.abs(arm[apart]) ** 2 / (2.0 * height[apart])).min(initial=np.inf)
+        )
+    line = np.array([centre for centre in centres if np.isfinite(centre)])
+    if len(line) < 3:
+        return float(knots[farthest])
+    off = outline.imag - np.polyval(np.polyfit(line.real, line.imag, 2), outline.real)
+    crossing = np.flatnonzero((off[:-1] * off[1:] <= 0) & (np.abs(place[1:] - knots[farthest]) < 0.05 * chord))
+    if not len(crossing):
+        return float(knots[farthest])
+    at = crossing + off[crossing] / np.where(off[crossing] == off[crossing + 1], 1.0, off[crossing] - off[crossing + 1])
+    found = np.interp(at, np.arange(len(place)), place)
+    return float(found[np.argmin(np.abs(found - knots[farthest]))])
 
 
 def _arc(spline: scipy.interpolate.CubicSpline, low: FloatArray, high: FloatArray) -> FloatArray:

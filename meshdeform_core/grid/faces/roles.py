@@ -46,6 +46,8 @@ _END_TYPES = ("empty", "wedge")
 
 _CLUSTERED = 2.0
 """Ratio of mean to first spacing above which a face counts as a wall."""
+_VISCOUS = 50.0
+"""Ratio above which a face is no far field, whatever it is called: converters call all faces so."""
 _FIRST_IS_FINEST = 0.3
 """Smallest ratio of the finest to the first spacing at a wall: cells must not be much finer elsewhere."""
 _COARSENED = 0.75
@@ -117,7 +119,7 @@ class _Guess:
             return Role.WALL if declared is Role.WALL else Role.INTERFACE
         if (face.window.block, face.window.side) in self.ends and declared in (None, Role.FAR):
             return Role.END
-        if declared is not None:
+        if declared is not None and not (declared is Role.FAR and clusters(face) and face.stretching > _VISCOUS):
             return declared
         return Role.WALL if clusters(face) or self.body[face.quads[0]] else None
 
