@@ -71,7 +71,14 @@ def _assemble(reading: Reading, path: Path, numbers: FloatArray) -> Grid:
         merge(block, iter(arrays[:dimension]), dimension)
         block[..., dimension:] = 0.0
         if flags:
-            flags[index][...] = _integers(arrays[dimension], path).reshape(block.shape[2::-1]).T
+            values = arrays[dimension]
+            whole = (values == np.rint(values)) & (np.abs(values) < 2**31)
+            if not whole.all():
+                first = values[np.argmin(whole)]
+                raise FormatError(
+                    f"{path} has the size for IBLANK values, but one of them is {first:g}, not an integer"
+                )
+            flags[index][...] = values.reshape(block.shape[2::-1]).T
 
     grid.fill(put)
     return grid
@@ -85,11 +92,3 @@ def _text_arrays(grid: Grid, variant: Variant, index: int) -> Iterator[NDArray[A
         iblank = iblank_of(grid, index)
         flags = np.ones(grid.shapes[index]) if iblank is None else iblank.values
         yield np.ascontiguousarray(flags.T, variant.integer).reshape(-1)
-
-
-def _integers(values: FloatArray, path: Path) -> FloatArray:
-    whole = (values == np.rint(values)) & (np.abs(values) < 2**31)
-    if not whole.all():
-        first = values[np.argmin(whole)]
-        raise FormatError(f"{path} has the size for IBLANK values, but one of them is {first:g}, not an integer")
-    return values

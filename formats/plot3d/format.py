@@ -126,12 +126,22 @@ def _require_writable(grid: Grid, path: Path, chosen: Variant) -> None:
         )
     if max(max(shape) for shape in grid.shapes) >= 2**31:
         raise FormatError(f"cannot write {path}: a block has more than 2**31 - 1 nodes along an index")
+    # Lowest and highest z of each block, which a grid in parts finds together.
+    bottom, top = (ends[:, 2].tolist() for ends in block_extents(grid)) if chosen.dimension == 2 else ([], [])
     for index, (name, shape) in enumerate(zip(grid.names, grid.shapes, strict=True)):
         iblank = iblank_of(grid, index)
         if iblank is not None and iblank.values.shape != shape:
             raise FormatError(f"cannot write {path}: {name} has {shape} nodes but IBLANK values {iblank.values.shape}")
-    if chosen.dimension == 2:
-        _require_flat(grid, path)
+        if chosen.dimension == 2 and shape[2] != 1:
+            raise FormatError(
+                f"cannot write {path} as 2-D: {name} has {shape[0]}x{shape[1]}x{shape[2]} nodes, a 2-D file holds one "
+                f"plane k = 1; use dimension=3"
+            )
+        if chosen.dimension == 2 and (bottom[index] or top[index]):
+            raise FormatError(
+                f"cannot write {path} as 2-D: {name} has z from {bottom[index]:g} to {top[index]:g}, which a 2-D file "
+                f"cannot hold; use dimension=3"
+            )
     if chosen.precision == "float32":
         low, high = extent(grid.points)
         largest = max(float(high.max()), -float(low.min()))
@@ -139,18 +149,3 @@ def _require_writable(grid: Grid, path: Path, chosen: Variant) -> None:
             raise FormatError(f"cannot write {path} as float32: a coordinate is {largest:g}; use precision=float64")
     if chosen.encoding == "ascii":
         require_whole(grid.points, f"{path} is written as a whole")
-
-
-def _require_flat(grid: Grid, path: Path) -> None:
-    low, high = (ends[:, 2] for ends in block_extents(grid))
-    for index, (name, shape) in enumerate(zip(grid.names, grid.shapes, strict=True)):
-        if shape[2] != 1:
-            raise FormatError(
-                f"cannot write {path} as 2-D: {name} has {shape[0]}x{shape[1]}x{shape[2]} nodes, a 2-D file holds one "
-                f"plane k = 1; use dimension=3"
-            )
-        if low[index] or high[index]:
-            raise FormatError(
-                f"cannot write {path} as 2-D: {name} has z from {low[index]:g} to {high[index]:g}, which a 2-D file "
-                f"cannot hold; use dimension=3"
-            )

@@ -19,7 +19,7 @@ from meshdeform_core.parallel import ranks_of
 from ..files import replacing_by_all, shown
 from .dataset import DataSet, VtkFormat, write_blocks
 from .xml_read import read as read_piece
-from .xml_tags import DEEPEST, Element, read_tags
+from .xml_tags import DEEPEST, read_tags
 from .xml_write import attribute, begin_block
 
 _SET = "vtkMultiBlockDataSet"
@@ -61,20 +61,6 @@ def read(path: Path) -> tuple[list[DataSet], list[str]]:
 
 def _files(path: Path) -> Iterator[tuple[str, Path]]:
     """Name, ending in ``/`` where the data set itself has none, and file of each data set."""
-    root = _root(path)
-    waiting = [(element, "") for element in reversed(root.children)]
-    while waiting:
-        element, prefix = waiting.pop()
-        name = prefix + element.get("name")
-        if element.tag == "DataSet":
-            if file := element.get("file"):
-                yield name, path.parent / file
-        else:
-            below = f"{name}/" if element.get("name") else prefix
-            waiting.extend((child, below) for child in reversed(element.children))
-
-
-def _root(path: Path) -> Element:
     try:
         top = read_tags(path).root
     except FormatError as error:
@@ -87,7 +73,16 @@ def _root(path: Path) -> Element:
     inside = sum(element.tag == "DataSet" for element in found[0].below())
     if lost := sum(element.tag == "DataSet" for element in top.below()) - inside:
         raise FormatError(f"{path}: {lost} DataSet elements lie outside of {_SET}; expected all of them in it")
-    return found[0]
+    waiting = [(element, "") for element in reversed(found[0].children)]
+    while waiting:
+        element, prefix = waiting.pop()
+        name = prefix + element.get("name")
+        if element.tag == "DataSet":
+            if file := element.get("file"):
+                yield name, path.parent / file
+        else:
+            below = f"{name}/" if element.get("name") else prefix
+            waiting.extend((child, below) for child in reversed(element.children))
 
 
 def write(grid: Grid, path: Path, variant: VtkFormat) -> None:

@@ -114,7 +114,7 @@ class ArrayReader:
         FormatError
             When the array is damaged or does not have the expected number of values.
         """
-        stated = self._number(array, "NumberOfComponents", 1)
+        stated = self.number(array, "NumberOfComponents", 1)
         if components is not None and stated != components:
             raise self.error(array, f"has {stated} components, expected {components}")
         kind = array.get("type")
@@ -147,17 +147,14 @@ class ArrayReader:
             raise self.error(piece, f"has {len(arrays)} arrays of {tag}, expected {number}")
         return arrays
 
-    def number(self, element: Element, name: str) -> int:
-        """A count that an element must declare.
+    def number(self, element: Element, name: str, otherwise: int | None = None) -> int:
+        """A count that an element declares, or ``otherwise``.
 
         Raises
         ------
         FormatError
-            When it is missing or not a count.
+            When it is not a count, or missing without an alternative.
         """
-        return self._number(element, name, None)
-
-    def _number(self, element: Element, name: str, otherwise: int | None) -> int:
         word = element.get(name).strip()
         if not word and otherwise is not None:
             return otherwise

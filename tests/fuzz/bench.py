@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import io
+import sys
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -81,3 +83,19 @@ def seeded(rng: Random) -> np.random.Generator:
 def picked(rng: Random, **choices: Any) -> dict[str, Any]:
     """One value of each."""
     return {name: rng.choice(values) for name, values in choices.items()}
+
+
+@contextlib.contextmanager
+def full_after(size: int) -> Iterator[None]:
+    """No file grows beyond ``size`` bytes, as on a disk that is full."""
+    import resource  # of POSIX systems
+
+    before, without = resource.getrlimit(resource.RLIMIT_FSIZE), sys.dont_write_bytecode
+    # Bytecode cut off at the limit would stay and break every later start.
+    sys.dont_write_bytecode = True
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        sys.dont_write_bytecode = without

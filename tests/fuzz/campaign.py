@@ -22,11 +22,10 @@ from pathlib import Path
 LIMIT = 30.0
 """Seconds that a file of a few kB may take."""
 _SLICE = 1000
-SKIPPED = "skipped"
-RIGHT = ("ok", "refused", SKIPPED)
+RIGHT = ("ok", "refused")
 
 Sample = tuple[int, str, str]
-"""Number, class, and result: ``ok``, ``refused``, ``skipped`` (the machine lacks what it needs), or what is wrong."""
+"""Number, class, and result: ``ok``, ``refused``, or what is wrong."""
 
 
 class TooLong(BaseException):
@@ -118,7 +117,7 @@ def run(count: int, seed: int, jobs: int) -> list[Sample]:
 def table(samples: list[Sample], seed: int) -> str:
     """Counts of each class, as a table in Markdown."""
     totals = Counter((kind, result if result in RIGHT else "wrong") for _, kind, result in samples)
-    words = [word for word in (*RIGHT, "wrong") if word != SKIPPED or any(r == SKIPPED for _, r in totals)]
+    words = [*RIGHT, "wrong"]
     heads = ["right" if word == "ok" else word for word in words]
     lines = [f"| class (seed {seed}) | samples | {' | '.join(heads)} |", "|---" * (2 + len(words)) + "|"]
     for kind in [*sorted({kind for kind, _ in totals}), None]:

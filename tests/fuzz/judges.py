@@ -30,7 +30,7 @@ def plot3d_binary(path: Path, grid: Grid) -> str:
 
 def plot3d_text(path: Path, grid: Grid) -> str:
     """All numbers of the text are those of the grid in the order of the format, from the first to the last."""
-    words = [word for word in re.split(r"[\s,]+", path.read_text("utf-8", "replace")) if word]
+    words = [word for word in re.split(r"[\s,]+", path.read_text("utf-8-sig", "replace")) if word]
     dimension = int(grid.format.options["dimension"])
     shapes = [n for block in range(grid.n_blocks) for n in grid.shapes[block][:dimension]]
     expected: list[float] = [grid.n_blocks, *shapes] if grid.format.options["multiblock"] else [*shapes]

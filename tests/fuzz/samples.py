@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from random import Random
 
-from . import case_files, grid_files, limits, runs, tables, walls
+from . import case_files, grid_files, runs, tables, walls
 from .bench import METHODS, Bench, called
 
 KINDS: dict[str, Callable[[Bench, Random], str]] = {
@@ -14,7 +14,6 @@ KINDS: dict[str, Callable[[Bench, Random], str]] = {
     **case_files.KINDS,
     **walls.KINDS,
     **runs.KINDS,
-    **limits.KINDS,
 }
 SCHEDULE = tuple(KINDS)
 
@@ -38,6 +37,6 @@ class Worker:
             self.bench.deformed(self.bench.grid, None, "grid.xyz", "-c", "case.toml", "-m", method)
 
     def sample(self, number: int) -> tuple[str, str]:
-        """Class and result of a sample: ``ok`` (accepted, right), ``refused``, ``skipped``, or what is wrong."""
+        """Class and result of a sample: ``ok`` (accepted, right), ``refused``, or what is wrong."""
         name = SCHEDULE[number % len(SCHEDULE)]
         return name, KINDS[name](self.bench, Random(f"{self.seed}/{number}"))

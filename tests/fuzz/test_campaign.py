@@ -54,9 +54,3 @@ def test_a_hang_is_wrong_and_never_refused(hang, place, tmp_path, monkeypatch):
     assert signal.getitimer(signal.ITIMER_PROF) == (0.0, 0.0)
     assert "| judge | 1 | 0 | 0 | 1 |" in table([(0, "judge", result)], 1)
     assert limited(sample, 0)[1] == "ok"
-
-
-def test_what_the_machine_lacks_is_counted_apart():
-    lines = table([(0, "a", "ok"), (1, "a", "skipped"), (2, "a", "exit code 1")], 7).splitlines()
-    assert lines[0] == "| class (seed 7) | samples | right | refused | skipped | wrong |"
-    assert lines[2] == "| a | 3 | 1 | 0 | 1 | 1 |"

@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 from grids import CASE, frame
 
-from fuzz.bench import called
-from fuzz.limits import full_after
+from fuzz.bench import called, full_after
 from meshdeform_core.grid import Field, Grid
 from meshdeform_formats import read_grid, write_grid
 
