@@ -22,7 +22,7 @@ BUDGETS = {
     "formats/report": 2035,
     "formats/series": 837,
     "formats/vtk": 2184,
-    "formats": 2400,
+    "formats": 2405,
     "meshdeform_core/boundary": 3632,
     "meshdeform_core/grid": 3683,
     "meshdeform_core/methods": 5030,
