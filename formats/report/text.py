@@ -48,6 +48,7 @@ def _lines(report: dict[str, Any], parameters: bool) -> Iterator[str]:
         yield from series_lines(report)
     elif "quality" in report:
         yield from _quality(report)
+        yield from _repair(report)
     if parameters and "method" in report:
         yield from _parameters(report["method"])
     if "expected" in report:
@@ -92,12 +93,30 @@ def _verdict(report: dict[str, Any]) -> Iterator[str]:
         yield f"          ... {len(cells) - _LISTED} more in the json report"
     if "steps" in report:
         reached = "" if report["reached"] == 1.0 else f", {report['reached']:.1%} of the motion imposed"
-        yield f"steps     {report['steps']}{reached}"
+        repaired = ", then repaired (below)" if report.get("repair") and "quality" in report else ""
+        yield f"steps     {report['steps']}{reached}{repaired}"
+        if "quality" in report:
+            yield f"worst     {', '.join(_worst(report['quality']['after']))}"
     if new := report.get("new_interior"):
         yield (
             f"interior  remade from the reference by {new['method']} in {counted(new['steps'], 'step')}: "
             f"{new['reason']}"
         )
+    if "quality" not in report:
+        yield from _repair(report)
+
+
+def _worst(after: dict[str, Any]) -> Iterator[str]:
+    """What a user decides by: the worst cells, and the cells at walls."""
+    yield f"smallest scaled Jacobian {after['min_scaled_jacobian']:.3g}"
+    yield f"smallest f_skew {after['f_skew']['min']:.3g}"
+    if after["wall_normal_deviation_deg"]:
+        yield f"grid lines at walls turned by up to {after['wall_normal_deviation_deg']['max']:.3g} degrees"
+    if heights := after["first_cell_height_ratio"]:
+        yield f"first cells {heights['min']:.3g} to {heights['max']:.3g} times as high"
+
+
+def _repair(report: dict[str, Any]) -> Iterator[str]:
     for number, done in enumerate(repair_lines(report)):
         yield f"{'' if number else 'repair':9s} {done}"
 
