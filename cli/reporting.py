@@ -44,8 +44,9 @@ def deliver(
     to_stdout = to_stdout or STDOUT in reports
     ranks = delivery.ranks
     if files or to_stdout:
-        # The checksums of files take time.
-        report["run"] = ranks.on_first(lambda: run_part(_arguments(), delivery.files, ranks.count))
+        # The command line as it was given, see main.py; the checksums of files take time.
+        arguments: Sequence[str] = click.get_current_context().find_root().obj
+        report["run"] = ranks.on_first(lambda: run_part(arguments, delivery.files, ranks.count))
     if "timing" in report:
         report["timing"] = with_other(report["timing"], clock.perf_counter() - delivery.start)
     for path in files:
@@ -53,20 +54,10 @@ def deliver(
         if ranks.count > 1 and path.suffix == ".html":
             # The pictures take all ranks.
             pictures = illustrate()
-            illustrate = functools.partial(_as_they_are, pictures)
+            illustrate = functools.partial(lambda drawn: drawn, pictures)
         ranks.on_first(functools.partial(write_report, report, path, illustrate))
     if to_stdout:
         click.echo(as_json(report), nl=False)
     if not quiet:
         # Warnings are already on stderr.
         click.echo(as_text({**report, "warnings": []}, verbose), nl=False, err=to_stdout)
-
-
-def _as_they_are(pictures: Illustrations) -> Illustrations:
-    return pictures
-
-
-def _arguments() -> Sequence[str]:
-    """The command line as it was given; see :func:`meshdeform_cli.main.run`."""
-    arguments: Sequence[str] = click.get_current_context().find_root().obj
-    return arguments

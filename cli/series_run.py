@@ -91,26 +91,21 @@ def prepare(job: Job, source: GridInput, wanted: SeriesInput, options: RunInput)
 
 def name_of(source: Path, wanted: SeriesInput, form: FileFormat | None) -> str:
     """The name of the grid that a level is written as, before its number."""
-    return source.stem + _suffix(source, wanted, form)
-
-
-def _suffix(source: Path, wanted: SeriesInput, form: FileFormat | None) -> str:
     if wanted.suffix:
-        return wanted.suffix if wanted.suffix.startswith(".") else f".{wanted.suffix}"
-    if form is not None and form.name == "openfoam" and not wanted.single_file:
-        return ".foam"
-    # ADF files can only be read.
-    cgns = wanted.single_file or source.suffix.lower() in FORMATS["cgns"].suffixes
-    return ".cgns" if cgns else source.suffix
+        suffix = f".{wanted.suffix.removeprefix('.')}"
+    elif form is not None and form.name == "openfoam" and not wanted.single_file:
+        suffix = ".foam"
+    else:
+        # ADF files can only be read.
+        cgns = wanted.single_file or source.suffix.lower() in FORMATS["cgns"].suffixes
+        suffix = ".cgns" if cgns else source.suffix
+    return source.stem + suffix
 
 
 def times_of(case: CaseFile, wanted: SeriesInput) -> tuple[float, ...]:
     """The times of the levels: those asked for, or those of the case's displacement files."""
-    return parse_times(wanted.times, "--times") if wanted.times else _times_of_files(case)
-
-
-def _times_of_files(case: CaseFile) -> tuple[float, ...]:
-    """Times of the sequences of displacement files in a case."""
+    if wanted.times:
+        return parse_times(wanted.times, "--times")
     motions = [spec.motion for spec in case.case.boundaries if spec.motion is not None]
     found = {step.times for motion in motions for step in motion.steps if isinstance(step, FollowSequence)}
     if len(found) != 1:

@@ -55,8 +55,10 @@ def checked_array(
         finite or too large for any grid.
     """
     expected = f"expected ({', '.join('n' if n is None else str(n) for n in shape)}): {meaning}"
-    if unit := _unit_of(values):
-        raise error(f"{what} has the unit {unit!r}; expected plain numbers in the length unit of the grid")
+    # Arrays of other packages lose their unit by conversion.
+    unit = getattr(values, "units", getattr(values, "unit", None))
+    if unit is not None and not callable(unit) and str(unit):
+        raise error(f"{what} has the unit {str(unit)!r}; expected plain numbers in the length unit of the grid")
     try:
         array = np.asanyarray(values)
     except ValueError as failure:
@@ -69,27 +71,17 @@ def checked_array(
     if not fits:
         raise error(f"{what} has the shape {array.shape}; {expected}")
     result: FloatArray = np.array(array, dtype=np.float64, order="C")
-    _require_finite(result, what, error)
-    return result
-
-
-def _unit_of(values: Any) -> str:
-    """The unit that an array of another package carries and would lose by conversion; empty without one."""
-    unit = getattr(values, "units", getattr(values, "unit", None))
-    return "" if unit is None or callable(unit) else str(unit)
-
-
-def _require_finite(array: FloatArray, what: str, error: type[MeshDeformError]) -> None:
-    finite = np.isfinite(array)
+    finite = np.isfinite(result)
     if not finite.all():
         at = tuple(int(n) for n in np.argwhere(~finite)[0])
         raise error(
-            f"{what} has {int((~finite).sum())} values that are not finite, the first is {array[at]} at index "
+            f"{what} has {int((~finite).sum())} values that are not finite, the first is {result[at]} at index "
             f"{list(at)}; expected finite numbers"
         )
-    largest = float(np.abs(array).max(initial=0.0))
+    largest = float(np.abs(result).max(initial=0.0))
     if largest > LARGEST:
         raise error(f"{what} has values up to {largest:.3g}; expected lengths up to {LARGEST:g}")
+    return result
 
 
 def checked_time(value: Any, error: type[MeshDeformError]) -> float:

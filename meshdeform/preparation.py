@@ -143,19 +143,15 @@ def parsed_case(case: CaseLike) -> CaseFile:
     CaseError
         For an unknown key (naming the nearest known one) or an invalid value.
     """
-    if isinstance(case, Mapping):
-        return _from_mapping(case)
     if isinstance(case, str | Path):
         return read_case(case)
+    if isinstance(case, Mapping):
+        method = case.get("method")
+        if method is None or isinstance(method, Mapping):
+            return case_of(case)
+        parsed = case_of({key: value for key, value in case.items() if key != "method"})
+        return dataclasses.replace(parsed, case=dataclasses.replace(parsed.case, method=options_of(method)))
     raise CaseError(f"case is a {type(case).__name__}; expected the name of a case file, or a mapping with its content")
-
-
-def _from_mapping(case: Mapping[str, Any]) -> CaseFile:
-    method = case.get("method")
-    if method is None or isinstance(method, Mapping):
-        return case_of(case)
-    parsed = case_of({key: value for key, value in case.items() if key != "method"})
-    return dataclasses.replace(parsed, case=dataclasses.replace(parsed.case, method=options_of(method)))
 
 
 def _specs(selections: Mapping[Kind, Selection | None]) -> list[BoundarySpec]:

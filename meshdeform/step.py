@@ -79,7 +79,13 @@ class Step:
         undeformed = self.result.setup.grid
         with together(grid):
             found = at_faces(undeformed, swept_volumes(undeformed, before.core.points, grid.core.points))
-        return [_at_axes(undeformed.shapes[part.block], found[part.block]) for part in grid.part]
+        swept = []
+        for part in grid.part:
+            shape = undeformed.shapes[part.block]
+            # In 2-D without the axis that has a single node.
+            faces = [each for each, count in zip(found[part.block], shape, strict=True) if count > 1]
+            swept.append(tuple(np.squeeze(each, axis=shape.index(1)) if 1 in shape else each for each in faces))
+        return swept
 
     def quality_gradient(
         self, measure: str, sharpness: float = 100.0, blocks: Sequence[int] | None = None
@@ -150,9 +156,3 @@ def unusable(step: Step) -> str:
     """A message on an invalid grid, for programs that cannot go on with it."""
     first = step.invalid_cells[0] if step.invalid_cells else "none is invalid"
     return f"the deformed grid cannot be used: {step!r}; first cell: {first}"
-
-
-def _at_axes(shape: tuple[int, int, int], faces: tuple[FloatArray, ...]) -> tuple[FloatArray, ...]:
-    """Values at the faces across the index axes of a block; in 2-D without the axis that has a single node."""
-    found = (part for part, count in zip(faces, shape, strict=True) if count > 1)
-    return tuple(np.squeeze(part, axis=shape.index(1)) if 1 in shape else part for part in found)

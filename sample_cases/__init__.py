@@ -74,7 +74,11 @@ def generate(name: str, size: int | str | None = None) -> tuple[Grid, dict[str, 
         For an unknown sample or an unsupported size.
     """
     module = load(name)
-    number = module.DEFAULT_SIZE if size is None else _size(name, str(size), module.SIZES)
+    text, named = str(module.DEFAULT_SIZE if size is None else size), module.SIZES
+    # ASCII only: Python also accepts digits of other scripts, which are hardly intended.
+    if text not in named and not (text.isascii() and text.lstrip("-").isdigit()):
+        raise CaseError(f"sample {name}: --size {text!r}; expected a whole number or one of {', '.join(named)}")
+    number = named[text] if text in named else int(text)
     largest = _LARGEST * max(module.SIZES.values())
     if number > largest:
         raise CaseError(f"sample {name}: size = {number}; expected at most {largest}")
@@ -82,15 +86,6 @@ def generate(name: str, size: int | str | None = None) -> tuple[Grid, dict[str, 
         return module.generate(number), module.tables(number) if hasattr(module, "tables") else {}
     except ValueError as error:
         raise CaseError(f"sample {name}: {error}") from error
-
-
-def _size(name: str, text: str, named: dict[str, int]) -> int:
-    if text in named:
-        return named[text]
-    # ASCII only: Python also accepts digits of other scripts, which are hardly intended.
-    if not (text.isascii() and text.lstrip("-").isdigit()):
-        raise CaseError(f"sample {name}: --size {text!r}; expected a whole number or one of {', '.join(named)}")
-    return int(text)
 
 
 def case_content(name: str, tables: Mapping[str, SurfaceData]) -> dict[str, Any]:

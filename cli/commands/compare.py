@@ -5,15 +5,11 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from ..options import PATH, FiniteNumber, GridInput, json_option, memory_option
 from ..room import limit_of, make_room, temporary_folder
-
-if TYPE_CHECKING:
-    from meshdeform_core.quality.difference import Difference
 
 EXIT_DIFFERENT = 1
 # Memory in units of the coordinates of both grids: these, the distances, and buffers of reading.
@@ -43,14 +39,12 @@ def command(first: Path, second: Path, tolerance: float | None, max_memory: str 
     sources = [GridInput(path) for path in (first, second)]
     make_room(limit_of(max_memory), "comparing", sources, temporary_folder(), _ARRAYS)
     difference = compare_points(read_grid(first), read_grid(second))
-    click.echo(json.dumps(dataclasses.asdict(difference), indent=2) if as_json else _text(difference))
+    if as_json:
+        click.echo(json.dumps(dataclasses.asdict(difference), indent=2))
+    else:
+        click.echo(f"largest {difference.largest:.6e} at {difference.where}")
+        nodes = f"{difference.differing_nodes:,} of {difference.nodes:,} nodes differ"
+        click.echo(f"rms     {difference.rms:.6e}, {nodes}")
+        for block in difference.blocks:
+            click.echo(f"  {block.name}: largest {block.largest:.3e}, rms {block.rms:.3e}")
     return EXIT_DIFFERENT if tolerance is not None and difference.largest > tolerance else 0
-
-
-def _text(difference: Difference) -> str:
-    lines = [
-        f"largest {difference.largest:.6e} at {difference.where}",
-        f"rms     {difference.rms:.6e}, {difference.differing_nodes:,} of {difference.nodes:,} nodes differ",
-    ]
-    lines += [f"  {b.name}: largest {b.largest:.3e}, rms {b.rms:.3e}" for b in difference.blocks]
-    return "\n".join(lines)

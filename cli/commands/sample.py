@@ -47,10 +47,14 @@ def command(
     from meshdeform_formats.files import replacing
     from meshdeform_formats.grids import format_of, variant_of, write_grid
     from meshdeform_formats.neutral_map import write_neutral_map
-    from meshdeform_samples import folder, generate, require_sample
+    from meshdeform_samples import SAMPLES, folder, generate, load, require_sample
 
     if name is None:
-        click.echo(_catalogue())
+        for key in SAMPLES:
+            module = load(key)
+            names = ", ".join(f"{each} = {number}" for each, number in module.SIZES.items())
+            click.echo(f"{key}\n    {(module.__doc__ or '').splitlines()[0]}")
+            click.echo(f"    --size: {module.SIZE_HELP}; default {module.DEFAULT_SIZE}; {names}")
         return 0
     require_sample(name)
     if output is None:
@@ -83,15 +87,3 @@ def command(
         blocks = counted(grid.n_blocks, "block")
         click.echo(f"{target}: {blocks}, {grid.n_nodes:,} nodes; case in {output / 'case.toml'}")
     return 0
-
-
-def _catalogue() -> str:
-    from meshdeform_samples import SAMPLES, load
-
-    entries = []
-    for key in SAMPLES:
-        module = load(key)
-        title = (module.__doc__ or "").splitlines()[0]
-        names = ", ".join(f"{name} = {size}" for name, size in module.SIZES.items())
-        entries.append(f"{key}\n    {title}\n    --size: {module.SIZE_HELP}; default {module.DEFAULT_SIZE}; {names}")
-    return "\n".join(entries)

@@ -41,7 +41,14 @@ def command(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunInp
     the suffix (exit code 3).
     """
     start = clock.perf_counter()
-    _check(source, case, wanted, run)
+    if case.empty:
+        raise click.UsageError("Nothing to do: give a case file (-c) or displacement files (-d).")
+    check_order(source, case)
+    if case.displacement and not wanted.times:
+        raise click.UsageError("Displacement files (-d 'surface_*.csv') need their times: --times START:STOP:STEP.")
+    if wanted.resume and run.force:
+        raise click.UsageError("--resume continues a series, --force restarts it; give one of them.")
+    check_reports(run.reports, run.force or wanted.resume, *source.files, *case.files)
 
     from .. import series_run, work
 
@@ -96,15 +103,3 @@ def _dry_run(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunIn
         levels = Levels(len(plan.schedule.times), wanted.velocity, wanted.velocity_arrays)
         planned, impossible, text = forecast.plan_series(plan, levels, run.memory)
     return work.print_plan(planned, impossible, run, text)
-
-
-def _check(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunInput) -> None:
-    """Refuse options that do not go together, and reports that would replace a file."""
-    if case.empty:
-        raise click.UsageError("Nothing to do: give a case file (-c) or displacement files (-d).")
-    check_order(source, case)
-    if case.displacement and not wanted.times:
-        raise click.UsageError("Displacement files (-d 'surface_*.csv') need their times: --times START:STOP:STEP.")
-    if wanted.resume and run.force:
-        raise click.UsageError("--resume continues a series, --force restarts it; give one of them.")
-    check_reports(run.reports, run.force or wanted.resume, *source.files, *case.files)

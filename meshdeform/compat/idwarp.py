@@ -112,7 +112,8 @@ class _Interface:
             dXv = np.random.default_rng(randomSeed).random(3 * len(rows))
         weights, at = np.asarray(dXv, dtype=np.float64).ravel(), self.getSurfaceCoordinates()
         self._warp.warp()
-        found = self._sum_of_first(self._warp.reverse(weights, rows).ravel()[dofStart:dofEnd])
+        found = self._warp.reverse(weights, rows).ravel()[dofStart:dofEnd]
+        found = found if self._comm is None else self._comm.bcast(found)
         expected = np.zeros_like(found)
         for number in range(len(found)):
             ends = []
@@ -122,7 +123,8 @@ class _Interface:
                     moved[dofStart + number] += step
                 self._warp.set_surface(moved)
                 self._warp.warp()
-                ends.append(self._total(float(weights @ self._warp.coordinates(rows))))
+                value = float(weights @ self._warp.coordinates(rows))
+                ends.append(value if self._comm is None else self._comm.allreduce(value))
             expected[number] = (ends[0] - ends[1]) / (2 * h)
         self._warp.set_surface(at)
         self._warp.warp()
@@ -145,12 +147,6 @@ class _Interface:
     @property
     def _rank(self) -> int:
         return 0 if self._comm is None else self._comm.rank
-
-    def _total(self, value: float) -> float:
-        return value if self._comm is None else self._comm.allreduce(value)
-
-    def _sum_of_first(self, values: FloatArray) -> FloatArray:
-        return values if self._comm is None else self._comm.bcast(values)
 
     def _rows(self, solver: bool) -> Any:
         return self._warp.solver_rows if solver else self._warp.own_rows

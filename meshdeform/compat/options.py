@@ -2,48 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+import warnings
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 from meshdeform_core.errors import CaseError, suggestion
 from meshdeform_core.methods import IDW, RBF, TFI
 
 from ..choice import Hybrid, Method, options_of
-
-DEFAULTS: dict[str, Any] = {
-    "gridFile": None,
-    "fileType": "CGNS",
-    "specifiedSurfaces": None,
-    "symmetrySurfaces": None,
-    "symmetryPlanes": None,
-    "aExp": 3.0,
-    "bExp": 5.0,
-    "LdefFact": 1.0,
-    "alpha": 0.25,
-    "errTol": 0.0005,
-    "evalMode": "fast",
-    "symmTol": 1e-6,
-    "useRotations": True,
-    "zeroCornerRotations": True,
-    "cornerAngle": 30.0,
-    "restartFile": None,
-    "bucketSize": 8,
-    # Additions to IDWarp's options.
-    "method": "idw",
-    "repair": "off",
-}
-"""Options and their defaults; the last two are additions to IDWarp's."""
-
-NOTES = {
-    "errTol": "fast sums err by at most a thousandth of it, relative to the shortest cell edge at a node",
-    "evalMode": "'fast' uses fast sums where they pay, exact ones for smaller grids",
-    "useRotations": "rotations are averaged as twists (rotation = 'lie'), independent of the frame",
-    "zeroCornerRotations": "rotations near sharp edges are averaged with those around them instead of being zeroed",
-    "cornerAngle": "edges are sharp from about 50 degrees on; only the default, 30, is accepted",
-    "restartFile": "nothing is read or written: preparing takes less time than reading it would",
-    "bucketSize": "has no effect: clusters are chosen by the tolerance",
-}
-"""Meaning of options here where it differs from IDWarp's."""
 
 _PART = 1e-3
 """Tolerance of fast sums (relative to the cell) as a fraction of ``errTol`` (relative to the displacement).
@@ -52,9 +18,120 @@ With it, finite differences with steps of 1e-6 agree with the derivative to 1e-7
 times the time that ``errTol`` itself would take.
 """
 _WITH_IDW = {"idw": None, "idw-tfi": TFI, "idw-rbf": RBF}
-_LOWER = {name.lower(): name for name in DEFAULTS}
-_POSITIVE = ("aExp", "bExp", "LdefFact", "alpha", "errTol", "symmTol", "cornerAngle")
-_SWITCHES = ("useRotations", "zeroCornerRotations")
+
+
+def _any(name: str, value: Any) -> Any:
+    return value
+
+
+def _positive(name: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < float("inf"):
+        raise CaseError(f"{name} = {value!r}; expected a positive number")
+    return float(value)
+
+
+def _switch(name: str, value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise CaseError(f"{name} = {value!r}; expected True or False")
+    return value
+
+
+def _corner_angle(name: str, value: Any) -> float:
+    angle = _positive(name, value)
+    if angle != OPTIONS[name].default:
+        warnings.warn(f"{name} = {value!r} has no effect: {OPTIONS[name].note}", stacklevel=6)
+    return angle
+
+
+def _one_of(*known: str) -> Callable[[str, Any], str]:
+    def check(name: str, value: Any) -> str:
+        if str(value).lower() not in known:
+            raise CaseError(f"{name} = {value!r}; expected one of {', '.join(known)}")
+        return str(value).lower()
+
+    return check
+
+
+def _file_type(name: str, value: Any) -> str:
+    if str(value).lower() == "openfoam":
+        raise CaseError(
+            "fileType = 'OpenFOAM': its meshes are unstructured; expected CGNS or PLOT3D, the structured grid from "
+            "which the mesh was made"
+        )
+    return _one_of("cgns", "plot3d")(name, value).upper()
+
+
+def _families(name: str, value: Any) -> list[str] | None:
+    if value is None:
+        return None
+    if isinstance(value, str) or not all(isinstance(each, str) for each in value):
+        raise CaseError(f"{name} = {value!r}; expected a list of family names")
+    return list(value)
+
+
+def _planes(name: str, value: Any) -> list[tuple[tuple[float, ...], ...]] | None:
+    if value is None:
+        return None
+    try:
+        planes = [tuple(tuple(float(x) for x in vector) for vector in plane) for plane in value]
+        if all(len(plane) == 2 and all(len(vector) == 3 for vector in plane) and any(plane[1]) for plane in planes):
+            return planes
+    except (TypeError, ValueError):
+        pass
+    raise CaseError(f"{name} = {value!r}; expected [[[x, y, z], [nx, ny, nz]], ...], or [] for none")
+
+
+def _method(name: str, value: Any) -> Any:
+    # Names and objects alike: unknown ones are refused here, not at the first warp.
+    if not _has_idw(value):
+        options_of(value)
+    return value
+
+
+def _has_idw(method: object) -> bool:
+    return isinstance(method, str) and method in _WITH_IDW
+
+
+class Option(NamedTuple):
+    """Default, a check that returns the value to use, and the meaning here where that differs from IDWarp's."""
+
+    default: Any
+    check: Callable[[str, Any], Any] = _any
+    note: str = ""
+
+
+OPTIONS = {
+    "gridFile": Option(None),
+    "fileType": Option("CGNS", _file_type),
+    "specifiedSurfaces": Option(None, _families),
+    "symmetrySurfaces": Option(None, _families),
+    "symmetryPlanes": Option(None, _planes),
+    "aExp": Option(3.0, _positive),
+    "bExp": Option(5.0, _positive),
+    "LdefFact": Option(1.0, _positive),
+    "alpha": Option(0.25, _positive),
+    "errTol": Option(
+        0.0005, _positive,
+        "fast sums err by at most a thousandth of it, relative to the shortest cell edge at a node",
+    ),
+    "evalMode": Option(
+        "fast", _one_of("fast", "exact"), "'fast' uses fast sums where they pay, exact ones for smaller grids"
+    ),
+    "symmTol": Option(1e-6, _positive),
+    "useRotations": Option(
+        True, _switch, "rotations are averaged as twists (rotation = 'lie'), independent of the frame"
+    ),
+    "zeroCornerRotations": Option(
+        True, _switch, "rotations near sharp edges are averaged with those around them instead of being zeroed"
+    ),
+    "cornerAngle": Option(30.0, _corner_angle, "edges are sharp from about 50 degrees on"),
+    "restartFile": Option(None, _any, "nothing is read or written: preparing takes less time than reading it would"),
+    "bucketSize": Option(8, _any, "has no effect: clusters are chosen by the tolerance"),
+    # Additions to IDWarp's options.
+    "method": Option("idw", _method),
+    "repair": Option("off", _one_of("off", "auto", "polish")),
+}  # fmt: skip
+_LOWER = {name.lower(): name for name in OPTIONS}
 
 
 class Options:
@@ -69,7 +146,7 @@ class Options:
     def __init__(self, given: Mapping[str, Any] | None):
         if not isinstance(given, Mapping):
             raise CaseError(f"options = {given!r}; expected a mapping with 'gridFile' and others")
-        self._values = dict(DEFAULTS)
+        self._values = {name: option.default for name, option in OPTIONS.items()}
         spelled: dict[str, str] = {}
         for name, value in given.items():
             self.set(name, value)
@@ -89,11 +166,11 @@ class Options:
     def set(self, name: str, value: Any) -> None:
         """Change an option."""
         known = self._known(name)
-        self._values[known] = _checked(known, value)
+        self._values[known] = OPTIONS[known].check(known, value)
 
     def items(self) -> list[tuple[str, Any, str]]:
         """Every option with its value and its note, which may be empty."""
-        return [(name, value, NOTES.get(name, "")) for name, value in self._values.items()]
+        return [(name, value, OPTIONS[name].note) for name, value in self._values.items()]
 
     def method(self, length: float) -> Method:
         """The method with these options; ``length`` is L_def of eq. 17 (grid length unit)."""
@@ -118,74 +195,5 @@ class Options:
     def _known(name: str) -> str:
         known = _LOWER.get(str(name).lower())
         if known is None:
-            raise CaseError(
-                f"unknown option {name!r}{suggestion(name, DEFAULTS)}; expected one of {', '.join(DEFAULTS)}"
-            )
+            raise CaseError(f"unknown option {name!r}{suggestion(name, OPTIONS)}; expected one of {', '.join(OPTIONS)}")
         return known
-
-
-def _has_idw(method: object) -> bool:
-    return isinstance(method, str) and method in _WITH_IDW
-
-
-def _checked(name: str, value: Any) -> Any:
-    if name in _POSITIVE:
-        return _positive(name, value)
-    if name in _SWITCHES and not isinstance(value, bool):
-        raise CaseError(f"{name} = {value!r}; expected True or False")
-    if name == "fileType":
-        return _file_type(value)
-    if name == "evalMode":
-        return _one_of(name, value, ("fast", "exact"))
-    if name == "repair":
-        return _one_of(name, value, ("off", "auto", "polish"))
-    if name in ("specifiedSurfaces", "symmetrySurfaces") and value is not None:
-        return _families(name, value)
-    if name == "symmetryPlanes" and value is not None:
-        return _planes(value)
-    if name == "method" and not _has_idw(value):
-        # Names and objects alike: unknown ones are refused here, not at the first warp.
-        options_of(value)
-    return value
-
-
-def _positive(name: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < float("inf"):
-        raise CaseError(f"{name} = {value!r}; expected a positive number")
-    if name == "cornerAngle" and value != DEFAULTS[name]:
-        raise CaseError(
-            f"cornerAngle = {value!r} is not offered: edges are sharp from about 50 degrees on; expected the default, "
-            f"{DEFAULTS[name]}, or zeroCornerRotations = False, which treats all edges alike"
-        )
-    return float(value)
-
-
-def _file_type(value: Any) -> str:
-    if str(value).lower() == "openfoam":
-        raise CaseError(
-            "fileType = 'OpenFOAM': its meshes are unstructured; expected CGNS or PLOT3D, the structured grid from "
-            "which the mesh was made"
-        )
-    return _one_of("fileType", value, ("cgns", "plot3d")).upper()
-
-
-def _one_of(name: str, value: Any, known: tuple[str, ...]) -> str:
-    if str(value).lower() not in known:
-        raise CaseError(f"{name} = {value!r}; expected one of {', '.join(known)}")
-    return str(value).lower()
-
-
-def _families(name: str, value: Any) -> list[str]:
-    if isinstance(value, str) or not all(isinstance(each, str) for each in value):
-        raise CaseError(f"{name} = {value!r}; expected a list of family names")
-    return list(value)
-
-
-def _planes(value: Any) -> list[tuple[tuple[float, ...], tuple[float, ...]]]:
-    try:
-        planes = [tuple(tuple(float(x) for x in vector) for vector in plane) for plane in value]
-        if all(len(plane) == 2 and all(len(vector) == 3 for vector in plane) and any(plane[1]) for plane in planes):
-            return planes  # type: ignore[return-value]
-    except (TypeError, ValueError):
-        pass
-    raise CaseError(f"symmetryPlanes = {value!r}; expected [[[x, y, z], [nx, ny, nz]], ...], or [] for none")

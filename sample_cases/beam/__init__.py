@@ -34,11 +34,7 @@ def generate(size: int = DEFAULT_SIZE, origin: tuple[float, float] = (0.0, 0.0))
     return with_patches(
         Grid.from_blocks(blocks),
         [
-            ("outer", "BCFarfield", lambda c, side: _on_rim(c - [*origin, 0.0])),
+            ("outer", "BCFarfield", lambda c, side: (np.abs(c[:, :2] - origin) > [1.999, 0.999]).any(axis=1)),
             ("beam", "BCWall", lambda c, side: np.full(len(c), True)),
         ],
     )
-
-
-def _on_rim(c: np.ndarray) -> np.ndarray:
-    return np.asarray((np.abs(c[:, 0]) > 1.999) | (np.abs(c[:, 1]) > 0.999))

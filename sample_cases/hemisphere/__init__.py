@@ -26,9 +26,8 @@ def generate(size: int = DEFAULT_SIZE, max_cells: int = 0) -> Grid:
     if size < 8 or size % 4:
         raise ValueError(f"size = {size} cells across the top; expected a multiple of 4, at least 8")
     radius = DIAMETER / 2 + geometric(_WALL_CELL, round(131 / 92 * size), _OUTER - DIAMETER / 2)
-    grid = Grid.from_blocks(
-        [_shell(directions, radius) for directions in panels(size)], ["top", "east", "north", "west", "south"]
-    )
+    shells = [directions[:, :, None, :] * radius[None, None, :, None] for directions in panels(size)]
+    grid = Grid.from_blocks(shells, ["top", "east", "north", "west", "south"])
     if max_cells:
         grid = split(grid, max_cells)
     return with_patches(
@@ -58,7 +57,3 @@ def panels(n: int) -> list[FloatArray]:
         np.stack([-one, -a, b], axis=-1), np.stack([a, -one, b], axis=-1),
     ]  # fmt: skip
     return [p / np.sqrt((np.sort(p**2, axis=-1)).sum(axis=-1, keepdims=True)) for p in (top, *sides)]
-
-
-def _shell(directions: FloatArray, radius: FloatArray) -> FloatArray:
-    return np.asarray(directions[:, :, None, :] * radius[None, None, :, None])

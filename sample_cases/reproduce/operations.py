@@ -39,11 +39,11 @@ def count_operations(method: Composite | InGaps, problem: Problem, account: Acco
     """Operations of ``prepare`` and one ``apply``, after which the account is ``account``."""
     skeleton = method.filler.skeleton(problem) if method.filler else None
     targets = len(first_step_nodes(problem, skeleton))
-    total = 0.0
+    total, found = 0.0, {name: setting.value for name, setting in account.settings.items()}
     if isinstance(method.mover, IDW):
         total += idw_operations(method.mover, targets, len(problem.source_numbers))
     elif isinstance(method.mover, RBF):
-        total += rbf_operations(method.mover, targets, len(problem.source_numbers), _values(account))
+        total += rbf_operations(method.mover, targets, len(problem.source_numbers), found)
     if isinstance(method.filler, TFI):
         total += tfi_operations(problem.grid.n_nodes, problem.grid.dimension)
     elif isinstance(method.filler, BlockRBF) and skeleton is not None:
@@ -107,7 +107,3 @@ def block_rbf_operations(filler: BlockRBF, problem: Problem, skeleton: Skeleton)
         pairs = targets * centres * (_DISTANCE + _BASIS[filler.options.basis] + 2 * _COMPONENTS)
         total += _direct(float(centres), _BASIS[filler.options.basis]) + pairs
     return total
-
-
-def _values(account: Account) -> dict[str, object]:
-    return {name: setting.value for name, setting in account.settings.items()}

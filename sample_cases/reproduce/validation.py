@@ -48,7 +48,7 @@ def _table(table: dict[str, Any], figures: str) -> str:
     ]  # fmt: skip
     body, reasons = [], []
     for row in table["rows"]:
-        off = _difference(row["f_skew"], row["paper_f_skew"])
+        off = None if row["paper_f_skew"] is None else row["f_skew"] - row["paper_f_skew"]
         body.append([
             row["method"], f"{row['f_skew']:.4f}", number(row["paper_f_skew"], ".2f"), number(off, "+.3f"),
             number(row["measured_f_skew"], ".4g"), f"{row['f_skew_min']:.3f}", str(row["invalid_cells"]),
@@ -57,10 +57,9 @@ def _table(table: dict[str, Any], figures: str) -> str:
             points(row),
         ])  # fmt: skip
         said = remark(row)
+        said = f"{said[0].upper()}{said[1:]}." if said else ""
         if row["reason"] or said:
-            reasons.append(
-                f"- **{row['method']}**: {' '.join(part for part in (_sentence(said), row['reason']) if part)}"
-            )
+            reasons.append(f"- **{row['method']}**: {' '.join(part for part in (said, row['reason']) if part)}")
         elif off is not None and abs(off) > table["tolerance"] + 0.005:
             reasons.append(f"- **{row['method']}**: not reproduced; the reason is not known.")
     why = "Reasons and remarks:\n\n" + "\n".join(reasons) if reasons else ""
@@ -73,12 +72,3 @@ def _table(table: dict[str, Any], figures: str) -> str:
         pictures(table["figures"], figures),
     ]
     return "\n\n".join(part for part in parts if part)
-
-
-def _sentence(text: str) -> str:
-    """A remark with a capital letter and a full stop."""
-    return f"{text[0].upper()}{text[1:]}." if text else ""
-
-
-def _difference(ours: float, theirs: float | None) -> float | None:
-    return None if theirs is None else ours - theirs

@@ -3,7 +3,7 @@
 import numpy as np
 
 from meshdeform_core.boundary.tables.matching import SurfaceData
-from meshdeform_core.grid import BoolArray, FloatArray, Grid, Side
+from meshdeform_core.grid import FloatArray, Grid
 
 from ..patches import with_patches
 from ..spacing import geometric
@@ -42,7 +42,8 @@ def generate(size: int = DEFAULT_SIZE) -> Grid:
         Grid.from_blocks([upper, lower], ["upper", "lower"]),
         [
             ("symmetry", "BCSymmetryPlane", lambda c, side: c[:, 1] == 0.0),
-            ("wing", "BCWall", _on_wing),
+            # Faces between the two blocks that are not interfaces.
+            ("wing", "BCWall", lambda c, side: (side.axis == 2) & (np.abs(c[:, 2]) < 0.5 * _FAR)),
             ("far", "BCFarfield", lambda c, side: np.full(len(c), True)),
         ],
     )
@@ -97,8 +98,3 @@ def _half_thickness(u: FloatArray, y: FloatArray) -> FloatArray:
     inside = np.clip(u * (1.0 - u), 0.0, None)
     tip = np.sqrt(np.clip(1.0 - (y / _SPAN) ** 2, 0.0, None))
     return np.asarray(2.0 * _THICKNESS * inside * _chord(y) * tip)
-
-
-def _on_wing(c: FloatArray, side: Side) -> BoolArray:
-    """Faces between the two blocks that are not interfaces: the external faces there are the wing."""
-    return np.asarray((side.axis == 2) & (np.abs(c[:, 2]) < 0.5 * _FAR))

@@ -246,7 +246,7 @@ def test_components_that_stay(overset):
         ({"gridFile": "g", "fileType": "OpenFOAM"}, "unstructured"),
         ({"gridFile": "g.cgns", "fileType": "su2"}, "fileType"),
         ({"gridFile": "g.cgns", "alpha": -1.0}, "alpha = -1.0"),
-        ({"gridFile": "g.cgns", "cornerAngle": 60.0}, "cornerAngle"),
+        ({"gridFile": "g.cgns", "cornerAngle": "sharp"}, "cornerAngle"),
         ({"gridFile": "g.cgns", "useRotations": 1}, "useRotations"),
         ({"gridFile": "g.cgns", "specifiedSurfaces": "wing"}, "list of family names"),
         ({"gridFile": "g.cgns", "symmetryPlanes": [[0, 0, 1]]}, "symmetryPlanes"),
@@ -275,6 +275,8 @@ def test_options_are_honoured(wing, capsys):
     assert part.summation_tolerance == usual.summation_tolerance == 5e-7
     with pytest.raises(md.CaseError, match="after the surface"):
         mesh.setOption("alpha", 0.1)
+    with pytest.warns(UserWarning, match="cornerAngle = 60 has no effect: edges are sharp from about 50"):
+        USMesh({"gridFile": wing, "cornerAngle": 60})
     mesh.printOptions()
     assert "aExp                 2.0" in capsys.readouterr().out
 

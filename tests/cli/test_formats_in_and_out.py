@@ -175,7 +175,10 @@ def assert_as_expected(moved: Blocks, blocks: Blocks, known: Blocks, accuracy: f
         assert np.abs(new[outside][:, :2] - old[outside][:, :2]).max() < accuracy
 
 
-@pytest.mark.parametrize(("source", "target"), PAIRS, ids=[" to ".join(pair) for pair in PAIRS])
+@pytest.mark.parametrize(
+    ("source", "target"),
+    [pytest.param(*pair, id=" to ".join(pair), marks=() if "ascii" in pair else pytest.mark.slow) for pair in PAIRS],
+)
 def test_same_result_from_and_to(source, target, expected, tmp_path, call):
     """The methods take turns: every one meets several inputs and outputs."""
     method = METHODS[PAIRS.index((source, target)) % len(METHODS)]
