@@ -34,7 +34,7 @@ def generate(size: int = DEFAULT_SIZE, origin: tuple[float, float] = (0.0, 0.0))
     return with_patches(
         Grid.from_blocks(blocks),
         [
-            ("outer", "BCFarfield", lambda c, side: (np.abs(c[:, :2] - origin) > [1.999, 0.999]).any(axis=1)),
+            ("outer", "BCFarfield", lambda c, side: np.abs((c[:, :2] - origin) / [1.999, 0.999]).max(axis=1) > 1.0),
             ("beam", "BCWall", lambda c, side: np.full(len(c), True)),
         ],
     )
