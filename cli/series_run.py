@@ -26,6 +26,7 @@ from meshdeform_formats.case import CaseFile
 from meshdeform_formats.case.sequences import parse_times
 from meshdeform_formats.fields import check_fields, with_fields
 from meshdeform_formats.grids import FORMATS, complete_for_export
+from meshdeform_formats.inputs import digest
 from meshdeform_formats.placing import lack
 from meshdeform_formats.report import Report
 from meshdeform_formats.report.figures import Illustrations
@@ -164,13 +165,21 @@ def _tell_of_strangers(run: Run) -> None:
 
 
 def _keep_what_exists(run: Run, manifest: Manifest) -> None:
-    """Discard levels whose files are missing; a complete series must have all its files."""
-    if manifest.complete and all(path.exists() for path in run.files.outputs):
+    """Discard levels whose files are missing or not what was written; a complete series must have all its files."""
+    files, whole = run.files, manifest.complete and all(path.exists() for path in run.files.outputs)
+    changed = [
+        number
+        for number, written in enumerate(manifest.digests)
+        if files.has(number) and digest(files.kept(number)) != written
+    ]
+    if whole and not changed:
         return
-    gone = [number for number in range(len(manifest.levels)) if not run.files.has(number)]
-    manifest.levels = manifest.levels[: gone[0]] if gone else manifest.levels
-    manifest.kinds = manifest.kinds[: len(manifest.levels)]
-    manifest.made = manifest.made[: len(manifest.levels)]
+    if changed:
+        name = files.path(changed[0]).name
+        run.warnings.tell([f"{name} is not what was written: level {changed[0]} and those after it are made again"])
+    gone = [] if whole else [number for number in range(len(manifest.levels)) if not files.has(number)]
+    for part in manifest.per_level:
+        del part[min([*gone, *changed, len(manifest.levels)]) :]
     run.files.recall(manifest.levels)
     manifest.complete = False
 
@@ -325,10 +334,11 @@ def _note(run: Run, level: Level, seconds: float) -> None:
     manifest.levels.append(record)
     manifest.kinds.append([kind_of(text) for text in warnings])
     manifest.made.append(level.made)
+    manifest.digests.append(digest(files.kept(level.number)))
     try:
         manifest.save()
     except BaseException:
         # The message on a signal states the number of recorded levels.
-        for part in (manifest.levels, manifest.kinds, manifest.made):
+        for part in manifest.per_level:
             part.pop()
         raise

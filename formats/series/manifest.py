@@ -38,6 +38,7 @@ class Manifest:
     levels : a record of each finished level, in order
     kinds : for each finished level, the kinds of warnings that occurred there first
     made : for each finished level, the data on it that later levels need
+    digests : for each finished level, that of the file that holds it
     complete : whether all outputs are in their final place
     """
 
@@ -47,6 +48,7 @@ class Manifest:
     levels: list[dict[str, Any]] = field(default_factory=list)
     kinds: list[list[str]] = field(default_factory=list)
     made: list[Made] = field(default_factory=list)
+    digests: list[str] = field(default_factory=list)
     complete: bool = False
 
     def save(self) -> None:
@@ -74,6 +76,11 @@ class Manifest:
             raise FormatError(
                 f"{path} is not the state of a series ({error}); restart the series with --force"
             ) from error
+
+    @property
+    def per_level(self) -> tuple[list[Any], ...]:
+        """What is recorded of each finished level."""
+        return self.levels, self.kinds, self.made, self.digests
 
     def require_same(self, ingredients: Mapping[str, Any]) -> None:
         """Refuse to continue a series whose inputs have changed.

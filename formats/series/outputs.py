@@ -88,9 +88,13 @@ class SeriesFiles(abc.ABC):
         """Whether the files that :meth:`read` needs exist, including after completion of the series."""
         return True
 
+    def kept(self, number: int) -> Path:
+        """The file with the data of a level from which an interrupted series continues."""
+        return self.stored(self.path(number))
+
     def has(self, number: int) -> bool:
         """Whether a level has been written."""
-        return self.stored(self.path(number)).is_file()
+        return self.kept(number).is_file()
 
     def recall(self, records: Sequence[Mapping[str, Any]]) -> None:
         """Take over the names of levels that an earlier run has written, from their records in the report."""

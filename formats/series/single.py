@@ -72,8 +72,8 @@ class SingleFile(SeriesFiles):
     def readable(self) -> bool:
         return self._levels.is_dir()
 
-    def has(self, number: int) -> bool:
-        return self._part(number).is_file()
+    def kept(self, number: int) -> Path:
+        return self._part(number)
 
     def least_bytes(self, first: int) -> int:
         # The folder of the levels is removed when the file is complete.

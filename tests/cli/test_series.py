@@ -300,6 +300,18 @@ def test_a_level_that_was_deleted_is_made_again(swing, call):
     assert Path("out/grid_0003.xyz").read_bytes() == whole
 
 
+def test_a_level_that_is_not_what_was_written_is_made_again(swing, call):
+    report_of(call, *RUN)
+    levels = {path: path.read_bytes() for path in Path("out").glob("grid_*.xyz")}
+    damaged = bytearray(levels[Path("out/grid_0003.xyz")])
+    damaged[-1] ^= 1
+    Path("out/grid_0003.xyz").write_bytes(damaged)
+    done = call(*RUN, "--resume")
+    assert done.code == 0
+    assert "grid_0003.xyz is not what was written: level 3 and those after it are made again" in done.err
+    assert {path: path.read_bytes() for path in levels} == levels
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
