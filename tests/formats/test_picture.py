@@ -62,7 +62,7 @@ def bent():
 # polygons
 
 
-@pytest.mark.parametrize("normal", [(0, 0, 1), (1, 0, 0), (1, 1, 0), (1, 2, 3), (-3, 0.2, 0.7)])
+@pytest.mark.parametrize("normal", [(1, 0, 0), (1, 2, 3), (-3, 0.2, 0.7)])
 def test_a_cut_has_the_area_of_the_cross_section(normal):
     grid = Grid.from_blocks([block_around(*(np.linspace(-1.0, 1.0, 7) ** 3 for _ in range(3)))])
     unit = np.array(normal) / np.linalg.norm(normal)
@@ -70,11 +70,11 @@ def test_a_cut_has_the_area_of_the_cross_section(normal):
     level = (facets.corners - [0.11, -0.07, 0.05]) @ unit
     assert np.abs(level).max() < 1e-7
     # Cavalieri: the area is the derivative of the volume on one side, which a fine sample of the cube gives.
-    n, h = 160, 0.1
+    n, h = 100, 0.1
     axis = (np.arange(n) + 0.5) / n * 2 - 1
     samples = (axis[:, None, None] * unit[0] + axis[:, None] * unit[1] + axis * unit[2]) - unit @ [0.11, -0.07, 0.05]
     expected = float((np.abs(samples) < h / 2).mean()) * 8 / h
-    assert area(facets.corners).sum() == pytest.approx(expected, rel=4e-2)
+    assert area(facets.corners).sum() == pytest.approx(expected, rel=5e-2)
 
 
 def test_a_cut_goes_through_all_blocks_and_along_faces():
@@ -83,16 +83,9 @@ def test_a_cut_goes_through_all_blocks_and_along_faces():
         facets = cut_facets(s, Plane(np.array([0, 0, z]), np.array([0.0, 0.0, 1.0])), "volume")
         assert area(facets.corners).sum() == pytest.approx(15.0)
         assert set(facets.group) == set(range(8))
+        assert set(facets.values[facets.group == 2]) <= set(measure_block(s.grid.block(2), 1.0, None).volume.ravel())
     with pytest.raises(CaseError, match="misses the grid"):
         cut_facets(s, Plane(np.array([0, 0, 1.5]), np.array([0.0, 0.0, 1.0])), "volume")
-
-
-def test_a_cut_carries_the_values_of_its_cells():
-    grid = bent()[1]
-    s = subject(grid)
-    facets = cut_facets(s, Plane(np.array([0.0, 0.0, 0.37]), np.array([0.0, 0.0, 1.0])), "f_skew")
-    skew = measure_block(grid.block(2), 1.0, None).skew
-    assert set(facets.values[facets.group == 2]) <= set(skew.ravel())
 
 
 def test_surfaces_and_planes_have_the_values_of_the_cells_behind():
@@ -107,14 +100,15 @@ def test_surfaces_and_planes_have_the_values_of_the_cells_behind():
 # what is chosen
 
 
-@pytest.mark.parametrize(("name", "size"), [("wing", 8), ("hemisphere", 8)])
-def test_walls_in_space_and_a_cut_of_bodies(name, size):
-    page = overview(subject(load(name).generate(size)), Choice())
-    solid, cut = page.panels[:2]
+def test_walls_in_space_before_a_symmetry_plane_and_a_cut():
+    s = subject(load("wing").generate(8))
+    solid, cut = overview(s, Choice()).panels[:2]
     assert solid.scene.lit
     assert not solid.scene.view.flat
     assert cut.scene.view.flat
     assert cut.title.startswith("cut ")
+    (mirror,) = s.outside.of_role(Role.SYMMETRY)
+    assert s.outward(mirror) @ solid.scene.view.towards < 0
 
 
 @pytest.mark.parametrize("grid", [frame(), frame_2d(), polar()])
@@ -129,15 +123,6 @@ def test_a_small_body_has_a_close_up():
     whole, near = page.panels[:2]
     assert whole.frames == (near.window,)
     assert near.window[1] - near.window[0] < 2.5 < whole.window[1] - whole.window[0]
-
-
-def test_symmetry_planes_are_behind_the_wing():
-    s = subject(load("wing").generate(8))
-    view = overview(s, Choice()).panels[0].scene.view
-    (mirror,) = s.outside.of_role(Role.SYMMETRY)
-    corners = s.grid.points[s.topology.first[s.topology.quads.corners[mirror.quads]]]
-    outward = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]).sum(axis=0)
-    assert outward @ view.towards < 0
 
 
 # colours
@@ -205,15 +190,12 @@ def test_metrics_that_compare_need_the_undeformed_grid():
 # images
 
 
-def test_views_are_right_handed():
-    for view in (along("x"), along("y"), along("z"), iso(), towards(np.array([1.0, 2.0, -3.0]))):
-        np.testing.assert_allclose(np.cross(view.right, view.up), view.towards, atol=1e-15)
-
-
 def test_an_image_shows_the_near_side_of_a_cube():
     grid = Grid.from_blocks([block_around(*(np.linspace(0.0, 1.0, 3),) * 3)])
     s = subject(grid)
     facets = dataclasses.replace(surface_facets(s, np.arange(24)), group=np.repeat(np.arange(6), 4))
+    for each in (along("x"), along("y"), along("z"), iso()):
+        np.testing.assert_allclose(np.cross(each.right, each.up), each.towards, atol=1e-15)
     view = towards(np.array([1.0, -2.0, 1.5]))
     scene = Scene(facets, view)
     image = render(scene, colours_of(scene, None), view.window(facets.corners), 120)
@@ -222,8 +204,7 @@ def test_an_image_shows_the_near_side_of_a_cube():
     assert 0.3 < (image.item >= 0).mean() < 0.95
 
 
-@pytest.mark.parametrize("corner", [(0, 0), (0, 1), (1, 0), (1, 1)])
-@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize(("axis", "corner"), [(0, (0, 0)), (0, (1, 1)), (1, (0, 1)), (1, (1, 0)), (2, (1, 1))])
 def test_a_cell_is_shown_in_the_plane_in_which_it_folds(axis, corner):
     """Whichever corner of its quadrilateral crosses the opposite diagonal."""
     line = np.array([0.0, 1.0])
@@ -292,9 +273,3 @@ def test_thin_invalid_cells_have_edges_of_their_colour():
     with Image.open(io.BytesIO(page_png(Page.of([panel], Choice()), 3.0, 100))) as png:
         pixels = np.asarray(png.convert("RGB")) / 255
     assert (np.abs(pixels - INVALID_COLOUR).max(axis=-1) < 0.3).sum() > 100
-
-
-def test_of_equally_bad_cells_the_first_is_shown():
-    block = block_around(*(np.arange(3.0),) * 3)
-    grid = Grid.from_blocks([block, block + 10.0])
-    assert worst_cell(Subject(grid, find_topology(grid)), "f_skew") == (0, (0, 0, 0))

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
+from meshdeform_formats.picture import Facets, Window, along, raster
 from meshdeform_formats.picture.raster import draw_polygons, draw_segments
+from meshdeform_formats.picture.scene import Scene
 
 
 def drawn(corners, shape=(40, 50), scale=1.0):
@@ -38,14 +39,11 @@ def regular(n, center, radius, slope, turn):
     return np.stack([x, y, center[2] + slope[0] * x + slope[1] * y], axis=1)
 
 
-@pytest.mark.parametrize("corners", [4, 6])
-def test_nearest_of_overlapping_polygons_at_every_pixel(corners):
+def test_nearest_of_overlapping_polygons_at_every_pixel():
     rng = np.random.default_rng(7)
     polygons = [
-        regular(
-            corners, rng.uniform((-5, -5, 0), (55, 45, 5)), rng.uniform(2, 20), rng.normal(0, 0.1, 2), rng.uniform()
-        )
-        for _ in range(12)
+        regular(6, rng.uniform((-5, -5, 0), (55, 45, 5)), rng.uniform(2, 20), rng.normal(0, 0.1, 2), rng.uniform())
+        for _ in range(6)
     ]
     depth, item, _ = drawn(polygons)
     expected_depth, expected = twin(polygons, depth.shape)
@@ -75,6 +73,22 @@ def test_lines_fade_where_cells_are_small():
     assert 0.05 < covered(2) < covered(4) < 0.35
     assert covered(10) < 0.45
     assert covered(40) == 0.0
+
+
+def test_bands_make_one_picture(monkeypatch):
+    """Memory follows the height of a band; what is seen does not."""
+    turns = np.linspace(0, 3, 9)
+    polygons = np.array([regular(4, (t, 1.5, t), 1.2, (0.2, 0.1), t) for t in turns])
+    facets = Facets.plain(polygons)
+    scene = Scene(facets, along("z"), outlines=polygons[:, :2], lit=True)
+    colours = np.linspace(0, 1, 27).reshape(9, 3)
+    found = []
+    for band in (1 << 30, 1000):
+        monkeypatch.setattr(raster, "_BAND", band)
+        found.append(raster.render(scene, colours, Window(-1.0, 4.0, 0.0, 3.0), 90))
+    np.testing.assert_array_equal(found[1].pixels, found[0].pixels)
+    np.testing.assert_array_equal(found[1].item, found[0].item)
+    assert len(np.unique(found[0].item)) > 5
 
 
 def test_segments_are_hidden_behind_polygons_and_seen_before_them():

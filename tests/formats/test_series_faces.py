@@ -73,7 +73,7 @@ def test_flat_axis_of_a_block_is_no_axis_of_its_zone(tmp_path):
         assert "FlowSolutionKFaceCenter" not in file["Base/only"]
 
 
-@pytest.mark.parametrize("source", ["new", "copy"])
+@pytest.mark.parametrize("source", ["copy"])
 def test_one_cgns_file_points_to_the_solutions_of_every_level(source, tmp_path):
     grid = frame()
     if source == "copy":
