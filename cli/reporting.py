@@ -11,8 +11,7 @@ from pathlib import Path
 import click
 
 from meshdeform_core.parallel import OneRank, Ranks
-from meshdeform_formats.report import Report, as_json, run_part, with_other, write_report
-from meshdeform_formats.report.figures import Illustrate, Illustrations
+from meshdeform_formats.report import Illustrate, Illustrations, Report, as_json, run_part, with_other, write_report
 from meshdeform_formats.report.text import as_text
 
 STDOUT = Path("-")

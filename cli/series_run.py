@@ -28,9 +28,7 @@ from meshdeform_formats.fields import check_fields, with_fields
 from meshdeform_formats.grids import FORMATS, complete_for_export
 from meshdeform_formats.inputs import digest
 from meshdeform_formats.placing import lack
-from meshdeform_formats.report import Report
-from meshdeform_formats.report.figures import Illustrations
-from meshdeform_formats.report.series_report import level_record, series_head, series_report
+from meshdeform_formats.report import Illustrations, Report, level_record, series_head, series_report
 from meshdeform_formats.series.foam import FoamFiles
 from meshdeform_formats.series.manifest import NAME, Manifest, ingredients_of
 from meshdeform_formats.series.outputs import LevelFiles, SeriesFiles

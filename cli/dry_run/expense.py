@@ -18,8 +18,7 @@ from meshdeform_formats.case import read_case
 from meshdeform_formats.grids import format_of
 from meshdeform_formats.layout import Layout
 from meshdeform_formats.placing import lack, least_bytes, velocity_bytes
-from meshdeform_formats.report import Report
-from meshdeform_formats.report.parts import head_part
+from meshdeform_formats.report import Report, head_part
 from meshdeform_samples import folder, load
 
 from .rates import ONE, RATES, Levels, beside_files

@@ -1,19 +1,36 @@
 """Reports: contents and file formats."""
 
-from .parts import Report, with_other
-from .records import deformation_report, mended_report, plan_report, quality_report
-from .run import run_part
-from .write import as_json, check_report_path, write_report
+from .figures import Figure, Illustrate, Illustrations
+from .records import (
+    Report,
+    deformation_report,
+    head_part,
+    level_record,
+    mended_report,
+    plan_report,
+    quality_report,
+    series_head,
+    series_report,
+    with_other,
+)
+from .write import as_json, check_report_path, run_part, write_report
 
 __all__ = [
+    "Figure",
+    "Illustrate",
+    "Illustrations",
     "Report",
     "as_json",
     "check_report_path",
     "deformation_report",
+    "head_part",
+    "level_record",
     "mended_report",
     "plan_report",
     "quality_report",
     "run_part",
+    "series_head",
+    "series_report",
     "with_other",
     "write_report",
 ]

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 
 from meshdeform_core.wording import counted
 
-from .components import HEADS, component_rows
-from .measures import measure_rows
-from .parts import Report
+from .records import Report
 from .remedies import remedy_of
 from .repaired import repair_sentence
-from .text import number
+from .tables import Table, components_table, levels_table, measures_table, number
 
 _SHOWN = 10
 
@@ -26,20 +24,22 @@ def _lines(report: Report) -> Iterator[str]:
     yield f"## {'✅' if report['valid'] else '❌'} {_escaped(grid['file'] or 'grid')}: {_verdict(report)}"
     yield ""
     if done := repair_sentence(report):
-        yield f"**After a repair:** {_escaped(done)}."
+        yield f"**Repair:** {_escaped(done)}."
         yield ""
     yield f"{grid['dimension']}-D, {counted(grid['blocks'], 'block')}, {grid['nodes']:,} nodes, {grid['cells']:,} cells"
-    if rows := component_rows(report):
-        yield ""
-        yield from _table(HEADS, [[each if isinstance(each, str) else number(each) for each in row] for row in rows], 3)
+    if report.get("components"):
+        yield from _table(components_table(report))
     if "levels" in report:
-        yield from _levels(report)
+        yield from _table(levels_table(report))
     else:
-        yield from _quality(report)
+        if report["invalid_groups"]:
+            yield from _table(_groups(report))
+        yield from _table(measures_table(report))
     if report["warnings"]:
         yield from ("", "### Warnings", "")
         for warning in report["warnings"]:
-            yield f"- {_escaped(warning)}{_advice(warning)}"
+            advice = remedy_of(warning)
+            yield f"- {_escaped(warning)}{f'<br>{_escaped(advice)}' if advice else ''}"
     if report.get("run"):
         yield from ("", "```sh", report["run"]["command"], "```")
     if "timing" in report:
@@ -57,60 +57,21 @@ def _verdict(report: Report) -> str:
     return f"{report['quality']['after']['invalid_cells']:,} cells became invalid"
 
 
-def _quality(report: Report) -> Iterator[str]:
-    groups = report["invalid_groups"]
-    if groups:
-        yield ""
-        yield from _table(
-            ("invalid cells", "blocks", "near", "around", "worst"),
-            [
-                (str(group["cells"]), ", ".join(group["blocks"][:4]), group["nearest_patch"],
-                 " ".join(f"{x:.4g}" for x in group["center"]), f"{group['block']} {tuple(group['ijk'])}")
-                for group in groups[:_SHOWN]
-            ],
-            texts=5,
-        )  # fmt: skip
+def _groups(report: Report) -> Table:
+    rows = [
+        (group["cells"], ", ".join(group["blocks"][:4]), group["nearest_patch"],
+         " ".join(f"{x:.4g}" for x in group["center"]), f"{group['block']} {tuple(group['ijk'])}")
+        for group in report["invalid_groups"][:_SHOWN]
+    ]  # fmt: skip
+    return Table("", ("invalid cells", "blocks", "near", "around", "worst"), rows, range(5))
+
+
+def _table(table: Table) -> Iterator[str]:
     yield ""
-    rows = measure_rows(report["quality"])
-    yield from _table(
-        ("measure", "before", "after", "worst at"),
-        [(row.name, number(row.before), number(row.after), row.place) for row in rows],
-        texts=1,
-    )
-
-
-def _levels(report: Report) -> Iterator[str]:
-    yield ""
-    yield from _table(
-        ("level", "time", "file", "moved", "f_skew mean", "f_skew min", "invalid"),
-        [
-            (
-                f"{level['number']}",
-                f"{level['time']:.6g}",
-                level["file"],
-                f"{level['max_displacement']:.4g}",
-                f"{level['quality']['f_skew']['mean']:.4f}",
-                f"{level['quality']['f_skew']['min']:.4f}",
-                f"{level['quality']['invalid_cells']:,}",
-            )
-            for level in report["levels"]
-        ],
-        texts=0,
-    )
-
-
-def _table(heads: Sequence[str], rows: Iterable[Sequence[str]], texts: int) -> Iterator[str]:
-    """A table; in addition to the first column the last ``texts`` ones are texts."""
-    numbers = range(1, len(heads) - texts)
-    yield f"| {' | '.join(heads)} |"
-    yield f"|{'|'.join('---:' if n in numbers else '---' for n in range(len(heads)))}|"
-    for row in rows:
-        yield f"| {' | '.join(_escaped(cell) for cell in row)} |"
-
-
-def _advice(warning: str) -> str:
-    advice = remedy_of(warning)
-    return f"<br>{_escaped(advice)}" if advice else ""
+    yield f"| {' | '.join(table.heads)} |"
+    yield f"|{'|'.join('---' if n in table.texts else '---:' for n in range(len(table.heads)))}|"
+    for row in table.rows:
+        yield f"| {' | '.join(_escaped(number(cell)) for cell in row)} |"
 
 
 def _escaped(text: str) -> str:

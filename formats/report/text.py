@@ -3,33 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 from meshdeform_core.memory import readable
 from meshdeform_core.wording import counted
 
-from .components import component_lines
 from .measures import measure_rows, place_text
+from .records import Report
 from .repaired import repair_lines
 from .series_text import series_lines
+from .tables import component_verdict, is_alone, number
 
 _LISTED = 20
 _ALONG = 0.9994
 _SHAPE_NAMES = {"non_orthogonality_deg": "non-orthogonality [deg]"}
-# Measures that compare with another grid.
-_COMPARED = (
-    "smallest relative Jacobian", "first cell height ratio min", "first cell height ratio max", "volume ratio min",
-    "volume ratio max", "layer thickness ratio min", "layer thickness ratio max", "fixed walls: first cell ratio min",
-    "fixed walls: first cell ratio max", "fixed walls: layer ratio min", "fixed walls: layer ratio max",
-)  # fmt: skip
 
 
-def as_text(report: dict[str, Any], parameters: bool = True) -> str:
+def as_text(report: Report, parameters: bool = True) -> str:
     """The report, section by section, the verdict first; with or without the parameters of the method."""
     return "\n".join(_lines(report, parameters)) + "\n"
 
 
-def _lines(report: dict[str, Any], parameters: bool) -> Iterator[str]:
+def _lines(report: Report, parameters: bool) -> Iterator[str]:
     if "valid" in report:
         yield from _verdict(report)
     grid = report["grid"]
@@ -43,7 +37,7 @@ def _lines(report: dict[str, Any], parameters: bool) -> Iterator[str]:
     if "boundary" in report:
         yield from _boundary(report["boundary"])
         yield from _motion(report.get("motion", []))
-    yield from component_lines(report)
+    yield from _components(report)
     if "levels" in report:
         yield from series_lines(report)
     elif "quality" in report:
@@ -61,7 +55,7 @@ def _lines(report: dict[str, Any], parameters: bool) -> Iterator[str]:
         yield f"warning   {warning}"
 
 
-def _expected(expense: dict[str, Any]) -> str:
+def _expected(expense: Report) -> str:
     """The forecast of a run's memory, disk space and time."""
     work, output, seconds = expense["work_bytes"], expense["output_bytes"], expense["cpu_seconds"]
     used = [f"{readable(work)} of files to work in"] if work else []
@@ -75,11 +69,11 @@ def _expected(expense: dict[str, Any]) -> str:
     return f"expected  {'; '.join(parts)}"
 
 
-def _no_format(grid: dict[str, Any]) -> str:
+def _no_format(grid: Report) -> str:
     return "several files" if grid["file"] else "no file"
 
 
-def _verdict(report: dict[str, Any]) -> Iterator[str]:
+def _verdict(report: Report) -> Iterator[str]:
     """Whether the grid is valid, how it was obtained, and its invalid cells."""
     yield f"verdict   {'valid' if report['valid'] else 'INVALID'}"
     cells = report.get("invalid_cells", [])
@@ -106,7 +100,7 @@ def _verdict(report: dict[str, Any]) -> Iterator[str]:
         yield from _repair(report)
 
 
-def _worst(after: dict[str, Any]) -> Iterator[str]:
+def _worst(after: Report) -> Iterator[str]:
     """What a user decides by: the worst cells, and the cells at walls."""
     yield f"smallest scaled Jacobian {after['min_scaled_jacobian']:.3g}"
     yield f"smallest f_skew {after['f_skew']['min']:.3g}"
@@ -116,23 +110,23 @@ def _worst(after: dict[str, Any]) -> Iterator[str]:
         yield f"first cells {heights['min']:.3g} to {heights['max']:.3g} times as high"
 
 
-def _repair(report: dict[str, Any]) -> Iterator[str]:
-    for number, done in enumerate(repair_lines(report)):
-        yield f"{'' if number else 'repair':9s} {done}"
+def _repair(report: Report) -> Iterator[str]:
+    for index, done in enumerate(repair_lines(report)):
+        yield f"{'' if index else 'repair':9s} {done}"
 
 
-def _parameters(method: dict[str, Any]) -> Iterator[str]:
+def _parameters(method: Report) -> Iterator[str]:
     for index, (name, setting) in enumerate((key, value) for key, value in method.items() if key != "name"):
         lead = "settings" if index == 0 else ""
         reason = f"  ({setting['reason']})" if "reason" in setting else ""
         yield f"{lead:9s} {name} = {number(setting['value'])}{reason}"
 
 
-def _boundary(boundary: dict[str, Any]) -> Iterator[str]:
+def _boundary(boundary: Report) -> Iterator[str]:
     patches = boundary["patches"]
     width = max(len(p["name"]) for p in patches)
-    for number, patch in enumerate(patches):
-        lead = "boundary" if number == 0 else ""
+    for index, patch in enumerate(patches):
+        lead = "boundary" if index == 0 else ""
         yield f"{lead:9s} {patch['name']:{width}s}  {patch['kind']:9s} {patch['nodes']:>10,} nodes"
     counts = [f"{boundary[key]:,} {key.split('_')[0]}" for key in boundary if key.endswith("_nodes")]
     yield f"nodes     {', '.join(counts)}"
@@ -146,13 +140,13 @@ def _boundary(boundary: dict[str, Any]) -> Iterator[str]:
         yield f"motion    largest displacement {boundary['max_displacement']:.6g}"
 
 
-def _fitted(match: dict[str, Any]) -> str:
+def _fitted(match: Report) -> str:
     """The walls that a table was found to fit."""
     names = ", ".join(repr(name) for name in match["walls"])
     return f"fits {names}; " if names else ""
 
 
-def _motion(patches: list[dict[str, Any]]) -> Iterator[str]:
+def _motion(patches: list[Report]) -> Iterator[str]:
     """The motion as evaluated, which reveals, for instance, radians given as degrees."""
     for patch in patches:
         mean = ", ".join(f"{part:.4g}" for part in patch["mean_displacement"])
@@ -172,13 +166,24 @@ def axis_text(axis: list[float]) -> str:
     return f" about ({', '.join(f'{part:.3g}' for part in axis)})"
 
 
-def _quality(report: dict[str, Any]) -> Iterator[str]:
+def _components(report: Report) -> Iterator[str]:
+    """The components of an overset grid, each with its verdict."""
+    for part_number, part in enumerate(report.get("components", ())):
+        lead = "" if part_number else "parts"
+        moves = f"moves by up to {part['max_displacement']:.6g}" if part["moving_nodes"] else "rests"
+        yield (
+            f"{lead:9s} {part['name']}: {counted(len(part['blocks']), 'block')}, {part['nodes']:,} nodes; {moves}; "
+            f"{component_verdict(part)}; smallest f_skew {part['quality']['after']['f_skew']['min']:.4g}"
+        )
+
+
+def _quality(report: Report) -> Iterator[str]:
     # A grid by itself has nothing to compare with: one column.
-    alone = "reference" in report and report["reference"] is None
+    alone = is_alone(report)
     heads = ("",) if alone else ("before", "after")
     yield f"{'quality':9s} {'':34s}" + "".join(f" {head:>14s}" for head in heads)
     for row in measure_rows(report["quality"]):
-        if alone and row.name in _COMPARED:
+        if alone and row.compared:
             continue
         values = (row.after,) if alone else (row.before, row.after)
         columns = "".join(f" {number(value):>14s}" for value in values)
@@ -187,7 +192,7 @@ def _quality(report: dict[str, Any]) -> Iterator[str]:
         yield from _shape(report["shape"], alone)
 
 
-def _shape(shape: dict[str, Any], alone: bool) -> Iterator[str]:
+def _shape(shape: Report, alone: bool) -> Iterator[str]:
     """Largest value of every measure of shape, and its position."""
     for name, after in shape["after"].items():
         before = (shape["before"] or {}).get(name)
@@ -195,10 +200,3 @@ def _shape(shape: dict[str, Any], alone: bool) -> Iterator[str]:
         label = f"largest {_SHAPE_NAMES.get(name, name.replace('_', ' '))}"
         columns = "".join(f" {number(v['max']) if v else '':>14s}" for v in values)
         yield f"{'':9s} {label:34s}{columns}  at {place_text(after['worst'])}"
-
-
-def number(value: Any) -> str:
-    """A formatted value: six digits, thousands separated."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        return str(value)
-    return f"{value:,}" if isinstance(value, int) else f"{value:.6g}"

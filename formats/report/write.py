@@ -1,20 +1,28 @@
-"""Writing reports as JSON, text, Markdown or HTML."""
+"""Writing reports as JSON, text, Markdown or HTML; their provenance."""
 
 from __future__ import annotations
 
+import datetime
 import math
 import os
+import platform
+import shlex
+from collections.abc import Iterable, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from meshdeform_core.errors import FormatError
+from meshdeform_core.parallel import thread_count
 
 from ..files import replacing
+from ..inputs import digest, files_of, size
 from ..text import json_text
 from .figures import Illustrate, Illustrations
-from .parts import Report
+from .records import Report
 
 SUFFIXES = (".json", ".txt", ".html", ".md")
+_LIBRARIES = ("numpy", "scipy", "numba")
 
 
 def write_report(report: Report, path: Path, illustrate: Illustrate = Illustrations) -> None:
@@ -68,3 +76,27 @@ def check_report_path(path: Path) -> None:
     """Refuse an unknown suffix before anything is computed."""
     if path.suffix not in SUFFIXES:
         raise FormatError(f"report {path}: suffix {path.suffix!r} is unknown; expected {', '.join(SUFFIXES)}")
+
+
+def run_part(arguments: Sequence[str], files: Iterable[tuple[str, Path | None]], ranks: int) -> Report:
+    """The data needed to repeat a run and to verify that it is the same.
+
+    Parameters
+    ----------
+    arguments : of the command line, without the program's name
+    files : role and path of the files read and written; ``None`` and missing files are omitted
+    ranks : number of processes that shared the work
+    """
+    return {
+        "command": shlex.join(["meshdeform", *arguments]),
+        "directory": os.getcwd(),
+        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "threads": thread_count(),
+        "ranks": ranks,
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in _LIBRARIES}},
+        "files": [_file(role, path) for role, path in files if path is not None and files_of(path) and path.exists()],
+    }
+
+
+def _file(role: str, path: Path) -> Report:
+    return {"role": role, "path": str(path), "bytes": size(path), "sha256": digest(path)}

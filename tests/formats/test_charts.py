@@ -1,19 +1,24 @@
-"""Axes of the charts of a page."""
+"""Charts of a page: drawings without references to anything else, in the colours of the page."""
 
-from __future__ import annotations
+import re
+from xml.etree import ElementTree
 
 import pytest
 
-from meshdeform_formats.report.page.charts import labels, ticks
+from meshdeform_formats.report.charts import curve, histogram
 
 
 @pytest.mark.parametrize(
-    "ends", [(0, 1), (0.99912, 0.99923), (0.9999991, 0.9999993), (1, 1), (0, 2.5e-4), (3 + 1e-11, 3 + 2e-11), (-1e9, 1)]
+    ("svg", "label", "colours"),
+    [
+        (histogram([0, 3, 1], [1, 10**7, 0], "f_skew"), "cells over f_skew", {"before", "after"}),
+        (histogram(None, [0, 0, 5], "f_skew"), "cells over f_skew", {"after"}),
+        (curve([0, 1, 2], [3.0, 2.5, 2.0], "time", "size", [False, True, False]), "size over time", {"after", "bad"}),
+    ],
 )
-def test_labels_are_distinct_and_right(ends):
-    values = ticks(*ends)
-    texts = labels(values)
-    assert len(set(texts)) == len(values)
-    first = float(texts[0])
-    numbers = [first, *((float(t[1:]) + first if t.startswith("+") else float(t)) for t in texts[1:])]
-    assert numbers == pytest.approx(values, rel=1e-5, abs=1e-3 * (values[-1] - values[0]))
+def test_charts_are_elements_of_the_page(svg, label, colours):
+    root = ElementTree.fromstring(svg.replace("xlink:href", "href"))
+    assert (root.tag, root.get("role"), root.get("aria-label")) == ("svg", "img", label)
+    assert not re.search(r"https?:|url\(|#0[1-5]0", svg)
+    assert set(re.findall(r"var\(--(\w+)\)", svg)) == colours | {"line"}
+    assert "currentColor" in svg

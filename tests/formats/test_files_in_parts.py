@@ -33,7 +33,7 @@ from meshdeform_formats.case import CaseFile
 from meshdeform_formats.displacement import read_displacement
 from meshdeform_formats.fields import with_fields
 from meshdeform_formats.grids import read_grid, write_grid
-from meshdeform_formats.report.figures import Illustrations
+from meshdeform_formats.report import Illustrations
 from meshdeform_formats.report.illustrations import deformation_figures, level_thumbnails
 from meshdeform_formats.series.outputs import LevelFiles
 from meshdeform_formats.series.single import SingleFile

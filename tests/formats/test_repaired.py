@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from meshdeform_formats.report.figures import Figure
 from meshdeform_formats.report.measures import MeasureRow
-from meshdeform_formats.report.page.figures import figure_lines
 from meshdeform_formats.report.repaired import repair_sentence
 from meshdeform_formats.report.series_text import acceleration_of, repaired
 
@@ -72,13 +70,6 @@ def test_the_table_of_levels_tells_what_the_repair_found(converged, told):
     assert repaired({"repair": None}) == ""
     assert acceleration_of({"smoothness": {"acceleration": 0.25}}) == 0.25
     assert acceleration_of({"smoothness": None}) is None
-
-
-def test_the_pair_of_pictures_names_what_it_compares():
-    png = bytes(16) + (2).to_bytes(4, "big") * 2
-    text = "".join(figure_lines(Figure("Region", "caption", png, png, names=("the method alone", "repaired")), 1))
-    assert text.count("the method alone") == 4  # label, description, slider's end and what it shows
-    assert "before" not in text
 
 
 def test_round_off_is_no_change():

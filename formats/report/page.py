@@ -1,0 +1,367 @@
+"""Reports as one self-contained page: the contents of its sections; the template ``page.html.jinja`` shows them."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any
+
+import jinja2
+
+from meshdeform_core.memory import readable
+from meshdeform_core.wording import counted
+
+from .charts import curve, histogram
+from .figures import Figure
+from .measures import place_text
+from .records import Report
+from .remedies import remedy_of
+from .repaired import repair_lines, repair_sentence
+from .series_text import ACCELERATION, acceleration_of
+from .tables import Table, components_table, is_alone, level_link, levels_table, measures_table, number
+
+_STAGES = {
+    "read": "reading the grid",
+    "topology": "coincident nodes, boundary",
+    "prepare": "preparing the method",
+    "apply": "moving the nodes",
+    "compile": "compiling loops, once per installation",
+    "repair": "repairing cells",
+    "quality": "judging the cells",
+    "write": "writing the grid",
+    "publish": "index and single file of the series",
+    "other": "everything else (start, checksums)",
+}
+_SHOWN = 12
+"""Groups of invalid cells, cells and levels that the page lists."""
+_TOGETHER = 200
+"""Above this number of blocks they are grouped by the families of their patches."""
+_LISTED = 100
+"""Blocks of a group that are listed."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """Part of a page: texts, tables, figures and dictionaries of what else the template shows."""
+
+    anchor: str
+    heading: str
+    parts: Sequence[Any]
+
+
+def as_html(
+    report: Report,
+    figures: Sequence[Figure] = (),
+    thumbnails: Sequence[tuple[Figure, str]] = (),
+    folder: str = "",
+) -> str:
+    """The report as a self-contained page.
+
+    Parameters
+    ----------
+    figures : pictures of a deformation, shown after the verdict
+    thumbnails : of levels of a series, each with the name of its file
+    folder : of the levels, relative to the page
+    """
+    here = files(__package__)
+    template, style, script = (
+        here.joinpath(file).read_text(encoding="utf-8") for file in ("page.html.jinja", "style.css", "script.js")
+    )
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+    environment.globals["zip"] = zip
+    environment.filters |= {
+        "number": number,
+        "base64": lambda png: base64.b64encode(png).decode("ascii"),
+        "png_width": lambda png: int.from_bytes(png[16:20], "big"),
+        "png_height": lambda png: int.from_bytes(png[20:24], "big"),
+    }
+    series = "levels" in report
+    sections = [
+        Section("pictures", "Pictures", figures),
+        *(_levels(report, thumbnails, folder) if series else _judged(report)),
+        *_rest(report),
+    ]
+    return environment.from_string(template).render(
+        report=report,
+        title=_title(report),
+        about=_about(report),
+        verdict=_verdict(report),
+        tiles=_level_tiles(report) if series else _tiles(report),
+        sections=[section for section in sections if section.parts],
+        style=style,
+        script=script,
+    )
+
+
+def _title(report: Report) -> str:
+    name = str(report["grid"]["file"] or "grid")
+    if "levels" in report:
+        return f"Series of {len(report['levels'])} levels: {name}"
+    return f"{'Deformation' if 'method' in report else 'Quality'} of {name}"
+
+
+def _about(report: Report) -> str:
+    grid = report["grid"]
+    kind = f"{grid['format']}, " if grid["format"] else ""
+    blocks, cells = counted(grid["blocks"], "block"), counted(grid["cells"], "cell")
+    return f"{kind}{grid['dimension']}-D, {blocks}, {grid['nodes']:,} nodes, {cells}"
+
+
+def _tiles(report: Report) -> list[tuple[str, str]]:
+    before, after = (report["quality"][when]["f_skew"] for when in ("before", "after"))
+    if "method" not in report:
+        return [("f_skew minimum", f"{after['min']:.4f}"), ("f_skew mean", f"{after['mean']:.4f}")]
+    return [
+        ("f_skew minimum", f"{before['min']:.3f} → {after['min']:.3f}"),
+        ("f_skew mean", f"{before['mean']:.3f} → {after['mean']:.3f}"),
+        ("largest displacement", f"{report['boundary']['max_displacement']:.5g}"),
+        ("method, steps", f"{report['method']['name']}, {report['steps']}"),
+        ("seconds", f"{report['timing']['total']:.2f}"),
+    ]
+
+
+def _level_tiles(report: Report) -> list[tuple[str, str]]:
+    """Worst over all levels."""
+    levels = report["levels"]
+    worst = min(levels, key=lambda level: level["quality"]["f_skew"]["min"])
+    return [
+        ("levels", f"{len(levels)}, t = {levels[0]['time']:g} to {levels[-1]['time']:g}"),
+        ("smallest f_skew", f"{worst['quality']['f_skew']['min']:.4f} (level {worst['number']})"),
+        ("largest displacement", f"{report['boundary']['max_displacement']:.5g}"),
+        ("method", report["method"]["name"]),
+        ("seconds", f"{report['timing']['total']:.2f}"),
+    ]
+
+
+def _verdict(report: Report) -> dict[str, Any]:
+    """Whether the grid is usable; if not, where and why not, and what to do (advice is HTML)."""
+    found: dict[str, Any] = {"how": "", "places": [], "blocks": "", "advice": []}
+    if report["valid"]:
+        return found | {"headline": _good(report), "how": repair_sentence(report)}
+    if "levels" in report:
+        bad = [level for level in report["levels"] if not level["valid"]]
+        more = [f"and {len(bad) - _SHOWN} more"] if len(bad) > _SHOWN else []
+        return found | {
+            "headline": f"{len(bad)} of {len(report['levels'])} levels are not valid.",
+            "places": [*map(_bad_level, bad[:_SHOWN]), *more],
+            "advice": ["<code>--steps auto</code>, <code>--from last</code>, or another method."],
+        }
+    groups, reached = report["invalid_groups"], report.get("reached", 1.0)
+    count = report["quality"]["after"]["invalid_cells"]
+    headline = f"{count:,} of {report['grid']['cells']:,} cells became invalid."
+    if reached < 1.0:
+        headline = f"Only {reached:.1%} of the motion was imposed; the next step would have made cells invalid."
+    more = [f"and {len(groups) - _SHOWN} smaller groups"] if len(groups) > _SHOWN else []
+    hit = [block for block in report.get("blocks", ()) if block["invalid_cells"]]
+    blocks = ", ".join(f"{block['name']} ({block['invalid_cells']:,})" for block in hit[:_SHOWN])
+    return found | {
+        "headline": headline,
+        "places": [*map(_group, groups[:_SHOWN]), *more],
+        "blocks": blocks + (" and more" if len(hit) > _SHOWN else "") if len(hit) > 1 and reached == 1.0 else "",
+        "advice": _advice(report),
+    }
+
+
+def _good(report: Report) -> str:
+    if "levels" in report:
+        return f"All {len(report['levels'])} levels are valid."
+    inherited = report["quality"]["after"]["inherited_invalid_cells"]
+    return f"No cell became invalid; {inherited:,} cells were invalid before." if inherited else "The grid is valid."
+
+
+def _bad_level(level: Report) -> str:
+    what = f"{level['quality']['invalid_cells']:,} cells became invalid"
+    if level["reached"] < 1.0:
+        what = f"only {level['reached']:.1%} of the motion imposed"
+    return f"level {level['number']} (t = {level['time']:g}): {what}"
+
+
+def _group(group: Report) -> str:
+    near = f" near {group['nearest_patch']!r}" if group["nearest_patch"] else ""
+    at = ", ".join(f"{x:.4g}" for x in group["center"])
+    blocks = ", ".join(group["blocks"][:4]) + (" and more" if len(group["blocks"]) > 4 else "")
+    return (
+        f"{counted(group['cells'], 'cell')}{near} in {blocks}, around x, y, z = {at}; the worst is {place_text(group)}"
+    )
+
+
+def _advice(report: Report) -> list[str]:
+    """Advice, in order of effort."""
+    if "method" not in report:
+        return [
+            "Deform the original again with <code>--repair auto</code>, or with another method "
+            "(<code>meshdeform methods</code>)."
+        ]
+    advice = []
+    repaired = any(attempt["repair"] for attempt in report.get("attempts") or ())
+    if not repaired:
+        advice.append("Repair invalid cells and halve the motion as needed: <code>--repair auto</code>.")
+    if not repaired and report["steps"] == 1 and report.get("reached", 1.0) == 1.0:
+        advice.append("Impose the motion in as many steps as a valid grid requires: <code>--steps auto</code>.")
+    holds = "" if report["method"]["name"] == "idw-tfi" else "<code>-m idw-tfi</code> keeps walls under rotation; "
+    advice.append(f"Try another method: {holds}<code>meshdeform methods</code> lists the limits of each.")
+    advice.append("Let nodes slide on nearby planes that need not be fixed: <code>kind = &quot;slip&quot;</code>.")
+    return advice
+
+
+def _levels(report: Report, thumbnails: Sequence[tuple[Figure, str]], folder: str) -> Iterator[Section]:
+    """Curves, pictures, table."""
+    levels = report["levels"]
+    values = {
+        "smallest f_skew": [level["quality"]["f_skew"]["min"] for level in levels],
+        "mean f_skew": [level["quality"]["f_skew"]["mean"] for level in levels],
+        "largest displacement": [level["max_displacement"] for level in levels],
+        "largest rotation [deg]": [level["max_rotation_deg"] for level in levels],
+        "acceleration [steps of the walls]": [acceleration_of(level) for level in levels],
+    }
+    charts = []
+    for name, data in values.items():
+        known = [(level, value) for level, value in zip(levels, data, strict=True) if value is not None]
+        if len(known) > 1 and any(value for _, value in known):
+            times, wrong = ([level["time"] for level, _ in known], [not level["valid"] for level, _ in known])
+            charts.append((name, curve(times, [value for _, value in known], "time", name, wrong)))
+    parts: list[Any] = [{"charts": charts, "compared": False}]
+    if thumbnails:
+        parts.append({"thumbnails": [(figure, level_link(folder, name)) for figure, name in thumbnails]})
+    yield Section("levels", "Levels", [*parts, levels_table(report, folder), f"Acceleration: {ACCELERATION}."])
+
+
+def _judged(report: Report) -> Iterator[Section]:
+    """Invalid cells, and quality with the distribution of f_skew."""
+    worst = sorted(report["invalid_cells"], key=lambda cell: cell["min_jacobian"])[:_SHOWN]
+    rows = [
+        (cell["block"], ", ".join(map(str, cell["ijk"])), ", ".join(f"{x:.5g}" for x in cell["center"]),
+         cell["min_jacobian"], cell["step"], cell["nearest_patch"])
+        for cell in worst
+    ]  # fmt: skip
+    heads = ("block", "i, j, k", "x, y, z", "smallest Jacobian", "in step", "nearest boundary")
+    cells = Table("The worst invalid cells", heads, rows, (0, 1, 2, 5))
+    yield Section("cells", "Invalid cells", [cells] if rows else [])
+    before, after = (report["quality"][when]["f_skew"]["histogram"] for when in ("before", "after"))
+    before = None if is_alone(report) else before
+    chart = histogram(before, after, "f_skew")
+    shown = {"charts": [("Distribution of f_skew", chart)], "compared": before is not None}
+    yield Section("quality", "Quality", [measures_table(report, change=True), shown])
+
+
+def _rest(report: Report) -> Iterator[Section]:
+    components = [components_table(report)] if report.get("components") else []
+    yield Section("components", "Components", components)
+    yield Section("shape", "Shape of cells", [_shape(report["shape"])] if report.get("shape") else [])
+    yield Section("attempts", "Attempts", list(_attempts(report)))
+    yield Section("blocks", "Blocks", list(_blocks(report.get("blocks") or ())))
+    warnings = [(warning, remedy_of(warning)) for warning in report["warnings"]]
+    yield Section("warnings", "Warnings", [{"warnings": warnings}] if warnings else [])
+    yield Section("boundary", "Boundary and motion", list(_boundary(report)))
+    if "method" in report:
+        rows = [
+            (name, number(setting["value"]), setting.get("reason", "given or default"))
+            for name, setting in report["method"].items()
+            if name != "name"
+        ]
+        parameters = Table("Parameters as used", ("parameter", "value", "why"), rows, (0, 1, 2))
+        yield Section("method", "Method", [f"Method: {report['method']['name']}", parameters])
+    if "timing" in report:
+        timing, memory = report["timing"], f"Memory: {readable(report['peak_memory_bytes'])} at most."
+        each = 100 / (timing["total"] or 1.0)
+        stages = [(_STAGES.get(stage, stage), s, each * s) for stage, s in timing.items() if stage != "total"]
+        yield Section("time", "Time and memory", [{"stages": stages, "total": timing["total"]}, memory])
+    yield Section("run", "Run", list(_run(report.get("run"))))
+
+
+def _shape(shape: Report) -> Table:
+    rows = []
+    for name, after in shape["after"].items():
+        before, place = (shape["before"] or {}).get(name), after.get("worst")
+        where = place_text(place) if place else ""
+        rows.append((name, before["max"] if before else None, after["max"], after["mean"], where))
+    heads = ("measure", "largest before", "largest", "mean", "largest at")
+    return Table("Measures that matter to flow solvers", heads, rows, (0, 4))
+
+
+def _attempts(report: Report) -> Iterator[Any]:
+    """The attempts until the grid was valid, and the result of a repair."""
+    attempts = report.get("attempts") or ()
+    if len(attempts) < 2 and not report.get("repair"):
+        return
+    rows = [
+        (a["method"], a["steps"], "yes" if a["repair"] else "no", a["invalid_cells"], f"{a['reached']:.1%}")
+        for a in attempts
+    ]
+    heads = ("method", "steps", "with repair", "invalid cells", "motion imposed")
+    if rows:
+        yield Table("Attempts, in order; the last one is the grid that was written", heads, rows, (0, 2))
+    if new := report.get("new_interior"):
+        yield f"The interior was remade from the reference by {new['method']}: {new['reason']}."
+    if lines := repair_lines(report):
+        yield f"Repair: {'; '.join(lines)}. Moving and fixed boundary nodes stay where they were put."
+
+
+def _blocks(blocks: Sequence[Report]) -> Iterator[Any]:
+    """Every block, or groups of them that unfold."""
+    blocks = sorted(blocks, key=lambda block: block["after"]["f_skew_min"])
+    if 0 < len(blocks) <= _TOGETHER:
+        yield _block_table(f"{len(blocks)} blocks, the one with the worst cell first", blocks)
+    if len(blocks) <= _TOGETHER:
+        return
+    yield f"{len(blocks):,} blocks by the families on them, the worst first"
+    groups: dict[str, list[Report]] = {}
+    for block in blocks:
+        groups.setdefault(", ".join(block["families"]) or "no family", []).append(block)
+    for name, members in groups.items():
+        cells, invalid = (sum(block[key] for block in members) for key in ("cells", "invalid_cells"))
+        summary = (
+            f"{name}: {counted(len(members), 'block')}, {counted(cells, 'cell')}, {invalid:,} invalid; "
+            f"f_skew min {number(members[0]['after']['f_skew_min'])}"
+        )
+        rest = len(members) - _LISTED
+        more = f"; {counted(rest, 'more is', 'more are')} in the report as JSON" if rest > 0 else ""
+        table = _block_table(f"The one with the worst cell first{more}", members[:_LISTED])
+        yield {"summary": summary, "tables": [table]}
+
+
+def _block_table(caption: str, blocks: Sequence[Report]) -> Table:
+    heads = ("block", "cells", "invalid", "f_skew min", "before", "f_skew mean", "before", "scaled Jacobian min")
+    rows = [
+        (
+            block["name"], block["cells"], block["invalid_cells"],
+            *(block[when][key] for key in ("f_skew_min", "f_skew_mean") for when in ("after", "before")),
+            block["after"]["min_scaled_jacobian"],
+        )
+        for block in blocks
+    ]  # fmt: skip
+    return Table(caption, heads, rows, flagged=[n for n, row in enumerate(rows) if row[2]], sortable=True)
+
+
+def _boundary(report: Report) -> Iterator[Any]:
+    """Boundary entries, motions, and matches of tables."""
+    boundary = report.get("boundary")
+    if boundary is None:
+        return
+    rows = [(patch["name"], patch["kind"], patch["nodes"]) for patch in boundary["patches"]]
+    yield Table("Boundary entries", ("name", "kind", "nodes"), rows, (0, 1))
+    counts = ", ".join(f"{boundary[key]:,} {key.removesuffix('_nodes')}" for key in boundary if key.endswith("_nodes"))
+    yield f"Nodes: {counts}."
+    if report.get("motion"):
+        moved = [(m["boundary"], m["max_displacement"], m.get("max_rotation_deg")) for m in report["motion"]]
+        yield Table("Motion", ("boundary", "largest displacement", "largest rotation [deg]"), moved)
+    if matches := boundary.get("matches"):
+        heads = ("table", "match", "nodes matched", "not matched", "points used", "of", "largest distance")
+        keys = (
+            "table", "match", "matched_nodes", "unmatched_nodes", "table_points_used", "table_points", "max_distance"
+        )  # fmt: skip
+        yield Table("Displacement tables", heads, [[match[key] for key in keys] for match in matches], (0, 1))
+
+
+def _run(run: Report | None) -> Iterator[Any]:
+    """The command, where and when it was run, and the files with their checksums."""
+    if not run:
+        return
+    ranks = f" on each of {run['ranks']} ranks" if run["ranks"] > 1 else ""
+    yield f"Run on {run['date']} in {run['directory']} with {counted(run['threads'], 'thread')}{ranks}. To repeat it:"
+    yield {"code": run["command"]}
+    yield ", ".join(f"{name} {version}" for name, version in run["versions"].items())
+    rows = [(file["role"], file["path"], file["bytes"], file["sha256"]) for file in run["files"]]
+    yield Table("Files", ("role", "file", "bytes", "SHA-256"), rows, (0, 1, 3))
