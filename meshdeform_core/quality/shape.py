@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..grid import FloatArray, Grid, IntArray
+from ..grid import FloatArray, Grid, IntArray, Shape
 from ..grid.planes import plane_normal
 from ..numerics.arrays import extent
 from ..numerics.cell.shape import measure_shape
 from .listed import Worst
+from .measures.cells import slabs
 
 DEFINITIONS = {
     "aspect_ratio": "longest over shortest mean edge of a cell, over the index directions with more than one cell",
@@ -19,9 +20,6 @@ DEFINITIONS = {
     "skewness": "where that line meets the face: distance to the face's centre over the line's length",
 }
 """Definitions of the measures; neighbours are cells of the same block."""
-
-
-_NO_CELLS = np.empty((0, 0, 0, 4))
 
 
 @dataclass(frozen=True)
@@ -38,17 +36,22 @@ def shape_measures(grid: Grid) -> dict[str, ShapeMeasure]:
 
     Collapsed edges and faces have no ratio or direction and are skipped.
     """
-    best = np.full(4, -1.0)
-    cells: list[tuple[int, IntArray]] = [(0, np.zeros(3, dtype=np.int64))] * 4
+    best, places = np.full(4, -1.0), [(0, (0, 0, 0))] * 4
     total, count, thickness = np.zeros(4), np.zeros(4, dtype=np.int64), thickness_of(grid)
-    for block in range(grid.n_blocks):
-        worst, place = np.full(4, -1.0), np.zeros((4, 3), dtype=np.int64)
-        x, resolved = _solid(grid, block, grid.block(block), thickness)
-        measure_shape(x, resolved, worst, place, total, count, _NO_CELLS)
-        for m in np.flatnonzero(worst > best):
-            best[m], cells[m] = worst[m], (block, place[m])
+    for slab in slabs(grid):
+        # With one more layer, to which those of the slab are neighbours.
+        nodes = grid.block(slab.block)[slab.first : slab.last + 2]
+        x, resolved = _solid(grid, slab.block, nodes, thickness)
+        for number, _, values in measure_shape(x, resolved):
+            own = values[: slab.last - slab.first]
+            total[number] += own.sum()
+            count[number] += own.size
+            if own.max(initial=-1.0) > best[number]:
+                best[number] = own.max()
+                i, j, k = np.unravel_index(own.argmax(), own.shape)
+                places[number] = slab.block, (slab.first + int(i), int(j), int(k))
     return {
-        name: ShapeMeasure(float(total[m] / count[m]), float(best[m]), _worst(grid, float(best[m]), *cells[m]))
+        name: ShapeMeasure(float(total[m] / count[m]), float(best[m]), _worst(grid, float(best[m]), *places[m]))
         for m, name in enumerate(DEFINITIONS)
         if count[m]
     }
@@ -67,8 +70,11 @@ def shape_of_cells(
     window = [slice(a, min(b + 1, n)) for a, b, n in zip(low, high, grid.shapes[block], strict=True)]
     around, resolved = _solid(grid, block, grid.box(block, window), thickness)
     values = np.zeros((*(n - 1 for n in around.shape[:3]), 4))
-    extremes = np.full(4, -1.0), np.zeros((4, 3), dtype=np.int64), np.zeros(4), np.zeros(4, dtype=np.int64)
-    measure_shape(around, resolved, *extremes, values)
+    for number, axis, found in measure_shape(around, resolved):
+        own = values[..., number]
+        for end in (slice(None, -1), slice(1, None)) if axis >= 0 else (slice(None),):
+            part = own[(slice(None),) * max(axis, 0) + (end,)]
+            np.maximum(part, found, out=part)
     return np.asarray(values[tuple(slice(c.start - a, c.stop - a) for c, a in zip(cells, low, strict=True))])
 
 
@@ -91,8 +97,8 @@ def _solid(grid: Grid, block: int, x: FloatArray, thickness: FloatArray | None) 
     return np.ascontiguousarray(x), resolved
 
 
-def _worst(grid: Grid, value: float, block: int, cell: IntArray) -> Worst:
-    i, j, k = (int(n) for n in cell)
+def _worst(grid: Grid, value: float, block: int, cell: Shape) -> Worst:
+    i, j, k = cell
     center = grid.block(block)[i : i + 2, j : j + 2, k : k + 2].reshape(-1, 3).mean(axis=0)
     return Worst(
         value, grid.names[block], (i + 1, j + 1, k + 1), (float(center[0]), float(center[1]), float(center[2]))
