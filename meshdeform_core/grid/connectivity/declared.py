@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...errors import GridError
 from ...numerics.arrays import BoolArray, batches, spans
@@ -28,30 +28,18 @@ def connected_nodes(grid: Grid, connection: Connection) -> tuple[IntArray, IntAr
     GridError
         When a range exceeds its block, or the two differ in size.
     """
-    begin, end = np.array(connection.begin), np.array(connection.end)
-    step = np.where(end >= begin, 1, -1)
-    counts = np.abs(end - begin) + 1
-    offset = np.stack(np.unravel_index(np.arange(counts.prod()), counts), axis=1) * step
-    matrix = transform_matrix(connection)
-    own = begin + offset
-    donor = np.array(connection.donor_begin) + offset @ matrix.T
-    for block, nodes, role in ((connection.block, own, "range"), (connection.donor_block, donor, "donor range")):
+    table = _Table.of(grid, [connection])
+    reached = table.ends()[:, 0]
+    sides = (connection.block, "range"), (connection.donor_block, "donor range")
+    for nodes, (block, role) in zip(np.moveaxis(reached, 1, 0), sides, strict=True):
         shape = grid.shapes[block]
         if (nodes < 0).any() or (nodes >= shape).any():
             raise GridError(
                 f"connection {connection.name!r} of {grid.names[connection.block]}: its {role} reaches node "
                 f"{(nodes.max(axis=0) + 1).tolist()}, but {grid.names[block]} has {list(shape)} nodes"
             )
-    return _flat(grid, connection.block, own), _flat(grid, connection.donor_block, donor)
-
-
-def transform_matrix(connection: Connection) -> NDArray[np.int64]:
-    """The (3, 3) matrix T of the short-form transform: donor index step = T @ own index step (CGNS SIDS)."""
-    matrix = np.zeros((3, 3), dtype=np.int64)
-    for axis, signed in enumerate(connection.transform):
-        if signed:
-            matrix[abs(signed) - 1, axis] = np.sign(signed)
-    return matrix
+    _, own, donor = table.nodes(np.array([0]))
+    return own, donor
 
 
 def periodic_rotation(periodic: Periodicity) -> FloatArray:
@@ -77,7 +65,7 @@ def check_connections(grid: Grid, topology: Topology) -> list[str]:
     messages: list[str] = []
     doubtful = np.ones(len(grid.connections), dtype=bool)
     if grid.connections:
-        table = _Table.of(grid)
+        table = _Table.of(grid, grid.connections)
         sound = np.flatnonzero(table.within())
         for lo, hi in batches(table.counts[sound].prod(axis=1), _TOGETHER):
             some = sound[lo:hi]
@@ -112,8 +100,8 @@ class _Table:
     steps: IntArray
 
     @classmethod
-    def of(cls, grid: Grid) -> _Table:
-        every = grid.connections
+    def of(cls, grid: Grid, every: Sequence[Connection]) -> _Table:
+        """Connections of a grid."""
         begin, end, donor, transform = (
             np.array([getattr(each, name) for each in every], dtype=np.int64)
             for name in ("begin", "end", "donor_begin", "transform")
@@ -135,10 +123,13 @@ class _Table:
             steps,
         )
 
+    def ends(self) -> IntArray:
+        """First and last nodes (2, n, 2, 3) of both sides: the steps are whole multiples of index axes."""
+        return np.stack([self.begin, self.begin + np.einsum("nsij,nj->nsi", self.steps, self.counts - 1)])
+
     def within(self) -> BoolArray:
-        """Whether both ranges lie within their blocks: the steps are whole multiples of index axes."""
-        ends = self.begin + np.einsum("nsij,nj->nsi", self.steps, self.counts - 1)
-        both = np.stack([self.begin, ends])
+        """Whether both ranges lie within their blocks."""
+        both = self.ends()
         return np.asarray(((both >= 0) & (both < self.shapes[self.blocks])).all(axis=(0, 2, 3)))
 
     def nodes(self, some: IntArray) -> tuple[IntArray, IntArray, IntArray]:
@@ -199,8 +190,3 @@ def _undeclared(grid: Grid, topology: Topology, declared: np.ndarray) -> list[st
         return []
     names = listed(dict.fromkeys(grid.names[side // 6] for side in sides))
     return [f"{int(quads.sum())} face quads coincide but no connection declares them (blocks {names}); they are joined"]
-
-
-def _flat(grid: Grid, block: int, ijk: IntArray) -> IntArray:
-    _, nj, nk = grid.shapes[block]
-    return np.asarray(grid.offsets[block] + (ijk[:, 0] * nj + ijk[:, 1]) * nk + ijk[:, 2], dtype=np.int64)
