@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
 from ..boundary import Boundary
 from ..grid import FloatArray, Grid, IntArray, Shape
 from ..grid.topology import Topology
+from ..numerics.geometry.coincidence import connected_rows
 from .listed import nearest_patches
 from .measures.cells import corner_nodes, places
 
@@ -53,7 +53,8 @@ def group_cells(
         return ()
     block, ijk = places(grid, cells)
     nodes = corner_nodes(grid, block, ijk)
-    part = _touching(_unique(topology, nodes))
+    _, local = np.unique(_unique(topology, nodes), return_inverse=True)
+    part = connected_rows(local.reshape(nodes.shape), int(local.max()) + 1)
     order = np.argsort(-np.bincount(part), kind="stable")[:MAX_GROUPS]
     worst = [members[int(np.argmin(ratio[cells[members]]))] for members in (np.flatnonzero(part == n) for n in order)]
     before = grid.points[nodes[worst]].mean(axis=1)
@@ -87,15 +88,3 @@ def _unique(topology: Topology, nodes: IntArray) -> IntArray:
     at = np.minimum(np.searchsorted(topology.face_nodes, nodes), len(topology.face_nodes) - 1)
     shared = topology.face_nodes[at] == nodes
     return np.where(shared, topology.first[topology.number[at]], nodes)
-
-
-def _touching(nodes: IntArray) -> IntArray:
-    """Number (n,) of the group of each row of ``nodes``; rows with a common node belong to one group."""
-    _, local = np.unique(nodes, return_inverse=True)
-    n = len(nodes)
-    rows = np.repeat(np.arange(n), nodes.shape[1])
-    graph = scipy.sparse.coo_matrix(
-        (np.ones(nodes.size, np.int8), (rows, n + local.ravel())), shape=(n + int(local.max()) + 1,) * 2
-    )
-    _, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
-    return np.asarray(np.unique(label[:n], return_inverse=True)[1])

@@ -12,7 +12,7 @@ from enum import Enum
 import numpy as np
 
 from ...numerics.arrays import BoolArray, runs
-from ...numerics.geometry.coincidence import connected_components
+from ...numerics.geometry.coincidence import connected_rows
 from ...parallel import rows_at
 from ..blocks import FloatArray, Grid, IntArray
 from ..extent import Bounds
@@ -152,7 +152,7 @@ class _Guess:
                 inner[face.quads] = True
         quads = np.flatnonzero(inner)
         if quads.size:
-            part = _connected(self.topology.quads.corners[quads], self.topology.n_unique)
+            part = connected_rows(self.topology.quads.corners[quads], self.topology.n_unique)
             order = np.argsort(part, kind="stable")
             for lo, hi in zip(*runs(part[order]), strict=True):
                 mine = quads[order[lo:hi]]
@@ -175,15 +175,6 @@ class _Guess:
         varying = self.extent > FLATNESS * self.size
         # A surface that extends across the whole grid in two directions is a floor or a ceiling, not a body.
         return int((own[varying] > 0.999 * self.extent[varying]).sum()) <= int(varying.sum()) - 2
-
-
-def _connected(corners: IntArray, n_unique: int) -> IntArray:
-    """Label of the connected component of every quad (n,), by common corner nodes."""
-    n = len(corners)
-    rows = np.repeat(np.arange(n), corners.shape[1])
-    pairs = np.stack([rows, corners.ravel()], axis=1, dtype=np.int64)
-    pairs[:, 1] += n
-    return np.asarray(np.unique(connected_components(n + n_unique, pairs)[:n], return_inverse=True)[1])
 
 
 def _end_sides(grid: Grid, topology: Topology, faces: Sequence[Face]) -> set[tuple[int, Side]]:

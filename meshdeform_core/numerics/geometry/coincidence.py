@@ -192,3 +192,11 @@ def distinct(numbers: IntArray, size: int) -> IntArray:
     marked = np.zeros(size, dtype=bool)
     marked[numbers] = True
     return np.flatnonzero(marked)
+
+
+def connected_rows(rows: IntArray, count: int) -> IntArray:
+    """Number (n,) of the connected part of every row (n, m) of numbers below ``count``: those with a common number."""
+    n = len(rows)
+    pairs = np.stack([np.repeat(np.arange(n), rows.shape[1]), rows.ravel()], axis=1, dtype=np.int64)
+    pairs[:, 1] += n
+    return np.asarray(np.unique(connected_components(n + count, pairs)[:n], return_inverse=True)[1])
