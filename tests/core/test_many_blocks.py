@@ -412,7 +412,7 @@ def test_long_lists_of_a_report_have_an_entry_per_line():
 
 
 def test_connections_of_so_many_blocks_that_pairs_of_sides_exceed_32_bits():
-    n = 29
+    n = 23
     place = np.random.default_rng(1).permutation(n**3)
     at = np.stack(np.unravel_index(place, (n, n, n)), axis=1)
     unit = np.stack(np.meshgrid(*[np.arange(2.0)] * 3, indexing="ij"), axis=-1)
