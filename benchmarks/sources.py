@@ -6,7 +6,7 @@ import numpy as np
 
 from meshdeform_core.grid import FloatArray
 from meshdeform_samples import hemisphere
-from meshdeform_samples.spacing import geometric
+from meshdeform_samples.building import geometric
 
 _AMPLITUDE = 1.1e-2
 

@@ -5,8 +5,7 @@ import numpy as np
 from meshdeform_core.boundary.tables.matching import SurfaceData
 from meshdeform_core.grid import FloatArray, Grid
 
-from ..patches import with_patches
-from ..spacing import tanh_law
+from ..building import tanh_law, with_patches
 
 DEFAULT_SIZE = 401
 SIZES = {"small": 101, "paper": 401}

@@ -4,8 +4,7 @@ import numpy as np
 
 from meshdeform_core.grid import Grid
 
-from ..patches import with_patches
-from ..spacing import even
+from ..building import even, with_patches
 
 DEFAULT_SIZE = 32
 SIZES = {"small": 16, "medium": 32, "large": 128}

@@ -4,9 +4,7 @@ import numpy as np
 
 from meshdeform_core.grid import FloatArray, Grid
 
-from ..patches import with_patches
-from ..spacing import geometric
-from ..splitting import split
+from ..building import geometric, split, with_patches
 
 DEFAULT_SIZE = 24
 SIZES = {"small": 12, "medium": 24, "paper": 92}

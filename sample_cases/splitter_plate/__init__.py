@@ -4,8 +4,7 @@ import numpy as np
 
 from meshdeform_core.grid import Grid
 
-from ..patches import with_patches
-from ..spacing import even
+from ..building import even, with_patches
 
 DEFAULT_SIZE = 8
 SIZES = {"small": 8, "paper": 16, "large": 32}

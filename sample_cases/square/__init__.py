@@ -4,7 +4,7 @@ import numpy as np
 
 from meshdeform_core.grid import Grid
 
-from ..patches import with_patches
+from ..building import with_patches
 
 DEFAULT_SIZE = 21
 SIZES = {"small": 21, "paper": 301}

@@ -5,8 +5,7 @@ import numpy as np
 from meshdeform_core.boundary.tables.matching import SurfaceData
 from meshdeform_core.grid import FloatArray, Grid
 
-from ..patches import with_patches
-from ..spacing import geometric
+from ..building import geometric, with_patches
 
 DEFAULT_SIZE = 24
 SIZES = {"small": 12, "medium": 24, "large": 64}
