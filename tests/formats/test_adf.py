@@ -225,19 +225,6 @@ def grid_or_message(path: Path) -> Grid | str:
         return str(error)
 
 
-@settings(max_examples=100)
-@given(
-    which=st.integers(0, 1),
-    changes=st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(0, 255)), min_size=1, max_size=6),
-)
-def test_random_damage_ends_in_a_clear_error_or_a_grid(originals, scratch, which, changes):
-    raw = bytearray(originals[which])
-    for place, value in changes:
-        raw[int(place * len(raw))] = value
-    scratch.write_bytes(raw)
-    assert grid_or_message(scratch)
-
-
 @settings(max_examples=70)
 @given(
     which=st.integers(0, 1),

@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 import pytest
 from cgns_witness import AdfWriter, two_zones, write_hdf5
+from fuzz.mutations import mutated
 
 from meshdeform_core.errors import FormatError, GridError, MeshDeformError
 from meshdeform_core.grid import Field, Grid
@@ -62,25 +63,6 @@ SOURCES = {
     "h5": (read_displacement, hdf5_table),
     "csv": (read_displacement, saved(np.savetxt, "a.csv", np.hstack([POINTS, POINTS]), delimiter=",")),
 }
-SPLICES = (b"\xff\xff\xff\xff", b"\0\0\0\0", b"\xff\xff\xff\x7f", b"9999", b"-1  ")
-
-
-def damaged(data, rng):
-    data = bytearray(data)
-    for _ in range(rng.randint(1, 4)):
-        place, kind = rng.randrange(len(data)), rng.random()
-        if kind < 0.6:
-            data[place] = rng.randrange(256)
-        elif kind < 0.7:
-            del data[place : place + rng.randint(1, 20)]
-        elif kind < 0.8:
-            data[place:place] = data[max(0, place - 20) : place]
-        elif kind < 0.9:
-            data[place : place + 4] = rng.choice(SPLICES)
-        else:
-            del data[max(place, 40) :]
-        data = data or bytearray(b"x")
-    return bytes(data)
 
 
 @pytest.mark.parametrize("name", SOURCES)
@@ -91,7 +73,7 @@ def test_damaged_files_are_read_or_refused(tmp_path, capfd, name):
     data, rng, target = source.read_bytes(), random.Random(7), tmp_path / f"b{source.suffix}"
     refused = 0
     for _ in range(60):
-        target.write_bytes(damaged(data, rng))
+        target.write_bytes(mutated(data, True, rng))
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
