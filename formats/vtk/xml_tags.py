@@ -31,6 +31,7 @@ _APPENDED_ENCODINGS = {"": "appended-base64", "base64": "appended-base64", "raw"
 _ENCODINGS = ("utf-8", "us-ascii", "ascii", "iso-8859-1", "latin-1")
 _ARRAYS = ("DataArray", "Array")
 TAG = re.compile(rb"""<(?:[^>"']|"[^"]*"|'[^']*')*>""")
+_KIND = re.compile(rb"""<VTKFile\s[^>]*?\btype\s*=\s*["'](\w+)""")
 _END = b"</VTKFile>"
 
 # Real files do not come near these limits; one that does would cost time and memory before it is refused.
@@ -109,16 +110,17 @@ class XmlFile:
 
 
 def file_kind(path: Path) -> str:
-    """Type of the VTKFile tag, e.g. ``StructuredGrid``; ``unknown`` if missing.
+    """Type of the VTKFile tag, e.g. ``StructuredGrid``; ``unknown`` if missing. Nothing else is checked.
 
     Raises
     ------
     FormatError
-        When the file is truncated or not a VTK file.
+        When the file is truncated.
     """
     with path.open("rb") as stream:
         _require_end(path, stream)
-        return _Tags(path, stream, root_only=True).root.get("type") or "unknown"
+        found = _KIND.search(stream.read(_LONGEST_PROLOG))
+    return found[1].decode() if found else "unknown"
 
 
 def read_tags(path: Path) -> XmlFile:
@@ -185,17 +187,17 @@ def _appended_data(path: Path, stream: BinaryIO, start: int, size: int) -> tuple
 
 
 class _Complete(Exception):
-    """Raised after the last tag that is needed."""
+    """Raised at the tag of the appended data, which ends the XML."""
 
 
 class _Tags:
-    """The elements of a file as expat reads it: all before the appended data, or the first one."""
+    """The elements of a file as expat reads it: all before the appended data."""
 
-    def __init__(self, path: Path, stream: BinaryIO, root_only: bool = False) -> None:
-        self.path, self.root_only = path, root_only
+    def __init__(self, path: Path, stream: BinaryIO) -> None:
+        self.path = path
+        self.root: Element
         self.appended: Element | None = None
         self._open: list[Element] = []
-        self._found: list[Element] = []
         self._count = 0
         self._parser = parser = expat.ParserCreate()
         parser.StartDoctypeDeclHandler = self._doctype
@@ -203,9 +205,6 @@ class _Tags:
         parser.StartElementHandler = self._start
         parser.EndElementHandler = self._end
         self._parse(stream)
-        if not self._found or self._found[0].tag != "VTKFile":
-            raise FormatError(f"cannot read {path}: its first element is not VTKFile")
-        self.root = self._found[0]
 
     def _parse(self, stream: BinaryIO) -> None:
         prolog = stream.read(_LONGEST_PROLOG)
@@ -247,10 +246,10 @@ class _Tags:
         if self._open:
             self._text_ends(self._open[-1])
             self._open[-1].children.append(element)
+        elif tag == "VTKFile":
+            self.root = element
         else:
-            self._found.append(element)
-        if self.root_only:
-            raise _Complete
+            raise FormatError(f"cannot read {self.path}: its first element is not VTKFile")
         self._open.append(element)
 
     def _end(self, tag: str) -> None:
