@@ -310,6 +310,15 @@ def test_plane_grids_give_the_same_bytes(name, axes, tmp_path, small_pieces, poi
     same_on_ranks(tmp_path, 3, case, ".xyz", permuted(frame_2d(9), axes, (False, False, False)))
 
 
+@pytest.mark.parametrize(("name", "axes"), [("idw-fast", (0, 1, 2)), ("rbf-fast", (2, 0, 1)), ("idw-tfi", (0, 2, 1))])
+def test_grids_of_one_layer_give_the_same_bytes(name, axes, tmp_path, small_pieces, poisoned):
+    """Nodes of one plane follow those of the other, whoever holds them."""
+    body = dataclasses.replace(body_specs(turning(20))[0], select=("*",))
+    ends = BoundarySpec("ends", ("*",), Kind.SLIP, expression("z < 0.01 or z > 0.99", {"x", "y", "z"}))
+    case = dataclasses.replace(case_of(METHODS[name]), boundaries=(body, ends))
+    same_on_ranks(tmp_path, 3, case, grid=permuted(frame(9, 1), axes, (False, False, True)))
+
+
 @pytest.mark.parametrize("axes", [(2, 0, 1), (0, 2, 1)], ids=["along i", "along j"])
 def test_interiors_between_slip_sides_give_the_same_bytes(axes, tmp_path, small_pieces, poisoned):
     """Nodes on slip sides are no centres; the sides are cut, or they are the first and the last plane."""
