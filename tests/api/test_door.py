@@ -496,6 +496,13 @@ def test_files_are_not_overwritten_unasked(plate, tmp_path):
     assert md.compare(plate.grid, path).largest == 0.0
 
 
+def test_a_folder_is_an_openfoam_case(plate, tmp_path):
+    md.write(plate.grid, f"{tmp_path}/case/")
+    assert (tmp_path / "case" / "constant" / "polyMesh" / "owner").is_file()
+    with pytest.raises(md.FormatError, match="exists"):
+        md.write(plate.grid, tmp_path / "case")
+
+
 def test_quality_and_difference(plate, mesh, bend):
     after = mesh.deform(bend).grid
     report = md.quality(after, plate.grid)

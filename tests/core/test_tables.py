@@ -57,6 +57,13 @@ def test_a_table_of_the_wall_gives_no_warning():
         assert on_body(data(bar()), how=how) == ()
 
 
+@pytest.mark.parametrize("far", [1e160, 1e300])
+def test_points_farther_than_any_length_are_refused(far):
+    """Squares of distances overflow: the nearest node has no number."""
+    with pytest.raises(MotionError, match=r"table.csv has coordinates of 1e\+.* expected lengths below 1e\+100"):
+        data(np.concatenate([bar(), [[far, 0.0, 0.0]]]))
+
+
 def test_a_table_without_dz_on_a_3d_grid_is_a_warning():
     plane = dataclasses.replace(data(bar()), plane=True)
     (note,) = on_body(plane)

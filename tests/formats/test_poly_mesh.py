@@ -88,13 +88,14 @@ def test_patches_are_families_with_their_types(tmp_path):
     grid = Grid.from_blocks([box(3, 3, 3)], patches=(
         Patch("a", (window[Side.IMIN],), "skin", "BCWallViscous"), Patch("b", (window[Side.IMAX],), "skin"),
         Patch("mirror", (window[Side.JMIN],), "", "BCSymmetryPlane"), Patch("a b;c", (window[Side.JMAX],)),
+        Patch("_z", (window[Side.KMIN],)), Patch("z_", (window[Side.KMAX],)),
     ))  # fmt: skip
     write_grid(grid, tmp_path / "case.foam")
     mesh = read_mesh(tmp_path)
     mesh.check()
     assert {name: (e["type"], e["nFaces"]) for name, e in mesh.patches.items()} == {
         "skin": ("wall", "18"), "mirror": ("symmetryPlane", "9"), "a_b_c": ("patch", "9"),
-        "block1.kmin": ("patch", "9"), "block1.kmax": ("patch", "9"),
+        "_z": ("patch", "9"), "z_": ("patch", "9"),
     }  # fmt: skip
 
 
