@@ -29,17 +29,6 @@ def regions(grid: Grid, topology: Topology, quads: IntArray) -> list[Region]:
     return sorted(found, key=lambda region: -len(region[1]))
 
 
-def range_label(grid: Grid, window: Window) -> str:
-    """``block1.jmin``, with a window of nodes if it is only a part of the face."""
-    name = f"{grid.names[window.block]}.{window.side.label}"
-    a, b = window.side.tangential
-    shape = grid.shapes[window.block]
-    if window.low == (0, 0) and window.high == (shape[a] - 1, shape[b] - 1):
-        return name
-    ranges = ",".join(f"{low + 1}:{high + 1}" for low, high in zip(window.low, window.high, strict=True))
-    return f"{name}[{ranges}]"
-
-
 def unselected_notes(grid: Grid, topology: Topology, quads: IntArray, moving: IntArray, expected: bool) -> list[str]:
     """Warnings about faces ``quads`` that are fixed because nothing selects them.
 
@@ -51,7 +40,7 @@ def unselected_notes(grid: Grid, topology: Topology, quads: IntArray, moving: In
     places = regions(grid, topology, quads)
     notes = []
     if not expected:
-        ranges = listed((f"{range_label(grid, window)} ({len(found):,})" for window, found in places), noun="ranges")
+        ranges = listed((f"{grid.window_label(window)} ({len(found):,})" for window, found in places), noun="ranges")
         notes.append(
             f"{quads.size:,} external face quads are not selected by any boundary entry; they are fixed: {ranges}"
         )
@@ -68,7 +57,7 @@ def unselected_notes(grid: Grid, topology: Topology, quads: IntArray, moving: In
         )
         if expected:
             remedy += " in a case file; `meshdeform init --table` writes one"
-        names = listed(range_label(grid, window) for window in touching)
+        names = listed(grid.window_label(window) for window in touching)
         notes.append(f"faces that no boundary entry selects touch moving nodes but are fixed: {names}; {remedy}")
     return notes
 

@@ -24,7 +24,7 @@ from ..parallel import Part, empty, for_items, holders, of_all, on_each, own_row
 from .dealing import in_parts
 from .lattice import SideLattice
 from .near import NearNodes
-from .parts import Connection, Field, FileFormat, OwnPlanes, Patch, Planes, Shape
+from .parts import Connection, Field, FileFormat, OwnPlanes, Patch, Planes, Shape, Window
 from .sizes import BlockSizes
 
 
@@ -234,6 +234,14 @@ class Grid(BlockSizes):
     def node_label(self, flat: int) -> str:
         """Name of a node, block and 1-based indices: ``wing (3, 1, 17)``."""
         return self.label(*self.locate(flat))
+
+    def window_label(self, window: Window) -> str:
+        """``block1.jmin``, with the nodes of the window (1-based) if it is not the whole side."""
+        a, b = window.side.tangential
+        shape = self.shapes[window.block]
+        name = f"{self.names[window.block]}.{window.side.label}"
+        whole = window.low == (0, 0) and window.high == (shape[a] - 1, shape[b] - 1)
+        return name if whole else f"{name}[{window.ranges}]"
 
     def label(self, block: int, place: Shape) -> str:
         """Name of the node or cell at ``place``, 0-based: block and 1-based indices."""

@@ -65,10 +65,8 @@ class Opening:
 
     def describe(self, grid: Grid) -> str:
         """One line: position, gap, and the tolerance that closes it."""
-        low, high = self.window.low, self.window.high
-        ranges = ",".join(f"{a + 1}:{b + 1}" for a, b in zip(low, high, strict=True))
         one, two = f"{grid.names[self.block]}.{self.side.label}", f"{grid.names[self.other]}.{self.other_side.label}"
-        where = f"{one}[{ranges}] ({len(self.quads)} quads) and {two}"
+        where = f"{one}[{self.window.ranges}] ({len(self.quads)} quads) and {two}"
         if self.matching:
             return (
                 f"{where} nearly coincide: the gap is up to {self.gap:.3g}, {self.relative:.2g} of the local edge; "

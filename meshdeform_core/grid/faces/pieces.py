@@ -84,13 +84,8 @@ class Face:
     plane: Plane | None
 
     def label(self, grid: Grid) -> str:
-        """``block1.jmin``, with a window of nodes (1-based) if the piece is not the whole side."""
-        side = self.window.side
-        a, b = side.tangential
-        shape = grid.shapes[self.window.block]
-        name = f"{grid.names[self.window.block]}.{side.label}"
-        whole = self.window.low == (0, 0) and self.window.high == (shape[a] - 1, shape[b] - 1)
-        return name if whole else f"{name}[{self.window.ranges}]"
+        """See :meth:`.Grid.window_label`."""
+        return grid.window_label(self.window)
 
 
 def quad_geometry(grid: Grid, topology: Topology) -> QuadGeometry:
