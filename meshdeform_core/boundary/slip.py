@@ -64,11 +64,8 @@ class Slip:
         """
         for surface in self.curved:
             self._slide(surface, displacement, points, first)
-        if self.groups:
-            from ..numerics.rows import project_rows
-
-            for nodes, removed in self.groups:
-                project_rows(displacement, nodes, removed)
+        for nodes, removed in self.groups:
+            displacement[nodes] -= displacement[nodes] @ removed
 
     def departure(self, displacement: FloatArray) -> float:
         """Largest displacement of a node out of a plane that it lies on (grid length unit)."""

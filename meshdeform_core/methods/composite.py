@@ -16,7 +16,6 @@ from ..boundary import Kind
 from ..errors import MotionError
 from ..grid import FloatArray, IntArray
 from ..memory import release_freed
-from ..numerics.rows import put_rows, take_rows
 from ..parallel import Part, alike, for_chunks, for_rows, of_all, own_rows, rows_of
 from ..wording import vector
 from .base import Account, Interpolation, LinearMover, Mover, PreparedMethod, Problem, Progress
@@ -112,7 +111,7 @@ class Scattered:
         release_freed()
         self.beside_slip.apply(out, progress)
         face = on_faces(out, self.problem)
-        put_rows(displacement, self.problem.source_numbers, face)
+        face[self.problem.source_numbers] = displacement
         return face
 
     def linearised(self, displacement: FloatArray) -> LinearMover:
@@ -339,7 +338,11 @@ def on_faces(displacement: FloatArray, problem: Problem) -> FloatArray:
     if isinstance(displacement, Part):
         return np.asarray(displacement[problem.topology.first])
     face, first = np.empty((problem.topology.n_unique, 3)), problem.topology.first
-    for_chunks(lambda lo, hi: take_rows(displacement, first[lo:hi], face[lo:hi]), len(first), _NODES)
+
+    def work(lo: int, hi: int) -> None:
+        face[lo:hi] = displacement[first[lo:hi]]
+
+    for_chunks(work, len(first), _NODES)
     return face
 
 

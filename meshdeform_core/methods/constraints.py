@@ -7,8 +7,7 @@ import numpy as np
 from ..boundary.slip import CurvedSurface
 from ..grid import FloatArray, IntArray
 from ..grid.topology import Topology
-from ..numerics.rows import collect_rows, project_rows, spread_rows
-from ..parallel import Part, for_chunks, own_rows, rows_of
+from ..parallel import for_chunks, own_rows, rows_of
 from .base import Problem
 from .kinks import EDGES, Kinks, kinks_of
 
@@ -32,7 +31,11 @@ def put_on_faces(face: FloatArray, out: FloatArray, problem: Problem) -> None:
     """Copy displacements (n_unique, 3) to all coincident nodes in the rows of ``out`` (n_nodes, 3)."""
     number, nodes = own_face_nodes(problem.topology, out)
     rows = rows_of(out)
-    for_chunks(lambda lo, hi: spread_rows(face, number[lo:hi], nodes[lo:hi], rows), len(nodes), _NODES)
+
+    def work(lo: int, hi: int) -> None:
+        rows[nodes[lo:hi]] = face[number[lo:hi]]
+
+    for_chunks(work, len(nodes), _NODES)
 
 
 class Constraints:
@@ -74,7 +77,7 @@ class Constraints:
         for nodes, tangent in self._sliding:
             face[nodes] = np.einsum("nij,nj->ni", tangent, face[nodes])
         for nodes, removed in problem.boundary.slip.groups:
-            project_rows(face, nodes, removed)
+            face[nodes] -= face[nodes] @ removed
         problem.boundary.periodic.constrain(face, ~problem.boundary.known)
 
     def pull(self, face: FloatArray) -> None:
@@ -89,7 +92,7 @@ class Constraints:
             face[nodes[free]] = 0.0
             face[nodes] += np.einsum("nij,nj->ni", turn, total[root] / count[root, None])
         for nodes, removed in problem.boundary.slip.groups:
-            project_rows(face, nodes, np.ascontiguousarray(removed.T))
+            face[nodes] -= face[nodes] @ removed.T
         for nodes, tangent in self._sliding:
             face[nodes] = np.einsum("nji,nj->ni", tangent, face[nodes])
 
@@ -102,15 +105,13 @@ class Constraints:
         """Transpose of :meth:`impose`: gradient (n_unique, 3) of the face nodes, with the rows of coincident nodes in
         ``gradient`` (n_nodes, 3) added up and set to zero."""
         topology = self._problem.topology
-        face: FloatArray = np.zeros((topology.n_unique, 3))
-        if isinstance(gradient, Part):
-            # All ranks add up the same rows, in the order of a whole grid.
-            values = gradient[topology.face_nodes]
-            collect_rows(values, topology.number, np.arange(len(values)), face)
-            _, own = own_face_nodes(topology, gradient)
-            rows_of(gradient)[own] = 0.0
-        else:
-            collect_rows(gradient, topology.number, topology.face_nodes, face)
+        face: FloatArray = np.empty((topology.n_unique, 3))
+        # All ranks add up the same rows, in the order of a whole grid.
+        values = gradient[topology.face_nodes]
+        for c in range(3):
+            face[:, c] = np.bincount(topology.number, values[:, c], topology.n_unique)
+        _, own = own_face_nodes(topology, gradient)
+        rows_of(gradient)[own] = 0.0
         self.pull(face)
         return face
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy
 
 from ..boundary import Kind
 from ..boundary.slip import Slip
@@ -21,10 +22,13 @@ from ..parallel import alike, for_rows, require_whole
 from .base import Account, Interpolation, Linearised, PreparedMethod, Problem, Progress, Setting
 from .composite import Composite, Filler, PreparedComposite, on_faces
 from .constraints import Constraints
+from .kinks import BETWEEN, kinks_of
 from .transfinite.tfi import TFI
 
 OPEN = 0.8
 """Remaining fraction of its thickness below which a gap counts as closing (studies/default_method.py)."""
+# Relative difference of equal distances.
+_EQUAL = 1e-8
 _TRANSFINITE = Composite(None, TFI(max_cells=0))
 
 
@@ -114,6 +118,16 @@ class PreparedInGaps:
         require_whole(self.problem.grid.points, "a derivative of a motion that closes a gap")
         return _LinearInGaps(self, closing, displacement)
 
+    def equally_far(self, displacement: FloatArray, rows: IntArray) -> int:
+        """Number of sources among ``rows`` that two nodes across the gap are nearest to, after a displacement."""
+        points, count = self.problem.source_points + displacement, 0
+        for side in (self._moving, ~self._moving):
+            across = points[~side]
+            if len(across) > 1:
+                distance, _ = scipy.spatial.cKDTree(across).query(points[rows[side[rows]]], k=2)
+                count += int(np.count_nonzero(distance[:, 1] <= (1.0 + _EQUAL) * distance[:, 0]))
+        return count
+
     @cached_property
     def transfinite(self) -> PreparedMethod:
         """TFI on the whole grid, prepared when a gap closes for the first time."""
@@ -180,6 +194,7 @@ class _LinearInGaps:
         self._own = method.method.linearised(displacement)
         self._lines, self._scalar = (each.linearised(displacement) for each in (method.transfinite, method.scalar))
         self.kinks = self._own.kinks + self._lines.kinks
+        self.kinks += kinks_of([(BETWEEN, method.equally_far(displacement, closing.rows))])
         # Blended nodes are projected back onto curved slip surfaces.
         self._problem, self._again = method.problem, None
         if self._problem.boundary.slip.curved:

@@ -24,6 +24,9 @@ HALF_TURNS = (
 )
 FOLDED = "{} wall nodes have faces that are folded onto each other, where normals jump"
 LARGEST = "{} sources share the largest displacement, which sets alpha; the mean of their derivatives is taken"
+BETWEEN = (
+    "{} wall nodes are equally far from two nodes across a closing gap, whose direction jumps from one to the other"
+)
 _HALF_TURN = 1e-6
 """Relative difference from half a turn."""
 

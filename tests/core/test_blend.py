@@ -192,5 +192,5 @@ def test_groups_and_a_second_call_give_the_same_bits(monkeypatch):
         for _ in range(2):
             found.append(d.copy())
             prepared.fill(found[-1])
-    assert prepared.n_groups == 1
+    assert len(prepared._groups) == 1
     assert len({each.tobytes() for each in found}) == 1

@@ -16,7 +16,7 @@ from meshdeform_core.errors import MethodError
 from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.methods import IDW, RBF, Account, Options, make_method
 from meshdeform_core.methods.scattered import fast_idw_sums
-from meshdeform_core.methods.scattered.summation import sum_accurately
+from meshdeform_core.methods.scattered.summation import doubtful, sum_accurately
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.exact.elementary import exp, log
 from meshdeform_core.numerics.exact.radial import radial_sums
@@ -264,6 +264,14 @@ def test_compact_sums_reach_every_target_of_a_region():
     fast.evaluate(fast.fitted(coefficients, targets, 1e-6), targets, use, out)
     np.testing.assert_allclose(out, radial_sums(kind, points, sources, coefficients), atol=1e-6)
     assert out.max() > 0.01
+
+
+def test_errors_are_sought_where_their_bounds_are_largest():
+    samples, risk = np.arange(1800).reshape(200, 9), np.random.default_rng(2).permutation(200)
+    targets = types.SimpleNamespace(samples=samples, every=np.arange(1800))
+    found = doubtful(np.zeros((1800, 3)), targets, risk.astype(np.float64))
+    assert len(found) == 64 * 9 + 256
+    assert set(found[: 64 * 9]) == set(samples[risk >= 200 - 64].ravel())
 
 
 def test_an_error_that_is_no_number_is_told_and_spoils_nothing():

@@ -12,6 +12,7 @@ from meshdeform_core.grid import Grid
 from meshdeform_core.methods import IDW, TFI, Options, make_method
 from meshdeform_core.methods.composite import Composite
 from meshdeform_core.methods.gaps import OPEN, PreparedInGaps
+from meshdeform_core.methods.kinks import BETWEEN
 from meshdeform_core.quality import Original, assess
 from meshdeform_core.repair import RepairOptions
 
@@ -130,6 +131,18 @@ def test_derivative_is_that_of_the_blend(make):
     )
     gradient = rng.normal(size=pushed.shape)
     assert np.sum(gradient * pushed) == pytest.approx(np.sum(derivative.pull(gradient.copy()) * change), rel=1e-10)
+
+
+@pytest.mark.parametrize(("aside", "ties"), [(0.0, True), (0.1, False)])
+def test_a_node_half_way_between_two_nodes_across_the_gap_has_no_derivative(aside, ties):
+    """The roof is staggered by half a cell against the floor."""
+    i, s = np.meshgrid(np.arange(21.0), np.linspace(0.0, 1.0, 9), indexing="ij")
+    grid = Grid.from_blocks([np.stack([0.2 * (i + 0.5 * s), s, 0 * s], axis=-1)[:, :, None]])
+    roof = BoundarySpec("roof", ("*.jmax",), Kind.MOVING, None, constant(0.2 * aside, -0.7, 0))
+    problem = problem_of(grid, [roof, BoundarySpec("floor", ("*.jmin",), Kind.FIXED)])
+    kinks = make_method(DEFAULT).prepare(problem).linearised(told(problem)).kinks
+    assert (kinks[BETWEEN] > 10) == ties
+    assert set(kinks) <= {BETWEEN}
 
 
 def test_the_papers_kinds_are_left_as_they_are():

@@ -13,17 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...grid import FloatArray, IntArray
-from ...numerics.transfinite.boxes import inner_numbers
-from ...numerics.transfinite.deviation import add_images, deviations
-from ...numerics.transfinite.transposed import images_transposed
-from ...parallel import for_chunks
+from ...numerics.transfinite.boxes import box_nodes, inner_numbers
 from .groups import Group
 
 # Deviations below this fraction of the size of a sub-block are round-off.
 _ROUND_OFF = 1e-8
 THINNEST = 1e-7
 """In sub-blocks thinner than this fraction of their length, the gradient across them is not determined."""
-_CHUNKS = 64
 
 
 @dataclass(frozen=True)
@@ -46,62 +42,59 @@ class CurvedLines:
     Attributes
     ----------
     bent : the sub-blocks with deviations
-    subs : (m, 11) table of these sub-blocks, see :mod:`..numerics.transfinite.deviation`
-    deviation : (n_inner, 3) deviations of the nodes inside them
+    nodes, sub : (n,) flat indices of the nodes inside these, and the row of ``bent`` to which each belongs
+    deviation : (n, 3) their deviations
     """
 
     bent: Bent
-    subs: IntArray
+    nodes: IntArray
+    sub: IntArray
     deviation: FloatArray
 
     @classmethod
     def of(cls, group: Group, bent: Bent | None = None) -> CurvedLines:
         """The deviations of a group; the search for sub-blocks with deviations is skipped if ``bent`` is given."""
-        if bent:
-            table, deviation, _ = _measured(group, bent.rows)
-            return cls(bent, table, deviation)
-        rows = np.flatnonzero(inner_numbers(group.subs))
-        corners = corners_of(group.subs)
-        size = np.abs(arms(group.points, corners)).max(axis=(1, 2))
-        # One plane of each sub-block excludes most of those without deviations; measuring all planes costs twice that.
-        _, _, largest = _measured(group, rows, one_plane=True)
-        rows = rows[largest > _ROUND_OFF * size[rows]]
-        table, deviation, largest = _measured(group, rows)
-        found = largest > _ROUND_OFF * size[rows]
-        rows, corners = rows[found], corners[rows[found]]
-        inverse = np.linalg.pinv(arms(group.points, corners), rcond=THINNEST)
-        return cls(Bent(rows, corners, np.asarray(inverse, dtype=np.float64)), table[found], deviation)
+        if bent is None:
+            rows = np.flatnonzero(inner_numbers(group.subs))
+            corners = corners_of(group.subs)
+            size = np.abs(arms(group.points, corners)).max(axis=(1, 2))
+            # One plane of each sub-block excludes most of those without deviations; measuring all planes costs twice
+            # that.
+            for one_plane in (True, False):
+                rows = rows[_largest(_measured(group, rows, one_plane)) > _ROUND_OFF * size[rows]]
+            inverse = np.linalg.pinv(arms(group.points, corners[rows]), rcond=THINNEST)
+            bent = Bent(rows, corners[rows], np.asarray(inverse, dtype=np.float64))
+        sub, deviation = _measured(group, bent.rows)
+        return cls(bent, box_nodes(group.subs[bent.rows], inside=True), sub, deviation)
 
     def add(self, displacement: FloatArray) -> None:
         """Add the missing linear part to the displacement (n_nodes, 3) of inner nodes, in place."""
         gradient = self.bent.inverse @ displacement[self.bent.corners]
-
-        def work(lo: int, hi: int) -> None:
-            add_images(displacement, self.deviation, self.subs, lo, hi, gradient)
-
-        for_chunks(work, len(self.subs), _chunk(self.subs))
+        displacement[self.nodes] += np.einsum("na,nac->nc", self.deviation, gradient[self.sub])
 
     def pull(self, gradient: FloatArray) -> None:
         """Transpose of :meth:`add`: add to the gradients (n_nodes, 3) of the corners, in place."""
-        found = np.empty((len(self.subs), 3, 3))
-        images_transposed(gradient, self.deviation, self.subs, found)
+        given, found = gradient[self.nodes], np.empty((len(self.bent.rows), 3, 3))
+        for a, c in np.ndindex(3, 3):
+            found[:, a, c] = np.bincount(self.sub, self.deviation[:, a] * given[:, c], len(found))
         np.add.at(gradient, self.bent.corners, np.einsum("nac,nak->nkc", found, self.bent.inverse))
 
 
-def _measured(group: Group, rows: IntArray, one_plane: bool = False) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Deviations inside some sub-blocks, or in one plane of each: table, deviations per node, largest per sub-block."""
+def _measured(group: Group, rows: IntArray, one_plane: bool = False) -> tuple[IntArray, FloatArray]:
+    """Deviations of the nodes inside some sub-blocks, or in one plane of each, from where TFI would place them: the
+    position of their sub-block in ``rows`` (n,), and the deviations (n, 3)."""
     part = group.apart(rows)
     blended, subs = part.points.copy(), _plane_at_a_third(part.subs) if one_plane else part.subs
     part.blend(blended, np.column_stack([np.arange(len(rows)), subs[:, 4] + 1, subs[:, 7]]) if one_plane else None)
-    numbers = inner_numbers(subs)
-    table = np.column_stack([subs[:, :10], np.cumsum(numbers) - numbers])
-    deviation, largest = np.empty((int(numbers.sum()), 3)), np.empty(len(rows))
+    nodes = box_nodes(subs, inside=True)
+    return np.repeat(np.arange(len(rows)), inner_numbers(subs)), part.points[nodes] - blended[nodes]
 
-    def work(lo: int, hi: int) -> None:
-        deviations(part.points, blended, table, lo, hi, deviation, largest)
 
-    for_chunks(work, len(table), _chunk(table))
-    return np.column_stack([group.subs[rows, :10], table[:, 10]]), deviation, largest
+def _largest(measured: tuple[IntArray, FloatArray]) -> FloatArray:
+    """Largest component of the deviations of each sub-block, all of which have nodes inside."""
+    sub, deviation = measured
+    start = np.flatnonzero(np.diff(sub, prepend=-1))
+    return np.maximum.reduceat(np.abs(deviation).max(axis=1), start) if len(start) else np.empty(0)
 
 
 def _plane_at_a_third(subs: IntArray) -> IntArray:
@@ -111,10 +104,6 @@ def _plane_at_a_third(subs: IntArray) -> IntArray:
     some = subs.copy()
     some[:, 4], some[:, 7] = np.where(high > low, [plane - 1, plane + 1], [low, high])
     return some
-
-
-def _chunk(subs: IntArray) -> int:
-    return 1 + len(subs) // _CHUNKS
 
 
 def arms(points: FloatArray, corners: IntArray) -> FloatArray:

@@ -16,7 +16,6 @@ from ...grid import BoolArray, FloatArray, Grid, IntArray
 from ...grid.topology import Topology
 from ...grid.windows import rectangles
 from ...numerics.arrays import distinct_rows, spans
-from ...numerics.rows import put_rows
 from ...parallel import rows_at
 from ..base import Account, Problem, Progress
 from ..kinks import Kinks
@@ -115,7 +114,7 @@ class PreparedEdgeGraph:
         """Displacement (n_unique, 3) of all face nodes from that of the sources (n_sources, 3); ``out`` is not used."""
         # NaN marks nodes not reached; zero could be mistaken for a node at rest.
         face = np.full((self._problem.topology.n_unique, 3), np.nan)
-        put_rows(displacement, self._problem.source_numbers, face)
+        face[self._problem.source_numbers] = displacement
         if self._graph:
             face[self._free] = self._graph.solve(face)
         self._lines.blend(face)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..arrays import FloatArray, IntArray
-from ..jit import inlined, kernel
-from ..rows import take_rows
+from ..arrays import FloatArray, IntArray, spans
 
 
 def inner_numbers(subs: IntArray) -> IntArray:
@@ -22,44 +20,26 @@ def box_numbers(subs: IntArray) -> IntArray:
 
 def box_nodes(subs: IntArray, inside: bool = False) -> IntArray:
     """Flat indices of the nodes of sub-blocks, or of those inside, one sub-block after the other."""
-    numbers = inner_numbers(subs) if inside else box_numbers(subs)
-    nodes = np.empty(int(numbers.sum()), dtype=np.int64)
-    _list_nodes(subs, inside, nodes)
-    return nodes
+    low, count = subs[:, 4:7], subs[:, 7:10] - subs[:, 4:7] + 1
+    if inside:
+        low, count = low + (count > 1), np.where(count > 1, count - 2, 1)
+    sub, place = spans(count.prod(axis=1))
+    rest, k = np.divmod(place, count[sub, 2])
+    i, j = np.divmod(rest, count[sub, 1])
+    first = subs[:, 0] + (low[:, 0] * subs[:, 2] + low[:, 1]) * subs[:, 3] + low[:, 2]
+    return np.asarray(first[sub] + (i * subs[sub, 2] + j) * subs[sub, 3] + k)
 
 
 def apart(points: FloatArray, subs: IntArray) -> tuple[FloatArray, IntArray]:
     """Copies (n, 3) of the coordinates of sub-blocks, each turned into a block, and the table that describes them."""
-    nodes, table = box_nodes(subs), subs.copy()
-    copies = np.empty((len(nodes), 3))
-    take_rows(points, nodes, copies)
-    numbers = box_numbers(subs)
-    table[:, 0] = np.cumsum(numbers) - numbers
+    table, ends = subs.copy(), np.append(0, np.cumsum(box_numbers(subs)))
+    copies = np.empty((ends[-1], 3))
+    for row, lo, hi in zip(subs.tolist(), ends[:-1].tolist(), ends[1:].tolist(), strict=True):
+        start, *shape = row[:4]
+        block = points[start : start + shape[0] * shape[1] * shape[2]].reshape(*shape, 3)
+        some = block[tuple(slice(a, b + 1) for a, b in zip(row[4:7], row[7:10], strict=True))]
+        copies[lo:hi].reshape(some.shape)[...] = some
+    table[:, 0] = ends[:-1]
     table[:, 7:10] -= subs[:, 4:7]
     table[:, 1:4], table[:, 4:7] = table[:, 7:10] + 1, 0
     return copies, table
-
-
-@inlined
-def inner(low, high):
-    """First inner node along an index and one past the last."""
-    return (low + 1, high) if high > low else (low, low + 1)
-
-
-@kernel
-def _list_nodes(subs, inside, nodes):
-    at = 0
-    for n in range(subs.shape[0]):
-        i0, i1 = subs[n, 4], subs[n, 7] + 1
-        j0, j1 = subs[n, 5], subs[n, 8] + 1
-        k0, k1 = subs[n, 6], subs[n, 9] + 1
-        if inside:
-            i0, i1 = inner(subs[n, 4], subs[n, 7])
-            j0, j1 = inner(subs[n, 5], subs[n, 8])
-            k0, k1 = inner(subs[n, 6], subs[n, 9])
-        for i in range(i0, i1):
-            for j in range(j0, j1):
-                node = subs[n, 0] + (i * subs[n, 2] + j) * subs[n, 3]
-                for k in range(k0, k1):
-                    nodes[at] = node + k
-                    at += 1

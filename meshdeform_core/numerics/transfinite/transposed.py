@@ -1,6 +1,6 @@
 """Transposes of the loops of transfinite interpolation: gradients of inner nodes are passed on to the boundary.
 
-Arguments as in :mod:`.blend`, :mod:`.faces` and :mod:`.deviation`; ``g`` holds gradients with respect to displacements.
+Arguments as in :mod:`.blend` and :mod:`.faces`; ``g`` holds gradients with respect to displacements.
 Those of nodes that the forward loop fills are passed on and set to zero.
 """
 
@@ -10,7 +10,6 @@ import numpy as np
 
 from ..jit import inlined, kernel
 from .arcs import TILE, padded, tile_start
-from .boxes import inner
 
 
 @kernel
@@ -97,25 +96,3 @@ def faces_transposed(g, start, width, nodes, wanted, s, t):
                     g[nodes[at + n], c] -= (1.0 - x) * y * value
                     g[nodes[top], c] -= x * (1.0 - y) * value
                     g[nodes[top + n], c] -= x * y * value
-
-
-@kernel
-def images_transposed(g, deviation, subs, out):
-    """Transpose of :func:`.deviation.add_images`: ``out`` (n, 3, 3) gets the gradients with respect to the gradients of
-    the sub-blocks; ``g`` is not changed."""
-    for n in range(subs.shape[0]):
-        i0, i1 = inner(subs[n, 4], subs[n, 7])
-        j0, j1 = inner(subs[n, 5], subs[n, 8])
-        k0, k1 = inner(subs[n, 6], subs[n, 9])
-        row = subs[n, 10]
-        for a in range(3):
-            for c in range(3):
-                out[n, a, c] = 0.0
-        for i in range(i0, i1):
-            for j in range(j0, j1):
-                node = subs[n, 0] + (i * subs[n, 2] + j) * subs[n, 3]
-                for k in range(k0, k1):
-                    for a in range(3):
-                        for c in range(3):
-                            out[n, a, c] += deviation[row, a] * g[node + k, c]
-                    row += 1
