@@ -75,7 +75,7 @@ def test_quiet_prints_nothing(bench, call):
 
 
 def test_verbose_tells_the_stages_on_stderr(bench, call):
-    result = call(*RUN, "-v")
+    result = call(*RUN, "-v", "--repair", "off")
     stages = [line.split()[1] for line in result.err.splitlines() if "compile" not in line]
     assert stages == ["read", "topology", "prepare", "apply", "quality", "write", "other", "total"]
 
