@@ -21,7 +21,7 @@ from .parallel import for_rows, of_all, own_rows
 from .smoothness import Moment, Smoothness, shortest_edges, smoothness
 from .velocity import PAST, VELOCITIES, face_fields, grid_velocity
 
-REVISION = 17
+REVISION = 18
 """Revision of the algorithms: a series is continued only by a program of the same revision.
 
 Increase it with every change that gives a level of any series different coordinates or a different verdict.

@@ -1,8 +1,7 @@
-"""What a repair costs and gives: healthy layer grids, bumps in space, ducts and pipes that close, rings, far coordinates.
+"""What a repair costs and gives: healthy layer grids, bumps in space, ducts and pipes that close, rings.
 
 python studies/repairs.py                       the table on stdout
 python studies/repairs.py --only ring           some of the motions
-python studies/repairs.py --write docs/validity.md    put the table in its place on the page
 
 *alone* is the method without a repair, its processor seconds those of set-up and step; *J* is the smallest scaled
 Jacobian, *walls* the angle between first cells and their walls (degrees rms), *x* the ratio of processor seconds.
@@ -99,7 +98,9 @@ def _pipe(n: int, long: int, gap: float, bump: float) -> Setup:
         inner = np.stack([c * edge[0] - s * edge[1], s * edge[0] + c * edge[1]], axis=0)
         outer = np.stack([np.cos(angle), np.sin(angle)], axis=0)
         plane = inner + share * (outer - inner)
-        block = np.stack([*(np.broadcast_to(p, (n, n, long)) for p in plane), np.broadcast_to(z, (n, n, long))], axis=-1)
+        block = np.stack(
+            [*(np.broadcast_to(p, (n, n, long)) for p in plane), np.broadcast_to(z, (n, n, long))], axis=-1
+        )
         blocks.append(np.ascontiguousarray(block))
     shrink = f"-{1.0 - gap}*exp(-(z/{bump})**2)"
     walls = " ".join(f"block{b}.imax" for b in range(2, 6))

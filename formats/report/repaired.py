@@ -8,7 +8,7 @@ from meshdeform_core.wording import counted
 
 _LAYERS = (("first cell", "first_cell_height_ratio"), ("first cells together", "layer_thickness_ratio"))
 
-_WEAK = "weak: sheared by more than 55 degrees, or stretched or shortened as much"
+_WEAK = "weak: sheared by more than 45 degrees, or twice or half as long in one direction"
 
 
 def repair_sentence(report: dict[str, Any]) -> str:

@@ -13,12 +13,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import brentq
 
 from ..errors import MethodError
 from ..grid import FloatArray, IntArray
 from ..memory import UNLIMITED, MemoryLimit
 from ..numerics.arrays import lengths
 from ..parallel import alike, combined, for_rows, of_all, own_rows, rows_of, together
+from ..quality.verdict.comparison import Comparison
 from ..quality.verdict.validity import judge
 from .basis import Basis
 from .energy import kept_along_lines
@@ -30,7 +32,7 @@ from .options import Effort
 from .outcome import Judged, Outcome, Repair
 from .region import Plot
 from .search import WAYS, Progress, Search, Searcher, Way
-from .tuned import FEW, LARGE, LAYERS, PER_NODE, REGIONS
+from .tuned import FEW, KEPT, LARGE, LAYERS, PER_NODE, REGIONS
 from .untangle import CLOSE
 
 WEAK = 0.35
@@ -97,18 +99,18 @@ class Repairer:
         flat, basis = self._flattened(start.points)
         weak = np.empty(0, dtype=np.int64) if flat is not None else unhealthy_cells(self.original, start.points)
         bad = np.union1d(weak, start.verdict.invalid)
-        if flat is None and not (bad.size or polish):
-            return None
         limit = self.limit.for_valid(self.original.grid.n_nodes) if valid else self.limit
         try:
             if flat is not None:
-                found = self._in_plane(start, flat, basis, polish, effort, close)
+                found = self._in_plane(start, flat, basis, polish, effort, limit, close)
             else:
                 found = self._found(start, bad, polish, effort, limit, close)
         except MethodError as error:
             found = _Found(start, left_out=str(error))
         if found is None or (valid and not (found.steps or found.left_out)):
             return None
+        if valid and not polish:
+            found = replace(found, grid=self._kept(start, found.grid))
         count = found.weak or len(np.setdiff1d(weak, start.verdict.invalid))
         record = replace(self._record(start, found, clock.perf_counter() - begin), weak=count)
         return Outcome(found.grid.points, found.grid.verdict, record, found.share)
@@ -116,6 +118,8 @@ class Repairer:
     def _found(
         self, start: Judged, bad: IntArray, polish: bool, effort: Effort, limit: Limit, close: float
     ) -> _Found | None:
+        if not (bad.size or polish):
+            return None
         plot = self._plot(bad, polish)
         found: _Found | None = _Found(start)
         if plot is not None and effort != "hasty":
@@ -153,15 +157,15 @@ class Repairer:
         self, start: Judged, plot: Plot, limit: Limit, search: Callable[[Searcher], Search | None]
     ) -> Search | None:
         """A search in one process; of ranks, by the first one."""
-        reference, left = plot.inside(start.points), limit.left
+        reference, before = plot.inside(start.points), limit.spent
 
         def searched() -> tuple[Search | None, float]:
             found = search(Searcher(plot, reference, self.farthest, self.progress, limit))
-            return found, left - limit.left
+            return found, limit.spent - before
 
         found, spent = together(start.points, searched)
         # Of the other ranks.
-        limit.spend(spent - (left - limit.left))
+        limit.spend(spent - (limit.spent - before))
         return found
 
     def _minimum(
@@ -238,6 +242,31 @@ class Repairer:
         near = neighbourhood.near(np.concatenate(of_all(now.points, now.verdict.weak(WEAK))), layers)
         return neighbourhood.plot(near, even)
 
+    def _kept(self, start: Judged, end: Judged) -> Judged:
+        """The grid ``end``, or as much of the way to it as keeps the share KEPT of the ``start``'s smallest scaled
+        Jacobian: what the energy gives to walls it may not take from the worst cell without limit."""
+
+        def between(part: float) -> Judged:
+            points = alike(end.points)
+
+            def fill(rows: slice) -> None:
+                points[rows] = start.points[rows] + part * (end.points[rows] - start.points[rows])
+
+            for_rows(fill, points)
+            self.basis.neighbourhood.back_to_surfaces(points)
+            return Judged(points, judge(self.original, self.rounded(points)))
+
+        def smallest(points: FloatArray) -> float:
+            return Comparison(self.original, self.rounded(points)).after.smallest_scaled[1]
+
+        least = KEPT * smallest(start.points)
+        if least <= 0.0 or smallest(end.points) >= least:
+            return end
+        # As exact as the minimum: a coarser part would make moving grids jump.
+        part = brentq(lambda part: smallest(between(part).points) - least, 0.0, 1.0, xtol=1e-7)
+        found = between(part)
+        return found if found.verdict.valid else start
+
     def _undone(self, start: Judged, end: Judged) -> Judged:
         """The grid ``end`` near cells that are invalid in it or at the ``start``, and the ``start`` far from them."""
         cells, neighbourhood = np.union1d(start.verdict.invalid, end.verdict.invalid), self.basis.neighbourhood
@@ -264,21 +293,28 @@ class Repairer:
         return (None if change is None else extrusion.plane.points + change), basis
 
     def _in_plane(
-        self, start: Judged, flat: FloatArray, basis: Basis, polish: bool, effort: Effort, close: float
+        self,
+        start: Judged,
+        flat: FloatArray,
+        basis: Basis,
+        polish: bool,
+        effort: Effort,
+        limit: Limit,
+        close: float,
     ) -> _Found | None:
         """The repair on the plane grid that this one is extruded from."""
         assert self.basis.extrusion is not None
         extrusion = self.basis.extrusion[0]
-        repairer = Repairer(basis, self.rounded, self.memory, self.progress, self.limit, self.farthest)
-        end = repairer.repair(Judged(flat, judge(basis.original, self.rounded(flat))), polish, effort, close)
-        if end is None:
-            return None
-        if end.repair.left_out:
-            return _Found(start, left_out=end.repair.left_out)
-        kept = 0.0 if polish else kept_along_lines(end.share)[0]
-        after = self._spread(extrusion, start.points, flat, end.points, kept)
-        weak = end.repair.weak * (self.original.grid.n_cells // extrusion.plane.n_cells)
-        return _Found(after, end.repair.newton_steps, end.repair.converged, end.share, weak)
+        plane = Repairer(basis, self.rounded, self.memory, self.progress, self.limit, self.farthest)
+        plain = Judged(flat, judge(basis.original, self.rounded(flat)))
+        weak = unhealthy_cells(basis.original, flat)
+        found = plane._found(plain, np.union1d(weak, plain.verdict.invalid), polish, effort, limit, close)
+        if found is None or not found.steps:
+            return found and replace(found, grid=start)
+        kept = 0.0 if polish else kept_along_lines(found.share)[0]
+        after = self._spread(extrusion, start.points, flat, found.grid.points, kept)
+        layers = self.original.grid.n_cells // extrusion.plane.n_cells
+        return replace(found, grid=after, weak=layers * len(np.setdiff1d(weak, plain.verdict.invalid)))
 
     def _spread(
         self, extrusion: Extrusion, points: FloatArray, flat: FloatArray, end: FloatArray, kept: float

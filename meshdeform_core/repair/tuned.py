@@ -9,13 +9,15 @@ import numpy as np
 
 COLLAPSED = 1e-10
 """A corner whose undeformed Jacobian is below this fraction of the product of its edges is collapsed."""
-HEALTHY, SOFT, NORM = 2.15, 0.5, 24.0
-"""An element is healthy while its f, regularised by SOFT, is below HEALTHY: sheared by less than 29 degrees, or
-stretched or shortened by less than a factor of 1.47. The excess log(f / HEALTHY) of corners is combined into that of a
-cell, and that of cells into that of the grid, by the p-norm with p = NORM."""
+HEALTHY, SOFT, NORM = 2.5, 0.5, 24.0
+"""An element is healthy while its f, regularised by SOFT, is below HEALTHY: in the plane sheared by less than 45
+degrees, or stretched or shortened by less than a factor of 2. It is the largest onset at which the nodes of the nozzle
+are accelerated by no more than a tenth of the wall's step (studies/smoothness.py, closing, a quarter of the interval:
+2.15: .069, 2.3: .080, 2.6: .106, 3: .177). The excess log(f / HEALTHY) of corners is combined into that of a cell, and
+that of cells into that of the grid, by the p-norm with p = NORM."""
 AS_PLANE = 2.0 + 0.6 * (HEALTHY - 2.0)
-"""Of an extruded grid f is that of its plane grid, where it is larger for the same map. If it is 3 there, it is at
-least 2.63 in space: (6 D - D^2) / (3 D^(2/3)) + (D^2 + 1) / (2 D) for a determinant D."""
+"""Of an extruded grid f is that of its plane grid, where it is larger for the same map. If it is 2.5 there, it is at
+least 2.32 in space: (5 D - D^2) / (3 D^(2/3)) + (D^2 + 1) / (2 D) for a determinant D."""
 FULL, POWER = np.log(15.0 / HEALTHY), 2.0
 """The share is (excess / FULL)^POWER, 1 for the excess of one corner with f = 15; the elastic energy then matters
 little."""
@@ -51,6 +53,9 @@ LAYERS = (2, 4, 8, 16, 32)
 """Numbers of layers from which the neighbourhood of bad cells is chosen."""
 REGIONS: dict[int, tuple[int | None, ...]] = {2: (32, None), 3: (8, 32, None)}
 """Numbers of layers around bad cells in which they are untangled in turn, in the plane and in space; then all nodes."""
+KEPT = 0.7
+"""A repaired grid keeps at least this share of the smallest scaled Jacobian of a valid grid of the method
+(studies/default_method.py)."""
 FARTHEST = 5.0
 """No node moves farther than this, times the largest displacement of the boundary."""
 COLLAPSING = 0.01

@@ -29,6 +29,8 @@ estimated not to."""
 _FORCING = 0.05
 # Largest ratio of the next step to its estimate; up to 6 was measured.
 _SAFETY = 10.0
+# The search ends where nothing changes by this part in so many steps.
+_GAIN, _PATIENCE = 0.01, 5
 _SMALLEST_STEP = 1e-4
 # Smallest part of the indefinite second derivatives that is left out, a power of 1/2, unless none is.
 _LEAST = 0.0625
@@ -136,9 +138,10 @@ class Untangler:
         ``edges`` (n,) are the shortest undeformed edges at the nodes, relative to which steps must be below ``close``.
         """
         penalty = Penalty(0.0, share, CUBIC, 1.0)
-        now, length = self.state(self.x, penalty), np.inf
+        now, length, earlier = self.state(self.x, penalty), np.inf, list[State]()
         for step in range(most):
-            if self.limit.reached:
+            earlier.append(now)
+            if self.limit.reached or (step >= _PATIENCE and not self._gained(earlier[-1 - _PATIENCE], now, edges)):
                 break
             self._tell(step, most)
             tolerance = min(_ROUGH, max(_FINE, _FORCING * length))
@@ -160,6 +163,13 @@ class Untangler:
             if part == 0.0:
                 break
         return False
+
+    def _gained(self, before: State, now: State, edges: FloatArray) -> bool:
+        """Whether the worst cells, the energy or, relative to their edges, the nodes have changed noticeably."""
+        pairs = (before.lowest, now.lowest), (before.highest - 2.0, now.highest - 2.0), (before.energy, now.energy)
+        if any(abs(new - old) > _GAIN * abs(old) for old, new in pairs):
+            return True
+        return bool((np.abs(now.x - before.x).max(axis=1) > _GAIN * edges).any())
 
     def _tell(self, done: int, most: int) -> None:
         if self.progress:

@@ -9,9 +9,10 @@ from grids import frame, frame_2d
 import meshdeform as md
 from meshdeform.grid import wrapped
 from meshdeform_core.grid.parts import FileFormat
-from meshdeform_core.repair import derivative, search, untangle
+from meshdeform_core.repair import derivative, energy, onset, search, untangle
 from meshdeform_core.repair.derivative import derivative_of_repair
 from meshdeform_core.repair.untangle import CLOSE
+from meshdeform_core.stepping import course
 
 BODY = {"where": "abs(x) < 0.51 and abs(y) < 0.51", "select": ["*.i*", "*.j*"], "kind": "moving", "name": "body"}
 STILL = [{"displace": ["0", "0", "0"]}]
@@ -70,6 +71,17 @@ def check(mesh, at, found, change, steps, intervals=(2e-4, 5e-5)):
     product = (found.vjp(weights) * change).sum()
     size = np.linalg.norm(flat(weights)) * np.linalg.norm(moved)
     assert abs((flat(weights) * moved).sum() - product) < 1e-12 * size
+
+
+@pytest.fixture(autouse=True)
+def early(monkeypatch):
+    """Repairs set in at a smaller distortion, so that small motions of small grids need one."""
+    healthy, between, full = 2.15, np.log(4.0 / 2.15), np.log(15.0 / 2.15)
+    values = {"HEALTHY": healthy, "BETWEEN": between, "FULL": full, "ALONG": (between / full) ** 2}
+    for name, value in values.items():
+        monkeypatch.setattr(energy, name, value)
+    monkeypatch.setattr(onset.unhealthy_cells, "__defaults__", (healthy,))
+    monkeypatch.setattr(course, "AS_PLANE", 2.0)
 
 
 @pytest.fixture

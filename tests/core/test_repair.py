@@ -16,6 +16,7 @@ from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.deform import Case, Timing, deform, impose, set_up
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid
+from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.numerics.cell.foldover.plane import add_triangles
 from meshdeform_core.parallel import set_threads
 from meshdeform_core.quality.verdict.validity import judge, newly_invalid
@@ -463,6 +464,54 @@ def test_repairs_of_extruded_grids_set_in_without_a_jump():
     apart = np.ptp(np.reshape(plain.grid.block(0)[1:-1, 1:-1], (-1, grid.shapes[0][2], 3)), axis=1)
     assert np.abs(apart[:, :2]).max() > 1e-3
     np.testing.assert_allclose(repaired.grid.points, plain.grid.points, atol=1e-5)
+
+
+def test_what_differs_along_lines_is_dropped_where_it_would_make_cells_invalid():
+    grid = frame(4, 3)
+    setup = set_up(grid, Case(tuple(body_specs(turning("20")))))
+    repairer = Repairer(Basis(setup.original, setup.boundary))
+    extrusion, _ = repairer.basis.extrusion
+    points = grid.points.copy()
+    block = grid.block(0, points)
+    block[2, 2, 1] += block[3, 2, 1] - block[1, 2, 1]
+    flat = extrusion.plane.points + extrusion.flattened(points - grid.points)
+    assert not judge(setup.original, points).valid
+    found = repairer._spread(extrusion, points, flat, flat, 1.0)
+    assert found.verdict.valid
+    line = extrusion.line.reshape(-1)
+    np.testing.assert_allclose(found.points - grid.points, (flat - extrusion.plane.points)[line], atol=1e-12)
+
+
+def test_a_repair_is_bounded_and_undone_far_from_cells_that_stay_invalid():
+    """A corner whose nodes are all prescribed stays inverted; a node far from it, and one beside it, are moved back."""
+    grid = cube(41, 2)
+    setup = fixed_setup(grid)
+    points = grid.points.copy()
+    block = grid.block(0, points)
+    block[0, 0] = 1.2 * block[1, 1]
+    verdict = judge(setup.original, points)
+    assert not verdict.valid
+    repairer = Repairer(Basis(setup.original, setup.boundary), farthest=0.05)
+    outcome = repairer.repair(Judged(points, verdict))
+    assert not outcome.verdict.valid
+    moved = np.linalg.norm(outcome.points - points, axis=1)
+    assert 0.0 < moved.max() <= 0.05 * (1 + 1e-12)
+    assert not grid.block(0, moved)[18:, 18:].any()
+
+
+def test_a_repair_that_does_not_fit_is_left_out_with_the_reason():
+    grid, limit = frame_2d(6), MemoryLimit(1000, "--max-memory allows")
+    body = body_specs(turning("75"))[0]
+    setup = set_up(grid, Case((body,)), memory=MemoryLimit(2**20, "--max-memory allows"))
+    result = impose(setup, setup.motion(0.0), None, "float64", Timing())
+    plain = impose(setup.with_repair("off"), setup.motion(0.0), None, "float64", Timing())
+    assert plain.valid
+    repairer = Repairer(Basis(setup.original, setup.boundary), memory=limit)
+    verdict = judge(setup.original, plain.grid.points)
+    outcome = repairer.repair(Judged(plain.grid.points, verdict))
+    assert "--max-memory allows 1000 B" in outcome.repair.left_out
+    np.testing.assert_array_equal(outcome.points, plain.grid.points)
+    assert result.valid
 
 
 def test_a_grid_turned_about_its_middle_has_straight_heights():

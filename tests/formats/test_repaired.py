@@ -12,7 +12,7 @@ DONE = {
     "invalid": 2, "weak": 10, "nodes": 1, "max_movement": 0.5, "newton_steps": 3, "converged": True, "before": None,
     "left_out": None,
 }  # fmt: skip
-WEAK = "weak: sheared by more than 55 degrees, or stretched or shortened as much"
+WEAK = "weak: sheared by more than 45 degrees, or twice or half as long in one direction"
 
 
 def measures(invalid, scaled):
