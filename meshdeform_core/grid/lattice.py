@@ -80,7 +80,7 @@ class SideLattice:
             self.inward[sides],
         )
 
-    def at(self, side: IntArray, u: IntArray, v: IntArray) -> IntArray:
+    def at(self, side: IntArray | int, u: IntArray, v: IntArray) -> IntArray:
         """Flat indices of nodes (u, v) of sides, arrays of any common shape."""
         return np.asarray(self.origin[side] + u * self.stride[side, 0] + v * self.stride[side, 1])
 

@@ -230,11 +230,9 @@ def cells_behind(grid: Grid, topology: Topology, quads: IntArray) -> IntArray:
 
 def side_nodes(grid: Grid, block: int, side: Side) -> IntArray:
     """Flat indices of the nodes of one block face, shaped along ``side.tangential``."""
-    shape = grid.shapes[block]
-    strides = (shape[1] * shape[2], shape[2], 1)
-    a, b = side.tangential
-    origin = int(grid.offsets[block]) + side.layer(shape) * strides[side.axis]
-    return origin + np.arange(shape[a])[:, None] * strides[a] + np.arange(shape[b]) * strides[b]
+    number = 6 * block + side
+    na, nb = grid.sides.nodes[number]
+    return grid.sides.at(number, np.arange(na)[:, None], np.arange(nb))
 
 
 def inward_step(shape: Shape, side: Side) -> int:
