@@ -24,7 +24,7 @@ from meshdeform_core.deform import Case
 from meshdeform_core.errors import CaseError, MethodError, suggestion
 from meshdeform_core.grid.components import BY_PREFIX, Components
 from meshdeform_core.grid.topology import RELATIVE_TOLERANCE
-from meshdeform_core.methods import IDW, RBF, TFI, Options, entry_of
+from meshdeform_core.methods import IDW, RBF, TFI, Options, declared, entry_of
 from meshdeform_core.repair import MODES, RepairOptions
 from meshdeform_core.wording import literal
 
@@ -307,6 +307,10 @@ def _boundary(entry: BoundaryForm, number: int, constants: Mapping[str, float], 
 
 
 def _options(table: Table) -> Options:
+    for key in table:
+        if owners := [part for part, kind in PARTS.items() if key in declared(kind)]:
+            names = " or ".join(f"'method.{part}.{key}'" for part in owners)
+            raise fail("[method]", f"unknown key {key!r}; did you mean {names}?")
     check_keys(table, [each.name for each in fields(Options)], "[method]")
     name = table.get("name", Options().name)
     if not isinstance(name, str):

@@ -35,6 +35,8 @@ WRONG = {
     "key-method": ("[method]\nnam = 'tfi'\n" + SHIFT, ("[method]", "nam", "did you mean 'name'")),
     "key-idw": ("[method.idw]\nalpa = 0.1\n" + SHIFT, ("[method.idw]", "alpa", "did you mean 'alpha'")),
     "key-tfi": ("[method.tfi]\nmax_cell = 8\n" + SHIFT, ("[method.tfi]", "did you mean 'max_cells'")),
+    "key-of-a-part": ("[method]\nalpha = 0.1\n" + SHIFT, ("unknown key 'alpha'", "did you mean 'method.idw.alpha'?")),
+    "key-of-two": ("[method]\nsummation = 'fast'\n" + SHIFT, ("'method.idw.summation' or 'method.rbf.summation'?",)),
     "key-nothing-near": ("[zzz]\n", ("unknown key 'zzz'", "known are grid, constants, boundary, method")),
     # wrong types at every level
     "type-grid": ("grid = 3", ("grid", "expected a table")),
