@@ -128,7 +128,7 @@ def test_error_that_is_too_large_is_found_and_mended(problem, monkeypatch):
 def test_small_cases_are_summed_exactly(problem):
     prepared = make_method(Options("idw")).prepare(problem)
     assert prepared.account.settings["summation"].value == "exact"
-    with pytest.raises(MethodError, match="1e-8 to"):
+    with pytest.raises(MethodError, match="1e-08 up to"):
         IDW(summation_tolerance=1e-9)
     with pytest.raises(MethodError, match=r"idw\.summation"):
         IDW(summation="quick")

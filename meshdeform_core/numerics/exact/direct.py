@@ -13,7 +13,7 @@ from numba import types
 from numba.extending import overload
 
 from ...parallel import for_chunks
-from ..arrays import FloatArray, Report
+from ..arrays import FloatArray, IntArray, Report
 from ..jit import fast_kernel, inlined
 from .elementary import exp, log
 
@@ -55,6 +55,7 @@ def weighted_sums(
     -------
     sums : (n, 1 + k), the weight in column 0
     """
+    a, b, kappa = (float(part) for part in weights)
     every, result = (np.array([[0, len(sources)]]), np.array([[0, 1]])), np.empty((len(targets), 1 + len(values)))
     sources = np.ascontiguousarray(sources)
     for first in range(0, max(len(values), 1), N_VALUES):
@@ -64,9 +65,7 @@ def weighted_sums(
         sums = np.zeros((len(targets), 1 + N_VALUES))
 
         def work(lo: int, hi: int, charges: FloatArray = charges, sums: FloatArray = sums) -> None:
-            sum_groups(
-                targets, np.array([[lo, hi]]), sources, charges, *every, *map(float, weights), True, DOUBLE, sums
-            )
+            sum_groups(targets, np.array([[lo, hi]]), sources, charges, *every, a, b, kappa, True, DOUBLE, sums)
 
         for_chunks(work, len(targets), chunk, progress)
         result[:, 0] = sums[:, 0]
@@ -74,8 +73,10 @@ def weighted_sums(
     return result
 
 
-@fast_kernel
-def sum_groups(targets, target_span, sources, charges, pieces, piece_span, a, b, kappa, all_charges, precision, out):
+def sum_groups(
+    targets: FloatArray, target_span: IntArray, sources: FloatArray, charges: FloatArray, pieces: IntArray,
+    piece_span: IntArray, a: float, b: float, kappa: float, all_charges: bool, precision: np.ndarray, out: FloatArray,
+) -> None:  # fmt: skip
     """Add to ``out`` (n, 8) the sums of charge * (r^-a + kappa r^-b), for groups of targets and of sources.
 
     Parameters
@@ -91,8 +92,50 @@ def sum_groups(targets, target_span, sources, charges, pieces, piece_span, a, b,
         than 1e-7 of that extent however far away the origin is; distances below 1e-5 of it are computed in double
         precision. Charges should be of the order of one.
     """
-    # Whole exponents: r^-3 (three + four / r + five / r^2) in one vector loop.
-    whole = (a == 3.0 or a == 4.0) and b == 5.0
+    groups = targets, target_span, sources, charges, pieces, piece_span
+    if (a == 3.0 or a == 4.0) and b == 5.0:
+        _sum_whole(*groups, a, kappa, all_charges, precision, out)
+    else:
+        _sum_any(*groups, a, b, kappa, out)
+
+
+@fast_kernel
+def _sum_any(targets, target_span, sources, charges, pieces, piece_span, a, b, kappa, out):
+    """:func:`sum_groups` for any exponents, in double precision, of all charges."""
+    # Square roots take a fraction of the time of logarithms and exponentials.
+    roots = a == 2.5 and b == 5.0
+    tile, weight = np.empty((11, _TILE)), np.empty(_TILE)
+    for group in range(target_span.shape[0]):
+        for piece in range(piece_span[group, 0], piece_span[group, 1]):
+            for first in range(pieces[piece, 0], pieces[piece, 1], _TILE):
+                m = min(_TILE, pieces[piece, 1] - first)
+                for s in range(m):
+                    for d in range(3):
+                        tile[d, s] = sources[first + s, d]
+                    for c in range(8):
+                        tile[3 + c, s] = charges[first + s, c]
+                for t in range(target_span[group, 0], target_span[group, 1]):
+                    for s in range(m):
+                        dx, dy, dz = targets[t, 0] - tile[0, s], targets[t, 1] - tile[1, s], targets[t, 2] - tile[2, s]
+                        weight[s] = dx * dx + dy * dy + dz * dz
+                    for s in range(m):
+                        if roots:
+                            r = 1.0 / math.sqrt(weight[s])
+                            half = r * r * math.sqrt(r)
+                            weight[s] = half * (1.0 + kappa * half)
+                        else:
+                            log_r = 0.5 * log(weight[s])
+                            weight[s] = exp(-a * log_r) + kappa * exp(-b * log_r)
+                    for c in range(8):
+                        total = 0.0
+                        for s in range(m):
+                            total += weight[s] * tile[3 + c, s]
+                        out[t, c] += total
+
+
+@fast_kernel
+def _sum_whole(targets, target_span, sources, charges, pieces, piece_span, a, kappa, all_charges, precision, out):
+    """:func:`sum_groups` for a = 3 or 4 with b = 5: r^-3 (three + four / r + five / r^2) in one vector loop."""
     tile, weight = np.empty((11, _TILE), precision.dtype), np.empty(_TILE, precision.dtype)
     # Of this precision: coordinates of a target, factors of r^-3, r^-4 and r^-5, zero.
     own, center, row = np.empty(7, precision.dtype), np.empty(3), np.empty(_TILE, np.int64)
@@ -107,8 +150,8 @@ def sum_groups(targets, target_span, sources, charges, pieces, piece_span, a, b,
         if first == last or piece == end:
             continue
         at = pieces[piece, 0]
-        unit = _frame(precision, targets, first, last, sources, at, center) if whole else _unscaled(center)
-        back = _factors(a, kappa, unit, own) if whole else 1.0
+        unit = _frame(precision, targets, first, last, sources, at, center)
+        back = _factors(a, kappa, unit, own)
         three, four, five, zero = own[3], own[4], own[5], own[6]
         while piece < end:
             m = 0
@@ -129,9 +172,6 @@ def sum_groups(targets, target_span, sources, charges, pieces, piece_span, a, b,
                 for d in range(3):
                     own[d] = unit * (targets[t, d] - center[d])
                 px, py, pz = own[0], own[1], own[2]
-                if not whole:
-                    _add_any(px, py, pz, tile, m, a, b, kappa, weight, out, t)
-                    continue
                 a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = close = zero
                 for s in range(m):
                     dx, dy, dz = px - tile[0, s], py - tile[1, s], pz - tile[2, s]
@@ -228,45 +268,6 @@ def _frame_of(precision, targets, first, last, sources, source, center):
         return math.ldexp(1.0, -math.frexp(largest)[1])
 
     return single if precision.dtype == types.float32 else double
-
-
-def _add_any(px, py, pz, tile, m, a, b, kappa, weight, out, t):
-    """Contribution of ``m`` sources of a tile to one target, for any exponents; in double precision only."""
-    raise NotImplementedError
-
-
-@overload(_add_any, jit_options={"fastmath": True})
-def _add_any_of(px, py, pz, tile, m, a, b, kappa, weight, out, t):
-    def none(px, py, pz, tile, m, a, b, kappa, weight, out, t):
-        pass
-
-    def double(px, py, pz, tile, m, a, b, kappa, weight, out, t):
-        # Square roots take a fraction of the time of logarithms and exponentials.
-        roots = a == 2.5 and b == 5.0
-        for s in range(m):
-            dx, dy, dz = px - tile[0, s], py - tile[1, s], pz - tile[2, s]
-            weight[s] = dx * dx + dy * dy + dz * dz
-        for s in range(m):
-            if roots:
-                r = 1.0 / math.sqrt(weight[s])
-                half = r * r * math.sqrt(r)
-                weight[s] = half * (1.0 + kappa * half)
-            else:
-                log_r = 0.5 * log(weight[s])
-                weight[s] = exp(-a * log_r) + kappa * exp(-b * log_r)
-        for c in range(8):
-            total, charge = 0.0, tile[3 + c]
-            for s in range(m):
-                total += weight[s] * charge[s]
-            out[t, c] += total
-
-    return double if weight.dtype == types.float64 else none
-
-
-@inlined
-def _unscaled(center):
-    center[0] = center[1] = center[2] = 0.0
-    return 1.0
 
 
 @inlined
