@@ -184,8 +184,8 @@ def repair_notices(repair: Repair | None, assessment: Assessment) -> list[Notice
         found.append(Notice(f"the grid was not repaired: {repair.left_out}", "no repair"))
     elif repair and assessment.valid and not repair.converged:
         text = (
-            f"the repair ended after {counted(repair.newton_steps, 'Newton step')}, before the minimum that it "
-            f"searches for; the grid depends on how far it came"
+            f"the repair did not reach the minimum over all nodes in {counted(repair.newton_steps, 'Newton step')}; "
+            f"the grid is valid, but may change abruptly with the motion"
         )
         found.append(Notice(text, "unfinished repair"))
     before, after = (repair.before if repair else None), assessment.after.min_scaled_jacobian

@@ -78,12 +78,6 @@ class Repairer:
         self.basis, self.original, self.rounded = basis, basis.original, rounded
         self.memory, self.progress, self.limit, self.farthest = memory, progress, limit or Limit(), farthest
 
-    @property
-    def size(self) -> int:
-        """Number of nodes of the grid that is repaired: the plane grid, if this one is extruded from it."""
-        basis = self.basis.extrusion[1] if self.basis.extrusion else self.basis
-        return basis.original.grid.n_nodes
-
     def repair(
         self, start: Judged, polish: bool = False, effort: Effort = "all", close: float = CLOSE
     ) -> Outcome | None:
