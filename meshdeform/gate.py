@@ -34,7 +34,7 @@ def in_parts() -> Iterator[None]:
     except WholeGridNeeded as reason:
         raise GridError(
             f"{reason}: that takes the whole grid on every rank, which holds a part; expected a grid prepared without "
-            f"parts=True, or gathered by Grid.gathered()"
+            f"comm=, or gathered by Grid.gathered()"
         ) from None
 
 

@@ -90,7 +90,7 @@ class Grid:
 
     @property
     def part(self) -> list[BlockPart]:
-        """The nodes of this rank if ``prepare(..., comm=comm, parts=True)`` has distributed the grid; else all blocks.
+        """The nodes of this rank if ``prepare(..., comm=comm)`` has distributed the grid; else all blocks.
 
         Ranks hold consecutive ranges of planes i, block after block, with about equally many nodes.
         """

@@ -16,11 +16,11 @@ from meshdeform_core.methods import PreparedMethod
 from meshdeform_core.methods.base import Linearised
 from meshdeform_core.methods.kinks import reason_of
 from meshdeform_core.overset import PreparedComponents
-from meshdeform_core.parallel import Part, alike, combined, for_rows, of_all, on_each, own_rows
+from meshdeform_core.parallel import Part, alike, combined, for_rows, of_all, on_each, own_rows, rows_of
 from meshdeform_core.repair.derivative import RepairDerivative, derivative_of_repair
 
 from .gate import checked_array
-from .grid import by_part, rows_of_block, whole
+from .grid import by_part, rows_of_block
 from .session import Session
 from .step import Step
 
@@ -102,26 +102,25 @@ class Linearisation:
         """The derivative as a scipy ``LinearOperator`` of shape (3 n_nodes, 3 n_moving), with its transpose.
 
         Rows: nodes of all blocks in block order, C order within a block, x y z last; columns: rows of ``mesh.points``.
-
-        Raises
-        ------
-        GridError
-            When every rank holds a part of the grid; use :meth:`jvp` and :meth:`vjp`.
+        If every rank holds a part of the grid: rows of its nodes; all ranks call this with the same change, or each
+        with the gradient of its nodes, and get the whole gradient.
         """
         from scipy.sparse.linalg import LinearOperator
 
-        whole(self._step.grid, "a linear operator")
-        nodes, moving = self._setup.grid.n_nodes, len(self._session.numbers)
+        points, moving = self._setup.grid.points, len(self._session.numbers)
+        low, high = own_rows(points)
 
         def push(x: FloatArray) -> FloatArray:
             with self._session.at_work():
-                return self._pushed(_real(x).reshape(moving, 3)).ravel()
+                return np.asarray(self._pushed(_real(x).reshape(moving, 3))[low:high]).ravel()
 
         def pull(w: FloatArray) -> FloatArray:
             with self._session.at_work():
-                return self._pulled(_real(w).reshape(nodes, 3)).ravel()
+                gradient = alike(points)
+                rows_of(gradient)[low:high] = _real(w).reshape(high - low, 3)
+                return self._pulled(gradient).ravel()
 
-        return LinearOperator((3 * nodes, 3 * moving), matvec=push, rmatvec=pull, dtype=np.float64)
+        return LinearOperator((3 * (high - low), 3 * moving), matvec=push, rmatvec=pull, dtype=np.float64)
 
     def _pushed(self, change: FloatArray) -> FloatArray:
         return self._derivative.push(self._session.of_boundary(change)[self._setup.problem.source_numbers])

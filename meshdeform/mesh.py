@@ -38,7 +38,7 @@ class Mesh:
 
     Every :meth:`deform` starts from the undeformed grid: the same displacement gives the same step to the last bit,
     with the same warnings, whatever was called before. Calls from several threads run one at a time, as each uses all
-    cores; a mesh with ``parts=True`` works in the thread that prepared it only.
+    cores; a mesh with ``comm=`` works in the thread that prepared it only.
     """
 
     def __init__(self, session: Session):

@@ -6,7 +6,7 @@
     problem.model.add_subsystem("deform", MeshDeformComp(mesh=md.prepare("wing.cgns", moving=["wing"])))
 
 Surface and volume coordinates are flat vectors, distributed if there are several ranks. Rank r of P holds the rows
-int(n r / P) to int(n (r + 1) / P) of ``mesh.points``, and of the nodes of all blocks in block order, C order within a
+int(n r / P) to int(n (r + 1) / P) of ``mesh.points``, and the nodes of its ``mesh.grid.part``, in C order within a
 block.
 """
 
@@ -23,6 +23,7 @@ from mphys.core import Builder, MPhysGroup, MPhysVariables
 from meshdeform_core.boundary import Kind
 from meshdeform_core.errors import CaseError, MethodError
 from meshdeform_core.grid import FloatArray, IntArray
+from meshdeform_core.parallel import alike, own_rows, rows_of
 from meshdeform_core.quality.measures.gradients import quality_gradient
 
 from .grid import Grid
@@ -59,13 +60,18 @@ class _OnMesh(om.ExplicitComponent):
         # With a single process, vectors are serial, as distributed ones require PETSc.
         self.divided = self.ranks.count > 1
         self.own_points = share_of(len(mesh.points), self.ranks)
-        self.own_nodes = share_of(mesh.grid.n_nodes, self.ranks)
+        self.own_nodes = slice(*own_rows(mesh.session.setup.grid.points))
 
     def whole(self, values: Any) -> FloatArray:
         """The rows (n, 3) of all ranks from this rank's, flat."""
-        if np.iscomplexobj(values):
-            raise MethodError("complex steps through the grid are not offered; expected differences (fd)")
-        return gathered(self.ranks, np.asarray(values, dtype=np.float64).reshape(-1, 3))
+        return gathered(self.ranks, _real(values))
+
+
+def _real(values: Any) -> FloatArray:
+    """Rows (n, 3) of a flat vector."""
+    if np.iscomplexobj(values):
+        raise MethodError("complex steps through the grid are not offered; expected differences (fd)")
+    return np.asarray(values, dtype=np.float64).reshape(-1, 3)
 
 
 class MeshDeformComp(_OnMesh):
@@ -122,10 +128,9 @@ class MeshDeformComp(_OnMesh):
             return
         operator = self._linearised(inputs).operator
         if mode == "fwd":
-            moved = operator.matvec(self.whole(d_inputs[surface]).ravel()).reshape(-1, 3)
-            d_outputs[volume] += moved[self.own_nodes].ravel()
+            d_outputs[volume] += operator.matvec(self.whole(d_inputs[surface]).ravel())
         else:
-            found = operator.rmatvec(self.whole(d_outputs[volume]).ravel()).reshape(-1, 3)
+            found = operator.rmatvec(d_outputs[volume]).reshape(-1, 3)
             d_inputs[surface] += found[self.own_points].ravel()
 
     def _linearised(self, inputs: Any) -> Linearisation:
@@ -186,7 +191,9 @@ class MeshQualityComp(_OnMesh):
                 d_inputs[volume] += sum(self.ranks.gather([float(d_outputs[name][0])])) * own
 
     def _measured(self, inputs: Any, measure: str) -> tuple[float, FloatArray]:
-        setup, points = self.mesh.session.setup, self.whole(inputs[self.options["volume"]])
+        setup = self.mesh.session.setup
+        points = alike(setup.grid.points)
+        rows_of(points)[self.own_nodes] = _real(inputs[self.options["volume"]])
         with self.mesh.session.at_work():
             return quality_gradient(setup.grid, points, setup.topology, measure, self.options["sharpness"])
 

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.motion import GIVEN
 from meshdeform_core.deform import Case, set_up
-from meshdeform_core.errors import CaseError, GridError
+from meshdeform_core.errors import CaseError
 from meshdeform_core.grid.components import Components
 from meshdeform_core.memory import Demand, MemoryLimit, machine_memory, parse_memory
-from meshdeform_core.parallel import Ranks, dividing, sharing
+from meshdeform_core.parallel import OneRank, Ranks, WholeGridNeeded, dividing, sharing
 from meshdeform_formats.case import CaseFile, case_of, read_case
 
 from .choice import Method, options_of
@@ -45,7 +44,6 @@ def prepare(
     comm: Comm | None = None,
     threads: int | None = None,
     max_memory: int | str | None = None,
-    parts: bool = False,
 ) -> Mesh:
     """Compute everything that does not depend on the displacement.
 
@@ -60,22 +58,17 @@ def prepare(
         names like ``{"wing": ["wing*"], "flap": ["flap*"]}``
     method : a name like ``"idw-tfi"``, :class:`IDW`, :class:`RBF`, :class:`TFI` or :class:`Hybrid`; by default the
         case's method, ``"idw-tfi"`` if it has none
-    comm : mpi4py communicator whose ranks share the work; every rank must make the same calls in the same order
+    comm : mpi4py communicator; each of its ranks holds and deforms its part of the grid, ``mesh.grid.part`` and
+        ``step.grid.part``, as with ``mpiexec meshdeform deform``; every rank must make the same calls in the same order
     threads : largest number of threads; by default all cores available to the process
     max_memory : bytes, or a size like ``"2GiB"``; by default the available memory of the machine
-    parts : each rank of ``comm`` holds its part of the grid, ``mesh.grid.part`` and ``step.grid.part``, as with
-        ``mpiexec meshdeform deform``; by default every rank holds all of it. ``grid`` must be the name of a file
 
     Raises
     ------
     MeshDeformError
         When a selection matches nothing, no node would move, options do not belong to the method, the grid does not
-        fit into memory, or cannot be held in parts.
+        fit into memory.
     """
-    if parts and not isinstance(grid, str | Path):
-        raise GridError(
-            f"parts = True and a {type(grid).__name__}; expected the name of a grid file, read by all ranks"
-        )
     ranks, threads = ranks_of_comm(comm), whole_number(threads)
     if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
         raise CaseError(f"threads = {threads!r}; expected a whole number >= 1")
@@ -87,17 +80,30 @@ def prepare(
         Kind.PERIODIC: periodic,
         Kind.FREE: free,
     }
-    with in_parts(), one_at_a_time(), sharing(ranks, threads), dividing() if parts else nullcontext():
+    with in_parts(), one_at_a_time(), sharing(ranks, threads), dividing():
         what = _case(case, selections, components)
-        held = _grid_of(user_grid(grid), what, ranks)
+        held = _grid_of(grid, what, ranks)
         chosen = what.case if method is None else dataclasses.replace(what.case, method=options_of(method))
         memory = Demand.of("deforming", held.core).left_of(_memory(max_memory))
         setup = set_up(held.core, chosen, memory=memory)
         return Mesh(Session(setup, held.plane, ranks, threads))
 
 
-def _grid_of(grid: Grid, what: CaseFile, ranks: Ranks) -> Grid:
-    """The grid with the patches and components that the case names files for."""
+def _grid_of(source: Grid | str | Path, what: CaseFile, ranks: Ranks) -> Grid:
+    """The grid with the patches and components that the case names files for; in parts if there are several ranks."""
+    try:
+        found = _read(source, what, ranks)
+    except WholeGridNeeded:
+        if ranks.count == 1:
+            raise
+        # Some files can only be read as a whole: each rank does, and keeps its part.
+        with sharing(OneRank(ranks.cores), None):
+            found = _read(source, what, ranks)
+    return wrapped(found.core.divided(ranks), found.plane)
+
+
+def _read(source: Grid | str | Path, what: CaseFile, ranks: Ranks) -> Grid:
+    grid = user_grid(source)
     if ranks.count == 1:
         whole(grid, "preparing it without comm=")
     if what.boundary_file is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,7 @@ from meshdeform_core.boundary.prescribed import given_displacement
 from meshdeform_core.deform import Setup
 from meshdeform_core.errors import GridError, MotionError
 from meshdeform_core.grid import FloatArray, IntArray
-from meshdeform_core.parallel import OneRank, Part, Ranks, dividing, sharing
+from meshdeform_core.parallel import OneRank, Ranks, dividing, sharing
 
 from .gate import checked_array, in_parts
 
@@ -87,14 +87,10 @@ class Session:
         GridError
             When a mesh in parts is used in another thread, or for what takes the whole grid.
         """
-        divided = isinstance(self.setup.grid.points, Part)
-        with in_parts(), one_at_a_time(), sharing(self.ranks, self.threads):
-            if divided and threading.get_ident() != self._thread:
-                raise GridError(
-                    "a mesh prepared with parts=True is used in another thread; expected the one that prepared it"
-                )
-            with dividing() if divided else nullcontext():
-                yield
+        if self.ranks.count > 1 and threading.get_ident() != self._thread:
+            raise GridError("a mesh prepared with comm= is used in another thread; expected the one that prepared it")
+        with in_parts(), one_at_a_time(), sharing(self.ranks, self.threads), dividing():
+            yield
 
     def checked(self, values: Any, what: str, rows: int) -> FloatArray:
         """An array (rows, 3); (rows, 2) is accepted for a grid given in the plane.

@@ -23,13 +23,6 @@ class ForkedRank(OneRank):
         self._hub.send(what)
         return self._hub.recv()
 
-    def share(self, array, rows):
-        own = rows(self.number)
-        sent = self._exchange(array[np.concatenate(own)] if own else None)
-        for number, values in enumerate(sent):
-            if values is not None:
-                array[np.concatenate(rows(number))] = values
-
     def gather(self, found):
         return [each for own in self._exchange(list(found)) for each in own]
 

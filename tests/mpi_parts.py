@@ -15,7 +15,7 @@ def motion(points, time):
 
 
 def main(comm, path):
-    one, own = (md.prepare(path, moving=PATTERNS, slip=["*.kmin", "*.kmax"], **rest) for rest in ({}, parts(comm)))
+    one, own = (md.prepare(path, moving=PATTERNS, slip=["*.kmin", "*.kmax"], **rest) for rest in ({}, {"comm": comm}))
     np.testing.assert_array_equal(own.points, one.points)
     at, ours = (mesh.linearise(motion, repair="off") for mesh in (one, own))
     change, gradient = np.cos(5.0 * one.points), [np.sin(9.0 * block) for block in at.step.grid.blocks]
@@ -34,10 +34,6 @@ def main(comm, path):
     np.testing.assert_allclose(pulled, expected, rtol=0.0, atol=1e-13 * np.abs(expected).max())
     assert comm.allreduce(sum(len(place.points) for place in ours.step.grid.part)) == sum(map(len, one.grid.blocks))
     sys.stdout.write(f"rank {comm.rank} of {comm.size} agrees\n")
-
-
-def parts(comm):
-    return {"comm": comm, "parts": True}
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from ..step import Step
 from .options import Options
 
 if TYPE_CHECKING:
-    from mpi4py.MPI import Comm
+    pass
 
 SURFACE = "surface"
 _AGREE, _DISAGREE = 1e-6, 0.1
@@ -106,9 +106,9 @@ class Component:
     belong to a node, it moves by their mean.
     """
 
-    def __init__(self, zones: Zones, quads: IntArray, pairs: tuple[IntArray, IntArray], comm: Comm | None):
+    def __init__(self, zones: Zones, quads: IntArray, pairs: tuple[IntArray, IntArray]):
         self.rows = zones.rows
-        self._mesh, self._repair = _mesh(zones, quads, comm), zones.options["repair"]
+        self._mesh, self._repair = _mesh(zones, quads), zones.options["repair"]
         numbers, topology = self._mesh.session.numbers, self._mesh.session.setup.topology
         self.point, node = pairs
         self._row = np.searchsorted(numbers, node)
@@ -189,7 +189,7 @@ class Component:
         return start + self._sum(apart) / self._copies[:, None], float(gap[worst]) if gap[worst] > _AGREE else 0.0
 
 
-def _mesh(zones: Zones, quads: IntArray, comm: Comm | None) -> Mesh:
+def _mesh(zones: Zones, quads: IntArray) -> Mesh:
     """The mesh whose surface ``quads`` move: symmetry planes mirror them, all other outside nodes are free."""
     mirrors = [zones.patch(f"symmetry{n}", each, "BCSymmetryPlane") for n, each in enumerate(zones.symmetry(), 1)]
     patches = (zones.patch(SURFACE, quads, "BCWall"), *mirrors)
@@ -202,7 +202,6 @@ def _mesh(zones: Zones, quads: IntArray, comm: Comm | None) -> Mesh:
         symmetry=[patch.name for patch in mirrors] or None,
         free={"free": ["*"]} if rest.any() else None,
         method="idw",
-        comm=comm,
     )
     # The method's L_def depends on the sources, which are known only after the set-up.
     setup = mesh.session.setup

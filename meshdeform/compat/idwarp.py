@@ -172,7 +172,7 @@ class USMesh(_Interface):
         self._comm, ranks = ranks_of(comm)
         self._file = self._options["gridFile"]
         grid = grid_of(self._file, self._options["fileType"], ranks)
-        self._warp = Warp(grid, [(np.arange(grid.n_blocks), self._options)], self._comm, ranks)
+        self._warp = Warp(grid, [(np.arange(grid.n_blocks), self._options)], ranks)
 
     def setSurfaceDefinition(
         self, pts: ArrayLike, conn: ArrayLike, faceSizes: ArrayLike, cgnsBlockID: ArrayLike | None = None
@@ -249,7 +249,7 @@ class MultiUSMesh(_Interface):
             raise CaseError("optionsDict is empty; expected options for at least one component")
         # In the order of the file, as IDWarp has its instances.
         groups.sort(key=lambda group: int(group[0][0]))
-        self._warp = Warp(grid, groups, self._comm, ranks)
+        self._warp = Warp(grid, groups, ranks)
 
     def setSurfaceDefinition(
         self, pts: ArrayLike, conn: ArrayLike, faceSizes: ArrayLike, cgnsBlockIDs: ArrayLike | None = None

@@ -27,16 +27,19 @@ if TYPE_CHECKING:
 class Warp:
     """The grid of a file, whose groups of zones follow one surface; every rank must make the same calls.
 
+    Every rank holds the whole grid, as the solver may ask for any of its nodes; the first rank deforms it, on all cores
+    of its machine.
+
     Parameters
     ----------
     groups : zones (numbers from 0) that move together, with their options; zones in no group do not move
     """
 
-    def __init__(self, grid: Grid, groups: list[tuple[IntArray, Options]], comm: Comm | None, ranks: Ranks):
+    def __init__(self, grid: Grid, groups: list[tuple[IntArray, Options]], ranks: Ranks):
         if grid.dimension != 3:
             raise GridError(f"{grid.path}: a plane grid; expected one in space, at least one cell thick")
-        self._grid, self._comm, self._ranks = grid, comm, ranks
-        with one_at_a_time(), sharing(ranks, None):
+        self._grid, self._ranks = grid, ranks
+        with one_at_a_time(), sharing(OneRank(ranks.cores), None):
             self._zones = [Zones(grid, zones, options) for zones, options in groups]
         self._solver_rows: IntArray | None = None
         self._components: list[Component] = []
@@ -129,7 +132,7 @@ class Warp:
                 f"no face of the surface lies on {', '.join(empty_zones.grid.names[:4])}; expected a surface for every "
                 f"component with options"
             )
-        self._components = [Component(zones, *each, self._comm) for zones, each in pairs]
+        self._components = [Component(zones, *each) for zones, each in pairs]
         count = sum(self._ranks.gather([len(self._surface)]))
         used = np.concatenate([component.point for component in self._components])
         self._still = np.setdiff1d(np.arange(count), used)
@@ -158,19 +161,23 @@ class Warp:
         self.surface  # noqa: B018  (the surface of the file, if none was defined)
         whole = gathered(self._ranks, self._surface)
         self._require_still(whole)
-        for number, component in enumerate(self._components, 1):
-            step, apart = component.warp(whole)
-            where = f" of component {number}" if len(self._components) > 1 else ""
-            if apart:
-                warnings.warn(
-                    f"copies of surface points are up to {apart:.3g} edges apart; they get their mean", stacklevel=3
-                )
-            if not step.valid:
-                first = step.invalid_cells[0] if step.invalid_cells else None
-                warnings.warn(f"the warped grid{where} is invalid: {step!r}; first {first}", stacklevel=3)
-        self._points = self._grid.points.copy()
-        for component in self._components:
-            component.put(self._points)
+
+        def warped() -> tuple[FloatArray, list[str]]:
+            points, found = self._grid.points.copy(), []
+            for number, component in enumerate(self._components, 1):
+                step, apart = component.warp(whole)
+                where = f" of component {number}" if len(self._components) > 1 else ""
+                if apart:
+                    found.append(f"copies of surface points are up to {apart:.3g} edges apart; they get their mean")
+                if not step.valid:
+                    first = step.invalid_cells[0] if step.invalid_cells else None
+                    found.append(f"the warped grid{where} is invalid: {step!r}; first {first}")
+                component.put(points)
+            return points, found
+
+        self._points, found = self._ranks.on_first(warped)
+        for text in found:
+            warnings.warn(text, stacklevel=3)
 
     def _require_still(self, whole: FloatArray) -> None:
         if not self._still.size:
@@ -192,11 +199,16 @@ class Warp:
         if own.shape != self.surface.shape:
             raise MotionError(f"dXs has {own.size} values; expected {self._surface.size}")
         whole = gathered(self._ranks, own)
-        moved = np.zeros_like(self._grid.points)
-        for component in self._components:
-            moved[component.rows] = component.forward(whole)
-            self._tell_of(component)
-        return moved[rows].ravel()
+
+        def forward() -> tuple[FloatArray, list[str]]:
+            moved = np.zeros_like(self._grid.points)
+            for component in self._components:
+                moved[component.rows] = component.forward(whole)
+            return moved, self._reasons()
+
+        moved, reasons = self._ranks.on_first(forward)
+        _tell_of(reasons)
+        return np.asarray(moved[rows]).ravel()
 
     def reverse(self, gradient: ArrayLike, rows: IntArray) -> FloatArray:
         """Gradient (n, 3) of this rank's points from that (3 n,) of the nodes ``rows``, which may repeat."""
@@ -206,10 +218,15 @@ class Warp:
         count = len(self.surface)
         total = summed(self._ranks, self._grid.n_nodes, rows, own)
         sizes = self._ranks.gather([count])
-        whole = np.zeros((sum(sizes), 3))
-        for component in self._components:
-            component.reverse(total, whole)
-            self._tell_of(component)
+
+        def reverse() -> tuple[FloatArray, list[str]]:
+            whole = np.zeros((sum(sizes), 3))
+            for component in self._components:
+                component.reverse(total, whole)
+            return whole, self._reasons()
+
+        whole, reasons = self._ranks.on_first(reverse)
+        _tell_of(reasons)
         first = sum(sizes[: self._ranks.number])
         self._gradient = whole[first : first + count]
         return self._gradient
@@ -219,14 +236,19 @@ class Warp:
         """The gradient (n, 3) computed by the last :meth:`reverse`."""
         return self._gradient.copy()
 
-    def _tell_of(self, component: Component) -> None:
-        if reason := component.derivative().reason:
-            warnings.warn(f"the derivative is not that of the warped grid: {reason}", stacklevel=4)
+    def _reasons(self) -> list[str]:
+        """Why the derivatives of components are not those of the warped grid."""
+        return [reason for component in self._components if (reason := component.derivative().reason)]
 
     def write(self, name: str) -> None:
         """The deformed grid as a copy of the file, made by the first rank."""
         moved = wrapped(self._grid.moved(self._points))
         self._ranks.on_first(lambda: write(moved, name, force=True))
+
+
+def _tell_of(reasons: list[str]) -> None:
+    for reason in reasons:
+        warnings.warn(f"the derivative is not that of the warped grid: {reason}", stacklevel=4)
 
 
 def grid_of(name: str, file_type: str, ranks: Ranks) -> Grid:
@@ -237,7 +259,7 @@ def grid_of(name: str, file_type: str, ranks: Ranks) -> Grid:
     CaseError
         When the file is of another type than ``file_type``.
     """
-    with one_at_a_time(), sharing(ranks, None):
+    with one_at_a_time(), sharing(OneRank(ranks.cores), None):
         grid = read(name).core
     found = grid.format.name if grid.format else ""
     if found != file_type.lower():

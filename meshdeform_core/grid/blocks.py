@@ -13,14 +13,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from ..errors import GridError
 from ..numerics.arrays import FloatArray, IntArray, total
 from ..numerics.pieces import pieces
-from ..parallel import Part, empty, for_items, holders, of_all, on_each, own_rows, require_whole, rows_at
+from ..parallel import Part, Ranks, empty, for_items, holders, of_all, on_each, own_rows, require_whole, rows_at
 from .dealing import in_parts
 from .lattice import SideLattice
 from .near import NearNodes
@@ -208,6 +208,20 @@ class Grid(BlockSizes):
             self.points.keep(NearNodes.of(self.shapes, self.offsets))
         else:
             fill()
+
+    def divided(self, ranks: Ranks) -> Grid:
+        """The grid in parts, which several ranks that hold the whole of it take; otherwise the grid itself."""
+        if ranks.count == 1 or isinstance(self.points, Part):
+            return self
+        points = in_parts(self.shapes, ranks)
+        points.own[...] = self.points[points.low : points.high]
+        points.keep(NearNodes.of(self.shapes, self.offsets))
+        grid = self.moved(cast(FloatArray, points))
+        fields = tuple(
+            dataclasses.replace(each, values=grid.spread(each.values[grid.planes(each.block)], len(each.values)))
+            for each in self.fields
+        )
+        return dataclasses.replace(grid, fields=fields)
 
     def with_patches_of(self, other: Grid) -> Grid:
         """The grid; if it has no patches, with those of another grid with the same blocks."""

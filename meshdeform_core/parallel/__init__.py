@@ -1,8 +1,7 @@
-"""Loops over shared arrays by threads and MPI ranks."""
+"""Threads of a process, MPI ranks, and arrays of which every rank holds a part."""
 
 from .exchange import Route, collected, joined
 from .loops import (
-    Shared,
     agreed,
     alone,
     carried,
@@ -45,7 +44,6 @@ __all__ = [
     "Part",
     "Ranks",
     "Route",
-    "Shared",
     "WholeGridNeeded",
     "agreed",
     "alike",

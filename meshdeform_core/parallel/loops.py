@@ -1,8 +1,7 @@
-"""Distribution of loops over the threads of a process and over MPI ranks.
+"""Distribution of loops over the threads of a process.
 
-The numba loops release the interpreter lock, so plain threads suffice within a process. MPI ranks run the same program
-on the same data, or each on its part of a grid (:mod:`.parts`). Loops that declare the arrays they fill are distributed
-among the ranks; the results are then exchanged, so that every rank continues with the same data.
+The numba loops release the interpreter lock, so plain threads suffice within a process. MPI ranks run the same program,
+each on its part of a grid (:mod:`.parts`); no loop is shared by ranks.
 """
 
 from __future__ import annotations
@@ -28,13 +27,6 @@ P = ParamSpec("P")
 Work = Callable[[int, int], object]
 Counter = Callable[[int, int], object]
 Bounds = tuple[int, int]
-
-
-class Shared(NamedTuple):
-    """Output of a loop: items ``first`` to ``last`` write the rows ``rows(first, last)`` (index array) of ``array``."""
-
-    array: Any
-    rows: Callable[[int, int], Any] = range
 
 
 class Sharing(NamedTuple):
@@ -96,18 +88,19 @@ def holders() -> Ranks:
     return ranks if divided else OneRank()
 
 
-def alone(cores: int | None = None) -> AbstractContextManager[None]:
-    """Share nothing within the block: for work that one rank does alone, by default on its share of the cores."""
+def alone(cores: int | None = None, times: int = 1) -> AbstractContextManager[None]:
+    """Share nothing within the block: for work that one rank does alone, by default on its share of the cores, with
+    ``times`` as many threads."""
     ranks, threads, _ = _sharing.get()
-    return sharing(OneRank(cores or ranks.cores), threads)
+    return sharing(OneRank(cores or ranks.cores), threads and times * threads)
 
 
-def agreed(value: float) -> float:
+def agreed(ranks: Ranks, value: float) -> float:
     """The largest of the values of all ranks; collective, for decisions that must be the same on all ranks even if
     their processors round differently."""
     import numpy as np
 
-    return float(np.max(current_ranks().gather([value])))
+    return float(np.max(ranks.gather([value])))
 
 
 def carried(action: Callable[P, T]) -> Callable[P, T]:
@@ -151,55 +144,28 @@ def thread_count() -> int:
     return max(1, min(threads or ranks.cores, usable_cores()))
 
 
-def for_chunks(
-    work: Work,
-    size: int,
-    chunk: int,
-    progress: Counter | None = None,
-    shared: Sequence[Shared] | None = None,
-    threads: int | None = None,
-) -> None:
+def for_chunks(work: Work, size: int, chunk: int, progress: Counter | None = None, threads: int | None = None) -> None:
     """Call ``work(first, last)`` for consecutive chunks of ``range(size)``, spread over the threads.
-
-    Chunks do not depend on the number of ranks. They are assigned to ranks round-robin, as neighbouring chunks cost
-    about the same, and always in the same way for the same size and chunk. Without ``shared``, every rank does all.
 
     Parameters
     ----------
     work : function that releases the interpreter lock and touches only its own part of the result
     chunk : items per call; small enough that the threads finish together
     progress : called with (items done, number of items) as chunks finish
-    shared : all arrays that ``work`` fills and that all ranks need; chunks are then distributed among the ranks, and
-        rows exchanged
     threads : largest number of threads, for work that must not run concurrently
     """
     bounds = [(first, min(first + chunk, size)) for first in range(0, size, chunk)]
-    ranks = current_ranks()
-    own = bounds if shared is None else bounds[ranks.number :: ranks.count]
-    _on_threads(work, own, progress, threads or thread_count())
-    for array, rows in shared or ():
-        ranks.share(array, partial(_rows_of, rows, bounds, ranks.count))
-
-
-def _rows_of(rows: Callable[[int, int], Any], bounds: list[Bounds], count: int, rank: int) -> list[Any]:
-    import numpy as np
-
-    # An empty range by itself would become an array of floating-point numbers.
-    return [np.asarray(rows(*ends), dtype=np.int64) for ends in bounds[rank::count]]
+    _on_threads(work, bounds, progress, threads or thread_count())
 
 
 def for_items(
-    work: Callable[[int], object],
-    count: int,
-    shared: Sequence[Shared] | None = None,
-    progress: Counter | None = None,
-    threads: int | None = 1,
+    work: Callable[[int], object], count: int, progress: Counter | None = None, threads: int | None = 1
 ) -> None:
-    """Call ``work(n)`` for every n of ``range(count)``, ascending, distributed among all ranks if they share arrays.
+    """Call ``work(n)`` for every n of ``range(count)``, ascending.
 
     By default one item at a time, for large items whose own loops use the threads. With more ``threads`` (``None``:
-    all), items run concurrently and their own loops on one thread. ``shared`` as for :func:`for_chunks`. An exception
-    on one rank ends its items and is raised on all ranks.
+    all), items run concurrently and their own loops on one thread. Of several exceptions, that of the first item is
+    raised.
     """
     failures: list[tuple[int, Exception]] = []
 
@@ -215,11 +181,8 @@ def for_items(
         except Exception as error:
             failures.append((number, error))
 
-    for_chunks(attempt, count, 1, progress, shared, threads=threads)
-    if shared is not None:
-        failures = current_ranks().gather(failures)
+    for_chunks(attempt, count, 1, progress, threads=threads)
     if failures:
-        # Raise the error that a single process would have met first.
         raise min(failures, key=lambda each: each[0])[1]
 
 

@@ -6,8 +6,9 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, TypeVar
 
 from ..errors import MeshDeformError
 from .loops import alone, empty
@@ -37,23 +38,15 @@ class MPIRanks:
         machine = world.Split_type(MPI.COMM_TYPE_SHARED)
         self.on_machine = machine.size
         # Launchers often bind each rank to some cores, which may overlap.
-        usable = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set(range(os.cpu_count() or 1))
-        every = set().union(*machine.allgather(usable))
-        self.cores = max(1, min(len(usable), len(every) // machine.size))
+        usable = self._usable()
+        self._all_cores = set().union(*machine.allgather(usable))
+        self.cores = max(1, min(len(usable), len(self._all_cores) // machine.size))
         machine.Free()
 
-    def share(self, array: np.ndarray, rows: Callable[[int], Sequence[Any]]) -> None:
-        """Send the rows of each rank to all others, rank by rank: no buffer is larger than one rank's part."""
-        import numpy as np
-
-        for number in range(self.count):
-            if parts := rows(number):
-                at = np.concatenate(parts)
-                own = number == self.number
-                part = array[at] if own else empty((len(at), *array.shape[1:]), array.dtype)
-                self._comm.Bcast(part, root=number)
-                if not own:
-                    array[at] = part
+    @staticmethod
+    def _usable() -> set[int]:
+        """The cores on which the system lets this process run."""
+        return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set(range(os.cpu_count() or 1))
 
     def gather(self, found: Sequence[T]) -> list[T]:
         """The (small) results of all ranks, in rank order."""
@@ -85,7 +78,7 @@ class MPIRanks:
         result: T | None = None
         if self.number == 0:
             try:
-                with alone(usable_cores()):
+                with self._on_all_cores():
                     result = action()
             except Exception as error:
                 failure = error
@@ -96,6 +89,17 @@ class MPIRanks:
         if failed:
             raise MeshDeformError("the first rank failed; its message says why")
         return result
+
+    @contextmanager
+    def _on_all_cores(self) -> Iterator[None]:
+        """Context for work of this rank on the cores of all ranks on its machine, to which launchers bind them."""
+        bind, own = getattr(os, "sched_setaffinity", lambda *_: None), self._usable()
+        bind(0, self._all_cores)
+        try:
+            with alone(usable_cores(), self.on_machine):
+                yield
+        finally:
+            bind(0, own)
 
     def _meet(self) -> None:
         """Barrier that sleeps after a while, as the rank waited for may need the core."""

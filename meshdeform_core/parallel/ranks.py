@@ -27,10 +27,6 @@ class Ranks(Protocol):
         """Number of the machine's cores that this rank may use."""
         ...
 
-    def share(self, array: Any, rows: Callable[[int], Sequence[Any]]) -> None:
-        """Complete ``array`` in place; ``rows(r)`` are index arrays of the rows that rank r filled."""
-        ...
-
     def gather(self, found: Sequence[T]) -> list[T]:
         """The (small) results of all ranks, in rank order."""
         ...
@@ -60,9 +56,6 @@ class OneRank:
     @property
     def cores(self) -> int:
         return self._cores or usable_cores()
-
-    def share(self, array: Any, rows: Callable[[int], Sequence[Any]]) -> None:
-        """Nothing to do: no rows are missing."""
 
     def gather(self, found: Sequence[T]) -> list[T]:
         return list(found)

@@ -134,7 +134,7 @@ class CellFields:
         """Find what a measure takes from other ranks, which all do the same."""
         known = [getattr(self, name) for name in ("_normal", "_thickness", _FROM_ALL.get(measure, "_normal"))]
         low, high = self._behind
-        for values in (*self.verdict.arrays, *(known[-1] if isinstance(known[-1], tuple) else ())):
+        for values in (self.verdict.failed, self.verdict.ratio, *(known[-1] if isinstance(known[-1], tuple) else ())):
             values.widen(low, high)
         for grid in (self.grid, self.reference):
             if grid is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time as clock
 
-from ..parallel import agreed
+from ..parallel import agreed, current_ranks
 
 _PER_NODE, _FEWEST = 600.0, 35_000
 """Work allowed per node (60 s per 100,000 nodes), and the smallest number of nodes used for it."""
@@ -47,12 +47,12 @@ class Limit:
     @property
     def exhausted(self) -> bool:
         """Whether all work is spent on some rank; a collective call with the same answer on all."""
-        return agreed(self.spent - self._most) >= 0.0
+        return agreed(current_ranks(), self.spent - self._most) >= 0.0
 
     @property
     def late(self) -> bool:
         """Whether the time is over on some rank; a collective call with the same answer on all."""
-        return agreed(clock.monotonic() - self._end) >= 0.0 or bool(self._whole and self._whole.late)
+        return agreed(current_ranks(), clock.monotonic() - self._end) >= 0.0 or bool(self._whole and self._whole.late)
 
     @property
     def reached(self) -> bool:

@@ -1,4 +1,4 @@
-"""``prepare(..., comm=comm, parts=True)``: every rank holds its part of the grid and of the results."""
+"""``prepare(..., comm=comm)``: every rank holds its part of the grid and of the results."""
 
 import itertools
 from concurrent.futures import ThreadPoolExecutor
@@ -55,7 +55,7 @@ def test_every_rank_has_its_part_of_the_grid_and_of_the_result(source, tmp_path)
     assert len(one.grid.part) == len(expected)
 
     def act(number):
-        mesh = prepared(source, parts=True)
+        mesh = prepared(source)
         np.testing.assert_array_equal(mesh.points, one.points)
         found = mesh.deform(turned)
         for part, before in zip(found.grid.part, mesh.grid.part, strict=True):
@@ -89,21 +89,34 @@ def test_every_rank_has_its_part_of_the_grid_and_of_the_result(source, tmp_path)
 def test_what_takes_the_whole_grid_is_refused_on_all_ranks(source):
     def act(number):
         with pytest.raises(md.GridError, match="inside blocks: that takes the whole grid"):
-            prepared(source, parts=True, method="idw-rbf").linearise()
+            prepared(source, method="idw-rbf").linearise()
         with pytest.raises(md.GridError, match="a greedy reduction: that takes the whole grid"):
-            prepared(source, parts=True, method=md.RBF(basis="wendland-c2", greedy="hybrid")).linearise(turned)
-        at = prepared(source, parts=True).linearise(repair="off")
-        with pytest.raises(md.GridError, match="a linear operator: that takes the whole grid"):
-            _ = at.operator
+            prepared(source, method=md.RBF(basis="wendland-c2", greedy="hybrid")).linearise(turned)
+        at = prepared(source).linearise(repair="off")
         # An error on one rank alone is raised on all.
         wrong = [np.full(part.points.shape, np.nan if number else 0.0) for part in at.step.grid.part]
         with pytest.raises(md.GridError, match="not finite"):
             at.vjp(wrong)
-        with pytest.raises(md.GridError, match="expected the name of a grid file"):
-            prepared(md.read(source), parts=True)
         return True
 
     assert all(on_ranks(2, act))
+
+
+def test_a_grid_that_every_rank_holds_as_a_whole_is_divided(source, tmp_path):
+    """A grid object, and a file that can only be read as a whole."""
+    text = tmp_path / "text.xyz"
+    md.write(md.read(source), text, encoding="ascii")
+
+    def act(number):
+        own, *others = (prepared(grid) for grid in (source, md.read(source), text))
+        for mesh in others:
+            assert [part[:3] for part in mesh.grid.part] == [part[:3] for part in own.grid.part]
+            for one, two in zip(mesh.deform(turned).grid.part, own.deform(turned).grid.part, strict=True):
+                np.testing.assert_allclose(one.points, two.points, atol=1e-9)
+        return own.grid.part[0].first, own.grid.part[-1].block
+
+    first, second = on_ranks(2, act)
+    assert first != second
 
 
 METHODS = {
@@ -127,11 +140,15 @@ def test_derivatives_in_parts(source, name, monkeypatch):
     poison_parts(monkeypatch)
 
     def act(number):
-        own = prepared(source, method=METHODS[name], parts=True).linearise(small, repair="off")
+        own = prepared(source, method=METHODS[name]).linearise(small, repair="off")
         assert own.reason == reason
-        for part, found in zip(own.step.grid.part, own.jvp(change), strict=True):
+        pieces = own.jvp(change)
+        for part, found in zip(own.step.grid.part, pieces, strict=True):
             np.testing.assert_array_equal(found, pushed[part.block][part.first : part.last])
-        found = own.vjp([gradient[part.block][part.first : part.last] for part in own.step.grid.part])
+        np.testing.assert_array_equal(own.operator @ change.ravel(), np.concatenate([p.ravel() for p in pieces]))
+        given = [gradient[part.block][part.first : part.last] for part in own.step.grid.part]
+        found = own.vjp(given)
+        np.testing.assert_array_equal(own.operator.T @ np.concatenate([p.ravel() for p in given]), found.ravel())
         # Solving an RBF system magnifies round-off.
         error = 1e-11 if "rbf" in name else 1e-13
         np.testing.assert_allclose(found, pulled, rtol=0.0, atol=error * np.abs(pulled).max())
@@ -144,7 +161,7 @@ def test_derivatives_in_parts(source, name, monkeypatch):
 
 def test_derivatives_of_repairs_and_steps_in_parts_are_those_of_the_method(source):
     def act(number):
-        mesh = prepared(source, parts=True)
+        mesh = prepared(source)
         repaired, stepped = mesh.linearise(turned), mesh.linearise(turned, steps=2, repair="off")
         assert not repaired.exact
         assert not stepped.exact
@@ -178,7 +195,7 @@ def test_swept_volumes_and_gradients_of_quality_in_parts(source, plane, tmp_path
     poison_parts(monkeypatch)
 
     def act(number):
-        own, found = moved(parts=True)
+        own, found = moved()
         for part, faces in zip(found.grid.part, found.swept_volumes(own.grid), strict=True):
             for axis, (each, every) in enumerate(zip(faces, swept[part.block], strict=True)):
                 np.testing.assert_array_equal(each, every[part.first : part.last])

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from grids import CASE, frame, frame_2d, with_walls
-from started_ranks import TESTS, start
+from started_ranks import start
 
 from meshdeform_cli.main import run
 from meshdeform_formats import write_grid
@@ -59,7 +59,7 @@ def call(capsys: pytest.CaptureFixture[str]) -> Call:
 @pytest.fixture(scope="session")
 def compiled() -> None:
     """Loops read from the disk: those that a process has just compiled can differ from them in the last bit."""
-    done = start(sys.executable, TESTS / "mpi_methods.py", "compile", limit=600)
+    done = start(sys.executable, "-m", "meshdeform_cli", "warm-up", limit=600)
     assert done.returncode == 0, done.stderr
 
 

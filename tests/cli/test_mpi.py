@@ -109,16 +109,6 @@ def break_block(path: Path):
 
 
 @needs_mpi
-@pytest.mark.parametrize("count", [2, 3])
-def test_every_method_gives_the_same_bits(count, compiled):
-    """Displacements, quality and invalid cells of all methods in 3-D and 2-D; the ranks themselves compare."""
-    done = on_ranks(count, program=(TESTS / "mpi_methods.py",))
-    assert done.returncode == 0, done.stderr
-    # Lines of different ranks may be interleaved.
-    assert sorted(re.findall(r"rank (\d) of (\d) agrees", done.stdout)) == [(f"{n}", f"{count}") for n in range(count)]
-
-
-@needs_mpi
 @pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_library_in_parts(count, tmp_path, compiled):
     """The ranks compare their parts of grids and derivatives with the whole."""

@@ -12,6 +12,7 @@ from meshdeform_core.grid import Grid
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.numerics.cell.inspection import inspect_hexahedra
 from meshdeform_core.numerics.cell.measures import scattered_hexahedra
+from meshdeform_core.parallel import OneRank, current_ranks
 from meshdeform_core.quality import Original, assess
 from meshdeform_core.quality.measures.cells import block_volumes
 from meshdeform_core.quality.measures.tally import Lowest
@@ -172,7 +173,7 @@ def test_the_quantile_does_not_depend_on_how_values_arrive(values, random):
     while values:
         whole.add(np.array([values.pop() for _ in range(random.randint(1, len(values)))], np.float32))
     for _ in range(2):
-        whole.complete()
+        whole.complete(OneRank())
         assert whole.largest == expected
 
 
@@ -194,7 +195,7 @@ def test_the_quantile_of_values_on_several_ranks(count, distinct):
         for more in (0, 0, 50):
             # Values that come late, on one rank.
             lowest.add(late[: more if number == 1 else 0])
-            lowest.complete()
+            lowest.complete(current_ranks())
             found.append(lowest.largest)
         return tuple(found)
 

@@ -1,21 +1,15 @@
-"""Chunks for threads and ranks; tests/cli/test_mpi.py does the same with MPI."""
+"""Chunks of loops for the threads of a process."""
 
 import threading
 import time
 
 import numpy as np
 import pytest
-from cases import body_specs, turning
 from forked_ranks import on_ranks
-from grids import frame
 
-from meshdeform_core.deform import Case, deform
 from meshdeform_core.grid import Grid
-from meshdeform_core.methods import Options
-from meshdeform_core.methods.scattered.summation import largest_error
 from meshdeform_core.parallel import (
     OneRank,
-    Shared,
     agreed,
     alone,
     carried,
@@ -36,27 +30,12 @@ class Pretended(OneRank):
         self.number, self.count, self.on_machine = number, count, count
 
 
-def chunks_of(number, count, **filled):
-    found = []
-    with sharing(Pretended(number, count), None):
-        for_chunks(lambda lo, hi: found.append((lo, hi)), 10, 2, **filled)
-    return sorted(found)
-
-
 def test_a_process_alone_does_all_chunks():
     done = []
     for_chunks(lambda lo, hi: done.append((lo, hi)), 10, 4)
     assert sorted(done) == [(0, 4), (4, 8), (8, 10)]
     assert OneRank().on_first(lambda: 7) == 7
     assert OneRank().gather([9]) == [9]
-
-
-def test_what_all_need_is_dealt_out_and_the_rest_is_not():
-    everything = [(0, 2), (2, 4), (4, 6), (6, 8), (8, 10)]
-    for shared in ([], [Shared(np.empty(10))]):
-        dealt = [chunks_of(number, 3, shared=shared) for number in range(3)]
-        assert dealt == [[(0, 2), (6, 8)], [(2, 4), (8, 10)], [(4, 6)]]
-    assert chunks_of(1, 3) == everything
 
 
 def test_work_that_must_not_run_at_the_same_time_does_not():
@@ -73,20 +52,6 @@ def test_rows_are_all_filled_once():
     counts = np.zeros((50_000, 2))
     for_rows(lambda rows: np.add(counts[rows], 1, out=counts[rows]), counts)
     assert (counts == 1).all()
-
-
-@pytest.mark.parametrize("empty", [0, 1])
-def test_a_rank_may_have_no_rows_to_share(empty):
-    """As with clusters of sources so close to all others that nothing acts from afar."""
-
-    def act(number):
-        found = np.zeros(2)
-        own = [range(0), range(1), range(1, 2)][:: 1 if empty == 0 else -1]
-        for_chunks(lambda lo, hi: found.put(list(own[lo]), 7.0), 3, 1, shared=[Shared(found, lambda lo, hi: own[lo])])
-        return found.tolist()
-
-    assert on_ranks(2, act) == [[7.0, 7.0]] * 2
-    assert on_ranks(3, act) == [[7.0, 7.0]] * 3
 
 
 def test_what_the_first_rank_does_alone_meets_nobody():
@@ -197,38 +162,6 @@ def sharing_of_this() -> int | None:
 
 
 def test_ranks_agree_on_the_largest_value():
-    assert on_ranks(3, lambda number: agreed(float(-number))) == [0.0, 0.0, 0.0]
-    assert np.isnan(on_ranks(2, lambda number: agreed([1.0, np.nan][number]))).all()
-    assert agreed(2.5) == 2.5
-
-
-class Targets:
-    """All nodes of a grid, in one group."""
-
-    def __init__(self, grid):
-        self.every = np.arange(grid.n_nodes)
-        self.samples = self.every[None, :9]
-
-
-def test_ranks_find_the_same_error_of_fast_sums_though_they_round_differently():
-    """Each rank holds the whole grid; the next attempt is collective, so that all must make it or none."""
-
-    def found(number):
-        grid = frame(3, 3)
-        zero = np.zeros((grid.n_nodes, 3))
-        return largest_error(
-            grid, Targets(grid), np.zeros(1), zero, lambda flat: np.full((len(flat), 3), 1e-3 * number)
-        )
-
-    one, two = on_ranks(2, found)
-    assert one == two > 0.0
-
-
-@pytest.mark.parametrize("angle", [60.0, 150.0])
-def test_ranks_that_each_hold_the_whole_grid_repair_it_alike(angle):
-    def repaired(number):
-        result = deform(frame(5, 4), Case(tuple(body_specs(turning(angle))), method=Options("tfi")))
-        assert result.repair is not None
-        return result.grid.points.tobytes(), result.attempts, result.warnings
-
-    assert on_ranks(2, repaired) == [repaired(0)] * 2
+    assert on_ranks(3, lambda number: agreed(current_ranks(), float(-number))) == [0.0, 0.0, 0.0]
+    assert np.isnan(on_ranks(2, lambda number: agreed(current_ranks(), [1.0, np.nan][number]))).all()
+    assert agreed(OneRank(), 2.5) == 2.5

@@ -114,12 +114,12 @@ def _nodes_of(lattice: SideLattice, blocks: IntArray) -> tuple[IntArray, IntArra
     return np.concatenate(found), rows
 
 
-def quads_between(sides: SideLattice, start: IntArray, low: int, high: int) -> list[IntArray]:
+def quads_between(sides: SideLattice, start: IntArray, low: int, high: int) -> IntArray:
     """Numbers of the quads that belong to the rank with the flat indices low <= n < high; ``start`` (6 n_blocks,) is
     the number of the first quad of each side."""
     begin, end = (np.minimum(sides.rows_before(row), sides.cells[:, 0]) for row in (low, high))
     run, local = spans(np.where(sides.has_quads, (end - begin) * sides.cells[:, 1], 0))
-    return [start[run] + begin[run] * sides.cells[run, 1] + local]
+    return np.asarray(start[run] + begin[run] * sides.cells[run, 1] + local)
 
 
 def shortest_edges(grid: Grid, strips: FaceStrips) -> FloatArray:

@@ -211,7 +211,9 @@ def _face_quads(
     in_order = index_order(grid, handedness)
     corners = empty((int(sizes.sum()), 2 if grid.dimension == 2 else 4), number.dtype)
     strips.fill_corners(lattice, number, in_order.ravel(), start, corners)
-    ranks.share(corners, lambda rank: quads_between(lattice, start, *bounds[rank : rank + 2].tolist()))
+    if ranks.count > 1:
+        every = [quads_between(lattice, start, *bounds[n : n + 2].tolist()) for n in range(ranks.count)]
+        corners[np.concatenate(every)] = ranks.collect(corners[every[ranks.number]], [len(each) for each in every])
     return FaceQuads(start.reshape(-1, 6), counts.reshape(-1, 6, 2), corners, in_order)
 
 

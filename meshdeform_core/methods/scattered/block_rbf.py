@@ -12,7 +12,7 @@ from ...grid import FloatArray, IntArray, Side
 from ...grid.topology import side_nodes
 from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_sums
-from ...parallel import Shared, alone, apart, current_ranks, for_chunks, for_items, require_whole, rows_of
+from ...parallel import apart, for_chunks, for_items, ranks_of, require_whole, rows_of
 from ..base import Account, Problem, Progress, Setting, of_stage
 from ..transfinite.skeleton import Skeleton, make_skeleton
 from .centres import Centres
@@ -116,9 +116,8 @@ class PreparedBlockRBF:
             some = coefficients[self._first[number] : self._first[number + 1]]
             out[targets(tile)] = self._moved(self._blocks[number].centres, targets(tile), some)
 
-        shared = [Shared(out, lambda first, _: targets(first))]
         with apart(displacement):
-            for_chunks(work, len(tiles), 1, of_stage(progress, "rbf"), shared)
+            for_chunks(work, len(tiles), 1, of_stage(progress, "rbf"))
 
     def differentiable(self) -> PreparedBlockRBF:
         """The same with accurate solutions, so that :meth:`fill` and :meth:`pull` are transposes of each other."""
@@ -147,28 +146,23 @@ class PreparedBlockRBF:
         ends = np.cumsum([0, *map(len, known)])
         values = displacement[np.concatenate([np.empty(0, dtype=np.int64), *known])]
         coefficients = np.zeros((self._first[-1], 3))
-        accounts: list[tuple[int, Account]] = []
+        accounts = [Account() for _ in self._blocks]
 
         def work(number: int) -> None:
-            # Each system is solved by one rank.
-            block, account, first = self._blocks[number], Account(), self._first[number]
-            with alone():
-                found = np.concatenate(
-                    self._system(block).solve(values[ends[number] : ends[number + 1]], account, None)
-                )
+            block, first = self._blocks[number], self._first[number]
+            told = values[ends[number] : ends[number + 1]]
+            found = np.concatenate(self._system(block).solve(told, accounts[number], None))
             coefficients[first : first + len(found)] = found
-            accounts.append((number, account))
 
-        def rows(first: int, last: int) -> range:
-            return range(self._first[first], self._first[last])
+        def all_solved() -> tuple[FloatArray, list[Account]]:
+            for_items(work, len(self._blocks), of_stage(progress, "rbf blocks"))
+            return coefficients, accounts
 
-        for_items(work, len(self._blocks), [Shared(coefficients, rows)], of_stage(progress, "rbf blocks"))
-        if accounts := sorted(current_ranks().gather(accounts), key=lambda each: each[0]):
+        coefficients, accounts = ranks_of(displacement).on_first(all_solved)
+        if accounts:
             # Report the worst block: one not converged, or the one with the largest residual.
             self.account.notices.clear()
-            self.account.include(
-                max((own for _, own in accounts), key=lambda a: (bool(a.notices), np.max(a.settings["residual"].value)))
-            )
+            self.account.include(max(accounts, key=lambda a: (bool(a.notices), np.max(a.settings["residual"].value))))
         return coefficients
 
     def _moved(self, centres: Centres, flat: IntArray, coefficients: FloatArray) -> FloatArray:

@@ -58,7 +58,7 @@ class FastEvaluator:
             with apart(out):
                 accuracy = Accuracy(self._tolerance * self._share, True, self._single)
                 sums.prepare(fit.weights, fit.shift, fit.turn, moving, accuracy, lasting)
-                sums.apply(scaled, use, rows, progress=of_stage(progress, "idw"))
+                sums.apply(scaled, use, progress=of_stage(progress, "idw"))
             return largest_error(bound.grid, sums.targets, sums.risk, rows, lambda flat: bound.exact(fit, flat))
 
         sum_accurately("idw", self, once, self._tolerance, self._account)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,7 +12,7 @@ from ...grid import BoolArray, FloatArray, Grid, IntArray
 from ...numerics.exact.direct import N_VALUES, weighted_sums
 from ...numerics.frame import Frame
 from ...numerics.rigid import NO_TRANSITION, Transition, finish
-from ...parallel import Shared, apart, empty, for_chunks, rows_at, rows_of
+from ...parallel import apart, empty, for_chunks, rows_at, rows_of
 from ..base import Progress, of_stage
 
 _CHUNK = 2048
@@ -125,22 +125,18 @@ class ExactSums:
         self,
         values: FloatArray,
         use: Use,
-        result: FloatArray | None = None,
-        kept: Sequence[FloatArray] = (),
         weigh: bool = True,
         progress: Callable[[int, int], None] | None = None,
     ) -> None:
         """Call ``use`` with sums (m, 1 + k) of values (k, n) for some rows, with these rows and flat indices (m,)."""
         flat = self.flat
-        shared = [Shared(each) for each in kept]
-        shared += [] if result is None else [Shared(result, lambda lo, hi: flat[lo:hi])]
 
         def work(lo: int, hi: int) -> None:
             use(slice(lo, hi), flat[lo:hi], self.at(flat[lo:hi], values, weigh))
 
-        for_chunks(work, len(flat), _CHUNK, progress, shared)
+        for_chunks(work, len(flat), _CHUNK, progress)
 
-    def transpose(self, make: Make, k: int, beside: FloatArray) -> FloatArray:
+    def transpose(self, make: Make, k: int) -> FloatArray:
         """Transpose of :meth:`apply`: gradients (k, n_sources) from those (m, k) of the sums of values."""
         bound, n, n_acting = self._bound, len(self._bound.sources), int(self.acting.sum())
         cut = np.linspace(0, len(bound.flat), self.portions + 1).astype(np.int64)
@@ -160,7 +156,7 @@ class ExactSums:
                         found = weighted_sums(bound.sources[some], x, ones, weights, given, chunk=n)
                         totals[portion][:, place[some]] += bound.strength[some] * found[:, 1:].T
 
-        for_chunks(work, self.portions, 1, shared=[Shared(totals), Shared(beside)])
+        for_chunks(work, self.portions, 1)
         gradient = np.zeros((k, n))
         gradient[:, self.acting] = sum(totals[portion] for portion in range(self.portions))
         return gradient
@@ -180,4 +176,4 @@ class ExactEvaluator:
             rows[flat] = bound.displacement(fit, flat, sums)
 
         with apart(out):
-            ExactSums(bound, fit.weights).apply(fit.values, use, rows, progress=of_stage(progress, "idw"))
+            ExactSums(bound, fit.weights).apply(fit.values, use, progress=of_stage(progress, "idw"))

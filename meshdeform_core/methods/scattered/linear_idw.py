@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from ...grid import BoolArray, FloatArray, Grid, IntArray
@@ -12,7 +10,7 @@ from ...numerics.fastsum.weighted.sums import FastSums, Scaled
 from ...numerics.rigid import finish
 from ...numerics.tangents import finish_gradients, finish_tangents
 from ...numerics.tape import Tape, Tracked, plain
-from ...parallel import agreed, apart, empty, rows_of, summed
+from ...parallel import agreed, apart, empty, ranks_of, rows_of, summed
 from ..kinks import FOLDED, HALF_TURNS, LARGEST, Kinks, half_turns, kinks_of, tied
 from .fast_idw_sums import FastEvaluator, fast_sums
 from .idw import PreparedIDW
@@ -110,7 +108,7 @@ class LinearIDW:
 
         moved_rows = rows_of(out)
         with apart(bound.grid.points):
-            _push(self._sums, values, use, moved_rows, weigh=False)
+            _push(self._sums, values, use, weigh=False)
 
     def pull(self, gradient: FloatArray) -> FloatArray:
         """Gradient (n_sources, 3) from that of the nodes, rows of ``gradient`` (n_nodes, 3)."""
@@ -137,7 +135,7 @@ class LinearIDW:
         acting, rows = self._sums.acting, rows_of(gradient)
         values = np.zeros((k, np.count_nonzero(acting)))
         with apart(bound.grid.points):
-            own = self._sums.transpose(make, changing, parts)[:, acting]
+            own = self._sums.transpose(make, changing)[:, acting]
         values[:changing] = summed(bound.grid.points, own)
         part = summed(bound.grid.points, parts.sum(axis=0))
         if not acting.all():
@@ -197,7 +195,7 @@ def _accurate(
         sums = fast_sums(bound, weights, acting, share)
         found = _AtNodes(bound.grid, sums, values, transition)
         # All ranks must decide alike, also those whose processors round otherwise.
-        error = agreed(found.error(bound, sums, weights, values))
+        error = agreed(ranks_of(bound.grid.points), found.error(bound, sums, weights, values))
         if error <= DERIVATIVE_TOLERANCE:
             return sums, found
         if not np.isfinite(error):
@@ -207,12 +205,12 @@ def _accurate(
     return exact, _AtNodes(bound.grid, exact, values, transition)
 
 
-def _push(sums: Sums, values: FloatArray, use: Use, result: FloatArray | None = None, **options: Any) -> None:
+def _push(sums: Sums, values: FloatArray, use: Use, weigh: bool = True) -> None:
     """Sums of values as they are, exact or fast."""
     if isinstance(sums, FastSums):
-        sums.apply(Scaled.plain(values), use, result, **options)
+        sums.apply(Scaled.plain(values), use, weigh)
     else:
-        sums.apply(values, use, result, **options)
+        sums.apply(values, use, weigh)
 
 
 class _AtNodes:
@@ -237,7 +235,7 @@ class _AtNodes:
             self._means[rows] = found[:, 1 : self._k - lasting] / found[:, :1]
 
         with apart(grid.points):
-            _push(sums, values, keep, kept=(self._weight, self._means))
+            _push(sums, values, keep)
 
     def error(self, bound: Bound, sums: FastSums, weights: Weights, values: FloatArray) -> float:
         """Largest error of a sum of unit values relative to the total weight, at the nodes with the largest error

@@ -11,7 +11,7 @@ from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_sums
 from ...numerics.fastsum.radial.frozen import FrozenRadial
 from ...numerics.fastsum.radial.targets import RadialTargets
-from ...parallel import agreed, alike, apart, require_whole, rows_of, summed
+from ...parallel import agreed, alike, apart, ranks_of, require_whole, rows_of, summed
 from ..base import Account
 from ..kinks import CHOSEN, UNCHOSEN, Kinks
 from .radial_system import RadialSystem
@@ -68,7 +68,9 @@ class LinearRBF:
         self._images, self._points, self.flat, self.kinks = method.images, method.problem.grid.points, sums.flat, kinks
         self._own = rows_of(self._points)
         sums.prepare(len(method.centres.points))
-        self._system = RadialSystem.accurate(method.options.system, method.centres, method.problem.memory)
+        self._system = RadialSystem.accurate(
+            method.options.system, method.centres, method.problem.memory, ranks_of(self._points)
+        )
         self._fast = self._accurate(sums.targets) if sums.targets else None
         self._exact = None if self._fast else RadialMap(self._system, self._own[self.flat])
 
@@ -88,7 +90,8 @@ class LinearRBF:
             return radial_sums(kind, targets.points[flat], centres.points, coefficients)
 
         some = doubtful(self._points, targets, np.zeros(len(targets.leaves)))
-        size = agreed(float(np.abs(exactly(some) + self._terms(some) @ polynomial).max(initial=0.0)))
+        ranks = ranks_of(self._points)
+        size = agreed(ranks, float(np.abs(exactly(some) + self._terms(some) @ polynomial).max(initial=0.0)))
         allowed = DERIVATIVE_TOLERANCE * size
         for _ in range(1 + MAX_RETRIES):
             fast = FrozenRadial(kind, centres.points, targets, coefficients, allowed)
@@ -97,11 +100,11 @@ class LinearRBF:
                 found[flat] = sums
 
             with apart(self._points):
-                risk = fast.push(coefficients, keep, found)
+                risk = fast.push(coefficients, keep)
             flat = doubtful(self._points, targets, risk)
             # All ranks must decide alike, even if their processors round differently.
             gap = float(np.abs(found[flat] - exactly(flat)).max(initial=0.0))
-            error = agreed(gap) / size
+            error = agreed(ranks, gap) / size
             if error <= DERIVATIVE_TOLERANCE:
                 return fast
             if not np.isfinite(error):
@@ -122,7 +125,7 @@ class LinearRBF:
             rows[flat] = sums + self._terms(flat) @ polynomial
 
         with apart(self._points):
-            self._fast.push(coefficients, use, rows)
+            self._fast.push(coefficients, use)
 
     def pull(self, gradient: FloatArray) -> FloatArray:
         """Gradient (n_sources, 3) from that of the nodes, rows of ``gradient`` (n_nodes, 3)."""

@@ -14,6 +14,7 @@ from ...numerics.systems.greedy import independent
 from ...numerics.systems.krylov import KrylovSolver
 from ...numerics.systems.products import ExactProduct, nested_bytes, product_of
 from ...numerics.systems.saddle import DirectSolver
+from ...parallel import OneRank, Ranks
 from ..base import Account, Progress, Setting, of_stage
 from .centres import DIRECT_CENTRES, Centres, SystemOptions
 
@@ -23,9 +24,15 @@ ROUND_OFF = 1e-13
 
 
 class RadialSystem:
-    """The linear system of one set of centres; its factorisation or preconditioner is made on first use and stored."""
+    """The linear system of one set of centres; its factorisation or preconditioner is made on first use and stored.
 
-    def __init__(self, options: SystemOptions, centres: Centres, limit: MemoryLimit = UNLIMITED):
+    Of several ``ranks`` the first solves it, on all cores of its machine, and the others get the solution.
+    """
+
+    def __init__(
+        self, options: SystemOptions, centres: Centres, limit: MemoryLimit = UNLIMITED, ranks: Ranks | None = None
+    ):
+        self._ranks = ranks or OneRank()
         self.options, self.centres = options, centres
         self.kind = BASES[options.basis]
         # A small set of greedy centres (a single one if nothing moves) may not determine all polynomial terms.
@@ -56,15 +63,25 @@ class RadialSystem:
     def solve(self, values: FloatArray, account: Account, progress: Progress | None) -> tuple[FloatArray, FloatArray]:
         """Coefficients (n, 3) and polynomial (q, 3) for values at the centres (n, 3)."""
         account.settings["solver"] = Setting(self.solver, self._reason)
-        if self.solver == "krylov":
-            return self._solve_krylov(values, account, progress)
-        return self._solve_direct(values, account)
+
+        def solved() -> tuple[FloatArray, FloatArray, Account]:
+            own = Account()
+            if self.solver == "krylov":
+                return *self._solve_krylov(values, own, progress), own
+            return *self._solve_direct(values, own), own
+
+        coefficients, polynomial, found = self._ranks.on_first(solved)
+        account.note("solver", None)
+        account.include(found)
+        return coefficients, polynomial
 
     @classmethod
-    def accurate(cls, options: SystemOptions, centres: Centres, limit: MemoryLimit) -> RadialSystem:
+    def accurate(
+        cls, options: SystemOptions, centres: Centres, limit: MemoryLimit, ranks: Ranks | None = None
+    ) -> RadialSystem:
         """The system for derivatives: with a direct solution, or an iterative one to round-off; it is factorised here,
         once."""
-        system = cls(dataclasses.replace(options, solver="auto", tolerance=ROUND_OFF), centres, limit)
+        system = cls(dataclasses.replace(options, solver="auto", tolerance=ROUND_OFF), centres, limit, ranks)
         system.solve(np.zeros_like(centres.points), Account(), None)
         return system
 
@@ -80,9 +97,13 @@ class RadialSystem:
 
     def multiply(self, coefficients: FloatArray) -> FloatArray:
         """The matrix of basis values between centres times coefficients (n, 3), with the solver's latest accuracy."""
-        if self._krylov is not None:
-            return np.asarray(self._krylov.product(coefficients))
-        return ExactProduct(self.kind, self.centres.points)(coefficients)
+
+        def product() -> FloatArray:
+            if self._krylov is not None:
+                return np.asarray(self._krylov.product(coefficients))
+            return ExactProduct(self.kind, self.centres.points)(coefficients)
+
+        return self._ranks.on_first(product)
 
     def _solve_direct(self, values: FloatArray, account: Account) -> tuple[FloatArray, FloatArray]:
         if self._direct is None:

@@ -12,7 +12,7 @@ from ...boundary import Kind
 from ...errors import MethodError
 from ...grid import FloatArray, IntArray
 from ...numerics.exact.basis import BASES
-from ...parallel import rows_at
+from ...parallel import ranks_of, rows_at
 from ..base import Account, LinearNodes, Problem, Progress, Setting, of_stage
 from ..limits import warn_of_coarse_tolerance, warn_of_radius
 from ..options import MethodOptions, option
@@ -129,7 +129,9 @@ class PreparedRBF:
         self.images = mirror_images(problem)
         self.centres = Centres.of(self.images.points, self._radius())
         # Without greedy reduction the size of the system is known: refuse it now if it is too large.
-        self.system = None if options.greedy != "none" else RadialSystem(options.system, self.centres, problem.memory)
+        self.system: RadialSystem | None = None
+        if options.greedy == "none":
+            self.system = RadialSystem(options.system, self.centres, problem.memory, ranks_of(problem.grid.points))
         self.account.settings |= options.used("basis", "solver", "tolerance", "max_iterations", "greedy") | {
             "centres": Setting(len(self.images.points)),
             "polynomial": Setting(
@@ -194,10 +196,11 @@ class PreparedRBF:
         if o.greedy_start >= n:
             raise MethodError(f"method.rbf.greedy_start = {o.greedy_start}; expected 0 to {n - 1}")
         search = Search(o.greedy_tolerance, o.greedy_start, o.greedy_updates or n, o.greedy_max_points or n)
-        return select(
-            BASES[o.basis], self.centres.points, self.centres.polynomial(self.centres.points), values, scale,
-            search, of_stage(progress, "greedy"),
-        )  # fmt: skip
+        points = self.centres.points, self.centres.polynomial(self.centres.points)
+        report = of_stage(progress, "greedy")
+        return ranks_of(self.problem.grid.points).on_first(
+            lambda: select(BASES[o.basis], *points, values, scale, search, report)
+        )
 
     def _with_residual(
         self, points: FloatArray, coefficients: FloatArray, polynomial: FloatArray, values: FloatArray

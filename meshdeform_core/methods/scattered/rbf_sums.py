@@ -13,7 +13,7 @@ from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_sums
 from ...numerics.fastsum.radial.sums import FastRadial
 from ...numerics.fastsum.radial.targets import RadialTargets, make_radial_targets
-from ...parallel import Shared, alike, apart, for_chunks, for_rows, of_all, rows_of, thread_count
+from ...parallel import alike, apart, for_chunks, for_rows, of_all, rows_of, thread_count
 from ..base import Account, Progress, Setting, of_stage
 from .centres import Centres, Coefficients, SumOptions
 from .summation import fast_pays, largest_error, sum_accurately
@@ -77,7 +77,7 @@ class RadialSums:
             flat = self.flat[lo:hi]
             out[flat] = self._displacement(fit, flat)
 
-        for_chunks(work, len(self.flat), _CHUNK, report, [Shared(out, lambda lo, hi: self.flat[lo:hi])])
+        for_chunks(work, len(self.flat), _CHUNK, report)
 
     def _fast(self, fit: Coefficients, out: FloatArray, report: Report | None) -> None:
         assert self.targets is not None
@@ -94,7 +94,7 @@ class RadialSums:
         def once() -> float:
             fitted = sums.fitted(fit.coefficients, targets, self._options.tolerance)
             with apart(out):
-                risk = sums.evaluate(fitted, targets, use, rows, report)
+                risk = sums.evaluate(fitted, targets, use, report)
             return largest_error(self._grid, targets, risk, rows, partial(self._displacement, fit))
 
         sum_accurately("rbf", sums, once, self._options.tolerance, self._account)

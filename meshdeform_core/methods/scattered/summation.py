@@ -107,7 +107,7 @@ def largest_error(
         with apart(grid.points):
             size = node_sizes(rows_of(grid.points), shape_table(grid.shapes), grid.offsets, flat)
             error = np.linalg.norm(rows_at(found, flat) - exact(flat), axis=1) / size
-    return agreed(error.max(initial=0.0))
+    return agreed(ranks_of(grid.points), error.max(initial=0.0))
 
 
 def doubtful(points: FloatArray, targets: HasSamples, risk: FloatArray) -> IntArray:

@@ -12,8 +12,8 @@ import numpy as np
 
 from ...grid import FloatArray, IntArray
 from ...numerics.arrays import batches
-from ...numerics.transfinite.boxes import box_nodes, box_numbers
-from ...parallel import Part, Shared, alone, apart, for_items, own_rows, rows_of
+from ...numerics.transfinite.boxes import box_numbers
+from ...parallel import Part, alone, apart, for_items, own_rows, rows_of
 from ..base import Account, Problem, Progress, Setting, of_stage
 from ..options import MethodOptions, option
 from .curved import Bent, CurvedLines
@@ -133,11 +133,8 @@ class PreparedTFI:
                 if curved:
                     curved.add(values)
 
-        def filled(first: int, last: int) -> IntArray:
-            return box_nodes(self._subs[self._groups[first][0] : self._groups[last - 1][1]], inside=True)
-
         with apart(displacement):
-            for_items(work, len(self._groups), [Shared(values, filled)], of_stage(progress, "tfi"))
+            for_items(work, len(self._groups), of_stage(progress, "tfi"))
 
     def differentiable(self) -> PreparedTFI:
         """The same, as it is linear to round-off."""

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ...parallel import Shared, for_chunks
+from ...parallel import for_chunks
 from ..arrays import FloatArray, IntArray
 from ..exact.radial import radial_sums
 from ..fastsum.radial.nested import NestedSums
@@ -70,7 +70,7 @@ class ExactProduct:
         def work(lo: int, hi: int) -> None:
             result[lo:hi] = radial_sums(self._kind, self._points[lo:hi], self._points, coefficients)
 
-        for_chunks(work, len(result), _CHUNK, shared=[Shared(result)])
+        for_chunks(work, len(result), _CHUNK)
         return result
 
     def error(self, coefficients: FloatArray, found: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 import scipy
 
-from ...parallel import Shared, for_chunks, thread_count
+from ...parallel import for_chunks, thread_count
 from ..arrays import FloatArray, IntArray
 from ..exact.radial import radial_matrix
 from .cholesky import invert_last
@@ -98,10 +98,7 @@ class SchwarzPreconditioner:
             for box in range(lo, hi):
                 coefficients[self._own[box]] = self._rows[box] @ residual[self._near[box]]
 
-        def rows(lo: int, hi: int) -> IntArray:
-            return np.concatenate(self._own[lo:hi])
-
-        for_chunks(work, len(self._own), _BOXES, shared=[Shared(coefficients, rows)])
+        for_chunks(work, len(self._own), _BOXES)
         coefficients -= self._side @ (self._side.T @ coefficients)
         correction, polynomial = self._next.solve(residual[self._coarse] - self._at_coarse(coefficients))
         coefficients[self._coarse] += correction
@@ -174,8 +171,7 @@ def _restricted_inverses(kind: int, points: FloatArray, own: list[IntArray], nea
             x = points[near[box]]
             rows[box] = _last_rows(kind, x, _polynomial_basis(x), len(own[box]))
 
-    # Nothing to exchange: each rank applies the matrices it has made.
-    for_chunks(work, len(own), _BOXES, shared=[])
+    for_chunks(work, len(own), _BOXES)
     return rows
 
 

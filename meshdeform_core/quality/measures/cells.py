@@ -11,7 +11,7 @@ import numpy as np
 from ...grid import FloatArray, Grid, IntArray
 from ...numerics.arrays import batches
 from ...numerics.cell.measures import measure_quads, scattered_hexahedra
-from ...parallel import Part, Shared, empty, for_chunks, on_each, rows_at
+from ...parallel import Part, empty, for_chunks, on_each, rows_at
 
 _SLAB_CELLS = 131072
 _TOGETHER = 1 << 14
@@ -114,13 +114,12 @@ def slabs(grid: Grid) -> list[Slab]:
 def for_slabs(
     grid: Grid,
     work: Callable[[int, Slab], None],
-    per_cell: Sequence[np.ndarray],
     per_slab: Sequence[np.ndarray] = (),
 ) -> None:
-    """Call ``work(number, slab)`` for every slab, on several threads.
+    """Call ``work(number, slab)`` for every slab, on several threads; if the grid is in parts, for those of this rank.
 
-    It fills the slab's cells in the arrays ``per_cell`` (n_cells, ...), which are in parts if the grid is (see
-    :func:`cells_alike`), and its row in ``per_slab`` (n_slabs, ...).
+    It may fill the slab's cells in arrays from :func:`cells_alike`, and its row in ``per_slab`` (n_slabs, ...), which
+    all ranks get.
     """
     parts = slabs(grid)
     if isinstance(grid.points, Part):
@@ -131,10 +130,7 @@ def for_slabs(
         for number, slab in enumerate(parts[lo:hi], lo):
             work(number, slab)
 
-    def cells(lo: int, hi: int) -> IntArray:
-        return np.arange(parts[lo].start, parts[hi - 1].stop)
-
-    for_chunks(some, len(parts), 1, shared=[*(Shared(a, cells) for a in per_cell), *map(Shared, per_slab)])
+    for_chunks(some, len(parts), 1)
 
 
 def _for_own_slabs(

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from ...grid import BoolArray, FloatArray, IntArray
-from ...parallel import current_ranks
+from ...parallel import Ranks
 from .cells import Slab
 
 HISTOGRAM_BINS = 20
@@ -161,12 +161,12 @@ class Lowest:
             if self._size > 2 * self._count:
                 self._shorten()
 
-    def complete(self) -> None:
+    def complete(self, ranks: Ranks) -> None:
         """Combine the values of all ranks, which must all call this; none sends its values to the others.
 
         More values may follow, and another call.
         """
-        if current_ranks().count == 1:
+        if ranks.count == 1:
             self._shorten()
             return
         # Digit by digit: the bits of numbers that are not negative are in the order of the numbers.
@@ -175,7 +175,7 @@ class Lowest:
         found, left = 0, self._count
         for shift in range(32 - _DIGIT, -1, -_DIGIT):
             digits = (keys >> np.uint32(shift)) & np.uint32((1 << _DIGIT) - 1)
-            counts = current_ranks().gather([np.bincount(digits, minlength=1 << _DIGIT)])
+            counts = ranks.gather([np.bincount(digits, minlength=1 << _DIGIT)])
             ends = np.cumsum(np.sum(counts, axis=0))
             digit = int(np.searchsorted(ends, left))
             found, left = found << _DIGIT | digit, left - int(ends[digit - 1] if digit else 0)

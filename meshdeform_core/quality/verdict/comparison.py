@@ -7,6 +7,7 @@ import numpy as np
 from ...grid import FloatArray, Grid
 from ...grid.topology import Topology
 from ...numerics.cell.measures import scattered_hexahedra
+from ...parallel import ranks_of
 from ..measures.cells import Slab, block_volumes, corners_of, for_slabs, hold_cells, places, slabs
 from ..measures.tally import Range, Tally
 from .inspection import SlabMeasures, inspect_slab, relative_jacobian
@@ -33,7 +34,7 @@ class Comparison:
         tallies = [self.after, *([self._before] if self._before else [])]
         per_slab = [array for t in tallies for array in t.per_slab] + [self._inherited, self._extremes, self._cells]
         hold_cells(grid, grid.points, after)
-        for_slabs(grid, self._put, self.verdict.arrays, per_slab)
+        for_slabs(grid, self._put, per_slab)
         for tally, points in zip(tallies, (after, grid.points), strict=False):
             _complete(tally, grid, original.topology, points)
         original.measured = original.measured or self._before or self.after
@@ -103,7 +104,7 @@ def _extremes(slab: Slab, f: SlabMeasures) -> tuple[tuple[float, float, float], 
 
 def _complete(tally: Tally, grid: Grid, topology: Topology, points: FloatArray) -> None:
     """Complete a tally: the quantile, the volume, and in double precision the smallest values of every slab."""
-    tally.lowest.complete()
+    tally.lowest.complete(ranks_of(grid.points))
     if grid.dimension == 2:
         return
     tally.solid = sum(block_volumes(grid, points, topology.handedness).tolist())

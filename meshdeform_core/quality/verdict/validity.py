@@ -38,7 +38,7 @@ class Verdict:
 
     def put(self, slab: Slab, figures: SlabMeasures) -> None:
         """Record one slab."""
-        for values, found in zip(self.arrays, (figures.failed, figures.ratio), strict=True):
+        for values, found in zip((self.failed, self.ratio), (figures.failed, figures.ratio), strict=True):
             rows_of(values)[slab.cells] = found
 
     @property
@@ -49,7 +49,7 @@ class Verdict:
     def weak(self, limit: float) -> IntArray:
         """Numbers of this rank's cells that failed a test or whose ``ratio`` is below a limit."""
         low, high = own_rows(self.failed)
-        failed, ratio = (each[low:high] for each in self.arrays)
+        failed, ratio = self.failed[low:high], self.ratio[low:high]
         return np.asarray(low + np.flatnonzero((failed != 0) | (ratio < limit)))
 
     @property
@@ -61,20 +61,12 @@ class Verdict:
         """The smallest ``ratio``."""
         return float(self.ratio.min())
 
-    @property
-    def arrays(self) -> list[np.ndarray]:
-        return [self.failed, self.ratio]
-
 
 def judge(original: Original, after: FloatArray) -> Verdict:
     """Judge coordinates ``after`` (n_nodes, 3)."""
     verdict = Verdict.blank(original.grid)
     hold_cells(original.grid, original.grid.points, after)
-    for_slabs(
-        original.grid,
-        lambda _, slab: verdict.put(slab, inspect_slab(original, after, slab, both=False)),
-        verdict.arrays,
-    )
+    for_slabs(original.grid, lambda _, slab: verdict.put(slab, inspect_slab(original, after, slab, both=False)))
     return verdict
 
 

@@ -55,10 +55,6 @@ class Targets(NamedTuple):
         """Flat indices of the targets in the regions first <= g < last."""
         return self.bricks.targets[self.places(first, last)]
 
-    def rows_in(self, first: int, last: int) -> range:
-        """Positions in the list of targets of those in the regions first <= g < last."""
-        return range(*self.bricks.start[self.regions.first[[first, last]]])
-
     @property
     def numbered(self) -> Rows:
         """The samples and all targets as positions in the list of targets."""

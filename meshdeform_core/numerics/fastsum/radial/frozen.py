@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ....parallel import Shared, empty, for_chunks
+from ....parallel import empty, for_chunks
 from ...arrays import FloatArray, IntArray
 from ...exact.radial import radial_block
 from ...jit import kernel
@@ -44,10 +44,8 @@ class FrozenRadial:
         # The sums of all portions together are no larger than the coordinates.
         self._portions = int(np.clip(3 * len(targets.points) // size, 1, min(_MOST_PORTIONS, regions)))
 
-    def push(
-        self, coefficients: FloatArray, use: Callable[[IntArray, FloatArray], object], result: FloatArray
-    ) -> FloatArray:
-        """Call ``use`` with sums (k, 3) and the flat indices (k,) of their nodes; it fills these rows of ``result``.
+    def push(self, coefficients: FloatArray, use: Callable[[IntArray, FloatArray], object]) -> FloatArray:
+        """Call ``use`` with sums (k, 3) and the flat indices (k,) of their nodes.
 
         Returns a bound (b,) of the error in each leaf, in arbitrary units: leaves can be compared with each other.
         """
@@ -57,8 +55,7 @@ class FrozenRadial:
         def work(lo: int, hi: int) -> None:
             use(targets.flat(lo, hi), self._sums.of_regions(lo, hi, targets, self._boxes, clusters, risk))
 
-        shared = [Shared(result, targets.flat), Shared(risk, targets.nodes)]
-        for_chunks(work, len(targets.tree.region) - 1, 1, shared=shared)
+        for_chunks(work, len(targets.tree.region) - 1, 1)
         return risk[targets.leaves]
 
     def pull(self, gradient: FloatArray) -> FloatArray:
@@ -79,7 +76,7 @@ class FrozenRadial:
                     given = np.ascontiguousarray(gradient[targets.flat(region, region + 1)])
                     spread_region(self._kind, region, targets.points, self._boxes, numbered, given, parts[portion])
 
-        for_chunks(work, self._portions, 1, shared=[Shared(parts)])
+        for_chunks(work, self._portions, 1)
         whole = np.asarray(sum(parts[portion] for portion in range(self._portions)))
         charges, upper = whole[:n].copy(), whole[n:].copy()
         scatter_to_centres(clusters.child, clusters.span, clusters.bases, upper, charges)

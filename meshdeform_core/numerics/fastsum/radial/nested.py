@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ....parallel import Shared, for_chunks
+from ....parallel import for_chunks
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...exact.basis import BASES
 from ...exact.radial import radial_block
@@ -116,20 +116,14 @@ class NestedSums:
         def act(lo: int, hi: int) -> None:
             _act_far(self._kind, lo, hi, lists.far_start, lists.far, bases, upper, far)
 
-        def skeletons(lo: int, hi: int) -> range:
-            return range(bases.start[lo], bases.start[hi])
-
-        for_chunks(act, len(tree.span), _CHUNK, shared=[Shared(far, skeletons)])
+        for_chunks(act, len(tree.span), _CHUNK)
         _scatter_down(tree.child, bases, far)
 
         def finish(lo: int, hi: int) -> None:
             _act_near(self._kind, lo, hi, self._leaves, self._of_leaf, self._places, tree.span, tree.points, charges,
                       lists.near_start, lists.near, bases, far, sums)  # fmt: skip
 
-        def places(lo: int, hi: int) -> range:
-            return range(*self._of_leaf[[lo, hi]])
-
-        for_chunks(finish, len(self._leaves), _CHUNK, shared=[Shared(sums, places)])
+        for_chunks(finish, len(self._leaves), _CHUNK)
         return sums[self._result]
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ....parallel import Shared, agreed, for_chunks, numbered
+from ....parallel import agreed, for_chunks, numbered, ranks_of
 from ...arrays import FloatArray, IntArray, Report
 from ...exact.basis import BASES
 from ...exact.radial import radial_block, radial_sums
@@ -104,7 +104,6 @@ class FastRadial:
         fitted: tuple[Clusters, Boxes],
         targets: RadialTargets,
         use: Callable,
-        result: FloatArray,
         progress: Report | None = None,
     ) -> FloatArray:
         """Sums at target nodes; ``use`` is called with the sums of each region and their flat indices.
@@ -113,7 +112,6 @@ class FastRadial:
         ----------
         fitted : from :meth:`fitted`
         targets : with points in the unit of the centres
-        result : (n_nodes, ...) array of which ``use`` fills these rows
 
         Returns
         -------
@@ -125,8 +123,7 @@ class FastRadial:
         def work(lo: int, hi: int) -> None:
             use(targets.flat(lo, hi), self.of_regions(lo, hi, targets, boxes, clusters, risk))
 
-        shared = [Shared(result, targets.flat), Shared(risk, targets.nodes)]
-        for_chunks(work, len(targets.tree.region) - 1, _CHUNK, progress, shared)
+        for_chunks(work, len(targets.tree.region) - 1, _CHUNK, progress)
         return risk[targets.leaves]
 
     def fitted(self, coefficients: FloatArray, targets: RadialTargets, tolerance: float) -> tuple[Clusters, Boxes]:
@@ -145,7 +142,7 @@ class FastRadial:
             boxes = Boxes(targets.tree, *targets.spaces, self.share * permitted, every)
             found = self._on_leaves(chosen, targets, boxes, clusters)
             found = (np.linalg.norm(found - exact, axis=2) / targets.sizes[chosen]).max(initial=0.0)
-            error = agreed(float(found)) / tolerance
+            error = agreed(ranks_of(targets.coordinates), float(found)) / tolerance
             if error <= AIM:
                 break
             self.refine(error)

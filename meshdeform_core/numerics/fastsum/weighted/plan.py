@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ....parallel import Shared, current_ranks, for_chunks
+from ....parallel import for_chunks
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...exact.direct import DOUBLE, SINGLE, sum_groups
 from ..clusters.acceptance import Kernel
@@ -243,19 +243,16 @@ class Plan:
         size = 8 * rows * (1 + key.lasting) if keep_weights else 0
         self.weight = np.empty((rows, 1 + key.lasting)) if keep_weights and size <= room else None
         self.weighed = False
-        self._surveyed: tuple[int, int] | None = None
+        self._surveyed = False
         self.used, self.direct = ([np.zeros(len(tree.child), dtype=bool) for tree in self._trees] for _ in range(2))
         self._room = room - size
 
     def survey(self, chunk: int) -> None:
         """Make the lists of all regions, which tell the clusters whose charges are needed, and store those of ``chunk``
-        regions at a time.
-
-        Of several ranks, or beside few targets, these are a part of the clusters. What one rank of several knows is
-        not enough where it works alone, so a plan is surveyed again by other ranks.
+        regions at a time. Beside few targets these are a part of the clusters.
         """
-        ranks, targets = current_ranks(), self._targets
-        if self._surveyed == (ranks.number, ranks.count):
+        targets = self._targets
+        if self._surveyed:
             return
 
         def work(lo: int, hi: int) -> None:
@@ -270,10 +267,8 @@ class Plan:
                     self._kept[first] = parts
 
         self._kept = {}
-        # Each rank lists what it will sum.
-        together = _SURVEYED * chunk if ranks.count == 1 else chunk
-        for_chunks(work, targets.n_regions, together, shared=[Shared(self.risk, targets.numbers)])
-        self.weighed, self._surveyed = False, (ranks.number, ranks.count)
+        for_chunks(work, targets.n_regions, _SURVEYED * chunk)
+        self._surveyed = True
 
     def lists_of(self, first: int, last: int) -> list[Lists]:
         """:class:`.walk.Lists` of each group for the regions first <= g < last; called from several threads."""
@@ -338,7 +333,7 @@ def _allowance(targets: Targets, trees: Sequence[SourceTree], key: PlanKey) -> t
         for tree, reach, kind in zip(trees, key.reaches, key.kinds, strict=True):
             _add_totals(at, tree, reach, kind, total[lo:hi], moved[lo:hi])
 
-    for_chunks(work, samples.size, _SAMPLES, shared=[Shared(total), Shared(moved)])
+    for_chunks(work, samples.size, _SAMPLES)
     sizes = targets.sizes if key.accuracy.local else np.ones(samples.shape)
     allowed = (total.reshape(samples.shape) * sizes).min(axis=1) * key.accuracy.tolerance
     return allowed, (moved / total).reshape(samples.shape).max(axis=1)

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ....parallel import Shared, empty, for_chunks
+from ....parallel import empty, for_chunks
 from ...arrays import BoolArray, FloatArray, IntArray, Report, weighted_total
 from ...exact.direct import DOUBLE, N_VALUES, sum_groups
 from ..clusters.acceptance import Kernel
@@ -182,15 +182,13 @@ class FastSums:
         self,
         scaled: Scaled,
         use: Use,
-        result: FloatArray | None = None,
-        kept: Sequence[FloatArray] = (),
         weigh: bool = True,
         progress: Report | None = None,
     ) -> None:
         """Call ``use`` with sums (m, 1 + k) of values (k, n) for some rows, with these rows and flat indices (m,).
 
         The first column is the total weight of all sources if ``weigh``, else zero. ``use`` is called from several
-        threads and fills the nodes of ``result`` (n_nodes, ...) and the rows of the arrays ``kept`` (n, ...).
+        threads.
         """
         plan, targets, k = self._plan, self.targets, len(scaled.values)
         lasting = plan.key.lasting
@@ -221,9 +219,7 @@ class FastSums:
                 _copy_lasting(stored, sums, lasting)
             use(here, flat, sums)
 
-        shared = [Shared(each, targets.rows_in) for each in kept]
-        shared += [] if result is None else [Shared(result, targets.flat)]
-        for_chunks(work, targets.n_regions, self._chunk, progress, shared)
+        for_chunks(work, targets.n_regions, self._chunk, progress)
         plan.weighed = plan.weighed or (weigh and plan.weight is not None)
 
     @property
@@ -236,7 +232,7 @@ class FastSums:
         # The sums of all portions together are no larger than a quarter of the coordinates, unless there are two.
         return int(np.clip(3 * len(self.targets.points) // (4 * max(size, 1)), 2, _MOST_PORTIONS))
 
-    def transpose(self, make: Make, k: int, beside: FloatArray) -> FloatArray:
+    def transpose(self, make: Make, k: int) -> FloatArray:
         """Transpose of :meth:`apply`: gradients (k, n_sources) of the values from those (m, k) of their sums.
 
         ``make(rows, flat, portion)`` returns the gradients of the sums of some rows; it is called from several threads,
@@ -261,7 +257,7 @@ class FastSums:
                     gradient = make(targets.places(first, last), targets.flat(first, last), portion)
                     self._spread(plan, first, last, gradient, points, totals[portion], ends)
 
-        for_chunks(work, portions, 1, shared=[Shared(totals), Shared(beside)])
+        for_chunks(work, portions, 1)
         found = np.zeros((k, len(self.strength)))
         for number in range(passes):
             some = slice(number * N_VALUES, min(k, (number + 1) * N_VALUES))
