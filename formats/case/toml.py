@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from meshdeform_core.errors import CaseError, FormatError
-from meshdeform_core.methods import IDW, RBF, TFI
 
 from ..files import require_regular
 from .forms import Table
@@ -98,10 +97,6 @@ def override(data: Table, text: str) -> None:
     (*path, last), parsed = parsed_override(text)
     if not path and last not in TABLES and last in data.get("constants", {}):
         raise CaseError(f"--set {text!r}: unknown key {last!r}; did you mean 'constants.{last}'?")
-    owners = [part.__name__.lower() for part in (IDW, RBF, TFI) if last in part.__dataclass_fields__]
-    if path == ["method"] and owners:
-        keys = " or ".join(repr(f"method.{name}.{last}") for name in owners)
-        raise CaseError(f"--set {text!r}: unknown key 'method.{last}'; did you mean {keys}?")
     target: Any = data
     for name in path:
         target = target.setdefault(name, {}) if isinstance(target, dict) else _entry(target, name, text)
