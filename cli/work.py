@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import hashlib
 import time as clock
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from meshdeform_core.boundary import Kind
 from meshdeform_core.boundary.motions.motion import Follow
 from meshdeform_core.boundary.tables.matching import SurfaceData
 from meshdeform_core.deform import Case, Setup, deform
-from meshdeform_core.errors import FormatError
+from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import COORDINATE_ARRAYS, Demand, MemoryLimit, peak_memory
 from meshdeform_core.methods import make_method
@@ -52,6 +53,9 @@ from .room import make_room
 
 T = TypeVar("T")
 
+_READ, _PARTS = 1 << 16, 256
+"""Bytes that the digest of a file reads at a time, and the number of such parts of a large file."""
+
 __all__ = ["Imposed", "Job", "conclude", "in_parts", "load", "place_of", "print_plan", "run"]
 
 
@@ -84,6 +88,8 @@ def load(
     If ``workplace`` is given, arrays of a grid larger than the memory are put into files in this folder.
     """
     what = case.read()
+    inputs = [source.path, source.boundary_file, case.file, case.displacement, *what.files]
+    _require_alike(current_ranks(), repr(dataclasses.replace(case, file=None, displacement=None)), inputs)
     for path in outputs:
         keep_inputs(path, *what.files)
     make_method(what.case.method)
@@ -95,6 +101,34 @@ def load(
     seconds = clock.perf_counter() - start
     demand = Demand.of("deforming", grid, arrays=arrays, other_bytes=_other_bytes(grid, what))
     return Job(grid, what, seconds, demand.left_of(memory))
+
+
+def _require_alike(ranks: Ranks, options: str, files: Sequence[Path | None]) -> None:
+    """Refuse inputs that differ between ranks: other options of the case, or files with other contents."""
+    if ranks.count == 1:
+        return
+    found = [(options, "options of the case"), *((_digest(path), str(path)) for path in files if path)]
+    first, *others = ranks.gather([found])
+    for number, other in enumerate(others, 1):
+        for (own, name), (its, its_name) in zip(first, other, strict=False):
+            if own != its:
+                raise CaseError(
+                    f"rank {number} has other inputs than rank 0: {its_name} differs from {name}; expected the same "
+                    f"grid, case and tables on every rank"
+                )
+
+
+def _digest(path: Path) -> str:
+    """Digest of a file, if it is large of its size and of parts spread over it; empty if there is no such file."""
+    if not path.is_file():
+        return ""
+    size, found = path.stat().st_size, hashlib.blake2b(digest_size=16)
+    step = max(_READ, size // _PARTS)
+    with path.open("rb") as stream:
+        for at in (*range(0, size, step), max(size - _READ, 0)):
+            stream.seek(at)
+            found.update(stream.read(_READ))
+    return f"{size} {found.hexdigest()}"
 
 
 def in_parts(action: Callable[[], T], verbose: bool) -> T:

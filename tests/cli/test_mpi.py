@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 import pytest
 from grids import frame
-from started_ranks import TESTS, needs_mpi, needs_mpiexec, on_ranks, start
+from started_ranks import MPIEXEC, TESTS, needs_mpi, needs_mpiexec, on_ranks, start
 
 import meshdeform as md
 from meshdeform_cli.process.mpi import Place, place, run_on_ranks
@@ -154,6 +154,17 @@ def test_command_writes_the_same_file_and_speaks_once(bench, compiled):
     assert done.stdout.count("verdict") == 1
     assert done.stderr.count("cells became invalid") == 1
     assert "meshdeform: 2 ranks" in done.stderr
+
+
+@needs_mpi
+def test_ranks_with_different_inputs_are_refused(bench, snapshot):
+    text = (bench / "case.toml").read_text()
+    (bench / "other.toml").write_text(text + "\n# changed\n")
+    words = [(sys.executable, "-m", "meshdeform_cli", "deform", "grid.xyz", "-c", case, "-o", "old.xyz", "--force")
+             for case in ("case.toml", "other.toml")]  # fmt: skip
+    done = start(MPIEXEC, "-n", "1", *words[0], ":", "-n", "1", *words[1])
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.count("rank 1 has other inputs than rank 0: other.toml differs from case.toml") == 1
 
 
 @needs_mpi
