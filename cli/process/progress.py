@@ -11,11 +11,14 @@ from types import TracebackType
 from typing import TYPE_CHECKING
 
 from meshdeform_core import interruption
+from meshdeform_core.wording import counted
 
 from .messages import tell
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
+
+    from meshdeform_core.numerics.jit import Compiled
 
 PATIENCE = 1.0
 """Runs longer than this have a bar (seconds)."""
@@ -27,8 +30,6 @@ time taken, up to SELDOMEST seconds."""
 # Stages that would be shown as 0.0 s are left out.
 _LISTED = 0.05
 _TICK = 0.1
-# Number of loops compiled for a run with fast sums.
-_LOOPS = 24
 _UNCACHED = "at every start: no folder for them can be written; NUMBA_CACHE_DIR may name one"
 _OUTER = "levels"
 
@@ -51,6 +52,7 @@ class ProgressBar:
         self._stage = ("", 0, 0)
         self._seconds: dict[str, float] = {}
         self._over = threading.Event()
+        self._told = False
         self._display: threading.Thread | None = None
 
     def __call__(self, stage: str, done: int, total: int) -> None:
@@ -69,13 +71,16 @@ class ProgressBar:
             self._began = now
         self._stage = stage, done, total
 
-    def _compiling(self, loops: int) -> None:
+    def _compiling(self, compiled: Compiled) -> None:
         from meshdeform_core.numerics.jit import is_cached
 
-        if loops == 0:
-            tell("compiling loops, " + ("once per installation" if is_cached() else _UNCACHED))
-        # The number of loops that a run needs is known only afterwards.
-        self("compile", loops, max(_LOOPS, loops + 1))
+        expected = max(compiled.expected, compiled.done + 1)
+        if not self._told:
+            self._told = True
+            many = f"{counted(expected, 'loop')} in {counted(compiled.processes, 'process', 'processes')}"
+            often = "once per installation" if is_cached() else _UNCACHED
+            tell(f"compiling {many}, about {max(compiled.seconds, 1):.0f} s, {often}")
+        self("compile", compiled.done, expected)
 
     def __enter__(self) -> ProgressBar:
         ProgressBar.active = self

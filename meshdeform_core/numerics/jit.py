@@ -4,25 +4,67 @@ Numpy's error model matters for speed: Python's tests every divisor for zero, wh
 
 The first run after installation has to wait for compilation. The cost grows with the number of functions and of
 distinct array operations, not with the length of a loop: scalar loops compile fastest; slice assignments, array
-expressions, ``zeros``, reductions and searches each instantiate functions of numba's own.
+expressions, ``zeros``, reductions and searches each instantiate functions of numba's own. Loops that declare the types
+of their arguments are compiled by several processes (:mod:`.compiling`) as soon as the first one is missing.
 """
 
 from __future__ import annotations
 
 import gc
+import hashlib
 import time
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterator
+from functools import cache, partial
+from pathlib import Path
+from types import CodeType
+from typing import Any, NamedTuple, TypeVar
 
-from numba import njit
-from numba.core import event
-from numba.core.caching import FunctionCache
+import numpy as np
+
+from .processor import choose_processor
+
+# Before numba is imported, which reads the processor's name once.
+choose_processor()
+
+from numba import config, njit, types  # noqa: E402
+from numba.core import event  # noqa: E402
+from numba.core.caching import (  # noqa: E402
+    CompileResultCacheImpl,
+    FunctionCache,
+    IndexDataCacheFile,
+    InTreeCacheLocator,
+    UserProvidedCacheLocator,
+    UserWideCacheLocator,
+)
 
 # numba tries the typing rules of an operation in the order in which they were imported. Without this import, the rules
 # for characters, lists and dictionaries would precede those for arrays, which costs a tenth of the compile time.
-from numba.core.typing import arraydecl as _arrays_first  # noqa: F401
+from numba.core.typing import arraydecl as _arrays_first  # noqa: E402, F401
+
+from ..parallel.ranks import usable_cores  # noqa: E402
+from .compiling import Compilers  # noqa: E402
+
+T = TypeVar("T")
 
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+_LIBRARIES = ("numpy", "numba", "llvmlite", "math", "builtins")
+
+
+SECONDS_PER_LOOP = 0.35
+"""Processor time that a loop takes on average, by ``benchmarks/compiling.py``."""
+
+
+class Compiled(NamedTuple):
+    """How far compiling has come: loops compiled, loops known to be missing, processes that compile them."""
+
+    done: int
+    expected: int
+    processes: int
+
+    @property
+    def seconds(self) -> float:
+        """How long compiling all of them takes, roughly."""
+        return SECONDS_PER_LOOP * max(self.expected, 1) / self.processes
 
 
 class _CompileClock(event.Listener):
@@ -30,67 +72,233 @@ class _CompileClock(event.Listener):
 
     def __init__(self) -> None:
         self.seconds, self.loops, self.cached = 0.0, 0, True
-        self.notice: Callable[[int], None] | None = None
+        self.notice: Callable[[Compiled], None] | None = None
         self._depth, self._start, self._collecting = 0, 0.0, True
 
     # Called under numba's compiler lock, hence by one thread at a time.
     def on_start(self, event: Any) -> None:
+        self.begin()
+
+    def on_end(self, event: Any) -> None:
+        self.loops += self.end()
+
+    def begin(self) -> None:
+        """A loop begins to be compiled, or waited for, maybe for another one that calls it."""
         if self._depth == 0:
             self._start = time.perf_counter()
             if self.notice:
-                self.notice(self.loops)
+                self.notice(Compiled(self.loops, *_compilers.extent()))
             # Garbage collection would take a sixth of the compile time, as the compiler allocates millions of objects.
             self._collecting = gc.isenabled()
             gc.disable()
         self._depth += 1
 
-    def on_end(self, event: Any) -> None:
+    def end(self) -> bool:
+        """The loop is finished; returns whether it was an outer one."""
         self._depth -= 1
-        if self._depth == 0:
-            self.seconds += time.perf_counter() - self._start
-            self.loops += 1
-            if self._collecting:
-                gc.enable()
+        if self._depth > 0:
+            return False
+        self.seconds += time.perf_counter() - self._start
+        if self._collecting:
+            gc.enable()
+        return True
 
 
-_clock = _CompileClock()
-event.register("numba:compile", _clock)
+class _Unwritable(InTreeCacheLocator):
+    """The folder of a source file, for looking only: chosen where no folder can be written."""
+
+    @classmethod
+    def from_function(cls, py_func: Callable, py_file: str) -> _Unwritable:
+        return cls(py_func, py_file)
+
+
+class _Places(CompileResultCacheImpl):
+    _locator_classes = (*CompileResultCacheImpl._locator_classes, _Unwritable)
 
 
 class _Cache(FunctionCache):
-    """numba's cache; where its files are unusable, a loop is compiled again instead of ending the program."""
+    """numba's cache of a loop.
+
+    Where numba's falls short: compiled loops are found in folders that this process may not write to, such as those
+    of an installation by another user; they are compiled again after a change of any function that they call, in
+    whatever file; and where a file of the cache is unusable, the loop is compiled instead of ending the program.
+    """
+
+    _impl_class = _Places
+
+    def __init__(self, function: Callable, name: str, signature: str | None):
+        super().__init__(function)
+        if isinstance(self._impl.locator, _Unwritable):
+            _clock.cached = False
+        self._function, self._loop, self._signature = function, name, signature
+        self._files: list[IndexDataCacheFile] = []
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        try:
-            return super().load_overload(sig, target_context)
-        except Exception:
-            # Entries are pickled: unpickling a class that an update has moved raises whatever its import raises.
+        found = self._load(sig, target_context)
+        if found is None and self._signature is not None and _clock.cached:
+            _compilers.begin(self._loop)
+            _clock.begin()
             try:
-                self.flush()
-            except OSError:
-                self.disable()
-            return None
+                _compilers.obtain(self._loop)
+            finally:
+                _clock.end()
+            found = self._load(sig, target_context)
+        return found
+
+    def _load(self, sig: Any, target_context: Any) -> Any:
+        target_context.refresh()
+        key = self._index_key(sig, target_context.codegen())
+        for file in self._places():
+            try:
+                data = file.load(key)
+                if data is not None:
+                    return self._impl.rebuild(target_context, data)
+            except Exception:
+                # Entries are pickled: unpickling a class that an update has moved raises whatever its import raises.
+                try:
+                    file.flush()
+                except OSError:
+                    self.disable()
+        return None
+
+    def _places(self) -> list[IndexDataCacheFile]:
+        """The files in which the loop may be found, the writable one last."""
+        if not self._files:
+            stamp = source_digest(self._function)
+            # numba's own stamp is that of the file which contains the loop.
+            self._cache_file = IndexDataCacheFile(self.cache_path, self._impl.filename_base, stamp)
+            source = self._function.__code__.co_filename
+            known = (UserProvidedCacheLocator, InTreeCacheLocator, UserWideCacheLocator)
+            folders = [
+                where(self._function, source).get_cache_path()
+                for where in known
+                if config.CACHE_DIR or where is not UserProvidedCacheLocator
+            ]
+            others = [folder for folder in folders if folder != self.cache_path and Path(folder).is_dir()]
+            self._files = [IndexDataCacheFile(folder, self._impl.filename_base, stamp) for folder in others]
+            self._files.append(self._cache_file)
+        return self._files
+
+    def holds(self, sig: Any, target_context: Any) -> bool:
+        """Whether the loop is in the cache."""
+        target_context.refresh()
+        key = self._index_key(sig, target_context.codegen())
+        try:
+            return any(file.load(key) is not None for file in self._places())
+        except Exception:
+            return False
 
     def save_overload(self, sig: Any, data: Any) -> None:
+        self._places()
+        if isinstance(self._impl.locator, _Unwritable):
+            return
         try:
             super().save_overload(sig, data)
         except OSError:
             _clock.cached = False
 
 
-def _compiled(**options: Any) -> Callable[[Callable], Any]:
-    """A decorator: ``numba.njit`` with the options common to all loops plus ``options``."""
+@cache
+def _digest_of_file(path: str, _modified: int) -> bytes:
+    return hashlib.sha256(Path(path).read_bytes()).digest()
 
-    def decorate(function: Callable) -> Any:
+
+def source_digest(function: Callable) -> bytes:
+    """Digest of what a loop is compiled from: the files of all functions that it calls, and constants of others."""
+    parts, seen = set[bytes](), set[int]()
+
+    def visit(value: Any) -> None:
+        called = getattr(value, "py_func", None) or getattr(value, "_defn", None) or value
+        code = getattr(called, "__code__", None)
+        if isinstance(value, int | float | str | bytes | tuple):
+            parts.add(repr(value).encode())
+        elif isinstance(value, np.ndarray):
+            parts.add(value.tobytes())
+        elif code is not None and id(called) not in seen and not called.__module__.startswith(_LIBRARIES):
+            seen.add(id(called))
+            parts.add(_digest_of_file(code.co_filename, Path(code.co_filename).stat().st_mtime_ns))
+            for name in _names(code):
+                visit(called.__globals__.get(name))
+            for cell in called.__closure__ or ():
+                visit(cell.cell_contents)
+
+    visit(function)
+    return hashlib.sha256(b"".join(sorted(parts))).digest()
+
+
+def _names(code: CodeType) -> Iterator[str]:
+    """Names of globals in a function and in the functions within it."""
+    yield from code.co_names
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _names(constant)
+
+
+_declared: dict[str, tuple[Any, Any]] = {}
+"""Loops by name, with the types of their arguments; the modules imported so far declare them."""
+
+
+_records: dict[type, Any] = {}
+"""numba's types of named tuples that loops take."""
+
+
+def record(fields: str, *records: type) -> Callable[[type[T]], type[T]]:
+    """Decorator of a named tuple that loops take; declares the types of its fields, as :data:`kernel` does."""
+
+    def declare(kind: type[T]) -> type[T]:
+        _records[kind] = types.NamedTuple(_types(fields, records), kind)
+        return kind
+
+    return declare
+
+
+def _types(declared: str, records: tuple[type, ...]) -> tuple[Any, ...]:
+    """numba's types for ``"f8[:, ::1], i8"``; the names of ``records`` stand for their types."""
+    names = vars(types) | {kind.__name__: _records[kind] for kind in records}
+    return eval(f"({declared},)", names)
+
+
+def _compiled(**options: Any) -> Callable[..., Any]:
+    """A decorator: ``numba.njit`` with the options common to all loops plus ``options``.
+
+    Loops that Python calls declare the types of their arguments, and the named tuples among them, so that any process
+    can compile them: ``@kernel("f8[:, ::1], Boxes", Boxes)``. Without types, a loop is compiled where it is called.
+    """
+
+    def decorate(function: Callable, signature: str | None, records: tuple[type, ...]) -> Any:
         loop = njit(**_OPTIONS, **options)(function)
-        try:
-            loop._cache = _Cache(function)
-        except RuntimeError:
-            # No cache folder is writable, neither beside the source nor in the user's home.
-            _clock.cached = False
+        name = f"{function.__module__}.{function.__qualname__}"
+        loop._cache = _Cache(function, name, signature)
+        if signature is not None:
+            _declared[name] = loop, _types(signature, records)
         return loop
 
-    return decorate
+    def decorator(first: Any, *records: type) -> Any:
+        return (
+            partial(decorate, signature=first, records=records) if isinstance(first, str) else decorate(first, None, ())
+        )
+
+    return decorator
+
+
+def missing_loops() -> list[str]:
+    """Names of the declared loops that are not in the cache."""
+    return [
+        name
+        for name, (loop, arguments) in _declared.items()
+        if arguments not in loop.overloads and not loop._cache.holds(arguments, loop.targetctx)
+    ]
+
+
+def compile_declared(name: str) -> None:
+    """Compile a loop for the types that it declares."""
+    loop, arguments = _declared[name]
+    loop.compile(arguments)
+
+
+_clock = _CompileClock()
+_compilers = Compilers(missing_loops, compile_declared, usable_cores)
+event.register("numba:compile", _clock)
 
 
 kernel = _compiled(no_cfunc_wrapper=True)
@@ -110,7 +318,7 @@ inlined = _compiled(inline="always")
 
 
 def compile_seconds() -> float:
-    """Seconds that this process has spent compiling so far."""
+    """Seconds that this process has spent compiling, or waiting for others that do, so far."""
     return _clock.seconds
 
 
@@ -124,6 +332,11 @@ def is_cached() -> bool:
     return _clock.cached
 
 
-def on_compile(notice: Callable[[int], None] | None) -> None:
-    """Call ``notice`` with the number of loops compiled so far whenever one is compiled as it is not in the cache."""
+def on_compile(notice: Callable[[Compiled], None] | None) -> None:
+    """Call ``notice`` whenever a loop is compiled as it is not in the cache."""
     _clock.notice = notice
+
+
+def compile_all() -> int:
+    """Compile all declared loops of the modules imported so far; returns how many were missing."""
+    return _compilers.all()

@@ -1,0 +1,168 @@
+"""Loops are compiled in several processes, found wherever they lie, and compiled again when their sources change."""
+
+import importlib
+import os
+import subprocess
+import sys
+import textwrap
+
+import pytest
+
+from meshdeform_core.errors import CaseError
+from meshdeform_core.numerics import processor
+from meshdeform_core.numerics.compiling import Compilers
+from meshdeform_core.numerics.jit import source_digest
+
+LOOPS = """
+from typing import NamedTuple
+from meshdeform_core.numerics.jit import kernel, record
+
+@record("f8[::1], f8")
+class Line(NamedTuple):
+    points: object
+    weight: float
+
+""" + "\n".join(
+    f"""
+@kernel("f8[::1], Line", Line)
+def loop_{number}(out, line):
+    for n in range(out.size):
+        out[n] = {number} + line.weight * line.points[n]
+"""
+    for number in range(6)
+)
+
+CALLS = """
+import os, sys
+import numpy as np
+import many_loops
+from meshdeform_core.numerics import jit
+told = []
+jit.on_compile(told.append)
+line = many_loops.Line(np.arange(3.0), 2.0)
+out = np.empty(3)
+for number in range(6):
+    getattr(many_loops, f"loop_{number}")(out, line)
+    assert out.tolist() == [number, number + 2, number + 4]
+print(jit.compiled_loops(), *(max((note[part] for note in told), default=0) for part in (1, 2)))
+"""
+
+
+def run(folder, code, **environment):
+    """Lines printed by a fresh interpreter."""
+    (folder / "many_loops.py").write_text(LOOPS)
+    known = os.environ | {"PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(folder / "loops")} | environment
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(code)], env=known, capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split()
+
+
+@pytest.mark.timeout(240)
+def test_several_processes_compile_what_is_missing_and_later_runs_find_it(tmp_path):
+    two_cores = "from meshdeform_core.parallel import ranks; ranks.usable_cores = lambda: 2\n"
+    own, expected, processes = map(int, run(tmp_path, two_cores + CALLS))
+    assert 1 <= own <= expected == 6
+    assert processes == 2
+    assert run(tmp_path, CALLS) == ["0", "0", "0"]
+
+
+@pytest.mark.timeout(240)
+@pytest.mark.parametrize("starts", [False, True])
+def test_a_process_that_cannot_start_or_dies_changes_nothing(tmp_path, starts):
+    broken = f"""
+from meshdeform_core.parallel import ranks; ranks.usable_cores = lambda: 3
+import subprocess
+from meshdeform_core.numerics import compiling
+class Broken(subprocess.Popen):
+    def __init__(self, arguments, **options):
+        if not {starts}:
+            raise OSError("no more processes")
+        super().__init__([arguments[0], "-c", ""], **options)
+compiling.subprocess.Popen = Broken
+"""
+    own, expected, _ = map(int, run(tmp_path, broken + CALLS))
+    assert own == expected == 6
+
+
+def test_all_loops_are_compiled_once_each():
+    compiled, missing = [], list("abcdefgh")
+    compilers = Compilers(lambda: [name for name in missing if name not in compiled], compiled.append, lambda: 1)
+    compilers.obtain("c")
+    compiled.append("c")
+    assert compilers.all() == 7
+    assert sorted(compiled) == missing
+
+
+@pytest.mark.timeout(240)
+def test_loops_in_a_folder_that_cannot_be_written_are_found(tmp_path):
+    """As in an installation by another user: no folder of this user's can be written either."""
+    run(tmp_path, CALLS)
+    sealed = """
+from numba.core import caching
+def refuse(self):
+    raise OSError("read-only")
+caching._CacheLocator.ensure_cache_path = refuse
+"""
+    assert run(tmp_path, sealed + CALLS) == ["0", "0", "0"]
+
+
+def test_a_loop_is_compiled_anew_when_a_function_of_another_file_changes(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    # Bytecode of Python itself is told apart by whole seconds.
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    (tmp_path / "outer_loop.py").write_text(
+        "from inner_loop import FACTOR, add\nfrom meshdeform_core.numerics.jit import kernel\n"
+        "@kernel\ndef twice(x):\n    return FACTOR * add(x)\n"
+    )
+    digests = []
+    for factor, added in ((2, 0), (2, 1), (3, 1), (3, 1)):
+        (tmp_path / "inner_loop.py").write_text(
+            f"from meshdeform_core.numerics.jit import inlined\nFACTOR = {factor}\n"
+            f"@inlined\ndef add(x):\n    return x + {added}\n"
+        )
+        importlib.invalidate_caches()
+        loop = importlib.import_module("outer_loop").twice
+        assert loop(1.0) == factor * (1 + added)
+        digests.append(source_digest(loop.py_func))
+        for name in ("inner_loop", "outer_loop"):
+            del sys.modules[name]
+    assert len(set(digests)) == 3
+    assert digests[2] == digests[3]
+
+
+# A processor below the level that is asked for, and machines that differ, are simulated.
+HOSTS = {
+    "older": {"sse2": True, "sse4.2": True, "avx2": False},
+    "newer": {"sse2": True, "avx2": True, "avx512vl": True},
+}
+
+
+@pytest.mark.parametrize(
+    ("level", "host", "problem"),
+    [("x86-64-v3", "older", "lacks avx2"), ("x86-64-v9", "newer", "expected one of x86-64, x86-64-v2")],
+)
+def test_a_level_that_is_unknown_or_above_this_processor_is_refused(monkeypatch, level, host, problem):
+    monkeypatch.setenv("MESHDEFORM_CPU", level)
+    monkeypatch.setattr("llvmlite.binding.get_host_cpu_features", lambda: HOSTS[host])
+    with pytest.raises(CaseError, match=problem):
+        processor.choose_processor()
+
+
+@pytest.mark.timeout(240)
+def test_loops_for_a_level_are_found_by_every_machine_and_others_keep_their_own(tmp_path):
+    """Two machines of different processors share a folder of loops."""
+    pretend = """
+import llvmlite.binding as binding
+features = binding.get_host_cpu_features()
+binding.get_host_cpu_name = lambda: {name!r}
+"""
+    this, other = (pretend.format(name=name) for name in ("skylake", "haswell"))
+    level = {"MESHDEFORM_CPU": "x86-64-v2"}
+    run(tmp_path, this + CALLS, **level)
+    assert run(tmp_path, other + CALLS, **level)[0] == "0"
+    # Without the level, each has loops of its own.
+    assert run(tmp_path, this + CALLS)[1] == "6"
+    assert run(tmp_path, other + CALLS)[1] == "6"
+    assert run(tmp_path, this + CALLS)[1] == "0"
