@@ -281,6 +281,11 @@ def _compiled(**options: Any) -> Callable[..., Any]:
     return decorator
 
 
+def declared_loops() -> dict[str, tuple[Any, ...]]:
+    """Types of the arguments of the declared loops of the modules imported so far, by name."""
+    return {name: arguments for name, (_, arguments) in _declared.items()}
+
+
 def missing_loops() -> list[str]:
     """Names of the declared loops that are not in the cache."""
     return [

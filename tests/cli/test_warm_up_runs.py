@@ -1,69 +1,146 @@
-"""``warm-up`` leaves no loop to be compiled by a later run."""
+"""Small deformations, repairs, derivatives and pictures use every loop, with the types of arguments that it declares."""
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 import subprocess
 import sys
 import warnings
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
 
+import numpy as np
 import pytest
 
-pytestmark = pytest.mark.slow
+from meshdeform_cli.work import cells_of
+from meshdeform_core.deform import Case, Result, deform, set_up
+from meshdeform_core.grid import Grid
+from meshdeform_core.grid.near import NearNodes
+from meshdeform_core.methods import IDW, RBF, Options, make_method
+from meshdeform_core.methods.derivative import derivative_of
+from meshdeform_core.numerics.damping import damp_rows
+from meshdeform_core.numerics.exact.basis import BASES
+from meshdeform_core.numerics.fastsum.radial.nested import NestedSums
+from meshdeform_core.repair import Mode, RepairOptions
+from meshdeform_core.repair.derivative import derivative_of_repair
+from meshdeform_core.series import Schedule, deform_series
+from meshdeform_formats.case import case_of
+from meshdeform_formats.fields import ALL, with_fields
+from meshdeform_formats.picture import Pair, page_png, quality_planes
+from meshdeform_samples import case_content, generate
+
+_FAST_IDW, _FAST_RBF = IDW(summation="fast"), RBF(summation="fast", solver="krylov")
 
 
-def kernels() -> dict[str, object]:
-    """Every compiled loop of the program by its module and name."""
-    from numba.core.dispatcher import Dispatcher
-
-    import meshdeform_core
-    import meshdeform_formats
-
-    found = {}
-    for package in (meshdeform_core, meshdeform_formats):
-        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
-            for value in vars(importlib.import_module(module.name)).values():
-                if isinstance(value, Dispatcher):
-                    found[f"{value.py_func.__module__}.{value.py_func.__name__}"] = value
-    return found
-
-
-def unused(loops: dict[str, object]) -> list[str]:
-    """Loops that neither ran nor are part of one that did: those called by other loops are compiled into them."""
-    known = {id(loop): name for name, loop in loops.items()}
-    used, waiting = set(), [name for name, loop in loops.items() if loop.signatures]
-    while waiting:
-        name = waiting.pop()
-        if name not in used:
-            used.add(name)
-            function = loops[name].py_func
-            reached = (function.__globals__.get(word) for word in function.__code__.co_names)
-            waiting += [known[id(value)] for value in reached if id(value) in known]
-    return sorted(loops.keys() - used)
+def runs() -> Iterator[Callable[[], object]]:
+    """Runs of small samples that together use every loop."""
+    yield partial(_deformed, "hemisphere", 8, Options("tfi"))
+    yield _nested_sums
+    yield partial(_repair_derivatives, "hemisphere", 8, Options("tfi"), amplitude=0.045)
+    yield partial(_deformed, "hemisphere", 8, Options("idw", idw=_FAST_IDW))
+    yield partial(_derivatives, "cascade", 16, Options("rbf", rbf=_FAST_RBF))
+    yield partial(_deformed, "hemisphere", 8, Options("idw-tfi"))
+    yield partial(_series, "splitter-plate", 8, Options("idw-tfi", idw=_FAST_IDW))
+    yield partial(_repair_derivatives, "cascade", 8, Options("tfi"), angle=60.0)
+    yield partial(_derivatives, "hemisphere", 8, Options("idw", idw=IDW(rotation="quaternion", summation="fast")))
+    yield partial(_pictures, "hemisphere", 8, Options("tfi"))
+    # Sub-blocks with curved grid lines.
+    yield partial(_derivatives, "airfoil", 33, Options("idw-tfi"))
+    for rotation in ("none", "quaternion", "blend"):
+        yield partial(_deformed, "hemisphere", 8, Options("idw", idw=IDW(rotation=rotation, summation="exact")))
+    yield partial(_deformed, "hemisphere", 8, Options("rbf-tfi"))
+    yield partial(_derivatives, "hemisphere", 8, Options("rbf", rbf=RBF("wendland-c2", radius=1.0, greedy="hybrid")))
+    yield partial(_deformed, "airfoil", 33, Options("idw-tfi"))
+    yield partial(_series, "square", 11, Options("tfi"))
+    yield partial(_derivatives, "hemisphere", 8, Options("tfi"))
+    yield _others
 
 
-def test_every_loop_is_used_and_compiled_once():
-    """In a process of its own: loops that other tests compile do not count."""
-    done = subprocess.run([sys.executable, __file__], capture_output=True, text=True)
+def _sample(name: str, size: int, method: Options, repair: Mode = "auto", **constants: float) -> tuple[Grid, Case]:
+    grid, tables = generate(name, size)
+    content: dict[str, Any] = case_content(name, tables)
+    content["constants"] = {**content.get("constants", {}), **constants}
+    case = case_of(content).case
+    return grid, Case(case.boundaries, case.constants, method, repair=RepairOptions(repair))
+
+
+def _deformed(name: str, size: int, method: Options, repair: Mode = "off", **constants: float) -> Result:
+    return deform(*_sample(name, size, method, repair, **constants), time=2.5e-4)
+
+
+def _derivatives(name: str, size: int, method: Options) -> None:
+    setup = set_up(*_sample(name, size, method))
+    displacement = setup.displacement(2.5e-4)[setup.problem.source_numbers]
+    derivative = derivative_of(make_method(method).prepare(setup.problem), displacement)
+    derivative.pull(derivative.push(displacement))
+
+
+def _repair_derivatives(name: str, size: int, method: Options, **constants: float) -> None:
+    result = _deformed(name, size, method, "auto", **constants)
+    points = result.grid.points
+    derivative = derivative_of_repair(result.setup.undeformed.repairs, points, points, polish=False)
+    if derivative:
+        derivative.pull(derivative.push(np.ones_like(points)))
+
+
+def _series(name: str, size: int, method: Options) -> None:
+    setup = set_up(*_sample(name, size, method))
+    # The second level has the motion of the first one.
+    for _ in deform_series(setup, Schedule((0.0, 1.0), velocity="swept"), "float64"):
+        pass
+
+
+def _pictures(name: str, size: int, method: Options) -> None:
+    result = _deformed(name, size, method)
+    with_fields(cells_of(result.setup, result.grid), [ALL])
+    setup = result.setup
+    page_png(quality_planes(Pair(setup.grid, result.grid, setup.topology, original=setup.original))[1], dpi=10)
+
+
+def _others() -> None:
+    """Loops that no run of a small sample needs: displacements beside slip sides and normal to them, and what
+    ranks know of each other's nodes."""
+    damp_rows(np.ones((1, 3)), np.zeros(1, dtype=np.int64), np.eye(3), np.ones((1, 3)), 0.0)
+    grid, _ = generate("square", 11)
+    near = NearNodes.of(grid.shapes, grid.offsets)
+    near.taken(np.zeros((len(near.rows), 3)), near.rows)
+
+
+def _nested_sums() -> None:
+    """Nested sums; a whole run with enough centres for them would take long."""
+    line = np.linspace(0.0, 1.0, 2000)[:, None] * np.ones(3)
+    NestedSums(BASES["tps"], line, 1e-6)(np.ones_like(line))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_every_loop_that_is_called_declares_the_types_of_its_arguments():
+    """In a process of its own, which finds all loops compiled: loops that others call are part of these there."""
+    done = subprocess.run([sys.executable, __file__], capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == []
+    assert done.stdout.split("\n") == [""]
 
 
 def report() -> None:
-    """Print the loops that the runs of ``warm-up`` leave out, and those that they compile more than once: plain
-    numbers, slices with steps and read-only arrays have signatures of their own."""
-    from meshdeform_cli.warm_up_runs import runs
+    """Print the loops that are never called, and those called with other types than they declare."""
+    import gc
 
-    loops = kernels()
-    assert len(unused(loops)) == len(loops) > 150
-    # One after the other in this process, so that its loops know what ran.
+    from numba.core.dispatcher import Dispatcher
+
+    from meshdeform_core.numerics.jit import declared_loops
+
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for run in runs():
             run()
-    again = [name for name, loop in loops.items() if len(loop.signatures) > 1]
-    print("\n".join([*unused(loops), *again]))
+    declared = declared_loops()
+    for loop in (each for each in gc.get_objects() if isinstance(each, Dispatcher)):
+        name = f"{loop.py_func.__module__}.{loop.py_func.__qualname__}"
+        called = [tuple(each) for each in loop.signatures]
+        if name in declared and not called:
+            print(f"{name} is never called")
+        elif name.startswith("meshdeform") and called and [declared.get(name)] != called:
+            print(f"{name} is called with {called}, and declares {declared.get(name)}")
 
 
 if __name__ == "__main__":
