@@ -1,4 +1,4 @@
-"""Small deformations, repairs, derivatives and pictures use every loop, with the types of arguments that it declares."""
+"""Small deformations, derivatives and pictures use every loop, with the types of arguments that it declares."""
 
 from __future__ import annotations
 
