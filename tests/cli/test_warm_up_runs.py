@@ -17,7 +17,6 @@ from meshdeform_core.deform import Case, Result, deform, set_up
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.near import NearNodes
 from meshdeform_core.methods import IDW, RBF, Options, make_method
-from meshdeform_core.methods.derivative import derivative_of
 from meshdeform_core.numerics.damping import damp_rows
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.fastsum.radial.nested import NestedSums
@@ -71,7 +70,7 @@ def _deformed(name: str, size: int, method: Options, repair: Mode = "off", **con
 def _derivatives(name: str, size: int, method: Options) -> None:
     setup = set_up(*_sample(name, size, method))
     displacement = setup.displacement(2.5e-4)[setup.problem.source_numbers]
-    derivative = derivative_of(make_method(method).prepare(setup.problem), displacement)
+    derivative = make_method(method).prepare(setup.problem).linearised(displacement)
     derivative.pull(derivative.push(displacement))
 
 
