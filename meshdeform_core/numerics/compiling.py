@@ -147,6 +147,6 @@ def serve() -> None:
 
     for line in sys.stdin:
         name = line.strip()
-        importlib.import_module(name.rpartition(".")[0])
+        importlib.import_module(name.rpartition(":")[0].rpartition(".")[0])
         compile_declared(name)
         print(name, flush=True)

@@ -13,7 +13,7 @@ from __future__ import annotations
 import gc
 import hashlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache, partial
 from pathlib import Path
 from types import CodeType
@@ -126,20 +126,20 @@ class _Cache(FunctionCache):
 
     _impl_class = _Places
 
-    def __init__(self, function: Callable, name: str, signature: str | None):
+    def __init__(self, function: Callable, declared: dict[tuple[Any, ...], str]):
         super().__init__(function)
         if isinstance(self._impl.locator, _Unwritable):
             _clock.cached = False
-        self._function, self._loop, self._signature = function, name, signature
+        self._function, self._declared = function, declared
         self._files: list[IndexDataCacheFile] = []
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        found = self._load(sig, target_context)
-        if found is None and self._signature is not None and _clock.cached:
-            _compilers.begin(self._loop)
+        found, name = self._load(sig, target_context), self._declared.get(tuple(getattr(sig, "args", sig)))
+        if found is None and name is not None and _clock.cached:
+            _compilers.begin(name)
             _clock.begin()
             try:
-                _compilers.obtain(self._loop)
+                _compilers.obtain(name)
             finally:
                 _clock.end()
             found = self._load(sig, target_context)
@@ -235,7 +235,7 @@ def _names(code: CodeType) -> Iterator[str]:
 
 
 _declared: dict[str, tuple[Any, Any]] = {}
-"""Loops by name, with the types of their arguments; the modules imported so far declare them."""
+"""Loops with the types of their arguments, by name and number of these; the modules imported so far declare them."""
 
 
 _records: dict[type, Any] = {}
@@ -252,7 +252,7 @@ def record(fields: str, *records: type) -> Callable[[type[T]], type[T]]:
     return declare
 
 
-def _types(declared: str, records: tuple[type, ...]) -> tuple[Any, ...]:
+def _types(declared: str, records: Iterable[type]) -> tuple[Any, ...]:
     """numba's types for ``"f8[:, ::1], i8"``; the names of ``records`` stand for their types."""
     names = vars(types) | {kind.__name__: _records[kind] for kind in records}
     return eval(f"({declared},)", names)
@@ -262,28 +262,32 @@ def _compiled(**options: Any) -> Callable[..., Any]:
     """A decorator: ``numba.njit`` with the options common to all loops plus ``options``.
 
     Loops that Python calls declare the types of their arguments, and the named tuples among them, so that any process
-    can compile them: ``@kernel("f8[:, ::1], Boxes", Boxes)``. Without types, a loop is compiled where it is called.
+    can compile them: ``@kernel("f8[:, ::1], Boxes", Boxes)``; several texts for several kinds of arguments. Without
+    types, a loop is compiled where it is called.
     """
 
-    def decorate(function: Callable, signature: str | None, records: tuple[type, ...]) -> Any:
+    def decorate(function: Callable, texts: list[str], records: list[type]) -> Any:
         loop = njit(**_OPTIONS, **options)(function)
         name = f"{function.__module__}.{function.__qualname__}"
-        loop._cache = _Cache(function, name, signature)
-        if signature is not None:
-            _declared[name] = loop, _types(signature, records)
+        declared = {_types(text, records): f"{name}:{number}" for number, text in enumerate(texts)}
+        loop._cache = _Cache(function, declared)
+        _declared.update((key, (loop, arguments)) for arguments, key in declared.items())
         return loop
 
-    def decorator(first: Any, *records: type) -> Any:
-        return (
-            partial(decorate, signature=first, records=records) if isinstance(first, str) else decorate(first, None, ())
-        )
+    def decorator(*declared: Any) -> Any:
+        texts = [each for each in declared if isinstance(each, str)]
+        records = [each for each in declared if isinstance(each, type)]
+        return partial(decorate, texts=texts, records=records) if texts else decorate(declared[0], [], [])
 
     return decorator
 
 
-def declared_loops() -> dict[str, tuple[Any, ...]]:
-    """Types of the arguments of the declared loops of the modules imported so far, by name."""
-    return {name: arguments for name, (_, arguments) in _declared.items()}
+def declared_loops() -> dict[str, list[tuple[Any, ...]]]:
+    """The types of arguments that each loop declares, by its name, of the modules imported so far."""
+    found = dict[str, list[tuple[Any, ...]]]()
+    for key, (_, arguments) in _declared.items():
+        found.setdefault(key.rpartition(":")[0], []).append(arguments)
+    return found
 
 
 def missing_loops() -> list[str]:
@@ -296,7 +300,7 @@ def missing_loops() -> list[str]:
 
 
 def compile_declared(name: str) -> None:
-    """Compile a loop for the types that it declares."""
+    """Compile a loop for types that it declares."""
     loop, arguments = _declared[name]
     loop.compile(arguments)
 

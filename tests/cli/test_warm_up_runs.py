@@ -138,7 +138,7 @@ def report() -> None:
         called = [tuple(each) for each in loop.signatures]
         if name in declared and not called:
             print(f"{name} is never called")
-        elif name.startswith("meshdeform") and called and [declared.get(name)] != called:
+        elif name.startswith("meshdeform") and set(called) - set(declared.get(name, [])):
             print(f"{name} is called with {called}, and declares {declared.get(name)}")
 
 
