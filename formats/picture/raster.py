@@ -126,7 +126,7 @@ def _light(scene: Scene) -> FloatArray:
     )
 
 
-@kernel
+@kernel("f8[:, :, ::1], f8, f8[:, ::1], i4[:, ::1], f4[:, ::1]")
 def draw_polygons(corners, scale, depth, item, line):
     """Draw polygons; of those that cover a pixel the nearest to the viewer stays.
 
@@ -212,7 +212,7 @@ def _nearest(x, y, a, b):
     return along, math.hypot(x - a[0] - along * ux, y - a[1] - along * uy)
 
 
-@kernel
+@kernel("f8[:, :, ::1], f8, f8, f8[:, ::1], f4[:, ::1]")
 def draw_segments(ends, half, bias, depth, cover):
     """Draw straight lines over polygons, where they are not behind them.
 

@@ -101,7 +101,7 @@ def _adjacency(pairs: IntArray, n: int) -> tuple[IntArray, IntArray]:
     return matrix.indptr.astype(np.int64), matrix.indices.astype(np.int64)
 
 
-@kernel
+@kernel("f8[:, ::1], i8[::1], i8[::1], i8[::1]")
 def _along_surfaces(vectors, seeds, start, neighbour):
     """Every node takes the rotation vector nearest to that of the node from which it is reached first, in place.
 

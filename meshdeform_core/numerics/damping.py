@@ -5,7 +5,7 @@ import numpy as np
 from .jit import kernel
 
 
-@kernel
+@kernel("f8[:, ::1], i8[::1], f8[:, ::1], f8[:, ::1], f8")
 def damp_rows(values, rows, normals, parts, least):
     """``values[r] = (I + sum_k c_k n_k n_k^T)^-1 values[r]`` for the given rows, each once; c = part / (1 - part).
 

@@ -7,7 +7,7 @@ last index, along each direction, of its nodes that are not near, and ``start[b]
 from .jit import kernel
 
 
-@kernel
+@kernel("i8[:, ::1], i8[::1], i8[:, :, ::1], i8[::1]")
 def near_rows(shapes, offsets, inside, out):
     """The rows (n,) of all nodes near block faces, ascending."""
     n = 0
@@ -26,7 +26,7 @@ def near_rows(shapes, offsets, inside, out):
                 row += shapes[b, 2]
 
 
-@kernel
+@kernel("i8[::1], i8[:, ::1], i8[::1], i8[:, :, ::1], i8[::1], f8[:, ::1], f8[:, ::1]")
 def near_values(rows, shapes, offsets, inside, start, values, out):
     """Store the ``values`` (m, 3), kept for all near rows, of each row (n,); return False if any is not near."""
     block = 0

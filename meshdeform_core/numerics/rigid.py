@@ -15,7 +15,7 @@ from .arrays import FloatArray
 from .jit import inlined, kernel
 
 
-@kernel
+@kernel("f8[:, ::1], f8[:, ::1]")
 def finish_displacement(sums, out):
     """Mean displacement (eq. 14)."""
     for n in range(sums.shape[0]):
@@ -23,7 +23,7 @@ def finish_displacement(sums, out):
             out[n, d] = sums[n, 1 + d] / sums[n, 0]
 
 
-@kernel
+@kernel("f8[:, ::1], f8[:, ::1], f8[:, ::1], i8")
 def finish_quaternion(sums, points, out, steps):
     """Mean quaternion, normalised, and mean translation (eqs. 19, 20), applied ``steps`` times (eqs. 26-28)."""
     for n in range(sums.shape[0]):
@@ -41,7 +41,7 @@ def finish_quaternion(sums, points, out, steps):
         out[n, 0], out[n, 1], out[n, 2] = d0, d1, d2
 
 
-@kernel
+@kernel("f8[:, ::1], f8[:, ::1], f8[:, ::1]")
 def finish_affine(sums, points, out):
     """Mean of the predicted positions R_i (x - x_i) + y_i (Luke et al. 2012): an affine map of x."""
     for n in range(sums.shape[0]):
@@ -73,7 +73,7 @@ def _share(moving, rest, power, near, crossing, width):
     return 1.0 - part if to_rest < to_moving else part
 
 
-@kernel
+@kernel("f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], f8, f8, f8, f8")
 def finish_twist(sums, points, out, rest, power, near, crossing, width):
     """Exponential of the mean twist: (R - 1) x + V v with R = exp w.
 

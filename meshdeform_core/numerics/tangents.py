@@ -164,7 +164,7 @@ def _of_node(kind, sums, n, points, change, steps, out):
         _of_affine(sums, n, points, change, out)
 
 
-@kernel
+@kernel("i8, f8[:, ::1], f8[:, ::1], f8[:, ::1], i8, f8[::1], f8[::1], f8, f8, f8, f8, f8[:, ::1]")
 def _tangents(kind, sums, points, changes, steps, d_rest, rest, power, near, crossing, width, out):
     twist, d_twist = np.empty(6), np.empty(6)
     for n in range(sums.shape[0]):
@@ -176,7 +176,7 @@ def _tangents(kind, sums, points, changes, steps, d_rest, rest, power, near, cro
             _of_node(kind, sums, n, points, changes[n], steps, out[n])
 
 
-@kernel
+@kernel("i8, f8[:, ::1], f8[:, ::1], f8[:, ::1], i8, f8[:, ::1]")
 def _gradients(kind, sums, points, gradient, steps, out):
     columns = sums.shape[1]
     change, moved = np.zeros(columns), np.empty(3)
@@ -188,7 +188,7 @@ def _gradients(kind, sums, points, gradient, steps, out):
             change[c] = 0.0
 
 
-@kernel
+@kernel("f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[::1], f8, f8, f8, f8, f8[:, ::1], f8[::1]")
 def _twist_gradients(sums, points, gradient, rest, power, near, crossing, width, out, g_rest):
     columns = sums.shape[1]
     change, twist, unit, moved = np.zeros(columns), np.empty(6), np.zeros(6), np.empty(3)

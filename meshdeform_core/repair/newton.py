@@ -242,7 +242,7 @@ class NewtonSystem:
         return scipy.sparse.bsr_array(blocks, shape=(d * n, d * n)).toarray()
 
 
-@kernel
+@kernel("f4[:, :, ::1], i8[::1], i4[::1], f8[:, ::1], f8[:, ::1], i8, i8")
 def multiply_rows(matrix, starts, columns, p, image, low, high):
     """Rows low <= i < high of the product of the matrix and ``p`` (n, 3); return their part of ``p . image``.
 
@@ -255,7 +255,7 @@ def multiply_rows(matrix, starts, columns, p, image, low, high):
     return total
 
 
-@kernel
+@kernel("Tuple((f4[:, :, ::1], i8[::1], i4[::1],)), f8, f8[:, ::1], f8[:, ::1], i8, i8")
 def sweep_back(matrix, relaxation, p, t, low, high):
     """``t = (D + L^T)^-1 p`` in the range low <= i < high of vectors (n, 2)."""
     blocks, starts, columns = matrix
@@ -269,7 +269,7 @@ def sweep_back(matrix, relaxation, p, t, low, high):
         solve_row(blocks, columns, t, p, row, last, last - at, -1, relaxation)
 
 
-@kernel
+@kernel("Tuple((f4[:, :, ::1], i8[::1], i4[::1],)), f8, f8[:, ::1], f8[:, ::1], f8[:, ::1], i8, i8")
 def sweep_on(matrix, relaxation, p, t, image, low, high):
     """``image = t + (D + L)^-1 (p + (I - 2 D) t + E t)`` in the range low <= i < high, after :func:`sweep_back` of all
     ranges; return its part of ``p . image``."""
@@ -309,7 +309,7 @@ def _add_product(blocks, at, t, column, image, row):
     image[row, 1] += blocks[at, 1, 0] * t[column, 0] + blocks[at, 1, 1] * t[column, 1]
 
 
-@kernel
+@kernel("f8[:, :, ::1], Tuple((i8, i8, i8[::1], i4[::1],)), f8[:, :, ::1], f8[:, :, ::1]")
 def factor_diagonal(blocks, rows, freedom, factor):
     """Fill ``factor`` with the inverse Cholesky factors of diagonal blocks; return the number of negative pivots.
 
@@ -353,7 +353,7 @@ def factor_diagonal(blocks, rows, freedom, factor):
     return bad
 
 
-@kernel
+@kernel("f8[:, :, ::1], Tuple((i8, i8, i8[::1], i4[::1],)), f8[:, :, ::1], f4[:, :, ::1]")
 def scale_left(blocks, rows, factor, matrix):
     """``matrix_ij = F_i H_ij`` for the block rows i of ``rows``, whose H are ``blocks``."""
     first, last, starts, _ = rows
@@ -373,7 +373,7 @@ def scale_left(blocks, rows, factor, matrix):
                     matrix[at, 2, e] = a * blocks[n, 0, e] + b * blocks[n, 1, e] + c * blocks[n, 2, e]
 
 
-@kernel
+@kernel("f4[:, :, ::1], i8[::1], i4[::1], f8[:, :, ::1], i8, i8")
 def scale_right(matrix, starts, columns, factor, low, high):
     """``H_ij <- H_ij F_j^T`` for the block rows low <= i < high."""
     size = factor.shape[1]
@@ -389,7 +389,7 @@ def scale_right(matrix, starts, columns, factor, low, high):
             matrix[at, d, 0], matrix[at, d, 1] = a * x, b * x + c * y
 
 
-@summing_kernel
+@summing_kernel("f8[::1], f8[::1], f8[::1], f8[::1], f8, i8, i8")
 def advance_rows(y, r, p, image, length, low, high):
     """Update entries low <= i < high of ``y`` and ``r`` in a conjugate gradient step; return their part of r . r."""
     total = 0.0
@@ -400,7 +400,7 @@ def advance_rows(y, r, p, image, length, low, high):
     return total
 
 
-@summing_kernel
+@summing_kernel("f8[::1], f8[::1], i8, i8")
 def dot_rows(a, b, low, high):
     """The part of ``a . b`` from entries low <= i < high."""
     total = 0.0

@@ -22,7 +22,7 @@ def _chi(det, eps):
     return 0.5 * (det + root) if det > 0.0 else 0.5 * eps * eps / (root - det)
 
 
-@kernel
+@kernel("f8[:, :, :, ::1], f8[:, :, :, ::1], f8, f8, f8, b1[:, :, ::1]")
 def mark_unhealthy(x, start, healthy, eps, tolerance, marks):
     """Mark the hexahedra of a block with a corner where f is more than ``healthy``.
 
@@ -63,7 +63,7 @@ def mark_unhealthy(x, start, healthy, eps, tolerance, marks):
                         break
 
 
-@kernel
+@kernel("f8[:, :, ::1], f8[:, :, ::1], f8, f8, f8, b1[:, ::1]")
 def mark_unhealthy_plane(x, start, healthy, eps, tolerance, marks):
     """As :func:`mark_unhealthy`, for the quadrilaterals of a plane block (ni, nj, 3)."""
     edge, base = np.empty((2, 3)), np.empty((2, 3))

@@ -65,7 +65,10 @@ from .formulas import (
 __all__ = ["CHANGE", "RATIO", "SCALED", "SCALED_BEFORE", "SKEW", "SKEW_BEFORE", "inspect_hexahedra"]
 
 
-@kernel
+@kernel(
+    "f8[:, :, :, ::1], f8[:, :, :, ::1], b1, b1, f8, f8, i8, i8, f4[:, :, :, ::1], b1[:, :, ::1], f8[:, ::1], "
+    "i8[:, ::1]",
+)
 def inspect_hexahedra(before, x, compare, both, sign, scale, i0, i1, out, is_open, sums, counts):
     """Measures of the cells i0 <= i < i1 of a block.
 

@@ -3,7 +3,7 @@
 from ..jit import inlined, kernel
 
 
-@kernel
+@kernel("i2[::1], i8, i8[:, ::1], i8[:, ::1], i8[::1], i8[::1], i8[::1], i8[::1], i2[::1]")
 def spread_layers(layers, most, planes, shapes, offsets, nodes, ends, classes, nearest):
     """Lower ``layers``, distances in cells, until every node is at most one farther than its neighbours; returns how
     often one was lowered.

@@ -11,7 +11,7 @@ from ..jit import kernel
 from .volume import along
 
 
-@kernel
+@kernel("f8[:, :, ::1], f8[::1], i8, i8, f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], u1[:, ::1]")
 def measure_quads(x, normal, i0, i1, skew, scaled, jacobian, area, bad):
     """Measures of the cells i0 <= i < i1 of a 2-D block (na, nb, 3) whose valid cells have Jacobians along ``normal``.
 

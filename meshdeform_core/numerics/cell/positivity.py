@@ -21,7 +21,7 @@ _TOGETHER = 1 << 12
 """Cells, or parts of them, judged at a time, which bounds the memory."""
 
 
-@kernel
+@kernel("f8[:, :, ::1], f8[:, :, ::1], f8[::1], i8, i8, f4[:, ::1]")
 def judge_quads(before, x, normal, i0, i1, ratio):
     """Smallest ratio of a corner Jacobian to the undeformed one, per quadrilateral; infinite without a sound corner.
 

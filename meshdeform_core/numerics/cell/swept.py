@@ -6,7 +6,7 @@ from ..jit import inlined, kernel
 from .volume import triple, twelve_volumes
 
 
-@kernel
+@kernel("f8[:, ::1], f8[:, ::1], i8, UniTuple(i8, 3), UniTuple(i8, 2), UniTuple(i8, 3), f8, f8[:, :, ::1]")
 def sweep_faces(before, after, first, counts, along, across, weight, out):
     """Volumes swept by the faces of a block that lie across one index axis.
 
@@ -39,7 +39,7 @@ def sweep_faces(before, after, first, counts, along, across, weight, out):
                 out[i, j, k] = (weight / 12.0) * volume
 
 
-@kernel
+@kernel("f8[:, ::1], f8[:, ::1], i8, UniTuple(i8, 3), i8, UniTuple(i8, 3), f8[::1], f8[:, :, ::1]")
 def sweep_edges(before, after, first, counts, step, across, normal, out):
     """As :func:`sweep_faces`, for edges of a 2-D block: areas of bilinear quadrilaterals seen along ``normal`` (3,).
 

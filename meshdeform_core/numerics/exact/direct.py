@@ -133,7 +133,10 @@ def _sum_any(targets, target_span, sources, charges, pieces, piece_span, a, b, k
                         out[t, c] += total
 
 
-@fast_kernel
+@fast_kernel(
+    "f8[:, ::1], i8[:, ::1], f8[:, ::1], f8[:, ::1], i8[:, ::1], i8[:, ::1], f8, f8, b1, f4[::1], f8[:, ::1]",
+    "f8[:, ::1], i8[:, ::1], f8[:, ::1], f8[:, ::1], i8[:, ::1], i8[:, ::1], f8, f8, b1, f8[::1], f8[:, ::1]",
+)
 def _sum_whole(targets, target_span, sources, charges, pieces, piece_span, a, kappa, all_charges, precision, out):
     """:func:`sum_groups` for a = 3 or 4 with b = 5: r^-3 (three + four / r + five / r^2) in one vector loop."""
     tile, weight = np.empty((11, _TILE), precision.dtype), np.empty(_TILE, precision.dtype)

@@ -49,7 +49,7 @@ def radial_matrix(kind: int, targets: FloatArray, centres: FloatArray) -> FloatA
     return matrix
 
 
-@fast_kernel
+@fast_kernel("i8, f8[:, ::1], f8[:, ::1], i8, f8[:, ::1]")
 def radial_block(kind, targets, packed, n, out):
     """Add to ``out`` (t, 3) the sums of coefficient * phi over ``n`` packed centres: x, y, z, coefficients in rows.
 
@@ -74,7 +74,7 @@ def radial_block(kind, targets, packed, n, out):
                 out[t, 2] += a2
 
 
-@fast_kernel
+@fast_kernel("i8, f8[:, ::1], f8[:, ::1], f8[:, ::1]")
 def fill_rows(kind, targets, columns, out):
     """Basis values (n, m) between targets (n, 3) and centres given as columns (3, m), into ``out``."""
     x, y, z = columns[0], columns[1], columns[2]

@@ -83,7 +83,7 @@ class FaceTree:
         return np.sort(order[pairs[:count]], axis=1)
 
 
-@kernel
+@kernel("i8[:, ::1], i4[:, ::1], i1[::1], b1[::1], f8[:, ::1], f8[:, ::1], i8[:, ::1]")
 def _pairs_in_leaves(leaves, faces, role, asked, low, high, pairs):
     """Store as many pairs of faces as fit into ``pairs``, with a box in common and no node, of pairs of ``leaves``
     (2, n) of the tree; returns their number."""

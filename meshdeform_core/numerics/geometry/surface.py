@@ -51,7 +51,7 @@ class TriangleTree:
         return self._order[found], weights, distance
 
 
-@kernel
+@kernel("f8[:, ::1], f8[:, :, ::1], f8[::1, :], i8, i8[::1], i8[::1], f8[:, ::1], f8[::1]")
 def _search(targets, corners, box, leaf, waiting, found, weights, distance):
     """``distance`` holds the limits; ``waiting`` is room for the boxes still to be searched."""
     trial, bound = np.empty(3), np.empty(64)

@@ -11,7 +11,7 @@ from ..exact.radial import fill_rows
 from ..jit import fast_kernel
 
 
-@fast_kernel
+@fast_kernel("i8, f8[:, ::1], f8[::1, :], f8, f8[:, ::1], f8[:, ::1]")
 def invert_last(kind, points, basis, shift, b, rows):
     """The last rows of the inverse of A on the orthogonal complement of the polynomials.
 

@@ -112,7 +112,7 @@ def independent(polynomial: FloatArray) -> FloatArray:
     return polynomial[:, :1]
 
 
-@kernel
+@kernel("i8, f8[:, ::1], f8[:, ::1], f8[::1], b1[::1], i8[::1], i8, i8, i8, i8")
 def _update(kind, columns, residual, inverse_scale, chosen, order, count, max_points, limit, start):
     """Make at most ``limit`` single-point updates; return their number and the number of chosen centres.
 

@@ -57,7 +57,7 @@ def tile_start(i, j, first, nj, nk):
     return 3 * (nj * (i * padded(nk) + first) + j * min(TILE, padded(nk) - first))
 
 
-@kernel
+@kernel("f8[:, ::1], i8[:, ::1], i8[:, ::1], f8[::1]")
 def arc_coordinates(points, subs, parts, arc):
     """Normalised arc lengths of the nodes inside sub-blocks; coordinates are uniform on lines of zero length.
 

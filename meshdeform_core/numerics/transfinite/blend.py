@@ -19,7 +19,7 @@ _LINES = 64
 _ONE, _BY_Y, _BY_X, _BY_XY, _OUT = 0, 3, 6, 9, 12
 
 
-@fast_kernel
+@fast_kernel("f8[:, ::1], f8[::1], i8[:, ::1], i8[:, ::1]")
 def blend_slabs(d, arc, subs, slabs):
     """Fill planes of the interior of sub-blocks from their faces, in place (eqs. 1, 3-9).
 

@@ -10,7 +10,7 @@ import numpy as np
 from ..jit import fast_kernel, inlined, kernel
 
 
-@kernel
+@kernel("f8[:, ::1], i8[::1], i8[::1], f8[::1]")
 def blend_lines(d, start, nodes, arc):
     """Fill rows of ``d`` (n, 3), the displacement inside lines of nodes, from the two ends of each line.
 
@@ -23,7 +23,7 @@ def blend_lines(d, start, nodes, arc):
                 d[nodes[n], c] = d[first, c] + arc[n] * (d[last, c] - d[first, c])
 
 
-@kernel
+@kernel("f8[:, ::1], i8[::1], i8[::1], i8[::1], f8[::1], f8[::1]")
 def face_coordinates(points, start, width, nodes, s, t):
     """Arc coordinates of the nodes of faces along their first and second index, into ``s`` and ``t``.
 
@@ -60,7 +60,7 @@ def _arcs(points, nodes, first, step, count, arc):
 _ONE, _BY_S = 0, 3
 
 
-@fast_kernel
+@fast_kernel("f8[:, ::1], i8[::1], i8[::1], i8[::1], b1[::1], f8[::1], f8[::1]")
 def blend_faces(d, start, width, nodes, wanted, s, t):
     """Fill the ``wanted`` rows of ``d`` (n, 3), the displacement inside faces, from the four edges of each face.
 

@@ -12,7 +12,7 @@ from ..jit import inlined, kernel
 from .arcs import TILE, padded, tile_start
 
 
-@kernel
+@kernel("f8[:, ::1], f8[::1], i8[:, ::1]")
 def blend_transposed(g, arc, subs):
     """Transpose of :func:`.blend.blend_slabs` for whole sub-blocks: faces minus edges plus corners, node by node."""
     x, high, index = np.empty(3), np.empty(3, np.int64), np.empty(3, np.int64)
@@ -59,7 +59,7 @@ def _spread(g, corner, index, high, x):
                 g[to, 2] += w * c
 
 
-@kernel
+@kernel("f8[:, ::1], i8[::1], i8[::1], f8[::1]")
 def lines_transposed(g, start, nodes, arc):
     """Transpose of :func:`.faces.blend_lines`, last line first."""
     for line in range(start.size - 2, -1, -1):
@@ -72,7 +72,7 @@ def lines_transposed(g, start, nodes, arc):
                 g[last, c] += arc[n] * value
 
 
-@kernel
+@kernel("f8[:, ::1], i8[::1], i8[::1], i8[::1], b1[::1], f8[::1], f8[::1]")
 def faces_transposed(g, start, width, nodes, wanted, s, t):
     """Transpose of :func:`.faces.blend_faces`, last face first."""
     for face in range(start.size - 2, -1, -1):

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...jit import inlined, kernel
+from ...jit import inlined, kernel, record
 from ...lanes import NARROW as WIDTH
 from .corners import (
     BETWEEN,
@@ -28,9 +28,11 @@ from .corners import (
 from .jacobian import combined, distortion, growth, mapping, regular, slopes
 from .nodes import FORCE, PARTS, ROWS, add_block, add_to_pair, add_transposed, turn_to_node
 from .places import place_of
+from .samples import Samples
 from .vectors import transpose
 
 
+@record("i8[::1], f8[:, :, ::1], b1[::1]")
 class Unknowns(NamedTuple):
     """The unknowns of a region's n nodes: ``number`` (n,), the unknown of each node or -1; ``frame`` (n, d, d), with
     displacement = frame @ unknown; ``plain`` (n,), whether the frame is the identity."""
@@ -40,7 +42,10 @@ class Unknowns(NamedTuple):
     plain: np.ndarray
 
 
-@kernel
+@kernel(
+    "f8[:, ::1], i8[:, ::1], f8[:, ::1], i8[:, ::1], i8[::1], Samples, f8[:, ::1], f8[:, ::1], UniTuple(f8, 5), i8, i8",
+    Samples,
+)
 def energy_of_cells(x, cells, start, own, mask, samples, weight, reference, penalty, low, high):
     """Sum of the energy over the cells low <= c < high, their smallest D and largest f.
 
@@ -124,7 +129,12 @@ def coefficients(g, det, eps, weight, cubic, exact):
     return combined(u, v, w, q, r, weight + cubic * one, cubic * two)
 
 
-@kernel
+@kernel(
+    "f8[:, ::1], i8[:, ::1], f8[:, ::1], i8[:, ::1], i8[::1], Samples, f8[:, ::1], f8[:, ::1], UniTuple(f8, 5), "
+    "i8[::1], Unknowns, Tuple((i8, i8, i8[::1], i4[::1],)), f8[:, :, ::1], f8[:, ::1]",
+    Samples,
+    Unknowns,
+)
 def add_derivatives(
     x, cells, start, own, mask, samples, weight, reference, penalty, which, unknowns, rows, matrix, gradient
 ):
@@ -221,7 +231,7 @@ def _turn(one, two, found, first, part, work):
             flat[first + 3 * d + e] = work[d, 0] * two[0, e] + work[d, 1] * two[1, e] + work[d, 2] * two[2, e]
 
 
-@kernel
+@kernel("f8[:, ::1], i8[:, ::1], f8[:, ::1], i8[:, ::1], i8[::1], Samples, f8, f8, f8", Samples)
 def excess_of_cells(x, cells, start, own, mask, samples, healthy, norm, eps):
     """``norm``-norm of max(0, log(f / healthy)) over the sample points of each cell (m,)."""
     count, node, slope = samples

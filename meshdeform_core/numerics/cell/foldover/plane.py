@@ -17,6 +17,7 @@ import numpy as np
 
 from ...jit import inlined, kernel
 from ...lanes import NARROW as WIDTH
+from .hexahedra import Unknowns
 from .jacobian import growth, regular
 from .places import place_of
 from .triangles import (
@@ -47,7 +48,7 @@ def plane_matrix(x, node, slope):
     return a, b, c, d
 
 
-@kernel
+@kernel("f8[:, ::1], i8[:, ::1], f8[:, :, ::1], f8[::1], f8[:, ::1], UniTuple(f8, 5), i8, i8")
 def energy_of_triangles(x, node, slope, weight, reference, penalty, low, high):
     """Sum of the energy over the triangles low <= m < high, their smallest D and largest f.
 
@@ -76,7 +77,11 @@ def energy_of_triangles(x, node, slope, weight, reference, penalty, low, high):
     return total, lowest, highest
 
 
-@kernel
+@kernel(
+    "f8[:, ::1], i8[:, ::1], f8[:, :, ::1], f8[::1], f8[:, ::1], UniTuple(f8, 5), i8[::1], Unknowns, Tuple((i8, "
+    "i8, i8[::1], i4[::1],)), f8[:, :, ::1], f8[:, ::1]",
+    Unknowns,
+)
 def add_triangles(x, node, slope, weight, reference, penalty, which, unknowns, rows, matrix, gradient):
     """Add the derivatives of the energy of the triangles ``which`` to rows of the gradient and of the Hessian.
 
@@ -139,7 +144,7 @@ def _turn(one, two, found, lane, at):
             found[lane, at + 2 * i + k] = x * two[0, k] + y * two[1, k]
 
 
-@kernel
+@kernel("f8[:, ::1], i8[:, ::1], f8[:, :, ::1], f8, f8")
 def excess_of_triangles(x, node, slope, healthy, eps):
     """max(0, log(f / healthy)) of every triangle (m,)."""
     result = np.zeros(len(node))
@@ -153,7 +158,7 @@ def excess_of_triangles(x, node, slope, healthy, eps):
     return result
 
 
-@kernel
+@kernel("f8[:, ::1], i8[:, ::1], f8[::1], f8, i8[:, ::1], f8[:, :, ::1], i8[::1]")
 def corner_triangles(start, cells, sign, tolerance, node, slope, cell):
     """Triangles at the sound corners of quadrilaterals; returns their number.
 

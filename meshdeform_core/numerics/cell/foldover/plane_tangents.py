@@ -8,7 +8,7 @@ from .jacobian import growth, regular, slopes_of_triangle
 from .plane import plane_matrix
 
 
-@kernel
+@kernel("f8[:, ::1], i8[:, ::1], f8[:, :, ::1], f8[::1], UniTuple(f8, 5), f8[:, ::1], f8, f8[:, ::1]")
 def products_of_triangles(x, node, slope, weight, penalty, change, d_share, out):
     """Add to ``out`` (n, 2) the change of the energy's gradient for a ``change`` (n, 2) of ``x`` and ``d_share`` of the
     share.
@@ -46,7 +46,7 @@ def products_of_triangles(x, node, slope, weight, penalty, change, d_share, out)
     return g_share
 
 
-@kernel
+@kernel("f8[:, ::1], i8[:, ::1], f8[:, :, ::1], f8, f8, f8[:, ::1], f8[::1], f8[::1], f8[:, ::1]")
 def slopes_of_triangles(x, node, slope, healthy, eps, change, gradient, d_excess, out):
     """Derivatives of :func:`.plane.excess_of_triangles`, as :func:`.tangents.slopes_of_cells`."""
     for at in range(node.shape[0]):

@@ -7,10 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...jit import kernel
+from ...jit import kernel, record
 from .jacobian import determinant, jacobian
 
 
+@record("i8[::1], i8[:, ::1], f8[:, :, ::1]")
 class Samples(NamedTuple):
     """Sample points of the reference cell.
 
@@ -49,7 +50,7 @@ def samples_with_any(chosen: np.ndarray, samples: Samples) -> np.ndarray:
     return mask
 
 
-@kernel
+@kernel("f8[:, ::1], i8[:, ::1], Samples, f8[::1], f8", Samples)
 def sound_samples(start, cells, samples, sign, tolerance):
     """Sample points at which undeformed cells are sound: (m,) int64, bit s for sample point s.
 
@@ -70,7 +71,7 @@ def sound_samples(start, cells, samples, sign, tolerance):
     return mask
 
 
-@kernel
+@kernel("f8[:, ::1], i8[:, ::1], i8[:, ::1]")
 def shortest_edges(start, cells, pairs):
     """Length (n,) of the shortest edge at every node of ``start`` (n, d), edges of zero length ignored.
 

@@ -10,9 +10,14 @@ import numpy as np
 from ...jit import inlined, kernel
 from .hexahedra import coefficients
 from .jacobian import cofactors, distortion, inner, jacobian, mapping, regular
+from .samples import Samples
 
 
-@kernel
+@kernel(
+    "f8[:, ::1], i8[:, ::1], f8[:, ::1], i8[:, ::1], i8[::1], Samples, f8[:, ::1], UniTuple(f8, 5), f8[:, ::1], "
+    "f8, f8[::1], f8[:, ::1], f8[::1]",
+    Samples,
+)
 def products_of_cells(x, cells, start, own, mask, samples, weight, penalty, change, d_share, d_between, out, g_between):
     """Add to ``out`` (n, 3) the change of the energy's gradient for a ``change`` (n, 3) of ``x``, ``d_share`` of the
     share of all samples, and ``d_between`` (m,) of the share of each cell's samples between corners.
@@ -70,7 +75,11 @@ def _turned_cofactors(a, t, result):
             result[i, j] = t[m, p] * a[n, q] + a[m, p] * t[n, q] - t[m, q] * a[n, p] - a[m, q] * t[n, p]
 
 
-@kernel
+@kernel(
+    "f8[:, ::1], i8[:, ::1], f8[:, ::1], i8[:, ::1], i8[::1], Samples, f8, f8, f8, f8[:, ::1], f8[::1], f8[::1], "
+    "f8[:, ::1]",
+    Samples,
+)
 def slopes_of_cells(x, cells, start, own, mask, samples, healthy, norm, eps, change, gradient, d_excess, out):
     """Derivative of :func:`.hexahedra.excess_of_cells`, and its transpose.
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...arrays import FloatArray, IntArray, batches
 from ...arrays import spans as runs_of
-from ...jit import fast_kernel, inlined
+from ...jit import fast_kernel, inlined, record
 from ..tuned import REFERENCE_RATIO
 
 _TOGETHER = 1 << 18
@@ -19,6 +19,7 @@ _TOGETHER = 1 << 18
 _LENGTH, _MOST = 128, 32
 
 
+@record("f8[:, ::1], f8[:, :, ::1], f8[:, ::1], i8[:, ::1], i8[::1], f8[:, ::1]")
 class Boxes(NamedTuple):
     """Boxes along principal axes.
 
@@ -125,7 +126,7 @@ def place_points(boxes: Boxes, start: IntArray) -> FloatArray:
     return points
 
 
-@fast_kernel
+@fast_kernel("Boxes, i8[:, ::1], f8[:, ::1], f8[:, ::1], i8, i8, b1", Boxes)
 def interpolate(boxes, tasks, points, values, low, high, transposed):
     """Add to ``values`` (n, 8) of some points those interpolated from the interpolation points of a box around them.
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from ....parallel import for_chunks
 from ...arrays import BoolArray, FloatArray, IntArray
+from ...jit import record
 from ...pieces import pieces
 from ..tuned import RADIAL_REGION
 from .boxes import fit_boxes
@@ -148,6 +149,7 @@ def _longest_sides(x: FloatArray, box: IntArray) -> IntArray:
     return np.asarray(np.argmax(length, axis=1))
 
 
+@record("i8[::1], i8[:, ::1], i8[:, ::1], i8[::1], f8[:, ::1], f8[:, :, ::1], f8[:, ::1]")
 class TargetTree(NamedTuple):
     """:class:`Halves` with boxes along principal axes: ``center, axes, half`` (m, 3), (m, 3, 3), (m, 3)."""
 

@@ -15,9 +15,9 @@ from ....parallel import empty, for_chunks
 from ...arrays import FloatArray, IntArray
 from ...exact.radial import radial_block
 from ...jit import kernel
-from .nested import _scatter_down, _spread
+from .nested import Bases, _scatter_down, _spread
 from .polynomials import add_transposed, place_points
-from .sums import DEPTH, FastRadial, look
+from .sums import DEPTH, Boxes, Clusters, FastRadial, look
 from .targets import RadialTargets
 
 _MOST_PORTIONS = 64
@@ -85,7 +85,7 @@ class FrozenRadial:
         return found
 
 
-@kernel
+@kernel("i8[::1], i8[:, ::1], Bases, f8[:, ::1], f8[:, ::1]", Bases)
 def scatter_to_centres(child, span, bases, upper, charges):
     """Transpose of :func:`.nested.gather_up`: add to the gradients of ``charges`` (n, 3) those of the skeletons."""
     _scatter_down(child, bases, upper)
@@ -94,7 +94,7 @@ def scatter_to_centres(child, span, bases, upper, charges):
             _spread(c, span[c, 0], bases, upper, charges)
 
 
-@kernel
+@kernel("i8, i8, f8[:, ::1], Boxes, Clusters, f8[:, ::1], f8[:, ::1]", Boxes, Clusters)
 def spread_region(kind, region, points, boxes, clusters, gradient, out):
     """Transpose of :func:`.sums.sum_regions` for one region: add to ``out`` (n + m, 3), the gradients of centres and
     skeletons, those that follow from the ``gradient`` (k, 3) of its targets.

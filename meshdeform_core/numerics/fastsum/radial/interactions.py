@@ -35,7 +35,7 @@ def find_interactions(tree: SourceTree, radius: FloatArray, compact: bool) -> In
     return Interactions(starts[0], far, starts[1], near)
 
 
-@kernel
+@kernel("f8[:, ::1], f8[::1], i8[::1], f8, b1, i8[:, ::1], b1, i8[::1], i8[::1]")
 def _meet(center, radius, child, reach, compact, places, fill, far, near):
     """Traverse pairs of clusters from the root; count the partners of each in ``places`` (2, m), or with ``fill`` store
     them from these positions on."""

@@ -16,7 +16,7 @@ from ....parallel import for_chunks
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...exact.basis import BASES
 from ...exact.radial import radial_block
-from ...jit import kernel
+from ...jit import kernel, record
 from ..clusters.tree import SourceTree, build_tree
 from ..tuned import NESTED_LEAF, REACH
 from .interactions import Interactions, find_interactions
@@ -25,6 +25,7 @@ from .skeletons import decompose, proxy_points
 _CHUNK = 16
 
 
+@record("i8[::1], i8[::1], f8[:, ::1], i8[::1], i8[::1], i8[::1], f8[::1]")
 class Bases(NamedTuple):
     """Skeletons of all clusters.
 
@@ -171,7 +172,7 @@ def _skeleton(
     return places[order[:rank]], order, share[: n - rank, :rank].copy()
 
 
-@kernel
+@kernel("i8[:, ::1], i8[::1], Bases, f8[:, ::1], f8[:, ::1]", Bases)
 def gather_up(span, child, bases, charges, out):
     """Charges of all skeletons from those of the sources, computed from the leaves up."""
     for c in range(span.shape[0] - 1, -1, -1):
@@ -218,7 +219,7 @@ def _spread(c, at, bases, skeleton, out):
         b += rank
 
 
-@kernel
+@kernel("i8[::1], Bases, f8[:, ::1]", Bases)
 def _scatter_down(child, bases, far):
     """Pass the potentials at the skeletons on to those of their children, from the root to the leaves."""
     for c in range(child.size):
@@ -226,7 +227,7 @@ def _scatter_down(child, bases, far):
             _spread(c, bases.start[child[c]], bases, far, far)
 
 
-@kernel
+@kernel("i8, i8, i8, i8[::1], i8[::1], Bases, f8[:, ::1], f8[:, ::1]", Bases)
 def _act_far(kind, lo, hi, far_start, far, bases, charges, out):
     """Add the potentials of the skeletons of far clusters at the skeletons of clusters ``lo`` to ``hi``."""
     packed = np.empty((6, bases.points.shape[0]))
@@ -238,7 +239,11 @@ def _act_far(kind, lo, hi, far_start, far, bases, charges, out):
         radial_block(kind, bases.points[mine], packed, n, out[mine])
 
 
-@kernel
+@kernel(
+    "i8, i8, i8, i8[::1], i8[::1], i8[::1], i8[:, ::1], f8[:, ::1], f8[:, ::1], i8[::1], i8[::1], Bases, "
+    "f8[:, ::1], f8[:, ::1]",
+    Bases,
+)
 def _act_near(kind, lo, hi, leaves, of_leaf, places, span, points, charges, near_start, near, bases, far, out):
     """Sums at positions in leaves: contributions of far clusters by the skeletons, of neighbouring leaves directly."""
     packed = np.empty((6, points.shape[0]))

@@ -18,7 +18,7 @@ import scipy
 from ...arrays import FloatArray, IntArray
 from ...exact.basis import BASES
 from ...exact.radial import radial_matrix
-from ...jit import fast_kernel
+from ...jit import fast_kernel, record
 from ..tuned import HIGHEST, REFERENCE
 
 # Distances at which the error is measured: the first one, and the ratio between successive ones.
@@ -28,6 +28,7 @@ _DISTANCES, _SOURCES, _PLACES = 14, 80, 120
 _FLATTEST = 14
 
 
+@record("i8[::1], i8[:, ::1], f8[:, ::1], i8[::1], f8[::1], f8[:, ::1]")
 class Spaces(NamedTuple):
     """The polynomial spaces of several box shapes, concatenated.
 

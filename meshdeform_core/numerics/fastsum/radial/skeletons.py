@@ -32,7 +32,7 @@ def _sphere(n: int) -> FloatArray:
     return np.stack([side * np.cos(angle), side * np.sin(angle), z], axis=1)
 
 
-@fast_kernel
+@fast_kernel("i8, f8[:, ::1], f8[:, ::1], f8, i8[::1], f8[:, ::1]")
 def decompose(kind, points, proxies, tolerance, order, share):
     """Choose a skeleton of ``points`` (n, 3) seen from ``proxies`` (3, m).
 

@@ -16,7 +16,7 @@ from ....parallel import agreed, for_chunks, numbered, ranks_of
 from ...arrays import FloatArray, IntArray, Report
 from ...exact.basis import BASES
 from ...exact.radial import radial_block, radial_sums
-from ...jit import inlined, kernel
+from ...jit import inlined, kernel, record
 from ..clusters.target_tree import TargetTree
 from ..clusters.tree import build_tree
 from ..tuned import AIM, RADIAL_LEAF, REACH, SKELETONS, TRIAL_LEAVES, TRIALS
@@ -30,6 +30,7 @@ DEPTH = 32
 _STACK = 512
 
 
+@record("TargetTree, Spaces, i8[::1], f8[::1], b1[::1]", TargetTree, Spaces)
 class Boxes(NamedTuple):
     """The boxes of a target tree with their spaces of polynomials.
 
@@ -44,6 +45,7 @@ class Boxes(NamedTuple):
     wanted: np.ndarray
 
 
+@record("b1, f8[:, ::1], f8[::1], i8[::1], i8[:, ::1], f8[:, ::1], Bases, f8[:, ::1], f8[:, ::1], f8[::1]", Bases)
 class Clusters(NamedTuple):
     """Clusters of centres with their skeletons.
 
@@ -196,7 +198,7 @@ class FastRadial:
         return sums
 
 
-@kernel
+@kernel("i8, i8, i8, f8[:, ::1], Boxes, Clusters, f8[:, ::1], f8[::1]", Boxes, Clusters)
 def sum_regions(kind, lo, hi, points, boxes, clusters, out, risk):
     """Sums (n, 3) at the targets of regions ``lo`` to ``hi``, added to ``out``."""
     tree, spaces = boxes.tree, boxes.spaces
