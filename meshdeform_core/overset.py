@@ -41,13 +41,12 @@ from .quality.report import MAX_LISTED
 from .repair.limit import Limit
 from .repair.outcome import Repair
 from .result import Result
-from .setup import Case, Setup, Start, Timing, Undeformed
-from .setup import set_up as set_up_whole
+from .setup import Case, Setup, Start, Timing, Undeformed, set_up_whole
 from .stepping.course import Course
 
 
 def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryLimit = UNLIMITED) -> Setup:
-    """:func:`.setup.set_up` for any grid; the undeformed state of an overset one is :class:`Overset`.
+    """:func:`.setup.set_up_whole` for any grid; the undeformed state of an overset one is :class:`Overset`.
 
     Raises
     ------

@@ -218,7 +218,7 @@ class Start:
     prepared: PreparedMethod | None = None
 
 
-def set_up(
+def set_up_whole(
     grid: Grid,
     case: Case,
     timing: Timing | None = None,

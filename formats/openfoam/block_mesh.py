@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Connection, FloatArray, Grid, Patch, Periodicity, Window
@@ -225,7 +225,7 @@ def _motion(patch: FoamPatch, mean: FloatArray, image: FloatArray) -> Periodicit
     )
     axis = axis / max(float(np.linalg.norm(axis)), 1e-30)
     a, b = (x - center - ((x - center) @ axis) * axis for x in (mean, image))
-    turn = Rotation.from_rotvec(np.arctan2(np.cross(a, b) @ axis, a @ b) * axis)
+    turn = scipy.spatial.transform.Rotation.from_rotvec(np.arctan2(np.cross(a, b) @ axis, a @ b) * axis)
     # Lower case: about the fixed axes x, y, z in turn.
     return Periodicity(*(tuple(values.tolist()) for values in (center, turn.as_euler("xyz", degrees=True))))
 

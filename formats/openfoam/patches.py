@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from meshdeform_core.grid import BoolArray, FloatArray, Grid, IntArray, Side
 from meshdeform_core.grid.connectivity.declared import periodic_image, periodic_rotation
@@ -132,7 +132,10 @@ def _cyclic_entries(marker: Marker, markers: Sequence[Marker], names: Mapping[st
     assert motion is not None
     sign = 1.0 if marker.motion is not None else -1.0
     lines = [f"neighbourPatch  {names[marker.partner]};", "matchTolerance  0.0001;"]
-    turn, shift = Rotation.from_matrix(periodic_rotation(motion)).as_rotvec(), np.array(motion.translation)
+    turn, shift = (
+        scipy.spatial.transform.Rotation.from_matrix(periodic_rotation(motion)).as_rotvec(),
+        np.array(motion.translation),
+    )
     if not np.any(turn):
         return (*lines, "transform       translational;", f"separationVector {_vector(sign * shift)};")
     if np.any(shift):

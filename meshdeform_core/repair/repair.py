@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 
 from ..errors import MethodError
 from ..grid import FloatArray, IntArray
@@ -257,7 +257,7 @@ class Repairer:
         if least <= 0.0 or smallest(end.points) >= least:
             return end
         # As exact as the minimum: a coarser part would make moving grids jump.
-        part = brentq(lambda part: smallest(between(part).points) - least, 0.0, 1.0, xtol=1e-7)
+        part = scipy.optimize.brentq(lambda part: smallest(between(part).points) - least, 0.0, 1.0, xtol=1e-7)
         found = between(part)
         return found if found.verdict.valid else start
 
@@ -269,7 +269,7 @@ class Repairer:
 
             def fill(rows: slice) -> None:
                 part = np.clip((2.0 * layers - rows_of(distance)[rows]) / layers, 0.0, 1.0)[:, None]  # noqa: B023
-                points[rows] = start.points[rows] + part * (end.points[rows] - start.points[rows])  # noqa: B023
+                points[rows][:] = start.points[rows] + part * (end.points[rows] - start.points[rows])  # noqa: B023
 
             for_rows(fill, points)
             neighbourhood.back_to_surfaces(points)

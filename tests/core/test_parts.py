@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from meshdeform_core.boundary import BoundarySpec, Kind, crossing
 from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.boundary.motions.motion import Motion
-from meshdeform_core.deform import Case, deform
+from meshdeform_core.deform import Case, deform, set_up
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.components import BY_PREFIX
 from meshdeform_core.grid.dealing import bounds_of
@@ -33,7 +33,6 @@ from meshdeform_core.parallel.scratch import Scratch, scratch_in
 from meshdeform_core.repair import RepairOptions
 from meshdeform_core.repair import repair as repair_module
 from meshdeform_core.series import Schedule, deform_series
-from meshdeform_core.setup import set_up
 from meshdeform_formats import plausible
 from meshdeform_formats.grids import read_grid, write_grid
 

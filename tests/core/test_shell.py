@@ -9,9 +9,9 @@ from types import NoneType
 import numpy as np
 import pytest
 
+from meshdeform_core.deform import set_up
 from meshdeform_core.grid.topology import block_handedness
 from meshdeform_core.grid.topology import topology as topologies
-from meshdeform_core.setup import set_up
 from meshdeform_formats.case import read_case
 from meshdeform_samples import folder, load
 

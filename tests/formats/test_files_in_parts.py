@@ -19,7 +19,7 @@ from plot3d_witness import binary_file, sample_blocks, sample_iblank
 
 from meshdeform_cli import series_run, work
 from meshdeform_core.boundary import BoundarySpec, Kind
-from meshdeform_core.deform import Case, Start, Timing, deform, impose
+from meshdeform_core.deform import Case, Start, Timing, deform, impose, set_up
 from meshdeform_core.grid import Field, Grid
 from meshdeform_core.grid.components import BY_PREFIX
 from meshdeform_core.methods import Options
@@ -28,7 +28,6 @@ from meshdeform_core.parallel import WholeGridNeeded, current_ranks, dividing, p
 from meshdeform_core.quality.fields import CELL_MEASURES, CellFields
 from meshdeform_core.repair import RepairOptions
 from meshdeform_core.series import Schedule, deform_series
-from meshdeform_core.setup import set_up
 from meshdeform_formats.case import CaseFile
 from meshdeform_formats.displacement import read_displacement
 from meshdeform_formats.fields import with_fields
