@@ -89,8 +89,7 @@ def _dry_run(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunIn
     """Print what the series would do and take; returns the exit code."""
     from .. import series_run, work
     from ..dry_run import forecast
-    from ..dry_run.expense import plan_by_sizes
-    from ..dry_run.rates import Levels
+    from ..dry_run.expense import Levels, plan_by_sizes
 
     if layout := too_large(run.memory, source, wanted.more_arrays):
         what = case.read()

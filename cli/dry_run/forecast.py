@@ -22,8 +22,7 @@ from meshdeform_formats.placing import shortage
 from meshdeform_formats.report import Report, plan_report
 
 from ..work import Imposed, Job, place_of
-from .expense import expense_of
-from .rates import Levels
+from .expense import Levels, expense_of
 
 if TYPE_CHECKING:
     from ..series_run import Run

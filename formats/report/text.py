@@ -56,17 +56,14 @@ def _lines(report: Report, parameters: bool) -> Iterator[str]:
 
 
 def _expected(expense: Report) -> str:
-    """The forecast of a run's memory, disk space and time."""
-    work, output, seconds = expense["work_bytes"], expense["output_bytes"], expense["cpu_seconds"]
+    """The forecast of a run's memory and disk space."""
+    work, output = expense["work_bytes"], expense["output_bytes"]
     used = [f"{readable(work)} of files to work in"] if work else []
     used += [f"{readable(output)} for the output"] if output else []
-    disk = [f"disk {' and '.join(used)}"] if used else []
-    bound = "" if seconds is not None else "at most "
+    disk = f"; disk {' and '.join(used)}" if used else ""
+    bound = "at most " if expense["bound"] else ""
     each = f" on each of {expense['ranks']} ranks" if expense["ranks"] > 1 else ""
-    parts = [f"memory {bound}{readable(expense['memory_bytes'])}{each}", *disk]
-    told = "cannot be told from the size of the grid" if seconds is None else f"{seconds:,.3g} s on this machine"
-    parts.append(f"processor time {told}")
-    return f"expected  {'; '.join(parts)}"
+    return f"expected  memory {bound}{readable(expense['memory_bytes'])}{each}{disk}"
 
 
 def _no_format(grid: Report) -> str:
