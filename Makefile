@@ -78,10 +78,21 @@ reproduce: $(VENV)/program
 	$(BIN)/meshdeform reproduce all -o reproduced --validation reproduced/validation.md --force $(if $(QUICK),--quick)
 	@echo "Look at reproduced/validation.md, reproduced/results.md and the figures beside them."
 
-demo: $(VENV)/program
+# What the time goes into is printed at the end; build/ has when it began.
+.PHONY: demo-begins
+demo-begins:
+	@mkdir -p build
+	@date +%s > build/demo-begins
+
+demo: demo-begins $(VENV)/program
+	@date +%s > build/demo-works
 	rm -rf demo
 	$(BIN)/meshdeform sample splitter-plate -o demo --size 16
 	$(BIN)/meshdeform deform demo/grid.cgns -c demo/case.toml -o demo/deformed.cgns \
 	  --report demo/report.json --report demo/report.txt
 	$(BIN)/meshdeform plot demo/deformed.cgns -o demo/deformed.png --plane k=1 --title "splitter plate, IDW-TFI"
 	@echo "Look at demo/deformed.png; the report is in demo/report.txt and demo/report.json."
+	@$(BIN)/python -c 'import json, time; \
+	  begins, works = (int(open("build/demo-" + name).read()) for name in ("begins", "works")); \
+	  compiling = json.load(open("demo/report.json"))["timing"].get("compile", 0.0); \
+	  print(f"environment {works - begins} s, compiling {compiling:.0f} s, work {time.time() - works - compiling:.0f} s")'
