@@ -10,7 +10,7 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent
 PRODUCT = ("meshdeform", "cli", "formats", "sample_cases", "meshdeform_core")
 BUDGETS = {
-    "cli": 3879,
+    "cli": 3802,
     "meshdeform": 3439,
     "sample_cases": 2108,
     "formats/case": 1618,
@@ -19,19 +19,19 @@ BUDGETS = {
     "formats/openfoam": 2172,
     "formats/picture": 2161,
     "formats/plot3d": 1161,
-    "formats/report": 1805,
+    "formats/report": 1802,
     "formats/series": 796,
     "formats/vtk": 2183,
     "formats": 2401,
     "meshdeform_core/boundary": 3654,
     "meshdeform_core/grid": 3677,
     "meshdeform_core/methods": 4893,
-    "meshdeform_core/numerics": 11318,
+    "meshdeform_core/numerics": 11325,
     "meshdeform_core/parallel": 1131,
     "meshdeform_core/quality": 2556,
     "meshdeform_core/repair": 2941,
     "meshdeform_core": 3067,
-    "tests": 34452,
+    "tests": 34434,
 }
 """Lines of Python and of data files per package; a package's row excludes the rows below it."""
 LONGEST_FUNCTION, NINE_IN_TEN, LONGEST_FILE = 60, 25, 500

@@ -168,12 +168,8 @@ class _Cache(FunctionCache):
             # numba's own stamp is that of the file which contains the loop.
             self._cache_file = IndexDataCacheFile(self.cache_path, self._impl.filename_base, stamp)
             source = self._function.__code__.co_filename
-            known = (UserProvidedCacheLocator, InTreeCacheLocator, UserWideCacheLocator)
-            folders = [
-                where(self._function, source).get_cache_path()
-                for where in known
-                if config.CACHE_DIR or where is not UserProvidedCacheLocator
-            ]
+            known = (UserProvidedCacheLocator,) if config.CACHE_DIR else (InTreeCacheLocator, UserWideCacheLocator)
+            folders = [where(self._function, source).get_cache_path() for where in known]
             others = [folder for folder in folders if folder != self.cache_path and Path(folder).is_dir()]
             self._files = [IndexDataCacheFile(folder, self._impl.filename_base, stamp) for folder in others]
             self._files.append(self._cache_file)

@@ -30,7 +30,7 @@ def test_number_of_threads_that_numba_refuses(value, bench):
 @pytest.mark.slow
 def test_libraries_set_up_for_other_programs(bench):
     """A display that does not exist and a driver that HDF5 does not know, at which it crashes."""
-    done = program("plot", "grid.cgns", "-o", "grid.png", MPLBACKEND="nonsense", HDF5_DRIVER="nonsense")
+    done = program("plot", "grid.cgns", "-o", "grid.png", "-q", MPLBACKEND="nonsense", HDF5_DRIVER="nonsense")
     assert (done.returncode, done.stderr) == (0, "")
     done = program(*DEFORM, "-o", "out.cgns", HDF5_DRIVER="core")
     assert done.returncode == 0

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import FloatArray, IntArray, batches
+from ...arrays import FloatArray, IntArray
 from ...arrays import spans as runs_of
-from ...jit import fast_kernel, inlined, record
+from ...jit import fast_kernel, inlined, kernel, record
 from ..tuned import REFERENCE_RATIO
 
-_TOGETHER = 1 << 18
-"""Points to which boxes are fitted at a time."""
 # Points that are interpolated at a time, and the most interpolation points per side.
 _LENGTH, _MOST = 128, 32
 
@@ -61,14 +58,8 @@ def fit_boxes(points: FloatArray, members: IntArray, span: IntArray) -> tuple[Fl
     Returns middles (m, 3), axes (m, 3, 3) in rows, longest first, and half widths (m, 3); middles and half widths are
     zero for boxes without members.
     """
-    center, scatter = np.zeros((len(span), 3)), np.zeros((len(span), 3, 3))
-    for boxes, begin, x in _members(points, members, span):
-        mean = np.add.reduceat(x, begin) / np.diff(span[boxes], axis=1)
-        center[boxes] = mean
-        x -= np.repeat(mean, span[boxes, 1] - span[boxes, 0], axis=0)
-        for d in range(3):
-            for e in range(d + 1):
-                scatter[boxes, d, e] = np.add.reduceat(x[:, d] * x[:, e], begin)
+    center, scatter = np.empty((len(span), 3)), np.empty((len(span), 3, 3))
+    _moments(points, members, span, center, scatter)
     axes = np.ascontiguousarray(np.linalg.eigh(scatter)[1].transpose(0, 2, 1)[:, ::-1])
     low, high = extents(points, members, span, center, axes)
     center += np.einsum("md,mde->me", 0.5 * (low + high), axes)
@@ -83,24 +74,44 @@ def extents(
     Both are 0 for boxes without members.
     """
     low, high = np.zeros(center.shape), np.zeros(center.shape)
-    for boxes, begin, x in _members(points, members, span):
-        sizes = span[boxes, 1] - span[boxes, 0]
-        x -= np.repeat(center[boxes], sizes, axis=0)
-        for row in range(3):
-            along = np.einsum("nd,nd->n", x, np.repeat(axes[boxes, row], sizes, axis=0))
-            low[boxes, row], high[boxes, row] = np.minimum.reduceat(along, begin), np.maximum.reduceat(along, begin)
+    _extents(points, members, span, center, axes, low, high)
     return low, high
 
 
-def _members(points: FloatArray, members: IntArray, span: IntArray) -> Iterator[tuple[IntArray, IntArray, FloatArray]]:
-    """Numbers of some boxes with members, where each begins in a list of all members of these, and the coordinates of
-    the members; a few boxes at a time, which bounds the memory."""
-    filled = np.flatnonzero(span[:, 1] > span[:, 0])
-    for lo, hi in batches(span[filled, 1] - span[filled, 0], _TOGETHER):
-        boxes = filled[lo:hi]
-        sizes = span[boxes, 1] - span[boxes, 0]
-        box, place = runs_of(sizes)
-        yield boxes, np.cumsum(sizes) - sizes, points[members[span[boxes[box], 0] + place]]
+@kernel("f8[:, ::1], i8[::1], i8[:, ::1], f8[:, ::1], f8[:, :, ::1]")
+def _moments(points, members, span, center, scatter):
+    """Means of the members, and the lower triangles of their scatter matrices (sums of products about the means)."""
+    for b in range(span.shape[0]):
+        lo, hi = span[b, 0], span[b, 1]
+        share = 1.0 / max(hi - lo, 1)
+        for d in range(3):
+            mean = 0.0
+            for i in range(lo, hi):
+                mean += points[members[i], d]
+            center[b, d] = mean * share
+        for d in range(3):
+            for e in range(d + 1):
+                total = 0.0
+                for i in range(lo, hi):
+                    n = members[i]
+                    total += (points[n, d] - center[b, d]) * (points[n, e] - center[b, e])
+                scatter[b, d, e] = total
+
+
+@kernel("f8[:, ::1], i8[::1], i8[:, ::1], f8[:, ::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1]")
+def _extents(points, members, span, center, axes, low, high):
+    """As :func:`extents`, into ``low`` and ``high`` (m, 3)."""
+    for b in range(span.shape[0]):
+        for row in range(3):
+            u, v, w = axes[b, row, 0], axes[b, row, 1], axes[b, row, 2]
+            x, y, z = center[b, 0], center[b, 1], center[b, 2]
+            for i in range(span[b, 0], span[b, 1]):
+                n = members[i]
+                at = u * (points[n, 0] - x) + v * (points[n, 1] - y) + w * (points[n, 2] - z)
+                if i == span[b, 0] or at < low[b, row]:
+                    low[b, row] = at
+                if i == span[b, 0] or at > high[b, row]:
+                    high[b, row] = at
 
 
 def points_per_side(half: FloatArray, order: int) -> IntArray:
