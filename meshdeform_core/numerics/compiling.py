@@ -29,10 +29,17 @@ class Compilers:
     missing : returns the names of all declared loops that are not in the cache
     compile : compiles the loop of a name in this process
     cores : returns how many processes may compile, this one included
+    program : Python code of such a process: it compiles the loops whose names it reads, and prints each name then
     """
 
-    def __init__(self, missing: Callable[[], list[str]], compile: Callable[[str], object], cores: Callable[[], int]):
-        self._missing, self._compile, self._cores = missing, compile, cores
+    def __init__(
+        self,
+        missing: Callable[[], list[str]],
+        compile: Callable[[str], object],
+        cores: Callable[[], int],
+        program: str,
+    ):
+        self._missing, self._compile, self._cores, self._program = missing, compile, cores, program
         self._pending, self._running = list[str](), set[str]()
         self._known, self._processes = set[str](), list[subprocess.Popen[str]]()
         self._count = 1
@@ -95,11 +102,10 @@ class Compilers:
         """Start a process and hand it one loop after the other."""
         # The same modules, in whatever way this process finds them.
         paths = os.pathsep.join(path for path in sys.path if path)
-        code = f"from {__name__} import serve; serve()"
         name = None
         try:
             with subprocess.Popen(
-                [sys.executable, "-c", code],
+                [sys.executable, "-c", self._program],
                 env=os.environ | {"PYTHONPATH": paths},
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
@@ -134,19 +140,3 @@ class Compilers:
         with self._change:
             self._running.discard(name or "")
             self._change.notify_all()
-
-
-def serve() -> None:
-    """Compile the loops whose names arrive on standard input; run in a process of its own."""
-    import importlib
-    import signal
-
-    # Its parent decides: it closes the stream, or kills this process at its own end.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    from .jit import compile_declared
-
-    for line in sys.stdin:
-        name = line.strip()
-        importlib.import_module(name.rpartition(":")[0].rpartition(".")[0])
-        compile_declared(name)
-        print(name, flush=True)

@@ -12,6 +12,10 @@ from __future__ import annotations
 
 import gc
 import hashlib
+import importlib
+import os
+import signal
+import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache, partial
@@ -26,7 +30,7 @@ from .processor import choose_processor
 # Before numba is imported, which reads the processor's name once.
 choose_processor()
 
-from numba import config, njit, types  # noqa: E402
+from numba import njit, types  # noqa: E402
 from numba.core import event  # noqa: E402
 from numba.core.caching import (  # noqa: E402
     CompileResultCacheImpl,
@@ -113,7 +117,7 @@ class _Unwritable(InTreeCacheLocator):
 
 
 class _Places(CompileResultCacheImpl):
-    _locator_classes = (*CompileResultCacheImpl._locator_classes, _Unwritable)
+    _locator_classes = [*CompileResultCacheImpl._locator_classes, _Unwritable]  # noqa: RUF012
 
 
 class _Cache(FunctionCache):
@@ -168,7 +172,8 @@ class _Cache(FunctionCache):
             # numba's own stamp is that of the file which contains the loop.
             self._cache_file = IndexDataCacheFile(self.cache_path, self._impl.filename_base, stamp)
             source = self._function.__code__.co_filename
-            known = (UserProvidedCacheLocator,) if config.CACHE_DIR else (InTreeCacheLocator, UserWideCacheLocator)
+            elsewhere = (InTreeCacheLocator, UserWideCacheLocator)
+            known = (UserProvidedCacheLocator,) if os.environ.get("NUMBA_CACHE_DIR") else elsewhere
             folders = [where(self._function, source).get_cache_path() for where in known]
             others = [folder for folder in folders if folder != self.cache_path and Path(folder).is_dir()]
             self._files = [IndexDataCacheFile(folder, self._impl.filename_base, stamp) for folder in others]
@@ -302,7 +307,7 @@ def compile_declared(name: str) -> None:
 
 
 _clock = _CompileClock()
-_compilers = Compilers(missing_loops, compile_declared, usable_cores)
+_compilers = Compilers(missing_loops, compile_declared, usable_cores, f"from {__name__} import serve; serve()")
 event.register("numba:compile", _clock)
 
 
@@ -345,3 +350,14 @@ def on_compile(notice: Callable[[Compiled], None] | None) -> None:
 def compile_all() -> int:
     """Compile all declared loops of the modules imported so far; returns how many were missing."""
     return _compilers.all()
+
+
+def serve() -> None:
+    """Compile the loops whose names arrive on standard input; run in a process of its own."""
+    # Its parent decides: it closes the stream, or kills this process at its own end.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for line in sys.stdin:
+        name = line.strip()
+        importlib.import_module(name.rpartition(":")[0].rpartition(".")[0])
+        compile_declared(name)
+        print(name, flush=True)

@@ -31,7 +31,7 @@ def test_the_first_run_says_that_it_compiles_and_counts_it_apart(bench, tmp_path
     assert "compiling" not in runs[1].stderr
     first = json.loads((bench / "out.json").read_text())["timing"]
     assert "compile" not in first  # of the second run
-    assert len(list((tmp_path / "loops").rglob("*.nbc"))) > 10
+    assert len(list((tmp_path / "loops").rglob("*.nbc"))) > 5
 
 
 def test_compiling_is_a_stage_of_its_own(monkeypatch):

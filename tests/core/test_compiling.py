@@ -88,7 +88,7 @@ compiling.subprocess.Popen = Broken
 
 def test_all_loops_are_compiled_once_each():
     compiled, missing = [], list("abcdefgh")
-    compilers = Compilers(lambda: [name for name in missing if name not in compiled], compiled.append, lambda: 1)
+    compilers = Compilers(lambda: [name for name in missing if name not in compiled], compiled.append, lambda: 1, "")
     compilers.obtain("c")
     compiled.append("c")
     assert compilers.all() == 7
