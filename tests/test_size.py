@@ -26,7 +26,7 @@ BUDGETS = {
     "meshdeform_core/boundary": 3654,
     "meshdeform_core/grid": 3677,
     "meshdeform_core/methods": 4893,
-    "meshdeform_core/numerics": 11325,
+    "meshdeform_core/numerics": 11331,
     "meshdeform_core/parallel": 1131,
     "meshdeform_core/quality": 2556,
     "meshdeform_core/repair": 2941,
