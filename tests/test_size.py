@@ -31,7 +31,7 @@ BUDGETS = {
     "meshdeform_core/quality": 2556,
     "meshdeform_core/repair": 2941,
     "meshdeform_core": 3067,
-    "tests": 34434,
+    "tests": 34435,
 }
 """Lines of Python and of data files per package; a package's row excludes the rows below it."""
 LONGEST_FUNCTION, NINE_IN_TEN, LONGEST_FILE = 60, 25, 500
