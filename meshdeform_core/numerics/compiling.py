@@ -49,23 +49,26 @@ class Compilers:
         """How many loops were found missing so far, and how many processes compile them."""
         return len(self._known), self._count
 
-    def obtain(self, name: str) -> None:
+    def obtain(self, name: str) -> int:
         """Return when the loop is in the cache, or when this process has to compile it itself.
 
-        Called under numba's compiler lock, hence by one thread at a time, after :meth:`begin`.
+        Returns how many other loops it compiled meanwhile. Called under numba's compiler lock, hence by one thread at
+        a time, after :meth:`begin`.
         """
+        compiled = 0
         while True:
             with self._change:
                 if name in self._pending:
                     self._pending.remove(name)
-                    return
+                    return compiled
                 if name not in self._running:
-                    return
+                    return compiled
                 other = self._pending.pop() if self._pending else None
                 if other is None:
                     self._change.wait(_LOOK_AGAIN)
             if other is not None:
                 self._compile(other)
+                compiled += 1
 
     def all(self) -> int:
         """Compile all missing loops and return how many there were."""

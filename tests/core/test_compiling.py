@@ -79,7 +79,7 @@ class Broken(subprocess.Popen):
     def __init__(self, arguments, **options):
         if not {starts}:
             raise OSError("no more processes")
-        super().__init__([arguments[0], "-c", ""], **options)
+        super().__init__([arguments[0], "-c", "import time; time.sleep(3)"], **options)
 compiling.subprocess.Popen = Broken
 """
     own, expected, _ = map(int, run(tmp_path, broken + CALLS))
