@@ -70,7 +70,7 @@ def copy(source: Path, target: Path) -> None:
         shutil.copyfile(source, target)
         return
     text = source.read_text(encoding="utf-8")
-    text = re.sub(r"\[[\w/]+\.md\](?=\(([^):#]+))", lambda link: f"[{title(source.parent / link[1])}]", text)
+    text = re.sub(r"\[[\w/]+\.md\](?=\((?!https:)([^):#]+))", lambda link: f"[{title(source.parent / link[1])}]", text)
     text = re.sub(r"\]\(\.\./(ARCHITECTURE|CHANGELOG|CONTRIBUTING)\.md", r"](\1.md", text)
     text = re.sub(r"\]\(docs/", "](", text)
     target.write_text(text, encoding="utf-8")
