@@ -12,7 +12,7 @@ from .grid import Field, FloatArray, Grid
 from .grid.planes import plane_normal
 from .grid.topology import block_handedness
 from .numerics.cell.swept import sweep_edges, sweep_faces
-from .parallel import alike, apart, empty, for_chunks, for_rows, rows_of
+from .parallel import alike, empty, for_chunks, for_rows, rows_of
 from .quality.measures.cells import side_of_good_quads
 
 VELOCITIES = ("none", "first", "second", "swept")
@@ -98,8 +98,7 @@ def swept_volumes(grid: Grid, before: FloatArray, after: FloatArray) -> FloatArr
         towards = side_of_good_quads(thin, sign if other < axis else -sign, normal)
         sweep_edges(one, two, first, out.shape, across[other], across, towards, out)
 
-    with apart(grid.points):
-        for_chunks(work, 3 * grid.n_blocks, 1)
+    for_chunks(work, 3 * grid.n_blocks, 1)
     return swept
 
 

@@ -16,7 +16,7 @@ from ..boundary.slip import triangles_of
 from ..grid import FloatArray, IntArray
 from ..numerics.damping import damp_rows
 from ..numerics.geometry.surface import TriangleTree
-from ..parallel import apart, for_chunks, rows_at, rows_of
+from ..parallel import for_chunks, rows_at, rows_of
 from .base import Problem, Progress, of_stage
 
 WIDTH = 0.3
@@ -60,8 +60,7 @@ class BesideSlip:
             if np.abs(rows[flat] @ self.normals.T).max() > least:
                 damp_rows(rows, flat, self.normals, self._kept(lo, hi), least)
 
-        with apart(out):
-            for_chunks(work, len(self._flat), _CHUNK, of_stage(progress, "beside slip sides"))
+        for_chunks(work, len(self._flat), _CHUNK, of_stage(progress, "beside slip sides"))
         self._done()
 
     def damp(self, values: FloatArray) -> None:

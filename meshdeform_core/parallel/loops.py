@@ -187,7 +187,10 @@ def for_items(
 
 
 def _on_threads(work: Work, bounds: list[Bounds], progress: Counter | None, limit: int) -> None:
-    """Process all chunks on several threads; each thread takes the next chunk when it is free."""
+    """Process all chunks on several threads; each thread takes the next chunk when it is free.
+
+    Work that asks for rows of other ranks raises an error, as these are not in the loop.
+    """
     size = sum(last - first for first, last in bounds)
     # ``next`` on an iterator and ``list.append`` are atomic in the interpreter.
     pending, done, failures = iter(bounds), list[int](), list[BaseException]()
@@ -209,17 +212,17 @@ def _on_threads(work: Work, bounds: list[Bounds], progress: Counter | None, limi
             # An interrupt or an error ends the run; chunks not yet started are skipped.
             failures.append(error)
 
-    others = [
-        threading.Thread(target=carried(run), args=(None,), name="chunks") for _ in range(min(limit, len(bounds)) - 1)
-    ]
-    try:
-        for other in others:
-            other.start()
-    except BaseException as error:
-        # Raised by a signal handler: threads already started end after their chunk.
-        failures.append(error)
-    run(progress)
-    _joined(others, failures)
+    others = list[threading.Thread]()
+    with alone():
+        try:
+            for _ in range(min(limit, len(bounds)) - 1):
+                others.append(threading.Thread(target=carried(run), args=(None,), name="chunks"))
+                others[-1].start()
+        except BaseException as error:
+            # Raised by a signal handler: threads already started end after their chunk.
+            failures.append(error)
+        run(progress)
+        _joined(others, failures)
     if failures:
         raise failures[0]
     if others and progress:

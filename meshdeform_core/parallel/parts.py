@@ -1,7 +1,7 @@
 """Arrays of which every rank holds only a part.
 
 Each row of such an array belongs to one rank. All ranks run the same program. When all of them ask for the same rows by
-number, the owners send these rows; work on the rows of one rank is done by that rank :func:`alone <.loops.alone>`.
+number, the owners send these rows; loops run on the rows of one rank, and must not ask for others.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from .loops import alone, current_ranks, empty, for_chunks, holders, rows_at, sharing
+from .loops import current_ranks, empty, for_chunks, holders, rows_at, sharing
 from .ranks import OneRank, Ranks
 from .scratch import ScratchFile, current_scratch
 
@@ -258,11 +258,6 @@ def own_rows(array: Any) -> tuple[int, int]:
     return (array.low, array.high) if isinstance(array, Part) else (0, len(array))
 
 
-def apart(array: Any) -> AbstractContextManager[None]:
-    """Context for work on the rows of this rank: if the array is in parts, no loop is shared with other ranks."""
-    return alone() if isinstance(array, Part) else nullcontext()
-
-
 def for_rows(fill: Callable[[slice], object], array: Any) -> None:
     """Call ``fill(rows)`` for slices of ``array`` (n, ...), for an array in parts only for the rows of this rank.
 
@@ -282,8 +277,7 @@ def for_rows(fill: Callable[[slice], object], array: Any) -> None:
 def check_rows(look: Callable[[slice], object], array: Any) -> None:
     """Call ``look(rows)`` for slices of ``array`` (n, ...), for an array in parts only for the rows of this rank."""
     begin, end = own_rows(array)
-    with apart(array):
-        for_chunks(lambda lo, hi: look(slice(begin + lo, begin + hi)), end - begin, _ROWS)
+    for_chunks(lambda lo, hi: look(slice(begin + lo, begin + hi)), end - begin, _ROWS)
 
 
 def of_all(array: Any, value: T) -> list[T]:
@@ -333,11 +327,10 @@ def combined(operation: Callable[..., object], one: Any, two: Any) -> Any:
 
 
 def on_each(array: Part, action: Callable[[], object]) -> None:
-    """Run ``action`` on every rank of an array without sharing loops; an error on one rank is raised on all."""
+    """Run ``action`` on every rank of an array; an error on one rank is raised on all."""
     failures = list[Exception]()
     try:
-        with alone():
-            action()
+        action()
     except Exception as error:
         failures.append(error)
     for failure in array.ranks.gather(failures):

@@ -16,7 +16,7 @@ from ..grid.faces.roles import Role
 from ..grid.faces.surfaces import Outside, find_outside
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
-from ..parallel import Part, apart, of_all, rows_at
+from ..parallel import Part, of_all, rows_at
 from .boundary_cells import interface_cells, wall_cells
 from .measures.cells import CellMeasures, measure_block
 from .shape import shape_of_cells, thickness_of
@@ -127,8 +127,7 @@ class CellFields:
         must enter it."""
         if isinstance(self.grid.points, Part):
             self._fetch(measure)
-        with apart(self.grid.points):
-            yield
+        yield
 
     def _fetch(self, measure: str) -> None:
         """Find what a measure takes from other ranks, which all do the same."""

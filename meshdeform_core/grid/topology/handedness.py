@@ -6,7 +6,7 @@ import numpy as np
 
 from ...numerics.arrays import BoolArray, batches, spread
 from ...numerics.geometry.coincidence import ascending
-from ...parallel import Part, apart, of_all, ranks_of, rows_at, rows_of
+from ...parallel import Part, of_all, ranks_of, rows_at, rows_of
 from ..blocks import FloatArray, Grid, IntArray
 from ..sizes import strides_of
 
@@ -21,9 +21,8 @@ def block_handedness(grid: Grid) -> IntArray:
     Of a grid in parts, each rank looks at the blocks that it holds, and all of them at those that are cut.
     """
     whole = _held(grid)
-    with apart(grid.points):
-        mine = np.flatnonzero(whole == ranks_of(grid.points).number)
-        own = _signs(grid, rows_of(grid.points), mine)
+    mine = np.flatnonzero(whole == ranks_of(grid.points).number)
+    own = _signs(grid, rows_of(grid.points), mine)
     cut = np.flatnonzero(whole < 0)
     sign = np.empty(grid.n_blocks, dtype=np.int64)
     sign[cut] = _signs(grid, grid.points, cut)

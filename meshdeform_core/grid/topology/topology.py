@@ -15,7 +15,7 @@ import numpy as np
 from ...numerics.arrays import BoolArray, runs
 from ...numerics.geometry.coincidence import integers
 from ...numerics.geometry.copies import coincident_copies, numbered_by_first
-from ...parallel import Ranks, apart, collected, empty, ranks_of, rows_at
+from ...parallel import Ranks, collected, empty, ranks_of, rows_at
 from ...parallel.scratch import current_scratch
 from ..blocks import FloatArray, Grid, IntArray
 from ..dealing import face_bounds
@@ -150,21 +150,20 @@ def coincident_topology(grid: Grid, tolerance: float = RELATIVE_TOLERANCE) -> To
     tolerance : largest distance between coincident nodes relative to the shortest edge at either of them
     """
     ranks, handedness = ranks_of(grid.points), block_handedness(grid)
-    with apart(grid.points):
-        bounds = face_bounds(grid.shapes, ranks.count)
-        strips = FaceStrips.of(grid, *bounds[ranks.number : ranks.number + 2].tolist())
-        face_nodes = _kept(collected(ranks, strips.own_nodes))
-        index, first, edge = _coincident(ranks, grid, strips, tolerance)
-        edge = _kept(collected(ranks, edge[first == index]))
-        number, leads = numbered_by_first(collected(ranks, first))
-        del index, first
-        number, first = _kept(number), _kept(face_nodes[leads])
-        shared = np.zeros(len(first), dtype=bool)
-        shared[number[~leads]] = True
-        del leads
-        quads = _face_quads(ranks, grid, handedness, bounds, strips, strips.among(face_nodes, number))
-        del strips
-        partner, crowded = partners(ranks, quads.corners, shared)
+    bounds = face_bounds(grid.shapes, ranks.count)
+    strips = FaceStrips.of(grid, *bounds[ranks.number : ranks.number + 2].tolist())
+    face_nodes = _kept(collected(ranks, strips.own_nodes))
+    index, first, edge = _coincident(ranks, grid, strips, tolerance)
+    edge = _kept(collected(ranks, edge[first == index]))
+    number, leads = numbered_by_first(collected(ranks, first))
+    del index, first
+    number, first = _kept(number), _kept(face_nodes[leads])
+    shared = np.zeros(len(first), dtype=bool)
+    shared[number[~leads]] = True
+    del leads
+    quads = _face_quads(ranks, grid, handedness, bounds, strips, strips.among(face_nodes, number))
+    del strips
+    partner, crowded = partners(ranks, quads.corners, shared)
     return Topology(face_nodes, number, first, edge, quads, _kept(partner), handedness, crowded)
 
 

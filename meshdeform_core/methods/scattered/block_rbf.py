@@ -12,7 +12,7 @@ from ...grid import FloatArray, IntArray, Side
 from ...grid.topology import side_nodes
 from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_sums
-from ...parallel import apart, for_chunks, for_items, ranks_of, require_whole, rows_of
+from ...parallel import for_chunks, for_items, ranks_of, require_whole, rows_of
 from ..base import Account, Problem, Progress, Setting, of_stage
 from ..transfinite.skeleton import Skeleton, make_skeleton
 from .centres import Centres
@@ -116,8 +116,7 @@ class PreparedBlockRBF:
             some = coefficients[self._first[number] : self._first[number + 1]]
             out[targets(tile)] = self._moved(self._blocks[number].centres, targets(tile), some)
 
-        with apart(displacement):
-            for_chunks(work, len(tiles), 1, of_stage(progress, "rbf"))
+        for_chunks(work, len(tiles), 1, of_stage(progress, "rbf"))
 
     def differentiable(self) -> PreparedBlockRBF:
         """The same with accurate solutions, so that :meth:`fill` and :meth:`pull` are transposes of each other."""

@@ -9,7 +9,7 @@ from ...numerics.fastsum.clusters.targets import interpolation_order, make_targe
 from ...numerics.fastsum.clusters.tree import build_tree
 from ...numerics.fastsum.tuned import SHARE, SINGLE_TOLERANCE
 from ...numerics.fastsum.weighted.sums import Accuracy, FastSums, Scaled
-from ...parallel import apart, rows_of
+from ...parallel import rows_of
 from ..base import Account, Progress, of_stage
 from .idw_sums import Bound, SourceValues, Weights
 from .summation import DERIVATIVE_TOLERANCE, largest_error, sum_accurately
@@ -29,10 +29,9 @@ class FastEvaluator:
         self._tolerance, self._account = tolerance, account
         grid, order = bound.grid, interpolation_order(tolerance)
         grid.hold_neighbours()
-        with apart(grid.points):
-            trees = [build_tree(bound.sources[group], order) for group in bound.groups]
-            targets = make_targets(bound.points, grid.shapes, grid.offsets, bound.flat, order)
-            self.sums = FastSums(bound.strength, bound.groups, trees, targets, bound.room)
+        trees = [build_tree(bound.sources[group], order) for group in bound.groups]
+        targets = make_targets(bound.points, grid.shapes, grid.offsets, bound.flat, order)
+        self.sums = FastSums(bound.strength, bound.groups, trees, targets, bound.room)
         self.restart()
 
     def restart(self) -> None:
@@ -55,10 +54,9 @@ class FastEvaluator:
             rows[flat] = bound.displacement(fit, flat, values)
 
         def once() -> float:
-            with apart(out):
-                accuracy = Accuracy(self._tolerance * self._share, True, self._single)
-                sums.prepare(fit.weights, fit.shift, fit.turn, moving, accuracy, lasting)
-                sums.apply(scaled, use, progress=of_stage(progress, "idw"))
+            accuracy = Accuracy(self._tolerance * self._share, True, self._single)
+            sums.prepare(fit.weights, fit.shift, fit.turn, moving, accuracy, lasting)
+            sums.apply(scaled, use, progress=of_stage(progress, "idw"))
             return largest_error(bound.grid, sums.targets, sums.risk, rows, lambda flat: bound.exact(fit, flat))
 
         sum_accurately("idw", self, once, self._tolerance, self._account)
@@ -75,12 +73,11 @@ def fast_sums(bound: Bound, weights: Weights, acting: BoolArray, share: float) -
         if some.size
     ]
     grid, groups = bound.grid, [group for group, _ in parts]
-    with apart(grid.points):
-        trees = [build_tree(bound.sources[group], _ORDER) for group in groups]
-        targets = make_targets(bound.points, grid.shapes, grid.offsets, bound.flat, _ORDER, _PER_POINT)
-        found = FastSums(bound.strength, groups, trees, targets, 2 * targets.every.nbytes)
-        # Bounds are rounded up to powers of four: that of one half is one.
-        shift, turn = np.where(acting, 0.5, 0.0), np.zeros(len(acting))
-        accuracy = Accuracy(DERIVATIVE_TOLERANCE * share, False, False)
-        found.prepare([each for _, each in parts], shift, turn, acting, accuracy)
+    trees = [build_tree(bound.sources[group], _ORDER) for group in groups]
+    targets = make_targets(bound.points, grid.shapes, grid.offsets, bound.flat, _ORDER, _PER_POINT)
+    found = FastSums(bound.strength, groups, trees, targets, 2 * targets.every.nbytes)
+    # Bounds are rounded up to powers of four: that of one half is one.
+    shift, turn = np.where(acting, 0.5, 0.0), np.zeros(len(acting))
+    accuracy = Accuracy(DERIVATIVE_TOLERANCE * share, False, False)
+    found.prepare([each for _, each in parts], shift, turn, acting, accuracy)
     return found

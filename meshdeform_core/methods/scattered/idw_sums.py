@@ -12,7 +12,7 @@ from ...grid import BoolArray, FloatArray, Grid, IntArray
 from ...numerics.exact.direct import N_VALUES, weighted_sums
 from ...numerics.frame import Frame
 from ...numerics.rigid import NO_TRANSITION, Transition, finish
-from ...parallel import apart, empty, for_chunks, rows_at, rows_of
+from ...parallel import empty, for_chunks, rows_at, rows_of
 from ..base import Progress, of_stage
 
 _CHUNK = 2048
@@ -175,5 +175,4 @@ class ExactEvaluator:
         def use(_: slice, flat: IntArray, sums: FloatArray) -> None:
             rows[flat] = bound.displacement(fit, flat, sums)
 
-        with apart(out):
-            ExactSums(bound, fit.weights).apply(fit.values, use, progress=of_stage(progress, "idw"))
+        ExactSums(bound, fit.weights).apply(fit.values, use, progress=of_stage(progress, "idw"))

@@ -10,7 +10,7 @@ from ...numerics.fastsum.weighted.sums import FastSums, Scaled
 from ...numerics.rigid import finish
 from ...numerics.tangents import finish_gradients, finish_tangents
 from ...numerics.tape import Tape, Tracked, plain
-from ...parallel import agreed, apart, empty, ranks_of, rows_of, summed
+from ...parallel import agreed, empty, ranks_of, rows_of, summed
 from ..kinks import FOLDED, HALF_TURNS, LARGEST, Kinks, half_turns, kinks_of, tied
 from .fast_idw_sums import FastEvaluator, fast_sums
 from .idw import PreparedIDW
@@ -107,8 +107,7 @@ class LinearIDW:
             moved_rows[flat] = moved + found.get("shift", 0.0)
 
         moved_rows = rows_of(out)
-        with apart(bound.grid.points):
-            _push(self._sums, values, use, weigh=False)
+        _push(self._sums, values, use, weigh=False)
 
     def pull(self, gradient: FloatArray) -> FloatArray:
         """Gradient (n_sources, 3) from that of the nodes, rows of ``gradient`` (n_nodes, 3)."""
@@ -134,8 +133,7 @@ class LinearIDW:
 
         acting, rows = self._sums.acting, rows_of(gradient)
         values = np.zeros((k, np.count_nonzero(acting)))
-        with apart(bound.grid.points):
-            own = self._sums.transpose(make, changing)[:, acting]
+        own = self._sums.transpose(make, changing)[:, acting]
         values[:changing] = summed(bound.grid.points, own)
         part = summed(bound.grid.points, parts.sum(axis=0))
         if not acting.all():
@@ -234,8 +232,7 @@ class _AtNodes:
             self._weight[rows, 0], self._weight[rows, -1] = found[:, 0], found[:, -1] if transition else found[:, 0]
             self._means[rows] = found[:, 1 : self._k - lasting] / found[:, :1]
 
-        with apart(grid.points):
-            _push(sums, values, keep)
+        _push(sums, values, keep)
 
     def error(self, bound: Bound, sums: FastSums, weights: Weights, values: FloatArray) -> float:
         """Largest error of a sum of unit values relative to the total weight, at the nodes with the largest error

@@ -11,7 +11,7 @@ from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_sums
 from ...numerics.fastsum.radial.frozen import FrozenRadial
 from ...numerics.fastsum.radial.targets import RadialTargets
-from ...parallel import agreed, alike, apart, ranks_of, require_whole, rows_of, summed
+from ...parallel import agreed, alike, ranks_of, require_whole, rows_of, summed
 from ..base import Account
 from ..kinks import CHOSEN, UNCHOSEN, Kinks
 from .radial_system import RadialSystem
@@ -99,8 +99,7 @@ class LinearRBF:
             def keep(flat: IntArray, sums: FloatArray) -> None:
                 found[flat] = sums
 
-            with apart(self._points):
-                risk = fast.push(coefficients, keep)
+            risk = fast.push(coefficients, keep)
             flat = doubtful(self._points, targets, risk)
             # All ranks must decide alike, even if their processors round differently.
             gap = float(np.abs(found[flat] - exactly(flat)).max(initial=0.0))
@@ -124,21 +123,19 @@ class LinearRBF:
         def use(flat: IntArray, sums: FloatArray) -> None:
             rows[flat] = sums + self._terms(flat) @ polynomial
 
-        with apart(self._points):
-            self._fast.push(coefficients, use)
+        self._fast.push(coefficients, use)
 
     def pull(self, gradient: FloatArray) -> FloatArray:
         """Gradient (n_sources, 3) from that of the nodes, rows of ``gradient`` (n_nodes, 3)."""
         rows = rows_of(gradient)
-        with apart(self._points):
-            if self._exact:
-                upper, lower = self._exact.gathered(rows[self.flat])
-            else:
-                assert self._fast is not None
-                upper, lower = self._fast.pull(rows), np.zeros((self._system.terms.shape[1], 3))
-                for first in range(0, len(self.flat), _ROWS):
-                    flat = self.flat[first : first + _ROWS]
-                    lower += self._terms(flat).T @ rows[flat]
+        if self._exact:
+            upper, lower = self._exact.gathered(rows[self.flat])
+        else:
+            assert self._fast is not None
+            upper, lower = self._fast.pull(rows), np.zeros((self._system.terms.shape[1], 3))
+            for first in range(0, len(self.flat), _ROWS):
+                flat = self.flat[first : first + _ROWS]
+                lower += self._terms(flat).T @ rows[flat]
         upper, lower = (summed(self._points, each) for each in (upper, lower))
         return self._images.gathered(self._system.solve_transposed(upper, lower))
 

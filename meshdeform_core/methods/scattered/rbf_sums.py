@@ -13,7 +13,7 @@ from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_sums
 from ...numerics.fastsum.radial.sums import FastRadial
 from ...numerics.fastsum.radial.targets import RadialTargets, make_radial_targets
-from ...parallel import alike, apart, for_chunks, for_rows, of_all, rows_of, thread_count
+from ...parallel import alike, for_chunks, for_rows, of_all, rows_of, thread_count
 from ..base import Account, Progress, Setting, of_stage
 from .centres import Centres, Coefficients, SumOptions
 from .summation import fast_pays, largest_error, sum_accurately
@@ -55,11 +55,10 @@ class RadialSums:
         self.prepare(len(fit.centres))
         if self._is_fast:
             self._fast(fit, out, report)
-        with apart(out):
-            if not self._is_fast:
-                self._exact(fit, rows_of(out), report)
-            if self._options.correct and fit.reach > 0:
-                self._add_residual(fit, rows_of(out))
+        if not self._is_fast:
+            self._exact(fit, rows_of(out), report)
+        if self._options.correct and fit.reach > 0:
+            self._add_residual(fit, rows_of(out))
 
     @property
     def _points(self) -> FloatArray:
@@ -93,8 +92,7 @@ class RadialSums:
 
         def once() -> float:
             fitted = sums.fitted(fit.coefficients, targets, self._options.tolerance)
-            with apart(out):
-                risk = sums.evaluate(fitted, targets, use, report)
+            risk = sums.evaluate(fitted, targets, use, report)
             return largest_error(self._grid, targets, risk, rows, partial(self._displacement, fit))
 
         sum_accurately("rbf", sums, once, self._options.tolerance, self._account)

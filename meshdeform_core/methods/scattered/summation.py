@@ -8,7 +8,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from ...grid import FloatArray, Grid, IntArray
-from ...parallel import agreed, apart, of_all, ranks_of, rows_at, rows_of
+from ...parallel import agreed, of_all, ranks_of, rows_at, rows_of
 from ..base import Account, Setting
 from ..options import option
 
@@ -104,9 +104,8 @@ def largest_error(
 
     flat, error = doubtful(grid.points, targets, risk), np.zeros(0)
     if flat.size:
-        with apart(grid.points):
-            size = node_sizes(rows_of(grid.points), shape_table(grid.shapes), grid.offsets, flat)
-            error = np.linalg.norm(rows_at(found, flat) - exact(flat), axis=1) / size
+        size = node_sizes(rows_of(grid.points), shape_table(grid.shapes), grid.offsets, flat)
+        error = np.linalg.norm(rows_at(found, flat) - exact(flat), axis=1) / size
     return agreed(ranks_of(grid.points), error.max(initial=0.0))
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from ...grid import FloatArray, IntArray
 from ...numerics.arrays import batches
 from ...numerics.transfinite.boxes import box_numbers
-from ...parallel import Part, alone, apart, for_items, own_rows, rows_of
+from ...parallel import Part, for_items, own_rows, rows_of
 from ..base import Account, Problem, Progress, Setting, of_stage
 from ..options import MethodOptions, option
 from .curved import Bent, CurvedLines
@@ -127,14 +127,12 @@ class PreparedTFI:
         values = rows_of(displacement)
 
         def work(number: int) -> None:
-            with alone():
-                group, curved = self.group(number)
-                group.blend(values)
-                if curved:
-                    curved.add(values)
+            group, curved = self.group(number)
+            group.blend(values)
+            if curved:
+                curved.add(values)
 
-        with apart(displacement):
-            for_items(work, len(self._groups), of_stage(progress, "tfi"))
+        for_items(work, len(self._groups), of_stage(progress, "tfi"))
 
     def differentiable(self) -> PreparedTFI:
         """The same, as it is linear to round-off."""
@@ -148,8 +146,7 @@ class PreparedTFI:
             gradient.widen(*method.rows)
         values = rows_of(gradient)
         for number in range(len(method._groups)):
-            with apart(gradient):
-                group, curved = method.group(number)
+            group, curved = method.group(number)
             if curved:
                 curved.pull(values)
             group.pull(values)
