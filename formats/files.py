@@ -26,10 +26,7 @@ def replacing(target: Path) -> Iterator[Path]:
 
     A symbolic link is kept; the file that it points to is replaced.
 
-    Raises
-    ------
-    FormatError
-        When the folder is missing or not writable, or the disk is full; ``target`` is then unchanged.
+    Raises FormatError when the folder is missing or not writable, or the disk is full; ``target`` is then unchanged.
     """
     target = followed(Path(target))
     folder = target.parent
@@ -73,10 +70,7 @@ def partial_path(target: Path) -> Path:
 def require_replaceable(target: Path) -> None:
     """Refuse a target that exists and is not a regular file: a pipe would be replaced, not written to.
 
-    Raises
-    ------
-    FormatError
-        When ``target``, or what it links to, is a folder, a pipe, a socket or a device.
+    Raises FormatError when ``target``, or what it links to, is a folder, a pipe, a socket or a device.
     """
     with contextlib.suppress(OSError, ValueError):
         if kind := _kind_of(target.stat().st_mode):
@@ -167,10 +161,7 @@ def require_regular(path: Path, what: str = "") -> None:
 
     ``what`` describes the file in messages, such as ``the case file``.
 
-    Raises
-    ------
-    FormatError
-        When ``path`` does not exist or is a folder, a pipe, a socket or a device.
+    Raises FormatError when ``path`` does not exist or is a folder, a pipe, a socket or a device.
     """
     label = f"{what} {path}".lstrip()
     try:
@@ -191,10 +182,7 @@ def shown(path: Path) -> str:
 def read_head(path: Path) -> bytes:
     """The first kilobyte of a file, by which formats are distinguished.
 
-    Raises
-    ------
-    FormatError
-        When the file cannot be read or is empty.
+    Raises FormatError when the file cannot be read or is empty.
     """
     require_regular(path)
     try:
@@ -210,10 +198,7 @@ def read_head(path: Path) -> bytes:
 def checked_options(path: Path, options: Mapping[str, Any], known: Mapping[str, Sequence[str]]) -> dict[str, str]:
     """The options unchanged, each a known key with one of its values.
 
-    Raises
-    ------
-    FormatError
-        For anything else; the message names the nearest known key or value and all known ones.
+    Raises FormatError for anything else; the message names the nearest known key or value and all known ones.
     """
     for key, value in options.items():
         _require_known(path, "option", str(key), list(known))

@@ -79,12 +79,8 @@ def read_grid(path: str | Path, options: Mapping[str, Any] | None = None) -> Gri
 
     ``options`` (of a Plot3D variant) resolve what the content of the file leaves ambiguous.
 
-    Raises
-    ------
-    FormatError
-        When the file is missing, truncated, ambiguous or not a block-structured grid.
-    GridError
-        When it contains non-finite coordinates.
+    Raises FormatError when the file is missing, truncated, ambiguous or not a block-structured grid. Raises GridError
+    when it contains non-finite coordinates.
     """
     path = Path(path)
     if os.path.islink(path) and not os.path.exists(path):
@@ -179,10 +175,7 @@ def require_earlier_grid(path: Path, grid: Grid) -> None:
 
     Formats that are only written cannot be checked.
 
-    Raises
-    ------
-    FormatError
-        When there is anything else at ``path``.
+    Raises FormatError when there is anything else at ``path``.
     """
     if not path.exists() or format_of(path) == "meshio":
         return

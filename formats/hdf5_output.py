@@ -26,12 +26,8 @@ _BUFFER = 1 << 20
 def hdf5_output(path: Path, mode: str, **options: Any) -> Iterator[h5py.File]:
     """An HDF5 file open for writing: ``mode`` is ``w`` or ``r+``, ``options`` are those of ``h5py.File``.
 
-    Raises
-    ------
-    OSError
-        At the end of the block, if anything could not be written.
-    FormatError
-        When the library failed for another reason.
+    Raises OSError at the end of the block, if anything could not be written. Raises FormatError when the library failed
+    for another reason.
     """
     with target(path, mode) as sink, h5py.File(sink, mode, **options) as file:
         yield file

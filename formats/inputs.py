@@ -41,10 +41,7 @@ def require_no_input(output: Path, inputs: Iterable[Path | None]) -> None:
 
     The pieces of multi-block sets and the targets of links in CGNS files are included on both sides.
 
-    Raises
-    ------
-    FormatError
-        Naming both files.
+    Raises FormatError naming both files.
     """
     replaced = {identity: path for path in _replaced(output) if (identity := _identity(path))}
     if not replaced:

@@ -19,10 +19,8 @@ _WITHOUT_TREE = ("plot3d", "vtk")
 def grid_of_case(grid: Grid, case: CaseFile) -> Grid:
     """The grid with the components of a case: those in separate files come last, as ``NAME.BLOCK``.
 
-    Raises
-    ------
-    CaseError, FormatError, GridError
-        When a file cannot be read, the dimensions differ, or components do not fit the blocks.
+    Raises CaseError or FormatError or GridError when a file cannot be read, the dimensions differ, or components do not
+    fit the blocks.
     """
     others = {
         name: read_grid_with_boundaries(file.path, file.boundary_file) for name, file in case.component_files.items()

@@ -28,10 +28,7 @@ def layout_of(path: Path, options: Mapping[str, Any] | None = None) -> Layout | 
 
     ``options`` as for :func:`.grids.read_grid`, which reports files that cannot be read.
 
-    Raises
-    ------
-    FormatError
-        When the header is damaged.
+    Raises FormatError when the header is damaged.
     """
     module = FORMATS[format_at(path)].load()
     found = module.layout(path, **(options or {})) if hasattr(module, "layout") else None

@@ -81,10 +81,7 @@ class NeutralMap:
 def parse_neutral_map(path: Path) -> NeutralMap:
     """Read the text of a neutral map file; comments and stray backslashes at line ends are skipped.
 
-    Raises
-    ------
-    FormatError
-        When the file cannot be read or a line does not conform to the format.
+    Raises FormatError when the file cannot be read or a line does not conform to the format.
     """
     require_regular(path)
     try:
@@ -215,10 +212,8 @@ def read_neutral_map(path: Path, grid: Grid) -> Grid:
     ``viscous_solid-2``; a one-to-one entry becomes a connection. A 2-D grid also accepts the map of the same grid with
     one layer of cells; entries on the plane of the 2-D grid itself are omitted with a note.
 
-    Raises
-    ------
-    FormatError
-        When the file cannot be read, is not a neutral map, or describes blocks that the grid does not have.
+    Raises FormatError when the file cannot be read, is not a neutral map, or describes blocks that the grid does not
+    have.
     """
     file = parse_neutral_map(Path(path))
     frame = _frame(file, grid, Path(path))
@@ -300,10 +295,7 @@ Spans = Mapping[int, tuple[int, int]]
 def write_neutral_map(grid: Grid, path: Path) -> None:
     """Write patches and connections of ``grid`` as a neutral map file, replacing ``path`` as a whole.
 
-    Raises
-    ------
-    FormatError
-        When the file cannot be written.
+    Raises FormatError when the file cannot be written.
     """
     with replacing(Path(path)) as partial:
         partial.write_text(neutral_map_text(grid), encoding="utf-8")

@@ -22,10 +22,7 @@ def require_space(grid: Grid, path: Path, variant: FileFormat) -> None:
 
     An output is completed before it replaces a file. Quotas, and data that others write meanwhile, are not considered.
 
-    Raises
-    ------
-    FormatError
-        Stating the smallest size required, and the free space.
+    Raises FormatError stating the smallest size required, and the free space.
     """
     missing = shortage(grid, path, variant)
     if missing:

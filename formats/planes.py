@@ -95,10 +95,7 @@ class Stored:
     def require_room(self, shape: Shape) -> None:
         """Require that the values of a block of this shape are what the file has room for.
 
-        Raises
-        ------
-        FormatError
-            With both numbers of bytes, or of values in a plane.
+        Raises FormatError with both numbers of bytes, or of values in a plane.
         """
         ni, nj, nk = shape
         plane = self.plane[:2] if self.core is None else tuple(part.stop - part.start for part in self.core)
@@ -112,10 +109,7 @@ class Stored:
     def read(self, first: int, last: int) -> NDArray[Any]:
         """The planes first <= k < last.
 
-        Raises
-        ------
-        FormatError
-            When the file ends before them or cannot be read.
+        Raises FormatError when the file ends before them or cannot be read.
         """
         values = np.empty((last - first, *self.plane), self.dtype)
         try:
@@ -136,10 +130,7 @@ class Stored:
     def write(self, first: int, values: NDArray[Any], synchronous: bool = False) -> None:
         """Write planes (n, *plane) from k = ``first`` on into the file, which the first rank has created.
 
-        Raises
-        ------
-        FormatError
-            When the file does not exist for this process.
+        Raises FormatError when the file does not exist for this process.
         """
         stored = np.ascontiguousarray(values, self.dtype)
         if self.core:
@@ -275,10 +266,7 @@ def read_planes(grid: Grid, part: Planes, arrays: Sequence[Stored]) -> None:
 def write_outputs(grid: Grid, outputs: Sequence[Output]) -> None:
     """Write values to their places in files; all ranks together those of a grid in parts.
 
-    Raises
-    ------
-    FormatError
-        On all ranks, before anything is written, when values and the room for them differ in size.
+    Raises FormatError on all ranks, before anything is written, when values and the room for them differ in size.
     """
     for output in outputs:
         for place in output.places:
@@ -304,10 +292,7 @@ def _ranges(outputs: Iterable[Output]) -> list[tuple[Output, Planes]]:
 def _write_parts(grid: Grid, points: Part, outputs: Sequence[Output]) -> None:
     """As :func:`write_outputs`, for a grid in parts: ranks that share a block exchange their parts of k planes.
 
-    Raises
-    ------
-    OSError, FormatError
-        On all ranks, the first error of any of them.
+    Raises OSError or FormatError on all ranks, the first error of any of them.
     """
     ranks, failures = points.ranks, list[Exception]()
     for turn in _turns(grid, points.bounds, outputs):

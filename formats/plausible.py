@@ -24,10 +24,7 @@ _ON_LINE = 1e-13
 def require_plausible(grid: Grid, path: Path) -> None:
     """Refuse coordinates that are not finite, implausibly large, or all at one point or on one line.
 
-    Raises
-    ------
-    GridError
-        Naming the first such node.
+    Raises GridError naming the first such node.
     """
     _require_bounded(grid, path)
     sample = grid.sample(_SAMPLE)

@@ -17,10 +17,7 @@ _LONG = 100
 def json_text(record: Mapping[str, Any], allow_nan: bool = True) -> str:
     """``record`` as JSON text, indented by two.
 
-    Raises
-    ------
-    ValueError
-        For NaN and infinite numbers, which JSON lacks, unless ``allow_nan``.
+    Raises ValueError for NaN and infinite numbers, which JSON lacks, unless ``allow_nan``.
     """
     rows = []
     for key, value in record.items():

@@ -55,10 +55,7 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
     ``.msh`` takes ``encoding`` (``binary`` or ``ascii``) and ``version`` (``2.2`` or ``4.1``); ``.vtu`` and ``.xdmf``
     take ``boundary`` (``false`` or ``true``: the outside faces too, with a field ``family``).
 
-    Raises
-    ------
-    FormatError
-        For unknown options.
+    Raises FormatError for unknown options.
     """
     suffix = Path(path).suffix.lower()
     known = _OPTIONS.get(suffix, {})
@@ -69,10 +66,7 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
 def write(grid: Grid, path: Path, variant: FileFormat) -> None:
     """Write ``grid`` in the variant given by :func:`variant`, replacing ``path`` as a whole.
 
-    Raises
-    ------
-    FormatError
-        When the file cannot be written, or the format cannot hold the grid (2-D SU2 needs a plane grid).
+    Raises FormatError when the file cannot be written, or the format cannot hold the grid (2-D SU2 needs a plane grid).
     """
     mesh = _unstructured(grid, separated(grid, find_topology(grid)))
     with replacing(Path(path)) as partial:

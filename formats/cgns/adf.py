@@ -47,11 +47,8 @@ def is_adf(path: Path) -> bool:
 def read_adf(path: Path) -> Node:
     """Root node of an ADF file; data arrays are views of the file, read when used.
 
-    Raises
-    ------
-    FormatError
-        When the file is not ADF, truncated, damaged, or in a number format of obsolete machines; also later, when a
-        damaged part is reached.
+    Raises FormatError when the file is not ADF, truncated, damaged, or in a number format of obsolete machines; also
+    later, when a damaged part is reached.
     """
     return _AdfFile(path, {}).root
 

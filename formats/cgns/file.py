@@ -20,10 +20,7 @@ _MOST_NODES = 10_000_000
 def opened_cgns(path: Path) -> Iterator[Node]:
     """Root node of a CGNS file; the tree can be read while the context lasts.
 
-    Raises
-    ------
-    FormatError
-        When the file is missing, damaged or not CGNS, at once or when the damaged part is reached.
+    Raises FormatError when the file is missing, damaged or not CGNS, at once or when the damaged part is reached.
     """
     if is_adf(path):
         yield read_adf(path)
@@ -50,10 +47,7 @@ def naming(path: Path) -> Iterator[None]:
 def linked_files(path: Path) -> Iterator[Path]:
     """The files that the links of a CGNS file lead to; links are not followed, so that circular links end.
 
-    Raises
-    ------
-    FormatError
-        When the file is damaged.
+    Raises FormatError when the file is damaged.
     """
     if not is_adf(path):
         from .hdf5 import external_targets

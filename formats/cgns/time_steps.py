@@ -51,10 +51,7 @@ def write_series(
     level : ``level(n)`` has the coordinates at ``times[n]`` and the fields that belong to them, alike for all levels;
         one is held at a time. Called on all ranks
 
-    Raises
-    ------
-    FormatError
-        When the grid's original file is missing or has changed, or the new one cannot be written.
+    Raises FormatError when the grid's original file is missing or has changed, or the new one cannot be written.
     """
     with replacing_by_all(path, grid.points) as partial:
         cgns.write(grid, partial, variant)
@@ -115,10 +112,7 @@ def _add_levels(grid: Grid, path: Path, partial: Path, precision: str, times: Se
 def read_level(grid: Grid, path: Path, number: int) -> FloatArray:
     """Coordinates (n_nodes, 3) of a level that :func:`write_series` has written; ``grid`` is the undeformed one.
 
-    Raises
-    ------
-    FormatError
-        When the file has no such level.
+    Raises FormatError when the file has no such level.
     """
     points = grid.points.copy()
     with hdf5_errors(path, "read"), h5py.File(path, "r") as file, opened_cgns(path) as root:

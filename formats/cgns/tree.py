@@ -133,10 +133,7 @@ class Node:
     def child(self, name: str) -> Node | None:
         """The child of that name, with links followed; ``None`` if there is none.
 
-        Raises
-        ------
-        FormatError
-            When it is a broken link.
+        Raises FormatError when it is a broken link.
         """
         child = self.target.by_name.get(name)
         if child is None:
@@ -147,10 +144,7 @@ class Node:
     def labelled(self, label: str) -> list[Node]:
         """Children of that label in file order, under their names here (links are not followed).
 
-        Raises
-        ------
-        FormatError
-            When a broken link could be one of them, according to the names that the standard prescribes.
+        Raises FormatError when a broken link could be one of them, according to the names that the standard prescribes.
         """
         for child in self.target.broken_links:
             prescribed = child.name.startswith(label.removesuffix("_t"))
@@ -208,10 +202,7 @@ class Node:
     def integers(self, *dims: int) -> NDArray[np.int64]:
         """Integer data of exactly these dimensions; ``-1`` stands for any size.
 
-        Raises
-        ------
-        FormatError
-            When the node has other data.
+        Raises FormatError when the node has other data.
         """
         found = self.target
         fits = len(found.dims) == len(dims) and all(n in (-1, m) for n, m in zip(dims, found.dims, strict=True))

@@ -130,10 +130,7 @@ def find_base(root: Node, notes: Notes) -> Base:
 def structured_zones(base: Base, notes: Notes) -> list[Zone]:
     """All zones of the base in file order.
 
-    Raises
-    ------
-    FormatError
-        When a zone is unstructured, has no Cartesian coordinates, or its sizes and arrays disagree.
+    Raises FormatError when a zone is unstructured, has no Cartesian coordinates, or its sizes and arrays disagree.
     """
     nodes = base.node.labelled("Zone_t")
     # Files older than ZoneType_t contain only structured zones.

@@ -31,10 +31,8 @@ def with_points_of(grid: Grid, mesh: Path) -> tuple[Grid, IntArray]:
     Points are numbered as by blockMesh, or found by their places. Points of a few digits only show that it is the mesh:
     the coordinates stay those of the dictionary.
 
-    Raises
-    ------
-    FormatError
-        When a file is damaged, a point is not where a node of the grid is, or the numbers of points differ.
+    Raises FormatError when a file is damaged, a point is not where a node of the grid is, or the numbers of points
+    differ.
     """
     topology = separated(grid, find_topology(grid))
     number, nodes = point_numbers(grid, topology)

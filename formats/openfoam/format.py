@@ -50,10 +50,8 @@ def read(path: Path) -> Grid:
     connections. Regions that no block side joins are components. Coordinates are in metres. If the case has a mesh, its
     points are the coordinates.
 
-    Raises
-    ------
-    FormatError
-        When there is no blockMeshDict, or it is damaged, uses what is not supported, or is not that of the mesh.
+    Raises FormatError when there is no blockMeshDict, or it is damaged, uses what is not supported, or is not that of
+    the mesh.
     """
     path = Path(path)
     dictionary = dictionary_of(path) if is_case(path) else path
@@ -77,10 +75,7 @@ def _entries(patch: FoamPatch) -> tuple[str, ...]:
 def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
     """How to write ``grid``: ``encoding`` (binary, ascii), ``compression`` (none, gzip), ``thickness`` of a 2-D grid.
 
-    Raises
-    ------
-    FormatError
-        For unknown options and values.
+    Raises FormatError for unknown options and values.
     """
     rest = {key: value for key, value in options.items() if key != "thickness"}
     known = {**_OPTIONS, **({"thickness": ("a length",)} if grid.dimension == 2 else {})}
@@ -103,10 +98,7 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
 def write(grid: Grid, path: Path, variant: FileFormat) -> None:
     """Write ``grid`` as the mesh of the case whose ``.foam`` file is ``path``, or only its points (see above).
 
-    Raises
-    ------
-    FormatError
-        When the grid cannot be such a mesh, or the files cannot be written.
+    Raises FormatError when the grid cannot be such a mesh, or the files cannot be written.
     """
     writer = MeshWriter(grid, variant)
     with replaced_mesh(Path(path)) as folder:

@@ -79,10 +79,7 @@ class Layout:
 def read_layout(top: Dictionary) -> Layout:
     """The layout that a blockMeshDict describes.
 
-    Raises
-    ------
-    FormatError
-        With file and line, for what is missing, wrong, or not supported (projection, merged patches).
+    Raises FormatError with file and line, for what is missing, wrong, or not supported (projection, merged patches).
     """
     for key in ("vertices", "blocks"):
         if key not in top.entries:

@@ -95,10 +95,7 @@ def _rows(stream: BinaryIO, rows: NDArray, line: str, binary: bool) -> None:
 def read_points(path: Path, most: int) -> FloatArray:
     """The points (n, 3) of a mesh; no more than this many are expected.
 
-    Raises
-    ------
-    FormatError
-        When the file is damaged or is no field of points, as for the following functions.
+    Raises FormatError when the file is damaged or is no field of points, as for the following functions.
     """
     return _ListFile(path, ("vectorField",), most).rows(float, 3)
 

@@ -69,10 +69,7 @@ def poly_mesh(grid: Grid, thickness: float, declared: Mapping[str, tuple[str, ..
 
     ``declared``: as of :func:`.patches.boundary_patches`.
 
-    Raises
-    ------
-    FormatError
-        When the grid cannot be such a mesh, or is too large for labels of 32 bits.
+    Raises FormatError when the grid cannot be such a mesh, or is too large for labels of 32 bits.
     """
     solid = extruded(grid, thickness)
     topology = separated(solid, find_topology(solid))

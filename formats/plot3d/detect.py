@@ -133,10 +133,7 @@ def choose(readings: Iterable[Reading], file: UnknownFile) -> Grid:
     denormal coordinates), and those that the notation of numbers rules out. The remaining one must be plausible
     overall, unless its encoding was requested.
 
-    Raises
-    ------
-    FormatError
-        When none or several remain.
+    Raises FormatError when none or several remain.
     """
     tried = list(readings)
     allowed = [reading for reading in tried if reading.variant.matches(file.options)]

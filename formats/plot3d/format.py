@@ -40,11 +40,8 @@ def read(path: Path, **options: Any) -> Grid:
     Blocks ``(ni, nj, nk, 3)``, in 2-D files ``(ni, nj, 1, 3)`` with z = 0; IBLANK as node field ``iblank`` (int32); the
     variant as ``grid.format``.
 
-    Raises
-    ------
-    FormatError
-        When no variant fits (with the nearest one and the difference), when several do (with how to choose), or when a
-        text contains something other than numbers.
+    Raises FormatError when no variant fits (with the nearest one and the difference), when several do (with how to
+    choose), or when a text contains something other than numbers.
     """
     path = Path(path)
     wanted = parse_options(options)
@@ -74,10 +71,7 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
     A grid without a variant is written with Fortran records, little endian, float64, multi-block, and 3-D unless the
     suffix is ``.p2d ...``. IBLANK is written if the grid has it.
 
-    Raises
-    ------
-    FormatError
-        For unknown options and values, and for options that cannot hold the grid.
+    Raises FormatError for unknown options and values, and for options that cannot hold the grid.
     """
     chosen = _usual_variant(grid, Path(path)).changed(parse_options(options))
     _require_writable(grid, Path(path), chosen)
@@ -87,10 +81,7 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
 def write(grid: Grid, path: Path, variant: FileFormat) -> None:
     """Write ``grid`` in the given variant, replacing ``path`` as a whole or leaving it unchanged; on all ranks.
 
-    Raises
-    ------
-    FormatError
-        When the variant cannot hold the grid or the file cannot be written.
+    Raises FormatError when the variant cannot hold the grid or the file cannot be written.
     """
     chosen = Variant.of(variant)
     _require_writable(grid, Path(path), chosen)

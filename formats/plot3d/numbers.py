@@ -69,10 +69,7 @@ def read_numbers(stream: BinaryIO, path: Path) -> FloatArray:
     Accepts blanks, tabs, commas and line ends between numbers, repeat counts (``3*0.0``), and exponents with E, D, Q or
     no letter (``1.5-101``).
 
-    Raises
-    ------
-    FormatError
-        With the line number, for null values, comments and anything else that is not a number.
+    Raises FormatError with the line number, for null values, comments and anything else that is not a number.
     """
     return np.concatenate([np.empty(0), *_read_pieces(stream, path)])
 

@@ -115,10 +115,7 @@ class Variant:
 def parse_options(options: Mapping[str, Any]) -> dict[str, Any]:
     """Check options given as text (from the command line) or as Python values.
 
-    Raises
-    ------
-    FormatError
-        For an unknown option or value; the message names the nearest known one.
+    Raises FormatError for an unknown option or value; the message names the nearest known one.
     """
     found = {}
     for key, value in options.items():

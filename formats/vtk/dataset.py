@@ -112,12 +112,8 @@ class DataSet:
 def assemble(path: Path, kind: str, data_sets: Sequence[DataSet], names: Sequence[str] | None = None) -> Grid:
     """Make a grid of data sets; ``kind`` is the kind of file: ``legacy``, ``vts``, ``vtm``, ...
 
-    Raises
-    ------
-    FormatError
-        When an array does not have one value per node or cell.
-    GridError
-        When a data set is a line or a point, or 2-D and 3-D are mixed.
+    Raises FormatError when an array does not have one value per node or cell. Raises GridError when a data set is a
+    line or a point, or 2-D and 3-D are mixed.
     """
     origins = tuple(d.origin for d in data_sets)
     field_data = tuple(tuple(a for a in d.arrays if not a.location) for d in data_sets)
@@ -261,10 +257,8 @@ def _arrays_to_write(grid: Grid, block: int, variant: VtkFormat, fields: Sequenc
 
     Fields at faces become field data: ``NAME`` with the suffix I, J or K of the index axis across them.
 
-    Raises
-    ------
-    FormatError
-        When two fields at the same location share a name, or one has a wrong shape or a type unknown to VTK.
+    Raises FormatError when two fields at the same location share a name, or one has a wrong shape or a type unknown to
+    VTK.
     """
     found: dict[tuple[str, str], StoredArray] = {}
     for field in fields:

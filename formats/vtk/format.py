@@ -48,12 +48,8 @@ _DEFAULTS = {"legacy": {"encoding": "binary"}, "vts": _XML_DEFAULTS, "vtm": _XML
 def read(path: Path) -> Grid:
     """Read a VTK file; its kind is recognised by content.
 
-    Raises
-    ------
-    FormatError
-        When the file is truncated or damaged, or contains anything but structured grids.
-    GridError
-        When a block is a line or a point, or 2-D and 3-D blocks are mixed.
+    Raises FormatError when the file is truncated or damaged, or contains anything but structured grids. Raises
+    GridError when a block is a line or a point, or 2-D and 3-D blocks are mixed.
     """
     path = Path(path)
     with path.open("rb") as stream:
@@ -74,10 +70,7 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> VtkFormat:
     ``precision`` is ``float32`` or ``float64``; XML files have ``compression`` (``none``, ``zlib``, ``lz4``, ``lzma``),
     ``byte_order`` (``little``, ``big``) and ``header_type`` (``UInt32``, ``UInt64``).
 
-    Raises
-    ------
-    FormatError
-        For unknown options, several blocks in a file for one, or a .vtm whose folder cannot be replaced.
+    Raises FormatError for unknown options, several blocks in a file for one, or a .vtm whose folder cannot be replaced.
     """
     path = Path(path)
     kind = _KINDS[path.suffix.lower()]
@@ -103,10 +96,7 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> VtkFormat:
 def write(grid: Grid, path: Path, variant: VtkFormat) -> None:
     """Write ``grid`` in the given variant, replacing ``path`` (and, for .vtm, the folder of its pieces) as a whole.
 
-    Raises
-    ------
-    FormatError
-        When the file cannot be written, or a field cannot be stored in a VTK file.
+    Raises FormatError when the file cannot be written, or a field cannot be stored in a VTK file.
     """
     path = Path(path)
     kind = variant.options["kind"]

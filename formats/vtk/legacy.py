@@ -129,10 +129,7 @@ class LegacyFile:
         """The next ``count`` values, ``(count,)``, in the byte order of the file; with ``later``, binary ones remain to
         be read.
 
-        Raises
-        ------
-        FormatError
-            When the file ends too early, contains anything but numbers, or the type is unknown.
+        Raises FormatError when the file ends too early, contains anything but numbers, or the type is unknown.
         """
         name = type_name.lower()
         if name == "bit":
@@ -268,10 +265,7 @@ class Attributes:
 def read(path: Path) -> DataSet:
     """Read the structured data set of a legacy file.
 
-    Raises
-    ------
-    FormatError
-        When the file is truncated, contradicts its keywords, or contains another kind of data set.
+    Raises FormatError when the file is truncated, contradicts its keywords, or contains another kind of data set.
     """
     with path.open("rb") as stream:
         file = LegacyFile(path, stream)

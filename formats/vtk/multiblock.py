@@ -38,10 +38,7 @@ def read(path: Path) -> tuple[list[DataSet], list[str]]:
     A name consists of the names of the groups and the block, joined by ``/``; a block without a name is called
     ``block1``, ... by its position. Entries without a file are skipped.
 
-    Raises
-    ------
-    FormatError
-        When the index is damaged or empty, a file is missing, or one is not a structured grid.
+    Raises FormatError when the index is damaged or empty, a file is missing, or one is not a structured grid.
     """
     files = list(_files(path))
     if not files:
@@ -92,10 +89,8 @@ def write(grid: Grid, path: Path, variant: VtkFormat) -> None:
     not use, and the old pieces are removed afterwards. A journal in the folder of the pieces lists the files to be
     added and removed, so that the next run recognises and removes the remains of a killed one.
 
-    Raises
-    ------
-    FormatError
-        When the folder of the pieces contains files that are not part of the old set, or the disk is full.
+    Raises FormatError when the folder of the pieces contains files that are not part of the old set, or the disk is
+    full.
     """
     ranks = ranks_of(grid.points)
     with contextlib.ExitStack() as own:
@@ -129,10 +124,7 @@ def replaced_files(path: Path) -> list[Path]:
 def require_replaceable(path: Path) -> None:
     """Refuse to replace a folder that contains anything but the pieces of the index ``path``.
 
-    Raises
-    ------
-    FormatError
-        With the name of a file that does not belong to the set.
+    Raises FormatError with the name of a file that does not belong to the set.
     """
     if path.is_symlink():
         raise FormatError(

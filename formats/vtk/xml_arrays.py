@@ -79,10 +79,7 @@ class Encoded(NamedTuple):
     def segment(self, place: int, count: int) -> bytes:
         """The ``count`` bytes of a segment that begins at ``place``; up to two more where it continues in base64.
 
-        Raises
-        ------
-        binascii.Error
-            When characters or padding are not base64, or there are fewer bytes.
+        Raises binascii.Error when characters or padding are not base64, or there are fewer bytes.
         """
         self.stream.seek(place)
         data = self.stream.read(self.end_of(place, count) - place)
@@ -109,10 +106,7 @@ class ArrayReader:
         ``components`` is the required number; ``None`` accepts that of the array. With ``later``, values that are
         stored as they are remain to be read, as a :class:`.Run`.
 
-        Raises
-        ------
-        FormatError
-            When the array is damaged or does not have the expected number of values.
+        Raises FormatError when the array is damaged or does not have the expected number of values.
         """
         stated = self.number(array, "NumberOfComponents", 1)
         if components is not None and stated != components:
@@ -150,10 +144,7 @@ class ArrayReader:
     def number(self, element: Element, name: str, otherwise: int | None = None) -> int:
         """A count that an element declares, or ``otherwise``.
 
-        Raises
-        ------
-        FormatError
-            When it is not a count, or missing without an alternative.
+        Raises FormatError when it is not a count, or missing without an alternative.
         """
         word = element.get(name).strip()
         if not word and otherwise is not None:
@@ -168,10 +159,7 @@ class ArrayReader:
         Offsets count from the beginning of the data: bytes inserted into the last array would go unnoticed, and the
         values after them would be read shifted.
 
-        Raises
-        ------
-        FormatError
-            When other bytes follow the last array.
+        Raises FormatError when other bytes follow the last array.
         """
         end, closing = 0, self.file.appended[1]
         for array in self.file.root.below():
@@ -288,10 +276,7 @@ class NotANumber(Exception):
 def numbers_in_text(text: bytes, dtype: np.dtype[Any]) -> NDArray[Any]:
     """All numbers of a text between white space, in ``dtype``.
 
-    Raises
-    ------
-    NotANumber
-        When something is not a number, or exceeds the type.
+    Raises NotANumber when something is not a number, or exceeds the type.
     """
     if not text.strip():
         return np.empty(0, dtype)
@@ -336,10 +321,7 @@ class DamagedBlock(Exception):
 def lz4_block(path: Any) -> Any:
     """The module that packs and unpacks blocks by lz4.
 
-    Raises
-    ------
-    FormatError
-        With the command that installs it.
+    Raises FormatError with the command that installs it.
     """
     try:
         return importlib.import_module("lz4.block")
@@ -353,10 +335,7 @@ def lz4_block(path: Any) -> Any:
 def unpack(compression: str, packed: bytes, size: int, path: Any) -> bytes:
     """Decompress one block to exactly ``size`` bytes, never to more than one byte beyond.
 
-    Raises
-    ------
-    DamagedBlock
-        When it has another size, or is no such block.
+    Raises DamagedBlock when it has another size, or is no such block.
     """
     complete, damaged = True, [ValueError, zlib.error, lzma.LZMAError]
     if compression == "lz4":
@@ -386,10 +365,7 @@ def read_section(
     ``tuples`` is the number of nodes or cells; a line for each array that is not kept is added to ``notes``. With
     ``later``, values that are stored as they are remain to be read; those of field data are in native byte order.
 
-    Raises
-    ------
-    FormatError
-        When an array is damaged or does not have the expected number of values.
+    Raises FormatError when an array is damaged or does not have the expected number of values.
     """
     found: dict[str, DataArray] = {}
     for section in above.all(tag):
@@ -415,10 +391,7 @@ def read_section(
 def joined(parts: list[list[DataArray]]) -> Iterator[tuple[DataArray, list[NDArray[Any]]]]:
     """Each array of the first piece with its values in all pieces.
 
-    Raises
-    ------
-    ValueError
-        With the array that one of the pieces lacks or has in another type.
+    Raises ValueError with the array that one of the pieces lacks or has in another type.
     """
     by_name = [{array.name: array for array in arrays} for arrays in parts]
     for number, arrays in enumerate(by_name[1:], start=2):

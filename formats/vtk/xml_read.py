@@ -34,10 +34,8 @@ Extent = tuple[Shape, Shape]
 def read(path: Path) -> DataSet:
     """Read the structured data set of an XML file.
 
-    Raises
-    ------
-    FormatError
-        When the file is truncated or damaged, its data set is of another kind, or not one Piece with all nodes.
+    Raises FormatError when the file is truncated or damaged, its data set is of another kind, or not one Piece with all
+    nodes.
     """
     file = read_tags(path)
     if file.kind != "StructuredGrid":

@@ -95,10 +95,7 @@ class XmlFile:
     def data_set(self) -> Element:
         """The element named by the type of the file.
 
-        Raises
-        ------
-        FormatError
-            When it is missing or contains more than one time step.
+        Raises FormatError when it is missing or contains more than one time step.
         """
         found = self.root.all(self.kind)
         if not found:
@@ -112,10 +109,7 @@ class XmlFile:
 def file_kind(path: Path) -> str:
     """Type of the VTKFile tag, e.g. ``StructuredGrid``; ``unknown`` if missing. Nothing else is checked.
 
-    Raises
-    ------
-    FormatError
-        When the file is truncated.
+    Raises FormatError when the file is truncated.
     """
     with path.open("rb") as stream:
         _require_end(path, stream)
@@ -126,11 +120,8 @@ def file_kind(path: Path) -> str:
 def read_tags(path: Path) -> XmlFile:
     """Read the tags of a VTK XML file.
 
-    Raises
-    ------
-    FormatError
-        When the file is truncated, is not well-formed XML, has a DOCTYPE, nests elements deeper than :data:`DEEPEST`,
-        or its VTKFile tag has unknown attribute values.
+    Raises FormatError when the file is truncated, is not well-formed XML, has a DOCTYPE, nests elements deeper than
+    :data:`DEEPEST`, or its VTKFile tag has unknown attribute values.
     """
     with path.open("rb") as stream:
         size = _require_end(path, stream)

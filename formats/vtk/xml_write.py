@@ -43,12 +43,7 @@ def begin_block(grid: Grid, block: int, path: Path, variant: VtkFormat, contents
     """Write one block to a .vts file, where values are stored as they are without those that have planes; returns the
     places of these.
 
-    Raises
-    ------
-    FormatError
-        When a field cannot be stored in a VTK file.
-    OSError
-        When the file cannot be written.
+    Raises FormatError when a field cannot be stored in a VTK file. Raises OSError when the file cannot be written.
     """
     points, *arrays = contents
     low = variant.origins[block] if variant.origins else (0, 0, 0)
@@ -71,10 +66,7 @@ def plain(options: Mapping[str, str]) -> bool:
 def attribute(text: str) -> str:
     """A text as the value of an XML attribute.
 
-    Raises
-    ------
-    FormatError
-        When it contains characters that XML cannot hold.
+    Raises FormatError when it contains characters that XML cannot hold.
     """
     if bad := _NOT_IN_XML.search(text):
         raise FormatError(f"the name {text!r} contains the character {bad[0]!r}, which a VTK file cannot hold")
