@@ -1,10 +1,12 @@
-"""Text that several formats and the command line write: JSON, exact numbers, rows of numbers."""
+"""Text that several formats and the command line write: JSON, exact numbers, rows of numbers, distinct names."""
 
 from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator, Mapping
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 from numpy.typing import NDArray
@@ -46,8 +48,37 @@ def number_lines(values: NDArray[Any]) -> memoryview:
     return buffer[bytes(buffer[:1000]).index(sizes) + len(sizes) :]
 
 
+@contextmanager
+def strict_numbers() -> Iterator[None]:
+    """numpy's readers of text raise ValueError at what is not a number; before 2.3 they warn and stop there."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DeprecationWarning)
+        try:
+            yield
+        except DeprecationWarning as error:
+            raise ValueError(str(error)) from error
+
+
 def text_rows(rows: NDArray[Any], line: str) -> Iterator[bytes]:
     """Rows (n, m) in pieces of text, each row by the ``%`` pattern ``line``."""
     for begin in range(0, len(rows), _ROWS_AT_ONCE):
         part = rows[begin : begin + _ROWS_AT_ONCE]
         yield (line * len(part) % tuple(part.ravel().tolist())).encode()
+
+
+def distinct(names: Iterable[str], taken: Iterable[str] = (), longest: int = 1 << 20) -> tuple[str, ...]:
+    """The names, cut to ``longest`` bytes, with a number where they repeat each other or ``taken`` ones: a, a_2, ..."""
+
+    def cut(name: str, length: int) -> str:
+        return name.encode()[:length].decode(errors="ignore")
+
+    used, counts, found = set(taken), dict[str, int](), list[str]()
+    for name in names:
+        unique, count = cut(name, longest), counts.get(name, 1)
+        while unique in used:
+            count += 1
+            unique = f"{cut(name, longest - len(str(count)) - 1)}_{count}"
+        counts[name] = count
+        used.add(unique)
+        found.append(unique)
+    return tuple(found)

@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 
+from ..text import distinct
+
 NAME_LENGTH = 32
 # Real trees are about ten levels deep; a file with deeper nesting is damaged or malicious.
 MAXIMUM_DEPTH = 64
@@ -273,23 +275,6 @@ def decoded(raw: bytes) -> str:
 
 def unique_names(names: Iterable[str], otherwise: str, taken: Iterable[str] = ()) -> tuple[str, ...]:
     """The names as CGNS allows them: without slashes, cut to 32 bytes, numbered where they repeat each other or
-    ``taken`` ones.
-
-    ``otherwise`` replaces empty names.
-    """
-
-    def cut(text: str, length: int) -> str:
-        return text.encode()[:length].decode(errors="ignore")
-
-    used, counts = set(taken), dict[str, int]()
-    result = []
-    for name in names:
-        base = cut(name.replace("/", "_").strip(), NAME_LENGTH).strip(". ") or otherwise
-        unique, count = base, counts.get(base, 1)
-        while unique in used:
-            count += 1
-            unique = f"{cut(base, NAME_LENGTH - len(str(count)) - 1)}_{count}"
-        counts[base] = count
-        used.add(unique)
-        result.append(unique)
-    return tuple(result)
+    ``taken`` ones. ``otherwise`` replaces empty names."""
+    cut = (name.replace("/", "_").strip().encode()[:NAME_LENGTH].decode(errors="ignore") for name in names)
+    return distinct((name.strip(". ") or otherwise for name in cut), taken, NAME_LENGTH)

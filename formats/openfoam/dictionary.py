@@ -304,6 +304,10 @@ class Reading:
         return len(self._left) > 0
 
     @property
+    def _next(self) -> Item | None:
+        return self._left[0] if self._left else None
+
+    @property
     def line(self) -> int:
         """Line of the next item, or of the last one."""
         return self._left[0].line if self._left else self._line
@@ -313,11 +317,11 @@ class Reading:
 
     def _refuse(self, expected: str) -> NoReturn:
         """Say what is found where something else is ``expected``."""
-        item = self._left[0] if self._left else None
+        item = self._next
         self.fail(f"expected {expected}, found {repr(item.text) if isinstance(item, Atom) else _TITLES[type(item)]}")
 
     def _take(self, kind: type[_Some], expected: str) -> _Some:
-        item = self._left[0] if self._left else None
+        item = self._next
         if not isinstance(item, kind):
             self._refuse(expected)
         self._line = item.line
@@ -329,13 +333,12 @@ class Reading:
 
     def next_word(self) -> str | None:
         """Take the next item if it is a word and not a number."""
-        item = self._left[0] if self._left else None
-        return self.word("") if isinstance(item, Atom) and item.number is None else None
+        return self.word("") if isinstance(self._next, Atom) and self._next.number is None else None
 
     def next_number(self) -> float | None:
         """Take the next item if it is a number."""
-        item = self._left[0] if self._left else None
-        return self._take(Atom, "").number if isinstance(item, Atom) and item.number is not None else None
+        number = self._next.number if isinstance(self._next, Atom) else None
+        return None if number is None else self._take(Atom, "").number
 
     def number(self, expected: str) -> float:
         value = self.next_number()

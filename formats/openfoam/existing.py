@@ -13,6 +13,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Grid, IntArray
 from meshdeform_core.grid.topology import RELATIVE_TOLERANCE, find_topology, separated
 from meshdeform_core.parallel import empty
+from meshdeform_core.smoothness import shortest_edges
 from meshdeform_core.wording import vector
 
 from ..markers import point_numbers
@@ -51,7 +52,8 @@ def with_points_of(grid: Grid, mesh: Path) -> tuple[Grid, IntArray]:
     _require_sound(mesh, len(points), grid.n_cells)
     own, digits = grid.points[nodes], _digits(points)
     # Up to half a unit of the last digit.
-    allowed = np.maximum(RELATIVE_TOLERANCE * _edges(grid)[nodes, None], 0.51 * 10.0 ** (1 - digits) * np.abs(own))
+    rounding = 0.51 * 10.0 ** (1 - digits) * np.abs(own)
+    allowed = np.maximum(RELATIVE_TOLERANCE * shortest_edges(grid)[nodes, None], rounding)
     found = _numbers_of_block_mesh(grid, number)
     if (np.abs(points[found] - own) > allowed).any():
         found = scipy.spatial.cKDTree(points).query(own)[1]
@@ -94,20 +96,6 @@ def _digits(points: FloatArray) -> int:
     texts = (digits for digits in range(_FEWEST_DIGITS, _ALL_DIGITS)
              if all(float(f"{value:.{digits}g}") == value for value in sample))  # fmt: skip
     return next(texts, _ALL_DIGITS)
-
-
-def _edges(grid: Grid) -> FloatArray:
-    """The shortest edge (n_nodes,) at every node along the indices of its block."""
-    shortest = np.full(grid.n_nodes, np.inf)
-    for block in range(grid.n_blocks):
-        x, own = grid.block(block), grid.block(block, shortest)
-        for axis in range(3):
-            length = np.linalg.norm(np.diff(x, axis=axis), axis=-1)
-            length[length == 0] = np.inf
-            for part in (slice(None, -1), slice(1, None)):
-                view = np.moveaxis(own, axis, 0)[part]
-                np.minimum(view, np.moveaxis(length, axis, 0), out=view)
-    return shortest
 
 
 def _require_sound(mesh: Path, n_points: int, n_cells: int) -> None:

@@ -23,7 +23,7 @@ from .block_mesh import block_mesh
 from .case import POLY_MESH, case_folder, dictionary_of, is_case, mesh_files, replaced_mesh
 from .dictionary import read_dictionary, written_entry
 from .existing import with_points_of
-from .layout import FoamPatch, read_layout
+from .layout import read_layout
 from .lists import read_points, write_points
 from .poly_mesh import PolyMesh, extruded, poly_mesh
 
@@ -60,16 +60,16 @@ def read(path: Path) -> Grid:
         raise FormatError(f"{case_folder(path)} {only}; expected an OpenFOAM case with a system/blockMeshDict")
     layout = read_layout(read_dictionary(dictionary))
     grid = block_mesh(layout)
-    form = FoamFormat("openfoam", "float64", {"kind": "blockMeshDict"}, {p.name: _entries(p) for p in layout.patches})
+    entries = {}
+    for patch in layout.patches:
+        own = ((key, value) for key, value in patch.content.entries.items() if key not in _OF_FACES)
+        entries[patch.name] = tuple(written_entry(key, value) for key, value in own)
+    form = FoamFormat("openfoam", "float64", {"kind": "blockMeshDict"}, entries)
     mesh = case_folder(path) / POLY_MESH
     if is_case(path) and any(file.name.startswith("points") for file in mesh_files(path)):
         grid, numbering = with_points_of(grid, mesh)
         form = dataclasses.replace(form, options={"kind": "case"}, mesh=mesh, numbering=numbering)
     return dataclasses.replace(grid, format=form, path=path)
-
-
-def _entries(patch: FoamPatch) -> tuple[str, ...]:
-    return tuple(written_entry(key, value) for key, value in patch.content.entries.items() if key not in _OF_FACES)
 
 
 def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:

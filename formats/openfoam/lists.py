@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import re
-import warnings
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
@@ -15,7 +14,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, IntArray
 
 from ..files import reason_of, require_regular
-from ..text import text_rows
+from ..text import strict_numbers, text_rows
 from .case import POLY_MESH
 
 _ROWS_AT_ONCE = 20_000
@@ -82,13 +81,8 @@ def _head(
 
 def _rows(stream: BinaryIO, rows: NDArray, line: str, binary: bool) -> None:
     """A list of rows (n, m): its length, and the values in parentheses."""
-    if binary:
-        stream.write(b"%d\n(" % len(rows))
-        stream.write(np.ascontiguousarray(rows).data)
-        stream.write(b")\n")
-        return
-    stream.write(b"%d\n(\n" % len(rows))
-    stream.writelines(text_rows(rows, line))
+    stream.write(b"%d\n(" % len(rows))
+    stream.writelines([np.ascontiguousarray(rows).data] if binary else [b"\n", *text_rows(rows, line)])
     stream.write(b")\n")
 
 
@@ -185,9 +179,7 @@ class _ListFile:
         if not text:
             return np.empty(0, dtype=kind)
         try:
-            with warnings.catch_warnings():
-                # numpy below 2.3 warns.
-                warnings.simplefilter("error")
+            with strict_numbers():
                 return np.fromstring(text, dtype=kind, sep=" ")
-        except (ValueError, DeprecationWarning) as error:
+        except ValueError as error:
             raise FormatError(f"{self._path} is damaged: {error}") from error

@@ -1,4 +1,4 @@
-"""OpenFOAM's mesh (constant/polyMesh) of a grid, and its files.
+"""OpenFOAM's mesh (constant/polyMesh) of a grid: its faces, its patches with their types, and its files.
 
 Cells are numbered block after block. Internal faces are sorted by their owner, the adjacent cell with the smaller
 number, then by their neighbour; their normals point from the owner to the neighbour. Source: the OpenFOAM user guide,
@@ -8,24 +8,33 @@ number, then by their neighbour; their normals point from the owner to the neigh
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import Connection, Grid, IntArray, Patch, Shape, Side
-from meshdeform_core.grid.planes import plane_normal
-from meshdeform_core.grid.topology import Topology, cells_behind, find_topology, separated
+from meshdeform_core.grid import BoolArray, FloatArray, Grid, IntArray, Side
+from meshdeform_core.grid.connectivity.declared import periodic_image, periodic_rotation
+from meshdeform_core.grid.faces.roles import Role, role_of_patch
+from meshdeform_core.grid.planes import plane_normal, plane_of
+from meshdeform_core.grid.sides import end_planes
+from meshdeform_core.grid.topology import Topology, cells_behind, find_topology, is_wall, separated, side_nodes
 
-from ..markers import point_numbers
+from ..markers import Marker, find_markers, point_numbers
+from ..text import distinct
 from .lists import write_boundary, write_faces, write_labels
-from .patches import BoundaryPatch, boundary_patches
 
 _LARGEST_LABEL = 2**31 - 1
+# Characters that a word of a dictionary may not have.
+_FORBIDDEN = re.compile(r"[\s\"'/;{}()$#\[\]]+")
+_ALONG_AXIS = 1e-6
+"""Deviation of the direction across the layer from an axis, relative to the thickness."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,10 +84,10 @@ def poly_mesh(grid: Grid, thickness: float, declared: Mapping[str, tuple[str, ..
     topology = separated(solid, find_topology(solid))
     number, nodes = point_numbers(solid, topology)
     cells = cells_behind(solid, topology, np.arange(len(topology.partner)))
-    inside = _internal_faces(solid, topology, number)
+    corners, owner, neighbour = _internal_faces(solid, topology, number)
     patches = boundary_patches(solid, topology, cells, declared)
-    corners = np.concatenate([inside.corners, *(patch.corners for patch in patches)])
-    owner = np.concatenate([inside.owner, *(cells[patch.quads] for patch in patches)])
+    corners = np.concatenate([corners, *(patch.corners for patch in patches)])
+    owner = np.concatenate([owner, *(cells[patch.quads] for patch in patches)])
     if corners.size > _LARGEST_LABEL:
         raise FormatError(f"a mesh of {len(owner):,} faces is too large for labels of 32 bits")
     if grid.dimension == 2:
@@ -86,31 +95,26 @@ def poly_mesh(grid: Grid, thickness: float, declared: Mapping[str, tuple[str, ..
         number = np.concatenate(
             [solid.block(b, number).take(0, axis=shape.index(1)).ravel() for b, shape in enumerate(grid.shapes)]
         )
-    kept = _kept_corners(corners)
-    return PolyMesh(nodes, number, corners, kept, owner, inside.neighbour, tuple(patches), solid.n_cells)
+    folded = np.flatnonzero((corners[:, 0] == corners[:, 2]) | (corners[:, 1] == corners[:, 3]))
+    if folded.size:
+        raise FormatError(
+            f"{folded.size} cell faces pass through one point twice, the first {corners[folded[0]].tolist()}; OpenFOAM "
+            "has no such faces"
+        )
+    kept = corners != np.roll(corners, 1, axis=1)
+    return PolyMesh(nodes, number, corners, kept, owner, neighbour, tuple(patches), solid.n_cells)
 
 
-@dataclass(frozen=True)
-class _Faces:
-    """Faces of cells.
-
-    Attributes
-    ----------
-    corners : (n, 4) point numbers, right-handed about the normal; two successive equal ones in triangles
-    owner, neighbour : (n,) cells
-    """
-
-    corners: IntArray
-    owner: IntArray
-    neighbour: IntArray
+Faces = tuple[IntArray, IntArray, IntArray]
+"""Corners (n, 4), point numbers that turn right-handed about the normal (two successive equal ones in triangles), owner
+and neighbour (n,) of faces between cells."""
 
 
-def _internal_faces(grid: Grid, topology: Topology, number: NDArray[Any]) -> _Faces:
+def _internal_faces(grid: Grid, topology: Topology, number: NDArray[Any]) -> Faces:
     """All faces between two cells, in order; ``number`` as from :func:`point_numbers`."""
     if topology.crowded:
-        raise FormatError(
-            f"{topology.crowded} cell faces are shared by more than two blocks; OpenFOAM has no such mesh"
-        )
+        crowded = f"{topology.crowded} cell faces are shared by more than two blocks"
+        raise FormatError(f"{crowded}; OpenFOAM has no such mesh")
     first = grid.cell_offsets
     parts = [
         _within_block(grid.block(b, number), int(first[b]), axis, int(topology.handedness[b]))
@@ -118,16 +122,14 @@ def _internal_faces(grid: Grid, topology: Topology, number: NDArray[Any]) -> _Fa
         for axis in range(3)
     ]
     parts.append(_between_blocks(grid, topology))
-    corners, owner, neighbour = (
-        np.concatenate([getattr(part, name) for part in parts]) for name in ("corners", "owner", "neighbour")
-    )
+    corners, owner, neighbour = (np.concatenate(each) for each in zip(*parts, strict=True))
     order = np.argsort(owner * int(first[-1]) + neighbour, kind="stable")
     # Some are collapsed to lines or points.
     order = order[np.count_nonzero(np.diff(np.sort(corners[order], axis=1), axis=1), axis=1) >= 2]
-    return _Faces(corners[order], owner[order], neighbour[order])
+    return corners[order], owner[order], neighbour[order]
 
 
-def _within_block(number: NDArray[Any], first: int, axis: int, handedness: int) -> _Faces:
+def _within_block(number: NDArray[Any], first: int, axis: int, handedness: int) -> Faces:
     """The faces inside a block between neighbours along ``axis``."""
     ni, nj, nk = number.shape
     cells = first + np.arange((ni - 1) * (nj - 1) * (nk - 1)).reshape(ni - 1, nj - 1, nk - 1)
@@ -140,10 +142,10 @@ def _within_block(number: NDArray[Any], first: int, axis: int, handedness: int) 
         corners = corners.swapaxes(1, 2)
     corners = corners.reshape(-1, 4)
     low, high = (np.moveaxis(cells, axis, 0)[part].ravel() for part in (slice(None, -1), slice(1, None)))
-    return _Faces(corners if handedness > 0 else corners[:, ::-1], low, high)
+    return corners if handedness > 0 else corners[:, ::-1], low, high
 
 
-def _between_blocks(grid: Grid, topology: Topology) -> _Faces:
+def _between_blocks(grid: Grid, topology: Topology) -> Faces:
     """The faces between blocks; the corners of the owner's quad turn about the outward normal."""
     quads = np.flatnonzero(topology.partner >= 0)
     here, there = (cells_behind(grid, topology, own) for own in (quads, topology.partner[quads]))
@@ -155,18 +157,7 @@ def _between_blocks(grid: Grid, topology: Topology) -> _Faces:
             "cells"
         )
     own = here < there
-    return _Faces(topology.quads.corners[quads[own]], here[own], there[own])
-
-
-def _kept_corners(corners: IntArray) -> np.ndarray:
-    """(n, 4) bool: corners that differ from the one before, which are those of the polygon."""
-    folded = np.flatnonzero((corners[:, 0] == corners[:, 2]) | (corners[:, 1] == corners[:, 3]))
-    if folded.size:
-        raise FormatError(
-            f"{folded.size} cell faces pass through one point twice, the first {corners[folded[0]].tolist()}; OpenFOAM "
-            "has no such faces"
-        )
-    return corners != np.roll(corners, 1, axis=1)
+    return topology.quads.corners[quads[own]], here[own], there[own]
 
 
 def extruded(grid: Grid, thickness: float) -> Grid:
@@ -177,29 +168,154 @@ def extruded(grid: Grid, thickness: float) -> Grid:
     flat = [shape.index(1) for shape in grid.shapes]
     blocks = [grid.block(b) for b in range(grid.n_blocks)]
     layers = [np.concatenate([x, x + thickness * normal], axis=axis) for x, axis in zip(blocks, flat, strict=True)]
+
+    def far(block: int, axes: Sequence[int], index: Sequence[int]) -> Any:
+        """The index along these axes of a block, in the second layer."""
+        return tuple(1 if axis == flat[block] else n for axis, n in zip(axes, index, strict=True))
+
+    patches = [
+        dataclasses.replace(patch, windows=tuple(
+            dataclasses.replace(w, high=far(w.block, w.side.tangential, w.high)) for w in patch.windows
+        ))
+        for patch in grid.patches
+    ]  # fmt: skip
+    connections = []
+    for each in grid.connections:
+        i, j, k = (flat[each.donor_block] + 1 if axis == flat[each.block] else along
+                   for axis, along in enumerate(each.transform))  # fmt: skip
+        end, donor_end = far(each.block, range(3), each.end), far(each.donor_block, range(3), each.donor_end)
+        connections.append(dataclasses.replace(each, end=end, donor_end=donor_end, transform=(i, j, k)))
     return Grid.from_blocks(
-        layers, grid.names, patches=tuple(_extruded_patch(patch, flat) for patch in grid.patches),
-        connections=tuple(_extruded_connection(each, flat[each.block], flat[each.donor_block])
-                          for each in grid.connections),
-        format=grid.format, path=grid.path, components=grid.components,
+        layers, grid.names, patches=tuple(patches), connections=tuple(connections), format=grid.format, path=grid.path,
+        components=grid.components,
     )  # fmt: skip
 
 
-def _extruded_patch(patch: Patch, flat: list[int]) -> Patch:
-    windows = []
-    for window in patch.windows:
-        a, b = (1 if axis == flat[window.block] else high
-                for axis, high in zip(window.side.tangential, window.high, strict=True))  # fmt: skip
-        windows.append(dataclasses.replace(window, high=(a, b)))
-    return dataclasses.replace(patch, windows=tuple(windows))
+# --- patches
 
 
-def _extruded_connection(connection: Connection, flat: int, donor: int) -> Connection:
-    def far(index: Shape, axis: int) -> Shape:
-        i, j, k = (1 if a == axis else n for a, n in enumerate(index))
-        return i, j, k
+@dataclass(frozen=True)
+class BoundaryPatch:
+    """A patch with its faces in order.
 
-    i, j, k = (donor + 1 if axis == flat else along for axis, along in enumerate(connection.transform))
-    return dataclasses.replace(
-        connection, end=far(connection.end, flat), donor_end=far(connection.donor_end, donor), transform=(i, j, k)
-    )
+    Attributes
+    ----------
+    quads : (n,) face quads of the topology
+    corners : (n, 4) their points, about the outward normal
+    entries : lines of the dictionary other than type and ranges
+    """
+
+    name: str
+    type: str
+    quads: IntArray
+    corners: IntArray
+    entries: tuple[str, ...] = ()
+
+    def text(self, first: int) -> str:
+        """Its entry in the boundary file; ``first`` is the number of its first face."""
+        lines = [f"type            {self.type};", *self.entries]
+        lines += [f"nFaces          {len(self.quads)};", f"startFace       {first};"]
+        return "\n".join([f"    {self.name}", "    {", *(f"        {line}" for line in lines), "    }"])
+
+
+def boundary_patches(
+    grid: Grid, topology: Topology, cells: IntArray, declared: Mapping[str, tuple[str, ...]] | None
+) -> list[BoundaryPatch]:
+    """The patches of a grid; ``cells`` (n_quads,) are the cells beside its face quads, by which faces are ordered.
+
+    ``declared``: types are those of OpenFOAM, and these are further entries of the patches, by name.
+    """
+    markers = find_markers(grid, topology)
+    ends = np.zeros(len(topology.partner), dtype=bool)
+    if declared is None:
+        ends = np.isin(topology.quads.block_side, empty_sides(grid, topology))
+        walls = [marker.quads for marker in markers if marker.patch is not None and is_wall(marker.patch)]
+        # Without OpenFOAM's own types, one layer of cells is taken for a plane grid, unless it is between walls.
+        ends &= not ends[np.concatenate([np.empty(0, dtype=np.int64), *walls])].any()
+        markers = [part for marker in markers for part in _parted(marker, ends)]
+    own_names = [marker.name for marker in markers]
+    words = (_FORBIDDEN.sub("_", n).strip("_") or "patch" if _FORBIDDEN.search(n) else n for n in own_names)
+    names = dict(zip(own_names, distinct(words), strict=True))
+    order: dict[str, IntArray] = {}
+    found: dict[str, BoundaryPatch] = {}
+    for marker in markers:
+        order[marker.name] = order.get(marker.partner, np.argsort(cells[marker.quads], kind="stable"))
+        quads = marker.quads[order[marker.name]]
+        kind, entries = _type(grid, topology, marker, ends), _cyclic_entries(marker, markers, names)
+        if declared is not None and marker.patch is not None and not marker.partner:
+            kind, entries = marker.patch.bc_type, declared.get(marker.patch.name, ())
+        found[marker.name] = BoundaryPatch(names[marker.name], kind, quads, topology.quads.corners[quads], entries)
+    points = grid.points[topology.first]
+    for marker in markers:
+        if marker.motion is not None:
+            # Every face of the second patch begins at the image of the first corner of its partner.
+            corners = found[marker.partner].corners
+            image = periodic_image(points[found[marker.name].corners[:, 0]], marker.motion)
+            nearest = np.linalg.norm(points[corners] - image[:, None], axis=2).argmin(axis=1)
+            turned = np.take_along_axis(corners, (nearest[:, None] + np.arange(4)) % 4, axis=1)
+            found[marker.partner] = dataclasses.replace(found[marker.partner], corners=turned)
+    return list(found.values())
+
+
+def _parted(marker: Marker, ends: BoolArray) -> list[Marker]:
+    """Split off the faces of a family that lie on the two sides of a plane grid."""
+    own = ends[marker.quads]
+    if marker.partner or own.all() or not own.any():
+        return [marker]
+    parts = (marker.name, marker.quads[~own]), (f"{marker.name}_empty", marker.quads[own])
+    return [Marker(name, quads, marker.patch) for name, quads in parts]
+
+
+def _type(grid: Grid, topology: Topology, marker: Marker, ends: BoolArray) -> str:
+    """The type of a patch that the source calls by the name of another format, or not at all."""
+    if marker.partner:
+        return "cyclic"
+    if ends[marker.quads].all() and len(marker.quads):
+        return "empty"
+    role = role_of_patch(marker.patch) if marker.patch is not None else None
+    if role is Role.END and marker.patch is not None:
+        return marker.patch.bc_type
+    if role is Role.WALL:
+        return "wall"
+    if role is not Role.SYMMETRY:
+        return "patch"
+    points = grid.points[topology.first[np.unique(topology.quads.corners[marker.quads])]]
+    return "symmetryPlane" if plane_of(points, None) is not None else "symmetry"
+
+
+def _cyclic_entries(marker: Marker, markers: Sequence[Marker], names: Mapping[str, str]) -> tuple[str, ...]:
+    if not marker.partner:
+        return ()
+    motion = marker.motion or next(other.motion for other in markers if other.name == marker.partner)
+    assert motion is not None
+    sign = 1.0 if marker.motion is not None else -1.0
+    lines = [f"neighbourPatch  {names[marker.partner]};", "matchTolerance  0.0001;"]
+    turn = scipy.spatial.transform.Rotation.from_matrix(periodic_rotation(motion)).as_rotvec()
+    shift = np.array(motion.translation)
+    if not np.any(turn):
+        return (*lines, "transform       translational;", f"separationVector {_vector(sign * shift)};")
+    if np.any(shift):
+        return (*lines, "transform       unknown;")
+    axis = turn / np.linalg.norm(turn)
+    center = np.array(motion.rotation_center)
+    lines += ["transform       rotational;", f"rotationAxis    {_vector(axis)};", f"rotationCentre  {_vector(center)};"]
+    return tuple(lines)
+
+
+def _vector(values: FloatArray) -> str:
+    return "(" + " ".join(repr(value) for value in (values + 0.0).tolist()) + ")"
+
+
+def empty_sides(grid: Grid, topology: Topology) -> list[int]:
+    """The block sides (``6 * block + side``) on both sides of one layer of cells across an axis of coordinates.
+
+    Empty if the grid is not such a layer: OpenFOAM solves in a plane only where it is normal to an axis.
+    """
+    ends = end_planes(grid, topology)
+    if not ends:
+        return []
+    sides = [grid.points[side_nodes(grid, end // 6, Side(end % 6)).ravel()] for end in ends]
+    across = np.concatenate([far - near for near, far in zip(sides[::2], sides[1::2], strict=True)])
+    axis = int(np.argmax(np.abs(across).sum(axis=0)))
+    uneven = [float(np.abs(np.delete(across, axis, axis=1)).max()), *(float(np.ptp(x[:, axis])) for x in sides)]
+    return ends if max(uneven) <= _ALONG_AXIS * float(np.abs(across[:, axis]).min()) else []

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -227,6 +228,28 @@ class StoredArray:
 
 Reserved = dict[int, tuple[int, np.dtype[Any]]]
 """First byte and type of arrays for which a file has room, by their number."""
+
+
+class BlockOutput:
+    """The file of a block being written: lines, and room for the values that all ranks write later."""
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self.stream = stream
+        self._places: dict[int, tuple[int, np.dtype[Any]]] = {}
+
+    def line(self, text: str) -> None:
+        self.stream.write(f"{text}\n".encode())
+
+    def reserve(self, array: StoredArray, kind: np.dtype[Any]) -> None:
+        """Leave room for the values of an array in this type."""
+        self._places[id(array)] = self.stream.tell(), kind
+        self.stream.seek(array.nbytes, os.SEEK_CUR)
+
+    def reserved(self, contents: Sequence[StoredArray]) -> Reserved:
+        """The places of those ``contents`` that have room."""
+        return {number: self._places[id(one)] for number, one in enumerate(contents) if id(one) in self._places}
+
+
 Begin = Callable[[Grid, int, Path, VtkFormat, Sequence[StoredArray]], Reserved]
 
 

@@ -17,13 +17,13 @@ from meshdeform_core.parallel import require_whole
 
 from ..files import checked_options, replacing_by_all
 from .dataset import VtkFormat, assemble, write_blocks
+from .legacy import begin_block as begin_legacy_block
 from .legacy import read as read_legacy
-from .legacy_write import begin_block as begin_legacy_block
 from .multiblock import read as read_multiblock
 from .multiblock import require_replaceable
 from .multiblock import write as write_multiblock
 from .xml_arrays import lz4_block
-from .xml_read import read as read_xml
+from .xml_arrays import read as read_xml
 from .xml_tags import file_kind
 from .xml_write import begin_block as begin_xml_block
 from .xml_write import plain

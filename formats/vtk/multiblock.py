@@ -18,7 +18,7 @@ from meshdeform_core.parallel import ranks_of
 
 from ..files import replacing_by_all, shown
 from .dataset import DataSet, VtkFormat, write_blocks
-from .xml_read import read as read_piece
+from .xml_arrays import read as read_piece
 from .xml_tags import DEEPEST, read_tags
 from .xml_write import attribute, begin_block
 
@@ -98,7 +98,11 @@ def write(grid: Grid, path: Path, variant: VtkFormat) -> None:
         def begin() -> tuple[list[str], bytes]:
             require_replaceable(path)
             clean(path)
-            names = _new_names(path, grid.n_blocks)
+            # Names of pieces that no file in the folder has.
+            taken = set(os.listdir(_folder(path))) if _folder(path).is_dir() else set()
+            turns = ("" if turn == 0 else f".{turn}" for turn in count())
+            sets = ([f"{path.stem}_{block}{turn}.vts" for block in range(grid.n_blocks)] for turn in turns)
+            names = next(names for names in sets if taken.isdisjoint(names))
             index = _index(grid, path, names, variant)
             own.enter_context(interruption.cleaned_up(lambda: clean(path)))
             return names, index
@@ -184,17 +188,6 @@ def _own_pieces(path: Path) -> set[str]:
         return set()
     folder = _folder(path)
     return {piece.name for _, piece in _files(path) if piece.parent == folder}
-
-
-def _new_names(path: Path, number: int) -> list[str]:
-    """Names of pieces that no file in the folder has."""
-    folder = _folder(path)
-    taken = set(os.listdir(folder)) if folder.is_dir() else set()
-    for turn in count():
-        names = [f"{path.stem}_{block}{f'.{turn}' if turn else ''}.vts" for block in range(number)]
-        if taken.isdisjoint(names):
-            return names
-    raise AssertionError("unreachable")
 
 
 def _folder(path: Path) -> Path:

@@ -1,4 +1,5 @@
-"""The values of the arrays in a VTK XML file, each checked against the expected number.
+"""Structured grids in VTK's XML files (.vts), and the values of the arrays in all XML files, each checked against the
+expected number.
 
 A binary array is preceded by its number of bytes or, if compressed, by the number of blocks, the size of a block, the
 size of the last block if smaller (else 0), and the compressed size of each block. All of them are checked against the
@@ -12,19 +13,23 @@ import binascii
 import importlib
 import io
 import lzma
+import math
 import re
-import warnings
 import zlib
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import Shape
+from meshdeform_core.parallel import require_undivided
 
-from .dataset import DataArray, Run, native
-from .xml_tags import TAG, Element, XmlFile
+from ..text import strict_numbers
+from .dataset import DataArray, DataSet, Run, native
+from .xml_tags import TAG, Element, XmlFile, read_tags
 
 TYPES = {
     "Int8": "i1",
@@ -120,7 +125,7 @@ class ArrayReader:
         if array.get("format") in ("", "ascii"):
             try:
                 found = numbers_in_text(self._content(array), dtype.newbyteorder("="))
-            except NotANumber as error:
+            except ValueError as error:
                 raise self.error(array, f"holds {error}, expected {dtype.name} numbers") from error
             if len(found) != count:
                 raise self.error(array, f"has {len(found)} values, expected {wanted}")
@@ -218,7 +223,7 @@ class ArrayReader:
             part = min(last if number == blocks and last else block, size - filled)
             try:
                 unpacked = unpack(self.file.compression, content[begin : begin + length], part, self.file.path)
-            except DamagedBlock as error:
+            except ValueError as error:
                 raise self.error(array, f"is damaged in block {number} of {blocks}: {error}") from error
             values[filled : filled + part] = np.frombuffer(unpacked, np.uint8)
             filled, begin = filled + part, begin + length
@@ -269,36 +274,30 @@ class ArrayReader:
         return sizes, place, size
 
 
-class NotANumber(Exception):
-    """Something in a text is not a number of the expected type; the message quotes it."""
-
-
 def numbers_in_text(text: bytes, dtype: np.dtype[Any]) -> NDArray[Any]:
     """All numbers of a text between white space, in ``dtype``.
 
-    Raises NotANumber when something is not a number, or exceeds the type.
+    Raises ValueError, which quotes it, when something is not a number or exceeds the type.
     """
     if not text.strip():
         return np.empty(0, dtype)
     wide = np.dtype("f8" if dtype.kind == "f" else f"{dtype.kind if dtype.itemsize == 8 else 'i'}8")
-    with warnings.catch_warnings():
-        # numpy before 2.3 warns where later versions raise.
-        warnings.simplefilter("error", DeprecationWarning)
-        try:
+    try:
+        with strict_numbers():
             numbers = np.fromstring(text, wide, sep=" ")
-        except (ValueError, DeprecationWarning) as error:
-            number = float if dtype.kind == "f" else int
-            for word in text.split():
-                try:
-                    number(word)
-                except ValueError:
-                    raise NotANumber(_shown(word)) from error
-            raise NotANumber("something that is not a number") from error
+    except ValueError as error:
+        number = float if dtype.kind == "f" else int
+        for word in text.split():
+            try:
+                number(word)
+            except ValueError:
+                raise ValueError(_shown(word)) from error
+        raise ValueError("something that is not a number") from error
     if dtype.kind == "f":
         with np.errstate(over="ignore"):
             values = numbers.astype(dtype, copy=False)
         if np.isinf(values).any() and b"inf" not in text.lower():
-            raise NotANumber("a number out of range")
+            raise ValueError("a number out of range")
         return values
     limits, end = np.iinfo(dtype), np.iinfo(wide)
     # The parser saturates at the limits of 64 bits; a number there may be anything beyond.
@@ -306,16 +305,12 @@ def numbers_in_text(text: bytes, dtype: np.dtype[Any]) -> NDArray[Any]:
     if doubtful.any():
         for word, doubt in zip(text.split(), doubtful, strict=True):
             if doubt and not limits.min <= int(word) <= limits.max:
-                raise NotANumber(_shown(word))
+                raise ValueError(_shown(word))
     return numbers.astype(dtype, copy=False)
 
 
 def _shown(word: bytes) -> str:
     return repr(word[:40].decode("utf-8", "replace"))
-
-
-class DamagedBlock(Exception):
-    """A compressed block contradicts its header; the message is the reason."""
 
 
 def lz4_block(path: Any) -> Any:
@@ -335,7 +330,7 @@ def lz4_block(path: Any) -> Any:
 def unpack(compression: str, packed: bytes, size: int, path: Any) -> bytes:
     """Decompress one block to exactly ``size`` bytes, never to more than one byte beyond.
 
-    Raises DamagedBlock when it has another size, or is no such block.
+    Raises ValueError with the reason when it has another size, or is no such block.
     """
     complete, damaged = True, [ValueError, zlib.error, lzma.LZMAError]
     if compression == "lz4":
@@ -350,10 +345,10 @@ def unpack(compression: str, packed: bytes, size: int, path: Any) -> bytes:
             data = stream.decompress(packed, size + 1)
             complete = stream.eof
     except tuple(damaged) as error:
-        raise DamagedBlock(str(error)) from error
+        raise ValueError(str(error)) from error
     if len(data) != size or not complete:
         found = f"more than {size}" if len(data) > size else f"{len(data)}"
-        raise DamagedBlock(f"it decompresses to {found} bytes, expected {size}")
+        raise ValueError(f"it decompresses to {found} bytes, expected {size}")
     return bytes(data)
 
 
@@ -403,3 +398,83 @@ def joined(parts: list[list[DataArray]]) -> Iterator[tuple[DataArray, list[NDArr
         if len({(part.dtype, part.shape[1:]) for part in values}) > 1:
             raise ValueError(f"array {name!r} does not have the same type and number of components in all pieces")
         yield first, values
+
+
+# --- structured grids
+
+_OTHER_KINDS = {
+    "PolyData": "a polygon surface",
+    "UnstructuredGrid": "an unstructured grid",
+    "RectilinearGrid": "a rectilinear grid; save it as a structured grid (.vts)",
+    "ImageData": "an image; save it as a structured grid (.vts)",
+    "PStructuredGrid": "the index of a parallel data set; merge its pieces into one .vts",
+    "vtkMultiBlockDataSet": "a multi-block set",
+    "vtkPartitionedDataSetCollection": "a partitioned collection; save it as a multi-block set (.vtm)",
+}
+
+# Nodes that an extent may have regardless of the size of the file.
+_ANY_EXTENT = 1_000_000
+
+Extent = tuple[Shape, Shape]
+"""First node (i, j, k), and number of nodes along each index."""
+
+
+def read(path: Path) -> DataSet:
+    """Read the structured data set of an XML file.
+
+    Raises FormatError when the file is truncated or damaged, its data set is of another kind, or not one Piece with all
+    nodes.
+    """
+    file = read_tags(path)
+    if file.kind != "StructuredGrid":
+        other = _OTHER_KINDS.get(file.kind, "another kind of data set")
+        raise FormatError(f"{path} is {other} (VTKFile type {file.kind}); expected a structured grid")
+    data_set = file.data_set()
+    notes: list[str] = []
+    with path.open("rb") as stream:
+        reader = ArrayReader(file, stream)
+        low, (ni, nj, nk) = whole = _extent(reader, data_set, "WholeExtent")
+        piece = _piece(reader, data_set, whole)
+        if file.options["encoding"] != "appended" or file.compression != "none":
+            require_undivided(f"{path} is text or compressed")
+        (array,) = reader.arrays_of(piece, "Points", 1)
+        points = reader.values(array, ni * nj * nk, 3, later=True).reshape(nk, nj, ni, 3)
+        n_cells = math.prod(max(n - 1, 1) for n in (ni, nj, nk))
+        arrays = [
+            *read_section(reader, piece, "PointData", ni * nj * nk, notes, later=True),
+            *read_section(reader, piece, "CellData", n_cells, notes, later=True),
+            *read_section(reader, data_set, "FieldData", 0, notes),
+        ]
+        reader.require_no_rest()
+    return DataSet(points, tuple(arrays), file.options, low, notes=tuple(dict.fromkeys(notes)))
+
+
+def _extent(reader: ArrayReader, element: Element, name: str) -> Extent:
+    words = element.get(name).split()
+    if len(words) != 6 or not all(re.fullmatch(r"[+-]?\d{1,9}", word) for word in words):
+        raise reader.error(element, f"has {name} {element.get(name)!r}, expected six whole numbers")
+    i, last_i, j, last_j, k, last_k = map(int, words)
+    shape = last_i - i + 1, last_j - j + 1, last_k - k + 1
+    count, size = math.prod(max(n, 0) for n in shape), reader.file.size
+    if count > max(_ANY_EXTENT, size * LARGEST_RATIO[reader.file.compression]):
+        raise FormatError(
+            f"{reader.file.path} has {element.tag} {name} {element.get(name)!r}: a file of {size} bytes cannot hold "
+            f"{count} entries"
+        )
+    return (i, j, k), shape
+
+
+def _piece(reader: ArrayReader, data_set: Element, whole: Extent) -> Element:
+    """The Piece with all nodes; further ones may only be empty."""
+    found = [(piece, _extent(reader, piece, "Extent")) for piece in data_set.all("Piece")]
+    found = [(piece, extent) for piece, extent in found if min(extent[1]) > 0]
+    if min(whole[1]) < 1 or not found:
+        raise FormatError(f"{reader.file.path} is an empty grid: it has no nodes")
+    for piece, extent in found:
+        if extent != whole or len(found) > 1:
+            raise reader.error(
+                piece,
+                f"has Extent {piece.get('Extent')}; expected one Piece with all nodes of the WholeExtent "
+                f"{data_set.get('WholeExtent')}: merge the pieces",
+            )
+    return found[0][0]

@@ -5,12 +5,11 @@ from __future__ import annotations
 import binascii
 import itertools
 import lzma
-import os
 import re
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
 
 from ..text import number_lines
-from .dataset import Reserved, StoredArray, VtkFormat
+from .dataset import BlockOutput, Reserved, StoredArray, VtkFormat
 from .xml_arrays import SECTIONS, TYPES, lz4_block
 from .xml_tags import COMPRESSORS
 
@@ -55,7 +54,7 @@ def begin_block(grid: Grid, block: int, path: Path, variant: VtkFormat, contents
     with path.open("wb") as stream:
         output = _Output(stream, variant, header, str(path))
         output.data_set(extent, points, arrays)
-    return {number: output.places[id(array)] for number, array in enumerate(contents) if id(array) in output.places}
+    return output.reserved(contents)
 
 
 def plain(options: Mapping[str, str]) -> bool:
@@ -104,18 +103,15 @@ def _in_blocks(pieces: Iterable[bytes], size: int) -> Iterator[bytes]:
         yield rest
 
 
-class _Output:
+class _Output(BlockOutput):
     """A .vts file being written."""
 
     def __init__(self, stream: BinaryIO, variant: VtkFormat, header: str, path: str) -> None:
-        self.stream, self.header, self.options = stream, header, variant.options
+        super().__init__(stream)
+        self.header, self.options = header, variant.options
         self.order = "<" if self.options["byte_order"] == "little" else ">"
         self.pack = packer(self.options["compression"], path)
         self.appended: list[tuple[StoredArray, int]] = []
-        self.places: dict[int, tuple[int, np.dtype[Any]]] = {}
-
-    def line(self, text: str) -> None:
-        self.stream.write(f"{text}\n".encode())
 
     def data_set(self, extent: str, points: StoredArray, arrays: Sequence[StoredArray]) -> None:
         # VTK calls the layout with the wider sizes version 1.0.
@@ -231,8 +227,7 @@ class _Output:
             if array.in_planes and plain(self.options):
                 # All ranks write these values later.
                 self.stream.write(self.sizes([array.nbytes]))
-                self.places[id(array)] = self.stream.tell(), np.dtype(self.order + array.precision.str[1:])
-                self.stream.seek(array.nbytes, os.SEEK_CUR)
+                self.reserve(array, array.precision.newbyteorder(self.order))
             else:
                 self.binary(array)
         self.line("\n  </AppendedData>")
