@@ -227,7 +227,7 @@ class _Output(BlockOutput):
             if array.in_planes and plain(self.options):
                 # All ranks write these values later.
                 self.stream.write(self.sizes([array.nbytes]))
-                self.reserve(array, array.precision.newbyteorder(self.order))
+                self.reserve(array, np.dtype(self.order + array.precision.str[1:]))
             else:
                 self.binary(array)
         self.line("\n  </AppendedData>")
