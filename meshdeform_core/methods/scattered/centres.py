@@ -14,6 +14,10 @@ from ...grid import FloatArray
 DIRECT_CENTRES = 4000
 """Largest number of centres that ``auto`` solves directly; beyond it, GMRES with its set-up is faster."""
 
+REACH = 20.0
+"""Distance from a wall over which nodes are corrected by the residual of a greedy reduction there, as a multiple of the
+residual; large enough that the correction cannot fold cells."""
+
 
 @dataclass(frozen=True)
 class SystemOptions:

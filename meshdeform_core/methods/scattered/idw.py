@@ -13,12 +13,13 @@ import numpy as np
 from ...errors import MethodError
 from ...grid import BoolArray, FloatArray, IntArray
 from ...numerics import rotation as rot
-from ...numerics.arrays import places_among, weighted_total
+from ...numerics.arrays import lengths, places_among, weighted_total
 from ...numerics.frame import AT_REST, Frame
 from ...numerics.rigid import NO_TRANSITION
-from ...numerics.tape import plain
+from ...numerics.tape import Tape, Tracked, plain
 from ...parallel import of_all
 from ..base import Account, LinearNodes, Problem, Progress, Setting
+from ..kinks import FOLDED, HALF_TURNS, LARGEST, half_turns, kinks_of, tied
 from ..limits import LARGEST_ROTATION, PLAIN_ROTATION, warn_of_alpha, warn_of_rotation
 from ..options import MethodOptions, option
 from .idw_sums import Bound, ExactEvaluator, SourceValues
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
 # Fraction of the remaining memory for data kept between displacements.
 _KEPT = 2
+_LEAST_ALPHA = 1e-3
 # Powers of distances relative to the grid remain finite up to these exponents.
 _FACTOR, _EXPONENT = "(0, 1e4]", "(0, 20]"
 _LUKE: Mapping[str, tuple[str, ...]] = {"weights": ("luke",)}
@@ -226,16 +228,14 @@ class PreparedIDW:
         advice = "take more steps (--steps auto)" + (', or rotation = "lie"' if plain else "")
         warnings = warn_of_rotation(self.problem, step, limit, what, advice)
         if self.options.weights == "luke" and self.options.alpha == "auto":
-            warnings += warn_of_alpha(self._eq_18(self.images.displaced(step)), ALPHA_CAP)
+            warnings += warn_of_alpha(float(self._eq_18(self._arms(self.images.displaced(step)))), ALPHA_CAP)
         return warnings
 
     def fit(self, displacement: FloatArray, progress: Progress | None = None) -> SourceValues:
         """Rigid motions of the sources for one displacement (n_sources, 3)."""
         images = self.images
         d = images.displaced(displacement)
-        frame = self.frame_of(d)
-        # Once the common rotation is removed, half a turn of the whole boundary is no special case.
-        inside = d if frame.turn is None else frame.relative(images.points, d)
+        frame, inside = self._seen_inside(d)
         if self.options.rotation == "none":
             q, w = np.tile([1.0, 0.0, 0.0, 0.0], (len(d), 1)), np.zeros((len(d), 3))
         else:
@@ -282,12 +282,36 @@ class PreparedIDW:
         return found
 
     def linearised(self, evaluator: ExactEvaluator | FastEvaluator, displacement: FloatArray) -> LinearNodes:
-        """The derivative of the displacement of the nodes of ``evaluator`` at a displacement (n_sources, 3)."""
+        """The derivative of the displacement of the nodes of ``evaluator`` at a displacement (n_sources, 3).
+
+        Rotations, their smoothing and the mean motion are recorded operation by operation.
+        """
         from .linear_idw import LinearIDW
 
-        return LinearIDW(self, evaluator, displacement)
+        # Within the frame of the mean motion, all sources at rest move alike.
+        acting = with_motion(self.images) | self.images.displaced(displacement).any(axis=1)
+        method, variable, o = self.reduced(acting), Tape().variable(displacement), self.options
+        images, fit = method.images, method.fit(variable)  # type: ignore[arg-type]
+        alpha, slope, counts = None, 0.0, list[tuple[str, int]]()
+        if o.rotation != "none":
+            counts.append((HALF_TURNS, half_turns(plain(fit.turn), images.owner)))
+            counts.append((FOLDED, method.rotations.folded(images.displaced(displacement))))
+        if o.weights == "luke" and o.alpha == "auto":
+            arms = method._arms(method._seen_inside(images.displaced(variable))[1])  # type: ignore[arg-type]
+            found: Tracked = method._eq_18(arms)  # type: ignore[assignment]
+            if _LEAST_ALPHA < float(plain(found)) < ALPHA_CAP:
+                # The derivative of the factor of r^-b.
+                alpha, slope = found, o.b * float(plain(found)) ** (o.b - 1.0) * method.length ** (o.b - method.far)
+                counts.append((LARGEST, tied(lengths(plain(arms)), images.owner)))
+        return LinearIDW(evaluator, variable, fit, acting, alpha, slope, kinks_of(counts))
 
-    def frame_of(self, d: FloatArray) -> Frame:
+    def _seen_inside(self, d: FloatArray) -> tuple[Frame, FloatArray]:
+        """The mean motion of the images, and their displacements (n, 3) as seen from there if it turns: half a turn of
+        the whole boundary is no special case then."""
+        frame = self._frame_of(d)
+        return frame, d if frame.turn is None else frame.relative(self.images.points, d)
+
+    def _frame_of(self, d: FloatArray) -> Frame:
         """The mean motion of the images, which is removed first: rigid for ``lie`` if the whole boundary moves."""
         if not self.remove_mean:
             return AT_REST
@@ -306,7 +330,7 @@ class PreparedIDW:
             return tuple((p, 5.0, 0.0) for p in (o.p_moving, o.p_fixed)[: len(self.groups)])
         alpha = self._alpha(d) if o.alpha == "auto" else float(o.alpha)
         try:
-            near = alpha**o.b * plain(self.length) ** (o.b - self.far)
+            near = alpha**o.b * self.length ** (o.b - self.far)
         except OverflowError as error:
             raise MethodError(
                 f"method.idw: alpha^b L^(b - a) with alpha = {alpha:g}, L = {self.length:g}, a = {self.far:g}, "
@@ -314,14 +338,20 @@ class PreparedIDW:
             ) from error
         return ((self.far, o.b, near),)
 
-    def _eq_18(self, d: FloatArray) -> float:
-        area = plain(self.area)
-        mean = weighted_total(area / area.sum(), d)
-        return self.options.eta / plain(self.length) * float(np.linalg.norm(d - mean, axis=1).max())
+    def _arms(self, d: FloatArray) -> FloatArray:
+        """Displacements (n, 3) of the images relative to their mean."""
+        arms: FloatArray = d - weighted_total(self.area / self.area.sum(), d)
+        return arms
+
+    def _eq_18(self, arms: FloatArray) -> FloatArray:
+        """Alpha by eq. 18, without its limits, for displacements (n, 3) relative to their mean."""
+        size: FloatArray = np.linalg.norm(arms, axis=1)
+        alpha: FloatArray = self.options.eta / self.length * size.max()
+        return alpha
 
     def _alpha(self, d: FloatArray) -> float:
-        full = self._eq_18(d)
-        alpha = min(max(full, 1e-3), ALPHA_CAP)
+        full = float(self._eq_18(self._arms(d)))
+        alpha = min(max(full, _LEAST_ALPHA), ALPHA_CAP)
         reason = f"eq. 18 gives {full:.3g}" + (f", capped at {ALPHA_CAP} (crossed cells)" if full > alpha else "")
         self.account.settings["alpha"] = Setting(alpha, reason)
         return alpha

@@ -5,21 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from ...grid import BoolArray, FloatArray, Grid, IntArray
-from ...numerics.arrays import lengths, weighted_total
 from ...numerics.fastsum.weighted.sums import FastSums, Scaled
 from ...numerics.rigid import finish
 from ...numerics.tangents import finish_gradients, finish_tangents
-from ...numerics.tape import Tape, Tracked, plain
+from ...numerics.tape import Tracked, plain
 from ...parallel import agreed, empty, ranks_of, rows_of, summed
-from ..kinks import FOLDED, HALF_TURNS, LARGEST, Kinks, half_turns, kinks_of, tied
+from ..kinks import Kinks
 from .fast_idw_sums import FastEvaluator, fast_sums
-from .idw import PreparedIDW
 from .idw_sums import Bound, ExactEvaluator, ExactSums, SourceValues, Use, Weights
 from .summation import DERIVATIVE_TOLERANCE, MAX_RETRIES, doubtful
-from .transition import with_motion
-from .tuned import ALPHA_CAP
 
-_LEAST_ALPHA = 1e-3
 _FIRST_SHARE = 1.7
 """Initial error allowed to one cluster, as a multiple of that allowed to the sum; sufficient on the hemispheres, while
 the plates need half of it."""
@@ -32,42 +27,35 @@ Sums = ExactSums | FastSums
 class LinearIDW:
     """Derivative of the displacement of the nodes of an evaluator at one displacement (n_sources, 3) of the sources.
 
-    The rotations, their smoothing and the mean motion are differentiated operation by operation; sums over sources
-    become sums of derivatives, exact or fast like those of the method, and their transposes are sums over nodes.
+    Sums over sources become sums of derivatives, exact or fast like those of the method, and their transposes are sums
+    over nodes.
+
+    Parameters
+    ----------
+    variable : the displacement, from which ``fit`` of the sources that move, and of one of the others, was recorded
+    acting : (n,) the images of sources that move
+    alpha, slope : alpha if it depends on the displacement, and the derivative of the factor of r^-b with respect to it
     """
 
     def __init__(
-        self, method: PreparedIDW, evaluator: ExactEvaluator | FastEvaluator, displacement: FloatArray
-    ) -> None:
-        bound = evaluator.bound
-        self._bound, self._tape, fast = bound, Tape(), isinstance(evaluator, FastEvaluator)
-        variable = self._tape.variable(displacement)
-        self._variable = variable.number
-        # Within the frame of the mean motion, all sources at rest move alike.
-        images = method.images
-        acting = with_motion(images) | images.displaced(displacement).any(axis=1)
-        method = method.reduced(acting)
-        fit = method.fit(variable)  # type: ignore[arg-type]
-        self._fit = fit
+        self, evaluator: ExactEvaluator | FastEvaluator, variable: Tracked, fit: SourceValues, acting: BoolArray,
+        alpha: Tracked | None, slope: float, kinks: Kinks,
+    ) -> None:  # fmt: skip
+        self._bound, self._tape, self._variable = evaluator.bound, variable.tape, variable.number
+        self._fit, self._slope, self.kinks = fit, slope, kinks
         self._transition = fit.transition._replace(rest=plain(fit.transition.rest))
-        self._alpha = automatic_alpha(method, variable)
-        self._slope, self.kinks = 0.0, idw_kinks(method, fit, displacement)
-        if self._alpha is not None:
-            o, value = method.options, float(plain(self._alpha))
-            # The derivative of the factor of r^-b.
-            self._slope = o.b * value ** (o.b - 1.0) * method.length ** (o.b - method.far)
         wanted = {
             "values": fit.values, "shift": fit.frame.shift, "turn": fit.frame.turn,
-            "rest": fit.transition.rest, "alpha": self._alpha,
+            "rest": fit.transition.rest, "alpha": alpha,
         }  # fmt: skip
         self._numbers = {name: each.number for name, each in wanted.items() if isinstance(each, Tracked)}
-        kept = plain(fit.values), acting, fast, self._transition.width > 0.0
-        self._sums, self._base = _accurate(bound, fit.weights, *kept)
+        kept = plain(fit.values), acting, isinstance(evaluator, FastEvaluator), self._transition.width > 0.0
+        self._sums, self._base = _accurate(self._bound, fit.weights, *kept)
         self._near = None
-        if self._slope:
+        if slope:
             # The part of the weights that alpha multiplies.
             near = tuple((b, 5.0, 0.0) for _, b, _ in fit.weights)
-            _, self._near = _accurate(bound, near, *kept)
+            _, self._near = _accurate(self._bound, near, *kept)
 
     @property
     def flat(self) -> IntArray:
@@ -144,35 +132,6 @@ class LinearIDW:
         }  # fmt: skip
         given = {number: known[name] for name, number in self._numbers.items()}
         return self._tape.pull(given, [self._variable])[0]
-
-
-def automatic_alpha(method: PreparedIDW, displacement: Tracked) -> Tracked | None:
-    """Alpha by eq. 18 at a displacement (n_sources, 3); ``None`` where it is given or at its limits."""
-    if method.options.weights != "luke" or method.options.alpha != "auto":
-        return None
-    size: Tracked = np.linalg.norm(_arms(method, displacement), axis=1)  # type: ignore[arg-type]
-    alpha: Tracked = method.options.eta / method.length * size.max()
-    return alpha if _LEAST_ALPHA < float(plain(alpha)) < ALPHA_CAP else None
-
-
-def _arms(method: PreparedIDW, displacement: FloatArray) -> FloatArray:
-    """Displacements (n, 3) of the images of sources relative to their mean."""
-    d = method.images.displaced(displacement)
-    frame = method.frame_of(d)
-    inside = d if frame.turn is None else frame.relative(method.images.points, d)
-    arms: FloatArray = inside - weighted_total(method.area / method.area.sum(), inside)
-    return arms
-
-
-def idw_kinks(method: PreparedIDW, fit: SourceValues, displacement: FloatArray) -> Kinks:
-    """Where rotations jump, and what the largest displacement of several sources sets, at one (n_sources, 3)."""
-    images, counts = method.images, list[tuple[str, int]]()
-    if method.options.rotation != "none":
-        counts.append((HALF_TURNS, half_turns(plain(fit.turn), images.owner)))
-        counts.append((FOLDED, method.rotations.folded(images.displaced(displacement))))
-    if method.options.alpha == "auto" and automatic_alpha(method, Tape().variable(displacement)) is not None:
-        counts.append((LARGEST, tied(lengths(_arms(method, displacement)), images.owner)))
-    return kinks_of(counts)
 
 
 def _apart(values: FloatArray, acting: BoolArray) -> tuple[FloatArray, FloatArray]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 
 from ...grid import FloatArray, IntArray
@@ -11,25 +9,16 @@ from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_sums
 from ...numerics.fastsum.radial.frozen import FrozenRadial
 from ...numerics.fastsum.radial.targets import RadialTargets
-from ...parallel import agreed, alike, ranks_of, require_whole, rows_of, summed
+from ...parallel import agreed, alike, ranks_of, rows_of, summed
 from ..base import Account
-from ..kinks import CHOSEN, UNCHOSEN, Kinks
+from ..kinks import Kinks
+from .centres import REACH
+from .mirror import Images
 from .radial_system import RadialSystem
-from .rbf import REACH, PreparedRBF
 from .rbf_sums import RadialSums
 from .summation import DERIVATIVE_TOLERANCE, MAX_RETRIES, doubtful
 
 _ROWS = 1 << 16
-
-
-def linear_rbf(method: PreparedRBF, sums: RadialSums, displacement: FloatArray) -> LinearRBF | LinearGreedy:
-    """The derivative of the displacement of the nodes of ``sums`` at a displacement (n_sources, 3)."""
-    if method.options.greedy == "none":
-        return LinearRBF(method, sums, Kinks())
-    if not displacement.any():
-        # Few centres chosen for nothing would be those of no direction.
-        return LinearRBF(method, sums, Kinks({UNCHOSEN: 1}))
-    return LinearGreedy(method, sums, displacement)
 
 
 class RadialMap:
@@ -64,15 +53,13 @@ class LinearRBF:
     nodes, is below :data:`.summation.DERIVATIVE_TOLERANCE` of the derivative; otherwise sums are exact.
     """
 
-    def __init__(self, method: PreparedRBF, sums: RadialSums, kinks: Kinks) -> None:
-        self._images, self._points, self.flat, self.kinks = method.images, method.problem.grid.points, sums.flat, kinks
-        self._own = rows_of(self._points)
-        sums.prepare(len(method.centres.points))
-        self._system = RadialSystem.accurate(
-            method.options.system, method.centres, method.problem.memory, ranks_of(self._points)
-        )
+    def __init__(
+        self, system: RadialSystem, points: FloatArray, sums: RadialSums, images: Images, kinks: Kinks
+    ) -> None:
+        self._system, self._points, self._own, self.flat = system, points, rows_of(points), sums.flat
+        self._images, self.kinks = images, kinks
         self._fast = self._accurate(sums.targets) if sums.targets else None
-        self._exact = None if self._fast else RadialMap(self._system, self._own[self.flat])
+        self._exact = None if self._fast else RadialMap(system, self._own[self.flat])
 
     def _accurate(self, targets: RadialTargets) -> FrozenRadial | None:
         """Fast sums, refined until the error at the nodes where they are compared with exact sums is small enough;
@@ -153,24 +140,22 @@ class LinearGreedy:
     fixed.
     """
 
-    def __init__(self, method: PreparedRBF, sums: RadialSums, displacement: FloatArray) -> None:
-        problem, images, centres = method.problem, method.images, method.centres
-        require_whole(problem.grid.points, "a derivative of a greedy reduction")
-        self._images, self.flat, self.kinks = images, sums.flat, Kinks({CHOSEN: 1})
-        values = images.displaced(displacement)
-        found = method.selected(values)
-        self._active = found.active
-        chosen = dataclasses.replace(centres, points=np.ascontiguousarray(centres.points[self._active]))
-        system = RadialSystem.accurate(method.options.system, chosen, problem.memory)
-        self._inside = RadialMap(system, problem.grid.points[self.flat])
-        self._at_sources = RadialMap(system, images.points)
+    def __init__(
+        self, system: RadialSystem, points: FloatArray, sums: RadialSums, images: Images, kinks: Kinks, active: IntArray
+    ) -> None:
+        self._images, self._sums, self.flat, self.kinks, self._active = images, sums, sums.flat, kinks, active
+        self._inside, self._at_sources = RadialMap(system, points[sums.flat]), RadialMap(system, images.points)
+        self._corrects = False
+
+    def correct(self, values: FloatArray) -> None:
+        """Include the residual that the reduction leaves at the sources for their values (n, 3)."""
         left = values - self._at_sources.push(values[self._active])
         length = np.linalg.norm(left, axis=1)
         self._worst = int(np.argmax(length))
         reach = REACH * float(length[self._worst])
-        self._corrects = method.options.greedy_correct and reach > 0.0
+        self._corrects = reach > 0.0
         if self._corrects:
-            distance, self._nearest = sums.nearest()
+            distance, self._nearest = self._sums.nearest()
             r = np.minimum(distance / reach, 1.0)
             self._share = ((1.0 - r) ** 4 * (4.0 * r + 1.0))[:, None]
             # The correction of a node depends on the reach, and the reach on the largest residual.

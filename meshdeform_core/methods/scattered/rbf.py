@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
@@ -12,11 +13,12 @@ from ...boundary import Kind
 from ...errors import MethodError
 from ...grid import FloatArray, IntArray
 from ...numerics.exact.basis import BASES
-from ...parallel import ranks_of, rows_at
+from ...parallel import ranks_of, require_whole, rows_at
 from ..base import Account, LinearNodes, Problem, Progress, Setting, of_stage
+from ..kinks import CHOSEN, UNCHOSEN, Kinks
 from ..limits import warn_of_coarse_tolerance, warn_of_radius
 from ..options import MethodOptions, option
-from .centres import DIRECT_CENTRES, Centres, Coefficients, SumOptions, SystemOptions
+from .centres import DIRECT_CENTRES, REACH, Centres, Coefficients, SumOptions, SystemOptions
 from .mirror import mirror_images
 from .summation import Summation, summation_tolerance
 
@@ -28,10 +30,6 @@ Basis = Literal["tps", "wendland-c0", "wendland-c2", "ctps-c1", "ctps-c2a", "ctp
 _GREEDY: Mapping[str, tuple[str, ...]] = {"greedy": ("hybrid",)}
 _COMPACT: Mapping[str, tuple[str, ...]] = {"basis": tuple(name for name in BASES if name != "tps")}
 _ITERATIVE: Mapping[str, tuple[str, ...]] = {"solver": ("auto", "krylov")}
-
-REACH = 20.0
-"""Distance from a wall over which nodes are corrected by the residual of a greedy reduction there, as a multiple of the
-residual; large enough that the correction cannot fold cells."""
 
 
 @dataclass(frozen=True)
@@ -231,9 +229,25 @@ class PreparedRBF:
 
     def linearised(self, evaluator: RadialSums, displacement: FloatArray) -> LinearNodes:
         """The derivative of the displacement of the nodes of ``evaluator`` at a displacement (n_sources, 3)."""
-        from .linear_rbf import linear_rbf
+        from .linear_rbf import LinearGreedy, LinearRBF
+        from .radial_system import RadialSystem
 
-        return linear_rbf(self, evaluator, displacement)
+        points, memory = self.problem.grid.points, self.problem.memory
+        reduces = self.options.greedy != "none"
+        # Few centres chosen for nothing would be those of no direction.
+        if not reduces or not displacement.any():
+            evaluator.prepare(len(self.centres.points))
+            system = RadialSystem.accurate(self.options.system, self.centres, memory, ranks_of(points))
+            return LinearRBF(system, points, evaluator, self.images, Kinks({UNCHOSEN: 1} if reduces else {}))
+        require_whole(points, "a derivative of a greedy reduction")
+        values = self.images.displaced(displacement)
+        active = self.selected(values).active
+        chosen = dataclasses.replace(self.centres, points=np.ascontiguousarray(self.centres.points[active]))
+        system = RadialSystem.accurate(self.options.system, chosen, memory)
+        greedy = LinearGreedy(system, points, evaluator, self.images, Kinks({CHOSEN: 1}), active)
+        if self.options.greedy_correct:
+            greedy.correct(values)
+        return greedy
 
     def at(self, flat: IntArray) -> RadialSums:
         """Bind to the target nodes ``flat``."""
