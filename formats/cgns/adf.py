@@ -113,7 +113,14 @@ class _AdfFile:
         begin, raw_name, label, count, _, table, kind, rank, raw_dims, n_chunks, chunks, end = header
         if (begin, end) != (b"NoDe", b"TaiL"):
             raise self.damaged(f"expected a node (NoDe .. TaiL) at byte {at}, found {begin!r} .. {end!r}")
-        dims = self._dimensions(rank, raw_dims, at)
+        axes = self.number(rank, f"the number of dimensions at byte {at}")
+        if axes > 12:
+            raise self.damaged(f"the node at byte {at} has {axes} dimensions; at most 12 are possible")
+        if self.binary:
+            dims = struct.unpack(f"{self.order}12Q", raw_dims)[:axes]
+        else:
+            words = (raw_dims[8 * axis : 8 * axis + 8] for axis in range(axes))
+            dims = tuple(self.number(word, f"a dimension at byte {at}") for word in words)
         name, data_type = decoded(raw_name), decoded(kind).upper()
         n_children = self.number(count, f"the number of children at byte {at}")
         pieces = self.number(n_chunks, f"the number of data chunks at byte {at}")
@@ -132,14 +139,6 @@ class _AdfFile:
             link = Link(decoded(file.strip()), decoded(place.strip()))
             return _AdfNode(name, self.path, path, data_type="LK", link=link, container=self)
         return node
-
-    def _dimensions(self, rank: bytes, dims: bytes, at: int) -> tuple[int, ...]:
-        count = self.number(rank, f"the number of dimensions at byte {at}")
-        if count > 12:
-            raise self.damaged(f"the node at byte {at} has {count} dimensions; at most 12 are possible")
-        if self.binary:
-            return struct.unpack(f"{self.order}12Q", dims)[:count]
-        return tuple(self.number(dims[8 * i : 8 * i + 8], f"a dimension at byte {at}") for i in range(count))
 
     def chunk(self, pointer: bytes, begin_tag: bytes, end_tag: bytes, what: str) -> tuple[int, int]:
         """Begin and end byte of the contents between two tags, both of which are checked."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Connection, FloatArray, Grid, Periodicity, Shape
+from meshdeform_core.grid.connectivity.declared import periodic_image, periodic_rotation
 
 from .file import Notes
 from .tree import Node
@@ -127,21 +128,21 @@ def periodicity(
     if unit == "Degree":
         degrees = angle
     elif unit != "Radian" and angle.any():
-        fits = [_misfit(connection, grid, center, value, translation) for value in (degrees, angle)]
+        own, donor = grid.block(connection.block), grid.block(connection.donor_block)
+        here = np.array([own[connection.begin], own[connection.end]])
+        there = np.array([donor[connection.donor_begin], donor[connection.donor_end]])
+        # Largest distances between the moved corners of the connection and their donors.
+        images = (periodic_image(here, _motion(center, value, translation)) for value in (degrees, angle))
+        fits = [np.linalg.norm(image - there, axis=1).max() for image in images]
         degrees = angle if fits[1] < fits[0] else degrees
         word = "degrees" if fits[1] < fits[0] else "radians"
         notes.add(f"periodic angles without a unit are read as {word}, which matches the coordinates", node.name)
+    return _motion(center, degrees, translation)
+
+
+def _motion(center: FloatArray, degrees: FloatArray, translation: FloatArray) -> Periodicity:
     (cx, cy, cz), (ax, ay, az), (tx, ty, tz) = (v.tolist() for v in (center, degrees, translation))
     return Periodicity((cx, cy, cz), (ax, ay, az), (tx, ty, tz))
-
-
-def rotation_matrix(degrees: FloatArray) -> FloatArray:
-    """Rotation about the x axis, then y, then z, by ``degrees`` (3,) (SIDS 8.5.1)."""
-    (sx, sy, sz), (cx, cy, cz) = np.sin(np.radians(degrees)), np.cos(np.radians(degrees))
-    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
-    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
-    about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
-    return np.asarray(about_z @ about_y @ about_x)
 
 
 def _vector(periodic: Node, name: str) -> FloatArray:
@@ -157,20 +158,9 @@ def _vector(periodic: Node, name: str) -> FloatArray:
     return values
 
 
-def _misfit(
-    connection: Connection, grid: Grid, center: FloatArray, degrees: FloatArray, translation: FloatArray
-) -> float:
-    """Largest distance between the moved corners of a connection and their donors."""
-    own, donor = grid.block(connection.block), grid.block(connection.donor_block)
-    here = np.array([own[connection.begin], own[connection.end]])
-    there = np.array([donor[connection.donor_begin], donor[connection.donor_end]])
-    moved = (here - center) @ rotation_matrix(degrees).T + center + translation
-    return float(np.linalg.norm(moved - there, axis=1).max())
-
-
 def inverse_motion(periodic: Periodicity) -> Periodicity:
     """The motion back from the donor: ``x = R^T (x' - c - t) + c``."""
-    back = rotation_matrix(np.array(periodic.rotation_angle)).T
+    back = periodic_rotation(periodic).T
     x, y, z = (-back @ np.array(periodic.translation)).tolist()
     about_x, about_y, about_z = (-angle for angle in periodic.rotation_angle)
     if np.count_nonzero(periodic.rotation_angle) > 1:

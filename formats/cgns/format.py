@@ -17,12 +17,12 @@ from meshdeform_core.errors import FormatError, suggestion
 from meshdeform_core.grid import FileFormat, Grid, Planes, Shape
 from meshdeform_core.parallel import require_undivided
 
-from ..planes import Stored, ranges_of, read_planes
+from ..planes import ranges_of, read_planes
 from .adf import is_adf
 from .boundary import family_conditions, zone_patches
 from .connectivity import overset_only, zone_connections
 from .file import Notes, naming, opened_cgns, state_of
-from .zone import Original, Zone, find_base, structured_zones
+from .zone import Original, Zone, base_and_zones
 
 _PRECISIONS = ("float32", "float64")
 _MIXED = "mixed"
@@ -45,8 +45,7 @@ def read(path: Path) -> Grid:
     """
     notes, state = Notes(), state_of(path)
     with naming(path), opened_cgns(path) as root:
-        base = find_base(root, notes)
-        zones = structured_zones(base, notes)
+        base, zones = base_and_zones(root, notes)
         places = [zone.places() for zone in zones]
         if not all(places):
             require_undivided(f"coordinates in {path} are compressed or stored in pieces")
@@ -60,39 +59,33 @@ def read(path: Path) -> Grid:
             path=path,
             overset=overset_only(zones),
         )
-        _fill(grid, zones, places)
+        # Zones that are compressed or stored in pieces are read as a whole, others in ranges of planes.
+        parts = []
+        for block, (shape, known) in enumerate(zip(grid.shapes, places, strict=True)):
+            parts += ranges_of([(block, shape)]) if known else [Planes(block, 0, shape[2])]
+
+        def put(part: Planes) -> None:
+            if known := places[part.block]:
+                read_planes(grid, part, known)
+            else:
+                zones[part.block].read(grid.in_planes(part.block))
+
+        grid.fill_planes(put, parts, threads=None if all(places) else 1)
         connections = zone_connections(base, zones, grid, notes)
     return dataclasses.replace(grid, connections=tuple(connections), notes=notes.lines())
 
 
-def _fill(grid: Grid, zones: Sequence[Zone], places: Sequence[list[Stored] | None]) -> None:
-    """Read the coordinates: zones that are compressed or stored in pieces as a whole, others in ranges of planes."""
-    parts = []
-    for block, (shape, known) in enumerate(zip(grid.shapes, places, strict=True)):
-        parts += ranges_of([(block, shape)]) if known else [Planes(block, 0, shape[2])]
-
-    def put(part: Planes) -> None:
-        if known := places[part.block]:
-            read_planes(grid, part, known)
-        else:
-            zones[part.block].read(grid.in_planes(part.block))
-
-    grid.fill_planes(put, parts, threads=None if all(places) else 1)
-
-
 def layout(path: Path) -> tuple[tuple[Shape, ...], FileFormat]:
     """Nodes of the zones of a file, without their coordinates; errors as for :func:`read`."""
-    notes = Notes()
     with naming(path), opened_cgns(path) as root:
-        zones = structured_zones(find_base(root, notes), notes)
+        zones = base_and_zones(root)[1]
         return tuple(zone.shape for zone in zones), _format(path, zones)
 
 
 def solutions(path: Path) -> list[str]:
     """Names of the flow solutions in the zones of a file, each once."""
     with naming(path), opened_cgns(path) as root:
-        zones = structured_zones(find_base(root, Notes()), Notes())
-        children = (child for zone in zones for child in zone.node.target.children)
+        children = (child for zone in base_and_zones(root)[1] for child in zone.node.target.children)
         found = (child.name for child in children if child.target.label == "FlowSolution_t")
         return list(dict.fromkeys(found))
 

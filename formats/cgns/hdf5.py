@@ -75,12 +75,17 @@ def opened_hdf5(path: Path) -> Iterator[Node]:
 
 def external_targets(path: Path) -> list[Path]:
     """The files that the external links of a file lead to, unless they are broken."""
-    names: list[bytes] = []
     with hdf5_errors(path, "read"), h5py.File(path, "r") as file:
-        root = h5g.open(file.id, b"/")
-        root.links.visit(lambda name, info: names.append(name) if info.type == h5l.TYPE_EXTERNAL else None, info=True)
-        found = [_linked(root, name) for name in names]
+        found = [_linked(h5g.open(file.id, b"/"), name) for name in external_links(file)]
         return [node.file for node in found if node and node.target.label]
+
+
+def external_links(file: h5py.File) -> list[bytes]:
+    """The paths of all external links in an open file."""
+    names: list[bytes] = []
+    root = h5g.open(file.id, b"/")
+    root.links.visit(lambda name, info: names.append(name) if info.type == h5l.TYPE_EXTERNAL else None, info=True)
+    return names
 
 
 @dataclass(eq=False, kw_only=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -123,25 +124,13 @@ def _key(connection: Connection) -> tuple[int, Shape, Shape, int]:
 
 def _ascending(connection: Connection) -> Connection:
     """The connection described with ``begin <= end`` along every axis."""
-    begin, end = list(connection.begin), list(connection.end)
-    donor_begin, donor_end = list(connection.donor_begin), list(connection.donor_end)
-    for axis in range(3):
-        if begin[axis] > end[axis]:
-            donor = abs(connection.transform[axis]) - 1
-            begin[axis], end[axis] = end[axis], begin[axis]
-            donor_begin[donor], donor_end[donor] = donor_end[donor], donor_begin[donor]
-    return replace(
-        connection,
-        begin=_shape(begin),
-        end=_shape(end),
-        donor_begin=_shape(donor_begin),
-        donor_end=_shape(donor_end),
-    )
-
-
-def _shape(indices: list[int]) -> Shape:
-    i, j, k = indices
-    return i, j, k
+    own = np.array([connection.begin, connection.end])
+    donor = np.array([connection.donor_begin, connection.donor_end])
+    turned = np.flatnonzero(own[0] > own[1])
+    there = np.abs(connection.transform)[turned] - 1
+    own[:, turned], donor[:, there] = own[::-1, turned], donor[::-1, there]
+    ends: list[Any] = [tuple(index) for index in [*own.tolist(), *donor.tolist()]]
+    return replace(connection, begin=ends[0], end=ends[1], donor_begin=ends[2], donor_end=ends[3])
 
 
 def _reversed(connection: Connection) -> Connection:

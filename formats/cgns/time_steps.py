@@ -25,7 +25,7 @@ from .hdf5 import hdf5_errors
 from .hdf5_write import own_group, put_node
 from .tree import make, name_list
 from .write_new import Places, fields_by_place, outputs_of, solution_nodes
-from .zone import find_base, structured_zones
+from .zone import base_and_zones, find_base
 
 
 def require_steady(grid: Grid) -> None:
@@ -55,27 +55,17 @@ def write_series(
     """
     with replacing_by_all(path, grid.points) as partial:
         cgns.write(grid, partial, variant)
-        places = _begin(level(0), path, partial, variant.precision, times)
-        for number in range(1, len(times)):
-            _write_level(level(number), places[number])
-
-
-def _begin(first: Grid, path: Path, partial: Path, precision: str, times: Sequence[float]) -> list[Places]:
-    """Make room for all levels and write the first; returns the places of their values."""
-    places = ranks_of(first.points).on_first(lambda: _add_levels(first, path, partial, precision, times))
-    _write_level(first, places[0])
-    return places
-
-
-def _write_level(level: Grid, places: Places) -> None:
-    write_outputs(level, outputs_of(level, places))
+        current = level(0)
+        places = ranks_of(grid.points).on_first(lambda: _add_levels(current, path, partial, variant.precision, times))
+        for number in range(len(times)):
+            current = level(number) if number else current
+            write_outputs(current, outputs_of(current, places[number]))
 
 
 def _add_levels(grid: Grid, path: Path, partial: Path, precision: str, times: Sequence[float]) -> list[Places]:
     """Make room for all levels, whose fields are those of ``grid``; returns the places of their values."""
     with opened_cgns(partial) as root:
-        base = find_base(root, Notes())
-        zones = structured_zones(base, Notes())
+        base, zones = base_and_zones(root)
     places = [Places(partial) for _ in times]
     numbers, kind = fields_by_place(grid), np.dtype(precision)
     pointers: list[dict[str, list[str]]] = [{} for _ in zones]
@@ -116,8 +106,8 @@ def read_level(grid: Grid, path: Path, number: int) -> FloatArray:
     """
     points = grid.points.copy()
     with hdf5_errors(path, "read"), h5py.File(path, "r") as file, opened_cgns(path) as root:
-        base = find_base(root, Notes())
-        for block, zone in enumerate(structured_zones(base, Notes())):
+        base, zones = base_and_zones(root)
+        for block, zone in enumerate(zones):
             name = f"{base.node.name}/{zone.node.name}/GridCoordinates#{number + 1}"
             if name not in file:
                 raise FormatError(f"{path} has no level {number}: {name} is missing")

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-from h5py import h5g, h5l
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Grid
@@ -24,12 +23,12 @@ from meshdeform_core.parallel import Part
 from ..hdf5_output import hdf5_output
 from ..planes import Stored, split
 from .adf import is_adf
-from .file import Notes, naming, opened_cgns, state_of
-from .hdf5 import DATA, LINK, LINK_FILE, hdf5_errors, place_of
+from .file import naming, opened_cgns, state_of
+from .hdf5 import DATA, LINK, LINK_FILE, external_links, hdf5_errors, place_of
 from .hdf5_write import characters, has_other_names, own_group, put_node, reserve_dataset, write_hdf5
 from .tree import Node, data_type_of, unique_names
 from .write_new import Places, fields_by_place, solution_nodes, write_completed
-from .zone import Base, Original, Zone, find_base, structured_zones
+from .zone import Base, Original, Zone, base_and_zones
 
 Boxes = Callable[[], tuple[FloatArray, FloatArray]]
 """Returns the lowest and highest coordinates (n_blocks, 3) of blocks."""
@@ -97,8 +96,7 @@ def _begin(grid: Grid, source: Path, path: Path, partial: Path, precision: str |
 
 def _same_zones(root: Node, grid: Grid, source: Path, boxes: Boxes) -> tuple[Base, list[Zone]]:
     """The zones of the source file, which must be those from which the grid was read."""
-    base = find_base(root, Notes())
-    zones = structured_zones(base, Notes())
+    base, zones = base_and_zones(root)
     if tuple(zone.name for zone in zones) != grid.names or tuple(zone.shape for zone in zones) != grid.shapes:
         raise FormatError(
             f"{source} has changed since the grid was read: its zones are now "
@@ -177,11 +175,7 @@ def _adapt_links(file: h5py.File, old: Path, new: Path) -> None:
     """Adapt external links with relative names from the folder ``old`` to the folder ``new``."""
     if old.resolve() == new.resolve():
         return
-    root, names = h5g.open(file.id, b"/"), []
-    root.links.visit(
-        lambda name, info: names.append(name.decode()) if info.type == h5l.TYPE_EXTERNAL else None, info=True
-    )
-    for name in names:
+    for name in (raw.decode() for raw in external_links(file)):
         link = file.get(name, getlink=True)
         target = old / link.filename
         if os.path.isabs(link.filename) or not target.exists():

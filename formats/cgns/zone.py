@@ -127,6 +127,13 @@ def find_base(root: Node, notes: Notes) -> Base:
     return Base(chosen, cell_dimension, dimension)
 
 
+def base_and_zones(root: Node, notes: Notes | None = None) -> tuple[Base, list[Zone]]:
+    """The base with the grid and its zones in file order, as by :func:`find_base` and :func:`structured_zones`."""
+    notes = notes or Notes()
+    base = find_base(root, notes)
+    return base, structured_zones(base, notes)
+
+
 def structured_zones(base: Base, notes: Notes) -> list[Zone]:
     """All zones of the base in file order.
 

@@ -10,8 +10,9 @@ from grids import whole_face
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Connection, Field, Grid, Patch, Periodicity, Side, Window
+from meshdeform_core.grid.connectivity.declared import periodic_image
 from meshdeform_formats import read_grid, write_grid
-from meshdeform_formats.cgns.connectivity import inverse_motion, rotation_matrix
+from meshdeform_formats.cgns.connectivity import inverse_motion
 from meshdeform_formats.cgns.new_nodes import bc_type
 from meshdeform_formats.cgns.tree import unique_names
 
@@ -113,8 +114,7 @@ def test_periodic_connections_and_their_way_back(tmp_path, periodic):
         np.testing.assert_allclose(found.translation, wanted.translation, atol=1e-5)
     points = np.random.default_rng(0).normal(size=(5, 3))
     for motion in (periodic, inverse_motion(periodic)):
-        center = np.array(motion.rotation_center)
-        points = (points - center) @ rotation_matrix(np.array(motion.rotation_angle)).T + center + motion.translation
+        points = periodic_image(points, motion)
     np.testing.assert_allclose(points, np.random.default_rng(0).normal(size=(5, 3)), atol=1e-12)
     assert_cgnscheck_finds_no_error(tmp_path / "new.cgns")
 
