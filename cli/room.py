@@ -13,7 +13,7 @@ from meshdeform_core.memory import COORDINATE_ARRAYS, Demand, MemoryLimit, machi
 from .options import GridInput, parse_pairs
 
 if TYPE_CHECKING:
-    from meshdeform_formats.layout import Layout
+    from meshdeform_formats.grids import Layout
 
 _UNPACKED = 6
 """Largest ratio of the memory of coordinates to the size of a compressed file in single precision."""
@@ -83,7 +83,7 @@ def _bytes_of(path: Path) -> int:
 
 def layout_at(source: GridInput) -> Layout | None:
     """The blocks of a grid file, from its header."""
-    from meshdeform_formats.layout import layout_of
+    from meshdeform_formats.grids import layout_of
 
     return layout_of(source.path, parse_pairs(source.read_as, "--read-as"))
 

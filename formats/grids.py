@@ -1,4 +1,4 @@
-"""Choice of the format: by content when reading, by suffix when writing."""
+"""Choice of the format: by content when reading, by suffix when writing; block sizes without reading the whole file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from types import ModuleType
 from typing import Any
 
 from meshdeform_core.errors import FormatError, GridError, MeshDeformError, suggestion
-from meshdeform_core.grid import FileFormat, Grid
+from meshdeform_core.grid import FileFormat, Grid, Shape
+from meshdeform_core.grid.sizes import BlockSizes
 from meshdeform_core.parallel import require_whole
 from meshdeform_core.wording import listed
 
@@ -101,6 +102,28 @@ def read_grid(path: str | Path, options: Mapping[str, Any] | None = None) -> Gri
         raise error if str(path) in str(error) else GridError(f"{path}: {error}") from error
     require_plausible(grid, path)
     return grid
+
+
+@dataclass(frozen=True)
+class Layout(BlockSizes):
+    """Blocks ``(ni, nj, nk)`` in nodes and the variant of a grid file."""
+
+    path: Path
+    shapes: tuple[Shape, ...]
+    format: FileFormat
+
+
+def layout_of(path: Path, options: Mapping[str, Any] | None = None) -> Layout | None:
+    """The blocks of a grid file without its coordinates; ``None`` if they are known only after reading the whole file,
+    because of its format or an ambiguous variant.
+
+    ``options`` as for :func:`read_grid`, which reports files that cannot be read.
+
+    Raises FormatError when the header is damaged.
+    """
+    module = FORMATS[format_at(path)].load()
+    found = module.layout(path, **(options or {})) if hasattr(module, "layout") else None
+    return None if found is None else Layout(path, *found)
 
 
 def read_grid_with_boundaries(path: Path, boundary_file: Path | None, options: Mapping[str, Any] | None = None) -> Grid:

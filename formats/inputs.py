@@ -15,7 +15,7 @@ from .grids import format_at
 
 def files_of(path: Path) -> list[Path]:
     """The file itself; of an OpenFOAM case, the files that are read."""
-    if not _of_openfoam(path):
+    if path.suffix.lower() != ".foam" and not path.is_dir():
         return [path]
     from .openfoam.case import case_files
 
@@ -65,10 +65,6 @@ def files_behind(path: Path) -> tuple[Path, ...]:
     except (OSError, ValueError):
         return (path,)
     return _files_behind(path, (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns))
-
-
-def _of_openfoam(path: Path) -> bool:
-    return path.suffix.lower() == ".foam" or path.is_dir()
 
 
 @functools.lru_cache(maxsize=64)

@@ -13,8 +13,7 @@ from meshdeform_core.grid import FileFormat, Grid
 from meshdeform_core.memory import readable
 
 from .files import followed
-from .grids import format_of
-from .layout import Layout
+from .grids import Layout, format_of
 
 
 def require_space(grid: Grid, path: Path, variant: FileFormat) -> None:

@@ -17,7 +17,7 @@ first, then those inside blocks.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -69,8 +69,22 @@ def write(grid: Grid, path: Path, variant: FileFormat) -> None:
     Raises FormatError when the file cannot be written, or the format cannot hold the grid (2-D SU2 needs a plane grid).
     """
     mesh = _unstructured(grid, separated(grid, find_topology(grid)))
+    options, kind = variant.options, variant.options["kind"]
     with replacing(Path(path)) as partial:
-        _WRITERS[variant.options["kind"]](grid, mesh, partial, variant.options)
+        if kind == "msh":
+            _write_msh(grid, mesh, partial, options)
+        elif kind == "su2":
+            _write_su2(grid, mesh, partial)
+        elif kind == "med":
+            _write_med(grid, mesh, partial)
+        elif kind == "inp":
+            sets = {_word(name): np.unique(mesh.faces[mesh.patch == number]) for number, name in enumerate(mesh.names)}
+            inside = [(mesh.kinds[0], mesh.cells)]
+            meshio.Mesh(mesh.points, inside, point_sets=sets).write(partial, file_format="abaqus")
+        else:
+            # By default xdmf has its numbers in a second file, which could not be replaced together with the first.
+            more = {"data_format": "XML"} if kind == "xdmf" else {}
+            _of_variant(grid, mesh, options).write(partial, file_format=kind, **more)
 
 
 def as_mesh(grid: Grid) -> meshio.Mesh:
@@ -133,15 +147,6 @@ def _cells(number: NDArray[Any], handedness: int) -> IntArray:
     return np.stack([number[tuple(ends[c] for c in corner)].ravel() for corner in corners], axis=1)
 
 
-def _write_vtu(grid: Grid, mesh: _Unstructured, path: Path, options: Mapping[str, Any]) -> None:
-    _of_variant(grid, mesh, options).write(path, file_format="vtu")
-
-
-def _write_xdmf(grid: Grid, mesh: _Unstructured, path: Path, options: Mapping[str, Any]) -> None:
-    # The default writes the numbers to a second file, which could not be replaced together with the first.
-    _of_variant(grid, mesh, options).write(path, file_format="xdmf", data_format="XML")
-
-
 def _of_variant(grid: Grid, mesh: _Unstructured, options: Mapping[str, Any]) -> meshio.Mesh:
     """The cells and, if wanted, the outside faces: ``family`` numbers them from 1, ``family NAME`` marks each."""
     found = _with_fields(grid, mesh)
@@ -200,7 +205,7 @@ def _write_msh(grid: Grid, mesh: _Unstructured, path: Path, options: Mapping[str
     ).write(path, file_format="gmsh22", binary=options["encoding"] == "binary")
 
 
-def _write_med(grid: Grid, mesh: _Unstructured, path: Path, options: Mapping[str, Any]) -> None:
+def _write_med(grid: Grid, mesh: _Unstructured, path: Path) -> None:
     # Families of cells have negative numbers in MED.
     tags = [-(mesh.block + 1 + len(mesh.names)), -(mesh.patch + 1)]
     med = meshio.Mesh(mesh.points, _cells_and_faces(mesh), cell_data={"cell_tags": tags})
@@ -210,18 +215,20 @@ def _write_med(grid: Grid, mesh: _Unstructured, path: Path, options: Mapping[str
         meshio.med.write(sink, med)
 
 
-def _write_inp(grid: Grid, mesh: _Unstructured, path: Path, options: Mapping[str, Any]) -> None:
-    sets = {_word(name): np.unique(mesh.faces[mesh.patch == number]) for number, name in enumerate(mesh.names)}
-    meshio.Mesh(mesh.points, [(mesh.kinds[0], mesh.cells)], point_sets=sets).write(path, file_format="abaqus")
-
-
 def _cells_and_faces(mesh: _Unstructured) -> list[tuple[str, IntArray]]:
     cells, faces = mesh.kinds
     return [(cells, mesh.cells), (faces, mesh.faces)]
 
 
-def _write_su2(grid: Grid, mesh: _Unstructured, path: Path, options: Mapping[str, Any]) -> None:
-    points, cells = (mesh.points, mesh.cells) if grid.dimension == 3 else _plane(mesh)
+def _write_su2(grid: Grid, mesh: _Unstructured, path: Path) -> None:
+    points, cells = mesh.points, mesh.cells
+    if grid.dimension == 2:
+        extent = np.ptp(points, axis=0)
+        normal = int(np.argmin(extent))
+        if extent[normal] > 1e-9 * extent.max():
+            raise FormatError(f"a 2-D SU2 grid must be plane; this one extends over {extent.tolist()} along x, y, z")
+        # Counter-clockwise in the two remaining coordinates: in the x-z plane the normal y points backwards.
+        points, cells = np.delete(points, normal, axis=1), cells[:, ::-1] if normal == 1 else cells
     with path.open("wb") as stream:
         stream.write(f"NDIME= {grid.dimension}\nNELEM= {len(cells)}\n".encode())
         _write_elements(stream, cells)
@@ -249,27 +256,6 @@ def _write_rows(stream: BinaryIO, rows: NDArray[Any], number: str) -> None:
     stream.writelines(text_rows(rows, line))
 
 
-def _plane(mesh: _Unstructured) -> tuple[FloatArray, IntArray]:
-    """Points ``(n, 2)`` and cells of a plane grid, counter-clockwise in the two remaining coordinates."""
-    extent = np.ptp(mesh.points, axis=0)
-    normal = int(np.argmin(extent))
-    if extent[normal] > 1e-9 * extent.max():
-        raise FormatError(f"a 2-D SU2 grid must be plane; this one extends over {extent.tolist()} along x, y, z")
-    kept = [axis for axis in range(3) if axis != normal]
-    # In the x-z plane the normal y points backwards.
-    return mesh.points[:, kept], mesh.cells[:, ::-1] if normal == 1 else mesh.cells
-
-
-_WRITERS: dict[str, Callable[[Grid, _Unstructured, Path, Mapping[str, Any]], None]] = {
-    "vtu": _write_vtu,
-    "xdmf": _write_xdmf,
-    "msh": _write_msh,
-    "med": _write_med,
-    "inp": _write_inp,
-    "su2": _write_su2,
-}
-
-
 # --- Gmsh 4.1: an entity with a physical group for each block and each marker; source: the Gmsh reference manual
 
 _TYPES = {("line", 2): 1, ("quad", 4): 3, ("hexahedron", 8): 5}
@@ -290,39 +276,35 @@ def write_msh41(stream: BinaryIO, points: FloatArray, entities: Sequence[Entity]
     out = _Output(stream, binary)
     stream.write(b"$MeshFormat\n4.1 %d 8\n" % binary)
     if binary:
-        out.numbers([1], "i")
+        out.line(("i", [1]))
         stream.write(b"\n")
     stream.write(b"$EndMeshFormat\n$PhysicalNames\n%d\n" % len(entities))
     for tag, entity in enumerate(entities, start=1):
         stream.write(f'{entity.dimension} {tag} "{entity.name}"\n'.encode())
     stream.write(b"$EndPhysicalNames\n$Entities\n")
-    out.numbers([sum(entity.dimension == d for entity in entities) for d in range(4)], "q")
+    out.line(("q", [sum(entity.dimension == d for entity in entities) for d in range(4)]))
     for dimension in (1, 2, 3):
         for tag, entity in enumerate(entities, start=1):
             if entity.dimension == dimension:
                 corners = points[entity.elements.ravel()]
-                out.numbers([tag], "i", end="")
-                out.numbers([*corners.min(axis=0), *corners.max(axis=0)], "d", end="")
-                out.numbers([1], "q", end="")
-                out.numbers([tag], "i", end="")
-                out.numbers([0], "q")
+                box = [*corners.min(axis=0), *corners.max(axis=0)]
+                out.line(("i", [tag]), ("d", box), ("q", [1]), ("i", [tag]), ("q", [0]))
     stream.write(b"\n$EndEntities\n$Nodes\n")
     n = len(points)
     top = max(entity.dimension for entity in entities)
     home = next(tag for tag, entity in enumerate(entities, start=1) if entity.dimension == top)
-    out.numbers([1, n, 1, n], "q")
-    out.numbers([top, home, 0], "i", end="")
-    out.numbers([n], "q")
+    out.line(("q", [1, n, 1, n]))
+    out.line(("i", [top, home, 0]), ("q", [n]))
     out.rows(np.arange(1, n + 1)[:, None], "q")
     out.rows(points, "d")
     stream.write(b"\n$EndNodes\n$Elements\n")
     total = sum(len(entity.elements) for entity in entities)
-    out.numbers([len(entities), total, 1, total], "q")
+    out.line(("q", [len(entities), total, 1, total]))
     first = 1
     for tag, entity in enumerate(entities, start=1):
         rows = np.insert(entity.elements + 1, 0, np.arange(first, first + len(entity.elements)), axis=1)
-        out.numbers([entity.dimension, tag, _TYPES[entity.kind, entity.elements.shape[1]]], "i", end="")
-        out.numbers([len(rows)], "q")
+        kind = _TYPES[entity.kind, entity.elements.shape[1]]
+        out.line(("i", [entity.dimension, tag, kind]), ("q", [len(rows)]))
         out.rows(rows, "q")
         first += len(rows)
     stream.write(b"\n$EndElements\n")
@@ -334,12 +316,13 @@ class _Output:
     def __init__(self, stream: BinaryIO, binary: bool):
         self._stream, self._binary = stream, binary
 
-    def numbers(self, values: Sequence[float], kind: str, end: str = "\n") -> None:
+    def line(self, *parts: tuple[str, Sequence[float]]) -> None:
+        """Values of several types, one after another."""
         if self._binary:
-            self._stream.write(np.array(values, dtype=f"<{kind}").tobytes())
+            self._stream.writelines(np.array(values, dtype=f"<{kind}").tobytes() for kind, values in parts)
         else:
-            text = " ".join(f"{value:.17g}" if kind == "d" else str(int(value)) for value in values)
-            self._stream.write((text + (end or " ")).encode())
+            words = (f"{v:.17g}" if kind == "d" else str(int(v)) for kind, values in parts for v in values)
+            self._stream.write((" ".join(words) + "\n").encode())
 
     def rows(self, values: NDArray, kind: str) -> None:
         if self._binary:

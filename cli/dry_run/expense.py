@@ -15,8 +15,7 @@ from meshdeform_core.grid.dealing import bounds_of
 from meshdeform_core.memory import COORDINATE_ARRAYS, SMOOTHNESS_ARRAYS, Demand, MemoryLimit, readable
 from meshdeform_core.parallel import holders
 from meshdeform_core.parallel.scratch import RESERVE
-from meshdeform_formats.grids import format_of
-from meshdeform_formats.layout import Layout
+from meshdeform_formats.grids import Layout, format_of
 from meshdeform_formats.placing import lack, least_bytes, velocity_bytes
 from meshdeform_formats.report import Report, head_part
 

@@ -20,8 +20,8 @@ from meshdeform_core.grid.connectivity.declared import periodic_image
 from meshdeform_core.memory import machine_memory, readable
 from meshdeform_core.numerics.geometry.coincidence import connected_components
 
+from .block_mesh_dict import SIDE_VERTICES, BlockMeshDict, BlockSide, FoamPatch, HexBlock
 from .curves import divide, reversed_grading, straight
-from .layout import SIDE_VERTICES, BlockSide, FoamPatch, HexBlock, Layout
 
 _CORNERS = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))
 # Local vertices at the ends of the twelve edges: four along i, four along j, four along k.
@@ -38,7 +38,7 @@ Edge = tuple[FloatArray, FloatArray]
 """Parameters (n + 1,) and positions (n + 1, 3) of the nodes of a block edge."""
 
 
-def block_mesh(layout: Layout) -> Grid:
+def block_mesh(layout: BlockMeshDict) -> Grid:
     """The blocks with their patches, in metres (``convertToMeters`` and ``scale`` applied).
 
     Raises FormatError when blocks do not fit together, or the nodes do not fit into memory.
@@ -62,7 +62,7 @@ def block_mesh(layout: Layout) -> Grid:
     return grid
 
 
-def _regions(layout: Layout) -> tuple[str, ...]:
+def _regions(layout: BlockMeshDict) -> tuple[str, ...]:
     """The component of each block where the blocks form several that no common side joins, such as rotor and stator;
     it has the name of the cell zone of its blocks, or a number."""
     region = connected_components(len(layout.blocks), np.array(layout.joined, dtype=np.int64).reshape(-1, 2)).tolist()
@@ -77,7 +77,7 @@ def _regions(layout: Layout) -> tuple[str, ...]:
     return tuple(names[own] for own in region)
 
 
-def _edges(layout: Layout, block: HexBlock) -> list[Edge]:
+def _edges(layout: BlockMeshDict, block: HexBlock) -> list[Edge]:
     found = []
     for number, (a, b) in enumerate(_EDGES):
         first, last = block.vertices[a], block.vertices[b]
@@ -92,7 +92,7 @@ def _edges(layout: Layout, block: HexBlock) -> list[Edge]:
     return found
 
 
-def _require_matching(layout: Layout, edges: Sequence[Sequence[Edge]]) -> None:
+def _require_matching(layout: BlockMeshDict, edges: Sequence[Sequence[Edge]]) -> None:
     """Refuse blocks whose nodes differ from their neighbours' on a common edge: blockMesh joins blocks by vertices."""
     seen: dict[tuple[int, int], tuple[HexBlock, FloatArray]] = {}
     for block, own in zip(layout.blocks, edges, strict=True):
@@ -158,7 +158,7 @@ def _weight(at: Sequence[FloatArray], number: int) -> FloatArray:
     return np.asarray(total)
 
 
-def _patches(layout: Layout) -> tuple[Patch, ...]:
+def _patches(layout: BlockMeshDict) -> tuple[Patch, ...]:
     """Patches under their names, which are their families, too; also those without faces."""
     found = []
     for patch in layout.patches:
@@ -170,7 +170,7 @@ def _patches(layout: Layout) -> tuple[Patch, ...]:
     return tuple(found)
 
 
-def _cyclic(layout: Layout) -> tuple[tuple[Connection, ...], tuple[str, ...]]:
+def _cyclic(layout: BlockMeshDict) -> tuple[tuple[Connection, ...], tuple[str, ...]]:
     """The connections of cyclic patches, and a note for each pair whose faces do not fit."""
     patches = {patch.name: patch for patch in layout.patches}
     connections, notes, done = list[Connection](), list[str](), set[str]()
@@ -191,7 +191,7 @@ def _cyclic(layout: Layout) -> tuple[tuple[Connection, ...], tuple[str, ...]]:
     return tuple(connections), tuple(notes)
 
 
-def _cyclic_pairs(layout: Layout, one: FoamPatch, two: FoamPatch) -> list[Connection]:
+def _cyclic_pairs(layout: BlockMeshDict, one: FoamPatch, two: FoamPatch) -> list[Connection]:
     """A connection for each block side of ``one``; none if any has no partner."""
     if len(one.sides) != len(two.sides) or not one.sides:
         return []
@@ -228,7 +228,7 @@ def _motion(patch: FoamPatch, mean: FloatArray, image: FloatArray) -> Periodicit
 
 
 def _connection(
-    layout: Layout, name: str, own: BlockSide, donor: BlockSide, image: Sequence[int], motion: Periodicity
+    layout: BlockMeshDict, name: str, own: BlockSide, donor: BlockSide, image: Sequence[int], motion: Periodicity
 ) -> Connection:
     """The connection of two block sides, from the corners of the second that are the images of those of the first."""
     here, there = (

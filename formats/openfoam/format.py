@@ -20,10 +20,10 @@ from meshdeform_core.grid import FileFormat, FloatArray, Grid, IntArray
 
 from ..files import checked_options
 from .block_mesh import block_mesh
+from .block_mesh_dict import read_block_mesh_dict
 from .case import POLY_MESH, case_folder, dictionary_of, is_case, mesh_files, replaced_mesh
 from .dictionary import read_dictionary, written_entry
 from .existing import with_points_of
-from .layout import read_layout
 from .lists import read_points, write_points
 from .poly_mesh import PolyMesh, extruded, poly_mesh
 
@@ -58,7 +58,7 @@ def read(path: Path) -> Grid:
     if dictionary is None:
         only = "has an unstructured mesh only" if mesh_files(path) else "has no system/blockMeshDict"
         raise FormatError(f"{case_folder(path)} {only}; expected an OpenFOAM case with a system/blockMeshDict")
-    layout = read_layout(read_dictionary(dictionary))
+    layout = read_block_mesh_dict(read_dictionary(dictionary))
     grid = block_mesh(layout)
     entries = {}
     for patch in layout.patches:

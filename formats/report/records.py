@@ -23,7 +23,7 @@ from meshdeform_core.quality.shape import shape_measures
 from meshdeform_core.quality.walls import layer_changes
 from meshdeform_core.series import Level, Schedule
 
-from ..layout import Layout
+from ..grids import Layout
 
 SCHEMA = 1
 _SMOOTHNESS = ("velocity", "acceleration", "acceleration_in_edges")

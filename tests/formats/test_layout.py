@@ -8,8 +8,7 @@ import pytest
 from grids import frame, frame_2d
 
 from meshdeform_core.errors import FormatError
-from meshdeform_formats.grids import read_grid, write_grid
-from meshdeform_formats.layout import layout_of
+from meshdeform_formats.grids import layout_of, read_grid, write_grid
 
 PLOT3D = [
     {"encoding": "fortran"},
@@ -43,6 +42,15 @@ def test_layouts_of_cgns_are_those_of_the_grid(precision, tmp_path):
 def test_formats_that_are_read_as_a_whole_tell_no_layout(name, tmp_path):
     write_grid(frame(), tmp_path / name)
     assert layout_of(tmp_path / name) is None
+
+
+def test_a_dictionary_tells_no_layout(tmp_path):
+    """Also once modules of its package are loaded, whatever their names."""
+    corners = "vertices ((0 0 0) (1 0 0) (1 1 0) (0 1 0) (0 0 1) (1 0 1) (1 1 1) (0 1 1));"
+    blocks = "blocks (hex (0 1 2 3 4 5 6 7) (4 3 2) simpleGrading (1 1 1));"
+    (tmp_path / "blockMeshDict").write_text(f"FoamFile {{ class dictionary; }}\n{corners}\n{blocks}\n")
+    assert read_grid(tmp_path / "blockMeshDict").shapes == ((5, 4, 3),)
+    assert layout_of(tmp_path / "blockMeshDict") is None
 
 
 def test_files_that_are_damaged_are_refused_or_left_to_reading(tmp_path):

@@ -55,7 +55,7 @@ class FoamPatch:
 
 
 @dataclass(frozen=True)
-class Layout:
+class BlockMeshDict:
     """The geometry from which blockMesh generates a mesh.
 
     Attributes
@@ -76,8 +76,8 @@ class Layout:
     joined: tuple[tuple[int, int], ...]
 
 
-def read_layout(top: Dictionary) -> Layout:
-    """The layout that a blockMeshDict describes.
+def read_block_mesh_dict(top: Dictionary) -> BlockMeshDict:
+    """What a blockMeshDict describes.
 
     Raises FormatError with file and line, for what is missing, wrong, or not supported (projection, merged patches).
     """
@@ -98,7 +98,7 @@ def read_layout(top: Dictionary) -> Layout:
             sides.setdefault(_side_key(block, side), []).append((number, side))
     joined = tuple((two[0][0], two[1][0]) for key, two in sides.items() if len(two) == 2 < len(key))
     curves, patches = _curves(top, known), _patches(top, known, blocks, sides)
-    return Layout(top.path, known.points, _scale(top), blocks, curves, patches, joined)
+    return BlockMeshDict(top.path, known.points, _scale(top), blocks, curves, patches, joined)
 
 
 class _Vertices:
