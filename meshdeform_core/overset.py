@@ -233,7 +233,7 @@ def _boundary_of(grid: Grid, topology: Topology, whole: Boundary, numbers: IntAr
     movers = zip(names, whole.movers, strict=True)
     kind = whole.kind[numbers]
     sliding = [(p.name, p.quads, p.kind is Kind.SYMMETRY) for p in patches if p.kind in (Kind.SLIP, Kind.SYMMETRY)]
-    slip, mirrors = find_sliding(grid, topology, sliding, kind < Kind.FIXED)
+    slip, mirrors = find_sliding(grid, topology, sliding, kind < Kind.FIXED, kind == Kind.MOVING)
     pairs = whole.periodic
     paired = (node[pairs.one] >= 0) & (node[pairs.two] >= 0)
     return Boundary(

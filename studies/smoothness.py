@@ -196,7 +196,7 @@ def _off_walls(setup: Setup, levels: list[Level], edges: FloatArray) -> str:
     worst = [0.0]
     for surface in setup.boundary.slip.curved:
         nodes = setup.topology.first[surface.nodes]
-        worst += [(surface.tree.closest(level.result.grid.points[nodes])[2] / edges[nodes]).max() for level in levels]
+        worst += [(surface.closest(level.result.grid.points[nodes])[2] / edges[nodes]).max() for level in levels]
     return f"{max(worst):.0e}" if setup.boundary.slip.curved else ""
 
 

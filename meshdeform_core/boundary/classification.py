@@ -22,7 +22,7 @@ from .motions.doubts import tiny_rotations
 from .motions.expression import Expression
 from .motions.motion import Follow, FollowSequence, Motion, PreparedMotion
 from .periodic import Periodic, find_periodicity
-from .slip import Slip, find_sliding
+from .slip import Slip, crease_notes, find_sliding
 from .tables.fitting import Fit, fit_table
 from .tables.matching import Nodes, SurfaceData
 from .unselected import unselected_notes
@@ -168,11 +168,11 @@ def classify(grid: Grid, topology: Topology, specs: Sequence[BoundarySpec], cons
             periodic += find_periodicity(grid, topology, spec.name, quads, sides)
     _spread_over_images(node_kind, periodic)
     slipping = [(n, q, k is Kind.SYMMETRY) for n, k, q in entries if k in (Kind.SLIP, Kind.SYMMETRY)]
-    slip, mirrors = find_sliding(grid, topology, slipping, node_kind < Kind.FIXED)
+    slip, mirrors = find_sliding(grid, topology, slipping, node_kind < Kind.FIXED, node_kind == Kind.MOVING)
     patches = tuple(
         ClassifiedPatch(n, k, distinct(topology.quads.corners[q], topology.n_unique), q) for n, k, q in entries
     )
-    notes = (*doubts, *more)
+    notes = (*doubts, *more, *crease_notes(grid, topology, slip))
     return Boundary(node_kind, quad_kind, patches, tuple(movers), slip, periodic, mirrors, notes, tables)
 
 

@@ -1,4 +1,5 @@
-"""Cells all of whose nodes are prescribed: their shape follows from the boundary's motion, whatever the method."""
+"""Cells and faces all of whose nodes are prescribed: their shape follows from the boundary's motion, whatever the
+method."""
 
 from __future__ import annotations
 
@@ -11,10 +12,13 @@ from ..grid.planes import plane_normal
 from ..grid.topology import Topology
 from ..notices import Notice
 from ..parallel import rows_at
-from .classification import Boundary
+from ..wording import vector
+from .classification import UNSELECTED, Boundary, Kind
 
 # Corners of undeformed cells flatter than this, relative to the product of their edges, are collapsed and not judged.
 _COLLAPSED = 1e-10
+_TORN = 0.5
+"""Faces are torn where their nodes move apart by more than this share of their distance."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +75,29 @@ def find_pinned(grid: Grid, topology: Topology, boundary: Boundary, displacement
             x, y, z = after[index].reshape(-1, 3).mean(axis=0)
             first = (grid.names[block], (i, j, k), (float(x), float(y), float(z)))
     return PinnedCells(count, *first) if first else None
+
+
+def torn_faces(grid: Grid, topology: Topology, boundary: Boundary, displacement: FloatArray) -> list[Notice]:
+    """Warnings about fixed patches whose faces a displacement (n_unique, 3) tears at the edges of moving ones."""
+    notices = []
+    for patch in boundary.patches:
+        corners = topology.quads.corners[patch.quads]
+        moves = boundary.kind[corners] == Kind.MOVING
+        corners = corners[moves.any(axis=1) & ~moves.all(axis=1)]
+        if patch.kind is not Kind.FIXED or patch.name == UNSELECTED or not corners.size:
+            continue
+        x, moved = rows_at(grid.points, topology.first[corners]), displacement[corners]
+        edge, apart = (np.linalg.norm(each - np.roll(each, 1, axis=1), axis=-1) for each in (x, moved))
+        torn = apart > _TORN * edge
+        if torn.any():
+            worst = np.unravel_index(np.argmax(np.where(torn, apart, 0.0)), torn.shape)
+            text = (
+                f"the fixed boundary {patch.name!r} is torn where it touches moving nodes: they leave their neighbours "
+                f"by up to {apart[worst]:.3g} where its faces are {edge[worst]:.3g} long, near {vector(x[worst])}; let "
+                f'the motion vanish there (`meshdeform init` proposes one that does), or give it kind = "slip"'
+            )
+            notices.append(Notice(text, f"fixed boundary {patch.name} torn"))
+    return notices
 
 
 def _cells_of(known: np.ndarray) -> IntArray:

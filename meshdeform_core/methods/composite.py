@@ -234,9 +234,16 @@ def with_known_periodic(problem: Problem) -> Problem:
     """The problem with its free periodic nodes as sources."""
     boundary = problem.boundary
     kind, quad_kind = boundary.kind.copy(), boundary.quad_kind.copy()
-    kind[free_periodic(problem)] = Kind.MOVING
+    periodic = free_periodic(problem)
+    kind[periodic] = Kind.MOVING
     quad_kind[quad_kind == Kind.PERIODIC] = Kind.MOVING
-    return dataclasses.replace(problem, boundary=dataclasses.replace(boundary, kind=kind, quad_kind=quad_kind))
+    # Images on curved surfaces, whose facets may differ, slide before their mean is taken, not after.
+    curved = tuple(
+        dataclasses.replace(surface, nodes=np.setdiff1d(surface.nodes, periodic)) for surface in boundary.slip.curved
+    )
+    slip = dataclasses.replace(boundary.slip, curved=curved)
+    boundary = dataclasses.replace(boundary, kind=kind, quad_kind=quad_kind, slip=slip)
+    return dataclasses.replace(problem, boundary=boundary)
 
 
 @dataclass(frozen=True)

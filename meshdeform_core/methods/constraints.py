@@ -57,8 +57,10 @@ class Constraints:
         # Nodes on sides that the second step fills have no displacement yet.
         nodes = surface.nodes[np.isfinite(face[surface.nodes, 0])]
         target = problem.grid.points[problem.topology.first[nodes]] + face[nodes]
-        triangle, weights, distance = surface.tree.closest(target)
-        corners, positive = surface.points[surface.triangles[triangle]], weights > 1e-9
+        triangle, weights, distance = surface.closest(target)
+        corners = surface.points[surface.triangles[triangle]]
+        # Beyond a moving rim the whole plane of a triangle belongs to the surface.
+        positive = (weights > 1e-9) | (weights.min(axis=1, keepdims=True) < -1e-9)
         count, size = positive.sum(axis=1), np.ptp(corners, axis=1).max(axis=1)
         # Plane curves are represented by triangles of zero width.
         whole = 2 if (surface.triangles[:, 1] == surface.triangles[:, 2]).all() else 3

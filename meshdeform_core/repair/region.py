@@ -18,12 +18,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..boundary.slip import CurvedSurface
 from ..grid import BoolArray, FloatArray, IntArray
 from ..grid.planes import plane_axes, plane_normal
 from ..numerics.cell.foldover.hexahedra import Unknowns
 from ..numerics.cell.foldover.samples import cell_samples, samples_with_any, sound_samples
 from ..parallel import of_all, own_rows, rows_at, rows_of
-from .constraints import Constraints, Sliding
+from .constraints import Constraints
 from .energy import Energy, Hexahedra, Region, Slide, Triangles
 from .newton import NewtonSystem
 from .reach import Reach
@@ -219,7 +220,7 @@ class Neighbourhood:
         def inside(points: FloatArray) -> FloatArray:
             return components(points - origin, self.axes)
 
-        def slopes(sliding: Sliding, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        def slopes(sliding: CurvedSurface, x: FloatArray) -> tuple[FloatArray, FloatArray]:
             onto, normals = sliding.slopes(outside(x))
             return self.axes @ onto @ self.axes.T, self.axes @ normals @ self.axes.T
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..boundary import Kind
 from ..boundary.motions.doubts import far_motion, positions_as_displacements
+from ..boundary.pinned import torn_faces
 from ..boundary.prescribed import largest_displacement
 from ..grid import FloatArray
 from ..grid.precision import rounded
@@ -177,6 +178,7 @@ def doubts(course: Course, one_of_many: bool) -> Sequence[str]:
     # Faces enclose the grid.
     outside = course.setup.grid.points[course.setup.topology.first]
     found += far_motion(np.ptp(outside, axis=0), largest)
+    found += torn_faces(course.setup.grid, course.setup.topology, boundary, course.total)
     departure = boundary.slip.departure(course.total)
     # A motion that returns to zero leaves round-off in all directions.
     if departure > 1e-6 * largest and departure > course.setup.undeformed.round_off:

@@ -188,6 +188,45 @@ def test_curved_slip_surface_is_not_left():
         assert np.abs(moved[outer] - grid.points[outer]).max() > 0.01
 
 
+def box_with_curved_sides(bulge, sides=("block1.jmin", "block1.jmax")):
+    """A cube whose floor is to move down out of its curved sides; those of x are plane."""
+    x = np.linspace(0.0, 1.0, 11)
+    block = np.stack(np.meshgrid(x, x, x, indexing="ij"), axis=-1)
+    block[..., 1] += bulge(block[..., 0])
+    floor = BoundarySpec("floor", ("block1.kmin",), Kind.MOVING, None, constant(0, 0, -0.3))
+    plane = BoundarySpec("plane", ("block1.i*",), Kind.SLIP)
+    return Grid.from_blocks([block]), [floor, BoundarySpec("top", ("block1.kmax",), Kind.FIXED), plane,
+                                       BoundarySpec("sides", sides, Kind.SLIP)]  # fmt: skip
+
+
+def test_nodes_at_the_rim_of_a_curved_slip_surface_follow_the_wall():
+    grid, specs = box_with_curved_sides(lambda x: 1e-3 * np.sin(6 * x))
+    result = deform(grid, Case(tuple(specs)))
+    assert result.valid
+    assert not result.warnings
+    moved = result.grid.block(0)
+    np.testing.assert_allclose(moved[:, [0, -1], :, 2], moved[:, [5, 5], :, 2], atol=0.03)
+    np.testing.assert_allclose(moved[:, 0, :, 1], 1e-3 * np.sin(6 * moved[:, 0, :, 0]), atol=1e-4)
+
+
+def test_creases_of_slip_surfaces_at_moving_walls_are_named():
+    grid, specs = box_with_curved_sides(lambda x: 0.5 * np.abs(x - 0.5))
+    (crease,) = classify(grid, find_topology(grid), specs, {}).notes
+    assert "'sides' has creases of more than 30 degrees" in crease
+    assert "at 2 nodes, first block1 (6, 1, 1)" in crease
+
+
+def test_fixed_faces_torn_at_a_moving_edge_are_named():
+    grid, specs = box_with_curved_sides(lambda x: 0.0 * x)
+    specs[3] = dataclasses.replace(specs[3], kind=Kind.FIXED)
+    torn = next(text for text in deform(grid, Case(tuple(specs))).warnings if "torn" in text)
+    assert "fixed boundary 'sides'" in torn
+    assert "by up to 0.3 where its faces are 0.1 long" in torn
+    vanishing = formulas("0", "0", "-0.3*sin(pi*y)**2")
+    specs[0] = dataclasses.replace(specs[0], motion=vanishing)
+    assert not [text for text in deform(grid, Case(tuple(specs))).warnings if "torn" in text]
+
+
 def prescribed_at(problem):
     return prescribed_displacement(problem.grid, problem.topology, problem.boundary)[problem.source_numbers]
 
@@ -249,8 +288,10 @@ def sector():
     return Grid.from_blocks([np.stack([r * np.cos(a), r * np.sin(a), h], axis=-1)]), specs
 
 
-def test_periodic_sector_moves_alike_by_rotation():
+@pytest.mark.parametrize("casing", [Kind.FIXED, Kind.SLIP])
+def test_periodic_sector_moves_alike_by_rotation(casing):
     grid, specs = sector()
+    specs[1] = dataclasses.replace(specs[1], kind=casing)
     problem = problem_of(grid, [*specs, *specs_of(("pitch", ("block1.imin", "block1.imax"), Kind.PERIODIC, None))])
     moved = grid.block(0, apply(Options("idw"), problem, prescribed_at(problem)))
     np.testing.assert_allclose(moved[-1], moved[0] @ PITCH.T, atol=1e-14)

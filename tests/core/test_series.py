@@ -235,7 +235,7 @@ def test_levels_keep_sliding_nodes_on_curved_walls():
     assert all(level.result.repair for level in levels)
     for level in levels:
         assert level.result.valid
-        assert surface.tree.closest(level.result.grid.points[nodes])[2].max() < 1e-12
+        assert surface.closest(level.result.grid.points[nodes])[2].max() < 1e-12
     assert np.abs(levels[-1].result.grid.points - grid.points)[nodes].max() > 0.01
 
 
