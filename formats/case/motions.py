@@ -28,7 +28,7 @@ from ..displacement import read_displacement
 from ..displacement.frd import read_shapes
 from .forms import File, Form, Formula, Three, ThreeNumbers, about, fail, formula_of
 from .sequences import files_over_time, sequence_files
-from .tables import columns, read_airfoil, read_history, read_positions
+from .tables import columns, read_airfoil, read_beam, read_history, read_positions
 
 _MOST_CONTROLS = 10_000
 _TURNS = ("rx", "ry", "rz")
@@ -268,6 +268,7 @@ class MotionStep(Form):
     modes: ModesForm | None = None
     airfoil: AirfoilForm | None = None
     positions: PositionsForm | None = None
+    beam: Annotated[File | None, about(_FILE + "stations with x y z, dx dy dz, and rx ry rz or cx cy cz")] = None
     times: _Times = None
     match: Annotated[_How | None, about(f"one of {', '.join(get_args(_How))}")] = None
     tolerance: Annotated[float | None, about("a finite number: the largest distance of a match")] = None
@@ -284,6 +285,8 @@ class MotionStep(Form):
         context = Context(names, folder, where, self._matching(where))
         if isinstance(value, Form):
             return value.step(replace(context, where=f"{where}, {kinds[0]}"))  # type: ignore[attr-defined]
+        if kinds[0] == "beam":
+            return read_beam(folder / value)
         if kinds[0] == "files":
             paths, times = files_over_time(value, self.times, folder, where)
             return FollowSequence(times, lambda number: read_displacement(paths[number]), context.matching)

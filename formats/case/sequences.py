@@ -52,10 +52,10 @@ def _ascending(numbers: Sequence[float], where: str) -> tuple[float, ...]:
 
 
 def named_files(value: Any, folder: Path) -> Iterator[Path]:
-    """Files named by ``file``, ``files`` and ``boundary_file`` anywhere in the tables of a case."""
+    """Files named by ``file``, ``files``, ``beam`` and ``boundary_file`` anywhere in the tables of a case."""
     if isinstance(value, (dict, list)):
         for key, item in value.items() if isinstance(value, dict) else enumerate(value):
-            if key in ("file", "boundary_file") and isinstance(item, str):
+            if key in ("file", "beam", "boundary_file") and isinstance(item, str):
                 yield folder / item
             elif key == "files":
                 yield from sequence_files(item, folder, "files")

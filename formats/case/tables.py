@@ -1,4 +1,4 @@
-"""Text files that motions refer to: histories over time, and airfoil coordinates."""
+"""Text files that motions refer to: histories over time, beams, airfoil coordinates, positions."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from meshdeform_core.boundary.motions.beam import Beam
 from meshdeform_core.boundary.motions.histories import History
 from meshdeform_core.boundary.motions.numbered import Positions
 from meshdeform_core.errors import FormatError
@@ -17,32 +18,96 @@ from meshdeform_core.wording import vector
 from ..files import require_regular
 from ..plausible import LARGEST
 
+_ROTATION_VECTOR = ("rx", "ry", "rz")
+_WIENER_MILENKOVIC = ("cx", "cy", "cz")
+_SAME_STATION = 1e-6
 _LARGEST = 256 * 2**20
 _MOST_POINTS = 100_000
 
 
-def read_history(path: Path) -> tuple[list[str], FloatArray]:
-    """Column names, in lower case, and rows (n, m) of a table whose first column is the time ``t``.
+def read_columns(path: Path, header: str) -> tuple[list[str], FloatArray]:
+    """Column names, in lower case, and rows (n, m) of a table; ``header`` is an example of its first line.
 
     Raises
     ------
     FormatError
-        With the line, for anything but a header and rows of finite numbers with ascending times.
+        With the line, for anything but a header and rows of finite numbers.
     """
     lines = _lines(path)
     if not lines:
-        raise FormatError(f"{path} is empty; expected a header like t,x,y,z and rows of numbers")
+        raise FormatError(f"{path} is empty; expected a header like {header} and rows of numbers")
     names = [name.strip().strip('"').lower() for name in re.split(r"[,;\s]+", lines[0][1].lstrip("# ").strip())]
-    if names[0] != "t" or len(set(names)) < len(names) or len(names) < 2:
-        raise FormatError(f"{path}, line {lines[0][0]}: found {lines[0][1][:60]!r}; expected a header like t,x,y,z")
+    if names[0] not in header.split(",") or len(set(names)) < len(names) or len(names) < 2:
+        raise FormatError(f"{path}, line {lines[0][0]}: found {lines[0][1][:60]!r}; expected a header like {header}")
     rows = [_row(path, number, text, len(names)) for number, text in lines[1:] if not text.startswith("#")]
-    values = np.array(rows, dtype=np.float64).reshape(-1, len(names))
-    if len(values) == 0:
+    if not rows:
         raise FormatError(f"{path} has no rows of numbers below its header")
+    return names, np.array(rows, dtype=np.float64)
+
+
+def read_history(path: Path) -> tuple[list[str], FloatArray]:
+    """Column names and rows (n, m) of a table whose first column is the time ``t``, which ascends.
+
+    Raises
+    ------
+    FormatError
+        As :func:`read_columns`, and for times that do not ascend.
+    """
+    names, values = read_columns(path, "t,x,y,z")
+    if names[0] != "t":
+        raise FormatError(f"{path} has the columns {' '.join(names)[:60]}; expected a header like t,x,y,z")
     back = np.flatnonzero(np.diff(values[:, 0]) <= 0)
     if back.size:
         raise FormatError(f"{path}: the times do not ascend: {values[back[0], 0]:g} before {values[back[0] + 1, 0]:g}")
     return names, values
+
+
+def read_beam(path: Path) -> Beam:
+    """Stations of a beam, undeformed, with displacement and rotation, in their order along the beam; for several times,
+    column ``t``, the same stations at each.
+
+    Raises
+    ------
+    FormatError
+        For columns that are missing or unknown, and stations that differ between times.
+    MotionError
+        As :meth:`.Beam.of`.
+    """
+    names, values = read_columns(path, "t,x,y,z,dx,dy,dz,rx,ry,rz")
+    found = [kind for kind in (_ROTATION_VECTOR, _WIENER_MILENKOVIC) if set(kind) & set(names)]
+    wanted = {"x", "y", "z", "dx", "dy", "dz", *(found[0] if len(found) == 1 else ())}
+    if len(found) != 1 or set(names) - {"t"} != wanted:
+        raise FormatError(
+            f"{path} has the columns {' '.join(names)}; expected x y z, dx dy dz, either rx ry rz (rotation vector, "
+            "degrees) or cx cy cz (Wiener-Milenkovic parameters), and t if there are several times"
+        )
+    timed = "t" in names
+    time = values[:, names.index("t")] if timed else np.zeros(len(values))
+    times, count = np.unique(time, return_counts=True)
+    if (count != count[0]).any():
+        odd = int(np.argmax(count != count[0]))
+        raise FormatError(
+            f"{path} has {count[odd]} stations at t = {times[odd]:g} and {count[0]} at {times[0]:g}; expected the same"
+        )
+    rows = values[np.argsort(time, kind="stable")]
+    point, displacement, turns = (
+        rows[:, [names.index(name) for name in kind]].reshape(len(times), -1, 3)
+        for kind in (("x", "y", "z"), ("dx", "dy", "dz"), found[0])
+    )
+    apart = np.abs(point - point[0]).max(axis=2)
+    if apart.max() > _SAME_STATION * float(np.ptp(point[0], axis=0).max()):
+        level, n = np.unravel_index(int(apart.argmax()), apart.shape)
+        raise FormatError(
+            f"{path}: station {n + 1} is {vector(point[level, n])} at t = {times[level]:g} and {vector(point[0, n])} "
+            f"at {times[0]:g}; expected its undeformed position at every time"
+        )
+    if found[0] == _ROTATION_VECTOR:
+        turns = np.radians(turns)
+    else:
+        size = np.linalg.norm(turns, axis=2, keepdims=True)
+        turns = turns * np.divide(4 * np.arctan(size / 4), size, out=np.ones_like(size), where=size > 0)
+    moved = History(times, displacement.reshape(len(times), -1), str(path))
+    return Beam.of(point[0], moved, turns, timed)
 
 
 def columns(names: Sequence[str], values: FloatArray, wanted: Sequence[str], label: str) -> History | None:

@@ -197,6 +197,106 @@ def test_tables_of_rigid_bodies_are_checked(text, tmp_path):
         moved(box_nodes(), {"rigid": table(tmp_path, text)}, tmp_path)
 
 
+def helix(n: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Stations (n, 3) along z of a beam wound into a helix, its displacement, and its rotation vectors."""
+    s = np.linspace(0, 2, n)
+    rate = np.array([0.9, 0.3, 5.0])
+    return np.stack([0 * s, 0 * s, s], 1), wound(s, rate), s[:, None] * rate
+
+
+def wound(s: FloatArray, rate: FloatArray) -> FloatArray:
+    """Displacement of an axis along z whose sections turn at a constant rate: the integral of exp(s rate) z, closed."""
+    size = np.linalg.norm(rate)
+    k, z = rate / size, np.array([0.0, 0.0, 1.0])
+    angle = (size * s)[:, None]
+    way = z * s[:, None] + np.cross(k, z) * (1 - np.cos(angle)) / size
+    return way + np.cross(k, np.cross(k, z)) * (s[:, None] - np.sin(angle) / size) - z * s[:, None]
+
+
+def beam(folder: Path, *columns: FloatArray, header: str = "x,y,z,dx,dy,dz,rx,ry,rz") -> dict:
+    np.savetxt(folder / "beam.csv", np.hstack(columns), delimiter=",", header=header, comments="", fmt="%.17g")
+    return {"beam": "beam.csv"}
+
+
+def wiener_milenkovic(turns: FloatArray) -> FloatArray:
+    angle = np.linalg.norm(turns, axis=1, keepdims=True)
+    # Half a turn and more about the opposite axis: what structural solvers write.
+    angle, axis = (angle + np.pi) % (2 * np.pi) - np.pi, turns / np.maximum(angle, 1e-300)
+    return 4 * np.tan(angle / 4) * axis
+
+
+def test_beams_follow_the_exact_helix(tmp_path):
+    """More than a whole turn between the ends; of third order in the distance of stations, for both rotations."""
+    nodes = box_nodes()
+    nodes.points[:, 2] = 0.97 * nodes.points[:, 2] + 1.0
+    s = nodes.points[:, 2]
+    _, _, turns = helix(2)
+    rate = turns[-1] / 2
+    arms = nodes.points * [1, 1, 0]
+    exact = wound(s, rate) + Rotation.from_rotvec(s[:, None] * rate).apply(arms) - arms
+    errors = []
+    for n in (21, 41, 81):
+        line, shift, turns = helix(n)
+        found = moved(nodes, beam(tmp_path, line, shift, np.degrees(turns)), tmp_path)
+        errors.append(np.abs(found - exact).max())
+        same = beam(tmp_path, line, shift, wiener_milenkovic(turns), header="x,y,z,dx,dy,dz,cx,cy,cz")
+        np.testing.assert_allclose(moved(nodes, same, tmp_path), found, rtol=0, atol=1e-13)
+    assert errors[-1] < 2e-5
+    assert np.log2(errors[0] / errors[1]) > 2.8
+    assert np.log2(errors[1] / errors[2]) > 2.8
+
+
+def test_beams_turn_with_their_root_over_time_and_carry_what_lies_beyond(tmp_path):
+    """A rigid turn of the whole beam, of which half is a turn by half the angle; static in its own frame."""
+    nodes = box_nodes()
+    line = np.array([[0.0, 0, -0.5], [0.1, 0, 0.2], [0, 0, 0.5]])
+    rows = []
+    for time, angle in ((0.0, 0.0), (1.0, 120.0)):
+        turn = Rotation.from_rotvec([0, np.radians(angle), 0])
+        rows.append(np.hstack([np.full((3, 1), time), line, turn.apply(line) - line, np.tile([0, angle, 0], (3, 1))]))
+    step = beam(tmp_path, np.concatenate(rows[::-1]), header="t,x,y,z,dx,dy,dz,rx,ry,rz")
+    exact = Rotation.from_rotvec([0, np.radians(120), 0]).apply(nodes.points) - nodes.points
+    np.testing.assert_allclose(moved(nodes, step, tmp_path, 1.0), exact, atol=1e-14)
+    np.testing.assert_array_equal(moved(nodes, step, tmp_path, 0.0), 0)
+    half = Rotation.from_rotvec([0, np.radians(60), 0]).apply(nodes.points - line[0]) - (nodes.points - line[0])
+    shift = Rotation.from_rotvec([0, np.radians(120), 0]).apply(line[0]) - line[0]
+    for time, fraction in ((0.5, 1.0), (1.0, 0.5)):
+        found = moved(nodes, step, tmp_path, time, fraction)
+        np.testing.assert_allclose(found, half + 0.5 * shift, atol=1e-14)
+    with pytest.raises(MotionError, match=r"times from 0 to 1; t = 1\.5"):
+        set_up_at(step, tmp_path, 1.5)
+    case = case_of({"boundary": [{"select": ["*"], "motion": step}]}, tmp_path)
+    assert case.files == (tmp_path / "beam.csv",)
+    assert "from -0.5 to 1.5; those beyond an end" in case.case.boundaries[0].motion.prepare(nodes).notes[0]
+
+
+def set_up_at(step: dict, folder: Path, time: float) -> None:
+    case_of({"boundary": [{"select": ["*"], "motion": step}]}, folder).case.boundaries[0].motion.require([time])
+
+
+BEAM = "x,y,z,dx,dy,dz,rx,ry,rz\n"
+BAD_BEAMS = {
+    "x,y,z,dx,dy,dz\n0,0,0,0,0,0\n": "has the columns x y z dx dy dz; expected x y z, dx dy dz, either rx ry rz",
+    "x,y,z,dx,dy,dz,rx,ry,rz,cx,cy,cz\n" + "0," * 11 + "0\n": "either rx ry rz",
+    "x,y,z,dx,dy,dz,rx,ry\n" + "0," * 7 + "0\n": "has the columns .* rx ry; expected",
+    "0,0,0,0,0,0,0,0,0\n": "line 1: found '0,0.*expected a header like t,x,y,z,dx",
+    BEAM: "no rows of numbers",
+    BEAM + "0,0,0,0,0,0,0,0,0\n": "1 stations from end to end at one point; expected a line",
+    BEAM + "0,0,0,0,0,0,0,0,0\n0,0,1,0,0,0,0,0,0\n0,0,1,0,0,0,0,0,0\n": "stations 2 and 3, .* coincide or go back",
+    BEAM + "0,0,0,0,0,0,0,0,0\n0,0,1,0,0,0,0,175,0\n": "stations 1 and 2 are turned by 175 degrees from each other",
+    BEAM + "0,0,0,0,0,0,0,0,0\n0,0,1,0,0,0,nan,0,0\n": "line 3",
+    f"t,{BEAM}0,0,0,0,0,0,0,0,0,0\n0,0,0,1,0,0,0,0,0,0\n1,0,0,0,0,0,0,0,0,0\n": "1 stations at t = 1 and 2 at 0",
+    f"t,{BEAM}" + "".join(f"{t},0,0,{s + t},0,0,0,0,0,0\n" for t in (0, 1) for s in (0, 1)): "station 1 is .* at t = 1",
+}
+
+
+@pytest.mark.parametrize("text", BAD_BEAMS)
+def test_tables_of_beams_are_checked(text, tmp_path):
+    (tmp_path / "beam.csv").write_text(text)
+    with pytest.raises((FormatError, MotionError), match=BAD_BEAMS[text]):
+        moved(box_nodes(), {"beam": "beam.csv"}, tmp_path)
+
+
 def test_modes_add_up(tmp_path):
     nodes = box_nodes()
     shapes = [np.sin(nodes.points + n) for n in (1, 2)]

@@ -14,7 +14,7 @@ from ...grid import FloatArray, Grid
 from ..tables.matching import Matching, Nodes, SurfaceData
 from ..tables.transfer import transfer
 from .expression import Expression
-from .motion import Imposed, PreparedStep, Step, at_time
+from .motion import Imposed, PreparedStep, Step, at_time, turned
 
 
 @dataclass(frozen=True)
@@ -78,12 +78,7 @@ class RigidHistory(Step, PreparedStep):
         if self.rotation is None:
             return np.broadcast_to(shift, current.shape)
         arm = current - np.array(self.center)
-        vector = self._turn(self.rotation, time, fraction)
-        angle = float(np.linalg.norm(vector))
-        axis = vector / angle if angle > 0 else vector
-        # Rodrigues' formula as a displacement: exactly the translation for a zero rotation.
-        lift = np.cross(axis, arm)
-        return shift + np.sin(angle) * lift + 2 * np.sin(angle / 2) ** 2 * np.cross(axis, lift)
+        return np.asarray(shift + turned(arm, self._turn(self.rotation, time, fraction)))
 
     def _turn(self, rotation: History, time: float, fraction: float) -> FloatArray:
         """The rotation vector (3,) of a fraction of the rotation at a time."""

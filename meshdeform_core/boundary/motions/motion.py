@@ -75,9 +75,7 @@ class Rotate(Step, PreparedStep):
         # Scaled first, as squares of lengths above 1e154 overflow.
         axis = np.asarray(self.axis) / np.abs(self.axis).max()
         axis /= np.linalg.norm(axis)
-        # Rodrigues' formula as a displacement: exactly zero for a zero rotation.
-        lift = np.cross(axis, arm)
-        return np.sin(angle) * lift + 2 * np.sin(angle / 2) ** 2 * np.cross(axis, lift)
+        return turned(arm, angle * axis)
 
 
 @dataclass(frozen=True)
@@ -300,6 +298,16 @@ def at_time(formula: Expression, time: float, constants: Mapping[str, Any], what
     if not abs(value) <= LARGEST:
         raise MotionError(f"the {what} {formula.text!r} is {value:g} at t = {time:g}; expected a finite number")
     return value
+
+
+def turned(arm: FloatArray, turn: FloatArray) -> FloatArray:
+    """Displacement (n, 3) of arms (n, 3) by rotation vectors (3,) or (n, 3) in radians; exactly zero for zero.
+
+    Rodrigues' formula."""
+    angle = np.linalg.norm(turn, axis=-1, keepdims=True)
+    axis = turn / np.where(angle > 0, angle, 1.0)
+    lift = np.cross(axis, arm)
+    return np.asarray(np.sin(angle) * lift + 2 * np.sin(angle / 2) ** 2 * np.cross(axis, lift))
 
 
 def _vector(parts: tuple[Expression, Expression, Expression], values: Mapping[str, Any], n: int) -> FloatArray:
