@@ -11,17 +11,14 @@ import numpy as np
 from ....parallel import for_chunks
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...exact.direct import DOUBLE, SINGLE, sum_groups
-from ..clusters.acceptance import Kernel
 from ..clusters.boxes import interpolate
 from ..clusters.bricks import spans
 from ..clusters.targets import Targets
 from ..clusters.tree import CHARGES, SourceTree, interpolation_points
-from .walk import Lists, Reach, few_nodes, list_clusters
+from .walk import Kernel, Lists, Reach, few_nodes, list_clusters
 
 # Portions into which the clusters of a tree are divided among threads.
 _PORTIONS = 64
-_SURVEYED = 16
-"""Chunks whose lists are made together."""
 _SAMPLES = 2048
 
 
@@ -255,19 +252,15 @@ class Plan:
         if self._surveyed:
             return
 
-        def work(lo: int, hi: int) -> None:
-            found = self._made(lo, hi)
-            for first in range(lo, hi, chunk):
-                items = [2 * int(targets.regions.first[g] - targets.regions.first[lo]) + g - lo
-                         for g in (first, min(first + chunk, hi))]  # fmt: skip
-                parts = [_part(each, *items) for each in found]
-                size = sum(lists.codes.nbytes + lists.stop.nbytes for lists in parts)
-                if size <= self._room:
-                    self._room -= size
-                    self._kept[first] = parts
+        def work(first: int, last: int) -> None:
+            found = self._made(first, last)
+            size = sum(lists.codes.nbytes + lists.stop.nbytes for lists in found)
+            if size <= self._room:
+                self._room -= size
+                self._kept[first] = found
 
         self._kept = {}
-        for_chunks(work, targets.n_regions, _SURVEYED * chunk)
+        for_chunks(work, targets.n_regions, chunk)
         self._surveyed = True
 
     def lists_of(self, first: int, last: int) -> list[Lists]:
@@ -309,12 +302,6 @@ class Plan:
                 interpolate(boxes, tasks, places.points, total, *columns, False)
             found.append(total[: len(targets.flat(first, last))])
         return found
-
-
-def _part(lists: Lists, first: int, last: int) -> Lists:
-    """The lists of the items first <= n < last."""
-    ends = np.append(0, lists.stop)[first : last + 1]
-    return Lists(lists.codes[ends[0] : ends[-1]].copy(), ends[1:] - ends[0])
 
 
 def _any_of(tree: SourceTree, chosen: BoolArray) -> BoolArray:

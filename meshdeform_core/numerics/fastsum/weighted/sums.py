@@ -21,13 +21,12 @@ import numpy as np
 from ....parallel import empty, for_chunks
 from ...arrays import BoolArray, FloatArray, IntArray, Report, weighted_total
 from ...exact.direct import DOUBLE, N_VALUES, sum_groups
-from ..clusters.acceptance import Kernel
 from ..clusters.boxes import interpolate
 from ..clusters.bricks import spans
 from ..clusters.targets import Targets
 from ..clusters.tree import CHARGES, SourceTree
 from .plan import Charges, Plan, PlanKey, charge_points, cluster_reach, gather, places_of, rounded_up
-from .walk import Lists, Reach
+from .walk import Kernel, Lists, Reach
 
 CHUNK = 2
 """Regions per call, if they are no smaller than usual."""
