@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from .boundary import classify
-from .boundary.plates import with_plates
+from .boundary.classification import with_plates
 from .deform import Case
 from .grid import Grid
 from .grid.components import with_components

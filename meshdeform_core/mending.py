@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from .boundary import Boundary, classify
-from .boundary.pinned import find_pinned
-from .boundary.plates import with_plates
+from .boundary.classification import with_plates
+from .boundary.crossing import find_pinned
 from .errors import GridError
 from .grid import FloatArray, Grid
 from .grid.components import with_components

@@ -11,9 +11,8 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 from .boundary import Boundary, BoundarySpec, Kind, classify
-from .boundary.classification import UNSELECTED
+from .boundary.classification import UNSELECTED, with_plates
 from .boundary.crossing import CrossingTest
-from .boundary.plates import with_plates
 from .boundary.prescribed import prescribed_displacement
 from .boundary.unselected import opening_notes
 from .errors import CaseError, MotionError

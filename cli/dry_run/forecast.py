@@ -7,7 +7,7 @@ import functools
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from meshdeform_core.boundary.pinned import find_pinned
+from meshdeform_core.boundary.crossing import find_pinned
 from meshdeform_core.boundary.prescribed import largest_displacement
 from meshdeform_core.deform import Result, Setup, Timing, impose, set_up
 from meshdeform_core.memory import MemoryLimit

@@ -16,8 +16,7 @@ from msgspec import Meta
 from meshdeform_core.boundary.motions.expression import Expression
 from meshdeform_core.boundary.motions.histories import History, Modes, RigidHistory
 from meshdeform_core.boundary.motions.lattice import ControlMove, Lattice
-from meshdeform_core.boundary.motions.motion import Displace, Follow, FollowSequence, Rotate, Step
-from meshdeform_core.boundary.motions.numbered import FollowNumbers
+from meshdeform_core.boundary.motions.motion import Displace, Follow, FollowNumbers, FollowSequence, Rotate, Step
 from meshdeform_core.boundary.motions.section import Airfoil
 from meshdeform_core.boundary.tables.matching import Matching, SurfaceData
 from meshdeform_core.errors import CaseError, FormatError

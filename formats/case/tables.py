@@ -10,7 +10,7 @@ import numpy as np
 
 from meshdeform_core.boundary.motions.beam import Beam
 from meshdeform_core.boundary.motions.histories import History
-from meshdeform_core.boundary.motions.numbered import Positions
+from meshdeform_core.boundary.motions.motion import Positions
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.wording import vector

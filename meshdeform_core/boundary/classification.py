@@ -9,18 +9,18 @@ from enum import IntEnum
 import numpy as np
 
 from ..errors import CaseError
-from ..grid import Grid, IntArray
+from ..grid import Grid, IntArray, Patch
 from ..grid.planes import Plane
-from ..grid.selection import select_quads
+from ..grid.selection import quads_of_pattern, select_quads
 from ..grid.sides import end_planes
-from ..grid.topology import Topology
+from ..grid.topology import Topology, quads_of_patches
+from ..grid.windows import rectangles
 from ..numerics.geometry.coincidence import distinct
 from ..parallel import rows_at
 from ..wording import vector
 from .coverage import Tables
-from .motions.doubts import tiny_rotations
 from .motions.expression import Expression
-from .motions.motion import Follow, FollowSequence, Motion, PreparedMotion
+from .motions.motion import Follow, FollowSequence, Motion, PreparedMotion, tiny_rotations
 from .periodic import Periodic, find_periodicity
 from .slip import Slip, crease_notes, find_sliding
 from .tables.fitting import Fit, fit_table
@@ -144,58 +144,59 @@ def classify(grid: Grid, topology: Topology, specs: Sequence[BoundarySpec], cons
     CaseError, MotionError
         When a selection matches nothing or a table matches no node.
     """
-    fits = [_fit(grid, topology, spec) for spec in specs]
-    specs = [_following(spec, fit) for spec, fit in zip(specs, fits, strict=True)]
-    selected = [
-        _select(grid, topology, spec, constants) if fit is None or fit.quads is None else fit.quads
-        for spec, fit in zip(specs, fits, strict=True)
-    ]
+    specs, selected, corners = list(specs), list[IntArray](), topology.quads.corners
+    for index, spec in enumerate(specs):
+        fit = _fit(grid, topology, spec)
+        if fit is not None and spec.motion is not None:
+            specs[index] = replace(spec, motion=spec.motion.matched_by(fit.matching))
+        selected.append(_select(grid, topology, spec, constants) if fit is None or fit.quads is None else fit.quads)
+    movers, asked = list[tuple[IntArray, PreparedMotion]](), list[tuple[IntArray, PreparedMotion]]()
+    for index, spec in enumerate(specs):
+        if spec.motion is not None:
+            nodes = Nodes.of_quads(grid, topology, selected[index])
+            prepared = spec.motion.prepare(nodes)
+            movers.append((nodes.numbers[prepared.moved], prepared))
+            asked.append((selected[index], prepared))
+            # Faces that a table does not match are not the entry's.
+            inside = np.zeros(topology.n_unique, dtype=bool)
+            inside[movers[-1][0]] = True
+            selected[index] = selected[index][inside[corners[selected[index]]].all(axis=1)]
+    tables = Tables(topology, asked)
+    notes = [text for spec in specs if spec.motion for text in tiny_rotations(spec.name, spec.motion)]
+    notes += [*tables.warnings(), *(note for _, motion in movers for note in motion.notes)]
     quad_kind = np.zeros(len(topology.partner), dtype=np.int8)
-    movers, tables = _bind_motions(grid, topology, specs, selected)
-    doubts = [text for spec in specs if spec.motion for text in tiny_rotations(spec.name, spec.motion)]
-    doubts += [*tables.warnings(), *(note for _, motion in movers for note in motion.notes)]
     for spec, quads in zip(specs, selected, strict=True):
         quad_kind[quads] = np.maximum(quad_kind[quads], spec.kind)
     defaults, more = _unselected(grid, topology, quad_kind, specs, movers)
-    entries = [*zip([s.name for s in specs], [s.kind for s in specs], selected, strict=True), *defaults]
-    for _, kind, quads in defaults:
-        quad_kind[quads] = kind
-    node_kind = _node_kinds(topology, entries, movers)
+    for patch in defaults:
+        quad_kind[patch.quads] = patch.kind
+    patches = [
+        ClassifiedPatch(spec.name, spec.kind, distinct(corners[quads], topology.n_unique), quads)
+        for spec, quads in zip(specs, selected, strict=True)
+    ]
+    patches += defaults
+    node_kind = np.zeros(topology.n_unique, dtype=np.int8)
+    for patch in sorted(patches, key=lambda patch: patch.kind):
+        if patch.kind is not Kind.MOVING:
+            node_kind[patch.nodes] = patch.kind
+    for numbers, _ in movers:
+        node_kind[numbers] = Kind.MOVING
     periodic = Periodic.none()
     for spec, quads in zip(specs, selected, strict=True):
         if spec.kind is Kind.PERIODIC:
             sides = [select_quads(grid, topology, [pattern], spec.name) for pattern in spec.select]
             periodic += find_periodicity(grid, topology, spec.name, quads, sides)
-    _spread_over_images(node_kind, periodic)
-    slipping = [(n, q, k is Kind.SYMMETRY) for n, k, q in entries if k in (Kind.SLIP, Kind.SYMMETRY)]
+    if periodic.one.size:
+        # Periodic images of a moving or fixed node have its kind, as they move alike.
+        images, root, _ = periodic.frames(topology.n_unique)
+        strongest = np.zeros_like(node_kind)
+        np.maximum.at(strongest, root, node_kind[images])
+        known = strongest[root] >= Kind.FIXED
+        node_kind[images[known]] = strongest[root[known]]
+    slipping = [(p.name, p.quads, p.kind is Kind.SYMMETRY) for p in patches if p.kind in (Kind.SLIP, Kind.SYMMETRY)]
     slip, mirrors = find_sliding(grid, topology, slipping, node_kind < Kind.FIXED, node_kind == Kind.MOVING)
-    patches = tuple(
-        ClassifiedPatch(n, k, distinct(topology.quads.corners[q], topology.n_unique), q) for n, k, q in entries
-    )
-    notes = (*doubts, *more, *crease_notes(grid, topology, slip))
-    return Boundary(node_kind, quad_kind, patches, tuple(movers), slip, periodic, mirrors, notes, tables)
-
-
-def _bind_motions(
-    grid: Grid, topology: Topology, specs: Sequence[BoundarySpec], selected: list[IntArray]
-) -> tuple[list[tuple[IntArray, PreparedMotion]], Tables]:
-    """Unique nodes and motion of every moving entry, and their tables.
-
-    Faces that a table does not match are removed from ``selected``.
-    """
-    movers: list[tuple[IntArray, PreparedMotion]] = []
-    asked: list[tuple[IntArray, PreparedMotion]] = []
-    for index, spec in enumerate(specs):
-        if spec.motion is None:
-            continue
-        nodes = Nodes.of_quads(grid, topology, selected[index])
-        prepared = spec.motion.prepare(nodes)
-        moved = nodes.numbers[prepared.moved]
-        movers.append((moved, prepared))
-        asked.append((selected[index], prepared))
-        if not prepared.moved.all():
-            selected[index] = _fully_within(topology, selected[index], moved)
-    return movers, Tables(topology, asked)
+    notes += [*more, *crease_notes(grid, topology, slip)]
+    return Boundary(node_kind, quad_kind, tuple(patches), tuple(movers), slip, periodic, mirrors, tuple(notes), tables)
 
 
 def _fit(grid: Grid, topology: Topology, spec: BoundarySpec) -> Fit | None:
@@ -205,13 +206,6 @@ def _fit(grid: Grid, topology: Topology, spec: BoundarySpec) -> Fit | None:
     tables = [step for step in spec.motion.steps if isinstance(step, Follow | FollowSequence)]
     data = tables[0].first
     return fit_table(grid, topology, data, tables[0].matching) if isinstance(data, SurfaceData) else None
-
-
-def _following(spec: BoundarySpec, fit: Fit | None) -> BoundarySpec:
-    """The entry with the matching of ``fit``, if there is one."""
-    if fit is None or spec.motion is None:
-        return spec
-    return replace(spec, motion=spec.motion.matched_by(fit.matching))
 
 
 def _select(grid: Grid, topology: Topology, spec: BoundarySpec, constants: Mapping[str, float]) -> IntArray:
@@ -241,59 +235,52 @@ def _select(grid: Grid, topology: Topology, spec: BoundarySpec, constants: Mappi
     return quads
 
 
-def _fully_within(topology: Topology, quads: IntArray, nodes: IntArray) -> IntArray:
-    inside = np.zeros(topology.n_unique, dtype=bool)
-    inside[nodes] = True
-    return quads[inside[topology.quads.corners[quads]].all(axis=1)]
-
-
-Entry = tuple[str, Kind, IntArray]
-
-
 def _unselected(
-    grid: Grid,
-    topology: Topology,
-    quad_kind: np.ndarray,
-    specs: Sequence[BoundarySpec],
+    grid: Grid, topology: Topology, quad_kind: np.ndarray, specs: Sequence[BoundarySpec],
     movers: Sequence[tuple[IntArray, PreparedMotion]],
-) -> tuple[list[Entry], list[str]]:
+) -> tuple[list[ClassifiedPatch], list[str]]:  # fmt: skip
+    """Patches of the external faces that no entry selects, and warnings about them."""
     rest = np.flatnonzero(topology.external & (quad_kind == 0))
-    if rest.size == 0:
-        return [], []
-    entries: list[Entry] = []
-    notes = []
-    ends = end_planes(grid, topology)
-    sliding = rest[np.isin(topology.quads.block_side[rest], ends)]
-    fixed = rest[~np.isin(topology.quads.block_side[rest], ends)]
+    on_ends = np.isin(topology.quads.block_side[rest], end_planes(grid, topology))
+    sliding, fixed = rest[on_ends], rest[~on_ends]
+    notes = list[str]()
     if sliding.size:
-        entries.append(("(end planes)", Kind.SLIP, sliding))
         notes.append("the grid is one cell thick: its two end planes, which no boundary entry selects, are slip planes")
-    if fixed.size:
-        entries.append((UNSELECTED, Kind.FIXED, fixed))
-        if specs:
-            moving = np.concatenate([np.empty(0, dtype=np.int64), *(nodes for nodes, _ in movers)])
-            table_alone = all(spec.motion and spec.motion.partial for spec in specs)
-            notes += unselected_notes(grid, topology, fixed, moving, table_alone)
-    return entries, notes
+    if fixed.size and specs:
+        moving = np.concatenate([np.empty(0, dtype=np.int64), *(nodes for nodes, _ in movers)])
+        table_alone = all(spec.motion and spec.motion.partial for spec in specs)
+        notes += unselected_notes(grid, topology, fixed, moving, table_alone)
+    found = ("(end planes)", Kind.SLIP, sliding), (UNSELECTED, Kind.FIXED, fixed)
+    corners, n = topology.quads.corners, topology.n_unique
+    return [ClassifiedPatch(name, kind, distinct(corners[q], n), q) for name, kind, q in found if q.size], notes
 
 
-def _node_kinds(topology: Topology, entries: list[Entry], movers: list[tuple[IntArray, PreparedMotion]]) -> np.ndarray:
-    kind = np.zeros(topology.n_unique, dtype=np.int8)
-    for strength in Kind:
-        for _, entry_kind, quads in entries:
-            if entry_kind == strength != Kind.MOVING:
-                kind[topology.quads.corners[quads]] = strength
-    for nodes, _ in movers:
-        kind[nodes] = Kind.MOVING
-    return kind
+def with_plates(grid: Grid, topology: Topology, patterns: Sequence[str]) -> tuple[Grid, Topology]:
+    """The plates that the case names (``grid.plates``) as outside faces: walls on both sides among the grid's patches.
 
+    One of the two sides is enough. Nodes of the two sides remain coincident: a plate has no thickness, and its sides
+    cannot separate.
 
-def _spread_over_images(kind: np.ndarray, periodic: Periodic) -> None:
-    """Give periodic images of a moving or fixed node its kind, as they move alike."""
-    if periodic.one.size == 0:
-        return
-    nodes, root, _ = periodic.frames(len(kind))
-    strongest = np.zeros(len(kind), dtype=np.int8)
-    np.maximum.at(strongest, root, kind[nodes])
-    known = strongest[root] >= Kind.FIXED
-    kind[nodes[known]] = strongest[root[known]]
+    Raises
+    ------
+    CaseError
+        When a pattern matches nothing, or no face that two blocks share.
+    """
+    patches = list(grid.patches)
+    for pattern in patterns:
+        quads = quads_of_pattern(grid, topology.quads, pattern, "grid.plates")
+        shared = quads[topology.partner[quads] >= 0]
+        if shared.size == 0:
+            raise CaseError(
+                f"grid.plates: {pattern!r} selects no face that is shared by two blocks; "
+                f"faces on the outside need no entry (see `meshdeform info`)"
+            )
+        new = np.full(len(topology.partner), -1)
+        new[shared] = new[topology.partner[shared]] = 0
+        new[quads_of_patches(topology.quads, grid.patches)[0]] = -1
+        names = {patch.name for patch in patches}
+        name = next(name for n in range(len(names) + 1) if (name := f"plate{n + 1}") not in names)
+        if (new == 0).any():
+            patches.append(Patch(name, tuple(rectangles(grid, topology.quads, new).windows()), bc_type="wall"))
+        topology = topology.opened(shared)
+    return (replace(grid, patches=tuple(patches)) if patterns else grid), topology

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import MotionError
-from ..grid import BoolArray, FloatArray, IntArray
+from ..grid import BoolArray, IntArray
 from ..grid.topology import Topology
 from ..notices import Notice
 from ..numerics.arrays import places_among
@@ -84,20 +84,19 @@ def table_warnings(topology: Topology, movers: Sequence[tuple[IntArray, Prepared
         points = use.match.points
         if len(points):
             tables.setdefault((use.match.label, len(points), float(points.sum())), []).append(use)
-    notes = [note for table in tables.values() for note in (*_without_z(table[0]), *_unused(table))]
+    notes = list[Notice]()
+    for table in tables.values():
+        first = table[0]
+        if first.nodes.grid.dimension == 3 and first.match.plane:
+            text = (
+                " has two components of the displacement, the grid is three-dimensional: nodes do not move in z. Give "
+                "dz as well; a column of zeros if this is meant"
+            )
+            notes.append(first.notice("missing z", text))
+        notes += _unused(table)
     for use in uses:
         notes += [*_gaps(topology, use), *_distances(use)]
     return notes
-
-
-def _without_z(use: _Use) -> list[Notice]:
-    if use.nodes.grid.dimension == 2 or not use.match.plane:
-        return []
-    text = (
-        " has two components of the displacement, the grid is three-dimensional: nodes do not move in z. Give dz as "
-        "well; a column of zeros if this is meant"
-    )
-    return [use.notice("missing z", text)]
 
 
 def _unused(uses: Sequence[_Use]) -> list[Notice]:
@@ -133,10 +132,13 @@ def _gaps(topology: Topology, use: _Use) -> list[Notice]:
     single = np.flatnonzero(match.matched & ~held)
     count = int(match.matched.sum())
     if single.size:
+        remedy = 'Use match = "interpolate", or a table of all nodes of the wall'
+        if match.how == "interpolate":
+            remedy = "Set a larger tolerance, or use a table that covers the wall"
         text = (
             f": {single.size} of the {count} nodes that it moves belong to no face that moves as a whole, "
             f"first {nodes.label(int(single[0]))}: their neighbours have no match and do not move"
-            f"{other_frame(match.points, nodes)}. {_remedy(match.how)}"
+            f"{other_frame(match.points, nodes)}. {remedy}"
         )
         if single.size > ASTRAY * count:
             raise MotionError(f"{match.label}{text}")
@@ -144,16 +146,12 @@ def _gaps(topology: Topology, use: _Use) -> list[Notice]:
     return _abrupt_end(use, corners, whole, mixed)
 
 
-def _remedy(how: str) -> str:
-    if how == "interpolate":
-        return "Set a larger tolerance, or use a table that covers the wall"
-    return 'Use match = "interpolate", or a table of all nodes of the wall'
-
-
 def _abrupt_end(use: _Use, corners: IntArray, whole: BoolArray, mixed: BoolArray) -> list[Notice]:
     """A warning if the motion ends with a jump in the middle of a smooth wall."""
     nodes, match = use.nodes, use.match
-    direction = _directions(nodes.points[corners])
+    x = nodes.points[corners]
+    # Normals of faces; tangents of 2-D edges.
+    direction = unit(x[:, 1] - x[:, 0] if x.shape[1] == 2 else doubled_areas(x))
     along = np.zeros((len(nodes.points), 3))
     for column in corners.T:
         np.add.at(along, column[whole], direction[whole])
@@ -171,11 +169,6 @@ def _abrupt_end(use: _Use, corners: IntArray, whole: BoolArray, mixed: BoolArray
         f"by up to {step[worst]:.3g} (at {nodes.label(worst)}) have neighbours without a match, which do not move"
     )
     return [use.notice("abrupt end", text)]
-
-
-def _directions(points: FloatArray) -> FloatArray:
-    """Unit normals (m, 3) of quads (m, 4, 3); unit tangents of 2-D edges (m, 2, 3)."""
-    return unit(points[:, 1] - points[:, 0] if points.shape[1] == 2 else doubled_areas(points))
 
 
 def _distances(use: _Use) -> list[Notice]:

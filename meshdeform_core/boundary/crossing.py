@@ -1,4 +1,5 @@
-"""Self-intersection of the moved boundary: no valid grid exists then, whatever the method.
+"""Motions of the boundary that leave no valid grid, whatever the method: it crosses itself, or inverts cells or tears
+faces all of whose nodes are prescribed.
 
 Faces whose nodes all have a prescribed displacement are tested against each other, and against slip and symmetry
 faces in their undeformed position. Faces with a common node never count as crossing: thin plates, seams, collapsed
@@ -30,8 +31,8 @@ from ..numerics.geometry.coincidence import distinct
 from ..numerics.geometry.crossing import BESIDE, ORDINARY, SLIDING, FaceTree, crossing_faces, near_faces
 from ..numerics.geometry.solid_angle import plane_winding, winding
 from ..parallel import ranks_of, rows_at
-from ..wording import counted
-from .classification import Boundary, Kind
+from ..wording import counted, vector
+from .classification import UNSELECTED, Boundary, Kind
 
 TOUCH = 1e-7
 """Faces closer than this fraction of their shortest edge count as touching."""
@@ -41,6 +42,10 @@ _TOGETHER = 100_000
 """Numbers drawn at a time, which bounds the memory."""
 # Faces from which it is worth some milliseconds to return freed memory to the system around the making of their tree.
 _LARGE = 1 << 17
+# Corners of undeformed cells flatter than this, relative to the product of their edges, are collapsed and not judged.
+_COLLAPSED = 1e-10
+_TORN = 0.5
+"""Faces are torn where their nodes move apart by more than this share of their distance."""
 # How close undeformed faces of abutting blocks are to each other, relative to their shortest edge.
 _ABUTTING = 1e-4
 # Largest number of connected moving parts tested for lying outside, of samples on each, and their distance to the face.
@@ -102,6 +107,7 @@ class CrossingTest:
         self._grid, self._topology, self._boundary = grid, topology, boundary
         self._normal = plane_normal(grid)
         self._size = float(np.ptp(rows_at(grid.points, topology.first), axis=0).max())
+        self._outside_faces = topology.quads.corners[topology.external]
 
     def crossings(self, displacement: FloatArray, gap: float = 0.0) -> tuple[Crossing, ...]:
         """Patches whose faces cross after a displacement but not before, or come closer than ``gap``.
@@ -109,31 +115,27 @@ class CrossingTest:
         Sorted by the number of pairs of faces, most first. Walls that have passed each other completely are not found
         here but by :meth:`contact`.
         """
-        surface = self._surface_for(displacement)
+        # Faces of a slip plane that nodes leave are left out, as their position is unknown.
+        departs = self._boundary.slip.departure(displacement) > 1e-9 * self._size
+        surface = self._open if departs else self._whole
         change = np.tile(displacement[surface.nodes], (len(surface.points) // len(surface.nodes), 1))
         moved: BoolArray = np.asarray(change.any(axis=1))
         carried: BoolArray = np.asarray(moved[surface.faces].any(axis=1))
         asked = carried & (surface.role != SLIDING)
         if not asked.any():
             return ()
-        pairs, places = self._crossing(surface, surface.points + change, surface.shift(gap), asked, carried)
+        # Of a grid in parts, every rank tests an equal share of the faces.
+        ranks, own, shift = ranks_of(self._grid.points), np.zeros_like(asked), surface.shift(gap)
+        own[np.array_split(np.flatnonzero(asked), ranks.count)[ranks.number]] = True
+        moving, reach = surface.points + change + shift, float(np.abs(shift).max())
+        found = ranks.gather([crossing_faces(surface.tree, moving, surface.faces, own, reach, carried)])
+        # Two ranks find a pair whose faces belong to different shares.
+        pairs, once = np.unique(np.concatenate([pairs for pairs, _ in found]), axis=0, return_index=True)
+        places = np.concatenate([places for _, places in found])[once]
         if len(pairs):
             new = surface.were_apart(pairs, gap)
             pairs, places = pairs[new], places[new]
         return _grouped(self._names(surface, moved)[pairs], places) if len(pairs) else ()
-
-    def _crossing(
-        self, surface: _Surface, points: FloatArray, shift: FloatArray, asked: BoolArray, moved: BoolArray
-    ) -> tuple[IntArray, FloatArray]:
-        """:func:`.crossing_faces` of a surface with its nodes at ``points`` plus a ``shift``; of a grid in parts, every
-        rank tests an equal share of the faces that are ``asked``."""
-        ranks, numbers = ranks_of(self._grid.points), np.flatnonzero(asked)
-        own, reach = np.zeros_like(asked), float(np.abs(shift).max())
-        own[np.array_split(numbers, ranks.count)[ranks.number]] = True
-        found = ranks.gather([crossing_faces(surface.tree, points + shift, surface.faces, own, reach, moved)])
-        # Two ranks find a pair whose faces belong to different shares.
-        pairs, once = np.unique(np.concatenate([pairs for pairs, _ in found]), axis=0, return_index=True)
-        return pairs, np.concatenate([places for _, places in found])[once]
 
     def contact(self, path: Callable[[float], FloatArray]) -> Contact | None:
         """First contact of the boundary with itself; ``None`` if there is no crossing at the end of the motion.
@@ -158,11 +160,6 @@ class CrossingTest:
         at = path(high)
         gap = 2.0 * float(np.abs(at - path(low)).max())
         return Contact(low, self.crossings(at, gap) or found)
-
-    def _surface_for(self, displacement: FloatArray) -> _Surface:
-        """The surface to test; faces of a slip plane that nodes leave are left out, as their position is unknown."""
-        departs = self._boundary.slip.departure(displacement) > 1e-9 * self._size
-        return self._open if departs else self._whole
 
     @cached_property
     def _whole(self) -> _Surface:
@@ -189,10 +186,6 @@ class CrossingTest:
         name = np.where(fixed & (carried >= 0), carried, owner[surface.quads])
         return np.array([patch.name for patch in patches])[name]
 
-    @cached_property
-    def _outside_faces(self) -> IntArray:
-        return self._topology.quads.corners[self._topology.external]
-
     def _outside(self, displacement: FloatArray) -> bool:
         """Whether a moving part of the boundary has come to lie outside the rest (or inside out)."""
         faces = self._outside_faces[(displacement[self._outside_faces] != 0.0).any(axis=2).all(axis=1)]
@@ -208,20 +201,15 @@ class CrossingTest:
     def _winding(self, points: FloatArray, samples: IntArray) -> FloatArray:
         """Winding number (k,) of the boundary about points just inside the faces ``samples`` (k, 2 or 4)."""
         if self._normal is not None:
-            return self._plane_winding(points, samples)
+            # The outside lies to the right of an edge.
+            a, b = points[samples[:, 0]], points[samples[:, 1]]
+            one, two = (points[self._outside_faces[:, k]] for k in (0, 1))
+            return plane_winding(one, two, self._normal, 0.5 * (a + b) + _INSIDE * np.cross(self._normal, b - a))
         triangles = np.concatenate([self._outside_faces[:, [0, 1, 2]], self._outside_faces[:, [2, 3, 0]]])
         a, b, c = (points[samples[:, k]] for k in range(3))
         area = np.cross(b - a, c - a)
         size = np.linalg.norm(area, axis=1, keepdims=True)
         return winding(points, triangles, (a + b + c) / 3.0 - _INSIDE * area / np.sqrt(np.maximum(size, 1e-300)))
-
-    def _plane_winding(self, points: FloatArray, samples: IntArray) -> FloatArray:
-        """As :meth:`_winding`, in 2-D, where the outside lies to the right of an edge."""
-        assert self._normal is not None
-        a, b = points[samples[:, 0]], points[samples[:, 1]]
-        places = 0.5 * (a + b) + _INSIDE * np.cross(self._normal, b - a)
-        one, two = (points[self._outside_faces[:, k]] for k in (0, 1))
-        return plane_winding(one, two, self._normal, places)
 
 
 class _Surface:
@@ -250,16 +238,17 @@ class _Surface:
         on_slip[corners[sliding]] = True
         self.role = np.where(on_slip[corners[self.quads]].any(axis=1), BESIDE, ORDINARY).astype(np.int8)
         self.role[sliding[self.quads]] = SLIDING
-        self.edge = _shortest_edge(self.points, self.faces)
+        self.edge = np.full(len(self.points), np.inf)
+        for a, b in zip(self.faces.T, np.roll(self.faces, -1, axis=1).T, strict=True):
+            length = np.where(a == b, np.inf, np.linalg.norm(self.points[a] - self.points[b], axis=1))
+            np.minimum.at(self.edge, a, length)
+            np.minimum.at(self.edge, b, length)
         normal = plane_normal(grid)
         if normal is not None:
-            self._thicken(normal)
-
-    def _thicken(self, normal: FloatArray) -> None:
-        thickness, n = self.edge[np.isfinite(self.edge)].max(), len(self.points)
-        self.points = np.concatenate([self.points, self.points + thickness * normal])
-        self.faces = np.concatenate([self.faces, self.faces[:, ::-1] + n], axis=1)
-        self.edge = np.tile(self.edge, 2)
+            thickness, n = self.edge[np.isfinite(self.edge)].max(), len(self.points)
+            self.points = np.concatenate([self.points, self.points + thickness * normal])
+            self.faces = np.concatenate([self.faces, self.faces[:, ::-1] + n], axis=1)
+            self.edge = np.tile(self.edge, 2)
 
     @cached_property
     def tree(self) -> FaceTree:
@@ -304,17 +293,6 @@ def _drawn(count: int, rows: IntArray) -> FloatArray:
     return found
 
 
-def _shortest_edge(points: FloatArray, faces: IntArray) -> FloatArray:
-    edge = np.full(len(points), np.inf)
-    for corner in range(faces.shape[1]):
-        a, b = faces[:, corner], faces[:, (corner + 1) % faces.shape[1]]
-        length = np.linalg.norm(points[a] - points[b], axis=1)
-        length[a == b] = np.inf
-        np.minimum.at(edge, a, length)
-        np.minimum.at(edge, b, length)
-    return edge
-
-
 def _samples(faces: IntArray, n_nodes: int) -> IntArray:
     """Some faces (indices) of each of the largest connected parts of ``faces`` (m, c)."""
     a, b = faces[:, :-1].ravel(), faces[:, 1:].ravel()
@@ -340,3 +318,109 @@ def _grouped(names: np.ndarray, places: FloatArray) -> tuple[Crossing, ...]:
         x, y, z = here[np.argmin(np.linalg.norm(here - here.mean(axis=0), axis=1))]
         found.append(Crossing(patches, (float(x), float(y), float(z)), len(members)))
     return tuple(sorted(found, key=lambda crossing: -crossing.count))
+
+
+@dataclass(frozen=True)
+class PinnedCells:
+    """Cells that the prescribed displacements of all of their nodes invert.
+
+    Attributes
+    ----------
+    count : number of cells
+    block, ijk : location of the first one, indices from 1
+    center : mean of its corners after the motion (grid length unit)
+    """
+
+    count: int
+    block: str
+    ijk: tuple[int, int, int]
+    center: tuple[float, float, float]
+
+    @property
+    def message(self) -> Notice:
+        """Warning: what is wrong and where."""
+        place = ", ".join(f"{x:.6g}" for x in self.center)
+        cells = (
+            "1 cell, whose nodes are all prescribed, is"
+            if self.count == 1
+            else f"{self.count} cells, whose nodes are all prescribed, are"
+        )
+        text = (
+            f"{cells} inverted by the motion of the boundary itself, so no valid grid exists: first in {self.block} at "
+            f"{self.ijk}, around ({place})"
+        )
+        return Notice(text, f"prescribed cells inverted in {self.block}")
+
+
+def find_pinned(grid: Grid, topology: Topology, boundary: Boundary, displacement: FloatArray) -> PinnedCells | None:
+    """Cells with only prescribed nodes that a displacement (n_unique, 3) of the boundary inverts, or ``None``.
+
+    Inverted means that the Jacobian at a corner that was not collapsed changes sign or vanishes.
+    """
+    known = np.zeros(grid.n_nodes, dtype=bool)
+    known[topology.face_nodes] = boundary.known[topology.number]
+    normal = plane_normal(grid)
+    count, first = 0, None
+    for block in range(grid.n_blocks):
+        inside: BoolArray = np.asarray(grid.block(block, known))
+        for axis in range(3):
+            if inside.shape[axis] > 1:
+                low, high = (np.take(inside, range(n, inside.shape[axis] - 1 + n), axis=axis) for n in (0, 1))
+                inside = low & high
+        cells = np.argwhere(inside)
+        corners = _corners_of_cells(grid, block, cells)
+        before = rows_at(grid.points, corners)
+        after = before + displacement[topology.numbers_of(corners.ravel())].reshape(before.shape)
+        (old, size), (new, _) = (_jacobians(x, normal) for x in (before, after))
+        sound = np.abs(old) > _COLLAPSED * size
+        bad = (sound & (new * np.sign(old) <= 0.0)).any(axis=tuple(range(1, old.ndim)))
+        count += int(bad.sum())
+        if first is None and bad.any():
+            index = int(np.argmax(bad))
+            i, j, k = (int(n) + 1 for n in cells[index])
+            x, y, z = after[index].reshape(-1, 3).mean(axis=0)
+            first = (grid.names[block], (i, j, k), (float(x), float(y), float(z)))
+    return PinnedCells(count, *first) if first else None
+
+
+def torn_faces(grid: Grid, topology: Topology, boundary: Boundary, displacement: FloatArray) -> list[Notice]:
+    """Warnings about fixed patches whose faces a displacement (n_unique, 3) tears at the edges of moving ones."""
+    notices = []
+    for patch in boundary.patches:
+        corners = topology.quads.corners[patch.quads]
+        moves = boundary.kind[corners] == Kind.MOVING
+        corners = corners[moves.any(axis=1) & ~moves.all(axis=1)]
+        if patch.kind is not Kind.FIXED or patch.name == UNSELECTED or not corners.size:
+            continue
+        x, moved = rows_at(grid.points, topology.first[corners]), displacement[corners]
+        edge, apart = (np.linalg.norm(each - np.roll(each, 1, axis=1), axis=-1) for each in (x, moved))
+        torn = apart > _TORN * edge
+        if torn.any():
+            worst = np.unravel_index(np.argmax(np.where(torn, apart, 0.0)), torn.shape)
+            text = (
+                f"the fixed boundary {patch.name!r} is torn where it touches moving nodes: they leave their neighbours "
+                f"by up to {apart[worst]:.3g} where its faces are {edge[worst]:.3g} long, near {vector(x[worst])}; let "
+                f'the motion vanish there (`meshdeform init` proposes one that does), or give it kind = "slip"'
+            )
+            notices.append(Notice(text, f"fixed boundary {patch.name} torn"))
+    return notices
+
+
+def _corners_of_cells(grid: Grid, block: int, cells: IntArray) -> IntArray:
+    """Flat indices (c, 2, 2, 2) of the corners; (c, 2, 2) in 2-D."""
+    shape = grid.shapes[block]
+    steps = np.array([(0,) if n == 1 else (0, 1) for n in shape], dtype=object)
+    offsets = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).astype(np.int64)
+    at = cells.reshape(-1, 1, 1, 1, 3) + offsets
+    flat = grid.offsets[block] + (at[..., 0] * shape[1] + at[..., 1]) * shape[2] + at[..., 2]
+    return np.asarray(flat.squeeze(axis=tuple(1 + n for n in range(3) if shape[n] == 1)))
+
+
+def _jacobians(x: FloatArray, normal: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """Corner Jacobians of cells, and the products of the lengths of their edges."""
+    edges = [np.repeat(np.diff(x, axis=axis), 2, axis=axis) for axis in range(1, x.ndim - 1)]
+    if normal is not None:
+        edges.append(np.broadcast_to(normal, x.shape))
+    value = np.einsum("...i,...i->...", edges[0], np.cross(edges[1], edges[2]))
+    size = np.prod([np.linalg.norm(edge, axis=-1) for edge in edges], axis=0)
+    return np.asarray(value), np.asarray(size)

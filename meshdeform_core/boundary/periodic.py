@@ -31,15 +31,12 @@ class Periodic:
 
     @classmethod
     def none(cls) -> Periodic:
-        empty = np.empty(0, dtype=np.int64)
-        return cls(empty, empty, np.empty((0, 3, 3)))
+        none = np.empty(0, dtype=np.int64)
+        return cls(none, none, np.empty((0, 3, 3)))
 
     def __add__(self, other: Periodic) -> Periodic:
-        return Periodic(
-            np.concatenate([self.one, other.one]),
-            np.concatenate([self.two, other.two]),
-            np.concatenate([self.rotation, other.rotation]),
-        )
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
+        return Periodic(*(np.concatenate(pair) for pair in pairs))
 
     def frames(self, n_unique: int) -> tuple[IntArray, IntArray, FloatArray]:
         """Periodic nodes, the smallest node in each one's set of images, and the rotation from it.
@@ -49,10 +46,7 @@ class Periodic:
         nodes = np.unique(np.r_[self.one, self.two])
         root = np.arange(n_unique)
         turn = np.tile(np.eye(3), (n_unique, 1, 1))
-        pairs = (
-            (self.one, self.two, self.rotation),
-            (self.two, self.one, self.rotation.transpose(0, 2, 1)),
-        )
+        pairs = (self.one, self.two, self.rotation), (self.two, self.one, self.rotation.transpose(0, 2, 1))
         changed = True
         while changed:
             changed = False
@@ -100,8 +94,7 @@ def periodic_pairs(grid: Grid, topology: Topology, one: IntArray, two: IntArray,
             image = p @ rotation.T
             shift = q.mean(axis=0) - image.mean(axis=0) if np.array_equal(rotation, np.eye(3)) else np.zeros(3)
             tolerance = np.r_[topology.edge[one], topology.edge[two]] * RELATIVE_TOLERANCE
-            pairs = close_pairs(np.concatenate([image + shift, q]), tolerance)
-            pairs = np.sort(pairs, axis=1)
+            pairs = np.sort(close_pairs(np.concatenate([image + shift, q]), tolerance), axis=1)
             pairs = pairs[(pairs[:, 0] < len(one)) & (pairs[:, 1] >= len(one))]
             if len(pairs) == len(one):
                 matched = two[pairs[:, 1] - len(one)]
@@ -140,7 +133,13 @@ def find_periodicity(grid: Grid, topology: Topology, name: str, quads: IntArray,
         When the file declares nothing and the boundary does not select two sides that match.
     """
     nodes = np.unique(topology.quads.corners[quads])
-    declared = _declared_pairs(grid, topology, nodes)
+    declared = Periodic.none()
+    for connection in grid.connections:
+        if connection.periodic is not None:
+            own, donor = (topology.numbers_of(flat) for flat in connected_nodes(grid, connection))
+            inside = np.isin(own, nodes) & np.isin(donor, nodes)
+            rotation = np.tile(periodic_rotation(connection.periodic), (int(inside.sum()), 1, 1))
+            declared += Periodic(own[inside], donor[inside], rotation)
     if np.isin(nodes, np.r_[declared.one, declared.two]).all():
         return declared
     if len(sides) != 2:
@@ -150,14 +149,3 @@ def find_periodicity(grid: Grid, topology: Topology, name: str, quads: IntArray,
         )
     one, two = (np.unique(topology.quads.corners[np.intersect1d(quads, side)]) for side in sides)
     return periodic_pairs(grid, topology, one, two, name)
-
-
-def _declared_pairs(grid: Grid, topology: Topology, nodes: IntArray) -> Periodic:
-    pairs = Periodic.none()
-    for connection in grid.connections:
-        if connection.periodic is not None:
-            own, donor = (topology.numbers_of(flat) for flat in connected_nodes(grid, connection))
-            inside = np.isin(own, nodes) & np.isin(donor, nodes)
-            rotation = np.tile(periodic_rotation(connection.periodic), (int(inside.sum()), 1, 1))
-            pairs += Periodic(own[inside], donor[inside], rotation)
-    return pairs

@@ -11,7 +11,6 @@ from ..grid.topology import Topology
 from ..numerics.arrays import lengths
 from ..wording import vector
 from .classification import Boundary, Kind
-from .periodic import Periodic
 
 
 def prescribed_displacement(
@@ -27,8 +26,20 @@ def prescribed_displacement(
     displacement = np.zeros((topology.n_unique, 3))
     owner = np.full(topology.n_unique, -1)
     for index, (nodes, motion) in enumerate(boundary.movers):
-        new = motion.displacement(time, fraction)[motion.moved]
-        _require_agreement(grid, topology, boundary, (owner[nodes], index), displacement, nodes, new)
+        new, before = motion.displacement(time, fraction)[motion.moved], owner[nodes]
+        both = np.flatnonzero(before >= 0)
+        gap = np.linalg.norm(displacement[nodes[both]] - new[both], axis=1)
+        ratio = gap / topology.edge[nodes[both]]
+        if (ratio > 1e-6).any():
+            worst = both[int(np.argmax(ratio))]
+            node = nodes[worst]
+            # The motions are those of the moving patches, in the same order.
+            names = [repr(patch.name) for patch in boundary.patches if patch.kind is Kind.MOVING]
+            raise MotionError(
+                f"moving patches {names[before[worst]]} and {names[index]} disagree at their shared node "
+                f"{grid.node_label(int(topology.first[node]))}: displacements {vector(displacement[node])} and "
+                f"{vector(new[worst])}; {_remedy(boundary, names, int(before[worst]), index)}"
+            )
         displacement[nodes] = new
         owner[nodes] = index
     return _completed(grid, boundary, displacement, owner >= 0)
@@ -82,7 +93,20 @@ def given_gradient(grid: Grid, boundary: Boundary, nodes: IntArray, gradient: Fl
 def _completed(grid: Grid, boundary: Boundary, displacement: FloatArray, given: BoolArray) -> FloatArray:
     """The displacement completed at periodic images; in 2-D it must stay in the plane."""
     if boundary.periodic.one.size:
-        _copy_to_images(boundary.periodic, displacement, given)
+        nodes, root, turn = boundary.periodic.frames(len(displacement))
+        moving, home = given[nodes], np.zeros_like(displacement)
+        told = np.einsum("nji,nj->ni", turn[moving], displacement[nodes[moving]])
+        home[root[moving]] = told
+        apart = np.linalg.norm(told - home[root[moving]], axis=1)
+        if apart.max(initial=0.0) > 1e-6 * np.abs(displacement).max():
+            worst = int(np.argmax(apart))
+            raise MotionError(
+                f"two periodic images of a node move differently: {vector(told[worst])} and "
+                f"{vector(home[root[moving]][worst])} in the frame of the first; give both "
+                f"the same motion, or move only one of them"
+            )
+        image = np.isin(root, root[moving]) & ~moving
+        displacement[nodes[image]] = np.einsum("nij,nj->ni", turn[image], home[root[image]])
     normal = plane_normal(grid)
     if normal is not None and np.abs(displacement @ normal).max() > 1e-9 * np.abs(displacement).max():
         raise MotionError(
@@ -90,55 +114,6 @@ def _completed(grid: Grid, boundary: Boundary, displacement: FloatArray, given: 
             f"expected displacements normal to {vector(normal)}"
         )
     return displacement
-
-
-def _copy_to_images(periodic: Periodic, displacement: FloatArray, given: BoolArray) -> None:
-    nodes, root, turn = periodic.frames(len(displacement))
-    moving = given[nodes]
-    home = np.zeros_like(displacement)
-    told = np.einsum("nji,nj->ni", turn[moving], displacement[nodes[moving]])
-    home[root[moving]] = told
-    apart = np.linalg.norm(told - home[root[moving]], axis=1)
-    if apart.max(initial=0.0) > 1e-6 * np.abs(displacement).max():
-        worst = int(np.argmax(apart))
-        raise MotionError(
-            f"two periodic images of a node move differently: {vector(told[worst])} and "
-            f"{vector(home[root[moving]][worst])} in the frame of the first; give both "
-            f"the same motion, or move only one of them"
-        )
-    image = np.isin(root, root[moving]) & ~moving
-    displacement[nodes[image]] = np.einsum("nij,nj->ni", turn[image], home[root[image]])
-
-
-def _require_agreement(
-    grid: Grid,
-    topology: Topology,
-    boundary: Boundary,
-    entries: tuple[IntArray, int],
-    displacement: FloatArray,
-    nodes: IntArray,
-    new: FloatArray,
-) -> None:
-    """Require that the displacement ``new`` of ``nodes`` by one entry agrees with that by preceding entries.
-
-    ``entries`` are the preceding entry of each node, -1 where there is none, and the new entry.
-    """
-    owner, index = entries
-    both = owner >= 0
-    if not both.any():
-        return
-    gap = np.linalg.norm(displacement[nodes[both]] - new[both], axis=1)
-    edge = topology.edge[nodes[both]]
-    worst = int(np.argmax(gap / edge))
-    if gap[worst] > 1e-6 * edge[worst]:
-        node = nodes[both][worst]
-        # The motions are those of the moving patches, in the same order.
-        names = [repr(patch.name) for patch in boundary.patches if patch.kind is Kind.MOVING]
-        raise MotionError(
-            f"moving patches {names[owner[both][worst]]} and {names[index]} disagree at their shared node "
-            f"{grid.node_label(int(topology.first[node]))}: displacements {vector(displacement[node])} and "
-            f"{vector(new[both][worst])}; {_remedy(boundary, names, int(owner[both][worst]), index)}"
-        )
 
 
 def _remedy(boundary: Boundary, names: list[str], one: int, other: int) -> str:

@@ -151,20 +151,16 @@ class Slip:
         The nodes are the rows ``first`` (n_unique,) of the undeformed ``points`` (n_nodes, 3).
         """
         for surface in self.curved:
-            self._slide(surface, displacement, points, first)
+            moving = surface.nodes[(displacement[surface.nodes] != 0.0).any(axis=1)]
+            if moving.size:
+                start = rows_at(points, first[moving])
+                displacement[moving] = surface.project(start + displacement[moving]) - start
         for nodes, removed in self.groups:
             displacement[nodes] -= displacement[nodes] @ removed
 
     def departure(self, displacement: FloatArray) -> float:
         """Largest displacement of a node out of a plane that it lies on (grid length unit)."""
         return max((float(np.abs(displacement[nodes] @ p.normal).max()) for p, nodes in self.planes), default=0.0)
-
-    @staticmethod
-    def _slide(surface: CurvedSurface, displacement: FloatArray, points: FloatArray, first: IntArray) -> None:
-        moving = surface.nodes[(displacement[surface.nodes] != 0.0).any(axis=1)]
-        if moving.size:
-            start = rows_at(points, first[moving])
-            displacement[moving] = surface.project(start + displacement[moving]) - start
 
 
 def find_sliding(
@@ -216,7 +212,13 @@ def find_sliding(
         np.concatenate([part for (_, part), w in zip(sides, which, strict=True) if w == n]) for n in range(len(normals))
     ]
     slip = Slip(tuple(planes), _groups(planes, free), tuple(zip(normals, parts, strict=True)), tuple(curved))
-    return slip, _distinct(mirrors)
+    kept: list[Plane] = []
+    for mirror in mirrors:
+        near = 1e-6 * max(float(np.abs(mirror.point).max()), 1e-300)
+        parallel = [p for p in kept if abs(p.normal @ mirror.normal) > 1 - 1e-9]
+        if not any(abs(p.normal @ (p.point - mirror.point)) < near for p in parallel):
+            kept.append(mirror)
+    return slip, tuple(kept)
 
 
 def _farthest(grid: Grid, topology: Topology, bent: Sequence[IntArray], normal: FloatArray | None) -> str:
@@ -287,7 +289,16 @@ def _groups(planes: list[tuple[Plane, IntArray]], free: BoolArray) -> tuple[tupl
     if touched.size == 0:
         return ()
     sets, member = np.unique(on[touched], axis=0, return_inverse=True)
-    return tuple((touched[member == s], _span_projector(np.array(normals)[chosen])) for s, chosen in enumerate(sets))
+    groups = []
+    for number, chosen in enumerate(sets):
+        # Orthogonal projector on the span of the normals; those that nearly repeat others count as the same.
+        basis: list[FloatArray] = []
+        for normal in np.array(normals)[chosen]:
+            rest = normal - sum((b * (b @ normal) for b in basis), np.zeros(3))
+            if (length := float(np.linalg.norm(rest))) > 1e-6:
+                basis.append(rest / length)
+        groups.append((touched[member == number], np.sum([np.outer(b, b) for b in basis], axis=0)))
+    return tuple(groups)
 
 
 def _directions(planes: list[Plane]) -> tuple[list[FloatArray], list[int]]:
@@ -301,26 +312,3 @@ def _directions(planes: list[Plane]) -> tuple[list[FloatArray], list[int]]:
             same = [len(normals) - 1]
         which.append(same[0])
     return normals, which
-
-
-def _span_projector(normals: FloatArray) -> FloatArray:
-    """Orthogonal projector (3, 3) on the span of the rows of ``normals``."""
-    basis: list[FloatArray] = []
-    for normal in normals:
-        rest = normal - sum((b * (b @ normal) for b in basis), np.zeros(3))
-        length = float(np.linalg.norm(rest))
-        if length > 1e-6:
-            basis.append(rest / length)
-    return np.sum([np.outer(b, b) for b in basis], axis=0)
-
-
-def _distinct(planes: list[Plane]) -> tuple[Plane, ...]:
-    kept: list[Plane] = []
-    for plane in planes:
-        scale = max(float(np.abs(plane.point).max()), 1e-300)
-        if not any(
-            abs(p.normal @ plane.normal) > 1 - 1e-9 and abs(p.normal @ (p.point - plane.point)) < 1e-6 * scale
-            for p in kept
-        ):
-            kept.append(plane)
-    return tuple(kept)

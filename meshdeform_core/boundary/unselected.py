@@ -49,7 +49,9 @@ def unselected_notes(grid: Grid, topology: Topology, quads: IntArray, moving: In
     touching = [window for window, found in places if moves[topology.quads.corners[found]].any()]
     if touching:
         normal = plane_normal(grid)
-        flat = all(plane_of(_points(grid, topology, window), normal) is not None for window in touching)
+        corners = (topology.quads.corners[quads_of_windows(topology.quads, [window])[0]] for window in touching)
+        points = (rows_at(grid.points, topology.first[np.unique(some)]) for some in corners)
+        flat = all(plane_of(x, normal) is not None for x in points)
         remedy = (
             'they are flat: symmetry planes and end planes need kind = "symmetry" or "slip"'
             if flat
@@ -60,11 +62,6 @@ def unselected_notes(grid: Grid, topology: Topology, quads: IntArray, moving: In
         names = listed(grid.window_label(window) for window in touching)
         notes.append(f"faces that no boundary entry selects touch moving nodes but are fixed: {names}; {remedy}")
     return notes
-
-
-def _points(grid: Grid, topology: Topology, window: Window) -> np.ndarray:
-    corners = topology.quads.corners[quads_of_windows(topology.quads, [window])[0]]
-    return rows_at(grid.points, topology.first[np.unique(corners)])
 
 
 def opening_notes(

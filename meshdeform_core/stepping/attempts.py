@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from ..boundary.pinned import find_pinned
+from ..boundary.crossing import find_pinned
 from ..errors import MethodError
 from ..methods import Options
 from ..notices import Notice

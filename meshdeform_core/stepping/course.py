@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..boundary import Kind
-from ..boundary.motions.doubts import far_motion, positions_as_displacements
-from ..boundary.pinned import torn_faces
+from ..boundary.crossing import torn_faces
+from ..boundary.motions.motion import far_motion, positions_as_displacements
 from ..boundary.prescribed import largest_displacement
 from ..grid import FloatArray
 from ..grid.precision import rounded

@@ -9,9 +9,9 @@ from cases import apply, body_specs, constant, formulas, problem_of, turning
 from grids import block_around, frame, frame_2d, polar
 
 from meshdeform_core.boundary import UNSELECTED, BoundarySpec, Kind, classify
+from meshdeform_core.boundary.classification import with_plates
 from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.boundary.motions.motion import Follow, Motion
-from meshdeform_core.boundary.plates import with_plates
 from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.boundary.tables.matching import Matching, SurfaceData
 from meshdeform_core.deform import Case, deform, set_up

@@ -9,9 +9,15 @@ import pytest
 from grids import frame
 
 from meshdeform_core.boundary.classification import BoundarySpec, Kind
-from meshdeform_core.boundary.motions.doubts import positions_as_displacements, tiny_rotations
 from meshdeform_core.boundary.motions.expression import Expression
-from meshdeform_core.boundary.motions.motion import Displace, Follow, Motion, Rotate
+from meshdeform_core.boundary.motions.motion import (
+    Displace,
+    Follow,
+    Motion,
+    Rotate,
+    positions_as_displacements,
+    tiny_rotations,
+)
 from meshdeform_core.boundary.tables.frames import other_frame
 from meshdeform_core.boundary.tables.matching import AUTOMATIC, Matching, Nodes, SurfaceData
 from meshdeform_core.deform import Case, set_up

@@ -21,6 +21,8 @@ from ...errors import CaseError, suggestion
 from ...wording import literal
 
 MAX_LENGTH = 1000
+_DEEPEST = 400
+"""Operations within each other, each of which is a call when the formula is evaluated."""
 
 
 def _truth(value: Any) -> tuple[Any, Any]:
@@ -120,10 +122,7 @@ class Expression:
     variables: frozenset[str]
 
     def __post_init__(self) -> None:
-        try:
-            _check(self._tree, self)
-        except RecursionError:
-            raise CaseError(f"expression {self.text[:40]!r}... is nested too deeply") from None
+        _check(self._tree, self)
 
     @cached_property
     def _tree(self) -> ast.expr:
@@ -170,7 +169,10 @@ def _is_condition(node: ast.AST) -> bool:
     return False
 
 
-def _check(node: ast.AST, owner: Expression) -> None:
+def _check(node: ast.AST, owner: Expression, depth: int = 0) -> None:
+    if depth > _DEEPEST:
+        raise CaseError(f"expression {owner.text[:40]!r}... is nested too deeply")
+    parts = list[ast.expr]()
     match node:
         case ast.Constant(value=bool()):
             _refuse(node, owner)
@@ -178,41 +180,30 @@ def _check(node: ast.AST, owner: Expression) -> None:
             if abs(number) > sys.float_info.max:
                 raise CaseError(f"expression {owner.text[:40]!r}... holds a number beyond the range of float64")
         case ast.Name(id=name):
-            _check_name(name, owner)
+            known = [*owner.variables, *_CONSTANTS]
+            if name not in known:
+                hint = suggestion(name, [*known, *_FUNCTIONS]) or f"; known are {', '.join(sorted(known))}"
+                raise CaseError(f"expression {owner.text!r} uses the unknown name {name!r}{hint}")
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
-            _check_all((left, right), owner)
+            parts = [left, right]
         case ast.UnaryOp(op=op, operand=operand) if type(op) in _UNARY:
-            _check(operand, owner)
+            parts = [operand]
         case ast.BoolOp(values=values):
-            _check_all(values, owner)
+            parts = values
         case ast.Compare(left=left, ops=ops, comparators=others) if all(type(op) in _COMPARE for op in ops):
-            _check_all((left, *others), owner)
+            parts = [left, *others]
         case ast.Call(func=ast.Name(id=name), args=args, keywords=[]):
-            _check_call(name, args, owner)
+            if name not in _FUNCTIONS:
+                hint = suggestion(name, _FUNCTIONS) or f"; known are {', '.join(sorted(_FUNCTIONS))}"
+                raise CaseError(f"expression {owner.text!r} calls the unknown function {name!r}{hint}")
+            expected = _FUNCTIONS[name][0]
+            if len(args) != expected:
+                raise CaseError(f"expression {owner.text!r}: {name} takes {expected} arguments, found {len(args)}")
+            parts = args
         case _:
             _refuse(node, owner)
-
-
-def _check_all(nodes: Iterable[ast.AST], owner: Expression) -> None:
-    for node in nodes:
-        _check(node, owner)
-
-
-def _check_name(name: str, owner: Expression) -> None:
-    known = [*owner.variables, *_CONSTANTS]
-    if name not in known:
-        hint = suggestion(name, [*known, *_FUNCTIONS]) or f"; known are {', '.join(sorted(known))}"
-        raise CaseError(f"expression {owner.text!r} uses the unknown name {name!r}{hint}")
-
-
-def _check_call(name: str, args: list[ast.expr], owner: Expression) -> None:
-    if name not in _FUNCTIONS:
-        hint = suggestion(name, _FUNCTIONS) or f"; known are {', '.join(sorted(_FUNCTIONS))}"
-        raise CaseError(f"expression {owner.text!r} calls the unknown function {name!r}{hint}")
-    expected = _FUNCTIONS[name][0]
-    if len(args) != expected:
-        raise CaseError(f"expression {owner.text!r}: {name} takes {expected} arguments, found {len(args)}")
-    _check_all(args, owner)
+    for part in parts:
+        _check(part, owner, depth + 1)
 
 
 def _refuse(node: ast.AST, owner: Expression) -> None:

@@ -14,13 +14,25 @@ from typing import Any
 import numpy as np
 
 from ...errors import MotionError
-from ...grid import BoolArray, FloatArray, Grid
+from ...grid import BoolArray, FloatArray, Grid, IntArray
+from ...numerics.arrays import places_among
+from ...parallel import rows_at
 from ...wording import vector
 from ..tables.matching import Matching, Nodes, SurfaceData, Transfer
 from ..tables.transfer import transfer
 from .expression import Expression
 
 VARIABLES = ("x", "y", "z", "t")
+_ALIKE, _FEWEST = 0.1, 4
+"""Displacements are positions if they differ from the coordinates by less than this part of the coordinates' spread, at
+so many nodes at least."""
+_FAR = 10.0
+"""Sizes of the grid beyond which a displacement is hardly in its length unit."""
+_SMALL_ANGLE = 0.2
+"""Constant rotations by fewer degrees may be meant in radians (up to 11 degrees)."""
+_ROUGH = 3.0
+"""If the displacements of neighbours typically differ by more than this many edges, the numbers of the points belong to
+another mesh."""
 SMALLEST = 1e-30
 """Smaller displacements are set to zero, as their products with weights would be subnormal numbers."""
 LARGEST = 1e30
@@ -170,6 +182,75 @@ class ImposedSequence(PreparedStep):
 
 
 @dataclass(frozen=True)
+class Positions:
+    """New positions (n, 3), or (n, 2) in a plane grid, of the points with these numbers (n,)."""
+
+    numbers: IntArray
+    positions: FloatArray
+    label: str
+
+    def at(self, nodes: Nodes) -> SurfaceData:
+        """The displacements of the points; numbering is that of the unstructured files that this program writes.
+
+        Raises
+        ------
+        MotionError
+            When a number does not denote a point on a block face, nodes have no new position, or neighbours move so
+            differently that the numbers must belong to another mesh.
+        """
+        topology = nodes.topology
+        beyond = np.flatnonzero((self.numbers < 0) | (self.numbers >= topology.n_unique))
+        if beyond.size:
+            raise MotionError(
+                f"{self.label}: {beyond.size} numbers are not of points on block faces, the first "
+                f"{self.numbers[beyond[0]]}; these have 0 to {topology.n_unique - 1}"
+            )
+        missing = np.flatnonzero(~np.isin(nodes.numbers, self.numbers))
+        if missing.size:
+            first = int(missing[0])
+            raise MotionError(
+                f"{self.label} has no position for {missing.size} of {len(nodes.numbers)} boundary nodes, the first "
+                f"{nodes.label(first)}, number {nodes.numbers[first]}"
+            )
+        points = rows_at(nodes.grid.points, topology.first[self.numbers])
+        moved = points.copy()
+        kept = np.sort(np.argsort(np.ptp(nodes.grid.points, axis=0))[3 - self.positions.shape[1] :])
+        moved[:, kept] = self.positions
+        displacement = moved - points
+        own = displacement[places_among(self.numbers, topology.n_unique)[nodes.numbers]]
+        a, b = nodes.faces[:, 0], nodes.faces[:, 1]
+        edge = np.linalg.norm(nodes.points[a] - nodes.points[b], axis=1)
+        if float(np.median(np.linalg.norm(own[a] - own[b], axis=1) - _ROUGH * edge)) > 0:
+            raise MotionError(
+                f"{self.label}: neighbours move apart by several edges almost everywhere; its numbers seem to be those "
+                "of another mesh than the one that `meshdeform convert` writes"
+            )
+        return SurfaceData(points, displacement, np.empty((0, 3), dtype=np.int64), self.label)
+
+
+@dataclass(frozen=True)
+class FollowNumbers(Step):
+    """Displacement from positions by number: one file, or one for each of ``times``, read when needed."""
+
+    times: tuple[float, ...]
+    read: Callable[[int], Positions]
+
+    @property
+    def names(self) -> frozenset[str]:
+        return frozenset({"t"} if self.times else ())
+
+    def require(self, time: float, constants: Mapping[str, float]) -> None:
+        if self.times:
+            level_at(self.times, time)
+
+    def prepare(self, nodes: Nodes) -> PreparedStep:
+        exact = Matching("exact")
+        if self.times:
+            return FollowSequence(self.times, lambda n: self.read(n).at(nodes), exact).prepare(nodes)
+        return Imposed(transfer(self.read(0).at(nodes), exact, nodes))
+
+
+@dataclass(frozen=True)
 class Motion:
     """Steps in the order in which they are applied, with the constants that their formulas may use."""
 
@@ -253,19 +334,16 @@ class PreparedMotion:
         total = np.zeros_like(points)
         for index, step in enumerate(self.steps):
             total = total + step.increment(points + total, values, fraction)
-            self._require_finite(total, index, time)
+            bad: BoolArray = np.asarray(~(np.abs(total) <= LARGEST).all(axis=1))
+            if bad.any():
+                worst = int(np.argmax(bad))
+                raise MotionError(
+                    f"motion step {index + 1} gives the displacement {vector(total[worst])} at node "
+                    f"{self.nodes.label(worst)} = {vector(points[worst])}, "
+                    f"t = {time:g} ({int(bad.sum())} of {len(bad)} nodes); expected finite numbers up to "
+                    f"{LARGEST:g}: check the formulas"
+                )
         return np.where(np.abs(total) < SMALLEST, 0.0, total)
-
-    def _require_finite(self, total: FloatArray, index: int, time: float) -> None:
-        bad: BoolArray = np.asarray(~(np.abs(total) <= LARGEST).all(axis=1))
-        if bad.any():
-            worst = int(np.argmax(bad))
-            raise MotionError(
-                f"motion step {index + 1} gives the displacement {vector(total[worst])} at node "
-                f"{self.nodes.label(worst)} = {vector(self.nodes.points[worst])}, "
-                f"t = {time:g} ({int(bad.sum())} of {len(bad)} nodes); expected finite numbers up to "
-                f"{LARGEST:g}: check the formulas"
-            )
 
 
 def level_at(times: Sequence[float], time: float) -> int:
@@ -312,3 +390,43 @@ def turned(arm: FloatArray, turn: FloatArray) -> FloatArray:
 
 def _vector(parts: tuple[Expression, Expression, Expression], values: Mapping[str, Any], n: int) -> FloatArray:
     return np.stack([np.broadcast_to(np.asarray(part(values), dtype=np.float64), n) for part in parts], axis=1)
+
+
+def positions_as_displacements(points: FloatArray, displacement: FloatArray) -> list[str]:
+    """A warning if moving nodes (n, 3) have displacements (n, 3) that are nearly their own coordinates."""
+    if len(points) < _FEWEST:
+        return []
+    spread = float(np.sqrt(((points - points.mean(axis=0)) ** 2).mean()))
+    off = float(np.sqrt(((displacement - points) ** 2).mean()))
+    # Far from the origin every motion is small relative to the coordinates.
+    if spread == 0.0 or off > _ALIKE * spread:
+        return []
+    return [
+        "the displacements are nearly the coordinates of the nodes themselves, so the wall would double its size: are "
+        "they positions? The displacement is the new position minus the old one"
+    ]
+
+
+def far_motion(extent: FloatArray, largest: float) -> list[str]:
+    """A warning if a wall moves by many times the ``extent`` (3,) of the grid."""
+    size = float(np.linalg.norm(extent))
+    if largest <= _FAR * size:
+        return []
+    return [
+        f"the largest displacement, {largest:.4g}, is {largest / size:.3g} times the size of the grid, {size:.4g}: is "
+        "it in the length unit of the grid?"
+    ]
+
+
+def tiny_rotations(name: str, motion: Motion) -> list[str]:
+    """A warning for every constant rotation of boundary ``name`` whose angle looks like radians."""
+    warnings = []
+    for step in motion.steps:
+        if isinstance(step, Rotate) and not step.angle.names & {"x", "y", "z", "t"}:
+            angle = float(np.asarray(step.angle(motion.constants)))
+            if 0.0 < abs(angle) < _SMALL_ANGLE:
+                warnings.append(
+                    f"boundary {name!r} is rotated by only {angle:.4g} degrees; angles are in degrees, and {angle:.4g} "
+                    f"radians would be {np.degrees(angle):.4g}"
+                )
+    return warnings

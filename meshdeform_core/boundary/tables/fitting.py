@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 
 from ...errors import MotionError
-from ...grid import BoolArray, FloatArray, Grid, IntArray
+from ...grid import FloatArray, Grid, IntArray
 from ...grid.faces.roles import Role
 from ...grid.faces.surfaces import Surface, find_outside
 from ...grid.topology import Topology
@@ -51,11 +51,25 @@ def fit_table(grid: Grid, topology: Topology, data: SurfaceData, matching: Match
     distance, nearest = scipy.spatial.cKDTree(center).query(points)
     on = distance <= reach[nearest]
     if on.mean() < ON_BOUNDARY:
-        raise _misfit(grid, topology, quads, data, on)
+        hint = other_frame(data.points, Nodes.of_quads(grid, topology, quads))
+        whole_table = len(on) == len(data.points)
+        how_many = f"{int((~on).sum())} of {len(on)}" if whole_table else f"{1 - on.mean():.0%} of {len(data.points)}"
+        raise MotionError(
+            f"{data.label}: {how_many} table points lie on no outside face of the grid, first "
+            f"{vector(points[int(np.argmin(on))])}{hint}; expected a table of the wall, in the grid's length unit"
+        )
     votes = np.bincount(owner[nearest[on]], minlength=len(surfaces)) / len(points)
     size = face_sizes(corners)
     whole = np.bincount(owner, size, minlength=len(surfaces))
-    under = np.bincount(owner, size * _under(data, points, center, reach), minlength=len(surfaces))
+    # Faces within their size of the table's triangles, or within the spacing of its points of one of them.
+    tree = scipy.spatial.cKDTree(points)
+    away, beside = tree.query(center)
+    is_under = away <= np.maximum(reach, spacings(tree)[beside])
+    if len(data.triangles):
+        from ...numerics.geometry.surface import TriangleTree
+
+        is_under |= TriangleTree(data.points, data.triangles).closest(center)[2] <= reach
+    under = np.bincount(owner, size * is_under, minlength=len(surfaces))
     covered = np.divide(under, whole, out=np.zeros_like(whole), where=whole > 0)
     chosen = (votes >= POINTS) | (covered >= COVERED)
     if not chosen.any():
@@ -77,17 +91,6 @@ def fit_table(grid: Grid, topology: Topology, data: SurfaceData, matching: Match
     return Fit(found, mine, replace(matching, walls=tuple(surface.name for surface in found)))
 
 
-def _misfit(grid: Grid, topology: Topology, quads: IntArray, data: SurfaceData, on: BoolArray) -> MotionError:
-    first = data.points[:: max(1, len(data.points) // SAMPLE)][int(np.argmin(on))]
-    hint = other_frame(data.points, Nodes.of_quads(grid, topology, quads))
-    whole = len(on) == len(data.points)
-    how_many = f"{int((~on).sum())} of {len(on)}" if whole else f"{1 - on.mean():.0%} of {len(data.points)}"
-    return MotionError(
-        f"{data.label}: {how_many} table points lie on no outside face of the grid, first "
-        f"{vector(first)}{hint}; expected a table of the wall, in the grid's length unit"
-    )
-
-
 def _require_wall(
     grid: Grid, topology: Topology, data: SurfaceData, found: tuple[Surface, ...], surfaces: tuple[Surface, ...]
 ) -> None:
@@ -102,20 +105,6 @@ def _require_wall(
             f"{data.label}: its points lie on {places}{hint}; expected a table of a wall; "
             f"a face that is meant to move is selected in a case file"
         )
-
-
-def _under(data: SurfaceData, points: FloatArray, center: FloatArray, reach: FloatArray) -> BoolArray:
-    """Which faces with ``center`` (n, 3) lie within their size of the table's triangles, or within the spacing of its
-    points of one of them."""
-    tree = scipy.spatial.cKDTree(points)
-    spacing = spacings(tree)
-    distance, nearest = tree.query(center)
-    under = distance <= np.maximum(reach, spacing[nearest])
-    if len(data.triangles):
-        from ...numerics.geometry.surface import TriangleTree
-
-        under |= TriangleTree(data.points, data.triangles).closest(center)[2] <= reach
-    return np.asarray(under)
 
 
 def _resolved(grid: Grid, topology: Topology, quads: IntArray, points: FloatArray, matching: Matching) -> Matching:

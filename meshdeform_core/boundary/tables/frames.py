@@ -51,12 +51,17 @@ def other_frame(points: FloatArray, nodes: Nodes) -> str:
     tree = scipy.spatial.cKDTree(nodes.points)
     here, _ = _fit(some, nodes, tree)
     best, share, distance = "", max(FITS, here + GAIN), np.inf
-    for (change, reason), candidate in _candidates(some, nodes, tree):
+    for change, candidate in _candidates(some, nodes, tree):
         hit, off = _fit(candidate, nodes, tree)
         # A later candidate must be clearly nearer, as frames that differ by a symmetry of the wall fit equally well.
         if hit >= share and off < 0.9 * distance - 1e-12:
-            best, distance = f" ({change}, {hit:.0%} of its points would lie on the nodes: {reason}?)", off
-    return best or _sizes(points, nodes)
+            best, distance = f" ({change[0]}, {hit:.0%} of its points would lie on the nodes: {change[1]}?)", off
+    if best:
+        return best
+    sizes = [float(np.linalg.norm(np.ptp(p, axis=0))) for p in (points, nodes.points)]
+    if min(sizes) > 0 and not 1 / 30 < sizes[0] / sizes[1] < 30:
+        return f" (sizes differ by a factor {max(sizes) / min(sizes):.3g}: different length units?)"
+    return ""
 
 
 def _fit(points: FloatArray, nodes: Nodes, tree: scipy.spatial.cKDTree) -> tuple[float, float]:
@@ -82,26 +87,15 @@ def _candidates(
     """Changes with the likely reason, and the changed points."""
     for factor, unit in _UNITS:
         yield (f"multiplied by {factor:.6g}", f"different length units, {unit}"), points * factor
-    for shift in _shifts(points, nodes, tree):
-        yield (f"shifted by ({', '.join(f'{x:.6g}' for x in shift)})", "another origin"), points + shift
-
-
-def _shifts(points: FloatArray, nodes: Nodes, tree: scipy.spatial.cKDTree) -> Iterator[FloatArray]:
-    """The shift between the centres of points and nodes, and shifts that put points of part of a wall onto nodes."""
     x = nodes.points
-    yield (x.min(axis=0) + x.max(axis=0) - points.min(axis=0) - points.max(axis=0)) / 2
-    # The first point may lie on any node; each further point rules out most of the remaining shifts.
+    shifts = [(x.min(axis=0) + x.max(axis=0) - points.min(axis=0) - points.max(axis=0)) / 2]
+    # Of part of a wall, the first point may lie on any node; each further point rules out most of the remaining shifts.
     probes = points[np.unique(np.linspace(0, len(points) - 1, PROBES).astype(np.int64))]
-    shifts = x - probes[0]
+    onto_node = x - probes[0]
     for probe in probes[1:]:
-        distance, nearest = tree.query(probe + shifts)
-        shifts = shifts[distance <= ON_NODE * nodes.edge[nearest]]
-    if len(probes) > 3 and len(shifts):
-        yield shifts[int(np.argmin(np.linalg.norm(shifts, axis=1)))]
-
-
-def _sizes(points: FloatArray, nodes: Nodes) -> str:
-    sizes = [float(np.linalg.norm(np.ptp(p, axis=0))) for p in (points, nodes.points)]
-    if min(sizes) > 0 and not 1 / 30 < sizes[0] / sizes[1] < 30:
-        return f" (sizes differ by a factor {max(sizes) / min(sizes):.3g}: different length units?)"
-    return ""
+        distance, nearest = tree.query(probe + onto_node)
+        onto_node = onto_node[distance <= ON_NODE * nodes.edge[nearest]]
+    if len(probes) > 3 and len(onto_node):
+        shifts.append(onto_node[int(np.argmin(np.linalg.norm(onto_node, axis=1)))])
+    for shift in shifts:
+        yield (f"shifted by ({', '.join(f'{x:.6g}' for x in shift)})", "another origin"), points + shift

@@ -37,32 +37,33 @@ def transfer(data: SurfaceData | Grid, matching: Matching, nodes: Nodes) -> Tran
     elif matching.how == "interpolate":
         result = _interpolate(data, matching, nodes)
     else:
-        result = _from_points(data, matching, nodes)
-    _require_matches(result, matching, nodes, data)
+        reach = nodes.edge * (RELATIVE_TOLERANCE if matching.how == "exact" else 0.5)
+        if matching.tolerance is not None:
+            reach = np.full(len(nodes.points), matching.tolerance)
+        tree = scipy.spatial.cKDTree(data.points)
+        distance, nearest = tree.query(nodes.points)
+        matched = distance <= reach
+        _require_one_displacement(data, nodes, tree)
+        used = len(np.unique(nearest[matched]))
+        result = _of_table(data, matching, data.displacement[nearest], matched, distance, used, np.zeros(len(distance)))
+    missing = np.flatnonzero(~result.matched)
+    if len(missing) and not (matching.partial and result.matched.any()):
+        worst = missing[np.argmax(result.distance[missing])]
+        raise MotionError(
+            f"{result.label}: {len(missing)} of {len(nodes.points)} selected nodes have no match ({result.how}); the "
+            f"farthest is {nodes.label(worst)} = {vector(nodes.points[worst])}, {result.distance[worst]:.3g} away. "
+            f"The table spans {_span(data.points)}, the nodes {_span(nodes.points)}"
+            f"{other_frame(data.points, nodes)}. "
+            f"Set a larger tolerance{'' if result.how == 'interpolate' else _INTERPOLATE}, or a selection that the "
+            f"table covers"
+        )
     return dataclasses.replace(result, walls=matching.walls)
 
 
-def _from_points(data: SurfaceData, matching: Matching, nodes: Nodes) -> Transfer:
-    reach = nodes.edge * (RELATIVE_TOLERANCE if matching.how == "exact" else 0.5)
-    if matching.tolerance is not None:
-        reach = np.full(len(nodes.points), matching.tolerance)
-    tree = scipy.spatial.cKDTree(data.points)
-    distance, nearest = tree.query(nodes.points)
-    matched = distance <= reach
-    _require_one_displacement(data, nodes, tree)
-    used = len(np.unique(nearest[matched]))
-    return _of_table(data, matching, data.displacement[nearest], matched, distance, used, np.zeros(len(distance)))
-
-
 def _of_table(
-    data: SurfaceData,
-    matching: Matching,
-    displacement: FloatArray,
-    matched: BoolArray,
-    distance: FloatArray,
-    used: int,
-    beyond: FloatArray,
-) -> Transfer:
+    data: SurfaceData, matching: Matching, displacement: FloatArray, matched: BoolArray, distance: FloatArray,
+    used: int, beyond: FloatArray,
+) -> Transfer:  # fmt: skip
     n = len(data.points)
     return Transfer(
         np.where(matched[:, None], displacement, 0.0), matched, distance, data.label, matching.how, (used, n),
@@ -114,17 +115,15 @@ def _interpolate(data: SurfaceData, matching: Matching, nodes: Nodes) -> Transfe
     else:
         _require_continuous(data)
         displacement, distance, beyond = _between_points(data, nodes)
-    matched = np.asarray(distance <= _reach(data, matching, nodes))
-    return _of_table(data, matching, displacement, matched, distance, len(data.points), beyond)
-
-
-def _reach(data: SurfaceData, matching: Matching, nodes: Nodes) -> FloatArray | float:
+    reach: FloatArray | float
     if matching.tolerance is not None:
-        return matching.tolerance
-    if matching.partial:
+        reach = matching.tolerance
+    elif matching.partial:
         # The table alone selects the nodes, from the whole boundary: those that are not on it must not match.
-        return 0.5 * nodes.edge
-    return 0.1 * min(float(np.linalg.norm(np.ptp(points, axis=0))) for points in (data.points, nodes.points))
+        reach = 0.5 * nodes.edge
+    else:
+        reach = 0.1 * min(float(np.linalg.norm(np.ptp(points, axis=0))) for points in (data.points, nodes.points))
+    return _of_table(data, matching, displacement, np.asarray(distance <= reach), distance, len(data.points), beyond)
 
 
 def _on_triangles(data: SurfaceData, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -138,39 +137,34 @@ def _on_triangles(data: SurfaceData, points: FloatArray) -> tuple[FloatArray, Fl
     normal = unit(np.cross(b - a, c - a))
     gap = points - np.einsum("nc,ncd->nd", weights, data.points[corners])
     aside = gap - (gap * normal).sum(axis=1, keepdims=True) * normal
-    on_rim = ((weights <= 0) & _rim(data.triangles)[triangle]).any(axis=1)
+    # Edges, each opposite a corner of its triangle, that belong to no other triangle.
+    t = data.triangles
+    edges = np.sort(np.stack([t[:, [1, 2]], t[:, [2, 0]], t[:, [0, 1]]], axis=1), axis=2).reshape(-1, 2)
+    _, number, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
+    rim = count[number.reshape(-1)].reshape(-1, 3) == 1
+    on_rim = ((weights <= 0) & rim[triangle]).any(axis=1)
     return displacement, distance, np.where(on_rim, np.linalg.norm(aside, axis=1), 0.0)
-
-
-def _rim(triangles: IntArray) -> BoolArray:
-    """(m, 3) bool: whether the edge opposite that corner belongs to only one triangle."""
-    edges = np.sort(np.stack([triangles[:, [1, 2]], triangles[:, [2, 0]], triangles[:, [0, 1]]], axis=1), axis=2)
-    _, number, count = np.unique(edges.reshape(-1, 2), axis=0, return_inverse=True, return_counts=True)
-    return np.asarray(count[number.reshape(-1)].reshape(-1, 3) == 1)
 
 
 def _between_points(data: SurfaceData, nodes: Nodes) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Displacement from a spline through the nearest points of the node's side of the body, distance to the nearest
     point, and beyond their spacing."""
     from ...numerics.geometry.local_spline import local_spline
+    from ...numerics.geometry.surface import TriangleTree
 
     known, first = np.unique(data.points, axis=0, return_index=True)
-    normals = _nearest_normals(nodes, known), nodes.normals
-    displacement, distance = local_spline(known, data.displacement[first], nodes.points, normals=normals)
+    # Normals of the wall where it is closest to the points of the table.
+    if nodes.faces.shape[1] == 2:
+        normals = nodes.normals[scipy.spatial.cKDTree(nodes.points).query(known)[1]]
+    else:
+        triangles = np.ascontiguousarray(np.concatenate([nodes.faces[:, [0, 1, 2]], nodes.faces[:, [0, 2, 3]]]))
+        normals = nodes.face_normals[TriangleTree(nodes.points, triangles).closest(known)[0] % len(nodes.faces)]
+    displacement, distance = local_spline(
+        known, data.displacement[first], nodes.points, normals=(normals, nodes.normals)
+    )
     tree = scipy.spatial.cKDTree(known)
     nearest = tree.query(nodes.points)[1]
     return displacement, distance, np.maximum(distance - spacings(tree)[nearest], 0.0)
-
-
-def _nearest_normals(nodes: Nodes, points: FloatArray) -> FloatArray:
-    """Unit normals (n, 3) of the wall where it is closest to ``points`` (n, 3)."""
-    from ...numerics.geometry.surface import TriangleTree
-
-    if nodes.faces.shape[1] == 2:
-        return nodes.normals[scipy.spatial.cKDTree(nodes.points).query(points)[1]]
-    triangles = np.ascontiguousarray(np.concatenate([nodes.faces[:, [0, 1, 2]], nodes.faces[:, [0, 2, 3]]]))
-    face = TriangleTree(nodes.points, triangles).closest(points)[0] % len(nodes.faces)
-    return nodes.face_normals[face]
 
 
 def _from_deformed_grid(deformed: Grid, matching: Matching, nodes: Nodes) -> Transfer:
@@ -179,22 +173,18 @@ def _from_deformed_grid(deformed: Grid, matching: Matching, nodes: Nodes) -> Tra
         displacement = rows_at(deformed.points, nodes.topology.first[nodes.numbers]) - nodes.points
         matched = np.ones(len(displacement), dtype=bool)
     else:
-        displacement, matched = _from_surface_blocks(deformed, nodes)
+        # Each block of a surface grid is the closest block face of the same size.
+        moved = np.full((nodes.topology.n_unique, 3), np.nan)
+        taken: set[tuple[int, Side]] = set()
+        for index, shape in enumerate(deformed.shapes):
+            new = deformed.block(index).reshape([n for n in shape if n > 1] + [3])
+            moved[_closest_face(new, deformed.names[index], nodes, taken)] = new
+        found = moved[nodes.numbers] - nodes.points
+        matched = np.asarray(np.isfinite(found).all(axis=1))
+        displacement = np.where(matched[:, None], found, 0.0)
     used = int(matched.sum()), deformed.n_nodes
     zero = np.zeros(len(displacement))
     return Transfer(displacement, matched, zero, label, "same nodes", used, np.empty((0, 3)), zero, matching.partial)
-
-
-def _from_surface_blocks(surface: Grid, nodes: Nodes) -> tuple[FloatArray, BoolArray]:
-    """Match each block of the surface grid with the closest block face of the same size."""
-    moved = np.full((nodes.topology.n_unique, 3), np.nan)
-    taken: set[tuple[int, Side]] = set()
-    for index, shape in enumerate(surface.shapes):
-        new = surface.block(index).reshape([n for n in shape if n > 1] + [3])
-        moved[_closest_face(new, surface.names[index], nodes, taken)] = new
-    displacement = moved[nodes.numbers] - nodes.points
-    matched: BoolArray = np.asarray(np.isfinite(displacement).all(axis=1))
-    return np.where(matched[:, None], displacement, 0.0), matched
 
 
 def _closest_face(new: FloatArray, name: str, nodes: Nodes, taken: set[tuple[int, Side]]) -> IntArray:
@@ -227,21 +217,6 @@ def _closest_face(new: FloatArray, name: str, nodes: Nodes, taken: set[tuple[int
     _, block, side, numbers = candidates[0]
     taken.add((block, side))
     return numbers
-
-
-def _require_matches(result: Transfer, matching: Matching, nodes: Nodes, data: SurfaceData | Grid) -> None:
-    missing = np.flatnonzero(~result.matched)
-    if len(missing) == 0 or (matching.partial and result.matched.any()):
-        return
-    worst = missing[np.argmax(result.distance[missing])]
-    raise MotionError(
-        f"{result.label}: {len(missing)} of {len(nodes.points)} selected nodes have no match ({result.how}); the "
-        f"farthest is {nodes.label(worst)} = {vector(nodes.points[worst])}, {result.distance[worst]:.3g} away. "
-        f"The table spans {_span(data.points)}, the nodes {_span(nodes.points)}"
-        f"{other_frame(data.points, nodes)}. "
-        f"Set a larger tolerance{'' if result.how == 'interpolate' else _INTERPOLATE}, or a selection that the table "
-        f"covers"
-    )
 
 
 def _span(points: FloatArray) -> str:
