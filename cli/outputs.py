@@ -84,7 +84,7 @@ def make_folder(output: Path) -> None:
 
 def check_reports(reports: tuple[Path, ...], force: bool, *inputs: Path | None) -> None:
     """:func:`check_output` for reports, whose suffix must be known."""
-    from meshdeform_formats.report import check_report_path
+    from meshdeform_formats.report.write import check_report_path
 
     for path in reports:
         # A single dash is stdout.

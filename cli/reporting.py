@@ -11,8 +11,10 @@ from pathlib import Path
 import click
 
 from meshdeform_core.parallel import OneRank, Ranks
-from meshdeform_formats.report import Illustrate, Illustrations, Report, as_json, run_part, with_other, write_report
+from meshdeform_formats.report.records import Report, with_other
+from meshdeform_formats.report.tables import Illustrate, Illustrations
 from meshdeform_formats.report.text import as_text
+from meshdeform_formats.report.write import as_json, run_part, write_report
 
 STDOUT = Path("-")
 

@@ -28,11 +28,11 @@ from meshdeform_formats.fields import check_fields, with_fields
 from meshdeform_formats.grids import FORMATS, complete_for_export
 from meshdeform_formats.inputs import digest
 from meshdeform_formats.placing import lack
-from meshdeform_formats.report import Illustrations, Report, level_record, series_head, series_report
-from meshdeform_formats.series.foam import FoamFiles
+from meshdeform_formats.report.records import Report, level_record, series_head, series_report
+from meshdeform_formats.report.tables import Illustrations
 from meshdeform_formats.series.manifest import NAME, Manifest, ingredients_of
 from meshdeform_formats.series.outputs import LevelFiles, SeriesFiles
-from meshdeform_formats.series.single import SingleFile
+from meshdeform_formats.series.shared import FoamFiles, SingleFile
 
 from .options import GridInput, RunInput
 from .outputs import keep_inputs

@@ -40,8 +40,10 @@ from meshdeform_formats.grids import complete_for_export, require_earlier_grid, 
 from meshdeform_formats.inputs import existing_outputs
 from meshdeform_formats.joined import grid_of_case
 from meshdeform_formats.placing import existing, require_space
-from meshdeform_formats.report import Illustrate, Illustrations, Report, as_json, deformation_report
+from meshdeform_formats.report.records import Report, deformation_report
+from meshdeform_formats.report.tables import Illustrate, Illustrations
 from meshdeform_formats.report.text import as_text
+from meshdeform_formats.report.write import as_json
 
 from .exit_codes import EXIT_INVALID
 from .options import CaseInput, GridInput, RunInput

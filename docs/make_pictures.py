@@ -20,7 +20,9 @@ from PIL import Image
 from meshdeform_cli.main import run
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_formats import read_grid
-from meshdeform_formats.picture import STYLE, Subject, draw, plane_facets
+from meshdeform_formats.picture.page import STYLE, draw
+from meshdeform_formats.picture.scene import plane_facets
+from meshdeform_formats.picture.subject import Subject
 
 IMAGES = Path(__file__).resolve().parent / "images"
 Panel = tuple[str, str, tuple[str, ...]]

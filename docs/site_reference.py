@@ -13,7 +13,7 @@ import click
 
 import meshdeform
 from meshdeform_cli.main import cli
-from meshdeform_formats.report.schema import report_schema
+from meshdeform_formats.report.measures import report_schema
 
 INTERFACES = {
     "meshdeform.compat.idwarp": (),

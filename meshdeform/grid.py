@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import pyvista
     from matplotlib.figure import Figure
 
-    from meshdeform_formats.picture import Subject
+    from meshdeform_formats.picture.subject import Subject
 
 
 class BlockPart(NamedTuple):
@@ -200,7 +200,8 @@ class Grid:
         CaseError
             When an argument is not understood, or there is nothing to draw.
         """
-        from meshdeform_formats.picture import PlotOptions, page_figure, picture
+        from meshdeform_formats.picture.page import page_figure
+        from meshdeform_formats.picture.request import PlotOptions, picture
 
         options = PlotOptions(
             metric=metric, plane=plane, block=tuple(block), select=tuple(select), view=view, zoom=zoom, before=before,
@@ -321,7 +322,7 @@ def by_part(grid: Grid, values: FloatArray) -> list[FloatArray]:
 def _subject(grid: Grid, reference: Grid | None, what: str) -> Subject:
     """The cells to draw or measure, compared with those of the reference."""
     from meshdeform_core.quality.difference import require_same_blocks
-    from meshdeform_formats.picture import Subject
+    from meshdeform_formats.picture.subject import Subject
 
     own = whole(grid, what)
     if reference is None:

@@ -135,7 +135,7 @@ class Step:
     @cached_property
     def report(self) -> dict[str, Any]:
         """The report of the command line as a dictionary (see docs/report.md): quality, verdict, parameters, times."""
-        from meshdeform_formats.report import deformation_report
+        from meshdeform_formats.report.records import deformation_report
 
         seconds = self.result.timing.seconds
         return deformation_report(self.result, {"total": sum(seconds.values())}, peak_memory())

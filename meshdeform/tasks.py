@@ -57,7 +57,7 @@ def quality(
     GridError
         When the two have different blocks.
     """
-    from meshdeform_formats.report import quality_report
+    from meshdeform_formats.report.records import quality_report
 
     own = whole(user_grid(grid), "a report")
     what = parsed_case({} if case is None else case)

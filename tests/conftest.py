@@ -14,7 +14,7 @@ import pytest  # noqa: E402
 
 from meshdeform_cli.process import progress  # noqa: E402
 from meshdeform_core import memory  # noqa: E402
-from meshdeform_formats.picture import STYLE  # noqa: E402
+from meshdeform_formats.picture.page import STYLE  # noqa: E402
 
 # The same examples in every run, and no limits of time: a loaded machine is no reason to fail.
 hypothesis.settings.register_profile(

@@ -37,7 +37,7 @@ def command(
     cluster towards walls and grow towards the far field) and marked with a question mark.
     """
     if picture is not None:
-        from meshdeform_formats.picture import check_picture_path
+        from meshdeform_formats.picture.page import check_picture_path
 
         check_picture_path(picture)
         check_output(picture, force, *source.files)
@@ -51,7 +51,9 @@ def command(
     facts = gather(grid, str(source.path))
     if picture is not None:
         from meshdeform_core.grid.topology import find_topology
-        from meshdeform_formats.picture import Subject, boundaries, save_page
+        from meshdeform_formats.picture.overview import boundaries
+        from meshdeform_formats.picture.page import save_page
+        from meshdeform_formats.picture.subject import Subject
 
         save_page(boundaries(Subject(grid, find_topology(grid)), source.path.name), picture)
     click.echo(json_text(facts) if as_json else as_text(facts, verbose))

@@ -18,7 +18,7 @@ from ..process.progress import ProgressBar
 
 if TYPE_CHECKING:
     from meshdeform_core.quality.fields import CellFields
-    from meshdeform_formats.picture import Subject
+    from meshdeform_formats.picture.subject import Subject
 
 
 @click.command("plot")
@@ -70,9 +70,10 @@ def command(
     reference is then the grid of the series, unless its file has changed since.
     """
     from meshdeform_formats.files import shown
-    from meshdeform_formats.picture import PlotOptions, check_picture_path, picture, save_page
     from meshdeform_formats.picture.film import check_film_path, film, save_film
-    from meshdeform_formats.series.levels import is_series, open_levels
+    from meshdeform_formats.picture.page import check_picture_path, save_page
+    from meshdeform_formats.picture.request import PlotOptions, picture
+    from meshdeform_formats.series.manifest import is_series, open_levels
 
     request = PlotOptions(**options, lead="--")  # type: ignore[arg-type]
     if not is_series(source.path):
@@ -101,6 +102,6 @@ def command(
 
 
 def _of(cells: CellFields) -> Subject:
-    from meshdeform_formats.picture import Subject
+    from meshdeform_formats.picture.subject import Subject
 
     return Subject(cells.grid, cells.topology, cells.reference)

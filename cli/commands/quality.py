@@ -60,7 +60,7 @@ def command(
 
     from meshdeform_core.judgement import judge_grid
     from meshdeform_formats import read_grid
-    from meshdeform_formats.report import quality_report
+    from meshdeform_formats.report.records import quality_report
 
     from ..reporting import Delivery, deliver
 

@@ -69,7 +69,7 @@ def repaired(
     from meshdeform_core.quality.fields import CellFields
     from meshdeform_formats.grids import complete_for_export, read_grid, variant_of
     from meshdeform_formats.placing import existing, require_space, shortage
-    from meshdeform_formats.report import mended_report
+    from meshdeform_formats.report.records import mended_report
 
     from ..work import require_room_for_invalid, write_judged
 

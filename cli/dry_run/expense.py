@@ -17,7 +17,7 @@ from meshdeform_core.parallel import holders
 from meshdeform_core.parallel.scratch import RESERVE
 from meshdeform_formats.grids import Layout, format_of
 from meshdeform_formats.placing import lack, least_bytes, velocity_bytes
-from meshdeform_formats.report import Report, head_part
+from meshdeform_formats.report.records import Report, head_part
 
 _COORDINATES = 24
 # Bytes per node of a series: undeformed cells, the level before, and the one that is being written. From the third

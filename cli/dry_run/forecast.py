@@ -19,7 +19,7 @@ from meshdeform_core.stepping.course import Course, doubts
 from meshdeform_core.wording import counted
 from meshdeform_formats.grids import variant_of
 from meshdeform_formats.placing import shortage
-from meshdeform_formats.report import Report, plan_report
+from meshdeform_formats.report.records import Report, plan_report
 
 from ..work import Imposed, Job, place_of
 from .expense import Levels, expense_of

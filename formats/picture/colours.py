@@ -10,13 +10,13 @@ import numpy as np
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import FloatArray
 
-from .facets import Facets
-from .scene import Scene
-from .subject import METRICS
+from .scene import Facets, Scene
+from .subject import METRICS, Metric
 
 if TYPE_CHECKING:
     from matplotlib.cm import ScalarMappable
 
+Colour = tuple[float, float, float]
 INVALID_COLOUR = (0.90, 0.00, 0.42)
 """Not in any of the colour maps; colour-blind people can distinguish it from them by lightness or hue."""
 _REACHES = (0.01, 0.02, 0.05)
@@ -77,47 +77,36 @@ class Choice:
     logarithmic: bool = False
     lines: bool = True
 
-    def scale(self, *facets: Facets) -> Scale:
-        """Colours for the values of all polygons together."""
-        return self.scale_of(np.concatenate([each.values for each in facets]))
+    def scale(self, *values: FloatArray) -> Scale:
+        """Colours for all values (n,) together: between the limits, else the metric's own, else the ends of the values.
 
-    def scale_of(self, values: FloatArray) -> Scale:
-        """Colours for values (n,)."""
-        return scale_of(self.metric, values, self.limits, self.logarithmic)
-
-
-def scale_of(
-    metric: str, values: FloatArray, limits: tuple[float, float] | None = None, logarithmic: bool = False
-) -> Scale:
-    """The scale for values (n,): given limits, else the metric's own, else the range of the data.
-
-    Raises
-    ------
-    CaseError
-        When a logarithmic scale is requested but no value is positive.
-    """
-    finite = values[np.isfinite(values)]
-    if logarithmic:
-        finite = finite[finite > 0]
-        if finite.size == 0 or (limits is not None and limits[0] <= 0):
-            raise CaseError(f"--log: {metric} has no positive value, or the range does not begin above zero")
-    known = METRICS[metric]
-    low, high = limits or _range(finite, known.limits if not logarithmic else None, known.diverging, logarithmic)
-    beyond = bool((finite < low - 1e-12 * abs(low)).any()), bool((finite > high + 1e-12 * abs(high)).any())
-    extended = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}[beyond]
-    return Scale(metric, low, high, logarithmic, extended)
+        Raises
+        ------
+        CaseError
+            When a logarithmic scale is requested but no value is positive.
+        """
+        known, finite = METRICS[self.metric], np.concatenate(values)
+        finite = finite[np.isfinite(finite)]
+        if self.logarithmic:
+            finite = finite[finite > 0]
+            if finite.size == 0 or (self.limits is not None and self.limits[0] <= 0):
+                raise CaseError(f"--log: {self.metric} has no positive value, or the range does not begin above zero")
+        low, high = self.limits or _range(finite, known, self.logarithmic)
+        beyond = bool((finite < low - 1e-12 * abs(low)).any()), bool((finite > high + 1e-12 * abs(high)).any())
+        extended = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}[beyond]
+        return Scale(self.metric, low, high, self.logarithmic, extended)
 
 
-def _range(
-    finite: FloatArray, fixed: tuple[float, float] | None, diverging: bool, logarithmic: bool
-) -> tuple[float, float]:
-    if fixed is not None:
+def _range(finite: FloatArray, known: Metric, logarithmic: bool) -> tuple[float, float]:
+    """The ends of the colours for values (n,)."""
+    if known.limits is not None and not logarithmic:
+        fixed = known.limits
         # The good end stays; the other follows the data, in steps that make round labels.
         worst = fixed[1] - max(float(finite.min()) if finite.size else fixed[0], fixed[0])
         reach = next((step for step in _REACHES if worst <= step + 1e-9), np.ceil(10 * worst - 1e-9) / 10)
         return round(fixed[1] - reach, 2), fixed[1]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
-    if diverging:
+    if known.diverging:
         # The neutral value, 1, in the middle.
         if logarithmic:
             factor = max(high, 1.0 / low, 1.001)
@@ -140,7 +129,7 @@ def colours_of(scene: Scene, scale: Scale | None) -> FloatArray:
     return np.array([colour_of(n) for n in range(int(groups.max(initial=0)) + 1)])[groups]
 
 
-def colour_of(group: int) -> tuple[float, float, float]:
+def colour_of(group: int) -> Colour:
     """RGB of a group; beyond eight the colours repeat, lighter."""
     red, green, blue = GROUPS[group % len(GROUPS)]
     fade = min(0.35 * (group // len(GROUPS)), 0.7)

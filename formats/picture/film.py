@@ -24,32 +24,6 @@ _SAMPLES = 9
 """Number of pictures that the colours of a .gif are chosen from."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Common:
-    """Properties common to all pictures of a film, so that only the grid moves.
-
-    ``windows`` of the panels, ``values``: lowest and highest, ``marks``: what the legend explains.
-    """
-
-    windows: tuple[Window, ...]
-    values: tuple[float, float]
-    marks: frozenset[str]
-
-    @classmethod
-    def of(cls, page: Page) -> Common:
-        """The properties of a single picture."""
-        values = np.concatenate([panel.scene.facets.values for panel in page.panels])
-        known = values[np.isfinite(values)]
-        low, high = float(known.min(initial=np.inf)), float(known.max(initial=-np.inf))
-        return cls(tuple(panel.window for panel in page.panels), (low, high), page.explained)
-
-    def joined(self, other: Common) -> Common:
-        """The properties that cover both."""
-        windows = tuple(one.joined(two) for one, two in zip(self.windows, other.windows, strict=False))
-        values = min(self.values[0], other.values[0]), max(self.values[1], other.values[1])
-        return Common(windows, values, self.marks | other.marks)
-
-
 def check_film_path(path: Path) -> None:
     """Refuse, before anything is computed, an unknown suffix or one that needs a program that is not installed."""
     if path.suffix.lower() not in FILMS:
@@ -58,29 +32,37 @@ def check_film_path(path: Path) -> None:
         raise FormatError(f"{path}: .mp4 films need the program ffmpeg, which was not found; write a .gif")
 
 
-def film(levels: Callable[[], Iterable[tuple[str, Subject]]], options: PlotOptions) -> Iterator[bytes]:
-    """The pictures of a film, as PNG files of one size.
+def film_pages(levels: Callable[[], Iterable[tuple[str, Subject]]], options: PlotOptions) -> Iterator[Page]:
+    """The pages of a film, in common windows and colours, so that only the grid moves.
 
     Parameters
     ----------
     levels : gives title and grid of every level, in order; called twice
     options : what to draw of every grid
     """
-    common: Common | None = None
+    windows: list[Window] = []
+    ends: list[float] = []
+    marks: frozenset[str] = frozenset()
     for title, subject in levels():
-        found = Common.of(picture(subject, options, title))
-        common = found if common is None else common.joined(found)
-    if common is None:
+        page = picture(subject, options, title)
+        windows = windows or [panel.window for panel in page.panels]
+        windows = [one.joined(panel.window) for one, panel in zip(windows, page.panels, strict=False)]
+        values = np.concatenate([panel.scene.facets.values for panel in page.panels])
+        if (known := values[np.isfinite(values)]).size:
+            ends += [float(known.min()), float(known.max())]
+        marks |= page.explained
+    if not windows:
         raise FormatError("the series has no level yet")
-    scale = options.choice.scale_of(np.array(common.values))
+    scale = options.choice.scale(np.array(ends))
     for title, subject in levels():
         page = picture(subject, dataclasses.replace(options, limits=(scale.low, scale.high)), title)
-        panels = [
-            dataclasses.replace(panel, window=window)
-            for panel, window in zip(page.panels, common.windows, strict=False)
-        ]
-        page = dataclasses.replace(page, panels=tuple(panels), scale=scale, marks=common.marks)
-        yield page_png(page, _WIDTH, _DPI)
+        panels = [dataclasses.replace(panel, window=w) for panel, w in zip(page.panels, windows, strict=False)]
+        yield dataclasses.replace(page, panels=tuple(panels), scale=scale, marks=marks)
+
+
+def film(levels: Callable[[], Iterable[tuple[str, Subject]]], options: PlotOptions) -> Iterator[bytes]:
+    """The pictures of a film as PNG files of one size, see :func:`film_pages`."""
+    return (page_png(page, _WIDTH, _DPI) for page in film_pages(levels, options))
 
 
 def save_film(pictures: Iterable[bytes], path: Path, rate: float) -> None:

@@ -1,22 +1,39 @@
-"""The default picture of a grid, and its boundaries by name."""
+"""What is shown where nothing is specified: a grid, its boundaries by name, two grids before and after."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 
-from meshdeform_core.grid import FloatArray
+from meshdeform_core.grid import FloatArray, Grid, IntArray, Shape
 from meshdeform_core.grid.faces.roles import Role
 from meshdeform_core.grid.faces.surfaces import Surface
+from meshdeform_core.grid.planes import Plane
+from meshdeform_core.grid.topology import Topology
 from meshdeform_core.numerics.geometry.vectors import doubled_areas
+from meshdeform_core.quality import Original
 
 from .colours import Choice, colour_of
-from .facets import Facets, block_outlines, joined, surface_facets
 from .page import Page, Panel
-from .scene import Scene, cut_scene, onto_walls, surface_scene, wall_edges, whole_scene
+from .scene import (
+    Facets,
+    Scene,
+    block_facets,
+    block_outlines,
+    cut_facets,
+    cut_scene,
+    joined,
+    onto_walls,
+    surface_facets,
+    surface_scene,
+    wall_edges,
+    whole_scene,
+)
 from .subject import Subject, quads_of
-from .view import View, Window, iso
+from .view import View, Window, facing, iso
 
 _SMALL = 0.3
 """Details smaller than this fraction of the picture along its larger side get a close-up."""
@@ -28,6 +45,9 @@ _SQUARE = (0.85, 1.15)
 _TALL, _FLAT = 1.15, 0.05
 _MOST_NAMES = 14
 _PALE = (0.95, 0.95, 0.95)
+_GREY = (0.72, 0.74, 0.78)
+_AROUND = 7
+"""Number of cells that a close-up shows on either side of the worst one."""
 
 
 def overview(subject: Subject, choice: Choice, title: str = "") -> Page:
@@ -163,3 +183,141 @@ def _outside(subject: Subject, groups: dict[str, list[Surface]], view: View) -> 
             quads.append(surface.quads[keep])
     outlines: FloatArray = block_outlines(subject.grid, subject.topology, np.concatenate(quads))
     return Scene(joined(parts), view, outlines, lit=True)
+
+
+@dataclasses.dataclass(frozen=True)
+class Pair:
+    """A grid before and after, with the topology of the undeformed one.
+
+    ``undeformed`` is the grid that both are judged against, if it differs from the one before; ``original`` are its
+    cells and faces, if these have been found already.
+    """
+
+    before: Grid
+    after: Grid
+    topology: Topology
+    undeformed: Grid | None = None
+    original: Original | None = None
+
+    @cached_property
+    def old(self) -> Subject:
+        return Subject(self.before, self.topology, self.undeformed, original=self.original)
+
+    @cached_property
+    def new(self) -> Subject:
+        return Subject(self.after, self.topology, self.undeformed or self.before, original=self.old)
+
+
+def apart(page: Page) -> tuple[Page, Page]:
+    """The two panels of a page as pages of the same size, axes, colour bar and legend, without their titles."""
+    panels = [dataclasses.replace(panel, title="") for panel in page.panels]
+    one, two = (dataclasses.replace(page, panels=(panel,), marks=page.explained) for panel in panels)
+    return one, two
+
+
+def _twins(scenes: Sequence[Scene], windows: Sequence[Window], choice: Choice) -> Page:
+    """The same part of two grids side by side in common colours, from the first one's direction."""
+    view = scenes[0].view
+    panels = [
+        Panel(dataclasses.replace(scene, view=view), window, name)
+        for scene, window, name in zip(scenes, windows, ("before", "after"), strict=True)
+    ]
+    return Page.of(panels, choice)
+
+
+def moved_walls(pair: Pair, quads: IntArray) -> Page | None:
+    """Moving face quads before and after in the same view, coloured by displacement; ``None`` for flat grids."""
+    if pair.old.grid.dimension == 2 or pair.old.end_plane is not None:
+        return None
+    view = onto_walls(pair.old)
+    before, after = (surface_scene(subject, quads, "", view) for subject in (pair.old, pair.new))
+    moved = np.linalg.norm(after.facets.corners - before.facets.corners, axis=2).mean(axis=1)
+    after = dataclasses.replace(after, facets=dataclasses.replace(after.facets, values=moved))
+    both = np.concatenate([before.facets.corners, after.facets.corners])
+    window = view.window(both, 0.06).shaped(0.6, 1.0)
+    return _twins([dataclasses.replace(before, colour=_GREY), after], (window, window), Choice("displacement"))
+
+
+def quality_planes(pair: Pair) -> tuple[Page, Page]:
+    """A plane through the grid around its walls, before and after, in the same frame and colours (for a slider)."""
+    scenes = [_plane(subject, Choice()) for subject in (pair.old, pair.new)]
+    points = np.concatenate([subject.corners(pair.old.bodies) for subject in (pair.old, pair.new)])
+    window = _window_around(scenes[0], points)
+    return apart(_twins(scenes, (window, window), Choice()))
+
+
+def plane_around(subject: Subject, points: FloatArray, choice: Choice) -> Page:
+    """A plane through a grid around ``points`` (n, 3), coloured by quality; the whole plane if there are none."""
+    scene = _plane(subject, choice)
+    return Page.of([Panel(scene, _window_around(scene, points))], choice)
+
+
+def _plane(subject: Subject, choice: Choice) -> Scene:
+    """The plane of a flat grid, else a cut through the middle of the bodies."""
+    return whole_scene(subject, choice.metric) or cut_scene(subject, subject.middle_plane(), choice.metric)
+
+
+def _window_around(scene: Scene, points: FloatArray) -> Window:
+    whole = scene.view.window(scene.facets.corners, 0.0)
+    if not points.size:
+        return whole.grown(0.02 * whole.extent).shaped(0.3, 1.0)
+    return scene.view.window(points, 0.6).within(whole).shaped(0.5, 0.9).moved_into(whole)
+
+
+def worst_cells(pair: Pair, block: int, cell: Shape, choice: Choice | None = None) -> Page:
+    """The surroundings of a cell (0-based ``cell`` of ``block``) before and after, on the same scale."""
+    choice = choice or Choice()
+    scenes = [whole_scene(subject, choice.metric) for subject in (pair.old, pair.new)]
+    found = [scene for scene in scenes if scene is not None]
+    if len(found) < 2:
+        axis, normal = telling_plane(pair, block, cell)
+        found = [_through(subject, block, axis, cell, normal, choice.metric) for subject in (pair.old, pair.new)]
+    return _twins(found, _surroundings(pair, block, cell, found[0].view), choice)
+
+
+def _corners(grid: Grid, block: int, cell: Shape, more: int = 0) -> FloatArray:
+    """Nodes (n, 3) of a cell and of ``more`` cells around it."""
+    window = tuple(slice(max(at - more, 0), at + 2 + more) for at in cell)
+    return grid.few(block, window).reshape(-1, 3)
+
+
+def _surroundings(pair: Pair, block: int, cell: Shape, view: View) -> list[Window]:
+    """Windows of the same size around a cell before and after."""
+    centers, reach = [], 0.0
+    for grid in (pair.before, pair.after):
+        center = view.project(_corners(grid, block, cell).mean(axis=0))[:2]
+        near, close = (
+            np.abs(view.project(_corners(grid, block, cell, more))[:, :2] - center).max(axis=1) for more in (_AROUND, 1)
+        )
+        # Where cells grow quickly, the window is limited so that the worst cell remains visible.
+        reach = max(reach, min(float(np.quantile(near, 0.7)), 8.0 * float(close.max())))
+        centers.append(center.tolist())
+    return [Window(x - reach, x + reach, y - 0.8 * reach, y + 0.8 * reach) for x, y in centers]
+
+
+def telling_plane(pair: Pair, block: int, cell: Shape) -> tuple[int, FloatArray]:
+    """Index axis and normal of the plane in which a cell looks worst: smallest over largest corner area."""
+    found = []
+    for axis in range(3):
+        window = tuple(slice(at, at + (1 if a == axis else 2)) for a, at in enumerate(cell))
+        # The corners of a face in cyclic order.
+        old, new = (grid.few(block, window).reshape(4, 3)[[0, 2, 3, 1]] for grid in (pair.before, pair.after))
+        normal = np.cross(old[2] - old[0], old[3] - old[1])
+        length = float(np.linalg.norm(normal))
+        if length == 0.0:
+            continue
+        ahead, behind = np.roll(new, -1, axis=0) - new, np.roll(new, 1, axis=0) - new
+        size = np.linalg.norm(ahead, axis=1) * np.linalg.norm(behind, axis=1)
+        area = np.cross(ahead, behind) @ normal / length
+        found.append((float((area / np.maximum(size, 1e-300)).min()), axis, normal / length))
+    _, axis, normal = min(found, key=lambda each: each[0])
+    return axis, normal
+
+
+def _through(subject: Subject, block: int, axis: int, cell: Shape, normal: FloatArray, metric: str) -> Scene:
+    """The index plane of a block through a cell, and where its plane in space cuts the other blocks."""
+    own, view = block_facets(subject, block, axis, cell[axis], metric), facing(normal)
+    cut = cut_facets(subject, Plane(_corners(subject.grid, block, cell).mean(axis=0), normal), metric)
+    # Drawn behind the index plane, which may deviate from the plane in space but stays in front everywhere.
+    behind = dataclasses.replace(cut, corners=cut.corners - subject.size * view.towards)
+    return Scene(joined([own, behind]), view)

@@ -14,10 +14,9 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray
 
 from ..files import replacing
-from .colours import INVALID_COLOUR, NO_VALUE, Choice, Scale, colours_of, scale_of
-from .facets import Facets
+from .colours import INVALID_COLOUR, NO_VALUE, Choice, Colour, Scale, colours_of
 from .raster import FINE, Image, render
-from .scene import Scene
+from .scene import Facets, Scene, no_edges
 from .subject import METRICS
 from .view import View, Window, spread
 
@@ -48,7 +47,6 @@ _CORNER = 64.0
 """Full width of the triad of axes, in points."""
 _HIGH = 3.5
 """Height of a figure, in inches, from which on the label of the colour bar fits in one line."""
-Colour = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -67,7 +65,7 @@ class Panel:
     scene: Scene
     window: Window
     title: str = ""
-    arrows: FloatArray = field(default_factory=lambda: np.empty((0, 2, 3)))
+    arrows: FloatArray = field(default_factory=no_edges)
     frames: tuple[Window, ...] = ()
     under: Scene | None = None
     strokes: tuple[tuple[FloatArray, Colour], ...] = ()
@@ -96,8 +94,8 @@ class Page:
     @classmethod
     def of(cls, panels: Sequence[Panel], choice: Choice, title: str = "") -> Page:
         """Panels in the colours of all their values together."""
-        facets = [each.facets for panel in panels for each in (panel.scene, panel.under) if each is not None]
-        return cls(tuple(panels), title, choice.scale(*facets), lines=choice.lines)
+        values = [each.facets.values for panel in panels for each in (panel.scene, panel.under) if each is not None]
+        return cls(tuple(panels), title, choice.scale(*values), lines=choice.lines)
 
     @property
     def explained(self) -> frozenset[str]:
@@ -262,7 +260,7 @@ def draw(
     ``limits`` of the colours default to those of the values, ``window`` to all polygons.
     """
     scene = Scene(facets, view or spread(facets.corners))
-    window, scale = window or scene.view.window(facets.corners), scale_of("f_skew", facets.values, limits)
+    window, scale = window or scene.view.window(facets.corners), Choice(limits=limits).scale(facets.values)
     image = render(scene, scale.colours(facets), window, 1000, 2, lines)
     axes.imshow(image.pixels, extent=window, interpolation="antialiased", aspect="equal")
     axes.set(xlabel=scene.view.labels[0], ylabel=scene.view.labels[1])

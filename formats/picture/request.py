@@ -19,8 +19,7 @@ from meshdeform_core.numerics.arrays import extent
 from meshdeform_core.wording import listed
 
 from .colours import Choice
-from .comparison import Pair, worst_cells
-from .overview import overview
+from .overview import Pair, overview, worst_cells
 from .page import Page, Panel
 from .scene import Scene, cut_scene, index_scene, surface_scene, whole_scene
 from .subject import Subject, quads_of, worst_cell
@@ -173,7 +172,9 @@ def picture(subject: Subject, options: PlotOptions, title: str = "") -> Page:
         panels = [dataclasses.replace(panel, under=dataclasses.replace(old, colour=_GREY))]
     elif old is not None and options.before:
         panels = [Panel(old, panel.window, "before"), dataclasses.replace(panel, title="after")]
-    return dataclasses.replace(Page.of(panels, choice, title), scale=choice.scale(*(each.facets for each in scenes)))
+    return dataclasses.replace(
+        Page.of(panels, choice, title), scale=choice.scale(*(each.facets.values for each in scenes))
+    )
 
 
 def _scene(subject: Subject, options: PlotOptions) -> Scene:

@@ -1,4 +1,4 @@
-"""Scenes: what is drawn of a grid, seen from where; planes of a grid, cuts through it, its outside."""
+"""What is drawn of a grid, seen from where: polygons with values for their colours, and lines."""
 
 from __future__ import annotations
 
@@ -7,17 +7,244 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from meshdeform_core.grid import FloatArray, IntArray
+from meshdeform_core.errors import CaseError
+from meshdeform_core.grid import BoolArray, FloatArray, Grid, IntArray, Side
 from meshdeform_core.grid.faces.roles import Role
 from meshdeform_core.grid.faces.surfaces import Surface
 from meshdeform_core.grid.planes import Plane
+from meshdeform_core.grid.topology import Topology, side_nodes
+from meshdeform_core.parallel import alike, for_rows, of_all, rows_of
 
-from .facets import Facets, block_outlines, cut_facets, plane_facets, plane_outlines, surface_facets
 from .subject import Subject
 from .view import View, facing, spread, towards
 
 
-def _no_edges() -> FloatArray:
+@dataclass(frozen=True)
+class Facets:
+    """Polygons: corners (n, m, 3), values (n,), whether each belongs to an invalid cell (n,), and its group.
+
+    Polygons with fewer than m corners repeat the last one. Groups are numbers of blocks or of surfaces.
+    """
+
+    corners: FloatArray
+    values: FloatArray
+    bad: BoolArray
+    group: IntArray
+
+    @classmethod
+    def plain(cls, corners: FloatArray, group: int = 0) -> Facets:
+        """Polygons without values."""
+        n = len(corners)
+        return cls(corners, np.full(n, np.nan), np.zeros(n, dtype=bool), np.full(n, group))
+
+    def where(self, mask: BoolArray) -> Facets:
+        """Some of them."""
+        return Facets(self.corners[mask], self.values[mask], self.bad[mask], self.group[mask])
+
+    def __len__(self) -> int:
+        return len(self.corners)
+
+
+def stacked(parts: Sequence[FloatArray]) -> FloatArray:
+    """Corners (n, m, 3) of several sets of polygons as one; those with fewer repeat the last one."""
+    most = max(part.shape[1] for part in parts)
+    return np.concatenate([np.pad(p, ((0, 0), (0, most - p.shape[1]), (0, 0)), mode="edge") for p in parts])
+
+
+def joined(parts: Sequence[Facets]) -> Facets:
+    """Several sets of polygons as one."""
+    rest = (np.concatenate([getattr(part, name) for part in parts]) for name in ("values", "bad", "group"))
+    return Facets(stacked([part.corners for part in parts]), *rest)
+
+
+def quads_of(x: FloatArray) -> FloatArray:
+    """The quads (n, 4, 3) of a layer of nodes (na, nb, 3)."""
+    return np.stack([x[:-1, :-1], x[1:, :-1], x[1:, 1:], x[:-1, 1:]], axis=2).reshape(-1, 4, 3)
+
+
+def plane_facets(
+    subject: Subject, axis: int, index: int | None, metric: str, blocks: Sequence[int] | None = None
+) -> Facets:
+    """The cells at the index plane ``index`` (0-based node, ``None``: the middle) along ``axis`` of ``blocks``.
+
+    Blocks that do not extend to the index are omitted; a 2-D grid is drawn completely.
+    """
+    planes = _planes(subject.grid, axis, index, blocks)
+    if not planes:
+        longest = max(shape[axis] for shape in subject.grid.shapes)
+        raise CaseError(f"no block has a node plane {'ijk'[axis]} = {(index or 0) + 1}; the largest is {longest}")
+    return joined([block_facets(subject, *plane, metric) for plane in planes])
+
+
+def plane_outlines(subject: Subject, axis: int, index: int | None, blocks: Sequence[int] | None = None) -> FloatArray:
+    """Edges (n, 2, 3) of the blocks in an index plane."""
+    layers = [_layer(subject.grid, *plane) for plane in _planes(subject.grid, axis, index, blocks)]
+    return np.concatenate([_outline(x, np.ones((x.shape[0] - 1, x.shape[1] - 1), dtype=bool)) for x in layers])
+
+
+def _planes(grid: Grid, axis: int, index: int | None, blocks: Sequence[int] | None) -> list[tuple[int, int, int]]:
+    """Block, axis and index of the planes of nodes of blocks."""
+    found = []
+    for block in range(grid.n_blocks) if blocks is None else blocks:
+        shape = grid.shapes[block]
+        along = shape.index(1) if grid.dimension == 2 else axis
+        at = (shape[along] - 1) // 2 if index is None or grid.dimension == 2 else index
+        if at < shape[along]:
+            found.append((block, along, at))
+    return found
+
+
+def block_facets(subject: Subject, block: int, axis: int, index: int, metric: str) -> Facets:
+    """The cells behind the node plane ``index`` (0-based) along ``axis`` of one block."""
+    layer = min(index, subject.grid.cell_shapes[block][axis] - 1)
+    quads = quads_of(_layer(subject.grid, block, axis, index))
+    return _facets(subject, block, axis, layer, quads, metric, block)
+
+
+def _layer(grid: Grid, block: int, axis: int, index: int) -> FloatArray:
+    """The nodes (na, nb, 3) of a plane of a block."""
+    window = [slice(index, index + 1) if a == axis else slice(0, n) for a, n in enumerate(grid.shapes[block])]
+    return grid.few(block, window).squeeze(axis=axis)
+
+
+def _facets(subject: Subject, block: int, axis: int, layer: int, quads: FloatArray, metric: str, group: int) -> Facets:
+    """Quads (n, 4, 3) with the values of the cells of a layer of a block."""
+    i, j, k = (slice(layer, layer + 1) if a == axis else whole for a, whole in enumerate(subject.whole(block)))
+    cells = i, j, k
+    with subject.ready(metric):
+        look = subject.of_all(lambda own: subject.shown(metric, block, own), block, cells) if metric else None
+        bad = subject.of_all(lambda own: subject.bad(block, own), block, cells)
+    values = np.full(len(quads), np.nan) if look is None else look.ravel()
+    return Facets(quads, values, bad.ravel(), np.full(len(quads), group))
+
+
+def surface_facets(subject: Subject, quads: IntArray, metric: str = "") -> Facets:
+    """Face quads of a 3-D grid, with the value of the cell behind each; without ``metric`` only their shape."""
+    topology, parts = subject.topology, []
+    for block_side, some in topology.quads.by_side(quads):
+        block, side = block_side // 6, Side(block_side % 6)
+        local = some - topology.quads.start[block, side]
+        corners = quads_of(subject.grid.points[side_nodes(subject.grid, block, side)])
+        if metric:
+            layer = side.layer(subject.grid.cell_shapes[block])
+            parts.append(_facets(subject, block, side.axis, layer, corners, metric, 0).where(local))
+        else:
+            parts.append(Facets.plain(corners[local]))
+    return joined(parts)
+
+
+def cut_facets(subject: Subject, plane: Plane, metric: str) -> Facets:
+    """The cells of all blocks of a 3-D grid where a plane in space cuts them, as polygons.
+
+    Raises
+    ------
+    CaseError
+        When the plane misses the grid.
+    """
+    grid = subject.grid
+    level, lows, highs = _levels(grid, plane)
+    low, high = float(lows.min()), float(highs.max())
+    tiny = 1e-9 * subject.size
+    if low > tiny or high < -tiny:
+        raise CaseError(f"the plane misses the grid, which lies {min(abs(low), abs(high)):.4g} away from it")
+    # A plane along faces of cells is shifted slightly into the cells.
+    shift = -tiny if high <= 2 * tiny else tiny
+    touched = np.flatnonzero((lows - shift <= 0) & (highs - shift > 0))
+    with subject.ready(metric):
+        own = [_cut_block(subject, block, level, shift, metric) for block in touched.tolist()]
+    return joined([Facets.plain(np.empty((0, 6, 3))), *(part for found in of_all(grid.points, own) for part in found)])
+
+
+def _levels(grid: Grid, plane: Plane) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Distances (n_nodes, 1) from a plane, as far as this rank holds cells; the smallest and largest of each block."""
+    level = alike(grid.points, 1)
+    own = rows_of(level)
+
+    def fill(rows: slice) -> None:
+        away = grid.points[rows] - plane.point
+        own[rows, 0] = away[:, 0] * plane.normal[0] + away[:, 1] * plane.normal[1] + away[:, 2] * plane.normal[2]
+
+    for_rows(fill, level)
+    grid.hold_neighbours(level)
+    ends = np.full((2, grid.n_blocks), [[np.inf], [-np.inf]])
+    for block in range(grid.n_blocks):
+        values = grid.in_planes(block, level)
+        if values.size:
+            ends[:, block] = values.min(), values.max()
+    lows, highs = zip(*of_all(grid.points, ends), strict=True)
+    return level, np.min(lows, axis=0), np.max(highs, axis=0)
+
+
+def _cut_block(subject: Subject, block: int, level: FloatArray, shift: float, metric: str) -> Facets:
+    """The cells of this rank."""
+    cells = subject.own(block, subject.whole(block))
+    if cells[0].start == cells[0].stop:
+        return Facets.plain(np.empty((0, 6, 3)), block)
+    nodes = [slice(each.start, each.stop + 1) for each in cells]
+    x, value = subject.grid.box(block, nodes), subject.grid.box(block, nodes, level)[..., 0] - shift
+    corner = [np.s_[a : a - 1 or None, b : b - 1 or None, c : c - 1 or None] for a, b, c in np.ndindex(2, 2, 2)]
+    above = np.sum([value[each] > 0 for each in corner], axis=0)
+    at = np.nonzero((above > 0) & (above < 8))
+    if at[0].size == 0:
+        return Facets.plain(np.empty((0, 6, 3)), block)
+    values = np.stack([value[each][at] for each in corner], axis=1)
+    points = np.stack([x[each][at] for each in corner], axis=1)
+    polygons = _polygons(points, values)
+    return Facets(
+        polygons,
+        subject.shown(metric, block, cells)[at] if metric else np.full(len(polygons), np.nan),
+        subject.bad(block, cells)[at],
+        np.full(len(polygons), block),
+    )
+
+
+# The twelve edges of a cell, between corners 4 a + 2 b + c.
+_EDGES = np.array([(n, n + step) for step in (1, 2, 4) for n in range(8) if not n & step])
+
+
+def _polygons(points: FloatArray, values: FloatArray) -> FloatArray:
+    """Sections of cells (n, 8, 3) with signed distances (n, 8) to a plane: corners (n, 6, 3), in cyclic order."""
+    one, two = values[:, _EDGES[:, 0]], values[:, _EDGES[:, 1]]
+    cut = (one > 0) != (two > 0)
+    share = np.where(cut, one / np.where(cut, one - two, 1.0), 0.0)
+    at = points[:, _EDGES[:, 0]] + share[..., None] * (points[:, _EDGES[:, 1]] - points[:, _EDGES[:, 0]])
+    center = (at * cut[..., None]).sum(axis=1) / cut.sum(axis=1)[:, None]
+    arms = at - center[:, None]
+    # Angles about the centre within the plane: axes from the first arm and the direction of steepest ascent.
+    first = np.take_along_axis(arms, np.argmax(cut, axis=1)[:, None, None], axis=1)[:, 0]
+    rise = np.einsum("ne,nex->nx", values[:, _EDGES[:, 1]] - values[:, _EDGES[:, 0]],
+                     points[:, _EDGES[:, 1]] - points[:, _EDGES[:, 0]])  # fmt: skip
+    second = np.cross(rise, first)
+    angle = np.arctan2(np.einsum("nex,nx->ne", arms, second) * np.linalg.norm(first, axis=1)[:, None],
+                       np.einsum("nex,nx->ne", arms, first) * np.linalg.norm(second, axis=1)[:, None])  # fmt: skip
+    order = np.argsort(np.where(cut, angle, np.inf), axis=1)[:, :6]
+    count = np.minimum(cut.sum(axis=1), 6)
+    last = np.minimum(np.arange(6)[None, :], count[:, None] - 1)
+    return np.asarray(np.take_along_axis(at, np.take_along_axis(order, last, axis=1)[..., None], axis=1))
+
+
+def block_outlines(grid: Grid, topology: Topology, quads: IntArray) -> FloatArray:
+    """Edges (n, 2, 3) of face quads along which blocks or their sides end."""
+    parts = []
+    for block_side, some in topology.quads.by_side(quads):
+        block, side = block_side // 6, Side(block_side % 6)
+        mask = np.zeros(tuple(topology.quads.counts[block, side]), dtype=bool)
+        mask.ravel()[some - topology.quads.start[block, side]] = True
+        parts.append(_outline(grid.points[side_nodes(grid, block, side)], mask))
+    return np.concatenate(parts) if parts else np.empty((0, 2, 3))
+
+
+def _outline(x: FloatArray, mask: BoolArray) -> FloatArray:
+    """Edges (n, 2, 3) between marked and other quads of a layer of nodes."""
+    padded = np.pad(mask, 1)
+    across = np.nonzero(padded[1:, 1:-1] != padded[:-1, 1:-1])
+    along = np.nonzero(padded[1:-1, 1:] != padded[1:-1, :-1])
+    ends = [(x[across], x[across[0], across[1] + 1]), (x[along], x[along[0] + 1, along[1]])]
+    return np.concatenate([np.stack(each, axis=1) for each in ends])
+
+
+def no_edges() -> FloatArray:
+    """Edges (0, 2, 3)."""
     return np.empty((0, 2, 3))
 
 
@@ -36,8 +263,8 @@ class Scene:
 
     facets: Facets
     view: View
-    outlines: FloatArray = field(default_factory=_no_edges)
-    walls: FloatArray = field(default_factory=_no_edges)
+    outlines: FloatArray = field(default_factory=no_edges)
+    walls: FloatArray = field(default_factory=no_edges)
     lit: bool = False
     backdrop: Facets | None = None
     colour: tuple[float, float, float] | None = None

@@ -13,20 +13,11 @@ from meshdeform_core.deform import Result, Setup
 from meshdeform_core.grid import FloatArray, Grid
 from meshdeform_core.parallel import ranks_of
 
-from ..picture import (
-    Choice,
-    Page,
-    Pair,
-    Subject,
-    apart,
-    moved_walls,
-    page_png,
-    plane_around,
-    quality_planes,
-    worst_cell,
-    worst_cells,
-)
-from .figures import Figure, Illustrations
+from ..picture.colours import Choice
+from ..picture.overview import Pair, apart, moved_walls, plane_around, quality_planes, worst_cells
+from ..picture.page import Page, page_png
+from ..picture.subject import Subject, worst_cell
+from .tables import Figure, Illustrations
 
 
 def deformation_figures(result: Result) -> Illustrations:

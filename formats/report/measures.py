@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.resources import files
 from typing import Any
 
 _MEASURES: tuple[tuple[str, tuple[str, ...], bool], ...] = (
@@ -107,7 +109,15 @@ def place_text(worst: Mapping[str, Any]) -> str:
     return f"{worst['block']} ({', '.join(map(str, worst['ijk']))})"
 
 
-def quality_schema() -> dict[str, Any]:
+def report_schema() -> dict[str, Any]:
+    """The schema (draft 2020-12) of the output of ``--report FILE.json``, as data."""
+    text = files(__package__).joinpath("report.schema.json").read_text(encoding="utf-8")
+    schema: dict[str, Any] = json.loads(text)
+    schema["$defs"]["quality"] = _quality_schema()
+    return schema
+
+
+def _quality_schema() -> dict[str, Any]:
     """The JSON schema of the quality of one grid, from the table of measures."""
     properties: dict[str, Any] = {}
     of_walls: dict[str, Any] = {}

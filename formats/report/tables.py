@@ -1,16 +1,61 @@
-"""Tables that reports show as Markdown and on pages."""
+"""What reports in several forms have in common: tables, sentences on repairs, advice on warnings, pictures."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import PurePath
 from typing import Any
 from urllib.parse import quote
 
+from meshdeform_core.wording import counted
+
 from .measures import measure_rows
 from .records import Report
-from .series_text import acceleration_of, repaired
+
+ACCELERATION = "largest acceleration of a node, in the largest step of the walls; 2 where they turn back"
+_LAYERS = (("first cell", "first_cell_height_ratio"), ("first cells together", "layer_thickness_ratio"))
+_WEAK = "weak: sheared by more than 45 degrees, or twice or half as long in one direction"
+REMEDIES = (
+    (
+        "not selected by any boundary entry; they are fixed",
+        "If some of them are planes on which nodes should slide, add a boundary entry for them with "
+        'kind = "slip" or "symmetry"; if they are the far field, no action is needed.',
+    ),
+    (
+        "the grid is one cell thick",
+        "No action is needed if this is a two-dimensional case; otherwise add a boundary entry for the end planes.",
+    ),
+    (
+        "nothing moves",
+        "Check the motion in the case: a formula that is zero at this time (--time), a table with zero "
+        "displacements, or an angle of 0.",
+    ),
+    (
+        "of the motion was imposed; a further step",
+        "The report's invalid cells are those of the next step. Another method, a slip plane instead of a fixed one, "
+        "or more space beside the wall allows a larger motion.",
+    ),
+    (
+        "out of a slip or symmetry plane",
+        "Give the plane itself a motion, or check the axis and the components of the motion.",
+    ),
+    (
+        "face quads are shared by more than two blocks",
+        "Such faces cannot be interfaces; check the grid generator's export for duplicate blocks.",
+    ),
+    (
+        "node pairs do not coincide",
+        "If the gap is round-off of the file, raise grid.tolerance (a fraction of the local edge); otherwise the "
+        "connection in the file is wrong.",
+    ),
+    (
+        "but no connection declares them",
+        "No action is needed if the blocks belong together. For a thin plate whose two sides coincide, name one "
+        "side in the case: [grid] plates.",
+    ),
+)
+"""Words of warnings that do not say what to do, and what to do."""
 
 
 @dataclass(frozen=True)
@@ -119,3 +164,105 @@ def levels_table(report: Report, folder: str = "") -> Table:
 def level_link(folder: str, name: str) -> str:
     """A file in ``folder`` as the address of a link."""
     return quote(PurePath(folder, name).as_posix())
+
+
+def acceleration_of(level: Report) -> float | None:
+    """The largest acceleration of a node in steps of the walls; ``None`` where earlier levels are missing."""
+    found: float | None = (level.get("smoothness") or {}).get("acceleration")
+    return found
+
+
+def repaired(level: Report) -> str:
+    """Whether nodes were moved by a repair: ``yes`` to its minimum, ``other`` elsewhere, ``no`` if it was left out."""
+    repair = level.get("repair")
+    if not repair:
+        return ""
+    if repair["left_out"]:
+        return "no"
+    return "yes" if repair["converged"] else "other"
+
+
+def repair_sentence(report: Report) -> str:
+    """All of :func:`repair_lines` in one sentence."""
+    return "; ".join(repair_lines(report))
+
+
+def repair_lines(report: Report) -> list[str]:
+    """How many cells were repaired, how far nodes moved, and measures of the method's grid beside those of the repaired
+    one; empty without a repair."""
+    done = report.get("repair")
+    if not done:
+        return []
+    if done["left_out"]:
+        return [f"not repaired: {done['left_out']}"]
+    counts = [f"{done[kind]:,} {kind}" for kind in ("invalid", "weak") if done[kind]]
+    cells = f"{' and '.join(counts) or 'no bad'} {'cell' if done['invalid'] + done['weak'] == 1 else 'cells'}"
+    left = report.get("quality", {}).get("after", {}).get("invalid_cells", 0)
+    what = f"not repaired: {counted(left, 'cell')} of {cells} stay invalid" if left else f"{cells} repaired"
+    largest = report.get("boundary", {}).get("max_displacement")
+    part = f" ({done['max_movement'] / largest:.2g} of the largest displacement)" if largest else ""
+    moved = (
+        f"{what}, {counted(done['nodes'], 'node')} moved by up to {done['max_movement']:.4g}{part}, "
+        f"{counted(done['newton_steps'], 'Newton step')}"
+    )
+    found = [moved, *_compared(report), *([_WEAK] if done["weak"] else [])]
+    changes = report.get("repaired_layers") or {}
+    return [*found, *(_layer_text(name, change) for name, change in changes.items() if change)]
+
+
+def _compared(report: Report) -> list[str]:
+    """Measures of the method's grid and of the repaired one."""
+    before, after = report["repair"]["before"], report.get("quality", {}).get("after")
+    if not before or not after:
+        return []
+    found = [f"smallest scaled Jacobian {before['min_scaled_jacobian']:.3g} -> {after['min_scaled_jacobian']:.3g}"]
+    found.append(f"smallest f_skew {before['f_skew']['min']:.3g} -> {after['f_skew']['min']:.3g}")
+    key = "wall_normal_deviation_deg"
+    if before[key] and after[key]:
+        found.append(f"angle at walls {before[key]['rms']:.3g} -> {after[key]['rms']:.3g} degrees rms")
+    if before["invalid_cells"]:
+        found.append(f"invalid cells {before['invalid_cells']:,} -> {after['invalid_cells']:,}")
+    return [f"the method alone -> repaired: {', '.join(found)}"]
+
+
+def _layer_text(name: str, change: Report) -> str:
+    walls = f"of the {change['lines']:,} grid lines that begin at {name} walls"
+    if not change["changed"]:
+        return f"none {walls} changed by more than 1% in its first cells"
+    ranges = [(what, change[key]) for what, key in _LAYERS if change[key]]
+    heights = ", ".join(f"{what} {ratio['min']:.3g}..{ratio['max']:.3g}" for what, ratio in ranges)
+    return (
+        f"{change['changed']:,} {walls} changed by more than 1% there (height over that by the method alone: {heights})"
+    )
+
+
+def remedy_of(warning: str) -> str:
+    """Advice for a warning; empty if the warning itself contains it."""
+    return next((advice for words, advice in REMEDIES if words in warning), "")
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A picture, or the same view before and after (both PNG, of one size).
+
+    ``names`` label the two; ``caption`` describes the picture, also for readers who cannot see it. Only a pair in the
+    same window can have a ``slider``; others are shown side by side.
+    """
+
+    title: str
+    caption: str
+    after: bytes
+    before: bytes | None = None
+    slider: bool = True
+    names: tuple[str, str] = ("before", "after")
+
+
+@dataclass(frozen=True)
+class Illustrations:
+    """Pictures of one deformation, and thumbnails of the levels of a series with the files that they link to."""
+
+    figures: tuple[Figure, ...] = ()
+    thumbnails: tuple[tuple[Figure, str], ...] = ()
+
+
+Illustrate = Callable[[], Illustrations]

@@ -1,4 +1,4 @@
-"""Reports as plain text."""
+"""Reports as plain text, and as GitHub-flavoured Markdown that is short enough for the summary of a CI run."""
 
 from __future__ import annotations
 
@@ -9,12 +9,27 @@ from meshdeform_core.wording import counted
 
 from .measures import measure_rows, place_text
 from .records import Report
-from .repaired import repair_lines
-from .series_text import series_lines
-from .tables import component_verdict, is_alone, number
+from .tables import (
+    ACCELERATION,
+    Table,
+    acceleration_of,
+    component_verdict,
+    components_table,
+    is_alone,
+    levels_table,
+    measures_table,
+    number,
+    remedy_of,
+    repair_lines,
+    repair_sentence,
+    repaired,
+)
 
 _LISTED = 20
 _ALONG = 0.9994
+_GROUPS = 10
+"""Groups of invalid cells that the Markdown lists."""
+_ORIGINS = {"reference": "undeformed grid", "last": "previous level (marching)"}
 _SHAPE_NAMES = {"non_orthogonality_deg": "non-orthogonality [deg]"}
 
 
@@ -39,7 +54,7 @@ def _lines(report: Report, parameters: bool) -> Iterator[str]:
         yield from _motion(report.get("motion", []))
     yield from _components(report)
     if "levels" in report:
-        yield from series_lines(report)
+        yield from _levels(report)
     elif "quality" in report:
         yield from _quality(report)
         yield from _repair(report)
@@ -197,3 +212,102 @@ def _shape(shape: Report, alone: bool) -> Iterator[str]:
         label = f"largest {_SHAPE_NAMES.get(name, name.replace('_', ' '))}"
         columns = "".join(f" {number(v['max']) if v else '':>14s}" for v in values)
         yield f"{'':9s} {label:34s}{columns}  at {place_text(after['worst'])}"
+
+
+def _levels(report: Report) -> Iterator[str]:
+    """The levels of a series as lines of a table."""
+    series, levels = report["series"], report["levels"]
+    before = report["quality"]["before"]["f_skew"]
+    yield f"series    {series['levels']} levels, each from the {_ORIGINS[series['origin']]}"
+    if series["view"]:
+        yield f"          open {series['view']} in ParaView"
+    yield f"          f_skew of the undeformed grid: mean {before['harmonic_mean']:.4f}, minimum {before['min']:.4f}"
+    yield (
+        f"level     {'time':>12s} {'moved':>10s} {'turned':>8s} {'f_skew':>7s} {'min':>7s} {'invalid':>8s}"
+        f" {'accel.':>8s} {'repaired':>8s} {'drift':>9s} {'prepare':>8s} {'apply':>8s} {'total s':>8s}"
+    )
+    for level in levels:
+        skew, drift, timing = level["quality"]["f_skew"], level["drift"], level["timing"]
+        shown = f"{drift['max']:9.2e}" if drift else f"{'':9s}"
+        found = acceleration_of(level)
+        acceleration = "" if found is None else f"{found:8.3f}"
+        yield (
+            f"{level['number']:5d}     {level['time']:12.6g} {level['max_displacement']:10.4g} "
+            f"{level['max_rotation_deg']:7.2f}° {skew['harmonic_mean']:7.4f} {skew['min']:7.4f} "
+            f"{level['quality']['invalid_cells']:8,} {acceleration:>8s} {repaired(level):>8s} {shown} "
+            f"{timing.get('prepare', 0.0):8.2f} {timing.get('apply', 0.0):8.2f} {timing['total']:8.2f}"
+        )
+    if any(acceleration_of(level) is not None for level in levels):
+        yield f"accel.    {ACCELERATION}"
+    if series["drift"]:
+        yield (
+            f"drift     {series['drift']['max']:.3g} at most, {series['drift']['rms']:.3g} rms: distance of the last "
+            f"level from the grid made from the undeformed one"
+        )
+
+
+def as_markdown(report: Report) -> str:
+    """Verdict, measures or levels, warnings, command."""
+    return "\n".join(_markdown(report)) + "\n"
+
+
+def _markdown(report: Report) -> Iterator[str]:
+    grid = report["grid"]
+    yield f"## {'✅' if report['valid'] else '❌'} {_escaped(grid['file'] or 'grid')}: {_headline(report)}"
+    yield ""
+    if done := repair_sentence(report):
+        yield f"**Repair:** {_escaped(done)}."
+        yield ""
+    yield f"{grid['dimension']}-D, {counted(grid['blocks'], 'block')}, {grid['nodes']:,} nodes, {grid['cells']:,} cells"
+    if report.get("components"):
+        yield from _table(components_table(report))
+    if "levels" in report:
+        yield from _table(levels_table(report))
+    else:
+        if report["invalid_groups"]:
+            yield from _table(_groups_table(report))
+        yield from _table(measures_table(report))
+    if report["warnings"]:
+        yield from ("", "### Warnings", "")
+        for warning in report["warnings"]:
+            advice = remedy_of(warning)
+            yield f"- {_escaped(warning)}{f'<br>{_escaped(advice)}' if advice else ''}"
+    if report.get("run"):
+        yield from ("", "```sh", report["run"]["command"], "```")
+    if "timing" in report:
+        yield from ("", f"{report['timing']['total']:.1f} s, meshdeform {report['meshdeform']}")
+
+
+def _headline(report: Report) -> str:
+    if report["valid"]:
+        return "valid"
+    if "levels" in report:
+        bad = sum(not level["valid"] for level in report["levels"])
+        return f"{bad} of {len(report['levels'])} levels are not valid"
+    if report.get("reached", 1.0) < 1.0:
+        return f"only {report['reached']:.1%} of the motion imposed"
+    return f"{report['quality']['after']['invalid_cells']:,} cells became invalid"
+
+
+def _groups_table(report: Report) -> Table:
+    rows = [
+        (group["cells"], ", ".join(group["blocks"][:4]), group["nearest_patch"],
+         " ".join(f"{x:.4g}" for x in group["center"]), f"{group['block']} {tuple(group['ijk'])}")
+        for group in report["invalid_groups"][:_GROUPS]
+    ]  # fmt: skip
+    return Table("", ("invalid cells", "blocks", "near", "around", "worst"), rows, range(5))
+
+
+def _table(table: Table) -> Iterator[str]:
+    yield ""
+    yield f"| {' | '.join(table.heads)} |"
+    yield f"|{'|'.join('---' if n in table.texts else '---:' for n in range(len(table.heads)))}|"
+    for row in table.rows:
+        yield f"| {' | '.join(_escaped(number(cell)) for cell in row)} |"
+
+
+def _escaped(text: str) -> str:
+    """Text escaped for Markdown."""
+    for sign in "\\`*_|<>":
+        text = text.replace(sign, f"\\{sign}")
+    return text

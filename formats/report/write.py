@@ -18,8 +18,8 @@ from meshdeform_core.parallel import thread_count
 from ..files import replacing
 from ..inputs import digest, files_of, size
 from ..text import json_text
-from .figures import Illustrate, Illustrations
 from .records import Report
+from .tables import Illustrate, Illustrations
 
 SUFFIXES = (".json", ".txt", ".html", ".md")
 _LIBRARIES = ("numpy", "scipy", "numba")
@@ -47,7 +47,7 @@ def _render(report: Report, path: Path, illustrate: Illustrate) -> str:
 
         return as_text(report)
     if path.suffix == ".md":
-        from .markdown import as_markdown
+        from .text import as_markdown
 
         return as_markdown(report)
     from .page import as_html

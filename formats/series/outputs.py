@@ -1,27 +1,40 @@
-"""The files of a series: what they have in common, and one grid file per level with an index."""
+"""The files of a series: what they have in common, and one grid file per level with an index for ParaView.
+
+======================  ========================  ==============================================
+levels                  index                     read by
+======================  ========================  ==============================================
+``.vts .vtm .vtu``      ``NAME.pvd``              ParaView's collection reader
+``.vtk .cgns``          ``NAME.vtk.series`` ...   ParaView's file series readers (5.5 and later)
+Plot3D                  ``NAME.series.p3d``       VTK's Plot3D meta file reader
+======================  ========================  ==============================================
+"""
 
 from __future__ import annotations
 
 import abc
 import dataclasses
+import json
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import Field, FloatArray, Grid
+from meshdeform_core.grid import Field, FileFormat, FloatArray, Grid
 from meshdeform_core.parallel import ranks_of
 from meshdeform_core.velocity import FLUX, SWEPT
 
 from ..fields import WITH_FIELDS
-from ..files import invalid_path, remove_partial
+from ..files import invalid_path, remove_partial, replacing
 from ..grids import FORMATS, format_of, read_grid, variant_of, write_grid
 from ..placing import bytes_at, least_bytes, velocity_bytes
-from .index import index_path, write_index
+from ..plot3d.variant import Variant
 
 VELOCITY = "GridVelocity"
 _WITH_FACES = (*FORMATS["vtk"].suffixes, *FORMATS["cgns"].suffixes)
+_COLLECTION = (".vts", ".vtm", ".vtu")
+_SERIES = (".vtk", *FORMATS["cgns"].suffixes)
 
 
 class SeriesFiles(abc.ABC):
@@ -218,3 +231,50 @@ class LevelFiles(SeriesFiles):
             for piece in folder.glob(f"{index.stem}_*.vts"):
                 piece.unlink()
             folder.rmdir()
+
+
+def index_path(folder: Path, stem: str, suffix: str) -> Path | None:
+    """Path of the index of levels with this suffix; ``None`` for formats without one."""
+    if suffix in _COLLECTION:
+        return folder / f"{stem}.pvd"
+    if suffix in _SERIES:
+        return folder / f"{stem}{suffix}.series"
+    if suffix in FORMATS["plot3d"].suffixes:
+        return folder / f"{stem}.series.p3d"
+    return None
+
+
+def write_index(path: Path, levels: Sequence[tuple[float, str]], variant: FileFormat) -> None:
+    """Write the index of levels, given as time and file name in the same folder, replacing it as a whole.
+
+    ``variant`` is that of the levels: Plot3D files do not declare how to read them.
+    """
+    if path.suffix == ".pvd":
+        root = ElementTree.Element("VTKFile", type="Collection", version="0.1")
+        collection = ElementTree.SubElement(root, "Collection")
+        for time, name in levels:
+            ElementTree.SubElement(collection, "DataSet", timestep=repr(time), group="", part="0", file=name)
+        ElementTree.indent(root)
+        text = ElementTree.tostring(root, encoding="unicode", xml_declaration=True)
+    elif path.suffix == ".p3d":
+        names = [{"time": time, "xyz": name} for time, name in levels]
+        text = json.dumps({**_plot3d_switches(variant), "filenames": names}, indent=1)
+    else:
+        files = [{"name": name, "time": time} for time, name in levels]
+        text = json.dumps({"file-series-version": "1.0", "files": files}, indent=1)
+    with replacing(path) as partial:
+        partial.write_text(text + "\n", encoding="utf-8")
+
+
+def _plot3d_switches(variant: FileFormat) -> dict[str, object]:
+    plot3d = Variant.of(variant)
+    return {
+        "auto-detect-format": False,
+        "format": "ascii" if plot3d.encoding == "ascii" else "binary",
+        "byte-order": plot3d.byte_order or "little",
+        "precision": 32 if plot3d.precision == "float32" else 64,
+        "multi-grid": plot3d.multiblock,
+        "language": "fortran" if plot3d.encoding == "fortran" else "C",
+        "blanking": plot3d.iblank,
+        "2D": plot3d.dimension == 2,
+    }

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from meshdeform_formats.files import replacing
-from meshdeform_formats.picture import STYLE
+from meshdeform_formats.picture.page import STYLE
 
 from .small_png import save_small
 

@@ -11,7 +11,10 @@ import numpy as np
 from meshdeform_core.deform import Setup
 from meshdeform_core.grid import FloatArray, Grid
 from meshdeform_formats.files import replacing
-from meshdeform_formats.picture import STYLE, Facets, Subject, Window, along, block_facets, draw, joined
+from meshdeform_formats.picture.page import STYLE, draw
+from meshdeform_formats.picture.scene import Facets, block_facets, joined
+from meshdeform_formats.picture.subject import Subject
+from meshdeform_formats.picture.view import Window, along
 
 from .experiment import Outcome, Trial
 from .small_png import save_small

@@ -15,7 +15,7 @@ from meshdeform_core.grid import Field, Grid, Patch, Side, Window
 from meshdeform_formats.case import case_of, read_case
 from meshdeform_formats.grids import read_grid, write_grid
 from meshdeform_formats.joined import grid_of_case, join
-from meshdeform_formats.report.schema import report_schema
+from meshdeform_formats.report.measures import report_schema
 
 LINE = np.linspace(-5.0, 5.0, 9)
 BACKGROUND = Grid.from_blocks([block_around(LINE, LINE, np.linspace(0, 1, 3))])

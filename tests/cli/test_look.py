@@ -11,7 +11,7 @@ from PIL import Image
 
 from meshdeform_core.methods import ALIASES, CATALOGUE
 from meshdeform_formats import read_grid, write_grid
-from meshdeform_formats.series.levels import open_levels
+from meshdeform_formats.series.manifest import open_levels
 from meshdeform_samples import SAMPLES
 
 # info

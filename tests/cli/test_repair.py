@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from meshdeform_formats import read_grid
-from meshdeform_formats.report.schema import report_schema
+from meshdeform_formats.report.measures import report_schema
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from meshdeform_core.errors import FormatError, MotionError
 from meshdeform_core.series import _Series
 from meshdeform_formats.series.manifest import Manifest
 from meshdeform_formats.series.outputs import LevelFiles
-from meshdeform_formats.series.single import SingleFile
+from meshdeform_formats.series.shared import SingleFile
 
 CASE = """\
 [[boundary]]

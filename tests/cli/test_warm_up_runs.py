@@ -25,7 +25,8 @@ from meshdeform_core.repair.derivative import derivative_of_repair
 from meshdeform_core.series import Schedule, deform_series
 from meshdeform_formats.case import case_of
 from meshdeform_formats.fields import ALL, with_fields
-from meshdeform_formats.picture import Pair, page_png, quality_planes
+from meshdeform_formats.picture.overview import Pair, quality_planes
+from meshdeform_formats.picture.page import page_png
 from meshdeform_samples import case_content, generate
 
 _FAST_IDW, _FAST_RBF = IDW(summation="fast"), RBF(summation="fast", solver="krylov")

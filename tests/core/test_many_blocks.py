@@ -37,7 +37,7 @@ from meshdeform_core.quality.measures import lines as lines_module
 from meshdeform_core.quality.measures.cells import block_volumes
 from meshdeform_core.quality.measures.lines import interface_lines, kink_and_jump
 from meshdeform_core.quality.verdict import original
-from meshdeform_formats.picture.comparison import Pair
+from meshdeform_formats.picture.overview import Pair
 from meshdeform_formats.text import json_text
 
 

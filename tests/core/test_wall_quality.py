@@ -13,8 +13,8 @@ from meshdeform_core.grid import Grid
 from meshdeform_core.methods import Options
 from meshdeform_core.quality.measures.lines import LAYERS
 from meshdeform_core.quality.walls import layer_changes
-from meshdeform_formats.report import deformation_report
-from meshdeform_formats.report.schema import report_schema
+from meshdeform_formats.report.measures import report_schema
+from meshdeform_formats.report.records import deformation_report
 from meshdeform_formats.report.text import as_text
 
 

@@ -5,7 +5,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from meshdeform_formats.report.charts import curve, histogram
+from meshdeform_formats.report.page import curve, histogram
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,11 @@ from grids import frame, plate_wing, plenum, thin_layers
 from meshdeform_core.grid.faces.surfaces import find_outside
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_formats.case.template import case_template
-from meshdeform_formats.picture import Choice, Subject, overview
-from meshdeform_formats.picture.colours import colours_of
+from meshdeform_formats.picture.colours import Choice, colours_of
+from meshdeform_formats.picture.overview import overview
 from meshdeform_formats.picture.page import free_corner
 from meshdeform_formats.picture.raster import render
+from meshdeform_formats.picture.subject import Subject
 from meshdeform_samples import load
 
 

@@ -20,7 +20,7 @@ from meshdeform_core.quality.fields import CELL_MEASURES, CellFields
 from meshdeform_formats import fields
 from meshdeform_formats.fields import WITH_FIELDS, check_fields, with_fields
 from meshdeform_formats.grids import read_grid, write_grid
-from meshdeform_formats.series.single import SingleFile
+from meshdeform_formats.series.shared import SingleFile
 
 
 def moved(grid: Grid) -> CellFields:

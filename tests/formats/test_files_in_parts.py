@@ -32,10 +32,10 @@ from meshdeform_formats.case import CaseFile
 from meshdeform_formats.displacement import read_displacement
 from meshdeform_formats.fields import with_fields
 from meshdeform_formats.grids import read_grid, write_grid
-from meshdeform_formats.report import Illustrations
 from meshdeform_formats.report.illustrations import deformation_figures, level_thumbnails
+from meshdeform_formats.report.tables import Illustrations
 from meshdeform_formats.series.outputs import LevelFiles
-from meshdeform_formats.series.single import SingleFile
+from meshdeform_formats.series.shared import SingleFile
 from meshdeform_formats.vtk.dataset import DataArray
 
 TIMES = (0.0, 0.5, 2.0, 3.0)

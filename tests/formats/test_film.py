@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import shutil
 import subprocess
 
@@ -13,9 +12,9 @@ from PIL import Image
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid.topology import find_topology
-from meshdeform_formats.picture import PlotOptions, Subject
-from meshdeform_formats.picture.film import Common, film, save_film
-from meshdeform_formats.picture.request import picture
+from meshdeform_formats.picture.film import film, film_pages, save_film
+from meshdeform_formats.picture.request import PlotOptions, picture
+from meshdeform_formats.picture.subject import Subject
 
 SHIFTS = (0.0, 0.1, 0.3)
 
@@ -38,13 +37,14 @@ def pictures():
         return list(film(levels, OF_DISPLACEMENT))
 
 
-def test_common_windows_and_values_cover_all_pictures():
-    pages = [picture(subject, OF_DISPLACEMENT, title) for title, subject in levels()]
-    common = functools.reduce(Common.joined, map(Common.of, pages))
-    assert common.values == pytest.approx((0.0, 0.3 * np.sin(1.85)), abs=0.02)
-    for page in pages:
-        for panel, window in zip(page.panels, common.windows, strict=False):
-            assert panel.window.within(window) == panel.window
+def test_common_windows_and_colours_cover_all_pictures():
+    pages = list(film_pages(levels, OF_DISPLACEMENT))
+    assert {page.scale for page in pages} == {pages[0].scale}
+    assert (pages[0].scale.low, pages[0].scale.high) == pytest.approx((0.0, 0.3 * np.sin(1.85)), abs=0.02)
+    for page, (title, subject) in zip(pages, levels(), strict=True):
+        for panel, own in zip(page.panels, picture(subject, OF_DISPLACEMENT, title).panels, strict=True):
+            assert panel.window == pages[0].panels[page.panels.index(panel)].window
+            assert own.window.within(panel.window) == own.window
 
 
 def test_gif(pictures, tmp_path):

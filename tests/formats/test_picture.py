@@ -16,33 +16,22 @@ from meshdeform_core.grid.faces.roles import Role
 from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality.measures.cells import measure_block
-from meshdeform_formats.picture import (
-    Choice,
-    Facets,
-    Page,
-    Pair,
-    Panel,
-    Subject,
-    comparison,
-    cut_facets,
-    moved_walls,
-    overview,
-    page_png,
-    plane_facets,
-    quality_planes,
-    surface_facets,
-    worst_cell,
-    worst_cells,
-)
-from meshdeform_formats.picture.colours import INVALID_COLOUR, colours_of, scale_of
+from meshdeform_formats.picture.colours import INVALID_COLOUR, Choice, colours_of
+from meshdeform_formats.picture.overview import Pair, moved_walls, overview, quality_planes, telling_plane, worst_cells
+from meshdeform_formats.picture.page import Page, Panel, page_png
 from meshdeform_formats.picture.raster import render
-from meshdeform_formats.picture.scene import Scene
+from meshdeform_formats.picture.scene import Facets, Scene, cut_facets, plane_facets, surface_facets
+from meshdeform_formats.picture.subject import Subject, worst_cell
 from meshdeform_formats.picture.view import Window, along, iso, towards
 from meshdeform_samples import load
 
 
 def subject(grid, reference=None):
     return Subject(grid, find_topology(reference or grid), reference)
+
+
+def scale_of(metric, values, limits=None, logarithmic=False):
+    return Choice(metric, limits, logarithmic).scale(values)
 
 
 def area(corners):
@@ -135,7 +124,7 @@ def test_invalid_cells_have_their_own_colour_and_are_counted():
     broken = subject(grid.moved(points), grid)
     facets = plane_facets(broken, 2, 2, "f_skew")
     assert facets.bad.any()
-    colours = scale_of("f_skew", facets.values).colours(facets)
+    colours = Choice().scale(facets.values).colours(facets)
     assert (colours[facets.bad] == INVALID_COLOUR).all()
     assert not (np.abs(colours[~facets.bad] - INVALID_COLOUR).max(axis=1) < 0.05).any()
     block, cell = worst_cell(broken, "f_skew")
@@ -159,7 +148,7 @@ def test_collapsed_edges_alone_are_not_invalid():
 
 def test_ranges_follow_the_data():
     values = np.array([0.87, 0.93, 0.99])
-    assert (scale_of("f_skew", values).low, scale_of("f_skew", values).high) == (0.8, 1.0)
+    assert (Choice().scale(values).low, Choice().scale(values).high) == (0.8, 1.0)
     assert [scale_of("f_skew", 1 - spread * values).low for spread in (0.0, 0.005, 0.01, 0.05)] == [
         0.99,
         0.99,
@@ -216,7 +205,7 @@ def test_a_cell_is_shown_in_the_plane_in_which_it_folds(axis, corner):
     inwards[axis] = 0.0
     grid.block(0, points)[tuple(at)] += inwards
     pair = Pair(grid, grid.moved(points), find_topology(grid))
-    found, normal = comparison._telling_plane(pair, 0, (0, 0, 0))
+    found, normal = telling_plane(pair, 0, (0, 0, 0))
     assert found == axis
     np.testing.assert_array_equal(np.abs(normal), np.eye(3)[axis])
 
@@ -225,7 +214,7 @@ def test_a_cell_without_folds_is_shown_where_its_smallest_angle_is():
     """A kite, whose angles of 37 degrees and more lie between sides of different lengths, sheared to 30 degrees."""
     kite = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]], [[0.0, 1.0, 0.0], [0.0, 2.0, 2.0]]])
     grid = Grid.from_blocks([np.stack([kite, kite + (0.5, 0.75**0.5, 0.0)])])
-    assert comparison._telling_plane(Pair(grid, grid, find_topology(grid)), 0, (0, 0, 0))[0] == 2
+    assert telling_plane(Pair(grid, grid, find_topology(grid)), 0, (0, 0, 0))[0] == 2
 
 
 def test_pages_before_and_after_have_one_size_and_scale():

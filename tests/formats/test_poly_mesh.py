@@ -18,7 +18,7 @@ from meshdeform_core.numerics.arrays import extent
 from meshdeform_core.quality.measures.cells import block_volumes
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.openfoam.lists import write_points
-from meshdeform_formats.series.levels import is_series, open_levels
+from meshdeform_formats.series.manifest import is_series, open_levels
 
 THIRD_PARTY = (
     "717_wl_L2.cgns", "nak_a_141.cgns", "nak_a_141.p3dfmt", "cylinder_ring_4blk.x", "backstep5_4levdn.p3dbin",

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from meshdeform_formats.picture import Facets, Window, along, raster
-from meshdeform_formats.picture.raster import draw_polygons, draw_segments
-from meshdeform_formats.picture.scene import Scene
+from meshdeform_formats.picture import raster
+from meshdeform_formats.picture.raster import draw_polygons, lines_over, strokes_of
+from meshdeform_formats.picture.scene import Facets, Scene
+from meshdeform_formats.picture.view import Window, along
 
 
 def drawn(corners, shape=(40, 50), scale=1.0):
-    depth = np.full(shape, -np.inf)
-    item = np.full(shape, -1, dtype=np.int32)
-    line = np.zeros(shape, dtype=np.float32)
-    draw_polygons(np.asarray(corners, dtype=float), scale, depth, item, line)
+    corners = np.asarray(corners, dtype=float)
+    depth, item, line = np.full(shape, -np.inf), np.full(shape, -1, dtype=np.int32), np.zeros(shape)
+    draw_polygons(corners, depth, item)
+    seen = np.nonzero(item >= 0)
+    line[seen] = lines_over(corners, item[seen], seen, scale)
     return depth, item, line
 
 
@@ -91,17 +93,15 @@ def test_bands_make_one_picture(monkeypatch):
     assert len(np.unique(found[0].item)) > 5
 
 
-def test_segments_are_hidden_behind_polygons_and_seen_before_them():
-    square = [[[10, 10, 1.0], [30, 10, 1.0], [30, 30, 1.0], [10, 30, 1.0]]]
-    depth, _, _ = drawn(square)
+def test_lines_are_hidden_behind_polygons_and_seen_before_them():
+    square = np.array([[[10, 10, 1.0], [30, 10, 1.0], [30, 30, 1.0], [10, 30, 1.0]]])
     seen = []
     for z in (0.0, 2.0):
-        cover = np.zeros(depth.shape, dtype=np.float32)
-        draw_segments(np.array([[[0, 20, z], [40, 20, z]]], dtype=float), 1.0, 0.1, depth, cover)
-        seen.append(cover[19:21])
-    assert seen[0][:, 12:28].max() == 0.0
-    assert seen[1][:, 12:28].min() > 0.4
-    assert seen[0][:, 2:8].min() > 0.4
+        line = strokes_of(np.array([[[0, 20, z], [40, 20, z]]], dtype=float), 1.0, 0.1)
+        seen.append(drawn(np.concatenate([square, line]))[1][19:21] == 1)
+    assert not seen[0][:, 12:28].any()
+    assert seen[1][:, 12:28].all()
+    assert seen[0][:, 2:8].all()
     np.testing.assert_array_equal(seen[0][:, :8], seen[1][:, :8])
 
 

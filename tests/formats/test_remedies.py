@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import meshdeform_core
-from meshdeform_formats.report.remedies import _REMEDIES, remedy_of
+from meshdeform_formats.report.tables import REMEDIES, remedy_of
 
 
 @functools.cache
@@ -21,7 +21,7 @@ def texts_of_the_core() -> list[str]:
     return found
 
 
-@pytest.mark.parametrize(("words", "advice"), _REMEDIES)
+@pytest.mark.parametrize(("words", "advice"), REMEDIES)
 def test_some_warning_contains_the_words(words, advice):
     assert any(words in text and remedy_of(text) == advice for text in texts_of_the_core())
 

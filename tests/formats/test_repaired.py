@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from meshdeform_formats.report.measures import MeasureRow
-from meshdeform_formats.report.repaired import repair_sentence
-from meshdeform_formats.report.series_text import acceleration_of, repaired
+from meshdeform_formats.report.tables import acceleration_of, repair_sentence, repaired
 
 DONE = {
     "invalid": 2, "weak": 10, "nodes": 1, "max_movement": 0.5, "newton_steps": 3, "converged": True, "before": None,

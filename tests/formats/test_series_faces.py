@@ -18,7 +18,7 @@ from meshdeform_core.grid import Grid
 from meshdeform_core.velocity import at_faces, face_fields, grid_velocity, swept_volumes
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.series.outputs import LevelFiles
-from meshdeform_formats.series.single import SingleFile
+from meshdeform_formats.series.shared import SingleFile
 
 TIMES = (0.0, 0.5, 2.0)
 AXES = "IJK"

@@ -30,7 +30,7 @@ from meshdeform_formats.cgns.time_steps import write_series
 from meshdeform_formats.files import remove_partial, replacing
 from meshdeform_formats.grids import variant_of
 from meshdeform_formats.series.outputs import LevelFiles
-from meshdeform_formats.series.single import SingleFile
+from meshdeform_formats.series.shared import SingleFile
 
 TIMES = (0.0, 0.5, 2.0)
 
