@@ -145,6 +145,17 @@ def test_what_the_file_declares_decides(words, role):
     assert surface.declared is (role is not Role.UNKNOWN)
 
 
+@pytest.mark.parametrize(("kind", "role"), [("patch", Role.UNKNOWN), ("", Role.SYMMETRY)])
+def test_a_plane_that_openfoam_calls_a_patch_is_no_symmetry_plane(kind, role):
+    """The open top of a tank, beside its walls: OpenFOAM has types of its own for symmetry planes."""
+    grid = Grid.from_blocks([block_around(*(np.linspace(0.0, 1.0, 5),) * 3)])
+    walls = tuple(whole_face(grid.shapes[0], 0, side) for side in (Side.IMIN, Side.IMAX, Side.KMIN))
+    top = whole_face(grid.shapes[0], 0, Side.KMAX)
+    patches = (Patch("wall", walls, "", "wall"), Patch("top", (top,), "", kind))
+    found = {s.name: s.role for s in outside_of(dataclasses.replace(grid, patches=patches)).surfaces}
+    assert (found["wall"], found["top"]) == (Role.WALL, role)
+
+
 def test_one_layer_of_cells_is_thin():
     square = np.linspace(0.0, 1.0, 5)
     assert thin_direction(Grid.from_blocks([block_around(square, square, square)])) is None

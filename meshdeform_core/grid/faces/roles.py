@@ -127,7 +127,9 @@ class _Guess:
         """The role of a face without clustered cells: planes at walls may be symmetry planes, large cells far field."""
         if outward is not None and touched and face.stretching > _COARSENED**2:
             channel = bool((borders @ outward < -0.99).any())
-            return Role.UNKNOWN if channel else Role.SYMMETRY
+            # OpenFOAM declares inlets and outlets patches; a symmetry plane has a type of its own there.
+            opening = face.patch is not None and face.patch.bc_type == "patch"
+            return Role.UNKNOWN if channel or opening else Role.SYMMETRY
         # The outer boundary of a grid around a body.
         if face.stretching < _COARSENED or (self.has_bodies and outward is not None and not touched):
             return Role.FAR
