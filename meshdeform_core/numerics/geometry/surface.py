@@ -6,7 +6,7 @@ import numpy as np
 
 from ..arrays import FloatArray, IntArray
 from ..jit import inlined, kernel
-from .boxes import curve, depth_of, levels_of
+from .boxes import depth_of, halves, levels_of
 
 _LEAF = 3
 """Levels of the tree left out at its end: triangles are tried one by one in boxes of eight."""
@@ -25,12 +25,12 @@ class TriangleTree:
         self.triangles = triangles
         corners = points[triangles]
         low, high = corners.min(axis=1), corners.max(axis=1)
-        self._order = curve(0.5 * (low + high))
         whole = depth_of(len(triangles))
         depth = max(whole - _LEAF, 0)
+        self._order = halves(0.5 * (low + high), 1 << (whole - depth))
         levels = levels_of(low[self._order], high[self._order])[: depth + 1]
         # Box n of a level follows all boxes of the levels before: the children of box b are 2 b + 1 and 2 b + 2.
-        self._box = np.concatenate([np.concatenate(boxes).T for boxes in levels])
+        self._box = np.concatenate([np.concatenate(boxes).T for boxes in levels]).copy()
         self._leaf = 1 << (whole - depth)
         self._corners = corners[self._order]
 
@@ -51,7 +51,7 @@ class TriangleTree:
         return self._order[found], weights, distance
 
 
-@kernel("f8[:, ::1], f8[:, :, ::1], f8[::1, :], i8, i8[::1], i8[::1], f8[:, ::1], f8[::1]")
+@kernel("f8[:, ::1], f8[:, :, ::1], f8[:, ::1], i8, i8[::1], i8[::1], f8[:, ::1], f8[::1]")
 def _search(targets, corners, box, leaf, waiting, found, weights, distance):
     """``distance`` holds the limits; ``waiting`` is room for the boxes still to be searched."""
     trial, bound = np.empty(3), np.empty(64)
