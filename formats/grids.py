@@ -51,7 +51,7 @@ FORMATS: dict[str, Format] = {
     ),
     "cgns": Format("cgns", (".cgns", ".hdf", ".hdf5", ".adf"), "CGNS, HDF5 and ADF (ADF read-only)", together=True),
     "vtk": Format("vtk", (".vtk", ".vts", ".vtm"), "VTK legacy, .vts and .vtm structured grids", together=True),
-    "openfoam": Format("openfoam", (".foam",), "OpenFOAM: blockMeshDict (read), polyMesh (written)"),
+    "openfoam": Format("openfoam.format", (".foam",), "OpenFOAM: blockMeshDict (read), polyMesh (written)"),
     "meshio": Format("unstructured", (".vtu", ".su2", ".msh", ".inp", ".xdmf", ".med"), "unstructured, write-only"),
 }
 

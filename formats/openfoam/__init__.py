@@ -1,5 +1,1 @@
-"""OpenFOAM: blockMeshDict files, cases, and meshes (polyMesh)."""
-
-from .format import read, variant, write
-
-__all__ = ["read", "variant", "write"]
+"""OpenFOAM: blockMeshDict files, cases, and meshes (polyMesh). :mod:`.case` alone is needed by every run."""

@@ -1,26 +1,221 @@
-"""Plot3D as text."""
+"""Plot3D as text: Fortran's list-directed input, and exact shortest numbers on output.
+
+Plain numbers go through scipy's Matrix Market reader and writer, where a column is one number per line: exact, and
+several times faster than ``numpy.fromstring`` and ``repr``. The reader silently stops at the first character that
+cannot belong to a number, so a piece of text is first checked to consist of plain numbers.
+"""
 
 from __future__ import annotations
 
+import codecs
+import io
 import math
+import os
+import re
 from collections.abc import Iterator, Mapping
+from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Grid
 
+from .. import text
 from ..planes import merge, split
 from .binary import allocate, iblank_of
 from .detect import LONGEST_HEADER, Reading, UnknownFile, Writing, choose, header_variants, stream_readings
-from .numbers import count_integers, ends_with_integer, number_lines, read_numbers
 from .variant import Variant
 
+# Bytes of text read at a time.
+_PIECE = 1 << 23
+# Numbers that a piece of text may stand for; more can only be a nonsensical repeat count.
+_MOST_REPEATED = 1 << 28
+_LONGEST_NUMBER = 64
 # Numbers written per call.
 _LINES = 1 << 20
+
+_GAP, _DIGIT, _SIGN, _DOT, _EXPONENT, _STAR, _OTHER = range(7)
+_CHARACTERS = {
+    _GAP: b" ,\t\r\n",
+    _DIGIT: b"0123456789",
+    _SIGN: b"+-",
+    _DOT: b".",
+    _EXPONENT: b"DEQdeq",
+    _STAR: b"*",
+}
+_KIND = bytes(next((kind for kind, members in _CHARACTERS.items() if c in members), _OTHER) for c in range(256))
+_FOLLOWERS = {
+    _GAP: (_GAP, _DIGIT, _SIGN, _DOT),
+    _DIGIT: (_GAP, _DIGIT, _DOT, _EXPONENT, _STAR),
+    _SIGN: (_DIGIT, _DOT),
+    _DOT: (_GAP, _DIGIT, _EXPONENT),
+    _EXPONENT: (_DIGIT, _SIGN),
+    _STAR: (_DIGIT, _SIGN, _DOT),
+}
+_NEIGHBOURS = bytes(7 * kind + follower for kind, followers in _FOLLOWERS.items() for follower in followers)
+_ONE_PER_LINE = bytes.maketrans(b" ,\t\r*DQdqe", b"\n\n\n\n\nEEEEE")
+
+_WORD = re.compile(rb"[^\s,]+")
+_WHOLE_LINE = re.compile(rb"^(-?\d+)$", re.MULTILINE)
+_INTEGER = re.compile(rb"(?:\d+\*)?[+-]?\d+")
+_NULL_VALUE = re.compile(rb"(?:\A|,)\s*,")
+_NUMBER = re.compile(
+    rb"(?:(0*[1-9]\d*)\*)?"  # repeat count
+    rb"(?:([+-]?(?:\d+\.?\d*|\.\d+))(?:[EDQ]([+-]?\d+)|([+-]\d+))?"  # the exponent letter may be missing before a sign
+    rb"|([+-]?(?:NAN|INF(?:INITY)?)))",
+    re.IGNORECASE,
+)
+
+
+def read_numbers(stream: BinaryIO, path: Path) -> FloatArray:
+    """All numbers of a text, in order; exact except for the sign of zero.
+
+    Accepts blanks, tabs, commas and line ends between numbers, repeat counts (``3*0.0``), and exponents with E, D, Q or
+    no letter (``1.5-101``).
+
+    Raises FormatError with the line number, for null values, comments and anything else that is not a number.
+    """
+    return np.concatenate([np.empty(0), *_read_pieces(stream, path)])
+
+
+def skip_mark(stream: BinaryIO) -> None:
+    """Go to the beginning of a text, after the byte order mark that some editors write."""
+    stream.seek(0)
+    if stream.read(len(codecs.BOM_UTF8)) != codecs.BOM_UTF8:
+        stream.seek(0)
+
+
+def ends_with_integer(stream: BinaryIO) -> bool:
+    """Whether the last number of a text is written without dot and exponent."""
+    stream.seek(-min(stream.seek(0, os.SEEK_END), _LONGEST_NUMBER), os.SEEK_END)
+    words = _WORD.findall(stream.read())
+    return bool(words) and _INTEGER.fullmatch(words[-1]) is not None
+
+
+def count_integers(stream: BinaryIO) -> int:
+    """Number of the numbers in a text that have neither a decimal point nor an exponent."""
+    skip_mark(stream)
+    count, rest = 0, b""
+    while chunk := stream.read(_PIECE):
+        text = rest + chunk
+        cut = _end_of_numbers(text)
+        text, rest = text[:cut], text[cut:]
+        count += _count_integers(text)
+    return count + _count_integers(rest)
+
+
+def _end_of_numbers(text: bytes) -> int:
+    """Where the last gap between numbers ends."""
+    return 1 + max(text.rfind(gap) for gap in (b" ", b",", b"\t", b"\r", b"\n"))
+
+
+def _count_integers(text: bytes) -> int:
+    integers = (word for word in _WORD.findall(text) if _INTEGER.fullmatch(word))
+    return sum(int(word.partition(b"*")[0]) if b"*" in word else 1 for word in integers)
+
+
+def number_lines(values: NDArray[Any], dotted: bool = False) -> bytes | memoryview:
+    """The values one per line, each with the fewest digits that represent it exactly in its own type.
+
+    The last of real values, or with ``dotted`` each, is written as a real number: see :func:`ends_with_integer` and
+    :func:`count_integers`.
+    """
+    lines = text.number_lines(values)
+    if dotted and values.dtype.kind == "f":
+        return _WHOLE_LINE.sub(rb"\1.", bytes(lines))
+    last = _WORD.findall(bytes(lines[-_LONGEST_NUMBER:]))[-1]
+    return bytes(lines[:-1]) + b".\n" if values.dtype.kind == "f" and _INTEGER.fullmatch(last) else lines
+
+
+def _read_pieces(stream: BinaryIO, path: Path) -> Iterator[FloatArray]:
+    """Numbers in pieces of text that begin with a number."""
+    skip_mark(stream)
+    line, rest = 1, b""
+    while chunk := stream.read(_PIECE):
+        text = rest + chunk
+        # The last number, and a comma after it, are held back for the next piece.
+        cut = _end_of_numbers(text.rstrip(b" ,\t\r\n"))
+        text, rest = text[:cut], text[cut:]
+        yield _numbers(text, line, path)
+        line += text.count(b"\n")
+    yield _numbers(rest, line, path)
+
+
+def _numbers(text: bytes, line: int, path: Path) -> FloatArray:
+    """The numbers in a piece of text that begins on line ``line``."""
+    if b"," in text and (null := _NULL_VALUE.search(text)):
+        place = _place(path, line, text[: null.end()])
+        raise FormatError(f"{place}: no number before a comma; null values leave numbers undefined; write them out")
+    values = _plain_numbers(text)
+    return _spelled_numbers(text, line, path) if values is None else values
+
+
+def _plain_numbers(text: bytes) -> FloatArray | None:
+    """Numbers like -1, 1.5, 1.5E-3 or 3*1.5; ``None`` if there is anything else in the text."""
+    kinds = np.frombuffer(b"\0%b\0" % text.translate(_KIND), np.uint8)
+    between = (kinds == _GAP) | (kinds == _STAR)
+    starts = np.flatnonzero(between[:-1] & ~between[1:])
+    if not starts.size or not _all_plain(kinds):
+        return None
+    column = b"%%%%MatrixMarket matrix array real general\n%d 1\n%b" % (starts.size, text.translate(_ONE_PER_LINE))
+    try:
+        values = scipy.io.mmread(io.BytesIO(column))[:, 0]
+    except ValueError:
+        # A number out of range, or a sign or dot without digits.
+        return None
+    stars = np.flatnonzero(kinds == _STAR)
+    return _repeated(values, np.searchsorted(starts, stars) - 1) if stars.size else values
+
+
+def _all_plain(kinds: NDArray[np.uint8]) -> bool:
+    """Whether all words are plain, by valid pairs of neighbours: a count before a star, one dot, then one exponent."""
+    if (7 * kinds[:-1] + kinds[1:]).tobytes().translate(None, _NEIGHBOURS):
+        return False
+    marks = kinds[(kinds == _GAP) | (kinds >= _DOT)]
+    before, after = marks[:-1], marks[1:]
+    late_dot = (after == _DOT) & ((before == _DOT) | (before == _EXPONENT))
+    return not np.any(late_dot | ((after == _EXPONENT) & (before == _EXPONENT)) | ((after == _STAR) & (before != _GAP)))
+
+
+def _repeated(values: FloatArray, where: NDArray[np.int64]) -> FloatArray | None:
+    """Expand values in which those at ``where`` are repeat counts of the next ones; ``None`` if a count is invalid."""
+    counts = np.ones(values.size - where.size)
+    counts[where - np.arange(where.size)] = values[where]
+    if counts.min() < 1 or counts.sum() > _MOST_REPEATED:
+        return None
+    return np.repeat(np.delete(values, where), counts.astype(np.int64))
+
+
+def _spelled_numbers(text: bytes, line: int, path: Path) -> FloatArray:
+    """The numbers read word by word, for exponents without a letter and NaN, and to locate invalid words."""
+    counts, values = [], []
+    for word in _WORD.finditer(text):
+        number = _NUMBER.fullmatch(word[0])
+        if number is None:
+            found = word[0][:40].decode("ascii", "replace")
+            raise FormatError(
+                f"{_place(path, line, text[: word.start()])}: found {found!r} where a Plot3D text has a number (like "
+                f"12, 1.5, 1.5D+00 or 3*1.5); comments, other text, null values and '/' are not part of it"
+            )
+        count, mantissa, exponent, bare_exponent, named = number.groups()
+        counts.append(int(count or 1))
+        values.append(float(named or b"%be%b" % (mantissa, exponent or bare_exponent or b"0")))
+    if sum(counts) > _MOST_REPEATED:
+        place = _place(path, line, b"")
+        raise FormatError(f"{place}: from here on repeat counts give {sum(counts)} numbers; the file is damaged")
+    return np.repeat(np.array(values, np.float64), counts)
+
+
+def _place(path: Path, line: int, before: bytes) -> str:
+    newlines = before.count(b"\n")
+    return f"{path}, line {line + newlines}"
+
+
+# --- grids
 
 
 def read_ascii(path: Path, options: Mapping[str, Any]) -> Grid:
@@ -51,10 +246,15 @@ def write_ascii(grid: Grid, stream: BinaryIO, variant: Variant) -> None:
     for shape in grid.shapes:
         stream.write(" ".join(str(n) for n in shape[: variant.dimension]).encode() + b"\n")
     for index in range(grid.n_blocks):
-        for array in _text_arrays(grid, variant, index):
-            for start in range(0, array.size, _LINES):
+        arrays = split(grid.block(index), variant.real, variant.dimension)
+        if variant.iblank:
+            iblank = iblank_of(grid, index)
+            flags = np.ones(grid.shapes[index]) if iblank is None else iblank.values
+            arrays = chain(arrays, [np.ascontiguousarray(flags.T, variant.integer)])
+        for flat in (array.reshape(-1) for array in arrays):
+            for start in range(0, flat.size, _LINES):
                 # If integers follow, a number without a dot must be an integer.
-                stream.write(number_lines(array[start : start + _LINES], dotted=variant.iblank))
+                stream.write(number_lines(flat[start : start + _LINES], dotted=variant.iblank))
 
 
 def _assemble(reading: Reading, path: Path, numbers: FloatArray) -> Grid:
@@ -82,13 +282,3 @@ def _assemble(reading: Reading, path: Path, numbers: FloatArray) -> Grid:
 
     grid.fill(put)
     return grid
-
-
-def _text_arrays(grid: Grid, variant: Variant, index: int) -> Iterator[NDArray[Any]]:
-    """The flat arrays of one block in the order and types of a text."""
-    for array in split(grid.block(index), variant.real, variant.dimension):
-        yield array.reshape(-1)
-    if variant.iblank:
-        iblank = iblank_of(grid, index)
-        flags = np.ones(grid.shapes[index]) if iblank is None else iblank.values
-        yield np.ascontiguousarray(flags.T, variant.integer).reshape(-1)

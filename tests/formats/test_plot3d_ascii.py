@@ -13,7 +13,7 @@ from plot3d_witness import ascii_file, sample_blocks, sample_iblank
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, FileFormat, Grid
 from meshdeform_formats import plot3d, read_grid, write_grid
-from meshdeform_formats.plot3d import numbers as plot3d_numbers
+from meshdeform_formats.plot3d import ascii as plot3d_ascii
 
 
 def put(folder: Path, text: str) -> Path:
@@ -83,11 +83,11 @@ def test_values_run_over_block_ends_in_one_line(tmp_path):
 
 @pytest.mark.parametrize("piece", [1, 7, 64, 1000])
 def test_numbers_survive_any_cut_of_the_text(tmp_path, monkeypatch, piece):
-    monkeypatch.setattr(plot3d_numbers, "_PIECE", piece)
+    monkeypatch.setattr(plot3d_ascii, "_PIECE", piece)
     values = " -1.0D+00, 0.5\n,2.0 ,\t3*4.25\r\n 1.5-101  7,\n"
     path = put(tmp_path, values)
     with path.open("rb") as stream:
-        numbers = plot3d_numbers.read_numbers(stream, path)
+        numbers = plot3d_ascii.read_numbers(stream, path)
     assert numbers.tolist() == [-1.0, 0.5, 2.0, 4.25, 4.25, 4.25, 1.5e-101, 7.0]
 
 
@@ -97,15 +97,15 @@ def test_numbers_of_all_sizes_are_read_exactly(tmp_path):
     values = np.concatenate([values[np.isfinite(values)], [5e-324, 2.2250738585072014e-308, 1.7976931348623157e308]])
     path = put(tmp_path, "\n".join(map(repr, values.tolist())))
     with path.open("rb") as stream:
-        assert np.array_equal(plot3d_numbers.read_numbers(stream, path), values)
+        assert np.array_equal(plot3d_ascii.read_numbers(stream, path), values)
 
 
 def test_lines_of_numbers_are_exact_and_short():
     values = np.array([0.1, 1 / 3, -0.0, 1e22, 5e-324, 1.7976931348623157e308, 123456.0])
-    lines = bytes(plot3d_numbers.number_lines(values)).split()
+    lines = bytes(plot3d_ascii.number_lines(values)).split()
     assert np.array_equal(np.array([float(line) for line in lines]).view(np.uint64), values.view(np.uint64))
     assert all(len(line) <= len(repr(value)) + 2 for line, value in zip(lines, values.tolist(), strict=True))
-    assert bytes(plot3d_numbers.number_lines(np.array([1, -2, 0], np.int32))).split() == [b"1", b"-2", b"0"]
+    assert bytes(plot3d_ascii.number_lines(np.array([1, -2, 0], np.int32))).split() == [b"1", b"-2", b"0"]
 
 
 def test_nan_and_infinity_are_left_to_the_caller(tmp_path):
@@ -159,9 +159,9 @@ def test_what_neither_tells_must_be_chosen(tmp_path):
 @settings(max_examples=300)
 @given(st.lists(st.text("0123459+-.eED*", max_size=7), max_size=6).map(" ".join))
 def test_the_fast_way_takes_nothing_that_the_slow_way_does_not(text):
-    fast = plot3d_numbers._plain_numbers(text.encode())
+    fast = plot3d_ascii._plain_numbers(text.encode())
     if fast is not None:
-        assert np.array_equal(fast, plot3d_numbers._spelled_numbers(text.encode(), 1, Path("grid")))
+        assert np.array_equal(fast, plot3d_ascii._spelled_numbers(text.encode(), 1, Path("grid")))
 
 
 number = st.from_regex(r"\A([1-9]\*)?-?([0-9]{1,3}\.?[0-9]{0,3}|\.[0-9]{1,3})([eEdD][+-]?[0-9]{1,2})?\Z")
@@ -170,9 +170,9 @@ number = st.from_regex(r"\A([1-9]\*)?-?([0-9]{1,3}\.?[0-9]{0,3}|\.[0-9]{1,3})([e
 @settings(max_examples=60)
 @given(st.lists(number, min_size=1, max_size=8))
 def test_the_fast_way_takes_all_plain_numbers(words):
-    fast = plot3d_numbers._plain_numbers("\n".join(words).encode())
+    fast = plot3d_ascii._plain_numbers("\n".join(words).encode())
     assert fast is not None
-    assert np.array_equal(fast, plot3d_numbers._spelled_numbers(" ".join(words).encode(), 1, Path("grid")))
+    assert np.array_equal(fast, plot3d_ascii._spelled_numbers(" ".join(words).encode(), 1, Path("grid")))
 
 
 @pytest.mark.parametrize("number", ["{:g}", "{:.3f}"])
@@ -205,5 +205,5 @@ def test_iblank_that_we_write_is_never_taken_for_coordinates(tmp_path):
 def test_integers_are_counted_across_pieces(monkeypatch):
     text = b"2 3*1, 3.0\t-7 1e5 12 +4 4*2.5 2*0\r\n5."
     for piece in range(1, len(text) + 1):
-        monkeypatch.setattr(plot3d_numbers, "_PIECE", piece)
-        assert plot3d_numbers.count_integers(io.BytesIO(text)) == 1 + 3 + 1 + 1 + 1 + 2
+        monkeypatch.setattr(plot3d_ascii, "_PIECE", piece)
+        assert plot3d_ascii.count_integers(io.BytesIO(text)) == 1 + 3 + 1 + 1 + 1 + 2

@@ -9,7 +9,7 @@ from plot3d_witness import ascii_file, binary_file, fortran_record, sample_block
 
 from meshdeform_core.errors import FormatError, GridError
 from meshdeform_formats import plot3d
-from meshdeform_formats.plot3d import numbers as plot3d_numbers
+from meshdeform_formats.plot3d import ascii as plot3d_ascii
 
 BLOCKS = sample_blocks([(3, 4, 5), (2, 3, 4)])
 FORTRAN = binary_file(BLOCKS, encoding="fortran", byte_order="big")
@@ -135,7 +135,7 @@ def test_bad_texts(tmp_path, name):
 
 
 def test_the_line_is_right_behind_many_pieces(tmp_path, monkeypatch):
-    monkeypatch.setattr(plot3d_numbers, "_PIECE", 100)
+    monkeypatch.setattr(plot3d_ascii, "_PIECE", 100)
     path = tmp_path / "bad.xyz"
     path.write_text("1\n10 10 10\n" + "1.5 2.5\n" * 700 + "3.5 what\n" + "1.5\n" * 10)
     with pytest.raises(FormatError, match="line 703: found 'what'"):
