@@ -7,7 +7,7 @@ import itertools
 
 import numpy as np
 
-from meshdeform_core.grid import Grid, Patch, Shape, Side, Window
+from meshdeform_core.grid import Connection, Grid, Patch, Shape, Side, Window
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.grid.windows import windows_of_quads
 
@@ -96,6 +96,24 @@ def whole_face(shape: Shape, block: int, side: Side) -> Window:
     """The window that covers a whole block face."""
     a, b = side.tangential
     return Window(block, side, (0, 0), (shape[a] - 1, shape[b] - 1))
+
+
+def transform_matrix(connection: Connection) -> np.ndarray:
+    """(3, 3) steps of the donor's indices for those of a connection."""
+    matrix = np.zeros((3, 3), int)
+    for axis, donor in enumerate(connection.transform):
+        matrix[abs(donor) - 1, axis] = np.sign(donor)
+    return matrix
+
+
+def joined_nodes(grid: Grid, connection: Connection) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates (n, 3) of a connection's nodes and of their donors, by the definition of the transform."""
+    begin, end = np.array(connection.begin), np.array(connection.end)
+    steps = np.indices(np.abs(end - begin) + 1).reshape(3, -1).T * np.where(end >= begin, 1, -1)
+    here, there = begin + steps, np.array(connection.donor_begin) + steps @ transform_matrix(connection).T
+    assert tuple(there[-1]) == connection.donor_end
+    assert min(here.min(), there.min()) >= 0
+    return grid.block(connection.block)[tuple(here.T)], grid.block(connection.donor_block)[tuple(there.T)]
 
 
 def clustered(start: float, end: float, cells: int, strength: float) -> np.ndarray:

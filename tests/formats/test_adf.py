@@ -6,11 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cgns_witness import AdfWriter, N, box, tree, two_zones, zone
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from meshdeform_core.errors import FormatError, GridError
-from meshdeform_core.grid import Grid
+from meshdeform_core.errors import FormatError
 from meshdeform_formats import read_grid
 from meshdeform_formats.cgns.adf import read_adf
 from meshdeform_formats.cgns.tree import Node
@@ -203,39 +200,3 @@ def test_truncated_anywhere(tmp_path):
         path.write_bytes(raw[:length])
         with pytest.raises(FormatError, match=r"short\.adf"):
             walk(read_adf(path))
-
-
-@pytest.fixture(scope="module")
-def originals(tmp_path_factory) -> list[bytes]:
-    folder = tmp_path_factory.mktemp("originals")
-    variants = [("A02011", "<", 1), ("B02012", ">", 3)]
-    return [AdfWriter(*variant).write(folder / "grid.adf", two_zones()).read_bytes() for variant in variants]
-
-
-@pytest.fixture(scope="module")
-def scratch(tmp_path_factory) -> Path:
-    return tmp_path_factory.mktemp("scratch") / "changed.adf"
-
-
-def grid_or_message(path: Path) -> Grid | str:
-    """The only two ways reading may end; any other exception fails the test."""
-    try:
-        return read_grid(path)
-    except (FormatError, GridError) as error:
-        return str(error)
-
-
-@settings(max_examples=70)
-@given(
-    which=st.integers(0, 1),
-    node=st.integers(0, 200),
-    offset=st.integers(0, 245),
-    value=st.binary(min_size=1, max_size=4),
-)
-def test_damage_in_node_headers_ends_in_a_clear_error_or_a_grid(originals, scratch, which, node, offset, value):
-    raw = bytearray(originals[which])
-    starts = [at for at in range(len(raw) - 246) if raw[at : at + 4] == b"NoDe"]
-    at = starts[node % len(starts)] + offset
-    raw[at : at + len(value)] = value
-    scratch.write_bytes(raw)
-    assert grid_or_message(scratch)

@@ -21,31 +21,12 @@ from cgns_witness import (
     zone,
     zone_bc,
 )
+from grids import joined_nodes
 
-from meshdeform_core.grid import Connection, Grid, Side, Window
+from meshdeform_core.grid import Connection, Side, Window
 from meshdeform_formats import read_grid, write_grid
 
 WING, WING_HDF5, AIRFOIL = "717_wl_L2.cgns", "717_wl_L2_hdf5.cgns", "nak_a_141.cgns"
-
-
-def connected_nodes(grid: Grid, connection: Connection) -> tuple[np.ndarray, np.ndarray]:
-    """Coordinates of a connection's nodes and of their donors, by the definition of the transform."""
-    step = np.sign(np.subtract(connection.end, connection.begin))
-    counts = np.abs(np.subtract(connection.end, connection.begin)) + 1
-    matrix = np.zeros((3, 3), int)
-    for axis, donor in enumerate(connection.transform):
-        matrix[abs(donor) - 1, axis] = np.sign(donor)
-    own, other = [], []
-    for n in itertools.product(*(range(count) for count in counts)):
-        offset = np.multiply(n, step)
-        own.append(tuple(np.add(connection.begin, offset)))
-        other.append(tuple(np.add(connection.donor_begin, matrix @ offset)))
-    assert other[-1] == connection.donor_end
-    assert min(map(min, own + other)) >= 0
-    return (
-        np.array([grid.block(connection.block)[index] for index in own]),
-        np.array([grid.block(connection.donor_block)[index] for index in other]),
-    )
 
 
 @pytest.mark.parametrize("name", [WING, WING_HDF5, AIRFOIL])
@@ -53,7 +34,7 @@ def test_third_party_connections_join_coincident_nodes(third_party, name):
     grid = read_grid(third_party / name)
     assert grid.connections
     for connection in grid.connections:
-        own, donor = connected_nodes(grid, connection)
+        own, donor = joined_nodes(grid, connection)
         np.testing.assert_array_equal(own, donor)
 
 

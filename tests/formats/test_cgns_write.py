@@ -25,8 +25,6 @@ from cgns_witness import (
     write_hdf5,
     zone,
 )
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, Grid
@@ -198,25 +196,6 @@ def test_writing_over_the_source(tmp_path):
     write_grid(grid, source)
     np.testing.assert_array_equal(read_grid(source).points, grid.points)
     assert [entry[:2] for entry in listing(source)] == [entry[:2] for entry in before]
-
-
-@settings(max_examples=12)
-@given(
-    shapes=st.lists(st.tuples(st.integers(2, 4), st.integers(2, 4), st.integers(2, 5)), min_size=1, max_size=3),
-    dtype=st.sampled_from(["f4", "f8"]),
-    container=st.sampled_from(["HDF5", "ADF"]),
-    seed=st.integers(0, 1000),
-)
-def test_round_trip(tmp_path_factory, shapes, dtype, container, seed):
-    folder = tmp_path_factory.mktemp("round")
-    root = tree(*(zone(f"zone {b}", box(*shape, (5 * b, 0, 0)), dtype=dtype) for b, shape in enumerate(shapes)))
-    path = folder / "in.cgns"
-    grid = read_grid(write_hdf5(path, root) if container == "HDF5" else AdfWriter().write(path, root))
-    points = np.random.default_rng(seed).normal(size=grid.points.shape).astype(dtype).astype(float)
-    write_grid(grid.moved(points), folder / "out.cgns")
-    again = read_grid(folder / "out.cgns")
-    np.testing.assert_array_equal(again.points, points)
-    assert (again.shapes, again.names) == (tuple(shapes), grid.names)
 
 
 # --- links --------------------------------------------------------------------------------------------------------

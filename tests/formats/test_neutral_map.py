@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from grids import whole_face
+from grids import joined_nodes, transform_matrix, whole_face
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Connection, Grid, Patch, Periodicity, Side, Window
@@ -25,20 +25,9 @@ def put(folder: Path, *lines: str) -> Path:
     return path
 
 
-def matrix(connection: Connection) -> np.ndarray:
-    result = np.zeros((3, 3), int)
-    for axis, donor in enumerate(connection.transform):
-        result[abs(donor) - 1, axis] = np.sign(donor)
-    return result
-
-
 def gap(grid: Grid, connection: Connection) -> float:
     """Largest distance between the nodes that a connection says are the same."""
-    begin, end = np.array(connection.begin), np.array(connection.end)
-    steps = np.indices(np.abs(end - begin) + 1).reshape(3, -1).T * np.where(end >= begin, 1, -1)
-    here, there = begin + steps, np.array(connection.donor_begin) + steps @ matrix(connection).T
-    assert tuple(there[-1]) == connection.donor_end
-    nodes, donors = grid.block(connection.block)[tuple(here.T)], grid.block(connection.donor_block)[tuple(there.T)]
+    nodes, donors = joined_nodes(grid, connection)
     return float(np.abs(nodes - donors).max())
 
 
@@ -145,7 +134,7 @@ def test_all_ways_two_faces_can_meet(tmp_path, face, donor_face):
         assert gap(grid, connection) == 0.0
         axis, far = FACES[face][:2]
         outward = np.eye(3, dtype=int)[axis] * (1 if far else -1)
-        beyond = np.array(connection.donor_begin) + matrix(connection) @ outward
+        beyond = np.array(connection.donor_begin) + transform_matrix(connection) @ outward
         assert np.array_equal(donor[tuple(beyond)], block[connection.begin] + outward)
         write_neutral_map(grid, tmp_path / "out.nmf")
         (again,) = read_neutral_map(tmp_path / "out.nmf", bare).connections

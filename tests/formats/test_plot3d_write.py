@@ -25,19 +25,6 @@ def write(grid: Grid, path: Path, **options) -> FileFormat:
     return chosen
 
 
-@pytest.mark.parametrize("encoding", ENCODINGS, ids=lambda e: "-".join(map(str, e.values())))
-@pytest.mark.parametrize("byte_order", ["little", "big"])
-@pytest.mark.parametrize("precision", ["float32", "float64"])
-@pytest.mark.parametrize("dimension", [2, 3])
-@pytest.mark.parametrize("iblank", [False, True])
-def test_bytes_are_those_of_the_witness(tmp_path, encoding, byte_order, precision, dimension, iblank):
-    shapes = [(3, 4, 1), (2, 5, 1)] if dimension == 2 else [(3, 4, 5), (2, 3, 2)]
-    blocks, flags = sample_blocks(shapes), sample_iblank(shapes) if iblank else None
-    options = {**encoding, "byte_order": byte_order, "precision": precision, "dimension": dimension}
-    write(make_grid(blocks, flags), tmp_path / "a.x", **options)
-    assert (tmp_path / "a.x").read_bytes() == binary_file(blocks, flags, **options)
-
-
 @st.composite
 def grids_and_options(draw):
     dimension = draw(st.sampled_from([2, 3]))

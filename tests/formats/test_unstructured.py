@@ -10,7 +10,7 @@ from grids import block_around, whole_face
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Connection, Field, Grid, Patch, Periodicity, Side, Window
-from meshdeform_formats import read_grid, write_grid
+from meshdeform_formats import write_grid
 
 FORMATS = {".vtu": "vtu", ".xdmf": "xdmf", ".msh": "gmsh", ".med": "med", ".su2": "su2", ".inp": "abaqus"}
 
@@ -242,9 +242,3 @@ def test_what_cannot_be_written_is_refused(tmp_path):
         with pytest.raises(FormatError, match=message):
             write_grid(wrong, tmp_path / file, options)
     assert not list(tmp_path.iterdir())
-
-
-def test_handedness_of_a_third_party_grid(third_party, tmp_path):
-    mesh = export(read_grid(third_party / "SampleStructGrid.vtk"), tmp_path / "a.vtu")
-    assert (volumes(mesh.points, mesh.cells_dict["hexahedron"]) > 0).all()
-    assert mesh.point_data["scalars"].shape == (24000,)

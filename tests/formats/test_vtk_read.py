@@ -210,19 +210,6 @@ GLOBAL_IDS id vtkIdType
     assert "no line end" in grid.notes[0]
 
 
-@pytest.mark.parametrize("name", ["SampleStructGrid.vtk", "StructuredGrid.vts"])
-def test_third_party_grids_to_the_last_bit(third_party, name):
-    grid = read_grid(third_party / name)
-    with np.load(third_party / "oracle" / f"{name}.npz") as oracle:
-        np.testing.assert_array_equal(grid.block(0), oracle["b0"])
-    points, arrays, _ = vtk_witness.read(third_party / name)
-    np.testing.assert_array_equal(grid.block(0), points)
-    assert grid.precision == "float32"
-    assert {(f.location, f.name) for f in grid.fields} == arrays.keys()
-    for field in grid.fields:
-        np.testing.assert_array_equal(field.values, arrays[field.location, field.name])
-
-
 @pytest.mark.parametrize("blank", ["", "\n", "  \n\n"])
 def test_blank_lines_behind_the_title(tmp_path, blank):
     points = "0 0 0 1 0 0 0 1 0 1 1 0"

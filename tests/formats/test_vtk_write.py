@@ -76,33 +76,18 @@ LEGACY_OPTIONS = st.fixed_dictionaries(
 )
 
 
-def written_and_read(grid, path, options):
+@pytest.mark.parametrize(("name", "variants", "n_blocks"), [
+    ("grid.vts", XML_OPTIONS, 1), ("grid.vtk", LEGACY_OPTIONS, 1), ("grid.vtm", st.just({}), 3),
+])  # fmt: skip
+@settings(max_examples=12)
+@given(data=st.data())
+def test_round_trip(tmp_path_factory, name, variants, n_blocks, data):
+    grid, options = data.draw(grids(n_blocks)), data.draw(variants)
+    path = tmp_path_factory.mktemp("round") / name
     write_grid(grid, path, options)
     again = read_grid(path)
     same(grid, again, options.get("precision", "float64"))
-    return again
-
-
-@settings(max_examples=15)
-@given(grid=grids(), options=XML_OPTIONS)
-def test_vts_round_trip(tmp_path_factory, grid, options):
-    again = written_and_read(grid, tmp_path_factory.mktemp("vts") / "grid.vts", options)
     assert options.items() <= {**again.format.options, "precision": again.precision}.items()
-
-
-@settings(max_examples=15)
-@given(grid=grids(), options=LEGACY_OPTIONS)
-def test_legacy_round_trip(tmp_path_factory, grid, options):
-    again = written_and_read(grid, tmp_path_factory.mktemp("vtk") / "grid.vtk", options)
-    assert again.format.options == {"kind": "legacy", "encoding": options["encoding"]}
-
-
-@settings(max_examples=8)
-@given(grid=grids(n_blocks=3))
-def test_vtm_round_trip(tmp_path_factory, grid):
-    path = tmp_path_factory.mktemp("vtm") / "grid.vtm"
-    write_grid(grid, path)
-    same(grid, read_grid(path))
 
 
 @pytest.mark.parametrize("name", ["a.vts", "a.vtk"])

@@ -11,6 +11,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 from cgns_witness import N
+from grids import joined_nodes
 from plot3d_witness import binary_file
 
 from meshdeform_core.grid import Grid
@@ -150,15 +151,8 @@ def neutral_map(path: Path, grid: Grid, told: str) -> str:
     for link in grid.connections:
         if link.periodic is not None:
             continue
-        begin, end = np.array(link.begin), np.array(link.end)
-        steps = np.indices(np.abs(end - begin) + 1).reshape(3, -1).T * np.where(end >= begin, 1, -1)
-        matrix = np.zeros((3, 3), int)
-        for axis, donor in enumerate(link.transform):
-            matrix[abs(donor) - 1, axis] = np.sign(donor)
-        there = np.array(link.donor_begin) + steps @ matrix.T
-        nodes = grid.block(link.block)[tuple((begin + steps).T)]
-        apart = np.abs(nodes - grid.block(link.donor_block)[tuple(there.T)]).max() > 1e-6
-        if apart and f"connection {link.name!r}" not in told:
+        nodes, donors = joined_nodes(grid, link)
+        if np.abs(nodes - donors).max() > 1e-6 and f"connection {link.name!r}" not in told:
             return f"connection {link.name} joins nodes that lie apart"
     lines = [line for line in path.read_text(errors="replace").splitlines() if line.strip()[:1] not in ("", "#")]
     windows = sum(len(patch.windows) for patch in grid.patches) + len(grid.connections)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import re
-from collections.abc import Callable
 from pathlib import Path
 
 import meshio
@@ -22,8 +20,6 @@ def write(path: Path, surface: Surface, kind: str) -> None:
     """Write a surface; ``kind`` tells which variant of the format."""
     if path.suffix in (".vtu", ".vtp", ".vtk"):
         _write_vtk(path, surface, kind)
-    elif path.suffix == ".ply":
-        _write_ply(path, surface, kind)
     elif path.suffix == ".avs":
         points, moves, triangles = surface
         mesh = meshio.Mesh(points, [("triangle", triangles)], point_data={"displacement": moves})
@@ -89,31 +85,12 @@ def _write_vtk(path: Path, surface: Surface, kind: str) -> None:
     assert writer.Write()
 
 
-def _write_ply(path: Path, surface: Surface, kind: str) -> None:
-    points, moves, triangles = surface
-    order = {"ascii": "ascii", "little": "binary_little_endian", "big": "binary_big_endian"}[kind]
-    names = "".join(f"property double {name}\n" for name in ("x", "y", "z", "dx", "dy", "dz"))
-    faces = f"element face {len(triangles)}\nproperty list uchar int vertex_indices\n"
-    head = f"ply\nformat {order} 1.0\nelement vertex {len(points)}\n{names}{faces}end_header\n"
-    rows = np.hstack([points, moves])
-    if kind == "ascii":
-        text = [" ".join(map(repr, row)) for row in rows.tolist()]
-        text += ["3 " + " ".join(map(str, triangle)) for triangle in triangles.tolist()]
-        path.write_text(head + "\n".join(text) + "\n")
-        return
-    mark = "<" if kind == "little" else ">"
-    cells = np.empty(len(triangles), [("n", "u1"), ("nodes", mark + "i4", 3)])
-    cells["n"], cells["nodes"] = 3, triangles
-    path.write_bytes(head.encode() + rows.astype(mark + "f8").tobytes() + cells.tobytes())
-
-
 # --- reading --------------------------------------------------------------------------------------------------------
 
 
 def read(path: Path) -> Surface | None:
     """The surface as something else than the program reads it; none if that finds no surface."""
-    readers: dict[str, Callable[[Path], Surface | None]] = {".ply": _ply, ".msh": _msh}
-    return readers.get(path.suffix, _vtk)(path)
+    return _msh(path) if path.suffix == ".msh" else _vtk(path)
 
 
 def _vtk(path: Path) -> Surface | None:
@@ -143,27 +120,6 @@ def _vtk(path: Path) -> Surface | None:
     moves = vectors[0]
     points = vtk_to_numpy(mesh.GetPoints().GetData())
     return points.astype(float), moves.astype(float), np.array(triangles, dtype=int).reshape(-1, 3)
-
-
-def _ply(path: Path) -> Surface:
-    head, body = re.split(rb"end_header\s*?(?:\r\n?|\n)", path.read_bytes(), maxsplit=1)
-    lines = [line.split() for line in head.decode().splitlines()]
-    counts = {line[1]: int(line[2]) for line in lines if line[0] == "element"}
-    n, m, names = counts["vertex"], counts.get("face", 0), [line[2] for line in lines if line[0] == "property"][:6]
-    order = [names.index(name) for name in ("x", "y", "z", "dx", "dy", "dz")]
-    kind = next(line[1] for line in lines if line[0] == "format")
-    if kind == "ascii":
-        numbers = body.split()
-        rows = np.array(numbers[: 6 * n], dtype=float).reshape(n, 6)[:, order]
-        triangles = np.array(numbers[6 * n : 6 * n + 4 * m], dtype=int).reshape(m, 4)[:, 1:]
-        return rows[:, :3], rows[:, 3:], triangles
-    mark = "<" if "little" in kind else ">"
-    kinds = [line[1] for line in lines if line[0] == "property"][:6]
-    record = [(name, mark + {"double": "f8", "float": "f4"}[k]) for name, k in zip(names, kinds, strict=True)]
-    values = np.frombuffer(body, record, n)
-    rows = np.stack([values[name] for name in ("x", "y", "z", "dx", "dy", "dz")], axis=1).astype(float)
-    cells = np.frombuffer(body, [("n", "u1"), ("nodes", mark + "i4", 3)], m, values.nbytes)
-    return rows[:, :3], rows[:, 3:], cells["nodes"].astype(int)
 
 
 def _section(words: list[str], name: str) -> list[str]:

@@ -35,8 +35,10 @@ def swallow(*_, **__):
     work()
 
 
-@pytest.mark.parametrize("hang", [wait, work, swallow])
-@pytest.mark.parametrize("place", ["meshdeform_formats.grids.read_grid", "meshdeform_cli.work.write_grid"])
+@pytest.mark.parametrize(("hang", "place"), [
+    (wait, "meshdeform_formats.grids.read_grid"), (work, "meshdeform_cli.work.write_grid"),
+    (swallow, "meshdeform_cli.work.write_grid"),
+])  # fmt: skip
 def test_a_hang_is_wrong_and_never_refused(hang, place, tmp_path, monkeypatch):
     """Wherever the program hangs: while it reads, or where it takes errors of the system for a full disk."""
     monkeypatch.chdir(tmp_path)
