@@ -62,7 +62,13 @@ def replacing_by_all(target: Path, points: Any) -> Iterator[Path]:
 
 def partial_path(target: Path) -> Path:
     """A temporary path next to ``target``, whose remains of killed runs on this machine are removed."""
-    _remove_stale(target)
+    pattern = re.compile(
+        rf"\.{re.escape(target.stem)}\.(\d+)-{_host()}[0-9a-f]{{4}}\.partial{re.escape(target.suffix)}"
+    )
+    with contextlib.suppress(OSError):
+        for name in os.listdir(target.parent):
+            if (found := pattern.fullmatch(name)) and not _runs(int(found[1])):
+                _remove(target.parent / name)
     # The suffix is kept: some writers choose the format by it.
     return target.parent / f".{target.stem}.{os.getpid()}-{_host()}{secrets.token_hex(2)}.partial{target.suffix}"
 
@@ -105,17 +111,6 @@ def invalid_path(output: Path) -> Path:
 def _host() -> str:
     """Four digits that identify this machine; process numbers are meaningless on others."""
     return hashlib.sha256(platform.node().encode()).hexdigest()[:4]
-
-
-def _remove_stale(target: Path) -> None:
-    """Remove the temporary paths of runs that were killed on this machine while they wrote ``target``."""
-    pattern = re.compile(
-        rf"\.{re.escape(target.stem)}\.(\d+)-{_host()}[0-9a-f]{{4}}\.partial{re.escape(target.suffix)}"
-    )
-    with contextlib.suppress(OSError):
-        for name in os.listdir(target.parent):
-            if (found := pattern.fullmatch(name)) and not _runs(int(found[1])):
-                _remove(target.parent / name)
 
 
 def _runs(process: int) -> bool:

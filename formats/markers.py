@@ -41,7 +41,7 @@ def find_markers(grid: Grid, topology: Topology) -> list[Marker]:
     keep the name of their family if it has no other faces; else they come last. Patches that the file declares without
     faces are markers without quads.
     """
-    names, patches, group = _named(grid, topology)
+    names, patches, group = _named_faces(grid, topology)
     group[~topology.external] = -1
     pairs = _pairs(grid, topology, np.where([patch is None for patch in patches], -1, np.arange(len(names)))[group])
     taken = set(names)
@@ -67,7 +67,7 @@ def find_markers(grid: Grid, topology: Topology) -> list[Marker]:
     return sorted(markers, key=lambda marker: place.get(marker.name, len(names)))
 
 
-def _named(grid: Grid, topology: Topology) -> tuple[list[str], list[Patch | None], IntArray]:
+def _named_faces(grid: Grid, topology: Topology) -> tuple[list[str], list[Patch | None], IntArray]:
     """Names of families, patches and block faces, the first patch of each, and the name of every face quad."""
     first: dict[str, Patch | None] = {}
     for patch in grid.patches:

@@ -43,7 +43,7 @@ class Line:
     place: str
     words: tuple[str, ...]
 
-    def integers(self, first: int, meaning: str) -> tuple[int, ...]:
+    def whole_numbers(self, first: int, meaning: str) -> tuple[int, ...]:
         """All words starting at ``first`` as integers."""
         try:
             return tuple(int(word) for word in self.words[first:])
@@ -95,18 +95,18 @@ def parse_neutral_map(path: Path) -> NeutralMap:
             lines.append(Line(f"{path}, line {number}", words))
     if not lines:
         raise FormatError(f"{path} is not a neutral map: it has only comments and empty lines")
-    sizes, notes = _sizes(lines, path)
-    return NeutralMap(sizes, tuple(_entry(line) for line in lines[1 + len(sizes) :]), notes)
+    sizes, notes = _block_sizes(lines, path)
+    return NeutralMap(sizes, tuple(_entry_of(line) for line in lines[1 + len(sizes) :]), notes)
 
 
-def _sizes(lines: list[Line], path: Path) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
-    count = lines[0].integers(0, "the number of blocks")
+def _block_sizes(lines: list[Line], path: Path) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
+    count = lines[0].whole_numbers(0, "the number of blocks")
     if len(count) != 1 or count[0] < 1:
         raise FormatError(f"{lines[0].place}: expected the number of blocks, found {' '.join(lines[0].words)!r}")
     rows = []
     for line in lines[1 : 1 + count[0]]:
         meaning = f"block number, IDIM, JDIM, KDIM for {count[0]} blocks"
-        row = line.integers(0, meaning)
+        row = line.whole_numbers(0, meaning)
         if len(row) != 4 or min(row[1:]) < 1:
             raise FormatError(f"{line.place}: expected {meaning}, found {' '.join(line.words)!r}")
         rows.append(row)
@@ -120,9 +120,9 @@ def _sizes(lines: list[Line], path: Path) -> tuple[tuple[Shape, ...], tuple[str,
     return tuple((ni, nj, nk) for _, ni, nj, nk in rows), notes
 
 
-def _entry(line: Line) -> Entry:
+def _entry_of(line: Line) -> Entry:
     flag = _LOGICAL.get(line.words[-1].lower())
-    numbers = (line if flag is None else Line(line.place, line.words[:-1])).integers(
+    numbers = (line if flag is None else Line(line.place, line.words[:-1])).whole_numbers(
         1, "a type, B1 F1 S1 E1 S2 E2, and for connections B2 F2 S1 E1 S2 E2 Swap"
     )
     entry = Entry(line.place, line.words[0], tuple(numbers[i : i + 6] for i in range(0, len(numbers), 6)), flag)
@@ -227,7 +227,7 @@ def read_neutral_map(path: Path, grid: Grid) -> Grid:
         counts[entry.type] += 1
         name = f"{entry.type}-{counts[entry.type]}"
         if entry.is_one_to_one:
-            connections.append(_connection(name, entry, *ranges))
+            connections.append(_connection_of(name, entry, *ranges))
         else:
             patches.append(Patch(name, tuple(r.window for r in ranges), entry.type, entry.type))
     notes = list(file.notes)
@@ -267,7 +267,7 @@ def _frame(file: NeutralMap, grid: Grid, path: Path) -> _Frame:
     )
 
 
-def _connection(name: str, entry: Entry, here: _Range, there: _Range) -> Connection:
+def _connection_of(name: str, entry: Entry, here: _Range, there: _Range) -> Connection:
     """Map one range onto the other: begin to begin, primary to primary index or, with Swap, to secondary."""
     transform = [0, 0, 0]
     for axis, partner in zip(here.axes, there.axes[::-1] if entry.flag else there.axes, strict=True):

@@ -119,7 +119,7 @@ class _Unstructured:
 
 def _unstructured(grid: Grid, topology: Topology) -> _Unstructured:
     number, nodes = point_numbers(grid, topology)
-    cells = [_cells(grid.block(b, number), int(topology.handedness[b])) for b in range(grid.n_blocks)]
+    cells = [_cell_corners(grid.block(b, number), int(topology.handedness[b])) for b in range(grid.n_blocks)]
     markers = [marker for marker in find_markers(grid, topology) if len(marker.quads)]
     return _Unstructured(
         points=grid.points[nodes],
@@ -132,7 +132,7 @@ def _unstructured(grid: Grid, topology: Topology) -> _Unstructured:
     )
 
 
-def _cells(number: NDArray[Any], handedness: int) -> IntArray:
+def _cell_corners(number: NDArray[Any], handedness: int) -> IntArray:
     """Corners of the cells of one block, C-ordered, from the node numbers ``(ni, nj, nk)``."""
     corners: Sequence[tuple[int, ...]]
     if 1 in number.shape:
@@ -276,35 +276,35 @@ def write_msh41(stream: BinaryIO, points: FloatArray, entities: Sequence[Entity]
     out = _Output(stream, binary)
     stream.write(b"$MeshFormat\n4.1 %d 8\n" % binary)
     if binary:
-        out.line(("i", [1]))
+        out.typed_line(("i", [1]))
         stream.write(b"\n")
     stream.write(b"$EndMeshFormat\n$PhysicalNames\n%d\n" % len(entities))
     for tag, entity in enumerate(entities, start=1):
         stream.write(f'{entity.dimension} {tag} "{entity.name}"\n'.encode())
     stream.write(b"$EndPhysicalNames\n$Entities\n")
-    out.line(("q", [sum(entity.dimension == d for entity in entities) for d in range(4)]))
+    out.typed_line(("q", [sum(entity.dimension == d for entity in entities) for d in range(4)]))
     for dimension in (1, 2, 3):
         for tag, entity in enumerate(entities, start=1):
             if entity.dimension == dimension:
                 corners = points[entity.elements.ravel()]
                 box = [*corners.min(axis=0), *corners.max(axis=0)]
-                out.line(("i", [tag]), ("d", box), ("q", [1]), ("i", [tag]), ("q", [0]))
+                out.typed_line(("i", [tag]), ("d", box), ("q", [1]), ("i", [tag]), ("q", [0]))
     stream.write(b"\n$EndEntities\n$Nodes\n")
     n = len(points)
     top = max(entity.dimension for entity in entities)
     home = next(tag for tag, entity in enumerate(entities, start=1) if entity.dimension == top)
-    out.line(("q", [1, n, 1, n]))
-    out.line(("i", [top, home, 0]), ("q", [n]))
+    out.typed_line(("q", [1, n, 1, n]))
+    out.typed_line(("i", [top, home, 0]), ("q", [n]))
     out.rows(np.arange(1, n + 1)[:, None], "q")
     out.rows(points, "d")
     stream.write(b"\n$EndNodes\n$Elements\n")
     total = sum(len(entity.elements) for entity in entities)
-    out.line(("q", [len(entities), total, 1, total]))
+    out.typed_line(("q", [len(entities), total, 1, total]))
     first = 1
     for tag, entity in enumerate(entities, start=1):
         rows = np.insert(entity.elements + 1, 0, np.arange(first, first + len(entity.elements)), axis=1)
         kind = _TYPES[entity.kind, entity.elements.shape[1]]
-        out.line(("i", [entity.dimension, tag, kind]), ("q", [len(rows)]))
+        out.typed_line(("i", [entity.dimension, tag, kind]), ("q", [len(rows)]))
         out.rows(rows, "q")
         first += len(rows)
     stream.write(b"\n$EndElements\n")
@@ -316,7 +316,7 @@ class _Output:
     def __init__(self, stream: BinaryIO, binary: bool):
         self._stream, self._binary = stream, binary
 
-    def line(self, *parts: tuple[str, Sequence[float]]) -> None:
+    def typed_line(self, *parts: tuple[str, Sequence[float]]) -> None:
         """Values of several types, one after another."""
         if self._binary:
             self._stream.writelines(np.array(values, dtype=f"<{kind}").tobytes() for kind, values in parts)

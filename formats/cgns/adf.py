@@ -216,7 +216,7 @@ class _AdfNode(Node):
             yield child
 
     def fetch_values(self) -> NDArray[Any]:
-        pieces = self._pieces()
+        pieces = self._data_chunks()
         if self.dtype is None or not pieces:
             return super().fetch_values()
         count, data = math.prod(self.dims), self.container.bytes
@@ -236,13 +236,13 @@ class _AdfNode(Node):
         return node
 
     def place(self) -> int | None:
-        pieces = self._pieces()
+        pieces = self._data_chunks()
         return pieces[0][0] if len(pieces) == 1 else None
 
     def require_stored(self) -> None:
-        self._pieces()
+        self._data_chunks()
 
-    def _pieces(self) -> list[tuple[int, int]]:
+    def _data_chunks(self) -> list[tuple[int, int]]:
         """Begin and end byte of each piece of the data, which must have the declared size."""
         file, path = self.container, self.path
         if self.data_type == "MT":

@@ -62,7 +62,7 @@ def condition_windows(condition: Node, zone: Zone, block: int, notes: Notes) -> 
     location = "FaceCenter"
     if not sets[0].name.startswith("Element"):
         location = next((node.text() for node in condition.labelled("GridLocation_t")), "Vertex")
-    points, is_range = _points(sets[0], zone), sets[0].name.endswith("Range")
+    points, is_range = _point_set(sets[0], zone), sets[0].name.endswith("Range")
     if location == "Vertex":
         windows, unused = _of_nodes(points, is_range, zone.shape, block)
     elif location in _FACE_LOCATIONS:
@@ -80,7 +80,7 @@ def condition_windows(condition: Node, zone: Zone, block: int, notes: Notes) -> 
     return windows
 
 
-def _points(node: Node, zone: Zone) -> IntArray:
+def _point_set(node: Node, zone: Zone) -> IntArray:
     """0-based indices ``(n, 3)`` of a point set, all inside the zone."""
     axes = len(zone.core)
     if node.target.dims == (axes,):  # a single point, stored without the second dimension

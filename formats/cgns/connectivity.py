@@ -39,7 +39,7 @@ def zone_connections(base: Base, zones: Sequence[Zone], grid: Grid, notes: Notes
                 if kind == "1to1":
                     # Base/Zone is accepted for the same base.
                     donor = blocks.get(node.text().removeprefix(f"{base.node.name}/"))
-                    connection = None if donor is None else _connection(node, block, donor, zones)
+                    connection = None if donor is None else _declared_connection(node, block, donor, zones)
                     if connection is None:
                         notes.add("connections that do not match their zones are not used", place)
                         continue
@@ -73,7 +73,7 @@ def _kind(node: Node) -> str:
     return "Overset" if label == "OversetHoles_t" else ""
 
 
-def _connection(node: Node, block: int, donor: int, zones: Sequence[Zone]) -> Connection | None:
+def _declared_connection(node: Node, block: int, donor: int, zones: Sequence[Zone]) -> Connection | None:
     axes = len(zones[block].core)
     begin, end = _range(node, "PointRange", axes)
     donor_begin, donor_end = _range(node, "PointRangeDonor", axes)
@@ -120,9 +120,9 @@ def periodicity(
     found = [p for group in node.labelled("GridConnectivityProperty_t") for p in group.labelled("Periodic_t")]
     if not found:
         return None
-    center = _vector(found[0], "RotationCenter")
-    angle = _vector(found[0], "RotationAngle")
-    translation = _vector(found[0], "Translation")
+    center = _vector_of(found[0], "RotationCenter")
+    angle = _vector_of(found[0], "RotationAngle")
+    translation = _vector_of(found[0], "Translation")
     degrees = np.degrees(angle)
     unit = declared_unit([*found[0].labelled("DataArray_t"), found[0], *outer], _ANGLE)
     if unit == "Degree":
@@ -132,20 +132,20 @@ def periodicity(
         here = np.array([own[connection.begin], own[connection.end]])
         there = np.array([donor[connection.donor_begin], donor[connection.donor_end]])
         # Largest distances between the moved corners of the connection and their donors.
-        images = (periodic_image(here, _motion(center, value, translation)) for value in (degrees, angle))
+        images = (periodic_image(here, _periodicity_of(center, value, translation)) for value in (degrees, angle))
         fits = [np.linalg.norm(image - there, axis=1).max() for image in images]
         degrees = angle if fits[1] < fits[0] else degrees
         word = "degrees" if fits[1] < fits[0] else "radians"
         notes.add(f"periodic angles without a unit are read as {word}, which matches the coordinates", node.name)
-    return _motion(center, degrees, translation)
+    return _periodicity_of(center, degrees, translation)
 
 
-def _motion(center: FloatArray, degrees: FloatArray, translation: FloatArray) -> Periodicity:
+def _periodicity_of(center: FloatArray, degrees: FloatArray, translation: FloatArray) -> Periodicity:
     (cx, cy, cz), (ax, ay, az), (tx, ty, tz) = (v.tolist() for v in (center, degrees, translation))
     return Periodicity((cx, cy, cz), (ax, ay, az), (tx, ty, tz))
 
 
-def _vector(periodic: Node, name: str) -> FloatArray:
+def _vector_of(periodic: Node, name: str) -> FloatArray:
     """A vector with as many components as the base has coordinates, padded with zeros."""
     child = periodic.child(name)
     values = np.zeros(3)

@@ -113,7 +113,7 @@ def connectivity_nodes(grid: Grid, zones: tuple[str, ...]) -> list[list[Node]]:
     nodes = []
     for part in parts:
         names = unique_names((connection.name for connection in part), "Connection")
-        children = [_node(name, connection, grid, zones) for name, connection in zip(names, part, strict=True)]
+        children = [_connection_node(name, each, grid, zones) for name, each in zip(names, part, strict=True)]
         nodes.append([make("ZoneGridConnectivity", "ZoneGridConnectivity_t", None, children)] if children else [])
     return nodes
 
@@ -151,7 +151,7 @@ def _reversed(connection: Connection) -> Connection:
     )
 
 
-def _node(name: str, connection: Connection, grid: Grid, zones: tuple[str, ...]) -> Node:
+def _connection_node(name: str, connection: Connection, grid: Grid, zones: tuple[str, ...]) -> Node:
     shape, donor_shape = grid.shapes[connection.block], grid.shapes[connection.donor_block]
     own = point_range(shape, connection.begin, connection.end)
     donor = point_range(donor_shape, connection.donor_begin, connection.donor_end)
@@ -165,12 +165,12 @@ def _node(name: str, connection: Connection, grid: Grid, zones: tuple[str, ...])
         make("PointRangeDonor", "IndexRange_t", donor),
     ]
     if connection.periodic:
-        periodic = make("Periodic", "Periodic_t", None, _motion(connection.periodic))
+        periodic = make("Periodic", "Periodic_t", None, _periodic_nodes(connection.periodic))
         children.append(make("GridConnectivityProperty", "GridConnectivityProperty_t", None, [periodic]))
     return make(name, "GridConnectivity1to1_t", zones[connection.donor_block], children)
 
 
-def _motion(periodic: Periodicity) -> list[Node]:
+def _periodic_nodes(periodic: Periodicity) -> list[Node]:
     """Periodic_t nodes of a motion; angles are in radians, declared explicitly because readers' defaults differ."""
     units = make("DimensionalUnits", "DimensionalUnits_t", name_list(["Null", "Null", "Null", "Null", "Radian"]))
     angle = np.radians(periodic.rotation_angle).astype(np.float32)

@@ -49,9 +49,9 @@ def write_copy(grid: Grid, path: Path, precision: str | None, original: Original
         # The first rank alone cannot find them.
         boxes()
     if original is not None and _only_values_change(grid, source, precision, original, boxes):
-        write_completed(grid, path, lambda partial: _copied(original, source, path, partial))
+        write_completed(grid, path, lambda partial: _copy_of_file(original, source, path, partial))
     else:
-        write_completed(grid, path, lambda partial: _begin(grid, source, path, partial, precision, boxes))
+        write_completed(grid, path, lambda partial: _prepared_copy(grid, source, path, partial, precision, boxes))
 
 
 def _only_values_change(grid: Grid, source: Path, precision: str | None, original: Original, boxes: Boxes) -> bool:
@@ -65,7 +65,7 @@ def _only_values_change(grid: Grid, source: Path, precision: str | None, origina
     )
 
 
-def _copied(original: Original, source: Path, path: Path, partial: Path) -> Places:
+def _copy_of_file(original: Original, source: Path, path: Path, partial: Path) -> Places:
     """Copy the file; returns the places of coordinates."""
     with hdf5_errors(path, "write"):
         shutil.copyfile(source, partial)
@@ -75,7 +75,7 @@ def _copied(original: Original, source: Path, path: Path, partial: Path) -> Plac
     return Places(partial, dict(enumerate(every)))
 
 
-def _begin(grid: Grid, source: Path, path: Path, partial: Path, precision: str | None, boxes: Boxes) -> Places:
+def _prepared_copy(grid: Grid, source: Path, path: Path, partial: Path, precision: str | None, boxes: Boxes) -> Places:
     """Write everything but the values of nodes, cells and faces; returns the places of these."""
     with opened_cgns(source) as root:
         with naming(source):

@@ -167,12 +167,12 @@ def solution_nodes(
                 label = f"{location} field {field.name!r} of {grid.names[block]}"
                 found = f"has shape {field.values.shape}; expected {expected}, followed by its components"
                 raise FormatError(f"{label} {found}")
-        arrays = [(n, name) for n in numbers[block, location] for name in _components(grid.fields[n])]
+        arrays = [(n, name) for n in numbers[block, location] for name in _component_names(grid.fields[n])]
         names = unique_names((name for _, name in arrays), "Field", ["GridLocation"])
         nodes = []
         for name, (number, _) in zip(names, arrays, strict=True):
             field, own = grid.fields[number], places.fields.setdefault(number, [])
-            nodes.append(places.room(own, name, size, _kind(field), field.values.shape[:3]))
+            nodes.append(places.room(own, name, size, _stored_type(field), field.values.shape[:3]))
         location_node = make("GridLocation", "GridLocation_t", word)
         solutions.append(make(f"FlowSolution{word}", "FlowSolution_t", None, [location_node, *nodes]))
     return solutions
@@ -193,7 +193,7 @@ def _located(location: str, word: str, shape: Sequence[int], nodes: Sequence[int
     return size, word
 
 
-def _kind(field: Field) -> np.dtype[Any]:
+def _stored_type(field: Field) -> np.dtype[Any]:
     """The type of CGNS for the values of a field."""
     kind: np.dtype[Any] = field.values.dtype
     if kind.kind != "f":
@@ -201,7 +201,7 @@ def _kind(field: Field) -> np.dtype[Any]:
     return kind.newbyteorder("=") if kind.itemsize in (4, 8) else np.dtype(np.float64)
 
 
-def _components(field: Field) -> list[str]:
+def _component_names(field: Field) -> list[str]:
     """Names of the scalar arrays of a field."""
     if len(field.values.shape) == 3:
         return [field.name]

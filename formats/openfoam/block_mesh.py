@@ -55,7 +55,7 @@ def block_mesh(layout: BlockMeshDict) -> Grid:
     names = [block.name for block in layout.blocks]
     connections, notes = _cyclic(layout)
     grid = Grid.allocate(
-        shapes, names, patches=_patches(layout), connections=connections, notes=notes, path=layout.path,
+        shapes, names, patches=_patches_of_sides(layout), connections=connections, notes=notes, path=layout.path,
         components=_regions(layout),
     )  # fmt: skip
     grid.fill(lambda b: _blend(grid.block(b), layout.vertices[list(layout.blocks[b].vertices)], edges[b], layout.scale))
@@ -158,7 +158,7 @@ def _weight(at: Sequence[FloatArray], number: int) -> FloatArray:
     return np.asarray(total)
 
 
-def _patches(layout: BlockMeshDict) -> tuple[Patch, ...]:
+def _patches_of_sides(layout: BlockMeshDict) -> tuple[Patch, ...]:
     """Patches under their names, which are their families, too; also those without faces."""
     found = []
     for patch in layout.patches:
@@ -198,7 +198,8 @@ def _cyclic_pairs(layout: BlockMeshDict, one: FoamPatch, two: FoamPatch) -> list
     vertices = layout.vertices * layout.scale
     corners = {(block, side): vertices[[layout.blocks[block].vertices[v] for v in SIDE_VERTICES[side]]]
                for block, side in (*one.sides, *two.sides)}  # fmt: skip
-    motion = _motion(one, *(np.mean([corners[place] for place in patch.sides], axis=(0, 1)) for patch in (one, two)))
+    means = (np.mean([corners[place] for place in patch.sides], axis=(0, 1)) for patch in (one, two))
+    motion = _cyclic_motion(one, *means)
     size = float(np.ptp(np.concatenate(list(corners.values())), axis=0).max())
     found = []
     for number, own in enumerate(one.sides):
@@ -206,12 +207,12 @@ def _cyclic_pairs(layout: BlockMeshDict, one: FoamPatch, two: FoamPatch) -> list
             gaps = np.linalg.norm(periodic_image(corners[own], motion)[:, None] - corners[donor], axis=2)
             nearest = gaps.argmin(axis=1).tolist()
             if gaps.min(axis=1).max() <= _CYCLIC_TOLERANCE * size and len(set(nearest)) == 4:
-                found.append(_connection(layout, f"{one.name}-{number + 1}", own, donor, nearest, motion))
+                found.append(_cyclic_connection(layout, f"{one.name}-{number + 1}", own, donor, nearest, motion))
                 break
     return found if len(found) == len(one.sides) else []
 
 
-def _motion(patch: FoamPatch, mean: FloatArray, image: FloatArray) -> Periodicity:
+def _cyclic_motion(patch: FoamPatch, mean: FloatArray, image: FloatArray) -> Periodicity:
     """The rotation about the declared axis, else the translation, that maps one mean point onto the other."""
     if patch.content.text("transform") != "rotational" and "rotationAxis" not in patch.content.entries:
         x, y, z = (image - mean).tolist()
@@ -227,7 +228,7 @@ def _motion(patch: FoamPatch, mean: FloatArray, image: FloatArray) -> Periodicit
     return Periodicity(*(tuple(values.tolist()) for values in (center, turn.as_euler("xyz", degrees=True))))
 
 
-def _connection(
+def _cyclic_connection(
     layout: BlockMeshDict, name: str, own: BlockSide, donor: BlockSide, image: Sequence[int], motion: Periodicity
 ) -> Connection:
     """The connection of two block sides, from the corners of the second that are the images of those of the first."""

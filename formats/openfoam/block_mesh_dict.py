@@ -91,13 +91,13 @@ def read_block_mesh_dict(top: Dictionary) -> BlockMeshDict:
         if entry.more and (isinstance(top.entries[key], Dictionary) or entry.list(key).more or entry.more):
             raise FormatError(f"{top.place(key)}: {key} is not supported: {reason}")
     known = _Vertices(top)
-    blocks = _blocks(top, known)
+    blocks = _read_blocks(top, known)
     sides: dict[tuple[int, ...], list[BlockSide]] = {}
     for number, block in enumerate(blocks):
         for side in Side:
             sides.setdefault(_side_key(block, side), []).append((number, side))
     joined = tuple((two[0][0], two[1][0]) for key, two in sides.items() if len(two) == 2 < len(key))
-    curves, patches = _curves(top, known), _patches(top, known, blocks, sides)
+    curves, patches = _curves(top, known), _read_patches(top, known, blocks, sides)
     return BlockMeshDict(top.path, known.points, _scale(top), blocks, curves, patches, joined)
 
 
@@ -140,7 +140,7 @@ def _scale(top: Dictionary) -> FloatArray:
     return scale
 
 
-def _blocks(top: Dictionary, vertices: _Vertices) -> tuple[HexBlock, ...]:
+def _read_blocks(top: Dictionary, vertices: _Vertices) -> tuple[HexBlock, ...]:
     items = top.list("blocks")
     found: list[HexBlock] = []
     while items.more:
@@ -199,24 +199,24 @@ def _grading(values: Reading) -> Grading:
     """One ratio, or a list of sections ``(length cells ratio)``."""
     ratio = values.next_number()
     if ratio is not None:
-        return (Section(ratio=_positive(values, ratio)),)
+        return (Section(ratio=_positive_ratio(values, ratio)),)
     items, found = values.list("sections (length cells ratio)"), []
     while items.more:
         ratio = items.next_number()
         if ratio is not None:
-            found.append(Section(ratio=_positive(items, ratio)))
+            found.append(Section(ratio=_positive_ratio(items, ratio)))
             continue
         part = items.list("a section (length cells ratio)")
         length, cells = part.number("the length of a section"), part.number("the cells of a section")
         if length <= 0 or cells <= 0:
             part.fail(f"a section of length {length:g} with {cells:g} cells; expected positive shares")
-        found.append(Section(length, cells, _positive(part, part.number("the expansion of a section"))))
+        found.append(Section(length, cells, _positive_ratio(part, part.number("the expansion of a section"))))
     if not found:
         items.fail("a grading without sections")
     return tuple(found)
 
 
-def _positive(items: Reading, ratio: float) -> float:
+def _positive_ratio(items: Reading, ratio: float) -> float:
     """The expansion ratio; a negative value means the reciprocal of its magnitude."""
     if ratio == 0:
         items.fail("an expansion ratio of 0; expected the ratio of the last to the first cell")
@@ -270,7 +270,7 @@ def _arc(items: Reading, first: FloatArray, last: FloatArray) -> Arc | None:
     return arc_through(first, np.array(items.point("a point of the arc")), last)
 
 
-def _patches(
+def _read_patches(
     top: Dictionary, vertices: _Vertices, blocks: Sequence[HexBlock], sides: Mapping[tuple[int, ...], list[BlockSide]]
 ) -> tuple[FoamPatch, ...]:
     """The patches of ``boundary`` (or ``patches``, the form before OpenFOAM 2), and the default patch of all outside

@@ -157,7 +157,7 @@ class _Parser:
     def run(self) -> Dictionary:
         top = Dictionary(self._path, 1)
         while self._next is not None:
-            self._entry(top, top)
+            self._read_entry(top, top)
         return top
 
     def _scan(self, text: str) -> Iterator[Atom]:
@@ -172,7 +172,7 @@ class _Parser:
             line += found[0].count("\n")
             at = found.end()
 
-    def _take(self) -> Atom:
+    def _token(self) -> Atom:
         token = self._next
         if token is None:
             raise FormatError(f"{self._path} ends within an entry or a list; a ; ) or }} is missing")
@@ -191,7 +191,7 @@ class _Parser:
         while self._next is None or self._next.text != end:
             self._add(1)
             yield
-        self._take()
+        self._token()
         self._depth -= 1
 
     def _add(self, count: int) -> None:
@@ -199,14 +199,14 @@ class _Parser:
         if self._count > _MOST:
             self._fail("the dictionary has more values than any blockMeshDict")
 
-    def _entry(self, home: Dictionary, scope: Dictionary) -> None:
+    def _read_entry(self, home: Dictionary, scope: Dictionary) -> None:
         """Read an entry into ``home``, which is ``scope`` but in the items of a list."""
-        key = self._take()
+        key = self._token()
         if key.text in "(){};[]":
             if key.text != ";":
                 self._fail(f"found {key.text}, expected a keyword")
         elif key.text == "#inputMode" and home is scope:
-            mode = self._take().text
+            mode = self._token().text
             if mode not in ("merge", "default"):
                 self._fail(f"#inputMode {mode} is not supported; expected merge, as without it")
         elif key.text.startswith("#"):
@@ -230,9 +230,9 @@ class _Parser:
         )
 
     def _dictionary(self, scope: Dictionary, within_list: bool) -> Dictionary:
-        inner = Dictionary(self._path, self._take().line, scope)
+        inner = Dictionary(self._path, self._token().line, scope)
         for _ in self._until("}"):
-            self._entry(inner, scope if within_list else inner)
+            self._read_entry(inner, scope if within_list else inner)
         return inner
 
     def _values(self, scope: Dictionary, end: str) -> tuple[Item, ...]:
@@ -242,7 +242,7 @@ class _Parser:
             if self._next is not None and self._next.text == "{":
                 values.append(self._dictionary(scope, within_list=True))
                 continue
-            token = self._take()
+            token = self._token()
             if token.text in ("(", "["):
                 values.append(Items(self._values(scope, ")" if token.text == "(" else "]"), token.line))
             elif token.text in (")", "]", "}", ";"):
@@ -315,7 +315,7 @@ class Reading:
     def fail(self, message: str) -> NoReturn:
         raise FormatError(f"{self._path}, line {self.line}: {message}")
 
-    def _refuse(self, expected: str) -> NoReturn:
+    def _expected(self, expected: str) -> NoReturn:
         """Say what is found where something else is ``expected``."""
         item = self._next
         self.fail(f"expected {expected}, found {repr(item.text) if isinstance(item, Atom) else _TITLES[type(item)]}")
@@ -323,7 +323,7 @@ class Reading:
     def _take(self, kind: type[_Some], expected: str) -> _Some:
         item = self._next
         if not isinstance(item, kind):
-            self._refuse(expected)
+            self._expected(expected)
         self._line = item.line
         self._left.popleft()
         return item
@@ -343,7 +343,7 @@ class Reading:
     def number(self, expected: str) -> float:
         value = self.next_number()
         if value is None:
-            self._refuse(expected)
+            self._expected(expected)
         return value
 
     def whole(self, expected: str) -> int:

@@ -106,7 +106,7 @@ def read_faces(path: Path, most: int) -> tuple[IntArray, IntArray]:
         start = file.rows(int, 1)[:, 0]
         corners = file.rows(int, 1)[:, 0]
     else:
-        count, numbers = file.count(), file.numbers(int, b" %d " % _CLOSED)
+        count, numbers = file.count(), file.numbers_of_text(int, b" %d " % _CLOSED)
         # Each face is the number of its corners, the corners, and the mark of a parenthesis.
         end = np.flatnonzero(numbers == _CLOSED)
         sizes = np.diff(end, prepend=-1) - 2
@@ -167,12 +167,12 @@ class _ListFile:
                 self._content, self._types[kind], count * width if whole else 0, begin if whole else 0
             )
         else:
-            values = self.numbers(kind)
+            values = self.numbers_of_text(kind)
         if values.size != count * width:
             raise FormatError(f"{self._path} is truncated: {count:,} rows need {count * width:,} numbers")
         return values.reshape(count, width).astype(kind)
 
-    def numbers(self, kind: type, closed: bytes = b" ") -> NDArray[Any]:
+    def numbers_of_text(self, kind: type, closed: bytes = b" ") -> NDArray[Any]:
         """All numbers of a list of text; ``closed`` takes the place of closing parentheses within it."""
         text = self._content[self._at + 1 : self._content.rfind(b")")]
         text = text.replace(b"(", b" ").replace(b")", closed).strip()

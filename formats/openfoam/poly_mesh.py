@@ -293,16 +293,16 @@ def _cyclic_entries(marker: Marker, markers: Sequence[Marker], names: Mapping[st
     turn = scipy.spatial.transform.Rotation.from_matrix(periodic_rotation(motion)).as_rotvec()
     shift = np.array(motion.translation)
     if not np.any(turn):
-        return (*lines, "transform       translational;", f"separationVector {_vector(sign * shift)};")
+        return (*lines, "transform       translational;", f"separationVector {_vector_text(sign * shift)};")
     if np.any(shift):
         return (*lines, "transform       unknown;")
     axis = turn / np.linalg.norm(turn)
-    center = np.array(motion.rotation_center)
-    lines += ["transform       rotational;", f"rotationAxis    {_vector(axis)};", f"rotationCentre  {_vector(center)};"]
+    center = _vector_text(np.array(motion.rotation_center))
+    lines += ["transform       rotational;", f"rotationAxis    {_vector_text(axis)};", f"rotationCentre  {center};"]
     return tuple(lines)
 
 
-def _vector(values: FloatArray) -> str:
+def _vector_text(values: FloatArray) -> str:
     return "(" + " ".join(repr(value) for value in (values + 0.0).tolist()) + ")"
 
 

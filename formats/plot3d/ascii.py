@@ -140,12 +140,12 @@ def _read_pieces(stream: BinaryIO, path: Path) -> Iterator[FloatArray]:
         # The last number, and a comma after it, are held back for the next piece.
         cut = _end_of_numbers(text.rstrip(b" ,\t\r\n"))
         text, rest = text[:cut], text[cut:]
-        yield _numbers(text, line, path)
+        yield _numbers_of_piece(text, line, path)
         line += text.count(b"\n")
-    yield _numbers(rest, line, path)
+    yield _numbers_of_piece(rest, line, path)
 
 
-def _numbers(text: bytes, line: int, path: Path) -> FloatArray:
+def _numbers_of_piece(text: bytes, line: int, path: Path) -> FloatArray:
     """The numbers in a piece of text that begins on line ``line``."""
     if b"," in text and (null := _NULL_VALUE.search(text)):
         place = _place(path, line, text[: null.end()])

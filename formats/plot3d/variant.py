@@ -120,13 +120,13 @@ def parse_options(options: Mapping[str, Any]) -> dict[str, Any]:
     found = {}
     for key, value in options.items():
         if key not in CHOICES:
-            raise FormatError(f"unknown Plot3D option {key!r}{_known(key, list(CHOICES))}")
+            raise FormatError(f"unknown Plot3D option {key!r}{_nearest(key, list(CHOICES))}")
         words = {str(choice).lower(): choice for choice in CHOICES[key]}
         if str(value).lower() not in words:
-            raise FormatError(f"Plot3D option {key}={value} is not known{_known(str(value), list(words))}")
+            raise FormatError(f"Plot3D option {key}={value} is not known{_nearest(str(value), list(words))}")
         found[key] = words[str(value).lower()]
     return found
 
 
-def _known(word: str, known: list[str]) -> str:
+def _nearest(word: str, known: list[str]) -> str:
     return f"{suggestion(word.lower(), known)}; known are {', '.join(known)}"

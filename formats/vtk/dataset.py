@@ -43,7 +43,7 @@ class Run:
         return Run(self.path, self.dtype, self.start, shape)
 
     @property
-    def stored(self) -> Stored:
+    def planes_in_file(self) -> Stored:
         """The values as planes k, of a run of the shape (nk, nj, ni, ...)."""
         step = math.prod(self.shape[1:]) * self.dtype.itemsize
         return Stored(self.path, self.dtype, self.shape[1:], self.start, step)
@@ -144,7 +144,7 @@ def assemble(path: Path, kind: str, data_sets: Sequence[DataSet], names: Sequenc
         for target, values in [(grid.in_planes(block), data_sets[block].points), *pairs]:
             end = min(last, target.shape[2])
             if first < end:
-                read = values.stored.read(first, end) if isinstance(values, Run) else values[first:end]
+                read = values.planes_in_file.read(first, end) if isinstance(values, Run) else values[first:end]
                 target[:, :, first:end] = read[:, :, own.start : own.start + len(target)].swapaxes(0, 2)
 
     grid.fill_planes(put, ranges_of(list(enumerate(shapes))))

@@ -109,7 +109,7 @@ def write(grid: Grid, path: Path, variant: VtkFormat) -> None:
 
         pieces, index = ranks.on_first(begin)
         with replacing_by_all(path, grid.points) as partial:
-            ranks.on_first(lambda: _begin(path, pieces))
+            ranks.on_first(lambda: _write_journal(path, pieces))
             write_blocks(grid, [_folder(path) / name for name in pieces], variant, begin_block)
             ranks.on_first(lambda: partial.write_bytes(index))
         ranks.on_first(own.close)
@@ -168,7 +168,7 @@ def clean(path: Path) -> None:
             folder.rmdir()
 
 
-def _begin(path: Path, pieces: Sequence[str]) -> None:
+def _write_journal(path: Path, pieces: Sequence[str]) -> None:
     """Write the journal: the new pieces, and those that the present index will no longer need."""
     folder = _folder(path)
     folder.mkdir(exist_ok=True)
@@ -206,16 +206,16 @@ def _index(grid: Grid, path: Path, pieces: Sequence[str], variant: VtkFormat) ->
                 f"cannot write {path}: the name {name[:40]!r}... is nested more than {_DEEPEST_NAME} deep"
             )
         above, _, leaf = name.rpartition("/")
-        parent = _group(groups, above)
+        parent = _block_group(groups, above)
         file = f"{path.stem}/{pieces[block]}"
         ElementTree.SubElement(parent, "DataSet", index=str(len(parent)), name=leaf, file=file)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"
 
 
-def _group(groups: dict[str, ElementTree.Element], name: str) -> ElementTree.Element:
+def _block_group(groups: dict[str, ElementTree.Element], name: str) -> ElementTree.Element:
     if name not in groups:
         above, _, leaf = name.rpartition("/")
-        parent = _group(groups, above)
+        parent = _block_group(groups, above)
         groups[name] = ElementTree.SubElement(parent, "Block", index=str(len(parent)), name=leaf)
     return groups[name]

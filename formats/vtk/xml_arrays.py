@@ -170,7 +170,7 @@ class ArrayReader:
         for array in self.file.root.below():
             if array.get("format") == "appended":
                 data = self._encoded(array)
-                _, place, count = self._sizes(array, data)
+                _, place, count = self._sizes_of(array, data)
                 end = max(end, data.end_of(place, count))
         self._stream.seek(end)
         if end and self._stream.read(closing - end).strip():
@@ -196,7 +196,7 @@ class ArrayReader:
     def _binary(self, array: Element, size: int, wanted: str, later: bool) -> NDArray[np.uint8] | int:
         """The ``size`` bytes of an array or, with ``later``, the position of those that are stored as they are."""
         data = self._encoded(array)
-        sizes, place, count = self._sizes(array, data)
+        sizes, place, count = self._sizes_of(array, data)
         if self._compressed:
             blocks, block, last = sizes[:3]
             stated = blocks * block - (block - last if blocks and last else 0)
@@ -243,11 +243,11 @@ class ArrayReader:
             raise self.error(array, f"begins at byte {start}, after the end of the appended data at {end}")
         return Encoded(self._stream, start, end, self.file.appended_encoding != "appended")
 
-    def _sizes(self, array: Element, data: Encoded) -> tuple[list[int], int, int]:
+    def _sizes_of(self, array: Element, data: Encoded) -> tuple[list[int], int, int]:
         """The sizes that precede an array, and the beginning and number of bytes of the segment with its values, which
         are its last ones."""
 
-        def numbers(count: int) -> tuple[list[int], int]:
+        def leading(count: int) -> tuple[list[int], int]:
             """So many sizes, and how many bytes of their segment follow at least."""
             size = count * self._head.itemsize
             if data.end_of(data.start, size) > data.end:
@@ -256,8 +256,8 @@ class ArrayReader:
             return np.frombuffer(head, self._head, count).tolist(), len(head) - size
 
         try:
-            number = 3 + numbers(3)[0][0] if self._compressed else 1
-            sizes, rest = numbers(number)
+            number = 3 + leading(3)[0][0] if self._compressed else 1
+            sizes, rest = leading(number)
             size, place = sum(sizes[3:]) if self._compressed else sizes[0], data.start
             if rest:
                 size += number * self._head.itemsize

@@ -214,22 +214,22 @@ class _Tags:
         except expat.ExpatError as error:
             raise FormatError(f"cannot read {self.path}: Error parsing XML: {error}") from error
 
-    def _refuse(self, message: str) -> NoReturn:
+    def _malformed(self, message: str) -> NoReturn:
         raise FormatError(f"cannot read {self.path}, line {self._parser.CurrentLineNumber}: {message}")
 
     def _doctype(self, *_: Any) -> NoReturn:
-        self._refuse("a VTK file has no DOCTYPE; it is refused because of the entities it may define")
+        self._malformed("a VTK file has no DOCTYPE; it is refused because of the entities it may define")
 
     def _declaration(self, version: str, encoding: str | None, standalone: int) -> None:
         if encoding and encoding.lower() not in _ENCODINGS:
-            self._refuse(f"the text is encoded as {encoding}; expected UTF-8")
+            self._malformed(f"the text is encoded as {encoding}; expected UTF-8")
 
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         self._count += 1
         if len(self._open) >= DEEPEST:
-            self._refuse(f"elements are nested more than {DEEPEST} deep")
+            self._malformed(f"elements are nested more than {DEEPEST} deep")
         if self._count > _MOST_ELEMENTS:
-            self._refuse(f"there are more than {_MOST_ELEMENTS} elements")
+            self._malformed(f"there are more than {_MOST_ELEMENTS} elements")
         element = Element(tag, attributes, self._parser.CurrentLineNumber, self._parser.CurrentByteIndex)
         if len(self._open) == 1 and tag == "AppendedData":
             self.appended = element
@@ -257,4 +257,4 @@ class _Tags:
     def _later_text(self, text: str) -> None:
         if text.strip():
             name = self._open[-1].get("Name") or "without name"
-            self._refuse(f"array {name} continues after an element inside it: {text.strip()[:40]!r}")
+            self._malformed(f"array {name} continues after an element inside it: {text.strip()[:40]!r}")

@@ -190,7 +190,7 @@ class _Output(BlockOutput):
         number, last = -(-array.nbytes // _BLOCK), array.nbytes % _BLOCK
         place, packed, pack = self.stream.tell(), [0] * number, self.pack
 
-        def blocks() -> Iterator[bytes]:
+        def compressed_blocks() -> Iterator[bytes]:
             for index, block in enumerate(_in_blocks(pieces, _BLOCK)):
                 data = pack(block)
                 packed[index] = len(data)
@@ -198,7 +198,7 @@ class _Output(BlockOutput):
 
         # The compressed sizes precede the blocks: they are written again when they are known.
         self.segment([self.sizes([number, _BLOCK, last, *packed])])
-        self.segment(blocks())
+        self.segment(compressed_blocks())
         end = self.stream.tell()
         self.stream.seek(place)
         self.segment([self.sizes([number, _BLOCK, last, *packed])])
