@@ -1,4 +1,4 @@
-"""The average rigid motion of a boundary: the frame in which the remainder of its motion is interpolated."""
+"""The average rigid or affine motion of a boundary: the frame in which the remainder of its motion is interpolated."""
 
 from __future__ import annotations
 
@@ -7,43 +7,65 @@ from dataclasses import dataclass
 import numpy as np
 
 from .arrays import FloatArray, weighted_total
-from .tape import Tracked
+from .tape import Tracked, plain
+
+_FLATTEST = 1e-3
+"""Smallest ratio of the stretches of an affine frame along its axes; flatter ones have no accurate inverse."""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """A rotation ``turn`` (3, 3) about ``centre`` (3,), or none, followed by the translation ``shift`` (3,)."""
+    """A linear map ``turn`` (3, 3) about ``centre`` (3,), a rotation unless said otherwise, or none, followed by the
+    translation ``shift`` (3,); ``back`` (3, 3) is the transpose of the inverse of ``turn``."""
 
     shift: FloatArray
     turn: FloatArray | None = None
     centre: FloatArray | None = None
+    back: FloatArray | None = None
 
     @classmethod
     def fitted(
-        cls, points: FloatArray, displacement: FloatArray, weight: FloatArray, normal: FloatArray | None
+        cls,
+        points: FloatArray,
+        displacement: FloatArray,
+        weight: FloatArray,
+        normal: FloatArray | None,
+        stretches: bool,
     ) -> Frame:
-        """The rigid motion of ``points`` (n, 3) that is the weighted least-squares fit to ``displacement`` (n, 3).
+        """The rigid motion of ``points`` (n, 3) that is the weighted least-squares fit to ``displacement`` (n, 3); if
+        it ``stretches``, the affine one, unless that is nearly flat or turns inside out.
 
-        The rotation is that of Kabsch (Acta Cryst. A32, 922, 1976); with a ``normal`` (3,), it is about this axis.
+        The rotation is that of Kabsch (Acta Cryst. A32, 922, 1976); with a ``normal`` (3,), it is about this axis,
+        along which nothing stretches.
         """
         share = weight / weight.sum()
         shift, centre = weighted_total(share, displacement), weighted_total(share, points)
         if not isinstance(displacement, Tracked) and not (displacement - shift).any():
             return cls(shift)
         arm = points - centre
+        if stretches:
+            inertia = arm.T @ (share[:, None] * arm)
+            if normal is not None:
+                inertia += np.linalg.norm(inertia) * np.outer(normal, normal)
+            moved: FloatArray = (displacement - shift).T @ (share[:, None] * arm)
+            turn = np.eye(3) + moved @ np.linalg.pinv(inertia)
+            size = np.linalg.svd(plain(turn), compute_uv=False)
+            if size[2] > _FLATTEST * size[0] and np.linalg.det(plain(turn)) > 0.0:
+                return cls(shift, turn, centre, _transposed_inverse(turn))
         moment = (arm + displacement - shift).T @ (share[:, None] * arm)
         if normal is not None:
             moment += np.linalg.norm(moment) * np.outer(normal, normal)
-        return cls(shift, _nearest_rotation(moment), centre)
+        turn = _nearest_rotation(moment)
+        return cls(shift, turn, centre, turn)
 
     def relative(self, points: FloatArray, displacement: FloatArray) -> FloatArray:
         """Displacement (n, 3) of ``points`` (n, 3) as seen from the frame."""
         rest = displacement - self.shift
-        if self.turn is None or self.centre is None:
+        if self.back is None or self.centre is None:
             return rest
-        # A single product with the inverse rotation leaves only round-off of a rigid motion.
+        # A single product with the inverse leaves only round-off of the motion itself.
         arm = points - self.centre
-        inside: FloatArray = (arm + rest) @ self.turn - arm
+        inside: FloatArray = (arm + rest) @ self.back - arm
         return inside
 
     def absolute(self, points: FloatArray, displacement: FloatArray) -> FloatArray:
@@ -52,6 +74,14 @@ class Frame:
             return displacement + self.shift
         carried = (points - self.centre) @ (self.turn - np.eye(3)).T
         return np.asarray(displacement @ self.turn.T + carried + self.shift)
+
+
+def _transposed_inverse(matrix: FloatArray) -> FloatArray:
+    """The transpose (3, 3) of the inverse of a matrix."""
+    found: FloatArray = np.linalg.inv(plain(matrix)).T
+    if not isinstance(matrix, Tracked):
+        return found
+    return matrix.tape.result(found, [(matrix, lambda t: -found @ t.T @ found, lambda g: -found @ g.T @ found)])  # type: ignore[return-value]
 
 
 def _nearest_rotation(moment: FloatArray) -> FloatArray:

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 from cases import apply, body_specs, problem_of, turning
-from grids import frame, frame_2d
+from grids import block_around, frame, frame_2d, polar
 from reference.idw import slow_idw
 
 from meshdeform_core.boundary import BoundarySpec, Kind
@@ -14,6 +14,7 @@ from meshdeform_core.boundary.motions.motion import Displace, Motion, Rotate
 from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.deform import Case, deform
 from meshdeform_core.errors import MethodError
+from meshdeform_core.grid import Grid
 from meshdeform_core.methods import IDW, Options, make_method
 from meshdeform_core.methods.scattered.mirror import mirror_images
 from meshdeform_core.methods.scattered.transition import MovingShare, attached
@@ -97,6 +98,20 @@ def test_quaternion_depends_on_the_origin_and_blend_shrinks():
     gap = np.abs(apply(quaternion, here, told(here)) - apply(quaternion, there, told(there))).max()
     assert gap > 1e-2
     assert np.abs(apply(Options("idw"), here, told(here)) - apply(Options("idw"), there, told(there))).max() < 1e-12
+
+
+@pytest.mark.parametrize("name", ["idw", "idw-tfi"])
+@pytest.mark.parametrize(
+    "grid", [polar(), Grid.from_blocks([block_around(np.linspace(0, 9, 19), *[np.linspace(0, 1, 5)] * 2)])]
+)
+def test_a_boundary_that_stretches_and_shears_carries_its_grid_along(name, grid):
+    """Not where it encloses no grid: a body that is stretched among slip planes stretches nothing far away."""
+    affine = np.array([[0.3, 0.4, 0.0], [-0.2, 0.1, 0.1], [0.0, 0.1, -0.3]])
+    moved = apply(Options(name), problem_of(grid), lambda x: x @ affine.T + [0.1, 0.2, 0.0])
+    np.testing.assert_allclose(moved, grid.points @ affine.T + [0.1, 0.2, 0.0], atol=1e-13)
+    alone = problem_of(frame(), [body_specs(turning(0))[0], BoundarySpec("rest", ("*",), Kind.SLIP)])
+    far = apply(Options(name), alone, lambda x: x * [0.5, -0.3, 0.0])
+    assert np.abs(far).max() < 0.3
 
 
 def test_auto_alpha_is_eq_18_capped_and_says_so():

@@ -17,7 +17,7 @@ from ...numerics.arrays import lengths, places_among, weighted_total
 from ...numerics.frame import AT_REST, Frame
 from ...numerics.rigid import NO_TRANSITION
 from ...numerics.tape import Tape, Tracked, plain
-from ...parallel import of_all
+from ...parallel import of_all, rows_at
 from ..base import Account, LinearNodes, Problem, Progress, Setting
 from ..kinks import FOLDED, HALF_TURNS, LARGEST, half_turns, kinks_of, tied
 from ..limits import LARGEST_ROTATION, PLAIN_ROTATION, warn_of_alpha, warn_of_rotation
@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 # Fraction of the remaining memory for data kept between displacements.
 _KEPT = 2
 _LEAST_ALPHA = 1e-3
+_ENCLOSED = 1e-6
+"""Largest relative gap between the extent of a boundary and that of the grid that it encloses."""
 # Powers of distances relative to the grid remain finite up to these exponents.
 _FACTOR, _EXPONENT = "(0, 1e4]", "(0, 20]"
 _LUKE: Mapping[str, tuple[str, ...]] = {"weights": ("luke",)}
@@ -66,8 +68,8 @@ class IDW(MethodOptions):
     length : L_def of eq. 16 (grid length unit), or ``"auto"``: eq. 17
     p_moving, p_fixed : exponents of ``shepard`` for moving and fixed sources
     divisions : m of eq. 26
-    remove_mean : subtract the mean displacement (for ``lie``, if the whole boundary moves, the mean rigid motion) first
-        and add it back; ``"auto"``: only for ``lie``
+    remove_mean : subtract the mean displacement (for ``lie``, if the whole boundary moves, the mean rigid motion, or
+        the mean affine one if it encloses the grid) first and add it back; ``"auto"``: only for ``lie``
     summation : ``exact`` sums, or ``fast`` ones with clusters of sources, or ``"auto"``: fast from 2000
         sources and 2e8 pairs of nodes
     summation_tolerance : of fast sums: error of a node's displacement relative to its shortest cell edge, 1e-8 to 0.1
@@ -136,6 +138,7 @@ class PreparedIDW:
         self.groups, self.strength = self._grouped()
         auto = options.remove_mean == "auto"
         self.remove_mean = options.rotation == "lie" if auto else bool(options.remove_mean)
+        self._stretches = self._encloses()
         self._record(auto)
 
     def _surface_rotations(self) -> rot.SurfaceRotations:
@@ -164,6 +167,14 @@ class PreparedIDW:
         if width and bodies(self.images) == 1:
             return FAR_OF_ONE_BODY
         return FAR_IN_PLANES if self.problem.plane and self.options.rotation == "lie" else FAR
+
+    def _encloses(self) -> bool:
+        """Whether the moving boundary extends as far as the grid: beyond it, stretches would grow with the distance."""
+        if not with_motion(self.images).all():
+            return False
+        faces = rows_at(self.problem.grid.points, self.problem.topology.first)
+        whole, own = (np.ptp(points, axis=0) for points in (faces, self.problem.source_points))
+        return bool((own >= (1.0 - _ENCLOSED) * whole).all())
 
     @property
     def _rounds(self) -> int:
@@ -312,11 +323,12 @@ class PreparedIDW:
         return frame, d if frame.turn is None else frame.relative(self.images.points, d)
 
     def _frame_of(self, d: FloatArray) -> Frame:
-        """The mean motion of the images, which is removed first: rigid for ``lie`` if the whole boundary moves."""
+        """The mean motion of the images, which is removed first: rigid or affine for ``lie`` if all of them move."""
         if not self.remove_mean:
             return AT_REST
         if self.options.rotation == "lie" and with_motion(self.images).all():
-            return Frame.fitted(self.images.points, d, self.area, self.problem.plane_normal)
+            normal = self.problem.plane_normal
+            return Frame.fitted(self.images.points, d, self.area, normal, self._stretches)
         return Frame(weighted_total(self.area / self.area.sum(), d))
 
     def _weights(self, d: FloatArray) -> tuple[tuple[float, float, float], ...]:
