@@ -52,16 +52,13 @@ def told(problem):
     return prescribed_displacement(problem.grid, problem.topology, problem.boundary)[problem.source_numbers]
 
 
-# In space as in the plane.
-ALIKE = {"lie with mean", "lie by weights", "other exponents", "one round", "length", "smooth transition"}
+# Others are in space as in the plane.
+IN_SPACE = ("none", "quaternion", "division reweighted", "division", "blend", "lie", "quaternion smoothed", "shepard")
 
 
 @pytest.mark.parametrize(
     ("name", "grid"),
-    [
-        *((name, frame_2d(4)) for name in VARIANTS),
-        *(pytest.param(name, frame(3, 2), marks=pytest.mark.slow if name in ALIKE else ()) for name in VARIANTS),
-    ],
+    [*((name, frame_2d(4)) for name in VARIANTS), *((name, frame(3, 2)) for name in IN_SPACE)],
 )
 def test_slow_twin(name, grid):
     bend = body_specs(turning(25))[: 2 if grid.dimension == 3 else 1]

@@ -20,8 +20,6 @@ WALL = ("block2.imax", "block4.jmax", "block5.jmin", "block7.imin")
 AWAY = np.array([1.0, -0.7, 0.3])
 # Methods that blend between the faces of blocks: other blocks, other results.
 BY_BLOCKS = {"tfi", "rbf-tfi", "idw-tfi", "idw-tfi-cut", "idw-rbf"}
-# Their rotations are about the origin of coordinates.
-ABOUT_ORIGIN = {"idw-quaternion", "idw-division"}
 
 
 def displaced(grid: Grid, name: str, motion: Motion, wall: tuple[str, ...] = WALL) -> np.ndarray:
@@ -39,17 +37,17 @@ def test_offset_costs_the_round_off_of_the_coordinates(name):
     grid = frame()
     motion = formulas("0.1", "0.05", "0")
     here = displaced(grid, name, motion)
-    for distance in (1e3, 1e9, 1e12):
+    for distance in (1e3, 1e12):
         away = grid.moved(grid.points + distance * AWAY)
         assert np.abs(displaced(away, name, motion) - here).max() < np.spacing(distance)
 
 
-@every(sorted(ALL_METHODS.keys() - ABOUT_ORIGIN))
+@pytest.mark.parametrize("name", ["tfi", "rbf-tps", "rbf-tfi", "idw-rbf", "idw-lie", "idw-blend", "idw-tfi"])
 def test_offset_of_a_rotating_body(name):
     """The position of its axis is rounded too, and the angle is found from rounded nodes."""
     grid = frame()
     here = displaced(grid, name, turning(10))
-    for distance in (1e3, 1e9, 1e12):
+    for distance in (1e3, 1e12):
         away = grid.moved(grid.points + distance * AWAY)
         center = tuple(expression(float(x), ()) for x in distance * AWAY)
         motion = Motion((Rotate(expression(10.0, ()), (0, 0, 1), center),), {})
