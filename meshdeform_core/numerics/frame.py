@@ -81,7 +81,7 @@ def _transposed_inverse(matrix: FloatArray) -> FloatArray:
     found: FloatArray = np.linalg.inv(plain(matrix)).T
     if not isinstance(matrix, Tracked):
         return found
-    return matrix.tape.result(found, [(matrix, lambda t: -found @ t.T @ found, lambda g: -found @ g.T @ found)])  # type: ignore[return-value]
+    return matrix.tape.result(found, [(matrix, lambda t: -found @ t.T @ found, lambda g: -found @ g.T @ found)])
 
 
 def _nearest_rotation(moment: FloatArray) -> FloatArray:
