@@ -129,7 +129,10 @@ MOTIONS: dict[str, Callable[[], Setup]] = {
     **{f"cube 9 at {far:g}, bump .45": (lambda far=far: _cube(9, 0.45, far)) for far in (0.0, 1e6, 1e8, 1e11)},
     **{f"duct, gap {gap}": (lambda gap=gap: _duct(121, 41, gap)) for gap in (0.1, 0.05)},
     "duct with slip sides, gap .2": lambda: _duct(61, 21, 0.2, slip=True),
-    **{f"pipe, gap .03 over {b}": (lambda b=b: _pipe(13, 41, 0.03, b)) for b in (0.5, 1.0)},
+    **{
+        f"pipe {n} x {long}, gap .03 over {b}": (lambda n=n, long=long, b=b: _pipe(n, long, 0.03, b))
+        for n, long, b in ((13, 41, 0.5), (13, 41, 1.0), (11, 41, 0.3), (15, 51, 0.75), (11, 81, 1.5))
+    },
     **{f"ring, {a} degrees": (lambda a=a: _ring(a)) for a in (45, 60, 75)},
 }
 

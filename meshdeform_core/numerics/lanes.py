@@ -174,11 +174,6 @@ class Array:
     def add(self, at: ir.Value, lanes: Lanes, further: int = 0) -> None:
         self.store(at, self.load(at, further) + lanes, further)
 
-    def add_one(self, at: ir.Value, number: ir.Value, further: int = 0) -> None:
-        """Add a number to a single element."""
-        pointer = self.builder.gep(self._data, [self.builder.add(at, ir.Constant(at.type, further))])
-        self.builder.store(self.builder.fadd(self.builder.load(pointer), number), pointer)
-
     def every(self, at: ir.Value, further: int = 0) -> Lanes:
         """One number, copied to all lanes."""
         return _copied(self.builder, self.one(at, further), self._width)

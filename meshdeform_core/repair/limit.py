@@ -11,13 +11,15 @@ _PER_NODE, _FEWEST = 600.0, 35_000
 _VALID, _VALID_PER_NODE = 250_000.0, 35.0
 """Work allowed for the repair of a valid grid: 12 times what the default method takes to be prepared and to move its
 nodes, 20 ms and 3 microseconds per node (studies/repairs.py)."""
+_PART = 1.0 / 3.0
+"""The part of the work left that one repair may take: where it fails, smaller steps may do (studies/repairs.py)."""
 
 
 class Limit:
     """Wall-clock time, in seconds from its creation, and work.
 
     Work is counted, not measured, so that results depend on neither the machine nor its load. Its unit is about a
-    microsecond of one core. What is spent within a limit made by :meth:`for_valid` is also spent of this one;
+    microsecond of one core. What is spent within a limit made from another one is also spent of that one;
     ``spent`` is all of it.
     """
 
@@ -33,6 +35,10 @@ class Limit:
     def for_valid(self, n_nodes: int) -> Limit:
         """The limit for one repair of a valid grid."""
         return Limit(work=min(self._most - self.spent, _VALID + _VALID_PER_NODE * n_nodes), whole=self)
+
+    def for_invalid(self) -> Limit:
+        """The limit for one of several repairs of invalid grids: a part of the work that is left."""
+        return Limit(work=_PART * (self._most - self.spent), whole=self)
 
     def spend(self, work: float) -> None:
         """Count work done."""

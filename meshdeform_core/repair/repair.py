@@ -93,7 +93,7 @@ class Repairer:
         flat, basis = self._flattened(start.points)
         weak = np.empty(0, dtype=np.int64) if flat is not None else unhealthy_cells(self.original, start.points)
         bad = np.union1d(weak, start.verdict.invalid)
-        limit = self.limit.for_valid(self.original.grid.n_nodes) if valid else self.limit
+        limit = self.limit.for_valid(self.original.grid.n_nodes) if valid else self.limit.for_invalid()
         try:
             if flat is not None:
                 found = self._in_plane(start, flat, basis, polish, effort, limit, close)
@@ -119,7 +119,7 @@ class Repairer:
         if plot is not None and effort != "hasty":
             found = self._minimum(start, plot, polish, limit, None, close)
         if found and not found.grid.verdict.valid:
-            found = self._by_regions(start, found, plot, polish, () if limit.reached else WAYS[effort])
+            found = self._by_regions(start, found, plot, polish, limit, () if limit.reached else WAYS[effort])
             if not found.grid.verdict.valid:
                 found = replace(found, grid=self._undone(start, found.grid))
         return found
@@ -181,22 +181,28 @@ class Repairer:
         return _Found(end, found.steps, converged, found.share)
 
     def _by_regions(
-        self, start: Judged, found: _Found, plot: Plot | None, polish: bool, ways: tuple[Way, ...]
+        self,
+        start: Judged,
+        found: _Found,
+        plot: Plot | None,
+        polish: bool,
+        limit: Limit,
+        ways: tuple[Way, ...],
     ) -> _Found:
         """The best grid of all ``ways``, and whether the minimum was found from there."""
         best, steps = min(found.grid, start, key=lambda grid: grid.count), found.steps
         for way in ways:
-            other, more = self._growing(start, way)
+            other, more = self._growing(start, way, limit)
             best, steps = (other if other.count < best.count else best), steps + more
-            if best.verdict.valid or self.limit.reached:
+            if best.verdict.valid or limit.reached:
                 break
         if plot is None or not best.verdict.valid or best is start:
             return replace(found, grid=best, steps=steps)
-        nearer = self._minimum(start, plot, polish, self.limit, best) or found
+        nearer = self._minimum(start, plot, polish, limit, best) or found
         grid = nearer.grid if nearer.grid.verdict.valid else best
         return replace(nearer, grid=grid, steps=steps + nearer.steps)
 
-    def _growing(self, start: Judged, way: Way) -> tuple[Judged, int]:
+    def _growing(self, start: Judged, way: Way, limit: Limit) -> tuple[Judged, int]:
         """The best grid, and the Newton steps taken, of regions around cells with a relative Jacobian below WEAK.
 
         First the nodes within a few layers move, then more, until the worst cell is close enough to its undeformed
@@ -205,14 +211,14 @@ class Repairer:
         best = now = start
         steps, density, done = 0, np.inf, 0
         for layers in REGIONS[self.original.grid.dimension][-1 if way.patient else 0 : 1 if way.hasty else None]:
-            if self.limit.reached:
+            if limit.reached:
                 break
             found, rounds = None, 0
             while rounds < (_ROUNDS if layers else _LAST_ROUNDS):
                 plot = self._around(now, layers, way.even)
                 if plot is None or len(plot.moved) == done:
                     break
-                other = self._searched(now, plot, self.limit, lambda searcher: searcher.untangled(way))
+                other = self._searched(now, plot, limit, lambda searcher: searcher.untangled(way))
                 assert other is not None
                 found, steps, rounds, now = other, steps + other.steps, rounds + 1, self._moved(now, plot, other.shift)
                 size, helped = len(plot.moved), _ENOUGH < found.after < _GAIN * found.before

@@ -24,7 +24,7 @@ from .steps import (
     step,
     warnings_ahead,
 )
-from .tuned import BEFORE, MAX_ATTEMPTS, MAX_HALVINGS, MAX_REPAIRED_HALVINGS, RESCUE, SQUEEZED
+from .tuned import BEFORE, MAX_ATTEMPTS, MAX_HALVINGS, MAX_REPAIRED_HALVINGS, RESCUE, RESCUE_STEPS, SQUEEZED
 
 
 def in_equal_steps(course: Course, count: int) -> Reached:
@@ -63,9 +63,9 @@ def adaptively(course: Course) -> Reached:
 
 
 def until_valid(course: Course) -> Reached:
-    """Try one step with a quick, then with a patient repair, then smaller steps with a repair in each, then the same
-    with another method. If the boundary alone shows that no valid grid exists, only one step and a part of the motion
-    are tried, each with a short repair.
+    """Try one step with a quick repair, then several with another method and no repair, then a patient repair, then
+    smaller steps with a repair in each, and the same with the other method. If the boundary alone shows that no valid
+    grid exists, only one step and a part of the motion are tried, each with a short repair.
 
     If the valid grid of one step is nearly collapsed, the best one of several methods is kept. If nothing succeeds, the
     grid with the fewest invalid cells is kept, with its boundary as prescribed; the warnings say why, and for which
@@ -97,11 +97,12 @@ def _persistently(first: Trial) -> Trial | State:
     """After a failed quick repair: the best grid of one step, or the state that smaller steps have reached if that is
     the whole motion."""
     course, options = first.state.course, first.state.options
+    if reached := _without_repairs(course):
+        return reached
     best = insist(first)
     if best.valid:
         return best
-    reached = _in_smaller_steps(course, options)
-    if reached:
+    if reached := _in_smaller_steps(course, options):
         return reached
     for trial in _with_other_methods(course, (RESCUE,), options):
         other = trial if trial.valid else insist(trial)
@@ -112,6 +113,26 @@ def _persistently(first: Trial) -> Trial | State:
         if reached := _in_smaller_steps(course, trial.state.options):
             return reached
     return best
+
+
+def _without_repairs(course: Course) -> State | None:
+    """Equal steps with another method, of which only the last may be repaired; ``None`` if every number fails."""
+    for count in RESCUE_STEPS:
+        state = beginning(course, Options(RESCUE))
+        for number in range(1, count + 1):
+            if course.limit.reached:
+                return None
+            try:
+                trial = plain_step(state, number / count)
+            except MethodError as error:
+                course.log.warn(Notice(f"{RESCUE} was not tried: {error}", f"{RESCUE} not tried"))
+                return None
+            if not trial.valid:
+                break
+            state = accept(repaired(trial) if number == count else trial)
+        if state.fraction == 1.0:
+            return state
+    return None
 
 
 def _in_smaller_steps(course: Course, options: Options) -> State | None:

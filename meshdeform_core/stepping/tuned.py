@@ -14,5 +14,7 @@ BEFORE = 0.9
 """If the boundary crosses itself, this fraction of the motion up to that point is tried and reported to the user."""
 RESCUE = "rbf-tfi"
 """The method tried when the chosen one finds no valid grid: it succeeds most often."""
+RESCUE_STEPS = (8, 16)
+"""Numbers of steps without repairs in which it is tried first (studies/repairs.py, pipes that close to 3 %)."""
 SQUEEZED = ("tfi", RESCUE)
 """Methods tried when the best valid grid is nearly collapsed; in narrow gaps TFI often preserves grid lines better."""

@@ -26,8 +26,7 @@ from .corners import (
     derivatives_between,
 )
 from .jacobian import combined, distortion, growth, mapping, regular, slopes
-from .nodes import FORCE, PARTS, ROWS, add_block, add_to_pair, add_transposed, turn_to_node
-from .places import place_of
+from .nodes import FORCE, PARTS, ROWS, add_to_pair, turn_to_node
 from .samples import Samples
 from .vectors import transpose
 
@@ -149,7 +148,7 @@ def add_derivatives(
     gradient : (n_unknowns, 3), of which only these rows are written
     """
     points, terms, parts = np.empty((GRIDS, 8, 3, WIDTH)), np.empty((TERMS, WIDTH)), np.empty((PARTS, WIDTH))
-    result, cell = np.empty((ROWS, WIDTH)), np.empty((WIDTH, ROWS))
+    result, cell, work = np.empty((ROWS, WIDTH)), np.empty((WIDTH, ROWS)), np.empty((3, 3))
     slope, (eps, share, cubic, elastic, exact) = _all_slopes(samples), penalty
     for first in range(0, len(which), WIDTH):
         used, some = min(WIDTH, len(which) - first), 0
@@ -167,7 +166,7 @@ def add_derivatives(
         for row in range(0, ROWS, WIDTH):
             transpose(result, row, cell, ROWS)
         for lane in range(used):
-            _add_cell(cells, which[first + lane], cell, lane, unknowns, rows, matrix, gradient)
+            add_element(cells, which[first + lane], 8, 3, cell, lane, FORCE, work, unknowns, rows, matrix, gradient)
 
 
 @inlined
@@ -181,54 +180,70 @@ def _add_between(samples, slope, parts, result, s):
 
 
 @inlined
-def _add_cell(cells, c, found, lane, unknowns, rows, matrix, gradient):
-    """Add the derivatives of a cell, in a row of ``found`` (WIDTH, ROWS), to the rows of its unknowns."""
+def add_element(nodes, c, corners, d, found, lane, force, work, unknowns, rows, matrix, gradient):
+    """Add the derivatives of an element to the rows of its unknowns; see :func:`add_derivatives`.
+
+    ``nodes[c]`` are its ``corners``, in ``d`` dimensions; ``found[lane]``: the second derivatives (d, d) for pairs of
+    nodes in ascending order, from the entry ``force`` on the first ones (m, d); ``work`` (3, 3) is room.
+    """
     number, frame, plain = unknowns
-    part, work, first = np.empty((3, 3)), np.empty((3, 3)), lane * ROWS
-    for n in range(8):
-        here = cells[c, n]
+    first = 0
+    for n in range(corners):
+        here = nodes[c, n]
         row = number[here]
         if row >= rows[0] and row < rows[1]:
-            _add_force(here, row, found, lane, n, frame, plain, gradient)
-        for o in range(n, 8):
-            there = cells[c, o]
+            for i in range(d):
+                for k in range(d):
+                    gradient[row, i] += frame[here, k, i] * found[lane, force + d * n + k]
+        for o in range(n, corners):
+            there = nodes[c, o]
             column = number[there]
             if row >= 0 and column >= 0:
                 if not (plain[here] and plain[there]):
-                    _turn(frame[here], frame[there], found, first, part, work)
-                at = place_of(row, column, rows)
+                    _turn(frame, here, there, d, found, lane, first, work)
+                at = _place_of(row, column, rows)
                 if at >= 0:
-                    add_block(found, first, matrix, 9 * at)
-                at = place_of(column, row, rows) if n != o else -1
+                    for i in range(d):
+                        for k in range(d):
+                            matrix[at, i, k] += found[lane, first + d * i + k]
+                at = _place_of(column, row, rows) if n != o else -1
                 if at >= 0:
-                    add_transposed(found, first, matrix, 9 * at)
-            first += 9
+                    for i in range(d):
+                        for k in range(d):
+                            matrix[at, i, k] += found[lane, first + d * k + i]
+            first += d * d
 
 
 @inlined
-def _add_force(here, row, found, lane, n, frame, plain, gradient):
-    at = FORCE + 3 * n
-    for d in range(3):
-        if plain[here]:
-            gradient[row, d] += found[lane, at + d]
+def _turn(frame, one, two, d, found, lane, first, work):
+    """``B = F^T B G`` for the matrix B (d, d) of numbers of ``found`` and the frames F, G of nodes ``one``, ``two``."""
+    for i in range(d):
+        for k in range(d):
+            work[i, k] = 0.0
+            for e in range(d):
+                work[i, k] += frame[one, e, i] * found[lane, first + d * e + k]
+    for i in range(d):
+        for k in range(d):
+            total = 0.0
+            for e in range(d):
+                total += work[i, e] * frame[two, e, k]
+            found[lane, first + d * i + k] = total
+
+
+@inlined
+def _place_of(row, column, rows):
+    """Where the block of a row and a column is, -1 if the row is not one of ``rows``."""
+    first, last, starts, columns = rows
+    if row < first or row >= last:
+        return -1
+    low, high = starts[row], starts[row + 1]
+    while high - low > 1:
+        middle = (low + high) // 2
+        if columns[middle] <= column:
+            low = middle
         else:
-            for e in range(3):
-                gradient[row, d] += frame[here, e, d] * found[lane, at + e]
-
-
-@inlined
-def _turn(one, two, found, first, part, work):
-    """``B = one^T B two`` for the matrix B (3, 3) of nine numbers of ``found``."""
-    flat = found.reshape(found.size)
-    for d in range(3):
-        for e in range(3):
-            part[d, e] = flat[first + 3 * d + e]
-    for d in range(3):
-        for e in range(3):
-            work[d, e] = one[0, d] * part[0, e] + one[1, d] * part[1, e] + one[2, d] * part[2, e]
-    for d in range(3):
-        for e in range(3):
-            flat[first + 3 * d + e] = work[d, 0] * two[0, e] + work[d, 1] * two[1, e] + work[d, 2] * two[2, e]
+            high = middle
+    return low - starts[first]
 
 
 @kernel("f8[:, ::1], i8[:, ::1], f8[:, ::1], i8[:, ::1], i8[::1], Samples, f8, f8, f8", Samples)

@@ -41,21 +41,6 @@ def add_to_pair(slope: Array, parts: Array, result: Array, sample: ir.Value, nod
     ])  # fmt: skip
 
 
-@narrow
-def add_block(cell: Array, first: ir.Value, matrix: Array, at: ir.Value) -> None:
-    """Add nine numbers, a matrix (3, 3), to those of ``matrix`` from ``at`` on."""
-    matrix.add(at, cell.load(first))
-    matrix.add_one(at, cell.one(first, 8), 8)
-
-
-@narrow
-def add_transposed(cell: Array, first: ir.Value, matrix: Array, at: ir.Value) -> None:
-    """As :func:`add_block`, transposed."""
-    rows = cell.load(first)
-    matrix.add(at, rows.mixed(rows, [0, 3, 6, 1, 4, 7, 2, 5]))
-    matrix.add_one(at, cell.one(first, 8), 8)
-
-
 def add_forces(result: Array, node: ir.Value, edges: list[Vector]) -> None:
     """Add forces on the ends of the edges, and their opposite to the corner."""
     for other, vector in zip(neighbours(result, node), edges, strict=True):

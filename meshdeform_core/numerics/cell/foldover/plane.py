@@ -17,9 +17,8 @@ import numpy as np
 
 from ...jit import inlined, kernel
 from ...lanes import NARROW as WIDTH
-from .hexahedra import Unknowns
+from .hexahedra import Unknowns, add_element
 from .jacobian import growth, regular
-from .places import place_of
 from .triangles import (
     DEFORMED,
     FORCE,
@@ -28,8 +27,6 @@ from .triangles import (
     ROWS,
     SLOPE,
     WEIGHT,
-    add_square,
-    add_square_transposed,
     triangle_derivatives,
 )
 from .vectors import transpose
@@ -88,7 +85,7 @@ def add_triangles(x, node, slope, weight, reference, penalty, which, unknowns, r
     As :func:`.hexahedra.add_derivatives`, in two dimensions.
     """
     given, result, found = np.empty((GIVEN, WIDTH)), np.empty((ROWS, WIDTH)), np.empty((WIDTH, ROWS))
-    eps, share, cubic, elastic, exact = penalty
+    work, (eps, share, cubic, elastic, exact) = np.empty((3, 3)), penalty
     result[...] = 0.0
     for first in range(0, len(which), WIDTH):
         used = min(WIDTH, len(which) - first)
@@ -104,44 +101,7 @@ def add_triangles(x, node, slope, weight, reference, penalty, which, unknowns, r
         for row in range(0, ROWS, WIDTH):
             transpose(result, row, found, ROWS)
         for lane in range(used):
-            _add_triangle(node, which[first + lane], found, lane, unknowns, rows, matrix, gradient)
-
-
-@inlined
-def _add_triangle(node, m, found, lane, unknowns, rows, matrix, gradient):
-    """Add the derivatives of a triangle, in a row of ``found`` (WIDTH, ROWS), to the rows of its unknowns."""
-    number, frame, plain = unknowns
-    first = lane * ROWS
-    for n in range(3):
-        here = node[m, n]
-        row = number[here]
-        if row >= rows[0] and row < rows[1]:
-            x, y = found[lane, FORCE + 2 * n], found[lane, FORCE + 2 * n + 1]
-            gradient[row, 0] += frame[here, 0, 0] * x + frame[here, 1, 0] * y
-            gradient[row, 1] += frame[here, 0, 1] * x + frame[here, 1, 1] * y
-        for o in range(n, 3):
-            there = node[m, o]
-            column = number[there]
-            if row >= 0 and column >= 0:
-                if not (plain[here] and plain[there]):
-                    _turn(frame[here], frame[there], found, lane, first - lane * ROWS)
-                at = place_of(row, column, rows)
-                if at >= 0:
-                    add_square(found, first, matrix, 4 * at)
-                at = place_of(column, row, rows) if n != o else -1
-                if at >= 0:
-                    add_square_transposed(found, first, matrix, 4 * at)
-            first += 4
-
-
-@inlined
-def _turn(one, two, found, lane, at):
-    """``B = one^T B two`` for the matrix B (2, 2) of four numbers of ``found`` (WIDTH, ROWS)."""
-    a, b, c, d = found[lane, at], found[lane, at + 1], found[lane, at + 2], found[lane, at + 3]
-    for i in range(2):
-        x, y = one[0, i] * a + one[1, i] * c, one[0, i] * b + one[1, i] * d
-        for k in range(2):
-            found[lane, at + 2 * i + k] = x * two[0, k] + y * two[1, k]
+            add_element(node, which[first + lane], 3, 2, found, lane, FORCE, work, unknowns, rows, matrix, gradient)
 
 
 @kernel("f8[:, ::1], i8[:, ::1], f8[:, :, ::1], f8, f8")

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 
-from llvmlite import ir
-
-from ...lanes import Array, Lanes, lanes, narrow
+from ...lanes import Array, Lanes, narrow
 from .jacobian import growth, slopes_of_triangle
 from .vectors import load, regular, store
 
@@ -107,16 +104,3 @@ def _matrix(given: Array, grid: int, slope: list[list[Lanes]]) -> list[list[Lane
         [sum((place[n][i] * slope[n][k] for n in (1, 2)), place[0][i] * slope[0][k]) for k in range(2)]
         for i in range(2)
     ]
-
-
-@partial(lanes, width=4)
-def add_square(found: Array, first: ir.Value, matrix: Array, at: ir.Value) -> None:
-    """Add four numbers, a matrix (2, 2), to those of ``matrix`` from ``at`` on."""
-    matrix.add(at, found.load(first))
-
-
-@partial(lanes, width=4)
-def add_square_transposed(found: Array, first: ir.Value, matrix: Array, at: ir.Value) -> None:
-    """As :func:`add_square`, transposed."""
-    square = found.load(first)
-    matrix.add(at, square.mixed(square, [0, 2, 1, 3]))
