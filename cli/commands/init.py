@@ -34,8 +34,7 @@ def command(source: GridInput, output: Path | None, table: Path | None, force: b
     """
     from meshdeform_core.grid.faces.surfaces import find_outside
     from meshdeform_core.grid.topology import find_topology
-    from meshdeform_formats.case.fitted import fitted_table
-    from meshdeform_formats.case.template import case_template
+    from meshdeform_formats.case.template import case_template, fitted_table
     from meshdeform_formats.files import replacing, shown
 
     if output is not None:

@@ -1,4 +1,4 @@
-"""Case files: TOML tables turned into the core's records.
+"""Case files: TOML tables turned into the core's records; their JSON schema, with which editors complete and check.
 
 A case is data: formulas go through :mod:`meshdeform_core.boundary.motions.expression`, and every unknown key is an
 error.
@@ -24,16 +24,16 @@ from meshdeform_core.deform import Case
 from meshdeform_core.errors import CaseError, MethodError, suggestion
 from meshdeform_core.grid.components import BY_PREFIX, Components
 from meshdeform_core.grid.topology import RELATIVE_TOLERANCE
-from meshdeform_core.methods import IDW, RBF, TFI, Options, declared, entry_of
+from meshdeform_core.methods import ALIASES, CATALOGUE, IDW, RBF, TFI, MethodOptions, Options, declared, entry_of
 from meshdeform_core.repair import MODES, RepairOptions
 from meshdeform_core.wording import literal
 
 from ..displacement import read_displacement
-from .forms import File, Form, Table, about, fail, filled, formula_of, plain
+from .forms import File, Form, Table, about, fail, filled, formula_of, plain, schema_of
+from .motions import KINDS as MOTIONS
 from .motions import MotionStep
-from .reach import unread
 from .sequences import files_over_time, named_files
-from .toml import load, override
+from .toml import load, override, parsed_override
 
 KINDS = {kind.label: kind for kind in reversed(Kind) if kind is not Kind.INTERFACE}
 PARTS = {"idw": IDW, "rbf": RBF, "tfi": TFI}
@@ -151,10 +151,7 @@ def read_case(
     times : if given, ``table`` is a pattern of files, one for each of these times (see :func:`parse_times`)
     matching : how ``table`` is matched
 
-    Raises
-    ------
-    CaseError
-        With the file, the key and the nearest known one.
+    Raises CaseError with the file, the key and the nearest known one.
     """
     path = Path(path) if path else None
     data, overrides = load(path), tuple(overrides)
@@ -193,10 +190,7 @@ def case_of(content: Mapping[str, Any], folder: str | Path = ".") -> CaseFile:
     In addition to TOML content, ``file`` of a motion may be a :class:`SurfaceData` in memory. Relative file names
     refer to ``folder``.
 
-    Raises
-    ------
-    CaseError
-        With the key and the nearest known one.
+    Raises CaseError with the key and the nearest known one.
     """
     return _parse(plain(content), Path(folder))
 
@@ -234,7 +228,7 @@ def _parse(data: Table, folder: Path, overrides: Sequence[str] = ()) -> CaseFile
         constants,
         options,
         grid.tolerance,
-        unread(data, specs, options, overrides),
+        _unread(data, specs, options, overrides),
         grid.open,
         repair,
         grid.plates,
@@ -331,3 +325,100 @@ def check_keys(table: Table, known: Sequence[str], where: str) -> None:
         if key not in known:
             hint = suggestion(key, known) or f"; known are {', '.join(known)}"
             raise fail(where, f"unknown key {key!r}{hint}")
+
+
+def _unread(data: Table, specs: Sequence[BoundarySpec], options: Options, overrides: Iterable[str]) -> tuple[str, ...]:
+    """Warnings about unused content of the case file; an unused ``--set`` is an error.
+
+    Parameters
+    ----------
+    data : the tables of the case, including the overrides
+    overrides : ``KEY=VALUE`` strings
+
+    Raises CaseError with the override, the reason, and the nearest name that is used.
+    """
+    used = _names_used(specs)
+    given = [(text, *parsed_override(text)) for text in overrides]
+    for text, path, value in given:
+        for name in _constants_in(path, value):
+            if name not in used:
+                others = f"; used are {', '.join(sorted(used))}" if used else "; none uses any"
+                known = suggestion(name, used) or others
+                raise CaseError(f"--set {text!r}: no formula uses the constant {name!r}{known}")
+        if reason := _idle_option(path, options):
+            raise CaseError(f"--set {text!r} has no effect: {reason}")
+    idle = [name for name in data.get("constants", {}) if name not in used]
+    return tuple(f"no formula uses the constant {name!r}{suggestion(name, used)}" for name in idle)
+
+
+def _names_used(specs: Sequence[BoundarySpec]) -> set[str]:
+    """Constants that the formulas use."""
+    used: set[str] = set()
+    for spec in specs:
+        used |= spec.where.names if spec.where else set()
+        used |= spec.motion.names if spec.motion else set()
+    return used - {"x", "y", "z", "t"}
+
+
+def _constants_in(path: Sequence[str], value: Any) -> Iterable[str]:
+    if path[0] != "constants":
+        return ()
+    return path[1:2] if len(path) > 1 else value
+
+
+def _idle_option(path: Sequence[str], options: Options) -> str:
+    """Reason why the chosen method does not use an option; empty if it does."""
+    if path[0] != "method" or len(path) < 2 or path[1] not in ("idw", "rbf", "tfi"):
+        return ""
+    own: MethodOptions = getattr(options, path[1])
+    used = entry_of(options.name).parts
+    if type(own) not in used:
+        names = ", ".join(f"method.{kind.__name__.lower()}" for kind in used) or "no options"
+        return f"the method {options.name!r} uses only {names}"
+    return own.idle.get(path[2], "") if len(path) > 2 else ""
+
+
+def case_schema() -> Table:
+    """The schema (draft 2020-12) of a case file, as data."""
+    schema, component = schema_of(CaseForm), schema_of(ComponentForm)
+    definitions = {**schema["$defs"], **component["$defs"]}
+    definitions["MotionStep"]["oneOf"] = [{"required": [name]} for name in MOTIONS]
+    patterns = {"type": "array", "items": {"type": "string"}, "minItems": 1}
+    own = {"anyOf": [{"type": "string"}, patterns, {"$ref": component["$ref"]}]}
+    definitions["GridForm"]["properties"]["components"]["anyOf"] = [
+        {"const": BY_PREFIX},
+        {"type": "object", "additionalProperties": own, "minProperties": 1},
+    ]
+    definitions["CaseForm"]["properties"]["method"] = _method_schema()
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": "urn:meshdeform:case:1",
+        "$ref": schema["$ref"],
+        "$defs": definitions,
+    }
+
+
+def _method_schema() -> Table:
+    names = {"enum": [*CATALOGUE, *ALIASES], "default": Options().name, "description": "See `meshdeform methods`."}
+    parts = {name: _table_schema(f"Options of {kind.__name__}.", _options_schema(kind)) for name, kind in PARTS.items()}
+    return _table_schema("The method and its options.", {"name": names, **parts})
+
+
+def _table_schema(description: str, properties: Table) -> Table:
+    return {
+        "type": "object", "description": description, "properties": properties, "additionalProperties": False,
+    }  # fmt: skip
+
+
+def _options_schema(kind: type) -> Table:
+    found = {}
+    for name, option in declared(kind).items():
+        value: Table = {"enum": list(option.choices)}
+        if option.number is not None:
+            number: Table = {"type": "integer" if option.number is int else "number"}
+            number["exclusiveMinimum" if option.open_low else "minimum"] = option.low
+            if option.high < float("inf"):
+                number["maximum"] = option.high
+            value = {"anyOf": [number, value]} if option.choices else number
+        found[name] = {**value, "default": option.default, "description": option.meaning}
+    return found

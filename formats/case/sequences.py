@@ -21,10 +21,7 @@ _MAXIMUM = 1_000_000
 def parse_times(text: str, where: str) -> tuple[float, ...]:
     """``START:STOP:STEP`` (STOP included if the steps reach it) or numbers separated by commas.
 
-    Raises
-    ------
-    CaseError
-        For anything else, and for times that are not ascending.
+    Raises CaseError for anything else, and for times that are not ascending.
     """
     parts = text.split(":")
     try:
@@ -87,10 +84,7 @@ def files_over_time(
 ) -> tuple[list[Path], tuple[float, ...]]:
     """Files, which must exist, and their times, one for each file.
 
-    Raises
-    ------
-    CaseError
-        When files are missing, or their number differs from that of the times.
+    Raises CaseError when files are missing, or their number differs from that of the times.
     """
     paths = sequence_files(files, folder, where)
     for path in paths:

@@ -28,10 +28,7 @@ _MOST_POINTS = 100_000
 def read_columns(path: Path, header: str) -> tuple[list[str], FloatArray]:
     """Column names, in lower case, and rows (n, m) of a table; ``header`` is an example of its first line.
 
-    Raises
-    ------
-    FormatError
-        With the line, for anything but a header and rows of finite numbers.
+    Raises FormatError with the line, for anything but a header and rows of finite numbers.
     """
     lines = _lines(path)
     if not lines:
@@ -48,10 +45,7 @@ def read_columns(path: Path, header: str) -> tuple[list[str], FloatArray]:
 def read_history(path: Path) -> tuple[list[str], FloatArray]:
     """Column names and rows (n, m) of a table whose first column is the time ``t``, which ascends.
 
-    Raises
-    ------
-    FormatError
-        As :func:`read_columns`, and for times that do not ascend.
+    Raises FormatError As :func:`read_columns`, and for times that do not ascend.
     """
     names, values = read_columns(path, "t,x,y,z")
     if names[0] != "t":
@@ -126,10 +120,7 @@ def read_airfoil(path: Path) -> FloatArray:
     Selig's form has the points in this order; Lednicer's has the numbers of points of both sides first, and each side
     from the leading edge. Lines of text at the beginning are the name.
 
-    Raises
-    ------
-    FormatError
-        With the line.
+    Raises FormatError with the line.
     """
     rows: list[list[float]] = []
     for number, text in _lines(path):
@@ -159,10 +150,7 @@ def read_airfoil(path: Path) -> FloatArray:
 def read_positions(path: Path) -> Positions:
     """SU2's ``surface_positions.dat``: the number and the new coordinates of a point in each line.
 
-    Raises
-    ------
-    FormatError
-        With the line; and for a number with two positions.
+    Raises FormatError with the line; and for a number with two positions.
     """
     lines = [(number, text) for number, text in _lines(path) if not text.startswith(("#", "%"))]
     if not lines:

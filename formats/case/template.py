@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from meshdeform_core.boundary.tables.fitting import fit_table
+from meshdeform_core.boundary.tables.matching import AUTOMATIC, Matching, Nodes, SurfaceData
+from meshdeform_core.boundary.tables.transfer import transfer
+from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import FloatArray, Grid
 from meshdeform_core.grid.faces.roles import Role
 from meshdeform_core.grid.faces.surfaces import Outside, Surface, thin_direction
 from meshdeform_core.grid.planes import FLATNESS
+from meshdeform_core.grid.topology import Topology
 
-from .fitted import FittedTable
+from ..displacement import read_displacement
 
 _MOTION = """\
 # Motions are applied in order; formulas use the undeformed x, y, z and the time t, for example
@@ -29,6 +36,9 @@ _METHOD = """\
 [method]
 name = "idw-tfi"   # or another of `meshdeform methods`
 """
+_ROOM = 1.05
+_SMALLEST = 1e-9
+"""Smallest tolerance relative to the size of the wall, so that rounding in the table does not matter."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +54,39 @@ class _Entry:
         """Lowest and highest coordinates (2, 3)."""
         boxes = np.array([surface.box for surface in self.surfaces])
         return np.array([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
+
+
+@dataclass(frozen=True)
+class FittedTable:
+    """A table, the names of the surfaces that it moves, and a match and tolerance that cover all their nodes."""
+
+    file: str
+    surfaces: tuple[str, ...]
+    match: str
+    tolerance: float
+
+
+def fitted_table(grid: Grid, topology: Topology, path: Path, name: str) -> FittedTable:
+    """Find the wall that the table ``path`` fits; ``name`` is the file's name as the case file will have it.
+
+    Raises CaseError, FormatError or MotionError when the file is not a table of points, or its points lie on no wall.
+    """
+    data = read_displacement(path)
+    if not isinstance(data, SurfaceData):
+        raise CaseError(
+            f"{path} is a grid with deformed positions, which needs no matching; expected a displacement table. Use it "
+            f'in a case: motion = [{{ file = "{name}" }}]'
+        )
+    fit = fit_table(grid, topology, data, Matching(AUTOMATIC, partial=True))
+    quads = np.concatenate([surface.quads for surface in fit.surfaces])
+    nodes = Nodes.of_quads(grid, topology, quads)
+    matched = transfer(data, fit.matching, nodes)
+    size = float(np.linalg.norm(np.ptp(nodes.points, axis=0)))
+    reach = max(_ROOM * float(matched.distance.max()), _SMALLEST * size)
+    # Two significant digits, rounded up.
+    unit = 10.0 ** (math.floor(math.log10(reach)) - 1)
+    reach = float(f"{math.ceil(reach / unit) * unit:.3g}")
+    return FittedTable(name, tuple(s.name for s in fit.surfaces), matched.how, reach)
 
 
 def case_template(

@@ -21,13 +21,7 @@ _TOO_LONG = "it has an integer of more than 64 bits; write large numbers like 1e
 
 
 def load(path: Path | None) -> Table:
-    """The tables of a case file; empty without a file.
-
-    Raises
-    ------
-    CaseError
-        When the file cannot be read or is not TOML.
-    """
+    """The tables of a case file; empty without a file. Raises CaseError when the file cannot be read or is not TOML."""
     if path is None:
         return {}
     try:
@@ -71,10 +65,7 @@ def _require_64_bits(value: Any) -> None:
 def parsed_override(text: str) -> tuple[list[str], Any]:
     """The names of KEY and the value of ``KEY=VALUE``; a value that is not TOML is taken as text.
 
-    Raises
-    ------
-    CaseError
-        When there is no ``=`` or no key.
+    Raises CaseError when there is no ``=`` or no key.
     """
     key, equals, value = text.partition("=")
     if not equals or not key.strip():
@@ -89,10 +80,8 @@ def parsed_override(text: str) -> tuple[list[str], Any]:
 def override(data: Table, text: str) -> None:
     """Set the value of ``KEY=VALUE`` in ``data``, in place.
 
-    Raises
-    ------
-    CaseError
-        When there is no ``=``, or the key passes through a value or refers to an entry that does not exist.
+    Raises CaseError when there is no ``=``, or the key passes through a value or refers to an entry that does not
+    exist.
     """
     (*path, last), parsed = parsed_override(text)
     if not path and last not in TABLES and last in data.get("constants", {}):

@@ -29,10 +29,7 @@ _SUFFIX = ".npy"
 def read_npy(path: Path) -> DisplacementTable:
     """Read an array ``(n, 6)`` of ``x y z dx dy dz`` or ``(n, 4)`` of ``x y dx dy``.
 
-    Raises
-    ------
-    FormatError
-        When the file is truncated or has other content.
+    Raises FormatError when the file is truncated or has other content.
     """
     values = _load_array(path)
     if values.ndim != 2 or values.shape[1] not in (4, 6) or values.dtype.kind not in "iuf":
@@ -44,10 +41,7 @@ def read_npy(path: Path) -> DisplacementTable:
 def read_npz(path: Path) -> DisplacementTable:
     """Read arrays ``points`` and ``displacement`` (n, 3), or ``x y z dx dy dz`` (n,), optionally ``triangles`` (m, 3).
 
-    Raises
-    ------
-    FormatError
-        When the file is truncated or has no such arrays; the message lists those found.
+    Raises FormatError when the file is truncated or has no such arrays; the message lists those found.
     """
     arrays = _load_arrays(path)
     table = _table({name: values for name, values in arrays.items() if values.dtype.kind in "iuf"})
@@ -59,10 +53,8 @@ def read_npz(path: Path) -> DisplacementTable:
 def read_hdf5(path: Path) -> DisplacementTable:
     """Read datasets as in npz, in the root group or in the one group below it that has them.
 
-    Raises
-    ------
-    FormatError
-        When the file is damaged, or not exactly one group has the datasets; the message lists those found.
+    Raises FormatError when the file is damaged, or not exactly one group has the datasets; the message lists those
+    found.
     """
     with _opened(path) as file:
         groups = {name: _arrays(group) for name, group in _groups(file)}

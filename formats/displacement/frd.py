@@ -20,8 +20,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, IntArray
 from meshdeform_core.wording import listed
 
-from .cells import split_cells
-from .table import NO_TRIANGLES, DisplacementTable, checked_surface, row_place
+from .table import NO_TRIANGLES, DisplacementTable, checked_surface, row_place, split_cells
 
 _NUMBER = re.compile(r"[-+]?\d\.\d+E[-+]\d{2,3}")
 # Width of node numbers by the last word of a block's first line; binary blocks have 2 and 3.
@@ -46,10 +45,7 @@ def read_shapes(path: Path) -> tuple[SurfaceData, ...]:
 
     Points and triangles are those of the outer surface of the model; of beams, all points.
 
-    Raises
-    ------
-    FormatError
-        When the file is damaged, binary, or has no displacement.
+    Raises FormatError when the file is damaged, binary, or has no displacement.
     """
     if path.suffix.lower() != ".frd":
         raise FormatError(f"{path} is not a result file of a structural solver; expected CalculiX's .frd")
@@ -59,10 +55,7 @@ def read_shapes(path: Path) -> tuple[SurfaceData, ...]:
 def read(path: Path) -> DisplacementTable:
     """The displacement of a result file that has only one.
 
-    Raises
-    ------
-    FormatError
-        When it has several; the message lists them.
+    Raises FormatError when it has several; the message lists them.
     """
     tables = _read(path)
     if len(tables) > 1:

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 
-from .cells import split_cells
-from .table import NO_TRIANGLES, DisplacementTable, surface_table
+from .table import NO_TRIANGLES, DisplacementTable, split_cells, surface_table
 
 # Corners of two-dimensional cells; nodes on edges and inside follow them.
 _CORNERS = {"triangle": 3, "triangle6": 3, "triangle7": 3, "quad": 4, "quad8": 4, "quad9": 4}
@@ -28,11 +27,8 @@ _AVS_CORNERS = {"tri": 3, "quad": 4}
 def read(path: Path, file_format: str) -> DisplacementTable:
     """Read a surface with displacements as point data.
 
-    Raises
-    ------
-    FormatError
-        When the file is damaged, with meshio's message, or has no displacement; when its data are not one for each
-        node, in Gmsh in the order of the nodes.
+    Raises FormatError when the file is damaged, with meshio's message, or has no displacement; when its data are not
+    one for each node, in Gmsh in the order of the nodes.
     """
     try:
         source = _SOURCES.get(file_format, str)(path)

@@ -11,10 +11,8 @@ from __future__ import annotations
 import importlib
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from meshdeform_core.boundary.tables.matching import SurfaceData
 from meshdeform_core.errors import FormatError
@@ -23,8 +21,7 @@ from meshdeform_core.parallel import WholeGridNeeded, alone
 
 from ..files import read_head, replacing
 from ..grids import FORMATS, read_grid
-from .cells import grid_triangles
-from .table import VECTOR_NAMES, DisplacementTable, checked_surface, pick_vector
+from .table import VECTOR_NAMES, DisplacementTable, checked_surface, grid_triangles, pick_vector
 
 # meshio's formats that can hold a displacement at points, by suffix; others are recognised by a magic number.
 _MESHIO_FORMATS = {
@@ -40,11 +37,8 @@ def read_displacement(path: str | Path) -> SurfaceData | Grid:
     Files are recognised by content where possible; text files by suffix: ``.csv``, ``.txt``, ``.dat`` and ``.tsv`` are
     columns of numbers, the suffixes of Plot3D are grids, others are read by meshio.
 
-    Raises
-    ------
-    FormatError
-        When the file is damaged or has no displacement (with what was found), numbers are not finite, or a point has
-        two displacements (with both lines).
+    Raises FormatError when the file is damaged or has no displacement (with what was found), numbers are not finite, or
+    a point has two displacements (with both lines).
     """
     path = Path(path)
     table = _read(path, read_head(path))
@@ -54,10 +48,7 @@ def read_displacement(path: str | Path) -> SurfaceData | Grid:
 def write_displacement(path: str | Path, data: SurfaceData) -> None:
     """Write a table as text (``.csv``, exact) or ``.npz`` (with triangles), replacing ``path`` as a whole.
 
-    Raises
-    ------
-    FormatError
-        For another suffix, or when the file cannot be written.
+    Raises FormatError for another suffix, or when the file cannot be written.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -72,37 +63,25 @@ def write_displacement(path: str | Path, data: SurfaceData) -> None:
 
 
 def _read(path: Path, head: bytes) -> DisplacementTable | Grid:
+    suffix, words = path.suffix.lower(), head.lower()
     if head.startswith(b"\x93NUMPY"):
         return _module("arrays").read_npy(path)
     if head.startswith(b"PK\x03\x04"):
         return _module("arrays").read_npz(path)
     if head.startswith(b"\x89HDF\r\n\x1a\n"):
-        return _read_hdf5(path)
-    if head.startswith(b"# vtk DataFile"):
-        return _read_vtk_legacy(path)
-    if b"<VTKFile" in head:
-        return _read_vtk_xml(path)
-    if path.suffix.lower() in _TEXT_SUFFIXES and not _is_tecplot(head):
+        entries = _module("arrays").hdf5_entries(path)
+        if "ENS_MAA" in entries:
+            return _module("meshio").read(path, "med")
+        return _read_structured(path) if "CGNSLibraryVersion" in entries else _module("arrays").read_hdf5(path)
+    if head.startswith(b"# vtk DataFile") or b"<VTKFile" in head:
+        return _read_vtk(path, head)
+    if suffix in _TEXT_SUFFIXES and not (b"variables" in words and b"zone" in words):
+        # With both words it is Tecplot's.
         return _module("text").read(path)
-    if b"ADF Database Version" in head[:64] or path.suffix.lower() in FORMATS["plot3d"].suffixes:
+    if b"ADF Database Version" in head[:64] or suffix in FORMATS["plot3d"].suffixes:
         return _read_structured(path)
-    if path.suffix.lower() == ".frd":
+    if suffix == ".frd":
         return _module("frd").read(path)
-    return _module("meshio").read(path, _meshio_format(path))
-
-
-def _module(name: str) -> ModuleType:
-    """A reader, imported when first needed: importing h5py and meshio is slow."""
-    return importlib.import_module(f"{__package__}.{name}")
-
-
-def _is_tecplot(head: bytes) -> bool:
-    words = head.lower()
-    return b"variables" in words and b"zone" in words
-
-
-def _meshio_format(path: Path) -> str:
-    suffix = path.suffix.lower()
     if suffix not in _MESHIO_FORMATS:
         known = " ".join(sorted({*_MESHIO_FORMATS, ".frd"}))
         called = f"with suffix {suffix}" if suffix else "without suffix"
@@ -110,38 +89,27 @@ def _meshio_format(path: Path) -> str:
             f"{path}: a file {called} is not a displacement table; expected text "
             f"({' '.join(_TEXT_SUFFIXES)}), .npz, .npy, HDF5, VTK, {known}, or a grid"
         )
-    return _MESHIO_FORMATS[suffix]
+    return _module("meshio").read(path, _MESHIO_FORMATS[suffix])
 
 
-def _read_hdf5(path: Path) -> DisplacementTable | Grid:
-    entries = _module("arrays").hdf5_entries(path)
-    if "CGNSLibraryVersion" in entries:
-        return _read_structured(path)
-    if "ENS_MAA" in entries:
-        return _module("meshio").read(path, "med")
-    return _module("arrays").read_hdf5(path)
+def _module(name: str) -> ModuleType:
+    """A reader, imported when first needed: importing h5py and meshio is slow."""
+    return importlib.import_module(f"{__package__}.{name}")
 
 
-def _read_vtk_legacy(path: Path) -> DisplacementTable | Grid:
+def _read_vtk(path: Path, head: bytes) -> DisplacementTable | Grid:
     from ..vtk.legacy import dataset_kind
-
-    kind = dataset_kind(path)
-    if kind == "POLYDATA":
-        return _module("vtk").read_vtk_legacy(path)
-    if kind == "UNSTRUCTURED_GRID":
-        return _module("meshio").read(path, "vtk")
-    return _read_structured(path)
-
-
-def _read_vtk_xml(path: Path) -> DisplacementTable | Grid:
     from ..vtk.xml_tags import file_kind
 
+    if head.startswith(b"# vtk DataFile"):
+        kind = dataset_kind(path)
+        if kind == "UNSTRUCTURED_GRID":
+            return _module("meshio").read(path, "vtk")
+        return _module("vtk").read_vtk_legacy(path) if kind == "POLYDATA" else _read_structured(path)
     kind = file_kind(path)
-    if kind in ("PolyData", "UnstructuredGrid"):
-        return _module("vtk").read_vtk_xml(path)
     if kind in ("PPolyData", "PUnstructuredGrid"):
         raise FormatError(f"{path} is the index of a parallel data set; expected its pieces merged into one file")
-    return _read_structured(path)
+    return _module("vtk").read_vtk_xml(path) if kind in ("PolyData", "UnstructuredGrid") else _read_structured(path)
 
 
 def _read_structured(path: Path) -> DisplacementTable | Grid:
@@ -153,8 +121,11 @@ def _read_structured(path: Path) -> DisplacementTable | Grid:
         # Every rank looks displacements up by itself.
         with alone():
             grid = read_grid(path)
-    displacements = [_block_displacement(grid, block) for block in range(grid.n_blocks)]
-    known = [values for values in displacements if values is not None]
+    known = []
+    for block in range(grid.n_blocks):
+        fields = [field for field in grid.fields if field.block == block and field.location == "node"]
+        values = pick_vector(VECTOR_NAMES, {f.name: f.values.reshape(-1, *f.values.shape[3:]) for f in fields})
+        known += [] if values is None else [values]
     if len(known) < grid.n_blocks:
         return grid
     numbers = np.arange(grid.n_nodes)
@@ -163,9 +134,3 @@ def _read_structured(path: Path) -> DisplacementTable | Grid:
         for low, high, shape in zip(grid.offsets, grid.offsets[1:], grid.shapes, strict=False)
     ]
     return DisplacementTable(grid.points, np.concatenate(known), np.concatenate(triangles), grid.node_label)
-
-
-def _block_displacement(grid: Grid, block: int) -> NDArray[Any] | None:
-    """Displacement of the nodes of a block, (n, 2) or (n, 3), if the file has it."""
-    fields = [field for field in grid.fields if field.block == block and field.location == "node"]
-    return pick_vector(VECTOR_NAMES, {f.name: f.values.reshape(-1, *f.values.shape[3:]) for f in fields})

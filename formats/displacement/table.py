@@ -1,4 +1,4 @@
-"""Points with displacements from any file: names of columns, and checks common to all tables."""
+"""Points with displacements from any file: names of columns, triangles of cells, checks common to all tables."""
 
 from __future__ import annotations
 
@@ -58,10 +58,7 @@ def vector_names(
     Case, units in brackets and punctuation do not matter. The components of ``u`` are ``u_x u_y u_z``, ``u0 u1 u2``,
     ``u1 u2 u3`` or ``x-u y-u z-u``; without a third one the vector is two-dimensional.
 
-    Raises
-    ------
-    FormatError
-        When two columns have the name of a component.
+    Raises FormatError when two columns have the name of a component.
     """
     whole = {_plain(name): name for name in reversed(list(vectors))}
     parts = {_plain(name): name for name in reversed(list(scalars))}
@@ -104,10 +101,7 @@ def surface_table(
 ) -> DisplacementTable:
     """The table of a surface with arrays at its points: the one called displacement, or its only vector.
 
-    Raises
-    ------
-    FormatError
-        When there is none, or several vectors with other names; the message lists them.
+    Raises FormatError when there is none, or several vectors with other names; the message lists them.
     """
     displacement = pick_vector(DISPLACEMENT_NAMES, arrays)
     vectors = [values for values in arrays.values() if values.ndim == 2 and values.shape[1] == 3]
@@ -122,11 +116,8 @@ def surface_table(
 def checked_surface(table: DisplacementTable, path: Path) -> SurfaceData:
     """The table as surface data, with (n, 3) contiguous float64 arrays.
 
-    Raises
-    ------
-    FormatError
-        When it is empty, contains non-finite numbers or different displacements of one point, or when triangles refer
-        to points that do not exist.
+    Raises FormatError when it is empty, contains non-finite numbers or different displacements of one point, or when
+    triangles refer to points that do not exist.
     """
     points, displacement = (_three_columns(values) for values in (table.points, table.displacement))
     if len(points) != len(displacement):
@@ -169,3 +160,54 @@ def _check_duplicates(points: FloatArray, displacement: FloatArray, place: Calla
             f"{path}: the point {vector(points[one])} has two displacements, {vector(displacement[one])} in "
             f"{place(one)} and {vector(displacement[other])} in {place(other)}; keep one of them"
         )
+
+
+def fans(connectivity: NDArray[Any], first: NDArray[Any], corners: NDArray[Any], strip: bool = False) -> IntArray:
+    """Split polygons into triangle fans about their first corner, or triangle strips into triangles.
+
+    Parameters
+    ----------
+    connectivity : node numbers of all cells, one after the other
+    first, corners : (m,) index at which each cell begins, and its number of corners
+
+    Returns
+    -------
+    (t, 3) node numbers; none for cells with fewer than three corners
+    """
+    count = np.maximum(corners - 2, 0)
+    start = np.repeat(first, count)
+    step = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    apex = start + step if strip else start
+    return connectivity[np.stack([apex, start + step + 1, start + step + 2], axis=1)].astype(np.int64)
+
+
+def grid_triangles(number: NDArray[Any]) -> IntArray:
+    """Triangles of a plane of nodes, or of the six faces of a block, from its node numbers ``(ni, nj, nk)``."""
+    if 1 in number.shape:
+        faces = [number.squeeze(axis=number.shape.index(1))]
+    else:
+        faces = [np.take(number, end, axis=axis) for axis in range(3) for end in (0, -1)]
+    quads = [np.stack([f[:-1, :-1], f[1:, :-1], f[1:, 1:], f[:-1, 1:]], axis=-1).reshape(-1, 4) for f in faces]
+    return split_cells(np.concatenate(quads), 4)
+
+
+def split_cells(cells: NDArray[Any], corners: int) -> IntArray:
+    """Triangles of cells ``(m, nodes)`` whose first ``corners`` nodes are their corners."""
+    m, nodes = cells.shape
+    return fans(cells.ravel(), nodes * np.arange(m), np.full(m, corners))
+
+
+def starts_of_list(entries: NDArray[Any]) -> IntArray:
+    """Index at which each cell begins in a list ``n a b c ... n d e ...``; ends with the first that does not fit.
+
+    Each entry is taken as the length of a jump to the next cell. The chain of jumps from the first entry is found by
+    doubling: each round doubles the length of all jumps and the number of known cells.
+    """
+    size = len(entries)
+    jump = np.append(np.arange(size) + 1 + np.clip(entries, 0, size), size)
+    jump = np.minimum(jump, size)
+    starts = np.zeros(1, dtype=np.int64)
+    while starts[-1] < size:
+        starts = np.concatenate([starts, jump[starts]])
+        jump = jump[jump]
+    return starts[starts < size]

@@ -39,10 +39,7 @@ def read(path: Path) -> DisplacementTable:
     Without a header the columns are ``x y z dx dy dz``, or ``x y dx dy`` in 2-D. A header, possibly in a comment, names
     any number of columns in any order (see :func:`vector_names`). ``#`` begins a comment.
 
-    Raises
-    ------
-    FormatError
-        When the columns are unknown or a line is not a row of numbers; with the line.
+    Raises FormatError when the columns are unknown or a line is not a row of numbers; with the line.
     """
     layout = _layout(path)
     try:

@@ -14,8 +14,7 @@ from meshdeform_core.grid import IntArray
 from ..vtk.legacy import Attributes, LegacyFile
 from ..vtk.xml_arrays import ArrayReader, joined, read_section
 from ..vtk.xml_tags import Element, read_tags
-from .cells import fans, starts_of_list
-from .table import NO_TRIANGLES, DisplacementTable, surface_table
+from .table import NO_TRIANGLES, DisplacementTable, fans, starts_of_list, surface_table
 
 # Corners of VTK's two-dimensional cells, by type; nodes on edges and inside follow them.
 _CORNERS = {5: 3, 22: 3, 34: 3, 9: 4, 23: 4, 28: 4}
@@ -27,10 +26,7 @@ _TYPES = 81
 def read_vtk_xml(path: Path) -> DisplacementTable:
     """Read polygons (.vtp) or unstructured cells (.vtu) of VTK.
 
-    Raises
-    ------
-    FormatError
-        When the file is truncated or damaged, or has no displacement.
+    Raises FormatError when the file is truncated or damaged, or has no displacement.
     """
     file = read_tags(path)
     with path.open("rb") as stream:
@@ -119,10 +115,7 @@ def _check_offsets(path: Path, offsets: NDArray[Any], size: int) -> None:
 def read_vtk_legacy(path: Path) -> DisplacementTable:
     """Read the polygons of a legacy VTK file (DATASET POLYDATA).
 
-    Raises
-    ------
-    FormatError
-        When the file is truncated or damaged, or has no displacement.
+    Raises FormatError when the file is truncated or damaged, or has no displacement.
     """
     with path.open("rb") as stream:
         file = LegacyFile(path, stream)

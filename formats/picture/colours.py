@@ -50,11 +50,8 @@ class Scale:
         from matplotlib.cm import ScalarMappable
         from matplotlib.colors import LogNorm, Normalize
 
-        return ScalarMappable((LogNorm if self.logarithmic else Normalize)(self.low, self.high, clip=True), self._map)
-
-    @property
-    def _map(self) -> str:
-        return DIVERGING if METRICS[self.metric].diverging else SEQUENTIAL
+        colours = DIVERGING if METRICS[self.metric].diverging else SEQUENTIAL
+        return ScalarMappable((LogNorm if self.logarithmic else Normalize)(self.low, self.high, clip=True), colours)
 
     def colours(self, facets: Facets) -> FloatArray:
         """RGB (n, 3) of polygons by value; invalid cells have a colour of their own, those without a value are grey."""
@@ -80,10 +77,7 @@ class Choice:
     def scale(self, *values: FloatArray) -> Scale:
         """Colours for all values (n,) together: between the limits, else the metric's own, else the ends of the values.
 
-        Raises
-        ------
-        CaseError
-            When a logarithmic scale is requested but no value is positive.
+        Raises CaseError when a logarithmic scale is requested but no value is positive.
         """
         known, finite = METRICS[self.metric], np.concatenate(values)
         finite = finite[np.isfinite(finite)]

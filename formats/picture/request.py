@@ -37,10 +37,7 @@ class PlotOptions:
 
     ``lead`` is what stands before the names in messages: two dashes on the command line.
 
-    Raises
-    ------
-    CaseError
-        When an option is not understood, or options exclude each other.
+    Raises CaseError when an option is not understood, or options exclude each other.
     """
 
     metric: str = "f_skew"
@@ -145,10 +142,8 @@ def _numbers(name: str, given: str | Sequence[float], expected: str, count: int)
 def picture(subject: Subject, options: PlotOptions, title: str = "") -> Page:
     """The page that options describe.
 
-    Raises
-    ------
-    CaseError
-        When a plane does not meet the grid, a name matches nothing, or something needs the undeformed grid.
+    Raises CaseError when a plane does not meet the grid, a name matches nothing, or something needs the undeformed
+    grid.
     """
     choice = options.choice
     if (options.before or options.arrows) and subject.reference is None:

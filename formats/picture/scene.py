@@ -136,10 +136,7 @@ def surface_facets(subject: Subject, quads: IntArray, metric: str = "") -> Facet
 def cut_facets(subject: Subject, plane: Plane, metric: str) -> Facets:
     """The cells of all blocks of a 3-D grid where a plane in space cuts them, as polygons.
 
-    Raises
-    ------
-    CaseError
-        When the plane misses the grid.
+    Raises CaseError when the plane misses the grid.
     """
     grid = subject.grid
     level, lows, highs = _levels(grid, plane)

@@ -24,9 +24,8 @@ def deformation_figures(result: Result) -> Illustrations:
     """The moving walls, a plane around them, the worst cells and what a repair changed, before and after."""
     setup, after, invalid = result.setup, result.grid, result.assessment.invalid
     pair = Pair(setup.grid, after, setup.topology, original=setup.original)
-    figures = [
-        _slider(after, "Around the walls", "A plane through the grid, coloured by f_skew.", *quality_planes(pair))
-    ]
+    old, new = (_png(after, page) for page in quality_planes(pair))
+    figures = [Figure("Around the walls", "A plane through the grid, coloured by f_skew.", new, old)]
     block, cell = worst_cell(pair.new, "f_skew")
     where = setup.grid.label(block, cell)
     caption = (
@@ -59,18 +58,9 @@ def _repaired_region(setup: Setup, plain: Grid, after: Grid) -> Figure:
     return Figure("What the repair changed", caption, after_png, plain_png, names=("the method alone", "repaired"))
 
 
-def _slider(grid: Grid, title: str, caption: str, before: Page, after: Page) -> Figure:
-    return Figure(title, caption, _png(grid, after), _png(grid, before))
-
-
 def _png(grid: Grid, page: Page, **size: Any) -> bytes:
     """A page as PNG, drawn by the first of the ranks that hold the grid."""
     return ranks_of(grid.points).on_first(lambda: page_png(page, **size))
-
-
-def _moving_nodes(setup: Setup, points: FloatArray) -> FloatArray:
-    moving = np.flatnonzero(setup.boundary.kind == Kind.MOVING)
-    return np.asarray(points[setup.topology.first[moving]])
 
 
 def level_thumbnails(
@@ -84,7 +74,8 @@ def level_thumbnails(
     read : gives the coordinates (n_nodes, 3) of a level
     """
     # One level at a time is in memory.
-    around = np.concatenate([_moving_nodes(setup, read(number)) for number, _, _ in levels])
+    moving = setup.topology.first[np.flatnonzero(setup.boundary.kind == Kind.MOVING)]
+    around = np.concatenate([read(number)[moving] for number, _, _ in levels])
     shown = []
     for number, caption, file in levels:
         subject = Subject(setup.grid.moved(read(number)), setup.topology, setup.grid, original=setup.original)

@@ -32,6 +32,7 @@ from .tables import (
     remedy_of,
     repair_lines,
     repair_sentence,
+    shape_table,
 )
 
 if TYPE_CHECKING:
@@ -100,7 +101,10 @@ def as_html(
         "png_width": lambda png: int.from_bytes(png[16:20], "big"),
         "png_height": lambda png: int.from_bytes(png[20:24], "big"),
     }
-    series = "levels" in report
+    series, grid = "levels" in report, report["grid"]
+    name, kind = str(grid["file"] or "grid"), f"{grid['format']}, " if grid["format"] else ""
+    blocks, cells = counted(grid["blocks"], "block"), counted(grid["cells"], "cell")
+    title = f"{'Deformation' if 'method' in report else 'Quality'} of {name}"
     sections = [
         Section("pictures", "Pictures", figures),
         *(_levels(report, thumbnails, folder) if series else _judged(report)),
@@ -108,28 +112,14 @@ def as_html(
     ]
     return environment.from_string(template).render(
         report=report,
-        title=_title(report),
-        about=_about(report),
+        title=f"Series of {len(report['levels'])} levels: {name}" if series else title,
+        about=f"{kind}{grid['dimension']}-D, {blocks}, {grid['nodes']:,} nodes, {cells}",
         verdict=_verdict(report),
         tiles=_level_tiles(report) if series else _tiles(report),
         sections=[section for section in sections if section.parts],
         style=style,
         script=script,
     )
-
-
-def _title(report: Report) -> str:
-    name = str(report["grid"]["file"] or "grid")
-    if "levels" in report:
-        return f"Series of {len(report['levels'])} levels: {name}"
-    return f"{'Deformation' if 'method' in report else 'Quality'} of {name}"
-
-
-def _about(report: Report) -> str:
-    grid = report["grid"]
-    kind = f"{grid['format']}, " if grid["format"] else ""
-    blocks, cells = counted(grid["blocks"], "block"), counted(grid["cells"], "cell")
-    return f"{kind}{grid['dimension']}-D, {blocks}, {grid['nodes']:,} nodes, {cells}"
 
 
 def _tiles(report: Report) -> list[tuple[str, str]]:
@@ -162,7 +152,10 @@ def _verdict(report: Report) -> dict[str, Any]:
     """Whether the grid is usable; if not, where and why not, and what to do (advice is HTML)."""
     found: dict[str, Any] = {"how": "", "places": [], "blocks": "", "advice": []}
     if report["valid"]:
-        return found | {"headline": _good(report), "how": repair_sentence(report)}
+        headline = f"All {len(report['levels'])} levels are valid." if "levels" in report else "The grid is valid."
+        if "levels" not in report and (old := report["quality"]["after"]["inherited_invalid_cells"]):
+            headline = f"No cell became invalid; {old:,} cells were invalid before."
+        return found | {"headline": headline, "how": repair_sentence(report)}
     if "levels" in report:
         bad = [level for level in report["levels"] if not level["valid"]]
         more = [f"and {len(bad) - _SHOWN} more"] if len(bad) > _SHOWN else []
@@ -185,13 +178,6 @@ def _verdict(report: Report) -> dict[str, Any]:
         "blocks": blocks + (" and more" if len(hit) > _SHOWN else "") if len(hit) > 1 and reached == 1.0 else "",
         "advice": _advice(report),
     }
-
-
-def _good(report: Report) -> str:
-    if "levels" in report:
-        return f"All {len(report['levels'])} levels are valid."
-    inherited = report["quality"]["after"]["inherited_invalid_cells"]
-    return f"No cell became invalid; {inherited:,} cells were invalid before." if inherited else "The grid is valid."
 
 
 def _bad_level(level: Report) -> str:
@@ -272,7 +258,7 @@ def _judged(report: Report) -> Iterator[Section]:
 def _rest(report: Report) -> Iterator[Section]:
     components = [components_table(report)] if report.get("components") else []
     yield Section("components", "Components", components)
-    yield Section("shape", "Shape of cells", [_shape(report["shape"])] if report.get("shape") else [])
+    yield Section("shape", "Shape of cells", [shape_table(report)] if report.get("shape") else [])
     yield Section("attempts", "Attempts", list(_attempts(report)))
     yield Section("blocks", "Blocks", list(_blocks(report.get("blocks") or ())))
     warnings = [(warning, remedy_of(warning)) for warning in report["warnings"]]
@@ -292,16 +278,6 @@ def _rest(report: Report) -> Iterator[Section]:
         stages = [(_STAGES.get(stage, stage), s, each * s) for stage, s in timing.items() if stage != "total"]
         yield Section("time", "Time and memory", [{"stages": stages, "total": timing["total"]}, memory])
     yield Section("run", "Run", list(_run(report.get("run"))))
-
-
-def _shape(shape: Report) -> Table:
-    rows = []
-    for name, after in shape["after"].items():
-        before, place = (shape["before"] or {}).get(name), after.get("worst")
-        where = place_text(place) if place else ""
-        rows.append((name, before["max"] if before else None, after["max"], after["mean"], where))
-    heads = ("measure", "largest before", "largest", "mean", "largest at")
-    return Table("Measures that matter to flow solvers", heads, rows, (0, 4))
 
 
 def _attempts(report: Report) -> Iterator[Any]:

@@ -10,7 +10,7 @@ from urllib.parse import quote
 
 from meshdeform_core.wording import counted
 
-from .measures import measure_rows
+from .measures import measure_rows, place_text
 from .records import Report
 
 ACCELERATION = "largest acceleration of a node, in the largest step of the walls; 2 where they turn back"
@@ -102,19 +102,21 @@ def measures_table(report: Report, change: bool = False) -> Table:
     alone = is_alone(report)
     found = [row for row in measure_rows(report["quality"]) if not (alone and row.compared)]
     values = ("value",) if alone else ("before", "after", *(("change",) if change else ()))
-    rows = [
-        (
-            row.name,
-            *(() if alone else (row.before,)),
-            row.after,
-            *((row.change,) if "change" in values else ()),
-            row.place,
-        )
-        for row in found
-    ]
+    rows = [(row.name, *(getattr(row, "after" if alone else key) for key in values), row.place) for row in found]
     flagged = [n for n, row in enumerate(found) if row.name == "invalid cells" and row.after]
     caption = "Quality measures; f_skew is Knupp's skew measure: 1 orthogonal, 0 invalid"
     return Table(caption, ("measure", *values, "worst at"), rows, (0, len(values) + 1), flagged)
+
+
+def shape_table(report: Report) -> Table:
+    """Measures that matter to flow solvers, with the position of the largest."""
+    rows = []
+    for name, after in report["shape"]["after"].items():
+        before, place = (report["shape"]["before"] or {}).get(name), after.get("worst")
+        where = place_text(place) if place else ""
+        rows.append((name, before["max"] if before else None, after["max"], after["mean"], where))
+    heads = ("measure", "largest before", "largest", "mean", "largest at")
+    return Table("Measures that matter to flow solvers", heads, rows, (0, 4))
 
 
 def components_table(report: Report) -> Table:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from meshdeform_core.memory import readable
 from meshdeform_core.wording import counted
 
-from .measures import measure_rows, place_text
+from .measures import place_text
 from .records import Report
 from .tables import (
     ACCELERATION,
@@ -23,6 +23,7 @@ from .tables import (
     repair_lines,
     repair_sentence,
     repaired,
+    shape_table,
 )
 
 _LISTED = 20
@@ -42,7 +43,8 @@ def _lines(report: Report, parameters: bool) -> Iterator[str]:
     if "valid" in report:
         yield from _verdict(report)
     grid = report["grid"]
-    yield f"grid      {grid['file'] or '(in memory)'}: {grid['format'] or _no_format(grid)}"
+    kind = grid["format"] or ("several files" if grid["file"] else "no file")
+    yield f"grid      {grid['file'] or '(in memory)'}: {kind}"
     yield (
         f"          {grid['dimension']}-D, {counted(grid['blocks'], 'block')}, {grid['nodes']:,} nodes, "
         f"{counted(grid['cells'], 'cell')}"
@@ -50,21 +52,27 @@ def _lines(report: Report, parameters: bool) -> Iterator[str]:
     if "method" in report:
         yield f"method    {report['method']['name']}" + ("" if parameters else "  (-v shows its parameters)")
     if "boundary" in report:
-        yield from _boundary(report["boundary"])
-        yield from _motion(report.get("motion", []))
-    yield from _components(report)
+        yield from _boundary(report["boundary"], report.get("motion", []))
+    for index, part in enumerate(report.get("components", ())):
+        moves = f"moves by up to {part['max_displacement']:.6g}" if part["moving_nodes"] else "rests"
+        yield (
+            f"{'' if index else 'parts':9s} {part['name']}: {counted(len(part['blocks']), 'block')}, "
+            f"{part['nodes']:,} nodes; {moves}; {component_verdict(part)}; "
+            f"smallest f_skew {part['quality']['after']['f_skew']['min']:.4g}"
+        )
     if "levels" in report:
         yield from _levels(report)
     elif "quality" in report:
         yield from _quality(report)
         yield from _repair(report)
-    if parameters and "method" in report:
-        yield from _parameters(report["method"])
+    settings = [(key, value) for key, value in report.get("method", {}).items() if key != "name"] if parameters else []
+    for index, (name, setting) in enumerate(settings):
+        reason = f"  ({setting['reason']})" if "reason" in setting else ""
+        yield f"{'' if index else 'settings':9s} {name} = {number(setting['value'])}{reason}"
     if "expected" in report:
         yield _expected(report["expected"])
     if "timing" in report:
-        timing = report["timing"]
-        yield "seconds   " + "  ".join(f"{name} {value:.2f}" for name, value in timing.items())
+        yield "seconds   " + "  ".join(f"{name} {value:.2f}" for name, value in report["timing"].items())
         yield f"memory    {readable(report['peak_memory_bytes'])} at most"
     for warning in report["warnings"]:
         yield f"warning   {warning}"
@@ -81,33 +89,24 @@ def _expected(expense: Report) -> str:
     return f"expected  memory {bound}{readable(expense['memory_bytes'])}{each}{disk}"
 
 
-def _no_format(grid: Report) -> str:
-    return "several files" if grid["file"] else "no file"
-
-
 def _verdict(report: Report) -> Iterator[str]:
     """Whether the grid is valid, how it was obtained, and its invalid cells."""
     yield f"verdict   {'valid' if report['valid'] else 'INVALID'}"
     cells = report.get("invalid_cells", [])
     for cell in cells[:_LISTED]:
-        i, j, k = cell["ijk"]
         near = f", nearest patch {cell['nearest_patch']}" if cell["nearest_patch"] else ""
-        yield (
-            f"          {cell['block']} ({i}, {j}, {k}): Jacobian {cell['min_jacobian']:.3g}, step {cell['step']}{near}"
-        )
+        yield f"          {place_text(cell)}: Jacobian {cell['min_jacobian']:.3g}, step {cell['step']}{near}"
     if len(cells) > _LISTED:
         yield f"          ... {len(cells) - _LISTED} more in the json report"
     if "steps" in report:
         reached = "" if report["reached"] == 1.0 else f", {report['reached']:.1%} of the motion imposed"
-        repaired = ", then repaired (below)" if report.get("repair") and "quality" in report else ""
-        yield f"steps     {report['steps']}{reached}{repaired}"
+        done = ", then repaired (below)" if report.get("repair") and "quality" in report else ""
+        yield f"steps     {report['steps']}{reached}{done}"
         if "quality" in report:
             yield f"worst     {', '.join(_worst(report['quality']['after']))}"
     if new := report.get("new_interior"):
-        yield (
-            f"interior  remade from the reference by {new['method']} in {counted(new['steps'], 'step')}: "
-            f"{new['reason']}"
-        )
+        steps = counted(new["steps"], "step")
+        yield f"interior  remade from the reference by {new['method']} in {steps}: {new['reason']}"
     if "quality" not in report:
         yield from _repair(report)
 
@@ -127,40 +126,25 @@ def _repair(report: Report) -> Iterator[str]:
         yield f"{'' if index else 'repair':9s} {done}"
 
 
-def _parameters(method: Report) -> Iterator[str]:
-    for index, (name, setting) in enumerate((key, value) for key, value in method.items() if key != "name"):
-        lead = "settings" if index == 0 else ""
-        reason = f"  ({setting['reason']})" if "reason" in setting else ""
-        yield f"{lead:9s} {name} = {number(setting['value'])}{reason}"
-
-
-def _boundary(boundary: Report) -> Iterator[str]:
+def _boundary(boundary: Report, motion: list[Report]) -> Iterator[str]:
+    """Entries, nodes, tables, and the motion as evaluated, which reveals, for instance, radians given as degrees."""
     patches = boundary["patches"]
     width = max(len(p["name"]) for p in patches)
     for index, patch in enumerate(patches):
-        lead = "boundary" if index == 0 else ""
+        lead = "" if index else "boundary"
         yield f"{lead:9s} {patch['name']:{width}s}  {patch['kind']:9s} {patch['nodes']:>10,} nodes"
     counts = [f"{boundary[key]:,} {key.split('_')[0]}" for key in boundary if key.endswith("_nodes")]
     yield f"nodes     {', '.join(counts)}"
     for match in boundary.get("matches", ()):
+        fits = f"fits {', '.join(map(repr, match['walls']))}; " if match["walls"] else ""
         yield (
-            f"table     {match['table']}: {_fitted(match)}{match['matched_nodes']:,} nodes matched ({match['match']}, "
+            f"table     {match['table']}: {fits}{match['matched_nodes']:,} nodes matched ({match['match']}, "
             f"at most {match['max_distance']:.3g} away), {match['unmatched_nodes']:,} not; "
             f"{match['table_points_used']:,} of {match['table_points']:,} table points used"
         )
     if "max_displacement" in boundary:
         yield f"motion    largest displacement {boundary['max_displacement']:.6g}"
-
-
-def _fitted(match: Report) -> str:
-    """The walls that a table was found to fit."""
-    names = ", ".join(repr(name) for name in match["walls"])
-    return f"fits {names}; " if names else ""
-
-
-def _motion(patches: list[Report]) -> Iterator[str]:
-    """The motion as evaluated, which reveals, for instance, radians given as degrees."""
-    for patch in patches:
+    for patch in motion:
         mean = ", ".join(f"{part:.4g}" for part in patch["mean_displacement"])
         yield (
             f"          {patch['boundary']}: up to {patch['max_displacement']:.6g}, mean ({mean}), "
@@ -178,40 +162,18 @@ def axis_text(axis: list[float]) -> str:
     return f" about ({', '.join(f'{part:.3g}' for part in axis)})"
 
 
-def _components(report: Report) -> Iterator[str]:
-    """The components of an overset grid, each with its verdict."""
-    for part_number, part in enumerate(report.get("components", ())):
-        lead = "" if part_number else "parts"
-        moves = f"moves by up to {part['max_displacement']:.6g}" if part["moving_nodes"] else "rests"
-        yield (
-            f"{lead:9s} {part['name']}: {counted(len(part['blocks']), 'block')}, {part['nodes']:,} nodes; {moves}; "
-            f"{component_verdict(part)}; smallest f_skew {part['quality']['after']['f_skew']['min']:.4g}"
-        )
-
-
 def _quality(report: Report) -> Iterator[str]:
-    # A grid by itself has nothing to compare with: one column.
-    alone = is_alone(report)
-    heads = ("",) if alone else ("before", "after")
+    """The measures, and the largest values of those of shape; of a grid by itself in one column."""
+    measures, values = measures_table(report), 1 if is_alone(report) else 2
+    heads = [""] if values == 1 else measures.heads[1:3]
     yield f"{'quality':9s} {'':34s}" + "".join(f" {head:>14s}" for head in heads)
-    for row in measure_rows(report["quality"]):
-        if alone and row.compared:
-            continue
-        values = (row.after,) if alone else (row.before, row.after)
-        columns = "".join(f" {number(value):>14s}" for value in values)
-        yield f"{'':9s} {row.name:34s}{columns}" + (f"  at {row.place}" if row.place else "")
-    if "shape" in report:
-        yield from _shape(report["shape"], alone)
-
-
-def _shape(shape: Report, alone: bool) -> Iterator[str]:
-    """Largest value of every measure of shape, and its position."""
-    for name, after in shape["after"].items():
-        before = (shape["before"] or {}).get(name)
-        values = (after,) if alone else (before, after)
+    rows = [(name, found, place) for name, *found, place in measures.rows]
+    for name, before, after, _, place in shape_table(report).rows if report.get("shape") else ():
         label = f"largest {_SHAPE_NAMES.get(name, name.replace('_', ' '))}"
-        columns = "".join(f" {number(v['max']) if v else '':>14s}" for v in values)
-        yield f"{'':9s} {label:34s}{columns}  at {place_text(after['worst'])}"
+        rows.append((label, [before, after][-values:], place))
+    for name, found, place in rows:
+        columns = "".join(f" {number(value):>14s}" for value in found)
+        yield f"{'':9s} {name:34s}{columns}" + (f"  at {place}" if place else "")
 
 
 def _levels(report: Report) -> Iterator[str]:

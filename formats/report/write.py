@@ -28,10 +28,7 @@ _LIBRARIES = ("numpy", "scipy", "numba")
 def write_report(report: Report, path: Path, illustrate: Illustrate = Illustrations) -> None:
     """Write a report; the suffix selects json, txt, html or md. Pictures are made only for HTML.
 
-    Raises
-    ------
-    FormatError
-        For another suffix, or when the file cannot be written.
+    Raises FormatError for another suffix, or when the file cannot be written.
     """
     check_report_path(path)
     text = _render(report, path, illustrate)
@@ -94,9 +91,9 @@ def run_part(arguments: Sequence[str], files: Iterable[tuple[str, Path | None]],
         "threads": thread_count(),
         "ranks": ranks,
         "versions": {"python": platform.python_version(), **{name: version(name) for name in _LIBRARIES}},
-        "files": [_file(role, path) for role, path in files if path is not None and files_of(path) and path.exists()],
+        "files": [
+            {"role": role, "path": str(path), "bytes": size(path), "sha256": digest(path)}
+            for role, path in files
+            if path is not None and files_of(path) and path.exists()
+        ],
     }
-
-
-def _file(role: str, path: Path) -> Report:
-    return {"role": role, "path": str(path), "bytes": size(path), "sha256": digest(path)}

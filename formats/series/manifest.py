@@ -67,13 +67,7 @@ class Manifest:
 
     @classmethod
     def load(cls, path: Path) -> Manifest:
-        """Read the file.
-
-        Raises
-        ------
-        FormatError
-            When it is not a manifest.
-        """
+        """Read the file. Raises FormatError when it is not a manifest."""
         try:
             content = json.loads(path.read_text(encoding="utf-8"), parse_float=_finite, parse_constant=_finite)
             return cls(path, **content | {"made": [Made(*each) for each in content["made"]]})
@@ -88,13 +82,7 @@ class Manifest:
         return self.levels, self.kinds, self.made, self.digests
 
     def require_same(self, ingredients: Mapping[str, Any]) -> None:
-        """Refuse to continue a series whose inputs have changed.
-
-        Raises
-        ------
-        CaseError
-            Listing the changes.
-        """
+        """Refuse to continue a series whose inputs have changed. Raises CaseError listing the changes."""
         # Compare as JSON, which has lists instead of tuples.
         now = json.loads(json.dumps(ingredients))
         changes = list(_changes(self.ingredients, now))
@@ -190,13 +178,7 @@ class Levels:
     foam: Path | None = None
 
     def read(self, number: int) -> Grid:
-        """The grid of a level.
-
-        Raises
-        ------
-        FormatError
-            When its file is missing or cannot be read.
-        """
+        """The grid of a level. Raises FormatError when its file is missing or cannot be read."""
         path = self.files[number]
         if self.foam is not None:
             return self._with_points(path)
@@ -235,13 +217,7 @@ def is_series(path: Path) -> bool:
 
 
 def open_levels(path: Path) -> Levels:
-    """The levels of the series in a folder.
-
-    Raises
-    ------
-    FormatError
-        When there is none.
-    """
+    """The levels of the series in a folder. Raises FormatError when there is none."""
     folder = path if path.is_dir() else path.parent
     state = Manifest.load(folder / NAME)
     single = bool(state.ingredients.get("single file"))

@@ -147,10 +147,8 @@ def level_name(stem: str, number: int, count: int, suffix: str) -> str:
 class LevelFiles(SeriesFiles):
     """One grid file per level, ``NAME_0000.vtm`` ..., and an index of them for ParaView.
 
-    Raises
-    ------
-    FormatError
-        When velocities are requested but the format cannot hold them, or the variant cannot hold the grid.
+    Raises FormatError when velocities are requested but the format cannot hold them, or the variant cannot hold the
+    grid.
     """
 
     def __init__(

@@ -147,10 +147,7 @@ class FoamFiles(SeriesFiles):
     Levels with invalid cells are in ``TIME.invalid``, which OpenFOAM does not take for a time. OpenFOAM and ParaView
     find the times by their folders.
 
-    Raises
-    ------
-    FormatError
-        When velocities are requested, or two times cannot be told apart by their names.
+    Raises FormatError when velocities are requested, or two times cannot be told apart by their names.
     """
 
     def __init__(

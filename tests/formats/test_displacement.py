@@ -21,8 +21,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, Grid
 from meshdeform_formats import write_grid
 from meshdeform_formats.displacement import read_displacement, write_displacement
-from meshdeform_formats.displacement.cells import fans, starts_of_list
-from meshdeform_formats.displacement.table import DISPLACEMENT_NAMES, POINT_NAMES, vector_names
+from meshdeform_formats.displacement.table import DISPLACEMENT_NAMES, POINT_NAMES, fans, starts_of_list, vector_names
 
 RNG = np.random.default_rng(0)
 POINTS, MOVES = RNG.normal(size=(8, 3)), RNG.normal(size=(8, 3))
