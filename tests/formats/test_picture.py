@@ -7,18 +7,20 @@ import io
 
 import numpy as np
 import pytest
-from grids import block_around, frame, frame_2d, polar
+from grids import block_around, frame, frame_2d, plate_wing, plenum, polar, thin_layers
 from PIL import Image
 
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.faces.roles import Role
+from meshdeform_core.grid.faces.surfaces import find_outside
 from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality.measures.cells import measure_block
+from meshdeform_formats.case.template import case_template
 from meshdeform_formats.picture.colours import INVALID_COLOUR, Choice, colours_of
 from meshdeform_formats.picture.overview import Pair, moved_walls, overview, quality_planes, telling_plane, worst_cells
-from meshdeform_formats.picture.page import Page, Panel, page_png
+from meshdeform_formats.picture.page import Page, Panel, free_corner, page_png
 from meshdeform_formats.picture.raster import render
 from meshdeform_formats.picture.scene import Facets, Scene, cut_facets, plane_facets, surface_facets
 from meshdeform_formats.picture.subject import Subject, worst_cell
@@ -108,10 +110,61 @@ def test_flat_and_extruded_grids_from_above(grid):
 
 
 def test_a_small_body_has_a_close_up():
-    page = overview(subject(load("airfoil").generate(41)), Choice())
-    whole, near = page.panels[:2]
+    whole, near = overview(subject(load("airfoil").generate(41)), Choice()).panels[:2]
     assert whole.frames == (near.window,)
-    assert near.window[1] - near.window[0] < 2.5 < whole.window[1] - whole.window[0]
+    assert near.window.width < 2.5 < whole.window.width
+
+
+def covered(panel):
+    """The part of a panel in which something other than backdrop is drawn."""
+    item = render(panel.scene, colours_of(panel.scene, None), panel.window, 100, 1).item
+    return ((item >= 0) & (item < len(panel.scene.facets))).mean()
+
+
+def test_a_plate_between_blocks_is_likely_a_wall_and_fills_the_picture():
+    grid = plate_wing()
+    s = subject(grid)
+    page = overview(s, Choice())
+    assert {plate.name for plate in s.outside.plates} == {"block5.jmin", "block7.jmax"}
+    np.testing.assert_allclose([plate.box[1] - plate.box[0] for plate in s.outside.plates], [[1, 0, 1]] * 2)
+    assert not page.panels[0].scene.view.flat
+    assert covered(page.panels[0]) > 0.2
+    text = case_template(grid, s.outside, "wing.xyz")
+    assert '# plates = ["block5.jmin", "block7.jmax"]' in text
+
+
+def test_interfaces_and_wakes_are_no_plates():
+    for grid in (frame(), load("airfoil").generate(41), load("wing").generate(8)):
+        assert find_outside(grid, find_topology(grid)).plates == ()
+
+
+def test_a_duct_fills_the_picture_and_the_wall_that_it_ends_in_is_behind_it():
+    s = subject(plenum())
+    page = overview(s, Choice())
+    assert {body.name for body in s.outside.bodies} == {f"block1.{side}" for side in ("jmin", "jmax", "kmin", "kmax")}
+    assert covered(page.panels[0]) > 0.2
+    assert page.panels[0].scene.view.towards[0] < 0
+
+
+def test_thin_layers_have_a_close_up_of_the_first_cells():
+    _, near, nose = overview(subject(thin_layers()), Choice()).panels
+    assert near.frames == (nose.window,)
+    left, right, bottom, top = nose.window
+    assert left < -0.5 < right
+    assert bottom < 0 < top
+    assert right - left < 0.05
+    # Coarse cells are seen without it.
+    assert "first cells" not in [panel.title for panel in overview(subject(frame()), Choice()).panels]
+
+
+def test_the_axes_are_drawn_where_they_hide_least():
+    panel = overview(subject(load("wing").generate(8)), Choice()).panels[0]
+    item = render(panel.scene, colours_of(panel.scene, None), panel.window, 200, 1).item
+    across, up = free_corner(item, len(panel.scene.facets), 0.25)
+    drawn = (item >= 0) & (item < len(panel.scene.facets))
+    side = drawn.shape[1] // 4
+    rows, columns = np.s_[:side] if up else np.s_[-side:], np.s_[-side:] if across else np.s_[:side]
+    assert not drawn[rows, columns].any()
 
 
 # colours
@@ -149,12 +202,8 @@ def test_collapsed_edges_alone_are_not_invalid():
 def test_ranges_follow_the_data():
     values = np.array([0.87, 0.93, 0.99])
     assert (Choice().scale(values).low, Choice().scale(values).high) == (0.8, 1.0)
-    assert [scale_of("f_skew", 1 - spread * values).low for spread in (0.0, 0.005, 0.01, 0.05)] == [
-        0.99,
-        0.99,
-        0.99,
-        0.95,
-    ]
+    lows = [scale_of("f_skew", 1 - spread * values).low for spread in (0.0, 0.005, 0.01, 0.05)]
+    assert lows == [0.99, 0.99, 0.99, 0.95]
     assert (scale_of("volume", values).low, scale_of("volume", values).high) == (0.87, 0.99)
     ratio = scale_of("volume_ratio", np.array([0.5, 1.2]))
     assert (ratio.low, ratio.high) == (0.5, 1.5)

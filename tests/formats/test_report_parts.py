@@ -1,11 +1,19 @@
-"""The sentence on a repair stands on every form of the report."""
+"""What the forms of a report have in common: sentences on repairs, advice on warnings, charts in the page's colours."""
 
 from __future__ import annotations
 
+import ast
+import functools
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
 import pytest
 
+import meshdeform_core
 from meshdeform_formats.report.measures import MeasureRow
-from meshdeform_formats.report.tables import acceleration_of, repair_sentence, repaired
+from meshdeform_formats.report.page import curve, histogram
+from meshdeform_formats.report.tables import REMEDIES, acceleration_of, remedy_of, repair_sentence, repaired
 
 DONE = {
     "invalid": 2, "weak": 10, "nodes": 1, "max_movement": 0.5, "newton_steps": 3, "converged": True, "before": None,
@@ -43,14 +51,10 @@ def test_it_does_not_claim_what_was_not_done():
 
 
 def test_it_says_which_part_of_the_layers_changed():
+    first, layer = "first_cell_height_ratio", "layer_thickness_ratio"
     layers = {
-        "moving": {
-            "lines": 600,
-            "changed": 573,
-            "first_cell_height_ratio": {"min": 0.5, "max": 1.25},
-            "layer_thickness_ratio": {"min": 0.75, "max": 1.5},
-        },
-        "fixed": {"lines": 40, "changed": 0, "first_cell_height_ratio": None, "layer_thickness_ratio": None},
+        "moving": {"lines": 600, "changed": 573, first: {"min": 0.5, "max": 1.25}, layer: {"min": 0.75, "max": 1.5}},
+        "fixed": {"lines": 40, "changed": 0, first: None, layer: None},
     }
     assert repair_sentence({"repair": DONE, "repaired_layers": layers}).endswith(
         "; 573 of the 600 grid lines that begin at moving walls changed by more than 1% there (height over that by the "
@@ -59,13 +63,9 @@ def test_it_says_which_part_of_the_layers_changed():
     )
 
 
-@pytest.mark.parametrize(
-    ("converged", "told"),
-    [(True, "yes"), (False, "other")],
-)
-def test_the_table_of_levels_tells_what_the_repair_found(converged, told):
-    repair = {**DONE, "converged": converged}
-    assert repaired({"repair": repair}) == told
+def test_the_table_of_levels_tells_what_the_repair_found():
+    for converged, told in ((True, "yes"), (False, "other")):
+        assert repaired({"repair": {**DONE, "converged": converged}}) == told
     assert repaired({"repair": None}) == ""
     assert acceleration_of({"smoothness": {"acceleration": 0.25}}) == 0.25
     assert acceleration_of({"smoothness": None}) is None
@@ -74,3 +74,36 @@ def test_the_table_of_levels_tells_what_the_repair_found(converged, told):
 def test_round_off_is_no_change():
     assert MeasureRow("total volume", 76.875, 76.875 - 1.4e-14, "").change == 0.0
     assert MeasureRow("total volume", 76.875, 76.874, "").change == 76.874 - 76.875
+
+
+@functools.cache
+def texts_of_the_core() -> list[str]:
+    """All string literals of the core, the values in formatted ones left out."""
+    found = []
+    for path in Path(meshdeform_core.__file__).parent.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            parts = node.values if isinstance(node, ast.JoinedStr) else [node]
+            found.append("".join(p.value for p in parts if isinstance(p, ast.Constant) and isinstance(p.value, str)))
+    return found
+
+
+@pytest.mark.parametrize(("words", "advice"), REMEDIES)
+def test_advice_finds_the_warning_that_it_is_for(words, advice):
+    assert any(words in text and remedy_of(text) == advice for text in texts_of_the_core())
+    assert remedy_of("walls turn by up to 70 degrees") == ""
+
+
+@pytest.mark.parametrize(
+    ("svg", "label", "colours"),
+    [
+        (histogram([0, 3, 1], [1, 10**7, 0], "f_skew"), "cells over f_skew", {"before", "after"}),
+        (histogram(None, [0, 0, 5], "f_skew"), "cells over f_skew", {"after"}),
+        (curve([0, 1, 2], [3.0, 2.5, 2.0], "time", "size", [False, True, False]), "size over time", {"after", "bad"}),
+    ],
+)
+def test_charts_are_elements_of_the_page(svg, label, colours):
+    root = ElementTree.fromstring(svg.replace("xlink:href", "href"))
+    assert (root.tag, root.get("role"), root.get("aria-label")) == ("svg", "img", label)
+    assert not re.search(r"https?:|url\(|#0[1-5]0", svg)
+    assert set(re.findall(r"var\(--(\w+)\)", svg)) == colours | {"line"}
+    assert "currentColor" in svg
