@@ -83,7 +83,9 @@ def filled(form: type[Of], value: Any, where: str = "") -> Of:
     """
     if (path := _not_finite(value)) is not None:
         place = _Place(form, value, where, path)
-        raise place.error(f"expected a finite number, found {literal(_entry(value, path))}")
+        for key in path:
+            value = value[key]
+        raise place.error(f"expected a finite number, found {literal(value)}")
     try:
         return msgspec.convert(value, form)
     except msgspec.ValidationError as error:
@@ -105,12 +107,6 @@ def _not_finite(value: Any) -> list[str | int] | None:
                 return [key, *path]
         return None
     return [] if isinstance(value, float) and not abs(value) < float("inf") else None
-
-
-def _entry(value: Any, path: Iterable[str | int]) -> Any:
-    for key in path:
-        value = value[key]
-    return value
 
 
 class _Place:

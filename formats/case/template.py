@@ -243,7 +243,10 @@ def _entry_lines(grid: Grid, outside: Outside, entry: _Entry, table: FittedTable
     else:
         yield "select = ["
         for surface in entry.surfaces:
-            yield f"    {_text(_face_pattern(grid, surface))},   # {_place(surface)}"
+            # Brackets in the name of the block become `?`, those of its face stay.
+            block = grid.names[surface.faces[0].window.block]
+            pattern = _pattern(block) + surface.name.removeprefix(block)
+            yield f"    {_text(pattern)},   # {_place(surface)}"
         yield "]"
     yield f'kind = "{entry.kind}"'
     if entry.kind == "moving" and table is None:
@@ -256,12 +259,6 @@ def _entry_lines(grid: Grid, outside: Outside, entry: _Entry, table: FittedTable
 def _pattern(name: str) -> str:
     """A pattern that matches a name; characters that would be wildcards match any character."""
     return re.sub(r"[\[\]]", "?", name)
-
-
-def _face_pattern(grid: Grid, surface: Surface) -> str:
-    """The label of an unnamed face as a pattern; brackets in the name of the block become ``?``."""
-    block = grid.names[surface.faces[0].window.block]
-    return _pattern(block) + surface.name.removeprefix(block)
 
 
 def _place(surface: Surface) -> str:

@@ -31,7 +31,8 @@ def read_npy(path: Path) -> DisplacementTable:
 
     Raises FormatError when the file is truncated or has other content.
     """
-    values = _load_array(path)
+    with _reading(path), path.open("rb") as stream:
+        values = _array(stream, path.stat().st_size, path.name)
     if values.ndim != 2 or values.shape[1] not in (4, 6) or values.dtype.kind not in "iuf":
         raise FormatError(f"{path} holds {values.dtype} numbers of shape {values.shape}; expected (n, 6) or (n, 4)")
     half = values.shape[1] // 2
@@ -43,7 +44,13 @@ def read_npz(path: Path) -> DisplacementTable:
 
     Raises FormatError when the file is truncated or has no such arrays; the message lists those found.
     """
-    arrays = _load_arrays(path)
+    arrays: dict[str, NDArray[Any]] = {}
+    with _reading(path), zipfile.ZipFile(path) as archive:
+        _require_plausible(archive)
+        for name, values in _members(archive):
+            if name in arrays:
+                raise FormatError(f"it has two arrays called {name}; expected one")
+            arrays[name] = values
     table = _table({name: values for name, values in arrays.items() if values.dtype.kind in "iuf"})
     if table is None:
         raise FormatError(f"{path} needs arrays points and displacement, (n, 3) each; found {_list(arrays)}")
@@ -56,7 +63,7 @@ def read_hdf5(path: Path) -> DisplacementTable:
     Raises FormatError when the file is damaged, or not exactly one group has the datasets; the message lists those
     found.
     """
-    with _opened(path) as file:
+    with _reading(path, " as HDF5"), h5py.File(path, "r") as file:
         groups = {name: _arrays(group) for name, group in _groups(file)}
     tables = {name: table for name, arrays in groups.items() if (table := _table(arrays))}
     if len(tables) == 1:
@@ -69,20 +76,19 @@ def read_hdf5(path: Path) -> DisplacementTable:
 
 def hdf5_entries(path: Path) -> set[str]:
     """Names in the root group, by which the program that wrote the file is recognised."""
-    with _opened(path) as file:
+    with _reading(path, " as HDF5"), h5py.File(path, "r") as file:
         return set(file)
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[h5py.File]:
+def _reading(path: Path, kind: str = "") -> Iterator[None]:
+    """Errors of damaged files: numpy evaluates headers as Python; zipfile and h5py raise errors of any type."""
     try:
-        with h5py.File(path, "r") as file:
-            yield file
+        yield
     except MeshDeformError as error:
         raise FormatError(f"cannot read {path}: {error}") from error
-    # For damaged files h5py raises OSError, RuntimeError, KeyError, ValueError or TypeError.
     except Exception as error:
-        raise FormatError(f"cannot read {path} as HDF5: {reason_of(error)}") from error
+        raise FormatError(f"cannot read {path}{kind}: {reason_of(error)}") from error
 
 
 def _groups(file: h5py.File) -> Iterator[tuple[str, h5py.Group]]:
@@ -128,36 +134,6 @@ def _table(arrays: Mapping[str, NDArray[Any]]) -> DisplacementTable | None:
 
 def _list(arrays: Mapping[str, NDArray[Any]]) -> str:
     return ", ".join(f"{name} {values.shape}" for name, values in arrays.items()) or "none"
-
-
-def _load_array(path: Path) -> NDArray[Any]:
-    """The array of a .npy file."""
-    try:
-        with path.open("rb") as stream:
-            return _array(stream, path.stat().st_size, path.name)
-    except MeshDeformError as error:
-        raise FormatError(f"cannot read {path}: {error}") from error
-    # numpy evaluates the header as Python, which raises various errors for a damaged file.
-    except Exception as error:
-        raise FormatError(f"cannot read {path}: {reason_of(error)}") from error
-
-
-def _load_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """The arrays of a .npz file by name."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            _require_plausible(archive)
-            arrays: dict[str, NDArray[Any]] = {}
-            for name, values in _members(archive):
-                if name in arrays:
-                    raise FormatError(f"it has two arrays called {name}; expected one")
-                arrays[name] = values
-            return arrays
-    except MeshDeformError as error:
-        raise FormatError(f"cannot read {path}: {error}") from error
-    # zipfile and its decompressors raise various errors for a damaged file.
-    except Exception as error:
-        raise FormatError(f"cannot read {path}: {reason_of(error)}") from error
 
 
 def _require_plausible(archive: zipfile.ZipFile) -> None:

@@ -160,9 +160,13 @@ def _faces(block: list[str], width: int, expected: int) -> list[IntArray]:
     for line in [*block, " -1"]:
         if line.startswith(" -1"):
             if kind:
-                cells.setdefault(kind, []).append(_whole(kind, nodes))
+                if len(nodes) != _ELEMENTS[kind][0]:
+                    raise ValueError(f"an element of type {kind} has {len(nodes)} nodes, not {_ELEMENTS[kind][0]}")
+                cells.setdefault(kind, []).append(nodes)
             if line != " -1":
                 kind, nodes, count = int(line[3 + width : 8 + width]), [], count + 1
+                if kind not in _ELEMENTS:
+                    raise ValueError(f"an element has the unknown type {kind}")
         else:
             nodes += [int(line[at : at + width]) for at in range(3, len(line.rstrip()), width)]
     if count != expected:
@@ -170,14 +174,6 @@ def _faces(block: list[str], width: int, expected: int) -> list[IntArray]:
     corners = {kind: np.array(rows, dtype=np.int64)[:, : _ELEMENTS[kind][1]] for kind, rows in cells.items()}
     shells = [own for kind, own in corners.items() if not _ELEMENTS[kind][2] and own.shape[1] > 2]
     return [*shells, *outer_faces([own for kind, own in corners.items() if _ELEMENTS[kind][2]])]
-
-
-def _whole(kind: int, nodes: list[int]) -> list[int]:
-    if kind not in _ELEMENTS:
-        raise ValueError(f"an element has the unknown type {kind}")
-    if len(nodes) != _ELEMENTS[kind][0]:
-        raise ValueError(f"an element of type {kind} has {len(nodes)} nodes, not {_ELEMENTS[kind][0]}")
-    return nodes
 
 
 def outer_faces(solids: Sequence[NDArray[Any]]) -> list[IntArray]:

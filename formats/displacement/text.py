@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -61,9 +61,11 @@ def read(path: Path) -> DisplacementTable:
     if every:
         values = values[:, columns]
     split = len(layout.points)
-    return DisplacementTable(
-        values[:, :split], values[:, split:], NO_TRIANGLES, lambda row: f"line {_line_of_row(path, layout, row)}"
-    )
+
+    def place(row: int) -> str:
+        return f"line {next(number for index, (number, _) in enumerate(_rows(path, layout)) if index == row)}"
+
+    return DisplacementTable(values[:, :split], values[:, split:], NO_TRIANGLES, place)
 
 
 def _contents(path: Path) -> Iterator[tuple[int, str, str]]:
@@ -110,7 +112,12 @@ def _columns(
     except FormatError as error:
         raise FormatError(f"{path}: {error}") from None
     if len(names) == width and found[0] and found[1]:
-        _require_one_unit(path, [*found[0], *found[1]])
+        units = {unit.lower() for name in found[0] + found[1] for unit in re.findall(r"[\[(]\s*(\w+)\s*[\])]", name)}
+        if len(units := units & _UNITS) > 1:
+            # Like ``x [m]`` and ``dx [mm]``.
+            raise FormatError(
+                f"{path}: its columns have lengths in {', '.join(sorted(units))}; expected all in the grid's unit"
+            )
         points, displacement = (tuple(map(names.index, columns)) for columns in found if columns)
         return points, displacement
     if header:
@@ -123,15 +130,6 @@ def _columns(
         raise FormatError(f"{path}, line {number}: found {width} columns without names; expected {expected}")
     half = width // 2
     return tuple(range(half)), tuple(range(half, width))
-
-
-def _require_one_unit(path: Path, names: Iterable[str]) -> None:
-    """Refuse columns whose names have different length units, like ``x [m]`` and ``dx [mm]``."""
-    found = {unit.lower() for name in names for unit in re.findall(r"[\[(]\s*(\w+)\s*[\])]", name)}
-    if len(units := found & _UNITS) > 1:
-        raise FormatError(
-            f"{path}: its columns have lengths in {', '.join(sorted(units))}; expected all in the grid's unit"
-        )
 
 
 def _words(text: str, separator: str | None) -> list[str]:
@@ -154,10 +152,6 @@ def _rows(path: Path, layout: _Layout) -> Iterator[tuple[int, list[str]]]:
     for number, text, _ in _contents(path):
         if text and number >= layout.first:
             yield number, _words(text, layout.separator)
-
-
-def _line_of_row(path: Path, layout: _Layout, row: int) -> int:
-    return next(number for index, (number, _) in enumerate(_rows(path, layout)) if index == row)
 
 
 def _no_number(word: str) -> str:

@@ -15,7 +15,7 @@ from .view import Window
 
 FINE = 3
 """Oversampling factor in each direction; the pixels are averaged."""
-_BAND = 1 << 18
+_BAND = 1 << 16
 """Enlarged pixels that are drawn at a time: memory follows them, not the picture."""
 _LINE_COLOUR = np.array([0.10, 0.11, 0.14], dtype=np.float32)
 _PALE = (0.93, 0.94, 0.96)

@@ -284,7 +284,12 @@ def whole_scene(subject: Subject, metric: str) -> Scene | None:
         outlines = block_outlines(subject.grid, subject.topology, quads)
     else:
         return None
-    return Scene(facets, facing(normal), outlines, wall_edges(subject, Plane(facets.corners[0, 0], normal)))
+    return _plan(subject, facets, facing(normal), outlines)
+
+
+def _plan(subject: Subject, facets: Facets, view: View, outlines: FloatArray) -> Scene:
+    """Flat polygons from above, with the lines in which their plane cuts walls."""
+    return Scene(facets, view, outlines, wall_edges(subject, Plane(facets.corners[0, 0], view.towards)))
 
 
 def index_scene(
@@ -293,9 +298,7 @@ def index_scene(
     """A plane of nodes, see :func:`plane_facets`."""
     facets = plane_facets(subject, axis, index, metric, blocks)
     view, outlines = spread(facets.corners), plane_outlines(subject, axis, index, blocks)
-    if not view.flat:
-        return Scene(facets, view, outlines, lit=True)
-    return Scene(facets, view, outlines, wall_edges(subject, Plane(facets.corners[0, 0], view.towards)))
+    return _plan(subject, facets, view, outlines) if view.flat else Scene(facets, view, outlines, lit=True)
 
 
 def cut_scene(subject: Subject, plane: Plane, metric: str) -> Scene:
@@ -309,7 +312,7 @@ def surface_scene(subject: Subject, quads: IntArray, metric: str, view: View | N
     outlines = block_outlines(subject.grid, subject.topology, quads)
     plan = spread(facets.corners)
     if plan.flat and view is None:
-        return Scene(facets, plan, outlines, wall_edges(subject, Plane(facets.corners[0, 0], plan.towards)))
+        return _plan(subject, facets, plan, outlines)
     return Scene(facets, view or onto_walls(subject), outlines, lit=True)
 
 
