@@ -29,8 +29,9 @@ def main(options: list[str]) -> int:
         renew_pictures(DOCS)
     shutil.rmtree(TARGET, ignore_errors=True)
     TARGET.mkdir(parents=True)
-    for source in [*DOCS.rglob("*.md"), *DOCS.rglob("*.png"), *DOCS.rglob("*.css"), *DOCS.rglob("*.json")]:
-        copy(source, TARGET / source.relative_to(DOCS))
+    for suffix in ("md", "png", "css", "js", "json"):
+        for source in DOCS.rglob(f"*.{suffix}"):
+            copy(source, TARGET / source.relative_to(DOCS))
     for name in FROM_ROOT:
         copy(ROOT / name, TARGET / name)
     generated = {

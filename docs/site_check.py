@@ -17,6 +17,7 @@ class _Page(HTMLParser):
     def __init__(self) -> None:
         super().__init__()
         self.links: list[str] = []
+        self.loaded: list[str] = []
         self.anchors: set[str] = set()
         self.text: list[str] = []
         self._code = 0
@@ -26,6 +27,8 @@ class _Page(HTMLParser):
         for name, value in attrs:
             if name in ("href", "src") and value:
                 self.links.append(value)
+                if name == "src" or (tag == "link" and ("rel", "stylesheet") in attrs):
+                    self.loaded.append(value)
             elif name in ("id", "name") and value:
                 self.anchors.add(value)
 
@@ -38,7 +41,8 @@ class _Page(HTMLParser):
 
 
 def broken(site: Path) -> list[str]:
-    """What is wrong on the pages below ``site``: missing targets of links and pictures, Markdown shown as text."""
+    """What is wrong on the pages below ``site``: missing targets of links and pictures, what only another server has,
+    Markdown shown as text."""
     pages = {path.resolve(): _parsed(path) for path in sorted(site.rglob("*.html"))}
     return [
         f"{path.relative_to(site.resolve())}: {flaw}"
@@ -55,6 +59,7 @@ def _parsed(path: Path) -> _Page:
 
 def _flaws(path: Path, page: _Page, pages: dict[Path, _Page]) -> list[str]:
     found = ["Markdown of a picture is shown as text"] if _LEFT_OVER.search("".join(page.text)) else []
+    found += [f"{link} is loaded from another server" for link in page.loaded if urlsplit(link).netloc]
     for link in page.links:
         parts = urlsplit(link)
         if parts.scheme or parts.netloc or path.name == "404.html":

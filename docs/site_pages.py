@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 
 _BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-_PICTURE = re.compile(r"\]\(((?:\.\./)*images/pages/[^)]+)\)")
+_PICTURE = re.compile(r"\]\(((?:\.\./)*(?:docs/)?images/pages/[^)]+)\)")
 
 
 def blocks(page: Path) -> list[tuple[str, str]]:
@@ -42,7 +42,7 @@ def made(picture: Path, folder: Path) -> list[Path]:
 
 def renew_pictures(docs: Path) -> None:
     """Run every page that shows pictures of its own commands, and keep what they drew, with a palette."""
-    for page in sorted(docs.rglob("*.md")):
+    for page in [docs.parent / "README.md", *sorted(docs.rglob("*.md"))]:
         wanted = pictures(page)
         if not wanted:
             continue

@@ -32,3 +32,14 @@ def test_missing_pictures_links_and_places_are_found(tmp_path):
 def test_markdown_shown_as_text_is_found(tmp_path):
     write(tmp_path, "index.html", "<figure>![wing, grid](gallery/wing.png)</figure>")
     assert broken(tmp_path) == ["index.html: Markdown of a picture is shown as text"]
+
+
+def test_what_is_loaded_from_other_servers_is_found(tmp_path):
+    """The search, for one, is to work without a network."""
+    write(
+        tmp_path, "index.html", "<script src='https://x.org/a.js'></script><link rel='stylesheet' href='//x.org/a.css'>"
+    )
+    assert broken(tmp_path) == [
+        "index.html: https://x.org/a.js is loaded from another server",
+        "index.html: //x.org/a.css is loaded from another server",
+    ]
