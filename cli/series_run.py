@@ -8,7 +8,7 @@ import time as clock
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from types import TracebackType
 
@@ -165,10 +165,12 @@ def _tell_of_strangers(run: Run) -> None:
 def _keep_what_exists(run: Run, manifest: Manifest) -> None:
     """Discard levels whose files are missing or not what was written; a complete series must have all its files."""
     files, whole = run.files, manifest.complete and all(path.exists() for path in run.files.outputs)
+    # All levels of a complete series may be in one file.
+    place, found = files.finished if manifest.complete else files.kept, cache(digest)
     changed = [
         number
         for number, written in enumerate(manifest.digests)
-        if files.has(number) and digest(files.kept(number)) != written
+        if place(number).is_file() and found(place(number)) != written
     ]
     if whole and not changed:
         return
@@ -241,6 +243,8 @@ def _complete(run: Run, peak: int) -> Report:
     if not manifest.complete:
         for level in manifest.levels:
             level["file"] = files.path(level["number"]).name
+        if files.kept(0) != files.finished(0):
+            manifest.digests = [digest(files.finished(0))] * len(manifest.levels)
         manifest.complete = True
         manifest.save()
         files.clean(complete=True)

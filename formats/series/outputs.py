@@ -105,6 +105,10 @@ class SeriesFiles(abc.ABC):
         """The file with the data of a level from which an interrupted series continues."""
         return self.stored(self.path(number))
 
+    def finished(self, number: int) -> Path:
+        """The file with the data of a level when the series is complete."""
+        return self.stored(self.path(number))
+
     def has(self, number: int) -> bool:
         """Whether a level has been written."""
         return self.kept(number).is_file()

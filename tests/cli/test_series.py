@@ -312,6 +312,16 @@ def test_a_level_that_is_not_what_was_written_is_made_again(swing, call):
     assert {path: path.read_bytes() for path in levels} == levels
 
 
+def test_a_finished_file_of_all_levels_that_is_not_what_was_written_is_made_again(swing, call):
+    whole, run = Path("out/grid.cgns"), (*RUN, "--single-file")
+    report_of(call, *run)
+    written = whole.read_bytes()
+    assert "made again" not in call(*run, "--resume").err
+    whole.write_bytes(written[:-1] + bytes([written[-1] ^ 1]))
+    assert "grid.cgns is not what was written: level 0 and those after it" in call(*run, "--resume").err
+    assert whole.read_bytes() == written
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
