@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from meshdeform_core.errors import FormatError
@@ -14,6 +14,7 @@ from meshdeform_formats.planes import Output, Stored, Stretches, merge, ranges_o
 SIDES = st.integers(1, 2000)
 
 
+@settings(max_examples=30)
 @given(st.lists(st.tuples(st.integers(0, 9), st.integers(1, 7)), min_size=1, max_size=6), st.data())
 def test_bytes_lie_where_their_stretches_are(gaps, data):
     stretches, every, at = [], [], 0
@@ -28,6 +29,7 @@ def test_bytes_lie_where_their_stretches_are(gaps, data):
     assert len(found) <= len(stretches)
 
 
+@settings(max_examples=30)
 @given(st.lists(st.tuples(SIDES, SIDES, SIDES), min_size=1, max_size=5))
 def test_ranges_are_all_planes_once(shapes):
     parts = ranges_of(list(enumerate(shapes)))

@@ -156,7 +156,7 @@ def test_what_neither_tells_must_be_chosen(tmp_path):
     assert plot3d.read(path, dimension="2").shapes == ((3, 4, 1),)
 
 
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(st.lists(st.text("0123459+-.eED*", max_size=7), max_size=6).map(" ".join))
 def test_the_fast_way_takes_nothing_that_the_slow_way_does_not(text):
     fast = plot3d_ascii._plain_numbers(text.encode())
@@ -167,7 +167,7 @@ def test_the_fast_way_takes_nothing_that_the_slow_way_does_not(text):
 number = st.from_regex(r"\A([1-9]\*)?-?([0-9]{1,3}\.?[0-9]{0,3}|\.[0-9]{1,3})([eEdD][+-]?[0-9]{1,2})?\Z")
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(st.lists(number, min_size=1, max_size=8))
 def test_the_fast_way_takes_all_plain_numbers(words):
     fast = plot3d_ascii._plain_numbers("\n".join(words).encode())

@@ -58,7 +58,7 @@ def read_choosing(path: Path, options: dict) -> Grid:
         return plot3d.read(path, **options)
 
 
-@settings(max_examples=50, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=25, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(case=grids_and_options())
 def test_round_trip(tmp_path, case):
     grid, options = case

@@ -160,7 +160,7 @@ def fail():
 @pytest.mark.parametrize(
     ("action", "old_names"),
     [
-        (kill, "ab"), (fail, None), pytest.param(fail, "abc", marks=pytest.mark.slow),
+        (kill, "ab"), *(pytest.param(fail, old, marks=pytest.mark.slow) for old in (None, "abc")),
     ],
 )  # fmt: skip
 def test_a_set_is_replaced_as_a_whole_or_not_at_all(tmp_path, action, old_names):

