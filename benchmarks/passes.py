@@ -21,7 +21,7 @@ from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.methods import Options, PreparedMethod, make_method
 from meshdeform_core.parallel import for_rows, thread_count
 from meshdeform_core.quality import Original, assess
-from meshdeform_core.quality.verdict.validity import newly_invalid
+from meshdeform_core.quality.validity import newly_invalid
 from meshdeform_formats import write_grid
 
 CASES = {"splitter-plate": (16, 32), "hemisphere": (48, 92)}

@@ -24,7 +24,7 @@ from meshdeform_core.boundary import Kind
 from meshdeform_core.errors import CaseError, MethodError
 from meshdeform_core.grid import FloatArray, IntArray
 from meshdeform_core.parallel import alike, own_rows, rows_of
-from meshdeform_core.quality.measures.gradients import quality_gradient
+from meshdeform_core.quality.gradients import quality_gradient
 
 from .grid import Grid
 from .linearisation import Linearisation

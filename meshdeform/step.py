@@ -109,7 +109,7 @@ class Step:
             For an unknown measure or block, and for f_skew of a grid with invalid cells, where it is zero without a
                 gradient.
         """
-        from meshdeform_core.quality.measures.gradients import quality_gradient
+        from meshdeform_core.quality.gradients import quality_gradient
 
         grid, topology = self.grid, self.result.setup.topology
         with together(grid):

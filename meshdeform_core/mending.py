@@ -21,9 +21,9 @@ from .methods import Progress
 from .overset import undeformed_of
 from .parallel import rows_at
 from .quality import Assessment, Original, assess
+from .quality.comparison import Comparison
 from .quality.difference import require_same_blocks
-from .quality.verdict.comparison import Comparison
-from .quality.verdict.validity import Verdict, judge
+from .quality.validity import Verdict, judge
 from .renewal import renewed
 from .repair.basis import Basis
 from .repair.constraints import Constraints

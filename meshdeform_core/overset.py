@@ -36,7 +36,7 @@ from .numerics.geometry.coincidence import distinct, equal_rows
 from .numerics.geometry.copies import coincident_groups
 from .parallel import Part, alike, empty, for_rows, own_rows
 from .quality import assess
-from .quality.groups import MAX_GROUPS
+from .quality.listed import MAX_GROUPS
 from .quality.report import MAX_LISTED
 from .repair.limit import Limit
 from .repair.outcome import Repair

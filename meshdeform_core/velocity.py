@@ -13,7 +13,7 @@ from .grid.planes import plane_normal
 from .grid.topology import block_handedness
 from .numerics.cell.swept import sweep_edges, sweep_faces
 from .parallel import alike, empty, for_chunks, for_rows, rows_of
-from .quality.measures.cells import side_of_good_quads
+from .quality.cells import side_of_good_quads
 
 VELOCITIES = ("none", "first", "second", "swept")
 """Orders of backward differences at the nodes, or ``swept``: first order, with the volumes swept by the faces."""

@@ -26,7 +26,7 @@ from meshdeform_core.grid.topology import Topology, find_topology, side_nodes
 from meshdeform_core.methods import Options
 from meshdeform_core.numerics.jit import kernel
 from meshdeform_core.quality import Original
-from meshdeform_core.quality.verdict.validity import newly_invalid
+from meshdeform_core.quality.validity import newly_invalid
 from meshdeform_formats.grids import read_grid
 from meshdeform_samples import load
 

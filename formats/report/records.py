@@ -18,7 +18,7 @@ from meshdeform_core.mending import Mended
 from meshdeform_core.methods import Account
 from meshdeform_core.methods.limits import PatchMotion
 from meshdeform_core.quality import Assessment
-from meshdeform_core.quality.per_block import BlockQuality
+from meshdeform_core.quality.report import BlockQuality
 from meshdeform_core.quality.shape import shape_measures
 from meshdeform_core.quality.walls import layer_changes
 from meshdeform_core.series import Level, Schedule

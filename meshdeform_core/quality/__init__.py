@@ -1,7 +1,6 @@
 """Quality of grids: cells, interfaces, walls, and the verdict on a deformed grid."""
 
-from .per_block import BlockQuality, BlockSkew
-from .report import Assessment, InvalidCell, Quality, assess
-from .verdict.original import Original
+from .original import Original
+from .report import Assessment, BlockQuality, BlockSkew, InvalidCell, Quality, assess
 
 __all__ = ["Assessment", "BlockQuality", "BlockSkew", "InvalidCell", "Original", "Quality", "assess"]

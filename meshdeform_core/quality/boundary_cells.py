@@ -10,8 +10,8 @@ from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology, cells_behind
 from ..parallel import own_rows, rows_of
-from .measures.cells import cells_alike
-from .measures.lines import InterfaceLines, WallFace, kink_and_jump, lines_across, wall_faces, wall_lines
+from .cells import cells_alike
+from .lines import InterfaceLines, WallFace, kink_and_jump, lines_across, wall_faces, wall_lines
 
 
 def wall_cells(before: Grid, topology: Topology, after: FloatArray, quads: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -92,7 +92,7 @@ def interface_cells(
 
 
 def cell_at_wall(grid: Grid, faces: Sequence[WallFace], number: int) -> int:
-    """A wall cell at one of the grid lines off ``faces``, numbered as by :func:`.measures.lines.wall_lines`."""
+    """A wall cell at one of the grid lines off ``faces``, numbered as by :func:`.lines.wall_lines`."""
     for face in faces:
         touched = np.argwhere(face.touched)
         if number < len(touched):

@@ -18,10 +18,10 @@ from ..grid.planes import plane_normal
 from ..grid.topology import Topology
 from ..parallel import Part, of_all, rows_at
 from .boundary_cells import interface_cells, wall_cells
-from .measures.cells import CellMeasures, measure_block
+from .cells import CellMeasures, measure_block
+from .original import Original
 from .shape import shape_of_cells, thickness_of
-from .verdict.original import Original
-from .verdict.validity import Verdict, judge
+from .validity import Verdict, judge
 
 _ROUND_OFF = 1e-9
 Cells = tuple[slice, slice, slice]
@@ -30,46 +30,17 @@ Cells = tuple[slice, slice, slice]
 
 @dataclass(frozen=True)
 class CellMeasure:
-    """A cell measure: its meaning and what it requires.
+    """A cell measure: its meaning, its ``values`` in a box of cells of a block, and what it requires.
 
-    ``from_reference``: it compares with the undeformed grid; ``of_walls``: it requires known walls.
+    ``from_reference``: it compares with the undeformed grid; ``of_walls``: it requires known walls; ``shared``: the
+    attribute of :class:`CellFields` that all ranks of a grid in parts find together.
     """
 
     definition: str
+    values: Callable[[CellFields, int, Cells], FloatArray]
     from_reference: bool = False
     of_walls: bool = False
-
-
-CELL_MEASURES = {
-    "f_skew": CellMeasure("f_skew (1: orthogonal, 0: invalid)"),
-    "scaled_jacobian": CellMeasure("smallest scaled corner Jacobian"),
-    "jacobian": CellMeasure("smallest corner Jacobian"),
-    "relative_jacobian": CellMeasure("smallest corner Jacobian over the undeformed one", from_reference=True),
-    "volume": CellMeasure("cell volume"),
-    "volume_ratio": CellMeasure("cell volume over undeformed volume", from_reference=True),
-    "aspect_ratio": CellMeasure("aspect ratio"),
-    "growth_ratio": CellMeasure("growth ratio to the neighbours"),
-    "non_orthogonality_deg": CellMeasure("non-orthogonality [deg]"),
-    "skewness": CellMeasure("skewness"),
-    "wall_normal_deviation_deg": CellMeasure("grid line to wall normal [deg]", of_walls=True),
-    "first_cell_height_ratio": CellMeasure("first cell height over the undeformed one", True, of_walls=True),
-    "interface_kink_deg": CellMeasure("kink of grid lines at block interfaces [deg]"),
-    "interface_spacing_jump": CellMeasure("spacing jump at block interfaces, ln"),
-    "wall_distance": CellMeasure("distance to the nearest wall node", of_walls=True),
-    "displacement": CellMeasure("displacement", from_reference=True),
-}
-"""All measures by name. Measures at walls are NaN in cells away from walls, those at interfaces in cells away from
-interfaces. With an undeformed grid, kinks and jumps are changes since that grid."""
-
-_FROM_ALL = {
-    "wall_normal_deviation_deg": "at_walls",
-    "first_cell_height_ratio": "at_walls",
-    "interface_kink_deg": "at_interfaces",
-    "interface_spacing_jump": "at_interfaces",
-    "wall_distance": "_wall_tree",
-}
-"""What measures take from all ranks of a grid in parts."""
-_SHAPE = ("aspect_ratio", "growth_ratio", "non_orthogonality_deg", "skewness")
+    shared: str = "_normal"
 
 
 @dataclass(frozen=True)
@@ -109,7 +80,7 @@ class CellFields:
             When the measure is unknown, or requires an undeformed grid or walls that are not known.
         """
         self.require(measure)
-        return _VALUES[measure](self, block, cells)
+        return CELL_MEASURES[measure].values(self, block, cells)
 
     def require(self, measure: str) -> None:
         """Refuse, before anything is computed, a measure not available for this grid; see :meth:`values`."""
@@ -131,7 +102,8 @@ class CellFields:
 
     def _fetch(self, measure: str) -> None:
         """Find what a measure takes from other ranks, which all do the same."""
-        known = [getattr(self, name) for name in ("_normal", "_thickness", _FROM_ALL.get(measure, "_normal"))]
+        shared = CELL_MEASURES[measure].shared if measure else "_normal"
+        known = [getattr(self, name) for name in ("_normal", "_thickness", shared)]
         low, high = self._behind
         for values in (self.verdict.failed, self.verdict.ratio, *(known[-1] if isinstance(known[-1], tuple) else ())):
             values.widen(low, high)
@@ -245,10 +217,6 @@ def _volume_ratio(fields: CellFields, block: int, cells: Cells) -> FloatArray:
     return np.asarray(np.divide(new, old, out=np.full(new.shape, np.nan), where=old > 0))
 
 
-def _relative_jacobian(fields: CellFields, block: int, cells: Cells) -> FloatArray:
-    return np.asarray(fields._box(fields.verdict.ratio, block, cells), dtype=np.float64)
-
-
 def _corner(name: str) -> Callable[[CellFields, int, Cells], FloatArray]:
     return lambda fields, block, cells: np.asarray(getattr(fields.measure(block, cells), name))
 
@@ -261,18 +229,39 @@ def _beside(name: str, number: int) -> Callable[[CellFields, int, Cells], FloatA
     return lambda fields, block, cells: fields._box(getattr(fields, name)[number], block, cells)
 
 
-_VALUES: dict[str, Callable[[CellFields, int, Cells], FloatArray]] = {
-    "f_skew": _corner("skew"),
-    "scaled_jacobian": _corner("scaled"),
-    "jacobian": _corner("jacobian"),
-    "relative_jacobian": _relative_jacobian,
-    "volume": _corner("volume"),
-    "volume_ratio": _volume_ratio,
-    **{name: _shape(number) for number, name in enumerate(_SHAPE)},
-    "wall_normal_deviation_deg": _beside("at_walls", 0),
-    "first_cell_height_ratio": _beside("at_walls", 1),
-    "interface_kink_deg": _beside("at_interfaces", 0),
-    "interface_spacing_jump": _beside("at_interfaces", 1),
-    "wall_distance": _wall_distance,
-    "displacement": _displacement,
+def _relative_jacobian(fields: CellFields, block: int, cells: Cells) -> FloatArray:
+    return np.asarray(fields._box(fields.verdict.ratio, block, cells), dtype=np.float64)
+
+
+CELL_MEASURES = {
+    "f_skew": CellMeasure("f_skew (1: orthogonal, 0: invalid)", _corner("skew")),
+    "scaled_jacobian": CellMeasure("smallest scaled corner Jacobian", _corner("scaled")),
+    "jacobian": CellMeasure("smallest corner Jacobian", _corner("jacobian")),
+    "relative_jacobian": CellMeasure(
+        "smallest corner Jacobian over the undeformed one", _relative_jacobian, from_reference=True
+    ),
+    "volume": CellMeasure("cell volume", _corner("volume")),
+    "volume_ratio": CellMeasure("cell volume over undeformed volume", _volume_ratio, from_reference=True),
+    "aspect_ratio": CellMeasure("aspect ratio", _shape(0)),
+    "growth_ratio": CellMeasure("growth ratio to the neighbours", _shape(1)),
+    "non_orthogonality_deg": CellMeasure("non-orthogonality [deg]", _shape(2)),
+    "skewness": CellMeasure("skewness", _shape(3)),
+    "wall_normal_deviation_deg": CellMeasure(
+        "grid line to wall normal [deg]", _beside("at_walls", 0), of_walls=True, shared="at_walls"
+    ),
+    "first_cell_height_ratio": CellMeasure(
+        "first cell height over the undeformed one", _beside("at_walls", 1), True, of_walls=True, shared="at_walls"
+    ),
+    "interface_kink_deg": CellMeasure(
+        "kink of grid lines at block interfaces [deg]", _beside("at_interfaces", 0), shared="at_interfaces"
+    ),
+    "interface_spacing_jump": CellMeasure(
+        "spacing jump at block interfaces, ln", _beside("at_interfaces", 1), shared="at_interfaces"
+    ),
+    "wall_distance": CellMeasure(
+        "distance to the nearest wall node", _wall_distance, of_walls=True, shared="_wall_tree"
+    ),
+    "displacement": CellMeasure("displacement", _displacement, from_reference=True),
 }
+"""All measures by name. Measures at walls are NaN in cells away from walls, those at interfaces in cells away from
+interfaces. With an undeformed grid, kinks and jumps are changes since that grid."""

@@ -12,13 +12,12 @@ import numpy as np
 from ..boundary import Boundary
 from ..grid import FloatArray, Grid
 from .boundary_cells import cell_at_interface
-from .groups import InvalidGroup, group_cells
-from .listed import InvalidCell, Worst, list_cells, with_nearest_patch, worst_cell
-from .measures.lines import kink_and_jump
-from .measures.tally import Range, Skew, Spread, Tally
-from .per_block import BlockQuality, per_block
-from .verdict.comparison import Comparison
-from .verdict.original import Original
+from .cells import slabs
+from .comparison import Comparison
+from .lines import kink_and_jump
+from .listed import InvalidCell, InvalidGroup, Worst, group_cells, list_cells, with_nearest_patch, worst_cell
+from .original import Original
+from .tally import Range, Skew, Spread, Tally
 from .walls import Extremes, WallQuality, extremes_of, measure_walls
 
 MAX_LISTED = 200
@@ -50,6 +49,26 @@ class Quality:
     total_volume: float
     walls: Mapping[str, WallQuality | None]
     worst: Mapping[str, Worst]
+
+
+@dataclass(frozen=True)
+class BlockSkew:
+    """Smallest and mean f_skew and smallest scaled Jacobian of one block."""
+
+    f_skew_min: float
+    f_skew_mean: float
+    min_scaled_jacobian: float
+
+
+@dataclass(frozen=True)
+class BlockQuality:
+    """One block before and after; ``cells`` and ``invalid_cells`` are counts."""
+
+    name: str
+    cells: int
+    invalid_cells: int
+    before: BlockSkew
+    after: BlockSkew
 
 
 @dataclass(frozen=True)
@@ -122,6 +141,8 @@ def assess(
         **extremes_of("volume_ratio", cells.volume_ratios),
         **interfaces[2],
     }
+    moving_walls = walls[1]["moving"]
+    at_walls = moving_walls.worst if moving_walls else {}
     worst_before = {"f_skew": original.tally.worst, "min_scaled_jacobian": original.tally.smallest_scaled}
     return Assessment(
         _quality(
@@ -139,18 +160,13 @@ def assess(
             interfaces[1],
             cells.ratio,
             {name: worst_cell(grid, after, *found) for name, found in worst.items()}
-            | _of_moving_walls(walls[1]["moving"]),
+            # The grid as a whole also lists those at moving walls.
+            | {name: found for name, found in at_walls.items() if not name.startswith("layer")},
         ),
         with_nearest_patch(grid, topology, boundary, start, invalid),
         per_block(original, cells),
         group_cells(grid, topology, boundary, after, broken, cells.verdict.ratio),
     )
-
-
-def _of_moving_walls(walls: WallQuality | None) -> dict[str, Worst]:
-    """The worst cells at moving walls, which the report also lists for the grid as a whole."""
-    places = walls.worst.items() if walls else ()
-    return {name: worst for name, worst in places if not name.startswith("layer")}
 
 
 def _quality(
@@ -187,3 +203,21 @@ def _interfaces(original: Original, after: FloatArray) -> tuple[Interfaces, Inte
             worst[name] = cell_at_interface(original.grid, lines, line), abs(float(values[line]))
     spread = Spread.of(found[0]), Spread.of(found[1])
     return spread if alone else (Spread(0.0, 0.0), Spread(0.0, 0.0)), spread, worst
+
+
+def per_block(original: Original, cells: Comparison) -> tuple[BlockQuality, ...]:
+    """The blocks of the grid in its order."""
+    grid = original.grid
+    counts = np.diff(grid.cell_offsets).tolist()
+    invalid = np.diff(np.searchsorted(cells.verdict.invalid, grid.cell_offsets)).tolist()
+    rows = zip(grid.names, counts, invalid, _skews(grid, original.tally), _skews(grid, cells.after), strict=True)
+    return tuple(BlockQuality(*row) for row in rows)
+
+
+def _skews(grid: Grid, tally: Tally) -> list[BlockSkew]:
+    """The rows of a tally, one per slab, combined by block."""
+    block_of = np.array([slab.block for slab in slabs(grid)])
+    starts = np.searchsorted(block_of, np.arange(grid.n_blocks))
+    lows = np.minimum.reduceat(tally.lows, starts, axis=0)
+    means = np.add.reduceat(tally.sums[:, 1], starts) / np.diff(grid.cell_offsets)
+    return [BlockSkew(float(low), float(mean), float(scaled)) for (low, scaled), mean in zip(lows, means, strict=True)]

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..grid import FloatArray, Grid, IntArray, Shape
+from ..grid import FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
 from ..numerics.arrays import extent
 from ..numerics.cell.shape import measure_shape
-from .listed import Worst
-from .measures.cells import slabs
+from .cells import slabs
+from .listed import Worst, worst_cell
 
 DEFINITIONS = {
     "aspect_ratio": "longest over shortest mean edge of a cell, over the index directions with more than one cell",
@@ -36,7 +36,7 @@ def shape_measures(grid: Grid) -> dict[str, ShapeMeasure]:
 
     Collapsed edges and faces have no ratio or direction and are skipped.
     """
-    best, places = np.full(4, -1.0), [(0, (0, 0, 0))] * 4
+    best, cells = np.full(4, -1.0), [0] * 4
     total, count, thickness = np.zeros(4), np.zeros(4, dtype=np.int64), thickness_of(grid)
     for slab in slabs(grid):
         # With one more layer, to which those of the slab are neighbours.
@@ -49,9 +49,12 @@ def shape_measures(grid: Grid) -> dict[str, ShapeMeasure]:
             if own.max(initial=-1.0) > best[number]:
                 best[number] = own.max()
                 i, j, k = np.unravel_index(own.argmax(), own.shape)
-                places[number] = slab.block, (slab.first + int(i), int(j), int(k))
+                _, cj, ck = grid.cell_shapes[slab.block]
+                cells[number] = int(slab.start + (i * cj + j) * ck + k)
     return {
-        name: ShapeMeasure(float(total[m] / count[m]), float(best[m]), _worst(grid, float(best[m]), *places[m]))
+        name: ShapeMeasure(
+            float(total[m] / count[m]), float(best[m]), worst_cell(grid, grid.points, cells[m], float(best[m]))
+        )
         for m, name in enumerate(DEFINITIONS)
         if count[m]
     }
@@ -95,11 +98,3 @@ def _solid(grid: Grid, block: int, x: FloatArray, thickness: FloatArray | None) 
     if not resolved.any():
         resolved[:] = 1
     return np.ascontiguousarray(x), resolved
-
-
-def _worst(grid: Grid, value: float, block: int, cell: Shape) -> Worst:
-    i, j, k = cell
-    center = grid.block(block)[i : i + 2, j : j + 2, k : k + 2].reshape(-1, 3).mean(axis=0)
-    return Worst(
-        value, grid.names[block], (i + 1, j + 1, k + 1), (float(center[0]), float(center[1]), float(center[2]))
-    )

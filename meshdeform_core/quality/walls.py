@@ -10,10 +10,10 @@ import numpy as np
 from ..boundary import Boundary
 from ..grid import FloatArray
 from .boundary_cells import cell_at_wall
+from .lines import WallLines, wall_lines
 from .listed import Worst, worst_cell
-from .measures.lines import WallLines, wall_lines
-from .measures.tally import Range, Spread
-from .verdict.original import Original, Walls
+from .original import Original, Walls
+from .tally import Range, Spread
 
 CHANGED = 0.01
 """A grid line at a wall counts as changed if the thickness of its first cells differs by more than this fraction."""
@@ -100,15 +100,13 @@ def layer_changes(
     for name, walls in original.walls(boundary).items():
         old, new = (WallLines.joined([wall_lines(face, x, normal) for face in walls.faces]) if walls.faces else None
                     for x in (plain, after))  # fmt: skip
-        found[name] = None if old is None or new is None else _layer_change(old, new)
+        found[name] = None
+        if old and new:
+            pairs = (old.height, new.height), (old.thickness, new.thickness)
+            changed = np.any([np.abs(after - before) > CHANGED * np.abs(before) for before, after in pairs], axis=0)
+            ranges = (_range(_ratios(before, after)) for before, after in pairs)
+            found[name] = LayerChange(len(changed), int(np.count_nonzero(changed)), *ranges)
     return found
-
-
-def _layer_change(old: WallLines, new: WallLines) -> LayerChange:
-    pairs = (old.height, new.height), (old.thickness, new.thickness)
-    changed = np.any([np.abs(after - before) > CHANGED * np.abs(before) for before, after in pairs], axis=0)
-    ranges = (_range(_ratios(before, after)) for before, after in pairs)
-    return LayerChange(len(changed), int(np.count_nonzero(changed)), *ranges)
 
 
 Ends = tuple[tuple[int, float], tuple[int, float]]

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ..grid import FloatArray
-from ..quality.verdict.validity import Verdict
+from ..quality.validity import Verdict
 
 
 @dataclass(frozen=True)

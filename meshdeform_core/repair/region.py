@@ -251,7 +251,7 @@ class Neighbourhood:
         sign = self.topology.handedness.astype(np.float64)
         if self.grid.dimension == 2:
             flat = np.array([shape.index(1) for shape in self.grid.shapes])
-            # As in quality.measures.cells: the normal is positive for axes (i, j) and (j, k), negative for (i, k).
+            # As in quality.cells: the normal is positive for axes (i, j) and (j, k), negative for (i, k).
             sign *= np.where(flat == 1, -1.0, 1.0) * np.sign(self.normal[np.argmax(np.abs(self.normal))])
         return sign[block]
 

@@ -20,8 +20,8 @@ from ..grid import FloatArray, IntArray
 from ..memory import UNLIMITED, MemoryLimit
 from ..numerics.arrays import lengths
 from ..parallel import alike, combined, for_rows, of_all, own_rows, rows_of, together
-from ..quality.verdict.comparison import Comparison
-from ..quality.verdict.validity import judge
+from ..quality.comparison import Comparison
+from ..quality.validity import judge
 from .basis import Basis
 from .energy import kept_along_lines
 from .extrusion import Extrusion

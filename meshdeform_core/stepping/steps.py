@@ -15,8 +15,8 @@ from ..grid import FloatArray
 from ..grid.connectivity.overset import find_overlaps
 from ..methods import Account, Options, PreparedMethod, Problem, prepare_method
 from ..parallel import Part, for_rows
-from ..quality.verdict.comparison import Comparison
-from ..quality.verdict.validity import Verdict, judge
+from ..quality.comparison import Comparison
+from ..quality.validity import Verdict, judge
 from ..repair.options import Effort
 from ..repair.outcome import Judged, Repair
 from ..wording import vector

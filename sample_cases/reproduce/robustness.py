@@ -14,7 +14,7 @@ from meshdeform_core.deform import Timing, impose
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.methods import IDW, TFI, Options, Problem, make_method
 from meshdeform_core.quality import Assessment, assess
-from meshdeform_core.quality.verdict.validity import newly_invalid
+from meshdeform_core.quality.validity import newly_invalid
 
 from .curves import draw_curves
 from .experiment import Sample, prepare_sample

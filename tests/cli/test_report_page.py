@@ -22,7 +22,7 @@ from PIL import Image
 from meshdeform_cli.main import run
 from meshdeform_core.grid import Grid, Patch, Side, Window
 from meshdeform_core.grid.topology import find_topology
-from meshdeform_core.quality.measures.cells import measure_block
+from meshdeform_core.quality.cells import measure_block
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.report.page import as_html
 from meshdeform_formats.report.text import as_markdown

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from meshdeform_core.quality.measures.cells import measure_block
+from meshdeform_core.quality.cells import measure_block
 
 
 def corner_frames(x):

@@ -9,7 +9,7 @@ from grids import block_around, frame_2d
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality import Original, assess
-from meshdeform_core.quality.groups import group_cells
+from meshdeform_core.quality.listed import group_cells
 
 
 def row_of_blocks(n=3, cells=4):

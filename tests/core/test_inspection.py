@@ -14,9 +14,9 @@ from meshdeform_core.numerics.cell.inspection import inspect_hexahedra
 from meshdeform_core.numerics.cell.measures import scattered_hexahedra
 from meshdeform_core.parallel import OneRank, current_ranks
 from meshdeform_core.quality import Original, assess
-from meshdeform_core.quality.measures.cells import block_volumes
-from meshdeform_core.quality.measures.tally import Lowest
-from meshdeform_core.quality.verdict.comparison import Comparison
+from meshdeform_core.quality.cells import block_volumes
+from meshdeform_core.quality.comparison import Comparison
+from meshdeform_core.quality.tally import Lowest
 
 TOLERANCE = 2e-5
 """Largest relative error of the pass for cells that it does not leave open."""

@@ -32,11 +32,11 @@ from meshdeform_core.grid.windows import rectangles
 from meshdeform_core.methods.transfinite.edge_graph import PreparedEdgeGraph, _face_parts, _Rows, _segments
 from meshdeform_core.numerics.arrays import batches, medians, runs, spans, spread
 from meshdeform_core.numerics.geometry.boxes import overlapping_boxes
+from meshdeform_core.quality import lines as lines_module
+from meshdeform_core.quality import original
 from meshdeform_core.quality.boundary_cells import interface_cells
-from meshdeform_core.quality.measures import lines as lines_module
-from meshdeform_core.quality.measures.cells import block_volumes
-from meshdeform_core.quality.measures.lines import interface_lines, kink_and_jump
-from meshdeform_core.quality.verdict import original
+from meshdeform_core.quality.cells import block_volumes
+from meshdeform_core.quality.lines import interface_lines, kink_and_jump
 from meshdeform_formats.picture.overview import Pair
 from meshdeform_formats.text import json_text
 

@@ -12,7 +12,7 @@ from grids import frame
 from meshdeform_core.deform import Case, deform, set_up
 from meshdeform_core.errors import GridError
 from meshdeform_core.mending import mend
-from meshdeform_core.quality.verdict.validity import newly_invalid
+from meshdeform_core.quality.validity import newly_invalid
 from meshdeform_core.repair import RepairOptions
 
 

@@ -19,7 +19,7 @@ from meshdeform_core.grid import Grid
 from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.numerics.cell.foldover.plane import add_triangles
 from meshdeform_core.parallel import set_threads
-from meshdeform_core.quality.verdict.validity import judge, newly_invalid
+from meshdeform_core.quality.validity import judge, newly_invalid
 from meshdeform_core.repair import RepairOptions, newton, search
 from meshdeform_core.repair.basis import Basis
 from meshdeform_core.repair.constraints import Constraints

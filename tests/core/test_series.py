@@ -17,7 +17,7 @@ from meshdeform_core.deform import Case, Timing, impose, set_up
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import IDW, Options, make_method
-from meshdeform_core.quality.verdict.validity import newly_invalid
+from meshdeform_core.quality.validity import newly_invalid
 from meshdeform_core.repair import RepairOptions
 from meshdeform_core.repair.repair import Repairer
 from meshdeform_core.series import Schedule, deform_series, grid_velocity

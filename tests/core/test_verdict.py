@@ -15,7 +15,7 @@ from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.methods import composite
 from meshdeform_core.numerics.cell.positivity import decide
 from meshdeform_core.quality import Original, assess
-from meshdeform_core.quality.verdict.validity import Failure, judge
+from meshdeform_core.quality.validity import Failure, judge
 
 CORNERS = np.array(list(itertools.product((0.0, 1.0), repeat=3)))
 

@@ -11,7 +11,7 @@ from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, deform, set_up
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import Options
-from meshdeform_core.quality.measures.lines import LAYERS
+from meshdeform_core.quality.lines import LAYERS
 from meshdeform_core.quality.walls import layer_changes
 from meshdeform_formats.report.measures import report_schema
 from meshdeform_formats.report.records import deformation_report

@@ -15,7 +15,7 @@ import vtk_witness
 
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.topology import find_topology
-from meshdeform_core.quality.measures.cells import block_volumes
+from meshdeform_core.quality.cells import block_volumes
 from meshdeform_formats import read_grid, write_grid
 
 NAMES = (

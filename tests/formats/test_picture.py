@@ -16,7 +16,7 @@ from meshdeform_core.grid.faces.roles import Role
 from meshdeform_core.grid.faces.surfaces import find_outside
 from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.topology import find_topology
-from meshdeform_core.quality.measures.cells import measure_block
+from meshdeform_core.quality.cells import measure_block
 from meshdeform_formats.case.template import case_template
 from meshdeform_formats.picture.colours import INVALID_COLOUR, Choice, colours_of
 from meshdeform_formats.picture.overview import Pair, moved_walls, overview, quality_planes, telling_plane, worst_cells

@@ -15,7 +15,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Connection, Grid, Patch, Periodicity, Side, Window
 from meshdeform_core.grid.faces.surfaces import thin_direction
 from meshdeform_core.numerics.arrays import extent
-from meshdeform_core.quality.measures.cells import block_volumes
+from meshdeform_core.quality.cells import block_volumes
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.openfoam.lists import write_points
 from meshdeform_formats.series.manifest import is_series, open_levels

@@ -12,14 +12,14 @@ from enum import IntEnum
 
 import numpy as np
 
-from ...grid import BoolArray, FloatArray, IntArray
-from ...numerics.cell import inspection as rows
-from ...numerics.cell.measures import scattered_hexahedra
-from ...numerics.cell.positivity import COLLAPSED, decide, judge_quads
-from ...parallel import rows_of
-from ..measures.cells import Slab, corners_of, measure_block, side_of_good_quads
-from ..measures.tally import HISTOGRAM_BINS, Sums
+from ..grid import BoolArray, FloatArray, IntArray
+from ..numerics.cell import inspection as rows
+from ..numerics.cell.measures import scattered_hexahedra
+from ..numerics.cell.positivity import COLLAPSED, decide, judge_quads
+from ..parallel import rows_of
+from .cells import Slab, corners_of, measure_block, side_of_good_quads
 from .original import Original
+from .tally import HISTOGRAM_BINS, Sums
 
 
 class Failure(IntEnum):

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...grid import FloatArray, Grid
-from ...grid.topology import Topology
-from ...numerics.cell.measures import scattered_hexahedra
-from ...parallel import ranks_of
-from ..measures.cells import Slab, block_volumes, corners_of, for_slabs, hold_cells, places, slabs
-from ..measures.tally import Range, Tally
+from ..grid import FloatArray, Grid
+from ..grid.topology import Topology
+from ..numerics.cell.measures import scattered_hexahedra
+from ..parallel import ranks_of
+from .cells import Slab, block_volumes, corners_of, for_slabs, hold_cells, places, slabs
 from .inspection import SlabMeasures, inspect_slab, relative_jacobian
 from .original import Original
+from .tally import Range, Tally
 from .validity import Verdict
 
 

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from ...grid import FloatArray, Grid, IntArray
-from ...numerics.arrays import batches
-from ...numerics.cell.measures import measure_quads, scattered_hexahedra
-from ...parallel import Part, empty, for_chunks, on_each, rows_at
+from ..grid import FloatArray, Grid, IntArray
+from ..numerics.arrays import batches
+from ..numerics.cell.measures import measure_quads, scattered_hexahedra
+from ..parallel import Part, empty, for_chunks, on_each, rows_at
 
 _SLAB_CELLS = 131072
 _TOGETHER = 1 << 14

@@ -8,14 +8,14 @@ from functools import cached_property
 
 import numpy as np
 
-from ...boundary import Boundary, Kind
-from ...grid import BoolArray, FloatArray, Grid
-from ...grid.faces.pieces import Face
-from ...grid.faces.roles import Role, declared_role
-from ...grid.faces.surfaces import Outside, find_outside
-from ...grid.planes import plane_normal
-from ...grid.topology import Topology
-from ..measures.lines import (
+from ..boundary import Boundary, Kind
+from ..grid import BoolArray, FloatArray, Grid
+from ..grid.faces.pieces import Face
+from ..grid.faces.roles import Role, declared_role
+from ..grid.faces.surfaces import Outside, find_outside
+from ..grid.planes import plane_normal
+from ..grid.topology import Topology
+from .lines import (
     InterfaceLines,
     WallFace,
     WallLines,
@@ -24,7 +24,7 @@ from ..measures.lines import (
     wall_faces,
     wall_lines,
 )
-from ..measures.tally import Tally
+from .tally import Tally
 
 
 @dataclass(frozen=True)

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import GridError
-from ...grid import FloatArray, Grid, IntArray
-from ...grid.planes import plane_normal
-from ...grid.topology import Topology
-from ...numerics.pieces import pieces
-from ...numerics.tape import Tape, plain
-from ...parallel import alike, for_rows, of_all, rows_of
+from ..errors import GridError
+from ..grid import FloatArray, Grid, IntArray
+from ..grid.planes import plane_normal
+from ..grid.topology import Topology
+from ..numerics.pieces import pieces
+from ..numerics.tape import Tape, plain
+from ..parallel import alike, for_rows, of_all, rows_of
 from .cells import corner_nodes, places, side_of_good_quads
 
 # Cells recorded on one tape.

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...grid import FloatArray, Grid, IntArray
-from ...parallel import Part, own_rows, rows_of
-from ..measures.cells import Slab, cells_alike, for_slabs, hold_cells
+from ..grid import FloatArray, Grid, IntArray
+from ..parallel import Part, own_rows, rows_of
+from .cells import Slab, cells_alike, for_slabs, hold_cells
 from .inspection import Failure, SlabMeasures, inspect_slab
 from .original import Original
 

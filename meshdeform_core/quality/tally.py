@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from ...grid import BoolArray, FloatArray, IntArray
-from ...parallel import Ranks
+from ..grid import BoolArray, FloatArray, IntArray
+from ..parallel import Ranks
 from .cells import Slab
 
 HISTOGRAM_BINS = 20
@@ -74,7 +74,8 @@ class Sums:
         with np.errstate(divide="ignore"):
             self.inverse += float((1.0 / skew).sum())
         self.skew += float(skew.sum())
-        self.counts += np.bincount(_bins(skew.astype(np.float32)), minlength=HISTOGRAM_BINS)
+        bins = np.minimum((skew.astype(np.float32) * HISTOGRAM_BINS).astype(np.uint8), HISTOGRAM_BINS - 1)
+        self.counts += np.bincount(bins, minlength=HISTOGRAM_BINS)
         self.negative += int((volume <= 0).sum())
         self.bad += int(bad.sum())
 
@@ -195,8 +196,3 @@ class Lowest:
             values = np.partition(values, self._count - 1)[: self._count]
             self._limit = values[-1]
         self._parts, self._size = [values], values.size
-
-
-def _bins(skews: FloatArray) -> IntArray:
-    """Bin of the histogram for each value."""
-    return np.minimum((skews * HISTOGRAM_BINS).astype(np.uint8), HISTOGRAM_BINS - 1)

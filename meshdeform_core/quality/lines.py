@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...grid import BoolArray, FloatArray, Grid, IntArray, Side
-from ...grid.topology import Topology, inward_step, side_nodes
-from ...numerics.geometry.coincidence import distinct
-from ...numerics.geometry.vectors import unit
-from ...parallel import rows_at
+from ..grid import BoolArray, FloatArray, Grid, IntArray, Side
+from ..grid.topology import Topology, inward_step, side_nodes
+from ..numerics.geometry.coincidence import distinct
+from ..numerics.geometry.vectors import unit
+from ..parallel import rows_at
 
 _TOGETHER = 100_000
 """Quads and lines measured at a time, which bounds the memory."""

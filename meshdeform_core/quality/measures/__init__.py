@@ -1,1 +1,0 @@
-"""Measures of cells and grid lines, their totals and gradients."""
