@@ -33,7 +33,7 @@ def put_on_faces(face: FloatArray, out: FloatArray, problem: Problem) -> None:
     rows = rows_of(out)
 
     def work(lo: int, hi: int) -> None:
-        rows[nodes[lo:hi]] = face[number[lo:hi]]
+        rows[nodes[lo:hi]] = face.take(number[lo:hi], axis=0)
 
     for_chunks(work, len(nodes), _NODES)
 
