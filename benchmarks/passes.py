@@ -19,7 +19,7 @@ from tables import MarkdownTable, Row, best
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.methods import Options, PreparedMethod, make_method
-from meshdeform_core.parallel import for_rows, thread_count
+from meshdeform_core.parallel import Nodes, thread_count
 from meshdeform_core.quality import Original, assess
 from meshdeform_core.quality.validity import newly_invalid
 from meshdeform_formats import write_grid
@@ -115,7 +115,7 @@ def _levels(prepared: PreparedMethod, case: Motion, known: Original, file: Path)
 
 
 def _add(points: FloatArray, out: FloatArray) -> None:
-    for_rows(lambda rows: np.add(points[rows], out[rows], out=out[rows]), out)
+    Nodes.of(out).each(lambda rows: np.add(points[rows], out[rows], out=out[rows]))
 
 
 def _of_the_command(case: Motion, folder: Path) -> tuple[float, float]:

@@ -29,7 +29,7 @@ from meshdeform_core.deform import deform
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.near import NearNodes
 from meshdeform_core.memory import peak_memory
-from meshdeform_core.parallel import OneRank, Part, dividing, sharing
+from meshdeform_core.parallel import Nodes, OneRank, sharing
 from meshdeform_formats.case import case_of
 
 _TOGETHER = 1 << 20
@@ -68,11 +68,11 @@ class LonelyRank(OneRank):
                 wanted[:] = 2 * near - (next_one[:size] if other < self.number else next_one[-size:])
 
 
-class Box(Part):
+class Box(Nodes):
     """Coordinates of the box, of which every row can be computed; ``m`` blocks of ``n`` nodes along each direction."""
 
-    def __init__(self, part: Part, m: int, n: int) -> None:
-        super().__init__(part.ranks, part.bounds, part.shape, part.dtype)
+    def __init__(self, part: Nodes, m: int, n: int) -> None:
+        super().__init__(part.ranks, part.bounds, part.rows)
         self._m, self._n = m, n
         self._fill(self.low, self.high)
 
@@ -105,6 +105,9 @@ class Everything:
     def __init__(self, points: Box) -> None:
         self._points, self.shape, self.dtype = points, points.shape, points.dtype
 
+    def __len__(self) -> int:
+        return len(self._points)
+
     def __getitem__(self, rows):
         return self._points[rows]
 
@@ -128,7 +131,7 @@ def share(nodes: int, count: int, number: int, method: str, blocks: int) -> Mark
     table = MarkdownTable(
         f"One of {count} ranks: {(m * n) ** 3:,} nodes, blocks: {m**3:,}, {method}, without messages and files"
     )
-    with sharing(LonelyRank(number, count), 1), dividing():
+    with sharing(LonelyRank(number, count), 1):
         grid = Grid.allocate([(n, n, n)] * m**3)
         if grid.points.low == grid.points.high:
             raise SystemExit(

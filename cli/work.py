@@ -22,15 +22,7 @@ from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import COORDINATE_ARRAYS, Demand, MemoryLimit, peak_memory
 from meshdeform_core.methods import make_method
-from meshdeform_core.parallel import (
-    Ranks,
-    WholeGridNeeded,
-    current_ranks,
-    dividing,
-    ranks_of,
-    rows_of,
-    thread_count,
-)
+from meshdeform_core.parallel import Ranks, WholeGridNeeded, current_ranks, thread_count
 from meshdeform_core.quality.fields import CellFields
 from meshdeform_core.wording import counted
 from meshdeform_formats.case import CaseFile
@@ -73,7 +65,7 @@ class Job:
     @property
     def ranks(self) -> Ranks:
         """The processes that share the work: those that hold the grid."""
-        return ranks_of(self.grid.points)
+        return self.grid.nodes.ranks
 
 
 def load(
@@ -138,8 +130,7 @@ def in_parts(action: Callable[[], T], verbose: bool) -> T:
     ranks = current_ranks()
     if ranks.count > 1:
         try:
-            with dividing():
-                return action()
+            return action()
         except WholeGridNeeded as reason:
             if verbose:
                 tell(f"the first rank alone holds the whole grid: {reason}")
@@ -153,10 +144,10 @@ def _other_bytes(grid: Grid, case: CaseFile) -> int:
     tables = [step.data for step in steps if isinstance(step, Follow)]
     arrays = [array for table in tables if isinstance(table, SurfaceData) for array in vars(table).values()]
     grids = [table for table in tables if isinstance(table, Grid)]
-    arrays += [rows_of(table.points) for table in grids]
+    arrays += [table.nodes.rows for table in grids]
     arrays += [field.own for each in (grid, *grids) for field in each.fields]
     size = sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
-    return max(ranks_of(grid.points).gather([size + (grid.format.other_bytes if grid.format else 0)]))
+    return max(grid.nodes.ranks.gather([size + (grid.format.other_bytes if grid.format else 0)]))
 
 
 @dataclass(frozen=True)
@@ -211,7 +202,7 @@ def write_judged(grid: Grid, valid: bool, output: Path, run: RunInput, cells: Ca
         found = cells()
         write_grid(grid, target, run.variant_options, lambda _: with_fields(found, run.fields))
     if valid:
-        ranks_of(grid.points).on_first(lambda: _remove_earlier(beside, grid))
+        grid.nodes.on_first(lambda: _remove_earlier(beside, grid))
     return target
 
 

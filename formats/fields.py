@@ -12,7 +12,7 @@ import numpy as np
 
 from meshdeform_core.errors import CaseError, FormatError, suggestion
 from meshdeform_core.grid import Field, FloatArray, Grid
-from meshdeform_core.parallel import combined, empty
+from meshdeform_core.parallel import empty
 from meshdeform_core.quality.fields import CELL_MEASURES, CellFields
 
 from .grids import FORMATS
@@ -73,7 +73,7 @@ def with_fields(cells: CellFields, names: Sequence[str]) -> Grid:
 def _fields(cells: CellFields, name: str) -> Iterator[Field]:
     grid = cells.grid
     if name == DISPLACEMENT and cells.reference is not None:
-        moved = combined(np.subtract, grid.points, cells.reference.points)
+        moved = grid.nodes.combined(np.subtract, cells.reference.points)
         for block, shape in enumerate(grid.shapes):
             yield Field(name, "node", block, grid.spread(grid.in_planes(block, moved), shape[0]))
         return

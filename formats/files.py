@@ -17,7 +17,7 @@ from typing import Any
 
 from meshdeform_core import interruption
 from meshdeform_core.errors import FormatError, suggestion
-from meshdeform_core.parallel import ranks_of
+from meshdeform_core.parallel import Nodes
 
 
 @contextmanager
@@ -50,7 +50,7 @@ def replacing_by_all(target: Path, points: Any) -> Iterator[Path]:
 
     An error in the block must be raised on all ranks.
     """
-    ranks = ranks_of(points)
+    ranks = Nodes.of(points).ranks
     with contextlib.ExitStack() as own:
         partial = ranks.on_first(lambda: own.enter_context(replacing(target)))
         try:

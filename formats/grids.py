@@ -15,7 +15,6 @@ from typing import Any
 from meshdeform_core.errors import FormatError, GridError, MeshDeformError, suggestion
 from meshdeform_core.grid import FileFormat, Grid, Shape
 from meshdeform_core.grid.sizes import BlockSizes
-from meshdeform_core.parallel import require_whole
 from meshdeform_core.wording import listed
 
 from .files import read_head
@@ -188,7 +187,7 @@ def write_grid(
     variant = variant_of(grid, path, options)
     entry = FORMATS[format_of(path)]
     if not entry.together:
-        require_whole(grid.points, f"{path} is written as a whole")
+        grid.nodes.require_whole(f"{path} is written as a whole")
     entry.load().write(grid, path, variant)
     return variant
 

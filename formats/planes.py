@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Grid, IntArray, Planes, Shape
-from meshdeform_core.parallel import Part, Ranks, for_chunks, for_items
+from meshdeform_core.parallel import Ranks, for_chunks, for_items
 
 # Smallest numbers of nodes and planes per range, so that reads are large and cache lines of the grid are not split.
 _NODES, _PLANES = 1 << 18, 8
@@ -271,8 +271,8 @@ def write_outputs(grid: Grid, outputs: Sequence[Output]) -> None:
     for output in outputs:
         for place in output.places:
             place.require_room(output.shape)
-    if isinstance(grid.points, Part):
-        _write_parts(grid, grid.points, outputs)
+    if grid.nodes.divided:
+        _write_parts(grid, outputs)
         return
 
     parts = _ranges(outputs)
@@ -289,13 +289,13 @@ def _ranges(outputs: Iterable[Output]) -> list[tuple[Output, Planes]]:
     return [(output, part) for output in outputs for part in ranges_of([(output.block, output.shape)])]
 
 
-def _write_parts(grid: Grid, points: Part, outputs: Sequence[Output]) -> None:
+def _write_parts(grid: Grid, outputs: Sequence[Output]) -> None:
     """As :func:`write_outputs`, for a grid in parts: ranks that share a block exchange their parts of k planes.
 
     Raises OSError or FormatError on all ranks, the first error of any of them.
     """
-    ranks, failures = points.ranks, list[Exception]()
-    for turn in _turns(grid, points.bounds, outputs):
+    ranks, failures = grid.nodes.ranks, list[Exception]()
+    for turn in _turns(grid, grid.nodes.bounds, outputs):
         sends, receives, own = {}, {}, None
         for writer, (output, part, owners) in turn.items():
             kind, lines = common_type(output.places), (output.shape[1], *output.places[0].plane[1:])

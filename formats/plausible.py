@@ -9,7 +9,6 @@ import numpy as np
 from meshdeform_core.errors import GridError
 from meshdeform_core.grid import FloatArray, Grid
 from meshdeform_core.numerics.arrays import IntArray, extent
-from meshdeform_core.parallel import check_rows, of_all, require_whole
 from meshdeform_core.wording import vector
 
 # The square of a larger length overflows in single precision, and no grid is so large in any unit.
@@ -38,7 +37,7 @@ def require_plausible(grid: Grid, path: Path) -> None:
     if not _on_one_line(sample):
         return
     # A sample is not enough, as it may happen to lie on a grid line.
-    require_whole(grid.points, "a sample of its nodes lies on one line")
+    grid.nodes.require_whole("a sample of its nodes lies on one line")
     if _on_one_line(grid.points):
         first, (low, high) = grid.points[0], extent(grid.points)
         what = "on one line" if (low < high).any() else f"at one point, {vector(first)}"
@@ -54,8 +53,8 @@ def _require_bounded(grid: Grid, path: Path) -> None:
         if not good.all():
             bad.append(rows.start + np.flatnonzero(~good.all(axis=1)))
 
-    check_rows(judge, grid.points)
-    found = [rows for own in of_all(grid.points, bad) for rows in own]
+    grid.nodes.each(judge)
+    found = [rows for own in grid.nodes.gather(bad) for rows in own]
     if found:
         count, first = sum(map(len, found)), min(int(rows[0]) for rows in found)
         point = grid.points[first]

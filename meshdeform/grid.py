@@ -14,7 +14,7 @@ from meshdeform_core import grid as core
 from meshdeform_core.errors import FormatError, GridError
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.grid.topology import find_topology
-from meshdeform_core.parallel import Part, held_together, require_whole
+from meshdeform_core.parallel import sharing
 
 from .gate import checked_array, in_parts
 from .notebook import html_table
@@ -109,8 +109,8 @@ class Grid:
         ----------
         first_only : only the first rank gets the whole grid, the others this one
         """
-        points = self.core.points
-        if not isinstance(points, Part) or points.ranks.count == 1:
+        points = self.core.nodes
+        if not points.divided:
             return self
         if not first_only:
             every = points.ranks.collect(points.own, np.diff(points.bounds).tolist())
@@ -297,14 +297,14 @@ def whole(grid: Grid, what: str) -> core.Grid:
         When every rank holds a part of it.
     """
     with in_parts():
-        require_whole(grid.core.points, what)
+        grid.core.nodes.require_whole(what)
     return grid.core
 
 
 @contextmanager
 def together(grid: Grid) -> Iterator[None]:
     """Context of work by all ranks that hold parts of the grid."""
-    with in_parts(), held_together(grid.core.points):
+    with in_parts(), sharing(grid.core.nodes.ranks, None):
         yield
 
 

@@ -16,7 +16,7 @@ from meshdeform_core.methods import PreparedMethod
 from meshdeform_core.methods.base import Linearised
 from meshdeform_core.methods.kinks import reason_of
 from meshdeform_core.overset import PreparedComponents
-from meshdeform_core.parallel import Part, alike, combined, for_rows, of_all, on_each, own_rows, rows_of
+from meshdeform_core.parallel import Nodes
 from meshdeform_core.repair.derivative import RepairDerivative, derivative_of_repair
 
 from .gate import checked_array
@@ -107,8 +107,8 @@ class Linearisation:
         """
         from scipy.sparse.linalg import LinearOperator
 
-        points, moving = self._setup.grid.points, len(self._session.numbers)
-        low, high = own_rows(points)
+        nodes, moving = self._setup.grid.nodes, len(self._session.numbers)
+        low, high = nodes.ends
 
         def push(x: FloatArray) -> FloatArray:
             with self._session.at_work():
@@ -116,8 +116,8 @@ class Linearisation:
 
         def pull(w: FloatArray) -> FloatArray:
             with self._session.at_work():
-                gradient = alike(points)
-                rows_of(gradient)[low:high] = _real(w).reshape(high - low, 3)
+                gradient = nodes.like(3)
+                Nodes.of(gradient).rows[low:high] = _real(w).reshape(high - low, 3)
                 return self._pulled(gradient).ravel()
 
         return LinearOperator((3 * (high - low), 3 * moving), matvec=push, rmatvec=pull, dtype=np.float64)
@@ -135,8 +135,8 @@ class Linearisation:
     def _flat(self, gradients: Sequence[Any]) -> FloatArray:
         """Gradients of the parts of the grid as one array (n_nodes, 3), in parts if the grid is."""
         parts = self._step.grid.part
-        flat = alike(self._setup.grid.points)
-        for_rows(lambda rows: flat[rows].fill(0.0), flat)
+        flat = self._setup.grid.nodes.like(3)
+        Nodes.of(flat).each(lambda rows: flat[rows].fill(0.0))
 
         def fill() -> None:
             found = list(gradients) if isinstance(gradients, Iterable) else [gradients]
@@ -147,10 +147,7 @@ class Linearisation:
                 values = checked_array(each, points.shape, what, meaning, GridError)
                 rows_of_block(self._step.grid, block, flat)[...] = values
 
-        if isinstance(flat, Part):
-            on_each(flat, fill)
-        else:
-            fill()
+        Nodes.of(flat).on_each(fill)
         return flat
 
 
@@ -173,8 +170,8 @@ def differentiated(result: Result, method: PreparedMethod, displacement: FloatAr
     derivative = method.linearised(displacement)
     if result.steps > 1 and result.reached == 1.0:
         return derivative, f"the motion was imposed in {result.steps} steps; the derivative is that of one step"
-    points = combined(np.add, result.setup.grid.points, method.apply(displacement))
-    if _largest(combined(np.subtract, points, result.grid.points)) <= _rounding(result):
+    points = result.setup.grid.nodes.combined(np.add, method.apply(displacement))
+    if _largest(Nodes.of(points).combined(np.subtract, result.grid.points)) <= _rounding(result):
         return derivative, ""
     if result.reached < 1.0:
         part = f"only {result.reached:.1%} of the motion was imposed"
@@ -190,7 +187,7 @@ def differentiated(result: Result, method: PreparedMethod, displacement: FloatAr
 def _of_repair(result: Result, plain: FloatArray) -> tuple[RepairDerivative | None, str]:
     """The derivative of the repair of ``plain`` (n_nodes, 3), or the reason why it has none."""
     setup = result.setup
-    if isinstance(plain, Part):
+    if Nodes.of(plain).divided:
         return None, "in parts, and the derivative of that takes the whole grid on every rank"
     if result.repair is None or not result.repair.converged:
         return None, _NOT_MINIMAL
@@ -208,8 +205,8 @@ def _rounding(result: Result) -> float:
 
 def _largest(values: FloatArray) -> float:
     """Largest magnitude of ``values`` (n_nodes, 3), of all ranks if they are in parts."""
-    own = values[slice(*own_rows(values))]
-    return max(of_all(values, max(float(own.max(initial=0.0)), -float(own.min(initial=0.0)))))
+    nodes = Nodes.of(values)
+    return max(nodes.gather(max(float(nodes.own.max(initial=0.0)), -float(nodes.own.min(initial=0.0)))))
 
 
 class _Repaired:

@@ -23,7 +23,7 @@ from mphys.core import Builder, MPhysGroup, MPhysVariables
 from meshdeform_core.boundary import Kind
 from meshdeform_core.errors import CaseError, MethodError
 from meshdeform_core.grid import FloatArray, IntArray
-from meshdeform_core.parallel import alike, own_rows, rows_of
+from meshdeform_core.parallel import Nodes
 from meshdeform_core.quality.gradients import quality_gradient
 
 from .grid import Grid
@@ -60,7 +60,7 @@ class _OnMesh(om.ExplicitComponent):
         # With a single process, vectors are serial, as distributed ones require PETSc.
         self.divided = self.ranks.count > 1
         self.own_points = share_of(len(mesh.points), self.ranks)
-        self.own_nodes = slice(*own_rows(mesh.session.setup.grid.points))
+        self.own_nodes = slice(*mesh.session.setup.grid.nodes.ends)
 
     def whole(self, values: Any) -> FloatArray:
         """The rows (n, 3) of all ranks from this rank's, flat."""
@@ -192,8 +192,8 @@ class MeshQualityComp(_OnMesh):
 
     def _measured(self, inputs: Any, measure: str) -> tuple[float, FloatArray]:
         setup = self.mesh.session.setup
-        points = alike(setup.grid.points)
-        rows_of(points)[self.own_nodes] = _real(inputs[self.options["volume"]])
+        points = setup.grid.nodes.like(3)
+        Nodes.of(points).rows[self.own_nodes] = _real(inputs[self.options["volume"]])
         with self.mesh.session.at_work():
             return quality_gradient(setup.grid, points, setup.topology, measure, self.options["sharpness"])
 

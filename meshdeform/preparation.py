@@ -13,7 +13,7 @@ from meshdeform_core.deform import Case, set_up
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid.components import Components
 from meshdeform_core.memory import Demand, MemoryLimit, machine_memory, parse_memory
-from meshdeform_core.parallel import OneRank, Ranks, WholeGridNeeded, dividing, sharing
+from meshdeform_core.parallel import OneRank, Ranks, WholeGridNeeded, sharing
 from meshdeform_formats.case import CaseFile, case_of, read_case
 
 from .choice import Method, options_of
@@ -80,7 +80,7 @@ def prepare(
         Kind.PERIODIC: periodic,
         Kind.FREE: free,
     }
-    with in_parts(), one_at_a_time(), sharing(ranks, threads), dividing():
+    with in_parts(), one_at_a_time(), sharing(ranks, threads):
         what = _case(case, selections, components)
         held = _grid_of(grid, what, ranks)
         chosen = what.case if method is None else dataclasses.replace(what.case, method=options_of(method))

@@ -15,7 +15,7 @@ from meshdeform_core.boundary.prescribed import given_displacement
 from meshdeform_core.deform import Setup
 from meshdeform_core.errors import GridError, MotionError
 from meshdeform_core.grid import FloatArray, IntArray
-from meshdeform_core.parallel import OneRank, Ranks, dividing, sharing
+from meshdeform_core.parallel import OneRank, Ranks, sharing
 
 from .gate import checked_array, in_parts
 
@@ -89,7 +89,7 @@ class Session:
         """
         if self.ranks.count > 1 and threading.get_ident() != self._thread:
             raise GridError("a mesh prepared with comm= is used in another thread; expected the one that prepared it")
-        with in_parts(), one_at_a_time(), sharing(self.ranks, self.threads), dividing():
+        with in_parts(), one_at_a_time(), sharing(self.ranks, self.threads):
             yield
 
     def checked(self, values: Any, what: str, rows: int) -> FloatArray:

@@ -13,7 +13,6 @@ from meshdeform_core.deform import Result
 from meshdeform_core.errors import GridError
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.memory import peak_memory
-from meshdeform_core.parallel import Part
 from meshdeform_core.quality import InvalidCell
 from meshdeform_core.repair.outcome import Repair
 
@@ -71,9 +70,7 @@ class Step:
         if not isinstance(before, Grid):
             raise GridError(f"previous is a {type(before).__name__}; expected a step or a grid")
         require_same_blocks(grid.core, before.core)
-        own, other = grid.core.points, before.core.points
-        one, two = (points.bounds.tolist() if isinstance(points, Part) else None for points in (own, other))
-        if one != two:
+        if list(grid.core.nodes.bounds) != list(before.core.nodes.bounds):
             for each in (grid, before):
                 whole(each, "swept volumes from a grid that is not divided likewise")
         undeformed = self.result.setup.grid

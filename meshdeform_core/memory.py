@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Protocol
 
 from .errors import CaseError, MethodError
-from .parallel import current_ranks, holders
+from .parallel import current_ranks
 from .parallel.scratch import RESERVE, Scratch, current_scratch, resident_memory, set_scratch
 
 _UNITS = ("B", "KiB", "MiB", "GiB", "TiB")
@@ -166,7 +166,7 @@ class Demand:
         own = _OTHER_COPIES * self.other_bytes + _PER_BLOCK * self.blocks
         whole = PROGRAM_BYTES + int(self.arrays * self.coordinate_bytes) + own
         # In a small grid, most of the memory of a part is for data that all ranks hold.
-        parts = holders().count
+        parts = current_ranks().count
         return min(whole, self._of_part(parts)) if parts > 1 else whole
 
     def _of_part(self, parts: int) -> int:
@@ -179,20 +179,20 @@ class Demand:
         """Bytes taken if large arrays are stored in files (:mod:`.parallel.scratch`); of each rank, if several hold
         the grid. Above the ``limit`` it is the smallest limit that is enough."""
         rest = _BESIDE_FILES * self._nodes_of_part + _PER_FACE_NODE * self.face_nodes + _PER_BLOCK * self.blocks
-        rest += _OTHER_COPIES * self.other_bytes + _MPI_BYTES * (holders().count > 1)
+        rest += _OTHER_COPIES * self.other_bytes + _MPI_BYTES * (current_ranks().count > 1)
         rest += PROGRAM_BYTES + RESERVE
         return rest + max(limit.size // _WINDOW, -(-rest // (_WINDOW - 1)))
 
     @property
     def _nodes_of_part(self) -> int:
         """Most nodes that a rank holds."""
-        parts = holders().count
+        parts = current_ranks().count
         return int(_LARGEST_PART * self.nodes / parts) if parts > 1 else self.nodes
 
     @property
     def _in_files(self) -> int:
         """Bytes of the files of a rank, or of a process alone."""
-        shell = (_PER_SHELL_NODE - _PER_FACE_NODE) * self.face_nodes if holders().count > 1 else 0
+        shell = (_PER_SHELL_NODE - _PER_FACE_NODE) * self.face_nodes if current_ranks().count > 1 else 0
         return 2 * _PER_NODE * self._nodes_of_part + shell
 
     def left_of(self, limit: MemoryLimit) -> MemoryLimit:
@@ -236,13 +236,13 @@ def _folder_of_rank(folder: Path) -> Path:
 
 
 def _on_several_machines() -> bool:
-    return holders().on_machine < holders().count
+    return current_ranks().on_machine < current_ranks().count
 
 
 def _require_disk(size: int, what: str, folder: Path) -> None:
     """Raise an error, the same on all ranks, if a disk has no room for the files, each of ``size`` bytes together, of
     all ranks on its machine."""
-    ranks, free = holders(), shutil.disk_usage(folder).free
+    ranks, free = current_ranks(), shutil.disk_usage(folder).free
     machine = f" of {platform.node()}" if _on_several_machines() else ""
     shared = f" for {ranks.on_machine} ranks" if ranks.on_machine > 1 else ""
     needed, lacks = ranks.on_machine * size, list[str]()

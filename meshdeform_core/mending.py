@@ -19,7 +19,6 @@ from .grid.topology import Topology, find_topology
 from .memory import UNLIMITED, MemoryLimit
 from .methods import Progress
 from .overset import undeformed_of
-from .parallel import rows_at
 from .quality import Assessment, Original, assess
 from .quality.comparison import Comparison
 from .quality.difference import require_same_blocks
@@ -175,8 +174,8 @@ def _mended(start: _Found, repairer: Repairer, renew: Callable[[str, _Found], _F
 
 def _require_closed(grid: Grid, topology: Topology, tolerance: float) -> None:
     """Require that nodes that coincide in the original also do so in the deformed grid."""
-    at = rows_at(grid.points, topology.face_nodes)
-    gap = np.sqrt(((at - rows_at(grid.points, topology.first[topology.number])) ** 2).sum(axis=1))
+    at = grid.nodes.at(topology.face_nodes)
+    gap = np.sqrt(((at - grid.nodes.at(topology.first[topology.number])) ** 2).sum(axis=1))
     apart = gap > tolerance * topology.edge[topology.number]
     if apart.any():
         worst = int(np.argmax(np.where(apart, gap, 0.0)))

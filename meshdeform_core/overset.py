@@ -23,7 +23,6 @@ from .boundary.slip import find_sliding
 from .errors import CaseError
 from .grid import FloatArray, Grid, IntArray
 from .grid.components import BY_PREFIX, with_components
-from .grid.near import NearNodes
 from .grid.topology import RELATIVE_TOLERANCE, FaceQuads, Topology, quads_of_patches
 from .memory import UNLIMITED, MemoryLimit
 from .methods import Account, Options, PreparedMethod, Problem, Progress
@@ -34,7 +33,7 @@ from .notices import Notice, kind_of
 from .numerics.arrays import BoolArray, places_among
 from .numerics.geometry.coincidence import distinct, equal_rows
 from .numerics.geometry.copies import coincident_groups
-from .parallel import Part, alike, empty, for_rows, own_rows
+from .parallel import Nodes
 from .quality import assess
 from .quality.listed import MAX_GROUPS
 from .quality.report import MAX_LISTED
@@ -145,7 +144,7 @@ class Overset(Undeformed):
     @cached_property
     def components(self) -> tuple[Component, ...]:
         """The components in the order of their first blocks."""
-        low, high = own_rows(self.grid.points)
+        low, high = self.grid.nodes.ends
         memory = self.memory.after(24 * (high - low), "components as grids of their own")
         names = dict.fromkeys(self.grid.components)
         return tuple(_component(self, name, number, memory) for number, name in enumerate(names))
@@ -192,18 +191,14 @@ def _component(whole: Undeformed, name: str, number: int, memory: MemoryLimit) -
 def _alone(grid: Grid, blocks: IntArray) -> Grid:
     """Some blocks, ascending, as a grid of their own; of a grid in parts, every rank holds what it held before."""
     shapes, names = tuple(grid.shapes[b] for b in blocks), tuple(grid.names[b] for b in blocks)
-    sizes, points = np.prod(shapes, axis=1), grid.points
-    rows: FloatArray
-    if isinstance(points, Part):
-        bounds = np.clip(points.bounds[:, None] - grid.offsets[blocks], 0, sizes).sum(axis=1)
-        rows = Part(points.ranks, bounds, (int(sizes.sum()), 3), np.float64)
-    else:
-        rows = empty((int(sizes.sum()), 3))
-    alone = Grid(rows, shapes, names, format=grid.format, path=grid.path)
+    sizes, nodes = np.prod(shapes, axis=1), grid.nodes
+    bounds = np.clip(nodes.bounds[:, None] - grid.offsets[blocks], 0, sizes).sum(axis=1)
+    alone = Grid(
+        Nodes.new(nodes.ranks, bounds, (int(sizes.sum()), 3)), shapes, names, format=grid.format, path=grid.path
+    )
     for number, block in enumerate(blocks.tolist()):
         alone.in_planes(number)[...] = grid.in_planes(block)
-    if isinstance(rows, Part):
-        rows.keep(NearNodes.of(shapes, alone.offsets))
+    alone.keep_near()
     return alone
 
 
@@ -268,11 +263,10 @@ def _joined(whole: Grid, parts: Sequence[tuple[Component, FloatArray]]) -> Float
 def _copied(grid: Grid, planes: Callable[[int], FloatArray]) -> FloatArray:
     """A new array (n_nodes, 3) filled with the values ``planes(b)`` (i, nj, nk, 3) of this rank's planes of every
     block of a grid."""
-    found: FloatArray = alike(grid.points)
+    found: FloatArray = grid.nodes.like(3)
     for number in range(grid.n_blocks):
         grid.in_planes(number, found)[...] = planes(number)
-    if isinstance(found, Part):
-        found.keep_like(grid.points)
+    Nodes.of(found).keep_like(grid.points)
     return found
 
 
@@ -355,8 +349,8 @@ class PreparedComponents:
 
 
 def _still(grid: Grid) -> FloatArray:
-    found: FloatArray = alike(grid.points)
-    for_rows(lambda rows: found[rows].fill(0.0), found)
+    found: FloatArray = grid.nodes.like(3)
+    Nodes.of(found).each(lambda rows: found[rows].fill(0.0))
     return found
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from .boundary import Boundary, Kind
 from .boundary.classification import ClassifiedPatch
 from .boundary.motions.motion import GIVEN
-from .boundary.tables.matching import Nodes
+from .boundary.tables.matching import BoundaryNodes
 from .deform import Result, Timing, impose
 from .grid import FloatArray, Grid
 from .grid.topology import Topology
@@ -64,5 +64,5 @@ def _moving_where(grid: Grid, topology: Topology, boundary: Boundary, moved: np.
         ClassifiedPatch("at rest", Kind.FIXED, distinct(topology.quads.corners[rest], topology.n_unique), rest),
         *(patch for patch in boundary.patches if patch.kind < Kind.FIXED),
     )
-    movers = ((numbers, GIVEN.prepare(Nodes.of_quads(grid, topology, quads))),)
+    movers = ((numbers, GIVEN.prepare(BoundaryNodes.of_quads(grid, topology, quads))),)
     return dataclasses.replace(boundary, kind=kind, quad_kind=quad_kind, patches=patches, movers=movers)

@@ -17,7 +17,7 @@ from .errors import CaseError
 from .grid import Field, FloatArray, IntArray
 from .methods import PreparedMethod, Progress
 from .numerics.arrays import lengths
-from .parallel import for_rows, of_all, own_rows
+from .parallel import Nodes
 from .smoothness import Moment, Smoothness, shortest_edges, smoothness
 from .velocity import PAST, VELOCITIES, face_fields, grid_velocity
 
@@ -211,9 +211,9 @@ class _Series:
         def fill(rows: slice) -> None:
             np.square(end[rows] - grid.points[rows] - displacement[rows], out=squares[rows])
 
-        for_rows(fill, squares)
-        low, high = own_rows(squares)
-        largest = max(of_all(squares, float(squares[low:high].sum(axis=1).max(initial=0.0))))
+        Nodes.of(squares).each(fill)
+        low, high = Nodes.of(squares).ends
+        largest = max(Nodes.of(squares).gather(float(squares[low:high].sum(axis=1).max(initial=0.0))))
         return Drift(math.sqrt(largest), math.sqrt(grid.total_of(squares).sum() / grid.n_nodes))
 
     def _rotation(self, displacement: FloatArray) -> float:

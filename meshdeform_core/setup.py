@@ -27,7 +27,6 @@ from .memory import UNLIMITED, MemoryLimit, release_freed
 from .methods import Options, PreparedMethod, Problem, Progress, prepare_method
 from .numerics.arrays import extent
 from .numerics.jit import compile_seconds
-from .parallel import rows_at
 from .quality import Original
 from .repair import Mode, RepairOptions
 
@@ -138,7 +137,7 @@ class Undeformed:
     @cached_property
     def round_off(self) -> float:
         """Largest round-off of a displacement that returns to zero (grid length unit)."""
-        low, high = extent(rows_at(self.grid.points, self.topology.first))
+        low, high = extent(self.grid.nodes.at(self.topology.first))
         return 1e-12 * float((high - low).max())
 
     def prepare(self, options: Options) -> PreparedMethod:

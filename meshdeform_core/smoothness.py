@@ -9,7 +9,7 @@ import numpy as np
 
 from .grid import FloatArray, Grid, IntArray
 from .numerics.arrays import lengths
-from .parallel import empty, of_all, own_rows
+from .parallel import Nodes, empty
 
 _JUMP, _JUMP_IN_EDGES = 0.5, 0.2
 """The grid jumps where its acceleration exceeds that of the walls by JUMP wall steps, and JUMP_IN_EDGES local edges."""
@@ -98,7 +98,7 @@ def shortest_edges(grid: Grid) -> FloatArray:
     """Length (n_nodes,) of the shortest edge at every node, ignoring zero lengths; infinite if none. If the grid is in
     parts, only at the nodes of this rank."""
     grid.hold_neighbours()
-    low, high = own_rows(grid.points)
+    low, high = grid.nodes.ends
     result: FloatArray = empty([high - low])
     for number, (ni, nj, nk) in enumerate(grid.shapes):
         own, start = grid.planes(number), int(grid.offsets[number])
@@ -148,14 +148,14 @@ def smoothness(levels: list[Moment], walls: IntArray, edges: FloatArray) -> Smoo
 def _largest(levels: list[Moment], edges: FloatArray) -> tuple[FloatArray, float]:
     """The largest movements of any node, see :func:`_movements`, and the largest of the last in local ``edges``."""
     points = levels[-1].points
-    low, high = own_rows(points)
+    low, high = Nodes.of(points).ends
     largest, in_edges = np.zeros(min(2 * len(levels) - 3, 3)), 0.0
     for first in range(low, high, _ROWS):
         some = slice(first, min(first + _ROWS, high))
         found = _movements(levels, some)
         largest = np.maximum(largest, [length.max() for length in found])
         in_edges = max(in_edges, float((found[-1] / edges[some.start - low : some.stop - low]).max()))
-    every = of_all(points, (largest, in_edges))
+    every = Nodes.of(points).gather((largest, in_edges))
     return np.max([each for each, _ in every], axis=0), max(each for _, each in every)
 
 

@@ -12,7 +12,7 @@ from .grid import Field, FloatArray, Grid
 from .grid.planes import plane_normal
 from .grid.topology import block_handedness
 from .numerics.cell.swept import sweep_edges, sweep_faces
-from .parallel import alike, empty, for_chunks, for_rows, rows_of
+from .parallel import Nodes, empty, for_chunks
 from .quality.cells import side_of_good_quads
 
 VELOCITIES = ("none", "first", "second", "swept")
@@ -39,8 +39,8 @@ def grid_velocity(times: Sequence[float], points: Sequence[FloatArray], order: s
     ----------
     points : coordinates at the last levels, the newest last
     """
-    velocity: FloatArray = alike(points[-1])
-    own = rows_of(velocity)
+    velocity: FloatArray = Nodes.of(points[-1]).like(3)
+    own = Nodes.of(velocity).rows
     known = min(len(times), len(points), 3 if order == "second" else 2)
     rates = _rates(times[-known:])
 
@@ -49,7 +49,7 @@ def grid_velocity(times: Sequence[float], points: Sequence[FloatArray], order: s
         for rate, one, other in zip(rates, points[-1:-known:-1], points[-2::-1], strict=False):
             own[rows] += rate * (one[rows] - other[rows])
 
-    for_rows(fill, velocity)
+    Nodes.of(velocity).each(fill)
     return velocity
 
 
@@ -78,7 +78,7 @@ def swept_volumes(grid: Grid, before: FloatArray, after: FloatArray) -> FloatArr
     normal, handedness = plane_normal(grid), block_handedness(grid)
     for points in (before, after):
         grid.hold_neighbours(points)
-    one, two = rows_of(before), rows_of(after)
+    one, two = Nodes.of(before).rows, Nodes.of(after).rows
     swept: FloatArray = empty([sum(_counts(grid))])
     faces = at_faces(grid, swept)
 

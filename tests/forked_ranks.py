@@ -5,7 +5,7 @@ import traceback
 
 import numpy as np
 
-from meshdeform_core.parallel import OneRank, empty, parts, sharing
+from meshdeform_core.parallel import OneRank, empty, nodes, sharing
 
 _PATIENCE = 120.0
 _FORK = multiprocessing.get_context("fork")
@@ -108,11 +108,11 @@ def _received(hub, forks):
 
 def poison_parts(monkeypatch):
     """What a rank does not hold of an array in parts is no number."""
-    blank = parts.blank
+    blank = nodes.blank
 
     def poison(shape, dtype):
         array = blank(shape, dtype)
         array[...] = np.nan if np.dtype(dtype).kind == "f" else 77
         return array
 
-    monkeypatch.setattr(parts, "blank", poison)
+    monkeypatch.setattr(nodes, "blank", poison)

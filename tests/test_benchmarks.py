@@ -61,8 +61,8 @@ def test_the_box_of_a_share_is_that_of_many_blocks(monkeypatch):
     from blocks import box
     from share import Box
 
-    from meshdeform_core.parallel import OneRank, Part
+    from meshdeform_core.parallel import Nodes
 
     grid = box((3, 3, 3), (4, 4, 4))
-    points = Box(Part(OneRank(), np.array([0, grid.n_nodes]), (grid.n_nodes, 3), "float64"), 3, 4)
+    points = Box(Nodes.of(np.empty((grid.n_nodes, 3))), 3, 4)
     np.testing.assert_array_equal(points.rows, grid.points)

@@ -13,7 +13,7 @@ from meshdeform_core.deform import Case
 from meshdeform_core.grid import FileFormat, Grid
 from meshdeform_core.grid.dealing import bounds_of
 from meshdeform_core.memory import COORDINATE_ARRAYS, SMOOTHNESS_ARRAYS, Demand, MemoryLimit, readable
-from meshdeform_core.parallel import holders
+from meshdeform_core.parallel import current_ranks
 from meshdeform_core.parallel.scratch import RESERVE
 from meshdeform_formats.grids import Layout, format_of
 from meshdeform_formats.placing import lack, least_bytes, velocity_bytes
@@ -101,7 +101,7 @@ def expense_of(
     files = demand.in_memory > limit.size
     if files:
         limit.require(demand.beside_files(limit), demand.what, "allow more, or use a machine that has it")
-    ranks, moving = holders(), MOVING.get(case.method.name)
+    ranks, moving = current_ranks(), MOVING.get(case.method.name)
     memory = memory_of(moving, grid, levels) if moving else demand.in_memory
     per_node = _IN_FILES + (_COORDINATES * more + _OF_SERIES if levels.count > 1 else 0)
     work = per_node * grid.n_nodes + _OF_FACES * grid.n_face_nodes * ranks.count if files else 0
@@ -157,7 +157,7 @@ def _beside_files(grid: Grid | Layout, limit: MemoryLimit) -> float:
 
 def _sizes(grid: Grid | Layout) -> tuple[float, ...]:
     """What the parts of a stage are multiplied with, for the largest rank."""
-    ranks = holders().count
+    ranks = current_ranks().count
     nodes = int(np.diff(bounds_of(grid.shapes, ranks)).max()) if ranks > 1 else grid.n_nodes
     # How much of the block faces lies outside is known only from coordinates: as if equal cubes formed a cube.
     outside = grid.n_face_nodes / np.cbrt(grid.n_blocks)
@@ -166,7 +166,7 @@ def _sizes(grid: Grid | Layout) -> tuple[float, ...]:
 
 def _beside_stages(grid: Grid | Layout) -> float:
     """Bytes that blocks, libraries for CGNS files, and MPI with copies of what other ranks hold take in all stages."""
-    shared = (_MPI + _COPY * grid.n_face_nodes) * (holders().count > 1)
+    shared = (_MPI + _COPY * grid.n_face_nodes) * (current_ranks().count > 1)
     in_zones = grid.format is not None and grid.format.name == "cgns"
     return shared + (_ZONE if in_zones else _BLOCK) * grid.n_blocks + _CGNS * in_zones
 

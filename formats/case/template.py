@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from meshdeform_core.boundary.tables.fitting import fit_table
-from meshdeform_core.boundary.tables.matching import AUTOMATIC, Matching, Nodes, SurfaceData
+from meshdeform_core.boundary.tables.matching import AUTOMATIC, BoundaryNodes, Matching, SurfaceData
 from meshdeform_core.boundary.tables.transfer import transfer
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import FloatArray, Grid
@@ -79,7 +79,7 @@ def fitted_table(grid: Grid, topology: Topology, path: Path, name: str) -> Fitte
         )
     fit = fit_table(grid, topology, data, Matching(AUTOMATIC, partial=True))
     quads = np.concatenate([surface.quads for surface in fit.surfaces])
-    nodes = Nodes.of_quads(grid, topology, quads)
+    nodes = BoundaryNodes.of_quads(grid, topology, quads)
     matched = transfer(data, fit.matching, nodes)
     size = float(np.linalg.norm(np.ptp(nodes.points, axis=0)))
     reach = max(_ROOM * float(matched.distance.max()), _SMALLEST * size)

@@ -14,7 +14,6 @@ import numpy as np
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FileFormat, FloatArray, Grid
-from meshdeform_core.parallel import ranks_of
 
 from ..files import replacing_by_all
 from ..hdf5_output import hdf5_output
@@ -56,7 +55,7 @@ def write_series(
     with replacing_by_all(path, grid.points) as partial:
         cgns.write(grid, partial, variant)
         current = level(0)
-        places = ranks_of(grid.points).on_first(lambda: _add_levels(current, path, partial, variant.precision, times))
+        places = grid.nodes.on_first(lambda: _add_levels(current, path, partial, variant.precision, times))
         for number in range(len(times)):
             current = level(number) if number else current
             write_outputs(current, outputs_of(current, places[number]))

@@ -18,7 +18,6 @@ import numpy as np
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Grid
 from meshdeform_core.grid.extent import block_extents
-from meshdeform_core.parallel import Part
 
 from ..hdf5_output import hdf5_output
 from ..planes import Stored, split
@@ -45,7 +44,7 @@ def write_copy(grid: Grid, path: Path, precision: str | None, original: Original
     if source is None or not source.is_file():
         raise FormatError(f"cannot write {path}: {source}, whose other contents are to be copied, no longer exists")
     boxes = cache(lambda: block_extents(grid))
-    if isinstance(grid.points, Part):
+    if grid.nodes.divided:
         # The first rank alone cannot find them.
         boxes()
     if original is not None and _only_values_change(grid, source, precision, original, boxes):

@@ -14,7 +14,6 @@ import numpy as np
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, Grid, Shape
 from meshdeform_core.numerics.arrays import extent
-from meshdeform_core.parallel import ranks_of
 
 from ..files import replacing_by_all
 from ..planes import Output, Stored, write_outputs
@@ -85,7 +84,7 @@ def write_new(grid: Grid, path: Path, precision: str) -> None:
 def write_completed(grid: Grid, path: Path, begin: Callable[[Path], Places]) -> None:
     """Write a file with ``begin``, on the first rank, and then, on all of them, the values for which it leaves room."""
     with replacing_by_all(path, grid.points) as partial:
-        places = ranks_of(grid.points).on_first(lambda: begin(partial))
+        places = grid.nodes.on_first(lambda: begin(partial))
         write_outputs(grid, outputs_of(grid, places))
 
 

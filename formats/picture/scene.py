@@ -13,7 +13,7 @@ from meshdeform_core.grid.faces.roles import Role
 from meshdeform_core.grid.faces.surfaces import Surface
 from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.topology import Topology, side_nodes
-from meshdeform_core.parallel import alike, for_rows, of_all, rows_of
+from meshdeform_core.parallel import Nodes
 
 from .subject import Subject
 from .view import View, facing, spread, towards
@@ -149,26 +149,26 @@ def cut_facets(subject: Subject, plane: Plane, metric: str) -> Facets:
     touched = np.flatnonzero((lows - shift <= 0) & (highs - shift > 0))
     with subject.ready(metric):
         own = [_cut_block(subject, block, level, shift, metric) for block in touched.tolist()]
-    return joined([Facets.plain(np.empty((0, 6, 3))), *(part for found in of_all(grid.points, own) for part in found)])
+    return joined([Facets.plain(np.empty((0, 6, 3))), *(part for found in grid.nodes.gather(own) for part in found)])
 
 
 def _levels(grid: Grid, plane: Plane) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Distances (n_nodes, 1) from a plane, as far as this rank holds cells; the smallest and largest of each block."""
-    level = alike(grid.points, 1)
-    own = rows_of(level)
+    level = grid.nodes.like(1)
+    own = Nodes.of(level).rows
 
     def fill(rows: slice) -> None:
         away = grid.points[rows] - plane.point
         own[rows, 0] = away[:, 0] * plane.normal[0] + away[:, 1] * plane.normal[1] + away[:, 2] * plane.normal[2]
 
-    for_rows(fill, level)
+    Nodes.of(level).each(fill)
     grid.hold_neighbours(level)
     ends = np.full((2, grid.n_blocks), [[np.inf], [-np.inf]])
     for block in range(grid.n_blocks):
         values = grid.in_planes(block, level)
         if values.size:
             ends[:, block] = values.min(), values.max()
-    lows, highs = zip(*of_all(grid.points, ends), strict=True)
+    lows, highs = zip(*grid.nodes.gather(ends), strict=True)
     return level, np.min(lows, axis=0), np.max(highs, axis=0)
 
 

@@ -15,7 +15,6 @@ from meshdeform_core.grid.faces.surfaces import Surface, thin_direction
 from meshdeform_core.grid.planes import Plane
 from meshdeform_core.numerics.arrays import extent
 from meshdeform_core.numerics.geometry.vectors import doubled_areas
-from meshdeform_core.parallel import of_all, own_rows, rows_of
 from meshdeform_core.quality.fields import CELL_MEASURES, CellFields, Cells
 
 _ROUND_OFF = 1e-9
@@ -79,9 +78,9 @@ class Subject(CellFields):
 
     def reach(self, normal: FloatArray) -> tuple[float, float]:
         """Smallest and largest x . ``normal`` of all nodes x."""
-        rows = rows_of(self.grid.points)[slice(*own_rows(self.grid.points))]
+        rows = self.grid.nodes.own
         level = rows[:, 0] * normal[0] + rows[:, 1] * normal[1] + rows[:, 2] * normal[2]
-        ends = of_all(self.grid.points, (level.min(), level.max()) if level.size else (np.inf, -np.inf))
+        ends = self.grid.nodes.gather((level.min(), level.max()) if level.size else (np.inf, -np.inf))
         return float(min(low for low, _ in ends)), float(max(high for _, high in ends))
 
     @property
@@ -188,7 +187,7 @@ def worst_cell(subject: Subject, metric: str) -> tuple[int, Shape]:
     """
     with subject.ready(metric):
         best = _worst_of_rank(subject, metric)
-    _, block, cell = min(of_all(subject.grid.points, best), key=lambda each: each[0])
+    _, block, cell = min(subject.grid.nodes.gather(best), key=lambda each: each[0])
     return block, cell
 
 

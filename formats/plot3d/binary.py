@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshdeform_core.grid import Field, Grid, Planes, Shape
-from meshdeform_core.parallel import empty, ranks_of
+from meshdeform_core.parallel import empty
 
 from ..planes import Output, Stored, Stretches, ranges_of, read_planes, write_outputs
 from .detect import LONGEST_HEADER, Reading, UnknownFile, choose, header_variants, stream_readings
@@ -115,7 +115,7 @@ def write_binary(grid: Grid, path: Path, variant: Variant) -> None:
             if not markers:
                 stream.truncate(sum(records[-1][-1]))
 
-    ranks_of(grid.points).on_first(begin)
+    grid.nodes.on_first(begin)
     data = Stretches(list(chain.from_iterable(records[len(header) :])))
     places, flag_places = places_of(variant, grid.shapes, path, data)
     outputs = [Output.of_coordinates(grid, block, arrays) for block, arrays in enumerate(places)]

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError, GridError
 from meshdeform_core.grid import Grid, Shape
-from meshdeform_core.parallel import of_all, own_rows, rows_at, rows_of
+from meshdeform_core.parallel import Nodes
 
 from .variant import CHOICES, Variant
 
@@ -157,8 +157,8 @@ def _makes_sense(reading: Reading, file: UnknownFile) -> bool:
         grid = file.load(reading)
     except (FormatError, GridError):
         return False
-    has_nan = _found(rows_of(grid.points), range(*own_rows(grid.points)), np.isnan)[0] > 0
-    found = of_all(grid.points, (any(field.own.any() for field in grid.fields), has_nan))
+    has_nan = _found(grid.nodes.rows, range(*grid.nodes.ends), np.isnan)[0] > 0
+    found = grid.nodes.gather((any(field.own.any() for field in grid.fields), has_nan))
     all_blanked = reading.variant.iblank and not any(shown for shown, _ in found)
     return not all_blanked and not any(nan for _, nan in found) and _senseless_share(grid, reading.variant) == 0
 
@@ -186,14 +186,14 @@ def _senseless_share(grid: Grid, variant: Variant, step: int = 1) -> float:
         # Negative IBLANK values are numbers of neighbouring blocks.
         return np.abs(values.astype(np.int64)) > MOST_BLOCKS
 
-    low, high = own_rows(grid.points)
-    own = [_found(rows_of(grid.points), range(low + -low % step, high, step), implausible)]
+    low, high = grid.nodes.ends
+    own = [_found(grid.nodes.rows, range(low + -low % step, high, step), implausible)]
     for field in grid.fields:
         _, nj, nk = grid.shapes[field.block]
         first = grid.planes(field.block).start * nj * nk
         flags = field.own.reshape(-1)
         own.append(_found(flags, range(-first % step, flags.size, step), no_flag))
-    wrong, all_values = np.sum(of_all(grid.points, own), axis=0).T
+    wrong, all_values = np.sum(grid.nodes.gather(own), axis=0).T
     return float((wrong / all_values).max())
 
 
@@ -202,7 +202,7 @@ def _found(values: NDArray[Any], rows: range, judge: Callable[[NDArray[Any]], ND
     found = count = 0
     for lo in range(0, len(rows), _TOGETHER):
         some = rows[lo : lo + _TOGETHER]
-        judged = judge(rows_at(values, np.arange(some.start, some.stop, some.step)))
+        judged = judge(Nodes.of(values).at(np.arange(some.start, some.stop, some.step)))
         found, count = found + int(judged.sum()), count + judged.size
     return found, count
 

@@ -16,7 +16,6 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FileFormat, Grid, Shape
 from meshdeform_core.grid.extent import block_extents
 from meshdeform_core.numerics.arrays import extent
-from meshdeform_core.parallel import require_whole
 
 from ..files import replacing_by_all
 from .binary import binary_layout, iblank_of, read_binary, write_binary
@@ -139,4 +138,4 @@ def _require_writable(grid: Grid, path: Path, chosen: Variant) -> None:
         if largest > float(np.finfo(np.float32).max):
             raise FormatError(f"cannot write {path} as float32: a coordinate is {largest:g}; use precision=float64")
     if chosen.encoding == "ascii":
-        require_whole(grid.points, f"{path} is written as a whole")
+        grid.nodes.require_whole(f"{path} is written as a whole")

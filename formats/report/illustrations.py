@@ -11,7 +11,6 @@ import numpy as np
 from meshdeform_core.boundary import Kind
 from meshdeform_core.deform import Result, Setup
 from meshdeform_core.grid import FloatArray, Grid
-from meshdeform_core.parallel import ranks_of
 
 from ..picture.colours import Choice
 from ..picture.overview import Pair, apart, moved_walls, plane_around, quality_planes, worst_cells
@@ -60,7 +59,7 @@ def _repaired_region(setup: Setup, plain: Grid, after: Grid) -> Figure:
 
 def _png(grid: Grid, page: Page, **size: Any) -> bytes:
     """A page as PNG, drawn by the first of the ranks that hold the grid."""
-    return ranks_of(grid.points).on_first(lambda: page_png(page, **size))
+    return grid.nodes.on_first(lambda: page_png(page, **size))
 
 
 def level_thumbnails(

@@ -22,7 +22,6 @@ from xml.etree import ElementTree
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, FileFormat, FloatArray, Grid
-from meshdeform_core.parallel import ranks_of
 from meshdeform_core.velocity import FLUX, SWEPT
 
 from ..fields import WITH_FIELDS
@@ -185,7 +184,7 @@ class LevelFiles(SeriesFiles):
             self._remove_lone_pieces(other)
 
         write_grid(grid, self.path(number), self.options, dressed)
-        ranks_of(grid.points).on_first(remove_other)
+        grid.nodes.on_first(remove_other)
 
     def read(self, number: int) -> FloatArray:
         path = self.path(number)
@@ -213,7 +212,7 @@ class LevelFiles(SeriesFiles):
     def publish(self, done: int) -> None:
         if self.view:
             levels = [(self.times[number], self.path(number).name) for number in range(done)]
-            ranks_of(self.grid.points).on_first(partial(write_index, self.view, levels, self.variant))
+            self.grid.nodes.on_first(partial(write_index, self.view, levels, self.variant))
 
     def clean(self, complete: bool = False) -> None:
         super().clean(complete)

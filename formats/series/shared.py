@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ import numpy as np
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, FloatArray, Grid
-from meshdeform_core.parallel import Part, alike, on_each, own_rows, ranks_of, require_whole, rows_of
+from meshdeform_core.parallel import Nodes
 from meshdeform_core.velocity import face_fields, grid_velocity
 
 from ..files import invalid_path, remove_partial, replacing, replacing_by_all
@@ -58,18 +58,18 @@ class SingleFile(SeriesFiles):
 
     def write(self, number: int, grid: Grid, velocity: FloatArray | None, faces: Sequence[Field] = ()) -> None:
         # Velocities are differences of coordinates, computed when the file is assembled.
-        ranks, kind = ranks_of(grid.points), np.dtype(self.variant.precision)
+        ranks, kind = grid.nodes.ranks, np.dtype(self.variant.precision)
         ranks.on_first(lambda: self._levels.mkdir(exist_ok=True))
         with replacing_by_all(self._part(number), grid.points) as partial:
             start = ranks.on_first(lambda: _begin(partial, kind, grid.points.shape))
             stored = Stored(partial, kind, (3,), start, 3 * kind.itemsize)
-            _on_all(grid.points, lambda: _put(stored, rows_of(grid.points), own_rows(grid.points), synchronous(ranks)))
+            grid.nodes.on_each(lambda: _put(stored, grid.nodes.rows, grid.nodes.ends, synchronous(ranks)))
 
     def read(self, number: int) -> FloatArray:
-        points: FloatArray = alike(self.grid.points)
-        _on_all(points, lambda: _get(self._part(number), rows_of(points), own_rows(points)))
-        if isinstance(points, Part):
-            points.keep_like(self.grid.points)
+        points: FloatArray = self.grid.nodes.like(3)
+        nodes = Nodes.of(points)
+        nodes.on_each(lambda: _get(self._part(number), nodes.rows, nodes.ends))
+        nodes.keep_like(self.grid.points)
         return points
 
     @property
@@ -92,7 +92,7 @@ class SingleFile(SeriesFiles):
 
             write_series(self.grid, self.view, self.variant, self.times, self._level)
             other = self.plain if self.invalid else invalid_path(self.plain)
-            ranks_of(self.grid.points).on_first(lambda: other.unlink(missing_ok=True))
+            self.grid.nodes.on_first(lambda: other.unlink(missing_ok=True))
 
     def _level(self, number: int) -> Grid:
         grid = self.dress(dataclasses.replace(self.grid, points=self.read(number), fields=()))
@@ -110,14 +110,6 @@ class SingleFile(SeriesFiles):
             shutil.rmtree(self._levels)
         elif self._levels.is_dir():
             remove_partial(self._levels)
-
-
-def _on_all(points: Any, action: Callable[[], object]) -> None:
-    """Do it on all ranks that hold ``points``; an error of one of them is raised on all."""
-    if isinstance(points, Part):
-        on_each(points, action)
-    else:
-        action()
 
 
 def _begin(path: Path, kind: np.dtype[Any], shape: tuple[int, ...]) -> int:
@@ -171,7 +163,7 @@ class FoamFiles(SeriesFiles):
         return path / "polyMesh" / ("points.gz" if self.variant.options["compression"] == "gzip" else "points")
 
     def write(self, number: int, grid: Grid, velocity: FloatArray | None, faces: Sequence[Field] = ()) -> None:
-        require_whole(grid.points, "levels are written for OpenFOAM")
+        grid.nodes.require_whole("levels are written for OpenFOAM")
         if not self._begun:
             with replaced_mesh(self.plain) as folder:
                 self._writer.write(folder, self.grid)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError, GridError
 from meshdeform_core.grid import Field, FileFormat, Grid, Planes, Shape
-from meshdeform_core.parallel import empty, ranks_of
+from meshdeform_core.parallel import empty
 
 from ..planes import Output, Stored, ranges_of, write_outputs
 
@@ -269,7 +269,7 @@ def write_blocks(grid: Grid, paths: Sequence[Path], variant: VtkFormat, begin: B
 
     outputs = [
         contents[block][number].output(block, paths[block], place)
-        for block, places in enumerate(ranks_of(grid.points).on_first(all_begun))
+        for block, places in enumerate(grid.nodes.on_first(all_begun))
         for number, place in places.items()
     ]
     write_outputs(grid, outputs)

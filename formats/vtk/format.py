@@ -13,7 +13,6 @@ from typing import Any
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
-from meshdeform_core.parallel import require_whole
 
 from ..files import checked_options, replacing_by_all
 from .dataset import VtkFormat, assemble, write_blocks
@@ -89,7 +88,7 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> VtkFormat:
     if switches.get("compression") == "lz4":
         lz4_block(f"cannot write {path}")
     if not (switches["encoding"] == "binary" if kind == "legacy" else plain(switches)):
-        require_whole(grid.points, f"{path} is written as text or compressed")
+        grid.nodes.require_whole(f"{path} is written as text or compressed")
     return VtkFormat("vtk", precision, {"kind": kind, **switches}, own.title, own.origins, own.field_data)
 
 

@@ -14,7 +14,6 @@ from xml.etree import ElementTree
 from meshdeform_core import interruption
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
-from meshdeform_core.parallel import ranks_of
 
 from ..files import replacing_by_all, shown
 from .dataset import DataSet, VtkFormat, write_blocks
@@ -92,7 +91,7 @@ def write(grid: Grid, path: Path, variant: VtkFormat) -> None:
     Raises FormatError when the folder of the pieces contains files that are not part of the old set, or the disk is
     full.
     """
-    ranks = ranks_of(grid.points)
+    ranks = grid.nodes.ranks
     with contextlib.ExitStack() as own:
 
         def begin() -> tuple[list[str], bytes]:

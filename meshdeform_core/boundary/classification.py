@@ -16,7 +16,6 @@ from ..grid.sides import end_planes
 from ..grid.topology import Topology, quads_of_patches
 from ..grid.windows import rectangles
 from ..numerics.geometry.coincidence import distinct
-from ..parallel import rows_at
 from ..wording import vector
 from .coverage import Tables
 from .motions.expression import Expression
@@ -24,7 +23,7 @@ from .motions.motion import Follow, FollowSequence, Motion, PreparedMotion, tiny
 from .periodic import Periodic, find_periodicity
 from .slip import Slip, crease_notes, find_sliding
 from .tables.fitting import Fit, fit_table
-from .tables.matching import Nodes, SurfaceData
+from .tables.matching import BoundaryNodes, SurfaceData
 from .unselected import unselected_notes
 
 UNSELECTED = "(not selected)"
@@ -153,7 +152,7 @@ def classify(grid: Grid, topology: Topology, specs: Sequence[BoundarySpec], cons
     movers, asked = list[tuple[IntArray, PreparedMotion]](), list[tuple[IntArray, PreparedMotion]]()
     for index, spec in enumerate(specs):
         if spec.motion is not None:
-            nodes = Nodes.of_quads(grid, topology, selected[index])
+            nodes = BoundaryNodes.of_quads(grid, topology, selected[index])
             prepared = spec.motion.prepare(nodes)
             movers.append((nodes.numbers[prepared.moved], prepared))
             asked.append((selected[index], prepared))
@@ -214,7 +213,7 @@ def _select(grid: Grid, topology: Topology, spec: BoundarySpec, constants: Mappi
         return quads
     corners = topology.quads.corners[quads]
     nodes = distinct(corners, topology.n_unique)
-    x, y, z = rows_at(grid.points, topology.first[nodes]).T
+    x, y, z = grid.nodes.at(topology.first[nodes]).T
     holds = np.broadcast_to(np.asarray(spec.where({**constants, "x": x, "y": y, "z": z})), nodes.shape)
     if np.isnan(holds).any():
         node = int(topology.first[nodes[np.argmax(np.isnan(holds))]])

@@ -16,7 +16,7 @@ from ..numerics.geometry.vectors import doubled_areas, unit
 from ..wording import counted, vector
 from .motions.motion import PreparedMotion
 from .tables.frames import far_points, other_frame
-from .tables.matching import Nodes, Transfer
+from .tables.matching import BoundaryNodes, Transfer
 from .tables.tuned import ABRUPT, ASTRAY, OFFSET, SMOOTH
 
 
@@ -31,7 +31,7 @@ class _Use:
     """
 
     match: Transfer
-    nodes: Nodes
+    nodes: BoundaryNodes
     quads: IntArray
     place: str
 

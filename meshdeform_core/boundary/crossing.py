@@ -30,7 +30,6 @@ from ..numerics.arrays import places_among
 from ..numerics.geometry.coincidence import distinct
 from ..numerics.geometry.crossing import BESIDE, ORDINARY, SLIDING, FaceTree, crossing_faces, near_faces
 from ..numerics.geometry.solid_angle import plane_winding, winding
-from ..parallel import ranks_of, rows_at
 from ..wording import counted, vector
 from .classification import UNSELECTED, Boundary, Kind
 
@@ -106,7 +105,7 @@ class CrossingTest:
     def __init__(self, grid: Grid, topology: Topology, boundary: Boundary):
         self._grid, self._topology, self._boundary = grid, topology, boundary
         self._normal = plane_normal(grid)
-        self._size = float(np.ptp(rows_at(grid.points, topology.first), axis=0).max())
+        self._size = float(np.ptp(grid.nodes.at(topology.first), axis=0).max())
         self._outside_faces = topology.quads.corners[topology.external]
 
     def crossings(self, displacement: FloatArray, gap: float = 0.0) -> tuple[Crossing, ...]:
@@ -125,7 +124,7 @@ class CrossingTest:
         if not asked.any():
             return ()
         # Of a grid in parts, every rank tests an equal share of the faces.
-        ranks, own, shift = ranks_of(self._grid.points), np.zeros_like(asked), surface.shift(gap)
+        ranks, own, shift = self._grid.nodes.ranks, np.zeros_like(asked), surface.shift(gap)
         own[np.array_split(np.flatnonzero(asked), ranks.count)[ranks.number]] = True
         moving, reach = surface.points + change + shift, float(np.abs(shift).max())
         found = ranks.gather([crossing_faces(surface.tree, moving, surface.faces, own, reach, carried)])
@@ -192,7 +191,7 @@ class CrossingTest:
         if not len(faces):
             return False
         samples = faces[_samples(faces, self._topology.n_unique)]
-        before = rows_at(self._grid.points, self._topology.first)
+        before = self._grid.nodes.at(self._topology.first)
         inside = [self._winding(x, samples) for x in (before, before + displacement)]
         # The winding number is meaningful only where the boundary is closed before and after.
         sure = (np.abs(inside[0] - 1.0) < 0.02) & (np.abs(inside[1] - np.round(inside[1])) < 0.02)
@@ -231,7 +230,7 @@ class _Surface:
         sliding = np.isin(kind, (Kind.SLIP, Kind.SYMMETRY)) & with_sliding
         self.quads = np.flatnonzero((kind >= Kind.FIXED) & boundary.known[corners].all(axis=1) | sliding)
         self.nodes, self._n_unique = distinct(corners[self.quads], topology.n_unique), topology.n_unique
-        self.points = rows_at(grid.points, topology.first[self.nodes])
+        self.points = grid.nodes.at(topology.first[self.nodes])
         local = places_among(self.nodes, topology.n_unique).astype(corners.dtype)
         self.faces = local[corners[self.quads]]
         on_slip = np.zeros(topology.n_unique, dtype=bool)
@@ -369,7 +368,7 @@ def find_pinned(grid: Grid, topology: Topology, boundary: Boundary, displacement
                 inside = low & high
         cells = np.argwhere(inside)
         corners = _corners_of_cells(grid, block, cells)
-        before = rows_at(grid.points, corners)
+        before = grid.nodes.at(corners)
         after = before + displacement[topology.numbers_of(corners.ravel())].reshape(before.shape)
         (old, size), (new, _) = (_jacobians(x, normal) for x in (before, after))
         sound = np.abs(old) > _COLLAPSED * size
@@ -392,7 +391,7 @@ def torn_faces(grid: Grid, topology: Topology, boundary: Boundary, displacement:
         corners = corners[moves.any(axis=1) & ~moves.all(axis=1)]
         if patch.kind is not Kind.FIXED or patch.name == UNSELECTED or not corners.size:
             continue
-        x, moved = rows_at(grid.points, topology.first[corners]), displacement[corners]
+        x, moved = grid.nodes.at(topology.first[corners]), displacement[corners]
         edge, apart = (np.linalg.norm(each - np.roll(each, 1, axis=1), axis=-1) for each in (x, moved))
         torn = apart > _TORN * edge
         if torn.any():

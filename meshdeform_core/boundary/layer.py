@@ -16,7 +16,6 @@ from ..grid.planes import FLATNESS, snapped
 from ..grid.sides import end_planes, side_numbers
 from ..grid.topology import Topology
 from ..numerics.arrays import lengths
-from ..parallel import rows_at
 from .classification import Boundary
 
 _ALIKE = 1e-9
@@ -64,7 +63,7 @@ def find_layer(grid: Grid, topology: Topology, boundary: Boundary) -> Layer | No
         return None
     planes = [[side_numbers(grid, topology, n // 6, Side(n % 6)).ravel() for n in sides[end::2]] for end in (0, 1)]
     pairs = np.unique(np.stack([np.concatenate(plane) for plane in planes], axis=1), axis=0)
-    x = rows_at(grid.points, topology.first)
+    x = grid.nodes.at(topology.first)
     across = x[pairs[:, 1]] - x[pairs[:, 0]]
     longest = across[int(np.argmax(lengths(across)))]
     normal = snapped(longest[None] / np.linalg.norm(longest))[0]

@@ -12,7 +12,6 @@ from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.connectivity.declared import connected_nodes, periodic_rotation
 from ..grid.topology import RELATIVE_TOLERANCE, Topology
 from ..numerics.geometry.coincidence import close_pairs
-from ..parallel import rows_at
 
 
 @dataclass(frozen=True)
@@ -87,7 +86,7 @@ def periodic_pairs(grid: Grid, topology: Topology, one: IntArray, two: IntArray,
     CaseError
         When no translation, and no rotation about a coordinate axis, maps one side onto the other.
     """
-    p, q = rows_at(grid.points, topology.first[one]), rows_at(grid.points, topology.first[two])
+    p, q = grid.nodes.at(topology.first[one]), grid.nodes.at(topology.first[two])
     gap = np.inf
     if len(one) == len(two):
         for rotation in [np.eye(3), *_axis_rotations(p, q)]:

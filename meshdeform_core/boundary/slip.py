@@ -14,7 +14,7 @@ from ..grid import BoolArray, FloatArray, Grid, IntArray, Side
 from ..grid.planes import FLATNESS, Plane, plane_normal, plane_of
 from ..grid.topology import Topology
 from ..numerics.arrays import lengths
-from ..parallel import rows_at
+from ..parallel import Nodes
 from ..wording import counted, vector
 
 if TYPE_CHECKING:
@@ -153,7 +153,7 @@ class Slip:
         for surface in self.curved:
             moving = surface.nodes[(displacement[surface.nodes] != 0.0).any(axis=1)]
             if moving.size:
-                start = rows_at(points, first[moving])
+                start = Nodes.of(points).at(first[moving])
                 displacement[moving] = surface.project(start + displacement[moving]) - start
         for nodes, removed in self.groups:
             given = displacement.take(nodes, axis=0)
@@ -193,7 +193,7 @@ def find_sliding(
         bent = []
         for _, part in topology.quads.by_side(quads):
             nodes = np.unique(topology.quads.corners[part])
-            plane = plane_of(rows_at(grid.points, topology.first[nodes]), normal)
+            plane = plane_of(grid.nodes.at(topology.first[nodes]), normal)
             if plane is None:
                 bent.append(part)
                 continue
@@ -228,7 +228,7 @@ def _farthest(grid: Grid, topology: Topology, bent: Sequence[IntArray], normal: 
     found = []
     for quads in bent:
         nodes = topology.first[np.unique(topology.quads.corners[quads])]
-        x = rows_at(grid.points, nodes)
+        x = grid.nodes.at(nodes)
         arms = x - x.mean(axis=0)
         axes = np.linalg.svd(arms, full_matrices=False)[2]
         off = np.abs(arms @ (axes[-1] if normal is None else np.cross(normal, axes[0])))
@@ -269,7 +269,7 @@ def _curved_surface(
     edges = edges[(count == 1) & moving[nodes[edges]].all(axis=1)]
     rim = np.zeros(len(nodes), dtype=bool)
     rim[edges] = True
-    points = rows_at(grid.points, topology.first[nodes])
+    points = grid.nodes.at(topology.first[nodes])
     normal = plane_normal(grid)
     plane = np.zeros(3) if normal is None else normal
     return CurvedSurface(name, nodes[free[nodes]], nodes, points, triangles_of(local), rim, plane)

@@ -14,7 +14,6 @@ from ..grid.planes import plane_normal, plane_of
 from ..grid.selection import select_quads
 from ..grid.topology import Topology, quads_of_windows
 from ..grid.windows import rectangles
-from ..parallel import rows_at
 from ..wording import listed
 
 Region = tuple[Window, IntArray]
@@ -50,7 +49,7 @@ def unselected_notes(grid: Grid, topology: Topology, quads: IntArray, moving: In
     if touching:
         normal = plane_normal(grid)
         corners = (topology.quads.corners[quads_of_windows(topology.quads, [window])[0]] for window in touching)
-        points = (rows_at(grid.points, topology.first[np.unique(some)]) for some in corners)
+        points = (grid.nodes.at(topology.first[np.unique(some)]) for some in corners)
         flat = all(plane_of(x, normal) is not None for x in points)
         remedy = (
             'they are flat: symmetry planes and end planes need kind = "symmetry" or "slip"'

@@ -11,17 +11,17 @@ import copy
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from ..errors import GridError
 from ..numerics.arrays import FloatArray, IntArray, total
 from ..numerics.pieces import pieces
-from ..parallel import Part, Ranks, empty, for_items, holders, of_all, on_each, own_rows, require_whole, rows_at
-from .dealing import in_parts
+from ..parallel import Nodes, Ranks, current_ranks, for_items
+from .dealing import points_among
 from .lattice import SideLattice
 from .near import NearNodes
 from .parts import Connection, Field, FileFormat, OwnPlanes, Patch, Planes, Shape, Window
@@ -80,11 +80,8 @@ class Grid(BlockSizes):
     def allocate(cls, shapes: Sequence[Shape], names: Sequence[str] | None = None, **rest: Any) -> Grid:
         """Make a grid with uninitialised coordinates, to be filled block by block through :meth:`fill`."""
         sizes: tuple[Shape, ...] = tuple((int(ni), int(nj), int(nk)) for ni, nj, nk in shapes)
-        total = sum(ni * nj * nk for ni, nj, nk in sizes)
         labels = tuple(names) if names is not None else tuple(f"block{b + 1}" for b in range(len(sizes)))
-        ranks = holders()
-        points = in_parts(sizes, ranks) if ranks.count > 1 else empty((total, 3))
-        return cls(points, sizes, labels, **rest)  # type: ignore[arg-type]
+        return cls(points_among(sizes, current_ranks()), sizes, labels, **rest)
 
     @classmethod
     def from_blocks(cls, blocks: Sequence[FloatArray], names: Sequence[str] | None = None, **rest: Any) -> Grid:
@@ -96,6 +93,11 @@ class Grid(BlockSizes):
 
         grid.fill(put)
         return grid
+
+    @property
+    def nodes(self) -> Nodes:
+        """The rows of ``points`` that this rank holds: all of them unless the grid is in parts."""
+        return Nodes.of(self.points)
 
     @cached_property
     def sides(self) -> SideLattice:
@@ -111,7 +113,7 @@ class Grid(BlockSizes):
     def block(self, index: int, values: FloatArray | None = None) -> FloatArray:
         """View ``(ni, nj, nk, ...)`` of block ``index`` in ``points``, or in any array with one row per node."""
         array = self.points if values is None else values
-        require_whole(array, "a block is read as a whole")
+        Nodes.of(array).require_whole("a block is read as a whole")
         lo, hi = self.offsets[index], self.offsets[index + 1]
         return array[lo:hi].reshape(self.shapes[index] + array.shape[1:])
 
@@ -124,11 +126,11 @@ class Grid(BlockSizes):
             sums[number] = total(values[pieces[number]])
 
         for_items(add, len(pieces), threads=None)
-        return np.asarray(sum(each for found in of_all(values, sums) for each in found))
+        return np.asarray(sum(each for found in Nodes.of(values).gather(sums) for each in found))
 
     def own_pieces(self) -> list[slice]:
         """Rows of the pieces of blocks, of this rank if the grid is in parts."""
-        low, high = own_rows(self.points)
+        low, high = self.nodes.ends
         block, first, last = pieces(self.shapes).T
         size = np.prod(self.shapes, axis=1)[block] // np.array(self.shapes)[block, 0]
         rows = self.offsets[block] + np.stack([first, last]) * size
@@ -137,7 +139,7 @@ class Grid(BlockSizes):
 
     def planes(self, index: int) -> slice:
         """The planes i of a block that this rank owns; all of them unless the grid is in parts."""
-        lo, hi = own_rows(self.points)
+        lo, hi = self.nodes.ends
         ni, nj, nk = self.shapes[index]
         first, last = np.clip((np.array([lo, hi]) - self.offsets[index]) // (nj * nk), 0, ni)
         return slice(int(first), int(last))
@@ -161,7 +163,7 @@ class Grid(BlockSizes):
 
     def spread(self, own: Any, count: int) -> Any:
         """Values that this rank holds of ``count`` planes i of a block, as values of a :class:`Field`."""
-        return OwnPlanes(own, count) if isinstance(self.points, Part) else own
+        return OwnPlanes(own, count) if self.nodes.divided else own
 
     def box(self, index: int, window: Sequence[slice], values: FloatArray | None = None) -> FloatArray:
         """Nodes (ni, nj, nk, ...) in a window of a block, which this rank holds, in ``points`` or an array alike."""
@@ -180,19 +182,19 @@ class Grid(BlockSizes):
     def hold_neighbours(self, values: FloatArray | None = None, after: int = 1) -> None:
         """Hold the plane before those of this rank and some ``after`` them, too, if the grid is in parts, of ``points``
         or an array alike."""
-        if not isinstance(self.points, Part):
+        if not self.nodes.divided:
             return
-        low, high = own_rows(self.points)
+        low, high = ends = self.nodes.ends
         for block, shape in enumerate(self.shapes):
             first, last = self.offsets[[block, block + 1]].tolist()
-            low -= shape[1] * shape[2] * (first < self.points.low < last)
-            if first < self.points.high < last:
+            low -= shape[1] * shape[2] * (first < ends[0] < last)
+            if first < ends[1] < last:
                 high = min(high + after * shape[1] * shape[2], last)
-        (self.points if values is None else values).widen(low, high)
+        Nodes.of(self.points if values is None else values).widen(low, high)
 
     def fill(self, put: Callable[[int], None]) -> None:
         """Call ``put(b)``, which fills the block's rows of ``points``, for every block, in ascending order."""
-        require_whole(self.points, "the grid is read as a whole")
+        self.nodes.require_whole("the grid is read as a whole")
         for block in range(self.n_blocks):
             put(block)
 
@@ -202,21 +204,20 @@ class Grid(BlockSizes):
         Of a grid in parts, every rank fills its own; an error on one of them is raised on all.
         """
         own = [part for part in parts if self.planes(part.block).start < self.planes(part.block).stop]
-        fill = partial(for_items, lambda number: put(own[number]), len(own), threads=threads)
-        if isinstance(self.points, Part):
-            on_each(self.points, fill)
-            self.points.keep(NearNodes.of(self.shapes, self.offsets))
-        else:
-            fill()
+        self.nodes.on_each(lambda: for_items(lambda number: put(own[number]), len(own), threads=threads))
+        self.keep_near()
+
+    def keep_near(self) -> None:
+        """Keep a copy of the nodes near block faces on every rank, if the grid is in parts."""
+        self.nodes.keep(NearNodes.of(self.shapes, self.offsets))
 
     def divided(self, ranks: Ranks) -> Grid:
         """The grid in parts, which several ranks that hold the whole of it take; otherwise the grid itself."""
-        if ranks.count == 1 or isinstance(self.points, Part):
+        if ranks.count == 1 or self.nodes.divided:
             return self
-        points = in_parts(self.shapes, ranks)
-        points.own[...] = self.points[points.low : points.high]
-        points.keep(NearNodes.of(self.shapes, self.offsets))
-        grid = self.moved(cast(FloatArray, points))
+        grid = self.moved(points_among(self.shapes, ranks))
+        grid.nodes.own[...] = self.points[slice(*grid.nodes.ends)]
+        grid.keep_near()
         fields = tuple(
             dataclasses.replace(each, values=grid.spread(each.values[grid.planes(each.block)], len(each.values)))
             for each in self.fields
@@ -237,7 +238,7 @@ class Grid(BlockSizes):
 
     def sample(self, count: int) -> FloatArray:
         """Coordinates (n, 3) of about ``count`` nodes, spread evenly over all."""
-        return np.asarray(rows_at(self.points, np.arange(0, self.n_nodes, max(1, self.n_nodes // count))))
+        return np.asarray(self.nodes.at(np.arange(0, self.n_nodes, max(1, self.n_nodes // count))))
 
     def locate(self, flat: int) -> tuple[int, Shape]:
         """Block and 0-based (i, j, k) of a flat node index."""

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ..numerics.arrays import IntArray, Shapes
 from ..numerics.pieces import pieces
-from ..parallel import Part, Ranks
+from ..parallel import Nodes, Ranks
 
 
-def in_parts(shapes: Shapes, ranks: Ranks) -> Part:
-    """Coordinates (n_nodes, 3) of blocks of these shapes, of which every rank holds its part."""
+def points_among(shapes: Shapes, ranks: Ranks) -> Any:
+    """Uninitialised coordinates (n_nodes, 3) of blocks of these shapes, of which every rank holds its part."""
     bounds = bounds_of(shapes, ranks.count)
-    return Part(ranks, bounds, (int(bounds[-1]), 3), np.float64)
+    return Nodes.new(ranks, bounds, (int(bounds[-1]), 3))
 
 
 def bounds_of(shapes: Shapes, count: int) -> IntArray:
     """First row (count + 1,) of each of several ranks, and the number of all rows: the largest part is as small as it
     can be."""
+    if count == 1:
+        return np.array([0, np.prod(shapes, axis=1, dtype=np.int64).sum()])
     block, first, last = pieces(shapes).T
     ends = np.append(0, np.cumsum((last - first) * np.prod(shapes, axis=1)[block] // np.array(shapes)[block, 0]))
     few, many = -(-int(ends[-1]) // count), int(ends[-1])

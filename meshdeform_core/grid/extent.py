@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import GridError
 from ..numerics.arrays import batches, extent
-from ..parallel import Part, for_items, of_all, rows_at
+from ..parallel import for_items
 from ..wording import vector
 from .blocks import FloatArray, Grid
 
@@ -20,34 +20,22 @@ _TOGETHER = 100_000
 
 def block_extents(grid: Grid) -> tuple[FloatArray, FloatArray]:
     """Smallest and largest coordinates (n_blocks, 3) of every block."""
-    if isinstance(grid.points, Part):
-        return _extents_of_parts(grid)
-    low, high = (np.empty((grid.n_blocks, 3)) for _ in range(2))
-    together = batches(np.diff(grid.offsets), _TOGETHER)
+    low, high = np.full((grid.n_blocks, 3), np.inf), np.full((grid.n_blocks, 3), -np.inf)
+    ends = np.clip(grid.offsets, *grid.nodes.ends)
+    together = batches(np.diff(ends), _TOGETHER)
 
     def find(number: int) -> None:
         first, last = together[number]
-        rows = grid.points[grid.offsets[first] : grid.offsets[last]]
-        if last == first + 1:
-            low[first], high[first] = extent(rows)
-            return
-        starts = grid.offsets[first:last] - grid.offsets[first]
-        for extreme, found in ((np.minimum, low), (np.maximum, high)):
-            extreme.reduceat(rows, starts, axis=0, out=found[first:last])
+        rows, held = grid.points[ends[first] : ends[last]], first + np.flatnonzero(np.diff(ends[first : last + 1]))
+        if len(held) == 1:
+            low[held[0]], high[held[0]] = extent(rows)
+        elif held.size:
+            low[held] = np.minimum.reduceat(rows, ends[held] - ends[first], axis=0)
+            high[held] = np.maximum.reduceat(rows, ends[held] - ends[first], axis=0)
 
     for_items(find, len(together), threads=None)
-    return low, high
-
-
-def _extents_of_parts(grid: Grid) -> tuple[FloatArray, FloatArray]:
-    """Extents of the blocks of a grid of which every rank holds a part."""
-    low, high = np.full((grid.n_blocks, 3), np.inf), np.full((grid.n_blocks, 3), -np.inf)
-    for block in range(grid.n_blocks):
-        rows = grid.in_planes(block)
-        if rows.size:
-            low[block], high[block] = extent(rows)
-    found = of_all(grid.points, (low, high))
-    return np.min([each[0] for each in found], axis=0), np.max([each[1] for each in found], axis=0)
+    lows, highs = zip(*grid.nodes.gather((low, high)), strict=True)
+    return np.min(lows, axis=0), np.max(highs, axis=0)
 
 
 @dataclass
@@ -67,7 +55,7 @@ class Bounds:
         last = np.array(grid.shapes)[:, None] - 1
         i, j, k = np.moveaxis(np.indices((2, 2, 2)).reshape(3, 8).T * last, -1, 0)
         nj, nk = last[..., 1] + 1, last[..., 2] + 1
-        self._corners = rows_at(grid.points, grid.offsets[:-1, None] + (i * nj + j) * nk + k).reshape(-1, 3)
+        self._corners = grid.nodes.at(grid.offsets[:-1, None] + (i * nj + j) * nk + k).reshape(-1, 3)
         self._reach: dict[tuple[float, ...], _Reach] = {}
 
     def within(self, normal: FloatArray, level: float) -> bool:
@@ -90,7 +78,7 @@ class Bounds:
             if highest[block] <= found:
                 break
             rows = self._grid.in_planes(block)
-            found = max(found, *of_all(self._grid.points, float((rows @ normal).max(initial=-np.inf))))
+            found = max(found, *self._grid.nodes.gather(float((rows @ normal).max(initial=-np.inf))))
         return found
 
 

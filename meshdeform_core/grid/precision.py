@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..parallel import alike, for_rows
+from ..parallel import Nodes
 from .blocks import FloatArray
 
 
@@ -12,6 +12,6 @@ def rounded(points: FloatArray, precision: str) -> FloatArray:
     """Coordinates (n_nodes, 3) rounded to ``precision``; returned as they are for ``float64``."""
     if precision != "float32":
         return points
-    result: FloatArray = alike(points)
-    for_rows(lambda rows: np.copyto(result[rows], points[rows].astype(np.float32)), result)
+    result: FloatArray = Nodes.of(points).like(3)
+    Nodes.of(result).each(lambda rows: np.copyto(result[rows], points[rows].astype(np.float32)))
     return result

@@ -25,7 +25,6 @@ from ..numerics.arrays import distinct_pairs, places_among, total
 from ..numerics.geometry.coincidence import distinct, integers
 from ..numerics.geometry.vectors import face_sizes
 from ..numerics.rotation import SurfaceRotations
-from ..parallel import rows_at
 from .kinks import Kinks
 
 _FACES = 250_000
@@ -86,7 +85,7 @@ class Problem:
     @cached_property
     def source_points(self) -> FloatArray:
         """Coordinates (n_sources, 3)."""
-        return np.asarray(rows_at(self.grid.points, self.source_flat))
+        return np.asarray(self.grid.nodes.at(self.source_flat))
 
     @cached_property
     def plane_normal(self) -> FloatArray | None:
@@ -135,7 +134,7 @@ class Problem:
         for block_side in distinct(topology.quads.block_side[known], 6 * grid.n_blocks):
             block, side = int(block_side) // 6, Side(int(block_side) % 6)
             flat = side_nodes(grid, block, side).ravel()
-            wall, off = rows_at(grid.points, np.stack([flat, flat + inward_step(grid.shapes[block], side)]))
+            wall, off = grid.nodes.at(np.stack([flat, flat + inward_step(grid.shapes[block], side)]))
             gap = np.linalg.norm(off - wall, axis=1)
             np.minimum.at(height, side_numbers(grid, topology, block, side).ravel(), np.where(gap > 0, gap, np.inf))
         own = height[self.source_numbers]
@@ -150,8 +149,8 @@ class Problem:
     def centroid(self) -> FloatArray:
         """Mean of all unique nodes (eq. 17)."""
         t = self.topology
-        whole = self.grid.total_of(self.grid.points) - total(rows_at(self.grid.points, t.face_nodes))
-        return np.asarray((whole + total(rows_at(self.grid.points, t.first))) / self.n_unique_nodes)
+        whole = self.grid.total_of(self.grid.points) - total(self.grid.nodes.at(t.face_nodes))
+        return np.asarray((whole + total(self.grid.nodes.at(t.first))) / self.n_unique_nodes)
 
 
 def nodal_area(points: FloatArray, quads: IntArray) -> FloatArray:

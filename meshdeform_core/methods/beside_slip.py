@@ -16,7 +16,7 @@ from ..boundary.slip import triangles_of
 from ..grid import FloatArray, IntArray
 from ..numerics.damping import damp_rows
 from ..numerics.geometry.surface import TriangleTree
-from ..parallel import for_chunks, rows_at, rows_of
+from ..parallel import Nodes, for_chunks
 from .base import Problem, Progress, of_stage
 
 WIDTH = 0.3
@@ -53,7 +53,7 @@ class BesideSlip:
         """Damp the rows of ``out`` (n_nodes, 3) of these nodes, in place."""
         if not len(self.normals):
             return
-        rows, least = rows_of(out), self._least
+        rows, least = Nodes.of(out).rows, self._least
 
         def work(lo: int, hi: int) -> None:
             flat = self._flat[lo:hi]
@@ -86,7 +86,7 @@ class BesideSlip:
 
     def _part(self, flat: IntArray) -> FloatArray:
         """The part 1 - f (n, k) of its normal components that the displacement of each node loses."""
-        x = rows_of(self._problem.grid.points)[flat]
+        x = self._problem.grid.nodes.rows[flat]
         to_wall, *to_sides = (tree.closest(x)[2] for tree in self.trees)
         return np.stack([lost(place(to_wall, to_side)) for to_side in to_sides], axis=1)
 
@@ -103,7 +103,7 @@ class BesideSlip:
         alone = np.setdiff1d(np.flatnonzero(problem.boundary.kind == Kind.MOVING), walls)
         walls = np.concatenate([walls, np.repeat(alone, 3).reshape(-1, 3)])
         every = [walls, *(triangles_of(corners[quads]) for _, quads in problem.boundary.slip.sides)]
-        points = rows_at(problem.grid.points, problem.topology.first)
+        points = problem.grid.nodes.at(problem.topology.first)
         return [TriangleTree(points, triangles) for triangles in every]
 
 

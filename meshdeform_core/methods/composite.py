@@ -16,7 +16,7 @@ from ..boundary import Kind
 from ..errors import MotionError
 from ..grid import FloatArray, IntArray
 from ..memory import release_freed
-from ..parallel import Part, alike, for_chunks, for_rows, of_all, own_rows, rows_of
+from ..parallel import Nodes
 from ..wording import vector
 from .base import Account, Interpolation, LinearMover, Mover, PreparedMethod, Problem, Progress
 from .beside_slip import BesideSlip
@@ -73,7 +73,7 @@ class Composite:
         periodic = free_periodic(problem)
         if periodic.size == 0:
             return PreparedComposite(self, problem)
-        nodes, (low, high) = np.sort(problem.topology.first[periodic]), own_rows(problem.grid.points)
+        nodes, (low, high) = np.sort(problem.topology.first[periodic]), problem.grid.nodes.ends
         first = _mover(self.mover, problem, nodes[(nodes >= low) & (nodes < high)])
         guided = with_known_periodic(problem)
         return PreparedPeriodic(problem, first, PreparedComposite(self, guided), guided)
@@ -128,7 +128,7 @@ class _LinearScattered:
 
     def push(self, change: FloatArray, out: FloatArray) -> FloatArray:
         self.inside.push(change, out)
-        self._beside_slip.damp(rows_of(out))
+        self._beside_slip.damp(Nodes.of(out).rows)
         face = on_faces(out, self._problem)
         face[self._problem.source_numbers] = change
         return face
@@ -137,7 +137,7 @@ class _LinearScattered:
         own = face[self._problem.source_numbers].copy()
         face[self._problem.source_numbers] = 0.0
         add_to_faces(face, self._problem.topology, gradient)
-        self._beside_slip.damp(rows_of(gradient))
+        self._beside_slip.damp(Nodes.of(gradient).rows)
         return np.asarray(own + self.inside.pull(gradient))
 
 
@@ -169,7 +169,7 @@ class PreparedComposite:
         problem = self.problem
         check_displacement(displacement, len(problem.source_numbers))
         # Every row is set: each node lies on a block face, in the skeleton, or inside a block or sub-block.
-        out = _blank(problem) if self.left_out else alike(problem.grid.points)
+        out = _blank(problem) if self.left_out else problem.grid.nodes.like(3)
         impose(problem, self.mover.move(displacement, out, progress), out)
         if self.filler:
             self.filler.fill(out, progress)
@@ -207,7 +207,7 @@ class _LinearComposite:
 
     def push(self, change: FloatArray) -> FloatArray:
         problem = self._problem
-        out = _blank(problem) if self._second else alike(problem.grid.points)
+        out = _blank(problem) if self._second else problem.grid.nodes.like(3)
         self._first.impose(self.mover.push(change, out), out)
         if self._filler:
             self._filler.fill(out)
@@ -292,7 +292,7 @@ class _LinearPeriodic:
         self.kinks = self._mover.kinks + self._constraints.kinks + self._rest.kinks
 
     def push(self, change: FloatArray) -> FloatArray:
-        face = self._mover.push(change, alike(self._problem.grid.points))
+        face = self._mover.push(change, self._problem.grid.nodes.like(3))
         self._constraints.push(face)
         return self._rest.push(face[self._sources])
 
@@ -300,14 +300,14 @@ class _LinearPeriodic:
         face = np.zeros((self._problem.topology.n_unique, 3))
         face[self._sources] = self._rest.pull(gradient)
         self._constraints.pull(face)
-        for_rows(lambda rows: gradient[rows].fill(0.0), gradient)
+        Nodes.of(gradient).each(lambda rows: gradient[rows].fill(0.0))
         return self._mover.pull(face, gradient)
 
 
 def _filled(problem: Problem, value: float) -> FloatArray:
     """An array (n_nodes, 3) of equal numbers."""
-    out = alike(problem.grid.points)
-    for_rows(lambda rows: out[rows].fill(value), out)
+    out = problem.grid.nodes.like(3)
+    Nodes.of(out).each(lambda rows: out[rows].fill(value))
     return out
 
 
@@ -342,15 +342,7 @@ def check_displacement(displacement: FloatArray, n_sources: int) -> None:
 
 def on_faces(displacement: FloatArray, problem: Problem) -> FloatArray:
     """The rows (n_unique, 3) of ``displacement`` (n_nodes, 3) at nodes on block faces."""
-    if isinstance(displacement, Part):
-        return np.asarray(displacement[problem.topology.first])
-    face, first = np.empty((problem.topology.n_unique, 3)), problem.topology.first
-
-    def work(lo: int, hi: int) -> None:
-        face[lo:hi] = displacement[first[lo:hi]]
-
-    for_chunks(work, len(first), _NODES)
-    return face
+    return np.asarray(Nodes.of(displacement).at(problem.topology.first))
 
 
 def first_step_nodes(problem: Problem, skeleton: Skeleton | None) -> IntArray:
@@ -359,7 +351,7 @@ def first_step_nodes(problem: Problem, skeleton: Skeleton | None) -> IntArray:
     If the grid is in parts, only the nodes of this rank.
     """
     topology = problem.topology
-    low, high = own_rows(problem.grid.points)
+    low, high = problem.grid.nodes.ends
     chosen = np.full(high - low, skeleton is None)
     if skeleton is not None:
         chosen[skeleton.nodes() - low] = True
@@ -368,7 +360,7 @@ def first_step_nodes(problem: Problem, skeleton: Skeleton | None) -> IntArray:
     # A node belongs to the skeleton if any coincident node does: all nodes on block faces, except on omitted sides.
     wanted = np.full(topology.n_unique, skeleton is None or not skeleton.left_out)
     if not wanted.all():
-        for numbers in of_all(problem.grid.points, np.unique(topology.number[begin:end][chosen[faces]])):
+        for numbers in problem.grid.nodes.gather(np.unique(topology.number[begin:end][chosen[faces]])):
             wanted[numbers] = True
     wanted[problem.source_numbers] = False
     if problem.layer:

@@ -7,7 +7,7 @@ import numpy as np
 from ..boundary.slip import CurvedSurface
 from ..grid import FloatArray, IntArray
 from ..grid.topology import Topology
-from ..parallel import for_chunks, own_rows, rows_of
+from ..parallel import Nodes, for_chunks
 from .base import Problem
 from .kinks import EDGES, Kinks, kinks_of
 
@@ -30,7 +30,7 @@ def impose(problem: Problem, face: FloatArray, out: FloatArray | None = None) ->
 def put_on_faces(face: FloatArray, out: FloatArray, problem: Problem) -> None:
     """Copy displacements (n_unique, 3) to all coincident nodes in the rows of ``out`` (n_nodes, 3)."""
     number, nodes = own_face_nodes(problem.topology, out)
-    rows = rows_of(out)
+    rows = Nodes.of(out).rows
 
     def work(lo: int, hi: int) -> None:
         rows[nodes[lo:hi]] = face.take(number[lo:hi], axis=0)
@@ -113,19 +113,19 @@ class Constraints:
         for c in range(3):
             face[:, c] = np.bincount(topology.number, values[:, c], topology.n_unique)
         _, own = own_face_nodes(topology, gradient)
-        rows_of(gradient)[own] = 0.0
+        Nodes.of(gradient).rows[own] = 0.0
         self.pull(face)
         return face
 
 
 def own_face_nodes(topology: Topology, values: FloatArray) -> tuple[IntArray, IntArray]:
     """Unique numbers (n,) and flat indices (n,) of the nodes on block faces; of a grid in parts, of this rank."""
-    begin, end = np.searchsorted(topology.face_nodes, own_rows(values)).tolist()
+    begin, end = np.searchsorted(topology.face_nodes, Nodes.of(values).ends).tolist()
     return topology.number[begin:end], topology.face_nodes[begin:end]
 
 
 def add_to_faces(face: FloatArray, topology: Topology, gradient: FloatArray) -> None:
     """Add ``face`` (n_unique, 3) to the rows of one copy of each face node in ``gradient`` (n_nodes, 3)."""
-    (low, high), first = own_rows(gradient), topology.first
+    (low, high), first = Nodes.of(gradient).ends, topology.first
     own = (first >= low) & (first < high)
-    rows_of(gradient)[first[own]] += face[own]
+    Nodes.of(gradient).rows[first[own]] += face[own]

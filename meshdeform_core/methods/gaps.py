@@ -18,7 +18,7 @@ from ..boundary.slip import Slip
 from ..grid import BoolArray, FloatArray, IntArray
 from ..numerics.arrays import lengths
 from ..numerics.geometry.surface import TriangleTree
-from ..parallel import alike, for_rows, require_whole
+from ..parallel import Nodes
 from .base import Account, Interpolation, Linearised, PreparedMethod, Problem, Progress, Setting
 from .composite import Composite, Filler, PreparedComposite, on_faces
 from .constraints import Constraints
@@ -105,7 +105,7 @@ class PreparedInGaps:
             moved = out[rows]
             moved += share[rows] * (lines[rows] - moved)
 
-        for_rows(blend, out)
+        Nodes.of(out).each(blend)
         if self.problem.boundary.slip.curved:
             self.method.constrain_again(out)
         return out
@@ -115,7 +115,7 @@ class PreparedInGaps:
         closing = self.closing(displacement)
         if closing is None:
             return self.method.linearised(displacement)
-        require_whole(self.problem.grid.points, "a derivative of a motion that closes a gap")
+        self.problem.grid.nodes.require_whole("a derivative of a motion that closes a gap")
         return _LinearInGaps(self, closing, displacement)
 
     def equally_far(self, displacement: FloatArray, rows: IntArray) -> int:
@@ -142,8 +142,8 @@ class PreparedInGaps:
     def spread(self, share: FloatArray) -> FloatArray:
         """Values (n_nodes, 1) from 0 to 1 at all nodes, by TFI of the values (n_sources,) at the sources."""
         found = self.scalar.apply(np.outer(share, [1.0, 0.0, 0.0]))
-        result: FloatArray = alike(found, 1)
-        for_rows(lambda rows: np.clip(found[rows][:, :1], 0.0, 1.0, out=result[rows]), result)
+        result: FloatArray = Nodes.of(found).like(1)
+        Nodes.of(result).each(lambda rows: np.clip(found[rows][:, :1], 0.0, 1.0, out=result[rows]))
         return result
 
     @cached_property

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..parallel import Part, for_chunks, of_all
+from ..parallel import Nodes, for_chunks
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -29,8 +29,9 @@ def extent(points: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     Many points are reduced as one row, because numpy reduces long rows much faster than short ones.
     """
-    if isinstance(points, Part):
-        found = of_all(points, extent(points.own) if len(points.own) else None)
+    nodes = Nodes.of(points)
+    if nodes.divided:
+        found = nodes.gather(extent(nodes.own) if len(nodes.own) else None)
         lows, highs = zip(*(each for each in found if each), strict=True)
         return np.min(lows, axis=0), np.max(highs, axis=0)
     rows = np.ascontiguousarray(points).reshape(-1, 3)

@@ -1,7 +1,7 @@
 """Distribution of loops over the threads of a process.
 
 The numba loops release the interpreter lock, so plain threads suffice within a process. MPI ranks run the same program,
-each on its part of a grid (:mod:`.parts`); no loop is shared by ranks.
+each on its part of a grid (:mod:`.nodes`); no loop is shared by ranks.
 """
 
 from __future__ import annotations
@@ -12,15 +12,10 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar, copy_context
 from functools import partial
-from itertools import pairwise
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 from .ranks import OneRank, Ranks, usable_cores
 from .scratch import current_scratch
-
-# Where one row of a mapped file is read, Linux may bring the 2^21 bytes around it into memory. Between two looks at the
-# resident size, so many of these stretches are touched, half of what is reserved, and at most so many rows are read.
-_STRETCH, _STRETCHES, _FAR_APART = 21, 96, 1 << 16
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -30,14 +25,11 @@ Bounds = tuple[int, int]
 
 
 class Sharing(NamedTuple):
-    """Who shares the work: MPI ranks, and the largest number of threads on each (``None``: one per core).
-
-    ``divided``: every rank holds only a part of each grid that is read (:mod:`.parts`).
-    """
+    """Who shares the work: MPI ranks, which hold a part each of every grid that is read (:mod:`.nodes`), and the
+    largest number of threads on each (``None``: one per core)."""
 
     ranks: Ranks
     threads: int | None
-    divided: bool = False
 
 
 # A context variable, not a global one: calls in different threads of a program do not change each other's settings,
@@ -57,7 +49,7 @@ def set_ranks(ranks: Ranks) -> None:
 
 
 def current_ranks() -> Ranks:
-    """The processes that share the work."""
+    """The processes that share the work: those among which a grid is divided when it is read."""
     return _sharing.get().ranks
 
 
@@ -71,27 +63,10 @@ def sharing(ranks: Ranks, threads: int | None) -> Iterator[None]:
         _sharing.reset(before)
 
 
-@contextmanager
-def dividing() -> Iterator[None]:
-    """Within the block, grids that are read are in parts, if there are several ranks."""
-    before = _sharing.get()
-    token = _sharing.set(before._replace(divided=before.ranks.count > 1))
-    try:
-        yield
-    finally:
-        _sharing.reset(token)
-
-
-def holders() -> Ranks:
-    """The ranks among which a grid is divided when it is read; this process alone unless within :func:`dividing`."""
-    ranks, _, divided = _sharing.get()
-    return ranks if divided else OneRank()
-
-
 def alone(cores: int | None = None, times: int = 1) -> AbstractContextManager[None]:
     """Share nothing within the block: for work that one rank does alone, by default on its share of the cores, with
     ``times`` as many threads."""
-    ranks, threads, _ = _sharing.get()
+    ranks, threads = _sharing.get()
     return sharing(OneRank(cores or ranks.cores), threads and times * threads)
 
 
@@ -116,34 +91,9 @@ def empty(shape: Sequence[int], dtype: Any = "float64") -> Any:
     return scratch.empty(shape, dtype) if scratch and scratch.takes(size) else np.empty(shape, dtype)
 
 
-def rows_at(array: Any, rows: Any) -> Any:
-    """``array[rows]`` for rows by number, in any order; of an array in a file a few at a time.
-
-    Nodes on block faces lie all over a grid: all at once, they would bring most of its file into memory.
-    """
-    import numpy as np
-
-    scratch = current_scratch()
-    # An array in parts has its own way to the rows.
-    if not isinstance(array, np.ndarray):
-        return array[rows]
-    if scratch is None:
-        # A quarter of the time that array[rows] takes.
-        return np.asarray(array).take(rows, axis=0) if array.flags.c_contiguous else array[rows]
-    flat, found = rows.ravel(), empty((rows.size, *array.shape[1:]), array.dtype)
-    for lo in range(0, flat.size, _FAR_APART):
-        stretch = flat[lo : lo + _FAR_APART].astype(np.int64) * array.strides[0] >> _STRETCH
-        others = lo + 1 + np.flatnonzero(np.diff(stretch))
-        ends = [lo, *others[_STRETCHES - 1 :: _STRETCHES].tolist(), lo + len(stretch)]
-        for begin, end in pairwise(ends):
-            found[begin:end] = array[flat[begin:end]]
-            scratch.look()
-    return found.reshape(rows.shape + array.shape[1:])
-
-
 def thread_count() -> int:
     """Number of threads that loops use."""
-    ranks, threads, _ = _sharing.get()
+    ranks, threads = _sharing.get()
     return max(1, min(threads or ranks.cores, usable_cores()))
 
 

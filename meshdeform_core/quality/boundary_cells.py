@@ -9,7 +9,7 @@ import numpy as np
 from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology, cells_behind
-from ..parallel import own_rows, rows_of
+from ..parallel import Nodes
 from .cells import cells_alike
 from .lines import InterfaceLines, WallFace, kink_and_jump, lines_across, wall_faces, wall_lines
 
@@ -21,7 +21,7 @@ def wall_cells(before: Grid, topology: Topology, after: FloatArray, quads: IntAr
     ratios of first-cell heights after to before along them, the one farthest from 1.
     """
     known = _of_no_cell(before), _of_no_cell(before)
-    deviation, ratio = map(rows_of, known)
+    deviation, ratio = (Nodes.of(values).rows for values in known)
     chosen = np.zeros(len(topology.partner), dtype=bool)
     chosen[quads] = True
     normal = plane_normal(before)
@@ -40,13 +40,13 @@ def wall_cells(before: Grid, topology: Topology, after: FloatArray, quads: IntAr
 
 def _of_no_cell(grid: Grid) -> FloatArray:
     values: FloatArray = cells_alike(grid, np.float64)
-    rows_of(values)[slice(*own_rows(values))] = np.nan
+    Nodes.of(values).own[...] = np.nan
     return values
 
 
 def _of_rank(values: FloatArray, cells: IntArray) -> BoolArray:
     """Which of some cells belong to this rank."""
-    low, high = own_rows(values)
+    low, high = Nodes.of(values).ends
     return np.asarray((cells >= low) & (cells < high))
 
 
@@ -87,7 +87,7 @@ def interface_cells(
         for sides in (quads, topology.partner[quads]):
             cells = cells_behind(grid, topology, sides)
             own = _of_rank(target, cells)
-            np.fmax.at(rows_of(target), cells[own], worst[own])
+            np.fmax.at(Nodes.of(target).rows, cells[own], worst[own])
     return kink, jump
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from ..grid import FloatArray, Grid, IntArray
 from ..numerics.arrays import batches
 from ..numerics.cell.measures import measure_quads, scattered_hexahedra
-from ..parallel import Part, empty, for_chunks, on_each, rows_at
+from ..parallel import Nodes, for_chunks
 
 _SLAB_CELLS = 131072
 _TOGETHER = 1 << 14
@@ -121,65 +121,48 @@ def for_slabs(
     It may fill the slab's cells in arrays from :func:`cells_alike`, and its row in ``per_slab`` (n_slabs, ...), which
     all ranks get.
     """
-    parts = slabs(grid)
-    if isinstance(grid.points, Part):
-        _for_own_slabs(grid.points, _first_slabs(grid, grid.points, parts), parts, work, per_slab)
-        return
-
-    def some(lo: int, hi: int) -> None:
-        for number, slab in enumerate(parts[lo:hi], lo):
-            work(number, slab)
-
-    for_chunks(some, len(parts), 1)
-
-
-def _for_own_slabs(
-    points: Part, ends: IntArray, parts: Sequence[Slab], work: Callable[[int, Slab], None],
-    per_slab: Sequence[np.ndarray],
-) -> None:  # fmt: skip
-    """As :func:`for_slabs`, each rank for its own slabs; the rows per slab are exchanged."""
-    ranks = points.ranks
+    parts, ranks = slabs(grid), grid.nodes.ranks
+    ends = _first_slabs(grid, parts)
     first, last = ends[[ranks.number, ranks.number + 1]].tolist()
 
     def one(lo: int, _: int) -> None:
         work(first + lo, parts[first + lo])
 
-    on_each(points, lambda: for_chunks(one, last - first, 1))
+    grid.nodes.on_each(lambda: for_chunks(one, last - first, 1))
     counts = np.diff(ends).tolist()
     for array in per_slab:
         array[...] = ranks.collect(array[first:last], counts)
 
 
-def _first_slabs(grid: Grid, points: Part, parts: Sequence[Slab]) -> IntArray:
+def _first_slabs(grid: Grid, parts: Sequence[Slab]) -> IntArray:
     """First slab (n_ranks + 1,) of every rank: slabs belong to the rank that holds their first plane."""
     blocks, planes = np.array([(slab.block, slab.first) for slab in parts]).T
     shapes = np.array(grid.shapes)
     rows = grid.offsets[blocks] + planes * (shapes[:, 1] * shapes[:, 2])[blocks]
-    return np.asarray(np.searchsorted(rows, points.bounds))
+    return np.asarray(np.searchsorted(rows, grid.nodes.bounds))
 
 
 def cells_alike(grid: Grid, dtype: Any) -> Any:
     """A new array (n_cells,) for :func:`for_slabs`, in parts if the grid is."""
-    if not isinstance(grid.points, Part):
-        return empty([grid.n_cells], dtype)
     parts = slabs(grid)
     starts = np.array([*(slab.start for slab in parts), grid.n_cells])
-    return Part(grid.points.ranks, starts[_first_slabs(grid, grid.points, parts)], [grid.n_cells], dtype)
+    return Nodes.new(grid.nodes.ranks, starts[_first_slabs(grid, parts)], [grid.n_cells], dtype)
 
 
 def hold_cells(grid: Grid, *arrays: FloatArray) -> None:
     """Hold all corners of the cells of this rank in arrays (n_nodes, 3), if they are in parts."""
-    if not isinstance(grid.points, Part):
+    nodes = grid.nodes
+    if not nodes.divided:
         return
     parts = slabs(grid)
-    first, last = _first_slabs(grid, grid.points, parts)[[grid.points.ranks.number, grid.points.ranks.number + 1]]
-    end = grid.points.high
+    first, last = _first_slabs(grid, parts)[[nodes.ranks.number, nodes.ranks.number + 1]]
+    end = nodes.high
     if last > first:
         final = parts[last - 1]
         ni, nj, nk = grid.shapes[final.block]
         end = int(grid.offsets[final.block] + min(final.last + 1, ni) * nj * nk)
     for array in dict.fromkeys(arrays):
-        array.widen(grid.points.low, end)
+        Nodes.of(array).widen(nodes.low, end)
 
 
 def places(grid: Grid, cells: IntArray) -> tuple[IntArray, IntArray]:
@@ -203,7 +186,7 @@ def corner_nodes(grid: Grid, block: IntArray, ijk: IntArray) -> IntArray:
 
 def corners_of(grid: Grid, points: FloatArray, cells: IntArray) -> FloatArray:
     """Corners (n, 8, 3) of cells, by number, with coordinates ``points`` (n_nodes, 3)."""
-    return np.asarray(rows_at(points, corner_nodes(grid, *places(grid, cells))))
+    return np.asarray(Nodes.of(points).at(corner_nodes(grid, *places(grid, cells))))
 
 
 def block_volumes(grid: Grid, points: FloatArray, sign: IntArray) -> FloatArray:
@@ -215,7 +198,7 @@ def block_volumes(grid: Grid, points: FloatArray, sign: IntArray) -> FloatArray:
     ----------
     sign : (n_blocks,) handedness of each
     """
-    center = 0.5 * (rows_at(points, grid.offsets[:-1]) + rows_at(points, grid.offsets[1:] - 1))
+    center = 0.5 * Nodes.of(points).at(np.stack([grid.offsets[:-1], grid.offsets[1:] - 1])).sum(axis=0)
     flux = np.empty(6 * grid.n_blocks)
     for alike in _alike(grid.sides.nodes):
         for lo, hi in batches(grid.sides.nodes[alike].prod(axis=1), _SLAB_CELLS):
@@ -239,7 +222,7 @@ def _flux(grid: Grid, points: FloatArray, center: FloatArray, sides: IntArray) -
     na, nb = grid.sides.nodes[sides[0]]
     nodes = grid.sides.at(sides[:, None, None], np.arange(na)[:, None], np.arange(nb))
     # Component by component, as numpy is slow on axes of length 3.
-    face = np.ascontiguousarray(np.moveaxis(rows_at(points, nodes) - center[sides // 6, None, None], -1, 0))
+    face = np.ascontiguousarray(np.moveaxis(Nodes.of(points).at(nodes) - center[sides // 6, None, None], -1, 0))
     low, high, right, left = face[..., :-1, :-1], face[..., 1:, 1:], face[..., 1:, :-1], face[..., :-1, 1:]
     (px, py, pz), (qx, qy, qz), (mx, my, mz) = high - low, left - right, low + high + left + right
     flux = mx * (py * qz - pz * qy) + my * (pz * qx - px * qz) + mz * (px * qy - py * qx)

@@ -7,7 +7,6 @@ import numpy as np
 from ..grid import FloatArray, Grid
 from ..grid.topology import Topology
 from ..numerics.cell.measures import scattered_hexahedra
-from ..parallel import ranks_of
 from .cells import Slab, block_volumes, corners_of, for_slabs, hold_cells, places, slabs
 from .inspection import SlabMeasures, inspect_slab, relative_jacobian
 from .original import Original
@@ -104,7 +103,7 @@ def _extremes(slab: Slab, f: SlabMeasures) -> tuple[tuple[float, float, float], 
 
 def _complete(tally: Tally, grid: Grid, topology: Topology, points: FloatArray) -> None:
     """Complete a tally: the quantile, the volume, and in double precision the smallest values of every slab."""
-    tally.lowest.complete(ranks_of(grid.points))
+    tally.lowest.complete(grid.nodes.ranks)
     if grid.dimension == 2:
         return
     tally.solid = sum(block_volumes(grid, points, topology.handedness).tolist())

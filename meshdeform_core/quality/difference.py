@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import GridError
 from ..grid import FloatArray, Grid
-from ..parallel import empty, for_rows
+from ..parallel import Nodes, empty
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def compare_points(a: Grid, b: Grid) -> Difference:
     def fill(rows: slice) -> None:
         distance[rows] = np.linalg.norm(a.points[rows] - b.points[rows], axis=1)
 
-    for_rows(fill, distance)
+    Nodes.of(distance).each(fill)
     worst, differing = int(np.argmax(distance)), int(np.count_nonzero(distance))
     largest = float(distance[worst])
     parts = [distance[a.offsets[n] : a.offsets[n + 1]] for n in range(a.n_blocks)]

@@ -16,7 +16,6 @@ from ..grid.faces.roles import Role
 from ..grid.faces.surfaces import Outside, find_outside
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
-from ..parallel import Part, of_all, rows_at
 from .boundary_cells import interface_cells, wall_cells
 from .cells import CellMeasures, measure_block
 from .original import Original
@@ -96,7 +95,7 @@ class CellFields:
     def ready(self, measure: str = "") -> Iterator[None]:
         """Context for :meth:`values` of a measure and :meth:`bad` of cells of this rank, without other ranks; all ranks
         must enter it."""
-        if isinstance(self.grid.points, Part):
+        if self.grid.nodes.divided:
             self._fetch(measure)
         yield
 
@@ -129,7 +128,7 @@ class CellFields:
     def of_all(self, look: Callable[[Cells], np.ndarray], block: int, cells: Cells) -> np.ndarray:
         """What ``look`` finds in a box of cells, on all ranks, from what each finds in its own cells."""
         own = self.own(block, cells)
-        found = of_all(self.grid.points, look(own) if own[0].start < own[0].stop else None)
+        found = self.grid.nodes.gather(look(own) if own[0].start < own[0].stop else None)
         return np.concatenate([each for each in found if each is not None])
 
     def bad(self, block: int, cells: Cells) -> BoolArray:
@@ -183,7 +182,7 @@ class CellFields:
     @cached_property
     def _wall_tree(self) -> scipy.spatial.cKDTree:
         nodes = np.unique(self.topology.quads.corners[self.walls])
-        return scipy.spatial.cKDTree(rows_at(self.grid.points, self.topology.first[nodes]))
+        return scipy.spatial.cKDTree(self.grid.nodes.at(self.topology.first[nodes]))
 
     def _box(self, values: np.ndarray, block: int, cells: Cells) -> np.ndarray:
         """A box of cells of an array with one row per cell of the grid."""

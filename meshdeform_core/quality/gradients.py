@@ -15,7 +15,7 @@ from ..grid.planes import plane_normal
 from ..grid.topology import Topology
 from ..numerics.pieces import pieces
 from ..numerics.tape import Tape, plain
-from ..parallel import alike, for_rows, of_all, rows_of
+from ..parallel import Nodes
 from .cells import corner_nodes, places, side_of_good_quads
 
 # Cells recorded on one tape.
@@ -49,16 +49,16 @@ class Found:
     @property
     def count(self) -> int:
         """Number of values of all ranks."""
-        return sum(of_all(self.points, sum(part.size for part in self.parts)))
+        return sum(Nodes.of(self.points).gather(sum(part.size for part in self.parts)))
 
     def sum(self, of: Slope) -> float:
         """Sum of a function of the values, over all ranks."""
         sums = [float(of(part).sum()) for part in self.parts]
-        return math.fsum(each for found in of_all(self.points, sums) for each in found)
+        return math.fsum(each for found in Nodes.of(self.points).gather(sums) for each in found)
 
     def least(self, of: Slope) -> float:
         """The smallest value of a function of the values, over all ranks."""
-        return min(of_all(self.points, min((float(of(part).min()) for part in self.parts), default=math.inf)))
+        return min(Nodes.of(self.points).gather(min((float(of(part).min()) for part in self.parts), default=math.inf)))
 
 
 def quality_gradient(
@@ -85,23 +85,23 @@ def quality_gradient(
     if not some or not all(0 <= block < grid.n_blocks for block in some):
         raise GridError(f"blocks = {list(some)}; expected numbers from 0 to {grid.n_blocks - 1}")
     grid.hold_neighbours(points)
-    chosen, rows, cells = MEASURES[measure], rows_of(points), _Cells(grid, topology, some)
+    chosen, rows, cells = MEASURES[measure], Nodes.of(points).rows, _Cells(grid, topology, some)
     with np.errstate(all="ignore"):
         found = Found(points, [chosen.values(rows[nodes], side) for nodes, side in cells.own()])
-    invalid = sum(of_all(points, sum(np.count_nonzero(~np.isfinite(part)) for part in found.parts)))
+    invalid = sum(Nodes.of(points).gather(sum(np.count_nonzero(~np.isfinite(part)) for part in found.parts)))
     if invalid:
         raise GridError(
             f"{measure} is zero in {invalid:,} cells with a corner Jacobian that is not "
             f"positive, and has no gradient there; expected a valid grid, or use scaled_jacobian_min"
         )
     value, slope = chosen.combine(found, sharpness)
-    gradient = alike(points)
-    for_rows(lambda own: gradient[own].fill(0.0), gradient)
+    gradient = Nodes.of(points).like(3)
+    Nodes.of(gradient).each(lambda own: gradient[own].fill(0.0))
     for nodes, side in cells.around():
         tape = Tape()
         corners = tape.variable(rows[nodes])
         result = chosen.values(corners, side)
-        np.add.at(rows_of(gradient), nodes, tape.pull({result.number: slope(plain(result))}, [corners.number])[0])
+        np.add.at(Nodes.of(gradient).rows, nodes, tape.pull({result.number: slope(plain(result))}, [corners.number])[0])
     return value, gradient
 
 

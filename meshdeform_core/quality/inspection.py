@@ -16,7 +16,7 @@ from ..grid import BoolArray, FloatArray, IntArray
 from ..numerics.cell import inspection as rows
 from ..numerics.cell.measures import scattered_hexahedra
 from ..numerics.cell.positivity import COLLAPSED, decide, judge_quads
-from ..parallel import rows_of
+from ..parallel import Nodes
 from .cells import Slab, corners_of, measure_block, side_of_good_quads
 from .original import Original
 from .tally import HISTOGRAM_BINS, Sums
@@ -89,7 +89,7 @@ def _scratch(cells: int) -> tuple[FloatArray, BoolArray]:
 
 def _hexahedra(original: Original, after: FloatArray, slab: Slab, both: bool) -> SlabMeasures:
     grid, sign = original.grid, float(original.topology.handedness[slab.block])
-    before, x = (grid.block(slab.block, rows_of(points)) for points in (grid.points, after))
+    before, x = (grid.block(slab.block, Nodes.of(points).rows) for points in (grid.points, after))
     shape = (slab.last - slab.first, *grid.cell_shapes[slab.block][1:])
     out, is_open = _scratch(slab.stop - slab.start)
     sums, counts = np.zeros((2, 2)), np.zeros((2, HISTOGRAM_BINS), dtype=np.int64)
@@ -123,7 +123,7 @@ def _scale(x: FloatArray, slab: Slab) -> float:
 def _corners(original: Original, after: FloatArray, slab: Slab, cells: IntArray) -> tuple[FloatArray, FloatArray]:
     """Corners (m, 8, 3) before and after of ``cells`` of a slab, numbered from its first one."""
     number = slab.start + cells
-    one, two = (corners_of(original.grid, rows_of(points), number) for points in (original.grid.points, after))
+    one, two = (corners_of(original.grid, Nodes.of(points).rows, number) for points in (original.grid.points, after))
     return one, two
 
 
@@ -160,7 +160,7 @@ def _quads(original: Original, after: FloatArray, slab: Slab, both: bool) -> Sla
     grid, sign = original.grid, float(original.topology.handedness[slab.block])
     normal = original.normal
     assert normal is not None
-    blocks = [grid.block(slab.block, rows_of(points)) for points in (grid.points, after)]
+    blocks = [grid.block(slab.block, Nodes.of(points).rows) for points in (grid.points, after)]
     old, new = (measure_block(b, sign, normal, slab.first, slab.last) for b in blocks)
     flat = blocks[0].shape.index(1)
     planes = [np.ascontiguousarray(b.squeeze(axis=flat)) for b in blocks]

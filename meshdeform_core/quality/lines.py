@@ -13,7 +13,7 @@ from ..grid import BoolArray, FloatArray, Grid, IntArray, Side
 from ..grid.topology import Topology, inward_step, side_nodes
 from ..numerics.geometry.coincidence import distinct
 from ..numerics.geometry.vectors import unit
-from ..parallel import rows_at
+from ..parallel import Nodes
 
 _TOGETHER = 100_000
 """Quads and lines measured at a time, which bounds the memory."""
@@ -99,12 +99,12 @@ def _corners(grid: Grid, topology: Topology, quads: IntArray) -> tuple[IntArray,
 
 def kink_and_jump(lines: InterfaceLines, points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Angle (degrees) between the two segments that meet at an interface, and ln of the ratio of their lengths."""
-    angle, jump = np.empty((2, *lines.here.shape))
+    nodes, (angle, jump) = Nodes.of(points), np.empty((2, *lines.here.shape))
     for lo in range(0, len(angle), _TOGETHER):
         some = slice(lo, lo + _TOGETHER)
         # Component by component, as numpy is slow on axes of length 3.
-        u = list(np.moveaxis(rows_at(points, lines.here[some]) - rows_at(points, lines.before[some]), -1, 0).copy())
-        v = list(np.moveaxis(rows_at(points, lines.beyond[some]) - rows_at(points, lines.there[some]), -1, 0).copy())
+        u = list(np.moveaxis(nodes.at(lines.here[some]) - nodes.at(lines.before[some]), -1, 0).copy())
+        v = list(np.moveaxis(nodes.at(lines.beyond[some]) - nodes.at(lines.there[some]), -1, 0).copy())
         normal = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
         angle[some] = np.rad2deg(np.arctan2(np.sqrt(_dot(normal, normal)), _dot(u, v)))
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -13,7 +13,6 @@ from ..boundary import Boundary, Kind
 from ..grid import FloatArray, Grid, IntArray, Shape
 from ..grid.topology import Topology
 from ..numerics.geometry.coincidence import connected_rows
-from ..parallel import rows_at
 from .cells import corner_nodes, measure_block, places
 from .original import Original
 from .validity import Failure, Verdict
@@ -111,7 +110,7 @@ def nearest_patches(grid: Grid, topology: Topology, boundary: Boundary | None, a
     if boundary is None or not boundary.patches:
         return [""] * len(at)
     patches = [patch for patch in boundary.patches if patch.kind is Kind.MOVING] or list(boundary.patches)
-    distance = np.stack([_distance(at, rows_at(grid.points, topology.first[p.nodes])) for p in patches])
+    distance = np.stack([_distance(at, grid.nodes.at(topology.first[p.nodes])) for p in patches])
     return [patches[int(n)].name for n in distance.argmin(axis=0)]
 
 

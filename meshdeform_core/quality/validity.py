@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..grid import FloatArray, Grid, IntArray
-from ..parallel import Part, own_rows, rows_of
+from ..parallel import Nodes
 from .cells import Slab, cells_alike, for_slabs, hold_cells
 from .inspection import Failure, SlabMeasures, inspect_slab
 from .original import Original
@@ -39,16 +39,16 @@ class Verdict:
     def put(self, slab: Slab, figures: SlabMeasures) -> None:
         """Record one slab."""
         for values, found in zip((self.failed, self.ratio), (figures.failed, figures.ratio), strict=True):
-            rows_of(values)[slab.cells] = found
+            Nodes.of(values).rows[slab.cells] = found
 
     @property
     def invalid(self) -> IntArray:
         """Numbers of the cells that failed a test."""
-        return self.failed.nonzero_rows() if isinstance(self.failed, Part) else np.flatnonzero(self.failed)
+        return Nodes.of(self.failed).nonzero_rows()
 
     def weak(self, limit: float) -> IntArray:
         """Numbers of this rank's cells that failed a test or whose ``ratio`` is below a limit."""
-        low, high = own_rows(self.failed)
+        low, high = Nodes.of(self.failed).ends
         failed, ratio = self.failed[low:high], self.ratio[low:high]
         return np.asarray(low + np.flatnonzero((failed != 0) | (ratio < limit)))
 

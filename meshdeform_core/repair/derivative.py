@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from ..grid import BoolArray, FloatArray
-from ..parallel import together
+from ..parallel import Nodes
 from .basis import Basis
 from .energy import Penalty, Region, kept_along_lines, share_of, share_slopes
 from .extrusion import Extrusion
@@ -142,7 +142,7 @@ class _AtMinimum:
             step = self._spread(self._solved(-self._gathered(force)))
             return plot.shift(step - surfaces.kept(given) if surfaces else step)
 
-        moved[plot.moved] += together(change, make)
+        moved[plot.moved] += Nodes.of(change).on_first(make)
         return moved
 
     def pull(self, gradient: FloatArray) -> FloatArray:
@@ -160,7 +160,7 @@ class _AtMinimum:
                 found -= surfaces.kept(self._hessian(step) + own)
             return np.asarray((found + rest) @ plot.axes)
 
-        pulled[plot.nodes] += together(gradient, make)
+        pulled[plot.nodes] += Nodes.of(gradient).on_first(make)
         return pulled
 
     def settle(self, rounding: float) -> float:
@@ -176,14 +176,16 @@ class _AtMinimum:
             return self._x
 
         before = self._x
-        self._x = together(before, make)
+        self._x = Nodes.of(before).on_first(make)
         moved = np.maximum(np.abs(self._x - before).max(axis=1) - rounding, 0.0)
         return float((moved / self._plot.edges).max())
 
     def change_of_share(self, change: FloatArray) -> float:
         """Change of the share for a change (n_nodes, 3) of the method's grid."""
         given = self._plot.vectors(change)
-        return together(change, lambda: float(self._slopes[0] @ self._of_excess(given, np.zeros(self._cells))[0]))
+        return Nodes.of(change).on_first(
+            lambda: float(self._slopes[0] @ self._of_excess(given, np.zeros(self._cells))[0])
+        )
 
     def gradient_of_share(self, size: int) -> FloatArray:
         """Gradient (size, 3) of the share with respect to the method's grid."""
@@ -192,7 +194,7 @@ class _AtMinimum:
         def make() -> FloatArray:
             return np.asarray(self._of_excess(np.zeros_like(self._x), self._slopes[0])[1] @ self._plot.axes)
 
-        found[self._plot.nodes] += together(found, make)
+        found[self._plot.nodes] += Nodes.of(found).on_first(make)
         return found
 
     @property

@@ -11,7 +11,7 @@ from ..grid import BoolArray, FloatArray, Grid, IntArray, Side
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology, find_topology, side_nodes
 from ..numerics.arrays import extent
-from ..parallel import alike, for_rows, of_all, own_rows
+from ..parallel import Nodes
 from .constraints import Constraints
 
 _STRAIGHT = 1e-10
@@ -63,14 +63,14 @@ class Extrusion:
 
     def summed(self, gradient: FloatArray) -> FloatArray:
         """Sums along lines (n_plane, 3) of values (n_nodes, 3): the transpose of copying to all nodes of a line."""
-        result, (low, _) = np.zeros((self.plane.n_nodes, 3)), own_rows(gradient)
+        result, (low, _) = np.zeros((self.plane.n_nodes, 3)), Nodes.of(gradient).ends
         sums = []
         for rows in self.grid.own_pieces():
             line = self.line[rows.start - low : rows.stop - low]
             first, last = int(line.min()), int(line.max()) + 1
             columns = [np.bincount(line - first, column, last - first) for column in gradient[rows].T]
             sums.append((first, np.stack(columns, axis=1)))
-        for first, each in (one for found in of_all(gradient, sums) for one in found):
+        for first, each in (one for found in Nodes.of(gradient).gather(sums) for one in found):
             result[first : first + len(each)] += each
         return result
 
@@ -83,10 +83,10 @@ class Extrusion:
         ``None`` if held nodes move out of the plane, or differently along a line.
         """
         mean, most = self.mean(change), _STRAIGHT * self.scale
-        own, there = change[slice(*own_rows(change))], self._held[self.line]
+        own, there = Nodes.of(change).own, self._held[self.line]
         normal = np.abs(own @ self.direction).max(initial=0.0)
         apart = np.abs(own[there] - mean[self.line[there]]).max(initial=0.0)
-        if max(of_all(change, float(max(normal, apart)))) > most:
+        if max(Nodes.of(change).gather(float(max(normal, apart)))) > most:
             return None
         return mean
 
@@ -98,7 +98,7 @@ class Extrusion:
         ``start`` (n_nodes, 3) are the undeformed coordinates, ``mean`` is the displacement to ``points`` as
         :meth:`flattened`; the part ``kept`` of the differences from it along lines remains.
         """
-        result, (low, _) = alike(points), own_rows(points)
+        result, (low, _) = Nodes.of(points).like(3), Nodes.of(points).ends
 
         def fill(rows: slice) -> None:
             line = self.line[rows.start - low : rows.stop - low]
@@ -107,7 +107,7 @@ class Extrusion:
                 moved += kept * (points[rows] - start[rows] - mean[line])
             np.copyto(result[rows], np.where(self._held[line][:, None], points[rows], moved))
 
-        for_rows(fill, result)
+        Nodes.of(result).each(fill)
         return result
 
     def along_lines(self, change: FloatArray, mean: FloatArray) -> FloatArray:
@@ -171,7 +171,7 @@ def _roughness(grid: Grid, block: int, axis: int, first: FloatArray, unit: Float
     layers = own if axis == 0 else slice(None)
     low[layers] = along.min(axis=others, initial=np.inf)
     high[layers] = along.max(axis=others, initial=-np.inf)
-    lows, highs, acrosses = zip(*of_all(grid.points, (low, high, across)), strict=True)
+    lows, highs, acrosses = zip(*grid.nodes.gather((low, high, across)), strict=True)
     return float(max(*acrosses, (np.max(highs, axis=0) - np.min(lows, axis=0)).max()))
 
 
@@ -194,7 +194,7 @@ def _extruded(
     flat = _in_plane(constraints, find_topology(plane), plane, ends, bottom, unit)
     if flat is None:
         return None
-    line = _lines_of(grid, plane, along, np.arange(*own_rows(grid.points)))
+    line = _lines_of(grid, plane, along, np.arange(*grid.nodes.ends))
     return Extrusion(unit, plane, line, along, grid, flat, scale)
 
 

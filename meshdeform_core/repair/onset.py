@@ -6,7 +6,7 @@ import numpy as np
 
 from ..grid import FloatArray, IntArray
 from ..numerics.cell.health import mark_unhealthy, mark_unhealthy_plane
-from ..parallel import of_all
+from ..parallel import Nodes
 from ..quality import Original
 from .tuned import COLLAPSED, HEALTHY, SOFT
 
@@ -28,4 +28,4 @@ def unhealthy_cells(original: Original, points: FloatArray, most: float = HEALTH
             mark_unhealthy(x, start, most, SOFT, COLLAPSED, marks)
         _, cj, ck = grid.cell_shapes[block]
         found.append(int(grid.cell_offsets[block]) + grid.planes(block).start * cj * ck + np.flatnonzero(marks))
-    return np.concatenate(of_all(points, np.concatenate(found)))
+    return np.concatenate(Nodes.of(points).gather(np.concatenate(found)))

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..grid import IntArray
 from ..numerics.cell.layers import spread_layers
-from ..parallel import Part, empty, of_all, own_rows, rows_of
+from ..parallel import Nodes
 from .constraints import Constraints
 
 
@@ -24,15 +24,9 @@ class Reach:
     def layers(self, seeds: IntArray, most: int) -> tuple[Any, int]:
         """Distance (n_nodes,) int16, in cells, of every block node from the block nodes ``seeds``, ``most + 1`` where
         it exceeds ``most``, in parts if the grid is; and the largest distance up to ``most``."""
-        points = self._grid.points
-        low, high = own_rows(points)
-        n: list[int] = [len(points)]
-        found: Any
-        if isinstance(points, Part):
-            found = Part(points.ranks, points.bounds, n, np.int16)
-        else:
-            found = empty(n, np.int16)
-        own = rows_of(found)[low:high]
+        nodes = self._grid.nodes
+        (low, high), found = nodes.ends, nodes.like(dtype=np.int16)
+        own = Nodes.of(found).own
         own[...] = most + 1
         own[seeds[(seeds >= low) & (seeds < high)] - low] = 0
         nearest = np.full(len(self._nodes), most + 1, dtype=np.int16)
@@ -40,15 +34,11 @@ class Reach:
         nearest[self._classes[at[self._nodes[at] == seeds]]] = 0
         self._spread(found, nearest, most)
         largest = int(own[own <= most].max(initial=0))
-        return found, max(of_all(points, largest))
+        return found, max(nodes.gather(largest))
 
     def _spread(self, found: Any, nearest: np.ndarray, most: int) -> None:
         """Lower the distances of this rank's nodes until no rank finds any that is too large."""
-        grid = self._grid
-        if not isinstance(grid.points, Part):
-            planes = np.stack([np.zeros_like(self._shapes[:, 0]), self._shapes[:, 0]], axis=1)
-            self._lower(found, nearest, most, planes)
-            return
+        grid, nodes = self._grid, Nodes.of(found)
         own = [grid.planes(block) for block in range(grid.n_blocks)]
         planes = np.array([
             (max(each.start - 1, 0), min(each.stop + 1, ni)) if each.stop > each.start else (0, 0)
@@ -58,11 +48,11 @@ class Reach:
         while again:
             grid.hold_neighbours(found)
             before = nearest.copy()
-            lowered = self._lower(rows_of(found), nearest, most, planes)
+            lowered = self._lower(nodes.rows, nearest, most, planes)
             changed = np.flatnonzero(nearest < before)
-            for numbers, values in of_all(found, (changed, nearest[changed])):
+            for numbers, values in nodes.gather((changed, nearest[changed])):
                 nearest[numbers] = np.minimum(nearest[numbers], values)
-            again = any(of_all(found, lowered > 0))
+            again = nodes.divided and any(nodes.gather(lowered > 0))
 
     def _lower(self, layers: np.ndarray, nearest: np.ndarray, most: int, planes: IntArray) -> int:
         rest = self._shapes, self._grid.offsets, self._nodes, self._ends, self._classes, nearest

@@ -23,7 +23,7 @@ from ..grid import BoolArray, FloatArray, IntArray
 from ..grid.planes import plane_axes, plane_normal
 from ..numerics.cell.foldover.hexahedra import Unknowns
 from ..numerics.cell.foldover.samples import cell_samples, samples_with_any, sound_samples
-from ..parallel import of_all, own_rows, rows_at, rows_of
+from ..parallel import Nodes
 from .constraints import Constraints
 from .energy import Energy, Hexahedra, Region, Slide, Triangles
 from .newton import NewtonSystem
@@ -64,11 +64,11 @@ class Plot:
 
     def inside(self, points: FloatArray) -> FloatArray:
         """Coordinates (n, d) of the region's nodes; all ranks that hold parts of ``points`` call this together."""
-        return components(rows_at(points, self.nodes) - self.origin, self.axes)
+        return components(Nodes.of(points).at(self.nodes) - self.origin, self.axes)
 
     def vectors(self, change: FloatArray) -> FloatArray:
         """As :meth:`inside`, of displacements (n_nodes, 3)."""
-        return components(rows_at(change, self.nodes), self.axes)
+        return components(Nodes.of(change).at(self.nodes), self.axes)
 
     def shift(self, change: FloatArray) -> FloatArray:
         """Shift (k, 3) of the block nodes ``moved`` for a change (n, d) of the region's coordinates."""
@@ -88,9 +88,9 @@ class Near(NamedTuple):
 
     def largest_below(self, count: int, choices: tuple[int, ...]) -> int | None:
         """The largest of the ``choices`` of layers with at most ``count`` block nodes; ``None`` if all have more."""
-        low, high = own_rows(self.layers)
-        own = np.bincount(rows_of(self.layers)[low:high].clip(max=self.most + 1), minlength=self.most + 2)
-        total = np.cumsum(np.sum(of_all(self.layers, own), axis=0))
+        low, high = Nodes.of(self.layers).ends
+        own = np.bincount(Nodes.of(self.layers).rows[low:high].clip(max=self.most + 1), minlength=self.most + 2)
+        total = np.cumsum(np.sum(Nodes.of(self.layers).gather(own), axis=0))
         return next((layers for layers in sorted(choices, reverse=True) if total[layers] <= count), None)
 
 
@@ -121,24 +121,24 @@ class Neighbourhood:
 
     def near(self, cells: IntArray, layers: int) -> Near:
         """The nodes within ``layers`` cells of ``cells``, of which each rank gives those in its part, ascending."""
-        seeds = np.unique(np.concatenate(of_all(self.grid.points, np.unique(self.corners(cells)))))
+        seeds = np.unique(np.concatenate(self.grid.nodes.gather(np.unique(self.corners(cells)))))
         return Near(self._reach.layers(seeds, layers)[0], layers)
 
     def plot(self, near: Near | None = None, even: bool = False) -> Plot | None:
         """The region of the nodes that are near, by default of all that may move, or ``None`` if none may; ``even``:
         cells at walls count like others. All ranks that hold parts of the grid call this together."""
         own = [np.concatenate(each) for each in zip(*self._by_block(near), strict=True)]
-        moved, cells = (np.concatenate(each) for each in zip(*of_all(self.grid.points, own), strict=True))
+        moved, cells = (np.concatenate(each) for each in zip(*self.grid.nodes.gather(own), strict=True))
         if not moved.size:
             return None
         corners, owners = self.corners(cells), self._owners(moved)
         nodes, local = np.unique(self._owners(corners.ravel()), return_inverse=True)
         moves = self.may_move(nodes)
         if near:
-            moves &= rows_at(near.layers, nodes) <= near.most
+            moves &= Nodes.of(near.layers).at(nodes) <= near.most
         unknowns, freedom = self._unknowns(nodes, moves)
-        origin = rows_at(self.grid.points, np.array([0]))[0]
-        start = components(rows_at(self.grid.points, nodes) - origin, self.axes)
+        origin = self.grid.nodes.at(np.array([0]))[0]
+        start = components(self.grid.nodes.at(nodes) - origin, self.axes)
         cell_nodes = local.reshape(corners.shape)
         weight = np.ones(len(cells)) if even else self._weights(nodes, start, cell_nodes)
         energy = self._energy(start, cell_nodes, self._signs(cells), weight, unknowns.number >= 0)
@@ -147,12 +147,12 @@ class Neighbourhood:
 
     def back_to_surfaces(self, points: FloatArray) -> None:
         """Project the nodes that slide on curved surfaces back onto them, in place."""
-        low, high = own_rows(points)
-        own = slice(*np.searchsorted(self.topology.face_nodes, [low, high]).tolist())
+        nodes = Nodes.of(points)
+        own = slice(*np.searchsorted(self.topology.face_nodes, nodes.ends).tolist())
         for each in self.constraints.sliding:
             rows = self.topology.face_nodes[own][np.isin(self.topology.number[own], each.nodes)]
             if rows.size:
-                rows_of(points)[rows] = each.project(rows_of(points)[rows])
+                nodes.rows[rows] = each.project(nodes.rows[rows])
 
     def _by_block(self, near: Near | None) -> Iterator[tuple[IntArray, IntArray]]:
         """Nodes of a region, and the cells at nodes of it, of this rank's part of every block."""
@@ -168,7 +168,7 @@ class Neighbourhood:
             held = self.constraints.held[self.topology.number[faces]]
             moves[self.topology.face_nodes[faces][held] - rows.start] = False
             if near:
-                moves &= rows_of(near.layers)[rows] <= near.most
+                moves &= Nodes.of(near.layers).rows[rows] <= near.most
             touched, size = moves.reshape(-1, nj, nk), (own.stop - own.start) * nj * nk
             for axis, n in enumerate((ni, nj, nk)):
                 low, high = (tuple(slice(*ends) if axis == a else slice(None) for a in range(3)) for ends in _ENDS)
@@ -208,7 +208,7 @@ class Neighbourhood:
 
     def _weights(self, nodes: IntArray, start: FloatArray, cells: IntArray) -> FloatArray:
         layers, most = self._from_walls
-        share, first = nearness(rows_at(layers, nodes), most)
+        share, first = nearness(Nodes.of(layers).at(nodes), most)
         return weigh(share[cells], first, start, cells)
 
     def _slides(self, nodes: IntArray, unknowns: Unknowns, origin: FloatArray) -> Iterator[Slide]:

@@ -19,7 +19,7 @@ from ..errors import MethodError
 from ..grid import FloatArray, IntArray
 from ..memory import UNLIMITED, MemoryLimit
 from ..numerics.arrays import lengths
-from ..parallel import alike, combined, for_rows, of_all, own_rows, rows_of, together
+from ..parallel import Nodes
 from ..quality.comparison import Comparison
 from ..quality.validity import judge
 from .basis import Basis
@@ -157,7 +157,7 @@ class Repairer:
             found = search(Searcher(plot, reference, self.farthest, self.progress, limit))
             return found, limit.spent - before
 
-        found, spent = together(start.points, searched)
+        found, spent = Nodes.of(start.points).on_first(searched)
         # Of the other ranks.
         limit.spend(spent - (limit.spent - before))
         return found
@@ -167,7 +167,7 @@ class Repairer:
     ) -> _Found | None:
         """The grid at, or on the way to, the minimum of the energy, searched for from ``near``, by default from the
         ``start``; ``None`` if no cell is weak."""
-        shift = None if near is None else plot.vectors(combined(np.subtract, near.points, start.points))
+        shift = None if near is None else plot.vectors(Nodes.of(near.points).combined(np.subtract, start.points))
         found = self._searched(start, plot, limit, lambda searcher: searcher.minimum(polish, shift, close))
         if found is None:
             return None if start.verdict.valid else _Found(start)
@@ -239,7 +239,7 @@ class Repairer:
         if layers is None:
             self._require(neighbourhood.n_unknowns)
             return neighbourhood.plot(even=even)
-        near = neighbourhood.near(np.concatenate(of_all(now.points, now.verdict.weak(WEAK))), layers)
+        near = neighbourhood.near(np.concatenate(Nodes.of(now.points).gather(now.verdict.weak(WEAK))), layers)
         return neighbourhood.plot(near, even)
 
     def _kept(self, start: Judged, end: Judged) -> Judged:
@@ -247,12 +247,12 @@ class Repairer:
         Jacobian: what the energy gives to walls it may not take from the worst cell without limit."""
 
         def between(part: float) -> Judged:
-            points = alike(end.points)
+            points = Nodes.of(end.points).like(3)
 
             def fill(rows: slice) -> None:
                 points[rows] = start.points[rows] + part * (end.points[rows] - start.points[rows])
 
-            for_rows(fill, points)
+            Nodes.of(points).each(fill)
             self.basis.neighbourhood.back_to_surfaces(points)
             return Judged(points, judge(self.original, self.rounded(points)))
 
@@ -271,13 +271,13 @@ class Repairer:
         """The grid ``end`` near cells that are invalid in it or at the ``start``, and the ``start`` far from them."""
         cells, neighbourhood = np.union1d(start.verdict.invalid, end.verdict.invalid), self.basis.neighbourhood
         for layers in LAYERS[2:]:
-            distance, points = neighbourhood.near(cells, 2 * layers).layers, alike(end.points)
+            distance, points = neighbourhood.near(cells, 2 * layers).layers, Nodes.of(end.points).like(3)
 
             def fill(rows: slice) -> None:
-                part = np.clip((2.0 * layers - rows_of(distance)[rows]) / layers, 0.0, 1.0)[:, None]  # noqa: B023
+                part = np.clip((2.0 * layers - Nodes.of(distance).rows[rows]) / layers, 0.0, 1.0)[:, None]  # noqa: B023
                 points[rows][:] = start.points[rows] + part * (end.points[rows] - start.points[rows])  # noqa: B023
 
-            for_rows(fill, points)
+            Nodes.of(points).each(fill)
             neighbourhood.back_to_surfaces(points)
             found = Judged(points, judge(self.original, self.rounded(points)))
             if found.count <= end.count:
@@ -289,7 +289,7 @@ class Repairer:
         if self.basis.extrusion is None:
             return None, self.basis
         extrusion, basis = self.basis.extrusion
-        change = extrusion.flattened(combined(np.subtract, points, self.original.grid.points))
+        change = extrusion.flattened(Nodes.of(points).combined(np.subtract, self.original.grid.points))
         return (None if change is None else extrusion.plane.points + change), basis
 
     def _in_plane(
@@ -327,17 +327,17 @@ class Repairer:
         return after if after.verdict.valid or not kept else self._spread(extrusion, points, flat, end, 0.0)
 
     def _moved(self, now: Judged, plot: Plot, shift: FloatArray) -> Judged:
-        points: FloatArray = alike(now.points)
-        for_rows(lambda rows: np.copyto(points[rows], now.points[rows]), points)
-        own = slice(*np.searchsorted(plot.moved, own_rows(points)).tolist())
-        rows_of(points)[plot.moved[own]] += shift[own]
+        points: FloatArray = Nodes.of(now.points).like(3)
+        Nodes.of(points).each(lambda rows: np.copyto(points[rows], now.points[rows]))
+        own = slice(*np.searchsorted(plot.moved, Nodes.of(points).ends).tolist())
+        Nodes.of(points).rows[plot.moved[own]] += shift[own]
         return Judged(points, judge(self.original, self.rounded(points)))
 
     def _record(self, start: Judged, found: _Found, seconds: float) -> Repair:
-        low, high = own_rows(start.points)
+        low, high = Nodes.of(start.points).ends
         distance = lengths(found.grid.points[low:high] - start.points[low:high])
         own = int((distance > 0).sum()), float(distance.max(initial=0.0))
-        nodes, farthest = zip(*of_all(start.points, own), strict=True)
+        nodes, farthest = zip(*Nodes.of(start.points).gather(own), strict=True)
         converged = found.converged and found.grid.verdict.valid
         moved = sum(nodes), max(farthest), found.steps, seconds, converged
         return Repair(start.count, found.weak, *moved, left_out=found.left_out)

@@ -17,7 +17,7 @@ from ..grid import FloatArray
 from ..grid.precision import rounded
 from ..methods import Options, PreparedMethod, Progress
 from ..notices import Notice, first_of_each_kind, kind_of
-from ..parallel import Part, rows_at
+from ..parallel import Nodes
 from ..repair.limit import Limit
 from ..repair.onset import unhealthy_cells
 from ..repair.options import Effort
@@ -116,7 +116,7 @@ class Course:
         first, undeformed, points = self.setup.topology.first, self.setup.grid.points, self.start.points
         if points is undeformed:
             return np.broadcast_to(np.zeros(3), (len(first), 3))
-        return np.asarray(rows_at(points, first) - rows_at(undeformed, first))
+        return np.asarray(Nodes.of(points).at(first) - Nodes.of(undeformed).at(first))
 
     def prescribed(self, fraction: float) -> FloatArray:
         """Boundary displacement (n_unique, 3) at a fraction of the motion: along the motion's path if it starts from
@@ -130,8 +130,7 @@ class Course:
     def rounded(self, points: FloatArray) -> FloatArray:
         """Coordinates as they will be written."""
         found = rounded(points, self.precision)
-        if isinstance(found, Part) and not found.keeps:
-            found.keep_like(self.setup.grid.points)
+        Nodes.of(found).keep_like(self.setup.grid.points)
         return found
 
     @cached_property

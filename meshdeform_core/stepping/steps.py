@@ -14,7 +14,7 @@ from ..errors import MethodError
 from ..grid import FloatArray
 from ..grid.connectivity.overset import find_overlaps
 from ..methods import Account, Options, PreparedMethod, Problem, prepare_method
-from ..parallel import Part, for_rows
+from ..parallel import Nodes
 from ..quality.comparison import Comparison
 from ..quality.validity import Verdict, judge
 from ..repair.options import Effort
@@ -216,14 +216,14 @@ def _add(state: State, moved: FloatArray) -> None:
         if not np.isfinite(moved[rows].sum()):
             _require_finite(state, moved[rows], rows.start)
 
-    for_rows(add, moved)
+    Nodes.of(moved).each(add)
 
 
 def _require_finite(state: State, points: FloatArray, first: int) -> None:
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if bad.size:
         setup = state.course.setup
-        overlaps = () if isinstance(setup.grid.points, Part) else find_overlaps(setup.grid, setup.topology)
+        overlaps = () if setup.grid.nodes.divided else find_overlaps(setup.grid, setup.topology)
         # Nodes of one block on a moving face of another are sources and interior nodes at once.
         expected = (
             f"{overlaps[0].describe(setup.grid)}{overlap_advice(setup.grid)}"

@@ -15,7 +15,7 @@ import pytest
 from meshdeform_cli.dry_run import expense, forecast
 from meshdeform_core.grid import FileFormat
 from meshdeform_core.memory import PICTURE_BYTES, parse_memory
-from meshdeform_core.parallel import OneRank, dividing, sharing
+from meshdeform_core.parallel import OneRank, sharing
 from meshdeform_formats.grids import Layout, read_grid
 from meshdeform_formats.report.measures import report_schema
 
@@ -144,8 +144,7 @@ def test_ranks_are_told_what_each_of_them_takes(method, peak):
     limit = parse_memory("20GiB", "--max-memory")
     with sharing(Four(), 1):
         whole = expense.expense_of(grid, case, None, "float64", limit)
-        with dividing():
-            part = expense.expense_of(grid, case, None, "float64", limit)
+        part = expense.expense_of(grid, case, None, "float64", limit)
     assert (whole.ranks, part.ranks) == (1, 4)
     assert part.memory_bytes == pytest.approx(1e6 * peak, rel=0.1)
 

@@ -148,20 +148,14 @@ def test_fast_sums_that_are_too_wrong_are_made_more_accurate_or_exact(monkeypatc
     assert gap == 0.0 if tolerance == 1e-15 else 0.0 < gap < 1e-6
 
 
-class _OneOfTwo(OneRank):
-    """The other one finds an error of one."""
-
-    def gather(self, found):
-        return [*found, 1.0] if isinstance(found[0], float) else list(found)
-
-
 def test_all_ranks_decide_alike_whether_fast_sums_are_accurate_enough(monkeypatch):
     where = problem_of(frame(9, 6), body_specs(turning(20)))
     smooth, _ = directions(where)
     ways = Options("idw", idw=IDW(summation="fast")), Options("rbf", rbf=RBF(summation="fast"))
     methods = [make_method(options).prepare(where) for options in ways]
     for module in (linear_idw, linear_rbf):
-        monkeypatch.setattr(module, "ranks_of", lambda _: _OneOfTwo())
+        # Another rank finds an error of one.
+        monkeypatch.setattr(module, "agreed", lambda _, value: max(value, 1.0))
     idw, rbf = (method.linearised(smooth).mover.inside for method in methods)
     assert isinstance(idw._sums, ExactSums)
     assert rbf._fast is None

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from meshdeform_core.boundary import Kind
 from meshdeform_core.boundary.motions.section import Outline
-from meshdeform_core.boundary.tables.matching import Nodes
+from meshdeform_core.boundary.tables.matching import BoundaryNodes
 from meshdeform_core.deform import set_up
 from meshdeform_core.errors import CaseError, FormatError, MotionError
 from meshdeform_core.grid import FloatArray, Grid, Side
@@ -22,14 +22,16 @@ from meshdeform_formats.case import case_of
 from meshdeform_formats.case.tables import read_airfoil
 
 
-def box_nodes() -> Nodes:
+def box_nodes() -> BoundaryNodes:
     axes = [np.linspace(-1, 1, n) for n in (5, 4, 6)]
     grid = Grid.from_blocks([np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)])
     topology = find_topology(grid)
-    return Nodes.of_quads(grid, topology, np.flatnonzero(topology.external))
+    return BoundaryNodes.of_quads(grid, topology, np.flatnonzero(topology.external))
 
 
-def moved(nodes: Nodes, step: dict, folder: Path = Path(), time: float = 0.0, fraction: float = 1.0) -> FloatArray:
+def moved(
+    nodes: BoundaryNodes, step: dict, folder: Path = Path(), time: float = 0.0, fraction: float = 1.0
+) -> FloatArray:
     case = case_of({"boundary": [{"select": ["*"], "motion": step}]}, folder).case
     (spec,) = case.boundaries
     assert spec.kind is Kind.MOVING
@@ -329,7 +331,7 @@ def naca(thickness: float, camber: float, n: int, close: float = 0.1036) -> np.n
     return np.concatenate([np.stack([x, c + y], 1), np.stack([x, c - y], 1)[-2::-1]])
 
 
-def wall(outline: np.ndarray, layers: int = 2) -> Nodes:
+def wall(outline: np.ndarray, layers: int = 2) -> BoundaryNodes:
     """An O-grid about a section, extruded along z."""
     ring = outline if np.allclose(outline[0], outline[-1]) else np.concatenate([outline, outline[:1]])
     far = 3 * np.stack([np.cos(t := np.linspace(0, 2 * np.pi, len(ring))), np.sin(t)], axis=1)
@@ -339,7 +341,7 @@ def wall(outline: np.ndarray, layers: int = 2) -> Nodes:
     points[..., :2], points[..., 2] = plane[:, :, None], np.arange(layers)
     grid = Grid.from_blocks([points])
     topology = find_topology(grid)
-    return Nodes.of_quads(grid, topology, np.arange(*topology.quads.of_side(0, Side.JMIN).indices(10**9)[:2]))
+    return BoundaryNodes.of_quads(grid, topology, np.arange(*topology.quads.of_side(0, Side.JMIN).indices(10**9)[:2]))
 
 
 def write_selig(path: Path, outline: np.ndarray) -> dict:

@@ -66,7 +66,7 @@ def test_what_is_asked_for_suffices_for_many_zones(tmp_path):
 
 def test_rows_of_other_ranks_do_not_count_as_data():
     """A rank reserves the whole array, of which it fills its own rows only."""
-    code = "import resource; import numpy; from meshdeform_core.parallel.parts import blank\n"
+    code = "import resource; import numpy; from meshdeform_core.parallel.nodes import blank\n"
     code += "resource.setrlimit(resource.RLIMIT_DATA, (2**30, 2**30)); found = blank((2**28, 3), 'float64')\n"
     code += "found[-1] = 1.0; print(found[-1].sum(), found[0].sum())"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True)

@@ -9,13 +9,13 @@ from forked_ranks import on_ranks
 
 from meshdeform_core.grid import Grid
 from meshdeform_core.parallel import (
+    Nodes,
     OneRank,
     agreed,
     alone,
     carried,
     current_ranks,
     for_chunks,
-    for_rows,
     set_threads,
     sharing,
     thread_count,
@@ -50,7 +50,7 @@ def test_work_that_must_not_run_at_the_same_time_does_not():
 
 def test_rows_are_all_filled_once():
     counts = np.zeros((50_000, 2))
-    for_rows(lambda rows: np.add(counts[rows], 1, out=counts[rows]), counts)
+    Nodes.of(counts).each(lambda rows: np.add(counts[rows], 1, out=counts[rows]))
     assert (counts == 1).all()
 
 

@@ -23,7 +23,7 @@ from meshdeform_core.errors import MethodError
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import Demand, MemoryLimit
 from meshdeform_core.methods import Options
-from meshdeform_core.parallel import OneRank, Part, current_ranks, dividing, empty, rows_at, scratch, sharing
+from meshdeform_core.parallel import Nodes, OneRank, current_ranks, empty, scratch, sharing
 from meshdeform_core.parallel.scratch import Scratch, current_scratch, scratch_in
 from meshdeform_core.series import Schedule, deform_series
 
@@ -137,8 +137,7 @@ def placed(tmp_path, lacking, on_machine):
             patch.setattr(tempfile, "tempdir", str(own))
             patch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=free))
             try:
-                with dividing():
-                    Demand("deforming 2e8 nodes", 2 * 10**8, 48 * 10**8).place(limit, tmp_path)
+                Demand("deforming 2e8 nodes", 2 * 10**8, 48 * 10**8).place(limit, tmp_path)
             except MethodError as error:
                 return str(error)
         return current_scratch().empty((3,), "int8") is not None and current_scratch()._folder
@@ -176,7 +175,7 @@ def test_room_is_taken_for_the_rows_that_a_rank_holds(tmp_path, monkeypatch):
             return [(0, 100), *found, (200, 300)]
 
     with sharing(Middle(), 1), scratch_in(Scratch(tmp_path, 2**40)):
-        part = Part(current_ranks(), np.array([0, 100, 200, 300]), (300, 3), "float64")
+        part = Nodes.new(current_ranks(), [0, 100, 200, 300], (300, 3))
         part.widen(90, 210)
         part.widen(100, 200)
         part.widen(95, 220)
@@ -196,7 +195,7 @@ import sys
 from pathlib import Path
 import numpy as np
 from meshdeform_core.memory import peak_memory
-from meshdeform_core.parallel import empty, rows_at
+from meshdeform_core.parallel import Nodes, empty
 from meshdeform_core.parallel.scratch import Scratch, current_scratch, resident_memory, scratch_in
 
 with scratch_in(Scratch(Path(sys.argv[1]), 1)):
@@ -208,7 +207,7 @@ with scratch_in(Scratch(Path(sys.argv[1]), 1)):
     rows = np.concatenate([np.arange(0, len(array), 128), np.random.default_rng(0).integers(0, len(array), 1000)])
     Path("/proc/self/clear_refs").write_text("5")
     before = resident_memory()
-    found = rows_at(array, rows)
+    found = Nodes.of(array).at(rows)
     print((found == rows[:, None]).all(), (peak_memory() - before) // 2**20)
 """
 
@@ -228,16 +227,16 @@ def test_rows_at_any_place_are_those_of_plain_indexing(tmp_path, monkeypatch):
     with scratch_in(Scratch(tmp_path, 1)):
         array = empty((5000, 3))
         array[:] = np.random.default_rng(4).uniform(size=(5000, 3))
-        found = rows_at(array, rows)
+        found = Nodes.of(array).at(rows)
         assert found.tobytes() == np.array(array)[rows].tobytes()
-        assert rows_at(array, rows[:0]).shape == (0, 2, 3)
+        assert Nodes.of(array).at(rows[:0]).shape == (0, 2, 3)
 
 
 STARTS = """
 import sys
 from pathlib import Path
 import numpy as np
-from meshdeform_core.parallel import for_chunks, loops, empty, scratch
+from meshdeform_core.parallel import empty, for_chunks, loops, scratch
 from meshdeform_formats import read_grid
 from meshdeform_core.grid.extent import block_extents
 

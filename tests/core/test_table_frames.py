@@ -19,7 +19,7 @@ from meshdeform_core.boundary.motions.motion import (
     tiny_rotations,
 )
 from meshdeform_core.boundary.tables.frames import other_frame
-from meshdeform_core.boundary.tables.matching import AUTOMATIC, Matching, Nodes, SurfaceData
+from meshdeform_core.boundary.tables.matching import AUTOMATIC, BoundaryNodes, Matching, SurfaceData
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.errors import MotionError
 from meshdeform_core.grid.selection import select_quads
@@ -29,7 +29,7 @@ from meshdeform_samples import generate
 
 GRID, TABLES = generate("wing", 8)
 TOPOLOGY = find_topology(GRID)
-NODES = Nodes.of_quads(GRID, TOPOLOGY, select_quads(GRID, TOPOLOGY, ["wing"], "wing"))
+NODES = BoundaryNodes.of_quads(GRID, TOPOLOGY, select_quads(GRID, TOPOLOGY, ["wing"], "wing"))
 TABLE = TABLES["structure.npz"]
 # An asymmetric part of the structural model, so that no two frames fit alike.
 POINTS = TABLE.points[TABLE.points[:, 2] > 0.005]

@@ -22,7 +22,7 @@ from meshdeform_core.grid.topology import find_topology, partners, strips
 from meshdeform_core.numerics import pieces as pieces_module
 from meshdeform_core.numerics.geometry import copies
 from meshdeform_core.numerics.geometry.copies import coincident_copies, coincident_groups
-from meshdeform_core.parallel import Route, current_ranks, dividing
+from meshdeform_core.parallel import Route, current_ranks
 
 LINE = np.linspace(0.0, 1.0, 5)
 # Compiled loops are loaded once, before ranks are forked.
@@ -43,8 +43,7 @@ def small_pieces(monkeypatch):
 
 def in_parts(grid):
     """The grid, of which this rank holds its part."""
-    with dividing():
-        part = Grid.allocate(grid.shapes, grid.names, components=grid.components)
+    part = Grid.allocate(grid.shapes, grid.names, components=grid.components)
     points = part.points
     points.own[...] = grid.points[points.low : points.high]
     points.keep(NearNodes.of(part.shapes, part.offsets))
@@ -184,6 +183,7 @@ def test_rows_go_to_ranks_and_results_come_back():
 
 def test_an_error_of_one_rank_is_seen():
     """The others do not wait for it."""
+    grid = frame(4, 3)
 
     def failing(*_):
         raise MemoryError("no memory on this rank")
@@ -191,7 +191,7 @@ def test_an_error_of_one_rank_is_seen():
     def find(number):
         if number == 1:
             partners._searched = failing
-        return facts(in_parts(frame(4, 3)))
+        return facts(in_parts(grid))
 
     with pytest.raises(Failed, match="no memory on this rank"):
         on_ranks(3, find)

@@ -24,7 +24,7 @@ from meshdeform_core.grid import Field, Grid
 from meshdeform_core.grid.components import BY_PREFIX
 from meshdeform_core.methods import Options
 from meshdeform_core.numerics import pieces
-from meshdeform_core.parallel import WholeGridNeeded, current_ranks, dividing, parts
+from meshdeform_core.parallel import Nodes, WholeGridNeeded, current_ranks
 from meshdeform_core.quality.fields import CELL_MEASURES, CellFields
 from meshdeform_core.repair import RepairOptions
 from meshdeform_core.series import Schedule, deform_series
@@ -60,8 +60,7 @@ def same_files(tmp_path, count, act):
     act(folders[0])
 
     def on_rank(number):
-        with dividing():
-            act(folders[1])
+        act(folders[1])
 
     on_ranks(count, on_rank)
     one, two = ({path.relative_to(at): path.read_bytes() for path in at.rglob("*") if path.is_file()} for at in folders)
@@ -80,8 +79,8 @@ def reads_and_writes(source, suffix, variant=None):
 
 def scaled(points):
     """Other coordinates, which are exact."""
-    result = parts.alike(points)
-    parts.for_rows(lambda rows: np.multiply(points[rows], 2.0, out=result[rows]), result)
+    result = Nodes.of(points).like(3)
+    Nodes.of(result).each(lambda rows: np.multiply(points[rows], 2.0, out=result[rows]))
     return result
 
 
@@ -294,11 +293,10 @@ def test_vtk_as_text_or_compressed_takes_the_whole_grid(suffix, variant, tmp_pat
     write_grid(grid, tmp_path / f"plain{suffix}")
 
     def act(number):
-        with dividing():
-            with pytest.raises(WholeGridNeeded, match=r"packed.vt. is text"):
-                read_grid(tmp_path / f"packed{suffix}")
-            with pytest.raises(WholeGridNeeded, match="is written as text or compressed"):
-                write_grid(read_grid(tmp_path / f"plain{suffix}"), tmp_path / f"out{suffix}", variant)
+        with pytest.raises(WholeGridNeeded, match=r"packed.vt. is text"):
+            read_grid(tmp_path / f"packed{suffix}")
+        with pytest.raises(WholeGridNeeded, match="is written as text or compressed"):
+            write_grid(read_grid(tmp_path / f"plain{suffix}"), tmp_path / f"out{suffix}", variant)
         return True
 
     assert all(on_ranks(2, act))
@@ -330,7 +328,7 @@ def test_compressed_cgns_takes_the_whole_grid(tmp_path):
     write_hdf5(tmp_path / "grid.cgns", tree(zone("y", box(12, 5, 6))), dataset={"chunks": True, "compression": "gzip"})
 
     def act(number):
-        with dividing(), pytest.raises(WholeGridNeeded, match="are compressed or stored in pieces"):
+        with pytest.raises(WholeGridNeeded, match="are compressed or stored in pieces"):
             read_grid(tmp_path / "grid.cgns")
         return True
 
@@ -342,8 +340,7 @@ def test_values_of_a_field_are_not_taken_for_those_of_all_ranks(tmp_path):
     (tmp_path / "grid.xyz").write_bytes(binary_file(sample_blocks([shape]), sample_iblank([shape]), encoding="binary"))
 
     def act(number):
-        with dividing():
-            (field,) = read_grid(tmp_path / "grid.xyz").fields
+        (field,) = read_grid(tmp_path / "grid.xyz").fields
         assert field.values.shape == shape
         assert field.own.shape[0] < shape[0]
         with pytest.raises(WholeGridNeeded, match="all values of a field"):
@@ -367,8 +364,7 @@ def test_ranks_on_several_machines_write_levels_synchronously(tmp_path, monkeypa
     monkeypatch.setattr(os, "open", recorded)
 
     def act(number):
-        with dividing():
-            series_of(tmp_path / "grid.xyz", "wing.cgns", SingleFile, "none")(tmp_path / "out")
+        series_of(tmp_path / "grid.xyz", "wing.cgns", SingleFile, "none")(tmp_path / "out")
         return opened
 
     for found in on_ranks(2, act):
@@ -384,8 +380,7 @@ def test_every_rank_reads_a_displacement_table_as_a_whole(variant, tmp_path):
     write_grid(replace(grid, fields=(Field("displacement", "node", 0, moves),)), tmp_path / "table.vts", variant)
 
     def act(number):
-        with dividing():
-            return read_displacement(tmp_path / "table.vts").displacement
+        return read_displacement(tmp_path / "table.vts").displacement
 
     for found in on_ranks(2, act):
         np.testing.assert_array_equal(found, moves.reshape(-1, 3))
@@ -403,8 +398,7 @@ def test_memory_of_fields_counts_on_the_rank_with_most(tmp_path):
     assert work._other_bytes(with_data, case) == whole + 8000
 
     def act(number):
-        with dividing():
-            own = read_grid(tmp_path / "grid.vtm")
+        own = read_grid(tmp_path / "grid.vtm")
         return sum(field.own.nbytes for field in own.fields), work._other_bytes(own, case)
 
     sizes, counted = zip(*on_ranks(3, act), strict=True)
@@ -438,8 +432,7 @@ def test_a_rank_that_cannot_write_its_levels_stops_all(tmp_path, monkeypatch):
     (tmp_path / "out").mkdir()
 
     def act(number):
-        with dividing():
-            series_of(tmp_path / "grid.xyz", "wing.cgns", SingleFile, "none")(tmp_path / "out")
+        series_of(tmp_path / "grid.xyz", "wing.cgns", SingleFile, "none")(tmp_path / "out")
 
     with pytest.raises(Failed, match=r"level_0000.npy: No space left"):
         on_ranks(2, act)

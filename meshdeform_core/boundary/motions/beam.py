@@ -12,7 +12,7 @@ import scipy
 from ...errors import MotionError
 from ...grid import FloatArray
 from ...wording import vector
-from ..tables.matching import Nodes
+from ..tables.matching import BoundaryNodes
 from .histories import History, RigidHistory
 from .motion import PreparedStep, Step, turned
 
@@ -99,7 +99,7 @@ class Beam(Step, PreparedStep):
         if self.timed:
             self.shape.require(time)
 
-    def prepare(self, nodes: Nodes) -> PreparedStep:
+    def prepare(self, nodes: BoundaryNodes) -> PreparedStep:
         length = float(_along(self.stations[-1:], self.stations)[0])
         place = _along(nodes.points, self.stations)
         low, high = float(place.min()), float(place.max())

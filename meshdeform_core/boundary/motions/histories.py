@@ -11,7 +11,7 @@ import scipy
 
 from ...errors import MotionError
 from ...grid import FloatArray, Grid
-from ..tables.matching import Matching, Nodes, SurfaceData
+from ..tables.matching import BoundaryNodes, Matching, SurfaceData
 from ..tables.transfer import transfer
 from .expression import Expression
 from .motion import Imposed, PreparedStep, Step, at_time, turned
@@ -118,7 +118,7 @@ class Modes(Step):
             return self.amplitudes.at(time)
         return np.array([at_time(part, time, constants, "amplitude") for part in self.amplitudes])
 
-    def prepare(self, nodes: Nodes) -> ImposedModes:
+    def prepare(self, nodes: BoundaryNodes) -> ImposedModes:
         matches = [transfer(shape, self.matching, nodes) for shape in self.shapes]
         return ImposedModes(matches[0], self, np.stack([match.displacement for match in matches]))
 

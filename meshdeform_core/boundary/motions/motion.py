@@ -16,9 +16,8 @@ import numpy as np
 from ...errors import MotionError
 from ...grid import BoolArray, FloatArray, Grid, IntArray
 from ...numerics.arrays import places_among
-from ...parallel import rows_at
 from ...wording import vector
-from ..tables.matching import Matching, Nodes, SurfaceData, Transfer
+from ..tables.matching import BoundaryNodes, Matching, SurfaceData, Transfer
 from ..tables.transfer import transfer
 from .expression import Expression
 
@@ -63,7 +62,7 @@ class Step:
     def require(self, time: float, constants: Mapping[str, float]) -> None:
         """Refuse a time at which it is not defined."""
 
-    def prepare(self, nodes: Nodes) -> PreparedStep:
+    def prepare(self, nodes: BoundaryNodes) -> PreparedStep:
         """Compute everything that depends only on the undeformed nodes."""
         assert isinstance(self, PreparedStep)
         return self
@@ -116,7 +115,7 @@ class Follow(Step):
         """The first table."""
         return self.data
 
-    def prepare(self, nodes: Nodes) -> PreparedStep:
+    def prepare(self, nodes: BoundaryNodes) -> PreparedStep:
         return Imposed(transfer(self.data, self.matching, nodes))
 
 
@@ -153,14 +152,14 @@ class FollowSequence(Step):
     def require(self, time: float, constants: Mapping[str, float]) -> None:
         level_at(self.times, time)
 
-    def prepare(self, nodes: Nodes) -> PreparedStep:
+    def prepare(self, nodes: BoundaryNodes) -> PreparedStep:
         return ImposedSequence(self, nodes)
 
 
 class ImposedSequence(PreparedStep):
     """Tables transferred to the nodes one at a time; ``match`` is the transfer of the last one used."""
 
-    def __init__(self, sequence: FollowSequence, nodes: Nodes):
+    def __init__(self, sequence: FollowSequence, nodes: BoundaryNodes):
         self._sequence, self._nodes = sequence, nodes
         self._current = 0
         self.match = self._transfer(0)
@@ -189,7 +188,7 @@ class Positions:
     positions: FloatArray
     label: str
 
-    def at(self, nodes: Nodes) -> SurfaceData:
+    def at(self, nodes: BoundaryNodes) -> SurfaceData:
         """The displacements of the points; numbering is that of the unstructured files that this program writes.
 
         Raises
@@ -212,7 +211,7 @@ class Positions:
                 f"{self.label} has no position for {missing.size} of {len(nodes.numbers)} boundary nodes, the first "
                 f"{nodes.label(first)}, number {nodes.numbers[first]}"
             )
-        points = rows_at(nodes.grid.points, topology.first[self.numbers])
+        points = nodes.grid.nodes.at(topology.first[self.numbers])
         moved = points.copy()
         kept = np.sort(np.argsort(np.ptp(nodes.grid.points, axis=0))[3 - self.positions.shape[1] :])
         moved[:, kept] = self.positions
@@ -243,7 +242,7 @@ class FollowNumbers(Step):
         if self.times:
             level_at(self.times, time)
 
-    def prepare(self, nodes: Nodes) -> PreparedStep:
+    def prepare(self, nodes: BoundaryNodes) -> PreparedStep:
         exact = Matching("exact")
         if self.times:
             return FollowSequence(self.times, lambda n: self.read(n).at(nodes), exact).prepare(nodes)
@@ -285,7 +284,7 @@ class Motion:
         steps = tuple(replace(step, matching=matching) if isinstance(step, tables) else step for step in self.steps)
         return replace(self, steps=steps)
 
-    def prepare(self, nodes: Nodes) -> PreparedMotion:
+    def prepare(self, nodes: BoundaryNodes) -> PreparedMotion:
         """Bind the motion to its nodes; tables are matched here, once."""
         return PreparedMotion(tuple(step.prepare(nodes) for step in self.steps), self.constants, nodes)
 
@@ -300,7 +299,7 @@ class PreparedMotion:
 
     steps: tuple[PreparedStep, ...]
     constants: Mapping[str, float]
-    nodes: Nodes
+    nodes: BoundaryNodes
 
     @property
     def matches(self) -> tuple[Transfer, ...]:

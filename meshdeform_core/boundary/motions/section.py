@@ -12,7 +12,7 @@ import scipy
 from ...errors import MotionError
 from ...grid import FloatArray, IntArray
 from ...wording import vector
-from ..tables.matching import Nodes
+from ..tables.matching import BoundaryNodes
 from .motion import PreparedStep, Step
 
 _SAME = 1e-9
@@ -45,7 +45,7 @@ class Airfoil(Step):
     fitted: bool
     label: str
 
-    def prepare(self, nodes: Nodes) -> ImposedOutline:
+    def prepare(self, nodes: BoundaryNodes) -> ImposedOutline:
         """Find the outline of the nodes and the position of each on the new one.
 
         Raises

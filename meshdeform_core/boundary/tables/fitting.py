@@ -13,10 +13,9 @@ from ...grid.faces.roles import Role
 from ...grid.faces.surfaces import Surface, find_outside
 from ...grid.topology import Topology
 from ...numerics.geometry.vectors import face_sizes
-from ...parallel import rows_at
 from ...wording import vector
 from .frames import other_frame
-from .matching import AUTOMATIC, Matching, Nodes, SurfaceData, spacings
+from .matching import AUTOMATIC, BoundaryNodes, Matching, SurfaceData, spacings
 from .tuned import COVERED, ON_BOUNDARY, OWN, POINTS, REACH, SAME_NODE, SAMPLE, SOME, WHOLE
 
 
@@ -46,12 +45,12 @@ def fit_table(grid: Grid, topology: Topology, data: SurfaceData, matching: Match
     points = data.points[:: max(1, len(data.points) // SAMPLE)]
     owner = np.repeat(np.arange(len(surfaces)), [len(surface.quads) for surface in surfaces])
     quads = np.concatenate([np.empty(0, dtype=np.int64), *(surface.quads for surface in surfaces)])
-    corners = rows_at(grid.points, topology.first[topology.quads.corners[quads]])
+    corners = grid.nodes.at(topology.first[topology.quads.corners[quads]])
     center, reach = corners.mean(axis=1), np.linalg.norm(np.ptp(corners, axis=1), axis=1)
     distance, nearest = scipy.spatial.cKDTree(center).query(points)
     on = distance <= reach[nearest]
     if on.mean() < ON_BOUNDARY:
-        hint = other_frame(data.points, Nodes.of_quads(grid, topology, quads))
+        hint = other_frame(data.points, BoundaryNodes.of_quads(grid, topology, quads))
         whole_table = len(on) == len(data.points)
         how_many = f"{int((~on).sum())} of {len(on)}" if whole_table else f"{1 - on.mean():.0%} of {len(data.points)}"
         raise MotionError(
@@ -98,7 +97,7 @@ def _require_wall(
     walls = [surface.quads for surface in surfaces if surface.role is Role.WALL]
     if not walls or any(surface.role in (Role.WALL, Role.UNKNOWN) for surface in found):
         return
-    hint = other_frame(data.points, Nodes.of_quads(grid, topology, np.concatenate(walls)))
+    hint = other_frame(data.points, BoundaryNodes.of_quads(grid, topology, np.concatenate(walls)))
     if hint or all(surface.role is Role.SYMMETRY for surface in found):
         places = ", ".join(f"{surface.name!r} ({surface.role.value})" for surface in found)
         raise MotionError(
@@ -111,7 +110,7 @@ def _resolved(grid: Grid, topology: Topology, quads: IntArray, points: FloatArra
     how, tolerance = matching.how, matching.tolerance
     if how == AUTOMATIC:
         nodes = np.unique(topology.quads.corners[quads])
-        distance, nearest = scipy.spatial.cKDTree(rows_at(grid.points, topology.first[nodes])).query(points)
+        distance, nearest = scipy.spatial.cKDTree(grid.nodes.at(topology.first[nodes])).query(points)
         own = distance <= (tolerance or SAME_NODE * topology.edge[nodes[nearest]])
         how = "nearest" if own.mean() >= OWN else "interpolate"
     if how == "interpolate" and tolerance is None:

@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 
 from ...grid import BoolArray, FloatArray
-from .matching import Nodes
+from .matching import BoundaryNodes
 from .tuned import COUNTED, FITS, FRAME_SAMPLE, GAIN, ON_NODE, PROBES, SPREAD
 
 _UNITS = (
@@ -28,13 +28,13 @@ _UNITS = (
 """Factors between length units, and the mistake that each of them indicates."""
 
 
-def far_points(points: FloatArray, nodes: Nodes) -> BoolArray:
+def far_points(points: FloatArray, nodes: BoundaryNodes) -> BoolArray:
     """(n,) bool: points that are farther from every node than the longest face edge there."""
     distance, nearest = scipy.spatial.cKDTree(nodes.points).query(points)
     return np.asarray(distance > nodes.longest[nearest])
 
 
-def other_frame(points: FloatArray, nodes: Nodes) -> str:
+def other_frame(points: FloatArray, nodes: BoundaryNodes) -> str:
     """A hint on what would make table points match the nodes, with the share of points that would then lie on them.
 
     Tried are length units and shifts. Of those that fit, the one with the smallest distances is named.
@@ -64,7 +64,7 @@ def other_frame(points: FloatArray, nodes: Nodes) -> str:
     return ""
 
 
-def _fit(points: FloatArray, nodes: Nodes, tree: scipy.spatial.cKDTree) -> tuple[float, float]:
+def _fit(points: FloatArray, nodes: BoundaryNodes, tree: scipy.spatial.cKDTree) -> tuple[float, float]:
     """Share of points that lie on the nodes, 0 if they do not spread over them, and their mean distance in edges."""
     distance, nearest = tree.query(points)
     near = distance <= nodes.longest[nearest]
@@ -82,7 +82,7 @@ def _fit(points: FloatArray, nodes: Nodes, tree: scipy.spatial.cKDTree) -> tuple
 
 
 def _candidates(
-    points: FloatArray, nodes: Nodes, tree: scipy.spatial.cKDTree
+    points: FloatArray, nodes: BoundaryNodes, tree: scipy.spatial.cKDTree
 ) -> Iterator[tuple[tuple[str, str], FloatArray]]:
     """Changes with the likely reason, and the changed points."""
     for factor, unit in _UNITS:

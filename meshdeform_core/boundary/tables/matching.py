@@ -14,7 +14,6 @@ from ...grid.topology import Topology
 from ...numerics.arrays import places_among
 from ...numerics.geometry.coincidence import distinct
 from ...numerics.geometry.vectors import doubled_areas, unit
-from ...parallel import rows_at
 from ...wording import literal
 
 HOW = ("exact", "nearest", "interpolate")
@@ -50,7 +49,7 @@ class SurfaceData:
 
 
 @dataclass(frozen=True)
-class Nodes:
+class BoundaryNodes:
     """Undeformed boundary nodes that need a displacement.
 
     Attributes
@@ -71,10 +70,10 @@ class Nodes:
     topology: Topology
 
     @classmethod
-    def of_quads(cls, grid: Grid, topology: Topology, quads: IntArray) -> Nodes:
+    def of_quads(cls, grid: Grid, topology: Topology, quads: IntArray) -> BoundaryNodes:
         """The nodes of face quads (m,)."""
         corners = topology.quads.corners[quads]
-        points = rows_at(grid.points, topology.first)
+        points = grid.nodes.at(topology.first)
         edge, longest = np.full(topology.n_unique, np.inf), np.zeros(topology.n_unique)
         for one in range(corners.shape[1]):
             a, b = corners[:, one], corners[:, (one + 1) % corners.shape[1]]

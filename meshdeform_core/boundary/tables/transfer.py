@@ -11,10 +11,10 @@ from ...errors import MotionError
 from ...grid import BoolArray, FloatArray, Grid, IntArray, Side
 from ...grid.topology import RELATIVE_TOLERANCE, side_nodes
 from ...numerics.geometry.vectors import unit
-from ...parallel import rows_at
+from ...parallel import Nodes
 from ...wording import counted, vector
 from .frames import other_frame
-from .matching import Matching, Nodes, SurfaceData, Transfer, spacings
+from .matching import BoundaryNodes, Matching, SurfaceData, Transfer, spacings
 
 # Two displacements at one point are the same up to this fraction of the largest one.
 _ALIKE = 1e-6
@@ -24,7 +24,7 @@ _INTERPOLATE = ', match = "interpolate"'
 _ONE_POINT, _STRETCH = 1e-6, 10.0
 
 
-def transfer(data: SurfaceData | Grid, matching: Matching, nodes: Nodes) -> Transfer:
+def transfer(data: SurfaceData | Grid, matching: Matching, nodes: BoundaryNodes) -> Transfer:
     """Displacement of boundary nodes from a table, or from a grid with the deformed positions of the same nodes.
 
     Raises
@@ -71,7 +71,7 @@ def _of_table(
     )  # fmt: skip
 
 
-def _require_one_displacement(data: SurfaceData, nodes: Nodes, tree: scipy.spatial.cKDTree) -> None:
+def _require_one_displacement(data: SurfaceData, nodes: BoundaryNodes, tree: scipy.spatial.cKDTree) -> None:
     """Refuse a table with different displacements within a small fraction of an edge of one node."""
     if len(data.points) < 2:
         return
@@ -109,7 +109,7 @@ def _require_continuous(data: SurfaceData) -> None:
         )
 
 
-def _interpolate(data: SurfaceData, matching: Matching, nodes: Nodes) -> Transfer:
+def _interpolate(data: SurfaceData, matching: Matching, nodes: BoundaryNodes) -> Transfer:
     if len(data.triangles):
         displacement, distance, beyond = _on_triangles(data, nodes.points)
     else:
@@ -146,7 +146,7 @@ def _on_triangles(data: SurfaceData, points: FloatArray) -> tuple[FloatArray, Fl
     return displacement, distance, np.where(on_rim, np.linalg.norm(aside, axis=1), 0.0)
 
 
-def _between_points(data: SurfaceData, nodes: Nodes) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _between_points(data: SurfaceData, nodes: BoundaryNodes) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Displacement from a spline through the nearest points of the node's side of the body, distance to the nearest
     point, and beyond their spacing."""
     from ...numerics.geometry.local_spline import local_spline
@@ -167,10 +167,10 @@ def _between_points(data: SurfaceData, nodes: Nodes) -> tuple[FloatArray, FloatA
     return displacement, distance, np.maximum(distance - spacings(tree)[nearest], 0.0)
 
 
-def _from_deformed_grid(deformed: Grid, matching: Matching, nodes: Nodes) -> Transfer:
+def _from_deformed_grid(deformed: Grid, matching: Matching, nodes: BoundaryNodes) -> Transfer:
     label = deformed.path.name if deformed.path else "deformed grid"
     if deformed.shapes == nodes.grid.shapes:
-        displacement = rows_at(deformed.points, nodes.topology.first[nodes.numbers]) - nodes.points
+        displacement = Nodes.of(deformed.points).at(nodes.topology.first[nodes.numbers]) - nodes.points
         matched = np.ones(len(displacement), dtype=bool)
     else:
         # Each block of a surface grid is the closest block face of the same size.
@@ -187,7 +187,7 @@ def _from_deformed_grid(deformed: Grid, matching: Matching, nodes: Nodes) -> Tra
     return Transfer(displacement, matched, zero, label, "same nodes", used, np.empty((0, 3)), zero, matching.partial)
 
 
-def _closest_face(new: FloatArray, name: str, nodes: Nodes, taken: set[tuple[int, Side]]) -> IntArray:
+def _closest_face(new: FloatArray, name: str, nodes: BoundaryNodes, taken: set[tuple[int, Side]]) -> IntArray:
     """Unique node numbers of the selected block face that a deformed surface ``new`` (na, nb, 3) belongs to."""
     grid, topology = nodes.grid, nodes.topology
     candidates = []
@@ -199,7 +199,7 @@ def _closest_face(new: FloatArray, name: str, nodes: Nodes, taken: set[tuple[int
                 continue
             numbers = topology.numbers_of(flat.ravel()).reshape(flat.shape)
             if np.isin(numbers, nodes.numbers).all():
-                gap = np.sqrt(np.mean((rows_at(grid.points, flat) - new) ** 2))
+                gap = np.sqrt(np.mean((grid.nodes.at(flat) - new) ** 2))
                 candidates.append((float(gap), block, side, numbers))
     candidates.sort(key=lambda entry: entry[:3])
     size = " x ".join(str(n) for n in new.shape[:-1])

@@ -14,7 +14,6 @@ from ...numerics.arrays import BoolArray, batches, runs, spans, spread
 from ...numerics.geometry.boxes import overlapping_boxes
 from ...numerics.geometry.coincidence import close_pairs, connected_components, distinct, equal_rows
 from ...numerics.geometry.distance import distance_to_faces
-from ...parallel import rows_at
 from ...wording import listed
 from ..blocks import FloatArray, Grid, IntArray
 from ..faces.roles import Role, role_of_patch
@@ -145,7 +144,7 @@ def _near_partners(grid: Grid, topology: Topology, outside: IntArray) -> tuple[I
     """
     corners = topology.quads.corners
     nodes = distinct(corners[outside], topology.n_unique)
-    points, edge = rows_at(grid.points, topology.first[nodes]), topology.edge[nodes]
+    points, edge = grid.nodes.at(topology.first[nodes]), topology.edge[nodes]
     one, two = close_pairs(points, NEAR * edge).T
     part = grid.component_numbers[np.searchsorted(grid.offsets, topology.first[nodes], side="right") - 1]
     one, two = one[part[one] == part[two]], two[part[one] == part[two]]
@@ -288,4 +287,4 @@ class _Walls:
 
 def _corners(grid: Grid, topology: Topology, quads: IntArray) -> FloatArray:
     """Coordinates (n, 4, 3), in 2-D (n, 2, 3), of the corners of face quads (n,)."""
-    return np.asarray(rows_at(grid.points, topology.first[topology.quads.corners[quads]]))
+    return np.asarray(grid.nodes.at(topology.first[topology.quads.corners[quads]]))

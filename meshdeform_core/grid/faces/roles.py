@@ -13,7 +13,6 @@ import numpy as np
 
 from ...numerics.arrays import BoolArray, runs
 from ...numerics.geometry.coincidence import connected_rows
-from ...parallel import rows_at
 from ..blocks import FloatArray, Grid, IntArray
 from ..extent import Bounds
 from ..parts import Patch, Side
@@ -218,7 +217,7 @@ def _extruded_axes(grid: Grid, direction: FloatArray) -> list[int] | None:
 def _extruded_axis(grid: Grid, block: int, direction: FloatArray) -> int | None:
     """Index axis along which all layers of a block are the first one, shifted along ``direction``."""
     for axis in range(3):
-        first, last = (rows_at(grid.points, side_nodes(grid, block, Side(2 * axis + far))) for far in (0, 1))
+        first, last = (grid.nodes.at(side_nodes(grid, block, Side(2 * axis + far))) for far in (0, 1))
         shift = (last - first).reshape(-1, 3)
         length = np.abs(shift @ direction).max()
         if length == 0.0 or np.abs(shift - shift[0]).max() > FLATNESS * length:

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...numerics.arrays import BoolArray, batches, spread
 from ...numerics.geometry.coincidence import ascending
-from ...parallel import Part, of_all, ranks_of, rows_at, rows_of
+from ...parallel import Nodes
 from ..blocks import FloatArray, Grid, IntArray
 from ..sizes import strides_of
 
@@ -21,24 +21,20 @@ def block_handedness(grid: Grid) -> IntArray:
     Of a grid in parts, each rank looks at the blocks that it holds, and all of them at those that are cut.
     """
     whole = _held(grid)
-    mine = np.flatnonzero(whole == ranks_of(grid.points).number)
-    own = _signs(grid, rows_of(grid.points), mine)
+    mine = np.flatnonzero(whole == grid.nodes.ranks.number)
+    own = _signs(grid, grid.nodes.rows, mine)
     cut = np.flatnonzero(whole < 0)
     sign = np.empty(grid.n_blocks, dtype=np.int64)
     sign[cut] = _signs(grid, grid.points, cut)
     # Ranks hold consecutive blocks.
-    sign[whole >= 0] = np.concatenate(of_all(grid.points, own))
+    sign[whole >= 0] = np.concatenate(grid.nodes.gather(own))
     return sign
 
 
 def _held(grid: Grid) -> IntArray:
     """The rank (n_blocks,) that holds all nodes of each block, -1 for those of which several have some."""
-    points = grid.points
-    if not isinstance(points, Part):
-        return np.zeros(grid.n_blocks, dtype=np.int64)
-    first, last = (
-        np.searchsorted(points.bounds, row, side="right") - 1 for row in (grid.offsets[:-1], grid.offsets[1:] - 1)
-    )
+    bounds = grid.nodes.bounds
+    first, last = (np.searchsorted(bounds, row, side="right") - 1 for row in (grid.offsets[:-1], grid.offsets[1:] - 1))
     return np.where(first == last, first, -1)
 
 
@@ -82,7 +78,7 @@ def _mean_edges(
         first = (first[..., None] + (picks * strides[:, axis, None])[:, None]).reshape(len(blocks), -1)
     corners = np.empty((*(2,) * len(axes), *first.shape, 3))
     for corner in np.ndindex(*(2,) * len(axes)):
-        corners[corner] = rows_at(points, first + (strides[:, axes] @ np.array(corner))[:, None])
+        corners[corner] = Nodes.of(points).at(first + (strides[:, axes] @ np.array(corner))[:, None])
     others = [tuple(a for a in range(len(axes)) if a != own) for own in range(len(axes))]
     means = [corners.mean(axis=other) for other in others]
     return [mean[1] - mean[0] for mean in means]

@@ -15,7 +15,7 @@ import numpy as np
 from ...numerics.arrays import BoolArray, runs
 from ...numerics.geometry.coincidence import integers
 from ...numerics.geometry.copies import coincident_copies, numbered_by_first
-from ...parallel import Ranks, collected, empty, ranks_of, rows_at
+from ...parallel import Ranks, collected, empty
 from ...parallel.scratch import current_scratch
 from ..blocks import FloatArray, Grid, IntArray
 from ..dealing import face_bounds
@@ -149,7 +149,7 @@ def coincident_topology(grid: Grid, tolerance: float = RELATIVE_TOLERANCE) -> To
     ----------
     tolerance : largest distance between coincident nodes relative to the shortest edge at either of them
     """
-    ranks, handedness = ranks_of(grid.points), block_handedness(grid)
+    ranks, handedness = grid.nodes.ranks, block_handedness(grid)
     bounds = face_bounds(grid.shapes, ranks.count)
     strips = FaceStrips.of(grid, *bounds[ranks.number : ranks.number + 2].tolist())
     face_nodes = _kept(collected(ranks, strips.own_nodes))
@@ -194,7 +194,7 @@ def _coincident(
         own = [np.flatnonzero(part == number) for number in range(int(grid.component_numbers.max()) + 1)]
     first, least = np.empty_like(index), np.empty_like(edge)
     for some in own:
-        found = coincident_copies(ranks, index[some], rows_at(grid.points, nodes[some]), edge[some], tolerance)
+        found = coincident_copies(ranks, index[some], grid.nodes.at(nodes[some]), edge[some], tolerance)
         first[some], least[some] = found
     return index, first, least
 

@@ -12,7 +12,7 @@ from ...grid import FloatArray, IntArray, Side
 from ...grid.topology import side_nodes
 from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_sums
-from ...parallel import for_chunks, for_items, ranks_of, require_whole, rows_of
+from ...parallel import Nodes, for_chunks, for_items
 from ..base import Account, Problem, Progress, Setting, of_stage
 from ..transfinite.skeleton import Skeleton, make_skeleton
 from .centres import Centres
@@ -104,7 +104,7 @@ class PreparedBlockRBF:
 
     def fill(self, displacement: FloatArray, progress: Progress | None = None) -> None:
         """Interior of every block and its slip planes from its other faces, in place in ``displacement``."""
-        coefficients, out = self._solved(displacement, progress), rows_of(displacement)
+        coefficients, out = self._solved(displacement, progress), Nodes.of(displacement).rows
         tiles = [(n, lo) for n, block in enumerate(self._blocks) for lo in range(0, len(block.targets), _TARGETS)]
 
         def targets(tile: int) -> IntArray:
@@ -120,7 +120,7 @@ class PreparedBlockRBF:
 
     def differentiable(self) -> PreparedBlockRBF:
         """The same with accurate solutions, so that :meth:`fill` and :meth:`pull` are transposes of each other."""
-        require_whole(self._problem.grid.points, "a derivative with radial basis functions inside blocks")
+        self._problem.grid.nodes.require_whole("a derivative with radial basis functions inside blocks")
         options = dataclasses.replace(self._options, solver="auto", tolerance=ROUND_OFF)
         return PreparedBlockRBF(options, self._problem, self._skeleton)
 
@@ -157,7 +157,7 @@ class PreparedBlockRBF:
             for_items(work, len(self._blocks), of_stage(progress, "rbf blocks"))
             return coefficients, accounts
 
-        coefficients, accounts = ranks_of(displacement).on_first(all_solved)
+        coefficients, accounts = Nodes.of(displacement).on_first(all_solved)
         if accounts:
             # Report the worst block: one not converged, or the one with the largest residual.
             self.account.notices.clear()
@@ -166,6 +166,6 @@ class PreparedBlockRBF:
 
     def _moved(self, centres: Centres, flat: IntArray, coefficients: FloatArray) -> FloatArray:
         """Displacement (n, 3) of some nodes of a block."""
-        n, x = len(centres.points), centres.normalised(rows_of(self._problem.grid.points)[flat])
+        n, x = len(centres.points), centres.normalised(self._problem.grid.nodes.rows[flat])
         sums = radial_sums(BASES[self._options.basis], x, centres.points, coefficients[:n])
         return np.asarray(sums + centres.drift(x, coefficients[n:]))

@@ -9,7 +9,7 @@ from ...numerics.fastsum.clusters.targets import interpolation_order, make_targe
 from ...numerics.fastsum.clusters.tree import build_tree
 from ...numerics.fastsum.tuned import SHARE, SINGLE_TOLERANCE
 from ...numerics.fastsum.weighted.sums import Accuracy, FastSums, Scaled
-from ...parallel import rows_of
+from ...parallel import Nodes
 from ..base import Account, Progress, of_stage
 from .idw_sums import Bound, SourceValues, Weights
 from .summation import DERIVATIVE_TOLERANCE, largest_error, sum_accurately
@@ -46,7 +46,7 @@ class FastEvaluator:
 
     def evaluate(self, fit: SourceValues, out: FloatArray, progress: Progress | None) -> None:
         """Write the displacement of the targets into ``out`` (n_nodes, 3)."""
-        bound, sums, rows = self.bound, self.sums, rows_of(out)
+        bound, sums, rows = self.bound, self.sums, Nodes.of(out).rows
         scaled = Scaled.of(fit.values, fit.still, sums.strength)
         moving, lasting = scaled.moving, 1 if fit.transition.width else 0
 

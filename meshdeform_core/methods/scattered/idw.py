@@ -17,7 +17,6 @@ from ...numerics.arrays import lengths, places_among, weighted_total
 from ...numerics.frame import AT_REST, Frame
 from ...numerics.rigid import NO_TRANSITION
 from ...numerics.tape import Tape, Tracked, plain
-from ...parallel import of_all, rows_at
 from ..base import Account, LinearNodes, Problem, Progress, Setting
 from ..kinks import FOLDED, HALF_TURNS, LARGEST, half_turns, kinks_of, tied
 from ..limits import LARGEST_ROTATION, PLAIN_ROTATION, warn_of_alpha, warn_of_rotation
@@ -172,7 +171,7 @@ class PreparedIDW:
         """Whether the moving boundary extends as far as the grid: beyond it, stretches would grow with the distance."""
         if not with_motion(self.images).all():
             return False
-        faces = rows_at(self.problem.grid.points, self.problem.topology.first)
+        faces = self.problem.grid.nodes.at(self.problem.topology.first)
         whole, own = (np.ptp(points, axis=0) for points in (faces, self.problem.source_points))
         return bool((own >= (1.0 - _ENCLOSED) * whole).all())
 
@@ -372,7 +371,7 @@ class PreparedIDW:
         """Bind to the target nodes ``flat``."""
         o, grid, room = self.options, self.problem.grid, self.problem.memory.size // _KEPT
         bound = Bound(grid, flat, self.points, self.strength, self.groups, o.rotation, o.divisions, room)
-        n_targets = sum(of_all(grid.points, len(flat)))
+        n_targets = sum(grid.nodes.gather(len(flat)))
         fast, self.account.settings["summation"] = fast_pays(o.summation, n_targets, len(self.points))
         if not fast:
             return ExactEvaluator(bound)

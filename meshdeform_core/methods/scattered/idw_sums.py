@@ -12,7 +12,7 @@ from ...grid import BoolArray, FloatArray, Grid, IntArray
 from ...numerics.exact.direct import N_VALUES, weighted_sums
 from ...numerics.frame import Frame
 from ...numerics.rigid import NO_TRANSITION, Transition, finish
-from ...parallel import empty, for_chunks, rows_at, rows_of
+from ...parallel import Nodes, empty, for_chunks
 from ..base import Progress, of_stage
 
 _CHUNK = 2048
@@ -64,7 +64,7 @@ class Bound:
     @property
     def points(self) -> FloatArray:
         """Coordinates (n_nodes, 3); of a grid in parts, only the rows that this rank holds."""
-        return np.asarray(rows_of(self.grid.points))
+        return np.asarray(self.grid.nodes.rows)
 
     @property
     def repeats(self) -> int:
@@ -73,7 +73,7 @@ class Bound:
 
     def displacement(self, fit: SourceValues, flat: IntArray, sums: FloatArray) -> FloatArray:
         """Displacement (n, 3) of the nodes ``flat`` from their sums (n, 1 + k)."""
-        x = rows_at(self.points, flat)
+        x = Nodes.of(self.points).at(flat)
         moved = np.empty_like(x)
         finish(self.rotation, sums, x - fit.origin, moved, self.repeats, fit.transition)
         return fit.frame.absolute(x, moved)
@@ -110,7 +110,7 @@ class ExactSums:
         """Sums (m, 1 + k) of values (k, n) at some nodes, the total weight first, or zero unless ``weigh``; ``chunk``
         nodes at a time, if no other loop uses the threads."""
         bound = self._bound
-        x, sums = rows_at(bound.points, flat), np.zeros((len(flat), 1 + len(values)))
+        x, sums = Nodes.of(bound.points).at(flat), np.zeros((len(flat), 1 + len(values)))
         for group, weights in zip(bound.groups, self._weights, strict=True):
             acts = self.acting[group]
             for some, kept in ((group[acts], values), (group[~acts], values[:0])):
@@ -170,7 +170,7 @@ class ExactEvaluator:
 
     def evaluate(self, fit: SourceValues, out: FloatArray, progress: Progress | None) -> None:
         """Write the displacement of the targets into ``out`` (n_nodes, 3)."""
-        bound, rows = self.bound, rows_of(out)
+        bound, rows = self.bound, Nodes.of(out).rows
 
         def use(_: slice, flat: IntArray, sums: FloatArray) -> None:
             rows[flat] = bound.displacement(fit, flat, sums)

@@ -9,7 +9,7 @@ from ...numerics.fastsum.weighted.sums import FastSums, Scaled
 from ...numerics.rigid import finish
 from ...numerics.tangents import finish_gradients, finish_tangents
 from ...numerics.tape import Tracked, plain
-from ...parallel import agreed, empty, ranks_of, rows_of, summed
+from ...parallel import Nodes, agreed, empty
 from ..kinks import Kinks
 from .fast_idw_sums import FastEvaluator, fast_sums
 from .idw_sums import Bound, ExactEvaluator, ExactSums, SourceValues, Use, Weights
@@ -94,7 +94,7 @@ class LinearIDW:
                 moved = moved @ turn.T + self._seen(sums, flat) @ found["turn"].T
             moved_rows[flat] = moved + found.get("shift", 0.0)
 
-        moved_rows = rows_of(out)
+        moved_rows = Nodes.of(out).rows
         _push(self._sums, values, use, weigh=False)
 
     def pull(self, gradient: FloatArray) -> FloatArray:
@@ -119,11 +119,11 @@ class LinearIDW:
             part[19:] += sums[:, 0] @ found[:, 1:]
             return found[:, 1 : 1 + changing]
 
-        acting, rows = self._sums.acting, rows_of(gradient)
+        acting, rows = self._sums.acting, Nodes.of(gradient).rows
         values = np.zeros((k, np.count_nonzero(acting)))
         own = self._sums.transpose(make, changing)[:, acting]
-        values[:changing] = summed(bound.grid.points, own)
-        part = summed(bound.grid.points, parts.sum(axis=0))
+        values[:changing] = bound.grid.nodes.total(own)
+        part = bound.grid.nodes.total(parts.sum(axis=0))
         if not acting.all():
             values = np.append(values, (part[19:] - values.sum(axis=1))[:, None], axis=1)
         known = {
@@ -152,7 +152,7 @@ def _accurate(
         sums = fast_sums(bound, weights, acting, share)
         found = _AtNodes(bound.grid, sums, values, transition)
         # All ranks must decide alike, also those whose processors round otherwise.
-        error = agreed(ranks_of(bound.grid.points), found.error(bound, sums, weights, values))
+        error = agreed(bound.grid.nodes.ranks, found.error(bound, sums, weights, values))
         if error <= DERIVATIVE_TOLERANCE:
             return sums, found
         if not np.isfinite(error):

@@ -9,7 +9,7 @@ from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_sums
 from ...numerics.fastsum.radial.frozen import FrozenRadial
 from ...numerics.fastsum.radial.targets import RadialTargets
-from ...parallel import agreed, alike, ranks_of, rows_of, summed
+from ...parallel import Nodes, agreed
 from ..base import Account
 from ..kinks import Kinks
 from .centres import REACH
@@ -56,10 +56,10 @@ class LinearRBF:
     def __init__(
         self, system: RadialSystem, points: FloatArray, sums: RadialSums, images: Images, kinks: Kinks
     ) -> None:
-        self._system, self._points, self._own, self.flat = system, points, rows_of(points), sums.flat
+        self._system, self._points, self._nodes, self.flat = system, points, Nodes.of(points), sums.flat
         self._images, self.kinks = images, kinks
         self._fast = self._accurate(sums.targets) if sums.targets else None
-        self._exact = None if self._fast else RadialMap(system, self._own[self.flat])
+        self._exact = None if self._fast else RadialMap(system, self._nodes.rows[self.flat])
 
     def _accurate(self, targets: RadialTargets) -> FrozenRadial | None:
         """Fast sums, refined until the error at the nodes where they are compared with exact sums is small enough;
@@ -71,13 +71,13 @@ class LinearRBF:
         system, centres = self._system, self._system.centres
         rough = np.random.default_rng(0).uniform(-1.0, 1.0, centres.points.shape)
         coefficients, polynomial = system.solve(rough, Account(), None)
-        kind, found = BASES[system.options.basis], rows_of(alike(self._points))
+        kind, found = BASES[system.options.basis], Nodes.of(self._nodes.like(3)).rows
 
         def exactly(flat: IntArray) -> FloatArray:
             return radial_sums(kind, targets.points[flat], centres.points, coefficients)
 
         some = doubtful(self._points, targets, np.zeros(len(targets.leaves)))
-        ranks = ranks_of(self._points)
+        ranks = self._nodes.ranks
         size = agreed(ranks, float(np.abs(exactly(some) + self._terms(some) @ polynomial).max(initial=0.0)))
         allowed = DERIVATIVE_TOLERANCE * size
         for _ in range(1 + MAX_RETRIES):
@@ -100,7 +100,7 @@ class LinearRBF:
 
     def push(self, change: FloatArray, out: FloatArray) -> None:
         """Write the change of the nodes into their rows of ``out`` (n_nodes, 3), for a ``change`` of the sources."""
-        values, rows = self._images.displaced(change), rows_of(out)
+        values, rows = self._images.displaced(change), Nodes.of(out).rows
         if self._exact:
             rows[self.flat] = self._exact.push(values)
             return
@@ -114,7 +114,7 @@ class LinearRBF:
 
     def pull(self, gradient: FloatArray) -> FloatArray:
         """Gradient (n_sources, 3) from that of the nodes, rows of ``gradient`` (n_nodes, 3)."""
-        rows = rows_of(gradient)
+        rows = Nodes.of(gradient).rows
         if self._exact:
             upper, lower = self._exact.gathered(rows[self.flat])
         else:
@@ -123,13 +123,13 @@ class LinearRBF:
             for first in range(0, len(self.flat), _ROWS):
                 flat = self.flat[first : first + _ROWS]
                 lower += self._terms(flat).T @ rows[flat]
-        upper, lower = (summed(self._points, each) for each in (upper, lower))
+        upper, lower = (self._nodes.total(each) for each in (upper, lower))
         return self._images.gathered(self._system.solve_transposed(upper, lower))
 
     def _terms(self, flat: IntArray) -> FloatArray:
         """Polynomial terms (n, q) at some nodes."""
         centres = self._system.centres
-        return centres.polynomial(centres.normalised(self._own[flat]))[:, : self._system.terms.shape[1]]
+        return centres.polynomial(centres.normalised(self._nodes.rows[flat]))[:, : self._system.terms.shape[1]]
 
 
 class LinearGreedy:

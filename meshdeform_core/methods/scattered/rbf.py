@@ -13,7 +13,7 @@ from ...boundary import Kind
 from ...errors import MethodError
 from ...grid import FloatArray, IntArray
 from ...numerics.exact.basis import BASES
-from ...parallel import ranks_of, require_whole, rows_at
+from ...parallel import Nodes
 from ..base import Account, LinearNodes, Problem, Progress, Setting, of_stage
 from ..kinks import CHOSEN, UNCHOSEN, Kinks
 from ..limits import warn_of_coarse_tolerance, warn_of_radius
@@ -129,7 +129,7 @@ class PreparedRBF:
         # Without greedy reduction the size of the system is known: refuse it now if it is too large.
         self.system: RadialSystem | None = None
         if options.greedy == "none":
-            self.system = RadialSystem(options.system, self.centres, problem.memory, ranks_of(problem.grid.points))
+            self.system = RadialSystem(options.system, self.centres, problem.memory, problem.grid.nodes.ranks)
         self.account.settings |= options.used("basis", "solver", "tolerance", "max_iterations", "greedy") | {
             "centres": Setting(len(self.images.points)),
             "polynomial": Setting(
@@ -158,7 +158,7 @@ class PreparedRBF:
             return float(o.radius)
         problem = self.problem
         moving = problem.source_points[problem.boundary.kind[problem.source_numbers] == Kind.MOVING]
-        radius = float(covering_radius(moving, rows_at(problem.grid.points, problem.topology.first)))
+        radius = float(covering_radius(moving, problem.grid.nodes.at(problem.topology.first)))
         self.account.settings["radius"] = Setting(radius, "every node sees the whole moving body")
         return radius
 
@@ -196,9 +196,7 @@ class PreparedRBF:
         search = Search(o.greedy_tolerance, o.greedy_start, o.greedy_updates or n, o.greedy_max_points or n)
         points = self.centres.points, self.centres.polynomial(self.centres.points)
         report = of_stage(progress, "greedy")
-        return ranks_of(self.problem.grid.points).on_first(
-            lambda: select(BASES[o.basis], *points, values, scale, search, report)
-        )
+        return self.problem.grid.nodes.on_first(lambda: select(BASES[o.basis], *points, values, scale, search, report))
 
     def _with_residual(
         self, points: FloatArray, coefficients: FloatArray, polynomial: FloatArray, values: FloatArray
@@ -237,9 +235,9 @@ class PreparedRBF:
         # Few centres chosen for nothing would be those of no direction.
         if not reduces or not displacement.any():
             evaluator.prepare(len(self.centres.points))
-            system = RadialSystem.accurate(self.options.system, self.centres, memory, ranks_of(points))
+            system = RadialSystem.accurate(self.options.system, self.centres, memory, Nodes.of(points).ranks)
             return LinearRBF(system, points, evaluator, self.images, Kinks({UNCHOSEN: 1} if reduces else {}))
-        require_whole(points, "a derivative of a greedy reduction")
+        Nodes.of(points).require_whole("a derivative of a greedy reduction")
         values = self.images.displaced(displacement)
         active = self.selected(values).active
         chosen = dataclasses.replace(self.centres, points=np.ascontiguousarray(self.centres.points[active]))

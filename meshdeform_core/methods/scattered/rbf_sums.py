@@ -13,7 +13,7 @@ from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_sums
 from ...numerics.fastsum.radial.sums import FastRadial
 from ...numerics.fastsum.radial.targets import RadialTargets, make_radial_targets
-from ...parallel import alike, for_chunks, for_rows, of_all, rows_of, thread_count
+from ...parallel import Nodes, for_chunks, thread_count
 from ..base import Account, Progress, Setting, of_stage
 from .centres import Centres, Coefficients, SumOptions
 from .summation import fast_pays, largest_error, sum_accurately
@@ -34,7 +34,7 @@ class RadialSums:
 
     def prepare(self, n_centres: int) -> None:
         """Sort the target nodes for fast sums if these pay for this number of centres."""
-        n_targets = sum(of_all(self._grid.points, len(self.flat)))
+        n_targets = sum(self._grid.nodes.gather(len(self.flat)))
         self._is_fast, self._account.settings["summation"] = fast_pays(self._options.summation, n_targets, n_centres)
         if not self._is_fast or self.targets is not None:
             return
@@ -43,8 +43,8 @@ class RadialSums:
         )
         grid = self._grid
         grid.hold_neighbours()
-        points = alike(grid.points)
-        for_rows(lambda rows: np.copyto(points[rows], self._centres.normalised(grid.points[rows])), points)
+        points = grid.nodes.like(3)
+        Nodes.of(points).each(lambda rows: np.copyto(points[rows], self._centres.normalised(grid.points[rows])))
         grid.hold_neighbours(points)
         targets = make_radial_targets(points, grid.shapes, grid.offsets, self.flat)
         self.targets = targets._replace(sizes=targets.sizes * self._centres.scale)
@@ -56,14 +56,14 @@ class RadialSums:
         if self._is_fast:
             self._fast(fit, out, report)
         if not self._is_fast:
-            self._exact(fit, rows_of(out), report)
+            self._exact(fit, Nodes.of(out).rows, report)
         if self._options.correct and fit.reach > 0:
-            self._add_residual(fit, rows_of(out))
+            self._add_residual(fit, Nodes.of(out).rows)
 
     @property
     def _points(self) -> FloatArray:
         """Coordinates (n_nodes, 3); of a grid in parts, only the rows that this rank holds."""
-        return np.asarray(rows_of(self._grid.points))
+        return np.asarray(self._grid.nodes.rows)
 
     def _displacement(self, fit: Coefficients, flat: IntArray) -> FloatArray:
         """Displacement (n, 3) of the nodes ``flat`` by exact sums."""
@@ -88,7 +88,7 @@ class RadialSums:
             x = targets.points[flat]
             rows[flat] = sums + self._centres.drift(x, fit.polynomial)
 
-        sums, rows = self._tree[1], rows_of(out)
+        sums, rows = self._tree[1], Nodes.of(out).rows
 
         def once() -> float:
             fitted = sums.fitted(fit.coefficients, targets, self._options.tolerance)

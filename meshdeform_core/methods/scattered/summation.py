@@ -8,7 +8,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from ...grid import FloatArray, Grid, IntArray
-from ...parallel import agreed, of_all, ranks_of, rows_at, rows_of
+from ...parallel import Nodes, agreed
 from ..base import Account, Setting
 from ..options import option
 
@@ -104,9 +104,9 @@ def largest_error(
 
     flat, error = doubtful(grid.points, targets, risk), np.zeros(0)
     if flat.size:
-        size = node_sizes(rows_of(grid.points), shape_table(grid.shapes), grid.offsets, flat)
-        error = np.linalg.norm(rows_at(found, flat) - exact(flat), axis=1) / size
-    return agreed(ranks_of(grid.points), error.max(initial=0.0))
+        size = node_sizes(grid.nodes.rows, shape_table(grid.shapes), grid.offsets, flat)
+        error = np.linalg.norm(Nodes.of(found).at(flat) - exact(flat), axis=1) / size
+    return agreed(grid.nodes.ranks, error.max(initial=0.0))
 
 
 def doubtful(points: FloatArray, targets: HasSamples, risk: FloatArray) -> IntArray:
@@ -114,9 +114,9 @@ def doubtful(points: FloatArray, targets: HasSamples, risk: FloatArray) -> IntAr
 
     If ``points`` are in parts, the bricks of all ranks compete; returns those nodes that are targets of this rank.
     """
-    others = of_all(points, (risk, len(targets.every)))
+    others = Nodes.of(points).gather((risk, len(targets.every)))
     bricks, nodes = (np.cumsum([0, *sizes]) for sizes in zip(*((len(one), many) for one, many in others), strict=True))
-    number = ranks_of(points).number
+    number = Nodes.of(points).ranks.number
     worst = np.argsort(np.concatenate([one for one, _ in others]))[-_WORST_BRICKS:]
     some = np.random.default_rng(0).integers(0, nodes[-1], _RANDOM_NODES)
     worst, some = (

@@ -16,7 +16,6 @@ from ...grid import BoolArray, FloatArray, Grid, IntArray
 from ...grid.topology import Topology
 from ...grid.windows import rectangles
 from ...numerics.arrays import distinct_rows, spans
-from ...parallel import rows_at
 from ..base import Account, Problem, Progress
 from ..kinks import Kinks
 from ..limits import TFI_ROTATION, warn_of_rotation
@@ -88,7 +87,7 @@ class PreparedEdgeGraph:
         reached = known.copy()
         edges = _block_edges(grid, topology)
         reached[edges.ends()] = True
-        points = rows_at(grid.points, topology.first)
+        points = grid.nodes.at(topology.first)
         self._free = np.flatnonzero(reached & ~known)
         segments = _segments(points, edges, np.zeros(len(edges), dtype=np.int64), reached, known)
         self._graph = _Graph.of(segments, self._free, len(known), problem.boundary.slip) if self._free.size else None

@@ -13,7 +13,7 @@ import numpy as np
 from ...grid import FloatArray, IntArray
 from ...numerics.arrays import batches
 from ...numerics.transfinite.boxes import box_numbers
-from ...parallel import Part, for_items, own_rows, rows_of
+from ...parallel import Nodes, for_items
 from ..base import Account, Problem, Progress, Setting, of_stage
 from ..options import MethodOptions, option
 from .curved import Bent, CurvedLines
@@ -87,7 +87,7 @@ class PreparedTFI:
 
     def __init__(self, options: TFI, problem: Problem, skeleton: Skeleton):
         self.problem, self._skeleton = problem, skeleton
-        self._points, self._subs = rows_of(problem.grid.points), skeleton.sub_blocks()
+        self._points, self._subs = problem.grid.nodes.rows, skeleton.sub_blocks()
         self.account = Account()
         cells = options.cells(problem)
         setting = dataclasses.replace(options.used("max_cells")["max_cells"], value=cells)
@@ -96,16 +96,16 @@ class PreparedTFI:
         self.account.settings["max_cells"] = setting
         self.account.settings["sub_blocks"] = Setting(len(self._subs))
         # Rows of the nodes that this rank holds.
-        self.rows = own_rows(problem.grid.points)
+        self.rows = problem.grid.nodes.ends
         self._straight = cells == 0
         self._choose(inside=True)
 
     def _choose(self, inside: bool) -> None:
         """Keep the sub-blocks with nodes of this rank ``inside`` them or anywhere, if the grid is in parts."""
-        points = self.problem.grid.points
-        if isinstance(points, Part):
-            self._subs, self.rows = _within(self._subs, *own_rows(points), inside)
-            points.widen(*self.rows)
+        nodes = self.problem.grid.nodes
+        if nodes.divided:
+            self._subs, self.rows = _within(self._subs, *nodes.ends, inside)
+            nodes.widen(*self.rows)
         self._groups = batches(box_numbers(self._subs), _TOGETHER)
         # The bent sub-blocks of each group, once it has been examined.
         self._bent: dict[int, Bent] = {}
@@ -113,7 +113,7 @@ class PreparedTFI:
     @cached_property
     def _touching(self) -> PreparedTFI:
         """The same for all sub-blocks with nodes of this rank, on their faces, too; all ranks must call this."""
-        if not isinstance(self.problem.grid.points, Part):
+        if not self.problem.grid.nodes.divided:
             return self
         found = copy.copy(self)
         found._subs = self._skeleton.sub_blocks()
@@ -122,9 +122,8 @@ class PreparedTFI:
 
     def fill(self, displacement: FloatArray, progress: Progress | None = None) -> None:
         """Fill the interior of every sub-block from its faces, in place in ``displacement`` (n_nodes, 3)."""
-        if isinstance(displacement, Part):
-            displacement.widen(*self.rows)
-        values = rows_of(displacement)
+        Nodes.of(displacement).widen(*self.rows)
+        values = Nodes.of(displacement).rows
 
         def work(number: int) -> None:
             group, curved = self.group(number)
@@ -142,9 +141,8 @@ class PreparedTFI:
         """Transpose of :meth:`fill`: pass gradients (n_nodes, 3) from inside sub-blocks on to their faces, in place."""
         # A rank passes on the gradients of all sub-blocks with nodes of its own, on their faces, too.
         method = self._touching
-        if isinstance(gradient, Part):
-            gradient.widen(*method.rows)
-        values = rows_of(gradient)
+        Nodes.of(gradient).widen(*method.rows)
+        values = Nodes.of(gradient).rows
         for number in range(len(method._groups)):
             group, curved = method.group(number)
             if curved:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ....parallel import rows_at
+from ....parallel import Nodes
 from ...arrays import FloatArray, IntArray
 from ..tuned import REGION
 from .boxes import Boxes, extents, fit_boxes, make_boxes
@@ -77,12 +77,12 @@ def node_sizes(points: FloatArray, shapes: IntArray, offsets: IntArray, flat: In
     """Length (n,) of the shortest edge at the nodes ``flat`` of a grid; edges of zero length, at poles, are ignored."""
     block = np.searchsorted(offsets, flat, side="right") - 1
     rest, shape = flat - offsets[block], shapes[block]
-    size = np.full(len(flat), np.inf)
+    nodes, size = Nodes.of(points), np.full(len(flat), np.inf)
     for axis, step in enumerate((shape[:, 1] * shape[:, 2], shape[:, 2], np.ones_like(rest))):
         at = rest // step % shape[:, axis]
         for way in (-1, 1):
             inside = (at + way >= 0) & (at + way < shape[:, axis])
             one = flat[inside]
-            edge = np.linalg.norm(rows_at(points, one + way * step[inside]) - rows_at(points, one), axis=1)
+            edge = np.linalg.norm(nodes.at(one + way * step[inside]) - nodes.at(one), axis=1)
             size[inside] = np.minimum(size[inside], np.where(edge > 0.0, edge, np.inf))
     return size

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ....parallel import agreed, for_chunks, numbered, ranks_of
+from ....parallel import Nodes, agreed, for_chunks
 from ...arrays import FloatArray, IntArray, Report
 from ...exact.basis import BASES
 from ...exact.radial import radial_block, radial_sums
@@ -131,8 +131,11 @@ class FastRadial:
     def fitted(self, coefficients: FloatArray, targets: RadialTargets, tolerance: float) -> tuple[Clusters, Boxes]:
         """Clusters with coefficients (n, 3), and boxes fine enough for the sums at trial leaves to keep the
         ``tolerance``, which is relative to the local cell size. The trial leaves of all ranks count."""
-        first, count = numbered(targets.coordinates, len(targets.leaves))
-        chosen = np.unique(np.linspace(0, count - 1, TRIAL_LEAVES).astype(int)) - first
+        nodes = Nodes.of(targets.coordinates)
+        counts = nodes.gather(len(targets.leaves))
+        chosen = np.unique(np.linspace(0, sum(counts) - 1, TRIAL_LEAVES).astype(int)) - sum(
+            counts[: nodes.ranks.number]
+        )
         chosen = chosen[(chosen >= 0) & (chosen < len(targets.leaves))]
         samples = targets.samples[chosen]
         exact = radial_sums(self._kind, targets.points[samples.ravel()], self._centres, coefficients)
@@ -144,7 +147,7 @@ class FastRadial:
             boxes = Boxes(targets.tree, *targets.spaces, self.share * permitted, every)
             found = self._on_leaves(chosen, targets, boxes, clusters)
             found = (np.linalg.norm(found - exact, axis=2) / targets.sizes[chosen]).max(initial=0.0)
-            error = agreed(ranks_of(targets.coordinates), float(found)) / tolerance
+            error = agreed(nodes.ranks, float(found)) / tolerance
             if error <= AIM:
                 break
             self.refine(error)

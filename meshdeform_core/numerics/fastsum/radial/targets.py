@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ....parallel import rows_of
+from ....parallel import Nodes
 from ...arrays import FloatArray, IntArray, Shapes
 from ..clusters.bricks import node_sizes
 from ..clusters.target_tree import TargetTree, build_target_tree
@@ -43,7 +43,7 @@ class RadialTargets(NamedTuple):
     @property
     def points(self) -> FloatArray:
         """Coordinates (n_nodes, 3); of a grid in parts, only the rows that this rank holds."""
-        return np.asarray(rows_of(self.coordinates))
+        return np.asarray(Nodes.of(self.coordinates).rows)
 
     @property
     def every(self) -> IntArray:
@@ -80,7 +80,7 @@ def make_radial_targets(
     flat: IntArray,
 ) -> RadialTargets:
     """Targets ``flat``, ascending, of a grid; those of this rank if the grid is in parts."""
-    return RadialTargets(coordinates, *_sorted(rows_of(coordinates), shape_table(shapes), offsets, flat))
+    return RadialTargets(coordinates, *_sorted(Nodes.of(coordinates).rows, shape_table(shapes), offsets, flat))
 
 
 def _sorted(

@@ -1,0 +1,336 @@
+"""Rows of a grid: whole, or divided among ranks, in memory or in a file.
+
+A whole grid is the part of one rank. Of a grid in parts, each row belongs to one rank, and all ranks run the same
+program: when all of them ask for the same rows by number, the owners send these rows; loops run on the rows of one
+rank, and must not ask for others.
+"""
+
+from __future__ import annotations
+
+import math
+import mmap
+import threading
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+
+from .loops import current_ranks, empty, for_chunks
+from .ranks import OneRank, Ranks
+from .scratch import ScratchFile, current_scratch
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import ArrayLike
+
+T = TypeVar("T")
+
+# Rows of coordinates per chunk; they fit into the cache of a core.
+_ROWS = 1 << 14
+# Where one row of a mapped file is read, Linux may bring the 2^21 bytes around it into memory. Between two looks at the
+# resident size, so many of these stretches are touched, half of what is reserved, and at most so many rows are read.
+_STRETCH, _STRETCHES, _FAR_APART = 21, 96, 1 << 16
+
+
+class WholeGridNeeded(Exception):
+    """The request requires the whole grid on every rank; raised on all ranks alike, with the reason."""
+
+
+class Chosen(Protocol):
+    """Some rows of an array."""
+
+    @property
+    def rows(self) -> np.ndarray:
+        """Numbers (n,) of the rows, ascending."""
+        ...
+
+    def taken(self, values: np.ndarray, rows: np.ndarray) -> np.ndarray | None:
+        """The ``values`` (m, 3), one for each of these rows, of row numbers (n,); ``None`` if any is another row."""
+        ...
+
+
+class Nodes:
+    """Rows of an array (n, ...), of which each of some ranks holds consecutive ones.
+
+    A whole array is an ordinary one wherever it is passed on, an array in parts is passed on as this object:
+    ``Nodes.of`` takes both. Methods that do something with all ranks must be called by all of them.
+
+    Parameters
+    ----------
+    ranks : the ranks that hold the parts
+    bounds : (n_ranks + 1,) first row of every rank, and the number of rows
+    rows, file : array of all rows in which those of this rank have values, and the file it is in, if any
+
+    Attributes
+    ----------
+    rows : as above; rows added by :meth:`widen` have values, too, the others take no memory
+    low, high : ends of the rows of this rank
+    """
+
+    def __init__(self, ranks: Ranks, bounds: ArrayLike, rows: Any, file: ScratchFile | None = None):
+        import numpy as np
+
+        self.ranks, self.bounds, self.rows, self._file = ranks, np.asarray(bounds), rows, file
+        self.low, self.high = self.bounds[ranks.number : ranks.number + 2].tolist()
+        self._held = self.low, self.high
+        self._known: tuple[Chosen, np.ndarray] | None = None
+        self._thread = threading.get_ident()
+
+    @classmethod
+    def of(cls, array: Any) -> Nodes:
+        """The rows of an array, in parts or whole."""
+        return array if isinstance(array, cls) else cls(OneRank(), (0, len(array)), array)
+
+    @classmethod
+    def new(cls, ranks: Ranks, bounds: ArrayLike, shape: Sequence[int], dtype: Any = "float64") -> Any:
+        """An uninitialised array of this shape, in parts if there are several ranks; in a file, with room for the rows
+        of this rank, if memory is limited."""
+        import numpy as np
+
+        if ranks.count == 1:
+            return empty(shape, dtype)
+
+        scratch, width = current_scratch(), math.prod(shape[1:]) * np.dtype(dtype).itemsize
+        low, high = np.asarray(bounds)[ranks.number : ranks.number + 2].tolist()
+        if not (scratch and scratch.takes((high - low) * width)):
+            return cls(ranks, bounds, blank(shape, dtype))
+        rows, file = scratch.blank(shape, dtype)
+        file.reserve(low * width, high * width)
+        return cls(ranks, bounds, rows, file)
+
+    def like(self, *width: int, dtype: Any = "float64") -> Any:
+        """A new, uninitialised array (n, *width), in parts if this one is."""
+        return Nodes.new(self.ranks, self.bounds, (len(self), *width), dtype)
+
+    @property
+    def divided(self) -> bool:
+        """Whether several ranks hold the rows."""
+        return self.ranks.count > 1
+
+    @property
+    def ends(self) -> tuple[int, int]:
+        """First and one past the last row of this rank."""
+        return self.low, self.high
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the whole array."""
+        return self.rows.shape
+
+    @property
+    def dtype(self) -> Any:
+        return self.rows.dtype
+
+    @property
+    def nbytes(self) -> int:
+        """Size of the whole array in bytes."""
+        return self.rows.nbytes
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def own(self) -> Any:
+        """The rows of this rank."""
+        return self.rows[self.low : self.high]
+
+    def __getitem__(self, rows: Any) -> Any:
+        """A range of rows that this rank holds, or, on all ranks together, rows by number."""
+        import numpy as np
+
+        if isinstance(rows, slice):
+            first, last, step = rows.indices(len(self))
+            if step != 1 or (first < last and (first < self._held[0] or last > self._held[1])):
+                raise IndexError(f"rows {first} to {last} of an array in parts; held are {self._held}")
+            return self.rows[rows]
+        numbers = np.asarray(rows)
+        if numbers.dtype.kind not in "iu":
+            raise TypeError(f"rows of an array in parts by {numbers.dtype}; expected numbers of rows")
+        flat = numbers.ravel()
+        found = self._known and self._known[0].taken(self._known[1], flat)
+        return (self._sent(flat) if found is None else found).reshape(numbers.shape + self.shape[1:])
+
+    def at(self, numbers: Any) -> Any:
+        """Rows by number, in any order, from the ranks that hold them."""
+        return self[numbers] if self.divided else _rows_at(self.rows, numbers)
+
+    def __array__(self, *_: Any, **__: Any) -> Any:
+        """Refuse numpy operations on the whole array, which is nowhere in memory."""
+        raise WholeGridNeeded("an operation on all nodes")
+
+    def keep(self, chosen: Chosen) -> None:
+        """Keep a copy of some rows on every rank, so that they need not be sent again."""
+        if self.divided:
+            self._known = chosen, self._sent(chosen.rows)
+
+    def keep_like(self, other: Any) -> None:
+        """Keep the same rows as another array, unless some are kept."""
+        known = Nodes.of(other)._known
+        if known and not self._known:
+            self.keep(known[0])
+
+    def _sent(self, rows: np.ndarray) -> Any:
+        """The rows, sent by their owners."""
+        import numpy as np
+
+        self._require_all()
+        order = None
+        if np.any(rows[1:] < rows[:-1]):
+            order = np.argsort(np.searchsorted(self.bounds, rows, side="right"), kind="stable")
+            rows = rows[order]
+        first = np.searchsorted(rows, self.bounds) if order is None else self._first_of(rows)
+        own = rows[first[self.ranks.number] : first[self.ranks.number + 1]]
+        found = self.ranks.collect(_rows_at(self.rows, own), np.diff(first).tolist())
+        if order is None:
+            return found
+        result = empty(found.shape, found.dtype)
+        result[order] = found
+        return result
+
+    def _first_of(self, rows: np.ndarray) -> np.ndarray:
+        """Index at which those of the ascending ``rows`` (n,) begin that belong to each rank."""
+        import numpy as np
+
+        return np.searchsorted(np.searchsorted(self.bounds, rows, side="right"), np.arange(1, self.ranks.count + 2))
+
+    def widen(self, first: int, last: int) -> None:
+        """Also hold copies of the rows first <= n < last as their owners have them now; all ranks must call this."""
+        if not self.divided:
+            return
+        self._require_all()
+        first, last = min(first, self.low), max(last, self.high)
+        if self._file:
+            self._file.reserve(first * self.rows.strides[0], last * self.rows.strides[0])
+        wanted = self.ranks.gather([(first, last)])
+        sends, receives = {}, {}
+        for other, (begin, end) in enumerate(wanted):
+            if other != self.ranks.number:
+                theirs = slice(*self.bounds[other : other + 2].tolist())
+                sends[other] = self.rows[max(begin, self.low) : min(end, self.high)]
+                receives[other] = self.rows[max(first, theirs.start) : min(last, theirs.stop)]
+        self.ranks.swap(sends, receives)
+        self._held = first, last
+
+    def any(self) -> bool:
+        """Whether any element is nonzero."""
+        return any(self.ranks.gather([bool(self.own.any())]))
+
+    def nonzero_rows(self) -> np.ndarray:
+        """Indices of the nonzero elements of a one-dimensional array."""
+        import numpy as np
+
+        return np.concatenate(self.ranks.gather([self.low + np.flatnonzero(self.own)]))
+
+    def min(self) -> Any:
+        """The smallest element."""
+        return min(self.ranks.gather([self.own.min()] if len(self.own) else []))
+
+    def each(self, fill: Callable[[slice], object]) -> None:
+        """Call ``fill(rows)`` for slices of the rows of this rank, on all threads; errors as in :meth:`on_each`."""
+
+        def work(lo: int, hi: int) -> None:
+            fill(slice(self.low + lo, self.low + hi))
+
+        self.on_each(lambda: for_chunks(work, self.high - self.low, _ROWS))
+
+    def on_each(self, action: Callable[[], object]) -> None:
+        """Run ``action`` on every rank; an error on one rank is raised on all."""
+        failures = list[Exception]()
+        try:
+            action()
+        except Exception as error:
+            failures.append(error)
+        for failure in self.ranks.gather(failures):
+            raise failure
+
+    def on_first(self, action: Callable[[], T]) -> T:
+        """The result, on all ranks, of ``action`` of the first one alone; of a whole array that several ranks have, of
+        the first of these."""
+        return (self.ranks if self.divided else current_ranks()).on_first(action)
+
+    def gather(self, value: T) -> list[T]:
+        """The values of all ranks."""
+        return self.ranks.gather([value])
+
+    def total(self, values: np.ndarray) -> np.ndarray:
+        """Sum of the ``values`` of all ranks, of the same shape, in rank order.
+
+        Only some are in memory for all ranks at a time.
+        """
+        if not self.divided:
+            return values
+        own = values.ravel()
+        result = own.copy()
+        for first in range(0, own.size, _ROWS):
+            some = own[first : first + _ROWS]
+            every = self.ranks.collect(some, [len(some)] * self.ranks.count)
+            result[first : first + _ROWS] = every.reshape(self.ranks.count, -1).sum(axis=0)
+        return result.reshape(values.shape)
+
+    def combined(self, operation: Callable[..., object], other: Any) -> Any:
+        """A new array (n, 3) filled by ``operation(this, other, out=...)``, like ``np.subtract``."""
+        result, this = self.like(3), self if self.divided else self.rows
+        self.each(lambda rows: operation(this[rows], other[rows], out=result[rows]))
+        return result
+
+    def require_whole(self, what: str) -> None:
+        """Require that the array is not in parts, for operations on all rows; ``what`` names the operation.
+
+        Raises
+        ------
+        WholeGridNeeded
+            If the array is in parts.
+        """
+        if self.divided:
+            raise WholeGridNeeded(what)
+
+    def _require_all(self) -> None:
+        """Raise an error rather than wait for ranks that do not take part."""
+        if current_ranks().count != self.ranks.count or threading.get_ident() != self._thread:
+            raise RuntimeError("a rank reads rows of others by itself")
+
+
+def _rows_at(array: Any, rows: Any) -> Any:
+    """``array[rows]`` for rows by number, in any order; of an array in a file a few at a time.
+
+    Nodes on block faces lie all over a grid: all at once, they would bring most of its file into memory.
+    """
+    import numpy as np
+
+    scratch = current_scratch()
+    if scratch is None:
+        # A quarter of the time that array[rows] takes.
+        plain = isinstance(array, np.ndarray) and array.flags.c_contiguous
+        return np.asarray(array).take(rows, axis=0) if plain else array[rows]
+    flat, found = rows.ravel(), empty((rows.size, *array.shape[1:]), array.dtype)
+    for lo in range(0, flat.size, _FAR_APART):
+        stretch = flat[lo : lo + _FAR_APART].astype(np.int64) * array.strides[0] >> _STRETCH
+        others = lo + 1 + np.flatnonzero(np.diff(stretch))
+        ends = [lo, *others[_STRETCHES - 1 :: _STRETCHES].tolist(), lo + len(stretch)]
+        for begin, end in pairwise(ends):
+            found[begin:end] = array[flat[begin:end]]
+            scratch.look()
+    return found.reshape(rows.shape + array.shape[1:])
+
+
+def blank(shape: Sequence[int], dtype: Any) -> Any:
+    """An array of zeros whose pages take memory only once written to; it does not count towards a limit on data."""
+    import numpy as np
+
+    if not hasattr(mmap, "MAP_ANONYMOUS"):
+        return np.zeros(shape, dtype)
+    size = max(math.prod(shape) * np.dtype(dtype).itemsize, 1)
+    reserve = getattr(mmap, "MAP_NORESERVE", 0)
+    flags = mmap.MAP_SHARED | mmap.MAP_ANONYMOUS | reserve
+    return np.ndarray(shape, dtype, buffer=mmap.mmap(-1, size, flags=flags))
+
+
+def require_undivided(what: str) -> None:
+    """Require that a grid about to be read will not be in parts; ``what`` is the reason.
+
+    Raises
+    ------
+    WholeGridNeeded
+        If it would be.
+    """
+    if current_ranks().count > 1:
+        raise WholeGridNeeded(what)
