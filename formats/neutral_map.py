@@ -69,13 +69,8 @@ class Entry:
         return self.type.lower().replace("-", "_") == "one_to_one"
 
 
-@dataclass(frozen=True)
-class NeutralMap:
-    """A whole file: block sizes in nodes, and entries in file order."""
-
-    sizes: tuple[Shape, ...]
-    entries: tuple[Entry, ...]
-    notes: tuple[str, ...]
+NeutralMap = tuple[tuple[Shape, ...], tuple[Entry, ...], tuple[str, ...]]
+"""A whole file: block sizes in nodes, entries in file order, and notes."""
 
 
 def parse_neutral_map(path: Path) -> NeutralMap:
@@ -96,7 +91,7 @@ def parse_neutral_map(path: Path) -> NeutralMap:
     if not lines:
         raise FormatError(f"{path} is not a neutral map: it has only comments and empty lines")
     sizes, notes = _block_sizes(lines, path)
-    return NeutralMap(sizes, tuple(_entry_of(line) for line in lines[1 + len(sizes) :]), notes)
+    return sizes, tuple(_entry_of(line) for line in lines[1 + len(sizes) :]), notes
 
 
 def _block_sizes(lines: list[Line], path: Path) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
@@ -215,11 +210,11 @@ def read_neutral_map(path: Path, grid: Grid) -> Grid:
     Raises FormatError when the file cannot be read, is not a neutral map, or describes blocks that the grid does not
     have.
     """
-    file = parse_neutral_map(Path(path))
-    frame = _frame(file, grid, Path(path))
+    sizes, entries, notes = parse_neutral_map(Path(path))
+    frame = _frame(sizes, entries, grid, Path(path))
     patches, connections, left_out = list(grid.patches), list(grid.connections), 0
     counts = Counter(patch.family for patch in patches)
-    for entry in file.entries:
+    for entry in entries:
         ranges = [frame.locate(numbers, entry.place) for numbers in entry.ranges]
         if any(grid.shapes[r.block][r.side.axis] == 1 for r in ranges):
             left_out += 1
@@ -230,37 +225,36 @@ def read_neutral_map(path: Path, grid: Grid) -> Grid:
             connections.append(_connection_of(name, entry, *ranges))
         else:
             patches.append(Patch(name, tuple(r.window for r in ranges), entry.type, entry.type))
-    notes = list(file.notes)
     if left_out:
-        notes.append(f"{path}: {left_out} entries lie on the plane of the 2-D grid itself and are ignored")
+        notes = (*notes, f"{path}: {left_out} entries lie on the plane of the 2-D grid itself and are ignored")
     return replace(grid, patches=tuple(patches), connections=tuple(connections), notes=(*grid.notes, *notes))
 
 
-def _frame(file: NeutralMap, grid: Grid, path: Path) -> _Frame:
-    if len(file.sizes) != grid.n_blocks:
+def _frame(sizes: tuple[Shape, ...], entries: tuple[Entry, ...], grid: Grid, path: Path) -> _Frame:
+    if len(sizes) != grid.n_blocks:
         raise FormatError(
-            f"{path} describes {len(file.sizes)} blocks, the grid has {grid.n_blocks}; expected the map of this grid"
+            f"{path} describes {len(sizes)} blocks, the grid has {grid.n_blocks}; expected the map of this grid"
         )
-    if file.sizes == grid.shapes:
+    if sizes == grid.shapes:
         # Faces 1 and 2 are edges if a range of a single line of nodes, in a 2-D grid, cannot be its plane.
-        ranges = [numbers for entry in file.entries for numbers in entry.ranges]
-        plane = all(nk == 1 for _, _, nk in file.sizes)
+        ranges = [numbers for entry in entries for numbers in entry.ranges]
+        plane = all(nk == 1 for _, _, nk in sizes)
         edges = plane and any(face in (1, 2) and s2 == e2 == 1 for _, face, _, _, s2, e2 in ranges)
-        return _Frame(file.sizes, _EDGES if edges else FACES, (0, 1, 2), None)
+        return _Frame(sizes, _EDGES if edges else FACES, (0, 1, 2), None)
     siblings = [
         (flat, dropped)
         for flat, dropped in product(range(3), range(3))
         if all(shape[flat] == 1 for shape in grid.shapes)
-        and all(size[dropped] <= 2 for size in file.sizes)
-        and [np.delete(size, dropped).tolist() for size in file.sizes]
+        and all(size[dropped] <= 2 for size in sizes)
+        and [np.delete(size, dropped).tolist() for size in sizes]
         == [np.delete(shape, flat).tolist() for shape in grid.shapes]
     ]
     if len(siblings) == 1:
         flat, dropped = siblings[0]
         axes = np.insert(np.delete(np.arange(3), flat), dropped, flat)
-        return _Frame(file.sizes, FACES, (int(axes[0]), int(axes[1]), int(axes[2])), dropped)
-    index = next(i for i, (size, shape) in enumerate(zip(file.sizes, grid.shapes, strict=True)) if size != shape)
-    size, shape = ("x".join(str(n) for n in sizes[index]) for sizes in (file.sizes, grid.shapes))
+        return _Frame(sizes, FACES, (int(axes[0]), int(axes[1]), int(axes[2])), dropped)
+    index = next(i for i, (size, shape) in enumerate(zip(sizes, grid.shapes, strict=True)) if size != shape)
+    size, shape = ("x".join(str(n) for n in each[index]) for each in (sizes, grid.shapes))
     raise FormatError(
         f"{path}: block {index + 1} has {size} nodes, {grid.names[index]} of the grid has {shape}; expected "
         f"the map of this grid or, for a 2-D grid, that of the same grid with one layer of cells"

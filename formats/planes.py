@@ -335,15 +335,11 @@ def _turns(grid: Grid, bounds: IntArray, outputs: Iterable[Output]) -> list[Turn
     """What is written at one time, one after the other."""
     queues: dict[int, list[tuple[Output, Planes, dict[int, int]]]] = {}
     for output in outputs:
-        owners = _owners(grid, bounds, output.block, output.shape[0])
+        _, nj, nk = grid.shapes[output.block]
+        ends = np.clip((bounds - grid.offsets[output.block]) // (nj * nk), 0, output.shape[0])
+        # The ranks that hold some of the planes i of the block, and how many each.
+        owners = {rank: width for rank, width in enumerate(np.diff(ends).tolist()) if width}
         for number, (_, part) in enumerate(_ranges([output])):
             queues.setdefault(list(owners)[number % len(owners)], []).append((output, part, owners))
     most = max((len(queue) for queue in queues.values()), default=0)
     return [{rank: queue[n] for rank, queue in queues.items() if n < len(queue)} for n in range(most)]
-
-
-def _owners(grid: Grid, bounds: IntArray, block: int, count: int) -> dict[int, int]:
-    """The ranks that hold some of ``count`` planes i of a block, and how many each."""
-    _, nj, nk = grid.shapes[block]
-    ends = np.clip((bounds - grid.offsets[block]) // (nj * nk), 0, count)
-    return {rank: width for rank, width in enumerate(np.diff(ends).tolist()) if width}

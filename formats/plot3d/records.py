@@ -26,15 +26,8 @@ from .variant import Variant
 LONGEST_SUBRECORD = 2**31 - 9
 
 
-@dataclass(frozen=True)
-class Record:
-    """One logical record: the (offset, length) of its data, more than one pair if it has subrecords."""
-
-    segments: tuple[tuple[int, int], ...]
-
-    @property
-    def length(self) -> int:
-        return sum(length for _, length in self.segments)
+Record = tuple[tuple[int, int], ...]
+"""One logical record: the (offset, length) of its data, more than one pair if it has subrecords."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +37,11 @@ class Walk:
     size: int
     records: list[Record]
     problem: str
+
+    @property
+    def lengths(self) -> list[int]:
+        """Bytes of data in each record."""
+        return [sum(length for _, length in record) for record in self.records]
 
 
 def walk_records(stream: BinaryIO, variant: Variant) -> Walk:
@@ -65,7 +63,7 @@ def walk_records(stream: BinaryIO, variant: Variant) -> Walk:
         segments.append((position + width, abs(before)))
         position = end + width
         if before > 0:
-            records.append(Record(tuple(segments)))
+            records.append(tuple(segments))
             segments = []
     return Walk(size, records, f"record {len(records) + 1} lacks its last subrecord" if segments else "")
 
@@ -81,10 +79,10 @@ def fortran_readings(stream: BinaryIO) -> Iterator[Reading]:
     for byte_order, markers in product(("little", "big"), (4, 8)):
         base = Variant(byte_order=byte_order, markers=markers)
         walk = walk_records(stream, base)
-        if not walk.records or walk.records[0].length not in (4, 8, 12):
+        if not walk.records or sum(length for _, length in walk.records[0]) not in (4, 8, 12):
             continue
         content = bytearray()
-        for offset, length in chain.from_iterable(record.segments for record in walk.records[: 1 + MOST_BLOCKS]):
+        for offset, length in chain.from_iterable(walk.records[: 1 + MOST_BLOCKS]):
             stream.seek(offset)
             content += stream.read(min(length, 4 * LONGEST_HEADER - len(content)))
         integers = np.frombuffer(content, base.integer, count=len(content) // 4).astype(np.int64)
@@ -100,7 +98,7 @@ def _headers(
     base: Variant, walk: Walk, integers: NDArray[np.int64]
 ) -> Iterator[tuple[Variant, tuple[Shape, ...], int]]:
     """Variant, block shapes and number of header records; the block sizes may be in one record or in several."""
-    ends = list(accumulate(record.length for record in walk.records[: 1 + MOST_BLOCKS]))
+    ends = list(accumulate(walk.lengths[: 1 + MOST_BLOCKS]))
     for multiblock, dimension in product((True, False), (3, 2)):
         shapes = header_shapes(integers, multiblock, dimension, walk.size)
         length = 4 * (int(multiblock) + dimension * len(shapes or ()))
@@ -110,8 +108,7 @@ def _headers(
 
 def _data_readings(header: Variant, shapes: tuple[Shape, ...], walk: Walk, used: int) -> Iterator[Reading]:
     """All possible readings of the records after the ``used`` records of the header."""
-    found = [record.length for record in walk.records]
-    segments = tuple(chain.from_iterable(record.segments for record in walk.records[used:]))
+    found, segments = walk.lengths, tuple(chain.from_iterable(walk.records[used:]))
     planes = sum(nk for _, _, nk in shapes)
     for precision, iblank, per in product(("float64", "float32"), (False, True), ("block", "array", "plane")):
         # Blocks of one plane have the same records in both forms.
