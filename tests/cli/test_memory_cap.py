@@ -78,9 +78,8 @@ OTHERS = {
 def capped(cap: int, *words: str) -> subprocess.CompletedProcess[str]:
     """A command whose last output is its peak."""
     code = (
-        "import gc, sys; from meshdeform_cli.main import run; from meshdeform_core.memory import peak_memory; "
-        # As the program does at its end.
-        "code = run(sys.argv[1:]); print('peak', peak_memory()); gc.freeze(); sys.exit(code)"
+        "import sys; from meshdeform_cli.main import run; from meshdeform_core.memory import peak_memory; "
+        "code = run(sys.argv[1:]); print('peak', peak_memory()); sys.exit(code)"
     )
     command = [sys.executable, "-c", code, *words, "--max-memory", str(cap)]
     return subprocess.run(command, capture_output=True, text=True, check=False)

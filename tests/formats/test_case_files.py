@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gc
+import subprocess
+import sys
 import weakref
 from pathlib import Path
 
@@ -124,3 +126,15 @@ def test_wrong_sequences_are_refused(folder, old, new, words):
     (folder / "case.toml").write_text(CASE.replace(old, new))
     with pytest.raises(CaseError, match=words):
         read_case(folder / "case.toml")
+
+
+@pytest.mark.slow
+def test_a_process_that_has_read_a_case_ends_in_peace(tmp_path):
+    """msgspec's classes crash one interpreter in five at its end where they are freed."""
+    (tmp_path / "case.toml").write_text('[[boundary]]\nname = "body"\nmotion = [{ translate = [1, 0, 0] }]\n')
+    code = (
+        "import sys; from pathlib import Path; from meshdeform_formats.case.reader import read_case; "
+        "read_case(Path('case.toml')); sys.exit(4)"
+    )
+    running = [subprocess.Popen([sys.executable, "-c", code], cwd=tmp_path) for _ in range(12)]
+    assert [process.wait(60) for process in running] == [4] * 12
