@@ -1,7 +1,7 @@
 # Two commands do all the set-up: `make demo` and `make test`. Needs Python 3.11+ and make, nothing else.
 PYTHON ?= python3
 VENV ?= .venv
-BIN := $(VENV)/bin
+BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 # Without bytecode every process, of which the tests start many, compiles all sources anew.
 unexport PYTHONDONTWRITEBYTECODE
 
