@@ -223,16 +223,16 @@ def _require_finite(state: State, points: FloatArray, first: int) -> None:
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if bad.size:
         setup = state.course.setup
-        overlaps = () if setup.grid.nodes.divided else find_overlaps(setup.grid, setup.topology)
+        node = setup.grid.node_label(first + int(bad[0]))
         # Nodes of one block on a moving face of another are sources and interior nodes at once.
-        expected = (
-            f"{overlaps[0].describe(setup.grid)}{overlap_advice(setup.grid)}"
-            if overlaps
-            else ("expected finite coordinates, from options and a motion of the size of the grid")
-        )
+        if not setup.grid.nodes.divided and (overlaps := find_overlaps(setup.grid, setup.topology)):
+            raise MethodError(
+                f"{overlaps[0].describe(setup.grid)}, so that {state.options.name} finds no place for {node}"
+                f"{overlap_advice(setup.grid)}"
+            )
         raise MethodError(
-            f"{state.options.name} moves {setup.grid.node_label(first + int(bad[0]))} to {vector(points[bad[0]])}; "
-            f"{expected}"
+            f"{state.options.name} moves {node} to {vector(points[bad[0]])}; expected finite coordinates, from options "
+            "and a motion of the size of the grid"
         )
 
 
