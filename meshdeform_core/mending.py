@@ -24,10 +24,10 @@ from .quality.comparison import Comparison
 from .quality.difference import require_same_blocks
 from .quality.validity import Verdict, judge
 from .renewal import renewed
-from .repair.basis import Basis
 from .repair.constraints import Constraints
 from .repair.limit import Limit
 from .repair.outcome import Judged, Repair
+from .repair.region import Basis
 from .repair.repair import WEAK, Repairer
 from .repair.tuned import FARTHEST
 from .setup import Case

@@ -31,7 +31,7 @@ from .quality import Original
 from .repair import Mode, RepairOptions
 
 if TYPE_CHECKING:
-    from .repair.basis import Basis
+    from .repair.region import Basis
 
 BoundaryMotion = Callable[[float], FloatArray]
 """``motion(fraction)``: displacement (n_unique, 3) of all face nodes for that fraction of the motion."""
@@ -130,7 +130,7 @@ class Undeformed:
     def repairs(self) -> Basis:
         """Data that all repairs share."""
         # Imported late, as its loops take time to load, which most motions do not need.
-        from .repair.basis import Basis
+        from .repair.region import Basis
 
         return Basis(self.original, self.boundary)
 

@@ -14,10 +14,9 @@ import numpy as np
 
 from ..grid import BoolArray, FloatArray
 from ..parallel import Nodes
-from .basis import Basis
 from .energy import Penalty, Region, kept_along_lines, share_of, share_slopes
 from .extrusion import Extrusion
-from .region import Plot
+from .region import Basis, Plot
 from .tuned import CUBIC, POLISHED
 
 _LOOSE, _ITERATIONS, _REFINEMENTS = 1e-3, 5000, 40

@@ -18,16 +18,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..boundary import Boundary
 from ..boundary.slip import CurvedSurface
 from ..grid import BoolArray, FloatArray, IntArray
 from ..grid.planes import plane_axes, plane_normal
 from ..numerics.cell.foldover.hexahedra import Unknowns
 from ..numerics.cell.foldover.samples import cell_samples, samples_with_any, sound_samples
+from ..numerics.cell.layers import spread_layers
 from ..parallel import Nodes
+from ..quality import Original
 from .constraints import Constraints
 from .energy import Energy, Hexahedra, Region, Slide, Triangles
+from .extrusion import Extrusion, find_extrusion
 from .newton import NewtonSystem
-from .reach import Reach
 from .tuned import COLLAPSED, CRAMPED, FALL, FIRST, GROWTH, HEAVIEST, REACH, ROOM, SHARE, STEEP, THIN
 
 FARTHEST = math.ceil(REACH / SHARE)
@@ -92,6 +95,50 @@ class Near(NamedTuple):
         own = np.bincount(Nodes.of(self.layers).rows[low:high].clip(max=self.most + 1), minlength=self.most + 2)
         total = np.cumsum(np.sum(Nodes.of(self.layers).gather(own), axis=0))
         return next((layers for layers in sorted(choices, reverse=True) if total[layers] <= count), None)
+
+
+class Reach:
+    """Distances in cells between nodes of a grid; coincident nodes and periodic images count as one node."""
+
+    def __init__(self, constraints: Constraints) -> None:
+        self._grid, topology = constraints.grid, constraints.topology
+        self._nodes, self._classes = topology.face_nodes, constraints.root[topology.number]
+        self._ends = np.searchsorted(self._nodes, self._grid.offsets)
+        self._shapes = np.array(self._grid.shapes, dtype=np.int64)
+
+    def layers(self, seeds: IntArray, most: int) -> tuple[Any, int]:
+        """Distance (n_nodes,) int16, in cells, of every block node from the block nodes ``seeds``, ``most + 1`` where
+        it exceeds ``most``, in parts if the grid is; and the largest distance up to ``most``."""
+        nodes = self._grid.nodes
+        (low, high), found = nodes.ends, nodes.like(dtype=np.int16)
+        own = Nodes.of(found).own
+        own[...] = most + 1
+        own[seeds[(seeds >= low) & (seeds < high)] - low] = 0
+        nearest = np.full(len(self._nodes), most + 1, dtype=np.int16)
+        at = np.minimum(np.searchsorted(self._nodes, seeds), len(self._nodes) - 1)
+        nearest[self._classes[at[self._nodes[at] == seeds]]] = 0
+        self._spread(found, nearest, most)
+        largest = int(own[own <= most].max(initial=0))
+        return found, max(nodes.gather(largest))
+
+    def _spread(self, found: Any, nearest: np.ndarray, most: int) -> None:
+        """Lower the distances of this rank's nodes until no rank finds any that is too large."""
+        grid, nodes = self._grid, Nodes.of(found)
+        own = [grid.planes(block) for block in range(grid.n_blocks)]
+        planes = np.array([
+            (max(each.start - 1, 0), min(each.stop + 1, ni)) if each.stop > each.start else (0, 0)
+            for each, ni in zip(own, self._shapes[:, 0].tolist(), strict=True)
+        ])  # fmt: skip
+        again = True
+        while again:
+            grid.hold_neighbours(found)
+            before = nearest.copy()
+            arrays = self._shapes, grid.offsets, self._nodes, self._ends, self._classes, nearest
+            lowered = int(spread_layers(nodes.rows, most, planes, *arrays))
+            changed = np.flatnonzero(nearest < before)
+            for numbers, values in nodes.gather((changed, nearest[changed])):
+                nearest[numbers] = np.minimum(nearest[numbers], values)
+            again = nodes.divided and any(nodes.gather(lowered > 0))
 
 
 class Neighbourhood:
@@ -278,6 +325,38 @@ class Neighbourhood:
 
 
 _ENDS = ((None, -1), (1, None))
+
+
+class Basis:
+    """Data common to all repairs of one undeformed grid; each part is computed when first needed."""
+
+    def __init__(self, original: Original, boundary: Boundary | Constraints):
+        self.original, self._boundary = original, boundary
+
+    @cached_property
+    def _constraints(self) -> Constraints:
+        if isinstance(self._boundary, Constraints):
+            return self._boundary
+        return Constraints.of(self.original, self._boundary)
+
+    @cached_property
+    def neighbourhood(self) -> Neighbourhood:
+        """See :class:`Neighbourhood`."""
+        return Neighbourhood(self._constraints)
+
+    @cached_property
+    def extrusion(self) -> tuple[Extrusion, Basis] | None:
+        """The plane grid that this one is extruded from, with its own basis; ``None`` if it is no extrusion."""
+        found = find_extrusion(self._constraints)
+        if found is None:
+            return None
+        original = Original(found.plane, found.constraints.topology, self.original.min_jacobian)
+        return found, Basis(original, found.constraints)
+
+    @cached_property
+    def whole(self) -> Plot | None:
+        """The region of all nodes that may move, or ``None`` if no node may."""
+        return self.neighbourhood.plot()
 
 
 def nearness(layers: np.ndarray, largest: int) -> tuple[FloatArray, float]:

@@ -22,7 +22,6 @@ from ..numerics.arrays import lengths
 from ..parallel import Nodes
 from ..quality.comparison import Comparison
 from ..quality.validity import judge
-from .basis import Basis
 from .energy import kept_along_lines
 from .extrusion import Extrusion
 from .limit import Limit
@@ -30,10 +29,9 @@ from .newton import NewtonSystem
 from .onset import unhealthy_cells
 from .options import Effort
 from .outcome import Judged, Outcome, Repair
-from .region import Plot
-from .search import WAYS, Progress, Search, Searcher, Way
+from .region import Basis, Plot
 from .tuned import FEW, KEPT, LARGE, LAYERS, PER_NODE, REGIONS
-from .untangle import CLOSE
+from .untangle import CLOSE, WAYS, Progress, Search, Searcher, Way
 
 WEAK = 0.35
 """Cells with a corner below this fraction of its undeformed Jacobian are the centres of regions."""

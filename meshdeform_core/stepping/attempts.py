@@ -21,6 +21,7 @@ from .steps import (
     patient_step,
     plain_step,
     repaired,
+    smallest_scaled,
     step,
     warnings_ahead,
 )
@@ -85,6 +86,9 @@ def until_valid(course: Course) -> Reached:
             return Reached(found)
         best = found
     if best.valid and best.smallest_ratio < COLLAPSING and not (best.repair and best.repair.converged):
+        stepped = _without_repairs(course)
+        if stepped and stepped.last and smallest_scaled(course, stepped.last) > smallest_scaled(course, best.found):
+            return Reached(stepped)
         for trial in _with_other_methods(course, SQUEEZED, best.state.options):
             if trial.valid and trial.smallest_ratio > best.smallest_ratio:
                 best = trial

@@ -149,7 +149,7 @@ def repaired(trial: Trial, effort: Effort = "quick") -> Trial:
         return trial
     if course.polishing:
         polished = _repaired(trial, effort, polish=True)
-        if not plain.verdict.valid or _smallest_scaled(course, polished.found) >= _smallest_scaled(course, plain):
+        if not plain.verdict.valid or smallest_scaled(course, polished.found) >= smallest_scaled(course, plain):
             return polished
     return _repaired(trial, effort)
 
@@ -247,7 +247,7 @@ def _judged(course: Course, fraction: float, points: FloatArray) -> Coordinates:
         return Coordinates(points, cells.verdict, cells)
 
 
-def _smallest_scaled(course: Course, found: Coordinates) -> float:
+def smallest_scaled(course: Course, found: Coordinates) -> float:
     """The smallest scaled Jacobian, which polishing must not reduce although it minimises another measure."""
     cells = found.cells or Comparison(course.setup.original, course.rounded(found.points))
     return cells.after.smallest_scaled[1]

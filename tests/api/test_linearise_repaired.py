@@ -9,7 +9,7 @@ from grids import frame, frame_2d
 import meshdeform as md
 from meshdeform.grid import wrapped
 from meshdeform_core.grid.parts import FileFormat
-from meshdeform_core.repair import derivative, energy, onset, search, untangle
+from meshdeform_core.repair import derivative, energy, onset, untangle
 from meshdeform_core.repair.derivative import derivative_of_repair
 from meshdeform_core.repair.untangle import CLOSE
 from meshdeform_core.stepping import course
@@ -129,7 +129,7 @@ def test_central_differences_through_a_repair(name, converged):
 
 def test_a_repair_that_ends_elsewhere_says_so(monkeypatch):
     mesh = prepared(frame_2d(9), plane=True)
-    monkeypatch.setattr(search, "_CONVERGING", 2)
+    monkeypatch.setattr(untangle, "_CONVERGING", 2)
     found = mesh.linearise(bend(mesh, 1.2), steps=1)
     assert found.step.repair is not None
     assert not found.step.repair.converged

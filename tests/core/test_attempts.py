@@ -40,6 +40,7 @@ def test_of_nearly_collapsed_grids_the_best_one_is_kept(ratios, kept, tried, mon
         )
         return dataclasses.replace(trial, found=Coordinates(trial.plain.points, verdict))
 
+    monkeypatch.setattr(attempts, "_without_repairs", lambda course: None)
     monkeypatch.setattr(attempts, "repaired", repaired)
     monkeypatch.setattr(attempts, "step", lambda state, fraction, ways=None: repaired(plain_step(state, fraction)))
     grid, specs = frame_2d(), tuple(body_specs(turning(8.0))[:1])

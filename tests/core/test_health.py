@@ -8,9 +8,9 @@ from cases import body_specs, turning
 from grids import frame
 
 from meshdeform_core.deform import Case, set_up
-from meshdeform_core.repair.basis import Basis
 from meshdeform_core.repair.energy import share_of
 from meshdeform_core.repair.onset import unhealthy_cells
+from meshdeform_core.repair.region import Basis
 
 GRID = frame(4, 3)
 SETUP = set_up(GRID, Case(tuple(body_specs(turning("5")))))

@@ -20,14 +20,13 @@ from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.numerics.cell.foldover.plane import add_triangles
 from meshdeform_core.parallel import set_threads
 from meshdeform_core.quality.validity import judge, newly_invalid
-from meshdeform_core.repair import RepairOptions, newton, search
-from meshdeform_core.repair.basis import Basis
+from meshdeform_core.repair import RepairOptions, newton, untangle
 from meshdeform_core.repair.constraints import Constraints
 from meshdeform_core.repair.energy import Penalty
 from meshdeform_core.repair.extrusion import _heights, find_extrusion
 from meshdeform_core.repair.newton import NewtonSystem
 from meshdeform_core.repair.outcome import Judged
-from meshdeform_core.repair.region import Neighbourhood
+from meshdeform_core.repair.region import Basis, Neighbourhood
 from meshdeform_core.repair.repair import Repairer
 from meshdeform_core.repair.untangle import Untangler
 from meshdeform_samples.reproduce.experiment import Sample, prepare_sample
@@ -285,7 +284,7 @@ def test_polishing_a_healthy_grid_improves_its_worst_cells(angle):
 
 
 def test_a_polished_grid_with_a_smaller_scaled_jacobian_is_not_taken(monkeypatch):
-    monkeypatch.setattr(search, "POLISHED", 1.0)
+    monkeypatch.setattr(untangle, "POLISHED", 1.0)
     plain, polished = (turned(frame_2d(6), 20, mode=mode) for mode in ("off", "polish"))
     np.testing.assert_array_equal(polished.grid.points, plain.grid.points)
     assert polished.repair is None

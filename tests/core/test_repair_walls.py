@@ -15,8 +15,7 @@ from meshdeform_core.deform import Case, Timing, impose, set_up
 from meshdeform_core.grid import Grid, Patch, Side, Window
 from meshdeform_core.methods import Options
 from meshdeform_core.repair.constraints import Constraints
-from meshdeform_core.repair.reach import Reach
-from meshdeform_core.repair.region import FARTHEST, nearness, weigh
+from meshdeform_core.repair.region import FARTHEST, Reach, nearness, weigh
 
 
 def test_first_cells_at_walls_weigh_most_and_less_where_walls_are_few_cells_apart():

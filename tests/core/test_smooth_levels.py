@@ -13,8 +13,8 @@ from meshdeform_core.boundary import Kind
 from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.boundary.motions.motion import Motion, Rotate
 from meshdeform_core.deform import Case, set_up
-from meshdeform_core.repair.basis import Basis
 from meshdeform_core.repair.energy import share_of, share_slopes
+from meshdeform_core.repair.region import Basis
 from meshdeform_core.series import Schedule, deform_series
 
 

@@ -20,8 +20,20 @@ from llvmlite import ir
 from ...lanes import NARROW as WIDTH
 from ...lanes import Array, Lanes, Mask, narrow
 from .jacobian import combined, growth, slopes
-from .nodes import BEND, PULL, add_blocks, add_forces, neighbours, row_of, slopes_of
-from .vectors import Vector, dot, load, regular, store
+from .nodes import (
+    BEND,
+    PULL,
+    Vector,
+    add_blocks,
+    add_forces,
+    dot,
+    load,
+    neighbours,
+    regular,
+    row_of,
+    slopes_of,
+    store,
+)
 
 DEFORMED, UNDEFORMED, REFERENCE, GRIDS = 0, 1, 2, 3
 """Rows of ``points`` (GRIDS, 8, 3, WIDTH): coordinates of the corners of eight cells in three grids."""

@@ -26,9 +26,8 @@ from .corners import (
     derivatives_between,
 )
 from .jacobian import combined, distortion, growth, mapping, regular, slopes
-from .nodes import FORCE, PARTS, ROWS, add_to_pair, turn_to_node
+from .nodes import FORCE, PARTS, ROWS, add_to_pair, transpose, turn_to_node
 from .samples import Samples
-from .vectors import transpose
 
 
 @record("i8[::1], f8[:, :, ::1], b1[::1]")

@@ -19,6 +19,7 @@ from ...jit import inlined, kernel
 from ...lanes import NARROW as WIDTH
 from .hexahedra import Unknowns, add_element
 from .jacobian import growth, regular
+from .nodes import transpose
 from .triangles import (
     DEFORMED,
     FORCE,
@@ -29,7 +30,6 @@ from .triangles import (
     WEIGHT,
     triangle_derivatives,
 )
-from .vectors import transpose
 
 
 @inlined

@@ -6,7 +6,7 @@ import math
 
 from ...lanes import Array, Lanes, narrow
 from .jacobian import growth, slopes_of_triangle
-from .vectors import load, regular, store
+from .nodes import load, regular, store
 
 DEFORMED, REFERENCE, SLOPE, WEIGHT, GIVEN = 0, 6, 12, 18, 19
 """Rows of ``given`` (GIVEN, WIDTH): coordinates (3, 2) of the nodes in two grids, gradients (3, 2) of their shape
