@@ -7,7 +7,7 @@ import numpy as np
 from ...grid import FloatArray, IntArray
 from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_sums
-from ...numerics.fastsum.radial.frozen import FrozenRadial
+from ...numerics.fastsum.radial.sums import FastRadial
 from ...numerics.fastsum.radial.targets import RadialTargets
 from ...parallel import Nodes, agreed
 from ..base import Account
@@ -61,7 +61,7 @@ class LinearRBF:
         self._fast = self._accurate(sums.targets) if sums.targets else None
         self._exact = None if self._fast else RadialMap(system, self._nodes.rows[self.flat])
 
-    def _accurate(self, targets: RadialTargets) -> FrozenRadial | None:
+    def _accurate(self, targets: RadialTargets) -> FastRadial | None:
         """Fast sums, refined until the error at the nodes where they are compared with exact sums is small enough;
         ``None`` if it remains too large.
 
@@ -81,12 +81,14 @@ class LinearRBF:
         size = agreed(ranks, float(np.abs(exactly(some) + self._terms(some) @ polynomial).max(initial=0.0)))
         allowed = DERIVATIVE_TOLERANCE * size
         for _ in range(1 + MAX_RETRIES):
-            fast = FrozenRadial(kind, centres.points, targets, coefficients, allowed)
+            fast = FastRadial(kind, centres.points)
+            # Errors count alike everywhere.
+            fast.prepare(coefficients, targets._replace(sizes=np.ones_like(targets.sizes)), allowed)
 
             def keep(flat: IntArray, sums: FloatArray) -> None:
                 found[flat] = sums
 
-            risk = fast.push(coefficients, keep)
+            risk = fast.apply(keep)
             flat = doubtful(self._points, targets, risk)
             # All ranks must decide alike, even if their processors round differently.
             gap = float(np.abs(found[flat] - exactly(flat)).max(initial=0.0))
@@ -110,7 +112,7 @@ class LinearRBF:
         def use(flat: IntArray, sums: FloatArray) -> None:
             rows[flat] = sums + self._terms(flat) @ polynomial
 
-        self._fast.push(coefficients, use)
+        self._fast.apply(use, coefficients)
 
     def pull(self, gradient: FloatArray) -> FloatArray:
         """Gradient (n_sources, 3) from that of the nodes, rows of ``gradient`` (n_nodes, 3)."""
@@ -119,7 +121,7 @@ class LinearRBF:
             upper, lower = self._exact.gathered(rows[self.flat])
         else:
             assert self._fast is not None
-            upper, lower = self._fast.pull(rows), np.zeros((self._system.terms.shape[1], 3))
+            upper, lower = self._fast.transpose(rows), np.zeros((self._system.terms.shape[1], 3))
             for first in range(0, len(self.flat), _ROWS):
                 flat = self.flat[first : first + _ROWS]
                 lower += self._terms(flat).T @ rows[flat]

@@ -91,8 +91,8 @@ class RadialSums:
         sums, rows = self._tree[1], Nodes.of(out).rows
 
         def once() -> float:
-            fitted = sums.fitted(fit.coefficients, targets, self._options.tolerance)
-            risk = sums.evaluate(fitted, targets, use, report)
+            sums.prepare(fit.coefficients, targets, self._options.tolerance)
+            risk = sums.apply(use, progress=report)
             return largest_error(self._grid, targets, risk, rows, partial(self._displacement, fit))
 
         sum_accurately("rbf", sums, once, self._options.tolerance, self._account)

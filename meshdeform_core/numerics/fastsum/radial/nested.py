@@ -118,7 +118,7 @@ class NestedSums:
             _act_far(self._kind, lo, hi, lists.far_start, lists.far, bases, upper, far)
 
         for_chunks(act, len(tree.span), _CHUNK)
-        _scatter_down(tree.child, bases, far)
+        scatter_down(tree.child, bases, far)
 
         def finish(lo: int, hi: int) -> None:
             _act_near(self._kind, lo, hi, self._leaves, self._of_leaf, self._places, tree.span, tree.points, charges,
@@ -197,7 +197,7 @@ def gather_up(span, child, bases, charges, out):
 
 
 @kernel
-def _spread(c, at, bases, skeleton, out):
+def spread(c, at, bases, skeleton, out):
     """Add the potentials at the skeleton of cluster ``c`` to its candidates, from row ``at`` of ``out`` on."""
     s, rank = bases.start[c], bases.start[c + 1] - bases.start[c]
     o, n = bases.first[c], bases.first[c + 1] - bases.first[c]
@@ -220,11 +220,11 @@ def _spread(c, at, bases, skeleton, out):
 
 
 @kernel("i8[::1], Bases, f8[:, ::1]", Bases)
-def _scatter_down(child, bases, far):
+def scatter_down(child, bases, far):
     """Pass the potentials at the skeletons on to those of their children, from the root to the leaves."""
     for c in range(child.size):
         if child[c] >= 0:
-            _spread(c, bases.start[child[c]], bases, far, far)
+            spread(c, bases.start[child[c]], bases, far, far)
 
 
 @kernel("i8, i8, i8, i8[::1], i8[::1], Bases, f8[:, ::1], f8[:, ::1]", Bases)
@@ -252,7 +252,7 @@ def _act_near(kind, lo, hi, leaves, of_leaf, places, span, points, charges, near
         own = slice(of_leaf[leaf], of_leaf[leaf + 1])
         mine = places[own]
         felt = np.zeros((span[t, 1] - span[t, 0], 3))
-        _spread(t, 0, bases, far, felt)
+        spread(t, 0, bases, far, felt)
         out[own] = felt[mine - span[t, 0]]
         n = 0
         for c in near[near_start[t] : near_start[t + 1]]:

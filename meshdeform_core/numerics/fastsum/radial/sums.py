@@ -1,9 +1,4 @@
-"""Fast sums of radial basis functions at target nodes.
-
-Clusters of centres act by their skeletons (:mod:`.skeletons`). For a group of targets far from a cluster, the cluster's
-effect is a polynomial on the box of the group, which the group's parts inherit (:mod:`.polynomials`). Clusters that are
-too near for that act on the targets directly.
-"""
+"""Fast sums of radial basis functions at target nodes: a linear map of the coefficients, and its transpose."""
 
 from __future__ import annotations
 
@@ -12,62 +7,29 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ....parallel import Nodes, agreed, for_chunks
+from ....parallel import Nodes, agreed, empty, for_chunks
 from ...arrays import FloatArray, IntArray, Report
 from ...exact.basis import BASES
-from ...exact.radial import radial_block, radial_sums
-from ...jit import inlined, kernel, record
-from ..clusters.target_tree import TargetTree
+from ...exact.radial import radial_sums
 from ..clusters.tree import build_tree
-from ..tuned import AIM, RADIAL_LEAF, REACH, SKELETONS, TRIAL_LEAVES, TRIALS
-from .nested import Bases, find_bases, gather_up, pack
-from .polynomials import GROWTH, NEAREST, Spaces, add_polynomial, place_points, to_coefficients
+from ..tuned import AIM, RADIAL_LEAF, SKELETONS, TRIAL_LEAVES, TRIALS
+from .nested import Bases, find_bases, gather_up
+from .passes import Boxes, Clusters, scatter_to_centres, spread_region, sum_regions
 from .targets import RadialTargets
 
 _FINEST = 1e-13
 _CHUNK = 1
-DEPTH = 32
-_STACK = 512
+_MOST_PORTIONS = 64
+
+Use = Callable[[IntArray, FloatArray], object]
 
 
-@record("TargetTree, Spaces, i8[::1], f8[::1], b1[::1]", TargetTree, Spaces)
-class Boxes(NamedTuple):
-    """The boxes of a target tree with their spaces of polynomials.
+class _Plan(NamedTuple):
+    """Targets, clusters with their charges, and the boxes of the targets with their spaces and allowed errors."""
 
-    ``allowed`` (m,) is the error that one cluster may cause in each box, in the unit of ``Spaces.error``; boxes not
-    ``wanted`` (m,) are skipped.
-    """
-
-    tree: TargetTree
-    spaces: Spaces
-    space: np.ndarray
-    allowed: np.ndarray
-    wanted: np.ndarray
-
-
-@record("b1, f8[:, ::1], f8[::1], i8[::1], i8[:, ::1], f8[:, ::1], Bases, f8[:, ::1], f8[:, ::1], f8[::1]", Bases)
-class Clusters(NamedTuple):
-    """Clusters of centres with their skeletons.
-
-    Attributes
-    ----------
-    compact : the basis function vanishes from distance 1 on
-    center, radius, child, span, points : of the tree, see :class:`..clusters.tree.SourceTree`
-    bases : skeletons
-    charges, upper : (n, 3) charges of the centres in the tree's order, (s, 3) of the skeletons
-    strength : (m,) root of the sum of squares of the charges of each skeleton
-    """
-
-    compact: bool
-    center: np.ndarray
-    radius: np.ndarray
-    child: np.ndarray
-    span: np.ndarray
-    points: np.ndarray
-    bases: Bases
-    charges: np.ndarray
-    upper: np.ndarray
-    strength: np.ndarray
+    targets: RadialTargets
+    clusters: Clusters
+    boxes: Boxes
 
 
 class FastRadial:
@@ -101,41 +63,14 @@ class FastRadial:
         self.share *= max(0.03, 0.6 * AIM / excess)
         self._excess = excess
 
-    def evaluate(
-        self,
-        fitted: tuple[Clusters, Boxes],
-        targets: RadialTargets,
-        use: Callable,
-        progress: Report | None = None,
-    ) -> FloatArray:
-        """Sums at target nodes; ``use`` is called with the sums of each region and their flat indices.
-
-        Parameters
-        ----------
-        fitted : from :meth:`fitted`
-        targets : with points in the unit of the centres
-
-        Returns
-        -------
-        risk : (b,) bound of each leaf's error, in arbitrary units
-        """
-        clusters, boxes = fitted
-        risk = np.zeros(len(boxes.allowed))
-
-        def work(lo: int, hi: int) -> None:
-            use(targets.flat(lo, hi), self.of_regions(lo, hi, targets, boxes, clusters, risk))
-
-        for_chunks(work, len(targets.tree.region) - 1, _CHUNK, progress)
-        return risk[targets.leaves]
-
-    def fitted(self, coefficients: FloatArray, targets: RadialTargets, tolerance: float) -> tuple[Clusters, Boxes]:
-        """Clusters with coefficients (n, 3), and boxes fine enough for the sums at trial leaves to keep the
-        ``tolerance``, which is relative to the local cell size. The trial leaves of all ranks count."""
+    def prepare(self, coefficients: FloatArray, targets: RadialTargets, tolerance: float) -> None:
+        """Plan the sums for coefficients (n, 3) at ``targets``, with points in the unit of the centres: as fine as the
+        sums at trial leaves need to keep the ``tolerance``, which is relative to the sizes of the targets. The trial
+        leaves of all ranks count."""
         nodes = Nodes.of(targets.coordinates)
         counts = nodes.gather(len(targets.leaves))
-        chosen = np.unique(np.linspace(0, sum(counts) - 1, TRIAL_LEAVES).astype(int)) - sum(
-            counts[: nodes.ranks.number]
-        )
+        first = sum(counts[: nodes.ranks.number])
+        chosen = np.unique(np.linspace(0, sum(counts) - 1, TRIAL_LEAVES).astype(int)) - first
         chosen = chosen[(chosen >= 0) & (chosen < len(targets.leaves))]
         samples = targets.samples[chosen]
         exact = radial_sums(self._kind, targets.points[samples.ravel()], self._centres, coefficients)
@@ -151,18 +86,60 @@ class FastRadial:
             if error <= AIM:
                 break
             self.refine(error)
-        return clusters, boxes
+        self._plan = _Plan(targets, clusters, boxes)
 
-    @property
-    def order(self) -> IntArray:
-        """The centre (n,) at each position of the tree's order."""
-        return self._tree.order
+    def apply(self, use: Use, coefficients: FloatArray | None = None, progress: Report | None = None) -> FloatArray:
+        """Call ``use`` with the flat indices (k,) of the targets of each region and the sums (k, 3) there.
 
-    def charged(self, clusters: Clusters, coefficients: FloatArray) -> Clusters:
-        """``clusters`` with other coefficients (n, 3), but the same ``strength``, so that the same ones are far."""
-        charges, upper = coefficients[self._tree.order], np.empty_like(clusters.upper)
-        gather_up(clusters.span, clusters.child, clusters.bases, charges, upper)
-        return clusters._replace(charges=charges, upper=upper)
+        Parameters
+        ----------
+        coefficients : (n, 3) other than those prepared for, but no rougher; the same clusters are far
+
+        Returns
+        -------
+        risk : (b,) bound of each leaf's error, in arbitrary units: leaves can be compared with each other
+        """
+        targets, clusters, boxes = self._plan
+        if coefficients is not None:
+            charges, upper = coefficients[self._tree.order], np.empty_like(clusters.upper)
+            gather_up(clusters.span, clusters.child, clusters.bases, charges, upper)
+            clusters = clusters._replace(charges=charges, upper=upper)
+        risk = np.zeros(len(boxes.allowed))
+
+        def work(lo: int, hi: int) -> None:
+            use(targets.flat(lo, hi), self._of_regions(lo, hi, targets, boxes, clusters, risk))
+
+        for_chunks(work, len(targets.tree.region) - 1, _CHUNK, progress)
+        return risk[targets.leaves]
+
+    def transpose(self, gradient: FloatArray) -> FloatArray:
+        """Gradient (n, 3) of the coefficients from that of the nodes (n_nodes, 3)."""
+        targets, clusters, boxes = self._plan
+        n, total = len(clusters.points), len(clusters.bases.place)
+        regions = len(targets.tree.region) - 1
+        # The sums of all portions together are no larger than the coordinates.
+        portions = int(np.clip(3 * len(targets.points) // (3 * (n + total)), 1, min(_MOST_PORTIONS, regions)))
+        # Row numbers take the place of charges, so that lists say which centres and skeletons they hold.
+        number = np.zeros((n + total, 3))
+        number[:, 0] = np.arange(n + total)
+        clusters = clusters._replace(charges=number[:n], upper=number[n:])
+        cut = np.linspace(0, regions, portions + 1).astype(np.int64)
+        parts = empty((portions, n + total, 3))
+
+        def work(lo: int, hi: int) -> None:
+            for portion in range(lo, hi):
+                parts[portion] = 0.0
+                for region in range(cut[portion], cut[portion + 1]):
+                    given = np.ascontiguousarray(gradient[targets.flat(region, region + 1)])
+                    spread_region(self._kind, region, targets.points, boxes, clusters, given, parts[portion])
+
+        for_chunks(work, portions, 1)
+        whole = np.asarray(sum(parts[portion] for portion in range(portions)))
+        charges, upper = whole[:n].copy(), whole[n:].copy()
+        scatter_to_centres(clusters.child, clusters.span, clusters.bases, upper, charges)
+        found = np.empty_like(charges)
+        found[self._tree.order] = charges
+        return found
 
     def _clusters(self, coefficients: FloatArray) -> Clusters:
         """:class:`Clusters` with these charges (n, 3)."""
@@ -187,146 +164,15 @@ class FastRadial:
         regions = np.searchsorted(tree.region, leaves, side="right") - 1
         found, boxes = np.empty((*targets.samples[chosen].shape, 3)), boxes._replace(wanted=wanted)
         for region in np.unique(regions):
-            sums = self.of_regions(region, region + 1, targets, boxes, clusters, np.zeros(len(wanted)))
+            sums = self._of_regions(region, region + 1, targets, boxes, clusters, np.zeros(len(wanted)))
             here = regions == region
             found[here] = sums[targets.places[chosen[here]] - tree.span[tree.region[region], 0]]
         return found
 
-    def of_regions(
+    def _of_regions(
         self, lo: int, hi: int, targets: RadialTargets, boxes: Boxes, clusters: Clusters, risk: FloatArray
     ) -> FloatArray:
         """Sums (n, 3) at the targets of the regions lo <= g < hi that lie in ``wanted`` boxes."""
         sums = np.zeros((len(targets.flat(lo, hi)), 3))
         sum_regions(self._kind, lo, hi, targets.points, boxes, clusters, sums, risk)
         return sums
-
-
-@kernel("i8, i8, i8, f8[:, ::1], Boxes, Clusters, f8[:, ::1], f8[::1]", Boxes, Clusters)
-def sum_regions(kind, lo, hi, points, boxes, clusters, out, risk):
-    """Sums (n, 3) at the targets of regions ``lo`` to ``hi``, added to ``out``."""
-    tree, spaces = boxes.tree, boxes.spaces
-    total = clusters.points.shape[0] + clusters.bases.points.shape[0]
-    far, near = np.empty((6, total)), np.empty((6, total))
-    left = np.empty((DEPTH, clusters.child.size), dtype=np.int64)
-    n_left, known = np.zeros(DEPTH, dtype=np.int64), np.zeros(DEPTH, dtype=np.bool_)
-    polynomial = np.empty((DEPTH, np.diff(spaces.start).max(), 3))
-    stack = np.empty((DEPTH, 3), dtype=np.int64)
-    origin = tree.span[tree.region[lo], 0]
-    # Level 0 is above the root of the target tree; it leaves the cluster of all centres to the root.
-    left[0, 0], n_left[0] = 0, 1
-    for g in range(lo, hi):
-        stack[0, 0], stack[0, 1], stack[0, 2] = tree.region[g], 1, -1
-        depth = 1
-        while depth:
-            depth -= 1
-            n, level, parent = stack[depth]
-            if not boxes.wanted[n] or tree.span[n, 0] == tree.span[n, 1]:
-                continue
-            tops = left[level - 1, : n_left[level - 1]]
-            n_far, n_near, n_left[level] = look(n, boxes, tops, clusters, far, near, left[level], risk)
-            known[level] = n_far > 0 or known[level - 1]
-            if known[level]:
-                if not known[level - 1]:
-                    parent = -1
-                _fill(kind, n, boxes, far, n_far, parent, polynomial[level - 1], polynomial[level])
-            if tree.child[n, 0] < 0:
-                x = points[tree.targets[tree.span[n, 0] : tree.span[n, 1]]]
-                sums = out[tree.span[n, 0] - origin : tree.span[n, 1] - origin]
-                radial_block(kind, x, near, n_near, sums)
-                if known[level]:
-                    _add(n, boxes, polynomial[level], x, sums)
-                continue
-            for c in range(2):
-                stack[depth, 0], stack[depth, 1], stack[depth, 2] = tree.child[n, 1 - c], level + 1, n
-                depth += 1
-
-
-@kernel
-def _fill(kind, n, boxes, far, n_far, parent, inherited, polynomial):
-    """Coefficients of the polynomial of a target tree node: what it inherits, if anything, plus its far clusters."""
-    tree, spaces, s = boxes.tree, boxes.spaces, boxes.space[n]
-    first, last = spaces.start[s], spaces.start[s + 1]
-    place, value = np.empty((last - first, 3)), np.zeros((last - first, 3))
-    place_points(tree.center[n], tree.axes[n], tree.half[n], spaces.points[first:last], place)
-    radial_block(kind, place, far, n_far, value)
-    if parent >= 0:
-        _add(parent, boxes, inherited, place, value)
-    to_coefficients(spaces.matrix, spaces.begin[s], value, polynomial)
-
-
-@kernel
-def _add(n, boxes, polynomial, x, out):
-    """Add the values of the polynomial of a target tree node at points (k, 3)."""
-    tree, spaces, s = boxes.tree, boxes.spaces, boxes.space[n]
-    degree = spaces.degree[spaces.start[s] : spaces.start[s + 1]]
-    add_polynomial(tree.center[n], tree.axes[n], tree.half[n], degree, polynomial, x, out)
-
-
-@inlined
-def _square(x, i):
-    """Squared length of row ``i`` of ``x`` (n, 3), without a view of the row, whose reference count would cost more."""
-    return x[i, 0] ** 2 + x[i, 1] ** 2 + x[i, 2] ** 2
-
-
-@inlined
-def _distance2(x, i, y, j):
-    """Squared distance of row ``i`` of ``x`` (n, 3) from row ``j`` of ``y`` (m, 3)."""
-    return (x[i, 0] - y[j, 0]) ** 2 + (x[i, 1] - y[j, 1]) ** 2 + (x[i, 2] - y[j, 2]) ** 2
-
-
-@kernel
-def _error(error, distance, radius):
-    """Error of a box's polynomial for a unit charge at a distance from its middle, in the unit of ``Spaces.error``."""
-    if distance <= NEAREST * radius:
-        return np.inf
-    n = int(np.log(distance / (NEAREST * max(radius, 1e-300))) / np.log(GROWTH))
-    return error[min(n, error.size - 1)]
-
-
-@kernel
-def look(n, boxes, tops, clusters, far, near, left, risk):
-    """Sort the clusters that the parent of a target tree node has left: those that act on the node's polynomial (far),
-    those that act on its targets (near, in leaves only), and those left to its children."""
-    tree, child = boxes.tree, clusters.child
-    stack = np.empty(_STACK, dtype=np.int64)
-    n_far = n_near = n_left = 0
-    s = boxes.space[n]
-    leaf = tree.child[n, 0] < 0
-    # With fewer targets than coefficients, a polynomial does not pay.
-    few = leaf and tree.span[n, 1] - tree.span[n, 0] <= boxes.spaces.start[s + 1] - boxes.spaces.start[s]
-    own = np.sqrt(_square(tree.half, n))
-    for top in tops:
-        stack[0] = top
-        depth = 1
-        while depth:
-            depth -= 1
-            c = stack[depth]
-            radius, d = clusters.radius[c], np.sqrt(_distance2(tree.center, n, clusters.center, c))
-            if clusters.compact and d >= 1.0 + own + radius:
-                continue
-            smooth = not clusters.compact or d + own + radius <= 1.0
-            seen = smooth and d - own >= REACH * radius
-            pull = np.inf
-            if smooth and not few:
-                pull = clusters.strength[c] * _error(boxes.spaces.error[s], d - radius, own) / boxes.allowed[n]
-            if pull <= 1.0 and (seen or child[c] < 0):
-                risk[n] += pull
-                n_far = _act(c, seen, clusters, far, n_far)
-            elif leaf and (seen or child[c] < 0):
-                n_near = _act(c, seen, clusters, near, n_near)
-            elif child[c] >= 0 and (leaf or radius > own):
-                stack[depth], stack[depth + 1] = child[c], child[c] + 1
-                depth += 2
-            else:
-                left[n_left] = c
-                n_left += 1
-    return n_far, n_near, n_left
-
-
-@kernel
-def _act(c, seen, clusters, packed, n):
-    """Append the skeleton of a cluster, if it is ``seen`` from afar, or else its centres."""
-    if seen:
-        start = clusters.bases.start
-        return pack(clusters.bases.points, clusters.upper, start[c], start[c + 1], packed, n)
-    return pack(clusters.points, clusters.charges, clusters.span[c, 0], clusters.span[c, 1], packed, n)
