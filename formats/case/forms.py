@@ -115,19 +115,19 @@ class _Place:
     def __init__(self, form: type[Form], value: Any, where: str, path: list[str | int]):
         self._definitions = schema_of(form)["$defs"]
         self.tables, self.key, self.found = ([where] if where else []), "", value
-        self.node, self._dotted = self._resolved(schema_of(form)), True
+        self.node, self._dotted = self._dereferenced(schema_of(form)), True
         for step in path:
             if isinstance(step, str):
                 self._enter()
                 self.key, self.found = step, self.found[step]
-                self.node = self._resolved(self._alternative("properties")["properties"].get(step, {}))
+                self.node = self._dereferenced(self._alternative("properties")["properties"].get(step, {}))
             elif isinstance(self.found[step], dict):
                 own = self.found[step]
                 name = f"boundary {literal(own.get('name', f'boundary {step + 1}'))}"
                 labels = {"boundary": name, "motion": f"motion step {step + 1}"}
                 self.tables.append(labels.get(self.key, f"{self.key} {step + 1}"))
                 self.key, self.found, self._dotted = "", own, False
-                self.node = self._resolved(self._alternative("items")["items"])
+                self.node = self._dereferenced(self._alternative("items")["items"])
             else:
                 # A list of numbers or names is shown as a whole.
                 break
@@ -139,13 +139,13 @@ class _Place:
             self.tables.append("motion step 1" if motion else self.key)
             self.key, self._dotted = "", self._dotted and not motion
 
-    def _resolved(self, node: Table) -> Table:
+    def _dereferenced(self, node: Table) -> Table:
         own = self._definitions[node["$ref"].rpartition("/")[2]] if "$ref" in node else {}
         return {**own, **node}
 
     def _alternative(self, what: str) -> Table:
         """The table, or the list, that the place may hold."""
-        nodes = [self.node, *map(self._resolved, self.node.get("anyOf", ()))]
+        nodes = [self.node, *map(self._dereferenced, self.node.get("anyOf", ()))]
         return next((node for node in nodes if what in node), {"properties": {}, "items": {}})
 
     def error(self, message: str) -> CaseError:
@@ -164,7 +164,7 @@ class _Place:
             return fail(top if self._dotted else ", ".join(self.tables), f"unknown key {found[1]!r}{hint}")
         if found := re.match(r"Object missing required field `(.*)`", message):
             self._enter()
-            node = self._resolved(self._alternative("properties")["properties"][found[1]])
+            node = self._dereferenced(self._alternative("properties")["properties"][found[1]])
             return self.error(f"there is no {found[1]}; expected {node.get('description', 'it')}")
         if not re.match("Expected |Invalid ", message):
             self._enter()

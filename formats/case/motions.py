@@ -51,7 +51,7 @@ class Context:
     where: str
     matching: Matching
 
-    def fail(self, message: str) -> CaseError:
+    def refusal(self, message: str) -> CaseError:
         """The error to raise for a motion."""
         return fail(self.where, message)
 
@@ -76,7 +76,7 @@ class RotateForm(Form):
     def step(self, context: Context) -> Step:
         x, y, z = self.axis
         if not any(self.axis):
-            raise context.fail("axis = [0, 0, 0] has no direction")
+            raise context.refusal("axis = [0, 0, 0] has no direction")
         return Rotate(context.formula(self.angle), (x, y, z), context.three(self.center))
 
 
@@ -101,17 +101,19 @@ class LatticeForm(Form):
     def step(self, context: Context) -> Step:
         frame = np.array(self.edges)
         if not abs(np.linalg.det(frame)) > 1e-12 * float(np.prod(np.linalg.norm(frame, axis=1))):
-            raise context.fail(f"edges = {literal(self.edges)} span no volume; expected three directions")
+            raise context.refusal(f"edges = {literal(self.edges)} span no volume; expected three directions")
         if not self.move:
-            raise context.fail('expected move = [{ at = [2, "*", 2], by = [0, 0, 0.1] }, ...]')
+            raise context.refusal('expected move = [{ at = [2, "*", 2], by = [0, 0, 0.1] }, ...]')
         ni, nj, nk = self.points
         if ni * nj * nk > _MOST_CONTROLS:
-            raise context.fail(f"points = {literal(self.points)}; expected at most {_MOST_CONTROLS:,} control points")
+            raise context.refusal(
+                f"points = {literal(self.points)}; expected at most {_MOST_CONTROLS:,} control points"
+            )
         moves = []
         for number, move in enumerate(self.move, start=1):
             for entry, count in zip(move.at, self.points, strict=True):
                 if entry != "*" and not (isinstance(entry, int) and 1 <= entry <= count):
-                    raise context.fail(
+                    raise context.refusal(
                         f"move {number}, at: found {literal(entry)}; expected a control point from 1 to {count}, "
                         f'or "*" for all'
                     )
@@ -136,14 +138,14 @@ class RigidForm(Form):
         names, values = read_history(path)
         strange = [name for name in names if name not in ("t", "x", "y", "z", *_TURNS, *_QUATERNION)]
         if strange:
-            raise context.fail(f"{path} has a column {strange[0]!r}; known are t x y z, rx ry rz and qx qy qz qw")
+            raise context.refusal(f"{path} has a column {strange[0]!r}; known are t x y z, rx ry rz and qx qy qz qw")
         shift, angles, quaternions = (
             columns(names, values, wanted, str(path)) for wanted in (("x", "y", "z"), _TURNS, _QUATERNION)
         )
         if angles is not None and quaternions is not None:
-            raise context.fail(f"{path} has angles and quaternions; expected one of them")
+            raise context.refusal(f"{path} has angles and quaternions; expected one of them")
         if (angles is not None) != bool(self.order) or (self.order and self.order not in _ORDERS):
-            raise context.fail(
+            raise context.refusal(
                 f"order = {literal(self.order)}; expected, only for angles rx ry rz in degrees, the sequence of axes: "
                 '"xyz" about the fixed axes, "XYZ" about those of the body'
             )
@@ -179,7 +181,9 @@ class ModesForm(Form):
         labels, shapes = self._shapes(context)
         if isinstance(self.amplitudes, list):
             if len(self.amplitudes) != len(shapes):
-                raise context.fail(f"{len(self.amplitudes)} amplitudes for {len(shapes)} shapes; expected one for each")
+                raise context.refusal(
+                    f"{len(self.amplitudes)} amplitudes for {len(shapes)} shapes; expected one for each"
+                )
             return Modes(shapes, tuple(context.formula(part, True) for part in self.amplitudes), context.matching)
         path = context.folder / self.amplitudes.file
         names, values = read_history(path)
@@ -190,16 +194,20 @@ class ModesForm(Form):
         """Number and name of each shape, and the shapes: one per file, or some of those in a result file."""
         if self.file is None:
             if self.files is None or self.shapes is not None:
-                raise context.fail(f"found {self.given()}; expected files, with one shape each, or file, with shapes")
+                raise context.refusal(
+                    f"found {self.given()}; expected files, with one shape each, or file, with shapes"
+                )
             paths = sequence_files(self.files, context.folder, context.where)
             labels = [(number, path.stem.lower()) for number, path in enumerate(paths, start=1)]
             return labels, tuple(read_displacement(path) for path in paths)
         if self.files is not None:
-            raise context.fail(f"found {self.given()}; expected files, with one shape each, or file, with shapes")
+            raise context.refusal(f"found {self.given()}; expected files, with one shape each, or file, with shapes")
         found = read_shapes(path := context.folder / self.file)
         chosen = list(range(1, len(found) + 1)) if self.shapes is None else self.shapes
         if max(chosen) > len(found):
-            raise context.fail(f"shapes = {literal(chosen)}; expected numbers from 1 to {len(found)}, which {path} has")
+            raise context.refusal(
+                f"shapes = {literal(chosen)}; expected numbers from 1 to {len(found)}, which {path} has"
+            )
         return [(number, "") for number in chosen], tuple(found[number - 1] for number in chosen)
 
 
@@ -242,7 +250,7 @@ class PositionsForm(Form):
 
     def step(self, context: Context) -> Step:
         if self.given() not in (["file"], ["files", "times"]):
-            raise context.fail(f"found {self.given()}; expected file, or files and times")
+            raise context.refusal(f"found {self.given()}; expected file, or files and times")
         if self.files is None:
             data = read_positions(context.folder / str(self.file))
             return FollowNumbers((), lambda number: data)

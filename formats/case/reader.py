@@ -212,11 +212,11 @@ def _with_table(parsed: CaseFile, table: Path, times: str | None, matching: Matc
 def _parse(data: Table, folder: Path, overrides: Sequence[str] = ()) -> CaseFile:
     form = filled(CaseForm, data)
     constants = _constants(form.constants)
-    specs = tuple(_boundary(entry, number, constants, folder) for number, entry in enumerate(form.boundary, 1))
+    specs = tuple(_boundary_spec(entry, number, constants, folder) for number, entry in enumerate(form.boundary, 1))
     names = [spec.name for spec in specs]
     if len(set(names)) < len(names):
         raise fail("boundary", f"names must differ, found {names}")
-    options = _options(form.method)
+    options = _method_options(form.method)
     try:
         repair = RepairOptions(form.repair.mode, form.repair.min_jacobian, form.repair.time_limit)  # type: ignore[arg-type]
     except CaseError as error:
@@ -273,7 +273,7 @@ def _components(value: Any, folder: Path) -> tuple[Components, dict[str, Compone
     return {**{name: (f"{glob.escape(name)}.*",) for name in files}, **own}, files
 
 
-def _boundary(entry: BoundaryForm, number: int, constants: Mapping[str, float], folder: Path) -> BoundarySpec:
+def _boundary_spec(entry: BoundaryForm, number: int, constants: Mapping[str, float], folder: Path) -> BoundarySpec:
     name = f"boundary {number}" if entry.name is None else entry.name
     where = f"boundary {literal(name)}"
     steps = [entry.motion] if isinstance(entry.motion, MotionStep) else entry.motion
@@ -300,7 +300,7 @@ def _boundary(entry: BoundaryForm, number: int, constants: Mapping[str, float], 
     return BoundarySpec(name, select, kind, condition, motion)
 
 
-def _options(table: Table) -> Options:
+def _method_options(table: Table) -> Options:
     for key in table:
         if owners := [part for part, kind in PARTS.items() if key in declared(kind)]:
             names = " or ".join(f"'method.{part}.{key}'" for part in owners)
@@ -337,10 +337,15 @@ def _unread(data: Table, specs: Sequence[BoundarySpec], options: Options, overri
 
     Raises CaseError with the override, the reason, and the nearest name that is used.
     """
-    used = _names_used(specs)
+    used = set[str]()
+    for spec in specs:
+        used |= spec.where.names if spec.where else set()
+        used |= spec.motion.names if spec.motion else set()
+    used -= {"x", "y", "z", "t"}
     given = [(text, *parsed_override(text)) for text in overrides]
     for text, path, value in given:
-        for name in _constants_in(path, value):
+        constants = () if path[0] != "constants" else path[1:2] if len(path) > 1 else value
+        for name in constants:
             if name not in used:
                 others = f"; used are {', '.join(sorted(used))}" if used else "; none uses any"
                 known = suggestion(name, used) or others
@@ -349,21 +354,6 @@ def _unread(data: Table, specs: Sequence[BoundarySpec], options: Options, overri
             raise CaseError(f"--set {text!r} has no effect: {reason}")
     idle = [name for name in data.get("constants", {}) if name not in used]
     return tuple(f"no formula uses the constant {name!r}{suggestion(name, used)}" for name in idle)
-
-
-def _names_used(specs: Sequence[BoundarySpec]) -> set[str]:
-    """Constants that the formulas use."""
-    used: set[str] = set()
-    for spec in specs:
-        used |= spec.where.names if spec.where else set()
-        used |= spec.motion.names if spec.motion else set()
-    return used - {"x", "y", "z", "t"}
-
-
-def _constants_in(path: Sequence[str], value: Any) -> Iterable[str]:
-    if path[0] != "constants":
-        return ()
-    return path[1:2] if len(path) > 1 else value
 
 
 def _idle_option(path: Sequence[str], options: Options) -> str:
@@ -389,19 +379,16 @@ def case_schema() -> Table:
         {"const": BY_PREFIX},
         {"type": "object", "additionalProperties": own, "minProperties": 1},
     ]
-    definitions["CaseForm"]["properties"]["method"] = _method_schema()
+    parts = {name: _table_schema(f"Options of {kind.__name__}.", _options_schema(kind)) for name, kind in PARTS.items()}
+    names = {"enum": [*CATALOGUE, *ALIASES], "default": Options().name, "description": "See `meshdeform methods`."}
+    method = _table_schema("The method and its options.", {"name": names, **parts})
+    definitions["CaseForm"]["properties"]["method"] = method
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$id": "urn:meshdeform:case:1",
         "$ref": schema["$ref"],
         "$defs": definitions,
     }
-
-
-def _method_schema() -> Table:
-    names = {"enum": [*CATALOGUE, *ALIASES], "default": Options().name, "description": "See `meshdeform methods`."}
-    parts = {name: _table_schema(f"Options of {kind.__name__}.", _options_schema(kind)) for name, kind in PARTS.items()}
-    return _table_schema("The method and its options.", {"name": names, **parts})
 
 
 def _table_schema(description: str, properties: Table) -> Table:

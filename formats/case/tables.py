@@ -30,7 +30,7 @@ def read_columns(path: Path, header: str) -> tuple[list[str], FloatArray]:
 
     Raises FormatError with the line, for anything but a header and rows of finite numbers.
     """
-    lines = _lines(path)
+    lines = _lines_of_text(path)
     if not lines:
         raise FormatError(f"{path} is empty; expected a header like {header} and rows of numbers")
     names = [name.strip().strip('"').lower() for name in re.split(r"[,;\s]+", lines[0][1].lstrip("# ").strip())]
@@ -123,7 +123,7 @@ def read_airfoil(path: Path) -> FloatArray:
     Raises FormatError with the line.
     """
     rows: list[list[float]] = []
-    for number, text in _lines(path):
+    for number, text in _lines_of_text(path):
         if not rows and not re.match(r"[-+.\d]", text):
             continue
         rows.append(_row(path, number, text, 2))
@@ -152,7 +152,7 @@ def read_positions(path: Path) -> Positions:
 
     Raises FormatError with the line; and for a number with two positions.
     """
-    lines = [(number, text) for number, text in _lines(path) if not text.startswith(("#", "%"))]
+    lines = [(number, text) for number, text in _lines_of_text(path) if not text.startswith(("#", "%"))]
     if not lines:
         raise FormatError(f"{path} has no positions; expected lines of a number and coordinates")
     width = len(re.split(r"[,;\s]+", lines[0][1]))
@@ -172,7 +172,7 @@ def read_positions(path: Path) -> Positions:
     return Positions(numbers[first], rows[first, 1:], str(path))
 
 
-def _lines(path: Path) -> list[tuple[int, str]]:
+def _lines_of_text(path: Path) -> list[tuple[int, str]]:
     """Numbers and text of the lines that are not blank."""
     require_regular(path)
     if path.stat().st_size > _LARGEST:

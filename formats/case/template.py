@@ -106,7 +106,7 @@ def case_template(
     boundary_file : neutral map file, relative to the case file
     table : displacement table; only the surfaces that it fits are moving
     """
-    entries = list(_entries(grid, outside, table))
+    entries = list(_template_entries(grid, outside, table))
     lines = [
         f"# A case for {source}: {'fill in the motion' if table is None else 'check the boundaries'}, then",
         f"#   meshdeform deform {source} -c CASE.toml --dry-run",
@@ -132,7 +132,7 @@ def plates_line(plates: Sequence[Surface]) -> str:
     return f"plates = [{', '.join(_text(_pattern(plate.name)) for plate in plates)}]"
 
 
-def _entries(grid: Grid, outside: Outside, table: FittedTable | None) -> Iterator[_Entry]:
+def _template_entries(grid: Grid, outside: Outside, table: FittedTable | None) -> Iterator[_Entry]:
     moving = outside.bodies or outside.of_role(Role.WALL)
     if table is not None:
         moving = tuple(surface for surface in outside.surfaces if surface.name in table.surfaces)
@@ -238,7 +238,7 @@ def _entry_lines(grid: Grid, outside: Outside, entry: _Entry, table: FittedTable
     yield "[[boundary]]"
     yield f"name = {_text(entry.name)}   # role: {first.role.value}{mark}"
     if first.named:
-        yield from (f"# {_place(surface)}" for surface in entry.surfaces)
+        yield from (f"# {_place_of_surface(surface)}" for surface in entry.surfaces)
         yield f"select = [{', '.join(_text(_pattern(surface.name)) for surface in entry.surfaces)}]"
     else:
         yield "select = ["
@@ -246,7 +246,7 @@ def _entry_lines(grid: Grid, outside: Outside, entry: _Entry, table: FittedTable
             # Brackets in the name of the block become `?`, those of its face stay.
             block = grid.names[surface.faces[0].window.block]
             pattern = _pattern(block) + surface.name.removeprefix(block)
-            yield f"    {_text(pattern)},   # {_place(surface)}"
+            yield f"    {_text(pattern)},   # {_place_of_surface(surface)}"
         yield "]"
     yield f'kind = "{entry.kind}"'
     if entry.kind == "moving" and table is None:
@@ -261,7 +261,7 @@ def _pattern(name: str) -> str:
     return re.sub(r"[\[\]]", "?", name)
 
 
-def _place(surface: Surface) -> str:
+def _place_of_surface(surface: Surface) -> str:
     # Values within round-off of the other coordinates count as 0.
     corners = np.where(np.abs(surface.box) < 1e-9 * np.abs(surface.box).max(), 0.0, surface.box)
     box = "  ".join(

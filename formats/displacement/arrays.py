@@ -51,7 +51,7 @@ def read_npz(path: Path) -> DisplacementTable:
             if name in arrays:
                 raise FormatError(f"it has two arrays called {name}; expected one")
             arrays[name] = values
-    table = _table({name: values for name, values in arrays.items() if values.dtype.kind in "iuf"})
+    table = _table_of_arrays({name: values for name, values in arrays.items() if values.dtype.kind in "iuf"})
     if table is None:
         raise FormatError(f"{path} needs arrays points and displacement, (n, 3) each; found {_list(arrays)}")
     return table
@@ -64,8 +64,8 @@ def read_hdf5(path: Path) -> DisplacementTable:
     found.
     """
     with _reading(path, " as HDF5"), h5py.File(path, "r") as file:
-        groups = {name: _arrays(group) for name, group in _groups(file)}
-    tables = {name: table for name, arrays in groups.items() if (table := _table(arrays))}
+        groups = {name: _arrays(group) for name, group in _root_and_groups(file)}
+    tables = {name: table for name, arrays in groups.items() if (table := _table_of_arrays(arrays))}
     if len(tables) == 1:
         return next(iter(tables.values()))
     if tables:
@@ -91,14 +91,14 @@ def _reading(path: Path, kind: str = "") -> Iterator[None]:
         raise FormatError(f"cannot read {path}{kind}: {reason_of(error)}") from error
 
 
-def _groups(file: h5py.File) -> Iterator[tuple[str, h5py.Group]]:
+def _root_and_groups(file: h5py.File) -> Iterator[tuple[str, h5py.Group]]:
     yield "/", file
-    for name, entry in _entries(file):
+    for name, entry in _readable_members(file):
         if isinstance(entry, h5py.Group):
             yield f"/{name}", entry
 
 
-def _entries(group: h5py.Group) -> Iterator[tuple[str, Any]]:
+def _readable_members(group: h5py.Group) -> Iterator[tuple[str, Any]]:
     """Members of a group, except those whose name is not text and broken or circular links."""
     for name in group:
         try:
@@ -110,12 +110,12 @@ def _entries(group: h5py.Group) -> Iterator[tuple[str, Any]]:
 
 
 def _arrays(group: h5py.Group) -> dict[str, NDArray[Any]]:
-    sets = {name: entry for name, entry in _entries(group) if isinstance(entry, h5py.Dataset)}
+    sets = {name: entry for name, entry in _readable_members(group) if isinstance(entry, h5py.Dataset)}
     numbers = {name: entry for name, entry in sets.items() if entry.dtype.kind in "iuf" and entry.ndim in (1, 2)}
-    return {name: _values(entry) for name, entry in numbers.items()}
+    return {name: _values_of_dataset(entry) for name, entry in numbers.items()}
 
 
-def _values(entry: h5py.Dataset) -> NDArray[Any]:
+def _values_of_dataset(entry: h5py.Dataset) -> NDArray[Any]:
     stored = entry.id.get_storage_size()
     if entry.size * entry.dtype.itemsize > stored * _MAXIMUM_COMPRESSION:
         raise FormatError(f"{entry.name} declares {entry.shape} {entry.dtype} values; only {stored} bytes are stored")
@@ -123,7 +123,7 @@ def _values(entry: h5py.Dataset) -> NDArray[Any]:
     return values
 
 
-def _table(arrays: Mapping[str, NDArray[Any]]) -> DisplacementTable | None:
+def _table_of_arrays(arrays: Mapping[str, NDArray[Any]]) -> DisplacementTable | None:
     triangles = arrays.get("triangles", NO_TRIANGLES)
     columns = {name: values for name, values in arrays.items() if name != "triangles"}
     points, displacement = pick_vector(POINT_NAMES, columns), pick_vector(DISPLACEMENT_NAMES, columns)

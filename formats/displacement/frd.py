@@ -49,7 +49,7 @@ def read_shapes(path: Path) -> tuple[SurfaceData, ...]:
     """
     if path.suffix.lower() != ".frd":
         raise FormatError(f"{path} is not a result file of a structural solver; expected CalculiX's .frd")
-    return tuple(checked_surface(table, path) for table in _read(path).values())
+    return tuple(checked_surface(table, path) for table in _read_displacements(path).values())
 
 
 def read(path: Path) -> DisplacementTable:
@@ -57,7 +57,7 @@ def read(path: Path) -> DisplacementTable:
 
     Raises FormatError when it has several; the message lists them.
     """
-    tables = _read(path)
+    tables = _read_displacements(path)
     if len(tables) > 1:
         labels = listed((f"{number}: {label}" for number, label in enumerate(tables, start=1)), "; ")
         raise FormatError(
@@ -97,7 +97,7 @@ class _Lines:
         raise ValueError("a block has no end")
 
 
-def _read(path: Path) -> dict[str, DisplacementTable]:
+def _read_displacements(path: Path) -> dict[str, DisplacementTable]:
     """Displacements at the surface by their labels, like ``shape 1 (12.5 Hz)``."""
     try:
         lines = _Lines(path.read_text(encoding="ascii"))
@@ -117,9 +117,9 @@ def _read_blocks(path: Path, lines: _Lines) -> dict[str, DisplacementTable]:
     for line in lines:
         key, values = line[:6].strip(), line.split()
         if key == "2C":
-            numbers, points = _rows(lines.block(), _width(values), int(values[1]))
+            numbers, points = _rows_of_block(lines.block(), _width(values), int(values[1]))
         elif key == "3C":
-            faces = _faces(lines.block(), _width(values), int(values[1]))
+            faces = _faces_of_elements(lines.block(), _width(values), int(values[1]))
         elif line[2:7] == "100CL":
             step = _step(path, lines, line, len(found) + 1)
             found += [step] if step else []
@@ -138,7 +138,7 @@ def _width(words: list[str]) -> int:
     return _WIDTHS[words[-1]]
 
 
-def _rows(block: list[str], width: int, expected: int) -> tuple[IntArray, FloatArray]:
+def _rows_of_block(block: list[str], width: int, expected: int) -> tuple[IntArray, FloatArray]:
     """Number and three values of each line."""
     if len(block) != expected:
         raise ValueError(f"a block has {len(block)} lines, {expected} are announced")
@@ -152,7 +152,7 @@ def _rows(block: list[str], width: int, expected: int) -> tuple[IntArray, FloatA
     return numbers, np.array([found[:3] for found in words], dtype=np.float64).reshape(len(block), 3)
 
 
-def _faces(block: list[str], width: int, expected: int) -> list[IntArray]:
+def _faces_of_elements(block: list[str], width: int, expected: int) -> list[IntArray]:
     """Faces of shells, and of the outside of solids."""
     cells: dict[int, list[list[int]]] = {}
     kind, nodes = 0, []  # type: int, list[int]
@@ -202,7 +202,7 @@ def _step(path: Path, lines: _Lines, head: str, number: int) -> _Displacements |
         return None
     value, frequency = float(head[12:24]), head[56:58].strip() == _FREQUENCY
     width = _width([head[73:75].strip()]) if head[73:75].strip() else 10
-    numbers, values = _rows([line for line in block if not line.startswith(" -5")], width, int(head[24:36]))
+    numbers, values = _rows_of_block([line for line in block if not line.startswith(" -5")], width, int(head[24:36]))
     return _Displacements(f"shape {number} ({value:g}{' Hz' if frequency else ''})", numbers, values)
 
 

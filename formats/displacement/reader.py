@@ -41,7 +41,7 @@ def read_displacement(path: str | Path) -> SurfaceData | Grid:
     a point has two displacements (with both lines).
     """
     path = Path(path)
-    table = _read(path, read_head(path))
+    table = _table_or_grid(path, read_head(path))
     return table if isinstance(table, Grid) else checked_surface(table, path)
 
 
@@ -62,7 +62,7 @@ def write_displacement(path: str | Path, data: SurfaceData) -> None:
             np.savetxt(partial, columns, fmt="%.17g", delimiter=",", header="x,y,z,dx,dy,dz", comments="")
 
 
-def _read(path: Path, head: bytes) -> DisplacementTable | Grid:
+def _table_or_grid(path: Path, head: bytes) -> DisplacementTable | Grid:
     suffix, words = path.suffix.lower(), head.lower()
     if head.startswith(b"\x93NUMPY"):
         return _module("arrays").read_npy(path)

@@ -63,7 +63,9 @@ def read(path: Path) -> DisplacementTable:
     split = len(layout.points)
 
     def place(row: int) -> str:
-        return f"line {next(number for index, (number, _) in enumerate(_rows(path, layout)) if index == row)}"
+        return (
+            f"line {next(number for index, (number, _) in enumerate(_rows_of_numbers(path, layout)) if index == row)}"
+        )
 
     return DisplacementTable(values[:, :split], values[:, split:], NO_TRIANGLES, place)
 
@@ -147,7 +149,7 @@ def _is_number(word: str) -> bool:
     return word.isascii() and "_" not in word
 
 
-def _rows(path: Path, layout: _Layout) -> Iterator[tuple[int, list[str]]]:
+def _rows_of_numbers(path: Path, layout: _Layout) -> Iterator[tuple[int, list[str]]]:
     """Line number and words of each row of numbers."""
     for number, text, _ in _contents(path):
         if text and number >= layout.first:
@@ -161,7 +163,7 @@ def _no_number(word: str) -> str:
 
 def _explained(path: Path, layout: _Layout, error: ValueError) -> FormatError:
     """The line and word that numpy could not read."""
-    for number, words in _rows(path, layout):
+    for number, words in _rows_of_numbers(path, layout):
         if len(words) != layout.width:
             return FormatError(f"{path}, line {number}: found {len(words)} columns; expected {layout.width} as before")
         wrong = [words[column] for column in layout.points + layout.displacement if not _is_number(words[column])]

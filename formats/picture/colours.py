@@ -85,13 +85,13 @@ class Choice:
             finite = finite[finite > 0]
             if finite.size == 0 or (self.limits is not None and self.limits[0] <= 0):
                 raise CaseError(f"--log: {self.metric} has no positive value, or the range does not begin above zero")
-        low, high = self.limits or _range(finite, known, self.logarithmic)
+        low, high = self.limits or _ends_of_colours(finite, known, self.logarithmic)
         beyond = bool((finite < low - 1e-12 * abs(low)).any()), bool((finite > high + 1e-12 * abs(high)).any())
         extended = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}[beyond]
         return Scale(self.metric, low, high, self.logarithmic, extended)
 
 
-def _range(finite: FloatArray, known: Metric, logarithmic: bool) -> tuple[float, float]:
+def _ends_of_colours(finite: FloatArray, known: Metric, logarithmic: bool) -> tuple[float, float]:
     """The ends of the colours for values (n,)."""
     if known.limits is not None and not logarithmic:
         fixed = known.limits

@@ -32,7 +32,7 @@ from .scene import (
     wall_edges,
     whole_scene,
 )
-from .subject import Subject, quads_of
+from .subject import Subject, quads_of_surfaces
 from .view import View, Window, facing, iso
 
 _SMALL = 0.3
@@ -68,7 +68,7 @@ def overview(subject: Subject, choice: Choice, title: str = "") -> Page:
 def _with_close_ups(subject: Subject, scene: Scene) -> list[Panel]:
     """A plane, whole, and close up where the walls are if they are small."""
     whole = scene.view.window(scene.facets.corners, 0.0)
-    panel = Panel(scene, whole.grown(0.02 * whole.extent).shaped(_FLAT, _TALL))
+    panel = Panel(scene, whole.grown(0.02 * whole.larger_side).shaped(_FLAT, _TALL))
     detail = _detail(subject, scene, whole)
     if detail is None:
         return [panel]
@@ -95,22 +95,26 @@ def _detail(subject: Subject, scene: Scene, whole: Window) -> Window | None:
     size = np.linalg.norm(flat[:, 2] - flat[:, 0], axis=1)
     points = walls if len(walls) else flat.mean(axis=1)[size <= np.quantile(size, 0.2)]
     # Bodies are shown completely, walls that cross the whole picture only where their nodes cluster.
-    if not len(walls) or np.ptp(points, axis=0).max() > 0.7 * whole.extent:
+    if not len(walls) or np.ptp(points, axis=0).max() > 0.7 * whole.larger_side:
         points = np.quantile(points, [0.2, 0.8], axis=0)
     (left, bottom), (right, top) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     near = Window(left, right, bottom, top)
-    return None if not 0.0 < near.extent <= _SMALL * whole.extent else near.grown(0.35 * near.extent).within(whole)
+    return (
+        None
+        if not 0.0 < near.larger_side <= _SMALL * whole.larger_side
+        else near.grown(0.35 * near.larger_side).within(whole)
+    )
 
 
 def _first_cells(subject: Subject, view: View, edges: FloatArray, window: Window) -> Window | None:
     """A window at the left end of the ``edges`` of walls, if their first cells are too low to be seen in a window."""
     height = min((wall.median_height for wall in subject.bodies), default=np.inf)
     flat = np.unique(view.project(edges.reshape(-1, 3))[:, :2], axis=0)
-    if height > _LOST * window.extent or len(flat) <= _NOSE_NODES[1]:
+    if height > _LOST * window.larger_side or len(flat) <= _NOSE_NODES[1]:
         return None
     distance = np.sort(np.linalg.norm(flat - flat[0], axis=1))
     reach = float(np.clip(200 * height, *distance[list(_NOSE_NODES)]))
-    if reach == 0.0 or reach > _NOSE * window.extent:
+    if reach == 0.0 or reach > _NOSE * window.larger_side:
         return None
     x, y = flat[0].tolist()
     return Window(x, x, y, y).grown(reach)
@@ -118,10 +122,10 @@ def _first_cells(subject: Subject, view: View, edges: FloatArray, window: Window
 
 def _walls_and_cut(subject: Subject, metric: str) -> list[Panel]:
     bodies = subject.bodies
-    walls = surface_scene(subject, quads_of(bodies), metric, onto_walls(subject))
+    walls = surface_scene(subject, quads_of_surfaces(bodies), metric, onto_walls(subject))
     backdrop = [each for each in subject.outside.of_role(Role.SYMMETRY, Role.WALL) if each not in bodies]
     if backdrop:
-        walls = dataclasses.replace(walls, backdrop=surface_facets(subject, quads_of(backdrop)))
+        walls = dataclasses.replace(walls, backdrop=surface_facets(subject, quads_of_surfaces(backdrop)))
     plane = subject.middle_plane()
     cut = cut_scene(subject, plane, metric)
     edges = wall_edges(subject, plane, bodies)
@@ -142,7 +146,7 @@ def boundaries(subject: Subject, title: str = "") -> Page:
     In 3-D those that would hide the rest (far field and planes that face the viewer) are omitted; small walls have a
     close-up. In a plane grid the edges are coloured.
     """
-    groups = _groups(subject)
+    groups = _surfaces_by_name(subject)
     legend = tuple((name, colour_of(number)) for number, name in enumerate(groups))[:_MOST_NAMES]
     if subject.grid.dimension == 2:
         strokes = tuple((subject.corners(group), colour_of(number)) for number, group in enumerate(groups.values()))
@@ -152,7 +156,7 @@ def boundaries(subject: Subject, title: str = "") -> Page:
         ]
         return Page(tuple(panels), title, None, legend)
     view = onto_walls(subject)
-    scene = _outside(subject, groups, view)
+    scene = _outside_scene(subject, groups, view)
     whole = Panel(scene, view.window(scene.facets.corners).shaped(0.5, 1.1), "outside")
     panels = [whole]
     if subject.bodies:
@@ -162,7 +166,7 @@ def boundaries(subject: Subject, title: str = "") -> Page:
     return Page(tuple(panels), title, None, legend)
 
 
-def _groups(subject: Subject) -> dict[str, list[Surface]]:
+def _surfaces_by_name(subject: Subject) -> dict[str, list[Surface]]:
     """Surfaces by the name that the legend shows, walls first."""
     groups: dict[str, list[Surface]] = {}
     for surface in sorted(subject.outside.surfaces, key=lambda s: list(Role).index(s.role)):
@@ -172,7 +176,7 @@ def _groups(subject: Subject) -> dict[str, list[Surface]]:
     return groups
 
 
-def _outside(subject: Subject, groups: dict[str, list[Surface]], view: View) -> Scene:
+def _outside_scene(subject: Subject, groups: dict[str, list[Surface]], view: View) -> Scene:
     """The surfaces in groups but for faces, other than walls, whose outer side faces the viewer."""
     parts, quads = [], []
     for number, surfaces in enumerate(groups.values()):
@@ -208,7 +212,7 @@ class Pair:
         return Subject(self.after, self.topology, self.undeformed or self.before, original=self.old)
 
 
-def apart(page: Page) -> tuple[Page, Page]:
+def separate_pages(page: Page) -> tuple[Page, Page]:
     """The two panels of a page as pages of the same size, axes, colour bar and legend, without their titles."""
     panels = [dataclasses.replace(panel, title="") for panel in page.panels]
     one, two = (dataclasses.replace(page, panels=(panel,), marks=page.explained) for panel in panels)
@@ -243,7 +247,7 @@ def quality_planes(pair: Pair) -> tuple[Page, Page]:
     scenes = [_plane(subject, Choice()) for subject in (pair.old, pair.new)]
     points = np.concatenate([subject.corners(pair.old.bodies) for subject in (pair.old, pair.new)])
     window = _window_around(scenes[0], points)
-    return apart(_twins(scenes, (window, window), Choice()))
+    return separate_pages(_twins(scenes, (window, window), Choice()))
 
 
 def plane_around(subject: Subject, points: FloatArray, choice: Choice) -> Page:
@@ -260,7 +264,7 @@ def _plane(subject: Subject, choice: Choice) -> Scene:
 def _window_around(scene: Scene, points: FloatArray) -> Window:
     whole = scene.view.window(scene.facets.corners, 0.0)
     if not points.size:
-        return whole.grown(0.02 * whole.extent).shaped(0.3, 1.0)
+        return whole.grown(0.02 * whole.larger_side).shaped(0.3, 1.0)
     return scene.view.window(points, 0.6).within(whole).shaped(0.5, 0.9).moved_into(whole)
 
 
@@ -275,7 +279,7 @@ def worst_cells(pair: Pair, block: int, cell: Shape, choice: Choice | None = Non
     return _twins(found, _surroundings(pair, block, cell, found[0].view), choice)
 
 
-def _corners(grid: Grid, block: int, cell: Shape, more: int = 0) -> FloatArray:
+def _nodes_around(grid: Grid, block: int, cell: Shape, more: int = 0) -> FloatArray:
     """Nodes (n, 3) of a cell and of ``more`` cells around it."""
     window = tuple(slice(max(at - more, 0), at + 2 + more) for at in cell)
     return grid.few(block, window).reshape(-1, 3)
@@ -285,9 +289,10 @@ def _surroundings(pair: Pair, block: int, cell: Shape, view: View) -> list[Windo
     """Windows of the same size around a cell before and after."""
     centers, reach = [], 0.0
     for grid in (pair.before, pair.after):
-        center = view.project(_corners(grid, block, cell).mean(axis=0))[:2]
+        center = view.project(_nodes_around(grid, block, cell).mean(axis=0))[:2]
         near, close = (
-            np.abs(view.project(_corners(grid, block, cell, more))[:, :2] - center).max(axis=1) for more in (_AROUND, 1)
+            np.abs(view.project(_nodes_around(grid, block, cell, more))[:, :2] - center).max(axis=1)
+            for more in (_AROUND, 1)
         )
         # Where cells grow quickly, the window is limited so that the worst cell remains visible.
         reach = max(reach, min(float(np.quantile(near, 0.7)), 8.0 * float(close.max())))
@@ -317,7 +322,7 @@ def telling_plane(pair: Pair, block: int, cell: Shape) -> tuple[int, FloatArray]
 def _through(subject: Subject, block: int, axis: int, cell: Shape, normal: FloatArray, metric: str) -> Scene:
     """The index plane of a block through a cell, and where its plane in space cuts the other blocks."""
     own, view = block_facets(subject, block, axis, cell[axis], metric), facing(normal)
-    cut = cut_facets(subject, Plane(_corners(subject.grid, block, cell).mean(axis=0), normal), metric)
+    cut = cut_facets(subject, Plane(_nodes_around(subject.grid, block, cell).mean(axis=0), normal), metric)
     # Drawn behind the index plane, which may deviate from the plane in space but stays in front everywhere.
     behind = dataclasses.replace(cut, corners=cut.corners - subject.size * view.towards)
     return Scene(joined([own, behind]), view)

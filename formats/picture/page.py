@@ -155,7 +155,7 @@ def page_figure(page: Page, width: float = _WIDTH, dpi: int = 150, fine: int = F
         layout.execute(figure)
         figure.set_layout_engine(None)
         for ax, panel in zip(axes, page.panels, strict=True):
-            _fill(ax, panel, page, fine)
+            _fill_axes(ax, panel, page, fine)
         return figure
 
 
@@ -216,7 +216,7 @@ def _frames(figure: Figure, page: Page) -> list[Axes]:
     return axes
 
 
-def _fill(ax: Axes, panel: Panel, page: Page, fine: int) -> None:
+def _fill_axes(ax: Axes, panel: Panel, page: Page, fine: int) -> None:
     from matplotlib.collections import LineCollection, PolyCollection
     from matplotlib.patches import Rectangle
 

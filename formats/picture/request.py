@@ -22,7 +22,7 @@ from .colours import Choice
 from .overview import Pair, overview, worst_cells
 from .page import Page, Panel
 from .scene import Scene, cut_scene, index_scene, surface_scene, whole_scene
-from .subject import Subject, quads_of, worst_cell
+from .subject import Subject, quads_of_surfaces, worst_cell
 from .view import View, Window, along, iso, towards
 
 _IN_SPACE = r"([xyz])=([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)"
@@ -151,7 +151,7 @@ def picture(subject: Subject, options: PlotOptions, title: str = "") -> Page:
     if options.plain:
         return overview(subject, choice, title)
     if options.close == "worst":
-        return _worst(subject, choice, title)
+        return _worst_page(subject, choice, title)
     scene = _scene(subject, options)
     scenes, old = [scene], None
     if options.before or options.arrows:
@@ -187,7 +187,7 @@ def _scene(subject: Subject, options: PlotOptions) -> Scene:
     else:
         walls = subject.wall_surfaces
         scene = whole_scene(subject, metric) or surface_scene(
-            subject, quads_of(walls) if walls else np.flatnonzero(subject.topology.external), metric,
+            subject, quads_of_surfaces(walls) if walls else np.flatnonzero(subject.topology.external), metric,
             None if walls else iso(),
         )  # fmt: skip
     return dataclasses.replace(scene, view=options.direction or scene.view)
@@ -229,7 +229,7 @@ def _window(subject: Subject, options: PlotOptions, scenes: Sequence[Scene]) -> 
     return view.window(corners, 0.03).shaped(0.05, 1.4)
 
 
-def _worst(subject: Subject, choice: Choice, title: str) -> Page:
+def _worst_page(subject: Subject, choice: Choice, title: str) -> Page:
     block, cell = worst_cell(subject, choice.metric)
     page = worst_cells(Pair(subject.reference or subject.grid, subject.grid, subject.topology), block, cell, choice)
     before, after = page.panels

@@ -57,7 +57,7 @@ def joined(parts: Sequence[Facets]) -> Facets:
     return Facets(stacked([part.corners for part in parts]), *rest)
 
 
-def quads_of(x: FloatArray) -> FloatArray:
+def quads_of_layer(x: FloatArray) -> FloatArray:
     """The quads (n, 4, 3) of a layer of nodes (na, nb, 3)."""
     return np.stack([x[:-1, :-1], x[1:, :-1], x[1:, 1:], x[:-1, 1:]], axis=2).reshape(-1, 4, 3)
 
@@ -69,7 +69,7 @@ def plane_facets(
 
     Blocks that do not extend to the index are omitted; a 2-D grid is drawn completely.
     """
-    planes = _planes(subject.grid, axis, index, blocks)
+    planes = _node_planes(subject.grid, axis, index, blocks)
     if not planes:
         longest = max(shape[axis] for shape in subject.grid.shapes)
         raise CaseError(f"no block has a node plane {'ijk'[axis]} = {(index or 0) + 1}; the largest is {longest}")
@@ -78,11 +78,11 @@ def plane_facets(
 
 def plane_outlines(subject: Subject, axis: int, index: int | None, blocks: Sequence[int] | None = None) -> FloatArray:
     """Edges (n, 2, 3) of the blocks in an index plane."""
-    layers = [_layer(subject.grid, *plane) for plane in _planes(subject.grid, axis, index, blocks)]
+    layers = [_layer(subject.grid, *plane) for plane in _node_planes(subject.grid, axis, index, blocks)]
     return np.concatenate([_outline(x, np.ones((x.shape[0] - 1, x.shape[1] - 1), dtype=bool)) for x in layers])
 
 
-def _planes(grid: Grid, axis: int, index: int | None, blocks: Sequence[int] | None) -> list[tuple[int, int, int]]:
+def _node_planes(grid: Grid, axis: int, index: int | None, blocks: Sequence[int] | None) -> list[tuple[int, int, int]]:
     """Block, axis and index of the planes of nodes of blocks."""
     found = []
     for block in range(grid.n_blocks) if blocks is None else blocks:
@@ -97,7 +97,7 @@ def _planes(grid: Grid, axis: int, index: int | None, blocks: Sequence[int] | No
 def block_facets(subject: Subject, block: int, axis: int, index: int, metric: str) -> Facets:
     """The cells behind the node plane ``index`` (0-based) along ``axis`` of one block."""
     layer = min(index, subject.grid.cell_shapes[block][axis] - 1)
-    quads = quads_of(_layer(subject.grid, block, axis, index))
+    quads = quads_of_layer(_layer(subject.grid, block, axis, index))
     return _facets(subject, block, axis, layer, quads, metric, block)
 
 
@@ -124,7 +124,7 @@ def surface_facets(subject: Subject, quads: IntArray, metric: str = "") -> Facet
     for block_side, some in topology.quads.by_side(quads):
         block, side = block_side // 6, Side(block_side % 6)
         local = some - topology.quads.start[block, side]
-        corners = quads_of(subject.grid.points[side_nodes(subject.grid, block, side)])
+        corners = quads_of_layer(subject.grid.points[side_nodes(subject.grid, block, side)])
         if metric:
             layer = side.layer(subject.grid.cell_shapes[block])
             parts.append(_facets(subject, block, side.axis, layer, corners, metric, 0).where(local))
@@ -139,7 +139,7 @@ def cut_facets(subject: Subject, plane: Plane, metric: str) -> Facets:
     Raises CaseError when the plane misses the grid.
     """
     grid = subject.grid
-    level, lows, highs = _levels(grid, plane)
+    level, lows, highs = _distances_from(grid, plane)
     low, high = float(lows.min()), float(highs.max())
     tiny = 1e-9 * subject.size
     if low > tiny or high < -tiny:
@@ -152,7 +152,7 @@ def cut_facets(subject: Subject, plane: Plane, metric: str) -> Facets:
     return joined([Facets.plain(np.empty((0, 6, 3))), *(part for found in grid.nodes.gather(own) for part in found)])
 
 
-def _levels(grid: Grid, plane: Plane) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _distances_from(grid: Grid, plane: Plane) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Distances (n_nodes, 1) from a plane, as far as this rank holds cells; the smallest and largest of each block."""
     level = grid.nodes.like(1)
     own = Nodes.of(level).rows

@@ -95,7 +95,7 @@ class Subject(CellFields):
 
     def corners(self, surfaces: Iterable[Surface]) -> FloatArray:
         """The corners (n, m, 3) of the face quads of surfaces; in 2-D the ends (n, 2, 3) of edges."""
-        nodes = self.topology.quads.corners[quads_of(surfaces)]
+        nodes = self.topology.quads.corners[quads_of_surfaces(surfaces)]
         return np.asarray(self.grid.points[self.topology.first[nodes]])
 
     def outward(self, surface: Surface) -> FloatArray:
@@ -107,7 +107,7 @@ class Subject(CellFields):
     @cached_property
     def end_plane(self) -> tuple[IntArray, FloatArray] | None:
         """Face quads and normal of one of the two end planes of an extruded grid, which represents the whole grid."""
-        ends = self._ends()
+        ends = self._end_faces()
         if not ends or ends[0].plane is None:
             return None
         normal = ends[0].plane.normal
@@ -117,15 +117,18 @@ class Subject(CellFields):
         lowest = min(height) + 1e-6 * self.size
         return np.concatenate([face.quads for face, h in zip(ends, height, strict=True) if h <= lowest]), normal
 
-    def _ends(self) -> list[Face]:
+    def _end_faces(self) -> list[Face]:
         """Faces at both ends, else faces across the direction in which the grid is one cell thick, else faces in two
         parallel symmetry planes between which all walls stand upright."""
-        ends = self._faces(Role.END)
+        ends = self._faces_of_role(Role.END)
         if not ends and self.thin is not None:
-            ends = _across([face for face in self.outside.faces if face.outside], self.thin)
+            ends = _faces_across([face for face in self.outside.faces if face.outside], self.thin)
         if ends and ends[0].plane is not None:
             return ends
-        walls, planes = self._faces(Role.WALL), [face for face in self._faces(Role.SYMMETRY) if face.plane]
+        walls, planes = (
+            self._faces_of_role(Role.WALL),
+            [face for face in self._faces_of_role(Role.SYMMETRY) if face.plane],
+        )
         tried: list[FloatArray] = []
         for face in planes:
             assert face.plane is not None
@@ -134,7 +137,7 @@ class Subject(CellFields):
             if any(abs(other @ normal) > 1 - 1e-12 for other in tried):
                 continue
             tried.append(normal)
-            same = _across(planes, normal)
+            same = _faces_across(planes, normal)
             heights = [float(f.plane.point @ normal) for f in same if f.plane is not None]
             (low, high), near = self.reach(normal), 1e-6 * self.size
             both = min(heights) <= low + near and max(heights) >= high - near and np.ptp(heights) > near
@@ -142,7 +145,7 @@ class Subject(CellFields):
                 return same
         return []
 
-    def _faces(self, role: Role) -> list[Face]:
+    def _faces_of_role(self, role: Role) -> list[Face]:
         return [face for face, of in zip(self.outside.faces, self.outside.roles, strict=True) if of is role]
 
     def _upright(self, wall: Face | Surface, normal: FloatArray) -> bool:
@@ -170,12 +173,12 @@ class Subject(CellFields):
         return np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
 
 
-def _across(faces: Iterable[Face], normal: FloatArray) -> list[Face]:
+def _faces_across(faces: Iterable[Face], normal: FloatArray) -> list[Face]:
     """Faces in planes across a direction."""
     return [face for face in faces if face.plane is not None and abs(face.plane.normal @ normal) > _ALONG]
 
 
-def quads_of(surfaces: Iterable[Surface]) -> IntArray:
+def quads_of_surfaces(surfaces: Iterable[Surface]) -> IntArray:
     """The face quads (n,) of surfaces."""
     return np.concatenate([np.empty(0, dtype=np.int64), *(surface.quads for surface in surfaces)])
 

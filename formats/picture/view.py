@@ -27,7 +27,7 @@ class Window(NamedTuple):
         return self.top - self.bottom
 
     @property
-    def extent(self) -> float:
+    def larger_side(self) -> float:
         """The larger of width and height."""
         return max(self.width, self.height)
 
@@ -51,7 +51,7 @@ class Window(NamedTuple):
 
     def moved_into(self, whole: Window) -> Window:
         """Shifted to lie within another one and a narrow rim, as far as it fits."""
-        outer = whole.grown(0.03 * self.extent)
+        outer = whole.grown(0.03 * self.larger_side)
         across = max(outer.left - self.left, 0.0) or min(outer.right - self.right, 0.0)
         upwards = max(outer.bottom - self.bottom, 0.0) or min(outer.top - self.top, 0.0)
         return Window(self.left + across, self.right + across, self.bottom + upwards, self.top + upwards)
@@ -90,7 +90,7 @@ class View:
         flat = self.project(points.reshape(-1, 3))[:, :2]
         (left, bottom), (right, top) = flat.min(axis=0).tolist(), flat.max(axis=0).tolist()
         window = Window(left, right, bottom, top)
-        return window.grown(margin * (window.extent or 1.0))
+        return window.grown(margin * (window.larger_side or 1.0))
 
 
 def along(axis: str, mirrored: bool = False) -> View:

@@ -13,7 +13,7 @@ from meshdeform_core.deform import Result, Setup
 from meshdeform_core.grid import FloatArray, Grid
 
 from ..picture.colours import Choice
-from ..picture.overview import Pair, apart, moved_walls, plane_around, quality_planes, worst_cells
+from ..picture.overview import Pair, moved_walls, plane_around, quality_planes, separate_pages, worst_cells
 from ..picture.page import Page, page_png
 from ..picture.subject import Subject, worst_cell
 from .tables import Figure, Illustrations
@@ -30,7 +30,7 @@ def deformation_figures(result: Result) -> Illustrations:
     caption = (
         f"A close-up of cell {where}, where f_skew is smallest{', and of other invalid cells' if invalid else ''}."
     )
-    old, new = (_png(after, page) for page in apart(worst_cells(pair, block, cell)))
+    old, new = (_png(after, page) for page in separate_pages(worst_cells(pair, block, cell)))
     # The windows follow the cell.
     figures.append(Figure("The worst cells", caption, new, old, slider=False))
     moving = np.flatnonzero(setup.boundary.quad_kind == Kind.MOVING)
@@ -53,7 +53,7 @@ def _repaired_region(setup: Setup, plain: Grid, after: Grid) -> Figure:
     page = worst_cells(pair, block, cell)
     # The same position, not the same cell, which the repair has moved.
     panels = tuple(dataclasses.replace(panel, window=page.panels[0].window) for panel in page.panels)
-    plain_png, after_png = (_png(after, each) for each in apart(dataclasses.replace(page, panels=panels)))
+    plain_png, after_png = (_png(after, each) for each in separate_pages(dataclasses.replace(page, panels=panels)))
     return Figure("What the repair changed", caption, after_png, plain_png, names=("the method alone", "repaired"))
 
 

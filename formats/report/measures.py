@@ -84,7 +84,7 @@ def measure_rows(quality: Mapping[str, Any]) -> list[MeasureRow]:
     for name, keys, compared in _MEASURES:
         before, after = (_pick(quality[when], keys) for when in ("before", "after"))
         if after is not None:
-            rows.append(MeasureRow(name, before, after, _place(quality["after"], keys), compared))
+            rows.append(MeasureRow(name, before, after, _place_of_worst(quality["after"], keys), compared))
     return rows
 
 
@@ -95,7 +95,7 @@ def _pick(quality: Mapping[str, Any], keys: tuple[str, ...]) -> Any:
     return value
 
 
-def _place(quality: Mapping[str, Any], keys: tuple[str, ...]) -> str:
+def _place_of_worst(quality: Mapping[str, Any], keys: tuple[str, ...]) -> str:
     """Block and indices of the worst cell, for a measure that is an extreme."""
     if keys[0] == "walls":
         quality, keys = quality["walls"][keys[1]], keys[2:]

@@ -107,14 +107,14 @@ def as_html(
     title = f"{'Deformation' if 'method' in report else 'Quality'} of {name}"
     sections = [
         Section("pictures", "Pictures", figures),
-        *(_levels(report, thumbnails, folder) if series else _judged(report)),
-        *_rest(report),
+        *(_levels_section(report, thumbnails, folder) if series else _judged(report)),
+        *_common_sections(report),
     ]
     return environment.from_string(template).render(
         report=report,
         title=f"Series of {len(report['levels'])} levels: {name}" if series else title,
         about=f"{kind}{grid['dimension']}-D, {blocks}, {grid['nodes']:,} nodes, {cells}",
-        verdict=_verdict(report),
+        verdict=_verdict_banner(report),
         tiles=_level_tiles(report) if series else _tiles(report),
         sections=[section for section in sections if section.parts],
         style=style,
@@ -148,7 +148,7 @@ def _level_tiles(report: Report) -> list[tuple[str, str]]:
     ]
 
 
-def _verdict(report: Report) -> dict[str, Any]:
+def _verdict_banner(report: Report) -> dict[str, Any]:
     """Whether the grid is usable; if not, where and why not, and what to do (advice is HTML)."""
     found: dict[str, Any] = {"how": "", "places": [], "blocks": "", "advice": []}
     if report["valid"]:
@@ -215,7 +215,7 @@ def _advice(report: Report) -> list[str]:
     return advice
 
 
-def _levels(report: Report, thumbnails: Sequence[tuple[Figure, str]], folder: str) -> Iterator[Section]:
+def _levels_section(report: Report, thumbnails: Sequence[tuple[Figure, str]], folder: str) -> Iterator[Section]:
     """Curves, pictures, table."""
     levels = report["levels"]
     values = {
@@ -255,7 +255,7 @@ def _judged(report: Report) -> Iterator[Section]:
     yield Section("quality", "Quality", [measures_table(report, change=True), shown])
 
 
-def _rest(report: Report) -> Iterator[Section]:
+def _common_sections(report: Report) -> Iterator[Section]:
     components = [components_table(report)] if report.get("components") else []
     yield Section("components", "Components", components)
     yield Section("shape", "Shape of cells", [shape_table(report)] if report.get("shape") else [])
@@ -263,7 +263,7 @@ def _rest(report: Report) -> Iterator[Section]:
     yield Section("blocks", "Blocks", list(_blocks(report.get("blocks") or ())))
     warnings = [(warning, remedy_of(warning)) for warning in report["warnings"]]
     yield Section("warnings", "Warnings", [{"warnings": warnings}] if warnings else [])
-    yield Section("boundary", "Boundary and motion", list(_boundary(report)))
+    yield Section("boundary", "Boundary and motion", list(_boundary_tables(report)))
     if "method" in report:
         rows = [
             (name, number(setting["value"]), setting.get("reason", "given or default"))
@@ -334,7 +334,7 @@ def _block_table(caption: str, blocks: Sequence[Report]) -> Table:
     return Table(caption, heads, rows, flagged=[n for n, row in enumerate(rows) if row[2]], sortable=True)
 
 
-def _boundary(report: Report) -> Iterator[Any]:
+def _boundary_tables(report: Report) -> Iterator[Any]:
     """Boundary entries, motions, and matches of tables."""
     boundary = report.get("boundary")
     if boundary is None:

@@ -36,12 +36,12 @@ _SHAPE_NAMES = {"non_orthogonality_deg": "non-orthogonality [deg]"}
 
 def as_text(report: Report, parameters: bool = True) -> str:
     """The report, section by section, the verdict first; with or without the parameters of the method."""
-    return "\n".join(_lines(report, parameters)) + "\n"
+    return "\n".join(_report_lines(report, parameters)) + "\n"
 
 
-def _lines(report: Report, parameters: bool) -> Iterator[str]:
+def _report_lines(report: Report, parameters: bool) -> Iterator[str]:
     if "valid" in report:
-        yield from _verdict(report)
+        yield from _verdict_lines(report)
     grid = report["grid"]
     kind = grid["format"] or ("several files" if grid["file"] else "no file")
     yield f"grid      {grid['file'] or '(in memory)'}: {kind}"
@@ -52,7 +52,7 @@ def _lines(report: Report, parameters: bool) -> Iterator[str]:
     if "method" in report:
         yield f"method    {report['method']['name']}" + ("" if parameters else "  (-v shows its parameters)")
     if "boundary" in report:
-        yield from _boundary(report["boundary"], report.get("motion", []))
+        yield from _boundary_lines(report["boundary"], report.get("motion", []))
     for index, part in enumerate(report.get("components", ())):
         moves = f"moves by up to {part['max_displacement']:.6g}" if part["moving_nodes"] else "rests"
         yield (
@@ -61,10 +61,10 @@ def _lines(report: Report, parameters: bool) -> Iterator[str]:
             f"smallest f_skew {part['quality']['after']['f_skew']['min']:.4g}"
         )
     if "levels" in report:
-        yield from _levels(report)
+        yield from _level_lines(report)
     elif "quality" in report:
-        yield from _quality(report)
-        yield from _repair(report)
+        yield from _quality_lines(report)
+        yield from _repair_lines(report)
     settings = [(key, value) for key, value in report.get("method", {}).items() if key != "name"] if parameters else []
     for index, (name, setting) in enumerate(settings):
         reason = f"  ({setting['reason']})" if "reason" in setting else ""
@@ -89,7 +89,7 @@ def _expected(expense: Report) -> str:
     return f"expected  memory {bound}{readable(expense['memory_bytes'])}{each}{disk}"
 
 
-def _verdict(report: Report) -> Iterator[str]:
+def _verdict_lines(report: Report) -> Iterator[str]:
     """Whether the grid is valid, how it was obtained, and its invalid cells."""
     yield f"verdict   {'valid' if report['valid'] else 'INVALID'}"
     cells = report.get("invalid_cells", [])
@@ -103,15 +103,15 @@ def _verdict(report: Report) -> Iterator[str]:
         done = ", then repaired (below)" if report.get("repair") and "quality" in report else ""
         yield f"steps     {report['steps']}{reached}{done}"
         if "quality" in report:
-            yield f"worst     {', '.join(_worst(report['quality']['after']))}"
+            yield f"worst     {', '.join(_worst_of_cells(report['quality']['after']))}"
     if new := report.get("new_interior"):
         steps = counted(new["steps"], "step")
         yield f"interior  remade from the reference by {new['method']} in {steps}: {new['reason']}"
     if "quality" not in report:
-        yield from _repair(report)
+        yield from _repair_lines(report)
 
 
-def _worst(after: Report) -> Iterator[str]:
+def _worst_of_cells(after: Report) -> Iterator[str]:
     """What a user decides by: the worst cells, and the cells at walls."""
     yield f"smallest scaled Jacobian {after['min_scaled_jacobian']:.3g}"
     yield f"smallest f_skew {after['f_skew']['min']:.3g}"
@@ -121,12 +121,12 @@ def _worst(after: Report) -> Iterator[str]:
         yield f"first cells {heights['min']:.3g} to {heights['max']:.3g} times as high"
 
 
-def _repair(report: Report) -> Iterator[str]:
+def _repair_lines(report: Report) -> Iterator[str]:
     for index, done in enumerate(repair_lines(report)):
         yield f"{'' if index else 'repair':9s} {done}"
 
 
-def _boundary(boundary: Report, motion: list[Report]) -> Iterator[str]:
+def _boundary_lines(boundary: Report, motion: list[Report]) -> Iterator[str]:
     """Entries, nodes, tables, and the motion as evaluated, which reveals, for instance, radians given as degrees."""
     patches = boundary["patches"]
     width = max(len(p["name"]) for p in patches)
@@ -162,7 +162,7 @@ def axis_text(axis: list[float]) -> str:
     return f" about ({', '.join(f'{part:.3g}' for part in axis)})"
 
 
-def _quality(report: Report) -> Iterator[str]:
+def _quality_lines(report: Report) -> Iterator[str]:
     """The measures, and the largest values of those of shape; of a grid by itself in one column."""
     measures, values = measures_table(report), 1 if is_alone(report) else 2
     heads = [""] if values == 1 else measures.heads[1:3]
@@ -176,7 +176,7 @@ def _quality(report: Report) -> Iterator[str]:
         yield f"{'':9s} {name:34s}{columns}" + (f"  at {place}" if place else "")
 
 
-def _levels(report: Report) -> Iterator[str]:
+def _level_lines(report: Report) -> Iterator[str]:
     """The levels of a series as lines of a table."""
     series, levels = report["series"], report["levels"]
     before = report["quality"]["before"]["f_skew"]
@@ -222,13 +222,13 @@ def _markdown(report: Report) -> Iterator[str]:
         yield ""
     yield f"{grid['dimension']}-D, {counted(grid['blocks'], 'block')}, {grid['nodes']:,} nodes, {grid['cells']:,} cells"
     if report.get("components"):
-        yield from _table(components_table(report))
+        yield from _markdown_table(components_table(report))
     if "levels" in report:
-        yield from _table(levels_table(report))
+        yield from _markdown_table(levels_table(report))
     else:
         if report["invalid_groups"]:
-            yield from _table(_groups_table(report))
-        yield from _table(measures_table(report))
+            yield from _markdown_table(_groups_table(report))
+        yield from _markdown_table(measures_table(report))
     if report["warnings"]:
         yield from ("", "### Warnings", "")
         for warning in report["warnings"]:
@@ -260,7 +260,7 @@ def _groups_table(report: Report) -> Table:
     return Table("", ("invalid cells", "blocks", "near", "around", "worst"), rows, range(5))
 
 
-def _table(table: Table) -> Iterator[str]:
+def _markdown_table(table: Table) -> Iterator[str]:
     yield ""
     yield f"| {' | '.join(table.heads)} |"
     yield f"|{'|'.join('---' if n in table.texts else '---:' for n in range(len(table.heads)))}|"

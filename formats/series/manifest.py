@@ -117,13 +117,13 @@ def ingredients_of(
         "grid": digest(grid),
         **{f"file {path}": digest(path) for path in files},
         **{f"case {key}": value for key, value in _flattened(case.content, "") if not key.startswith(_RESOLVED)},
-        **_resolved(case.case),
+        **_resolved_options(case.case),
         **dataclasses.asdict(schedule),
         **output,
     }
 
 
-def _resolved(case: Case) -> dict[str, Any]:
+def _resolved_options(case: Case) -> dict[str, Any]:
     """The options of the method and of repairs by the names of their keys in a case, and the tolerance."""
     method, used = case.method, entry_of(case.method.name).parts
     tables = {part: getattr(method, part) for part in ("idw", "rbf", "tfi") if type(getattr(method, part)) in used}
@@ -181,18 +181,14 @@ class Levels:
         """The grid of a level. Raises FormatError when its file is missing or cannot be read."""
         path = self.files[number]
         if self.foam is not None:
-            return self._with_points(path)
+            undeformed, writer = self._mesh
+            return undeformed.moved(writer.read_points(mesh_file(path / "polyMesh", "points")))
         grid = read_grid(path)
         if not self.single:
             return grid
         from ..cgns.time_steps import read_level
 
         return dataclasses.replace(grid, points=read_level(grid, path, number))
-
-    def _with_points(self, folder: Path) -> Grid:
-        """The undeformed grid with the points of a level."""
-        grid, writer = self._mesh
-        return grid.moved(writer.read_points(mesh_file(folder / "polyMesh", "points")))
 
     @cached_property
     def _mesh(self) -> tuple[Grid, MeshWriter]:

@@ -53,14 +53,14 @@ class SingleFile(SeriesFiles):
         # From the first invalid level on: all of them are in one file.
         return self.view
 
-    def _part(self, number: int) -> Path:
+    def _coordinates_file(self, number: int) -> Path:
         return self._levels / level_name("level", number, len(self.times), ".npy")
 
     def write(self, number: int, grid: Grid, velocity: FloatArray | None, faces: Sequence[Field] = ()) -> None:
         # Velocities are differences of coordinates, computed when the file is assembled.
         ranks, kind = grid.nodes.ranks, np.dtype(self.variant.precision)
         ranks.on_first(lambda: self._levels.mkdir(exist_ok=True))
-        with replacing_by_all(self._part(number), grid.points) as partial:
+        with replacing_by_all(self._coordinates_file(number), grid.points) as partial:
             start = ranks.on_first(lambda: _begin(partial, kind, grid.points.shape))
             stored = Stored(partial, kind, (3,), start, 3 * kind.itemsize)
             grid.nodes.on_each(lambda: _put(stored, grid.nodes.rows, grid.nodes.ends, synchronous(ranks)))
@@ -68,7 +68,7 @@ class SingleFile(SeriesFiles):
     def read(self, number: int) -> FloatArray:
         points: FloatArray = self.grid.nodes.like(3)
         nodes = Nodes.of(points)
-        nodes.on_each(lambda: _get(self._part(number), nodes.rows, nodes.ends))
+        nodes.on_each(lambda: _get(self._coordinates_file(number), nodes.rows, nodes.ends))
         nodes.keep_like(self.grid.points)
         return points
 
@@ -77,7 +77,7 @@ class SingleFile(SeriesFiles):
         return self._levels.is_dir()
 
     def kept(self, number: int) -> Path:
-        return self._part(number)
+        return self._coordinates_file(number)
 
     def least_bytes(self, first: int) -> int:
         # The folder of the levels is removed when the file is complete.
