@@ -6,6 +6,7 @@ are fields) per level, to which ZoneIterativeData_t points; BaseIterativeData_t 
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -55,10 +56,15 @@ def write_series(
     with replacing_by_all(path, grid.points) as partial:
         cgns.write(grid, partial, variant)
         current = level(0)
-        places = grid.nodes.on_first(lambda: _add_levels(current, path, partial, variant.precision, times))
-        for number in range(len(times)):
-            current = level(number) if number else current
-            write_outputs(current, outputs_of(current, places[number]))
+        add_levels = functools.partial(_add_levels, current, path, partial, variant.precision, times)
+        places = grid.nodes.on_first(add_levels)
+        # Each level is gone before the next one is made.
+        del add_levels
+        for number, own in enumerate(places):
+            if number:
+                current = level(number)
+            write_outputs(current, outputs_of(current, own))
+            del current
 
 
 def _add_levels(grid: Grid, path: Path, partial: Path, precision: str, times: Sequence[float]) -> list[Places]:
