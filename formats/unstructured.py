@@ -76,7 +76,13 @@ def write(grid: Grid, path: Path, variant: FileFormat) -> None:
         elif kind == "su2":
             _write_su2(grid, mesh, partial)
         elif kind == "med":
-            _write_med(grid, mesh, partial)
+            # Families of cells have negative numbers in MED.
+            tags = [-(mesh.block + 1 + len(mesh.names)), -(mesh.patch + 1)]
+            med = meshio.Mesh(mesh.points, _cells_and_faces(mesh), cell_data={"cell_tags": tags})
+            med.cell_tags = {-(1 + number): [name] for number, name in enumerate([*mesh.names, *grid.names])}
+            # meshio opens the file by a name only; its writer takes what h5py takes.
+            with target(partial, "w") as sink:
+                meshio.med.write(sink, med)
         elif kind == "inp":
             sets = {_word(name): np.unique(mesh.faces[mesh.patch == number]) for number, name in enumerate(mesh.names)}
             inside = [(mesh.kinds[0], mesh.cells)]
@@ -203,16 +209,6 @@ def _write_msh(grid: Grid, mesh: _Unstructured, path: Path, options: Mapping[str
         cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
         field_data=groups,
     ).write(path, file_format="gmsh22", binary=options["encoding"] == "binary")
-
-
-def _write_med(grid: Grid, mesh: _Unstructured, path: Path) -> None:
-    # Families of cells have negative numbers in MED.
-    tags = [-(mesh.block + 1 + len(mesh.names)), -(mesh.patch + 1)]
-    med = meshio.Mesh(mesh.points, _cells_and_faces(mesh), cell_data={"cell_tags": tags})
-    med.cell_tags = {-(1 + number): [name] for number, name in enumerate([*mesh.names, *grid.names])}
-    # meshio opens the file by a name only; its writer takes what h5py takes.
-    with target(path, "w") as sink:
-        meshio.med.write(sink, med)
 
 
 def _cells_and_faces(mesh: _Unstructured) -> list[tuple[str, IntArray]]:

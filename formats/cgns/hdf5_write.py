@@ -27,14 +27,6 @@ def _text_type(length: int) -> h5t.TypeStringID:
     return kind
 
 
-def _ordered() -> h5p.PropGCID:
-    """Creation properties of groups that track the order in which their members are created."""
-    properties = h5p.create(h5p.GROUP_CREATE)
-    properties.set_link_creation_order(h5p.CRT_ORDER_TRACKED | h5p.CRT_ORDER_INDEXED)
-    properties.set_obj_track_times(False)
-    return properties
-
-
 def _timeless() -> h5p.PropDCID:
     """Creation properties of datasets without time stamps, so that equal grids yield equal files."""
     properties = h5p.create(h5p.DATASET_CREATE)
@@ -48,7 +40,11 @@ _NAMED, _TYPED = (_NAME, _NAME.dtype), (_TYPE, _TYPE.dtype)
 _KINDS = {dtype: h5t.py_create(dtype, logical=True) for dtype in DTYPES.values()}
 _SCALAR, _ONE = h5s.create(h5s.SCALAR), h5s.create_simple((1,))
 _FLAGS = np.ones(1, np.int32)
-_ORDERED, _TIMELESS = _ordered(), _timeless()
+_TIMELESS = _timeless()
+# Groups track the order in which their members are created.
+_ORDERED = h5p.create(h5p.GROUP_CREATE)
+_ORDERED.set_link_creation_order(h5p.CRT_ORDER_TRACKED | h5p.CRT_ORDER_INDEXED)
+_ORDERED.set_obj_track_times(False)
 
 
 def write_hdf5(tree: Node, path: Path) -> None:

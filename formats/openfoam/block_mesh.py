@@ -53,9 +53,17 @@ def block_mesh(layout: BlockMeshDict) -> Grid:
     edges = [_edges(layout, block) for block in layout.blocks]
     _require_matching(layout, edges)
     names = [block.name for block in layout.blocks]
+    # Patches have their names as families, too; some have no faces.
+    patches = []
+    for patch in layout.patches:
+        windows = []
+        for number, side in patch.sides:
+            a, b = (layout.blocks[number].cells[axis] for axis in side.tangential)
+            windows.append(Window(number, side, (0, 0), (a, b)))
+        patches.append(Patch(patch.name, tuple(windows), patch.name, patch.type))
     connections, notes = _cyclic(layout)
     grid = Grid.allocate(
-        shapes, names, patches=_patches_of_sides(layout), connections=connections, notes=notes, path=layout.path,
+        shapes, names, patches=tuple(patches), connections=connections, notes=notes, path=layout.path,
         components=_regions(layout),
     )  # fmt: skip
     grid.fill(lambda b: _blend(grid.block(b), layout.vertices[list(layout.blocks[b].vertices)], edges[b], layout.scale))
@@ -156,18 +164,6 @@ def _weight(at: Sequence[FloatArray], number: int) -> FloatArray:
                 part = part * (at[other] if pair[1] == vertex else 1.0 - at[other])
         total = total + part
     return np.asarray(total)
-
-
-def _patches_of_sides(layout: BlockMeshDict) -> tuple[Patch, ...]:
-    """Patches under their names, which are their families, too; also those without faces."""
-    found = []
-    for patch in layout.patches:
-        windows = []
-        for block, side in patch.sides:
-            a, b = (layout.blocks[block].cells[axis] for axis in side.tangential)
-            windows.append(Window(block, side, (0, 0), (a, b)))
-        found.append(Patch(patch.name, tuple(windows), patch.name, patch.type))
-    return tuple(found)
 
 
 def _cyclic(layout: BlockMeshDict) -> tuple[tuple[Connection, ...], tuple[str, ...]]:

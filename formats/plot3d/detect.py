@@ -147,7 +147,14 @@ def choose(readings: Iterable[Reading], file: UnknownFile) -> Grid:
         raise FormatError(_ambiguous(fitting, file.path))
     grid = file.load(fitting[0])
     if fitting[0].variant.encoding != "ascii" and "encoding" not in file.options:
-        _require_sense(grid, fitting[0], file.path)
+        # Other data may happen to have the right size: a sample of nodes is judged.
+        share = _senseless_share(grid, fitting[0].variant, max(grid.n_nodes // 10_000, 1))
+        if share > 0.01:
+            raise FormatError(
+                f"{file.path} has the size of {fitting[0].label}, but {share:.0%} of the numbers would be implausible "
+                f"(coordinates denormal or beyond 1e30, IBLANK beyond {MOST_BLOCKS}); if they are correct, confirm "
+                f"with the option encoding={fitting[0].variant.encoding}"
+            )
     return grid
 
 
@@ -161,17 +168,6 @@ def _makes_sense(reading: Reading, file: UnknownFile) -> bool:
     found = grid.nodes.gather((any(field.own.any() for field in grid.fields), has_nan))
     all_blanked = reading.variant.iblank and not any(shown for shown, _ in found)
     return not all_blanked and not any(nan for _, nan in found) and _senseless_share(grid, reading.variant) == 0
-
-
-def _require_sense(grid: Grid, reading: Reading, path: Path) -> None:
-    """Refuse other data that happen to have the right size, judged by a sample of nodes."""
-    share = _senseless_share(grid, reading.variant, max(grid.n_nodes // 10_000, 1))
-    if share > 0.01:
-        raise FormatError(
-            f"{path} has the size of {reading.label}, but {share:.0%} of the numbers would be implausible (coordinates "
-            f"denormal or beyond 1e30, IBLANK beyond {MOST_BLOCKS}); if they are correct, confirm with the option "
-            f"encoding={reading.variant.encoding}"
-        )
 
 
 def _senseless_share(grid: Grid, variant: Variant, step: int = 1) -> float:

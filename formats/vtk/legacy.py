@@ -220,7 +220,11 @@ class Attributes:
                 raise self.file.error(f"expected 'LOOKUP_TABLE name' after SCALARS, found {' '.join(table)[:60]!r}")
             self._array(words[1], number(words[3]) if len(words) == 4 else 1, words[2], "Scalars")
         elif keyword == "COLOR_SCALARS":
-            self._colours(words[1], number(words[2]))
+            components, name = number(words[2]), words[1]
+            values: Any = self.file.values(components * self.length, self._colour_type, f"colours {unquote(name)!r}")
+            if not self.file.binary:
+                values = np.rint(255 * np.clip(values, 0, 1)).astype(np.uint8)
+            self._add(name, values if components == 1 else values.reshape(self.length, components), "Scalars")
         elif keyword == "TEXTURE_COORDINATES":
             self._array(words[1], number(words[2]), words[3], "TCoords")
         else:
@@ -236,12 +240,6 @@ class Attributes:
     @property
     def _colour_type(self) -> str:
         return "unsigned_char" if self.file.binary else "float"
-
-    def _colours(self, name: str, components: int) -> None:
-        values: Any = self.file.values(components * self.length, self._colour_type, f"colours {unquote(name)!r}")
-        if not self.file.binary:
-            values = np.rint(255 * np.clip(values, 0, 1)).astype(np.uint8)
-        self._add(name, values if components == 1 else values.reshape(self.length, components), "Scalars")
 
     def _add(self, name: str, values: Values, role: str) -> None:
         # VTK makes the first of several arrays of one kind the active one.
