@@ -55,18 +55,14 @@ def patch_motions(problem: Problem, displacement: FloatArray) -> tuple[PatchMoti
         moved = displacement[nodes]
         x, y, z = (total(moved) / len(moved)).tolist()
         largest = float(lengths(moved).max(initial=0.0))
-        angle, axis = _largest_turn(turns[np.searchsorted(sources, nodes)])
-        found.append(PatchMotion(name, largest, (x, y, z), angle, axis))
+        # A zero axis if nothing turns.
+        turn, axis = turns[np.searchsorted(sources, nodes)], (0.0, 0.0, 0.0)
+        angle = float(lengths(turn).max(initial=0.0))
+        if angle > 0.0:
+            u, v, w = (turn[int(np.argmax(lengths(turn)))] / angle).tolist()
+            axis = (u, v, w)
+        found.append(PatchMotion(name, largest, (x, y, z), math.degrees(angle), axis))
     return tuple(found)
-
-
-def _largest_turn(turns: FloatArray) -> tuple[float, tuple[float, float, float]]:
-    """Angle (degrees) and axis of the largest of the rotation vectors (n, 3); a zero axis if nothing turns."""
-    angles = lengths(turns)
-    if not angles.max(initial=0.0) > 0.0:
-        return 0.0, (0.0, 0.0, 0.0)
-    x, y, z = (turns[int(np.argmax(angles))] / angles.max()).tolist()
-    return math.degrees(float(angles.max())), (x, y, z)
 
 
 def largest_rotation(problem: Problem, displacement: FloatArray) -> float:

@@ -14,8 +14,7 @@ from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.methods import TFI
 from meshdeform_core.methods.transfinite import groups, tfi
 from meshdeform_core.methods.transfinite.curved import CurvedLines
-from meshdeform_core.methods.transfinite.faces import Faces, Lines
-from meshdeform_core.methods.transfinite.groups import Group
+from meshdeform_core.methods.transfinite.groups import Faces, Group, Lines
 from meshdeform_core.methods.transfinite.tfi import PreparedTFI
 from meshdeform_core.numerics.transfinite.blend import blend_slabs
 

@@ -23,9 +23,8 @@ from ..limits import LARGEST_ROTATION, PLAIN_ROTATION, warn_of_alpha, warn_of_ro
 from ..options import MethodOptions, option
 from .idw_sums import Bound, ExactEvaluator, SourceValues
 from .mirror import mirror_images
-from .motion_values import motion_values
 from .summation import Summation, fast_pays, summation_tolerance
-from .transition import MovingShare, bodies, with_motion
+from .transition import MovingShare, bodies, motion_values, with_motion
 from .tuned import ALPHA_CAP, FAR, FAR_IN_PLANES, FAR_OF_ONE_BODY, ROUNDS, STEEPER, WIDTH, WIDTH_IN_PLANES
 
 if TYPE_CHECKING:
@@ -113,12 +112,6 @@ class IDW(MethodOptions):
         return PreparedIDW(self, problem)
 
 
-def farthest(points: FloatArray, centre: FloatArray) -> FloatArray:
-    """Largest distance of ``points`` (n, 3) from ``centre`` (eq. 17)."""
-    found: FloatArray = np.linalg.norm(points - centre, axis=1).max()
-    return found
-
-
 class PreparedIDW:
     """IDW bound to the sources of one undeformed grid."""
 
@@ -128,28 +121,34 @@ class PreparedIDW:
         self.problem = problem
         self.images = mirror_images(problem)
         self.area, self.points = self.images.area, self.images.points
-        self.rotations = self._surface_rotations()
-        self.length = self._length()
+        self.rotations = problem.rotations
+        if problem.boundary.mirrors:
+            surface = self.points, self.images.corners, self.images.edges
+            self.rotations = rot.SurfaceRotations(*surface, problem.plane_normal)
+        if options.length == "auto":
+            # Eq. 17.
+            self.length = float(np.linalg.norm(problem.source_points - problem.centroid, axis=1).max())
+        else:
+            self.length = float(options.length)
         width = self._width()
-        self.far = self._far(width)
+        if options.a != "auto":
+            self.far = float(options.a)
+        elif width and bodies(self.images) == 1:
+            self.far = FAR_OF_ONE_BODY
+        else:
+            self.far = FAR_IN_PLANES if problem.plane and options.rotation == "lie" else FAR
         self._share = MovingShare.of(self.images, problem, self.far, width) if width else None
         self._blunt = self._near_edges()
         self.groups, self.strength = self._grouped()
         auto = options.remove_mean == "auto"
         self.remove_mean = options.rotation == "lie" if auto else bool(options.remove_mean)
-        self._stretches = self._encloses()
+        # Beyond the moving boundary, stretches would grow with the distance.
+        self._stretches = False
+        if with_motion(self.images).all():
+            faces = problem.grid.nodes.at(problem.topology.first)
+            whole, own = (np.ptp(points, axis=0) for points in (faces, problem.source_points))
+            self._stretches = bool((own >= (1.0 - _ENCLOSED) * whole).all())
         self._record(auto)
-
-    def _surface_rotations(self) -> rot.SurfaceRotations:
-        images, problem = self.images, self.problem
-        if not problem.boundary.mirrors:
-            return problem.rotations
-        return rot.SurfaceRotations(images.points, images.corners, images.edges, problem.plane_normal)
-
-    def _length(self) -> float:
-        if self.options.length != "auto":
-            return float(self.options.length)
-        return float(farthest(self.problem.source_points, self.problem.centroid))
 
     def _width(self) -> float:
         """Fraction of the gap at either end of the transition, see ``transition``; 0 without a transition."""
@@ -158,22 +157,6 @@ class PreparedIDW:
             return 0.0
         auto = WIDTH_IN_PLANES if self.problem.plane else WIDTH
         return auto if o.transition == "auto" else float(o.transition)
-
-    def _far(self, width: float) -> float:
-        """Exponent a of eq. 16."""
-        if self.options.a != "auto":
-            return float(self.options.a)
-        if width and bodies(self.images) == 1:
-            return FAR_OF_ONE_BODY
-        return FAR_IN_PLANES if self.problem.plane and self.options.rotation == "lie" else FAR
-
-    def _encloses(self) -> bool:
-        """Whether the moving boundary extends as far as the grid: beyond it, stretches would grow with the distance."""
-        if not with_motion(self.images).all():
-            return False
-        faces = self.problem.grid.nodes.at(self.problem.topology.first)
-        whole, own = (np.ptp(points, axis=0) for points in (faces, self.problem.source_points))
-        return bool((own >= (1.0 - _ENCLOSED) * whole).all())
 
     @property
     def _rounds(self) -> int:

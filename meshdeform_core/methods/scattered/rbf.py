@@ -104,14 +104,6 @@ class RBF(MethodOptions):
         return PreparedRBF(self, problem)
 
 
-def covering_radius(moving: FloatArray, face: FloatArray) -> FloatArray:
-    """Support radius such that every node sees the whole moving body: the largest distance of the ``moving`` (n, 3)
-    nodes from their centre plus that of all nodes ``face`` (m, 3) on block faces."""
-    center = moving.sum(axis=0) / len(moving)
-    radius: FloatArray = np.linalg.norm(moving - center, axis=1).max() + np.linalg.norm(face - center, axis=1).max()
-    return radius
-
-
 class PreparedRBF:
     """RBF bound to the sources of one undeformed grid.
 
@@ -138,16 +130,12 @@ class PreparedRBF:
             ),
         }
         if options.greedy != "none":
-            self._announce_greedy()
-
-    def _announce_greedy(self) -> None:
-        o, problem = self.options, self.problem
-        names = ("error", "tolerance", "start", "updates", "max_points", "correct")
-        self.account.settings |= o.used(*(f"greedy_{name}" for name in names))
-        moving = problem.boundary.kind[problem.source_numbers] == Kind.MOVING
-        height = problem.first_cell_height[moving]
-        tolerance = o.greedy_tolerance * (height if o.greedy_error == "first-cell" else np.ones(len(height)))
-        self.account.note("greedy tolerance", warn_of_coarse_tolerance(tolerance, height, o.greedy_correct))
+            names = ("error", "tolerance", "start", "updates", "max_points", "correct")
+            self.account.settings |= options.used(*(f"greedy_{name}" for name in names))
+            height = problem.first_cell_height[problem.boundary.kind[problem.source_numbers] == Kind.MOVING]
+            unit = height if options.greedy_error == "first-cell" else np.ones(len(height))
+            tolerance = options.greedy_tolerance * unit
+            self.account.note("greedy tolerance", warn_of_coarse_tolerance(tolerance, height, options.greedy_correct))
 
     def _radius(self) -> float | None:
         o = self.options
@@ -158,7 +146,8 @@ class PreparedRBF:
             return float(o.radius)
         problem = self.problem
         moving = problem.source_points[problem.boundary.kind[problem.source_numbers] == Kind.MOVING]
-        radius = float(covering_radius(moving, problem.grid.nodes.at(problem.topology.first)))
+        centre, faces = moving.sum(axis=0) / len(moving), problem.grid.nodes.at(problem.topology.first)
+        radius = float(sum(np.linalg.norm(points - centre, axis=1).max() for points in (moving, faces)))
         self.account.settings["radius"] = Setting(radius, "every node sees the whole moving body")
         return radius
 
@@ -171,17 +160,19 @@ class PreparedRBF:
 
     def fit(self, displacement: FloatArray, progress: Progress | None = None) -> Coefficients:
         """Solve for one displacement of the sources (n_sources, 3)."""
-        values = self.images.displaced(displacement)
-        if self.options.greedy != "none":
-            return self._fit_reduced(values, progress)
-        assert self.system is not None
-        return Coefficients(self.centres.points, *self.system.solve(values, self.account, progress))
+        values, here = self.images.displaced(displacement), self.centres.points
+        if self.options.greedy == "none":
+            assert self.system is not None
+            return Coefficients(here, *self.system.solve(values, self.account, progress))
+        from ...numerics.exact.radial import radial_sums
 
-    def _fit_reduced(self, values: FloatArray, progress: Progress | None) -> Coefficients:
         found = self.selected(values, progress)
         self._record(found)
-        points = np.ascontiguousarray(self.centres.points[found.active])
-        return self._with_residual(points, found.coefficients, found.polynomial, values)
+        points = np.ascontiguousarray(here[found.active])
+        residual = values - radial_sums(BASES[self.options.basis], here, points, found.coefficients)
+        residual -= self.centres.polynomial(here)[:, : len(found.polynomial)] @ found.polynomial
+        reach = REACH * float(np.linalg.norm(residual, axis=1).max())
+        return Coefficients(points, found.coefficients, found.polynomial, residual, reach)
 
     def selected(self, values: FloatArray, progress: Progress | None = None) -> Selection:
         """Centres chosen for values (n, 3) at all of them, with their coefficients."""
@@ -197,17 +188,6 @@ class PreparedRBF:
         points = self.centres.points, self.centres.polynomial(self.centres.points)
         report = of_stage(progress, "greedy")
         return self.problem.grid.nodes.on_first(lambda: select(BASES[o.basis], *points, values, scale, search, report))
-
-    def _with_residual(
-        self, points: FloatArray, coefficients: FloatArray, polynomial: FloatArray, values: FloatArray
-    ) -> Coefficients:
-        from ...numerics.exact.radial import radial_sums
-
-        here = self.centres.points
-        residual = values - radial_sums(BASES[self.options.basis], here, points, coefficients)
-        residual -= self.centres.polynomial(here)[:, : len(polynomial)] @ polynomial
-        reach = REACH * float(np.linalg.norm(residual, axis=1).max())
-        return Coefficients(points, coefficients, polynomial, residual, reach)
 
     def _record(self, found: Selection) -> None:
         unit = "first-cell heights" if self.options.greedy_error == "first-cell" else "length unit"

@@ -1,4 +1,5 @@
-"""Transition between moving sources and sources at rest: how ``lie`` distributes the motion across the gap.
+"""The quantities that IDW averages: rigid motions of the sources, represented as in :mod:`..numerics.rigid`, and the
+transition between moving sources and sources at rest: how ``lie`` distributes the motion across the gap.
 
 With weights alone, the share of the moving sources falls steeply half-way between two boundaries, where cells then
 shear most. The share that :func:`.rigid.finish_twist` computes from the same sums instead falls linearly across the
@@ -14,11 +15,15 @@ import numpy as np
 from ...boundary import Kind
 from ...grid import BoolArray, FloatArray
 from ...numerics.arrays import weighted_total
+from ...numerics.geometry import quaternions as rot
 from ...numerics.geometry.coincidence import connected_components
 from ...numerics.rigid import Transition
+from ...numerics.tape import Tracked
 from ..base import Problem
 from .mirror import Images
 
+_TOGETHER = 100_000
+"""Sources whose motions are computed at a time, which bounds the memory."""
 _CURVE, _SURFACE = 1.0, 2.0
 """The total weight of a curve decays like r^(1 - a), as does that of a surface at distances beyond its breadth; closer
 to a surface it decays like r^(2 - a)."""
@@ -94,3 +99,39 @@ class MovingShare:
         relative = values - rest[:, :1]
         transition = Transition(rest[:, 0].copy(), self.power, self.near, self.crossing, self.width)
         return np.concatenate([relative, self.moving[None]]), transition
+
+
+def motion_values(
+    rotation: str, divisions: int, x: FloatArray, d: FloatArray, q: FloatArray, w: FloatArray
+) -> FloatArray:
+    """The quantities to average, (k, n), for sources at ``x`` with displacements ``d``.
+
+    ``q`` (n, 4) and ``w`` (n, 3) are their rotations as quaternions and as vectors.
+    """
+    if rotation == "none":
+        return d.T.copy()
+    if isinstance(d, Tracked) or len(x) <= _TOGETHER:
+        return _values(rotation, divisions, x, d, q, w)
+    some = [slice(lo, lo + _TOGETHER) for lo in range(0, len(x), _TOGETHER)]
+    first = _values(rotation, divisions, x[some[0]], d[some[0]], q[some[0]], w[some[0]])
+    found = np.empty((len(first), len(x)))
+    found[:, some[0]] = first
+    for rows in some[1:]:
+        found[:, rows] = _values(rotation, divisions, x[rows], d[rows], q[rows], w[rows])
+    return found
+
+
+def _values(rotation: str, divisions: int, x: FloatArray, d: FloatArray, q: FloatArray, w: FloatArray) -> FloatArray:
+    turned = rot.rotate(q, x) - x
+    translation = d - turned
+    if rotation == "lie":
+        return np.concatenate([w.T, rot.twist_velocity(w, translation).T])
+    if rotation == "blend":
+        columns = [rot.rotate(q, np.tile(e, (len(x), 1))) - e for e in np.eye(3)]
+        return np.concatenate([np.stack(columns, axis=2).reshape(len(x), 9).T, translation.T])
+    if rotation == "division":
+        part = rot.quaternion_of(w / divisions)
+        # T_m = M^-1 T of eq. 27; each of m equal steps of a screw motion has the twist (w, v) / m.
+        v = rot.twist_velocity(w, translation)
+        return np.concatenate([part.T, rot.translation_of_twist(w / divisions, v / divisions).T])
+    return np.concatenate([q.T, translation.T])

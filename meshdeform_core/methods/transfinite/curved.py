@@ -84,7 +84,12 @@ def _measured(group: Group, rows: IntArray, one_plane: bool = False) -> tuple[In
     """Deviations of the nodes inside some sub-blocks, or in one plane of each, from where TFI would place them: the
     position of their sub-block in ``rows`` (n,), and the deviations (n, 3)."""
     part = group.apart(rows)
-    blended, subs = part.points.copy(), _plane_at_a_third(part.subs) if one_plane else part.subs
+    blended, subs = part.points.copy(), part.subs
+    if one_plane:
+        # At a third, not the middle, where S-shaped lines have no deviation.
+        low, high = subs[:, 4], subs[:, 7]
+        plane, subs = low + np.maximum((high - low) // 3, 1), subs.copy()
+        subs[:, 4], subs[:, 7] = np.where(high > low, [plane - 1, plane + 1], [low, high])
     part.blend(blended, np.column_stack([np.arange(len(rows)), subs[:, 4] + 1, subs[:, 7]]) if one_plane else None)
     nodes = box_nodes(subs, inside=True)
     return np.repeat(np.arange(len(rows)), inner_numbers(subs)), part.points[nodes] - blended[nodes]
@@ -95,15 +100,6 @@ def _largest(measured: tuple[IntArray, FloatArray]) -> FloatArray:
     sub, deviation = measured
     start = np.flatnonzero(np.diff(sub, prepend=-1))
     return np.maximum.reduceat(np.abs(deviation).max(axis=1), start) if len(start) else np.empty(0)
-
-
-def _plane_at_a_third(subs: IntArray) -> IntArray:
-    """Sub-blocks restricted to one plane; not the middle one, where S-shaped lines have no deviation."""
-    low, high = subs[:, 4], subs[:, 7]
-    plane = low + np.maximum((high - low) // 3, 1)
-    some = subs.copy()
-    some[:, 4], some[:, 7] = np.where(high > low, [plane - 1, plane + 1], [low, high])
-    return some
 
 
 def arms(points: FloatArray, corners: IntArray) -> FloatArray:

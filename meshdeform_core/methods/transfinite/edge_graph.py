@@ -19,7 +19,7 @@ from ...numerics.arrays import distinct_rows, spans
 from ..base import Account, Problem, Progress
 from ..kinks import Kinks
 from ..limits import TFI_ROTATION, warn_of_rotation
-from .faces import Faces, Lines
+from .groups import Faces, Lines
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
@@ -85,7 +85,13 @@ class PreparedEdgeGraph:
         grid, topology = problem.grid, problem.topology
         known = problem.boundary.known
         reached = known.copy()
-        edges = _block_edges(grid, topology)
+        sides = np.flatnonzero(grid.sides.has_quads)
+        if grid.dimension == 3:
+            # The four edges of the i faces and the k edges of the j faces cover all twelve.
+            sides = sides[sides % 6 < 4]
+        high = grid.sides.nodes[sides] - 1
+        whole, across = _nodes_of(topology, sides, np.zeros_like(high), high)
+        edges = whole if grid.dimension == 2 else _borders(whole, across)[0]
         reached[edges.ends()] = True
         points = grid.nodes.at(topology.first)
         self._free = np.flatnonzero(reached & ~known)
@@ -137,17 +143,6 @@ class PreparedEdgeGraph:
             face[self._free] = 0.0
             np.add.at(face, graph.known, graph.weight[:, None] * found[graph.row])
         return face[self._problem.source_numbers]
-
-
-def _block_edges(grid: Grid, topology: Topology) -> _Rows:
-    """Unique node numbers along every block edge."""
-    sides = np.flatnonzero(grid.sides.has_quads)
-    if grid.dimension == 3:
-        # The four edges of the i faces and the k edges of the j faces cover all twelve.
-        sides = sides[sides % 6 < 4]
-    high = grid.sides.nodes[sides] - 1
-    whole, width = _nodes_of(topology, sides, np.zeros_like(high), high)
-    return whole if grid.dimension == 2 else _borders(whole, width)[0]
 
 
 def _nodes_of(topology: Topology, side: IntArray, low: IntArray, high: IntArray) -> tuple[_Rows, IntArray]:

@@ -83,24 +83,17 @@ def make_skeleton(problem: Problem, max_cells: int) -> Skeleton:
     degrees within ``max_cells`` cells is cut every ``max_cells / 2`` cells.
     """
     grid = problem.grid
-    cuts = tuple(_cuts(grid, block, max_cells) for block in range(grid.n_blocks))
-    return Skeleton(grid, cuts)
 
-
-def _cuts(grid: Grid, block: int, max_cells: int) -> Cuts:
-    shape = grid.shapes[block]
-
-    def along(axis: int) -> IntArray:
-        cells, most = shape[axis] - 1, max_cells
+    def along(block: int, axis: int) -> IntArray:
+        nodes, most = grid.shapes[block][axis], max_cells
         # Coarse blocks turn around a body as much as fine ones do, so only the number of cells decides whether a block
         # remains uncut.
-        long = max_cells > 0 and 2 * cells > max_cells
+        long = max_cells > 0 and 2 * (nodes - 1) > max_cells
         if long and max_cells > 1 and _turning(grid, block, axis, max_cells) > _TURNING:
             most = -(-max_cells // 2)
-        return even_cuts(shape[axis], most, 2 if long else 1)
+        return even_cuts(nodes, most, 2 if long else 1)
 
-    i, j, k = (along(axis) for axis in range(3))
-    return i, j, k
+    return Skeleton(grid, tuple((along(b, 0), along(b, 1), along(b, 2)) for b in range(grid.n_blocks)))
 
 
 def _turning(grid: Grid, block: int, axis: int, cells: int) -> float:
