@@ -46,11 +46,15 @@ def table(change: Callable[[np.ndarray], np.ndarray], motion: Callable[[np.ndarr
     return write
 
 
-def numbered() -> None:
+def numbered(stride: int):
     """Writes ``wrong.csv`` with numbers and positions of points, as SU2 does."""
-    grid, points = wing()
-    write_grid(grid, Path("wing.cgns"))
-    np.savetxt("wrong.csv", np.column_stack([np.arange(len(points)), points]), "%.17g")
+
+    def write() -> None:
+        grid, points = wing()
+        write_grid(grid, Path("wing.cgns"))
+        np.savetxt("wrong.csv", np.column_stack([stride * np.arange(len(points)), points]), "%.17g")
+
+    return write
 
 
 def edited(name: str, old: str, new: str):
@@ -93,7 +97,8 @@ MISTAKES = {
     "another origin": (
         table(lambda p: p + [3, 4, 5]), WITH_TABLE, "(shifted by (-3, -4, -5), 100% of its points would",
     ),
-    "numbers and positions": (numbered, WITH_TABLE, "its first column counts the points: a file of numbers and"),
+    "numbers and positions": (numbered(1), WITH_TABLE, "its first column numbers the points: a file of numbers and"),
+    "some of the numbers": (numbered(7), WITH_TABLE, "numbers and positions, like SU2's, is the motion `positions`"),
     "keys of keys": (deep_keys, DEFORM, "case.toml"),
     "a kind that is none": (
         edited("case.toml", '"moving"', '"movin"'), DEFORM, "'movin'",

@@ -43,9 +43,11 @@ def other_frame(points: FloatArray, nodes: BoundaryNodes) -> str:
     -------
     The end of a message, empty if nothing fits.
     """
-    if len(points) > COUNTED and (points[:, 0] - points[0, 0] == np.arange(len(points))).all():
+    first = points[:, 0]
+    if len(points) > COUNTED and (first == np.round(first)).all() and len(np.unique(first)) == len(first):
         return (
-            " (its first column counts the points: a file of numbers and positions, like SU2's, is read by `positions`)"
+            " (its first column numbers the points: a file of numbers and positions, like SU2's, is the motion "
+            "`positions` of a case)"
         )
     some = points[:: max(1, len(points) // FRAME_SAMPLE)]
     tree = scipy.spatial.cKDTree(nodes.points)

@@ -51,6 +51,6 @@ SPREAD = 0.2
 a table shrunk to a point lies on any wall."""
 PROBES, ON_NODE = 12, 0.05
 """Number of points by which a shift onto nodes is found, and its tolerance as a fraction of the shortest edge there."""
-COUNTED = 3
-"""Up to this number of points, consecutive whole numbers as first coordinates may be chance; of more points, they are
-point numbers."""
+COUNTED = 20
+"""Up to this number of points, whole numbers that all differ as first coordinates may be chance; of more points, they
+are point numbers."""
