@@ -102,6 +102,10 @@ def test_work_is_limited_by_counts(monkeypatch):
 def test_a_limit_of_work():
     some = Limit(work=10.0)
     assert (some.affords(2.0), some.affords(100.0), some.reached) == (5, 1, False)
-    some.spend(10.0)
+    part = some.for_invalid()
+    part.spend(4.0)
+    # A third of the work left; what is spent of it is also spent of the whole.
+    assert (part.reached, some.affords(2.0), some.for_invalid().affords(1.0)) == (True, 3, 2)
+    some.spend(6.0)
     assert (some.affords(2.0), some.exhausted, some.late, some.reached) == (1, True, False, True)
     assert Limit.of(10, 1.0).affords(1.0) == Limit.of(1000, 1.0).affords(1.0) < Limit.of(10**6, 1.0).affords(1.0)
