@@ -21,8 +21,7 @@ from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.exact.elementary import exp, log
 from meshdeform_core.numerics.exact.radial import radial_sums
 from meshdeform_core.numerics.fastsum.clusters.boxes import fit_boxes, interpolate, make_boxes
-from meshdeform_core.numerics.fastsum.clusters.bricks import build_bricks, make_regions, node_sizes
-from meshdeform_core.numerics.fastsum.clusters.targets import shape_table
+from meshdeform_core.numerics.fastsum.clusters.targets import build_bricks, make_regions, node_sizes, shape_table
 from meshdeform_core.numerics.fastsum.clusters.tree import build_tree, interpolation_points
 from meshdeform_core.numerics.fastsum.radial.sums import FastRadial
 from meshdeform_core.numerics.fastsum.radial.targets import make_radial_targets

@@ -99,8 +99,7 @@ def largest_error(
     Searched at samples of the bricks with the largest bounds ``risk`` (b,) and at random nodes; ``exact`` computes the
     displacement (n, 3) of given nodes by exact sums.
     """
-    from ...numerics.fastsum.clusters.bricks import node_sizes
-    from ...numerics.fastsum.clusters.targets import shape_table
+    from ...numerics.fastsum.clusters.targets import node_sizes, shape_table
 
     flat, error = doubtful(grid.points, targets, risk), np.zeros(0)
     if flat.size:

@@ -8,9 +8,8 @@ import numpy as np
 
 from ....parallel import Nodes
 from ...arrays import FloatArray, IntArray, Shapes
-from ..clusters.bricks import node_sizes
 from ..clusters.target_tree import TargetTree, build_target_tree
-from ..clusters.targets import sample_places, shape_table
+from ..clusters.targets import node_sizes, sample_places, shape_table
 from ..tuned import CAPACITY, TERMS
 from .polynomials import Spaces, spaces_of
 
@@ -80,16 +79,11 @@ def make_radial_targets(
     flat: IntArray,
 ) -> RadialTargets:
     """Targets ``flat``, ascending, of a grid; those of this rank if the grid is in parts."""
-    return RadialTargets(coordinates, *_sorted(Nodes.of(coordinates).rows, shape_table(shapes), offsets, flat))
-
-
-def _sorted(
-    points: FloatArray, shapes: IntArray, offsets: IntArray, flat: IntArray
-) -> tuple[TargetTree, IntArray, IntArray, IntArray, FloatArray, tuple[Spaces, IntArray]]:
+    points, shapes = Nodes.of(coordinates).rows, shape_table(shapes)
     tree = build_target_tree(points, shapes, offsets, flat, CAPACITY)
     leaves = np.flatnonzero((tree.child[:, 0] < 0) & (tree.span[:, 1] > tree.span[:, 0]))
     leaves = leaves[np.argsort(tree.span[leaves, 0])]
     places = sample_places(np.append(tree.span[leaves, 0], len(tree.targets)))
     samples = tree.targets[places]
     sizes = node_sizes(points, shapes, offsets, samples.ravel()).reshape(samples.shape)
-    return tree, leaves, places, samples, sizes, spaces_of(tree.half, TERMS)
+    return RadialTargets(coordinates, tree, leaves, places, samples, sizes, spaces_of(tree.half, TERMS))

@@ -12,8 +12,7 @@ from ....parallel import for_chunks
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...exact.direct import DOUBLE, SINGLE, sum_groups
 from ..clusters.boxes import interpolate
-from ..clusters.bricks import spans
-from ..clusters.targets import Targets
+from ..clusters.targets import Targets, spans
 from ..clusters.tree import CHARGES, SourceTree, interpolation_points
 from .walk import Kernel, Lists, Reach, few_nodes, list_clusters
 

@@ -22,8 +22,7 @@ from ....parallel import empty, for_chunks
 from ...arrays import BoolArray, FloatArray, IntArray, Report, weighted_total
 from ...exact.direct import DOUBLE, N_VALUES, sum_groups
 from ..clusters.boxes import interpolate
-from ..clusters.bricks import spans
-from ..clusters.targets import Targets
+from ..clusters.targets import Targets, spans
 from ..clusters.tree import CHARGES, SourceTree
 from .plan import Charges, Plan, PlanKey, charge_points, cluster_reach, gather, places_of, rounded_up
 from .walk import Kernel, Lists, Reach

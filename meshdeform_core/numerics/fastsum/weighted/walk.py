@@ -18,7 +18,7 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...jit import kernel
 from ..clusters.boxes import Boxes
-from ..clusters.bricks import Bricks, Regions
+from ..clusters.targets import Bricks, Regions
 from ..clusters.tree import SourceTree
 
 
