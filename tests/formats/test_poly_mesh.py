@@ -45,6 +45,11 @@ boundary (top { type wall; faces ((3 7 6 2)); } bottom { type symmetryPlane; fac
 """
 
 
+FAR = DICTIONARY.replace("(0 0 0) (1 0 0) (1 1 0) (0 1 0)", "(100 0 0) (101 0 0) (101 1 0) (100 1 0)").replace(
+    "(0 0 0.1) (1 0 0.1) (1 1 0.1) (0 1 0.1)", "(100 0 0.1) (101 0 0.1) (101 1 0.1) (100 1 0.1)"
+)
+
+
 def box(*counts: int) -> np.ndarray:
     return block_around(*(np.arange(n + 1) / 4 for n in counts))
 
@@ -125,6 +130,18 @@ def test_cyclic_faces_correspond(turned, tmp_path):
     assert "Mesh OK." in said
 
 
+def test_periodic_plane_grids_are_cyclic_layers(tmp_path):
+    ends = Connection(
+        "p", 0, (0, 0, 0), (3, 0, 0), 0, (0, 4, 0), (3, 4, 0), (1, 2, 3), Periodicity(translation=(0, 1, 0))
+    )
+    write_grid(Grid.from_blocks([box(3, 4, 0)], connections=(ends,)), tmp_path / "case.foam", {"thickness": "0.5"})
+    mesh = read_mesh(tmp_path)
+    mesh.check()
+    found = {name: entries["nFaces"] for name, entries in mesh.patches.items() if entries["type"] == "cyclic"}
+    assert list(found.values()) == ["3", "3"]
+    assert np.ptp(mesh.points[:, 2]) == 0.5
+
+
 def test_collapsed_hexahedra_are_prisms_and_pyramids(tmp_path):
     x = box(3, 3, 3)
     wedge, tip = x.copy(), x.copy()
@@ -160,10 +177,10 @@ def test_left_handed_blocks_and_rings(tmp_path):
         write_grid(Grid.from_blocks([one_cell]), tmp_path / "other.foam")
 
 
-def made_case(folder: Path, shuffled: bool = True) -> np.ndarray:
+def made_case(folder: Path, shuffled: bool = True, dictionary: str = DICTIONARY) -> np.ndarray:
     """A case with a dictionary and a mesh of it whose points have other numbers; returns them."""
     (folder / "system").mkdir(parents=True)
-    (folder / "system/blockMeshDict").write_text(DICTIONARY)
+    (folder / "system/blockMeshDict").write_text(dictionary)
     grid = read_grid(folder / "system/blockMeshDict")
     write_grid(grid, folder / "x.foam", {"encoding": "ascii"})
     order = np.random.default_rng(1).permutation(len(read_mesh(folder).points))
@@ -212,8 +229,10 @@ def test_points_that_are_no_coordinates_are_refused(value, tmp_path):
         read_grid(tmp_path)
 
 
-def test_points_of_six_digits_are_found(tmp_path):
-    points = made_case(tmp_path)
+@pytest.mark.parametrize("dictionary", [DICTIONARY, FAR], ids=["near", "far"])
+def test_points_of_six_digits_are_found(dictionary, tmp_path):
+    """Also where half a unit of the last digit is more than the tolerance of coincident nodes."""
+    points = made_case(tmp_path, dictionary=dictionary)
     text = "\n".join("(" + " ".join(f"{v:.6g}" for v in p) + ")" for p in points.tolist())
     head = "FoamFile { class vectorField; format ascii; }\n"
     (tmp_path / "constant/polyMesh/points").write_text(f"{head}{len(points)}\n(\n{text}\n)\n")
