@@ -8,10 +8,9 @@ from ..grid import FloatArray, Grid
 from ..grid.topology import Topology
 from ..numerics.cell.measures import scattered_hexahedra
 from .cells import Slab, block_volumes, corners_of, for_slabs, hold_cells, places, slabs
-from .inspection import SlabMeasures, inspect_slab, relative_jacobian
 from .original import Original
 from .tally import Range, Tally
-from .validity import Verdict
+from .validity import SlabMeasures, Verdict, inspect_slab, relative_jacobian
 
 
 class Comparison:

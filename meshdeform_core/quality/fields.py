@@ -16,11 +16,11 @@ from ..grid.faces.roles import Role
 from ..grid.faces.surfaces import Outside, find_outside
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
-from .boundary_cells import interface_cells, wall_cells
 from .cells import CellMeasures, measure_block
 from .original import Original
 from .shape import shape_of_cells, thickness_of
 from .validity import Verdict, judge
+from .walls import interface_cells, wall_cells
 
 _ROUND_OFF = 1e-9
 Cells = tuple[slice, slice, slice]

@@ -34,7 +34,7 @@ class Worst:
 class InvalidCell:
     """A cell that was valid and no longer is.
 
-    ``test`` is the test that it failed, see :class:`.inspection.Failure`; ``ijk`` are 1-based; ``center`` is
+    ``test`` is the test that it failed, see :class:`.validity.Failure`; ``ijk`` are 1-based; ``center`` is
     the mean of the corners; ``step`` is the first step after which it was invalid.
     """
 

@@ -11,14 +11,13 @@ import numpy as np
 
 from ..boundary import Boundary
 from ..grid import FloatArray, Grid
-from .boundary_cells import cell_at_interface
 from .cells import slabs
 from .comparison import Comparison
 from .lines import kink_and_jump
 from .listed import InvalidCell, InvalidGroup, Worst, group_cells, list_cells, with_nearest_patch, worst_cell
 from .original import Original
 from .tally import Range, Skew, Spread, Tally
-from .walls import Extremes, WallQuality, extremes_of, measure_walls
+from .walls import Extremes, WallQuality, cell_at_interface, extremes_of, measure_walls
 
 MAX_LISTED = 200
 

@@ -15,11 +15,11 @@ from meshdeform_core.grid import Grid, Side
 from meshdeform_core.grid.planes import plane_normal
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality import Original, assess
-from meshdeform_core.quality.boundary_cells import cell_at_wall, wall_cells
 from meshdeform_core.quality.fields import CELL_MEASURES, CellFields
 from meshdeform_core.quality.lines import wall_faces, wall_lines
 from meshdeform_core.quality.listed import Worst
 from meshdeform_core.quality.shape import shape_measures
+from meshdeform_core.quality.walls import cell_at_wall, wall_cells
 
 STILL = Motion((Displace(tuple(expression("0", frozenset()) for _ in range(3))),), {})
 

@@ -34,9 +34,9 @@ from meshdeform_core.numerics.arrays import batches, medians, runs, spans, sprea
 from meshdeform_core.numerics.geometry.boxes import overlapping_boxes
 from meshdeform_core.quality import lines as lines_module
 from meshdeform_core.quality import original
-from meshdeform_core.quality.boundary_cells import interface_cells
 from meshdeform_core.quality.cells import block_volumes
 from meshdeform_core.quality.lines import interface_lines, kink_and_jump
+from meshdeform_core.quality.walls import interface_cells
 from meshdeform_formats.picture.overview import Pair
 from meshdeform_formats.text import json_text
 
