@@ -57,7 +57,8 @@ def measure_block(
     normal = side_of_good_quads(flat, sign, plane_normal)
     plane = np.ascontiguousarray(x.squeeze(axis=flat))
     rows = (0, plane.shape[0] - 1) if flat == 0 else (first, last)
-    measure_quads(plane, normal, *rows, *(a.squeeze(axis=flat) for a in arrays))
+    for values, found in zip(arrays, measure_quads(plane[rows[0] : rows[1] + 1], normal), strict=True):
+        values.squeeze(axis=flat)[...] = found
     return measures
 
 

@@ -2,48 +2,46 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from ..arrays import FloatArray
-from ..jit import kernel
-from .volume import along
 
 
-@kernel("f8[:, :, ::1], f8[::1], i8, i8, f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], u1[:, ::1]")
-def measure_quads(x, normal, i0, i1, skew, scaled, jacobian, area, bad):
-    """Measures of the cells i0 <= i < i1 of a 2-D block (na, nb, 3) whose valid cells have Jacobians along ``normal``.
+def measure_quads(x: FloatArray, normal: FloatArray) -> tuple[np.ndarray, ...]:
+    """Measures of the cells of a 2-D block with nodes ``x`` (na, nb, 3) whose valid cells have Jacobians along
+    ``normal`` (3,).
 
-    Parameters
-    ----------
-    skew, scaled, jacobian, area : (i1 - i0, nb - 1), out: f_skew = 4 / sum over corners of sqrt(l11 l22) / a, 0 if any
+    Returns
+    -------
+    skew, scaled, jacobian, area : (na - 1, nb - 1), f_skew = 4 / sum over corners of sqrt(l11 l22) / a, 0 if any
         a <= 0 (Knupp 2003); smallest corner Jacobian, divided by its two edge lengths, and plain
-    bad : out, uint8, bit c set where corner c = 2 a + b at (a, b) has a Jacobian <= 0
+    bad : (na - 1, nb - 1) uint8, bit c set where corner c = 2 a + b at (a, b) has a Jacobian <= 0
     """
-    for i in range(i0, i1):
-        for j in range(x.shape[1] - 1):
-            total, lowest, lowest_scaled, mask = 0.0, np.inf, np.inf, 0
-            for c in range(4):
-                a, b = c >> 1, c & 1
-                u = x[i + 1, j + b] - x[i, j + b]
-                v = x[i + a, j + 1] - x[i + a, j]
-                det = along(normal, u, v)
-                size = math.sqrt((u[0] * u[0] + u[1] * u[1] + u[2] * u[2]) * (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]))
-                lowest = min(lowest, det)
-                lowest_scaled = min(lowest_scaled, det / size if size > 0.0 else 0.0)
-                if det > 0.0:
-                    total += size / det
-                else:
-                    mask |= 1 << c
-            n = i - i0
-            skew[n, j] = 0.0 if mask else min(4.0 / total, 1.0)
-            scaled[n, j] = lowest_scaled
-            jacobian[n, j] = lowest
-            u = x[i + 1, j + 1] - x[i, j]
-            v = x[i, j + 1] - x[i + 1, j]
-            area[n, j] = 0.5 * along(normal, u, v)
-            bad[n, j] = mask
+    one, two = np.diff(x, axis=0), np.diff(x, axis=1)
+    shape = one.shape[0], two.shape[1]
+    total, bad = np.zeros(shape), np.zeros(shape, dtype=np.uint8)
+    lowest, scaled = np.full(shape, np.inf), np.full(shape, np.inf)
+    for c in range(4):
+        u, v = one[:, c & 1 :][:, : shape[1]], two[c >> 1 :][: shape[0]]
+        jacobian, size = _area(normal, u, v), np.sqrt(_square(u) * _square(v))
+        good = jacobian > 0.0
+        lowest = np.minimum(lowest, jacobian)
+        scaled = np.minimum(scaled, np.divide(jacobian, size, out=np.zeros(shape), where=size > 0.0))
+        total += np.divide(size, jacobian, out=np.zeros(shape), where=good)
+        bad |= np.where(good, 0, 1 << c).astype(np.uint8)
+    skew = np.where(bad > 0, 0.0, np.minimum(4.0 / np.where(bad > 0, 4.0, total), 1.0))
+    area = 0.5 * _area(normal, x[1:, 1:] - x[:-1, :-1], x[:-1, 1:] - x[1:, :-1])
+    return skew, scaled, lowest, area, bad
+
+
+def _area(normal: FloatArray, u: FloatArray, v: FloatArray) -> FloatArray:
+    """Areas of the parallelograms of two edges (..., 3), seen along a ``normal`` (3,)."""
+    x, y, z = np.moveaxis(np.cross(u, v), -1, 0)
+    return np.asarray(normal[0] * x + normal[1] * y + normal[2] * z)
+
+
+def _square(u: FloatArray) -> FloatArray:
+    return u[..., 0] * u[..., 0] + u[..., 1] * u[..., 1] + u[..., 2] * u[..., 2]
 
 
 def scattered_hexahedra(x: FloatArray, sign: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
