@@ -1,40 +1,42 @@
-// The search of pages that are opened from the disk, where browsers start no workers: its script runs in a hidden frame.
-// After iframe-worker (Martin Donath, MIT license), which the offline plugin would load from another server.
-class FrameWorker extends EventTarget {
-  constructor(url) {
+// The search runs in a worker, and browsers start none for pages that are opened from the disk. There, its script runs in
+// a hidden frame, whose window gets the two functions that a worker has and a window lacks.
+class FrameAsWorker extends EventTarget {
+  constructor(script) {
     super();
-    const frame = document.createElement("iframe");
-    frame.hidden = true;
-    document.body.appendChild(frame);
-    this.inner = frame.contentWindow;
-    addEventListener("message", (event) => {
-      if (event.source !== this.inner) return;
-      const answer = new MessageEvent("message", { data: event.data });
-      this.dispatchEvent(answer);
-      if (this.onmessage) this.onmessage(answer);
+    this.begun = new Promise((begun) => {
+      const frame = document.createElement("iframe");
+      frame.hidden = true;
+      frame.onload = () => {
+        const scope = frame.contentWindow;
+        scope.postMessage = (data) => this.answer(data);
+        scope.importScripts = (...scripts) => inTurn(scope.document, scripts);
+        inTurn(scope.document, [script]).then(() => begun(scope));
+      };
+      document.body.append(frame);
     });
-    const page = this.inner.document;
-    page.open();
-    page.write(`<html><body><script>${inner}<\/script><script src="${url}"><\/script></body></html>`);
-    page.close();
-    this.ready = new Promise((resolve) => { this.inner.onload = resolve; });
   }
 
   postMessage(data) {
-    this.ready.then(() => this.inner.dispatchEvent(new MessageEvent("message", { data: structuredClone(data) })));
+    this.begun.then((scope) => scope.dispatchEvent(new scope.MessageEvent("message", { data })));
+  }
+
+  answer(data) {
+    const message = new MessageEvent("message", { data });
+    this.dispatchEvent(message);
+    this.onmessage?.(message);
   }
 }
 
-// What the script of a worker expects of its surroundings.
-const inner = `
-  postMessage = (data) => parent.postMessage(data, "*");
-  importScripts = (...urls) => urls.reduce((before, url) => before.then(() => new Promise((resolve) => {
-    const script = document.createElement("script");
-    script.src = url;
-    script.onload = resolve;
-    document.body.appendChild(script);
-  })), Promise.resolve());
-`;
+// Run scripts one after the other; unlike a worker's importScripts, this returns before they have run.
+async function inTurn(page, scripts) {
+  for (const address of scripts) {
+    await new Promise((done) => {
+      const element = page.createElement("script");
+      element.src = address;
+      element.onload = done;
+      page.body.append(element);
+    });
+  }
+}
 
-window.IFrameWorker = FrameWorker;
-if (location.protocol === "file:") window.Worker = FrameWorker;
+if (location.protocol === "file:") window.Worker = FrameAsWorker;
