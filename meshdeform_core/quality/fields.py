@@ -101,7 +101,7 @@ class CellFields:
 
     def _fetch(self, measure: str) -> None:
         """Find what a measure takes from other ranks, which all do the same."""
-        shared = CELL_MEASURES[measure].shared if measure else "_normal"
+        shared = CELL_MEASURES[measure].shared if measure in CELL_MEASURES else "_normal"
         known = [getattr(self, name) for name in ("_normal", "_thickness", shared)]
         low, high = self._behind
         for values in (self.verdict.failed, self.verdict.ratio, *(known[-1] if isinstance(known[-1], tuple) else ())):

@@ -4,6 +4,7 @@ The ranks are forks of this process (:mod:`forked_ranks`); rows that a rank does
 """
 
 import dataclasses
+import itertools
 import multiprocessing
 from contextlib import nullcontext
 
@@ -252,7 +253,7 @@ def in_files(tmp_path, monkeypatch):
     assert not list(folder.iterdir())
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("name", ["tfi", "idw-exact", "idw-division", "idw-rbf", "rbf-fast", "rbf-tfi-krylov"])
 def test_ranks_with_arrays_in_files_give_the_same_bytes(name, tmp_path, small_pieces, in_files):
     same_on_ranks(tmp_path, 3, case_of(METHODS[name]), store=in_files)
 
@@ -262,7 +263,7 @@ def test_repairs_with_arrays_in_files_give_the_same_bytes(angle, grid, tmp_path,
     assert same_on_ranks(tmp_path, 2, repaired(angle), grid=frame(*grid), store=in_files)[-1].newton_steps > 0
 
 
-@pytest.mark.parametrize("name", ["tfi", "idw-exact", "idw-fast", "rbf-fast", "rbf-tfi-krylov", "idw-tfi-fast"])
+@pytest.mark.parametrize("name", ["tfi", "idw-fast", "rbf-tfi-krylov", "idw-tfi-fast"])
 def test_periodic_sides_that_move_give_the_same_bytes(name, tmp_path, small_pieces, poisoned):
     case = dataclasses.replace(case_of(METHODS[name]), boundaries=tuple(body_specs(turning(20), Kind.PERIODIC)))
     same_on_ranks(tmp_path, 3, case)
@@ -300,8 +301,7 @@ def test_components_of_overset_grids_give_the_same_bytes(name, repair, tmp_path,
     same_on_ranks(tmp_path, 3, case, grid=grid)
 
 
-@pytest.mark.parametrize("axes", [(0, 1, 2), (0, 2, 1), (2, 0, 1)], ids=["ij", "ik", "jk"])
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize(("name", "axes"), list(zip(METHODS, itertools.cycle([(0, 1, 2), (0, 2, 1), (2, 0, 1)]))))
 def test_plane_grids_give_the_same_bytes(name, axes, tmp_path, small_pieces, poisoned):
     """Blocks of a single plane of nodes along each of the indices."""
     body = dataclasses.replace(body_specs(turning(20))[0], select=("*",))
@@ -332,7 +332,7 @@ def test_single_precision_and_steps_give_the_same_bytes(suffix, tmp_path, small_
     same_on_ranks(tmp_path, 3, case_of(METHODS["idw-tfi"]), suffix, steps=3, precision="float32")
 
 
-@pytest.mark.parametrize("name", ["idw-fast", "idw-tfi", "rbf-fast", "idw-rbf"])
+@pytest.mark.parametrize("name", ["idw-fast", "idw-tfi", "idw-rbf"])
 def test_motions_towards_slip_sides_give_the_same_bytes(name, tmp_path, small_pieces, poisoned):
     swaying = formulas("0.1*z", "0.0", "0.2*sin(pi*z)")
     same_on_ranks(tmp_path, 3, Case(tuple(body_specs(swaying)), method=METHODS[name], repair=OFF))
