@@ -44,7 +44,8 @@ _ENOUGH, _GAIN = 2.9, 0.9
 @dataclass(frozen=True)
 class _Found:
     """The best grid, how many Newton steps were taken to it, whether it is the minimum, the share of the energy, how
-    many cells of an extruded grid were weak, and the reason why nothing was done."""
+    many cells of an extruded grid were weak, the reason why nothing was done, and whether the search was not cut short.
+    """
 
     grid: Judged
     steps: int = 0
@@ -52,6 +53,7 @@ class _Found:
     share: float = 0.0
     weak: int = 0
     left_out: str | None = None
+    finished: bool = True
 
 
 class Repairer:
@@ -102,6 +104,9 @@ class Repairer:
         if found is None or (valid and not (found.steps or found.left_out)):
             return None
         if valid and not polish:
+            if not found.finished and self._smallest_scaled(found.grid) < self._smallest_scaled(start):
+                text = f"the search was cut short after {found.steps} Newton steps, with a worse worst cell"
+                found = _Found(start, left_out=text)
             found = replace(found, grid=self._kept(start, found.grid))
         count = found.weak or len(np.setdiff1d(weak, start.verdict.invalid))
         record = replace(self._record(start, found, clock.perf_counter() - begin), weak=count)
@@ -176,7 +181,7 @@ class Repairer:
         if start.verdict.valid and not end.verdict.valid:
             end = start
         converged = found.succeeded and plot.whole and end.verdict.valid
-        return _Found(end, found.steps, converged, found.share)
+        return _Found(end, found.steps, converged, found.share, finished=found.succeeded)
 
     def _by_regions(
         self,
@@ -254,16 +259,17 @@ class Repairer:
             self.basis.neighbourhood.back_to_surfaces(points)
             return Judged(points, judge(self.original, self.rounded(points)))
 
-        def smallest(points: FloatArray) -> float:
-            return Comparison(self.original, self.rounded(points)).after.smallest_scaled[1]
-
-        least = KEPT * smallest(start.points)
-        if least <= 0.0 or smallest(end.points) >= least:
+        least = KEPT * self._smallest_scaled(start)
+        if end is start or least <= 0.0 or self._smallest_scaled(end) >= least:
             return end
         # As exact as the minimum: a coarser part would make moving grids jump.
-        part = scipy.optimize.brentq(lambda part: smallest(between(part).points) - least, 0.0, 1.0, xtol=1e-7)
+        part = scipy.optimize.brentq(lambda part: self._smallest_scaled(between(part)) - least, 0.0, 1.0, xtol=1e-7)
         found = between(part)
         return found if found.verdict.valid else start
+
+    def _smallest_scaled(self, grid: Judged) -> float:
+        """The smallest scaled Jacobian."""
+        return Comparison(self.original, self.rounded(grid.points)).after.smallest_scaled[1]
 
     def _undone(self, start: Judged, end: Judged) -> Judged:
         """The grid ``end`` near cells that are invalid in it or at the ``start``, and the ``start`` far from them."""
