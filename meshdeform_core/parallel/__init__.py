@@ -1,6 +1,5 @@
 """Threads of a process, MPI ranks, and arrays of which every rank holds a part."""
 
-from .exchange import Route, collected, joined
 from .loops import (
     agreed,
     alone,
@@ -15,7 +14,7 @@ from .loops import (
     thread_count,
 )
 from .nodes import Nodes, WholeGridNeeded, require_undivided
-from .ranks import OneRank, Ranks
+from .ranks import OneRank, Ranks, Route, collected, joined
 
 __all__ = [
     "Nodes",
