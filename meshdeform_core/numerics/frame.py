@@ -11,6 +11,9 @@ from .tape import Tracked, plain
 
 _FLATTEST = 1e-3
 """Smallest ratio of the stretches of an affine frame along its axes; flatter ones have no accurate inverse."""
+_FOLLOWS = 0.1
+"""Share of the motion within the rigid frame, as mean squares, that may remain within an affine one: a boundary that
+deforms by more has no affine motion, and that of its mean would only shear the layers along it."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +36,8 @@ class Frame:
         stretches: bool,
     ) -> Frame:
         """The rigid motion of ``points`` (n, 3) that is the weighted least-squares fit to ``displacement`` (n, 3); if
-        it ``stretches``, the affine one, unless that is nearly flat or turns inside out.
+        it ``stretches``, the affine one where the points follow that, with a smooth transition to the rigid one where
+        they do not.
 
         The rotation is that of Kabsch (Acta Cryst. A32, 922, 1976); with a ``normal`` (3,), it is about this axis,
         along which nothing stretches.
@@ -42,21 +46,24 @@ class Frame:
         shift, centre = weighted_total(share, displacement), weighted_total(share, points)
         if not isinstance(displacement, Tracked) and not (displacement - shift).any():
             return cls(shift)
-        arm = points - centre
-        if stretches:
-            inertia = arm.T @ (share[:, None] * arm)
-            if normal is not None:
-                inertia += np.linalg.norm(inertia) * np.outer(normal, normal)
-            moved: FloatArray = (displacement - shift).T @ (share[:, None] * arm)
-            turn = np.eye(3) + moved @ np.linalg.pinv(inertia)
-            size = np.linalg.svd(plain(turn), compute_uv=False)
-            if size[2] > _FLATTEST * size[0] and np.linalg.det(plain(turn)) > 0.0:
-                return cls(shift, turn, centre, _transposed_inverse(turn))
-        moment = (arm + displacement - shift).T @ (share[:, None] * arm)
+        arm, rest = points - centre, displacement - shift
+        moment = (arm + rest).T @ (share[:, None] * arm)
         if normal is not None:
             moment += np.linalg.norm(moment) * np.outer(normal, normal)
         turn = _nearest_rotation(moment)
-        return cls(shift, turn, centre, turn)
+        if not stretches:
+            return cls(shift, turn, centre, turn)
+        inertia = arm.T @ (share[:, None] * arm)
+        if normal is not None:
+            inertia += np.linalg.norm(inertia) * np.outer(normal, normal)
+        affine = np.eye(3) + rest.T @ (share[:, None] * arm) @ np.linalg.pinv(inertia)
+        left, whole = ((share[:, None] * (rest - arm @ (map - np.eye(3)).T) ** 2).sum() for map in (affine, turn))
+        size = np.linalg.svd(plain(affine), compute_uv=False)
+        flat = size[2] <= _FLATTEST * size[0] or np.linalg.det(plain(affine)) <= 0.0
+        if flat or plain(left) >= _FOLLOWS * plain(whole):
+            return cls(shift, turn, centre, turn)
+        turn = turn + (affine - turn) * (1.0 - left / (_FOLLOWS * whole)) ** 2
+        return cls(shift, turn, centre, _transposed_inverse(turn))
 
     def relative(self, points: FloatArray, displacement: FloatArray) -> FloatArray:
         """Displacement (n, 3) of ``points`` (n, 3) as seen from the frame."""

@@ -19,6 +19,7 @@ from meshdeform_core.methods.scattered.idw_sums import ExactSums
 from meshdeform_core.methods.scattered.summation import DERIVATIVE_TOLERANCE
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.fastsum.weighted.sums import FastSums
+from meshdeform_core.numerics.frame import Frame
 from meshdeform_core.numerics.systems import greedy as greedy_system
 from meshdeform_core.numerics.tape import Tape
 from meshdeform_core.parallel import OneRank, sharing
@@ -63,6 +64,20 @@ def test_every_kind_of_boundary(name, kind):
     where = KINDS[kind]()
     smooth, rough = directions(where)
     check(make_method(METHODS[name]).prepare(where), smooth, rough)
+
+
+def test_a_boundary_that_follows_its_mean_affine_motion_in_part():
+    """Between the rigid frame, that of a wave, and the affine one, that of a stretch: the derivative of the share."""
+    where = problem_of(frame(), everything_moves())
+    smooth, rough = directions(where)
+    x, area = where.source_points, np.ones(len(where.source_points))
+    stretch = x @ np.diag([0.1, -0.05, 0.02])
+    turns = [Frame.fitted(x, at, area, None, True).turn for at in (smooth, stretch + 0.1 * smooth, stretch)]
+    np.testing.assert_array_equal(turns[0], Frame.fitted(x, smooth, area, None, False).turn)
+    np.testing.assert_allclose(turns[2], np.diag([1.1, 0.95, 1.02]), atol=1e-15)
+    affine = np.linalg.norm(turns[1] - np.eye(3)) / np.linalg.norm(turns[2] - np.eye(3))
+    assert 0.3 < affine < 0.95
+    check(make_method(METHODS["idw-lie"]).prepare(where), stretch + 0.1 * smooth, rough)
 
 
 @pytest.mark.parametrize("name", ["tfi", "idw-lie", "idw-tfi", "idw-rbf", "rbf-tfi"])
