@@ -24,14 +24,14 @@ BUDGETS = {
     "formats/vtk": 2065,
     "formats": 2303,
     "meshdeform_core/boundary": 3690,
-    "meshdeform_core/grid": 3664,
+    "meshdeform_core/grid": 3665,
     "meshdeform_core/methods": 4792,
     "meshdeform_core/numerics": 11220,
     "meshdeform_core/parallel": 1031,
-    "meshdeform_core/quality": 2437,
+    "meshdeform_core/quality": 2439,
     "meshdeform_core/repair": 2829,
     "meshdeform_core": 3085,
-    "tests": 34397,
+    "tests": 34399,
 }
 """Lines of Python and of data files per package; a package's row excludes the rows below it."""
 LONGEST_FUNCTION, NINE_IN_TEN, LONGEST_FILE = 60, 25, 500

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ def bounds_of(shapes: Shapes, count: int) -> IntArray:
     """First row (count + 1,) of each of several ranks, and the number of all rows: the largest part is as small as it
     can be."""
     if count == 1:
-        return np.array([0, np.prod(shapes, axis=1, dtype=np.int64).sum()])
+        return np.array([0, sum(map(math.prod, shapes))], dtype=np.int64)
     block, first, last = pieces(shapes).T
     ends = np.append(0, np.cumsum((last - first) * np.prod(shapes, axis=1)[block] // np.array(shapes)[block, 0]))
     few, many = -(-int(ends[-1]) // count), int(ends[-1])

@@ -11,7 +11,7 @@ import numpy as np
 from ..grid import FloatArray, Grid, IntArray
 from ..numerics.arrays import batches
 from ..numerics.cell.measures import measure_quads, scattered_hexahedra
-from ..parallel import Nodes, for_chunks
+from ..parallel import Nodes, empty, for_chunks
 
 _SLAB_CELLS = 131072
 _TOGETHER = 1 << 14
@@ -145,6 +145,8 @@ def _first_slabs(grid: Grid, parts: Sequence[Slab]) -> IntArray:
 
 def cells_alike(grid: Grid, dtype: Any) -> Any:
     """A new array (n_cells,) for :func:`for_slabs`, in parts if the grid is."""
+    if not grid.nodes.divided:
+        return empty([grid.n_cells], dtype)
     parts = slabs(grid)
     starts = np.array([*(slab.start for slab in parts), grid.n_cells])
     return Nodes.new(grid.nodes.ranks, starts[_first_slabs(grid, parts)], [grid.n_cells], dtype)

@@ -142,8 +142,8 @@ def test_ranks_are_told_what_each_of_them_takes(method, peak):
     grid = Layout("grid.xyz", ((229,) * 3,), FileFormat("plot3d"))
     case = SimpleNamespace(method=SimpleNamespace(name=method))
     limit = parse_memory("20GiB", "--max-memory")
+    whole = expense.expense_of(grid, case, None, "float64", limit)
     with sharing(Four(), 1):
-        whole = expense.expense_of(grid, case, None, "float64", limit)
         part = expense.expense_of(grid, case, None, "float64", limit)
     assert (whole.ranks, part.ranks) == (1, 4)
     assert part.memory_bytes == pytest.approx(1e6 * peak, rel=0.1)

@@ -423,7 +423,7 @@ def test_repairs_on_curved_slip_surfaces_give_the_same_bytes(tmp_path, small_pie
     angle, radius, z = np.linspace(0.0, np.pi / 2, 21), np.linspace(1.0, 2.0, 9), np.linspace(0.0, 0.6, 7)
     a, r, h = np.meshgrid(angle, radius, z, indexing="ij")
     shell = Grid.from_blocks([np.stack([(1 + 0.2 * h**2) * r * np.cos(a), r * np.sin(a), h], axis=-1)])
-    inner = BoundarySpec("inner", ("*.jmin",), Kind.MOVING, None, formulas("1.6*x*x*y", "1.2*x*y*y", "0.0"))
+    inner = BoundarySpec("inner", ("*.jmin",), Kind.MOVING, None, formulas("2.2*x*x*y", "1.65*x*y*y", "0.0"))
     slip = BoundarySpec("slip", ("*.jmax", "*.k*"), Kind.SLIP)
     case = dataclasses.replace(repaired(0.0), boundaries=(inner, slip))
     found = same_on_ranks(tmp_path, 3, case, grid=shell)

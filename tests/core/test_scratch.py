@@ -236,7 +236,7 @@ STARTS = """
 import sys
 from pathlib import Path
 import numpy as np
-from meshdeform_core.parallel import empty, for_chunks, loops, scratch
+from meshdeform_core.parallel import empty, for_chunks, loops, nodes, scratch
 from meshdeform_formats import read_grid
 from meshdeform_core.grid.extent import block_extents
 
@@ -260,7 +260,7 @@ file = Path(sys.argv[1]) / "grid.p3dbin"
 with file.open("wb") as out:
     np.array([count, *(n,) * 3 * count], "<i4").tofile(out)
     np.random.default_rng(0).uniform(size=3 * count * n**3).tofile(out)
-loops._STRETCHES = 8
+nodes._STRETCHES = 8
 used = Unwatched(Path(sys.argv[1]), 1)
 used._full = used._files = 0
 with scratch.scratch_in(used):

@@ -48,7 +48,9 @@ def repair(bench: Bench, rng: Random) -> str:
     bad = judges.newly_bad(before, after)
     if bad:
         return f"{bad} cells are invalid and the exit code is 0"
-    outside = np.abs(before.points[:, :2]).max(axis=1)
+    # A damaged reference may have an inner node where the body is.
+    whole = read_grid("grid.xyz").points
+    outside = np.abs((whole if whole.shape == before.points.shape else before.points)[:, :2]).max(axis=1)
     still = (np.abs(outside - 2.0) < 1e-9) | (outside < 0.51)
     return "ok" if np.abs(after.points - bent.points)[still].max() < 1e-9 else "the boundary has moved"
 
