@@ -13,7 +13,7 @@ BUDGETS = {
     "cli": 3802,
     "meshdeform": 3434,
     "sample_cases": 2111,
-    "formats/case": 1593,
+    "formats/case": 1594,
     "formats/cgns": 2507,
     "formats/displacement": 1323,
     "formats/openfoam": 2067,
@@ -23,7 +23,7 @@ BUDGETS = {
     "formats/series": 714,
     "formats/vtk": 2065,
     "formats": 2303,
-    "meshdeform_core/boundary": 3690,
+    "meshdeform_core/boundary": 3692,
     "meshdeform_core/grid": 3665,
     "meshdeform_core/methods": 4792,
     "meshdeform_core/numerics": 11220,
@@ -31,7 +31,7 @@ BUDGETS = {
     "meshdeform_core/quality": 2439,
     "meshdeform_core/repair": 2829,
     "meshdeform_core": 3085,
-    "tests": 34399,
+    "tests": 34400,
 }
 """Lines of Python and of data files per package; a package's row excludes the rows below it."""
 LONGEST_FUNCTION, NINE_IN_TEN, LONGEST_FILE = 60, 25, 500

@@ -13,7 +13,7 @@ from meshdeform_core.boundary.motions.histories import History
 from meshdeform_core.boundary.motions.motion import Positions
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray
-from meshdeform_core.wording import vector
+from meshdeform_core.wording import counted, vector
 
 from ..files import require_regular
 from ..plausible import LARGEST
@@ -81,7 +81,8 @@ def read_beam(path: Path) -> Beam:
     if (count != count[0]).any():
         odd = int(np.argmax(count != count[0]))
         raise FormatError(
-            f"{path} has {count[odd]} stations at t = {times[odd]:g} and {count[0]} at {times[0]:g}; expected the same"
+            f"{path} has {counted(int(count[odd]), 'station')} at t = {times[odd]:g} but {count[0]} at {times[0]:g}; "
+            "expected the same stations at all times"
         )
     rows = values[np.argsort(time, kind="stable")]
     point, displacement, turns = (

@@ -283,11 +283,12 @@ BAD_BEAMS = {
     "x,y,z,dx,dy,dz,rx,ry\n" + "0," * 7 + "0\n": "has the columns .* rx ry; expected",
     "0,0,0,0,0,0,0,0,0\n": "line 1: found '0,0.*expected a header like t,x,y,z,dx",
     BEAM: "no rows of numbers",
-    BEAM + "0,0,0,0,0,0,0,0,0\n": "1 stations from end to end at one point; expected a line",
+    BEAM + "0,0,0,0,0,0,0,0,0\n": "has one station; expected at least two, along a line",
+    BEAM + 2 * "0,0,0,0,0,0,0,0,0\n": "first and last stations lie at one point",
     BEAM + "0,0,0,0,0,0,0,0,0\n0,0,1,0,0,0,0,0,0\n0,0,1,0,0,0,0,0,0\n": "stations 2 and 3, .* coincide or go back",
     BEAM + "0,0,0,0,0,0,0,0,0\n0,0,1,0,0,0,0,175,0\n": "stations 1 and 2 are turned by 175 degrees from each other",
     BEAM + "0,0,0,0,0,0,0,0,0\n0,0,1,0,0,0,nan,0,0\n": "line 3",
-    f"t,{BEAM}0,0,0,0,0,0,0,0,0,0\n0,0,0,1,0,0,0,0,0,0\n1,0,0,0,0,0,0,0,0,0\n": "1 stations at t = 1 and 2 at 0",
+    f"t,{BEAM}0,0,0,0,0,0,0,0,0,0\n0,0,0,1,0,0,0,0,0,0\n1,0,0,0,0,0,0,0,0,0\n": "1 station at t = 1 but 2 at 0",
     f"t,{BEAM}" + "".join(f"{t},0,0,{s + t},0,0,0,0,0,0\n" for t in (0, 1) for s in (0, 1)): "station 1 is .* at t = 1",
 }
 

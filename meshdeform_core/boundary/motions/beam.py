@@ -62,8 +62,10 @@ class Beam(Step, PreparedStep):
         """
         times, label = displacement.times, displacement.label
         place = _along(stations, stations)
+        if len(stations) < 2:
+            raise MotionError(f"{label} has one station; expected at least two, along a line")
         if not place[-1] > 0:
-            raise MotionError(f"{label} has {len(stations)} stations from end to end at one point; expected a line")
+            raise MotionError(f"{label}: its first and last stations lie at one point; expected stations along a line")
         back = np.flatnonzero(np.diff(place) <= _CLOSEST * place[-1])
         if back.size:
             one, two = stations[back[0] : back[0] + 2]
