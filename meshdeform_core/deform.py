@@ -151,6 +151,7 @@ def _result(reached: Reached, start: Start | None) -> Result:
             itertools.chain(
                 course.log.warnings,
                 state.notices.values(),
+                _of_another_method(state),
                 repair_notices(repair, assessment),
                 _nearly_collapsed(assessment),
                 _overlaps(state, assessment),
@@ -162,6 +163,17 @@ def _result(reached: Reached, start: Start | None) -> Result:
         way=state.way,
         plain=state.plain.points if state.plain else None,
     )
+
+
+def _of_another_method(state: State) -> list[Notice]:
+    asked, used = state.course.setup.case.method.name, state.options.name
+    if used == asked:
+        return []
+    text = (
+        f"the grid was made by {used} in {counted(state.steps, 'step')}, as attempts with {asked} left cells invalid "
+        "or nearly collapsed (listed under attempts in the report)"
+    )
+    return [Notice(text, f"made by {used}")]
 
 
 def main_measures(quality: Quality) -> dict[str, Any]:

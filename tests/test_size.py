@@ -30,8 +30,8 @@ BUDGETS = {
     "meshdeform_core/parallel": 1031,
     "meshdeform_core/quality": 2439,
     "meshdeform_core/repair": 2829,
-    "meshdeform_core": 3085,
-    "tests": 34400,
+    "meshdeform_core": 3097,
+    "tests": 34401,
 }
 """Lines of Python and of data files per package; a package's row excludes the rows below it."""
 LONGEST_FUNCTION, NINE_IN_TEN, LONGEST_FILE = 60, 25, 500

@@ -100,7 +100,7 @@ def _verdict_lines(report: Report) -> Iterator[str]:
         yield f"          ... {len(cells) - _LISTED} more in the json report"
     if "steps" in report:
         reached = "" if report["reached"] == 1.0 else f", {report['reached']:.1%} of the motion imposed"
-        done = ", then repaired (below)" if report.get("repair") and "quality" in report else ""
+        done = ", then repaired (below)" if repaired(report) in ("yes", "other") and "quality" in report else ""
         yield f"steps     {report['steps']}{reached}{done}"
         if "quality" in report:
             yield f"worst     {', '.join(_worst_of_cells(report['quality']['after']))}"
