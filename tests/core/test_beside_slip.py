@@ -1,7 +1,5 @@
 """Displacements beside plane slip sides: the normal component fades out towards the plane."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from cases import ALL_METHODS, apply, body_specs, formulas, problem_of, turning
@@ -11,7 +9,7 @@ from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.grid import Grid
-from meshdeform_core.methods import IDW, Options, make_method
+from meshdeform_core.methods import IDW, Options
 from meshdeform_core.methods.beside_slip import WIDTH, BesideSlip
 from meshdeform_core.quality import Original, assess
 
@@ -124,34 +122,6 @@ def test_motions_along_the_planes_are_left_as_they_are(name, make, monkeypatch):
     plain = apply(ALL_METHODS.get(name, Options(name)), problem, told(problem))
     # Of a linear system round-off remains in all directions.
     np.testing.assert_allclose(found, plain, rtol=0, atol=1e-13 if name.startswith("rbf") else 0.0)
-
-
-@pytest.mark.parametrize("name", ["idw", "idw-tfi", "rbf"])
-def test_what_is_kept_of_one_displacement_changes_no_other(name):
-    problem = problem_of(frame(), body_specs(SWAYING))
-    prepared = make_method(Options(name)).prepare(problem)
-    one = told(problem)
-    # The second displacement leaves what the third takes.
-    for share in (0.3, 0.7, 1.0):
-        found = prepared.apply(share * one)
-    np.testing.assert_array_equal(found, apply(Options(name), problem, one))
-
-
-def test_little_memory_keeps_nothing():
-    problem = problem_of(frame(), body_specs(SWAYING))
-    small = dataclasses.replace(problem, memory=dataclasses.replace(problem.memory, size=1))
-    given = np.random.default_rng(5).standard_normal((problem.grid.n_nodes, 3))
-    inside = np.setdiff1d(np.arange(len(given)), problem.topology.face_nodes)
-    methods, found = [BesideSlip(each, inside) for each in (problem, small)], []
-    for method in methods:
-        for _ in range(3):
-            found.append(given.copy())
-            method.apply(found[-1])
-        assert "trees" not in vars(method)
-    assert methods[0]._parts
-    assert not methods[1]._parts
-    for each in found[1:]:
-        np.testing.assert_array_equal(each, found[0])
 
 
 def test_symmetry_planes_have_images_instead():

@@ -1,6 +1,5 @@
 """Transfinite interpolation of blocks against eqs. 1 and 3-9 as they are printed."""
 
-import dataclasses
 import itertools
 
 import numpy as np
@@ -12,11 +11,8 @@ from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.methods import TFI
-from meshdeform_core.methods.transfinite import groups, tfi
-from meshdeform_core.methods.transfinite.curved import CurvedLines
-from meshdeform_core.methods.transfinite.groups import Faces, Group, Lines
+from meshdeform_core.methods.transfinite.groups import Faces
 from meshdeform_core.methods.transfinite.tfi import PreparedTFI
-from meshdeform_core.numerics.transfinite.blend import blend_slabs
 
 
 def boolean_sum(d, arc, low, high):
@@ -131,13 +127,6 @@ def test_faces_are_blended_from_their_edges():
     np.testing.assert_allclose(d, expected, rtol=0, atol=1e-13)
 
 
-def test_lines_are_blended_from_their_ends():
-    d = np.array([[1.0, 0, 0], [9, 9, 9], [9, 9, 9], [3, 0, 4], [7, 7, 7]])
-    lines = Lines(np.array([0, 4, 6]), np.array([3, 1, 2, 0, 0, 3]), np.array([0, 0.25, 0.5, 1, 0, 1]))
-    lines.blend(d)
-    np.testing.assert_allclose(d, [[1, 0, 0], [2.5, 0, 3], [2, 0, 2], [3, 0, 4], [7, 7, 7]], rtol=1e-15)
-
-
 @pytest.mark.parametrize("grid", [frame(7, 5), frame_2d(9)], ids=["3-d", "2-d"])
 def test_linear_maps_are_reproduced_where_lines_are_curved(grid):
     rng = np.random.default_rng(3)
@@ -158,38 +147,3 @@ def test_linear_maps_are_reproduced_where_lines_are_curved(grid):
         method.prepare(problem, skeleton).fill(d)
         assert np.isfinite(d).all()
         assert (np.abs(d - image).max() < 1e-11) == exact
-
-
-def test_grids_made_by_tfi_have_no_deviations(monkeypatch):
-    problem = problem_of(frame(7, 5), [BoundarySpec("all", ("*",), Kind.FIXED)])
-    group = Group.of(problem.grid.points, TFI(4).skeleton(problem).sub_blocks())
-    planes = []
-
-    def blend(values, arc, subs, slabs):
-        planes.extend(slabs.tolist())
-        blend_slabs(values, arc, subs, slabs)
-
-    monkeypatch.setattr(groups, "blend_slabs", blend)
-    assert len(CurvedLines.of(group).bent.rows) == 0
-    # One plane of each sub-block was looked at, none in full.
-    rows = [row for row, _, _ in planes]
-    assert rows
-    assert len(rows) == len(set(rows))
-    assert all(last == first + 1 for _, first, last in planes)
-
-
-def test_groups_and_a_second_call_give_the_same_bits(monkeypatch):
-    rng = np.random.default_rng(4)
-    problem = problem_of(frame(9, 7), [BoundarySpec("all", ("*",), Kind.FIXED)])
-    bent = problem.grid.points + 0.05 * np.sin(problem.grid.points @ rng.normal(size=(3, 3)))
-    problem = dataclasses.replace(problem, grid=problem.grid.moved(bent))
-    skeleton, d = TFI(4).skeleton(problem), rng.normal(size=problem.grid.points.shape)
-    found = []
-    for together in (1, 100, 1 << 20):
-        monkeypatch.setattr(tfi, "_TOGETHER", together)
-        prepared = TFI(4).prepare(problem, skeleton)
-        for _ in range(2):
-            found.append(d.copy())
-            prepared.fill(found[-1])
-    assert len(prepared._groups) == 1
-    assert len({each.tobytes() for each in found}) == 1

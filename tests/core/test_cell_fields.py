@@ -12,14 +12,12 @@ from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.boundary.motions.motion import Displace, Motion
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid, Side
-from meshdeform_core.grid.planes import plane_normal
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality import Original, assess
 from meshdeform_core.quality.fields import CELL_MEASURES, CellFields
-from meshdeform_core.quality.lines import wall_faces, wall_lines
 from meshdeform_core.quality.listed import Worst
 from meshdeform_core.quality.shape import shape_measures
-from meshdeform_core.quality.walls import cell_at_wall, wall_cells
+from meshdeform_core.quality.walls import wall_cells
 
 STILL = Motion((Displace(tuple(expression("0", frozenset()) for _ in range(3))),), {})
 
@@ -112,21 +110,6 @@ def test_wall_measures_are_those_of_the_report(make):
         assert abs(np.log(at_cell)) >= abs(np.log(one.value)) * (1 - 1e-12)
     # One layer of cells has values, as many as there are quads.
     assert np.isfinite(angle).sum() == np.isfinite(ratio).sum() == len(moving)
-
-
-@pytest.mark.parametrize("grid", [frame(), frame_2d()], ids=["3-D", "2-D"])
-def test_every_grid_line_off_a_part_of_a_wall_belongs_to_a_cell_of_it(grid):
-    topology, after = find_topology(grid), waved(grid)
-    outside = np.flatnonzero(topology.partner < 0)
-    chosen = np.zeros(len(topology.partner), dtype=bool)
-    chosen[np.random.default_rng(1).choice(outside, len(outside) // 3, replace=False)] = True
-    angle = wall_cells(grid, topology, after.points, np.flatnonzero(chosen))[0]
-    faces = wall_faces(grid, topology, chosen)
-    values = np.concatenate([wall_lines(face, after.points, plane_normal(grid))[0] for face in faces])
-    cells = [cell_at_wall(grid, faces, number) for number in range(len(values))]
-    assert (angle[cells] >= values).all()
-    with pytest.raises(IndexError):
-        cell_at_wall(grid, faces, len(values))
 
 
 def test_an_undeformed_grid_has_no_worst_change():

@@ -9,15 +9,14 @@ import pytest
 from cases import INNER, constant, formulas, turning
 from grids import block_around, frame, frame_2d, polar
 
-from meshdeform_core.boundary import BoundarySpec, Kind, crossing
+from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.crossing import Contact
 from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.boundary.motions.motion import Motion
-from meshdeform_core.deform import Case, Setup, Timing, deform, impose, set_up
+from meshdeform_core.deform import Case, Setup, deform, set_up
 from meshdeform_core.grid import Grid, Patch, Side, Window
 from meshdeform_core.methods import Options
 from meshdeform_core.numerics.geometry.crossing import FaceTree, cross_exactly, crossing_faces
-from meshdeform_core.numerics.geometry.solid_angle import winding
 from meshdeform_core.repair import RepairOptions
 from meshdeform_core.series import Schedule, deform_series
 
@@ -83,17 +82,6 @@ def test_exact_decision_of_known_pairs():
     assert cross_exactly(square, upright + [0, 0, 0.5]) is None, "touching is not crossing"
     assert cross_exactly(square, upright + [0, 0, np.nextafter(0.5, 0)]) is not None
     assert cross_exactly(square, square + [0.5, 0, 0]) is None, "overlapping in one plane is not crossing"
-
-
-def test_winding_number_of_a_box():
-    grid = channel(2)
-    setup = set_up(grid, Case((moving("all", "*", constant(1, 0, 0)),)))
-    faces = setup.topology.quads.corners
-    triangles = np.concatenate([faces[:, :3], faces[:, [2, 3, 0]]])
-    places = np.array([[1.1, 0.3, 0.4], [1.1, 0.3, 1.4], [0.01, 0.01, 0.01]])
-    points = grid.points[setup.topology.first]
-    np.testing.assert_allclose(winding(points, triangles, places), [1, 0, 1], atol=1e-12)
-    np.testing.assert_allclose(winding(points, triangles[:, ::-1], places), [-1, 0, -1], atol=1e-12)
 
 
 @pytest.mark.parametrize("shift", [-0.5, -0.99, -0.99999])
@@ -207,31 +195,3 @@ def test_every_level_of_a_series_is_tested(times):
     setup = set_up(frame_2d(), Case((left,), {}, Options("tfi"), repair=RepairOptions("off")))
     found = {level.time: told(level.result.warnings) for level in deform_series(setup, Schedule(times), "float64")}
     assert found == {t: np.sin(np.pi * (t - 1.5)) > 0.9 for t in times}
-
-
-@pytest.mark.parametrize("before", [-1.2, 0.7, 1.19])
-def test_a_displacement_is_tested_whatever_was_imposed_before(before):
-    left = moving("left", "block2.imax", formulas("0", "0", "0"))
-    setup = set_up(frame_2d(), Case((left,), {}, Options("tfi"), repair=RepairOptions("off")))
-    height = setup.grid.points[setup.topology.first][:, 1]
-
-    def bulge(depth):
-        total = setup.displacement(0.0)
-        rows = setup.boundary.movers[0][0]
-        total[rows, 0] = depth * (1.0 - 4.0 * height[rows] ** 2)
-        result = impose(setup, lambda part: part * total, 1, "float64", Timing())
-        assert result.valid
-        return told(result.warnings)
-
-    assert bulge(before) == (before > 1.0)
-    assert bulge(1.2)
-    assert not bulge(-before if before > 0 else before)
-    assert bulge(1.2)
-
-
-def test_shifts_of_a_surface_are_rows_of_those_of_all_nodes(monkeypatch):
-    """Which nodes lie on the surface does not matter to the others."""
-    monkeypatch.setattr(crossing, "_TOGETHER", 7)
-    every = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 3))
-    for rows in (np.arange(50), np.array([0, 6, 7, 13, 14, 49]), np.empty(0, dtype=np.int64)):
-        assert crossing._drawn(50, rows).tobytes() == every[rows].tobytes()

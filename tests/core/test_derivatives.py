@@ -21,7 +21,6 @@ from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.fastsum.weighted.sums import FastSums
 from meshdeform_core.numerics.frame import Frame
 from meshdeform_core.numerics.systems import greedy as greedy_system
-from meshdeform_core.numerics.tape import Tape
 from meshdeform_core.parallel import OneRank, sharing
 
 FEW = ("tfi", "rbf-tfi", "idw-rbf", "idw-quaternion", "idw-lie", "idw-tfi")
@@ -163,30 +162,11 @@ def test_fast_sums_that_are_too_wrong_are_made_more_accurate_or_exact(monkeypatc
     assert gap == 0.0 if tolerance == 1e-15 else 0.0 < gap < 1e-6
 
 
-def test_all_ranks_decide_alike_whether_fast_sums_are_accurate_enough(monkeypatch):
-    where = problem_of(frame(9, 6), body_specs(turning(20)))
-    smooth, _ = directions(where)
-    ways = Options("idw", idw=IDW(summation="fast")), Options("rbf", rbf=RBF(summation="fast"))
-    methods = [make_method(options).prepare(where) for options in ways]
-    for module in (linear_idw, linear_rbf):
-        # Another rank finds an error of one.
-        monkeypatch.setattr(module, "agreed", lambda _, value: max(value, 1.0))
-    idw, rbf = (method.linearised(smooth).mover.inside for method in methods)
-    assert isinstance(idw._sums, ExactSums)
-    assert rbf._fast is None
-
-
-@pytest.mark.parametrize("name", ["tfi", pytest.param("idw", marks=pytest.mark.slow)])
-def test_memory(name):
+def test_memory():
     """Coordinate arrays at the peak: three in jvp, its result among them, two in vjp."""
     where = problem_of(frame(36, 24), body_specs(turning(20)))
     smooth, rough = directions(where)
-    # Few nodes move: sums over all of them take no longer than the test may.
-    near = (
-        np.linalg.norm(where.source_points - where.source_points[np.flatnonzero(smooth.any(axis=1))[0]], axis=1) < 0.6
-    )
-    smooth, rough = smooth * near[:, None], rough * near[:, None]
-    derivative = make_method(Options(name)).prepare(where).linearised(smooth)
+    derivative = make_method(Options("tfi")).prepare(where).linearised(smooth)
     weight, peaks = np.ones((where.grid.n_nodes, 3)), []
     for work in (lambda: derivative.push(rough), lambda: derivative.pull(weight.copy())):
         work()
@@ -221,8 +201,10 @@ def test_fast_radial_sums_of_rough_directions_are_judged_by_the_derivative():
     assert 0.0 < np.abs(one - two).max() < DERIVATIVE_TOLERANCE * np.abs(one).max()
 
 
-@pytest.mark.parametrize("plane", [False, True])
-@pytest.mark.parametrize("options", [{}, {"basis": "wendland-c2", "radius": 1.0}, {"basis": "ctps-c1", "radius": 6.0}])
+@pytest.mark.parametrize(
+    ("options", "plane"),
+    [({}, False), ({"basis": "wendland-c2", "radius": 1.0}, True), ({"basis": "ctps-c1", "radius": 6.0}, False)],
+)
 def test_fast_radial_sums_are_differentiated(options, plane):
     turn = body_specs(turning(20))
     where = problem_of(frame_2d(30), turn[:1]) if plane else problem_of(frame(9, 6), turn)
@@ -322,16 +304,6 @@ def test_where_there_is_no_derivative_is_named():
         assert make_method(METHODS[name]).prepare(where).linearised(shift).kinks == kinks
 
 
-def test_an_operation_without_a_rule_is_an_error_and_no_lost_derivative():
-    x = Tape().variable(np.ones((3, 3)))
-    with pytest.raises(TypeError, match="lose its derivative"):
-        np.asarray(x)
-    with pytest.raises(TypeError, match="no derivative of numpy's argsort"):
-        np.argsort(x)
-    with pytest.raises(KeyError):
-        np.tanh(x)
-
-
 def test_coincident_block_nodes_add_their_gradients():
     """A gradient of one at every block node: what a rigid translation gives."""
     where = problem_of(frame(), everything_moves())
@@ -339,11 +311,3 @@ def test_coincident_block_nodes_add_their_gradients():
     shift = np.tile([0.3, -0.2, 0.5], (len(where.source_points), 1))
     gradient = method.linearised(np.zeros_like(shift)).pull(np.ones((where.grid.n_nodes, 3)))
     assert (gradient * shift).sum() == pytest.approx(where.grid.n_nodes * 0.6, rel=1e-12)
-
-
-def test_memory_limits_change_no_derivative():
-    where = KINDS["slip"]()
-    smooth, rough = directions(where)
-    tight = dataclasses.replace(where, memory=dataclasses.replace(where.memory, size=2**24))
-    one, two = (make_method(Options("rbf-tfi")).prepare(each).linearised(smooth) for each in (where, tight))
-    np.testing.assert_array_equal(one.push(rough), two.push(rough))

@@ -12,7 +12,6 @@ import pytest
 from grids import block_around, frame, frame_2d, permuted, polar, whole_face
 
 from meshdeform_core.grid import Grid, Patch, Side, Window
-from meshdeform_core.grid.faces import pieces
 from meshdeform_core.grid.faces.pieces import find_faces, quad_geometry
 from meshdeform_core.grid.faces.roles import Role
 from meshdeform_core.grid.faces.surfaces import find_outside, thin_direction
@@ -51,19 +50,6 @@ def test_area_vectors_close_and_point_outwards(axes, flips):
     assert (geometry.height > 0).all()
 
 
-@pytest.mark.parametrize("grid", [frame(), frame_2d(), polar()], ids=["frame", "plane", "polar"])
-def test_faces_do_not_depend_on_how_many_are_looked_at_together(grid, monkeypatch):
-    topology = find_topology(grid)
-    whole, faces = quad_geometry(grid, topology), find_faces(grid, topology)
-    monkeypatch.setattr(pieces, "_TOGETHER", 7)
-    parts = quad_geometry(grid, topology)
-    for name in ("centers", "outwards", "area", "height"):
-        np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
-    for one, other in zip(find_faces(grid, topology), faces, strict=True):
-        np.testing.assert_array_equal(one.box, other.box)
-        assert (one.area, one.median_height, one.finest) == (other.area, other.median_height, other.finest)
-
-
 def test_boxes_areas_and_first_cells_of_a_single_block():
     x, y, z = np.array([0.0, 0.1, 0.5, 2.0]), np.linspace(0.0, 3.0, 4), np.array([0.0, 0.25, 1.0])
     grid = Grid.from_blocks([block_around(x, y, z)])
@@ -87,13 +73,6 @@ def test_pieces_are_windows_of_patches_and_of_what_is_left():
         ("hot", "1:3,1:5"), (None, "3:5,1:5")
     }  # fmt: skip
     assert sum(face.area for face in found) == pytest.approx(1.0)
-
-
-def test_lengths_of_the_edges_of_a_flat_grid():
-    found = outside_of(frame_2d())
-    body = [s for s in found.surfaces if np.abs(s.box[:, :2]).max() < 0.51]
-    assert sum(s.area for s in body) == pytest.approx(4.0)
-    assert {s.role for s in body} == {Role.WALL}
 
 
 # roles

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from fractions import Fraction
 from math import comb
 from pathlib import Path
 
@@ -92,40 +91,6 @@ def test_several_boxes_follow_each_other():
     first = np.array([bernstein_by_hand(x, MOVES) for x in nodes.points])
     second = np.array([bernstein_by_hand(x, [([1, 1, 1], [0.2, 0, 0])]) for x in nodes.points + first])
     np.testing.assert_allclose(motion.prepare(nodes).displacement(), first + second, atol=1e-14)
-
-
-def test_boxes_are_bernstein_polynomials_in_exact_fractions():
-    """Many control points in a skewed box, all of them displaced; the exact sums are rounded once."""
-    counts, random = (6, 9, 4), np.random.default_rng(1)
-    edges = [[2.0, 0.25, 0.0], [-0.5, 1.5, 0.125], [0.0, 0.5, 2.5]]
-    by = random.integers(-64, 64, (*counts, 3)) / 256
-    entries = [{"at": [i + 1, j + 1, k + 1], "by": by[i, j, k].tolist()} for i, j, k in np.ndindex(*counts)]
-    step = {"ffd": {"origin": [-1.0, -1.25, -1.5], "edges": edges, "points": list(counts), "move": entries}}
-    nodes = box_nodes()
-    found = moved(nodes, step)
-    frame = [[Fraction(v) for v in row] for row in edges]
-    for x, displacement in zip(nodes.points, found, strict=True):
-        place = solved(frame, [Fraction(v) - Fraction(o) for v, o in zip(x, (-1.0, -1.25, -1.5), strict=True)])
-        exact = [Fraction(0)] * 3
-        if all(0 <= u <= 1 for u in place):
-            weights = [[comb(n - 1, i) * u**i * (1 - u) ** (n - 1 - i) for i in range(n)]
-                       for n, u in zip(counts, place, strict=True)]  # fmt: skip
-            for i, j, k in np.ndindex(*counts):
-                weight = weights[0][i] * weights[1][j] * weights[2][k]
-                exact = [e + weight * Fraction(d) for e, d in zip(exact, by[i, j, k], strict=True)]
-        assert np.abs(displacement - [float(e) for e in exact]).max() < 1e-14
-    assert (np.abs(found).max(axis=1) > 0.01).sum() > 20
-
-
-def solved(frame: list[list[Fraction]], arm: list[Fraction]) -> list[Fraction]:
-    """Parts of the three edges that make up ``arm``, by Cramer's rule."""
-    whole = determinant(frame)
-    return [determinant([arm if n == axis else frame[n] for n in range(3)]) / whole for axis in range(3)]
-
-
-def determinant(m: list[list[Fraction]]) -> Fraction:
-    (a, b, c), (d, e, f), (g, h, i) = m
-    return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
 def test_times_are_checked_before_a_series_starts(tmp_path):

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from meshdeform_core.methods import IDW, Options, make_method
 from meshdeform_core.methods.limits import largest_rotation
-from meshdeform_core.numerics.branches import continuous, nearest_branch
 from meshdeform_core.numerics.rotation import SurfaceRotations
 
 ANGLES = (170.0, 180.0 - 1e-7, 180.0, 180.0 + 1e-7, 190.0, 360.0, 540.0)
@@ -105,30 +104,6 @@ def test_rotations_are_continuous_along_a_bar_twisted_beyond_half_a_turn():
     np.testing.assert_allclose(vectors[inside, 2], angle[inside], atol=0.15)
     assert np.abs(np.einsum("ek,ek->e", q[edges[:, 0]], q[edges[:, 1]])).min() > 0.9
     assert np.einsum("ek,ek->e", q[edges[:, 0]], q[edges[:, 1]]).min() > 0.9
-
-
-def test_half_turns_of_several_bodies_agree():
-    """Round-off must not choose the direction; two bodies that turn by 179 and 181 degrees turn the same way."""
-    pairs = np.array([[0, 1], [1, 0], [2, 3], [3, 2]])
-    half = np.pi * np.array([[0, 0, 1.0], [0, 0, -1.0], [0, 0, -1.0], [0, 0, 1.0]])
-    np.testing.assert_allclose(continuous(half, pairs), np.tile([0, 0, np.pi], (4, 1)), atol=1e-12)
-    degrees = np.radians([179.0, 179.0, -179.0, -179.0])
-    found = continuous(np.outer(degrees, [0, 0, 1.0]), pairs)[:, 2]
-    assert np.ptp(found) < np.radians(3)
-    against = np.outer(np.radians([120.0, 120.0, -120.0, -120.0]), [0, 0, 1.0])
-    np.testing.assert_array_equal(continuous(against, pairs), against)
-
-
-def test_branches_are_those_of_the_same_rotations():
-    rng = np.random.default_rng(3)
-    vectors, reference = rng.normal(size=(50, 3)), 4 * rng.normal(size=(50, 3))
-    found = nearest_branch(vectors, reference)
-    one, other = Rotation.from_rotvec(vectors), Rotation.from_rotvec(found)
-    assert (one.inv() * other).magnitude().max() < 1e-12
-    axis = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-    for turns in (-1, 1):
-        away = np.linalg.norm(found + 2 * np.pi * turns * axis - reference, axis=1)
-        assert (np.linalg.norm(found - reference, axis=1) <= away + 1e-12).all()
 
 
 @pytest.mark.parametrize("angle", ANGLES)

@@ -16,8 +16,6 @@ from meshdeform_core.deform import Case, set_up
 from meshdeform_core.methods import Options
 from meshdeform_core.parallel import OneRank
 
-QUICK = ("idw-tfi", "rbf-tfi", "tfi")
-
 
 def mesh_of(options: Options) -> Mesh:
     """A hollow bar in a frame; two of its sides move, no cells lie between them."""
@@ -48,7 +46,7 @@ CALLS = {
 }
 
 
-@pytest.mark.parametrize("name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in ALL_METHODS])
+@pytest.mark.parametrize("name", ["idw-tfi", "rbf-tfi", "tfi"])
 def test_calls_in_any_order_give_what_they_give_alone(name):
     alone = {call: mesh_of(ALL_METHODS[name]).deform(told, **more).result for call, (told, more) in CALLS.items()}
     order = np.random.default_rng(len(name)).permutation([*CALLS, *CALLS])

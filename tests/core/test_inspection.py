@@ -4,7 +4,6 @@ import itertools
 
 import numpy as np
 import pytest
-from forked_ranks import on_ranks
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -12,10 +11,8 @@ from meshdeform_core.grid import Grid
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.numerics.cell.inspection import inspect_hexahedra
 from meshdeform_core.numerics.cell.measures import scattered_hexahedra
-from meshdeform_core.parallel import OneRank, current_ranks
+from meshdeform_core.parallel import OneRank
 from meshdeform_core.quality import Original, assess
-from meshdeform_core.quality.cells import block_volumes
-from meshdeform_core.quality.comparison import Comparison
 from meshdeform_core.quality.tally import Lowest
 
 TOLERANCE = 2e-5
@@ -153,17 +150,6 @@ def test_extremes_and_totals_of_a_report_are_in_double_precision(flip):
     assert quality.f_skew.harmonic_mean == pytest.approx(1 / (1 / new[0]).mean(), rel=TOLERANCE)
 
 
-def test_the_undeformed_grid_is_measured_once():
-    grid = Grid.from_blocks([box((5, 5, 5))])
-    original = Original(grid, find_topology(grid))
-    Comparison(original, grid.points * [1.0, 1.0, 0.5])
-    tally = original.tally
-    Comparison(original, grid.points * [1.0, 1.0, 0.7])
-    assert original.tally is tally
-    assert tally.volume == pytest.approx(64.0, rel=1e-14)
-    assert tally.skew.p01 == pytest.approx(1.0, rel=1e-6)
-
-
 @given(st.lists(st.floats(0.0, 1.0, width=32), min_size=1, max_size=300), st.randoms(use_true_random=False))
 def test_the_quantile_does_not_depend_on_how_values_arrive(values, random):
     count = -(-len(values) // 100)
@@ -175,40 +161,3 @@ def test_the_quantile_does_not_depend_on_how_values_arrive(values, random):
     for _ in range(2):
         whole.complete(OneRank())
         assert whole.largest == expected
-
-
-@pytest.mark.parametrize("count", [2, 3, 4])
-@pytest.mark.parametrize("distinct", [3, 10**6])
-def test_the_quantile_of_values_on_several_ranks(count, distinct):
-    """With many equal values and few, more on one rank than are wanted, and none on another."""
-    random = np.random.default_rng(count)
-    values = (random.integers(0, distinct, 5000) / distinct).astype(np.float32)
-    values[:2], wanted = [-0.0, 1.0], 700
-    ends = np.array([0, 0, 3000, 4900, 5000])[-count - 1 :]
-
-    def quantile(number):
-        lowest = Lowest(wanted)
-        own = values[0 if number == 0 else ends[number] : ends[number + 1]]
-        for lo in range(0, len(own), 400):
-            lowest.add(own[lo : lo + 400])
-        found = []
-        for more in (0, 0, 50):
-            # Values that come late, on one rank.
-            lowest.add(late[: more if number == 1 else 0])
-            lowest.complete(current_ranks())
-            found.append(lowest.largest)
-        return tuple(found)
-
-    late = np.full(50, 1e-3, np.float32)
-    first, then = (float(np.sort(each)[wanted - 1]) for each in (values, np.append(values, late)))
-    assert set(on_ranks(count, quantile)) == {(first, first, then)}
-
-
-def test_volume_of_a_block_by_its_surface():
-    x = box((5, 4, 6)) + 0.2 * np.random.default_rng(1).standard_normal((5, 4, 6, 3)) + 1e3
-    # Blocks of the same and of other shapes, of either handedness.
-    blocks = [x, 2.0 * x, box((3, 4, 6)), np.ascontiguousarray(x[::-1])]
-    grid, sign = Grid.from_blocks(blocks), np.array([1, 1, 1, -1])
-    expected = plain(x, 1.0)[3].sum() * np.array([1.0, 8.0, 0.0, 1.0])
-    expected[2] = plain(blocks[2], 1.0)[3].sum()
-    np.testing.assert_allclose(block_volumes(grid, grid.points, sign), expected, rtol=1e-11)

@@ -18,8 +18,7 @@ from meshdeform_core.numerics.systems import schwarz
 from meshdeform_core.numerics.systems.krylov import KrylovSolver
 from meshdeform_core.numerics.systems.products import ExactProduct
 from meshdeform_core.numerics.systems.saddle import DirectSolver
-from meshdeform_core.numerics.systems.schwarz import SchwarzPreconditioner, bisect
-from meshdeform_core.numerics.systems.sparse import sparse_radial_matrix
+from meshdeform_core.numerics.systems.schwarz import SchwarzPreconditioner
 
 
 def system(points: np.ndarray, basis: str, radius: float | None) -> tuple[KrylovSolver, Centres, int]:
@@ -59,15 +58,6 @@ def test_other_compact_functions(basis):
     assert found.iterations <= 25
 
 
-def test_new_right_hand_sides_reuse_the_preconditioner():
-    solver, centres, _ = system(SETS["sphere"], "tps", None)
-    kept = solver.preconditioner
-    first = solver.solve(bend(centres.points), 1e-8, 40)
-    second = solver.solve(3 * bend(centres.points)[:, ::-1], 1e-8, 40)
-    assert solver.preconditioner is kept
-    np.testing.assert_allclose(second.coefficients, 3 * first.coefficients[:, ::-1], rtol=1e-5, atol=1e-5)
-
-
 def test_large_coarse_level_has_a_coarse_level_of_its_own(monkeypatch):
     monkeypatch.setattr(schwarz, "_DIRECT", 600)
     monkeypatch.setattr(schwarz, "COARSENING", 4)
@@ -79,22 +69,6 @@ def test_large_coarse_level_has_a_coarse_level_of_its_own(monkeypatch):
     assert len(inner.preconditioner._coarse) < 600
     assert found.residual.max() <= 1e-6
     assert found.iterations <= 10
-
-
-def test_a_coarse_level_slightly_too_large_is_made_smaller_and_factorised(monkeypatch):
-    monkeypatch.setattr(schwarz, "_DIRECT", 608)
-    monkeypatch.setattr(schwarz, "COARSENING", 4)
-    solver, centres, _ = system(sphere(4000), "tps", None)
-    found = solver.solve(bend(centres.points), 1e-6, 40)
-    assert isinstance(solver.preconditioner._next, DirectSolver)
-    assert found.residual.max() <= 1e-6
-    assert found.iterations <= 8
-
-
-def test_number_of_coarse_centres():
-    assert [schwarz.coarse_count(n) for n in (300, 8_000, 116_000, 463_682)] == [300, 500, 4640, 7992]
-    # Of millions even the coarse system is large, and has a coarse level of its own.
-    assert schwarz.coarse_count(1_000_000) == 40_000
 
 
 def test_dependent_and_empty_columns():
@@ -124,26 +98,6 @@ def test_few_centres(n):
     solver, _, _ = system(points, "tps", None)
     found = solver.solve(bend(points), 1e-10, 20)
     assert found.residual.max() <= 1e-10
-
-
-def test_preconditioner_is_linear_and_keeps_the_side_conditions():
-    points = Centres.of(SETS["graded-plane"], None).points
-    terms = np.concatenate([np.ones((len(points), 1)), points[:, :2]], axis=1)
-    solve = SchwarzPreconditioner(0, points, terms, ExactProduct(0, points), None).solve
-    one, two = np.random.default_rng(0).standard_normal((2, len(points), 3))
-    total, parts = solve(one + 2 * two), [solve(one), solve(two)]
-    for k in range(2):
-        expected = parts[0][k] + 2 * parts[1][k]
-        np.testing.assert_allclose(total[k], expected, atol=1e-9 * np.abs(expected).max())
-    np.testing.assert_allclose(terms.T @ total[0], 0, atol=1e-10 * np.abs(total[0]).sum())
-
-
-def test_boxes_hold_every_point_once():
-    boxes = bisect(SETS["two-scales"], 33)
-    np.testing.assert_array_equal(np.sort(np.concatenate(boxes)), np.arange(len(SETS["two-scales"])))
-    sizes = [len(box) for box in boxes]
-    assert len(boxes) == 33
-    assert max(sizes) - min(sizes) <= 2
 
 
 def test_method_reports_iterations_and_residual():
@@ -180,19 +134,6 @@ def test_short_support_multiplies_by_its_nonzeros_only():
     x = centres.points
     rest = told - radial_sums(BASES["wendland-c2"], x, x, coefficients) - centres.polynomial(x) @ polynomial
     assert (np.linalg.norm(rest, axis=0) <= 1.1e-6 * np.linalg.norm(told, axis=0)).all()
-
-
-def test_long_support_has_no_sparse_matrix():
-    points = sphere(500)
-    told = []
-    assert sparse_radial_matrix(BASES["wendland-c2"], points, told.append) is None
-    assert sparse_radial_matrix(BASES["tps"], 20 * points, told.append) is None
-    assert told == []
-    matrix = sparse_radial_matrix(BASES["wendland-c2"], 10 * points, told.append)
-    assert told[0] >= matrix.data.nbytes + matrix.indices.nbytes
-    np.testing.assert_allclose(
-        matrix.toarray(), radial_matrix(BASES["wendland-c2"], 10 * points, 10 * points), rtol=1e-12
-    )
 
 
 def test_automatic_choice_by_size_alone():

@@ -10,34 +10,28 @@ from collections.abc import Callable
 import grids
 import numpy as np
 import pytest
-from cases import body_specs, problem_of, turning
+from cases import problem_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_grids import turn_block
 
-from meshdeform_core.deform import Case, deform
-from meshdeform_core.grid import Grid, IntArray, Side, Window
+from meshdeform_core.grid import Grid, IntArray, Side
 from meshdeform_core.grid import windows as windows_module
 from meshdeform_core.grid.connectivity.declared import check_connections, connected_nodes
 from meshdeform_core.grid.connectivity.interfaces import find_interfaces
 from meshdeform_core.grid.connectivity.openings import find_openings
-from meshdeform_core.grid.extent import Bounds, block_extents
 from meshdeform_core.grid.faces.pieces import find_faces
 from meshdeform_core.grid.faces.surfaces import find_outside
 from meshdeform_core.grid.selection import select_quads
-from meshdeform_core.grid.sides import side_numbers
-from meshdeform_core.grid.topology import find_topology, quads_of_windows, side_nodes
+from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.grid.topology.handedness import block_handedness
 from meshdeform_core.grid.windows import rectangles
-from meshdeform_core.methods.transfinite.edge_graph import PreparedEdgeGraph, _face_parts, _Rows, _segments
-from meshdeform_core.numerics.arrays import batches, medians, runs, spans, spread
+from meshdeform_core.methods.transfinite.edge_graph import PreparedEdgeGraph
 from meshdeform_core.numerics.geometry.boxes import overlapping_boxes
 from meshdeform_core.quality import lines as lines_module
-from meshdeform_core.quality import original
 from meshdeform_core.quality.cells import block_volumes
 from meshdeform_core.quality.lines import interface_lines, kink_and_jump
 from meshdeform_core.quality.walls import interface_cells
-from meshdeform_formats.picture.overview import Pair
 from meshdeform_formats.text import json_text
 
 
@@ -85,109 +79,6 @@ def test_overlapping_boxes_are_those_of_all_pairs(seed):
     np.testing.assert_array_equal(overlapping_boxes(one, two), np.argwhere(hit))
 
 
-def test_no_boxes_overlap_none():
-    none, some = np.empty((0, 3)), np.zeros((2, 3))
-    assert overlapping_boxes((none, none), (some, some)).shape == (0, 2)
-    assert overlapping_boxes((some, some), (none, none)).shape == (0, 2)
-
-
-def windows_of_quads(shape, block, side, quads):
-    """Row by row: runs of marked quads, continued while the next row has the same run."""
-    a, b = side.tangential
-    found, begun = [], {}
-    for row in range(quads.shape[0] + 1):
-        marked = [*quads[row], False] if row < quads.shape[0] else [False]
-        edges = np.flatnonzero(np.diff([False, *marked]))
-        runs = set(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
-        for run in begun.keys() - runs:
-            found.append((*run, begun.pop(run), row))
-        for run in runs - begun.keys():
-            begun[run] = row
-    more_a, more_b = int(shape[a] > 1), int(shape[b] > 1)
-    return [
-        Window(block, side, (first, start), (last - 1 + more_a, stop - 1 + more_b))
-        for start, stop, first, last in sorted(found)
-    ]
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_rectangles_are_the_windows_of_every_side(grid, seed):
-    faces = find_topology(grid).quads
-    label = np.random.default_rng(seed).integers(-1, 3, len(faces.corners))
-    expected = []
-    for side in range(6 * grid.n_blocks):
-        span = faces.of_side(side // 6, side % 6)
-        for each in np.unique(label[span][label[span] >= 0]):
-            marked = (label[span] == each).reshape(faces.counts[side // 6, side % 6])
-            expected += windows_of_quads(grid.shapes[side // 6], side // 6, Side(side % 6), marked)
-    found = rectangles(grid, faces, label)
-    assert found.windows() == expected
-    assert np.array_equal(np.sort(found.quads), np.flatnonzero(label >= 0))
-    for number in range(len(found)):
-        assert (label[found.quads_of(number)] == found.label[number]).all()
-        assert (faces.block_side[found.quads_of(number)] == found.side[number]).all()
-
-
-def test_quads_of_windows_are_those_between_its_nodes(grid):
-    faces = find_topology(grid).quads
-    label = np.random.default_rng(1).integers(-1, 3, len(faces.corners))
-    pieces = rectangles(grid, faces, label)
-    found, number = quads_of_windows(faces, pieces.windows())
-    np.testing.assert_array_equal(found, pieces.quads)
-    np.testing.assert_array_equal(number, np.repeat(np.arange(len(pieces)), np.diff(pieces.start)))
-    assert quads_of_windows(faces, [])[0].shape == (0,)
-
-
-def test_rectangles_of_interfaces_are_those_found_face_by_face(grid):
-    topology = find_topology(grid)
-    reached = np.random.default_rng(2).random(topology.n_unique) < 0.3
-    parts, width, wanted = _face_parts(grid, topology, reached)
-    done, expected = reached.copy(), []
-    for block, side in itertools.product(range(grid.n_blocks), Side) if grid.dimension == 3 else ():
-        quads, numbers = topology.quads.of_side(block, side), side_numbers(grid, topology, block, side)
-        partner = topology.partner[quads]
-        neighbour = np.where(partner >= 0, topology.quads.block_side[partner], partner)
-        for label in np.unique(neighbour):
-            marked = (neighbour == label).reshape(topology.quads.counts[block, side])
-            for window in windows_of_quads(grid.shapes[block], block, side, marked):
-                nodes = numbers[window.low[0] : window.high[0] + 1, window.low[1] : window.high[1] + 1]
-                if not done[nodes].all():
-                    expected.append((nodes, ~done[nodes]))
-                    done[nodes] = True
-    assert len(parts) == len(width) == len(expected)
-    for number, (nodes, own) in enumerate(expected):
-        some = slice(parts.start[number], parts.start[number + 1])
-        assert width[number] == nodes.shape[1]
-        np.testing.assert_array_equal(parts.nodes[some], nodes.ravel())
-        np.testing.assert_array_equal(wanted[some], own.ravel())
-
-
-def test_segments_of_lines_are_those_found_one_by_one():
-    random = np.random.default_rng(3)
-    points = random.random((30, 3))
-    points[7] = points[8]
-    lines = [random.permutation(30)[: random.integers(2, 9)] for _ in range(12)]
-    lines += [lines[0][::-1], lines[1], np.array([7, 8])]
-    knot = random.random(30) < 0.5
-    knot[[line[end] for line in lines for end in (0, -1)]] = True
-    known = knot & (random.random(30) < 0.4)
-    expected = {}
-    for line in lines:
-        at = np.flatnonzero(knot[line])
-        for first, last in itertools.pairwise(at.tolist()):
-            nodes = line[first : last + 1]
-            length = np.linalg.norm(np.diff(points[nodes], axis=0), axis=1).sum()
-            if length > 0 and (last - first > 1 or not known[nodes[[0, -1]]].all()):
-                key = frozenset(nodes[[0, -1]].tolist()), nodes[1:-1].min(initial=30)
-                expected.setdefault(key, (nodes, length))
-    rows = _Rows.of(np.array([len(line) for line in lines]), np.concatenate(lines))
-    found = _segments(points, rows, np.zeros(len(lines), dtype=np.int64), knot, known)
-    nodes, length = zip(*expected.values(), strict=True)
-    np.testing.assert_array_equal(found.rows.nodes, np.concatenate(nodes))
-    np.testing.assert_array_equal(np.diff(found.rows.start), [len(each) for each in nodes])
-    np.testing.assert_allclose(found.length, length, rtol=1e-14)
-
-
 def test_interfaces_cover_every_shared_quad_once(grid):
     topology = find_topology(grid)
     connections = find_interfaces(grid, topology)
@@ -224,48 +115,6 @@ def test_handedness_by_the_volume_of_every_cell(grid):
         assert np.sign(np.einsum("ijkx,ijkx->", edges[0], np.cross(edges[1], edges[2]))) == hand
 
 
-@settings(deadline=None, max_examples=40)
-@given(st.lists(st.integers(1, 60), min_size=1, max_size=6), st.integers(1, 20), st.integers(0, 9))
-def test_places_are_spread_like_linspace(sizes, most, first):
-    run, place = spread(np.array(sizes), most, np.full(len(sizes), first))
-    expected = [np.linspace(first, first + n - 1, min(n, most)).astype(int) for n in sizes]
-    np.testing.assert_array_equal(place, np.concatenate(expected))
-    np.testing.assert_array_equal(run, np.repeat(np.arange(len(sizes)), [len(each) for each in expected]))
-
-
-@settings(deadline=None, max_examples=40)
-@given(st.lists(st.integers(0, 9), min_size=1, max_size=8), st.integers(0, 2**32 - 1))
-def test_medians_of_runs(sizes, seed):
-    run, place = spans(np.array(sizes))
-    assert place.tolist() == [n for size in sizes for n in range(size)]
-    values = np.random.default_rng(seed).normal(size=len(run))
-    expected = [np.median(values[run == number]) if size else -1.0 for number, size in enumerate(sizes)]
-    np.testing.assert_array_equal(medians(values, run, len(sizes), -1.0), expected)
-
-
-def test_batches_hold_everything_in_order():
-    sizes = np.array([3, 9, 1, 1, 1, 0, 2])
-    assert batches(sizes, 4) == [(0, 1), (1, 2), (2, 6), (6, 7)]
-    assert batches(sizes[:0], 4) == []
-    first, last = runs(np.array([2, 2, 5, 5, 5, 7]))
-    assert (first.tolist(), last.tolist()) == ([0, 2, 5], [2, 5, 6])
-
-
-def test_bounds_by_all_nodes(grid):
-    bounds, random = Bounds(grid), np.random.default_rng(1)
-    low, high = block_extents(grid)
-    for block in range(grid.n_blocks):
-        x = grid.block(block).reshape(-1, 3)
-        assert (low[block] == x.min(axis=0)).all()
-        assert (high[block] == x.max(axis=0)).all()
-    for _ in range(50):
-        normal = random.normal(size=3)
-        normal /= np.linalg.norm(normal)
-        farthest = float((grid.points @ normal).max())
-        assert bounds.within(normal, farthest + 1e-6)
-        assert not bounds.within(normal, farthest - 1e-6)
-
-
 def test_lines_across_interfaces_meet_and_leave_into_both_blocks(grid):
     topology = find_topology(grid)
     lines = interface_lines(grid, topology)
@@ -292,16 +141,6 @@ def test_lines_and_pieces_do_not_depend_on_how_much_is_done_at_a_time(grid, port
     np.testing.assert_array_equal(kink_and_jump(lines, grid.points), measured)
 
 
-def test_lines_are_told_apart_by_numbers_of_any_size():
-    random = np.random.default_rng(8)
-    pairs = random.choice([0, 1, 2**31, 2**32 + 1, 6 * 10**9, 2**62], (2, 60))
-    found = lines_module._distinct(pairs)
-    columns = list(map(tuple, pairs.T.tolist()))
-    assert [columns[n] for n in found] == sorted(set(columns))
-    assert all(columns.index(columns[n]) == n for n in found)
-    assert lines_module._distinct(pairs[:, :0]).size == 0
-
-
 def test_cells_beside_interfaces(grid):
     topology = find_topology(grid)
     kink, jump = interface_cells(grid, topology, grid.points, None)
@@ -317,13 +156,6 @@ def test_cells_beside_interfaces(grid):
         start += mine.size
     np.testing.assert_array_equal(~np.isnan(kink), expected)
     np.testing.assert_array_equal(~np.isnan(jump), expected)
-
-
-def test_all_sides_have_their_nodes(grid):
-    for number in range(6 * grid.n_blocks):
-        expected = side_nodes(grid, number // 6, Side(number % 6))
-        _, _, _, flat = grid.sides.all_nodes(np.array([number]))
-        np.testing.assert_array_equal(flat, expected.ravel())
 
 
 def calls(work: Callable[[], object]) -> int:
@@ -368,16 +200,6 @@ def test_calls_per_block_do_not_grow(work, per_block):
     more = counts[1] - counts[0]
     assert more / (many.n_blocks - few.n_blocks) < per_block
     assert counts[1] < 1.2 * counts[0] * many.n_blocks / few.n_blocks
-
-
-def test_faces_are_found_once(monkeypatch):
-    """Both the repair and the measures of walls need their roles, as do pictures and fields."""
-    found: list[Grid] = []
-    monkeypatch.setattr(original, "find_outside", lambda *given: found.append(given[0]) or find_outside(*given))
-    result = deform(grids.frame(), Case(body_specs(turning(20))))
-    assert result.repair is None
-    assert Pair(result.setup.grid, result.grid, result.setup.topology, original=result.setup.original).new.outside
-    assert len(found) == 1
 
 
 def test_sides_of_separate_blocks_are_not_compared_with_all_others():

@@ -1,8 +1,5 @@
 """Products by nested skeletons against exact sums, and solutions whose products they are."""
 
-import copy
-import pickle
-
 import numpy as np
 import pytest
 from clouds import SETS, bend, sphere
@@ -16,11 +13,9 @@ from meshdeform_core.methods.scattered.radial_system import RadialSystem
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.exact.radial import radial_matrix, radial_sums
 from meshdeform_core.numerics.fastsum.radial.nested import NestedSums
-from meshdeform_core.numerics.fastsum.radial.skeletons import decompose, proxy_points
 from meshdeform_core.numerics.systems import products
 from meshdeform_core.numerics.systems.krylov import KrylovSolver
-from meshdeform_core.numerics.systems.products import ExactProduct, NestedProduct, product_of
-from meshdeform_core.parallel import set_threads
+from meshdeform_core.numerics.systems.products import NestedProduct
 
 CLOUDS = SETS | {
     "volume": np.random.default_rng(1).uniform(size=(3000, 3)),
@@ -65,48 +60,6 @@ def test_far_clusters_are_not_summed_centre_by_centre():
     np.testing.assert_allclose(sums(c)[rows], radial_sums(0, points[rows], points, c), atol=1e-5)
 
 
-def test_work_grows_about_linearly():
-    pairs = [NestedSums(0, Centres.of(sphere(n), None).points, 1e-6).pairs for n in (8000, 32000)]
-    assert pairs[1] < 4 * 1.4 * pairs[0]
-
-
-@pytest.mark.parametrize("name", ["sphere", "graded-plane", "volume"])
-def test_sums_at_some_centres_only(name):
-    points = normalised(name, "tps")
-    c, every = charges(len(points)), NestedSums(0, points, 1e-6)
-    rows = np.random.default_rng(0).permutation(len(points))[:111]
-    some = NestedSums(0, points, 1e-6, rows, every)
-    np.testing.assert_allclose(some(c), every(c)[rows], rtol=0, atol=1e-12)
-
-
-def test_threads_do_not_change_sums():
-    points = normalised("sphere", "tps")
-    c, found = charges(len(points)), []
-    try:
-        for threads in (1, 4):
-            set_threads(threads)
-            found.append(NestedSums(0, points, 1e-6)(c))
-    finally:
-        set_threads(None)
-    np.testing.assert_array_equal(*found)
-
-
-def test_a_skeleton_stands_for_its_cluster():
-    random = np.random.default_rng(5)
-    points = random.uniform(-1, 1, (150, 3)) / np.sqrt(3)
-    order, share = np.empty(150, dtype=np.int64), np.zeros((150, 150))
-    rank = decompose(0, points, proxy_points(2.0), 1e-6, order, share)
-    assert 30 < rank < 120
-    assert sorted(order) == list(range(150))
-    away = random.standard_normal((400, 3))
-    away *= (random.uniform(2, 20, 400) / np.linalg.norm(away, axis=1))[:, None]
-    values = radial_matrix(0, points, away)
-    expected, found = values[order[rank:]], share[: 150 - rank, :rank] @ values[order[:rank]]
-    near = np.linalg.norm(away, axis=1) < 4
-    assert np.abs(found - expected)[:, near].max() < 1e-4
-    assert np.abs(found - expected).max() < 1e-4
-
-
 @pytest.fixture
 def nested(monkeypatch):
     monkeypatch.setattr(products, "_FEWEST", 100)
@@ -145,18 +98,6 @@ def test_sums_that_are_too_coarse_are_refined(nested, monkeypatch):
     assert "nested" in account.settings["products"].value
 
 
-def test_the_error_of_a_product_is_found(nested):
-    points = Centres.of(sphere(3000), None).points
-    c = charges(len(points))
-    product = product_of(0, points, 1.0)
-    found, exact = product(c), ExactProduct(0, points)(c)
-    error = np.linalg.norm(found - exact, axis=0)
-    np.testing.assert_allclose(product.error(c, found), error, rtol=0.3)
-    product.refine()
-    finer = np.linalg.norm(product(c) - exact, axis=0)
-    assert (finer < 0.1 * error).all()
-
-
 def test_little_memory_is_refused_and_changes_no_sums(nested):
     points = sphere(3000)
     with pytest.raises(MethodError, match=r"3,000 centres needs about .*the machine has"):
@@ -178,11 +119,3 @@ def test_solutions_do_not_depend_on_those_before(nested, monkeypatch):
         np.testing.assert_array_equal(found[0], fresh.solve(told, account, None)[0])
         other = RadialSystem(RBF(solver="krylov", tolerance=1e-6), Centres.of(points, None))
         np.testing.assert_array_equal(found[0], other.solve(told, account, None)[0])
-
-
-@pytest.mark.parametrize("twin", [copy.deepcopy, lambda system: pickle.loads(pickle.dumps(system))])
-def test_copies_of_a_system_go_on(nested, twin):
-    system, _, _ = solved(sphere(2000))
-    told = bend(sphere(2000))[:, ::-1].copy()
-    one, two = (each.solve(told, Account(), None)[0] for each in (system, twin(system)))
-    np.testing.assert_array_equal(one, two)

@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 from forked_ranks import on_ranks
 
-from meshdeform_core.grid import Grid
 from meshdeform_core.parallel import (
-    Nodes,
     OneRank,
     agreed,
     alone,
@@ -20,58 +18,6 @@ from meshdeform_core.parallel import (
     sharing,
     thread_count,
 )
-
-
-class Pretended(OneRank):
-    """Rank ``number`` of ``count``; nothing is exchanged."""
-
-    def __init__(self, number, count):
-        super().__init__(cores=1)
-        self.number, self.count, self.on_machine = number, count, count
-
-
-def test_a_process_alone_does_all_chunks():
-    done = []
-    for_chunks(lambda lo, hi: done.append((lo, hi)), 10, 4)
-    assert sorted(done) == [(0, 4), (4, 8), (8, 10)]
-    assert OneRank().on_first(lambda: 7) == 7
-    assert OneRank().gather([9]) == [9]
-
-
-def test_work_that_must_not_run_at_the_same_time_does_not():
-    threads = set()
-    set_threads(4)
-    try:
-        for_chunks(lambda lo, hi: threads.add(threading.get_ident()), 100, 1, threads=1)
-    finally:
-        set_threads(None)
-    assert threads == {threading.get_ident()}
-
-
-def test_rows_are_all_filled_once():
-    counts = np.zeros((50_000, 2))
-    Nodes.of(counts).each(lambda rows: np.add(counts[rows], 1, out=counts[rows]))
-    assert (counts == 1).all()
-
-
-def test_what_the_first_rank_does_alone_meets_nobody():
-    with sharing(Pretended(0, 3), None):
-        with alone():
-            assert (current_ranks().count, current_ranks().cores) == (1, 1)
-        assert current_ranks().count == 3
-
-
-def test_a_block_that_cannot_be_filled_ends_the_filling():
-    grid, called = Grid.allocate([(2, 2, 2)] * 4), []
-
-    def put(block):
-        called.append(block)
-        if block == 1:
-            raise OSError("made to fail")
-
-    with pytest.raises(OSError, match="made to fail"):
-        grid.fill(put)
-    assert called == [0, 1]
 
 
 @pytest.mark.parametrize("threads", [1, 3])

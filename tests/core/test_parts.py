@@ -4,7 +4,6 @@ The ranks are forks of this process (:mod:`forked_ranks`); rows that a rank does
 """
 
 import dataclasses
-import itertools
 import multiprocessing
 from contextlib import nullcontext
 
@@ -13,8 +12,6 @@ import pytest
 from cases import body_specs, formulas, turning
 from forked_ranks import Failed, on_ranks, poison_parts
 from grids import block_around, frame, frame_2d, permuted
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from meshdeform_core.boundary import BoundarySpec, Kind, crossing
 from meshdeform_core.boundary.motions.expression import expression
@@ -22,13 +19,9 @@ from meshdeform_core.boundary.motions.motion import Motion
 from meshdeform_core.deform import Case, deform, set_up
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.components import BY_PREFIX
-from meshdeform_core.grid.dealing import bounds_of
-from meshdeform_core.grid.lattice import SideLattice
-from meshdeform_core.grid.near import NearNodes
 from meshdeform_core.memory import PROGRAM_BYTES, Demand
 from meshdeform_core.methods import IDW, RBF, TFI, Options
 from meshdeform_core.numerics import pieces as pieces_module
-from meshdeform_core.numerics.pieces import pieces
 from meshdeform_core.parallel import Nodes, WholeGridNeeded, alone, scratch
 from meshdeform_core.parallel.scratch import Scratch, scratch_in
 from meshdeform_core.repair import RepairOptions
@@ -70,44 +63,6 @@ def poisoned(monkeypatch):
     poison_parts(monkeypatch)
 
 
-shapes = st.lists(st.tuples(*[st.integers(2, 90)] * 3), min_size=1, max_size=6)
-
-
-@given(shapes)
-def test_pieces_are_the_planes_of_all_blocks(shapes):
-    found = pieces(shapes)
-    for block, (ni, _, _) in enumerate(shapes):
-        planes = [n for number, first, last in found.tolist() for n in range(first, last) if number == block]
-        assert planes == list(range(ni))
-
-
-@given(shapes, st.integers(1, 7))
-def test_ranks_take_consecutive_pieces_and_the_largest_part_is_as_small_as_it_can_be(shapes, count):
-    block, first, last = pieces(shapes).T
-    sizes = [int((b - a) * shapes[n][1] * shapes[n][2]) for n, a, b in zip(block, first, last, strict=True)]
-    ends = np.append(0, np.cumsum(sizes))
-    bounds = bounds_of(shapes, count)
-    assert len(bounds) == count + 1
-    assert (bounds[0], bounds[-1]) == (0, ends[-1])
-    assert np.isin(bounds, ends).all()
-    assert (np.diff(bounds) >= 0).all()
-
-    def enough(most):
-        """Whether greedy dealing needs no more ranks than there are."""
-        used, left = 1, most
-        for size in sizes:
-            if size > most:
-                return False
-            if size > left:
-                used, left = used + 1, most
-            left -= size
-        return used <= count
-
-    largest = int(np.diff(bounds).max())
-    assert enough(largest)
-    assert not enough(largest - 1)
-
-
 def part_of(bounds, values):
     """The part of this rank of an array."""
     from meshdeform_core.parallel import current_ranks
@@ -126,49 +81,6 @@ class Some:
     def taken(self, values, rows):
         at = np.minimum(np.searchsorted(self.rows, rows), len(self.rows) - 1)
         return values[at] if np.array_equal(self.rows[at], rows) else None
-
-
-@given(st.lists(st.tuples(*[st.integers(2, 7)] * 3), min_size=1, max_size=4), st.sampled_from([None, 0, 1, 2]))
-def test_values_of_nodes_near_block_faces(shapes, flat_axis):
-    if flat_axis is not None:
-        shapes = [tuple(1 if axis == flat_axis else n for axis, n in enumerate(shape)) for shape in shapes]
-    offsets = np.append(0, np.cumsum(np.prod(shapes, axis=1)))
-    sides, near = SideLattice.of(shapes, offsets), NearNodes.of(shapes, offsets)
-    side, _, _, flat = sides.all_nodes(np.flatnonzero(sides.has_quads))
-    expected = np.unique([flat, flat + sides.inward[side]])
-    np.testing.assert_array_equal(near.rows, expected)
-    random = np.random.default_rng(len(flat))
-    some, values = random.permutation(expected), random.random((offsets[-1], 3))
-    np.testing.assert_array_equal(near.taken(values[expected], some), values[some])
-    for row in np.setdiff1d(np.arange(offsets[-1]), expected):
-        assert near.taken(values[expected], np.append(some, row)) is None
-
-
-@settings(max_examples=5)
-@given(st.integers(2, 4), st.integers(0, 10**6))
-def test_rows_come_from_their_owners(count, seed):
-    random = np.random.default_rng(seed)
-    values = random.random((50, 3))
-    bounds = [0, *np.sort(random.integers(0, 51, count - 1)), 50]
-    some, ordered = random.integers(0, 50, (4, 5)), np.unique(random.integers(0, 50, 20))
-
-    def look(number):
-        part = part_of(bounds, values)
-        np.testing.assert_array_equal(part[some], values[some])
-        np.testing.assert_array_equal(part[7], values[7])
-        part.keep(Some(ordered))
-        part.own[...] += 1.0
-        # Copies that are kept do not follow.
-        np.testing.assert_array_equal(part[ordered[::-1]], values[ordered[::-1]])
-        first, last = max(part.low - 3, 0), min(part.high + 5, 50)
-        part.widen(first, last)
-        np.testing.assert_array_equal(part[first:last], values[first:last] + 1.0)
-        flags = part_of(bounds, np.arange(50) % 7 == 0)
-        np.testing.assert_array_equal(flags.nonzero_rows(), np.arange(0, 50, 7))
-        assert part_of(bounds, np.arange(5.0, 55.0)).min() == 5.0
-        return True
-
-    assert all(on_ranks(count, look))
 
 
 def test_a_part_refuses_rows_of_others():
@@ -225,13 +137,9 @@ def same_on_ranks(tmp_path, count, case, suffix=".cgns", grid=None, store=nullco
     return expected
 
 
-@pytest.mark.parametrize(("name", "count"), [
-    *((name, 4) for name in METHODS),
-    ("idw-tfi", 2),
-    *(pytest.param(name, 2, marks=pytest.mark.slow) for name in METHODS if name != "idw-tfi"),
-])  # fmt: skip
-def test_every_method_gives_the_same_bytes(name, count, tmp_path, small_pieces, poisoned):
-    same_on_ranks(tmp_path, count, case_of(METHODS[name]))
+@pytest.mark.parametrize("name", METHODS)
+def test_every_method_gives_the_same_bytes(name, tmp_path, small_pieces, poisoned):
+    same_on_ranks(tmp_path, 4, case_of(METHODS[name]))
 
 
 @pytest.fixture
@@ -253,24 +161,23 @@ def in_files(tmp_path, monkeypatch):
     assert not list(folder.iterdir())
 
 
-@pytest.mark.parametrize("name", ["tfi", "idw-exact", "idw-division", "idw-rbf", "rbf-fast", "rbf-tfi-krylov"])
+@pytest.mark.parametrize("name", ["idw-division", "rbf-tfi-krylov"])
 def test_ranks_with_arrays_in_files_give_the_same_bytes(name, tmp_path, small_pieces, in_files):
     same_on_ranks(tmp_path, 3, case_of(METHODS[name]), store=in_files)
 
 
-@pytest.mark.parametrize(("angle", "grid"), [(50.0, (5, 4)), (100.0, (9, 8))])
-def test_repairs_with_arrays_in_files_give_the_same_bytes(angle, grid, tmp_path, small_pieces, in_files):
-    assert same_on_ranks(tmp_path, 2, repaired(angle), grid=frame(*grid), store=in_files)[-1].newton_steps > 0
+def test_repairs_with_arrays_in_files_give_the_same_bytes(tmp_path, small_pieces, in_files):
+    assert same_on_ranks(tmp_path, 2, repaired(50.0), grid=frame(5, 4), store=in_files)[-1].newton_steps > 0
 
 
-@pytest.mark.parametrize("name", ["tfi", "idw-fast", "rbf-tfi-krylov", "idw-tfi-fast"])
+@pytest.mark.parametrize("name", ["rbf-tfi-krylov", "idw-tfi-fast"])
 def test_periodic_sides_that_move_give_the_same_bytes(name, tmp_path, small_pieces, poisoned):
     case = dataclasses.replace(case_of(METHODS[name]), boundaries=tuple(body_specs(turning(20), Kind.PERIODIC)))
     same_on_ranks(tmp_path, 3, case)
 
 
-@pytest.mark.parametrize("angle", [60.0, 100.0])
-def test_repairs_between_periodic_sides_give_the_same_bytes(angle, tmp_path, small_pieces, poisoned):
+def test_repairs_between_periodic_sides_give_the_same_bytes(tmp_path, small_pieces, poisoned):
+    angle = 60.0
     swaying = formulas("0.05*sin(2*pi*z)", "0.0", "0.0")
     motion = Motion((*swaying.steps, *turning(angle).steps), {})
     case = dataclasses.replace(repaired(angle), boundaries=tuple(body_specs(motion, Kind.PERIODIC)))
@@ -291,9 +198,7 @@ def overset(**grids):
     return whole, tuple(specs + still)
 
 
-@pytest.mark.parametrize(
-    ("name", "repair"), [("tfi", "auto"), ("idw-tfi", "auto"), ("idw-fast", "off"), ("rbf-exact", "off")]
-)
+@pytest.mark.parametrize(("name", "repair"), [("idw-tfi", "auto"), ("idw-fast", "off")])
 def test_components_of_overset_grids_give_the_same_bytes(name, repair, tmp_path, small_pieces, poisoned):
     grid, specs = overset(bar=tapered(5, 4), bg=frame(5, 3), rod=frame(6, 5))
     options = RepairOptions(mode=repair)
@@ -301,7 +206,9 @@ def test_components_of_overset_grids_give_the_same_bytes(name, repair, tmp_path,
     same_on_ranks(tmp_path, 3, case, grid=grid)
 
 
-@pytest.mark.parametrize(("name", "axes"), list(zip(METHODS, itertools.cycle([(0, 1, 2), (0, 2, 1), (2, 0, 1)]))))
+@pytest.mark.parametrize(
+    ("name", "axes"), [("idw-tfi-fast", (0, 1, 2)), ("idw-rbf", (0, 2, 1)), ("rbf-greedy", (2, 0, 1))]
+)
 def test_plane_grids_give_the_same_bytes(name, axes, tmp_path, small_pieces, poisoned):
     """Blocks of a single plane of nodes along each of the indices."""
     body = dataclasses.replace(body_specs(turning(20))[0], select=("*",))
@@ -309,7 +216,7 @@ def test_plane_grids_give_the_same_bytes(name, axes, tmp_path, small_pieces, poi
     same_on_ranks(tmp_path, 3, case, ".xyz", permuted(frame_2d(9), axes, (False, False, False)))
 
 
-@pytest.mark.parametrize(("name", "axes"), [("idw-fast", (0, 1, 2)), ("rbf-fast", (2, 0, 1)), ("idw-tfi", (0, 2, 1))])
+@pytest.mark.parametrize(("name", "axes"), [("rbf-fast", (2, 0, 1)), ("idw-tfi", (0, 2, 1))])
 def test_grids_of_one_layer_give_the_same_bytes(name, axes, tmp_path, small_pieces, poisoned):
     """Nodes of one plane follow those of the other, whoever holds them."""
     body = dataclasses.replace(body_specs(turning(20))[0], select=("*",))
@@ -332,7 +239,7 @@ def test_single_precision_and_steps_give_the_same_bytes(suffix, tmp_path, small_
     same_on_ranks(tmp_path, 3, case_of(METHODS["idw-tfi"]), suffix, steps=3, precision="float32")
 
 
-@pytest.mark.parametrize("name", ["idw-fast", "idw-tfi", "idw-rbf"])
+@pytest.mark.parametrize("name", ["idw-fast", "idw-rbf"])
 def test_motions_towards_slip_sides_give_the_same_bytes(name, tmp_path, small_pieces, poisoned):
     swaying = formulas("0.1*z", "0.0", "0.2*sin(pi*z)")
     same_on_ranks(tmp_path, 3, Case(tuple(body_specs(swaying)), method=METHODS[name], repair=OFF))
@@ -362,14 +269,12 @@ def same_levels(tmp_path, origin, store=nullcontext):
     assert all(found == expected for found in on_ranks(3, act))
 
 
-@pytest.mark.parametrize("origin", ["reference", "last"])
-def test_levels_of_a_series_are_the_same(origin, tmp_path, small_pieces, poisoned):
-    same_levels(tmp_path, origin)
+def test_levels_of_a_series_are_the_same(tmp_path, small_pieces, poisoned):
+    same_levels(tmp_path, "reference")
 
 
-@pytest.mark.parametrize("origin", ["reference", "last"])
-def test_levels_with_arrays_in_files_are_the_same(origin, tmp_path, small_pieces, in_files):
-    same_levels(tmp_path, origin, in_files)
+def test_levels_with_arrays_in_files_are_the_same(tmp_path, small_pieces, in_files):
+    same_levels(tmp_path, "last", in_files)
 
 
 def test_invalid_cells_are_listed_alike(tmp_path, small_pieces, poisoned):
@@ -399,13 +304,12 @@ def test_repairs_of_grids_in_parts_give_the_same_bytes(count, angle, mode, tmp_p
     assert same_on_ranks(tmp_path, count, repaired(angle, mode), grid=tapered(5, 4))[-1].newton_steps > 1
 
 
-@pytest.mark.parametrize(("count", "angle"), [(6, 50.0), (2, 90.0)])
-def test_ranks_without_nodes_take_part_in_repairs(count, angle, tmp_path, poisoned):
-    """Blocks are not cut, and there are more ranks than blocks; or two, with inverted cells."""
-    assert same_on_ranks(tmp_path, count, repaired(angle), grid=tapered(4, 3))[-1].newton_steps > 1
+def test_ranks_without_nodes_take_part_in_repairs(tmp_path, poisoned):
+    """Blocks are not cut, and there are more ranks than blocks."""
+    assert same_on_ranks(tmp_path, 6, repaired(50.0), grid=tapered(4, 3))[-1].newton_steps > 1
 
 
-@pytest.mark.parametrize(("angle", "plane"), [(60.0, True), (160.0, True), (60.0, False)])
+@pytest.mark.parametrize(("angle", "plane"), [(160.0, True), (60.0, False)])
 def test_regions_around_bad_cells_give_the_same_bytes(angle, plane, tmp_path, small_pieces, poisoned, monkeypatch):
     """As in large grids, and where the search for the minimum fails."""
     for name, value in (("LARGE", 0), ("FEW", 1.0), ("PER_NODE", 1000), ("REGIONS", {2: (2, None), 3: (1, 3, None)})):

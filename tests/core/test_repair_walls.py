@@ -5,17 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
-import scipy
-from cases import everything_moves, formulas
-from grids import frame, frame_2d, polar
+from cases import formulas
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, Timing, impose, set_up
 from meshdeform_core.grid import Grid, Patch, Side, Window
 from meshdeform_core.methods import Options
 from meshdeform_core.repair.constraints import Constraints
-from meshdeform_core.repair.region import FARTHEST, Reach, nearness, weigh
+from meshdeform_core.repair.region import FARTHEST, nearness, weigh
 
 
 def test_first_cells_at_walls_weigh_most_and_less_where_walls_are_few_cells_apart():
@@ -76,26 +73,3 @@ def test_fixed_walls_are_kept_like_moving_ones():
     walls = result.assessment.after.walls
     assert walls["fixed"].first_cell_height_ratio.min > 0.3
     assert walls["fixed"].wall_normal_deviation_deg.rms < 10.0
-
-
-@pytest.mark.parametrize("most", [3, 80])
-def test_distances_in_cells_are_those_of_a_search_through_all_cells(most):
-    """Over interfaces and seams, from nodes inside blocks and on their faces."""
-    for grid in (frame(5, 3), frame_2d(5), polar()):
-        setup = set_up(grid, Case(tuple(everything_moves())))
-        topology, root = setup.topology, Constraints.of(setup.original, setup.boundary).root
-        number = np.arange(grid.n_nodes)
-        number[topology.face_nodes] = topology.first[root[topology.number]]
-        pairs = set()
-        for block, shape in enumerate(grid.shapes):
-            flat = number[grid.offsets[block] : grid.offsets[block + 1]].reshape(shape)
-            for cell in np.ndindex(*grid.cell_shapes[block]):
-                corners = flat[tuple(slice(i, i + 2) for i in cell)].ravel()
-                pairs.update((int(a), int(b)) for a in corners for b in corners)
-        one, two = np.array(sorted(pairs)).T
-        graph = scipy.sparse.csr_array((np.ones(len(one)), (one, two)), shape=(grid.n_nodes,) * 2)
-        seeds = np.random.default_rng(0).integers(0, grid.n_nodes, 3)
-        steps = scipy.sparse.csgraph.dijkstra(graph, indices=number[seeds], unweighted=True, min_only=True)[number]
-        found, largest = Reach(Constraints.of(setup.original, setup.boundary)).layers(seeds, most)
-        np.testing.assert_array_equal(found, np.minimum(steps, most + 1))
-        assert largest == min(most, steps.max())

@@ -72,55 +72,29 @@ def moved(options, where, displacement):
 
 @functools.cache
 def alone(name, number):
-    """The field of a displacement by a method prepared for nothing else."""
+    """The field of a displacement, and what is reported, by a method prepared for nothing else."""
     where = problem(name)
-    return moved(METHODS[name], where, displacements(where)[number])
-
-
-@EVERY
-def test_earlier_displacements_change_no_bit(name):
-    where = problem(name)
-    told = displacements(where)
     prepared = make_method(METHODS[name]).prepare(where)
-    for number in np.random.default_rng(3).integers(0, len(told), 9):
-        np.testing.assert_array_equal(prepared.apply(told[number]), alone(name, number))
+    return prepared.apply(displacements(where)[number]), prepared.account
 
 
 @EVERY
-def test_reports_do_not_depend_on_earlier_displacements(name):
-    where = problem(name)
-    told = displacements(where)
-    prepared, fresh = (make_method(METHODS[name]).prepare(where) for _ in range(2))
-    for each in (told[0], told[3], told[4]):
-        prepared.apply(each)
-    fresh.apply(told[4])
-    assert prepared.account.settings == fresh.account.settings
-    assert prepared.account.warnings == fresh.account.warnings
-
-
-@EVERY
-def test_memory_changes_no_bit(name):
+def test_neither_earlier_displacements_nor_memory_nor_threads_change_a_bit(name):
     """Twice each, so that what is kept is used: nothing of it fits into the least memory."""
     told = displacements(problem(name))
     # Systems of equations have to fit.
     least = 0 if METHODS[name].name in ("tfi", "idw", "idw-tfi") else 2**25
-    for memory in sorted({least, 2**25, 2**33}):
-        prepared = make_method(METHODS[name]).prepare(problem(name, memory))
-        for number in (0, 1, 0, 1):
-            np.testing.assert_array_equal(prepared.apply(told[number]), alone(name, number))
-
-
-@EVERY
-def test_threads_change_no_bit(name):
-    told = displacements(problem(name))[0]
-    found = []
-    for threads in (1, 2):
+    for memory, threads in ((least, 1), (2**33, 2)):
         set_threads(threads)
         try:
-            found.append(moved(METHODS[name], problem(name), told))
+            prepared = make_method(METHODS[name]).prepare(problem(name, memory))
+            for number in (3, 0, 4, 0, 2, 4):
+                field, account = alone(name, number)
+                np.testing.assert_array_equal(prepared.apply(told[number]), field)
+                assert prepared.account.settings == account.settings
+                assert prepared.account.warnings == account.warnings
         finally:
             set_threads(None)
-    np.testing.assert_array_equal(*found)
 
 
 MANY_SOURCES = """
@@ -142,6 +116,7 @@ for options in (IDW(), IDW(alpha="auto"), IDW(rotation="none")):
 """
 
 
+@pytest.mark.slow
 def test_threads_of_linear_algebra_change_no_bit_of_many_sources():
     """A program that uses the library decides on these threads; their number changes how a BLAS adds up long rows."""
     tests = os.pathsep.join([str(Path(__file__).parent.parent), *sys.path])
@@ -164,14 +139,3 @@ def test_sums_made_finer_for_one_displacement_are_not_for_the_next(monkeypatch):
     for number in (0, 4, 0, 1, 5, 4):
         np.testing.assert_array_equal(prepared.apply(told[number]), fresh[number])
     assert len({plan.key.accuracy for plan in prepared.mover.evaluator.sums.plans}) == 2
-
-
-@pytest.mark.parametrize("basis", ["tps", "wendland-c2"])
-def test_the_solver_is_chosen_by_size_not_by_memory(basis):
-    options = Options("rbf", rbf=RBF(basis=basis))
-    settings = []
-    for memory in (2**25, 2**40):
-        prepared = make_method(options).prepare(problem("rbf", memory))
-        prepared.apply(displacements(problem("rbf"))[0])
-        settings.append(prepared.account.settings)
-    assert settings[0] == settings[1]

@@ -18,14 +18,13 @@ from cases import body_specs, turning
 from forked_ranks import ForkedRank, on_ranks
 from grids import frame
 
-from meshdeform_core.deform import Case, deform, set_up
+from meshdeform_core.deform import Case, deform
 from meshdeform_core.errors import MethodError
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import Demand, MemoryLimit
 from meshdeform_core.methods import Options
-from meshdeform_core.parallel import Nodes, OneRank, current_ranks, empty, scratch, sharing
+from meshdeform_core.parallel import Nodes, empty, scratch
 from meshdeform_core.parallel.scratch import Scratch, current_scratch, scratch_in
-from meshdeform_core.series import Schedule, deform_series
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="mapped files are watched on Linux only")
 
@@ -55,24 +54,6 @@ def test_results_do_not_depend_on_where_arrays_lie(method, steps, tmp_path, monk
     assert found.grid.points.tobytes() == expected.grid.points.tobytes()
     assert found.assessment == expected.assessment
     assert os.listdir(tmp_path) == []
-
-
-def test_a_series_in_files_is_the_same(tmp_path, monkeypatch):
-    def levels():
-        setup = set_up(frame(9, 5), Case(body_specs(turning("20*t")), method=Options("idw-tfi")))
-        return list(deform_series(setup, Schedule((0.0, 0.5, 1.0, 1.25), "last", "swept"), "float64"))
-
-    expected = levels()
-    monkeypatch.setattr(scratch, "SMALLEST", 1000)
-    with scratch_in(Scratch(tmp_path, 1)):
-        found = levels()
-    for one, other in zip(expected, found, strict=True):
-        assert lies_in_a_file(other.velocity)
-        assert one.result.grid.points.tobytes() == other.result.grid.points.tobytes()
-        assert one.velocity.tobytes() == other.velocity.tobytes()
-        assert [face.values.tobytes() for face in one.faces] == [face.values.tobytes() for face in other.faces]
-        assert (one.drift, one.smoothness) == (other.drift, other.smoothness)
-        assert one.result.assessment == other.result.assessment
 
 
 def test_files_vanish_with_their_arrays(tmp_path, monkeypatch):
@@ -163,62 +144,11 @@ def test_a_disk_without_room_on_one_machine_is_the_error_of_all_ranks(tmp_path):
     assert f"needs files of 11.2 GiB for 3 ranks to work in; the disk of {other} has 1 MiB free" in message
 
 
-def test_room_is_taken_for_the_rows_that_a_rank_holds(tmp_path, monkeypatch):
-    monkeypatch.setattr(scratch, "SMALLEST", 1000)
-    taken = []
-    monkeypatch.setattr(os, "posix_fallocate", lambda _, first, size: taken.append((first, size)))
-
-    class Middle(OneRank):
-        number, count = 1, 3
-
-        def gather(self, found):
-            return [(0, 100), *found, (200, 300)]
-
-    with sharing(Middle(), 1), scratch_in(Scratch(tmp_path, 2**40)):
-        part = Nodes.new(current_ranks(), [0, 100, 200, 300], (300, 3))
-        part.widen(90, 210)
-        part.widen(100, 200)
-        part.widen(95, 220)
-    assert lies_in_a_file(part.rows)
-    assert taken == [(2400, 2400), (2160, 240), (4800, 240), (5040, 240)]
-
-
 def test_two_hundred_million_nodes_in_a_thousand_blocks_fit_into_four_gibibytes():
     side = 58
     nodes, face_nodes = 1000 * side**3, 1000 * (side**3 - (side - 2) ** 3)
     demand = Demand("deforming", nodes, 24 * nodes, face_nodes, blocks=1000)
     assert demand.beside_files(MemoryLimit(4 * 2**30, "--max-memory allows")) < 4 * 2**30
-
-
-FAR_APART = """
-import sys
-from pathlib import Path
-import numpy as np
-from meshdeform_core.memory import peak_memory
-from meshdeform_core.parallel import Nodes, empty
-from meshdeform_core.parallel.scratch import Scratch, current_scratch, resident_memory, scratch_in
-
-with scratch_in(Scratch(Path(sys.argv[1]), 1)):
-    array = empty((1 << 24, 3))
-    for lo in range(0, len(array), 1 << 18):
-        array[lo : lo + (1 << 18)] = np.arange(lo, lo + (1 << 18))[:, None]
-    current_scratch().look()
-    # One row of every 3 kB, and rows in no order.
-    rows = np.concatenate([np.arange(0, len(array), 128), np.random.default_rng(0).integers(0, len(array), 1000)])
-    Path("/proc/self/clear_refs").write_text("5")
-    before = resident_memory()
-    found = Nodes.of(array).at(rows)
-    print((found == rows[:, None]).all(), (peak_memory() - before) // 2**20)
-"""
-
-
-def test_rows_far_apart_bring_few_pages_into_memory(tmp_path):
-    """Taken all at once, they would bring the whole file of 384 MiB into memory."""
-    done = subprocess.run([sys.executable, "-c", FAR_APART, str(tmp_path)], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    equal, most = done.stdout.split()
-    assert equal == "True"
-    assert int(most) < 250
 
 
 def test_rows_at_any_place_are_those_of_plain_indexing(tmp_path, monkeypatch):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import gc
 
 import numpy as np
 import pytest
@@ -16,13 +15,11 @@ from meshdeform_core.boundary.motions.motion import Motion, Rotate
 from meshdeform_core.deform import Case, Timing, impose, set_up
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid
-from meshdeform_core.methods import IDW, Options, make_method
+from meshdeform_core.methods import IDW, Options
 from meshdeform_core.quality.validity import newly_invalid
 from meshdeform_core.repair import RepairOptions
-from meshdeform_core.repair.repair import Repairer
 from meshdeform_core.series import Schedule, deform_series, grid_velocity
-from meshdeform_core.smoothness import Moment, shortest_edges, smoothness
-from meshdeform_core.stepping.course import Course
+from meshdeform_core.smoothness import Moment, smoothness
 
 SWING = turning("20*sin(2*pi*t)")
 QUARTERS = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -47,28 +44,6 @@ def test_from_the_reference_a_period_leads_back_to_the_start(options):
     assert all(level.drift is None and level.velocity is None for level in levels)
 
 
-def test_levels_are_those_of_single_deformations():
-    setup = setup_of()
-    method = make_method(Options()).prepare(setup.problem)
-    for level in levels_of(setup, Schedule((0.1, 0.2))):
-        alone = method.apply(setup.displacement(level.time)[setup.problem.source_numbers])
-        np.testing.assert_array_equal(level.result.grid.points, setup.grid.points + alone)
-
-
-def test_the_method_is_prepared_once_from_the_reference_and_at_every_level_when_marching(monkeypatch):
-    from meshdeform_core.methods import Composite
-
-    prepared = []
-    original = Composite.prepare
-    monkeypatch.setattr(Composite, "prepare", lambda self, problem: prepared.append(1) or original(self, problem))
-    levels = levels_of(setup_of(), Schedule(QUARTERS))
-    assert len(prepared) == 1
-    assert ["prepare" in level.timing.seconds for level in levels] == [True, False, False, False, False]
-    prepared.clear()
-    levels_of(setup_of(), Schedule(QUARTERS, origin="last"))
-    assert len(prepared) == len(QUARTERS)
-
-
 def test_marching_reports_its_drift():
     setup = setup_of(options=Options("idw", idw=IDW(rotation="quaternion")))
     times = tuple(np.linspace(0.0, 1.0, 9))
@@ -87,22 +62,6 @@ def test_marching_puts_walls_where_they_were_told():
     wall = setup.boundary.known
     moved = (level.result.grid.points - setup.grid.points)[setup.topology.first]
     np.testing.assert_allclose(moved[wall], setup.displacement(0.2)[wall], rtol=0, atol=1e-14)
-
-
-@pytest.mark.parametrize("origin", ["reference", "last"])
-@pytest.mark.parametrize("precision", ["float64", "float32"])
-def test_a_continued_series_equals_an_uninterrupted_one(origin, precision):
-    setup, schedule = setup_of(), Schedule((0.0, 0.1, 0.25, 0.3), origin, "second")
-    whole = list(deform_series(setup, schedule, precision))
-    grids = [level.result.grid.points for level in whole]
-    made = [level.made for level in whole[:2]]
-    rest = list(deform_series(setup, schedule, precision, first=2, finished=lambda n: grids[n], made=made))
-    assert [level.number for level in rest] == [2, 3]
-    for one, two in zip(whole[2:], rest, strict=True):
-        np.testing.assert_array_equal(one.result.grid.points, two.result.grid.points)
-        np.testing.assert_array_equal(one.velocity, two.velocity)
-        assert one.smoothness == two.smoothness
-        assert one.smoothness.acceleration is not None
 
 
 @pytest.mark.parametrize(("order", "exponent"), [("first", 1.0), ("second", 2.0)])
@@ -156,18 +115,6 @@ def test_schedules_that_make_no_sense_are_refused(wrong):
         dataclasses.replace(Schedule((0.0, 1.0)), **wrong)
 
 
-def test_repaired_levels_equal_single_runs_and_those_of_a_continued_series():
-    times = tuple(np.linspace(1.0, 1.1, 5))
-    setup = set_up(frame(6, 2), Case(tuple(body_specs(turning("120*t")))))
-    levels = levels_of(setup, Schedule(times))
-    assert all(level.result.valid and level.result.repair for level in levels)
-    grids = [level.result.grid.points for level in levels]
-    rest = levels_of(setup, Schedule(times), first=3, finished=lambda n: grids[n])
-    np.testing.assert_array_equal(rest[-1].result.grid.points, grids[-1])
-    alone = levels_of(setup, Schedule(times[-1:]))[0].result
-    np.testing.assert_array_equal(alone.grid.points, grids[-1])
-
-
 def bar(degrees):
     """A plane bar that turns by an angle of time."""
     turn = Motion((Rotate(expression(degrees, {"t"}), (0, 0, 1), (expression(0.0, ()),) * 3),), {})
@@ -192,33 +139,6 @@ def test_repaired_levels_depend_on_the_boundary_only():
     assert max(s.acceleration for s in smooth) < 0.5
     assert levels[0].smoothness.velocity is None
     assert levels[1].smoothness.acceleration is None
-
-
-def test_levels_leave_no_arrays_to_the_collector():
-    def kept() -> list[int]:
-        # type() and not isinstance(), which asks a weak proxy of somebody else for its class.
-        return [id(each) for each in gc.get_objects() if type(each) in (Course, Repairer)]
-
-    gc.collect()
-    gc.disable()
-    try:
-        before = kept()
-        assert levels_of(bar("t"), Schedule((60.0,)))[0].result.repair
-        assert kept() == before
-    finally:
-        gc.enable()
-
-
-def test_a_cycle_with_repairs_closes():
-    """The same boundary gives the same grid, going up, coming back and a period later."""
-    times = tuple(np.linspace(0.0, 1.25, 11))
-    levels = levels_of(bar("62*sin(2*pi*t)"), Schedule(times))
-    repaired = [n for n, level in enumerate(levels) if level.result.repair]
-    assert repaired == [n for n in range(11) if n % 4]
-    assert all(levels[n].result.repair.converged for n in repaired)
-    grids = [level.result.grid.points for level in levels]
-    for one, two in ((0, 4), (1, 3), (0, 8), (1, 9), (2, 10)):
-        assert np.abs(grids[one] - grids[two]).max() < 1e-6
 
 
 def test_levels_keep_sliding_nodes_on_curved_walls():
@@ -267,8 +187,3 @@ def test_a_motion_that_turns_back_is_no_jump():
     x[2:, 1] += [0.3, 0.0, 0.0]
     for last in (3, 4):
         assert "jumps" in smoothness(moments[last - 3 : last], walls, edges).warning
-
-
-def test_shortest_edges():
-    block = np.stack(np.meshgrid([0.0, 1.0, 3.0], [0.0, 2.0], [0.0], indexing="ij"), axis=-1)
-    np.testing.assert_array_equal(shortest_edges(Grid.from_blocks([block])).reshape(3, 2), [[1, 1], [1, 1], [2, 2]])

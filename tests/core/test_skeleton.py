@@ -7,7 +7,7 @@ from grids import frame
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.grid import Grid
-from meshdeform_core.methods import TFI, Options, make_method
+from meshdeform_core.methods import TFI
 from meshdeform_core.methods.transfinite.skeleton import make_skeleton
 
 
@@ -28,10 +28,6 @@ def test_lines_that_turn_are_cut_twice_as_often(degrees, parts):
     i, j, k = make_skeleton(arc(32, degrees), 16).cuts[0]
     np.testing.assert_array_equal(i, np.linspace(0, 32, parts + 1))
     assert len(j) == len(k) == 2
-
-
-def test_nothing_is_cut_without_a_limit():
-    assert [len(cut) for cut in make_skeleton(arc(32, 180.0), 0).cuts[0]] == [2, 2, 2]
 
 
 def test_straight_lines_and_lines_without_length_do_not_turn():
@@ -60,10 +56,3 @@ def test_small_grids_have_small_sub_blocks(nodes, cells):
 
     assert TFI().cells(Case) == cells
     assert TFI(0).cells(Case) == 0
-
-
-def test_the_size_of_sub_blocks_is_reported():
-    problem = problem_of(frame(), body_specs(turning(20)))
-    used = [make_method(Options("idw-tfi", tfi=tfi)).prepare(problem).account.settings for tfi in (TFI(), TFI(7))]
-    assert [settings["max_cells"].value for settings in used] == [4, 7]
-    assert used[1]["max_cells"].reason == "given"

@@ -14,7 +14,6 @@ from meshdeform_core.deform import Case, Timing, deform, impose, set_up
 from meshdeform_core.grid import Grid
 from meshdeform_core.repair import limit
 from meshdeform_core.repair.energy import Penalty, among_others
-from meshdeform_core.repair.limit import Limit
 from meshdeform_core.repair.newton import NewtonSystem
 from meshdeform_core.repair.untangle import QUICK, Untangler
 
@@ -94,15 +93,3 @@ def test_work_is_limited_by_counts(monkeypatch):
     assert sum(a.repair for a in short.attempts) == 1
     assert any("as much work as is done for" in text for text in short.warnings)
     np.testing.assert_array_equal(short.grid.points, again.grid.points)
-
-
-def test_a_limit_of_work():
-    some = Limit(work=10.0)
-    assert (some.affords(2.0), some.affords(100.0), some.reached) == (5, 1, False)
-    part = some.for_invalid()
-    part.spend(4.0)
-    # A third of the work left; what is spent of it is also spent of the whole.
-    assert (part.reached, some.affords(2.0), some.for_invalid().affords(1.0)) == (True, 3, 2)
-    some.spend(6.0)
-    assert (some.affords(2.0), some.exhausted, some.late, some.reached) == (1, True, False, True)
-    assert Limit.of(10, 1.0).affords(1.0) == Limit.of(1000, 1.0).affords(1.0) < Limit.of(10**6, 1.0).affords(1.0)

@@ -13,9 +13,7 @@ from meshdeform_core.grid.connectivity.openings import find_openings
 from meshdeform_core.grid.topology import find_topology, strips
 from meshdeform_core.grid.topology import partners as partners_module
 from meshdeform_core.grid.topology.partners import COLLAPSED
-from meshdeform_core.numerics.geometry import coincidence, copies
-from meshdeform_core.numerics.geometry.coincidence import close_pairs
-from meshdeform_core.numerics.geometry.copies import coincident_groups
+from meshdeform_core.numerics.geometry import copies
 
 LINE = np.linspace(0.0, 1.0, 5)
 
@@ -126,21 +124,6 @@ def test_patched_blocks_are_not_welded():
     assert np.all(topology.partner < 0)
 
 
-def test_sweep_finds_the_pairs_that_brute_force_finds():
-    rng = np.random.default_rng(3)
-    points = rng.random((300, 3)) * np.r_[1.0, 1e-3, 1.0]
-    points = np.concatenate([points, points[:80] + 1e-5 * rng.standard_normal((80, 3)), points[:20]])
-    tolerance = 10.0 ** rng.uniform(-7, -1.5, len(points))
-    gap = np.linalg.norm(points[:, None] - points[None], axis=2)
-    expected = {(i, j) for i, j in np.argwhere(gap <= np.minimum.outer(tolerance, tolerance)) if i < j}
-    found = {tuple(sorted(pair)) for pair in close_pairs(points, tolerance).tolist()}
-    assert found == expected
-    labels = coincident_groups(points, tolerance)
-    assert all(labels[i] == labels[j] for i, j in expected)
-    assert labels[0] == 0
-    assert labels.max() + 1 == len(np.unique(labels))
-
-
 def test_wrong_connections_are_reported():
     grid = frame()
     (good, *_) = find_interfaces(grid, find_topology(grid))
@@ -178,18 +161,6 @@ def test_third_party_grids(third_party):
             )
 
 
-def test_many_points_have_the_close_pairs_of_few(monkeypatch):
-    random = np.random.default_rng(3)
-    points = np.repeat(random.uniform(0.0, 1.0, (3000, 3)), 2, axis=0) + random.uniform(-1e-4, 1e-4, (6000, 3))
-    tolerance = 0.1 * np.exp(random.uniform(-8.0, 0.0, 6000))
-    few = coincidence.close_pairs(points, tolerance)
-    monkeypatch.setattr(coincidence, "_MANY", 100)
-    many = coincidence.close_pairs(points, tolerance)
-    pairs = [set(map(tuple, np.sort(found, axis=1).tolist())) for found in (few, many)]
-    assert pairs[0] == pairs[1]
-    assert len(pairs[0]) > 1000
-
-
 def noisy_bricks():
     """Eight blocks whose common nodes differ by noise, one of them too far from the others."""
     random, grids = np.random.default_rng(5), []
@@ -215,34 +186,3 @@ def test_topology_does_not_depend_on_how_much_is_done_at_a_time(make, window, mo
     assert [opening.describe(grid) for opening in find_openings(grid, found)] == [
         opening.describe(grid) for opening in find_openings(grid, whole)
     ]
-
-
-def test_all_quads_are_searched_a_limited_number_of_times(monkeypatch):
-    grid, passes, partners_of = frame(6, 4), [], partners_module._partners_of
-    monkeypatch.setattr(partners_module, "_MATCHED", 1)
-    monkeypatch.setattr(partners_module, "_partners_of", lambda quads: passes.append(1) or partners_of(quads))
-    assert find_topology(grid).n_unique > 100
-    assert 2 <= len(passes) <= 16
-
-
-def test_windows_reach_points_of_the_next_ones(monkeypatch):
-    random = np.random.default_rng(4)
-    points = np.repeat(random.uniform(0.0, 1.0, (200, 3)), 3, axis=0) + random.uniform(-1e-3, 1e-3, (600, 3))
-    tolerance = 0.05 * np.exp(random.uniform(-6.0, 0.0, 600))
-    whole = coincident_groups(points, tolerance)
-    monkeypatch.setattr(copies, "_WINDOW", 10)
-    np.testing.assert_array_equal(coincident_groups(points, tolerance), whole)
-    assert 1 < whole.max() < 500
-
-
-def test_a_window_reaches_no_further_than_the_tolerances_of_its_own_points(monkeypatch):
-    random = np.random.default_rng(4)
-    points = np.repeat(random.uniform(0.0, 1.0, (500, 3)), 3, axis=0) + random.uniform(-1e-3, 1e-3, (1500, 3))
-    points = np.concatenate([points, [[1e3, 0.0, 0.0], [1e3, 0.0, 1.0]]])
-    tolerance = np.append(0.02 * np.exp(random.uniform(-6.0, 0.0, 1500)), [10.0, 20.0])
-    whole, received, sweep = coincident_groups(points, tolerance), [], copies.pairs_in_order
-    monkeypatch.setattr(copies, "_WINDOW", 10)
-    monkeypatch.setattr(copies, "pairs_in_order", lambda *given: received.append(len(given[0])) or sweep(*given))
-    np.testing.assert_array_equal(coincident_groups(points, tolerance), whole)
-    assert whole[-1] == whole[-2]
-    assert sum(received) < 10 * len(points)

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from forked_ranks import Failed, on_ranks, poison_parts
+from forked_ranks import on_ranks, poison_parts
 from grids import block_around, frame, frame_2d, permuted, polar
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -16,13 +16,12 @@ from random_grids import block_grids
 
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.components import BY_PREFIX, with_components
-from meshdeform_core.grid.dealing import face_bounds
 from meshdeform_core.grid.near import NearNodes
 from meshdeform_core.grid.topology import find_topology, partners, strips
 from meshdeform_core.numerics import pieces as pieces_module
 from meshdeform_core.numerics.geometry import copies
 from meshdeform_core.numerics.geometry.copies import coincident_copies, coincident_groups
-from meshdeform_core.parallel import Route, current_ranks
+from meshdeform_core.parallel import current_ranks
 
 LINE = np.linspace(0.0, 1.0, 5)
 # Compiled loops are loaded once, before ranks are forked.
@@ -96,17 +95,11 @@ def overset():
 GRIDS = {
     "frame": frame,
     "noise": lambda: noisy(frame(), 1e-4),
-    "plane ij": lambda: frame_2d(5),
     "plane ik": lambda: permuted(frame_2d(5), (0, 2, 1), (False, True, False)),
-    "plane jk": lambda: permuted(frame_2d(5), (2, 0, 1), (False, False, True)),
     "O-grid": polar,
-    "noisy seam": lambda: noisy(polar(), 1e-5),
     "pole": pole,
-    "three blocks in one place": lambda: Grid.from_blocks([block_around(LINE, LINE, LINE)] * 3),
     "unequal": unequal,
     "overset": overset,
-    "one block": lambda: Grid.from_blocks([block_around(LINE, LINE, LINE)]),
-    "single precision": lambda: frame(5, 4).moved(frame(5, 4).points.astype(np.float32).astype(np.float64)),
 }
 
 
@@ -149,49 +142,3 @@ def test_chains_of_points_across_all_ranks():
         found = [np.concatenate(each) for each in zip(*on_ranks(count, partial(find, count=count)), strict=True)]
         np.testing.assert_array_equal(found[0], first)
         np.testing.assert_array_equal(found[1], least)
-
-
-@given(st.lists(st.tuples(*[st.integers(1, 9)] * 3), min_size=1, max_size=5), st.integers(1, 7))
-def test_every_node_is_dealt_to_one_rank(shapes, count):
-    bounds = face_bounds(shapes, count)
-    assert (bounds[0], bounds[-1], len(bounds)) == (0, np.prod(shapes, axis=1).sum(), count + 1)
-    assert (np.diff(bounds) >= 0).all()
-
-
-def test_nodes_on_faces_are_dealt_evenly():
-    shape = (40, 30, 20)
-    inside = np.zeros(shape, dtype=bool)
-    inside[1:-1, 1:-1, 1:-1] = True
-    on_faces = np.append(0, np.cumsum(~inside.ravel()))
-    shares = np.diff(on_faces[face_bounds([shape], 6)])
-    assert shares.max() < 1.05 * shares.mean()
-
-
-def test_rows_go_to_ranks_and_results_come_back():
-    target = np.random.default_rng(2).integers(0, 3, (4, 50))
-
-    def send(number):
-        route = Route(current_ranks(), target[number])
-        there = route.there(np.stack([np.full(50, number), np.arange(50)], axis=1))
-        expected = [(rank, n) for rank in range(4) for n in range(50) if target[rank, n] == number]
-        np.testing.assert_array_equal(there, np.array(expected).reshape(-1, 2))
-        np.testing.assert_array_equal(route.back(there @ [100, 1]), 100 * number + np.arange(50))
-        return True
-
-    assert all(on_ranks(4, send))
-
-
-def test_an_error_of_one_rank_is_seen():
-    """The others do not wait for it."""
-    grid = frame(4, 3)
-
-    def failing(*_):
-        raise MemoryError("no memory on this rank")
-
-    def find(number):
-        if number == 1:
-            partners._searched = failing
-        return facts(in_parts(grid))
-
-    with pytest.raises(Failed, match="no memory on this rank"):
-        on_ranks(3, find)
