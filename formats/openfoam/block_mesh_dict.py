@@ -287,19 +287,23 @@ def _read_patches(
         if name in (patch.name for patch in found):
             items.fail(f"two patches are called {name!r}")
         faces = items.list("faces") if old else content.list("faces")
-        own = list(_sides_of_faces(faces, name, vertices, blocks, sides))
-        for block, side in own:
-            if (block, side) in owners:
+        own = list[BlockSide]()
+        for block, side in _sides_of_faces(faces, name, vertices, blocks, sides):
+            collapsed = len(_side_key(blocks[block], side)) < 3
+            if (block, side) in owners and not collapsed:
                 both = f"{owners[block, side]} and {name}"
                 faces.fail(f"{blocks[block].name}.{side.label} belongs to the patches {both}; expected one")
             owners[block, side] = name
+            own += [] if collapsed else [(block, side)]
         found.append(FoamPatch(name, kind or content.text("type"), tuple(own), content))
-    rest = [own[0] for key, own in sides.items() if len(own) == 1 < len(key) - 1 and own[0] not in owners]
+    rest = {own[0]: key for key, own in sides.items() if len(own) == 1 and own[0] not in owners}
     if not rest:
         return tuple(found)
     default = top.entries.get("defaultPatch", Dictionary(top.path, 1))
     content = default if isinstance(default, Dictionary) else Dictionary(top.path, 1)
-    patch = FoamPatch(content.text("name", "defaultFaces"), content.text("type", "empty"), tuple(rest), content)
+    # As in blockMesh, it is there, without faces, where only sides that are collapsed to lines are in no patch.
+    faces_of_rest = tuple(place for place, key in rest.items() if len(key) > 2)
+    patch = FoamPatch(content.text("name", "defaultFaces"), content.text("type", "empty"), faces_of_rest, content)
     for declared in [other for other in found if other.name == patch.name]:
         if declared.sides:
             raise FormatError(f"{top.path}: the default patch has the name of another patch, {patch.name!r}")
@@ -312,7 +316,7 @@ def _sides_of_faces(
     items: Reading, name: str, vertices: _Vertices, blocks: Sequence[HexBlock],
     sides: Mapping[tuple[int, ...], list[BlockSide]],
 ) -> Iterator[BlockSide]:  # fmt: skip
-    """The block sides of the faces of a patch, which are outside; none for those that are collapsed to lines."""
+    """The block sides of the faces of a patch, which are outside or collapsed to lines."""
     while items.more:
         face = items.list(f"a face of patch {name}")
         # Two numbers are a block and its side, others are vertices.
@@ -326,7 +330,7 @@ def _sides_of_faces(
         if not own or (len(own) > 1 and len(key) > 2):
             wrong = "lies between two blocks; expected an outside face" if own else "is not a side of any block"
             items.fail(f"patch {name}: the face ({' '.join(map(str, numbers))}) {wrong}")
-        yield from own[: len(key) > 2]
+        yield from own
 
 
 def _side_key(block: HexBlock, side: Side) -> tuple[int, ...]:

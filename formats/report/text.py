@@ -31,7 +31,10 @@ _ALONG = 0.9994
 _GROUPS = 10
 """Groups of invalid cells that the Markdown lists."""
 _ORIGINS = {"reference": "undeformed grid", "last": "previous level (marching)"}
-_SHAPE_NAMES = {"non_orthogonality_deg": "non-orthogonality [deg]"}
+_SHAPE_NAMES = {
+    "non_orthogonality_deg": "largest non-orthogonality [deg]",
+    "face_pyramids": "wrong face pyramids (checkMesh)",
+}
 
 
 def as_text(report: Report, parameters: bool = True) -> str:
@@ -169,7 +172,7 @@ def _quality_lines(report: Report) -> Iterator[str]:
     yield f"{'quality':9s} {'':34s}" + "".join(f" {head:>14s}" for head in heads)
     rows = [(name, found, place) for name, *found, place in measures.rows]
     for name, before, after, _, place in shape_table(report).rows if report.get("shape") else ():
-        label = f"largest {_SHAPE_NAMES.get(name, name.replace('_', ' '))}"
+        label = _SHAPE_NAMES.get(name, f"largest {name.replace('_', ' ')}")
         rows.append((label, [before, after][-values:], place))
     for name, found, place in rows:
         columns = "".join(f" {number(value):>14s}" for value in found)

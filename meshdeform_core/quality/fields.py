@@ -221,7 +221,11 @@ def _corner(name: str) -> Callable[[CellFields, int, Cells], FloatArray]:
 
 
 def _shape(number: int) -> Callable[[CellFields, int, Cells], FloatArray]:
-    return lambda fields, block, cells: shape_of_cells(fields.grid, block, cells, fields._thickness)[..., number]
+    def values(fields: CellFields, block: int, cells: Cells) -> FloatArray:
+        sign = float(fields.topology.handedness[block])
+        return shape_of_cells(fields.grid, block, cells, fields._thickness, sign)[..., number]
+
+    return values
 
 
 def _beside(name: str, number: int) -> Callable[[CellFields, int, Cells], FloatArray]:

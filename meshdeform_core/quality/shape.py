@@ -1,4 +1,4 @@
-"""Measures that matter to flow solvers: aspect ratio, growth, non-orthogonality, skewness."""
+"""Measures that matter to flow solvers: aspect ratio, growth, non-orthogonality, skewness, face pyramids."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ import numpy as np
 
 from ..grid import FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
+from ..grid.topology import block_handedness
 from ..numerics.arrays import extent
-from ..numerics.cell.shape import measure_shape
+from ..numerics.cell.shape import FLATTEST_PYRAMID, WRONG_PYRAMIDS, measure_shape
 from .cells import slabs
 from .listed import Worst, worst_cell
 
@@ -31,41 +32,56 @@ class ShapeMeasure:
     worst: Worst
 
 
-def shape_measures(grid: Grid) -> dict[str, ShapeMeasure]:
-    """All measures of :data:`DEFINITIONS` of a grid.
+@dataclass(frozen=True)
+class FacePyramids:
+    """Pyramids between the faces and the centres of cells, as checkMesh counts and measures them.
+
+    ``wrong``: how many have a negative volume; ``min``: the smallest volume, in the cell ``worst``.
+    """
+
+    wrong: int
+    min: float
+    worst: Worst
+
+
+def shape_measures(grid: Grid) -> dict[str, ShapeMeasure | FacePyramids]:
+    """All measures of :data:`DEFINITIONS` of a grid, and its ``face_pyramids``.
 
     Collapsed edges and faces have no ratio or direction and are skipped.
     """
-    best, cells = np.full(4, -1.0), [0] * 4
-    total, count, thickness = np.zeros(4), np.zeros(4, dtype=np.int64), thickness_of(grid)
+    best, cells = np.full(6, -np.inf), [0] * 6
+    total, count = np.zeros(6), np.zeros(6, dtype=np.int64)
+    thickness, sign = thickness_of(grid), block_handedness(grid)
     for slab in slabs(grid):
         # With one more layer, to which those of the slab are neighbours.
         nodes = grid.block(slab.block)[slab.first : slab.last + 2]
         x, resolved = _solid(grid, slab.block, nodes, thickness)
-        for number, _, values in measure_shape(x, resolved):
+        for number, _, values in measure_shape(x, resolved, float(sign[slab.block])):
             own = values[: slab.last - slab.first]
             total[number] += own.sum()
             count[number] += own.size
-            if own.max(initial=-1.0) > best[number]:
+            if own.max(initial=-np.inf) > best[number]:
                 best[number] = own.max()
                 i, j, k = np.unravel_index(own.argmax(), own.shape)
                 _, cj, ck = grid.cell_shapes[slab.block]
                 cells[number] = int(slab.start + (i * cj + j) * ck + k)
-    return {
-        name: ShapeMeasure(
-            float(total[m] / count[m]), float(best[m]), worst_cell(grid, grid.points, cells[m], float(best[m]))
-        )
-        for m, name in enumerate(DEFINITIONS)
-        if count[m]
-    }
+    found: dict[str, ShapeMeasure | FacePyramids] = {}
+    for m, name in enumerate(DEFINITIONS):
+        if count[m]:
+            place = worst_cell(grid, grid.points, cells[m], float(best[m]))
+            found[name] = ShapeMeasure(float(total[m] / count[m]), float(best[m]), place)
+    smallest = -float(best[FLATTEST_PYRAMID])
+    place = worst_cell(grid, grid.points, cells[FLATTEST_PYRAMID], smallest)
+    return found | {"face_pyramids": FacePyramids(int(total[WRONG_PYRAMIDS]), smallest, place)}
 
 
 def shape_of_cells(
-    grid: Grid, block: int, cells: tuple[slice, slice, slice], thickness: FloatArray | None
+    grid: Grid, block: int, cells: tuple[slice, slice, slice], thickness: FloatArray | None, sign: float
 ) -> FloatArray:
     """The measures of :data:`DEFINITIONS` of a box of cells with explicit ends, (ci, cj, ck, 4).
 
-    For measures between neighbours a cell gets the largest value of its faces. ``thickness`` is that of a plane grid.
+    For measures between neighbours a cell gets the largest value of its faces. ``thickness`` is that of a plane grid,
+    ``sign`` the handedness of the block.
     """
     # The outer cells of the box also depend on the neighbours around it.
     low = [max(c.start - 1, 0) for c in cells]
@@ -73,7 +89,9 @@ def shape_of_cells(
     window = [slice(a, min(b + 1, n)) for a, b, n in zip(low, high, grid.shapes[block], strict=True)]
     around, resolved = _solid(grid, block, grid.box(block, window), thickness)
     values = np.zeros((*(n - 1 for n in around.shape[:3]), 4))
-    for number, axis, found in measure_shape(around, resolved):
+    for number, axis, found in measure_shape(around, resolved, sign):
+        if number >= len(DEFINITIONS):
+            continue
         own = values[..., number]
         for end in (slice(None, -1), slice(1, None)) if axis >= 0 else (slice(None),):
             part = own[(slice(None),) * max(axis, 0) + (end,)]
@@ -82,12 +100,16 @@ def shape_of_cells(
 
 
 def thickness_of(grid: Grid) -> FloatArray | None:
-    """Vector by which a plane grid is extruded by one layer of cells; ``None`` for any other grid."""
+    """Vector by which a plane grid is extruded by one layer of cells; ``None`` for any other grid.
+
+    It points to the side to which the handedness of plane blocks refers.
+    """
     normal = plane_normal(grid)
     if normal is None:
         return None
     low, high = extent(grid.points)
-    return np.asarray(normal * float((high - low).max()))
+    side = np.sign(normal[int(np.argmax(np.abs(normal)))])
+    return np.asarray(side * normal * float((high - low).max()))
 
 
 def _solid(grid: Grid, block: int, x: FloatArray, thickness: FloatArray | None) -> tuple[FloatArray, IntArray]:

@@ -14,7 +14,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid, Side
 from meshdeform_core.grid.connectivity.declared import connected_nodes, periodic_rotation
 from meshdeform_core.grid.topology import find_topology, quads_of_patches
-from meshdeform_formats import read_grid
+from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.openfoam.curves import Section, arc_about, arc_by_angle, arc_through, divide
 
 HEAD = "FoamFile { version 2.0; format ascii; class dictionary; object blockMeshDict; }\n"
@@ -86,16 +86,23 @@ def read(tmp_path: Path, text: str) -> Grid:
     return read_grid(path)
 
 
-@pytest.mark.parametrize("text", [CURVED, WEDGE], ids=["curved", "wedge"])
-def test_nodes_are_those_of_block_mesh(text, tmp_path):
+UNDECLARED = WEDGE.replace(" axis { type empty; faces ((0 3 3 0)); }", "")
+
+
+@pytest.mark.parametrize("text", [CURVED, WEDGE, UNDECLARED], ids=["curved", "wedge", "axis in no patch"])
+def test_nodes_and_patches_are_those_of_block_mesh(text, tmp_path):
     """Every point of OpenFOAM's program is a node, and every node is one of its points, to round-off."""
     write_system(tmp_path, blockMeshDict=text)
     run_foam("blockMesh", tmp_path)
-    known = read_mesh(tmp_path).points
+    known = read_mesh(tmp_path)
     grid = read_grid(tmp_path / "system/blockMeshDict")
-    far, found = cKDTree(known).query(grid.points)
+    far, found = cKDTree(known.points).query(grid.points)
     assert far.max() < 1e-14
-    assert len(set(found.tolist())) == len(known)
+    assert len(set(found.tolist())) == len(known.points)
+    write_grid(grid, tmp_path / "own/case.foam")
+    own, declared = ([(name, e["type"], e["nFaces"]) for name, e in mesh.patches.items()]
+                     for mesh in (read_mesh(tmp_path / "own"), known))  # fmt: skip
+    assert own == declared
 
 
 def test_public_benchmark_is_read_as_its_oracle(third_party):

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import shutil
+import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 from grids import block_around
-from poly_mesh_witness import check_mesh, read_mesh, read_points
+from poly_mesh_witness import check_mesh, read_mesh, read_points, run_foam
 
 from meshdeform_cli.main import run
 from meshdeform_core.errors import FormatError
@@ -20,6 +22,7 @@ from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.openfoam.lists import write_points
 from meshdeform_formats.series.manifest import is_series, open_levels
 
+ROOT = Path(__file__).parents[2]
 THIRD_PARTY = (
     "717_wl_L2.cgns", "nak_a_141.cgns", "nak_a_141.p3dfmt", "cylinder_ring_4blk.x", "backstep5_4levdn.p3dbin",
     "shear_3blk_2d.p2dfmt", "StructuredGrid.vts", "SampleStructGrid.vtk", "turek/blockMeshDict",
@@ -264,6 +267,42 @@ def test_series_of_points(tmp_path, capsys):
     capsys.readouterr()
     assert run([*arguments, "-o", str(tmp_path / "v"), "--velocity", "first"]) == 2
     assert "omit --velocity" in capsys.readouterr().err
+
+
+STREAM = {"U": ("type fixedValue; value uniform (1 0.5 0);", "type zeroGradient;"),
+          "p": ("type zeroGradient;", "type fixedValue; value uniform 0;")}  # fmt: skip
+
+
+def test_a_solver_runs_on_the_points_of_a_series(tmp_path, monkeypatch):
+    """As the page says: it conserves mass, takes the points as they are, and a uniform flow stays uniform."""
+    if shutil.which("pimpleFoam") is None:
+        pytest.skip("OpenFOAM is not installed")
+    monkeypatch.chdir(tmp_path)
+    script = re.search(r"```sh\n(mkdir.*?)meshdeform info", (ROOT / "docs/guides/openfoam.md").read_text(), re.DOTALL)
+    assert script is not None
+    subprocess.run(["sh", "-c", script[1]], check=True)
+    command = ["series", "flap/", "-c", "flap.toml", "--times", "0:1:0.25", "--variant", "encoding=ascii", "-q"]
+    assert run([*command, "-o", "moving"]) == 0
+
+    def errors(said: str) -> list[float]:
+        return [float(error) for error in re.findall(r"sum local = ([^,]+),", said)]
+
+    example = ["sh", str(ROOT / "examples/openfoam.sh"), "moving", "run"]
+    said = subprocess.run(example, check=True, capture_output=True, text=True).stdout
+    assert len(errors(said)) == 3 * 40
+    assert max(errors(said)) < 1e-10
+    for time in ("0.25", "0.5", "0.75", "1"):
+        known, found = (read_points(Path(case, time, "polyMesh/points")) for case in ("moving", "run"))
+        np.testing.assert_allclose(found, known, rtol=0, atol=1e-15)
+    for name, (inlet, top) in STREAM.items():
+        text = (field := Path("run/0", name)).read_text().partition("boundaryField")[0].replace("0 0 0)", "1 0.5 0)")
+        field.write_text(f'{text}boundaryField {{ ".*" {{ {inlet} }} top {{ {top} }} sides {{ type empty; }} }}\n')
+    shutil.rmtree("run/1")
+    assert max(errors(run_foam("pimpleFoam", tmp_path / "run"))) < 1e-14
+    inside = re.search(r"internalField[^(]*\((.*?)\n\)", Path("run/1/U").read_text(), re.DOTALL)
+    assert inside is not None
+    flow = np.array(re.sub(r"[()]", " ", inside[1]).split(), dtype=float).reshape(-1, 3)
+    np.testing.assert_allclose(flow, np.broadcast_to([1, 0.5, 0], (200, 3)), rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("source", ["case", "grid"])
