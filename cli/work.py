@@ -20,6 +20,7 @@ from meshdeform_core.boundary.tables.matching import SurfaceData
 from meshdeform_core.deform import Case, Setup, deform
 from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.grid import Grid
+from meshdeform_core.grid.components import with_components
 from meshdeform_core.memory import COORDINATE_ARRAYS, Demand, MemoryLimit, peak_memory
 from meshdeform_core.methods import make_method
 from meshdeform_core.parallel import Ranks, WholeGridNeeded, current_ranks, thread_count
@@ -30,7 +31,6 @@ from meshdeform_formats.fields import with_fields
 from meshdeform_formats.files import invalid_path
 from meshdeform_formats.grids import complete_for_export, require_earlier_grid, variant_of, write_grid
 from meshdeform_formats.inputs import existing_outputs
-from meshdeform_formats.joined import grid_of_case
 from meshdeform_formats.placing import existing, require_space
 from meshdeform_formats.report.records import Report, deformation_report
 from meshdeform_formats.report.tables import Illustrate, Illustrations
@@ -87,11 +87,10 @@ def load(
     for path in outputs:
         keep_inputs(path, *what.files)
     make_method(what.case.method)
-    files = [source, *(GridInput(each.path) for each in what.component_files.values())]
     arrays = COORDINATE_ARRAYS + more_arrays
-    make_room(memory, "deforming", files, workplace and existing(workplace.absolute()), arrays)
+    make_room(memory, "deforming", [source], workplace and existing(workplace.absolute()), arrays)
     start = clock.perf_counter()
-    grid = grid_of_case(source.read(what.boundary_file), what)
+    grid = with_components(source.read(what.boundary_file), what.case.components)
     seconds = clock.perf_counter() - start
     demand = Demand.of("deforming", grid, arrays=arrays, other_bytes=_other_bytes(grid, what))
     return Job(grid, what, seconds, demand.left_of(memory))

@@ -110,10 +110,6 @@ def _read(source: Grid | str | Path, what: CaseFile, ranks: Ranks) -> Grid:
         from meshdeform_formats.neutral_map import read_neutral_map
 
         grid = wrapped(read_neutral_map(what.boundary_file, grid.core), grid.plane)
-    if what.component_files:
-        from meshdeform_formats.joined import grid_of_case
-
-        grid = wrapped(grid_of_case(grid.core, what), grid.plane)
     return grid
 
 

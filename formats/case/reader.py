@@ -6,7 +6,6 @@ error.
 
 from __future__ import annotations
 
-import glob
 import keyword
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -37,11 +36,7 @@ from .toml import load, override, parsed_override
 
 KINDS = {kind.label: kind for kind in reversed(Kind) if kind is not Kind.INTERFACE}
 PARTS = {"idw": IDW, "rbf": RBF, "tfi": TFI}
-_MAIN = "main"
-_COMPONENTS = (
-    f'expected "{BY_PREFIX}", or names with block patterns, like {{ wing = ["wing*"], flap = ["flap*"] }}, or with a '
-    f'file, like {{ flap = {{ file = "flap.cgns" }} }}'
-)
+_COMPONENTS = f'expected "{BY_PREFIX}", or names with block patterns, like {{ wing = ["wing*"], flap = ["flap*"] }}'
 _Names = Annotated[tuple[str, ...], Meta(min_length=1)]
 
 
@@ -60,14 +55,7 @@ class GridForm(Form):
     plates: Annotated[
         tuple[str, ...], about('faces like ["block1.kmax[10:20,*]"] between blocks that are walls on both sides')
     ] = ()
-    components: Annotated[Any, about("Components of an overset grid: patterns of block names, or files.")] = None
-
-
-class ComponentForm(Form):
-    """A component in a file of its own."""
-
-    file: Annotated[File, about("a grid file, relative to the case file")]
-    boundary_file: Annotated[File | None, about("a file name: its neutral map (.nmf)")] = None
+    components: Annotated[Any, about("Components of an overset grid: patterns of block names.")] = None
 
 
 class BoundaryForm(Form):
@@ -109,27 +97,17 @@ class CaseForm(Form):
 
 
 @dataclass(frozen=True)
-class ComponentFile:
-    """A component in a separate file; ``boundary_file`` is its neutral map file."""
-
-    path: Path
-    boundary_file: Path | None = None
-
-
-@dataclass(frozen=True)
 class CaseFile:
     """A case with the content of its file.
 
     ``boundary_file`` is a neutral map file with the grid's boundary information, or ``None``; ``files`` are all files
-    that the case names; ``content`` are its tables, including the changes by the command line; ``component_files`` are
-    components in files of their own.
+    that the case names; ``content`` are its tables, including the changes by the command line.
     """
 
     case: Case
     boundary_file: Path | None = None
     files: tuple[Path, ...] = ()
     content: Mapping[str, Any] = field(default_factory=dict)
-    component_files: Mapping[str, ComponentFile] = field(default_factory=dict)
 
 
 def read_case(
@@ -222,7 +200,6 @@ def _parse(data: Table, folder: Path, overrides: Sequence[str] = ()) -> CaseFile
     except CaseError as error:
         raise fail("repair", str(error)) from None
     grid = form.grid
-    patterns, files = _components(grid.components, folder)
     case = Case(
         specs,
         constants,
@@ -232,10 +209,10 @@ def _parse(data: Table, folder: Path, overrides: Sequence[str] = ()) -> CaseFile
         grid.open,
         repair,
         grid.plates,
-        patterns,
+        _components(grid.components),
     )
     boundary_file = None if grid.boundary_file is None else folder / grid.boundary_file
-    return CaseFile(case, boundary_file, tuple(named_files(data, folder)), data, files)
+    return CaseFile(case, boundary_file, tuple(named_files(data, folder)), data)
 
 
 def _constants(table: Table) -> dict[str, float]:
@@ -249,28 +226,17 @@ def _constants(table: Table) -> dict[str, float]:
     return {name: float(value) for name, value in table.items()}
 
 
-def _components(value: Any, folder: Path) -> tuple[Components, dict[str, ComponentFile]]:
-    """Block patterns of the components, and the separate files of some of them."""
+def _components(value: Any) -> Components:
+    """Block patterns of the components."""
     if value in (None, "", BY_PREFIX):
-        return value or "", {}
+        return value or ""
     if not isinstance(value, dict) or not value:
         raise fail("grid.components", f"found {literal(value)}; {_COMPONENTS}")
-    files, own = {}, {}
-    for name, entry in value.items():
-        patterns = [entry] if isinstance(entry, str) else entry
-        if isinstance(entry, dict):
-            form = filled(ComponentForm, entry, f"grid.components.{name}")
-            table = None if form.boundary_file is None else folder / form.boundary_file
-            files[name] = ComponentFile(folder / form.file, table)
-        elif not isinstance(patterns, list) or not patterns or not all(isinstance(each, str) for each in patterns):
-            raise fail(f"grid.components.{name}", f"found {literal(entry)}; {_COMPONENTS}")
-        else:
-            own[name] = tuple(patterns)
-    if files and not own:
-        if _MAIN in files:
-            raise fail("grid.components", f"{_MAIN!r} is the name of the blocks of the grid itself; choose another one")
-        own = {_MAIN: ("*",)}
-    return {**{name: (f"{glob.escape(name)}.*",) for name in files}, **own}, files
+    found = {name: [entry] if isinstance(entry, str) else entry for name, entry in value.items()}
+    for name, patterns in found.items():
+        if not isinstance(patterns, list) or not patterns or not all(isinstance(each, str) for each in patterns):
+            raise fail(f"grid.components.{name}", f"found {literal(value[name])}; {_COMPONENTS}")
+    return {name: tuple(patterns) for name, patterns in found.items()}
 
 
 def _boundary_spec(entry: BoundaryForm, number: int, constants: Mapping[str, float], folder: Path) -> BoundarySpec:
@@ -370,11 +336,11 @@ def _idle_option(path: Sequence[str], options: Options) -> str:
 
 def case_schema() -> Table:
     """The schema (draft 2020-12) of a case file, as data."""
-    schema, component = schema_of(CaseForm), schema_of(ComponentForm)
-    definitions = {**schema["$defs"], **component["$defs"]}
+    schema = schema_of(CaseForm)
+    definitions = schema["$defs"]
     definitions["MotionStep"]["oneOf"] = [{"required": [name]} for name in MOTIONS]
     patterns = {"type": "array", "items": {"type": "string"}, "minItems": 1}
-    own = {"anyOf": [{"type": "string"}, patterns, {"$ref": component["$ref"]}]}
+    own = {"anyOf": [{"type": "string"}, patterns]}
     definitions["GridForm"]["properties"]["components"]["anyOf"] = [
         {"const": BY_PREFIX},
         {"type": "object", "additionalProperties": own, "minProperties": 1},
