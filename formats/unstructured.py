@@ -3,7 +3,7 @@
 =========  ======================================================================================
 ``.vtu``   cells with their block number, and the fields that all blocks have
 ``.xdmf``  the same, as one XML file
-``.msh``   Gmsh 2.2 or 4.1: cells and boundary faces in physical groups named after blocks and families
+``.msh``   Gmsh 2.2: cells and boundary faces in physical groups named after blocks and families
 ``.med``   cells and boundary faces in groups named after blocks and families
 ``.su2``   cells, and a marker for each family (written here: meshio gives markers numbers, not names)
 ``.inp``   Abaqus: cells, and a node set for each family
@@ -38,7 +38,7 @@ from .vtk.dataset import storable
 
 _BOUNDARY: dict[str, tuple[str, ...]] = {"boundary": ("false", "true")}
 _OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {
-    ".msh": {"encoding": ("binary", "ascii"), "version": ("2.2", "4.1")},
+    ".msh": {"encoding": ("binary", "ascii")},
     ".vtu": _BOUNDARY,
     ".xdmf": _BOUNDARY,
 }
@@ -52,8 +52,8 @@ _HEXAHEDRON = (*((i, j, 0) for i, j in _QUAD), *((i, j, 1) for i, j in _QUAD))
 def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
     """How to write ``grid``.
 
-    ``.msh`` takes ``encoding`` (``binary`` or ``ascii``) and ``version`` (``2.2`` or ``4.1``); ``.vtu`` and ``.xdmf``
-    take ``boundary`` (``false`` or ``true``: the outside faces too, with a field ``family``).
+    ``.msh`` takes ``encoding`` (``binary`` or ``ascii``); ``.vtu`` and ``.xdmf`` take ``boundary`` (``false`` or
+    ``true``: the outside faces too, with a field ``family``).
 
     Raises FormatError for unknown options.
     """
@@ -190,15 +190,6 @@ def _with_fields(grid: Grid, mesh: _Unstructured) -> meshio.Mesh:
 
 
 def _write_msh(grid: Grid, mesh: _Unstructured, path: Path, options: Mapping[str, Any]) -> None:
-    if options["version"] == "4.1":
-        cells, faces = mesh.kinds
-        entities = [Entity(name, grid.dimension - 1, faces, mesh.faces[mesh.patch == n])
-                    for n, name in enumerate(mesh.names)]  # fmt: skip
-        entities += [Entity(name, grid.dimension, cells, mesh.cells[mesh.block == b])
-                     for b, name in enumerate(grid.names)]  # fmt: skip
-        with path.open("wb") as stream:
-            write_msh41(stream, mesh.points, entities, options["encoding"] == "binary")
-        return
     tags = [mesh.block + 1 + len(mesh.names), mesh.patch + 1]
     dimension = grid.dimension
     groups = {name: np.array([len(mesh.names) + 1 + b, dimension]) for b, name in enumerate(grid.names)}
@@ -250,79 +241,3 @@ def _write_elements(stream: BinaryIO, corners: IntArray) -> None:
 def _write_rows(stream: BinaryIO, rows: NDArray[Any], number: str) -> None:
     line = " ".join([number] * rows.shape[1]) + "\n"
     stream.writelines(text_rows(rows, line))
-
-
-# --- Gmsh 4.1: an entity with a physical group for each block and each marker; source: the Gmsh reference manual
-
-_TYPES = {("line", 2): 1, ("quad", 4): 3, ("hexahedron", 8): 5}
-
-
-@dataclass(frozen=True)
-class Entity:
-    """Elements (m, corners) of one kind, as point numbers from 0, in a physical group of their own."""
-
-    name: str
-    dimension: int
-    kind: str
-    elements: IntArray
-
-
-def write_msh41(stream: BinaryIO, points: FloatArray, entities: Sequence[Entity], binary: bool) -> None:
-    """Write points (n, 3) and entities; the numbers of points and elements begin at 1."""
-    out = _Output(stream, binary)
-    stream.write(b"$MeshFormat\n4.1 %d 8\n" % binary)
-    if binary:
-        out.typed_line(("i", [1]))
-        stream.write(b"\n")
-    stream.write(b"$EndMeshFormat\n$PhysicalNames\n%d\n" % len(entities))
-    for tag, entity in enumerate(entities, start=1):
-        stream.write(f'{entity.dimension} {tag} "{entity.name}"\n'.encode())
-    stream.write(b"$EndPhysicalNames\n$Entities\n")
-    out.typed_line(("q", [sum(entity.dimension == d for entity in entities) for d in range(4)]))
-    for dimension in (1, 2, 3):
-        for tag, entity in enumerate(entities, start=1):
-            if entity.dimension == dimension:
-                corners = points[entity.elements.ravel()]
-                box = [*corners.min(axis=0), *corners.max(axis=0)]
-                out.typed_line(("i", [tag]), ("d", box), ("q", [1]), ("i", [tag]), ("q", [0]))
-    stream.write(b"\n$EndEntities\n$Nodes\n")
-    n = len(points)
-    top = max(entity.dimension for entity in entities)
-    home = next(tag for tag, entity in enumerate(entities, start=1) if entity.dimension == top)
-    out.typed_line(("q", [1, n, 1, n]))
-    out.typed_line(("i", [top, home, 0]), ("q", [n]))
-    out.rows(np.arange(1, n + 1)[:, None], "q")
-    out.rows(points, "d")
-    stream.write(b"\n$EndNodes\n$Elements\n")
-    total = sum(len(entity.elements) for entity in entities)
-    out.typed_line(("q", [len(entities), total, 1, total]))
-    first = 1
-    for tag, entity in enumerate(entities, start=1):
-        rows = np.insert(entity.elements + 1, 0, np.arange(first, first + len(entity.elements)), axis=1)
-        kind = _TYPES[entity.kind, entity.elements.shape[1]]
-        out.typed_line(("i", [entity.dimension, tag, kind]), ("q", [len(rows)]))
-        out.rows(rows, "q")
-        first += len(rows)
-    stream.write(b"\n$EndElements\n")
-
-
-class _Output:
-    """Numbers as text or binary; types are those of numpy in little endian."""
-
-    def __init__(self, stream: BinaryIO, binary: bool):
-        self._stream, self._binary = stream, binary
-
-    def typed_line(self, *parts: tuple[str, Sequence[float]]) -> None:
-        """Values of several types, one after another."""
-        if self._binary:
-            self._stream.writelines(np.array(values, dtype=f"<{kind}").tobytes() for kind, values in parts)
-        else:
-            words = (f"{v:.17g}" if kind == "d" else str(int(v)) for kind, values in parts for v in values)
-            self._stream.write((" ".join(words) + "\n").encode())
-
-    def rows(self, values: NDArray, kind: str) -> None:
-        if self._binary:
-            self._stream.write(np.ascontiguousarray(values, dtype=f"<{kind}").data)
-            return
-        line = " ".join(["%.17g" if kind == "d" else "%d"] * values.shape[1]) + "\n"
-        self._stream.writelines(text_rows(values, line))

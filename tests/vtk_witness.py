@@ -1,19 +1,17 @@
 """VTK's own classes as witnesses for what we read and write."""
 
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray, vtk_to_numpy
 from vtkmodules.vtkCommonCore import vtkPoints, vtkStringArray
-from vtkmodules.vtkCommonDataModel import vtkDataSetAttributes, vtkStructuredGrid
+from vtkmodules.vtkCommonDataModel import vtkStructuredGrid
 from vtkmodules.vtkIOLegacy import vtkStructuredGridReader, vtkStructuredGridWriter
 from vtkmodules.vtkIOXML import vtkXMLStructuredGridReader, vtkXMLStructuredGridWriter, vtkXMLWriter
 
 ROLES = {"Scalars": 0, "Vectors": 1, "Normals": 2, "TCoords": 3, "Tensors": 4, "GlobalIds": 5}
 
-# lz4 is an extra of the installation; with it all compressions are tested.
-COMPRESSIONS = ("none", "zlib", "lzma", *(("lz4",) if find_spec("lz4") else ()))
+COMPRESSIONS = ("none", "zlib", "lzma")
 
 
 def structured_grid(points, origin=(0, 0, 0)):
@@ -91,17 +89,6 @@ def read(path: Path):
             array = attributes.GetArray(index)
             arrays[location, array.GetName()] = _in_order(vtk_to_numpy(array), shape)
     return points, arrays, extent
-
-
-def roles(path: Path):
-    """Names of the active point arrays by role, as VTK reads them from an XML file."""
-    reader = vtkXMLStructuredGridReader()
-    reader.SetFileName(str(path))
-    reader.Update()
-    attributes = reader.GetOutput().GetPointData()
-    active = (attributes.GetAbstractAttribute(i) for i in range(vtkDataSetAttributes.NUM_ATTRIBUTES))
-    names = map(vtkDataSetAttributes.GetAttributeTypeAsString, range(vtkDataSetAttributes.NUM_ATTRIBUTES))
-    return {name: array.GetName() for name, array in zip(names, active, strict=True) if array}
 
 
 def _in_order(run, shape):

@@ -126,7 +126,7 @@ def read_vtk_legacy(path: Path) -> DisplacementTable:
             keyword = words[0].upper()
             if keyword == "POINTS" and len(words) == 3:
                 points = file.values(3 * file.number(words[1]), words[2], keyword).reshape(-1, 3)
-                file.component_names()
+                file.skip_metadata()
             elif keyword in ("VERTICES", "LINES", "POLYGONS", "TRIANGLE_STRIPS") and len(words) == 3:
                 cells = _legacy_cells(file, keyword, *map(file.number, words[1:]))
                 if keyword in ("POLYGONS", "TRIANGLE_STRIPS"):

@@ -27,7 +27,7 @@ from .existing import with_points_of
 from .lists import read_points, write_points
 from .poly_mesh import PolyMesh, extruded, poly_mesh
 
-_OPTIONS = {"encoding": ("binary", "ascii"), "compression": ("none", "gzip")}
+_OPTIONS = {"encoding": ("binary", "ascii")}
 _OF_FACES = ("type", "name", "faces", "nFaces", "startFace")
 
 
@@ -73,7 +73,7 @@ def read(path: Path) -> Grid:
 
 
 def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
-    """How to write ``grid``: ``encoding`` (binary, ascii), ``compression`` (none, gzip), ``thickness`` of a 2-D grid.
+    """How to write ``grid``: ``encoding`` (binary, ascii), ``thickness`` of a 2-D grid.
 
     Raises FormatError for unknown options and values.
     """
@@ -111,7 +111,7 @@ class MeshWriter:
     def __init__(self, grid: Grid, variant: FileFormat):
         assert isinstance(variant, FoamFormat)
         options = variant.options
-        self._binary, self._suffix = options["encoding"] == "binary", ".gz" if options["compression"] == "gzip" else ""
+        self._binary = options["encoding"] == "binary"
         self._thickness = float(options.get("thickness", 1.0))
         self._copied = variant.mesh
         self._mesh: PolyMesh | None = None
@@ -126,14 +126,14 @@ class MeshWriter:
     def write(self, folder: Path, grid: Grid) -> None:
         """All files of the mesh in an existing folder, once."""
         if self._mesh is not None:
-            self._mesh.write(folder, self._binary, self._suffix)
+            self._mesh.write(folder, self._binary)
             # Faces take several times the memory of points.
             self._mesh = None
         elif self._copied is not None:
             for file in mesh_files(self._copied.parents[1]):
                 if not file.name.startswith("points"):
                     shutil.copyfile(file, folder / file.name)
-        self.write_points(folder / f"points{self._suffix}", grid, POLY_MESH.as_posix())
+        self.write_points(folder / "points", grid, POLY_MESH.as_posix())
 
     def write_points(self, path: Path, grid: Grid, place: str) -> None:
         """The points only; ``place`` is the folder that their header names."""

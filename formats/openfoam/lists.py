@@ -1,11 +1,11 @@
-"""Files of OpenFOAM's meshes: lists of points, faces and labels, as text or binary, optionally compressed with gzip."""
+"""Files of OpenFOAM's meshes: lists of points, faces and labels, as text or binary; those packed by gzip are read."""
 
 from __future__ import annotations
 
 import gzip
 import re
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,22 +29,22 @@ _CLOSED = -9
 
 def write_points(path: Path, points: FloatArray, place: str, binary: bool) -> None:
     """A ``vectorField`` of points (n, 3); ``place`` is the folder that the header names."""
-    with _opened(path) as stream:
+    with path.open("wb") as stream:
         _head(stream, "vectorField", "points", binary, place=place)
         _rows(stream, np.ascontiguousarray(points, dtype="<f8"), "(%.17g %.17g %.17g)\n", binary)
 
 
 def write_labels(path: Path, labels: IntArray, binary: bool, note: str) -> None:
     """A ``labelList``; ``note`` holds the sizes of the mesh."""
-    with _opened(path) as stream:
-        _head(stream, "labelList", path.name.split(".")[0], binary, note)
+    with path.open("wb") as stream:
+        _head(stream, "labelList", path.name, binary, note)
         _rows(stream, labels.astype(_LABEL)[:, None], "%d\n", binary)
 
 
 def write_faces(path: Path, corners: IntArray, kept: NDArray[np.bool_], binary: bool) -> None:
     """Faces from corners (n, 4) and which of them count: a ``faceList`` as text, a ``faceCompactList`` as binary."""
     sizes = kept.sum(axis=1)
-    with _opened(path) as stream:
+    with path.open("wb") as stream:
         _head(stream, "faceCompactList" if binary else "faceList", "faces", binary)
         if binary:
             starts = np.concatenate([[0], np.cumsum(sizes)]).astype(_LABEL)
@@ -61,14 +61,9 @@ def write_faces(path: Path, corners: IntArray, kept: NDArray[np.bool_], binary: 
 
 def write_boundary(path: Path, patches: list[str]) -> None:
     """The list of the patches, each as the text of its dictionary with its name before it."""
-    with _opened(path) as stream:
+    with path.open("wb") as stream:
         _head(stream, "polyBoundaryMesh", "boundary", False)
         stream.write("\n".join([str(len(patches)), "(", *patches, ")", ""]).encode())
-
-
-def _opened(path: Path) -> BinaryIO:
-    # Without a time of day in it, so that equal meshes give equal files.
-    return cast(BinaryIO, gzip.GzipFile(path, "wb", 6, mtime=0) if path.suffix == ".gz" else path.open("wb"))
 
 
 def _head(

@@ -59,15 +59,15 @@ class PolyMesh:
     patches: tuple[BoundaryPatch, ...]
     n_cells: int
 
-    def write(self, folder: Path, binary: bool, suffix: str) -> None:
+    def write(self, folder: Path, binary: bool) -> None:
         """All files but the points in an existing folder."""
         note = (
             f"nPoints: {len(self.nodes)}  nCells: {self.n_cells}  nFaces: {len(self.owner)}  "
             f"nInternalFaces: {len(self.neighbour)}"
         )
-        write_faces(folder / f"faces{suffix}", self.corners, self.kept, binary)
-        write_labels(folder / f"owner{suffix}", self.owner, binary, note)
-        write_labels(folder / f"neighbour{suffix}", self.neighbour, binary, note)
+        write_faces(folder / "faces", self.corners, self.kept, binary)
+        write_labels(folder / "owner", self.owner, binary, note)
+        write_labels(folder / "neighbour", self.neighbour, binary, note)
         first = len(self.neighbour) + np.cumsum([0, *(len(patch.quads) for patch in self.patches)])
         texts = [patch.text(start) for patch, start in zip(self.patches, first.tolist(), strict=False)]
         write_boundary(folder / "boundary", texts)

@@ -160,7 +160,7 @@ class FoamFiles(SeriesFiles):
         return self.folder / self.time_names[number], self.folder / f"{self.time_names[number]}.invalid"
 
     def stored(self, path: Path) -> Path:
-        return path / "polyMesh" / ("points.gz" if self.variant.options["compression"] == "gzip" else "points")
+        return path / "polyMesh" / "points"
 
     def write(self, number: int, grid: Grid, velocity: FloatArray | None, faces: Sequence[Field] = ()) -> None:
         grid.nodes.require_whole("levels are written for OpenFOAM")

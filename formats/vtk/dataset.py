@@ -56,38 +56,19 @@ class DataArray(NamedTuple):
     """A data array as VTK stores it.
 
     ``location`` is ``node``, ``cell`` or, for the field data of the whole data set, empty; ``values`` is ``(n,)`` or
-    ``(n, components)``, those of nodes and cells possibly still to be read; ``roles`` are VTK's attribute types of the
-    array: ``Scalars``, ``Vectors``, ``Normals``, ...
+    ``(n, components)``, those of nodes and cells possibly still to be read.
     """
 
     name: str
     location: str
     values: Any
-    roles: tuple[str, ...] = ()
-    components: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class VtkField(Field):
-    """A field that also keeps the VTK roles of its array and the names of its components."""
-
-    roles: tuple[str, ...] = ()
-    components: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class VtkFormat(FileFormat):
-    """A VTK file variant, with data of the data set that are neither coordinates nor fields of the grid.
+    """A VTK file variant; ``field_data`` are arrays of each block that do not belong to nodes or cells (time, ...),
+    empty if there are none."""
 
-    Attributes
-    ----------
-    title : second line of a legacy file
-    origins : index (i, j, k) of the first node of each block; empty when all are (0, 0, 0)
-    field_data : arrays of each block that do not belong to nodes or cells (time, ...); empty if there are none
-    """
-
-    title: str = "written by meshdeform"
-    origins: tuple[Shape, ...] = ()
     field_data: tuple[tuple[DataArray, ...], ...] = ()
 
     @property
@@ -105,8 +86,6 @@ class DataSet:
     points: Values
     arrays: tuple[DataArray, ...]
     options: Mapping[str, str]
-    origin: Shape = (0, 0, 0)
-    title: str = VtkFormat.title
     notes: tuple[str, ...] = ()
 
 
@@ -116,14 +95,11 @@ def assemble(path: Path, kind: str, data_sets: Sequence[DataSet], names: Sequenc
     Raises FormatError when an array does not have one value per node or cell. Raises GridError when a data set is a
     line or a point, or 2-D and 3-D are mixed.
     """
-    origins = tuple(d.origin for d in data_sets)
     field_data = tuple(tuple(a for a in d.arrays if not a.location) for d in data_sets)
     file_format = VtkFormat(
         name="vtk",
         precision="float32" if all(d.points.dtype.itemsize == 4 for d in data_sets) else "float64",
         options={"kind": kind, **data_sets[0].options},
-        title=data_sets[0].title,
-        origins=origins if any(map(any, origins)) else (),
         field_data=field_data if any(field_data) else (),
     )
     shapes: list[Shape] = [(d.points.shape[2], d.points.shape[1], d.points.shape[0]) for d in data_sets]
@@ -151,7 +127,7 @@ def assemble(path: Path, kind: str, data_sets: Sequence[DataSet], names: Sequenc
     return dataclasses.replace(grid, fields=tuple(field for found in fields for field, _ in found))
 
 
-def _field(path: Path, array: DataArray, block: int, grid: Grid) -> tuple[VtkField, Any]:
+def _field(path: Path, array: DataArray, block: int, grid: Grid) -> tuple[Field, Any]:
     """A field with room for the values of an array, and these along k, j, i."""
     ni, nj, nk = grid.shapes[block] if array.location == "node" else grid.cell_shapes[block]
     if len(array.values) != ni * nj * nk:
@@ -161,7 +137,7 @@ def _field(path: Path, array: DataArray, block: int, grid: Grid) -> tuple[VtkFie
         )
     kind = array.values.dtype.newbyteorder("=")
     own = empty((*grid.own_shape(block, (ni, nj, nk)), *array.values.shape[1:]), kind)
-    field = VtkField(array.name, array.location, block, grid.spread(own, ni), array.roles, array.components)
+    field = Field(array.name, array.location, block, grid.spread(own, ni))
     return field, array.values.reshape(nk, nj, ni, *array.values.shape[1:])
 
 
@@ -187,8 +163,6 @@ class StoredArray:
     values: NDArray[Any]
     shape: tuple[int, ...]
     precision: np.dtype[Any]
-    roles: tuple[str, ...] = ()
-    component_names: tuple[str, ...] = ()
 
     @property
     def in_planes(self) -> bool:
@@ -297,15 +271,14 @@ def _arrays_to_write(grid: Grid, block: int, variant: VtkFormat, fields: Sequenc
             raise FormatError(f"{label} has shape {field.values.shape}; expected {shape} and at most one more axis")
         if (field.location, field.name) in found:
             raise FormatError(f"{label} exists twice; a VTK data set needs unique names")
-        extra = (field.roles, field.components) if isinstance(field, VtkField) else ((), ())
         kind = storable_type(values, label)
-        found[field.location, field.name] = StoredArray(field.name, field.location, values, whole, kind, *extra)
+        found[field.location, field.name] = StoredArray(field.name, field.location, values, whole, kind)
     field_data = variant.field_data[block] if variant.field_data else ()
     kept = (a for a in field_data if ("", a.name) not in found)
     points = grid.in_planes(block).swapaxes(0, 2)
     return [
         StoredArray("Points", "node", points, (*grid.shapes[block][::-1], 3), np.dtype(variant.precision)),
-        *(StoredArray(a.name, "", a.values, a.values.shape, a.values.dtype, *a[3:]) for a in kept),
+        *(StoredArray(a.name, "", a.values, a.values.shape, a.values.dtype) for a in kept),
         *found.values(),
     ]
 

@@ -1,8 +1,8 @@
 """VTK structured grids: legacy .vtk, XML .vts, and multi-block sets .vtm of .vts files.
 
-All node and cell arrays are kept as fields, with their types, roles and component names; so are field data and extents
-that do not begin at 0. Text arrays and lookup tables are dropped, with a note in :attr:`Grid.notes`. VTK files cannot
-hold patches and connections. IBLANK of Plot3D is the node array ``iblank``.
+All node and cell arrays are kept as fields, and so are field data, but no attributes like ``Scalars`` and no names of
+components. Text arrays and lookup tables are dropped, with a note in :attr:`Grid.notes`. VTK files cannot hold patches
+and connections. IBLANK of Plot3D is the node array ``iblank``.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from .legacy import read as read_legacy
 from .multiblock import read as read_multiblock
 from .multiblock import require_replaceable
 from .multiblock import write as write_multiblock
-from .xml_arrays import lz4_block
 from .xml_arrays import read as read_xml
 from .xml_tags import file_kind
 from .xml_write import begin_block as begin_xml_block
@@ -30,18 +29,13 @@ from .xml_write import plain
 _KINDS = {".vtk": "legacy", ".vts": "vts", ".vtm": "vtm"}
 
 _PRECISIONS = ("float32", "float64")
-_LEGACY_OPTIONS: dict[str, tuple[str, ...]] = {"encoding": ("ascii", "binary"), "precision": _PRECISIONS}
-_XML_OPTIONS = {
-    "encoding": ("ascii", "binary", "appended", "appended-base64"),
-    "compression": ("none", "zlib", "lz4", "lzma"),
-    "byte_order": ("little", "big"),
-    "header_type": ("UInt32", "UInt64"),
+_LEGACY_OPTIONS: dict[str, tuple[str, ...]] = {"encoding": ("binary", "ascii"), "precision": _PRECISIONS}
+_XML_OPTIONS: dict[str, tuple[str, ...]] = {
+    "encoding": ("appended", "ascii"),
+    "compression": ("none", "zlib"),
     "precision": _PRECISIONS,
 }
 _OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {"legacy": _LEGACY_OPTIONS, "vts": _XML_OPTIONS, "vtm": _XML_OPTIONS}
-
-_XML_DEFAULTS = {"encoding": "appended", "compression": "none", "byte_order": "little", "header_type": "UInt64"}
-_DEFAULTS = {"legacy": {"encoding": "binary"}, "vts": _XML_DEFAULTS, "vtm": _XML_DEFAULTS}
 
 
 def read(path: Path) -> Grid:
@@ -63,11 +57,10 @@ def read(path: Path) -> Grid:
 
 
 def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> VtkFormat:
-    """How to write ``grid`` to ``path``: in its own variant if it is from a file of this kind, else compressed binary.
+    """How to write ``grid`` to ``path``: if it is from a file of this kind, as text or packed as that, else binary.
 
-    ``options``: ``encoding`` is ``ascii``, ``binary`` or, in XML files, ``appended`` (raw) or ``appended-base64``;
-    ``precision`` is ``float32`` or ``float64``; XML files have ``compression`` (``none``, ``zlib``, ``lz4``, ``lzma``),
-    ``byte_order`` (``little``, ``big``) and ``header_type`` (``UInt32``, ``UInt64``).
+    ``options``: ``encoding`` is ``ascii`` or ``binary``, in XML files ``ascii`` or ``appended`` (raw); ``precision`` is
+    ``float32`` or ``float64``; XML files have ``compression`` (``none`` or ``zlib``).
 
     Raises FormatError for unknown options, several blocks in a file for one, or a .vtm whose folder cannot be replaced.
     """
@@ -78,18 +71,18 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> VtkFormat:
     if kind == "vtm":
         require_replaceable(path)
     own = grid.format if isinstance(grid.format, VtkFormat) else VtkFormat("vtk")
-    chosen = checked_options(path, options, _OPTIONS[kind])
-    switches = {**_DEFAULTS[kind], **(own.options if own.options.get("kind") == kind else {}), "kind": kind, **chosen}
-    precision = switches.pop("precision", grid.precision)
+    known, chosen = _OPTIONS[kind], checked_options(path, options, _OPTIONS[kind])
+    inherited = own.options if own.options.get("kind") == kind else {}
+    switches = {key: word if (word := inherited.get(key)) in words else words[0] for key, words in known.items()}
+    switches |= {"precision": grid.precision, **chosen}
+    precision = switches.pop("precision")
     if switches["encoding"] == "ascii" and kind != "legacy":
         if chosen.get("compression", "none") != "none":
             raise FormatError(f"cannot write {path}: ascii is never compressed; choose encoding = appended or binary")
         switches["compression"] = "none"
-    if switches.get("compression") == "lz4":
-        lz4_block(f"cannot write {path}")
     if not (switches["encoding"] == "binary" if kind == "legacy" else plain(switches)):
         grid.nodes.require_whole(f"{path} is written as text or compressed")
-    return VtkFormat("vtk", precision, {"kind": kind, **switches}, own.title, own.origins, own.field_data)
+    return VtkFormat("vtk", precision, {"kind": kind, **switches}, own.field_data)
 
 
 def write(grid: Grid, path: Path, variant: VtkFormat) -> None:

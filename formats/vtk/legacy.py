@@ -54,16 +54,8 @@ _OTHER_KINDS = {
 }
 
 _LOCATIONS = {"POINT_DATA": "node", "CELL_DATA": "cell"}
-# Attributes with a fixed number of components, and the role of the array.
-_FIXED = {
-    "VECTORS": (3, "Vectors"),
-    "NORMALS": (3, "Normals"),
-    "TENSORS": (9, "Tensors"),
-    "TENSORS6": (6, "Tensors"),
-    "GLOBAL_IDS": (1, "GlobalIds"),
-    "PEDIGREE_IDS": (1, "PedigreeIds"),
-    "EDGE_FLAGS": (1, "EdgeFlag"),
-}
+# Attributes with a fixed number of components.
+_FIXED = {"VECTORS": 3, "NORMALS": 3, "TENSORS": 9, "TENSORS6": 6, "GLOBAL_IDS": 1, "PEDIGREE_IDS": 1, "EDGE_FLAGS": 1}
 # Words on the line of each section with attributes, and the most of them.
 _WORDS = {
     **dict.fromkeys(_LOCATIONS, (2, 2)),
@@ -78,7 +70,6 @@ class LegacyFile:
 
     Attributes
     ----------
-    title : second line of the file
     binary : True for BINARY (big-endian), False for ASCII
     kind : the word after DATASET, e.g. ``STRUCTURED_GRID``
     """
@@ -89,7 +80,8 @@ class LegacyFile:
         self.size = path.stat().st_size
         self.binary = False
         stream.readline(_LONGEST_LINE)
-        self.title = self._line()
+        # The title.
+        self._line()
         # VTK's readers skip blank lines after the title.
         encoding = " ".join(self.words()).upper()
         if encoding not in ("ASCII", "BINARY"):
@@ -162,14 +154,14 @@ class LegacyFile:
             raise self.error(f"{what}: expected {count} values, found {len(values)}; the file is truncated or wrong")
         return values
 
-    def component_names(self) -> tuple[str, ...]:
-        """Component names from the METADATA that may follow an array; the rest of METADATA is skipped."""
+    def skip_metadata(self) -> None:
+        """Skip the METADATA that may follow an array, such as names of components."""
         position = self.stream.tell()
         if [word.upper() for word in self.words()] != ["METADATA"]:
             self.stream.seek(position)
-            return ()
-        lines = list(iter(self._line, ""))
-        return tuple(map(unquote, lines[1:])) if lines and lines[0].upper() == "COMPONENT_NAMES" else ()
+            return
+        while self._line():
+            pass
 
     def skip_strings(self, count: int) -> None:
         """Skip a string array: one string per line, or in binary after a length of 1, 2, 4 or 8 bytes."""
@@ -218,34 +210,31 @@ class Attributes:
             table = self.file.words()
             if len(table) != 2 or table[0].upper() != "LOOKUP_TABLE":
                 raise self.file.error(f"expected 'LOOKUP_TABLE name' after SCALARS, found {' '.join(table)[:60]!r}")
-            self._array(words[1], number(words[3]) if len(words) == 4 else 1, words[2], "Scalars")
+            self._array(words[1], number(words[3]) if len(words) == 4 else 1, words[2])
         elif keyword == "COLOR_SCALARS":
             components, name = number(words[2]), words[1]
             values: Any = self.file.values(components * self.length, self._colour_type, f"colours {unquote(name)!r}")
             if not self.file.binary:
                 values = np.rint(255 * np.clip(values, 0, 1)).astype(np.uint8)
-            self._add(name, values if components == 1 else values.reshape(self.length, components), "Scalars")
+            self._add(name, values if components == 1 else values.reshape(self.length, components))
         elif keyword == "TEXTURE_COORDINATES":
-            self._array(words[1], number(words[2]), words[3], "TCoords")
+            self._array(words[1], number(words[2]), words[3])
         else:
-            components, role = _FIXED[keyword]
-            self._array(words[1], components, words[2], role)
+            self._array(words[1], _FIXED[keyword], words[2])
 
-    def _array(self, name: str, components: int, type_name: str, role: str = "", length: int | None = None) -> None:
+    def _array(self, name: str, components: int, type_name: str, length: int | None = None) -> None:
         length = self.length if length is None else length
         later = self._later and bool(self.location)
         values = self.file.values(components * length, type_name, f"array {unquote(name)!r}", later)
-        self._add(name, values if components == 1 else values.reshape(length, components), role)
+        self._add(name, values if components == 1 else values.reshape(length, components))
 
     @property
     def _colour_type(self) -> str:
         return "unsigned_char" if self.file.binary else "float"
 
-    def _add(self, name: str, values: Values, role: str) -> None:
-        # VTK makes the first of several arrays of one kind the active one.
-        taken = any(role in a.roles for a in self.arrays if a.location == self.location)
-        roles = () if taken or not role else (role,)
-        self.arrays.append(DataArray(unquote(name), self.location, values, roles, self.file.component_names()))
+    def _add(self, name: str, values: Values) -> None:
+        self.file.skip_metadata()
+        self.arrays.append(DataArray(unquote(name), self.location, values))
 
     def _fields(self, number: int) -> None:
         for _ in range(number):
@@ -274,25 +263,25 @@ def read(path: Path) -> DataSet:
             raise FormatError(f"{path} is {other} (DATASET {file.kind}); expected a structured grid")
         if not file.binary:
             require_undivided(f"{path} is text")
-        extent: tuple[Shape, Shape] | None = None
+        shape: Shape | None = None
         points: Values | None = None
         attributes = Attributes(file, later=True)
         while words := file.words():
             keyword = words[0].upper()
             if keyword in ("DIMENSIONS", "EXTENT"):
-                extent = _extent(file, keyword, words[1:])
+                shape = _shape(file, keyword, words[1:])
             elif keyword == "POINTS":
                 if len(words) != 3:
                     raise file.error(f"expected 'POINTS number type', found {' '.join(words)[:60]!r}")
                 points = file.values(3 * file.number(words[1]), words[2], keyword, later=True)
-                file.component_names()
+                file.skip_metadata()
             else:
                 attributes.read(words)
         complete = file.binary or file.ends_in_a_line()
-    if extent is None or points is None:
-        missing = "DIMENSIONS" if extent is None else "POINTS"
+    if shape is None or points is None:
+        missing = "DIMENSIONS" if shape is None else "POINTS"
         raise FormatError(f"{path} has no {missing}; is the file truncated?")
-    origin, (ni, nj, nk) = extent
+    ni, nj, nk = shape
     if len(points) != 3 * ni * nj * nk:
         raise FormatError(f"{path} has {len(points) // 3} points; its DIMENSIONS {ni} {nj} {nk} need {ni * nj * nk}")
     notes = []
@@ -301,11 +290,11 @@ def read(path: Path) -> DataSet:
     options = {"encoding": "binary" if file.binary else "ascii"}
     notes += attributes.notes
     points = points.reshape(nk, nj, ni, 3)
-    return DataSet(points, tuple(attributes.arrays), options, origin, file.title, tuple(notes))
+    return DataSet(points, tuple(attributes.arrays), options, tuple(notes))
 
 
-def _extent(file: LegacyFile, keyword: str, words: Sequence[str]) -> tuple[Shape, Shape]:
-    """Index of the first node, and shape in nodes, from the words behind a keyword."""
+def _shape(file: LegacyFile, keyword: str, words: Sequence[str]) -> Shape:
+    """Shape in nodes, from the words behind a keyword."""
     number = 3 if keyword == "DIMENSIONS" else 6
     try:
         numbers = [float(word) for word in words]
@@ -317,25 +306,15 @@ def _extent(file: LegacyFile, keyword: str, words: Sequence[str]) -> tuple[Shape
         raise FormatError(f"{file.path}: {keyword} {' '.join(map(str, numbers))}; expected whole numbers")
     if number == 3:
         ni, nj, nk = map(int, numbers)
-        i, j, k = 0, 0, 0
     else:
         i, last_i, j, last_j, k, last_k = map(int, numbers)
         ni, nj, nk = last_i - i + 1, last_j - j + 1, last_k - k + 1
     if min(ni, nj, nk) < 1:
         raise FormatError(f"{file.path} is an empty grid: {ni} x {nj} x {nk} nodes")
-    return (i, j, k), (ni, nj, nk)
+    return ni, nj, nk
 
 
 # --- writing
-
-# Sections that define the role of an array: keyword, the line, and possible numbers of components.
-_SECTIONS = {
-    "Scalars": ("SCALARS", "{0} {1} {3} {2}\nLOOKUP_TABLE default", (1, 2, 3, 4)),
-    "Vectors": ("VECTORS", "{0} {1} {3}", (3,)),
-    "Normals": ("NORMALS", "{0} {1} {3}", (3,)),
-    "Tensors": ("TENSORS", "{0} {1} {3}", (9,)),
-    "TCoords": ("TEXTURE_COORDINATES", "{0} {1} {2} {3}", (1, 2, 3)),
-}
 
 # VTK encodes blanks, quotation marks and percent signs in names.
 _PLAIN = "".join(sorted(set(string.punctuation) - set('"%')))
@@ -345,25 +324,22 @@ _LINES_AT_ONCE = 10_000
 
 
 def begin_block(grid: Grid, block: int, path: Path, variant: VtkFormat, contents: Sequence[StoredArray]) -> Reserved:
-    """Write one block, in binary without the values that have planes; returns the places of these.
-
-    Roles without a legacy section are lost, but never values.
-    """
+    """Write one block, in binary without the values that have planes; returns the places of these."""
     points, *arrays = contents
     with path.open("wb") as stream:
         output = _Output(stream, variant.options["encoding"])
         output.line("# vtk DataFile Version 4.2")
-        output.line(variant.title[:255])
+        output.line("written by meshdeform")
         output.line(variant.options["encoding"].upper())
         output.line("DATASET STRUCTURED_GRID")
         output.fields([a for a in arrays if not a.location])
-        shape, origin = grid.shapes[block], variant.origins[block] if variant.origins else (0, 0, 0)
-        extent = " ".join(f"{low} {low + n - 1}" for low, n in zip(origin, shape, strict=True))
-        output.line(f"EXTENT {extent}" if any(origin) else "DIMENSIONS {} {} {}".format(*shape))
+        output.line("DIMENSIONS {} {} {}".format(*grid.shapes[block]))
         output.line(f"POINTS {points.tuples} {_type_name(points)}")
         output.values(points)
         for keyword, location in (("CELL_DATA", "cell"), ("POINT_DATA", "node")):
-            output.attributes(keyword, [a for a in arrays if a.location == location])
+            if own := [array for array in arrays if array.location == location]:
+                output.line(f"{keyword} {own[0].tuples}")
+                output.fields(own)
     return output.reserved(contents)
 
 
@@ -392,21 +368,6 @@ class _Output(BlockOutput):
             self.stream.write(array.run().astype(kind, copy=False).data)
         self.stream.write(b"\n")
 
-    def attributes(self, keyword: str, arrays: Sequence[StoredArray]) -> None:
-        """CELL_DATA or POINT_DATA: sections for the arrays with a role, the others as a FIELD."""
-        if arrays:
-            self.line(f"{keyword} {arrays[0].tuples}")
-        others = []
-        for array in arrays:
-            found = (_SECTIONS[role] for role in array.roles if role in _SECTIONS)
-            section, form, _ = next((each for each in found if array.components in each[2]), ("", "", ()))
-            if not section:
-                others.append(array)
-                continue
-            self.line(form.format(section, _encoded(array.name), array.components, _type_name(array)))
-            self._values_and_metadata(array)
-        self.fields(others)
-
     def fields(self, arrays: Sequence[StoredArray]) -> None:
         """A FIELD of arrays."""
         if arrays:
@@ -414,13 +375,7 @@ class _Output(BlockOutput):
         for array in arrays:
             size = f"{array.components} {array.tuples}"
             self.line(f"{_encoded(array.name)} {size} {_type_name(array)}")
-            self._values_and_metadata(array)
-
-    def _values_and_metadata(self, array: StoredArray) -> None:
-        self.values(array)
-        if array.component_names:
-            self.line("METADATA\nCOMPONENT_NAMES")
-            self.line("\n".join(map(_encoded, array.component_names)) + "\n")
+            self.values(array)
 
 
 def _type_name(array: StoredArray) -> str:

@@ -102,7 +102,7 @@ def write(grid: Grid, path: Path, variant: VtkFormat) -> None:
             turns = ("" if turn == 0 else f".{turn}" for turn in count())
             sets = ([f"{path.stem}_{block}{turn}.vts" for block in range(grid.n_blocks)] for turn in turns)
             names = next(names for names in sets if taken.isdisjoint(names))
-            index = _index(grid, path, names, variant)
+            index = _index(grid, path, names)
             own.enter_context(interruption.cleaned_up(lambda: clean(path)))
             return names, index
 
@@ -193,10 +193,8 @@ def _folder(path: Path) -> Path:
     return path.with_suffix("")
 
 
-def _index(grid: Grid, path: Path, pieces: Sequence[str], variant: VtkFormat) -> bytes:
-    byte_order = "BigEndian" if variant.options["byte_order"] == "big" else "LittleEndian"
-    attributes = {"byte_order": byte_order, "header_type": variant.options["header_type"]}
-    root = ElementTree.Element("VTKFile", type=_SET, version="1.0", **attributes)
+def _index(grid: Grid, path: Path, pieces: Sequence[str]) -> bytes:
+    root = ElementTree.Element("VTKFile", type=_SET, version="1.0", byte_order="LittleEndian", header_type="UInt64")
     groups = {"": ElementTree.SubElement(root, _SET)}
     for block, name in enumerate(grid.names):
         attribute(name)

@@ -10,7 +10,6 @@ padded to four characters; without compression size and values are one, of some 
 from __future__ import annotations
 
 import binascii
-import importlib
 import io
 import lzma
 import math
@@ -45,24 +44,8 @@ TYPES = {
 }
 
 SECTIONS = {"PointData": "node", "CellData": "cell", "FieldData": ""}
-# VTK's attribute types of an array, in its order.
-ROLES = (
-    "Scalars",
-    "Vectors",
-    "Normals",
-    "TCoords",
-    "Tensors",
-    "GlobalIds",
-    "PedigreeIds",
-    "EdgeFlag",
-    "Tangents",
-    "RationalWeights",
-    "HigherOrderDegrees",
-    "ProcessIds",
-)
-
-# Largest compression ratio, by the definition of zlib and lz4; lzma exceeds it for constants.
-LARGEST_RATIO = {"none": 1, "zlib": 1032, "lz4": 255, "lzma": 10_000}
+# Largest compression ratio, by the definition of zlib; lzma exceeds it for constants.
+LARGEST_RATIO = {"none": 1, "zlib": 1032, "lzma": 10_000}
 # Total size to which the arrays of a file may be decompressed, beyond what its size explains.
 _ALWAYS_ALLOWED = 64 << 20
 # Memory limit of decompression; the largest preset needs 65 MiB.
@@ -222,7 +205,7 @@ class ArrayReader:
         for number, length in enumerate(packed, start=1):
             part = min(last if number == blocks and last else block, size - filled)
             try:
-                unpacked = unpack(self.file.compression, content[begin : begin + length], part, self.file.path)
+                unpacked = unpack(self.file.compression, content[begin : begin + length], part)
             except ValueError as error:
                 raise self.error(array, f"is damaged in block {number} of {blocks}: {error}") from error
             values[filled : filled + part] = np.frombuffer(unpacked, np.uint8)
@@ -313,43 +296,21 @@ def _shown(word: bytes) -> str:
     return repr(word[:40].decode("utf-8", "replace"))
 
 
-def lz4_block(path: Any) -> Any:
-    """The module that packs and unpacks blocks by lz4.
-
-    Raises FormatError with the command that installs it.
-    """
-    try:
-        return importlib.import_module("lz4.block")
-    except ImportError as error:
-        raise FormatError(
-            f"{path}: compression lz4 needs the package lz4, which is not installed; pip install lz4, or choose "
-            "compression = zlib, lzma or none"
-        ) from error
-
-
-def unpack(compression: str, packed: bytes, size: int, path: Any) -> bytes:
+def unpack(compression: str, packed: bytes, size: int) -> bytes:
     """Decompress one block to exactly ``size`` bytes, never to more than one byte beyond.
 
     Raises ValueError with the reason when it has another size, or is no such block.
     """
-    complete, damaged = True, [ValueError, zlib.error, lzma.LZMAError]
-    if compression == "lz4":
-        lz4 = lz4_block(path)
-        damaged.append(lz4.LZ4BlockError)
+    xz = compression == "lzma"
+    stream: Any = lzma.LZMADecompressor(lzma.FORMAT_XZ, _LZMA_MEMORY) if xz else zlib.decompressobj()
     try:
-        if compression == "lz4":
-            data = lz4.decompress(packed, uncompressed_size=size)
-        else:
-            xz = compression == "lzma"
-            stream: Any = lzma.LZMADecompressor(lzma.FORMAT_XZ, _LZMA_MEMORY) if xz else zlib.decompressobj()
-            data = stream.decompress(packed, size + 1)
-            complete = stream.eof
-    except tuple(damaged) as error:
+        data: bytes = stream.decompress(packed, size + 1)
+    except (zlib.error, lzma.LZMAError) as error:
         raise ValueError(str(error)) from error
-    if len(data) != size or not complete:
+    if len(data) != size or not stream.eof:
         found = f"more than {size}" if len(data) > size else f"{len(data)}"
         raise ValueError(f"it decompresses to {found} bytes, expected {size}")
-    return bytes(data)
+    return data
 
 
 def read_section(
@@ -375,11 +336,7 @@ def read_section(
                 values = reader.values(element, tuples, later=later)
             else:
                 values = native(reader.values(element, reader.number(element, "NumberOfTuples")))
-            roles = tuple(role for role in ROLES if element.get("Name") and section.get(role) == name)
-            names = tuple(
-                element.get(f"ComponentName{index}") for index in range(values.shape[1] if values.ndim == 2 else 1)
-            )
-            found[name] = DataArray(name, SECTIONS[tag], values, roles, names if any(names) else ())
+            found[name] = DataArray(name, SECTIONS[tag], values)
     return list(found.values())
 
 
@@ -433,7 +390,7 @@ def read(path: Path) -> DataSet:
     notes: list[str] = []
     with path.open("rb") as stream:
         reader = ArrayReader(file, stream)
-        low, (ni, nj, nk) = whole = _extent(reader, data_set, "WholeExtent")
+        _, (ni, nj, nk) = whole = _extent(reader, data_set, "WholeExtent")
         piece = _piece(reader, data_set, whole)
         if file.options["encoding"] != "appended" or file.compression != "none":
             require_undivided(f"{path} is text or compressed")
@@ -446,7 +403,7 @@ def read(path: Path) -> DataSet:
             *read_section(reader, data_set, "FieldData", 0, notes),
         ]
         reader.require_no_rest()
-    return DataSet(points, tuple(arrays), file.options, low, notes=tuple(dict.fromkeys(notes)))
+    return DataSet(points, tuple(arrays), file.options, tuple(dict.fromkeys(notes)))
 
 
 def _extent(reader: ArrayReader, element: Element, name: str) -> Extent:

@@ -18,12 +18,7 @@ from xml.parsers import expat
 from meshdeform_core.errors import FormatError
 
 # Values of attributes, and our words for them.
-COMPRESSORS = {
-    "": "none",
-    "vtkZLibDataCompressor": "zlib",
-    "vtkLZ4DataCompressor": "lz4",
-    "vtkLZMADataCompressor": "lzma",
-}
+_COMPRESSORS = {"": "none", "vtkZLibDataCompressor": "zlib", "vtkLZMADataCompressor": "lzma"}
 _BYTE_ORDERS = {"": "little", "LittleEndian": "little", "BigEndian": "big"}
 _HEADER_TYPES = {"": "UInt32", "UInt32": "UInt32", "UInt64": "UInt64"}
 _APPENDED_ENCODINGS = {"": "appended-base64", "base64": "appended-base64", "raw": "appended"}
@@ -130,7 +125,7 @@ def read_tags(path: Path) -> XmlFile:
         if tags.appended is not None:
             appended = _appended_data(path, stream, tags.appended.start, size)
             encoding = _known(path, tags.appended, "encoding", _APPENDED_ENCODINGS)
-    compression = _known(path, root, "compressor", COMPRESSORS)
+    compression = _known(path, root, "compressor", _COMPRESSORS)
     first = next((array.get("format") for array in root.below() if array.tag in _ARRAYS), "") or "ascii"
     options = {
         "encoding": encoding or first if first == "appended" else first,

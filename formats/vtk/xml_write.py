@@ -1,13 +1,11 @@
-"""Writing structured grids to VTK's XML files (.vts) in every variant that VTK writes."""
+"""Writing structured grids to VTK's XML files (.vts): text, or raw appended data, as they are or packed by zlib."""
 
 from __future__ import annotations
 
-import binascii
-import itertools
-import lzma
+import os
 import re
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
@@ -18,17 +16,12 @@ from meshdeform_core.grid import Grid
 
 from ..text import number_lines
 from .dataset import BlockOutput, Reserved, StoredArray, VtkFormat
-from .xml_arrays import SECTIONS, TYPES, lz4_block
-from .xml_tags import COMPRESSORS
+from .xml_arrays import SECTIONS, TYPES
 
 _TYPE_NAMES = {code: name for name, code in TYPES.items()}
-_COMPRESSORS = {compression: name for name, compression in COMPRESSORS.items()}
-_BYTE_ORDERS = {"little": "LittleEndian", "big": "BigEndian"}
 
-# Bytes that VTK compresses as one block, its level of compression, and bytes encoded in base64 at a time.
+# Bytes that VTK compresses as one block, and its level of compression.
 _BLOCK, _LEVEL = 1 << 15, 5
-_GROUPS = 3 << 16
-_SMALLEST_DICTIONARY = 4096
 
 # Space for the offset of an array in its tag, which is written before the offset is known.
 _OFFSET_DIGITS = 20
@@ -45,14 +38,9 @@ def begin_block(grid: Grid, block: int, path: Path, variant: VtkFormat, contents
     Raises FormatError when a field cannot be stored in a VTK file. Raises OSError when the file cannot be written.
     """
     points, *arrays = contents
-    low = variant.origins[block] if variant.origins else (0, 0, 0)
-    extent = " ".join(f"{a} {a + n - 1}" for a, n in zip(low, grid.shapes[block], strict=True))
-    header = variant.options["header_type"]
-    # The size of an array precedes it: 4 bytes hold only sizes below 4 GiB.
-    if max(array.nbytes for array in contents) >= 2**32:
-        header = "UInt64"
+    extent = " ".join(f"0 {n - 1}" for n in grid.shapes[block])
     with path.open("wb") as stream:
-        output = _Output(stream, variant, header, str(path))
+        output = _Output(stream, variant)
         output.data_set(extent, points, arrays)
     return output.reserved(contents)
 
@@ -72,24 +60,6 @@ def attribute(text: str) -> str:
     return f'"{text.translate(_ESCAPES)}"'
 
 
-def packer(compression: str, path: str) -> Callable[[bytes], bytes] | None:
-    """The function that compresses one block."""
-    if compression == "zlib":
-        return lambda block: zlib.compress(block, _LEVEL)
-    if compression == "lz4":
-        compress = lz4_block(f"cannot write {path}").compress
-        return lambda block: bytes(compress(block, store_size=False))
-    if compression == "none":
-        return None
-
-    def pack(block: bytes) -> bytes:
-        # A dictionary larger than the block costs time to clear for each block, and compresses no better.
-        filters = [{"id": lzma.FILTER_LZMA2, "preset": _LEVEL, "dict_size": max(len(block), _SMALLEST_DICTIONARY)}]
-        return lzma.compress(block, lzma.FORMAT_XZ, lzma.CHECK_CRC32, filters=filters)
-
-    return pack
-
-
 def _in_blocks(pieces: Iterable[bytes], size: int) -> Iterator[bytes]:
     """The bytes of all pieces in blocks of equal size; the last one may be smaller."""
     rest = b""
@@ -106,23 +76,15 @@ def _in_blocks(pieces: Iterable[bytes], size: int) -> Iterator[bytes]:
 class _Output(BlockOutput):
     """A .vts file being written."""
 
-    def __init__(self, stream: BinaryIO, variant: VtkFormat, header: str, path: str) -> None:
+    def __init__(self, stream: BinaryIO, variant: VtkFormat) -> None:
         super().__init__(stream)
-        self.header, self.options = header, variant.options
-        self.order = "<" if self.options["byte_order"] == "little" else ">"
-        self.pack = packer(self.options["compression"], path)
+        self.options, self.packed = variant.options, variant.options["compression"] == "zlib"
         self.appended: list[tuple[StoredArray, int]] = []
 
     def data_set(self, extent: str, points: StoredArray, arrays: Sequence[StoredArray]) -> None:
-        # VTK calls the layout with the wider sizes version 1.0.
-        version = "1.0" if self.header == "UInt64" else "0.1"
-        order, compression = _BYTE_ORDERS[self.options["byte_order"]], self.options["compression"]
-        compressor = f' compressor="{_COMPRESSORS[compression]}"' if self.pack else ""
-        self.line('<?xml version="1.0"?>')
-        self.line(
-            f'<VTKFile type="StructuredGrid" version="{version}" byte_order="{order}" header_type="{self.header}"'
-            f"{compressor}>"
-        )
+        compressor = ' compressor="vtkZLibDataCompressor"' if self.packed else ""
+        head = 'type="StructuredGrid" version="1.0" byte_order="LittleEndian" header_type="UInt64"'
+        self.line(f'<?xml version="1.0"?>\n<VTKFile {head}{compressor}>')
         self.line(f'  <StructuredGrid WholeExtent="{extent}">')
         field_data = [array for array in arrays if not array.location]
         if field_data:
@@ -132,30 +94,24 @@ class _Output(BlockOutput):
             self.section(tag, [array for array in arrays if array.location == SECTIONS[tag]])
         self.section("Points", [points])
         self.line("    </Piece>\n  </StructuredGrid>")
-        if self.options["encoding"].startswith("appended"):
+        if self.appended:
             self.append()
         self.line("</VTKFile>")
 
     def section(self, tag: str, arrays: Sequence[StoredArray]) -> None:
-        active = {role: array.name for array in arrays for role in array.roles}
-        roles = "".join(f" {role}={attribute(name)}" for role, name in active.items())
-        self.line(f"      <{tag}{roles}>")
+        self.line(f"      <{tag}>")
         for array in arrays:
             self.array(array)
         self.line(f"      </{tag}>")
 
     def array(self, array: StoredArray) -> None:
         words = [f'type="{_TYPE_NAMES[array.precision.str[1:]]}"']
-        if array.precision == np.int64 and not {"GlobalIds", "PedigreeIds"}.isdisjoint(array.roles):
-            words.append('IdType="1"')
         words.append(f"Name={attribute(array.name)}")
         if array.components != 1:
             words.append(f'NumberOfComponents="{array.components}"')
-        words += [f"ComponentName{index}={attribute(name)}" for index, name in enumerate(array.component_names)]
         if not array.location:
             words.append(f'NumberOfTuples="{array.tuples}"')
-        encoding = self.options["encoding"]
-        kind = encoding if encoding in ("ascii", "binary") else "appended"
+        kind = self.options["encoding"]
         self.stream.write(f'        <DataArray {" ".join(words)} format="{kind}"'.encode())
         if kind == "appended":
             self.stream.write(b' offset="')
@@ -163,11 +119,8 @@ class _Output(BlockOutput):
             self.line(" " * (_OFFSET_DIGITS + 1) + "/>")
             return
         self.line(">")
-        if kind == "ascii":
-            self.text(array)
-        else:
-            self.binary(array)
-        self.line(("" if kind == "ascii" else "\n") + "        </DataArray>")
+        self.text(array)
+        self.line("        </DataArray>")
 
     def text(self, array: StoredArray) -> None:
         for slab in array.slabs():
@@ -180,44 +133,30 @@ class _Output(BlockOutput):
             self.stream.write(lines)
 
     def binary(self, array: StoredArray) -> None:
-        """The sizes and values of an array; compressed or not, raw or in base64."""
-        pieces = (
-            slab.astype(np.dtype(self.order + slab.dtype.str[1:]), copy=False).tobytes() for slab in array.slabs()
-        )
-        if self.pack is None:
-            self.segment(itertools.chain([self.sizes([array.nbytes])], pieces))
+        """The sizes and values of an array; compressed or not."""
+        pieces = (slab.astype(slab.dtype.newbyteorder("<"), copy=False).tobytes() for slab in array.slabs())
+        if not self.packed:
+            self.sizes([array.nbytes])
+            self.stream.writelines(pieces)
             return
-        number, last = -(-array.nbytes // _BLOCK), array.nbytes % _BLOCK
-        place, packed, pack = self.stream.tell(), [0] * number, self.pack
-
-        def compressed_blocks() -> Iterator[bytes]:
-            for index, block in enumerate(_in_blocks(pieces, _BLOCK)):
-                data = pack(block)
-                packed[index] = len(data)
-                yield data
-
-        # The compressed sizes precede the blocks: they are written again when they are known.
-        self.segment([self.sizes([number, _BLOCK, last, *packed])])
-        self.segment(compressed_blocks())
+        place, sizes = self.stream.tell(), [-(-array.nbytes // _BLOCK), _BLOCK, array.nbytes % _BLOCK]
+        # The compressed sizes precede the blocks: they are written when they are known.
+        self.stream.seek(8 * (3 + sizes[0]), os.SEEK_CUR)
+        for block in _in_blocks(pieces, _BLOCK):
+            data = zlib.compress(block, _LEVEL)
+            sizes.append(len(data))
+            self.stream.write(data)
         end = self.stream.tell()
         self.stream.seek(place)
-        self.segment([self.sizes([number, _BLOCK, last, *packed])])
+        self.sizes(sizes)
         self.stream.seek(end)
 
-    def sizes(self, sizes: list[int]) -> bytes:
-        return np.array(sizes, self.order + ("u4" if self.header == "UInt32" else "u8")).tobytes()
-
-    def segment(self, pieces: Iterable[bytes]) -> None:
-        """Bytes as they are, or in base64 with padding only at the end."""
-        if self.options["encoding"] == "appended":
-            self.stream.writelines(pieces)
-        else:
-            self.stream.writelines(binascii.b2a_base64(part, newline=False) for part in _in_blocks(pieces, _GROUPS))
+    def sizes(self, sizes: list[int]) -> None:
+        self.stream.write(np.array(sizes, "<u8").tobytes())
 
     def append(self) -> None:
         """All arrays in sequence, and their offsets in the tags."""
-        raw = self.options["encoding"] == "appended"
-        self.stream.write(f'  <AppendedData encoding="{"raw" if raw else "base64"}">\n   _'.encode())
+        self.stream.write(b'  <AppendedData encoding="raw">\n   _')
         start = self.stream.tell()
         for array, place in self.appended:
             offset = self.stream.tell() - start
@@ -226,8 +165,8 @@ class _Output(BlockOutput):
             self.stream.seek(start + offset)
             if array.in_planes and plain(self.options):
                 # All ranks write these values later.
-                self.stream.write(self.sizes([array.nbytes]))
-                self.reserve(array, np.dtype(self.order + array.precision.str[1:]))
+                self.sizes([array.nbytes])
+                self.reserve(array, array.precision.newbyteorder("<"))
             else:
                 self.binary(array)
         self.line("\n  </AppendedData>")

@@ -52,7 +52,7 @@ FORMATS = {
     "plot3d text": ("out.p3dfmt",),
     "vtk": ("out.vtm", "--field", "all"),
     "vtk text": ("out.vtm", "--variant", "encoding=ascii"),
-    "vtk base64": ("out.vtm", "--variant", "encoding=binary"),
+    "vtk packed": ("out.vtm", "--variant", "compression=zlib"),
     "unstructured": ("out.vtu",),
     "gmsh": ("out.msh",),
     "su2": ("out.su2",),

@@ -234,7 +234,7 @@ POLYGONS = [(0, 1, 2), (1, 2, 3), (1, 3, 4), (0, 2, 4), (0, 4, 6), (0, 6, 7), (3
 
 
 def test_vtp(tmp_path, polydata):
-    for compression, mode in itertools.product((0, 2), (0, 1, 2)):
+    for compression, mode in itertools.product((0, 1), (0, 1, 2)):
         writer = vtkXMLPolyDataWriter()
         writer.SetInputData(polydata)
         writer.SetCompressorType(compression)

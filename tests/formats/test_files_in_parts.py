@@ -259,8 +259,7 @@ def with_arrays(grid):
 
 
 @pytest.mark.parametrize(("suffix", "variant"), [
-    (".vtm", {}), (".vtm", {"byte_order": "big", "precision": "float32"}),
-    (".vts", {"header_type": "UInt32"}), (".vtk", {}),
+    (".vtm", {}), (".vtm", {"precision": "float32"}), (".vts", {}), (".vtk", {}),
 ])  # fmt: skip
 @pytest.mark.parametrize("make", [tapered, lambda: frame_2d(7)], ids=["space", "plane"])
 def test_vtk_files_with_arrays(suffix, variant, make, tmp_path):

@@ -24,7 +24,7 @@ VARIANTS = {
     "grid.vts": {},
     "packed.vts": {"compression": "zlib"},
     "text.vts": {"encoding": "ascii"},
-    "base64.vts": {"encoding": "binary", "precision": "float32"},
+    "single.vts": {"precision": "float32"},
     "plane.vtk": {},
     "blocks.vtm": {},
 }

