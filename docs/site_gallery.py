@@ -26,6 +26,7 @@ VIEWS: dict[str, tuple[str, ...]] = {
 MOTIONS: dict[str, tuple[str, ...]] = {
     "hemisphere": ("--time", "2.5e-4"),
     "valve": ("--time", "0.1"),
+    "workshop-cylinder": ("--time", "2"),
 }
 
 

@@ -32,6 +32,7 @@ SAMPLES = {
     "wing": "wing",
     "cascade": "cascade",
     "valve": "valve",
+    "workshop-cylinder": "workshop_cylinder",
 }
 """Name on the command line -> folder."""
 
@@ -44,25 +45,14 @@ def load(name: str) -> ModuleType:
     CaseError
         For an unknown sample, with the known ones.
     """
-    require_sample(name)
+    if name not in SAMPLES:
+        raise CaseError(f"sample {name!r} is unknown; known are {', '.join(SAMPLES)}{suggestion(name, SAMPLES)}")
     return importlib.import_module(f"{__package__}.{SAMPLES[name]}")
 
 
 def folder(name: str) -> Traversable:
     """The folder with a sample's README.md and case.toml."""
     return files(__package__) / SAMPLES[name]
-
-
-def require_sample(name: str) -> None:
-    """Refuse an unknown sample.
-
-    Raises
-    ------
-    CaseError
-        With the known ones.
-    """
-    if name not in SAMPLES:
-        raise CaseError(f"sample {name!r} is unknown; known are {', '.join(SAMPLES)}{suggestion(name, SAMPLES)}")
 
 
 def generate(name: str, size: int | str | None = None) -> tuple[Grid, dict[str, SurfaceData]]:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
 from meshdeform_core.grid import BoolArray, FloatArray, Grid, Patch, Side, Window
@@ -59,6 +60,18 @@ def geometric(first: float, cells: int, length: float) -> FloatArray:
     ratio = brentq(excess, -5.0, 5.0)
     nodes = np.concatenate([[0.0], np.cumsum(first * np.exp(ratio * np.arange(cells)))])
     return np.asarray(nodes * (length / nodes[-1]))
+
+
+def around(x: Sequence[FloatArray], y: Sequence[FloatArray], z: ArrayLike, names: Sequence[str] | None = None) -> Grid:
+    """Eight blocks around a body: nodes along x and along y in three parts each, without the block in the middle."""
+    blocks = [np.stack(np.meshgrid(a, b, z, indexing="ij"), axis=-1) for a in x for b in y]
+    return Grid.from_blocks(blocks[:4] + blocks[5:], names)
+
+
+def columns(body: str) -> list[str]:
+    """Names of the blocks around a body in a flow along x."""
+    names = [f"{row}-{column}" for column in ("upstream", body, "downstream") for row in ("lower", "middle", "upper")]
+    return names[:4] + names[5:]
 
 
 def tanh_law(first: float, cells: int, length: float) -> FloatArray:

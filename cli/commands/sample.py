@@ -47,7 +47,7 @@ def command(
     from meshdeform_formats.files import replacing
     from meshdeform_formats.grids import format_of, variant_of, write_grid
     from meshdeform_formats.neutral_map import write_neutral_map
-    from meshdeform_samples import SAMPLES, folder, generate, load, require_sample
+    from meshdeform_samples import SAMPLES, folder, generate, load
 
     if name is None:
         for key in SAMPLES:
@@ -56,7 +56,7 @@ def command(
             click.echo(f"{key}\n    {(module.__doc__ or '').splitlines()[0]}")
             click.echo(f"    --size: {module.SIZE_HELP}; default {module.DEFAULT_SIZE}; {names}")
         return 0
-    require_sample(name)
+    load(name)
     if output is None:
         raise click.UsageError("Missing option '-o' / '--output'.")
     target = output / f"grid{suffix if suffix.startswith('.') else '.' + suffix}"
@@ -67,9 +67,9 @@ def command(
     grid, tables = generate(name, size)
     variant_of(grid, target, options)
     boundary_file = None if kind == "cgns" else _BOUNDARY_FILE
-    texts = {file: (folder(name) / file).read_text(encoding="utf-8") for file in ("case.toml", "README.md")}
-    if boundary_file:
-        texts["case.toml"] = f'[grid]\nboundary_file = "{boundary_file}"\n\n{texts["case.toml"]}'
+    head = f'[grid]\nboundary_file = "{boundary_file}"\n\n' if boundary_file else ""
+    written = [file for file in folder(name).iterdir() if file.name.endswith((".toml", ".md"))]
+    texts = {file.name: head * file.name.endswith(".toml") + file.read_text(encoding="utf-8") for file in written}
     make_folder(output)
     for file in (target.name, boundary_file or target.name, *tables, *texts):
         check_output(output / file, force)

@@ -4,7 +4,7 @@ import numpy as np
 
 from meshdeform_core.grid import Grid
 
-from ..building import with_patches
+from ..building import around, with_patches
 
 DEFAULT_SIZE = 40
 SIZES = {"small": 40, "paper": 400}
@@ -18,21 +18,12 @@ def generate(size: int = DEFAULT_SIZE, origin: tuple[float, float] = (0.0, 0.0))
     """
     if size < 40 or size % 40:
         raise ValueError(f"size = {size} cells along x; expected a multiple of 40")
-    x = (np.arange(size + 1) - size // 2) * (4.0 / size)
+    x = np.asarray((np.arange(size + 1) - size // 2) * (4.0 / size) + origin[0])
     rows = size // 2 + 1
-    y = (np.arange(rows + 1) - rows / 2) * (2.0 / rows)
-    spans_x = [(0, 3 * size // 8), (3 * size // 8, 5 * size // 8), (5 * size // 8, size)]
-    spans_y = [(0, rows // 2), (rows // 2, rows // 2 + 1), (rows // 2 + 1, rows)]
-    blocks = []
-    for i, (a, b) in enumerate(spans_x):
-        for j, (c, d) in enumerate(spans_y):
-            if (i, j) != (1, 1):
-                plane = np.stack(
-                    np.meshgrid(x[a : b + 1] + origin[0], y[c : d + 1] + origin[1], [0.0], indexing="ij"), -1
-                )
-                blocks.append(plane)
+    y = np.asarray((np.arange(rows + 1) - rows / 2) * (2.0 / rows) + origin[1])
+    a, b, c = 3 * size // 8, 5 * size // 8, rows // 2
     return with_patches(
-        Grid.from_blocks(blocks),
+        around([x[: a + 1], x[a : b + 1], x[b:]], [y[: c + 1], y[c : c + 2], y[c + 1 :]], [0.0]),
         [
             ("outer", "BCFarfield", lambda c, side: np.abs((c[:, :2] - origin) / [1.999, 0.999]).max(axis=1) > 1.0),
             ("beam", "BCWall", lambda c, side: np.full(len(c), True)),

@@ -4,7 +4,7 @@ import numpy as np
 
 from meshdeform_core.grid import Grid
 
-from ..building import even, with_patches
+from ..building import around, columns, even, with_patches
 
 DEFAULT_SIZE = 32
 SIZES = {"small": 16, "medium": 32, "large": 128}
@@ -20,11 +20,8 @@ def generate(size: int = DEFAULT_SIZE) -> Grid:
         raise ValueError(f"size = {size} cells along an edge of the bar; expected an even number, at least 4")
     x = [even(span, size) for span in ((_INLET, -0.5), (-0.5, 0.5), (0.5, _OUTLET))]
     y = [even(span, size) for span in ((-_PITCH / 2, -0.5), (-0.5, 0.5), (0.5, _PITCH / 2))]
-    names = [f"{row}-{column}" for column in ("upstream", "bar", "downstream") for row in ("lower", "middle", "upper")]
-    blocks = [np.stack(np.meshgrid(a, b, [0.0], indexing="ij"), axis=-1) for a in x for b in y]
-    del names[4], blocks[4]
     return with_patches(
-        Grid.from_blocks(blocks, names),
+        around(x, y, [0.0], columns("bar")),
         [
             ("bar", "BCWall", lambda c, side: np.abs(c[:, :2]).max(axis=1) < 0.51),
             ("inlet", "BCInflow", lambda c, side: c[:, 0] == _INLET),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+import re
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -66,15 +67,12 @@ def reproduce(what: str, folder: Path, quick: bool, validation: Path | None, tel
 
 
 def _write(stem: Path, results: dict[str, Any]) -> None:
-    """Write data and tables side by side: ``stem.json`` and ``stem.md``."""
-    _write_text(stem.with_suffix(".json"), json.dumps(_flat(results), indent=1, allow_nan=False) + "\n")
-    _write_text(stem.with_suffix(".md"), as_markdown(results))
-
-
-def _flat(results: dict[str, Any]) -> dict[str, Any]:
-    """In the file of a single table the rows are at the top level."""
+    """Write data and tables side by side: ``stem.json``, where the rows of a single table are at the top, and
+    ``stem.md``."""
     tables = list(results["tables"].values())
-    return results | tables[0] if len(tables) == 1 else results
+    flat = results | tables[0] if len(tables) == 1 else results
+    _write_text(stem.with_suffix(".json"), json.dumps(flat, indent=1, allow_nan=False) + "\n")
+    _write_text(stem.with_suffix(".md"), as_markdown(results))
 
 
 def _write_text(path: Path, text: str) -> None:
@@ -83,13 +81,9 @@ def _write_text(path: Path, text: str) -> None:
 
 
 def _machine() -> dict[str, Any]:
-    processor = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
-    if info.exists():
-        named = [
-            line for line in info.read_text(encoding="utf-8", errors="replace").splitlines() if "model name" in line
-        ]
-        processor = named[0].partition(":")[2].strip() if named else processor
+    named = re.search(r"model name\s*: (.*)", info.read_text("utf-8", "replace")) if info.exists() else None
+    processor = named[1] if named else platform.processor() or platform.machine()
     return {
         "processor": processor, "cores": os.cpu_count(), "threads": thread_count(),
         "python": platform.python_version(), "system": platform.system(),

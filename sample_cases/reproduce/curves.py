@@ -6,12 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from meshdeform_formats.files import replacing
 from meshdeform_formats.picture.page import STYLE
 
-from .small_png import save_small
+from .figures import save_small
 
-SUFFIX = ".png"
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#8c564b", "#7f7f7f")
 _MARKERS = "osD^vP*Xh"
 
@@ -34,10 +32,9 @@ def draw_curves(parts: dict[str, Any], folder: Path) -> list[str]:
         with plt.rc_context(STYLE):
             figure = plt.figure(figsize=(6.8, 3.2), layout="constrained")
             drawer(figure, parts)
-            with replacing(folder / f"{name}{SUFFIX}") as partial:
-                save_small(figure, partial, 130)
+            names.append(f"{name}.png")
+            save_small(figure, folder / names[-1], 130)
             plt.close(figure)
-        names.append(f"{name}{SUFFIX}")
     return names
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from meshdeform_core.deform import Timing, impose
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.methods import IDW, TFI, Options, Problem, make_method
-from meshdeform_core.quality import Assessment, assess
+from meshdeform_core.quality import assess
 from meshdeform_core.quality.validity import newly_invalid
 
 from .curves import draw_curves
@@ -134,17 +134,7 @@ def quality_of(sample: Sample, options: Options) -> dict[str, Any]:
     """Quality measures of a sample deformed in one step."""
     setup = prepare_sample(sample)
     points = _moved(setup.problem, options, setup.displacement(sample.time))
-    return _measures(assess(setup.original, points, setup.boundary))
-
-
-def _moved(problem: Problem, options: Options, displacement: FloatArray) -> FloatArray:
-    """Nodes of ``problem`` after a displacement of all unique face nodes."""
-    prepared = make_method(options).prepare(problem)
-    return np.asarray(problem.grid.points + prepared.apply(displacement[problem.source_numbers]))
-
-
-def _measures(assessment: Assessment) -> dict[str, Any]:
-    after = assessment.after
+    after = assess(setup.original, points, setup.boundary).after
     walls = after.wall_normal_deviation_deg
     return {
         "f_skew": after.f_skew.harmonic_mean,
@@ -153,3 +143,9 @@ def _measures(assessment: Assessment) -> dict[str, Any]:
         "invalid_cells": after.invalid_cells,
         "wall_deviation_rms_deg": walls.rms if walls else None,
     }
+
+
+def _moved(problem: Problem, options: Options, displacement: FloatArray) -> FloatArray:
+    """Nodes of ``problem`` after a displacement of all unique face nodes."""
+    prepared = make_method(options).prepare(problem)
+    return np.asarray(problem.grid.points + prepared.apply(displacement[problem.source_numbers]))

@@ -4,7 +4,7 @@ import numpy as np
 
 from meshdeform_core.grid import Grid
 
-from ..building import geometric, with_patches
+from ..building import around, columns, geometric, with_patches
 
 DEFAULT_SIZE = 32
 SIZES = {"small": 16, "medium": 32, "large": 96}
@@ -29,11 +29,8 @@ def generate(size: int = DEFAULT_SIZE) -> Grid:
         half + geometric(cell, 3 * size // 4, _CEILING),
     ]
     z = np.linspace(0.0, _WIDTH, size // 4 + 1)
-    names = [f"{row}-{column}" for column in ("upstream", "flap", "downstream") for row in ("lower", "middle", "upper")]
-    blocks = [np.stack(np.meshgrid(a, b, z, indexing="ij"), axis=-1) for a in x for b in y]
-    del names[4], blocks[4]
     return with_patches(
-        Grid.from_blocks(blocks, names),
+        around(x, y, z, columns("flap")),
         [
             ("sides", "BCSymmetryPlane", lambda c, side: np.full(len(c), side.axis == 2)),
             ("flap", "BCWall", lambda c, side: (np.abs(c[:, 1]) < 1.01 * half) & (np.abs(c[:, 0] - 0.5) < 0.501)),

@@ -1,13 +1,16 @@
 """Every sample as a user starts from it: the commands of its README, at its smallest named size."""
 
+import dataclasses
 import json
 import shlex
 
 import numpy as np
 import pytest
 
+import meshdeform as md
 from meshdeform_cli.main import run
-from meshdeform_core.deform import set_up
+from meshdeform_core.deform import Timing, impose, set_up
+from meshdeform_core.methods import Options
 from meshdeform_formats import read_grid
 from meshdeform_formats.case import read_case
 from meshdeform_samples import SAMPLES, folder, load
@@ -103,3 +106,26 @@ def test_the_valve_opens_with_time_and_closes_again():
         c, s = np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))
         turned = arm @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]).T
         np.testing.assert_allclose(setup.displacement(time)[flap], turned - arm, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("method", ["idw-tfi", "idw", "rbf"])
+@pytest.mark.parametrize("name", ["case.toml", "case2.toml"])
+def test_the_interior_of_the_workshops_cylinder_follows_the_affine_map_of_its_wall(name, method):
+    """Formulas of the suite: an area-preserving stretch, a turn and a shift."""
+    grid, t = load("workshop-cylinder").generate(8), 1.3
+    case = read_case(str(folder("workshop-cylinder") / name)).case
+    setup = set_up(grid, dataclasses.replace(case, method=Options(method)))
+    moved = impose(setup, setup.motion(t), None, "float64", Timing()).grid.points
+    alpha = t**3 * (8 - 3 * t) / 16 if name == "case.toml" else 0.3 * np.sin(6 * t) * t**6 / (t**6 + 1)
+    psi, c, s = 1 + 0.5 * alpha, np.cos(np.pi * alpha), np.sin(np.pi * alpha)
+    exact = grid.points @ np.array([[c * psi, s * psi, 0], [-s / psi, c / psi, 0], [0, 0, 1]]) + [0, alpha, 0]
+    assert np.abs(moved - exact).max() < 1e-12 < 0.1 < np.abs(moved - grid.points).max()
+
+
+@pytest.mark.parametrize("method", ["idw-tfi", "idw", "rbf"])
+@pytest.mark.parametrize(("name", "size"), [("beam", 40), ("cascade", 4)])
+def test_a_grid_whose_whole_boundary_is_stretched_and_sheared_is_so_inside(name, size, method):
+    mesh = md.prepare(md.sample(name, size).grid, moving=["*"], method=method)
+    affine = np.array([[1.3, 0.4, 0], [-0.2, 1.1, 0], [0, 0, 1]])
+    for moved, x in zip(mesh.deform(mesh.points @ affine.T - mesh.points).grid.blocks, mesh.grid.blocks, strict=True):
+        np.testing.assert_allclose(moved, x @ affine[: x.shape[-1], : x.shape[-1]].T, rtol=0, atol=1e-12)
