@@ -137,8 +137,9 @@ def checked_surface(table: DisplacementTable, path: Path) -> SurfaceData:
     triangles = np.ascontiguousarray(table.triangles, dtype=np.int64)
     if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(points):
         raise FormatError(f"{path}: triangles refer to points {triangles.min()} to {triangles.max()} of {len(points)}")
+    width = table.displacement.shape[1]
     distinct = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
-    return SurfaceData(points, displacement, triangles[distinct], path.name, plane=table.displacement.shape[1] == 2)
+    return SurfaceData(points, displacement, triangles[distinct], path.name, plane=width == 2, numbered=width == 1)
 
 
 def _three_columns(values: NDArray[Any]) -> FloatArray:

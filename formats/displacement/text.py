@@ -15,7 +15,7 @@ from meshdeform_core.errors import FormatError
 from .table import DISPLACEMENT_NAMES, NO_TRIANGLES, POINT_NAMES, DisplacementTable, vector_names
 
 _UNITS = {"m", "dm", "cm", "mm", "um", "µm", "nm", "km", "in", "inch", "inches", "ft", "feet", "yd"}
-_BY_ORDER = {6: "x y z dx dy dz", 4: "x y dx dy"}
+_BY_ORDER = {6: "x y z dx dy dz", 4: "x y dx dy", 3: "number x y, as of SU2"}
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,8 @@ class _Layout:
 def read(path: Path) -> DisplacementTable:
     """Read a text table.
 
-    Without a header the columns are ``x y z dx dy dz``, or ``x y dx dy`` in 2-D. A header, possibly in a comment, names
+    Without a header the columns are ``x y z dx dy dz``, or ``x y dx dy`` in 2-D, or the number and the new position of
+    each point, as in SU2's surface_positions.dat. A header, possibly in a comment, names
     any number of columns in any order (see :func:`vector_names`). ``#`` begins a comment.
 
     Raises FormatError when the columns are unknown or a line is not a row of numbers; with the line.
@@ -130,7 +131,7 @@ def _columns(
     if width not in _BY_ORDER:
         expected = " or ".join(f"{number} ({names})" for number, names in _BY_ORDER.items())
         raise FormatError(f"{path}, line {number}: found {width} columns without names; expected {expected}")
-    half = width // 2
+    half = (width + 1) // 2
     return tuple(range(half)), tuple(range(half, width))
 
 

@@ -23,7 +23,8 @@ from .motions.motion import Follow, FollowSequence, Motion, PreparedMotion, tiny
 from .periodic import Periodic, find_periodicity
 from .slip import Slip, crease_notes, find_sliding
 from .tables.fitting import Fit, fit_table
-from .tables.matching import BoundaryNodes, SurfaceData
+from .tables.matching import BoundaryNodes
+from .tables.numbered import by_place
 from .unselected import unselected_notes
 
 UNSELECTED = "(not selected)"
@@ -204,7 +205,9 @@ def _fit(grid: Grid, topology: Topology, spec: BoundarySpec) -> Fit | None:
         return None
     tables = [step for step in spec.motion.steps if isinstance(step, Follow | FollowSequence)]
     data = tables[0].first
-    return fit_table(grid, topology, data, tables[0].matching) if isinstance(data, SurfaceData) else None
+    if isinstance(data, Grid):
+        return None
+    return fit_table(grid, topology, by_place(data, grid, topology), tables[0].matching)
 
 
 def _select(grid: Grid, topology: Topology, spec: BoundarySpec, constants: Mapping[str, float]) -> IntArray:

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
+from grids import block_around
+
+from meshdeform_core.grid import Grid
+from meshdeform_formats.grids import read_grid, write_grid
 
 RUN = ("deform", "grid.xyz", "-d", "table.csv", "-o", "out.xyz", "--report", "out.json")
 
@@ -58,3 +63,29 @@ def test_half_of_the_rows_is_refused(bench, call):
     result = call(*RUN)
     assert result.code == 2
     assert "belong to no face that moves as a whole" in result.err
+
+
+@pytest.mark.parametrize("nk", [1, 4], ids=["2-D", "3-D"])
+def test_positions_by_number_move_the_points_that_have_them(nk, tmp_path, monkeypatch, call):
+    """As SU2 writes them, with its numbers of the points: those of one marker; the other walls are fixed."""
+    monkeypatch.chdir(tmp_path)
+    x = block_around(np.linspace(0, 2, 9), np.linspace(0, 1, 6), np.linspace(0, 1, nk))
+    write_grid(Grid.from_blocks([x]), tmp_path / "grid.xyz")
+    assert call("convert", "grid.xyz", "grid.su2").code == 0
+    text = (tmp_path / "grid.su2").read_text()
+    marker = re.search(r"MARKER_TAG= block1.jmax\nMARKER_ELEMS= \d+\n([^A-Z]*)", text)
+    assert marker is not None
+    numbers = np.unique([[int(word) for word in row.split()[1:]] for row in marker[1].splitlines()])
+    points = np.array([row.split() for row in text.split("NPOIN=")[1].splitlines()[1:]][: x[..., 0].size], dtype=float)
+    moved = points[numbers]
+    moved[:, 1] += 0.1 * np.sin(moved[:, 0])
+    np.savetxt("surface_positions.dat", np.column_stack([numbers, moved]), ["%d", *moved.shape[1] * ["%.17g"]])
+    done = call("deform", "grid.xyz", "-d", "surface_positions.dat", "-o", "out.xyz")
+    assert done.code == 0, done.err
+    after = read_grid(tmp_path / "out.xyz").block(0)
+    np.testing.assert_allclose(after[:, -1, :, 1], x[:, -1, :, 1] + 0.1 * np.sin(x[:, -1, :, 0]), atol=1e-15)
+    np.testing.assert_array_equal(after[:, 0], x[:, 0])
+    moved[:, 0] += 7 * numbers
+    np.savetxt("surface_positions.dat", np.column_stack([numbers, moved]), ["%d", *moved.shape[1] * ["%.17g"]])
+    done = call("deform", "grid.xyz", "-d", "surface_positions.dat", "-o", "again.xyz")
+    assert (done.code, "of another mesh" in done.err) == (2, True)

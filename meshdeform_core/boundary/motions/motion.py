@@ -15,9 +15,9 @@ import numpy as np
 
 from ...errors import MotionError
 from ...grid import BoolArray, FloatArray, Grid, IntArray
-from ...numerics.arrays import places_among
 from ...wording import vector
 from ..tables.matching import BoundaryNodes, Matching, SurfaceData, Transfer
+from ..tables.numbered import positions_by_number
 from ..tables.transfer import transfer
 from .expression import Expression
 
@@ -29,9 +29,6 @@ _FAR = 10.0
 """Sizes of the grid beyond which a displacement is hardly in its length unit."""
 _SMALL_ANGLE = 0.2
 """Constant rotations by fewer degrees may be meant in radians (up to 11 degrees)."""
-_ROUGH = 3.0
-"""If the displacements of neighbours typically differ by more than this many edges, the numbers of the points belong to
-another mesh."""
 SMALLEST = 1e-30
 """Smaller displacements are set to zero, as their products with weights would be subnormal numbers."""
 LARGEST = 1e30
@@ -197,13 +194,7 @@ class Positions:
             When a number does not denote a point on a block face, nodes have no new position, or neighbours move so
             differently that the numbers must belong to another mesh.
         """
-        topology = nodes.topology
-        beyond = np.flatnonzero((self.numbers < 0) | (self.numbers >= topology.n_unique))
-        if beyond.size:
-            raise MotionError(
-                f"{self.label}: {beyond.size} numbers are not of points on block faces, the first "
-                f"{self.numbers[beyond[0]]}; these have 0 to {topology.n_unique - 1}"
-            )
+        surface = positions_by_number(self.numbers, self.positions, self.label, nodes.grid, nodes.topology)
         missing = np.flatnonzero(~np.isin(nodes.numbers, self.numbers))
         if missing.size:
             first = int(missing[0])
@@ -211,20 +202,7 @@ class Positions:
                 f"{self.label} has no position for {missing.size} of {len(nodes.numbers)} boundary nodes, the first "
                 f"{nodes.label(first)}, number {nodes.numbers[first]}"
             )
-        points = nodes.grid.nodes.at(topology.first[self.numbers])
-        moved = points.copy()
-        kept = np.sort(np.argsort(np.ptp(nodes.grid.points, axis=0))[3 - self.positions.shape[1] :])
-        moved[:, kept] = self.positions
-        displacement = moved - points
-        own = displacement[places_among(self.numbers, topology.n_unique)[nodes.numbers]]
-        a, b = nodes.faces[:, 0], nodes.faces[:, 1]
-        edge = np.linalg.norm(nodes.points[a] - nodes.points[b], axis=1)
-        if float(np.median(np.linalg.norm(own[a] - own[b], axis=1) - _ROUGH * edge)) > 0:
-            raise MotionError(
-                f"{self.label}: neighbours move apart by several edges almost everywhere; its numbers seem to be those "
-                "of another mesh than the one that `meshdeform convert` writes"
-            )
-        return SurfaceData(points, displacement, np.empty((0, 3), dtype=np.int64), self.label)
+        return surface
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import scipy
 
 from ...grid import BoolArray, FloatArray
 from .matching import BoundaryNodes
-from .tuned import COUNTED, FITS, FRAME_SAMPLE, GAIN, ON_NODE, PROBES, SPREAD
+from .tuned import FITS, FRAME_SAMPLE, GAIN, ON_NODE, PROBES, SPREAD
 
 _UNITS = (
     (1e-3, "in millimetres where the grid is in metres"),
@@ -43,12 +43,6 @@ def other_frame(points: FloatArray, nodes: BoundaryNodes) -> str:
     -------
     The end of a message, empty if nothing fits.
     """
-    first = points[:, 0]
-    if len(points) > COUNTED and (first == np.round(first)).all() and len(np.unique(first)) == len(first):
-        return (
-            " (its first column numbers the points: a file of numbers and positions, like SU2's, is the motion "
-            "`positions` of a case)"
-        )
     some = points[:: max(1, len(points) // FRAME_SAMPLE)]
     tree = scipy.spatial.cKDTree(nodes.points)
     here, _ = _fit(some, nodes, tree)

@@ -32,6 +32,7 @@ class SurfaceData:
     triangles : (m, 3) int64, indices into ``points``; (0, 3) when the file has points only
     label : name for messages, usually the file name
     plane : whether the file has two components of the displacement only; the third one is zero
+    numbered : whether the file has three columns only, the number and position of each point; read as x, y and dx
     """
 
     points: FloatArray
@@ -39,6 +40,7 @@ class SurfaceData:
     triangles: IntArray
     label: str
     plane: bool = False
+    numbered: bool = False
 
     def __post_init__(self) -> None:
         """Refuse numbers whose squares overflow."""

@@ -15,6 +15,7 @@ from ...parallel import Nodes
 from ...wording import counted, vector
 from .frames import other_frame
 from .matching import BoundaryNodes, Matching, SurfaceData, Transfer, spacings
+from .numbered import by_place
 
 # Two displacements at one point are the same up to this fraction of the largest one.
 _ALIKE = 1e-6
@@ -32,6 +33,8 @@ def transfer(data: SurfaceData | Grid, matching: Matching, nodes: BoundaryNodes)
     MotionError
         When no node matches, or when some do not and ``matching.partial`` is false.
     """
+    if not isinstance(data, Grid):
+        data = by_place(data, nodes.grid, nodes.topology)
     if isinstance(data, Grid):
         result = _from_deformed_grid(data, matching, nodes)
     elif matching.how == "interpolate":
