@@ -67,15 +67,6 @@ def linked_files(path: Path) -> Iterator[Path]:
                 yield child.target.file
 
 
-def state_of(path: Path) -> tuple[int, ...]:
-    """What tells whether a file has changed; nothing of a file that cannot be read."""
-    try:
-        found = path.stat()
-    except OSError:
-        return ()
-    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
-
-
 class Notes:
     """Remarks for ``Grid.notes``; the same remark about several nodes becomes one line."""
 

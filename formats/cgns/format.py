@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,18 +20,11 @@ from ..planes import ranges_of, read_planes
 from .adf import is_adf
 from .boundary import family_conditions, zone_patches
 from .connectivity import overset_only, zone_connections
-from .file import Notes, naming, opened_cgns, state_of
-from .zone import Original, Zone, base_and_zones
+from .file import Notes, naming, opened_cgns
+from .zone import Zone, base_and_zones
 
 _PRECISIONS = ("float32", "float64")
 _MIXED = "mixed"
-
-
-@dataclass(frozen=True)
-class CgnsFormat(FileFormat):
-    """CGNS, with what a copy of the file needs to know of it; ``None`` if that must be found out again."""
-
-    original: Original | None = field(default=None, compare=False, repr=False)
 
 
 def read(path: Path) -> Grid:
@@ -43,7 +35,7 @@ def read(path: Path) -> Grid:
 
     Raises FormatError when the file is damaged, or its zones are unstructured or in cylindrical coordinates.
     """
-    notes, state = Notes(), state_of(path)
+    notes = Notes()
     with naming(path), opened_cgns(path) as root:
         base, zones = base_and_zones(root, notes)
         places = [zone.places() for zone in zones]
@@ -55,7 +47,7 @@ def read(path: Path) -> Grid:
             [zone.shape for zone in zones],
             [zone.name for zone in zones],
             patches=tuple(patches),
-            format=dataclasses.replace(_format(path, zones), original=Original.of(state, base, zones, places)),
+            format=_format(path, zones),
             path=path,
             overset=overset_only(zones),
         )
@@ -102,7 +94,7 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
     if precision not in _PRECISIONS:
         raise FormatError(f"the precision of CGNS coordinates is float32 or float64, not {precision!r}")
     mixed = "precision" not in options and grid.format is not None and _is_mixed(grid.format)
-    return CgnsFormat("cgns", precision, _options("HDF5", mixed))
+    return FileFormat("cgns", precision, _options("HDF5", mixed))
 
 
 def write(grid: Grid, path: Path, variant: FileFormat) -> None:
@@ -115,16 +107,15 @@ def write(grid: Grid, path: Path, variant: FileFormat) -> None:
     from .write_new import write_new
 
     if grid.path is not None and grid.format is not None and grid.format.name == "cgns":
-        original = grid.format.original if isinstance(grid.format, CgnsFormat) else None
-        write_copy(grid, path, None if _is_mixed(variant) else variant.precision, original)
+        write_copy(grid, path, None if _is_mixed(variant) else variant.precision)
     else:
         write_new(grid, path, variant.precision)
 
 
-def _format(path: Path, zones: Sequence[Zone]) -> CgnsFormat:
+def _format(path: Path, zones: Sequence[Zone]) -> FileFormat:
     sizes = {array.target.dtype.itemsize for zone in zones for array in zone.coordinates if array.target.dtype}
     precision = "float32" if 4 in sizes else "float64"
-    return CgnsFormat("cgns", precision, _options("ADF" if is_adf(path) else "HDF5", len(sizes) > 1))
+    return FileFormat("cgns", precision, _options("ADF" if is_adf(path) else "HDF5", len(sizes) > 1))
 
 
 def _options(container: str, mixed: bool) -> dict[str, str]:

@@ -22,23 +22,23 @@ from meshdeform_core.grid.extent import block_extents
 from ..hdf5_output import hdf5_output
 from ..planes import Stored, split
 from .adf import is_adf
-from .file import naming, opened_cgns, state_of
+from .file import naming, opened_cgns
 from .hdf5 import DATA, LINK, LINK_FILE, external_links, hdf5_errors, place_of
 from .hdf5_write import characters, has_other_names, own_group, put_node, reserve_dataset, write_hdf5
 from .tree import Node, data_type_of, unique_names
 from .write_new import Places, fields_by_place, solution_nodes, write_completed
-from .zone import Base, Original, Zone, base_and_zones
+from .zone import Base, Zone, base_and_zones
 
 Boxes = Callable[[], tuple[FloatArray, FloatArray]]
 """Returns the lowest and highest coordinates (n_blocks, 3) of blocks."""
 
 
-def write_copy(grid: Grid, path: Path, precision: str | None, original: Original | None) -> None:
+def write_copy(grid: Grid, path: Path, precision: str | None) -> None:
     """Copy the CGNS file of ``grid`` to ``path`` with the grid's coordinates, in ``precision`` or that of each array.
 
     All other nodes, attributes, links and their order are kept; an ADF file becomes HDF5. With the coordinates, links
     to them become arrays of this file, relative names of linked files are adapted to a new folder, and bounding boxes
-    stored with the coordinates are updated. What is known of the ``original`` is not looked up again.
+    stored with the coordinates are updated.
     """
     source = grid.path
     if source is None or not source.is_file():
@@ -47,31 +47,7 @@ def write_copy(grid: Grid, path: Path, precision: str | None, original: Original
     if grid.nodes.divided:
         # The first rank alone cannot find them.
         boxes()
-    if original is not None and _only_values_change(grid, source, precision, original, boxes):
-        write_completed(grid, path, lambda partial: _copy_of_file(original, source, path, partial))
-    else:
-        write_completed(grid, path, lambda partial: _prepared_copy(grid, source, path, partial, precision, boxes))
-
-
-def _only_values_change(grid: Grid, source: Path, precision: str | None, original: Original, boxes: Boxes) -> bool:
-    """Whether the file is the one that was read, and its copy differs in the values of coordinates only."""
-    kinds = {place.dtype for places in original.places for place in places}
-    return (
-        (grid.names, grid.shapes, state_of(source)) == (original.names, original.shapes, original.state)
-        and all(precision in (None, kind) for kind in kinds)
-        and not fields_by_place(grid)
-        and (original.dimension == 3 or not any(end[:, 2].any() for end in boxes()))
-    )
-
-
-def _copy_of_file(original: Original, source: Path, path: Path, partial: Path) -> Places:
-    """Copy the file; returns the places of coordinates."""
-    with hdf5_errors(path, "write"):
-        shutil.copyfile(source, partial)
-        with hdf5_output(partial, "r+") as file:
-            _adapt_links(file, source.parent, path.parent)
-    every = [[dataclasses.replace(place, path=partial) for place in places] for places in original.places]
-    return Places(partial, dict(enumerate(every)))
+    write_completed(grid, path, lambda partial: _prepared_copy(grid, source, path, partial, precision, boxes))
 
 
 def _prepared_copy(grid: Grid, source: Path, path: Path, partial: Path, precision: str | None, boxes: Boxes) -> Places:

@@ -29,7 +29,6 @@ from cgns_witness import (
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, Grid
 from meshdeform_formats import read_grid, write_grid
-from meshdeform_formats.cgns import write_copy
 
 WING, WING_HDF5, AIRFOIL = "717_wl_L2.cgns", "717_wl_L2_hdf5.cgns", "nak_a_141.cgns"
 
@@ -96,22 +95,6 @@ def test_unmoved_coordinates_stay_bit_for_bit(tmp_path):
     source = write_hdf5(tmp_path / "in.cgns", full_file())
     write_grid(read_grid(source), tmp_path / "out.cgns")
     assert listing(source) == listing(tmp_path / "out.cgns")
-
-
-def test_what_reading_has_found_is_not_looked_up_again(tmp_path, monkeypatch):
-    source = write_hdf5(tmp_path / "in.cgns", full_file())
-    grid = moved(read_grid(source))
-    asked = replace(grid, format=replace(grid.format, original=None))
-    write_grid(asked, tmp_path / "asked.cgns")
-    with monkeypatch.context() as patched:
-        patched.setattr(write_copy, "opened_cgns", lambda path: pytest.fail(f"{path} is read again"))
-        write_grid(grid, tmp_path / "known.cgns")
-    assert (tmp_path / "known.cgns").read_bytes() == (tmp_path / "asked.cgns").read_bytes()
-    # Of a file that was written since, everything is looked up: here, the coordinates have moved within the file.
-    write_hdf5(source, full_file(), dataset={"chunks": True})
-    write_grid(grid, tmp_path / "later.cgns")
-    assert differences(source, tmp_path / "later.cgns", is_coordinate) == []
-    np.testing.assert_array_equal(read_grid(tmp_path / "later.cgns").block(0), grid.block(0))
 
 
 @pytest.mark.parametrize("shared", ["CoordinateY", "CoordinateY/ data"])
