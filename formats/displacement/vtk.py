@@ -12,7 +12,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import IntArray
 
 from ..vtk.legacy import Attributes, LegacyFile
-from ..vtk.xml_arrays import ArrayReader, joined, read_section
+from ..vtk.xml_arrays import ArrayReader, read_section
 from ..vtk.xml_tags import Element, read_tags
 from .table import NO_TRIANGLES, DisplacementTable, fans, starts_of_list, surface_table
 
@@ -31,24 +31,17 @@ def read_vtk_xml(path: Path) -> DisplacementTable:
     file = read_tags(path)
     with path.open("rb") as stream:
         reader = ArrayReader(file, stream)
-        read_piece = _polygons if file.kind == "PolyData" else _cells
-        pieces = file.data_set().all("Piece")
-        sizes = [reader.number(piece, "NumberOfPoints") for piece in pieces]
-        pieces, sizes = [p for p, n in zip(pieces, sizes, strict=True) if n], [n for n in sizes if n]
-        if not pieces:
-            raise FormatError(f"{path} has no points")
-        own = [reader.arrays_of(piece, "Points", 1)[0] for piece in pieces]
-        points = [reader.values(array, n, 3) for array, n in zip(own, sizes, strict=True)]
-        nodes = [read_section(reader, piece, "PointData", n, []) for piece, n in zip(pieces, sizes, strict=True)]
-        triangles = [read_piece(reader, piece) for piece in pieces]
+        pieces = [piece for piece in file.data_set().all("Piece") if reader.number(piece, "NumberOfPoints")]
+        if len(pieces) != 1:
+            what = f"{len(pieces)} pieces; merge them into one" if pieces else "no points"
+            raise FormatError(f"{path} has {what}")
+        (piece,) = pieces
+        size = reader.number(piece, "NumberOfPoints")
+        points = reader.values(reader.arrays_of(piece, "Points", 1)[0], size, 3)
+        arrays = {array.name: array.values for array in read_section(reader, piece, "PointData", size, [])}
+        triangles = _polygons(reader, piece) if file.kind == "PolyData" else _cells(reader, piece)
         reader.require_no_rest()
-    for numbers, first in zip(triangles, np.cumsum([0, *sizes]), strict=False):
-        numbers += first
-    try:
-        arrays = {array.name: np.concatenate(values) for array, values in joined(nodes)}
-    except ValueError as error:
-        raise FormatError(f"cannot read {path}: the node {error}") from error
-    return surface_table(path, np.concatenate(points), arrays, np.concatenate(triangles))
+    return surface_table(path, points, arrays, triangles)
 
 
 def _polygons(reader: ArrayReader, piece: Element) -> IntArray:

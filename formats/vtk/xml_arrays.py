@@ -15,7 +15,6 @@ import lzma
 import math
 import re
 import zlib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -338,23 +337,6 @@ def read_section(
                 values = native(reader.values(element, reader.number(element, "NumberOfTuples")))
             found[name] = DataArray(name, SECTIONS[tag], values)
     return list(found.values())
-
-
-def joined(parts: list[list[DataArray]]) -> Iterator[tuple[DataArray, list[NDArray[Any]]]]:
-    """Each array of the first piece with its values in all pieces.
-
-    Raises ValueError with the array that one of the pieces lacks or has in another type.
-    """
-    by_name = [{array.name: array for array in arrays} for arrays in parts]
-    for number, arrays in enumerate(by_name[1:], start=2):
-        different = sorted(by_name[0].keys() ^ arrays.keys())
-        if different:
-            raise ValueError(f"array {different[0]!r} is in only one of Piece 1 and Piece {number}")
-    for name, first in by_name[0].items():
-        values = [arrays[name].values for arrays in by_name]
-        if len({(part.dtype, part.shape[1:]) for part in values}) > 1:
-            raise ValueError(f"array {name!r} does not have the same type and number of components in all pieces")
-        yield first, values
 
 
 # --- structured grids

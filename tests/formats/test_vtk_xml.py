@@ -390,16 +390,19 @@ def test_pieces_of_a_surface(tmp_path):
         + "</Cells></Piece>"
     )
     points = np.arange(18.0).reshape(6, 3)
-    pieces = "".join(one.format(points=array(p), moves=array(p + 0.5, "disp")) for p in (points[:3], points[3:]))
+    pieces = [one.format(points=array(p), moves=array(p + 0.5, "disp")) for p in (points[:3], points[3:])]
     empty = '<Piece NumberOfPoints="0" NumberOfCells="0"></Piece>'
-    (tmp_path / "a.vtu").write_text(
-        '<VTKFile type="UnstructuredGrid" byte_order="LittleEndian"><UnstructuredGrid>'
-        f"{empty}{pieces}</UnstructuredGrid></VTKFile>"
+    frame = (
+        '<VTKFile type="UnstructuredGrid" byte_order="LittleEndian"><UnstructuredGrid>{}</UnstructuredGrid></VTKFile>'
     )
+    (tmp_path / "a.vtu").write_text(frame.format(f"{empty}{pieces[0]}"))
     data = read_displacement(tmp_path / "a.vtu")
-    np.testing.assert_array_equal(data.points, points)
-    np.testing.assert_array_equal(data.displacement, points + 0.5)
-    assert data.triangles.tolist() == [[0, 1, 2], [3, 4, 5]]
+    np.testing.assert_array_equal(data.points, points[:3])
+    np.testing.assert_array_equal(data.displacement, points[:3] + 0.5)
+    assert data.triangles.tolist() == [[0, 1, 2]]
+    (tmp_path / "a.vtu").write_text(frame.format("".join(pieces)))
+    with pytest.raises(FormatError, match="has 2 pieces; merge them into one"):
+        read_displacement(tmp_path / "a.vtu")
 
 
 def test_a_surface_of_vtk_in_every_encoding(tmp_path):
