@@ -29,24 +29,17 @@ def hdf5_output(path: Path, mode: str, **options: Any) -> Iterator[h5py.File]:
     Raises OSError at the end of the block, if anything could not be written. Raises FormatError when the library failed
     for another reason.
     """
-    with target(path, mode) as sink, h5py.File(sink, mode, **options) as file:
-        yield file
-
-
-@contextmanager
-def target(path: Path, mode: str) -> Iterator[io.BufferedRandom]:
-    """A file object that ``h5py.File`` accepts instead of a path, for libraries that open the file themselves."""
     raw = _Unfailing(path, "w+" if mode == "w" else mode)
     # The library writes the headers of thousands of nodes one by one, mostly in ascending order.
     sink = io.BufferedRandom(raw, _BUFFER)
     try:
         # An exception from a signal handler must not pass through the library either.
-        with interruption.deferred():
-            yield sink
+        with interruption.deferred(), h5py.File(sink, mode, **options) as file:
+            yield file
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
         raise raw.failure or error from error
     finally:
-        # Files left open on it come first; h5py identifies a file by the object that it was opened with.
+        # A file that could not be closed comes first; h5py identifies it by the object that it was opened with.
         for left in h5f.get_obj_ids(h5f.OBJ_ALL, h5f.OBJ_FILE):
             if left.valid and left.name == repr(sink).encode():
                 h5py.File(left).close()

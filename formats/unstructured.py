@@ -17,6 +17,7 @@ first, then those inside blocks.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +32,6 @@ from meshdeform_core.grid import Field, FileFormat, FloatArray, Grid, IntArray
 from meshdeform_core.grid.topology import Topology, find_topology, separated
 
 from .files import checked_options, replacing
-from .hdf5_output import target
 from .markers import find_markers, point_numbers
 from .text import text_rows
 from .vtk.dataset import storable
@@ -80,9 +80,10 @@ def write(grid: Grid, path: Path, variant: FileFormat) -> None:
             tags = [-(mesh.block + 1 + len(mesh.names)), -(mesh.patch + 1)]
             med = meshio.Mesh(mesh.points, _cells_and_faces(mesh), cell_data={"cell_tags": tags})
             med.cell_tags = {-(1 + number): [name] for number, name in enumerate([*mesh.names, *grid.names])}
-            # meshio opens the file by a name only; its writer takes what h5py takes.
-            with target(partial, "w") as sink:
-                meshio.med.write(sink, med)
+            # In memory, as HDF5 cannot close a file on a full disk; meshio's writer takes what h5py takes.
+            content = io.BytesIO()
+            meshio.med.write(content, med)
+            partial.write_bytes(content.getbuffer())
         elif kind == "inp":
             sets = {_word(name): np.unique(mesh.faces[mesh.patch == number]) for number, name in enumerate(mesh.names)}
             inside = [(mesh.kinds[0], mesh.cells)]
