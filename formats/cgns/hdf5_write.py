@@ -70,10 +70,11 @@ def own_group(parent: h5py.Group, node: Node) -> h5py.Group:
     Coordinates that are to change must not belong to another file or zone.
     """
     hard = isinstance(parent.get(node.name, getlink=True), h5py.HardLink)
-    if not hard or has_other_names(parent[node.name]):
+    group = parent[node.name] if hard else None
+    if group is None or has_other_names(group):
         del parent[node.name]
         _write(parent.id, node, Path(), 0)
-    group = parent[node.name]
+        group = parent[node.name]
     if attribute(group.id, b"type") == "LK":
         for name in [name for name in group if name.startswith(" ")]:
             del group[name]
