@@ -50,7 +50,7 @@ SOURCES = {
     "cgns": (read_grid, lambda folder: write_hdf5(folder / "a.cgns", two_zones())),
     "adf": (read_grid, lambda folder: AdfWriter().write(folder / "a.adf", two_zones())),
     "vts": (read_grid, grid_file("a.vts")),
-    "vts-zlib": (read_grid, grid_file("a.vts", encoding="binary", compression="zlib")),
+    "vts-zlib": (read_grid, grid_file("a.vts", compression="zlib")),
     "vts-ascii": (read_grid, grid_file("a.vts", encoding="ascii")),
     "vtm": (read_grid, grid_file("a.vtm")),
     "vtk": (read_grid, grid_file("a.vtk")),

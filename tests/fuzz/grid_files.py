@@ -31,7 +31,7 @@ def prepare(bench: Bench) -> None:
         ("grid.cgns", bench.grid, {}),
         ("grid.vts", one, {"encoding": "ascii"}),
         ("raw.vts", one, {"encoding": "appended", "compression": "none"}),
-        ("packed.vts", one, {"encoding": "binary", "compression": "zlib"}),
+        ("packed.vts", one, {"compression": "zlib"}),
         ("grid.vtk", one, {"encoding": "ascii"}),
         ("raw.vtk", one, {"encoding": "binary"}),
         ("set.vtm", bench.grid, {"encoding": "ascii"}),
