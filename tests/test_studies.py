@@ -67,6 +67,16 @@ def test_a_resolved_motion_has_half_the_acceleration_with_half_the_interval(stud
     assert float(told["single runs, edges"]) < 1e-6
 
 
+def test_the_workshops_cylinder_keeps_its_affine_map_and_a_uniform_flow(study, monkeypatch):
+    monkeypatch.setitem(importlib.import_module("workshop").ENDS, 1, (0.5, 0.025))
+    head, _, row = rows(study("workshop", "--only", "case 1, 8 cells, idw-tfi"))
+    told = dict(zip(head, row, strict=True))
+    assert told["valid"] == "21 of 21"
+    assert float(told["distance"]) < 1e-10
+    assert told["acceleration"] == told["exact map's"]
+    assert max(map(float, told["density, orders 1 / 2 / 3"].split(" / "))) < 1e-12
+
+
 @pytest.mark.slow
 def test_flows_are_counted_and_put_on_the_page(study, tmp_path):
     page, record = tmp_path / "page.md", tmp_path / "flows.json"

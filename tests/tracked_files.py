@@ -11,7 +11,7 @@ import sys
 from fnmatch import fnmatch
 from pathlib import Path
 
-BINARY = ("docs/images/*.png",)
+BINARY = ("docs/images/*.png", "studies/*.png")
 """Binary files that belong here."""
 LARGEST = 300_000
 """Bytes of a file."""
