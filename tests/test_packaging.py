@@ -15,20 +15,20 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+DECLARED = tomllib.loads((ROOT / "pyproject.toml").read_text())
+PROJECT, SETUP = DECLARED["project"], DECLARED["tool"]["setuptools"]
 NEEDED = PROJECT["dependencies"]
 
 
 def test_every_package_on_disk_is_listed():
     """Setuptools builds a wheel without a package that is missing from the list, and says nothing."""
-    setup = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
-    folders = {Path(folder): name for name, folder in setup["package-dir"].items()}
+    folders = {Path(folder): name for name, folder in SETUP["package-dir"].items()}
     found = set()
     for top, name in folders.items():
         for file in (ROOT / top).rglob("__init__.py"):
             inside = file.parent.relative_to(ROOT / top).parts
             found.add(".".join((name, *inside)))
-    assert found == set(setup["packages"])
+    assert found == set(SETUP["packages"])
 
 
 def test_the_version_is_stated_alike():
@@ -66,12 +66,20 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def installed(wheel: Path) -> Path:
-    """Scripts of a fresh environment with the program installed as `pip install .` does, dependencies borrowed."""
+    """Scripts of a fresh environment with the program installed as `pip install .` does, dependencies borrowed, and the
+    loops that are compiled here: that an installation compiles its own is seen at the lowest versions."""
     folder = environment(wheel.parent / "env")
     install(folder, "--no-deps", "--no-index", wheel)
     where = run(folder / "python", "-c", "import sysconfig; print(sysconfig.get_path('purelib'))")
+    packages = Path(where.stdout.strip())
     # A path in a .pth file is searched, but the .pth files in it (an editable install) are not obeyed.
-    (Path(where.stdout.strip()) / "borrowed.pth").write_text(f"{Path(np.__file__).parents[1]}\n")
+    (packages / "borrowed.pth").write_text(f"{Path(np.__file__).parents[1]}\n")
+    for name, top in SETUP["package-dir"].items():
+        for loop in (ROOT / top).rglob("*.nb[ci]"):
+            place = packages / name / loop.relative_to(ROOT / top)
+            if place.parents[1].is_dir():
+                place.parent.mkdir(exist_ok=True)
+                shutil.copy(loop, place)
     return folder
 
 
@@ -103,7 +111,6 @@ def test_installed_program_runs_in_another_folder(installed, tmp_path):
     assert (sample.returncode, sample.stderr) == (0, "")
     for name in ("grid.cgns", "case.toml", "README.md"):
         assert (tmp_path / "case" / name).is_file()
-    # The kernels are compiled at the first use of an installation.
     done = run(
         program, "deform", "case/grid.cgns", "-c", "case/case.toml", "-o", "case/deformed.cgns", "--report", "r.json",
         cwd=tmp_path, timeout=240,
