@@ -1,10 +1,12 @@
 """Ranks that are forks of this process, which passes on what they exchange: several ranks without MPI."""
 
+import contextlib
 import multiprocessing
 import traceback
 
 import numpy as np
 
+from meshdeform_core.numerics import pieces
 from meshdeform_core.parallel import OneRank, empty, nodes, sharing
 
 _PATIENCE = 120.0
@@ -116,3 +118,13 @@ def poison_parts(monkeypatch):
         return array
 
     monkeypatch.setattr(nodes, "blank", poison)
+
+
+@contextlib.contextmanager
+def small_blocks_are_cut(monkeypatch, least=100, cells=4):
+    """Blocks are cut into pieces of about ``least`` nodes between planes ``cells`` apart, although they are small."""
+    monkeypatch.setattr(pieces, "_NODES", least)
+    monkeypatch.setattr(pieces, "_CELLS", cells)
+    pieces._ends.cache_clear()
+    yield
+    pieces._ends.cache_clear()

@@ -1,18 +1,11 @@
 """``mesh.linearise``: shapes, errors, and when it is not the derivative of the step."""
 
-import dataclasses
-import pickle
-
 import numpy as np
 import pytest
 from grids import frame, frame_2d
 
 import meshdeform as md
 from meshdeform.grid import wrapped
-from meshdeform.linearisation import differentiated
-from meshdeform_core.deform import impose
-from meshdeform_core.methods import Options, prepare_method
-from meshdeform_core.setup import Timing
 
 BODY = {"where": "abs(x) < 0.51 and abs(y) < 0.51", "select": ["*.i*", "*.j*"], "kind": "moving", "name": "body"}
 
@@ -105,18 +98,6 @@ def test_a_part_of_the_motion_is_told(mesh):
     assert "of the motion was imposed; the derivative is that of the method for all of it" in found.reason
 
 
-def test_another_method_is_told(mesh):
-    step = mesh.deform(bend(mesh), steps=1, repair="off")
-    method, problem = mesh._method(Timing()), mesh.session.setup.problem
-    total = mesh.session.of_boundary(bend(mesh))[problem.source_numbers]
-    assert differentiated(step.result, method, total)[1] == ""
-    other = prepare_method(Options("tfi"), problem).apply(total)
-    replaced = dataclasses.replace(
-        step.result, grid=mesh.session.setup.grid.moved(mesh.session.setup.grid.points + other)
-    )
-    assert "another method replaced the chosen one" in differentiated(replaced, method, total)[1]
-
-
 def test_bad_arrays(mesh):
     found = mesh.linearise()
     with pytest.raises(md.MotionError, match="displacement"):
@@ -136,51 +117,3 @@ def test_bad_arrays(mesh):
             found.vjp(given)
     with pytest.raises(md.GridError, match="complex numbers"):
         found.operator @ (1j * np.ones(mesh.points.size))
-
-
-def test_the_step_just_made_is_not_made_again(mesh, monkeypatch):
-    made = []
-    monkeypatch.setattr("meshdeform.mesh.impose", lambda *given: made.append(1) or impose(*given))
-    step = mesh.deform(bend(mesh))
-    assert mesh.linearise(bend(mesh)).step is step
-    assert len(made) == 1
-    assert mesh.linearise(bend(mesh), repair="off").step is not step
-    assert mesh.linearise(0.5 * bend(mesh)).step is not step
-    assert len(made) == 3
-    # What nobody holds is not kept.
-    del step
-    mesh.deform(bend(mesh))
-    mesh.linearise(bend(mesh))
-    assert len(made) == 5
-    assert pickle.loads(pickle.dumps(mesh)).linearise(bend(mesh)).exact
-
-
-def test_a_derivative_changes_no_later_step(mesh):
-    before = mesh.deform(bend(mesh)).grid.blocks
-    found = mesh.linearise(0.5 * bend(mesh))
-    found.vjp(found.jvp(bend(mesh)))
-    for one, two in zip(before, mesh.deform(bend(mesh)).grid.blocks, strict=True):
-        np.testing.assert_array_equal(one, two)
-
-
-def test_gradients_at_periodic_images_are_alike():
-    """Where both sides of a sector hold images of wall nodes, a step along the gradient moves them alike."""
-    r, t, z = np.meshgrid(
-        np.linspace(1.0, 2.0, 4), np.linspace(0.0, np.pi / 3, 4), np.linspace(0.0, 1.0, 3), indexing="ij"
-    )
-    grid = md.Grid([np.stack([r * np.cos(t), r * np.sin(t), z], axis=-1)])
-    mesh = md.prepare(
-        grid,
-        moving=["block1.imin"],
-        periodic={"sides": ["block1.jmin", "block1.jmax"]},
-        free=["block1.k*"],
-        method="idw",
-    )
-    outward = mesh.points * [1.0, 1.0, 0.0]
-    at = mesh.linearise(0.03 * outward)
-    weights = [np.cos(3.0 * block) for block in mesh.grid.blocks]
-    gradient = at.vjp(weights)
-    assert mesh.deform(0.03 * outward - 1e-3 * gradient).valid
-    for change in (outward * mesh.points[:, 2:], gradient):
-        product = sum(float((w * moved).sum()) for w, moved in zip(weights, at.jvp(change), strict=True))
-        assert product == pytest.approx(float((gradient * change).sum()), rel=1e-12)

@@ -2,18 +2,14 @@
 
 import numpy as np
 import pytest
-from api.test_openmdao import PLACE, AeroBuilder, StructBuilder, TransferBuilder, X, bent, prepared
+from api.test_openmdao import bent, prepared
 
 om = pytest.importorskip("openmdao.api")
 pytest.importorskip("mphys")
 from mphys.core import (  # noqa: E402
     Builder,
-    DistributedConverter,
-    DistributedVariableDescription,
-    MaskedConverter,
-    MaskedVariableDescription,
     MPhysGroup,
-    UnmaskedConverter,
+    MPhysVariables,
 )
 from mphys.scenarios.aerodynamic import ScenarioAerodynamic  # noqa: E402
 from mphys.scenarios.aerostructural import ScenarioAeroStructural  # noqa: E402
@@ -22,10 +18,75 @@ from meshdeform.openmdao import MeshCoordinates, MeshDeformBuilder, MeshDeformCo
 
 pytestmark = pytest.mark.usefixtures("openmdao_folder")
 
+X, S = MPhysVariables.Aerodynamics.Surface, MPhysVariables.Structures
+
 
 @pytest.fixture(scope="module")
 def mesh():
     return prepared()
+
+
+class Stand(om.ExplicitComponent):
+    """A part of a scenario: outputs of given sizes and tags from inputs with given tags."""
+
+    def initialize(self):
+        self.options.declare("takes")
+        self.options.declare("gives")
+
+    def setup(self):
+        for name, tag in self.options["takes"].items():
+            self.add_input(name, shape_by_conn=True, tags=[tag])
+        for name, (size, tag) in self.options["gives"].items():
+            self.add_output(name, shape=size, tags=[tag])
+
+    def compute(self, inputs, outputs):
+        total = sum(np.sin(values).sum() for values in inputs.values())
+        for name, (size, _) in self.options["gives"].items():
+            outputs[name] = 1e-3 * total * np.sin(np.arange(size)) * np.tile([1.0, 1.0, 0.0], size // 3 or 1)[:size]
+
+
+PLACE, BOTH = "mphys_coordinates", "mphys_coupling"
+
+
+class AeroBuilder(Builder):
+    """The solver: loads from surface and volume coordinates."""
+
+    def __init__(self, size):
+        self.size = size
+
+    def get_pre_coupling_subsystem(self, scenario_name=None):
+        return Stand(takes={X.COORDINATES_INITIAL: PLACE}, gives={"prestate_aero": (1, BOTH)})
+
+    def get_coupling_group_subsystem(self, scenario_name=None):
+        takes = {X.COORDINATES: PLACE, "prestate_aero": BOTH, "x_aero_volume": BOTH}
+        return Stand(takes=takes, gives={X.LOADS: (self.size, BOTH)})
+
+    def get_post_coupling_subsystem(self, scenario_name=None):
+        return Stand(takes={X.LOADS: BOTH}, gives={"func_aero": (1, "mphys_result")})
+
+
+class StructBuilder(AeroBuilder):
+    def get_mesh_coordinate_subsystem(self, scenario_name=None):
+        mesh = om.IndepVarComp()
+        mesh.add_output(S.Mesh.COORDINATES, np.ones(self.size), tags=[PLACE])
+        return mesh
+
+    def get_pre_coupling_subsystem(self, scenario_name=None):
+        return None
+
+    get_post_coupling_subsystem = get_pre_coupling_subsystem
+
+    def get_coupling_group_subsystem(self, scenario_name=None):
+        takes = {S.COORDINATES: PLACE, S.Loads.AERODYNAMIC: BOTH}
+        return Stand(takes=takes, gives={S.DISPLACEMENTS: (self.size, BOTH)})
+
+
+class TransferBuilder(AeroBuilder):
+    get_pre_coupling_subsystem = get_post_coupling_subsystem = StructBuilder.get_pre_coupling_subsystem
+
+    def get_coupling_group_subsystem(self, scenario_name=None):
+        displacement = Stand(takes={S.DISPLACEMENTS: BOTH}, gives={X.DISPLACEMENTS: (self.size, BOTH)})
+        return displacement, Stand(takes={X.LOADS: BOTH}, gives={S.Loads.AERODYNAMIC: (self.size, BOTH)})
 
 
 class Bend(om.ExplicitComponent):
@@ -103,37 +164,3 @@ def test_a_group_promotes_what_is_tagged(mesh, promotes):
     assert set(names) == {"deform.x_aero", "deform.x_aero_volume"}
     for name, promoted in names.items():
         assert promoted == (name.removeprefix("deform.") if promotes else name)
-
-
-def test_converters_around_the_deformation(mesh):
-    """Some nodes of the surface are masked out and put back, and the grid goes to a solver that is not distributed."""
-    builder = MeshDeformBuilder(lambda comm: mesh)
-    builder.initialize(None)
-    chosen = np.zeros(len(mesh.points), dtype=bool)
-    chosen[builder.get_tagged_indices(["body"])[::2]] = True
-    mask = np.repeat(chosen, 3)
-    size, some, nodes = mask.size, int(mask.sum()), 3 * mesh.grid.n_nodes
-
-    def of(name, count, tag=PLACE):
-        return MaskedVariableDescription(name, shape=count, tags=[tag])
-
-    problem = om.Problem()
-    add = problem.model.add_subsystem
-    add("masker", MaskedConverter(input=of("given", size), output=of("some", some), mask=mask), promotes=["*"])
-    whole = UnmaskedConverter(
-        input=of("some", some), output=of("x_aero", size), mask=mask, default_values=mesh.points.ravel()
-    )
-    add("unmasker", whole, promotes=["*"])
-    add("deform", MeshDeformComp(mesh=mesh), promotes=["*"])
-    grid = DistributedVariableDescription("x_aero_volume", shape=nodes, tags=["mphys_coupling"])
-    add("serial", DistributedConverter(distributed_inputs=[grid]), promotes=["*"])
-    problem.setup()
-    problem.set_val("given", bent(mesh.points).ravel())
-    problem.run_model()
-    points = np.where(chosen[:, None], bent(mesh.points), mesh.points)
-    np.testing.assert_allclose(problem.get_val("x_aero_volume_serial"), grid_at(mesh, points), atol=1e-12)
-    found = problem.check_totals(
-        of=["x_aero_volume_serial"], wrt=["given"], form="central", step=1e-6, directional=True, out_stream=None
-    )
-    (pair,) = found.values()
-    assert pair["abs error"].forward < 1e-6 * np.linalg.norm(pair["J_fd"])

@@ -9,15 +9,12 @@ from meshdeform.grid import wrapped
 
 om = pytest.importorskip("openmdao.api")
 pytest.importorskip("mphys")
-from mphys.core import Builder, MPhysVariables, Multipoint  # noqa: E402
-from mphys.scenarios.aerodynamic import ScenarioAerodynamic  # noqa: E402
 
 from meshdeform.openmdao import MeshDeformBuilder, MeshDeformComp, MeshQualityComp  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("openmdao_folder")
 
 BODY = {"body": ["block2.imax", "block4.jmax", "block5.jmin", "block7.imin"]}
-X = MPhysVariables.Aerodynamics.Surface
 
 
 def prepared(comm=None, size=(2, 1)):
@@ -82,14 +79,6 @@ def test_total_derivatives_of_quality(mesh):
             step.quality_gradient(name.removeprefix("quality_")).blocks
         )
         np.testing.assert_allclose(found[name, "x_aero"].reshape(-1, 3), expected, atol=1e-12)
-
-
-def test_volume_is_that_of_the_mesh(mesh):
-    problem = model_of(mesh)
-    problem.run_model()
-    step = mesh.deform(bent(mesh.points) - mesh.points, repair="off")
-    whole = np.concatenate([block.ravel() for block in step.grid.blocks])
-    np.testing.assert_array_equal(problem.get_val("x_aero_volume"), whole)
 
 
 def test_an_invalid_grid_is_an_analysis_error(mesh):
@@ -160,122 +149,6 @@ def test_other_ranks_than_those_of_the_mesh(mesh, monkeypatch):
     problem.model.add_subsystem("deform", MeshDeformComp(mesh=mesh))
     with pytest.raises(md.CaseError, match="prepared for 3 ranks"):
         problem.setup()
-
-
-class Flow(om.ExplicitComponent):
-    """A solver: the sum of squares of the volume coordinates."""
-
-    def setup(self):
-        self.add_input("x_aero_volume", shape_by_conn=True, tags=["mphys_coupling"])
-        self.add_output("lift", tags=["mphys_result"])
-        self.declare_partials("lift", "x_aero_volume")
-
-    def compute(self, inputs, outputs):
-        outputs["lift"] = (inputs["x_aero_volume"] ** 2).sum()
-
-    def compute_partials(self, inputs, partials):
-        partials["lift", "x_aero_volume"] = 2 * inputs["x_aero_volume"]
-
-
-class FlowBuilder(Builder):
-    def get_coupling_group_subsystem(self, scenario_name=None):
-        return Flow()
-
-
-def test_a_scenario_of_mphys(mesh):
-    """The builder with a solver: coordinates from the mesh, the deformation, the flow, the quality."""
-
-    class Top(Multipoint):
-        def setup(self):
-            builder = MeshDeformBuilder(lambda comm: mesh, solver=FlowBuilder(), measures=("scaled_jacobian_min",))
-            builder.initialize(self.comm)
-            self.add_subsystem("mesh", builder.get_mesh_coordinate_subsystem())
-            self.mphys_add_scenario("cruise", ScenarioAerodynamic(aero_builder=builder))
-            self.connect(f"mesh.{X.Mesh.COORDINATES}", f"cruise.{X.COORDINATES}")
-
-        def configure(self):
-            super().configure()
-            self.name_of_input = self.mesh.mphys_add_coordinate_input()[0]
-
-    problem = om.Problem(model=Top())
-    problem.setup(mode="rev")
-    problem.set_val("mesh.x_aero0_points", bent(mesh.points).ravel())
-    problem.run_model()
-    assert problem.model.name_of_input == "x_aero0_points"
-    assert 0 < problem.get_val("cruise.quality_scaled_jacobian_min")[0] < 1
-    found = problem.check_totals(
-        of=["cruise.lift", "cruise.quality_scaled_jacobian_min"], wrt=["mesh.x_aero0_points"], form="central",
-        step=1e-6, directional=True, out_stream=None,
-    )  # fmt: skip
-    assert len(found) == 2
-    for pair in found.values():
-        assert_exact(pair)
-
-
-class Stand(om.ExplicitComponent):
-    """A part of a scenario: outputs of given sizes and tags from inputs with given tags."""
-
-    def initialize(self):
-        self.options.declare("takes")
-        self.options.declare("gives")
-
-    def setup(self):
-        for name, tag in self.options["takes"].items():
-            self.add_input(name, shape_by_conn=True, tags=[tag])
-        for name, (size, tag) in self.options["gives"].items():
-            self.add_output(name, shape=size, tags=[tag])
-
-    def compute(self, inputs, outputs):
-        total = sum(np.sin(values).sum() for values in inputs.values())
-        for name, (size, _) in self.options["gives"].items():
-            outputs[name] = 1e-3 * total * np.sin(np.arange(size)) * np.tile([1.0, 1.0, 0.0], size // 3 or 1)[:size]
-
-
-PLACE, BOTH = "mphys_coordinates", "mphys_coupling"
-
-
-class AeroBuilder(Builder):
-    """The solver: loads from surface and volume coordinates."""
-
-    def __init__(self, size):
-        self.size = size
-
-    def get_pre_coupling_subsystem(self, scenario_name=None):
-        return Stand(takes={X.COORDINATES_INITIAL: PLACE}, gives={"prestate_aero": (1, BOTH)})
-
-    def get_coupling_group_subsystem(self, scenario_name=None):
-        takes = {X.COORDINATES: PLACE, "prestate_aero": BOTH, "x_aero_volume": BOTH}
-        return Stand(takes=takes, gives={X.LOADS: (self.size, BOTH)})
-
-    def get_post_coupling_subsystem(self, scenario_name=None):
-        return Stand(takes={X.LOADS: BOTH}, gives={"func_aero": (1, "mphys_result")})
-
-
-S = MPhysVariables.Structures
-
-
-class StructBuilder(AeroBuilder):
-    def get_mesh_coordinate_subsystem(self, scenario_name=None):
-        mesh = om.IndepVarComp()
-        mesh.add_output(S.Mesh.COORDINATES, np.ones(self.size), tags=[PLACE])
-        return mesh
-
-    def get_pre_coupling_subsystem(self, scenario_name=None):
-        return None
-
-    get_post_coupling_subsystem = get_pre_coupling_subsystem
-
-    def get_coupling_group_subsystem(self, scenario_name=None):
-        takes = {S.COORDINATES: PLACE, S.Loads.AERODYNAMIC: BOTH}
-        return Stand(takes=takes, gives={S.DISPLACEMENTS: (self.size, BOTH)})
-
-
-class TransferBuilder(AeroBuilder):
-    get_pre_coupling_subsystem = get_post_coupling_subsystem = StructBuilder.get_pre_coupling_subsystem
-
-    def get_coupling_group_subsystem(self, scenario_name=None):
-        displacement = Stand(takes={S.DISPLACEMENTS: BOTH}, gives={X.DISPLACEMENTS: (self.size, BOTH)})
-        return displacement, Stand(takes={X.LOADS: BOTH}, gives={S.Loads.AERODYNAMIC: (self.size, BOTH)})
 
 
 def test_what_mphys_asks_a_builder(mesh):

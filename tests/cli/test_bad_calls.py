@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-
 import pytest
 
 DEFORM = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz")
@@ -11,7 +9,6 @@ DEFORM = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz")
 # id: (arguments, fragments of the message)
 WRONG = {
     # commands and options
-    "command-unknown": (("deforn", "grid.xyz"), ("no such command 'deforn'",)),
     "option-unknown": ((*DEFORM, "--stepz", "3"), ("No such option", "--stepz", "--steps")),
     "argument-missing": (("deform",), ("Missing argument 'GRID'",)),
     "argument-extra": (("info", "grid.xyz", "grid.cgns"), ("unexpected extra argument",)),
@@ -21,19 +18,11 @@ WRONG = {
     "nothing-to-do-method": (("deform", "grid.xyz", "-m", "tfi", "-o", "out.xyz"), ("Nothing to do", "(-c)")),
     # numbers
     "threads-zero": ((*DEFORM, "--threads", "0"), ("--threads", "x>=1")),
-    "threads-text": ((*DEFORM, "--threads", "many"), ("--threads", "'many'")),
-    "time-text": ((*DEFORM, "--time", "noon"), ("--time", "'noon'")),
     "time-nan": ((*DEFORM, "--time", "nan"), ("--time", "finite")),
     "time-inf": ((*DEFORM, "--time", "inf"), ("--time", "finite")),
-    "steps-zero": ((*DEFORM, "--steps", "0"), ("--steps '0'", "whole number >= 1", "auto")),
-    "steps-negative": ((*DEFORM, "--steps", "-3"), ("--steps '-3'", "whole number >= 1")),
     "steps-fraction": ((*DEFORM, "--steps", "2.5"), ("--steps '2.5'", "whole number >= 1")),
-    "steps-text": ((*DEFORM, "--steps", "automatic"), ("--steps 'automatic'", "auto")),
     "steps-of-dry-run": ((*DEFORM, "--dry-run", "--steps", "x"), ("--steps 'x'",)),
     "memory-text": ((*DEFORM, "--max-memory", "lots"), ("--max-memory 'lots'", "2GiB")),
-    "memory-unit": ((*DEFORM, "--max-memory", "2 gigs"), ("--max-memory '2 gigs'", "2GiB")),
-    "memory-zero": ((*DEFORM, "--max-memory", "0"), ("--max-memory '0'",)),
-    "memory-negative": ((*DEFORM, "--max-memory", "-1GiB"), ("--max-memory '-1GiB'",)),
     "memory-small": ((*DEFORM, "--max-memory", "10KiB"), ("1,152 nodes", "--max-memory allows 10 KiB", "allow more")),
     "memory-system": (
         (*DEFORM, "-m", "rbf", "--max-memory", "241.5MiB"),
@@ -43,10 +32,8 @@ WRONG = {
     "tolerance-nan": (("compare", "grid.xyz", "grid.cgns", "--tolerance", "nan"), ("--tolerance", "finite")),
     # KEY=VALUE
     "set-no-equals": ((*DEFORM, "-s", "method.name"), ("--set 'method.name'", "KEY=VALUE")),
-    "set-no-key": ((*DEFORM, "-s", "=3"), ("--set '=3'", "KEY=VALUE")),
     "set-unknown": ((*DEFORM, "-s", "method.idw.alpa=0.3"), ("[method.idw]", "did you mean 'alpha'")),
     "set-unknown-top": ((*DEFORM, "-s", "metod.name=tfi"), ("unknown key 'metod'", "did you mean 'method'")),
-    "set-empty-key": ((*DEFORM, "-s", "method..name=tfi"), ("method",)),
     "set-wrong-type": ((*DEFORM, "-s", "method.idw.alpha=big"), ("method.idw.alpha = 'big'", "positive number")),
     "set-through-value": ((*DEFORM, "-s", "constants.turn.x=1"), ("'turn' is a value, not a table",)),
     "set-boundary-unknown": ((*DEFORM, "-s", "boundary.wing.kind=fixed"), ("no entry 'wing'", "body, span")),
@@ -55,7 +42,6 @@ WRONG = {
     "set-boundary-all": ((*DEFORM, "-s", "boundary=3"), ("boundary", "double brackets")),
     "set-inside-list": ((*DEFORM, "-s", "boundary.body.select.1=x"), ("boundary.body.select", "as a whole")),
     "set-two-lines": ((*DEFORM, "-s", "constants.turn=1\nb = 2"), ("constants.turn",)),
-    "variant-no-equals": ((*DEFORM, "--variant", "ascii"), ("--variant 'ascii'", "KEY=VALUE")),
     "variant-key": ((*DEFORM, "--variant", "encodin=ascii"), ("'encodin'", "did you mean 'encoding'")),
     "variant-value": ((*DEFORM, "--variant", "encoding=asci"), ("encoding=asci", "did you mean 'ascii'")),
     "variant-meaningless": (
@@ -66,7 +52,6 @@ WRONG = {
     "variant-of-vtk": (("convert", "grid.xyz", "out.vtm", "--variant", "encoding=hex"), ("encoding", "'hex'", "known")),
     "variant-of-vtu": (("convert", "grid.xyz", "out.vtu", "--variant", "encoding=ascii"), ("out.vtu", "encoding")),
     "variant-of-dry-run": ((*DEFORM, "--dry-run", "--variant", "encoding=asci"), ("encoding=asci",)),
-    "read-as-no-equals": (("info", "grid.xyz", "--read-as", "ascii"), ("--read-as 'ascii'", "KEY=VALUE")),
     "read-as-key": (("info", "grid.xyz", "--read-as", "endian=big"), ("'endian'", "byte_order")),
     "read-as-wrong": (("info", "grid.xyz", "--read-as", "byte_order=big"), ("grid.xyz", "big")),
     "read-as-of-cgns": (("info", "grid.cgns", "--read-as", "encoding=ascii"), ("grid.cgns is a cgns file", "encoding")),
@@ -121,23 +106,18 @@ WRONG = {
     "case-missing": (("deform", "grid.xyz", "-c", "no.toml", "-o", "out.xyz"), ("no.toml", "No such file")),
     "case-folder": (("deform", "grid.xyz", "-c", ".", "-o", "out.xyz"), ("case file", "is a folder")),
     "case-binary": (("deform", "grid.xyz", "-c", "grid.xyz", "-o", "out.xyz"), ("grid.xyz", "not a TOML file")),
-    "case-cgns": (("deform", "grid.xyz", "-c", "grid.cgns", "-o", "out.xyz"), ("grid.cgns", "not a TOML file")),
     "table-missing": (("deform", "grid.xyz", "-d", "no.csv", "-o", "out.xyz"), ("no.csv", "No such file")),
     "method-unknown": ((*DEFORM, "-m", "idv"), ("method 'idv' is unknown", "idw-tfi")),
-    "method-case": ((*DEFORM, "-m", "IDW"), ("method 'IDW' is unknown", "idw")),
     "boundary-file-missing": ((*DEFORM, "--boundary-file", "no.nmf"), ("no.nmf", "No such file")),
     # other commands
     "methods-unknown": (("methods", "idv"), ("method 'idv' is unknown", "idw")),
     "sample-unknown": (("sample", "splitter", "-o", "new"), ("'splitter' is unknown", "splitter-plate")),
     "sample-no-output": (("sample", "splitter-plate"), ("Missing option '-o'",)),
     "sample-size": (("sample", "splitter-plate", "-o", "new", "--size", "-3"), ("size = -3", "multiple of 8")),
-    "sample-size-text": (("sample", "splitter-plate", "-o", "new", "--size", "big"), ("--size", "'big'")),
     "sample-suffix": (("sample", "splitter-plate", "-o", "new", "--suffix", ".foo"), ("'.foo'", "known are")),
     "sample-suffix-unstructured": (("sample", "splitter-plate", "-o", "new", "--suffix", ".vtu"), (".vtu", "cgns")),
     "sample-suffix-one-block": (("sample", "splitter-plate", "-o", "new", "--suffix", ".vts"), ("one block",)),
-    "sample-variant": (("sample", "splitter-plate", "-o", "new", "--variant", "ascii"), ("--variant", "KEY=VALUE")),
     "sample-into-file": (("sample", "splitter-plate", "-o", "old.xyz"), ("old.xyz is a file", "expected a folder")),
-    "sample-below-file": (("sample", "splitter-plate", "-o", "old.xyz/new"), ("old.xyz",)),
     "sample-exists": (("sample", "splitter-plate", "-o", "."), ("exists", "--force")),
     "compare-other-blocks": (("compare", "grid.xyz", "flat.p2dfmt"), ("block1 of grid.xyz has 5 x 5 x 4", "6 x 6 x 1")),
     "compare-missing": (("compare", "grid.xyz", "no.xyz"), ("no.xyz does not exist",)),
@@ -149,25 +129,14 @@ WRONG = {
     "quality-report-exists": (("quality", "grid.xyz", "--report", "old.json"), ("old.json exists", "--force")),
     "plot-suffix": (("plot", "grid.xyz", "-o", "out.bmp"), ("'.bmp'", ".png, .svg, .pdf")),
     "plot-no-output": (("plot", "grid.xyz"), ("Missing option '-o'",)),
-    "plot-plane-text": (("plot", "grid.xyz", "-o", "out.png", "--plane", "m=3"), ("--plane 'm=3'", "k=1")),
-    "plot-plane-zero": (("plot", "grid.xyz", "-o", "out.png", "--plane", "k=0"), ("--plane 'k=0'", "k=1")),
-    "plot-plane-far": (
-        ("plot", "grid.xyz", "-o", "out.png", "--plane", "k=99"),
-        ("no block", "k = 99", "largest is 4"),
-    ),
     "plot-plane-and-select": (
         ("plot", "grid.xyz", "-o", "out.png", "--plane", "k=1", "--select", "*"),
         ("exclude each other",),
     ),
-    "plot-select-unknown": (("plot", "grid.cgns", "-o", "out.png", "--select", "wing"), ("'wing'", "body")),
     "plot-select-flat": (("plot", "flat.p2dfmt", "-o", "out.png", "--select", "*"), ("2-D grid", "--select")),
     "plot-metric": (("plot", "grid.xyz", "-o", "out.png", "--metric", "skew"), ("--metric", "f_skew")),
     "plot-view": (("plot", "grid.xyz", "-o", "out.png", "--view", "top"), ("--view", "iso")),
     "plot-zoom-three": (("plot", "grid.xyz", "-o", "out.png", "--zoom", "1,2,3"), ("--zoom '1,2,3'", "left,right")),
-    "plot-zoom-text": (("plot", "grid.xyz", "-o", "out.png", "--zoom", "a,b,c,d"), ("--zoom", "left,right")),
-    "plot-zoom-order": (("plot", "grid.xyz", "-o", "out.png", "--zoom", "1,0,0,1"), ("--zoom", "left < right")),
-    "plot-zoom-nan": (("plot", "grid.xyz", "-o", "out.png", "--zoom", "nan,1,0,1"), ("--zoom", "left,right")),
-    "plot-zoom-inf": (("plot", "grid.xyz", "-o", "out.png", "--zoom", "0,inf,0,1"), ("--zoom", "left,right")),
 }
 
 
@@ -188,22 +157,3 @@ def test_wrong_call_is_refused(name, bench, call, snapshot):
     message = result.err.rstrip("\n")
     assert "\n" not in message
     assert message.startswith("meshdeform: error: ")
-
-
-@pytest.mark.parametrize("link", [os.symlink, os.link])
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("deform", "grid.xyz", "-c", "case.toml", "-o", "link", "--force"),
-        ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz", "--report", "link.json", "--force"),
-        ("convert", "grid.xyz", "link", "--force"),
-    ],
-)
-def test_input_is_not_overwritten_through_links(link, arguments, bench, call, snapshot):
-    link("grid.xyz", "link.xyz")
-    link("case.toml", "link.json")
-    before = snapshot(bench)
-    result = call(*(a if a != "link" else "link.xyz" for a in arguments))
-    assert result.code == 2
-    assert "is an input; the output must be another file (even with --force)" in result.err
-    assert snapshot(bench) == before

@@ -122,13 +122,6 @@ def test_dry_run_tells_that_the_boundary_crosses_itself(bench, call):
     assert "from 93.75% of the motion on" in result.err
 
 
-def test_force_overwrites_an_output(bench, call):
-    result = call("deform", "grid.xyz", "-c", "case.toml", "-o", "old.xyz", "--report", "old.json", "--force")
-    assert result.code == 0
-    assert read_grid("old.xyz").n_nodes == 1152
-    assert json.loads((bench / "old.json").read_text())["valid"] is True
-
-
 # Invalid cells: exit code 3
 
 
@@ -198,16 +191,6 @@ def test_a_case_in_the_place_of_the_grid_is_told(bench, call):
     result = call("deform", "case.toml", "-c", "grid.xyz", "-o", "out.xyz")
     assert result.code == 2
     assert "case.toml is a case file; expected the grid first: grid.xyz -c case.toml" in result.err
-
-
-def test_quality_command_agrees_about_invalid_cells(bench, call, angle):
-    angle(120.0)
-    report = report_of(call, *RUN, "-m", "tfi", "--repair", "off", code=3)
-    result = call("quality", "out.invalid.xyz", "--reference", "grid.xyz", "-c", "case.toml", "--json")
-    assert result.code == 3
-    again = json.loads(result.out)
-    assert again["quality"] == report["quality"]
-    assert [c["ijk"] for c in again["invalid_cells"]] == [c["ijk"] for c in report["invalid_cells"]]
 
 
 # Steps and time
@@ -371,16 +354,6 @@ def test_a_flat_grid(bench, call):
     after = read_grid("out.p2dfmt")
     assert after.dimension == 2
     np.testing.assert_array_equal(after.points[:, 2], 0.0)
-
-
-def test_an_output_that_is_a_link_stays_one(bench, call):
-    """The file that it points to is replaced."""
-    os.symlink("old.xyz", "link.xyz")
-    assert call("deform", "grid.xyz", "-c", "case.toml", "-o", "link.xyz").code == 2
-    assert (bench / "old.xyz").read_bytes() == b"an old result"
-    assert call("deform", "grid.xyz", "-c", "case.toml", "-o", "link.xyz", "--force").code == 0
-    assert (bench / "link.xyz").is_symlink()
-    assert read_grid("old.xyz").n_nodes == 1152
 
 
 def test_quiet_shows_no_progress_on_a_terminal(bench, call, monkeypatch):

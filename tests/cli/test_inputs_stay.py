@@ -104,18 +104,3 @@ def test_a_link_is_no_index_of_a_set(inputs, call, snapshot):
     assert "a.vtm: it is a link" in result.err
     assert "set.vtm" in result.err
     assert snapshot(inputs) == before
-
-
-def test_the_files_behind_an_input_are_looked_up_once_and_again_when_it_changes(inputs, monkeypatch):
-    from meshdeform_formats import inputs as module
-
-    looks = []
-    plain = module._related
-    monkeypatch.setattr(module, "_related", lambda path: looks.append(path) or plain(path))
-    module._files_behind.cache_clear()
-    for _ in range(3):
-        assert [path.name for path in module.files_behind(Path("linked.cgns"))] == ["linked.cgns", "second.cgns"]
-    assert len(looks) == 1
-    shutil.copy("parts/second.cgns", "linked.cgns")
-    assert [path.name for path in module.files_behind(Path("linked.cgns"))] == ["linked.cgns"]
-    assert len(looks) == 2

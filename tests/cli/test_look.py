@@ -252,26 +252,6 @@ def test_sample_lists_all(call):
     assert result.out.count("--size: ") == len(SAMPLES)
 
 
-SIZES = {"square": 11, "airfoil": 41, "splitter-plate": 8, "hemisphere": 8, "beam": 40}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", SAMPLES)
-def test_samples_are_cases_to_start_from_in_every_format(name, bench, call):
-    points = []
-    for suffix in (".cgns", ".xyz"):
-        folder = f"sample{suffix}"
-        size = ("--size", SIZES.get(name, "small"))
-        result = call("sample", name, "-o", folder, "--suffix", suffix, *size)
-        assert result.code == 0, result.err
-        assert f"{folder}/grid{suffix}: " in result.out
-        assert {"case.toml", "README.md", f"grid{suffix}"} <= {path.name for path in (bench / folder).iterdir()}
-        result = call("deform", f"{folder}/grid{suffix}", "-c", f"{folder}/case.toml", "-o", f"{folder}/out{suffix}")
-        assert result.code == 0, result.err
-        points.append(read_grid(f"{folder}/out{suffix}").points)
-    np.testing.assert_allclose(points[1], points[0], rtol=0, atol=1e-13)
-
-
 def test_sample_overwrites_only_by_force(bench, call, snapshot):
     arguments = ("sample", "beam", "-o", "new/folder", "--suffix", "xyz")
     assert call(*arguments).code == 0

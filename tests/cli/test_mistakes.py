@@ -14,9 +14,7 @@ import meshdeform as md
 from meshdeform_core.errors import MotionError
 from meshdeform_core.grid.selection import select_quads
 from meshdeform_core.grid.topology import find_topology
-from meshdeform_core.wording import counted
 from meshdeform_formats import write_grid
-from meshdeform_formats.report.text import axis_text
 from meshdeform_samples import generate
 
 DEFORM = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz")
@@ -166,16 +164,3 @@ def test_a_function_of_the_points_alone_is_refused_as_a_motion():
     with pytest.raises(MotionError, match=r"displacement is a function\(points\); expected one of \(points, time\)"):
         mesh.deform(lambda points: 0.0 * points)
     assert mesh.deform(lambda points, time: np.zeros_like(points)).valid
-
-
-def test_the_axis_of_a_rotation_is_told():
-    assert axis_text([0.0, 0.0, 1.0]) == " about +z"
-    assert axis_text([0.0, -1.0, 1e-3]) == " about -y"
-    assert axis_text([0.6, 0.0, 0.8]) == " about (0.6, 0, 0.8)"
-    assert axis_text([0.0, 0.0, 0.0]) == ""
-
-
-def test_things_are_counted_in_plain_english():
-    assert [counted(1, "block"), counted(2, "block"), counted(3, "patch", "patches")] == [
-        "1 block", "2 blocks", "3 patches",
-    ]  # fmt: skip

@@ -79,28 +79,3 @@ def test_report_states_the_motion_of_every_boundary(bench, call):
     assert motion["max_rotation_deg"] == pytest.approx(np.pi / 6, rel=1e-9)
     np.testing.assert_allclose(motion["mean_displacement"], [0.1, 0.05, 0.0], atol=2e-3)
     assert "rotated by up to 0.5236 degrees" in result.out
-
-
-@pytest.mark.parametrize(
-    "where", ["sqrt(x) >= 0", "sqrt(x) < 5 and abs(y) < 0.51", "not log(x) > 0", "abs(x) < 0.51 and log(x) < 0"]
-)
-def test_condition_that_is_not_a_number_is_refused(where, bench, call):
-    case = (bench / "case.toml").read_text().replace("abs(x) < 0.51 and abs(y) < 0.51", where)
-    (bench / "case.toml").write_text(case)
-    result = call(*RUN)
-    assert result.code == 2
-    assert "is not a number at" in result.err
-
-
-@pytest.mark.parametrize(("setting", "wanted"), [(".1", 0.1), ("1.", 1.0)])
-def test_numbers_without_a_leading_or_trailing_digit_are_numbers(setting, wanted, bench, call):
-    assert call(*RUN, "-s", f"constants.turn={setting}", "--report", "out.json").code == 0
-    report = json.loads((bench / "out.json").read_text())
-    assert report["motion"][0]["max_rotation_deg"] == pytest.approx(abs(wanted), rel=1e-9)
-
-
-def test_condition_may_guard_what_is_not_a_number(bench, call):
-    case = (bench / "case.toml").read_text()
-    guarded = case.replace("abs(x) < 0.51 and", "abs(x) < 0.51 and (x <= 0 or sqrt(x) < 1) and")
-    (bench / "case.toml").write_text(guarded)
-    assert call(*RUN).code == 0

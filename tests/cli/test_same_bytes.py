@@ -10,7 +10,6 @@ import pytest
 from grids import frame_2d
 
 from meshdeform_core.memory import Demand
-from meshdeform_core.methods import CATALOGUE
 from meshdeform_core.parallel import scratch
 from meshdeform_core.parallel.loops import set_threads
 from meshdeform_formats import write_grid
@@ -30,7 +29,6 @@ motion = [{ rotate = { angle = "10*(1+t)", axis = [0, 0, 1] } }]
 FOLDED = ("-s", "constants.turn=45")
 """So far that cells are folded by TFI."""
 SERIES = {
-    **{name: ("-m", name) for name in CATALOGUE},
     **FAST,
     "repair": ("-m", "tfi", *FOLDED),
     "polished": ("-m", "tfi", "--repair", "polish", "-s", "constants.turn=30"),

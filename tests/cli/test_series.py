@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import json
 import os
 import re
@@ -122,14 +123,6 @@ def test_text_and_page_have_a_line_per_level(swing, call):
     assert "All 5 levels are valid" in Path("r.html").read_text()
 
 
-def test_marching_reports_its_drift(swing, call):
-    report = report_of(call, *RUN, "--from", "last")
-    drift = np.linalg.norm(read_grid("out/grid_0004.xyz").points - read_grid("grid.xyz").points, axis=1).max()
-    assert drift > 1e-4
-    assert report["series"]["drift"]["max"] == pytest.approx(drift, rel=1e-9)
-    assert all(level["timing"]["prepare"] > 0 for level in report["levels"])
-
-
 def test_times_are_those_of_the_displacement_files(swing, call):
     text = SWING.replace(
         'rotate = { angle = "20*sin(2*pi*t)", axis = [0, 0, 1] }', 'files = "move_*.csv", times = [0, 3]'
@@ -178,7 +171,7 @@ def files_in(folder: str) -> list[str]:
 
 
 @pytest.mark.parametrize("options", [
-    ("--suffix", ".vtm"), ("--suffix", ".cgns"), ("--single-file",), ("--from", "last", "--suffix", ".xyz"),
+    ("--suffix", ".vtm"), ("--single-file",), ("--from", "last", "--suffix", ".xyz"),
 ])  # fmt: skip
 def test_a_series_with_a_broken_level_goes_on(options, swing, call):
     """The names of broken levels are known again, and levels are made from them."""
@@ -253,29 +246,22 @@ main(sys.argv[2:])
 """
 
 
-@pytest.mark.parametrize(("at", "extra", "told"), [
-    pytest.param(1, (), "", marks=pytest.mark.slow),
-    (4, (), "1 of 5 levels are done: the same command with --resume (without --force) continues"),
-    pytest.param(4, ("--from", "last", "--suffix", ".vtu"), "", marks=pytest.mark.slow),
-])  # fmt: skip
-def test_a_signal_says_how_to_continue(at, extra, told, swing, call):
-    options = ("series", "grid.xyz", "-c", "swing.toml", "--times", "0:1:0.25", *extra, "-o", "stopped")
-    command = [sys.executable, "-c", KILLED.replace("SIGKILL", "SIGINT"), str(at), *options]
-    stopped = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+def test_a_signal_says_how_to_continue(swing, call):
+    options = ("series", "grid.xyz", "-c", "swing.toml", "--times", "0:1:0.25", "-o", "stopped")
+    command = [sys.executable, "-c", KILLED.replace("SIGKILL", "SIGINT"), "4", *options]
+    # Shells start what runs in the background with the signal ignored.
+    heard = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    stopped = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, preexec_fn=heard)
     assert stopped.returncode == 130, stopped.stderr
-    advice = f"; {told}" if told else ""
-    assert stopped.stderr.endswith(f"meshdeform: interrupted; no output was left half-written{advice}\n")
-    if told:
-        assert call(*options, "--resume").code == 0
+    advice = "1 of 5 levels are done: the same command with --resume (without --force) continues"
+    assert stopped.stderr.endswith(f"meshdeform: interrupted; no output was left half-written; {advice}\n")
+    assert call(*options, "--resume").code == 0
 
 
 # Renames come in the order: manifest; index of level 0; manifest; ParaView's index; and so on.
 @pytest.mark.slow
 @pytest.mark.parametrize(("at", "extra"), [
-    (1, ("--suffix", ".vtm")), (2, ("--suffix", ".vtm")), (3, ("--suffix", ".vtm")),
-    (13, ("--suffix", ".vtm", "--from", "last", "--velocity", "second")),
-    (12, ("--single-file", "--velocity", "first")),
-    (13, ("--suffix", ".vtm", "--velocity", "swept")),
+    (2, ("--suffix", ".vtm")), (13, ("--suffix", ".vtm", "--from", "last", "--velocity", "second")),
     (12, ("--single-file", "--velocity", "swept")),
 ])  # fmt: skip
 def test_killed_at_any_point_it_goes_on_and_ends_the_same(at, extra, swing, call):
@@ -324,16 +310,6 @@ def test_a_level_that_is_not_what_was_written_is_made_again(deleted, done, call)
     told = "grid_0003.xyz is not what was written: level 3 and those after it are made again"
     assert (told in again.err) is not deleted
     assert {path: path.read_bytes() for path in levels} == levels
-
-
-def test_a_finished_file_of_all_levels_that_is_not_what_was_written_is_made_again(swing, call):
-    whole, run = Path("out/grid.cgns"), (*RUN, "--single-file")
-    report_of(call, *run)
-    written = whole.read_bytes()
-    assert "made again" not in call(*run, "--resume").err
-    whole.write_bytes(written[:-1] + bytes([written[-1] ^ 1]))
-    assert "grid.cgns is not what was written: level 0 and those after it" in call(*run, "--resume").err
-    assert whole.read_bytes() == written
 
 
 @pytest.mark.parametrize(
@@ -393,9 +369,7 @@ def test_wrong_calls_are_refused(arguments, words, swing, call, snapshot):
     assert snapshot(swing) == before
 
 
-@pytest.mark.parametrize(
-    "suffix", [".xyz", *(pytest.param(each, marks=pytest.mark.slow) for each in (".vtm", ".foam"))]
-)
+@pytest.mark.parametrize("suffix", [".xyz", pytest.param(".foam", marks=pytest.mark.slow)])
 def test_levels_of_an_earlier_series_that_remain_are_told(suffix, swing, call):
     words = (*RUN, "--suffix", suffix)
     assert call(*words, "-q").code == 0

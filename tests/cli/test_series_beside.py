@@ -9,9 +9,7 @@ from pathlib import Path
 import pytest
 
 from meshdeform_cli import series_run
-from meshdeform_core.errors import FormatError, MotionError
-from meshdeform_core.series import _Series
-from meshdeform_formats.series.manifest import Manifest
+from meshdeform_core.errors import FormatError
 from meshdeform_formats.series.outputs import LevelFiles
 from meshdeform_formats.series.shared import SingleFile
 
@@ -56,8 +54,7 @@ def written(monkeypatch):
 
 
 @pytest.mark.parametrize("extra", [
-    ("--suffix", ".xyz"), ("--suffix", ".vtm", "--velocity", "second"), ("--suffix", ".cgns", "--from", "last"),
-    ("--single-file",),
+    ("--suffix", ".vtm", "--velocity", "second", "--from", "last"), ("--single-file",),
 ], ids=lambda extra: extra[-1])  # fmt: skip
 def test_files_are_the_same_as_when_levels_are_written_alone(extra, swing, call, written, monkeypatch):
     assert call(*RUN, *extra, "-o", "beside").code == 0
@@ -105,42 +102,6 @@ def test_a_level_that_cannot_be_written_ends_the_series_there(swing, call, monke
     assert call(*RUN, "-o", "out", "--resume").code == call(*RUN, "-o", "whole").code == 0
     for name in (f"grid_{n:04d}.xyz" for n in range(COUNT)):
         assert Path("out", name).read_bytes() == Path("whole", name).read_bytes()
-
-
-def test_a_level_that_could_not_be_recorded_does_not_count_as_done(swing, call, monkeypatch):
-    plain, states = Manifest.save, []
-
-    def save(self):
-        states.append(self)
-        if len(self.levels) == 3:
-            raise FormatError("cannot write series.json: No space left on device")
-        plain(self)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Manifest, "save", save)
-        assert call(*RUN, "-o", "out").code == 2
-    assert len(states[-1].levels) == len(levels_of("out")) == 2
-
-
-@pytest.mark.parametrize(("writes", "told"), [(True, "level 3 cannot be made"), (False, "cannot write grid_0002.xyz")])
-def test_of_two_failures_the_earlier_level_counts(writes, told, swing, call, monkeypatch):
-    plain, make = LevelFiles.write, _Series.level
-
-    def write(self, number, grid, *rest):
-        if number == 2 and not writes:
-            raise FormatError("cannot write grid_0002.xyz")
-        plain(self, number, grid, *rest)
-
-    def level(self, number, past):
-        if number == 3:
-            raise MotionError("level 3 cannot be made")
-        return make(self, number, past)
-
-    monkeypatch.setattr(LevelFiles, "write", write)
-    monkeypatch.setattr(_Series, "level", level)
-    result = call(*RUN, "-o", "out")
-    assert (result.code, result.error) == (2, f"meshdeform: error: {told}\n")
-    assert levels_of("out") == [f"grid_{n:04d}.xyz" for n in range(3 if writes else 2)]
 
 
 def test_an_invalid_level_gets_its_name_before_it_is_written(swing, call, written):

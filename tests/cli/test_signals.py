@@ -86,9 +86,8 @@ def started(how: str, folder: Path) -> subprocess.Popen[str]:
 @pytest.mark.parametrize(
     ("how", "number"),
     [
-        pytest.param(how, number, marks=() if number is signal.SIGINT or how == "plainly" else pytest.mark.slow)
-        for how in ("plainly", "destructor", "llvm", "callback", "bare")
-        for number in CODES
+        *(("plainly", number) for number in CODES),
+        *((how, signal.SIGINT) for how in ("destructor", "llvm", "callback", "bare")),
     ],
 )
 def test_exit_code_is_that_of_the_signal_and_nothing_is_left(how, number, tmp_path):

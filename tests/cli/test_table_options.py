@@ -45,26 +45,6 @@ def test_they_need_a_table(bench, call):
     assert call(*RUN, "--match", "closest").code == 2
 
 
-@pytest.mark.parametrize("factor", [1000.0, 1e-3])
-def test_table_in_other_units_is_refused(factor, bench, call):
-    table = rows(bench)
-    # A table whose first point is the origin matches there, whatever its unit.
-    table = np.concatenate([table, [[2.0, 2.0, 0.0, 0.1, 0.0, 0.0]]])
-    table[:, :3] *= factor
-    write(bench, table)
-    result = call(*RUN)
-    assert result.code == 2
-    assert "different length units" in result.err
-    assert not (bench / "out.xyz").exists()
-
-
-def test_half_of_the_rows_is_refused(bench, call):
-    write(bench, rows(bench)[::2])
-    result = call(*RUN)
-    assert result.code == 2
-    assert "belong to no face that moves as a whole" in result.err
-
-
 @pytest.mark.parametrize("nk", [1, 4], ids=["2-D", "3-D"])
 def test_positions_by_number_move_the_points_that_have_them(nk, tmp_path, monkeypatch, call):
     """As SU2 writes them, with its numbers of the points: those of one marker; the other walls are fixed."""

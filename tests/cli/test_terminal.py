@@ -36,15 +36,6 @@ def test_patches_and_blocks_of_the_grid_are_completed(bench):
     assert completed("plot", "missing.cgns", "--select", "") == []
 
 
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_shells_get_a_script(shell, monkeypatch, capsys):
-    monkeypatch.setenv("_MESHDEFORM_COMPLETE", f"{shell}_source")
-    with pytest.raises(SystemExit) as stop:
-        cli.main(args=[], prog_name="meshdeform")
-    assert stop.value.code == 0
-    assert "_MESHDEFORM_COMPLETE" in capsys.readouterr().out
-
-
 def test_the_version_tells_what_it_runs_on(call):
     short = call("--version")
     assert (short.code, len(short.out.splitlines())) == (0, 1)
@@ -63,19 +54,6 @@ def test_methods_are_text_for_people(call):
     assert max(map(len, text.splitlines())) <= 160
     assert '  rotation = "lie"\n      what is averaged: none displacements' in text
     assert "default: independent of the frame" in text
-
-
-def test_help_of_a_time_has_no_range(call):
-    assert "x<=" not in call("deform", "--help").out
-
-
-def test_invalid_cells_are_told_by_group(bench, call):
-    turned = ("-s", "constants.turn=80", "--repair", "off")
-    result = call("deform", "grid.xyz", "-c", "case.toml", *turned, "-o", "out.xyz", "--report", "r.json")
-    assert result.code == 3
-    report = json.loads((bench / "r.json").read_text())
-    assert {cell["nearest_patch"] for cell in report["invalid_cells"]} == {"body"}
-    assert "near 'body' around (" in " ".join(result.err.split())
 
 
 def test_convert_keeps_boundaries_beside_what_has_no_place_for_them(bench, call):
@@ -109,13 +87,6 @@ def test_boundaries_that_are_there_already_are_left_alone(bench, call):
     assert not (bench / "new.p3dfmt").exists()
     assert call("convert", "grid.cgns", "new.p3dfmt", "--force").code == 0
     assert (bench / "new.nmf").read_bytes() == before[0]
-
-
-def test_convert_says_what_is_lost(bench, call):
-    result = call("convert", "grid.cgns", "new.vtu")
-    assert result.code == 0
-    assert "cannot hold the" in result.err
-    assert not (bench / "new.nmf").exists()
 
 
 @pytest.mark.slow

@@ -63,19 +63,6 @@ select = ["symmetry_y"]
 kind = "slip"
 """
 
-RING = """
-[[boundary]]
-name = "cylinder"
-select = ["*.j*"]
-where = "x**2 + y**2 < 1.1 * r**2"
-motion = [{ rotate = { angle = 20 } }]
-
-[[boundary]]
-name = "ends"
-select = ["*.k*"]
-kind = "slip"
-"""
-
 
 def turned(points: np.ndarray, degrees: float, axis: int, center: tuple[float, float, float]) -> np.ndarray:
     a, b = (axis + 1) % 3, (axis + 2) % 3
@@ -175,29 +162,6 @@ def test_airfoil_with_its_neutral_map(third_party, here, call):
     np.testing.assert_array_equal(after.block(0)[:, :, -1], before.block(0)[:, :, -1])
 
 
-def test_airfoil_is_the_same_in_cgns(third_party, here, call):
-    """Plot3D with a neutral map and CGNS with its own boundaries give the same result."""
-    shutil.copy(third_party / "nak_a_141.nmf", here)
-    _, one, _ = deformed(call, third_party / "nak_a_141.p3dfmt", AIRFOIL)
-    case = AIRFOIL.replace('[grid]\nboundary_file = "nak_a_141.nmf"\n', "")
-    case = case.replace('"viscous_solid"', '"Klo_Seg*"').replace('"symmetry_y"', '"I*_Seg*"')
-    _, two, _ = deformed(call, third_party / "nak_a_141.cgns", case)
-    np.testing.assert_allclose(two.points, one.points, rtol=0, atol=1e-12)
-
-
-def test_cylinder_in_a_ring_turns(third_party, here, call):
-    grid = third_party / "cylinder_ring_4blk.x"
-    radius = np.linalg.norm(read_grid(grid).points[:, :2], axis=1)
-    before, after, report = deformed(call, grid, f"[constants]\nr = {radius.min()}\n{RING}")
-    assert report["valid"] is True
-    wall = radius < 1.05 * radius.min()
-    wall &= np.isclose(radius, radius.min(), rtol=1e-3)
-    expected = turned(before.points[wall], 20.0, 2, (0.0, 0.0, 0.0))
-    np.testing.assert_allclose(after.points[wall], expected, rtol=0, atol=1e-13)
-    assert report["boundary"]["moving_nodes"] == 4 * 24 * 9
-    assert after.format == before.format
-
-
 STEP = """
 [grid]
 boundary_file = "backstep5_4levdn.nmf"
@@ -231,26 +195,6 @@ def test_wall_behind_a_step_bulges(third_party, here, call):
     top = z == z.max()
     np.testing.assert_array_equal(after.points[top], before.points[top])
     assert after.format == before.format
-
-
-SHEAR = """
-[[boundary]]
-name = "floor"
-select = ["block3.*"]
-where = "y < 0.001"
-motion = [{ displace = [0, "2*sin(pi*x/200)**2", 0] }]
-"""
-
-
-def test_floor_bulges_in_the_plane(third_party, here, call):
-    before, after, report = deformed(call, third_party / "shear_3blk_2d.p2dfmt", SHEAR)
-    moved = after.points - before.points
-    assert report["grid"]["dimension"] == 2
-    assert report["boundary"]["moving_nodes"] > 0
-    floor = (before.points[:, 1] == 0.0) & (before.points[:, 0] >= 0.0)
-    expected = 2 * np.sin(np.pi * before.points[floor, 0] / 200) ** 2
-    np.testing.assert_allclose(moved[floor, 1], expected, rtol=0, atol=1e-12)
-    np.testing.assert_array_equal(moved[:, 2], 0.0)
 
 
 TILT = """

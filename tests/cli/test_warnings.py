@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-import copy
 import json
-import pickle
 
 import pytest
-
-from meshdeform_cli.process.messages import Warnings
-from meshdeform_core.errors import CaseError
-from meshdeform_core.notices import Notice, first_of_each_kind, kind_of
 
 RUN = ("deform", "grid.xyz", "-c", "doubtful.toml", "-o", "out.xyz", "--report", "out.json")
 
@@ -75,39 +69,3 @@ def test_quality_warns_on_stderr(doubtful, call):
     result = call("quality", "grid.xyz", "-c", "doubtful.toml", "-q")
     assert result.code == 0
     assert result.warnings
-
-
-def told(capsys) -> list[str]:
-    return [line.removeprefix("meshdeform: warning: ") for line in capsys.readouterr().err.splitlines()]
-
-
-def test_names_with_digits_are_different_warnings(capsys):
-    warnings = Warnings()
-    for wall in ("wall1", "wall2", "wall1"):
-        warnings.tell([f"the moved boundary crosses itself at {wall!r}"])
-    assert told(capsys) == [f"the moved boundary crosses itself at {wall!r}" for wall in ("wall1", "wall2")]
-
-
-def test_warnings_of_one_kind_are_told_once_whatever_their_figures(capsys):
-    warnings = Warnings()
-    first = Notice("walls turn by 56 degrees", "rotation of walls")
-    warnings.tell([first])
-    # At the end of a series, the report has the texts only.
-    warnings.tell([Notice("walls turn by 58 degrees", "rotation of walls"), str(first), "another"])
-    assert told(capsys) == ["walls turn by 56 degrees", "another"]
-
-
-def test_strict_counts_new_kinds_only(capsys):
-    warnings = Warnings(strict=True)
-    with pytest.raises(CaseError, match="a warning"):
-        warnings.tell([Notice("a 1", "a"), Notice("a 2", "a")])
-    warnings.tell([Notice("a 3", "a")])
-    assert told(capsys) == ["a 1"]
-
-
-def test_a_warning_keeps_its_kind_when_it_is_copied_or_sent_to_another_process():
-    warning = Notice("walls turn by 56 degrees", "rotation of walls")
-    for same in (copy.deepcopy(warning), pickle.loads(pickle.dumps(warning))):
-        assert (same, kind_of(same)) == (str(warning), "rotation of walls")
-    assert json.dumps([warning]) == '["walls turn by 56 degrees"]'
-    assert first_of_each_kind([warning, "x", "x"], ["rotation of walls"]) == ["x"]

@@ -6,7 +6,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 from cases import apply, body_specs, constant, formulas, problem_of, turning
-from grids import block_around, frame, frame_2d, polar
+from grids import frame, frame_2d, polar
 
 from meshdeform_core.boundary import UNSELECTED, BoundarySpec, Kind, classify
 from meshdeform_core.boundary.classification import with_plates
@@ -132,14 +132,6 @@ def test_table_on_a_wall_that_moves_already_names_both():
         assert "remove the motion of 'wall'" in str(caught.value)
 
 
-def test_agreeing_patches_are_moved_once():
-    specs = specs_of(("one", "block2.imax", Kind.MOVING, turning(20)), ("two", "block4.jmax", Kind.MOVING, turning(20)))
-    problem = problem_of(FRAME, specs)
-    told = prescribed_displacement(problem.grid, problem.topology, problem.boundary)
-    moving = problem.boundary.kind == Kind.MOVING
-    assert np.linalg.norm(told[moving], axis=1).max() < 1.1 * np.deg2rad(20) * 0.75
-
-
 def test_plates_of_the_case_are_opened():
     """Both sides of a face between two blocks become outside faces that can be selected; other faces stay shared."""
     topology = find_topology(FRAME)
@@ -160,17 +152,6 @@ def test_plates_of_the_case_are_opened():
     for pattern, message in (("block1.imin", "shared by two blocks"), ("blok1.imax", "did you mean")):
         with pytest.raises(CaseError, match=message):
             with_plates(FRAME, topology, [pattern])
-
-
-def test_both_sides_of_a_wall_between_blocks_move():
-    x = np.linspace(0, 1, 5)
-    plate = [Patch("low", (Window(0, Side.JMAX, (1, 0), (3, 4)),), bc_type="BCWall"),
-             Patch("high", (Window(1, Side.JMIN, (1, 0), (3, 4)),), bc_type="BCWall")]  # fmt: skip
-    grid = Grid.from_blocks([block_around(x, x, x), block_around(x, 1 + x, x)], patches=tuple(plate))
-    boundary = classify(grid, find_topology(grid), specs_of(("plate", "low", Kind.MOVING, MOVE)), {})
-    assert (boundary.kind == Kind.MOVING).sum() == 3 * 5
-    moved = deform(grid, Case(tuple(specs_of(("plate", "low", Kind.MOVING, turning(5, (0, 0, 1), (0.5, 1, 0))))))).grid
-    np.testing.assert_array_equal(moved.block(0)[:, -1], moved.block(1)[:, 0])
 
 
 def test_curved_slip_surface_is_not_left():
@@ -318,19 +299,6 @@ def test_motion_steps_act_in_order_on_undeformed_formulas():
     np.testing.assert_allclose(told, expected, atol=1e-14)
 
 
-def test_half_a_rotation_is_a_rotation_by_half_the_angle():
-    problem = problem_of(FRAME, body_specs(turning(60)))
-    half = prescribed_displacement(problem.grid, problem.topology, problem.boundary, fraction=0.5)
-    other = problem_of(FRAME, body_specs(turning(30)))
-    np.testing.assert_allclose(half, prescribed_displacement(other.grid, other.topology, other.boundary), atol=1e-15)
-
-
-def test_formulas_that_are_not_finite_name_the_node():
-    problem = problem_of(FRAME, body_specs(formulas("1/(x+0.5)", "0", "0")))
-    with pytest.raises(MotionError, match=r"\(inf, .* at node block\d \("):
-        prescribed_displacement(problem.grid, problem.topology, problem.boundary)
-
-
 def test_the_plane_of_a_thin_strip_far_from_the_origin_is_exact():
     strip = frame_2d()
     far = strip.points * [1.0, 1e-9, 0.0] + [0.0, 0.0, 1e6 / 3]
@@ -425,11 +393,6 @@ def test_deformed_grids_as_displacement():
     wrong = Grid.from_blocks([np.zeros((9, 9, 1, 3)) + np.arange(9)[:, None, None, None]])
     with pytest.raises(MotionError, match="no selected block face has this size"):
         problem_of(FRAME, following(wrong))
-
-
-def test_nothing_moves_is_an_error():
-    with pytest.raises(MotionError, match="no node moves"):
-        set_up(FRAME, Case(tuple(specs_of(("all", "*", Kind.FIXED, None)))))
 
 
 def test_a_curved_symmetry_is_named_with_its_distance_from_a_plane():

@@ -10,7 +10,6 @@ from meshdeform_cli.measures import MEASURES
 from meshdeform_core.boundary import BoundarySpec, Kind, classify
 from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.boundary.motions.motion import Displace, Motion
-from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid, Side
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality import Original, assess
@@ -147,14 +146,3 @@ def test_displacement_and_distance():
     fields = CellFields(grid.moved(grid.points + [3.0, 0.0, 4.0]), find_topology(grid), grid, np.arange(5))
     np.testing.assert_allclose(everything(fields, "displacement"), 5.0)
     assert everything(fields, "wall_distance").min() > 0
-
-
-def test_what_cannot_be_measured_is_refused():
-    fields = CellFields(frame(), find_topology(frame()))
-    with pytest.raises(CaseError, match="needs the undeformed grid"):
-        fields.require("displacement")
-    with pytest.raises(CaseError, match="did you mean 'f_skew'"):
-        fields.require("fskew")
-    cube = Grid.from_blocks([block_around(*(np.arange(3.0),) * 3)])
-    with pytest.raises(CaseError, match="no wall is known"):
-        CellFields(cube, find_topology(cube)).values("wall_distance", 0, (slice(0, 1),) * 3)

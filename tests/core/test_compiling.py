@@ -66,19 +66,24 @@ def test_several_processes_compile_what_is_missing_and_later_runs_find_it(tmp_pa
     assert 1 <= own <= expected == 6
     assert processes == 2
     assert run(tmp_path, CALLS) == ["0", "0", "0"]
+    # As in an installation by another user: no folder of this user's can be written either.
+    sealed = """
+from numba.core import caching
+def refuse(self):
+    raise OSError("read-only")
+caching._CacheLocator.ensure_cache_path = refuse
+"""
+    assert run(tmp_path, sealed + CALLS) == ["0", "0", "0"]
 
 
 @pytest.mark.timeout(240)
-@pytest.mark.parametrize("starts", [False, True])
-def test_a_process_that_cannot_start_or_dies_changes_nothing(tmp_path, starts):
-    broken = f"""
+def test_a_process_that_dies_changes_nothing(tmp_path):
+    broken = """
 from meshdeform_core.parallel import ranks; ranks.usable_cores = lambda: 3
 import subprocess
 from meshdeform_core.numerics import compiling
 class Broken(subprocess.Popen):
     def __init__(self, arguments, **options):
-        if not {starts}:
-            raise OSError("no more processes")
         super().__init__([arguments[0], "-c", "import time; time.sleep(3)"], **options)
 compiling.subprocess.Popen = Broken
 """
@@ -93,19 +98,6 @@ def test_all_loops_are_compiled_once_each():
     compiled.append("c")
     assert compilers.all() == 7
     assert sorted(compiled) == missing
-
-
-@pytest.mark.timeout(240)
-def test_loops_in_a_folder_that_cannot_be_written_are_found(tmp_path):
-    """As in an installation by another user: no folder of this user's can be written either."""
-    run(tmp_path, CALLS)
-    sealed = """
-from numba.core import caching
-def refuse(self):
-    raise OSError("read-only")
-caching._CacheLocator.ensure_cache_path = refuse
-"""
-    assert run(tmp_path, sealed + CALLS) == ["0", "0", "0"]
 
 
 def test_a_loop_is_compiled_anew_when_a_function_of_another_file_changes(tmp_path, monkeypatch):
@@ -150,6 +142,7 @@ def test_a_level_that_is_unknown_or_above_this_processor_is_refused(monkeypatch,
         processor.choose_processor()
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(240)
 def test_loops_for_a_level_are_found_by_every_machine_and_others_keep_their_own(tmp_path):
     """Two machines of different processors share a folder of loops."""

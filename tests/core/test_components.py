@@ -11,12 +11,11 @@ from grids import block_around, frame, polar
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.expression import expression
-from meshdeform_core.deform import Case, deform, impose, set_up
+from meshdeform_core.deform import Case, deform, set_up
 from meshdeform_core.errors import CaseError
-from meshdeform_core.grid import Grid, Patch, Side, Window
+from meshdeform_core.grid import Grid
 from meshdeform_core.grid.components import BY_PREFIX, with_components
 from meshdeform_core.grid.connectivity.openings import find_openings
-from meshdeform_core.grid.selection import select_quads
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.methods import Options
 from meshdeform_core.repair import RepairOptions
@@ -156,30 +155,6 @@ def test_levels_of_a_series_are_those_of_each_component(origin):
         np.testing.assert_array_equal(part_of(GRID, "bar", whole.velocity), own.velocity)
 
 
-def test_derivative_of_components():
-    setup = set_up(GRID, case(BAR + RING + FIXED, components=BY_PREFIX))
-    problem, method = setup.problem, setup.prepare()
-    told = setup.displacement(0.0)[problem.source_numbers]
-    result = deform(GRID, setup.case)
-    derivative, reason = method.differentiated(result, told, lambda _, own, moved: (own.linearised(moved), ""))
-    assert reason == ""
-    random = np.random.default_rng(0)
-    change = random.normal(size=told.shape) * (setup.boundary.kind[problem.source_numbers] == Kind.MOVING)[:, None]
-    h = 1e-5
-    slope = (method.apply(told + h * change) - method.apply(told - h * change)) / (2 * h)
-    np.testing.assert_allclose(derivative.push(change), slope, atol=1e-6 * np.abs(slope).max())
-    weights = random.normal(size=(GRID.n_nodes, 3))
-    assert (weights * derivative.push(change)).sum() == pytest.approx((derivative.pull(weights.copy()) * change).sum())
-
-
-def test_marching_steps_are_counted_per_component():
-    setup = set_up(GRID, case(BAR + RING + FIXED, components=BY_PREFIX))
-    from meshdeform_core.deform import Timing
-
-    result = impose(setup, setup.motion(0.0), 3, "float64", Timing())
-    assert [own.steps for _, own in result.components] == [1, 3, 3]
-
-
 @pytest.mark.parametrize(
     ("components", "message"),
     [
@@ -193,12 +168,3 @@ def test_marching_steps_are_counted_per_component():
 def test_components_that_do_not_fit_are_refused(components, message):
     with pytest.raises(CaseError, match=message.replace("*", r"\*")):
         set_up(GRID, Case(BAR + RING + FIXED, components=components))
-
-
-def test_a_family_can_be_selected_in_some_blocks():
-    low = (Patch(f"wall {n}", (Window(n, Side.KMIN, (0, 0), (2, 2)),), family="wall") for n in range(3))
-    grid = dataclasses.replace(GRID, patches=tuple(low))
-    topology = find_topology(grid)
-    chosen = select_quads(grid, topology, ["bar.*/wall"], "bar")
-    assert set(topology.quads.block_side[chosen] // 6) == {grid.names.index("bar.1")}
-    assert len(chosen) == 4

@@ -6,13 +6,12 @@ import json
 
 import numpy as np
 import pytest
-from cases import ALL_METHODS, INNER, apply, formulas, problem_of, turning
-from grids import block_around, frame, frame_2d
+from cases import formulas, turning
+from grids import block_around
 
 from meshdeform_cli.main import run
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions import expression
-from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.deform import Case, deform, set_up
 from meshdeform_core.errors import GridError, MotionError
 from meshdeform_core.grid import Grid
@@ -59,23 +58,6 @@ def test_tiny_grids_end_with_a_message_or_a_grid(method, cells, slip, tmp_path, 
 
 def test_json_has_no_numbers_that_json_does_not_have():
     assert json.loads(as_json({"a": float("nan"), "b": [1.0, float("inf")]})) == {"a": None, "b": [1.0, None]}
-
-
-@pytest.mark.parametrize("flat", [False, True], ids=["3-D", "2-D"])
-def test_half_a_turn_is_the_limit_of_a_little_less(flat):
-    """At exactly 180 degrees round-off must not choose the direction node by node."""
-    grid = frame_2d() if flat else frame()
-    near = expression.expression(INNER, {"x", "y", "z"})
-    far = expression.expression("max(abs(x), abs(y)) > 1.99", {"x", "y", "z"})
-    moved = []
-    for angle in (180.0, 180.0 - 1e-9):
-        specs = [BoundarySpec("body", ("*.i*", "*.j*"), Kind.MOVING, near, turning(angle))]
-        specs += [BoundarySpec("outer", ("*.i*", "*.j*"), Kind.FIXED, far)]
-        specs += [] if flat else [BoundarySpec("span", ("*.k*",), Kind.SLIP)]
-        problem = problem_of(grid, specs)
-        told = prescribed_displacement(problem.grid, problem.topology, problem.boundary)
-        moved.append(apply(ALL_METHODS["idw-lie"], problem, told[problem.source_numbers]))
-    np.testing.assert_allclose(moved[0], moved[1], atol=1e-6)
 
 
 def test_images_of_a_periodic_pair_must_move_alike():

@@ -42,7 +42,7 @@ def test_steps_do_not_help_tfi():
     expect(Options("tfi"), 45, "TFI crosses cells", steps=2)
 
 
-@pytest.mark.parametrize(("angle", "steps"), [(20, 1), (25, 1), (25, 2), (25, "auto")])
+@pytest.mark.parametrize(("angle", "steps"), [(20, 1), (25, 1), (25, 2)])
 def test_rotation_too_large_for_averaged_displacements(angle, steps):
     expect(Options("idw-tfi", idw=IDW(rotation="none")), angle, "shears the cells", steps)
 

@@ -1,26 +1,22 @@
 """Fast IDW sums against exact ones: every rotation kind and weight, the tolerance kept, nothing common disturbed."""
 
 import dataclasses
-import types
 
 import numpy as np
 import pytest
 from cases import apply, body_specs, constant, everything_moves, problem_of, turning
-from forked_ranks import on_ranks
 from grids import frame, frame_2d
 
 from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.errors import MethodError
 from meshdeform_core.memory import MemoryLimit
-from meshdeform_core.methods import IDW, RBF, Account, Options, make_method
+from meshdeform_core.methods import IDW, RBF, Options, make_method
 from meshdeform_core.methods.scattered import fast_idw_sums
-from meshdeform_core.methods.scattered.summation import sum_accurately
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.exact.radial import radial_sums
 from meshdeform_core.numerics.fastsum.clusters.targets import node_sizes, shape_table
 from meshdeform_core.numerics.fastsum.radial.sums import FastRadial
 from meshdeform_core.numerics.fastsum.radial.targets import make_radial_targets
-from meshdeform_core.parallel import alone
 
 VARIANTS = {
     "none": {"rotation": "none"},
@@ -168,27 +164,3 @@ def test_compact_sums_reach_every_target_of_a_region():
     fast.apply(use)
     np.testing.assert_allclose(out, radial_sums(kind, points, sources, coefficients), atol=1e-6)
     assert out.max() > 0.01
-
-
-def test_an_error_that_is_no_number_is_told_and_spoils_nothing():
-    account, refined = Account(), []
-    sums = types.SimpleNamespace(restart=refined.clear, refine=refined.append)
-    sum_accurately("idw", sums, lambda: float("nan"), 1e-2, account)
-    assert refined == []
-    assert "fast sums" in account.warnings[0]
-    sum_accurately("idw", sums, lambda: 1e-3, 1e-2, account)
-    assert account.warnings == []
-
-
-def test_what_ranks_know_of_clusters_does_not_serve_one_of_them_alone(problem):
-    """Each rank lists the clusters of its own bricks; alone it needs those of all."""
-    options, displacement = Options("idw", idw=IDW(summation="fast")), told(problem)
-    expected = apply(options, problem, displacement)
-
-    def differ(_):
-        prepared = make_method(options).prepare(problem)
-        together = prepared.apply(displacement)
-        with alone():
-            return abs(together - expected).max(), abs(prepared.apply(displacement) - expected).max()
-
-    np.testing.assert_allclose(on_ranks(2, differ), 0.0, atol=1e-13)

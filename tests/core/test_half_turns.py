@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from meshdeform_core.methods import IDW, Options, make_method
 from meshdeform_core.methods.limits import largest_rotation
-from meshdeform_core.numerics.rotation import SurfaceRotations
 
 ANGLES = (170.0, 180.0 - 1e-7, 180.0, 180.0 + 1e-7, 190.0, 360.0, 540.0)
 AXES = ((0, 0, 1), (1, 2, 3))
@@ -80,30 +79,6 @@ def test_deforming_body_passes_half_a_turn(rotation):
     assert np.abs(angle).min() > np.radians(165)
     smooth = apply(Options("idw", idw=IDW(rotation=rotation)), problem, twisted)
     assert np.isfinite(smooth).all()
-
-
-def _cylinder(n: int = 24, layers: int = 30) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    around = np.linspace(0, 2 * np.pi, n, endpoint=False)
-    points = np.array([[np.cos(a), np.sin(a), 0.2 * k] for k in range(layers) for a in around])
-    number = np.arange(n * layers).reshape(layers, n)
-    quads = np.stack([number[:-1], np.roll(number[:-1], -1, 1), np.roll(number[1:], -1, 1), number[1:]], axis=-1)
-    quads = quads.reshape(-1, 4)
-    corners = np.concatenate([np.stack([quads[:, k], quads[:, (k + 1) % 4], quads[:, k - 1]], 1) for k in range(4)])
-    edges = np.unique(np.concatenate([corners[:, :2], corners[:, [0, 2]]]), axis=0)
-    return points, corners, edges
-
-
-def test_rotations_are_continuous_along_a_bar_twisted_beyond_half_a_turn():
-    points, corners, edges = _cylinder()
-    share = points[:, 2] / points[:, 2].max()
-    angle = np.radians(250.0) * share
-    turn = Rotation.from_rotvec(np.outer(angle, [0, 0, 1])).apply(points) - points
-    surface = SurfaceRotations(points, corners, edges)
-    vectors, q = surface.vectors(turn), surface.quaternions(turn)
-    inside = (share > 0) & (share < 1)
-    np.testing.assert_allclose(vectors[inside, 2], angle[inside], atol=0.15)
-    assert np.abs(np.einsum("ek,ek->e", q[edges[:, 0]], q[edges[:, 1]])).min() > 0.9
-    assert np.einsum("ek,ek->e", q[edges[:, 0]], q[edges[:, 1]]).min() > 0.9
 
 
 @pytest.mark.parametrize("angle", ANGLES)

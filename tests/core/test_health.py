@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from cases import body_specs, turning
 from grids import frame
 
@@ -19,29 +18,6 @@ BASIS = Basis(SETUP.original, SETUP.boundary)
 
 def healthy(points: np.ndarray) -> bool:
     return not unhealthy_cells(SETUP.original, points).size
-
-
-def distorted(seed: int, size: float) -> np.ndarray:
-    """A random distortion of all nodes, smooth enough to be near the limit for many cells."""
-    rng = np.random.default_rng(seed)
-    x = GRID.points
-    waves = sum(np.sin(x @ rng.normal(size=3) + rng.uniform(0, 6))[:, None] * rng.normal(size=3) for _ in range(4))
-    return np.ascontiguousarray(x + size * waves)
-
-
-@pytest.mark.parametrize("size", [0.0, 0.05, 0.1, 0.15, 0.2, 0.4, 1.0])
-@pytest.mark.parametrize("seed", range(4))
-def test_healthy_grids_have_no_share(seed, size):
-    points = distorted(seed, size)
-    plot = BASIS.whole
-    share = share_of(plot.region.energy, plot.inside(points))[0]
-    # The energy leaves out cells whose nodes are all prescribed, so only the other way is exact.
-    if healthy(points):
-        assert share == 0.0
-    if size == 0.0:
-        assert healthy(points)
-    if size == 1.0:
-        assert not healthy(points)
 
 
 def test_the_limit_is_that_of_the_energy():

@@ -50,14 +50,6 @@ def test_solution_is_that_of_the_factorised_system(name, basis, reach):
     assert np.abs(one - two).max() < 2e-5 * np.abs(told).max()
 
 
-@pytest.mark.parametrize("basis", ["ctps-c1", "ctps-c2a", "ctps-c2b"])
-def test_other_compact_functions(basis):
-    solver, _, _ = system(SETS["two-scales"], basis, 50.0)
-    found = solver.solve(bend(SETS["two-scales"] / 25), 1e-6, 60)
-    assert found.residual.max() <= 1e-6
-    assert found.iterations <= 25
-
-
 def test_large_coarse_level_has_a_coarse_level_of_its_own(monkeypatch):
     monkeypatch.setattr(schwarz, "_DIRECT", 600)
     monkeypatch.setattr(schwarz, "COARSENING", 4)

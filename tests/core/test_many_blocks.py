@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import sys
 from collections.abc import Callable
 
@@ -16,7 +15,6 @@ from hypothesis import strategies as st
 from random_grids import turn_block
 
 from meshdeform_core.grid import Grid, IntArray, Side
-from meshdeform_core.grid import windows as windows_module
 from meshdeform_core.grid.connectivity.declared import check_connections, connected_nodes
 from meshdeform_core.grid.connectivity.interfaces import find_interfaces
 from meshdeform_core.grid.connectivity.openings import find_openings
@@ -25,14 +23,11 @@ from meshdeform_core.grid.faces.surfaces import find_outside
 from meshdeform_core.grid.selection import select_quads
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.grid.topology.handedness import block_handedness
-from meshdeform_core.grid.windows import rectangles
 from meshdeform_core.methods.transfinite.edge_graph import PreparedEdgeGraph
 from meshdeform_core.numerics.geometry.boxes import overlapping_boxes
-from meshdeform_core.quality import lines as lines_module
 from meshdeform_core.quality.cells import block_volumes
-from meshdeform_core.quality.lines import interface_lines, kink_and_jump
+from meshdeform_core.quality.lines import interface_lines
 from meshdeform_core.quality.walls import interface_cells
-from meshdeform_formats.text import json_text
 
 
 def lattice(counts: tuple[int, int, int], nodes: int = 3, turned: bool = False, gap: float = 0.0) -> Grid:
@@ -125,39 +120,6 @@ def test_lines_across_interfaces_meet_and_leave_into_both_blocks(grid):
         assert not np.isin(far, near).all()
 
 
-@pytest.mark.parametrize("portion", [1, 5])
-def test_lines_and_pieces_do_not_depend_on_how_much_is_done_at_a_time(grid, portion, monkeypatch):
-    topology = find_topology(grid)
-    lines = interface_lines(grid, topology)
-    label = np.where(topology.partner >= 0, 1, 0)
-    expected = [vars(lines), vars(rectangles(grid, topology.quads, label))]
-    measured = kink_and_jump(lines, grid.points)
-    monkeypatch.setattr(lines_module, "_TOGETHER", portion)
-    monkeypatch.setattr(windows_module, "_TOGETHER", portion)
-    found = [vars(interface_lines(grid, topology)), vars(rectangles(grid, topology.quads, label))]
-    for one, two in zip(found, expected, strict=True):
-        for name in two:
-            np.testing.assert_array_equal(one[name], two[name])
-    np.testing.assert_array_equal(kink_and_jump(lines, grid.points), measured)
-
-
-def test_cells_beside_interfaces(grid):
-    topology = find_topology(grid)
-    kink, jump = interface_cells(grid, topology, grid.points, None)
-    expected = np.zeros(grid.n_cells, dtype=bool)
-    start = 0
-    for block, shape in enumerate(grid.cell_shapes):
-        mine = expected[start : start + int(np.prod(shape))].reshape(shape)
-        for side in range(6):
-            shared = topology.partner[topology.quads.of_side(block, side)] >= 0
-            if shared.size:
-                layer = np.moveaxis(mine, side // 2, 0)[-1 if side % 2 else 0]
-                layer |= shared.reshape(layer.shape)
-        start += mine.size
-    np.testing.assert_array_equal(~np.isnan(kink), expected)
-    np.testing.assert_array_equal(~np.isnan(jump), expected)
-
-
 def calls(work: Callable[[], object]) -> int:
     """Functions, of Python and compiled, that ``work`` calls."""
     count = 0
@@ -216,21 +178,6 @@ def test_sides_of_separate_blocks_are_not_compared_with_all_others():
         module.overlapping_boxes = original
     # Each side has the four beside it on its own block, and itself.
     assert 0 < sum(map(len, compared)) <= 5 * 6 * grid.n_blocks
-
-
-def test_long_lists_of_a_report_have_an_entry_per_line():
-    record = {
-        "few": [{"a": 1.5}, {"b": [2]}],
-        "many": [{"n": n, "text": "line\nbreak"} for n in range(150)],
-        "none": None,
-    }
-    text = json_text(record)
-    assert json.loads(text) == record
-    assert json_text({"few": record["few"], "none": None}) == json.dumps({"few": record["few"], "none": None}, indent=2)
-    assert text.count("\n") == len(json.dumps({"few": record["few"]}, indent=2).splitlines()) + 152
-    with pytest.raises(ValueError, match="JSON"):
-        json_text({"x": [float("nan")] * 101}, allow_nan=False)
-    assert json_text({}) == "{}"
 
 
 def test_connections_of_so_many_blocks_that_pairs_of_sides_exceed_32_bits():

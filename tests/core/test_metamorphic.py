@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from cases import ALL_METHODS, INNER, apply, every, formulas, problem_of, turning
-from grids import block_around, frame, polar, stretched
+from grids import block_around, frame, stretched
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.expression import expression
@@ -110,21 +110,6 @@ def test_split_blocks_do_not_matter(name):
     assert error < 1e-9
 
 
-@pytest.mark.parametrize("name", sorted(BY_BLOCKS))
-def test_split_blocks_change_what_is_blended_but_no_boundary(name):
-    """TFI and block-wise RBF fill blocks from their faces: only a map that they reproduce is the same in any blocks."""
-    grid = frame()
-    cut = split(grid, 3, 1, 2)
-
-    def linear(x):
-        return np.array([0.1, -0.2, 0.3]) + 0.05 * np.stack([x[:, 1], -x[:, 0], 0 * x[:, 0]], axis=1)
-
-    moved = apply(ALL_METHODS[name], problem_of(cut), lambda x: np.tile([0.1, -0.2, 0.3], (len(x), 1)))
-    assert np.abs(moved - [0.1, -0.2, 0.3]).max() < 1e-10
-    if name in ("tfi", "rbf-tfi"):
-        assert np.abs(apply(ALL_METHODS[name], problem_of(cut), linear) - linear(cut.points)).max() < 1e-10
-
-
 @pytest.mark.parametrize("name", ["tfi", "idw-lie", "idw-tfi", "rbf-tps", "rbf-tfi", "idw-rbf"])
 @pytest.mark.parametrize("ratio", [1e3, 1e5])
 def test_thin_wall_cells_far_away(name, ratio):
@@ -142,13 +127,3 @@ def test_thin_wall_cells_far_away(name, ratio):
     first = np.linalg.norm(np.diff(result.grid.block(0)[:, :2], axis=1)[:, 0], axis=-1)
     assert first.min() > 0.5e-3
     assert first.max() < 2e-3
-
-
-def test_seam_of_an_o_grid_far_away():
-    """The seam of one block with itself is found at any distance."""
-    grid = polar()
-    for distance in (0.0, 1e6, 1e12):
-        away = Grid.from_blocks([grid.block(0) + distance * AWAY])
-        problem = problem_of(away)
-        assert problem.topology.n_unique < len(problem.topology.face_nodes)
-        assert not (problem.topology.external & np.isin(problem.topology.quads.block_side % 6, (0, 1))).any()

@@ -104,16 +104,6 @@ def test_patched_blocks_are_refused_unless_the_case_says_so():
     set_up(grid, Case((WALL,), open_faces=True))
 
 
-def test_unselected_faces_are_named_largest_first():
-    notes = set_up(pair(), Case((WALL,))).warnings
-    listed = next(text for text in notes if "not selected by any boundary entry" in text)
-    assert listed.startswith("112 external face quads")
-    names = listed.split(": ")[1]
-    assert names.split(", ")[0] in {f"block{b}.{side} (16)" for b in (1, 2) for side in ("kmin", "kmax")}
-    assert names.index("(12)") > names.rindex("(16)")
-    assert names.endswith("and 2 more ranges")
-
-
 def test_a_forgotten_symmetry_plane_is_named_with_the_remedy():
     span = BoundarySpec("far", ("*.jmax", "*.i*"), Kind.FIXED)
     notes = set_up(pair(), Case((WALL, span))).warnings

@@ -3,16 +3,12 @@
 import threading
 import time
 
-import numpy as np
 import pytest
-from forked_ranks import on_ranks
 
 from meshdeform_core.parallel import (
     OneRank,
-    agreed,
     alone,
     carried,
-    current_ranks,
     for_chunks,
     set_threads,
     sharing,
@@ -53,23 +49,6 @@ def test_an_error_ends_the_loop_when_no_chunk_runs_any_more(threads):
     assert sorted(begun) == sorted([*ended, 5])
 
 
-def test_an_interrupt_from_the_progress_ends_the_loop():
-    done = []
-
-    def work(lo, hi):
-        time.sleep(1e-3)
-        done.append(lo)
-
-    def stop(*_):
-        raise SystemExit(130)
-
-    with pytest.raises(SystemExit):
-        for_chunks(work, 10_000, 1, stop, threads=2)
-    count = len(done)
-    time.sleep(0.05)
-    assert len(done) == count < 5000
-
-
 def test_threads_of_a_program_do_not_change_each_others_setting():
     set_threads(3)
     found, inside, leave = {}, threading.Event(), threading.Event()
@@ -105,9 +84,3 @@ def sharing_of_this() -> int | None:
     thread.join()
     assert seen == [here]
     return here
-
-
-def test_ranks_agree_on_the_largest_value():
-    assert on_ranks(3, lambda number: agreed(current_ranks(), float(-number))) == [0.0, 0.0, 0.0]
-    assert np.isnan(on_ranks(2, lambda number: agreed(current_ranks(), [1.0, np.nan][number]))).all()
-    assert agreed(OneRank(), 2.5) == 2.5

@@ -23,7 +23,7 @@ from meshdeform_core.errors import MethodError
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import Demand, MemoryLimit
 from meshdeform_core.methods import Options
-from meshdeform_core.parallel import Nodes, empty, scratch
+from meshdeform_core.parallel import empty, scratch
 from meshdeform_core.parallel.scratch import Scratch, current_scratch, scratch_in
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="mapped files are watched on Linux only")
@@ -149,17 +149,6 @@ def test_two_hundred_million_nodes_in_a_thousand_blocks_fit_into_four_gibibytes(
     nodes, face_nodes = 1000 * side**3, 1000 * (side**3 - (side - 2) ** 3)
     demand = Demand("deforming", nodes, 24 * nodes, face_nodes, blocks=1000)
     assert demand.beside_files(MemoryLimit(4 * 2**30, "--max-memory allows")) < 4 * 2**30
-
-
-def test_rows_at_any_place_are_those_of_plain_indexing(tmp_path, monkeypatch):
-    monkeypatch.setattr(scratch, "SMALLEST", 1000)
-    rows = np.random.default_rng(3).integers(0, 5000, (3001, 2))
-    with scratch_in(Scratch(tmp_path, 1)):
-        array = empty((5000, 3))
-        array[:] = np.random.default_rng(4).uniform(size=(5000, 3))
-        found = Nodes.of(array).at(rows)
-        assert found.tobytes() == np.array(array)[rows].tobytes()
-        assert Nodes.of(array).at(rows[:0]).shape == (0, 2, 3)
 
 
 STARTS = """

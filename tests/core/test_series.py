@@ -171,19 +171,3 @@ def test_a_jump_of_the_grid_alone_is_told():
     plain = [moment._replace(plain=True) for moment in moments]
     assert smoothness(plain, np.array([0]), np.full(3, 0.5)).warning is None
     assert smoothness(moments, np.array([2]), np.full(3, 0.5)).warning is None
-
-
-def test_a_motion_that_turns_back_is_no_jump():
-    """Nodes far from a turning body move farther than its walls, and are accelerated more when it turns back."""
-    angle, arm = 1.3 * np.sin(2 * np.pi * np.array([0.2, 0.225, 0.25, 0.275])), np.array([1.0, 2.4])
-    x = arm[:, None] * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=-1)[:, None]
-    moments = [Moment(float(t), points, False) for t, points in enumerate(x)]
-    walls, edges = np.array([0]), np.full(2, 1e-5)
-    for last in (3, 4):
-        found = smoothness(moments[last - 3 : last], walls, edges)
-        assert found.acceleration == pytest.approx(2.4 * found.wall)
-        assert found.beyond == pytest.approx(0.0, abs=1e-12)
-        assert found.warning is None
-    x[2:, 1] += [0.3, 0.0, 0.0]
-    for last in (3, 4):
-        assert "jumps" in smoothness(moments[last - 3 : last], walls, edges).warning

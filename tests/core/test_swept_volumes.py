@@ -133,37 +133,6 @@ def area_vectors(x: np.ndarray) -> list[np.ndarray]:
     return found
 
 
-def test_the_velocity_halfway_between_levels_sweeps_what_the_faces_do():
-    """Nodal velocities with the areas halfway; with those at the end they are off by what the areas change."""
-    grid, errors = frame(), []
-    case = Case(tuple(body_specs(turning("30*t"))))
-    for h in (0.2, 0.1):
-        before, after = (deform(grid, case, time=t).grid.points for t in (1.0 - h, 1.0))
-        velocity = grid_velocity((1.0 - h, 1.0), [before, after], "swept")
-        swept = at_faces(grid, swept_volumes(grid, before, after))
-        errors.append([_missed(grid, velocity, x, swept, h) for x in (0.5 * (before + after), after)])
-    assert errors[1][0] < 1e-2 * errors[1][1]
-    assert errors[0][0] < 1e-2 * errors[0][1]
-    assert errors[1][1] == pytest.approx(0.5 * errors[0][1], rel=0.2)
-
-
-def _missed(grid: Grid, velocity: np.ndarray, points: np.ndarray, swept: list, h: float) -> float:
-    """How far the mean velocity of faces times their area at ``points`` is from what they sweep, per time."""
-    worst = 0.0
-    for b in range(grid.n_blocks):
-        speed = grid.block(b, velocity)
-        for axis, area in enumerate(area_vectors(grid.block(b, points))):
-            mean = speed
-            for other in {0, 1, 2} - {axis}:
-                mean = 0.5 * (
-                    np.take(mean, range(1, mean.shape[other]), other)
-                    + np.take(mean, range(mean.shape[other] - 1), other)
-                )
-            flux = (mean * area).sum(axis=-1)
-            worst = max(worst, np.abs(flux - swept[b][axis] / h).max())
-    return worst
-
-
 @cache
 def turned_to_and_fro(steps: int) -> list[np.ndarray]:
     """Coordinates of a bar that turns so far that levels are repaired."""

@@ -9,14 +9,9 @@ import pytest
 from grids import frame
 
 from meshdeform_core.boundary.classification import BoundarySpec, Kind
-from meshdeform_core.boundary.motions.expression import Expression
 from meshdeform_core.boundary.motions.motion import (
-    Displace,
     Follow,
     Motion,
-    Rotate,
-    positions_as_displacements,
-    tiny_rotations,
 )
 from meshdeform_core.boundary.tables.frames import other_frame
 from meshdeform_core.boundary.tables.matching import AUTOMATIC, BoundaryNodes, Matching, SurfaceData
@@ -71,12 +66,6 @@ def test_a_table_of_the_nodes_is_matched_to_the_nodes():
     (match,) = on_table_alone(data).movers[0][1].matches
     assert match.how == "nearest"
     assert match.matched.sum() == len(NODES.numbers)
-
-
-def test_a_table_with_swapped_columns_is_refused():
-    swapped = SurfaceData(TABLE.points[:, [0, 2, 1]], TABLE.displacement, TABLE.triangles, "swapped.csv")
-    with pytest.raises(MotionError, match=r"expected a table of a wall|lie on no outside face"):
-        on_table_alone(swapped)
 
 
 def test_the_shift_of_a_table_of_a_part_of_the_wall_is_told():
@@ -137,20 +126,3 @@ def test_sides_that_move_alike_are_used_together():
     one, _ = local_spline(points, displacement, targets, normals=(normals, facing))
     both, _ = local_spline(points, displacement, targets)
     assert (one == both).all()
-
-
-def test_positions_given_as_displacements_are_a_warning():
-    points = NODES.points
-    (warning,) = positions_as_displacements(points, points + [0.0, 0.0, 0.02])
-    assert "are they positions?" in warning
-    assert positions_as_displacements(points, 0.1 * points) == []
-    assert positions_as_displacements(points + 100.0, np.full_like(points, 0.1)) == []
-
-
-@pytest.mark.parametrize(("angle", "count"), [("0.17", 1), ("-0.087", 1), ("5", 0), ("0", 0), ("0.1*t", 0), ("a", 1)])
-def test_rotations_that_look_like_radians_are_a_warning(angle, count):
-    known = frozenset({"a", "x", "y", "z", "t"})
-    zero = Expression("0", known)
-    motion = Motion((Rotate(Expression(angle, known), (0.0, 0.0, 1.0), (zero, zero, zero)),), {"a": 0.1})
-    assert len(tiny_rotations("flap", motion)) == count
-    assert tiny_rotations("flap", Motion((Displace((zero, zero, zero)),), {})) == []

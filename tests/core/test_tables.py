@@ -12,11 +12,9 @@ from scipy.interpolate import RBFInterpolator
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.motion import Follow, Motion
-from meshdeform_core.boundary.tables.fitting import fit_table
 from meshdeform_core.boundary.tables.matching import Matching, SurfaceData
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.errors import MotionError
-from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.numerics.geometry.local_spline import local_spline
 
 FRAME = frame(cells=6, layers=6)
@@ -136,11 +134,6 @@ def test_splines_refuse_two_displacements_at_practically_one_place(gap):
         on_body(data(twice, moved), how="interpolate")
 
 
-def test_every_second_row_is_refused():
-    with pytest.raises(MotionError, match="belong to no face that moves as a whole"):
-        whole_table(data(bar()[::2]))
-
-
 def test_a_coarser_surface_is_refused():
     points = bar()
     heights = np.unique(points[:, 2])
@@ -176,23 +169,10 @@ def test_one_table_for_several_entries_is_used_as_a_whole():
     assert set_up(FRAME, Case((*entries, BoundarySpec("rest", ("*",), Kind.SLIP)))).boundary.notes == ()
 
 
-def test_a_side_of_which_a_table_covers_a_strip_does_not_follow_it():
-    points = bar()
-    top, strip = points[:, 1] > 0.49, (points[:, 0] < -0.3) & (points[:, 2] < 0.6)
-    fit = fit_table(FRAME, find_topology(FRAME), data(points[~top | strip]), Matching(how="interpolate"))
-    assert [surface.name for surface in fit.surfaces] == ["block2.imax", "block4.jmax", "block7.imin"]
-
-
 def test_a_shifted_table_is_said():
     edge = 1.0 / 6
     (note,) = on_body(data(bar() + [0.0, 0.0, 0.3 * edge]), tolerance=0.5)
     assert "away from the table point whose displacement they take" in note
-
-
-def test_nodes_that_share_points_are_said():
-    points = bar()
-    notes = on_body(data(points[::3]), tolerance=2.0)
-    assert any("share the displacements of" in note for note in notes)
 
 
 def test_extrapolation_is_said_with_its_distance():

@@ -4,11 +4,10 @@ The ranks are forks of this process (:mod:`forked_ranks`); coordinates that a ra
 """
 
 import dataclasses
-from functools import partial
 
 import numpy as np
 import pytest
-from forked_ranks import on_ranks, poison_parts
+from forked_ranks import on_ranks, poison_parts, small_blocks_are_cut
 from grids import block_around, frame, frame_2d, permuted, polar
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -18,10 +17,7 @@ from meshdeform_core.grid import Grid
 from meshdeform_core.grid.components import BY_PREFIX, with_components
 from meshdeform_core.grid.near import NearNodes
 from meshdeform_core.grid.topology import find_topology, partners, strips
-from meshdeform_core.numerics import pieces as pieces_module
 from meshdeform_core.numerics.geometry import copies
-from meshdeform_core.numerics.geometry.copies import coincident_copies, coincident_groups
-from meshdeform_core.parallel import current_ranks
 
 LINE = np.linspace(0.0, 1.0, 5)
 # Compiled loops are loaded once, before ranks are forked.
@@ -32,12 +28,9 @@ assert _NEAR.taken(np.zeros((8, 3)), _NEAR.rows) is not None
 @pytest.fixture(autouse=True)
 def small_pieces(monkeypatch):
     """Blocks are cut although they are small; what a rank does not hold is no number."""
-    monkeypatch.setattr(pieces_module, "_NODES", 20)
-    monkeypatch.setattr(pieces_module, "_CELLS", 2)
-    pieces_module._ends.cache_clear()
     poison_parts(monkeypatch)
-    yield
-    pieces_module._ends.cache_clear()
+    with small_blocks_are_cut(monkeypatch, 20, 2):
+        yield
 
 
 def in_parts(grid):
@@ -119,26 +112,3 @@ def test_little_is_done_at_a_time(few, monkeypatch):
     for module, name in ((copies, "_WINDOW"), (copies, "_SAMPLE"), (partners, "_MATCHED"), (strips, "_TOGETHER")):
         monkeypatch.setattr(module, name, few)
     same_on_ranks(noisy(frame(5, 4), 1e-4), 4)
-
-
-def test_chains_of_points_across_all_ranks():
-    """Points closer to each other than their tolerance, in one chain through the ranges of all ranks, and pairs."""
-    random = np.random.default_rng(3)
-    line = np.linspace(0.0, 1.0, 200)[:, None] * np.array([1.0, 0.3, -0.2]) + 5.0
-    points = np.concatenate([line, np.repeat(random.uniform(0.0, 6.0, (300, 3)), 2, axis=0)])
-    tolerance = np.append(np.full(200, 0.006), 10.0 ** random.uniform(-9.0, -1.0, 600))
-    mixed = random.permutation(len(points))
-    points, tolerance = points[mixed], tolerance[mixed]
-    label = coincident_groups(points, tolerance)
-    first = np.array([np.flatnonzero(label == each)[0] for each in label])
-    least = np.array([tolerance[label == each].min() for each in label])
-    assert len(np.unique(label[np.argsort(mixed)[:200]])) == 1
-
-    def find(number, count):
-        own = np.array_split(np.arange(len(points)), count)[number]
-        return coincident_copies(current_ranks(), own, points[own], tolerance[own])
-
-    for count in (1, 2, 5):
-        found = [np.concatenate(each) for each in zip(*on_ranks(count, partial(find, count=count)), strict=True)]
-        np.testing.assert_array_equal(found[0], first)
-        np.testing.assert_array_equal(found[1], least)

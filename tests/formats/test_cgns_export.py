@@ -13,8 +13,6 @@ from meshdeform_core.grid import Connection, Field, Grid, Patch, Periodicity, Si
 from meshdeform_core.grid.connectivity.declared import periodic_image
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.cgns.connectivity import inverse_motion
-from meshdeform_formats.cgns.new_nodes import bc_type
-from meshdeform_formats.cgns.tree import unique_names
 
 
 def two_blocks(**more: object) -> Grid:
@@ -59,24 +57,6 @@ def test_the_words_of_other_formats_are_kept_beside_the_cgns_words(tmp_path):
     with h5py.File(tmp_path / "new.cgns") as file:
         assert file["Base/right/ZoneBC/odd/BoundaryCondition/ data"][()].tobytes() == b"my condition"
         assert file["Base/Far/FamilyBC/ data"][()].tobytes() == b"BCFarfield"
-
-
-@pytest.mark.parametrize(
-    ("word", "expected"),
-    [
-        ("viscous_solid", "BCWallViscous"),
-        ("tangency", "BCWallInviscid"),
-        ("farfield_riem", "BCFarfield"),
-        ("symmetry_x", "BCSymmetryPlane"),
-        ("Wall", "BCWall"),
-        ("BCTunnelInflow", "BCTunnelInflow"),
-        ("back_pressure", "BCOutflow"),
-        ("one_of_a_kind", "UserDefined"),
-        ("", "UserDefined"),
-    ],
-)
-def test_words_for_boundary_conditions(word, expected):
-    assert bc_type(word) == expected
 
 
 def test_both_directions_are_written_once(tmp_path):
@@ -205,15 +185,3 @@ def test_long_and_repeated_names(tmp_path):
     assert len({patch.family for patch in again.patches}) == 2
     assert all(len(name) <= 32 for name in again.names)
     assert_cgnscheck_finds_no_error(tmp_path / "new.cgns")
-
-
-def test_unique_names():
-    assert unique_names(["a", "a", "a/b", " ", "x" * 40, "x" * 33], "Zone") == (
-        "a",
-        "a_2",
-        "a_b",
-        "Zone",
-        "x" * 32,
-        "x" * 30 + "_2",
-    )
-    assert unique_names(["ü" * 20], "Zone") == ("ü" * 16,)  # 32 bytes

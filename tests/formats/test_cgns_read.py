@@ -38,27 +38,6 @@ def test_third_party_connections_join_coincident_nodes(third_party, name):
         np.testing.assert_array_equal(own, donor)
 
 
-def test_the_wing(third_party):
-    grid = read_grid(third_party / WING)
-    assert grid.names == tuple(f"domain.{i:05d}" for i in range(1, 6))
-    assert len(grid.connections) == 16
-    assert len({connection.transform for connection in grid.connections}) == 4
-    assert [patch.name for patch in grid.patches] == [f"BC{i}" for i in range(1, 15)]
-    assert {(patch.family, patch.bc_type) for patch in grid.patches} == {
-        ("wall", "BCWallViscous"),
-        ("Far", "BCFarfield"),
-        ("Sym", "BCSymmetryPlane"),
-    }
-    for patch in grid.patches:
-        (window,) = patch.windows
-        face = grid.block(window.block).take(-1 if window.side % 2 else 0, axis=window.side.axis)
-        points = face[window.low[0] : window.high[0] + 1, window.low[1] : window.high[1] + 1].reshape(-1, 3)
-        distance = np.linalg.norm(points, axis=1)
-        assert patch.family != "Far" or distance.min() > 200
-        assert patch.family != "wall" or distance.max() < 30
-        assert patch.family != "Sym" or np.ptp(points[:, 2]) < 1e-11
-
-
 def test_two_zones(tmp_path):
     grid = read_grid(write_hdf5(tmp_path / "grid.cgns", two_zones()))
     assert grid.names == ("left", "right")
@@ -82,16 +61,6 @@ def test_zones_come_in_file_order(tmp_path, track):
     root = tree(*(zone(name, box(2, 2, 2)) for name in names))
     assert read_grid(write_hdf5(tmp_path / "grid.cgns", root, track=track)).names == tuple(names)
     assert read_grid(AdfWriter().write(tmp_path / "grid.adf", root)).names == tuple(names)
-
-
-def test_big_endian_data(tmp_path):
-    path = write_hdf5(tmp_path / "grid.cgns", two_zones())
-    with h5py.File(path, "r+") as file:
-        group = file["Base/left/GridCoordinates/CoordinateX"]
-        values = group[" data"][()]
-        del group[" data"]
-        group.create_dataset(" data", data=values, dtype=">f8")
-    np.testing.assert_array_equal(read_grid(path).block(0), box(4, 3, 5))
 
 
 @pytest.mark.parametrize("physical", [2, 3])
@@ -281,19 +250,6 @@ def test_what_else_a_file_holds_is_noted(tmp_path):
     assert any("DataConversion" in note and "z/CoordinateY" in note for note in notes)
     assert any("additional grids" in note and "z/GridCoordinates#2" in note for note in notes)
     assert any("the grid is the base Base" in note and "Second" in note for note in notes)
-
-
-def test_the_first_base_with_zones_is_taken(tmp_path):
-    root = tree(zone("z", box(3, 3, 3)))
-    root.children.insert(1, N("Empty", "CGNSBase_t", np.array([3, 3], np.int32)))
-    assert read_grid(write_hdf5(tmp_path / "grid.cgns", root)).names == ("z",)
-
-
-def test_a_remark_about_many_zones_is_one_line(tmp_path):
-    zones = [zone(f"z{i}", box(2, 2, 2), N("GridCoordinates2", "GridCoordinates_t")) for i in range(7)]
-    (note,) = read_grid(write_hdf5(tmp_path / "grid.cgns", tree(*zones))).notes
-    named = ", ".join(f"z{number}/GridCoordinates2" for number in range(6))
-    assert note.endswith(f": {named} and 1 more")
 
 
 @pytest.mark.parametrize("direct", [False, True])

@@ -30,7 +30,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, Grid
 from meshdeform_formats import read_grid, write_grid
 
-WING, WING_HDF5, AIRFOIL = "717_wl_L2.cgns", "717_wl_L2_hdf5.cgns", "nak_a_141.cgns"
+WING, AIRFOIL = "717_wl_L2.cgns", "nak_a_141.cgns"
 
 
 def moved(grid: Grid) -> Grid:
@@ -142,13 +142,6 @@ def test_precision_on_request(tmp_path, precision, packing):
         assert node.attrs["type"] == {"float32": b"R4", "float64": b"R8"}[precision]
         assert node[" data"].compression == packing.get("compression")
         assert list(file["Base/z 2/GridCoordinates"]) == ["CoordinateX", "CoordinateY", "CoordinateZ"]
-
-
-def test_mixed_precision_is_kept(tmp_path):
-    source = write_hdf5(tmp_path / "in.cgns", full_file())
-    written = write_grid(read_grid(source), tmp_path / "out.cgns")
-    assert written.options == {"container": "HDF5", "precision": "mixed"}
-    assert read_grid(tmp_path / "out.cgns").format == written
 
 
 def test_rind_planes_and_bounding_box(tmp_path):
@@ -330,41 +323,6 @@ def test_adf_variants_become_what_adf2hdf_makes_of_them(tmp_path, version, order
 
 
 # --- other readers ------------------------------------------------------------------------------------------------
-
-
-def vtk_blocks(path: Path) -> list[np.ndarray]:
-    """Coordinates ``(ni, nj, nk, 3)`` of all zones as vtk's own CGNS reader sees them (it sorts zones by name)."""
-    from vtkmodules.util.numpy_support import vtk_to_numpy
-    from vtkmodules.vtkIOCGNSReader import vtkCGNSReader
-
-    reader = vtkCGNSReader()
-    reader.SetFileName(str(path))
-    reader.UpdateInformation()
-    reader.EnableAllBases()
-    reader.SetDoublePrecisionMesh(1)
-    reader.Update()
-    base = reader.GetOutput().GetBlock(0)
-    blocks = []
-    for index in range(base.GetNumberOfBlocks()):
-        block = base.GetBlock(index)
-        sizes = [0, 0, 0]
-        block.GetDimensions(sizes)
-        points = vtk_to_numpy(block.GetPoints().GetData())
-        blocks.append(points.reshape(*sizes[::-1], 3).transpose(2, 1, 0, 3))
-    return blocks
-
-
-@pytest.mark.parametrize("name", [WING, WING_HDF5, AIRFOIL])
-def test_vtk_reads_the_same_coordinates(third_party, tmp_path, name):
-    grid = moved(read_grid(third_party / name))
-    write_grid(grid, tmp_path / "out.cgns")
-    if name == WING_HDF5:
-        assert differences(third_party / name, tmp_path / "out.cgns", is_coordinate) == []
-    assert_cgnscheck_finds_no_error(tmp_path / "out.cgns")
-    blocks = vtk_blocks(tmp_path / "out.cgns")
-    assert len(blocks) == grid.n_blocks
-    for index, block in enumerate(blocks):
-        np.testing.assert_array_equal(block, grid.block(index))
 
 
 # --- refusals -----------------------------------------------------------------------------------------------------

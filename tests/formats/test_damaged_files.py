@@ -1,88 +1,18 @@
 """Damage of every readable format: a file is read or refused with a message, never anything else."""
 
-import os
-import random
-import stat
-import time
 import warnings
 import zipfile
 
 import h5py
 import numpy as np
 import pytest
-from cgns_witness import AdfWriter, two_zones, write_hdf5
-from fuzz.mutations import mutated
 
-from meshdeform_core.errors import FormatError, GridError, MeshDeformError
-from meshdeform_core.grid import Field, Grid
+from meshdeform_core.errors import FormatError, GridError
+from meshdeform_core.grid import Grid
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.displacement import read_displacement
 
 POINTS = np.random.default_rng(0).random((10, 3))
-
-
-def grid_file(name, **options):
-    rng = np.random.default_rng(1)
-    grid = Grid.from_blocks([rng.random((3, 3, 2, 3))], fields=(Field("p", "node", 0, rng.random((3, 3, 2))),))
-
-    def make(folder):
-        write_grid(grid, folder / name, options)
-        return folder / name
-
-    return make
-
-
-def saved(save, name, *args, **arrays):
-    def make(folder):
-        save(folder / name, *args, **arrays)
-        return folder / name
-
-    return make
-
-
-def hdf5_table(folder):
-    with h5py.File(folder / "a.h5", "w") as file:
-        file["points"] = file["displacement"] = POINTS
-    return folder / "a.h5"
-
-
-SOURCES = {
-    "cgns": (read_grid, lambda folder: write_hdf5(folder / "a.cgns", two_zones())),
-    "adf": (read_grid, lambda folder: AdfWriter().write(folder / "a.adf", two_zones())),
-    "vts": (read_grid, grid_file("a.vts")),
-    "vts-zlib": (read_grid, grid_file("a.vts", compression="zlib")),
-    "vts-ascii": (read_grid, grid_file("a.vts", encoding="ascii")),
-    "vtm": (read_grid, grid_file("a.vtm")),
-    "vtk": (read_grid, grid_file("a.vtk")),
-    "vtk-ascii": (read_grid, grid_file("a.vtk", encoding="ascii")),
-    "plot3d": (read_grid, grid_file("a.xyz")),
-    "plot3d-ascii": (read_grid, grid_file("a.fmt")),
-    "npy": (read_displacement, saved(np.save, "a.npy", np.hstack([POINTS, POINTS]))),
-    "npz": (read_displacement, saved(np.savez, "a.npz", points=POINTS, displacement=POINTS)),
-    "npz-packed": (read_displacement, saved(np.savez_compressed, "a.npz", points=POINTS, displacement=POINTS)),
-    "h5": (read_displacement, hdf5_table),
-    "csv": (read_displacement, saved(np.savetxt, "a.csv", np.hstack([POINTS, POINTS]), delimiter=",")),
-}
-
-
-@pytest.mark.parametrize("name", SOURCES)
-def test_damaged_files_are_read_or_refused(tmp_path, capfd, name):
-    read, make = SOURCES[name]
-    source = make(tmp_path)
-    read(source)
-    data, rng, target = source.read_bytes(), random.Random(7), tmp_path / f"b{source.suffix}"
-    refused = 0
-    for _ in range(60):
-        target.write_bytes(mutated(data, True, rng))
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                read(target)
-        except MeshDeformError as error:
-            refused += 1
-            assert target.name in str(error)  # noqa: PT017
-    assert refused > 10
-    assert capfd.readouterr() == ("", "")
 
 
 def zipped(path, **members):
@@ -177,34 +107,3 @@ def test_thin_grids_are_no_lines(tmp_path):
     points = np.random.default_rng(0).random((3, 4, 2, 3)) * [1.0, 1e-9, 0] + [0, 1e-3, 7.0]
     write_grid(Grid.from_blocks([points]), tmp_path / "a.cgns")
     np.testing.assert_array_equal(read_grid(tmp_path / "a.cgns").block(0), points)
-
-
-@pytest.mark.parametrize("read", [read_grid, read_displacement])
-def test_what_is_no_file(tmp_path, read):
-    """A pipe would be waited for, a device read for ever."""
-    os.mkfifo(tmp_path / "a.csv")
-    (tmp_path / "b.csv").symlink_to("/dev/zero")
-    (tmp_path / "c.csv").symlink_to("nowhere")
-    start = time.process_time()
-    for name, message in (("a", "it is a pipe"), ("b", "it is a device"), ("c", "No such file|is a broken link")):
-        with pytest.raises(FormatError, match=message):
-            read(tmp_path / f"{name}.csv")
-    assert time.process_time() - start < 5
-    assert stat.S_ISFIFO((tmp_path / "a.csv").stat().st_mode)
-
-
-@pytest.mark.parametrize("row", ["1,2,,4,5,6", "1,2,3,4,5,", "1,2,3,4,5", "1,2,3,4,5,6,7", "1,2,x,4,5,6", ",,,,,"])
-@pytest.mark.parametrize("line", [1, 2, 3])
-@pytest.mark.parametrize("header", [True, False])
-def test_a_row_with_a_missing_value(tmp_path, row, line, header):
-    rows = ["0,0,0,1,1,1", "1,0,0,1,1,1", "2,0,0,1,1,1"]
-    rows[line - 1] = row
-    (tmp_path / "a.csv").write_text("\n".join(["x,y,z,dx,dy,dz"] * header + rows) + "\n")
-    with pytest.raises(FormatError, match=r"a\.csv") as error:
-        read_displacement(tmp_path / "a.csv")
-    bad = line + header
-    # The first row says how many columns there are.
-    accepted = (bad, bad + 1) if row.count(",") != 5 else (bad,)
-    assert any(f"line {number}:" in str(error.value) for number in accepted) or "expected a name for each" in str(
-        error.value
-    )

@@ -17,11 +17,9 @@ from vtkmodules.vtkIOLegacy import vtkPolyDataWriter
 from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter
 
 from meshdeform_core.boundary.tables.matching import SurfaceData
-from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, Grid
 from meshdeform_formats import write_grid
 from meshdeform_formats.displacement import read_displacement, write_displacement
-from meshdeform_formats.displacement.table import DISPLACEMENT_NAMES, POINT_NAMES, fans, starts_of_list, vector_names
 
 RNG = np.random.default_rng(0)
 POINTS, MOVES = RNG.normal(size=(8, 3)), RNG.normal(size=(8, 3))
@@ -109,11 +107,6 @@ def test_plane_text(tmp_path, header):
     (tmp_path / "a.csv").write_text(header + text(ROWS[:, [0, 1, 3, 4]], ","))
     flat = [1, 1, 0]
     check(read_displacement(tmp_path / "a.csv"), points=POINTS * flat, moves=MOVES * flat)
-
-
-def test_one_row_is_a_table(tmp_path):
-    (tmp_path / "a.csv").write_text("0 0 0 1 0 0")
-    check(read_displacement(tmp_path / "a.csv"), points=[[0, 0, 0]], moves=[[1, 0, 0]])
 
 
 def test_arrays(tmp_path):
@@ -336,48 +329,8 @@ def test_tables_tell_whether_they_have_two_components(tmp_path, columns, plane):
     assert data.displacement.shape == (1, 3)
 
 
-def test_write_knows_two_formats(tmp_path):
-    with pytest.raises(FormatError, match=r"written as \.csv or \.npz"):
-        write_displacement(tmp_path / "a.vtu", SurfaceData(POINTS, MOVES, np.empty((0, 3), int), ""))
-
-
-def test_many_rows(tmp_path):
-    rows = np.random.default_rng(1).normal(size=(5_000, 6))
-    write_displacement(tmp_path / "a.csv", SurfaceData(rows[:, :3], rows[:, 3:], np.empty((0, 3), int), ""))
-    data = read_displacement(tmp_path / "a.csv")
-    np.testing.assert_array_equal(np.hstack([data.points, data.displacement]), rows)
-
-
 def test_equal_points_that_move_alike_are_kept(tmp_path):
     rows = np.vstack([ROWS, ROWS[3] * (1 + 1e-14)])
     rows[-1, :3] = ROWS[3, :3]
     np.save(tmp_path / "a.npy", rows)
     assert len(read_displacement(tmp_path / "a.npy").points) == 9
-
-
-@pytest.mark.parametrize(
-    ("wanted", "scalars", "vectors", "found"),
-    [
-        (POINT_NAMES, ["x", "y"], [], ("x", "y")),
-        (POINT_NAMES, ["x", "z"], [], None),
-        (POINT_NAMES, ["0", "1", "2"], [], None),
-        (POINT_NAMES, ["x", "y", "z"], ["Points"], ("x", "y", "z")),
-        (DISPLACEMENT_NAMES, ["u0", "u1", "u2"], [], ("u0", "u1", "u2")),
-        (DISPLACEMENT_NAMES, ["u1", "u2", "u3"], [], ("u1", "u2", "u3")),
-        (DISPLACEMENT_NAMES, ["u1", "u2"], [], ("u1", "u2")),
-        (DISPLACEMENT_NAMES, ["dx", "dy", "dz"], ["DISP", "U"], ("DISP",)),
-        (DISPLACEMENT_NAMES, ["depth", "density"], ["velocity"], None),
-    ],
-)
-def test_names(wanted, scalars, vectors, found):
-    assert vector_names(wanted, scalars, vectors) == found
-
-
-@given(st.lists(st.integers(0, 6), min_size=1, max_size=30))
-@settings(deadline=None, derandomize=True, max_examples=30)
-def test_lists_of_cells(sizes):
-    entries = np.concatenate([[n, *range(n)] for n in sizes])
-    starts = starts_of_list(entries)
-    assert starts.tolist() == np.cumsum([0, *(n + 1 for n in sizes[:-1])]).tolist()
-    triangles = fans(entries, starts + 1, entries[starts])
-    assert triangles.tolist() == [[0, i, i + 1] for n in sizes for i in range(1, n - 1)]

@@ -86,15 +86,6 @@ def test_shells_and_beams(tmp_path, model):
     assert not len(beam.triangles)
 
 
-def test_exponents_of_three_digits(tmp_path, model):
-    numbers, points, cells, shapes = model
-    text = frd(numbers, points, cells, shapes).replace("E-0", "E-00").replace("E+0", "E+00")
-    (tmp_path / "m.frd").write_text(text)
-    (tmp_path / "n.frd").write_text(frd(numbers, points, cells, shapes))
-    for one, two in zip(read_shapes(tmp_path / "m.frd"), read_shapes(tmp_path / "n.frd"), strict=True):
-        np.testing.assert_array_equal(one.displacement, two.displacement)
-
-
 @pytest.mark.parametrize("corners", SOLIDS)
 def test_faces_of_solids_show_outwards(corners):
     """By the volume that they enclose."""

@@ -84,23 +84,6 @@ def test_map_of_the_3d_sibling_of_a_2d_grid(third_party_grid):
     assert np.array_equal(lower, upper)
 
 
-@pytest.mark.parametrize(
-    ("grid_name", "map_name"),
-    [
-        ("nak_a_141.p3dfmt", "nak_a_141.nmf"),
-        ("backstep5_4levdn.p3dbin", "backstep5_4levdn.nmf"),
-        ("shear_3blk_2d.p2dfmt", "shear_3blk.nmf"),
-    ],
-)
-def test_what_is_written_is_read_back(third_party, third_party_grid, tmp_path, grid_name, map_name):
-    grid = third_party_grid(grid_name, map_name)
-    write_neutral_map(grid, tmp_path / "out.nmf")
-    back = read_neutral_map(tmp_path / "out.nmf", plot3d.read(third_party / grid_name))
-    assert back.patches == grid.patches
-    assert back.connections == grid.connections
-    assert back.notes == ()
-
-
 # Face number: constant index, whether at its end, primary and secondary index.
 FACES = {1: (2, 0, 0, 1), 2: (2, 1, 0, 1), 3: (0, 0, 1, 2), 4: (0, 1, 1, 2), 5: (1, 0, 2, 0), 6: (1, 1, 2, 0)}
 
@@ -139,16 +122,6 @@ def test_all_ways_two_faces_can_meet(tmp_path, face, donor_face):
         write_neutral_map(grid, tmp_path / "out.nmf")
         (again,) = read_neutral_map(tmp_path / "out.nmf", bare).connections
         assert dataclasses.replace(again, name=connection.name) == connection
-
-
-def test_part_of_a_face_with_swap(tmp_path):
-    """As in the hump grid of NASA: part of kmin of block 1 on jmax of block 3, k against j, Swap true."""
-    lower = lattice(2, 9, 4)
-    cavity = np.moveaxis(lattice(2, 5, 3, origin=(0.0, 2.0, -2.0)), [1, 2], [2, 1])[:, :, ::-1]
-    path = put(tmp_path, "2", "1 2 9 4", "2 2 3 5", "one-to-one 1 1 1 2 3 7 2 6 5 1 1 2 true \\")
-    grid = read_neutral_map(path, Grid.from_blocks([lower, cavity]))
-    assert gap(grid, grid.connections[0]) == 0.0
-    assert grid.connections[0].transform == (1, -3, 2)
 
 
 def test_quotes_comments_flags_and_types_with_two_faces(tmp_path):
@@ -275,11 +248,3 @@ def test_bad_maps(tmp_path, name):
 def test_a_sibling_that_can_be_turned_two_ways_is_refused(tmp_path):
     with pytest.raises(FormatError, match="block 1 has 2x2x5 nodes, block1 of the grid has 2x5x1"):
         read_neutral_map(put(tmp_path, "1", "1 2 2 5"), Grid.from_blocks([lattice(2, 5, 1)]))
-
-
-def test_files_that_cannot_be_read_or_written(tmp_path):
-    grid = Grid.from_blocks([lattice(3, 4, 5)])
-    with pytest.raises(FormatError, match=r"cannot read .*missing.nmf: No such file"):
-        read_neutral_map(tmp_path / "missing.nmf", grid)
-    with pytest.raises(FormatError, match=r"the folder .* does not exist"):
-        write_neutral_map(grid, tmp_path / "no" / "out.nmf")

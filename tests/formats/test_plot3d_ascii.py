@@ -1,12 +1,10 @@
 """Text as Fortran's list-directed input understands it."""
 
-import io
 import itertools
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
 from hypothesis import strategies as st
 from plot3d_witness import ascii_file, sample_blocks, sample_iblank
 
@@ -156,23 +154,7 @@ def test_what_neither_tells_must_be_chosen(tmp_path):
     assert plot3d.read(path, dimension="2").shapes == ((3, 4, 1),)
 
 
-@settings(max_examples=100)
-@given(st.lists(st.text("0123459+-.eED*", max_size=7), max_size=6).map(" ".join))
-def test_the_fast_way_takes_nothing_that_the_slow_way_does_not(text):
-    fast = plot3d_ascii._plain_numbers(text.encode())
-    if fast is not None:
-        assert np.array_equal(fast, plot3d_ascii._spelled_numbers(text.encode(), 1, Path("grid")))
-
-
 number = st.from_regex(r"\A([1-9]\*)?-?([0-9]{1,3}\.?[0-9]{0,3}|\.[0-9]{1,3})([eEdD][+-]?[0-9]{1,2})?\Z")
-
-
-@settings(max_examples=30)
-@given(st.lists(number, min_size=1, max_size=8))
-def test_the_fast_way_takes_all_plain_numbers(words):
-    fast = plot3d_ascii._plain_numbers("\n".join(words).encode())
-    assert fast is not None
-    assert np.array_equal(fast, plot3d_ascii._spelled_numbers(" ".join(words).encode(), 1, Path("grid")))
 
 
 @pytest.mark.parametrize("number", ["{:g}", "{:.3f}"])
@@ -200,10 +182,3 @@ def test_iblank_that_we_write_is_never_taken_for_coordinates(tmp_path):
     grid = read_grid(tmp_path / "a.fmt")
     assert grid.format.options["iblank"]
     np.testing.assert_array_equal(grid.block(0), points)
-
-
-def test_integers_are_counted_across_pieces(monkeypatch):
-    text = b"2 3*1, 3.0\t-7 1e5 12 +4 4*2.5 2*0\r\n5."
-    for piece in range(1, len(text) + 1):
-        monkeypatch.setattr(plot3d_ascii, "_PIECE", piece)
-        assert plot3d_ascii.count_integers(io.BytesIO(text)) == 1 + 3 + 1 + 1 + 1 + 2

@@ -1,8 +1,6 @@
 """Every binary variant is recognised and read: files written with struct, gfortran and by others."""
 
 import itertools
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +10,6 @@ from plot3d_witness import ENCODINGS, binary_file, fortran_record, sample_blocks
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
 from meshdeform_formats import plot3d
-from meshdeform_formats.plot3d import records as plot3d_records
 
 SHAPES_3D = [(3, 4, 5), (2, 3, 2)]
 SHAPES_2D = [(3, 4, 1), (2, 5, 1)]
@@ -87,17 +84,6 @@ def test_records_split_into_subrecords_are_joined(tmp_path, longest):
     assert grid.format.options["markers"] == 4
 
 
-def test_one_plane_per_record_is_the_block_record_when_there_is_one_plane(tmp_path):
-    blocks = sample_blocks([(3, 4, 1)])
-    content = binary_file(blocks, encoding="fortran", records="plane", multiblock=False)
-    assert plot3d.read(put(tmp_path, content)).format.options["records"] == "block"
-
-
-def test_many_blocks(tmp_path):
-    blocks = sample_blocks([(2, 2, 2)] * 300)
-    check(plot3d.read(put(tmp_path, binary_file(blocks, encoding="fortran", markers=8))), blocks)
-
-
 # [1, ni, nj] begins a 2-D file of one block as well as a 3-D file of the shape (1, ni, nj); the sizes can agree.
 
 
@@ -148,20 +134,3 @@ def test_options_force_a_reading(tmp_path):
     check(plot3d.read(path, encoding="fortran", byte_order="big", markers="4", multiblock="true", dimension=3), blocks)
     with pytest.raises(FormatError, match=r"with byte_order=little; without these options it is big-endian Fortran"):
         plot3d.read(path, byte_order="little")
-
-
-def test_nan_is_read_for_the_caller_to_report(tmp_path):
-    blocks = sample_blocks([(2, 3, 4)], "float32")
-    blocks[0][0, 1, 2, 0] = np.nan
-    grid = plot3d.read(put(tmp_path, binary_file(blocks, encoding="binary", precision="float32")))
-    assert np.flatnonzero(np.isnan(grid.points).any(axis=1)).tolist() == [6]
-
-
-def test_reading_binary_needs_no_slow_import():
-    code = "import sys, meshdeform_formats.plot3d; print([m for m in ('scipy', 'numba', 'vtk') if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
-    assert done.stdout.strip() == "[]"
-
-
-def test_longest_subrecord_is_the_one_of_the_compilers():
-    assert plot3d_records.LONGEST_SUBRECORD == 2147483639

@@ -187,15 +187,6 @@ def test_options_that_cannot_be(tmp_path: Path, options, message):
         plot3d.read(path, **options)
 
 
-@pytest.mark.parametrize("content", [FORTRAN, FORTRAN8, STREAM], ids=["4-byte markers", "8-byte markers", "stream"])
-def test_no_beginning_of_a_file_is_taken_for_a_file(tmp_path, content):
-    path = tmp_path / "cut.xyz"
-    for length in range(1, len(content), 13):
-        path.write_bytes(content[:length])
-        with pytest.raises(FormatError):
-            plot3d.read(path)
-
-
 def test_a_size_that_fits_by_accident_is_not_enough(tmp_path):
     # Truncated to two of its three float64 coordinates, a 3-D file has the size of a 2-D one of float64.
     path = tmp_path / "cut.xyz"

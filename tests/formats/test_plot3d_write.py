@@ -4,9 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
-from plot3d_witness import ENCODINGS, binary_file, sample_blocks, sample_iblank
+from plot3d_witness import binary_file, sample_blocks, sample_iblank
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, FileFormat, Grid
@@ -23,58 +21,6 @@ def write(grid: Grid, path: Path, **options) -> FileFormat:
     chosen = plot3d.variant(grid, path, options)
     plot3d.write(grid, path, chosen)
     return chosen
-
-
-@st.composite
-def grids_and_options(draw):
-    dimension = draw(st.sampled_from([2, 3]))
-    n = st.integers(2, 6)
-    flat = dimension == 2 or draw(st.booleans())
-    hole = 2 if dimension == 2 else draw(st.integers(0, 2))
-    count = draw(st.integers(1, 4))
-    shapes = [tuple(1 if flat and axis == hole else draw(n) for axis in range(3)) for _ in range(count)]
-    encoding = draw(st.sampled_from([{"encoding": "ascii"}, *ENCODINGS]))
-    options = {"dimension": dimension, "precision": draw(st.sampled_from(["float32", "float64"])), **encoding}
-    options["multiblock"] = count > 1 or draw(st.booleans())
-    if encoding["encoding"] != "ascii":
-        options["byte_order"] = draw(st.sampled_from(["little", "big"]))
-    seed, with_iblank = draw(st.integers(0, 2**32 - 1)), draw(st.booleans())
-    rng = np.random.default_rng(seed)
-    scale = 10.0 ** draw(st.integers(-6, 6))
-    blocks = [rng.normal(scale=scale, size=(*shape, 3)) for shape in shapes]
-    for block in blocks:
-        block[..., dimension:] = 0.0
-    iblank = [rng.integers(-2, 3, shape).astype(np.int32) for shape in shapes] if with_iblank else None
-    return make_grid(blocks, iblank), options
-
-
-def read_choosing(path: Path, options: dict) -> Grid:
-    """Read a file, naming the variant only where its content leaves a choice."""
-    try:
-        return plot3d.read(path)
-    except FormatError as error:
-        if "ways and its content does not decide" not in str(error):
-            raise
-        return plot3d.read(path, **options)
-
-
-@settings(max_examples=25, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(case=grids_and_options())
-def test_round_trip(tmp_path, case):
-    grid, options = case
-    path = tmp_path / "grid.x"
-    chosen = write(grid, path, **options)
-    back = read_choosing(path, {**options, "iblank": bool(grid.fields)})
-    written = grid.points.astype(options["precision"])
-    assert np.array_equal(back.points.astype(options["precision"]), written)
-    assert back.shapes == grid.shapes
-    assert [f.values.tolist() for f in back.fields] == [f.values.tolist() for f in grid.fields]
-    one_plane = options.get("records") == "plane" and all(shape[2] == 1 for shape in grid.shapes)
-    expected = {**chosen.options, "records": "block"} if one_plane else dict(chosen.options)
-    assert dict(back.format.options) == expected
-    again = tmp_path / "again.x"
-    plot3d.write(back, again, back.format)
-    assert again.read_bytes() == path.read_bytes()
 
 
 def test_float64_text_is_exact(tmp_path):

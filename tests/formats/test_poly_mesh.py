@@ -134,18 +134,6 @@ def test_cyclic_faces_correspond(turned, tmp_path):
     assert "Mesh OK." in said
 
 
-def test_periodic_plane_grids_are_cyclic_layers(tmp_path):
-    ends = Connection(
-        "p", 0, (0, 0, 0), (3, 0, 0), 0, (0, 4, 0), (3, 4, 0), (1, 2, 3), Periodicity(translation=(0, 1, 0))
-    )
-    write_grid(Grid.from_blocks([box(3, 4, 0)], connections=(ends,)), tmp_path / "case.foam", {"thickness": "0.5"})
-    mesh = read_mesh(tmp_path)
-    mesh.check()
-    found = {name: entries["nFaces"] for name, entries in mesh.patches.items() if entries["type"] == "cyclic"}
-    assert list(found.values()) == ["3", "3"]
-    assert np.ptp(mesh.points[:, 2]) == 0.5
-
-
 def test_collapsed_hexahedra_are_prisms_and_pyramids(tmp_path):
     x = box(3, 3, 3)
     wedge, tip = x.copy(), x.copy()

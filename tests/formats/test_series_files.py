@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import subprocess
-import weakref
 from pathlib import Path
 from unittest.mock import Mock
 from xml.etree import ElementTree
@@ -26,9 +25,7 @@ from vtkmodules.vtkIOParallel import vtkPlot3DMetaReader
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
 from meshdeform_formats import read_grid, write_grid
-from meshdeform_formats.cgns.time_steps import write_series
 from meshdeform_formats.files import remove_partial, replacing
-from meshdeform_formats.grids import variant_of
 from meshdeform_formats.series.outputs import LevelFiles
 from meshdeform_formats.series.shared import SingleFile
 
@@ -235,19 +232,6 @@ def test_levels_of_a_plane_grid_flat_along_any_index_in_one_cgns_file(axes, sour
             assert words.split() == [f"GridCoordinates#{n}" for n in (1, 2, 3)]
         np.testing.assert_array_equal(file["Base/BaseIterativeData/TimeValues/ data"][()], TIMES)
     np.testing.assert_array_equal(read_grid(files.view).points, grid.points)
-
-
-def test_one_level_at_a_time_is_in_memory_for_one_cgns_file(tmp_path):
-    grid, made = frame(), []
-
-    def level(number):
-        assert [each() for each in made] == [None] * number
-        found = at(grid, TIMES[number])
-        made.append(weakref.ref(found.points))
-        return found
-
-    write_series(grid, tmp_path / "wing.cgns", variant_of(grid, tmp_path / "wing.cgns", {}), TIMES, level)
-    assert len(made) == len(TIMES)
 
 
 def test_a_file_that_holds_a_series_takes_no_second_one(tmp_path):

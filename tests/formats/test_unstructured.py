@@ -228,16 +228,3 @@ def test_points_are_numbered_as_documented(tmp_path):
             if not outer:
                 inside.append(point)
     np.testing.assert_array_equal(mesh.points, on_face + inside)
-
-
-def test_what_cannot_be_written_is_refused(tmp_path):
-    grid = two_blocks()
-    fields = tuple(Field("c", "node", b, np.zeros(grid.shapes[b], complex)) for b in (0, 1))
-    for file, options, wrong, message in (
-        ("a.su2", {"encoding": "ascii"}, grid, "unknown option 'encoding'; known are: none"),
-        ("a.msh", {"encoding": "binar"}, grid, "did you mean 'binary'"),
-        ("a.vtu", {}, dataclasses.replace(grid, fields=fields), "node field 'c' is of type complex128"),
-    ):
-        with pytest.raises(FormatError, match=message):
-            write_grid(wrong, tmp_path / file, options)
-    assert not list(tmp_path.iterdir())

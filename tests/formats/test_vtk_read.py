@@ -148,15 +148,6 @@ def test_global_ids_and_text(tmp_path, rng):
     np.testing.assert_array_equal(read_grid(tmp_path / "a.vtk").fields[0].values, numbers)
 
 
-@pytest.mark.parametrize("shape", [(1, 3, 4), (3, 1, 4), (3, 4, 1)])
-def test_plane_grids(tmp_path, rng, shape):
-    points = rng.normal(size=(*shape, 3))
-    vtk_witness.write_xml(tmp_path / "a.vts", vtk_witness.structured_grid(points))
-    grid = read_grid(tmp_path / "a.vts")
-    assert (grid.dimension, grid.shapes) == (2, (shape,))
-    np.testing.assert_array_equal(grid.block(0), points)
-
-
 def test_old_sections_of_legacy_files(tmp_path):
     text = """# vtk DataFile Version 2.0
 by hand
@@ -198,12 +189,3 @@ GLOBAL_IDS id vtkIdType
     assert fields["map"].values[1, 0, 0].tolist() == [1, 0]
     assert "lookup table 'rainbow'" in grid.notes[1]
     assert "no line end" in grid.notes[0]
-
-
-@pytest.mark.parametrize("blank", ["", "\n", "  \n\n"])
-def test_blank_lines_behind_the_title(tmp_path, blank):
-    points = "0 0 0 1 0 0 0 1 0 1 1 0"
-    head = f"# vtk DataFile Version 3.0\ntitle\n{blank}ASCII\n\nDATASET STRUCTURED_GRID\n"
-    (tmp_path / "a.vtk").write_text(f"{head}DIMENSIONS 2 2 1\nPOINTS 4 float\n{points}\n")
-    grid = read_grid(tmp_path / "a.vtk")
-    np.testing.assert_array_equal(grid.block(0)[:, :, 0, :2], [[[0, 0], [0, 1]], [[1, 0], [1, 1]]])

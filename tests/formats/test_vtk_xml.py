@@ -10,9 +10,6 @@ import zlib
 import numpy as np
 import pytest
 import vtk_witness
-from vtkmodules.util.numpy_support import vtk_to_numpy
-from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkUnstructuredGrid
-from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, Grid
@@ -330,26 +327,6 @@ def test_small_files_take_little_memory_and_time(tmp_path, name):
     assert peak < 200e6
 
 
-def test_a_set_nested_5000_deep(tmp_path):
-    blocks = "<Block>" * 5000 + "</Block>" * 5000
-    text = f'<VTKFile type="vtkMultiBlockDataSet"><vtkMultiBlockDataSet>{blocks}</vtkMultiBlockDataSet></VTKFile>'
-    (tmp_path / "a.vtm").write_text(text)
-    with pytest.raises(FormatError, match="elements are nested more than 100 deep"):
-        read_grid(tmp_path / "a.vtm")
-
-
-def test_names_nested_too_deep_for_a_set(tmp_path):
-    for depth, good in ((97, True), (98, False), (5000, False)):
-        grid = Grid.from_blocks([CUBE], ["a/" * depth + "b"])
-        if good:
-            write_grid(grid, tmp_path / "a.vtm")
-            assert read_grid(tmp_path / "a.vtm").names == grid.names
-        else:
-            with pytest.raises(FormatError, match="is nested more than 97 deep"):
-                write_grid(grid, tmp_path / "b.vtm")
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["a", "a.vtm"]
-
-
 NAMES = ["\"<&>'", "tab\tand\nline", "größe ∂", "]]>", "a  b "]
 
 
@@ -371,14 +348,6 @@ def test_names_that_xml_cannot_hold(tmp_path, name, target):
     with pytest.raises(FormatError, match="which a VTK file cannot hold"):
         write_grid(Grid.from_blocks([CUBE], [name]), tmp_path / "a.vtm")
     assert not list(tmp_path.iterdir())
-
-
-def test_an_array_that_exists_twice(tmp_path):
-    data = scalar(range(6)) + scalar(range(6, 12))
-    (tmp_path / "a.vts").write_text(vts(piece("0 2 0 1 0 0", array(PLANE), data)))
-    grid = read_grid(tmp_path / "a.vts")
-    assert grid.fields[0].values.max() == 11
-    assert "node array 'p' exists twice; the last one is kept" in grid.notes[0]
 
 
 def test_pieces_of_a_surface(tmp_path):
@@ -403,25 +372,3 @@ def test_pieces_of_a_surface(tmp_path):
     (tmp_path / "a.vtu").write_text(frame.format("".join(pieces)))
     with pytest.raises(FormatError, match="has 2 pieces; merge them into one"):
         read_displacement(tmp_path / "a.vtu")
-
-
-def test_a_surface_of_vtk_in_every_encoding(tmp_path):
-    rng = np.random.default_rng(5)
-    grid, cells = vtkUnstructuredGrid(), vtkCellArray()
-    for corners in ([0, 1, 2], [1, 2, 3, 4]):
-        cells.InsertNextCell(len(corners), corners)
-    points = vtk_witness.structured_grid(rng.normal(size=(5, 1, 1, 3))).GetPoints()
-    grid.SetPoints(points)
-    grid.SetCells([5, 9], cells)
-    vtk_witness.add_array(grid.GetPointData(), "disp", rng.normal(size=(5, 3)))
-    for mode, encoded, packing in itertools.product((0, 1, 2), (0, 1), (0, 1, 3)):
-        writer = vtkXMLUnstructuredGridWriter()
-        writer.SetInputData(grid)
-        writer.SetDataMode(mode)
-        writer.SetEncodeAppendedData(encoded)
-        writer.SetCompressorType(packing)
-        writer.SetFileName(str(tmp_path / "a.vtu"))
-        assert writer.Write()
-        data = read_displacement(tmp_path / "a.vtu")
-        np.testing.assert_array_equal(data.points, vtk_to_numpy(points.GetData()))
-        assert data.triangles.tolist() == [[0, 1, 2], [1, 2, 3], [1, 3, 4]]

@@ -23,13 +23,7 @@ PARTS = (0.0, 0.3, 1.0)
 """Of the size of the largest file that the command writes."""
 ONE_BLOCK = (".vts", ".vtk")
 MANY_BLOCKS = (".xyz", ".p3dfmt", ".cgns", ".vtm", ".vtu", ".xdmf", ".msh", ".med", ".su2", ".inp")
-REPORTS = (".json", ".html", *(pytest.param(suffix, marks=pytest.mark.slow) for suffix in (".txt", ".md")))
-PICTURES = (".png", *(pytest.param(suffix, marks=pytest.mark.slow) for suffix in (".svg", ".pdf")))
-SERIES = (
-    (".cgns", True),
-    (".vtm", False),
-    *(pytest.param(s, False, marks=pytest.mark.slow) for s in (".cgns", ".xyz")),
-)
+SERIES = ((".cgns", True), (".vtm", False))
 """Formats of the levels, and whether one file has all of them."""
 
 
@@ -82,8 +76,6 @@ def fills_up(folder: Path, capfd, *arguments: str, parts: tuple[float, ...] = PA
     [
         *((suffix, "grid.xyz") for suffix in MANY_BLOCKS),
         *((suffix, "grid.cgns") for suffix in (".cgns", ".xyz", ".msh")),
-        *(pytest.param(suffix, "grid.cgns", marks=pytest.mark.slow)
-          for suffix in MANY_BLOCKS if suffix not in (".cgns", ".xyz", ".msh")),
     ],
 )  # fmt: skip
 def test_converted(suffix, source, folder, capfd):
@@ -109,18 +101,14 @@ def test_an_old_output_stays(suffix, folder, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize("suffix", REPORTS)
-def test_reports(suffix, folder, capfd):
-    fills_up(folder, capfd, "quality", "grid.xyz", "--report", f"report{suffix}", "-q", parts=(0.5,))
-
-
-@pytest.mark.parametrize("suffix", PICTURES)
-def test_pictures(suffix, folder, capfd):
-    fills_up(folder, capfd, "plot", "grid.xyz", "-o", f"picture{suffix}", parts=(0.5,))
-
-
-def test_a_case_to_start_from(folder, capfd):
-    fills_up(folder, capfd, "init", "grid.xyz", "-o", "new.toml")
+@pytest.mark.parametrize("name", [
+    "report.json", "report.html", "picture.png", "new.toml",
+    *(pytest.param(name, marks=pytest.mark.slow) for name in ("report.txt", "report.md", "picture.svg", "picture.pdf")),
+])  # fmt: skip
+def test_reports_pictures_and_cases(name, folder, capfd):
+    command = {"report": "quality", "picture": "plot", "new": "init"}[Path(name).stem]
+    option = "--report" if command == "quality" else "-o"
+    fills_up(folder, capfd, command, "grid.xyz", option, name, *["-q"] * (command == "quality"), parts=(0.5,))
 
 
 @pytest.mark.parametrize(("suffix", "single"), SERIES)

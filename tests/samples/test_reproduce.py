@@ -2,18 +2,16 @@
 
 import dataclasses
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from meshdeform_cli.main import run as command
 from meshdeform_core.methods import IDW, RBF, TFI, Options, make_method
-from meshdeform_samples.reproduce import WHAT, robustness
+from meshdeform_samples.reproduce import WHAT
 from meshdeform_samples.reproduce.experiment import Sample, Trial, asymmetry, greedy_range, prepare_sample, run
 from meshdeform_samples.reproduce.operations import count_operations, count_pairs, idw_operations, tfi_operations
 from meshdeform_samples.reproduce.paper_methods import MinresRBF, ReweightedIDW
-from meshdeform_samples.reproduce.report import robustness_markdown
 from meshdeform_samples.reproduce.robustness import Bench, quality_of
 from meshdeform_samples.reproduce.rows import paper
 from meshdeform_samples.reproduce.tables import TABLES
@@ -197,31 +195,6 @@ def test_a_repair_extends_the_range_of_angles():
     options = Options("idw-tfi")
     assert bench.point(options, 60.0)["invalid_cells"] > 0
     assert bench.largest_repaired(options, (60.0,)) == 60.0
-
-
-@pytest.mark.slow
-def test_no_repair_helps_a_plate_that_passes_through_the_outer_boundary():
-    assert Bench(8, lambda *_: None).largest_repaired(Options("idw-tfi"), (150.0, 60.0)) == 0.0
-
-
-def test_no_angle_after_the_first_failure_counts(monkeypatch):
-    tried = []
-
-    def outcome(setup, displacement, *_):
-        tried.append(setup.case.constants["angle"])
-        return SimpleNamespace(valid=tried[-1] < 100.0)
-
-    monkeypatch.setattr(robustness, "impose", outcome)
-    assert Bench(8, lambda *_: None).largest_repaired(Options("tfi"), (30.0, 60.0, 120.0, 90.0)) == 60.0
-    assert len(tried) == 3
-
-
-def test_the_table_of_angles_names_what_was_tried():
-    row = {"method": "idw-tfi", "one_step": 40.0, "marching": 55.0, "repaired": 120.0}
-    largest = {"step": 5.0, "repaired": (60.0, 120.0), "rows": [row]}
-    page = robustness_markdown({"sample": "splitter-plate 8", "largest_angle": largest, "figures": []}, ".")
-    assert "| idw-tfi | 40 | 55 | 120 |" in page
-    assert "of 60, 120" in page
 
 
 def test_an_existing_page_is_not_replaced_without_force(tmp_path, capsys):
