@@ -123,7 +123,9 @@ def test_faces_are_blended_from_their_edges():
         inside = np.zeros_like(chosen)
         inside[1:-1, 1:-1] = chosen[1:-1, 1:-1]
         expected[part[inside]] = (across - corners)[inside]
-    Faces.of(points, nodes, wanted).blend(d)
+    start, width = np.cumsum([0, *(part.size for part in nodes)]), np.array([part.shape[1] for part in nodes])
+    chosen = (np.concatenate([part.ravel() for part in each]) for each in (nodes, wanted))
+    Faces.on(points, start, width, *chosen).blend(d)
     np.testing.assert_allclose(d, expected, rtol=0, atol=1e-13)
 
 

@@ -19,7 +19,7 @@ from ...numerics.arrays import distinct_rows, spans
 from ..base import Account, Problem, Progress
 from ..kinks import Kinks
 from ..limits import TFI_ROTATION, warn_of_rotation
-from .groups import Faces, Lines
+from .groups import Faces
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
@@ -103,12 +103,15 @@ class PreparedEdgeGraph:
         borders, part = _borders(parts, width)
         inside = borders.any(~reached[borders.nodes])
         rest = _segments(points, borders.chosen(inside), part[inside], reached, reached)
-        self._lines = Lines.on(
+        rows = segments.rows, rest.rows, parts
+        lines = len(segments.rows) + len(rest.rows)
+        self._faces = Faces.on(
             points,
-            np.append(segments.rows.start, segments.rows.start[-1] + rest.rows.start[1:]),
-            np.append(segments.rows.nodes, rest.rows.nodes),
+            np.append(0, np.cumsum(np.concatenate([np.diff(each.start) for each in rows]))),
+            np.append(np.ones(lines, dtype=np.int64), width),
+            np.concatenate([each.nodes for each in rows]),
+            np.append(np.ones(len(segments.rows.nodes) + len(rest.rows.nodes), dtype=bool), wanted),
         )
-        self._faces = Faces.on(points, parts.start, width, parts.nodes, wanted)
 
     def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
         """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
@@ -122,7 +125,6 @@ class PreparedEdgeGraph:
         face[self._problem.source_numbers] = displacement
         if self._graph:
             face[self._free] = self._graph.solve(face)
-        self._lines.blend(face)
         self._faces.blend(face)
         return face
 
@@ -136,7 +138,6 @@ class PreparedEdgeGraph:
         """Transpose of :meth:`push`: gradient (n_sources, 3) from that of the face nodes (n_unique, 3), which is
         overwritten; no other node is moved here."""
         self._faces.pull(face)
-        self._lines.pull(face)
         if self._graph:
             graph = self._graph
             found = graph.harmonic(face[self._free])

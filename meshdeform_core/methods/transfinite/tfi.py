@@ -12,12 +12,11 @@ import numpy as np
 
 from ...grid import FloatArray, IntArray
 from ...numerics.arrays import batches
-from ...numerics.transfinite.boxes import box_numbers
+from ...numerics.transfinite.arcs import box_numbers
 from ...parallel import Nodes, for_items
 from ..base import Account, Problem, Progress, Setting, of_stage
 from ..options import MethodOptions, option
-from .curved import Bent, CurvedLines
-from .groups import Group
+from .groups import Bent, CurvedLines, Group
 from .skeleton import Skeleton, make_skeleton
 
 FEW_PAIRS = (5e7, 4), (2e8, 8), (np.inf, 16)

@@ -1,4 +1,4 @@
-"""Arc-length coordinates of the nodes inside sub-blocks (Sen et al. eq. 10), from 0 to 1 within every sub-block.
+"""Sub-blocks: their nodes, and the arc-length coordinates of those inside (Sen et al. eq. 10), from 0 to 1 within each.
 
 Rows of a table ``subs`` (n, 11) describe sub-blocks: first node (1) and shape (3) of the block, low (3) and high (3)
 node of the sub-block, start (1) of its coordinates in an array laid out as :func:`arc_numbers` says.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from llvmlite import ir
 
-from ..arrays import IntArray, portions
+from ..arrays import FloatArray, IntArray, portions, spans
 from ..jit import inlined, kernel
 from ..lanes import WIDTH, Array, Lanes, components, lanes
 
@@ -24,6 +24,44 @@ _LENGTH, _INVERSE = 0, WIDTH
 def padded(count):
     """``count`` rounded up to a multiple of four, the width of a vector register, so that loops have no scalar end."""
     return (count + 3) // 4 * 4
+
+
+def inner_numbers(subs: IntArray) -> IntArray:
+    """Number of nodes inside each sub-block; along an axis one node thick, in 2-D, that node counts as inside."""
+    across = subs[:, 7:10] - subs[:, 4:7]
+    return np.asarray(np.where(across > 0, across - 1, 1).prod(axis=1))
+
+
+def box_numbers(subs: IntArray) -> IntArray:
+    """Number of nodes of each sub-block, including its faces."""
+    return np.asarray((subs[:, 7:10] - subs[:, 4:7] + 1).prod(axis=1))
+
+
+def box_nodes(subs: IntArray, inside: bool = False) -> IntArray:
+    """Flat indices of the nodes of sub-blocks, or of those inside, one sub-block after the other."""
+    low, count = subs[:, 4:7], subs[:, 7:10] - subs[:, 4:7] + 1
+    if inside:
+        low, count = low + (count > 1), np.where(count > 1, count - 2, 1)
+    sub, place = spans(count.prod(axis=1))
+    rest, k = np.divmod(place, count[sub, 2])
+    i, j = np.divmod(rest, count[sub, 1])
+    first = subs[:, 0] + (low[:, 0] * subs[:, 2] + low[:, 1]) * subs[:, 3] + low[:, 2]
+    return np.asarray(first[sub] + (i * subs[sub, 2] + j) * subs[sub, 3] + k)
+
+
+def apart(points: FloatArray, subs: IntArray) -> tuple[FloatArray, IntArray]:
+    """Copies (n, 3) of the coordinates of sub-blocks, each turned into a block, and the table that describes them."""
+    table, ends = subs.copy(), np.append(0, np.cumsum(box_numbers(subs)))
+    copies = np.empty((ends[-1], 3))
+    for row, lo, hi in zip(subs.tolist(), ends[:-1].tolist(), ends[1:].tolist(), strict=True):
+        start, *shape = row[:4]
+        block = points[start : start + shape[0] * shape[1] * shape[2]].reshape(*shape, 3)
+        some = block[tuple(slice(a, b + 1) for a, b in zip(row[4:7], row[7:10], strict=True))]
+        copies[lo:hi].reshape(some.shape)[...] = some
+    table[:, 0] = ends[:-1]
+    table[:, 7:10] -= subs[:, 4:7]
+    table[:, 1:4], table[:, 4:7] = table[:, 7:10] + 1, 0
+    return copies, table
 
 
 def arc_numbers(subs: IntArray) -> IntArray:

@@ -1,26 +1,14 @@
-"""Transfinite interpolation of displacements along lines and on faces (Sen et al. eq. 2).
+"""Transfinite interpolation of displacements along lines and on faces (Sen et al. eq. 2), and its transpose.
 
-Lines and faces are stored consecutively in flat arrays: line n has the entries ``start[n]`` to ``start[n + 1]``.
+Faces are rectangles of nodes, stored consecutively in flat arrays, C-ordered: face n has the entries ``start[n]`` to
+``start[n + 1]`` and ``width[n]`` nodes along its second index; a line is a face of width 1.
 """
 
 import math
 
 import numpy as np
 
-from ..jit import fast_kernel, inlined, kernel
-
-
-@kernel("f8[:, ::1], i8[::1], i8[::1], f8[::1]")
-def blend_lines(d, start, nodes, arc):
-    """Fill rows of ``d`` (n, 3), the displacement inside lines of nodes, from the two ends of each line.
-
-    ``nodes`` are rows of ``d``; ``arc`` are their arc coordinates, from 0 to 1.
-    """
-    for line in range(start.size - 1):
-        first, last = nodes[start[line]], nodes[start[line + 1] - 1]
-        for n in range(start[line] + 1, start[line + 1] - 1):
-            for c in range(3):
-                d[nodes[n], c] = d[first, c] + arc[n] * (d[last, c] - d[first, c])
+from ..jit import inlined, kernel
 
 
 @kernel("f8[:, ::1], i8[::1], i8[::1], i8[::1], f8[::1], f8[::1]")
@@ -30,7 +18,6 @@ def face_coordinates(points, start, width, nodes, s, t):
     Parameters
     ----------
     points : (n_nodes, 3)
-    width : nodes along the second index of every face
     nodes : rows of ``points``
     """
     for face in range(start.size - 1):
@@ -56,49 +43,42 @@ def _arcs(points, nodes, first, step, count, arc):
         arc[at] = arc[at] / total if total > 0.0 else m / (count - 1)
 
 
-# Rows of work arrays, three components each: coefficients of 1 and of s.
-_ONE, _BY_S = 0, 3
-
-
-@fast_kernel("f8[:, ::1], i8[::1], i8[::1], i8[::1], b1[::1], f8[::1], f8[::1]")
-def blend_faces(d, start, width, nodes, wanted, s, t):
-    """Fill the ``wanted`` rows of ``d`` (n, 3), the displacement inside faces, from the four edges of each face.
+@kernel("f8[:, ::1], i8[::1], i8[::1], i8[::1], b1[::1], f8[::1], f8[::1], b1")
+def blend_faces(d, start, width, nodes, wanted, s, t, transposed):
+    """Fill the ``wanted`` rows of ``d`` (n, 3), the displacement inside faces, from the edges of each face: edges less
+    corners; inside lines from their ends.
 
     ``nodes`` are rows of ``d``, ``s`` and ``t`` their coordinates along the first and second index of their face.
+    ``transposed``: ``d`` holds gradients, which are passed on from inside the faces, the last one first, to their
+    edges; inside they become zero.
     """
-    across, low, by_t, by_st = np.empty((_widest(width), 6)), np.empty(3), np.empty(3), np.empty(3)
-    for face in range(start.size - 1):
+    known, weight, faces = np.empty(8, np.int64), np.empty(8), start.size - 1
+    for number in range(faces):
+        face = faces - 1 - number if transposed else number
         at, n = start[face], width[face] - 1
         m = (start[face + 1] - at) // (n + 1) - 1
-        _blend_face(d, at, m, n, nodes, wanted, s, t, across, low, by_t, by_st)
-
-
-@inlined
-def _widest(width):
-    widest = 0
-    for n in width:
-        widest = max(widest, n)
-    return widest
-
-
-@inlined
-def _blend_face(d, start, m, n, nodes, wanted, s, t, across, low, by_t, by_st):
-    corner, top = nodes[start], nodes[start + m * (n + 1)]
-    side, far = nodes[start + n], nodes[start + m * (n + 1) + n]
-    for b in range(1, n):
-        first, last = nodes[start + b], nodes[start + m * (n + 1) + b]
-        for c in range(3):
-            across[b, _ONE + c] = d[first, c] - d[corner, c]
-            across[b, _BY_S + c] = d[last, c] - d[top, c] - across[b, _ONE + c]
-    for c in range(3):
-        by_st[c] = d[side, c] - d[corner, c] - (d[far, c] - d[top, c])
-    for a in range(1, m):
-        row = start + a * (n + 1)
-        first, last = nodes[row], nodes[row + n]
-        for c in range(3):
-            low[c], by_t[c] = d[first, c], d[last, c] - d[first, c] - (d[side, c] - d[corner, c])
-        for b in range(1, n):
-            if wanted[row + b]:
-                at, x, y = nodes[row + b], s[row + b], t[row + b]
+        top, count = at + m * (n + 1), 8 if n else 2
+        known[0], known[1], known[2], known[3] = nodes[at], nodes[top], nodes[at + n], nodes[top + n]
+        for a in range(1, m):
+            row = at + a * (n + 1)
+            known[4], known[5] = nodes[row], nodes[row + n]
+            for b in range(min(n, 1), max(n, 1)):
+                if not wanted[row + b]:
+                    continue
+                x, y, node = s[row + b], t[row + b], nodes[row + b]
+                weight[0], weight[1] = 1.0 - x, x
+                if n:
+                    known[6], known[7] = nodes[at + b], nodes[top + b]
+                    weight[4], weight[5], weight[6], weight[7] = 1.0 - y, y, 1.0 - x, x
+                    weight[0], weight[2] = -(1.0 - x) * (1.0 - y), -(1.0 - x) * y
+                    weight[1], weight[3] = -x * (1.0 - y), -x * y
                 for c in range(3):
-                    d[at, c] = low[c] + across[b, _ONE + c] + y * by_t[c] + x * (across[b, _BY_S + c] + y * by_st[c])
+                    value = d[node, c] if transposed else 0.0
+                    d[node, c] = 0.0
+                    for e in range(count):
+                        if transposed:
+                            d[known[e], c] += weight[e] * value
+                        else:
+                            value += weight[e] * d[known[e], c]
+                    if not transposed:
+                        d[node, c] = value
