@@ -11,9 +11,9 @@ import numpy as np
 from .grid import Field, FloatArray, Grid
 from .grid.planes import plane_normal
 from .grid.topology import block_handedness
-from .numerics.cell.swept import sweep_edges, sweep_faces
+from .numerics.cell.measures import corners_and_edges, volume
 from .parallel import Nodes, empty, for_chunks
-from .quality.cells import side_of_good_quads
+from .quality.cells import positive_side
 
 VELOCITIES = ("none", "first", "second", "swept")
 """Orders of backward differences at the nodes, or ``swept``: first order, with the volumes swept by the faces."""
@@ -21,6 +21,8 @@ PAST = {"none": 0, "first": 1, "second": 2, "swept": 2}
 """Number of earlier levels that each order needs."""
 SWEPT, FLUX = "SweptVolume", "VolumeFlux"
 """Names of the fields at the faces."""
+_TOGETHER = 1 << 14
+"""Faces measured at a time, which bounds the memory."""
 FACES = ("iface", "jface", "kface")
 """Locations of fields at the faces across each index axis."""
 
@@ -84,19 +86,22 @@ def swept_volumes(grid: Grid, before: FloatArray, after: FloatArray) -> FloatArr
 
     def work(index: int, _: int) -> None:
         block, axis = divmod(index, 3)
-        shape, out = grid.shapes[block], faces[block][axis]
+        shape, out = grid.shapes[block], faces[block][axis].reshape(-1)
         if not out.size:
             return
-        across, sign = (shape[1] * shape[2], shape[2], 1), float(handedness[block])
-        first = int(grid.offsets[block]) + grid.planes(block).start * across[0]
-        if normal is None:
-            along = across[(axis + 1) % 3], across[(axis + 2) % 3]
-            sweep_faces(one, two, first, out.shape, along, across, sign, out)
-            return
-        thin = shape.index(1)
-        other = 3 - axis - thin
-        towards = side_of_good_quads(thin, sign if other < axis else -sign, normal)
-        sweep_edges(one, two, first, out.shape, across[other], across, towards, out)
+        # The nodes of a face before and after span a cell, whose first index is the time.
+        steps, sign = np.array([shape[1] * shape[2], shape[2], 1]), float(handedness[block])
+        others = [other for other in ((axis + 1) % 3, (axis + 2) % 3) if shape[other] > 1]
+        corners = np.indices((2,) * len(others)).reshape(len(others), -1).T @ steps[others]
+        thin = 3 - axis - others[0]
+        side = positive_side(thin == 1, sign if normal is None or others[0] > axis else -sign, normal)
+        begin = int(grid.offsets[block]) + grid.planes(block).start * int(steps[0])
+        counts = faces[block][axis].shape
+        for lo in range(0, out.size, _TOGETHER):
+            at = np.unravel_index(np.arange(lo, min(lo + _TOGETHER, out.size)), counts)
+            nodes = (begin + steps @ np.array(at))[:, None] + corners
+            x = np.concatenate([one[nodes], two[nodes]], axis=1)
+            out[lo : lo + _TOGETHER] = volume(corners_and_edges(x, side), side)
 
     for_chunks(work, 3 * grid.n_blocks, 1)
     return swept

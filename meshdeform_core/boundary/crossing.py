@@ -27,9 +27,10 @@ from ..grid.topology import Topology
 from ..memory import release_freed
 from ..notices import Notice
 from ..numerics.arrays import places_among
+from ..numerics.cell.measures import cell_corners, corner_steps, corners_and_edges, scaled_jacobians
 from ..numerics.geometry.coincidence import distinct
 from ..numerics.geometry.crossing import BESIDE, ORDINARY, SLIDING, FaceTree, crossing_faces, near_faces
-from ..numerics.geometry.solid_angle import plane_winding, winding
+from ..numerics.geometry.vectors import plane_winding, winding
 from ..wording import counted, vector
 from .classification import UNSELECTED, Boundary, Kind
 
@@ -358,26 +359,23 @@ def find_pinned(grid: Grid, topology: Topology, boundary: Boundary, displacement
     """
     known = np.zeros(grid.n_nodes, dtype=bool)
     known[topology.face_nodes] = boundary.known[topology.number]
-    normal = plane_normal(grid)
-    count, first = 0, None
-    for block in range(grid.n_blocks):
-        inside: BoolArray = np.asarray(grid.block(block, known))
-        for axis in range(3):
-            if inside.shape[axis] > 1:
-                low, high = (np.take(inside, range(n, inside.shape[axis] - 1 + n), axis=axis) for n in (0, 1))
-                inside = low & high
-        cells = np.argwhere(inside)
-        corners = _corners_of_cells(grid, block, cells)
+    normal, count, first = plane_normal(grid), 0, None
+    side = 1.0 if normal is None else normal
+    for block, shape in enumerate(grid.shapes):
+        inside = np.flatnonzero(cell_corners(grid.block(block, known)).all(axis=1))
+        cells = np.stack(np.unravel_index(inside, grid.cell_shapes[block]), axis=1)
+        starts = grid.offsets[block] + np.ravel_multi_index(tuple(cells.T), shape)
+        corners = starts[:, None] + corner_steps(np.array([shape]), grid.dimension)
         before = grid.nodes.at(corners)
         after = before + displacement[topology.numbers_of(corners.ravel())].reshape(before.shape)
-        (old, size), (new, _) = (_jacobians(x, normal) for x in (before, after))
-        sound = np.abs(old) > _COLLAPSED * size
-        bad = (sound & (new * np.sign(old) <= 0.0)).any(axis=tuple(range(1, old.ndim)))
+        old = scaled_jacobians(corners_and_edges(before, side))
+        new = np.stack([jacobian for jacobian, _ in corners_and_edges(after, side)], axis=1)
+        bad = ((np.abs(old) > _COLLAPSED) & (new * np.sign(old) <= 0.0)).any(axis=1)
         count += int(bad.sum())
         if first is None and bad.any():
             index = int(np.argmax(bad))
             i, j, k = (int(n) + 1 for n in cells[index])
-            x, y, z = after[index].reshape(-1, 3).mean(axis=0)
+            x, y, z = after[index].mean(axis=0)
             first = (grid.names[block], (i, j, k), (float(x), float(y), float(z)))
     return PinnedCells(count, *first) if first else None
 
@@ -403,23 +401,3 @@ def torn_faces(grid: Grid, topology: Topology, boundary: Boundary, displacement:
             )
             notices.append(Notice(text, f"fixed boundary {patch.name} torn"))
     return notices
-
-
-def _corners_of_cells(grid: Grid, block: int, cells: IntArray) -> IntArray:
-    """Flat indices (c, 2, 2, 2) of the corners; (c, 2, 2) in 2-D."""
-    shape = grid.shapes[block]
-    steps = np.array([(0,) if n == 1 else (0, 1) for n in shape], dtype=object)
-    offsets = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).astype(np.int64)
-    at = cells.reshape(-1, 1, 1, 1, 3) + offsets
-    flat = grid.offsets[block] + (at[..., 0] * shape[1] + at[..., 1]) * shape[2] + at[..., 2]
-    return np.asarray(flat.squeeze(axis=tuple(1 + n for n in range(3) if shape[n] == 1)))
-
-
-def _jacobians(x: FloatArray, normal: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-    """Corner Jacobians of cells, and the products of the lengths of their edges."""
-    edges = [np.repeat(np.diff(x, axis=axis), 2, axis=axis) for axis in range(1, x.ndim - 1)]
-    if normal is not None:
-        edges.append(np.broadcast_to(normal, x.shape))
-    value = np.einsum("...i,...i->...", edges[0], np.cross(edges[1], edges[2]))
-    size = np.prod([np.linalg.norm(edge, axis=-1) for edge in edges], axis=0)
-    return np.asarray(value), np.asarray(size)

@@ -10,7 +10,8 @@ import numpy as np
 
 from ..grid import FloatArray, Grid, IntArray
 from ..numerics.arrays import batches
-from ..numerics.cell.measures import measure_quads, scattered_hexahedra
+from ..numerics.cell.measures import CellMeasures, cell_corners, corner_steps, measure_cells
+from ..numerics.geometry.vectors import cross, dot
 from ..parallel import Nodes, empty, for_chunks
 
 _SLAB_CELLS = 131072
@@ -18,66 +19,34 @@ _TOGETHER = 1 << 14
 """Cells measured at a time in double precision, which bounds the memory."""
 
 
-@dataclass(frozen=True)
-class CellMeasures:
-    """Measures of cells, arrays (ci, cj, ck).
+def measure_block(x: FloatArray, sign: float, plane_normal: FloatArray | None) -> CellMeasures:
+    """Measures (ci, cj, ck) of the cells of a block ``x`` (ni, nj, nk, 3) of handedness ``sign``, in 2-D with the
+    normal of the plane; ``jacobian`` is the smallest of each cell."""
+    shape, side = [max(n - 1, 1) for n in x.shape[:3]], positive_side(x.shape[1] == 1, sign, plane_normal)
+    found = CellMeasures(*np.empty((4, *shape)))
+    step = max(1, _TOGETHER // (shape[1] * shape[2]))
+    for lo in range(0, shape[0], step):
+        measured = measure_cells(cell_corners(x[lo : lo + step + 1]), side)
+        for values, part in zip(found, measured, strict=True):
+            some = values[lo : lo + step]
+            some[...] = (part.min(axis=1) if part.ndim == 2 else part).reshape(some.shape)
+    return found
 
-    ``skew`` f_skew; ``scaled`` smallest scaled corner Jacobian; ``jacobian`` smallest corner Jacobian; ``volume``
-    (2-D: area); ``bad`` bit mask of the corners with Jacobian <= 0.
-    """
 
-    skew: FloatArray
-    scaled: FloatArray
-    jacobian: FloatArray
-    volume: FloatArray
-    bad: np.ndarray
-
-
-def measure_block(
-    x: FloatArray, sign: float, plane_normal: FloatArray | None, first: int = 0, last: int | None = None
-) -> CellMeasures:
-    """Measures of one block ``x`` (ni, nj, nk, 3) of handedness ``sign``; in 2-D with the normal of the plane.
-
-    ``first`` and ``last`` choose the layers first <= i < last of its cells; a block with one node along i has one.
-    """
-    ni, nj, nk = (max(n - 1, 1) for n in x.shape[:3])
-    last = ni if last is None else last
-    shape = (last - first, nj, nk)
-    skew, scaled, jacobian, volume = (np.empty(shape) for _ in range(4))
-    measures = CellMeasures(skew, scaled, jacobian, volume, np.empty(shape, dtype=np.uint8))
-    arrays = list(vars(measures).values())
+def positive_side(flat_j: Any, sign: Any, plane_normal: FloatArray | None) -> Any:
+    """The side, as in :mod:`..numerics.cell.measures`, of cells in blocks of handedness ``sign`` (...); ``flat_j``
+    (...): whether j is the axis along which a 2-D block is one node thick."""
     if plane_normal is None:
-        step = max(1, _TOGETHER // (nj * nk))
-        for lo in range(first, last, step):
-            layers = slice(lo - first, min(lo + step, last) - first)
-            for values, found in zip(arrays, _measure_layers(x[lo : min(lo + step, last) + 1], sign), strict=True):
-                values[layers] = found
-        return measures
-    flat = x.shape.index(1)
-    normal = side_of_good_quads(flat, sign, plane_normal)
-    plane = np.ascontiguousarray(x.squeeze(axis=flat))
-    rows = (0, plane.shape[0] - 1) if flat == 0 else (first, last)
-    for values, found in zip(arrays, measure_quads(plane[rows[0] : rows[1] + 1], normal), strict=True):
-        values.squeeze(axis=flat)[...] = found
-    return measures
-
-
-def _measure_layers(x: FloatArray, sign: float) -> list[np.ndarray]:
-    """The arrays of :class:`CellMeasures` of all cells between nodes ``x`` (ni, nj, nk, 3)."""
-    shape = tuple(n - 1 for n in x.shape[:3])
-    ends = [[slice(end, end + n) for end in (0, 1)] for n in shape]
-    corners = np.stack([x[i, j, k] for i in ends[0] for j in ends[1] for k in ends[2]], axis=3).reshape(-1, 8, 3)
-    skew, scaled, jacobian, volume = scattered_hexahedra(corners, np.full(len(corners), sign))
-    bad = np.packbits(jacobian <= 0.0, axis=1, bitorder="little")[:, 0]
-    return [values.reshape(shape) for values in (skew, scaled, jacobian.min(axis=1), volume, bad)]
-
-
-def side_of_good_quads(flat: int, sign: float, plane_normal: FloatArray) -> FloatArray:
-    """Unit normal of positively oriented cells of a 2-D block, one node thick along ``flat``, in index order."""
+        return sign
     # Handedness refers to the normal whose largest component is positive. In (i, j) and (j, k) index planes the index
     # order gives the positive normal, in (i, k) the negative one.
-    side = plane_normal * np.sign(plane_normal[int(np.argmax(np.abs(plane_normal)))])
-    return np.asarray(sign * (-1.0 if flat == 1 else 1.0) * side)
+    upward = plane_normal * np.sign(plane_normal[int(np.argmax(np.abs(plane_normal)))])
+    return np.where(flat_j, -1.0, 1.0)[..., None] * np.asarray(sign)[..., None] * upward
+
+
+def sides_of(grid: Grid, handedness: IntArray, plane_normal: FloatArray | None, block: Any) -> Any:
+    """:func:`positive_side` of cells of blocks, by number (...)."""
+    return positive_side(np.array(grid.shapes)[block, 1] == 1, handedness[block] * 1.0, plane_normal)
 
 
 @dataclass(frozen=True)
@@ -179,16 +148,14 @@ def places(grid: Grid, cells: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def corner_nodes(grid: Grid, block: IntArray, ijk: IntArray) -> IntArray:
-    """Flat node indices (n, 8) of cells, corner (a, b, c) at 4 a + 2 b + c; in a 2-D grid every corner twice."""
+    """Flat node indices (n, 8), in a 2-D grid (n, 4), of cells, in the order of :mod:`..numerics.cell.measures`."""
     shapes = np.array(grid.shapes)[block]
-    corner = np.stack(np.meshgrid(*[[0, 1]] * 3, indexing="ij"), axis=-1).reshape(1, 8, 3)
-    at = np.minimum(ijk[:, None] + corner, shapes[:, None] - 1)
-    flat = (at[..., 0] * shapes[:, None, 1] + at[..., 1]) * shapes[:, None, 2] + at[..., 2]
-    return np.asarray(grid.offsets[block][:, None] + flat)
+    first = grid.offsets[block] + (ijk[:, 0] * shapes[:, 1] + ijk[:, 1]) * shapes[:, 2] + ijk[:, 2]
+    return np.asarray(first[:, None] + corner_steps(shapes, grid.dimension))
 
 
 def corners_of(grid: Grid, points: FloatArray, cells: IntArray) -> FloatArray:
-    """Corners (n, 8, 3) of cells, by number, with coordinates ``points`` (n_nodes, 3)."""
+    """Corners (n, 8, 3), in a 2-D grid (n, 4, 3), of cells, by number, with coordinates ``points`` (n_nodes, 3)."""
     return np.asarray(Nodes.of(points).at(corner_nodes(grid, *places(grid, cells))))
 
 
@@ -227,6 +194,5 @@ def _flux(grid: Grid, points: FloatArray, center: FloatArray, sides: IntArray) -
     # Component by component, as numpy is slow on axes of length 3.
     face = np.ascontiguousarray(np.moveaxis(Nodes.of(points).at(nodes) - center[sides // 6, None, None], -1, 0))
     low, high, right, left = face[..., :-1, :-1], face[..., 1:, 1:], face[..., 1:, :-1], face[..., :-1, 1:]
-    (px, py, pz), (qx, qy, qz), (mx, my, mz) = high - low, left - right, low + high + left + right
-    flux = mx * (py * qz - pz * qy) + my * (pz * qx - px * qz) + mz * (px * qy - py * qx)
+    flux = dot(low + high + left + right, cross(high - low, left - right))
     return np.asarray(flux.reshape(len(sides), -1).sum(axis=1))

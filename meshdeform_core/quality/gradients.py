@@ -13,10 +13,11 @@ from ..errors import GridError
 from ..grid import FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
+from ..numerics.cell.measures import corners_and_edges, scaled_jacobians, volume
 from ..numerics.pieces import pieces
 from ..numerics.tape import Tape, plain
 from ..parallel import Nodes
-from .cells import corner_nodes, places, side_of_good_quads
+from .cells import corner_nodes, places, sides_of
 
 # Cells recorded on one tape.
 _CELLS = 8192
@@ -106,8 +107,7 @@ def quality_gradient(
 
 
 class _Cells:
-    """Cells of some blocks, a limited number at a time: their corner nodes (n, 8), with the handedness of the block or,
-    in 2-D, the normal of its cells."""
+    """Cells of some blocks, a limited number at a time: their corner nodes (n, 8 or 4) and their side."""
 
     def __init__(self, grid: Grid, topology: Topology, blocks: Iterable[int]) -> None:
         self._grid, self._blocks = grid, set(blocks)
@@ -134,71 +134,28 @@ class _Cells:
 
     def _between(self, block: int, first: int, last: int) -> Iterator[tuple[IntArray, Any]]:
         """The cells behind the planes first <= i < last of a block."""
-        grid, side = self._grid, float(self._handedness[block])
-        known: Any = side
-        if self._normal is not None:
-            flat = grid.shapes[block].index(1)
-            known = flat, side_of_good_quads(flat, side, self._normal)
+        grid, side = self._grid, sides_of(self._grid, self._handedness, self._normal, block)
         ci, cj, ck = grid.cell_shapes[block]
         start, stop = (int(grid.cell_offsets[block]) + min(plane, ci) * cj * ck for plane in (first, last))
         for begin in range(start, stop, _CELLS):
             cells = np.arange(begin, min(begin + _CELLS, stop))
-            yield corner_nodes(grid, *places(grid, cells)), known
-
-
-def _corner_edges(x: Any, side: Any) -> Iterator[tuple[Any, list[Any]]]:
-    """Jacobian (n,) and edges of every corner of cells with corners ``x`` (n, 8, 3); (n, 3) each."""
-
-    def edge(axis: int, corner: tuple[int, int, int]) -> Any:
-        low, high = list(corner), list(corner)
-        low[axis], high[axis] = 0, 1
-        return x[:, 4 * high[0] + 2 * high[1] + high[2]] - x[:, 4 * low[0] + 2 * low[1] + low[2]]
-
-    plane = isinstance(side, tuple)
-    for corner in np.ndindex(2, 2, 2):
-        if not plane:
-            edges = [edge(axis, corner) for axis in range(3)]
-            yield side * np.einsum("ni,ni->n", edges[0], np.cross(edges[1], edges[2])), edges
-        elif corner[side[0]] == 0:
-            edges = [edge(axis, corner) for axis in range(3) if axis != side[0]]
-            yield np.einsum("ni,i->n", np.cross(*edges), side[1]), edges
+            yield corner_nodes(grid, *places(grid, cells)), side
 
 
 def _inverse_skew(x: Any, side: Any) -> Any:
     """1 / f_skew (n,) (Knupp 2003); infinite or not a number where a corner Jacobian is not positive."""
-    total, count = 0.0, 0
-    for jacobian, edges in _corner_edges(x, side):
-        product = 1.0
-        for edge in edges:
-            product = product * np.einsum("ni,ni->n", edge, edge)
-        # Negative bases of the power yield NaN.
-        total = total + (np.sqrt(product) / jacobian) ** (2.0 / len(edges))
-        count += 1
-    return total / count
+    corners = corners_and_edges(x, side)
+    scaled = scaled_jacobians(corners)
+    scaled = np.where(scaled > 0.0, scaled, np.nan)
+    return (scaled ** (-2.0 / len(corners[0][1]))).sum(axis=1) / len(corners)
 
 
-def _scaled_jacobians(x: Any, side: Any) -> Any:
-    """Jacobians (n, corners) of all corners with edges scaled to unit length; zero at collapsed edges."""
-    found = []
-    for jacobian, edges in _corner_edges(x, side):
-        for edge in edges:
-            square = np.einsum("ni,ni->n", edge, edge)
-            jacobian = jacobian / np.sqrt(np.where(square > 0.0, square, 1.0))
-        found.append(jacobian)
-    return np.stack(found, axis=1)
+def _scaled(x: Any, side: Any) -> Any:
+    return scaled_jacobians(corners_and_edges(x, side))
 
 
 def _volume(x: Any, side: Any) -> Any:
-    """Volume (n,) of trilinear cells, in 2-D their area."""
-    total, edges_of = 0.0, []
-    for jacobian, edges in _corner_edges(x, side):
-        total = total + jacobian
-        edges_of.append(edges)
-    if len(edges_of) == 4:
-        return total / 4.0
-    # Every edge belongs to two corners.
-    u, v, w = (sum((each[axis] for each in edges_of[1:]), edges_of[0][axis]) / 8.0 for axis in range(3))
-    return total / 24.0 + (2.0 / 3.0) * side * np.einsum("ni,ni->n", u, np.cross(v, w))
+    return volume(corners_and_edges(x, side), side)
 
 
 def _harmonic(inverse: Found, sharpness: float) -> tuple[float, Slope]:
@@ -237,7 +194,7 @@ def _same(part: FloatArray) -> FloatArray:
 MEASURES = {
     "f_skew": Measure(_inverse_skew, _harmonic),
     "f_skew_min": Measure(_inverse_skew, _smallest_skew),
-    "scaled_jacobian_min": Measure(_scaled_jacobians, _smallest),
+    "scaled_jacobian_min": Measure(_scaled, _smallest),
     "volume": Measure(_volume, _sum),
 }
 """Harmonic mean and smooth minimum of f_skew, smooth minimum of scaled corner Jacobians, total volume."""

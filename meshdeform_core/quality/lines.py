@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from ..grid import BoolArray, FloatArray, Grid, IntArray, Side
-from ..grid.topology import Topology, inward_step, side_nodes
-from ..numerics.geometry.coincidence import distinct
-from ..numerics.geometry.vectors import unit
+from ..grid import BoolArray, FloatArray, Grid, IntArray
+from ..grid.topology import Topology
+from ..numerics.geometry.vectors import cross, dot, unit
 from ..parallel import Nodes
 
 _TOGETHER = 100_000
@@ -105,110 +103,73 @@ def kink_and_jump(lines: InterfaceLines, points: FloatArray) -> tuple[FloatArray
         # Component by component, as numpy is slow on axes of length 3.
         u = list(np.moveaxis(nodes.at(lines.here[some]) - nodes.at(lines.before[some]), -1, 0).copy())
         v = list(np.moveaxis(nodes.at(lines.beyond[some]) - nodes.at(lines.there[some]), -1, 0).copy())
-        normal = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
-        angle[some] = np.rad2deg(np.arctan2(np.sqrt(_dot(normal, normal)), _dot(u, v)))
+        normal = cross(u, v)
+        angle[some] = np.rad2deg(np.arctan2(np.sqrt(dot(normal, normal)), dot(u, v)))
         with np.errstate(divide="ignore", invalid="ignore"):
-            own = 0.5 * np.log(_dot(v, v) / _dot(u, u))
+            own = 0.5 * np.log(dot(v, v) / dot(u, u))
         jump[some] = np.where(np.isfinite(own), own, 0.0)
     return angle, jump
 
 
-def _dot(u: Sequence[FloatArray], v: Sequence[FloatArray]) -> FloatArray:
-    return np.asarray(u[0] * v[0] + u[1] * v[1] + u[2] * v[2])
-
-
-@dataclass(frozen=True)
-class WallFace:
-    """The part of one face of a block that is a wall.
-
-    ``nodes`` (na, nb): flat indices of the whole face; ``wall`` (qa, qb): which of its quads are wall; ``step``:
-    difference in flat index to the first node off the wall; ``layers``: cells whose total thickness is measured
-    (:data:`LAYERS`); ``inward``: +1 if the index order of the face gives normals into the block, -1 if out of it.
-    """
-
-    nodes: IntArray
-    wall: np.ndarray
-    step: int
-    layers: int
-    inward: float
-    block: int
-    side: Side
-
-    @property
-    def touched(self) -> BoolArray:
-        """Nodes (na, nb) of its wall quads."""
-        touched = np.zeros(self.nodes.shape, dtype=bool)
-        for window in self.corners:
-            touched[window] |= self.wall
-        return touched
-
-    @property
-    def corners(self) -> list[tuple[slice, slice]]:
-        """The windows of ``nodes`` that hold the first, second, ... corner of every quad."""
-        (na, nb), (qa, qb) = self.nodes.shape, self.wall.shape
-        return [(slice(a, a + qa), slice(b, b + qb)) for a in range(min(2, na)) for b in range(min(2, nb))]
-
-
-def wall_faces(grid: Grid, topology: Topology, chosen: BoolArray) -> list[WallFace]:
-    """All block faces with quads that are ``chosen`` (n_quads,) as walls."""
-    faces = []
-    for block_side in distinct(topology.quads.block_side[chosen], 6 * grid.n_blocks):
-        block, side = int(block_side) // 6, Side(int(block_side) % 6)
-        counts = topology.quads.counts[block, side]
-        wall = chosen[topology.quads.of_side(block, side)].reshape(counts)
-        nodes = side_nodes(grid, block, side)
-        inward = _inward_sign(topology, block, side, nodes)
-        step, layers = (
-            inward_step(grid.shapes[block], side),
-            max(1, min(LAYERS, grid.cell_shapes[block][side.axis] // 2)),
-        )
-        faces.append(WallFace(nodes, wall, step, layers, inward, block, side))
-    return faces
-
-
-def _inward_sign(topology: Topology, block: int, side: Side, nodes: IntArray) -> float:
-    """+1 if the normal by the face's index order (in 2-D: plane normal cross tangent) points into the block, or -1."""
-    if topology.quads.corners.shape[1] == 2:
-        first = topology.quads.corners[topology.quads.of_side(block, side)][0, 0]
-        # The outside lies to the right of the corner order.
-        return 1.0 if first == topology.numbers_of(nodes.ravel()[:1])[0] else -1.0
-    # e_b x e_c of the tangential axes points along +a for i and k faces, along -a for j faces.
-    index_normal = (-1.0 if side.axis == 1 else 1.0) * float(topology.handedness[block])
-    return index_normal if side % 2 == 0 else -index_normal
-
-
-class WallLines(NamedTuple):
-    """Angle (degrees) between grid lines and the wall normal, and along it the height of the first cell and the
-    thickness of the first layers: one value per node of the wall quads of a face, in the order of ``WallFace.touched``.
-    """
+class WallMeasures(NamedTuple):
+    """Angle (degrees) between grid lines off walls and the wall normal, and along it the height of the first cell and
+    the thickness of the first layers: (n,) each."""
 
     angle: FloatArray
     height: FloatArray
     thickness: FloatArray
 
+
+@dataclass(frozen=True)
+class WallLines:
+    """The grid lines off wall quads, one for every node of them and side of a block.
+
+    ``quads`` (m,): their numbers; ``corners``, ``line`` (m, 4), in 2-D (m, 2): the flat nodes at their corners in index
+    order, and the number of the line there; ``inward`` (m,): +1 if that order gives normals into the block, else -1;
+    ``node``, ``step``, ``layers`` (n,): where each line begins, the difference in flat index to its next node, and the
+    number of cells whose total thickness is measured (:data:`LAYERS`).
+    """
+
+    quads: IntArray
+    corners: IntArray
+    line: IntArray
+    inward: FloatArray
+    node: IntArray
+    step: IntArray
+    layers: IntArray
+
     @classmethod
-    def joined(cls, lines: Sequence[WallLines]) -> WallLines:
-        """The lines of several faces."""
-        return cls(*(np.concatenate(values) for values in zip(*lines, strict=True)))
+    def off(cls, grid: Grid, topology: Topology, chosen: BoolArray) -> WallLines:
+        """Those off the quads that are ``chosen`` (n_quads,)."""
+        quads = np.flatnonzero(chosen)
+        corners, _, side = _corners(grid, topology, quads)
+        key = corners * 6 + side[:, None] % 6
+        _, first, line = np.unique(key, return_index=True, return_inverse=True)
+        axis, line_side = side % 6 // 2, np.repeat(side, corners.shape[1])[first]
+        if grid.dimension == 3:
+            # e_b x e_c of the tangential axes points along +a for i and k faces, along -a for j faces.
+            inward: FloatArray = np.where(axis == 1, -1.0, 1.0) * topology.handedness[side // 6]
+            inward *= np.where(side % 2, -1.0, 1.0)
+        else:
+            # The outside lies to the right of the corner order.
+            inward = np.where(topology.quads.in_order.ravel()[side], 1.0, -1.0)
+        cells = np.array(grid.cell_shapes)[line_side // 6, line_side % 6 // 2]
+        layers = np.clip(cells // 2, 1, LAYERS)
+        node, step = corners.ravel()[first], grid.sides.inward[line_side]
+        return cls(quads, corners, line.reshape(corners.shape), inward, node, step, layers)
 
-
-def wall_lines(face: WallFace, points: FloatArray, plane_normal: FloatArray | None) -> WallLines:
-    """Measures of the grid lines off the wall quads of a face."""
-    x = points[face.nodes]
-    if plane_normal is None:
-        diagonals = (x[1:, 1:] - x[:-1, :-1], x[:-1, 1:] - x[1:, :-1])
-        quad_normal = face.inward * np.cross(*diagonals)
-    else:
-        tangent = np.diff(x.reshape(-1, 3), axis=0).reshape(*face.wall.shape, 3)
-        quad_normal = face.inward * np.cross(plane_normal, tangent)
-    outward = unit(quad_normal) * face.wall[..., None]
-    normal = np.zeros_like(x)
-    touched = face.touched
-    for window in face.corners:
-        normal[window] += outward
-    n = unit(normal[touched])
-    arm = points[face.nodes[touched] + face.step] - x[touched]
-    height = np.einsum("ni,ni->n", n, arm)
-    across = np.linalg.norm(np.cross(n, arm), axis=1)
-    layers = points[face.nodes[touched] + face.layers * face.step] - x[touched]
-    return WallLines(np.rad2deg(np.arctan2(across, height)), height, np.einsum("ni,ni->n", n, layers))
+    def measure(self, points: FloatArray, plane_normal: FloatArray | None) -> WallMeasures:
+        """Measures of all lines with coordinates ``points`` (n_nodes, 3)."""
+        at = Nodes.of(points).at
+        x = at(self.corners)
+        if plane_normal is None:
+            area = np.cross(x[:, 2] - x[:, 0], x[:, 3] - x[:, 1])
+        else:
+            area = np.cross(plane_normal, x[:, 1] - x[:, 0])
+        outward = np.repeat(unit(self.inward[:, None] * area), x.shape[1], axis=0)
+        line, count, start = self.line.ravel(), len(self.node), at(self.node)
+        normal = unit(np.stack([np.bincount(line, outward[:, d], count) for d in range(3)], axis=1))
+        arm, deep = (at(self.node + layers * self.step) - start for layers in (1, self.layers))
+        height, thickness = (np.einsum("ni,ni->n", normal, each) for each in (arm, deep))
+        across = np.linalg.norm(np.cross(normal, arm), axis=1)
+        return WallMeasures(np.rad2deg(np.arctan2(across, height)), height, thickness)

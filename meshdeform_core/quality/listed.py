@@ -3,8 +3,6 @@ form a group, also across blocks."""
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,8 +10,9 @@ import numpy as np
 from ..boundary import Boundary, Kind
 from ..grid import FloatArray, Grid, IntArray, Shape
 from ..grid.topology import Topology
+from ..numerics.cell.measures import measure_cells
 from ..numerics.geometry.coincidence import connected_rows
-from .cells import corner_nodes, measure_block, places
+from .cells import corner_nodes, corners_of, places
 from .original import Original
 from .validity import Failure, Verdict
 
@@ -50,56 +49,30 @@ class InvalidCell:
 
 def worst_cell(grid: Grid, points: FloatArray, cell: int, value: float) -> Worst:
     """The entry for ``cell``, the number of the cell with the worst value of a measure; an infinite value becomes 1."""
-    block, ijk = place_of(grid, cell)
-    i, j, k = ijk
-    center = cell_corners(grid, points, block, ijk).reshape(-1, 3).mean(axis=0)
-    return Worst(value if np.isfinite(value) else 1.0, grid.names[block], (i + 1, j + 1, k + 1), tuple(center.tolist()))
+    number = np.array([cell])
+    (block,), ijk = places(grid, number)
+    i, j, k = (ijk[0] + 1).tolist()
+    x, y, z = corners_of(grid, points, number)[0].mean(axis=0).tolist()
+    return Worst(value if np.isfinite(value) else 1.0, grid.names[block], (i, j, k), (x, y, z))
 
 
-def place_of(grid: Grid, cell: int) -> tuple[int, Shape]:
-    """Block and 0-based (i, j, k) of a cell."""
-    (block,), ((i, j, k),) = (found.tolist() for found in places(grid, np.array([cell])))
-    return block, (i, j, k)
-
-
-def cell_corners(grid: Grid, points: FloatArray, block: int, ijk: Shape) -> FloatArray:
-    """Corners (2, 2, 2, 3) of a cell with coordinates ``points`` (n_nodes, 3); one along the flat index in 2-D."""
-    shape = grid.shapes[block]
-    ends = [np.arange(at, min(at + 2, n)) for at, n in zip(ijk, shape, strict=True)]
-    return np.asarray(points[grid.offsets[block] + np.ravel_multi_index(np.ix_(*ends), shape)])
-
-
-def list_cells(original: Original, points: FloatArray, cells: IntArray, verdict: Verdict) -> Iterator[InvalidCell]:
-    """Entries for ``cells`` (numbers of invalid cells) at coordinates ``points`` (n_nodes, 3)."""
-    grid, normal = original.grid, original.normal
-    for cell, failed in zip(cells.tolist(), verdict.failed[cells].tolist(), strict=True):
-        block, (i, j, k) = place_of(grid, cell)
-        x = cell_corners(grid, points, block, (i, j, k))
-        measures = measure_block(x, float(original.topology.handedness[block]), normal)
-        center = x.reshape(-1, 3).mean(axis=0)
-        yield InvalidCell(
-            grid.names[block],
-            (i + 1, j + 1, k + 1),
-            measures.skew.item(),
-            measures.jacobian.item(),
-            (float(center[0]), float(center[1]), float(center[2])),
-            Failure(failed).label,
-        )
-
-
-def with_nearest_patch(
-    grid: Grid, topology: Topology, boundary: Boundary | None, points: FloatArray, cells: list[InvalidCell]
+def list_cells(
+    original: Original, boundary: Boundary | None, points: FloatArray, cells: IntArray, verdict: Verdict
 ) -> tuple[InvalidCell, ...]:
-    """The cells with the name of the boundary nearest to each in the undeformed grid, see :func:`nearest_patches`."""
-    if not cells:
+    """Entries for ``cells`` (numbers of invalid cells) at coordinates ``points`` (n_nodes, 3), with the boundary
+    nearest to each in the undeformed grid, see :func:`nearest_patches`."""
+    if not cells.size:
         return ()
-    centers = []
-    for cell in cells:
-        i, j, k = (n - 1 for n in cell.ijk)
-        x = cell_corners(grid, points, grid.names.index(cell.block), (i, j, k))
-        centers.append(x.reshape(-1, 3).mean(axis=0))
-    near = nearest_patches(grid.moved(points), topology, boundary, np.array(centers))
-    return tuple(dataclasses.replace(cell, nearest_patch=name) for cell, name in zip(cells, near, strict=True))
+    grid, (block, ijk) = original.grid, places(original.grid, cells)
+    x, before = (corners_of(grid, each, cells) for each in (points, grid.points))
+    found = measure_cells(x, original.sides(block))
+    rows = zip(
+        (grid.names[b] for b in block), map(tuple, (ijk + 1).tolist()), found.skew.tolist(),
+        found.jacobian.min(axis=1).tolist(), map(tuple, x.mean(axis=1).tolist()),
+        (Failure(failed).label for failed in verdict.failed[cells]),
+        nearest_patches(grid, original.topology, boundary, before.mean(axis=1)), strict=True,
+    )  # fmt: skip
+    return tuple(InvalidCell(*row) for row in rows)
 
 
 def nearest_patches(grid: Grid, topology: Topology, boundary: Boundary | None, at: FloatArray) -> list[str]:

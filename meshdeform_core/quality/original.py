@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,24 +16,15 @@ from ..grid.faces.roles import Role, declared_role
 from ..grid.faces.surfaces import Outside, find_outside
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
-from .lines import (
-    InterfaceLines,
-    WallFace,
-    WallLines,
-    interface_lines,
-    kink_and_jump,
-    wall_faces,
-    wall_lines,
-)
-from .tally import Tally
+from .cells import sides_of
+from .lines import InterfaceLines, WallLines, WallMeasures, interface_lines, kink_and_jump
+
+if TYPE_CHECKING:
+    from .comparison import Tally
 
 
-@dataclass(frozen=True)
-class Walls:
-    """Faces of blocks that are walls, and their grid lines in the undeformed grid."""
-
-    faces: list[WallFace]
-    lines: list[WallLines]
+Walls = tuple[WallLines, WallMeasures]
+"""The grid lines off walls, and their measures in the undeformed grid."""
 
 
 @dataclass
@@ -52,6 +44,10 @@ class Original:
 
     def __post_init__(self) -> None:
         self.normal = plane_normal(self.grid)
+
+    def sides(self, block: Any) -> Any:
+        """Which Jacobians of cells of blocks, by number (...), are positive, see :func:`.cells.sides_of`."""
+        return sides_of(self.grid, self.topology.handedness, self.normal, block)
 
     @property
     def tally(self) -> Tally:
@@ -99,7 +95,7 @@ class Original:
             found = {}
             moving = np.asarray(boundary.quad_kind == Kind.MOVING)
             for name, quads in (("moving", moving), ("fixed", self.fixed_wall_quads(boundary))):
-                faces = wall_faces(self.grid, self.topology, quads)
-                found[name] = Walls(faces, [wall_lines(face, self.grid.points, self.normal) for face in faces])
+                lines = WallLines.off(self.grid, self.topology, quads)
+                found[name] = lines, lines.measure(self.grid.points, self.normal)
             self._walls = boundary, found
         return self._walls[1]

@@ -12,11 +12,11 @@ import numpy as np
 from ..boundary import Boundary
 from ..grid import FloatArray, Grid
 from .cells import slabs
-from .comparison import Comparison
+from .comparison import Comparison, Range, Skew, Spread, Tally
 from .lines import kink_and_jump
-from .listed import InvalidCell, InvalidGroup, Worst, group_cells, list_cells, with_nearest_patch, worst_cell
+from .listed import InvalidCell, InvalidGroup, Worst, group_cells, list_cells, worst_cell
 from .original import Original
-from .tally import Range, Skew, Spread, Tally
+from .validity import SKEW
 from .walls import Extremes, WallQuality, cell_at_interface, extremes_of, measure_walls
 
 MAX_LISTED = 200
@@ -130,14 +130,13 @@ def assess(
     """
     grid, topology = original.grid, original.topology
     start, cells = grid.points, cells or Comparison(original, after)
-    broken = cells.verdict.invalid
-    invalid = list(list_cells(original, after, broken[:MAX_LISTED], cells.verdict))
+    broken, ratios = cells.verdict.invalid, cells.volume_ratios
     walls, interfaces = measure_walls(original, boundary, after), _interfaces(original, after)
     worst = {
         "f_skew": cells.after.worst,
         "min_scaled_jacobian": cells.after.smallest_scaled,
         "min_relative_jacobian": cells.smallest_ratio,
-        **extremes_of("volume_ratio", cells.volume_ratios),
+        **extremes_of("volume_ratio", ratios),
         **interfaces[2],
     }
     moving_walls = walls[1]["moving"]
@@ -157,12 +156,12 @@ def assess(
             (len(broken), cells.inherited, worst_cell(grid, after, *cells.smallest_ratio).value),
             walls[1],
             interfaces[1],
-            cells.ratio,
+            Range(ratios[0][1], ratios[1][1]) if ratios else Range(1.0, 1.0),
             {name: worst_cell(grid, after, *found) for name, found in worst.items()}
             # The grid as a whole also lists those at moving walls.
             | {name: found for name, found in at_walls.items() if not name.startswith("layer")},
         ),
-        with_nearest_patch(grid, topology, boundary, start, invalid),
+        list_cells(original, boundary, after, broken[:MAX_LISTED], cells.verdict),
         per_block(original, cells),
         group_cells(grid, topology, boundary, after, broken, cells.verdict.ratio),
     )
@@ -218,5 +217,5 @@ def _skews(grid: Grid, tally: Tally) -> list[BlockSkew]:
     block_of = np.array([slab.block for slab in slabs(grid)])
     starts = np.searchsorted(block_of, np.arange(grid.n_blocks))
     lows = np.minimum.reduceat(tally.lows, starts, axis=0)
-    means = np.add.reduceat(tally.sums[:, 1], starts) / np.diff(grid.cell_offsets)
+    means = np.add.reduceat(tally.totals[:, SKEW], starts) / np.diff(grid.cell_offsets)
     return [BlockSkew(float(low), float(mean), float(scaled)) for (low, scaled), mean in zip(lows, means, strict=True)]

@@ -18,12 +18,17 @@ import numpy as np
 
 from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..numerics.cell import inspection as rows
-from ..numerics.cell.measures import scattered_hexahedra
-from ..numerics.cell.positivity import COLLAPSED, decide, judge_quads
+from ..numerics.cell.measures import measure_cells
+from ..numerics.cell.positivity import COLLAPSED, decide
 from ..parallel import Nodes
-from .cells import Slab, cells_alike, corners_of, for_slabs, hold_cells, measure_block, side_of_good_quads
+from .cells import Slab, cells_alike, corners_of, for_slabs, hold_cells
 from .original import Original
-from .tally import HISTOGRAM_BINS, Sums
+
+HISTOGRAM_BINS = 20
+INVERSE, SKEW, VOLUME, NEGATIVE, BAD, HISTOGRAM = 0, 1, 2, 3, 4, 5
+TOTALS = HISTOGRAM + HISTOGRAM_BINS
+"""Totals of cells: sums of 1 / f_skew, of f_skew and, in 2-D, of areas; numbers of cells with negative volume and with
+a corner Jacobian <= 0; from ``HISTOGRAM`` on, histogram of f_skew."""
 
 
 class Failure(IntEnum):
@@ -46,39 +51,31 @@ class Failure(IntEnum):
 
 @dataclass
 class SlabMeasures:
-    """Measures of a slab of n cells: arrays (n,) float32 unless said otherwise.
+    """Measures of a slab of n cells: arrays (n,), in 3-D float32, unless said otherwise.
 
-    The arrays are views of a per-thread buffer, overwritten by the next call in the same thread.
+    Those of a 3-D grid are views of a per-thread buffer, overwritten by the next call in the same thread.
 
     Attributes
     ----------
     skew, scaled : f_skew and smallest scaled corner Jacobian, deformed
     ratio : smallest corner Jacobian relative to the undeformed one, infinite where that has no sound corner
     change : volume relative to the undeformed one, NaN where that has none
-    failed : int8, :class:`Failure`
-    after, before : sums; ``before`` only on request
-    inherited : cells with a bad corner before and after that failed no test
     skew_before, scaled_before : of the undeformed cells, only on request
+    after, before : (TOTALS,); ``before`` only on request
+    failed : int8, :class:`Failure`
+    inherited : cells with a bad corner before and after that failed no test
     """
 
     skew: FloatArray
     scaled: FloatArray
     ratio: FloatArray
     change: FloatArray
+    skew_before: FloatArray
+    scaled_before: FloatArray
+    after: FloatArray
+    before: FloatArray
     failed: np.ndarray
-    after: Sums
-    before: Sums
     inherited: int = 0
-    skew_before: FloatArray | None = None
-    scaled_before: FloatArray | None = None
-
-
-def inspect_slab(original: Original, after: FloatArray, slab: Slab, both: bool) -> SlabMeasures:
-    """Measures of one slab with coordinates ``after`` (n_nodes, 3); with ``both``, of the undeformed cells, too."""
-    figures = (_quads if original.grid.dimension == 2 else _hexahedra)(original, after, slab, both)
-    low = (figures.ratio <= 0.0) | (figures.ratio < original.min_jacobian)
-    figures.failed[low] = Failure.CORNER
-    return figures
 
 
 _memory = threading.local()
@@ -91,29 +88,30 @@ def _scratch(cells: int) -> tuple[FloatArray, BoolArray]:
     return _memory.out[: 6 * cells].reshape(6, cells), _memory.open[:cells]
 
 
-def _hexahedra(original: Original, after: FloatArray, slab: Slab, both: bool) -> SlabMeasures:
-    grid, sign = original.grid, float(original.topology.handedness[slab.block])
-    before, x = (grid.block(slab.block, Nodes.of(points).rows) for points in (grid.points, after))
-    shape = (slab.last - slab.first, *grid.cell_shapes[slab.block][1:])
-    out, is_open = _scratch(slab.stop - slab.start)
-    sums, counts = np.zeros((2, 2)), np.zeros((2, HISTOGRAM_BINS), dtype=np.int64)
-    compare = after is not grid.points
-    rows.inspect_hexahedra(
-        before, x, compare, both, sign, _scale(before, slab), slab.first, slab.last,
-        out.reshape(6, *shape), is_open.reshape(shape), sums, counts,
-    )  # fmt: skip
-    figures = SlabMeasures(
-        out[rows.SKEW], out[rows.SCALED], out[rows.RATIO], out[rows.CHANGE], np.zeros(len(is_open), np.int8),
-        Sums(float(sums[0, 0]), float(sums[0, 1]), counts[0]), Sums(float(sums[1, 0]), float(sums[1, 1]), counts[1]),
-        skew_before=out[rows.SKEW_BEFORE] if both else None, scaled_before=out[rows.SCALED_BEFORE] if both else None,
-    )  # fmt: skip
-    _look_again(original, after, slab, np.flatnonzero(is_open), figures)
+def inspect_slab(original: Original, after: FloatArray, slab: Slab, both: bool) -> SlabMeasures:
+    """Measures of one slab with coordinates ``after`` (n_nodes, 3); with ``both``, of the undeformed cells, too."""
+    grid, count, totals = original.grid, slab.stop - slab.start, np.zeros((2, TOTALS))
+    if grid.dimension == 2:
+        out, is_open = np.empty((6, count)), np.ones(count, dtype=bool)
+    else:
+        out, is_open = _scratch(count)
+        before, x = (grid.block(slab.block, Nodes.of(points).rows) for points in (grid.points, after))
+        shape = (slab.last - slab.first, *grid.cell_shapes[slab.block][1:])
+        rows.inspect_hexahedra(
+            before, x, after is not grid.points, both, float(original.topology.handedness[slab.block]),
+            _scale(before, slab), slab.first, slab.last, out.reshape(6, *shape), is_open.reshape(shape), totals,
+        )  # fmt: skip
+    figures = SlabMeasures(*[*out, *totals, np.zeros(count, np.int8)])
+    _measure_open(original, after, slab, np.flatnonzero(is_open), figures, both)
     if original.min_jacobian > 0.0:
         near = np.abs(figures.ratio - original.min_jacobian) <= 1e-3 * original.min_jacobian
-        cells = np.flatnonzero(near & ~is_open)
-        signs = np.full(cells.size, sign)
-        old, new = (scattered_hexahedra(c, signs)[2] for c in _corners(original, after, slab, cells))
-        figures.ratio[cells] = relative_jacobian(old, new)
+        cells = slab.start + np.flatnonzero(near & ~is_open)
+        figures.ratio[cells - slab.start] = relative_jacobian(*(
+            measure_cells(corners_of(grid, Nodes.of(points).rows, cells), original.sides(slab.block)).jacobian
+            for points in (grid.points, after)
+        ))  # fmt: skip
+    low = (figures.ratio <= 0.0) | (figures.ratio < original.min_jacobian)
+    figures.failed[low] = Failure.CORNER
     return figures
 
 
@@ -124,65 +122,42 @@ def _scale(x: FloatArray, slab: Slab) -> float:
     return 2.0 ** -round(np.log2(size)) if 0.0 < size < np.inf else 1.0
 
 
-def _corners(original: Original, after: FloatArray, slab: Slab, cells: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Corners (m, 8, 3) before and after of ``cells`` of a slab, numbered from its first one."""
-    number = slab.start + cells
-    one, two = (corners_of(original.grid, Nodes.of(points).rows, number) for points in (original.grid.points, after))
-    return one, two
-
-
-def _look_again(original: Original, after: FloatArray, slab: Slab, cells: IntArray, f: SlabMeasures) -> None:
-    """Measure and judge ``cells`` of a slab in double precision."""
+def _measure_open(
+    original: Original, after: FloatArray, slab: Slab, cells: IntArray, f: SlabMeasures, both: bool
+) -> None:
+    """Measure and judge ``cells`` of a slab, numbered from its first one, in double precision."""
     if cells.size == 0:
         return
-    sign = np.full(cells.size, float(original.topology.handedness[slab.block]))
-    old, new = _corners(original, after, slab, cells)
-    skew, scaled, jacobian, volume = scattered_hexahedra(new, sign)
-    old_skew, old_scaled, old_jacobian, old_volume = scattered_hexahedra(old, sign)
-    f.skew[cells], f.scaled[cells], f.ratio[cells] = skew, scaled, relative_jacobian(old_jacobian, jacobian)
-    solid = old_volume > 0
-    f.change[cells] = np.where(solid, volume / np.where(solid, old_volume, 1.0), np.nan)
-    failed = decide(old, new, sign)
-    f.failed[cells] = np.array([Failure.NONE, Failure.INSIDE, Failure.VOLUME])[failed]
-    bad: BoolArray = np.asarray((jacobian <= 0).any(axis=1))
-    old_bad: BoolArray = np.asarray((old_jacobian <= 0).any(axis=1))
-    f.after.add(skew, volume, bad)
-    sound = (failed == 0) & ~((f.ratio[cells] <= 0.0) | (f.ratio[cells] < original.min_jacobian))
-    f.inherited = int((bad & old_bad & sound).sum())
-    if f.skew_before is not None and f.scaled_before is not None:
-        f.skew_before[cells], f.scaled_before[cells] = old_skew, old_scaled
-        f.before.add(old_skew, old_volume, old_bad)
+    grid, side = original.grid, original.sides(slab.block)
+    x0, x = (corners_of(grid, Nodes.of(points).rows, slab.start + cells) for points in (grid.points, after))
+    old, new = measure_cells(x0, side), measure_cells(x, side)
+    f.skew[cells], f.scaled[cells], f.ratio[cells] = new.skew, new.scaled, relative_jacobian(old.jacobian, new.jacobian)
+    f.change[cells] = np.divide(new.volume, old.volume, out=np.full(cells.size, np.nan), where=old.volume > 0)
+    if grid.dimension == 3:
+        reason = decide(x0, x, np.full(cells.size, side))
+        f.failed[cells] = np.array([Failure.NONE, Failure.INSIDE, Failure.VOLUME])[reason]
+    bad, was_bad = (np.asarray((each.jacobian <= 0).any(axis=1)) for each in (new, old))
+    kept = (f.failed[cells] == 0) & ~((f.ratio[cells] <= 0.0) | (f.ratio[cells] < original.min_jacobian))
+    f.inherited = int((bad & was_bad & kept).sum())
+    f.after += _totals(new.skew, new.volume, bad)
+    if both:
+        f.skew_before[cells], f.scaled_before[cells] = old.skew, old.scaled
+        f.before += _totals(old.skew, old.volume, was_bad)
+
+
+def _totals(skew: FloatArray, volume: FloatArray, bad: BoolArray) -> FloatArray:
+    """Totals (TOTALS,) of cells (m,)."""
+    with np.errstate(divide="ignore"):
+        inverse = (1.0 / skew).sum()
+    bins = np.minimum((skew.astype(np.float32) * HISTOGRAM_BINS).astype(np.uint8), HISTOGRAM_BINS - 1)
+    counts = np.bincount(bins, minlength=HISTOGRAM_BINS)
+    return np.array([inverse, skew.sum(), volume.sum(), (volume <= 0).sum(), bad.sum(), *counts])
 
 
 def relative_jacobian(old: FloatArray, new: FloatArray) -> FloatArray:
-    """Smallest of the corner Jacobians ``new`` (m, 8) relative to ``old``, collapsed corners aside."""
+    """Smallest of the corner Jacobians ``new`` (m, c) relative to ``old``, collapsed corners aside."""
     sound = old > COLLAPSED * old.max(axis=1, keepdims=True, initial=0.0)
     return np.asarray(np.where(sound, new / np.where(sound, old, 1.0), np.inf).min(axis=1))
-
-
-def _quads(original: Original, after: FloatArray, slab: Slab, both: bool) -> SlabMeasures:
-    grid, sign = original.grid, float(original.topology.handedness[slab.block])
-    normal = original.normal
-    assert normal is not None
-    blocks = [grid.block(slab.block, Nodes.of(points).rows) for points in (grid.points, after)]
-    old, new = (measure_block(b, sign, normal, slab.first, slab.last) for b in blocks)
-    flat = blocks[0].shape.index(1)
-    planes = [np.ascontiguousarray(b.squeeze(axis=flat)) for b in blocks]
-    lines = (0, planes[0].shape[0] - 1) if flat == 0 else (slab.first, slab.last)
-    ratio: FloatArray = np.empty(new.skew.shape, np.float32)
-    judge_quads(planes[0], planes[1], side_of_good_quads(flat, sign, normal), *lines, ratio.squeeze(axis=flat))
-    solid = old.volume > 0
-    change = np.where(solid, new.volume / np.where(solid, old.volume, 1.0), np.nan).ravel()
-    failed = np.zeros(ratio.size, np.int8)
-    after_sums, before_sums = (Sums.of(m.skew.ravel(), m.volume.ravel(), m.bad.ravel() != 0) for m in (new, old))
-    sound = (ratio > 0.0) & (ratio >= original.min_jacobian)
-    inherited = int(((old.bad != 0) & (new.bad != 0) & sound).sum())
-    found = SlabMeasures(
-        new.skew.ravel(), new.scaled.ravel(), ratio.ravel(), change, failed, after_sums, before_sums, inherited
-    )
-    if both:
-        found.skew_before, found.scaled_before = old.skew.ravel(), old.scaled.ravel()
-    return found
 
 
 @dataclass(frozen=True)

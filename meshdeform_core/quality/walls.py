@@ -3,7 +3,7 @@ grid lines at walls and interfaces, assigned to the adjacent cells."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,10 +14,10 @@ from ..grid.planes import plane_normal
 from ..grid.topology import Topology, cells_behind
 from ..parallel import Nodes
 from .cells import cells_alike
-from .lines import InterfaceLines, WallFace, WallLines, kink_and_jump, lines_across, wall_faces, wall_lines
+from .comparison import Range, Spread
+from .lines import InterfaceLines, WallLines, WallMeasures, kink_and_jump, lines_across
 from .listed import Worst, worst_cell
-from .original import Original, Walls
-from .tally import Range, Spread
+from .original import Original
 
 CHANGED = 0.01
 """A grid line at a wall counts as changed if the thickness of its first cells differs by more than this fraction."""
@@ -67,31 +67,29 @@ def measure_walls(
     """
     before: WallQualities = {"moving": None, "fixed": None}
     now: WallQualities = dict(before)
-    for name, walls in original.walls(boundary).items() if boundary is not None else ():
-        before[name], now[name] = _compared(original, walls, after)
+    for name, (lines, old) in original.walls(boundary).items() if boundary is not None else ():
+        if lines.quads.size:
+            before[name], now[name] = _compared(original, lines, old, after)
     return before, now
 
 
-def _compared(original: Original, walls: Walls, after: FloatArray) -> tuple[WallQuality | None, WallQuality | None]:
-    if not walls.faces:
-        return None, None
-    grid, normal = original.grid, original.normal
-    old = WallLines.joined(walls.lines)
-    new = WallLines.joined([wall_lines(face, after, normal) for face in walls.faces])
+def _compared(
+    original: Original, lines: WallLines, old: WallMeasures, after: FloatArray
+) -> tuple[WallQuality, WallQuality]:
+    grid, new = original.grid, lines.measure(after, original.normal)
     worst: Extremes = {}
     if new.angle.any():
-        line = int(new.angle.argmax())
-        worst["wall_normal_deviation_deg"] = cell_at_wall(grid, walls.faces, line), float(new.angle[line])
-    heights = _ratios(old.height, new.height)
-    layers = _ratios(old.thickness, new.thickness)
-    for name, found in (("first_cell_height_ratio", heights), ("layer_thickness_ratio", layers)):
-        if found:
-            low, high = ((cell_at_wall(grid, walls.faces, line), value) for line, value in found)
-            worst |= extremes_of(name, (low, high))
-    places = {name: worst_cell(grid, after, *at) for name, at in worst.items()}
+        worst["wall_normal_deviation_deg"] = int(new.angle.argmax()), float(new.angle.max())
+    heights, layers = _ratios(old.height, new.height), _ratios(old.thickness, new.thickness)
+    worst |= extremes_of("first_cell_height_ratio", heights) | extremes_of("layer_thickness_ratio", layers)
+    found = {}
+    for name, (line, value) in worst.items():
+        quad = int((lines.line == line).any(axis=1).argmax())
+        cell = int(cells_behind(grid, original.topology, lines.quads[quad : quad + 1])[0])
+        found[name] = worst_cell(grid, after, cell, value)
     alike = Range(1.0, 1.0)
     before = WallQuality(Spread.of(old.angle), alike if heights else None, alike if layers else None, {})
-    return before, WallQuality(Spread.of(new.angle), _range(heights), _range(layers), places)
+    return before, WallQuality(Spread.of(new.angle), _range(heights), _range(layers), found)
 
 
 def layer_changes(
@@ -99,13 +97,11 @@ def layer_changes(
 ) -> dict[str, LayerChange | None]:
     """Effect of a repair on the ``moving`` and the ``fixed`` walls: from coordinates ``plain`` to ``after``, both
     (n_nodes, 3); ``None`` where there are none."""
-    normal = original.normal
     found: dict[str, LayerChange | None] = {}
-    for name, walls in original.walls(boundary).items():
-        old, new = (WallLines.joined([wall_lines(face, x, normal) for face in walls.faces]) if walls.faces else None
-                    for x in (plain, after))  # fmt: skip
+    for name, (lines, _) in original.walls(boundary).items():
         found[name] = None
-        if old and new:
+        if lines.quads.size:
+            old, new = (lines.measure(x, original.normal) for x in (plain, after))
             pairs = (old.height, new.height), (old.thickness, new.thickness)
             changed = np.any([np.abs(after - before) > CHANGED * np.abs(before) for before, after in pairs], axis=0)
             ranges = (_range(_ratios(before, after)) for before, after in pairs)
@@ -145,20 +141,20 @@ def wall_cells(before: Grid, topology: Topology, after: FloatArray, quads: IntAr
     ratios of first-cell heights after to before along them, the one farthest from 1.
     """
     known = _of_no_cell(before), _of_no_cell(before)
-    deviation, ratio = (Nodes.of(values).rows for values in known)
     chosen = np.zeros(len(topology.partner), dtype=bool)
     chosen[quads] = True
-    normal = plane_normal(before)
-    for face in wall_faces(before, topology, chosen):
-        angle, height, _ = wall_lines(face, after, normal)
-        old = wall_lines(face, before.points, normal).height
-        change = np.divide(height, old, out=np.full(height.shape, np.nan), where=old > 0)
-        first = topology.quads.of_side(face.block, face.side).start
-        cells = cells_behind(before, topology, first + np.flatnonzero(face.wall))
-        own = _of_rank(known[0], cells)
-        cells = cells[own]
-        deviation[cells] = np.fmax(deviation[cells], _corners(face, angle)[own].max(axis=1))
-        ratio[cells] = _farthest(ratio[cells], _corners(face, change)[own])
+    lines, normal = WallLines.off(before, topology, chosen), plane_normal(before)
+    old, new = (lines.measure(points, normal) for points in (before.points, after))
+    change = np.divide(new.height, old.height, out=np.full(len(old.height), np.nan), where=old.height > 0)
+    cells = cells_behind(before, topology, lines.quads)
+    own = _of_rank(known[0], cells)
+    cells, at = cells[own], lines.line[own]
+    np.fmax.at(Nodes.of(known[0]).rows, cells, new.angle[at].max(axis=1, initial=-np.inf))
+    with np.errstate(divide="ignore"):
+        reach = np.abs(np.log(np.maximum(change, 0.0)))
+    # In ascending order, so that a cell keeps the last of its ratios, which is the farthest from 1.
+    order = np.argsort(np.where(np.isnan(reach), -1.0, reach)[at].ravel(), kind="stable")
+    Nodes.of(known[1]).rows[np.repeat(cells, at.shape[1])[order]] = change[at].ravel()[order]
     return known
 
 
@@ -172,22 +168,6 @@ def _of_rank(values: FloatArray, cells: IntArray) -> BoolArray:
     """Which of some cells belong to this rank."""
     low, high = Nodes.of(values).ends
     return np.asarray((cells >= low) & (cells < high))
-
-
-def _corners(face: WallFace, values: FloatArray) -> FloatArray:
-    """Node values of a wall face at the corners (n, 2 or 4) of its wall quads."""
-    at_nodes = np.full(face.nodes.shape, np.nan)
-    at_nodes[face.touched] = values
-    return np.stack([at_nodes[window][face.wall] for window in face.corners], axis=1)
-
-
-def _farthest(known: FloatArray, ratios: FloatArray) -> FloatArray:
-    """(n,) the ratio farthest from 1 among ``ratios`` (n, m) and the ``known`` ones (n,)."""
-    all_ratios = np.concatenate([known[:, None], ratios], axis=1)
-    with np.errstate(divide="ignore"):
-        reach = np.abs(np.log(np.maximum(all_ratios, 0.0)))
-    at = np.argmax(np.where(np.isnan(reach), -1.0, reach), axis=1)
-    return np.asarray(np.take_along_axis(all_ratios, at[:, None], axis=1)[:, 0])
 
 
 def interface_cells(
@@ -215,27 +195,10 @@ def interface_cells(
     return kink, jump
 
 
-def cell_at_wall(grid: Grid, faces: Sequence[WallFace], number: int) -> int:
-    """A wall cell at one of the grid lines off ``faces``, numbered as by :func:`.lines.wall_lines`."""
-    for face in faces:
-        touched = np.argwhere(face.touched)
-        if number < len(touched):
-            # At the edge of a wall, not all cells around a node are wall cells.
-            quads = np.argwhere(face.wall)
-            away = touched[number] - quads
-            a, b = quads[int(np.argmax(((away == 0) | (away == 1)).all(axis=1)))]
-            return _cell_along(grid, int(face.nodes[a, b]), int(face.nodes[a, b] + face.step))
-        number -= len(touched)
-    raise IndexError(f"there are {number} grid lines fewer at walls")
-
-
 def cell_at_interface(grid: Grid, lines: InterfaceLines, number: int) -> int:
     """A cell with the first segment of one of the grid lines across interfaces, in the order of ``lines``."""
-    return _cell_along(grid, int(lines.before[number]), int(lines.here[number]))
-
-
-def _cell_along(grid: Grid, node: int, neighbour: int) -> int:
-    """The cell beyond the edge between two nodes (flat indices) of a block; at the end of the block the one before."""
+    node, neighbour = int(lines.before[number]), int(lines.here[number])
+    # At the end of a block the cell before.
     block = int(np.searchsorted(grid.offsets, node, side="right")) - 1
     ends = np.array(np.unravel_index([node - grid.offsets[block], neighbour - grid.offsets[block]], grid.shapes[block]))
     shape = grid.cell_shapes[block]

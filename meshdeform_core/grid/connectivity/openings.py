@@ -13,7 +13,7 @@ import numpy as np
 from ...numerics.arrays import BoolArray, batches, runs, spans, spread
 from ...numerics.geometry.boxes import overlapping_boxes
 from ...numerics.geometry.coincidence import close_pairs, connected_components, distinct, equal_rows
-from ...numerics.geometry.distance import distance_to_faces
+from ...numerics.geometry.vectors import distance_to_faces
 from ...wording import listed
 from ..blocks import FloatArray, Grid, IntArray
 from ..faces.roles import Role, role_of_patch

@@ -13,8 +13,7 @@ import numpy as np
 
 from ...numerics.arrays import BoolArray, batches, runs, spans, spread
 from ...numerics.geometry.boxes import overlapping_boxes
-from ...numerics.geometry.distance import distance_to_faces
-from ...numerics.geometry.solid_angle import plane_winding, winding
+from ...numerics.geometry.vectors import distance_to_faces, plane_winding, winding
 from ..blocks import FloatArray, Grid, IntArray
 from ..extent import block_extents
 from ..parts import Side, Window

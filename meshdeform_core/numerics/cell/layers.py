@@ -1,14 +1,25 @@
 """Breadth-first search over the nodes of block-structured grids."""
 
-from ..jit import kernel
+from __future__ import annotations
+
+import numpy as np
+
+from ..arrays import IntArray
 
 
-@kernel("i2[::1], i8, i8[:, ::1], i8[:, ::1], i8[::1], i8[::1], i8[::1], i8[::1], i2[::1]")
-def spread_layers(layers, most, planes, shapes, offsets, nodes, ends, classes, nearest):
+def spread_layers(
+    layers: np.ndarray,
+    most: int,
+    planes: IntArray,
+    shapes: IntArray,
+    offsets: IntArray,
+    nodes: IntArray,
+    ends: IntArray,
+    classes: IntArray,
+    nearest: np.ndarray,
+) -> int:
     """Lower ``layers``, distances in cells, until every node is at most one farther than its neighbours; returns how
     often one was lowered.
-
-    Within a block two passes suffice, one in each direction, as the nodes of a box are connected by straight ways.
 
     Parameters
     ----------
@@ -19,53 +30,41 @@ def spread_layers(layers, most, planes, shapes, offsets, nodes, ends, classes, n
         ``ends[b + 1]``, and the number of the set of nodes that count as one
     nearest : (n_classes,) int16, the smallest distance of each set
     """
-    lowered, again, first = 0, True, True
+    lowered, first, again = 0, True, True
+    sizes = shapes[:, 1] * shapes[:, 2]
+    starts, stops = offsets[:-1] + planes[:, 0] * sizes, offsets[:-1] + planes[:, 1] * sizes
     while again:
         again = False
-        for b in range(len(shapes)):
-            low, high = planes[b, 0], planes[b, 1]
-            if low >= high:
+        for b in np.flatnonzero(starts < stops).tolist():
+            on_faces = nodes[ends[b] : ends[b + 1]]
+            low, high = np.searchsorted(on_faces, [starts[b], stops[b]]) + ends[b]
+            own, kind = nodes[low:high], classes[low:high]
+            closer = nearest[kind] < layers[own]
+            layers[own[closer]] = nearest[kind[closer]]
+            lowered += int(np.count_nonzero(closer))
+            if not first and not closer.any():
                 continue
-            size = shapes[b, 1] * shapes[b, 2]
-            start, stop = offsets[b] + low * size, offsets[b] + high * size
-            touched = first
-            for n in range(ends[b], ends[b + 1]):
-                if start <= nodes[n] < stop and nearest[classes[n]] < layers[nodes[n]]:
-                    layers[nodes[n]] = nearest[classes[n]]
-                    lowered += 1
-                    touched = True
-            if not touched:
-                continue
-            for way in (1, -1):
-                lowered += _pass(layers, start, high - low, shapes[b, 1], shapes[b, 2], way, most)
-            for n in range(ends[b], ends[b + 1]):
-                if start <= nodes[n] < stop and layers[nodes[n]] < nearest[classes[n]]:
-                    nearest[classes[n]] = layers[nodes[n]]
-                    again = True
+            lowered += _spread_in_box(layers[starts[b] : stops[b]].reshape(-1, *shapes[b, 1:]), most)
+            nearer = layers[own] < nearest[kind]
+            np.minimum.at(nearest, kind[nearer], layers[own[nearer]])
+            again |= bool(nearer.any())
         first = False
     return lowered
 
 
-@kernel
-def _pass(layers, start, ni, nj, nk, way, most):
-    """Lower the nodes of a box, from its first or, with ``way`` -1, from its last on, to one more than the neighbours
-    that come before; returns how often."""
-    lowered = 0
-    for i in range(ni) if way > 0 else range(ni - 1, -1, -1):
-        for j in range(nj) if way > 0 else range(nj - 1, -1, -1):
-            for k in range(nk) if way > 0 else range(nk - 1, -1, -1):
-                n = start + (i * nj + j) * nk + k
-                near = here = layers[n]
-                # The first thirteen of the 27 nodes around.
-                for neighbour in range(13):
-                    p = i + way * (neighbour // 9 - 1)
-                    q = j + way * (neighbour // 3 % 3 - 1)
-                    r = k + way * (neighbour % 3 - 1)
-                    if 0 <= p < ni and 0 <= q < nj and 0 <= r < nk:
-                        other = layers[start + (p * nj + q) * nk + r] + 1
-                        if other < near:
-                            near = other
-                if near < here and near <= most:
-                    layers[n] = near
-                    lowered += 1
-    return lowered
+def _spread_in_box(layers: np.ndarray, most: int) -> int:
+    """Lower the nodes (ni, nj, nk) of a box, layer by layer; returns how often."""
+    total, lowered = 0, 1
+    while lowered:
+        near = layers
+        for axis in range(3):
+            around = np.moveaxis(near.copy(), axis, 0)
+            along = np.moveaxis(near, axis, 0)
+            np.minimum(around[1:], along[:-1], out=around[1:])
+            np.minimum(around[:-1], along[1:], out=around[:-1])
+            near = np.moveaxis(around, 0, axis)
+        new = (near < layers - 1) & (near < most)
+        layers[new] = near[new] + 1
+        lowered = int(np.count_nonzero(new))
+        total += lowered
+    return total

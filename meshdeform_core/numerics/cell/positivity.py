@@ -11,39 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import BoolArray, FloatArray
-from ..jit import inlined, kernel
-from .volume import along
+from ..geometry.vectors import cross, dot
 
 COLLAPSED = 1e-10
 """Corners below this share of the largest corner Jacobian of the undeformed cell are collapsed: no ratio is taken."""
 _DEPTH = 10
 _TOGETHER = 1 << 12
 """Cells, or parts of them, judged at a time, which bounds the memory."""
-
-
-@kernel("f8[:, :, ::1], f8[:, :, ::1], f8[::1], i8, i8, f4[:, ::1]")
-def judge_quads(before, x, normal, i0, i1, ratio):
-    """Smallest ratio of a corner Jacobian to the undeformed one, per quadrilateral; infinite without a sound corner.
-
-    ``before`` and ``x`` (na, nb, 3) are the nodes, ``normal`` is the orientation of valid cells. A cell whose corner
-    Jacobians are positive is valid everywhere, as its Jacobian is linear along every grid line.
-    """
-    old, new = np.empty(4), np.empty(4)
-    for i in range(i0, i1):
-        for j in range(x.shape[1] - 1):
-            for c in range(4):
-                old[c] = _quad_corner(before, normal, i, j, c >> 1, c & 1)
-                new[c] = _quad_corner(x, normal, i, j, c >> 1, c & 1)
-            ratio[i - i0, j] = np.inf
-            for c in range(4):
-                if old[c] > COLLAPSED * old.max():
-                    ratio[i - i0, j] = min(ratio[i - i0, j], new[c] / old[c])
-
-
-@inlined
-def _quad_corner(x, normal, i, j, a, b):
-    u, v = x[i + 1, j + b] - x[i, j + b], x[i + a, j + 1] - x[i + a, j]
-    return along(normal, u, v)
 
 
 def decide(before: FloatArray, x: FloatArray, sign: FloatArray) -> NDArray[np.int8]:
@@ -79,13 +53,13 @@ def _bernstein(x: FloatArray, sign: FloatArray) -> FloatArray:
         u = x[4 + p] - x[p]
         for q in range(4):
             v = x[4 * (q >> 1) + 2 + (q & 1)] - x[4 * (q >> 1) + (q & 1)]
-            area = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
+            area = cross(u, v)
             for r in range(4):
                 w = x[2 * r + 1] - x[2 * r]
                 # u at (j, k) = p, v at (i, k) = q, w at (i, j) = r.
                 i, j, k = (q >> 1) + (r >> 1), (p >> 1) + (r & 1), (p & 1) + (q & 1)
                 terms = (2 if i == 1 else 1) * (2 if j == 1 else 1) * (2 if k == 1 else 1)
-                found[i, j, k] += sign * (area[0] * w[0] + area[1] * w[1] + area[2] * w[2]) / terms
+                found[i, j, k] += sign * dot(area, w) / terms
     return np.ascontiguousarray(np.moveaxis(found, -1, 0))
 
 

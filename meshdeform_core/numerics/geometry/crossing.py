@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..jit import kernel
 from .boxes import curve, overlapping
+from .vectors import cross
 
 ORDINARY, BESIDE, SLIDING = 0, 1, 2
 """Roles of faces. Faces beside a sliding face touch it; they are not tested against sliding faces."""
@@ -37,8 +38,6 @@ _Corners = tuple[int, int, int]
 # The halves of a face that is divided from corner 0 to 2, and from 1 to 3.
 _HALVES: tuple[tuple[_Corners, _Corners], ...] = (((0, 1, 2), (2, 3, 0)), ((1, 2, 3), (3, 0, 1)))
 
-_Point = list[Fraction]
-_Triangle = tuple[_Point, _Point, _Point]
 Signs = NDArray[np.int8]
 
 
@@ -148,10 +147,12 @@ def crossing_faces(
     """
     pairs = tree.overlapping(points, asked, reach, moved)
     verdict, places = _decided(points, faces, pairs)
-    for index in np.flatnonzero(verdict == _DOUBTFUL):
-        place = cross_exactly(*points[faces[pairs[index]]])
-        verdict[index] = _NO if place is None else _YES
-        places[index] = 0.0 if place is None else place
+    # In rational arithmetic signs are exact, and a doubt means that the faces touch.
+    doubtful = np.flatnonzero(verdict == _DOUBTFUL)
+    corners = faces[pairs[doubtful]]
+    if doubtful.size:
+        exact = np.vectorize(Fraction, otypes=[object])(points[corners])
+        verdict[doubtful], places[doubtful] = _Signs(exact, corners).verdict()
     found = np.flatnonzero(verdict == _YES)
     found = found[np.lexsort(pairs[found].T[::-1])]
     return pairs[found], places[found]
@@ -213,12 +214,12 @@ def _may_cross(x: FloatArray) -> IntArray:
     """Numbers of the pairs of faces (n, 2, 4, 3) that no plane separates: normal to one of them, or along an edge."""
     left = np.arange(len(x))
     x = np.ascontiguousarray(np.moveaxis(x - x[:, :1, :1], 0, -1))
-    normals = [_cross(each[2] - each[0], each[3] - each[1]) for each in (x[0], x[1])]
+    normals = [cross(each[2] - each[0], each[3] - each[1]) for each in (x[0], x[1])]
     for number in range(10):
         which, corner = divmod(number, 5)
         axis = normals[which]
         if corner < 4:
-            axis = _cross(axis, x[which, (corner + 1) % 4] - x[which, corner])
+            axis = cross(axis, x[which, (corner + 1) % 4] - x[which, corner])
         at = (x * axis).sum(axis=2)
         reach = _APART * np.abs(x).max(axis=(0, 1, 2)) * np.abs(axis).sum(axis=0)
         low, high = at.min(axis=1), at.max(axis=1)
@@ -227,17 +228,12 @@ def _may_cross(x: FloatArray) -> IntArray:
     return left
 
 
-def _cross(u: FloatArray, v: FloatArray) -> FloatArray:
-    """Products (3, n); component by component, as numpy is slow on axes of length 3."""
-    return np.stack([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
-
-
 class _Signs:
     """The signed volumes between the corners of pairs of faces, zero where round-off could change the sign.
 
     Parameters
     ----------
-    x : (n, 2, 4, 3) corners of both faces
+    x : (n, 2, 4, 3) corners of both faces; signs are exact if they are objects of :class:`fractions.Fraction`
     nodes : (n, 2, 4) their numbers
     """
 
@@ -305,44 +301,9 @@ def _volumes(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> Floa
     value = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
     size = np.abs(ax) * (np.abs(by * cz) + np.abs(bz * cy)) + np.abs(ay) * (np.abs(bz * cx) + np.abs(bx * cz))
     size += np.abs(az) * (np.abs(bx * cy) + np.abs(by * cx))
-    return np.where(np.abs(value) <= _ROUND_OFF * size, 0.0, value)
+    return np.where(np.abs(value) <= (0 if value.dtype == object else _ROUND_OFF) * size, 0.0, value)
 
 
 def _sides(triangle: _Corners) -> list[tuple[int, int]]:
     a, b, c = triangle
     return [(a, b), (b, c), (c, a)]
-
-
-def cross_exactly(one: FloatArray, two: FloatArray) -> list[float] | None:
-    """Decide in rational arithmetic whether two faces, (4, 3) corners each, cross: a common point or ``None``."""
-    place = None
-    corners = [[[Fraction(float(x)) for x in corner] for corner in face] for face in (one, two)]
-    for first, second in product(_HALVES, _HALVES):
-        triangles = (
-            [(x[a], x[b], x[c]) for a, b, c in half] for x, half in ((corners[0], first), (corners[1], second))
-        )
-        common = (_pierced(s, t) for s, t in product(*triangles))
-        place = next((point for point in common if point is not None), None)
-        if place is None:
-            return None
-    return place
-
-
-def _pierced(one: _Triangle, two: _Triangle) -> list[float] | None:
-    """The point where an edge of one triangle pierces the other, or ``None``."""
-    for edges, triangle in ((one, two), (two, one)):
-        for k in range(3):
-            p, q = edges[k], edges[(k + 1) % 3]
-            at, to = _volume(*triangle, p), _volume(*triangle, q)
-            if at * to >= 0:
-                continue
-            around = [_volume(p, q, triangle[side], triangle[(side + 1) % 3]) for side in range(3)]
-            if all(v > 0 for v in around) or all(v < 0 for v in around):
-                share = at / (at - to)
-                return [float(u + share * (v - u)) for u, v in zip(p, q, strict=True)]
-    return None
-
-
-def _volume(a: _Point, b: _Point, c: _Point, d: _Point) -> Fraction:
-    u, v, w = ([x - y for x, y in zip(corner, d, strict=True)] for corner in (a, b, c))
-    return u[0] * (v[1] * w[2] - v[2] * w[1]) + u[1] * (v[2] * w[0] - v[0] * w[2]) + u[2] * (v[0] * w[1] - v[1] * w[0])
