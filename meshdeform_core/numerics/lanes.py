@@ -120,13 +120,6 @@ class Lanes:
             total = total + _shuffle(total, zero, places)
         return total
 
-    def total(self) -> ir.Value:
-        """The sum of all double-precision lanes, by adding one half to the other until one number is left."""
-        lanes = self
-        for step in (8, 4, 2, 1):
-            lanes = lanes + _shuffle(lanes, lanes, [(n + step) % WIDTH for n in range(WIDTH)])
-        return self.builder.extract_element(lanes.value, ir.Constant(ir.IntType(32), 0))
-
     def mixed(self, other: Lanes, places: list[int]) -> Lanes:
         """Lanes of this one, from 0 on, and of ``other``, counted on."""
         return _shuffle(self, other, places)

@@ -168,7 +168,6 @@ class Comparison:
 
     def __init__(self, original: Original, after: FloatArray):
         grid, n_slabs = original.grid, len(slabs(original.grid))
-        self._original = original
         self.after, self.verdict = Tally(grid.n_cells, n_slabs), Verdict.blank(grid)
         alone = after is grid.points
         self._before = None if alone or original.measured else Tally(grid.n_cells, n_slabs)
@@ -194,16 +193,14 @@ class Comparison:
             tally.complete(original, points)
         original.measured = original.measured or self._before or self.after
         if not alone:
-            self._measure_extremes(after)
-
-    def _measure_extremes(self, after: FloatArray) -> None:
-        """Recompute in double precision the values of the extreme cells, which were found in single precision."""
-        cells, shape = self._cells.ravel(), self._cells.shape
-        old, new = (measure_again(self._original, points, cells) for points in (self._original.grid.points, after))
-        change = np.where(old.volume > 0, new.volume / np.where(old.volume > 0, old.volume, 1.0), np.nan).reshape(shape)
-        solid = np.isfinite(change[:, :2])
-        self._extremes[:, :2][solid] = change[:, :2][solid]
-        self._extremes[:, 2] = relative_jacobian(old.jacobian, new.jacobian).reshape(shape)[:, 2]
+            # In double precision, as they were found in single precision.
+            cells, shape = self._cells.ravel(), self._cells.shape
+            old, new = (measure_again(original, points, cells) for points in (grid.points, after))
+            blank = np.full(cells.size, np.nan)
+            change = np.divide(new.volume, old.volume, out=blank, where=old.volume > 0).reshape(shape)
+            solid = np.isfinite(change[:, :2])
+            self._extremes[:, :2][solid] = change[:, :2][solid]
+            self._extremes[:, 2] = relative_jacobian(old.jacobian, new.jacobian).reshape(shape)[:, 2]
 
     @property
     def smallest_ratio(self) -> tuple[int, float]:

@@ -200,17 +200,6 @@ def cell_means(x: FloatArray) -> FloatArray:
     return x
 
 
-def _displacement(fields: CellFields, block: int, cells: Cells) -> FloatArray:
-    moved = fields.nodes(block, cells) - fields.nodes(block, cells, fields.reference)
-    return np.asarray(np.linalg.norm(cell_means(moved), axis=-1))
-
-
-def _wall_distance(fields: CellFields, block: int, cells: Cells) -> FloatArray:
-    centers = cell_means(fields.nodes(block, cells))
-    distance, _ = fields._wall_tree.query(centers.reshape(-1, 3))
-    return np.asarray(distance).reshape(centers.shape[:3])
-
-
 def _volume_ratio(fields: CellFields, block: int, cells: Cells) -> FloatArray:
     new, old = fields.measure(block, cells).volume, fields.measure(block, cells, fields.reference).volume
     return np.asarray(np.divide(new, old, out=np.full(new.shape, np.nan), where=old > 0))
@@ -232,16 +221,14 @@ def _beside(name: str, number: int) -> Callable[[CellFields, int, Cells], FloatA
     return lambda fields, block, cells: fields._box(getattr(fields, name)[number], block, cells)
 
 
-def _relative_jacobian(fields: CellFields, block: int, cells: Cells) -> FloatArray:
-    return np.asarray(fields._box(fields.verdict.ratio, block, cells), dtype=np.float64)
-
-
 CELL_MEASURES = {
     "f_skew": CellMeasure("f_skew (1: orthogonal, 0: invalid)", _corner("skew")),
     "scaled_jacobian": CellMeasure("smallest scaled corner Jacobian", _corner("scaled")),
     "jacobian": CellMeasure("smallest corner Jacobian", _corner("jacobian")),
     "relative_jacobian": CellMeasure(
-        "smallest corner Jacobian over the undeformed one", _relative_jacobian, from_reference=True
+        "smallest corner Jacobian over the undeformed one",
+        lambda fields, block, cells: fields._box(fields.verdict.ratio, block, cells).astype(np.float64),
+        from_reference=True,
     ),
     "volume": CellMeasure("cell volume", _corner("volume")),
     "volume_ratio": CellMeasure("cell volume over undeformed volume", _volume_ratio, from_reference=True),
@@ -262,9 +249,18 @@ CELL_MEASURES = {
         "spacing jump at block interfaces, ln", _beside("at_interfaces", 1), shared="at_interfaces"
     ),
     "wall_distance": CellMeasure(
-        "distance to the nearest wall node", _wall_distance, of_walls=True, shared="_wall_tree"
+        "distance to the nearest wall node",
+        lambda fields, block, cells: fields._wall_tree.query(cell_means(fields.nodes(block, cells)))[0],
+        of_walls=True,
+        shared="_wall_tree",
     ),
-    "displacement": CellMeasure("displacement", _displacement, from_reference=True),
+    "displacement": CellMeasure(
+        "displacement",
+        lambda fields, block, cells: np.linalg.norm(
+            cell_means(fields.nodes(block, cells) - fields.nodes(block, cells, fields.reference)), axis=-1
+        ),
+        from_reference=True,
+    ),
 }
 """All measures by name. Measures at walls are NaN in cells away from walls, those at interfaces in cells away from
 interfaces. With an undeformed grid, kinks and jumps are changes since that grid."""

@@ -150,14 +150,6 @@ def _inverse_skew(x: Any, side: Any) -> Any:
     return (scaled ** (-2.0 / len(corners[0][1]))).sum(axis=1) / len(corners)
 
 
-def _scaled(x: Any, side: Any) -> Any:
-    return scaled_jacobians(corners_and_edges(x, side))
-
-
-def _volume(x: Any, side: Any) -> Any:
-    return volume(corners_and_edges(x, side), side)
-
-
 def _harmonic(inverse: Found, sharpness: float) -> tuple[float, Slope]:
     total, count = inverse.sum(_same), inverse.count
     return count / total, lambda part: np.full(len(part), -count / total**2)
@@ -183,10 +175,6 @@ def _smallest_skew(inverse: Found, sharpness: float) -> tuple[float, Slope]:
     return value, lambda part: -share(part) / part**2
 
 
-def _sum(values: Found, sharpness: float) -> tuple[float, Slope]:
-    return values.sum(_same), np.ones_like
-
-
 def _same(part: FloatArray) -> FloatArray:
     return part
 
@@ -194,7 +182,9 @@ def _same(part: FloatArray) -> FloatArray:
 MEASURES = {
     "f_skew": Measure(_inverse_skew, _harmonic),
     "f_skew_min": Measure(_inverse_skew, _smallest_skew),
-    "scaled_jacobian_min": Measure(_scaled, _smallest),
-    "volume": Measure(_volume, _sum),
+    "scaled_jacobian_min": Measure(lambda x, side: scaled_jacobians(corners_and_edges(x, side)), _smallest),
+    "volume": Measure(
+        lambda x, side: volume(corners_and_edges(x, side), side), lambda found, _: (found.sum(_same), np.ones_like)
+    ),
 }
 """Harmonic mean and smooth minimum of f_skew, smooth minimum of scaled corner Jacobians, total volume."""

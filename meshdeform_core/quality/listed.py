@@ -83,12 +83,9 @@ def nearest_patches(grid: Grid, topology: Topology, boundary: Boundary | None, a
     if boundary is None or not boundary.patches:
         return [""] * len(at)
     patches = [patch for patch in boundary.patches if patch.kind is Kind.MOVING] or list(boundary.patches)
-    distance = np.stack([_distance(at, grid.nodes.at(topology.first[p.nodes])) for p in patches])
+    nodes = [grid.nodes.at(topology.first[patch.nodes]) for patch in patches]
+    distance = np.array([[((each - x) ** 2).sum(axis=1).min(initial=np.inf) for x in at] for each in nodes])
     return [patches[int(n)].name for n in distance.argmin(axis=0)]
-
-
-def _distance(at: FloatArray, nodes: FloatArray) -> FloatArray:
-    return np.array([float(np.sqrt(((nodes - x) ** 2).sum(axis=1).min(initial=np.inf))) for x in at])
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,10 +19,6 @@ from ..grid.topology import Topology
 from .cells import sides_of
 from .lines import InterfaceLines, WallLines, WallMeasures, interface_lines, kink_and_jump
 
-if TYPE_CHECKING:
-    from .comparison import Tally
-
-
 Walls = tuple[WallLines, WallMeasures]
 """The grid lines off walls, and their measures in the undeformed grid."""
 
@@ -32,13 +28,14 @@ class Original:
     """An undeformed grid with the data that the judgement needs.
 
     ``min_jacobian``: cells with a corner below this share of its undeformed Jacobian count as invalid; ``measured``:
-    totals over its cells, filled by the first comparison with another grid; ``normal``: of the plane of a 2-D grid.
+    totals over its cells, a :class:`.comparison.Tally`, from the first comparison on; ``normal``: of the plane of a 2-D
+    grid.
     """
 
     grid: Grid
     topology: Topology
     min_jacobian: float = 0.0
-    measured: Tally | None = field(default=None, init=False)
+    measured: Any = field(default=None, init=False)
     normal: FloatArray | None = field(init=False)
     _walls: tuple[Boundary, dict[str, Walls]] | None = field(default=None, init=False)
 
@@ -48,12 +45,6 @@ class Original:
     def sides(self, block: Any) -> Any:
         """Which Jacobians of cells of blocks, by number (...), are positive, see :func:`.cells.sides_of`."""
         return sides_of(self.grid, self.topology.handedness, self.normal, block)
-
-    @property
-    def tally(self) -> Tally:
-        """Totals over its cells; available after the first comparison."""
-        assert self.measured is not None
-        return self.measured
 
     @cached_property
     def interfaces(self) -> tuple[InterfaceLines, tuple[FloatArray, FloatArray]]:

@@ -141,11 +141,11 @@ def assess(
     }
     moving_walls = walls[1]["moving"]
     at_walls = moving_walls.worst if moving_walls else {}
-    worst_before = {"f_skew": original.tally.worst, "min_scaled_jacobian": original.tally.smallest_scaled}
+    worst_before = {"f_skew": original.measured.worst, "min_scaled_jacobian": original.measured.smallest_scaled}
     return Assessment(
         _quality(
-            original.tally,
-            (0, original.tally.bad, 1.0),
+            original.measured,
+            (0, original.measured.bad, 1.0),
             walls[0],
             interfaces[0],
             Range(1.0, 1.0),
@@ -208,7 +208,7 @@ def per_block(original: Original, cells: Comparison) -> tuple[BlockQuality, ...]
     grid = original.grid
     counts = np.diff(grid.cell_offsets).tolist()
     invalid = np.diff(np.searchsorted(cells.verdict.invalid, grid.cell_offsets)).tolist()
-    rows = zip(grid.names, counts, invalid, _skews(grid, original.tally), _skews(grid, cells.after), strict=True)
+    rows = zip(grid.names, counts, invalid, _skews(grid, original.measured), _skews(grid, cells.after), strict=True)
     return tuple(BlockQuality(*row) for row in rows)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from ...grid import BoolArray, FloatArray, IntArray
 from ...numerics.arrays import portions
 from ...numerics.transfinite.arcs import (
+    TILE,
     apart,
     arc_coordinates,
     arc_numbers,
@@ -95,7 +96,8 @@ class Group:
             return cls(points, subs, np.empty(0), _faces(points, subs))
         numbers = arc_numbers(subs)
         subs[:, 10] = np.cumsum(numbers) - numbers
-        arc, parts = np.empty(int(numbers.sum())), arc_parts(subs)
+        # Vectors extend beyond the last coordinates.
+        arc, parts = np.empty(int(numbers.sum()) + TILE), arc_parts(subs)
 
         def work(lo: int, hi: int) -> None:
             arc_coordinates(points, subs, parts[lo:hi], arc)

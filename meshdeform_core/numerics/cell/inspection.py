@@ -265,12 +265,18 @@ def inspect_hexahedra(before, x, compare, both, sign, scale, i0, i1, out, is_ope
         height = max(min(NODES // width, cj + 1), 2)
         for j0 in range(0, cj, height - 1):
             rows = min(cj - j0 + 1, height)
-            _mark(inside, rows, width)
+            # One at the nodes of the window that are the low corner of a cell: all but the last of every row.
+            for m in range(N):
+                inside[m] = 1.0 if m < (rows - 1) * width and m % width < width - 1 else 0.0
             for i in range(i0, i1 + 1):
                 here, last = PLANE * N * (i & 1), PLANE * N * (1 - (i & 1))
                 for g in range(left + 1):
                     new, old, to = (2 * g + (i & 1)) * POINTS, (2 * g + 1 - (i & 1)) * POINTS, g * GRID
-                    _load(x if g == 0 else before, i, j0, k0, rows, width, points, new)
+                    nodes = x if g == 0 else before
+                    for j in range(rows):
+                        start = ((i * nodes.shape[1] + j0 + j) * nodes.shape[2] + k0) * 3
+                        for m in range(0, 3 * width, WIDTH):
+                            move(nodes, start + m, points, new + 3 * j * width + m, 3 * width - m)
                     if i > i0:
                         _edges(points, old, new, e, to + ALONG_I * N, rows * width, signed)
                     _edges(points, new, new + 3 * width, e, to + ALONG_J * N + here, (rows - 1) * width, single)
@@ -291,24 +297,6 @@ def inspect_hexahedra(before, x, compare, both, sign, scale, i0, i1, out, is_ope
             totals[g, 1] += total[2 * g * WIDTH + WIDTH + n]
             for b in range(BINS):
                 totals[g, totals.shape[1] - BINS + b] += bins[g * COUNTS + n * BIN_ROW + b]
-
-
-@inlined
-def _mark(inside, rows, width):
-    """Set ``inside`` to one at nodes of a window that are the low corner of a cell: all but the last of every row."""
-    for m in range(N):
-        inside[m] = 0.0
-    for j in range(rows - 1):
-        for k in range(width - 1):
-            inside[j * width + k] = 1.0
-
-
-@inlined
-def _load(x, i, j0, k0, rows, width, points, to):
-    for j in range(rows):
-        start = ((i * x.shape[1] + j0 + j) * x.shape[2] + k0) * 3
-        for n in range(0, 3 * width, WIDTH):
-            move(x, start + n, points, to + 3 * j * width + n, 3 * width - n)
 
 
 @inlined

@@ -125,7 +125,20 @@ def arc_coordinates(points, subs, parts, arc):
             for i in range(first, last):
                 for j in range(nj):
                     node = corner + (i + 1) * si + (j + 1) * sj
-                    _along(points, node, nk, work, arc, subs[n, 10], i, j, nj)
+                    for k in range(WIDTH):
+                        work[k] = 0.0
+                    for k0 in range(0, nk + 1, TILE):
+                        width, at = min(TILE, padded(nk) - k0), 3 * (node + k0)
+                        to = subs[n, 10] + tile_start(i, j, k0, nj, nk) + 2 * width
+                        add_up(points, at, at + 3, 3 * min(TILE, nk + 1 - k0), work, arc, to, width)
+                    invert(work)
+                    for k0 in range(0, nk, TILE):
+                        width = min(TILE, padded(nk) - k0)
+                        to = subs[n, 10] + tile_start(i, j, k0, nj, nk) + 2 * width
+                        normalise(arc, to, width, work, (k0 + 1) / (nk + 1))
+                        if work[_INVERSE] == 0.0:
+                            for k in range(min(TILE, nk - k0)):
+                                arc[to + k] = (k0 + k + 1) / (nk + 1)
 
 
 @inlined
@@ -143,25 +156,6 @@ def _across(points, node, step, n, count, work, arc, at, apart, width):
     invert(work)
     for m in range(n):
         normalise(arc, at + m * apart, width, work, (m + 1) / (n + 1))
-
-
-@inlined
-def _along(points, node, n, work, arc, first, i, j, nj):
-    """Coordinates along the k line that begins at ``node`` and has ``n`` nodes inside."""
-    for k in range(WIDTH):
-        work[k] = 0.0
-    for k0 in range(0, n + 1, TILE):
-        width = min(TILE, padded(n) - k0)
-        to = first + tile_start(i, j, k0, nj, n) + 2 * width
-        add_up(points, 3 * (node + k0), 3 * (node + k0 + 1), 3 * min(TILE, n + 1 - k0), work, arc, to, width)
-    invert(work)
-    for k0 in range(0, n, TILE):
-        width = min(TILE, padded(n) - k0)
-        to = first + tile_start(i, j, k0, nj, n) + 2 * width
-        normalise(arc, to, width, work, (k0 + 1) / (n + 1))
-        if work[_INVERSE] == 0.0:
-            for k in range(min(TILE, n - k0)):
-                arc[to + k] = (k0 + k + 1) / (n + 1)
 
 
 def _edges(points: Array, one: ir.Value, other: ir.Value, count: ir.Value) -> Lanes:

@@ -7,16 +7,17 @@ coordinates and the table ``subs`` of sub-blocks are those of :mod:`.arcs`.
 from __future__ import annotations
 
 import numpy as np
+from llvmlite import ir
 
 from ..jit import fast_kernel, inlined, kernel
+from ..lanes import Array, Lanes, components, lanes
 from .arcs import TILE, padded, tile_start
 
 # Number of neighbouring k lines that are filled together, so that the data they share stay in the cache.
 _LINES = 64
 
-
-# Rows of work arrays, three components each: coefficients of 1, y, x, x y, and results.
-_ONE, _BY_Y, _BY_X, _BY_XY, _OUT = 0, 3, 6, 9, 12
+# Rows of work arrays, three components each: coefficients of 1, y, x, x y.
+_ONE, _BY_Y, _BY_X, _BY_XY, _ROWS = 0, 3, 6, 9, 12
 
 
 @fast_kernel("f8[:, ::1], f8[::1], i8[:, ::1], i8[:, ::1]")
@@ -30,115 +31,109 @@ def blend_slabs(d, arc, subs, slabs):
     Parameters
     ----------
     d : (n_nodes, 3) of all blocks, known on the faces of the sub-blocks
-    arc : arc coordinates, see :func:`.arcs.arc_numbers`
+    arc : arc coordinates, see :func:`.arcs.arc_numbers`, and room for a tile
     slabs : (m, 3) row in ``subs`` and planes i0 <= i < i1 of the block
     """
-    lines, slopes, sides = np.empty((_LINES, 15, TILE)), np.empty((_LINES, 12)), np.empty((6, TILE))
-    # Vectors extend beyond the last node; the values there are not used, but must be finite.
-    for k in range(TILE):
-        for row in range(15):
-            for line in range(_LINES):
-                lines[line, row, k] = 0.0
-        for row in range(6):
-            sides[row, k] = 0.0
+    # Of the coefficients along lines those at their low ends are left out, whose differences from those at the high
+    # ends are ``slopes``.
+    lines, slopes = np.empty(_LINES * _ROWS * TILE), np.empty((_LINES, _ROWS))
+    sides, filled, low, ends = np.empty(_BY_X * TILE), np.empty(3 * TILE), np.empty(_ROWS), np.empty(15)
     for n in range(slabs.shape[0]):
         sub = subs[slabs[n, 0]]
         si, sj = sub[2] * sub[3], sub[3]
         corner = sub[0] + sub[4] * si + sub[5] * sj + sub[6]
         nj, nk = sub[8] - sub[5] - 1, sub[9] - sub[6] - 1
+        up, end, high = (sub[7] - sub[4]) * si, (nj + 1) * sj, nk + 1
         for k0 in range(0, nk, TILE):
-            count = min(TILE, nk - k0)
+            count, width = min(TILE, nk - k0), padded(min(TILE, nk - k0))
             for j0 in range(0, nj, _LINES):
                 j1 = min(j0 + _LINES, nj)
-                _prepare_lines(d, sub, corner, j0, j1, k0, count, lines, slopes)
+                for j in range(j0, j1):
+                    row = corner + (j + 1) * sj
+                    for at_end in range(2):
+                        for c in range(3):
+                            # At an end of the line, as in start_line.
+                            node, first = row + at_end * high, corner + at_end * high
+                            one, other = d[node, c] - d[first, c], d[node + up, c] - d[first + up, c]
+                            along = d[first + end, c] - d[first, c]
+                            across = d[first + end + up, c] - d[first + up, c]
+                            slopes[j - j0, _ONE + c] = low[_ONE + c] - one
+                            slopes[j - j0, _BY_Y + c] = low[_BY_Y + c] + along
+                            slopes[j - j0, _BY_X + c] = low[_BY_X + c] - (other - one)
+                            slopes[j - j0, _BY_XY + c] = low[_BY_XY + c] - (along - across)
+                            if at_end == 0:
+                                low[_ONE + c], low[_BY_Y + c] = one, -along
+                                low[_BY_X + c], low[_BY_XY + c] = other - one, along - across
+                    node, first = 3 * (row + k0 + 1), 3 * (corner + k0 + 1)
+                    start_line(d, node, first, 3 * end, 3 * up, 3 * count, low, lines, (j - j0) * _ROWS * TILE)
                 for i in range(slabs[n, 1] - sub[4], slabs[n, 2] - sub[4]):
-                    plane, at = corner + i * si, sub[10] + tile_start(i - 1, j0, k0, nj, nk)
-                    _blend_lines(d, plane, sj, (nj + 1) * sj, nk + 1, j0, j1, k0, count, arc, at, lines, slopes, sides)
+                    plane, start = corner + i * si, sub[10] + tile_start(i - 1, j0, k0, nj, nk)
+                    start_sides(d, 3 * plane, 3 * (k0 + 1), 3 * end, 3 * count, sides)
+                    for j in range(j0, j1):
+                        row = plane + (j + 1) * sj
+                        for c in range(3):
+                            # What the ends contribute to the coefficient of 1, and to those of z, y z, x z and x y z.
+                            one, other = d[row, c] - d[plane, c], d[row + high, c] - d[plane + high, c]
+                            by_yz = d[plane + high, c] - d[plane + end + high, c] - d[plane, c] + d[plane + end, c]
+                            ends[5 * c], ends[5 * c + 1] = one, other - one + slopes[j - j0, _ONE + c]
+                            ends[5 * c + 2] = by_yz + slopes[j - j0, _BY_Y + c]
+                            ends[5 * c + 3], ends[5 * c + 4] = slopes[j - j0, _BY_X + c], slopes[j - j0, _BY_XY + c]
+                        at = start + 3 * width * (j - j0)
+                        fill_line(arc, at, width, lines, (j - j0) * _ROWS * TILE, sides, ends, filled)
+                        # Masked vector stores would take longer than the rest on some processors.
+                        out = d[row + k0 + 1 :]
+                        for k in range(count):
+                            out[k, 0], out[k, 1], out[k, 2] = filled[k], filled[TILE + k], filled[2 * TILE + k]
 
 
-@inlined
-def _prepare_lines(d, sub, corner, j0, j1, k0, count, lines, slopes):
-    """Coefficients along interior lines j0 <= j < j1 from the two i faces, and at the ends of the lines.
-
-    ``lines`` gets the coefficients minus those at the low end of the line; ``slopes`` those at the low end minus those
-    at the high end.
-    """
-    sj, up = sub[3], (sub[7] - sub[4]) * sub[2] * sub[3]
-    end, high = (sub[8] - sub[5]) * sj, sub[9] - sub[6]
-    for j in range(j0, j1):
-        line = j - j0
-        row = corner + (j + 1) * sj
-        for c in range(3):
-            a0, a1, a2, a3 = _coefficients(d, row, corner, corner + end, up, c)
-            b0, b1, b2, b3 = _coefficients(d, row + high, corner + high, corner + end + high, up, c)
-            slopes[line, _ONE + c], slopes[line, _BY_Y + c] = a0 - b0, a1 - b1
-            slopes[line, _BY_X + c], slopes[line, _BY_XY + c] = a2 - b2, a3 - b3
-            for k in range(count):
-                at = k0 + 1 + k
-                e0, e1, e2, e3 = _coefficients(d, row + at, corner + at, corner + end + at, up, c)
-                lines[line, _ONE + c, k], lines[line, _BY_Y + c, k] = e0 - a0, e1 - a1
-                lines[line, _BY_X + c, k], lines[line, _BY_XY + c, k] = e2 - a2, e3 - a3
+def _points(d: Array, at: ir.Value, count: ir.Value) -> list[Lanes]:
+    """Components of at most sixteen displacements, ``count`` numbers; the others are zero."""
+    return components(d.load_some_points(at, count))
 
 
-@inlined
-def _coefficients(d, node, low, high, up, c):
-    """Coefficients of 1, y, x, x y at a node of the low i face: both i faces blended, minus their edges at both j ends.
-
-    ``low`` and ``high`` are the ends of the node's line along j, ``up`` is the step to the other face.
-    """
-    first, second = d[node, c] - d[low, c], d[node + up, c] - d[low + up, c]
-    along_low, along_high = d[high, c] - d[low, c], d[high + up, c] - d[low + up, c]
-    return first, -along_low, second - first, along_low - along_high
-
-
-@inlined
-def _blend_lines(d, plane, sj, end, far, j0, j1, k0, count, arc, start, lines, slopes, sides):
-    """Fill lines j0 <= j < j1 of an i plane from its two j sides and the ends of the lines.
-
-    ``plane`` is the node at the low ends of j and k, ``end`` the step to the other j side, ``far`` the step to the
-    other end of a line, ``start`` the start of the coordinates.
-    """
-    width = padded(count)
-    low, high = d[plane + k0 + 1 :], d[plane + end + k0 + 1 :]
+@lanes
+def start_line(
+    d: Array, node: ir.Value, corner: ir.Value, end: ir.Value, up: ir.Value, count: ir.Value, low: Array, lines: Array,
+    line: ir.Value,
+) -> None:  # fmt: skip
+    """Coefficients along a line minus those at its low end; arguments as of the loops, in numbers instead of nodes."""
+    add = d.builder.add
+    here, there = _points(d, node, count), _points(d, add(node, up), count)
+    first, last = (_points(d, add(corner, step), count) for step in (up.type(0), end))
+    above, beyond = (_points(d, add(corner, step), count) for step in (up, add(end, up)))
+    zero = node.type(0)
     for c in range(3):
-        edge = d[plane, c] - d[plane + end, c]
-        for k in range(count):
-            sides[_ONE + c, k] = low[k, c]
-            sides[_BY_Y + c, k] = high[k, c] - low[k, c] + edge
-    for n in range(j1 - j0):
-        row, at = plane + (j0 + n + 1) * sj, start + 3 * width * n
-        # Views that begin at zero: indices that might be negative prevent vectorisation of the loop over k, as would a
-        # loop over components.
-        along_i, along_j, along_k = arc[at:], arc[at + width :], arc[at + 2 * width :]
-        p0, p1, p2, p3, p4 = _at_ends(d, row, plane, end, far, slopes, n, 0)
-        q0, q1, q2, q3, q4 = _at_ends(d, row, plane, end, far, slopes, n, 1)
-        r0, r1, r2, r3, r4 = _at_ends(d, row, plane, end, far, slopes, n, 2)
-        for k in range(width):
-            x, y, z = along_i[k], along_j[k], along_k[k]
-            lines[n, _OUT, k] = _blend_node(x, y, z, lines, n, sides, k, 0, p0, p1, p2, p3, p4)
-            lines[n, _OUT + 1, k] = _blend_node(x, y, z, lines, n, sides, k, 1, q0, q1, q2, q3, q4)
-            lines[n, _OUT + 2, k] = _blend_node(x, y, z, lines, n, sides, k, 2, r0, r1, r2, r3, r4)
-        out = d[row + k0 + 1 :]
-        for k in range(count):
-            out[k, 0], out[k, 1], out[k, 2] = lines[n, _OUT, k], lines[n, _OUT + 1, k], lines[n, _OUT + 2, k]
+        one, other = here[c] - first[c], there[c] - above[c]
+        along, across = last[c] - first[c], beyond[c] - above[c]
+        for row, value in ((_ONE, one), (_BY_Y, first[c] - last[c]), (_BY_X, other - one), (_BY_XY, along - across)):
+            lines.store(line, value - low.every(zero, row + c), (row + c) * TILE)
 
 
-@inlined
-def _at_ends(d, row, plane, end, far, slopes, n, c):
-    """Contributions of the ends of a line: to the coefficient of 1, and those of z, y z, x z and x y z."""
-    one = d[row, c] - d[plane, c]
-    by_z = d[row + far, c] - d[plane + far, c] - one + slopes[n, _ONE + c]
-    by_yz = d[plane + far, c] - d[plane + end + far, c] - d[plane, c] + d[plane + end, c] + slopes[n, _BY_Y + c]
-    return one, by_z, by_yz, slopes[n, _BY_X + c], slopes[n, _BY_XY + c]
+@lanes
+def start_sides(d: Array, plane: ir.Value, at: ir.Value, end: ir.Value, count: ir.Value, sides: Array) -> None:
+    """Contributions of the two j sides of an i plane to the coefficients of 1 and y."""
+    add, zero = d.builder.add, at.type(0)
+    low = _points(d, add(plane, at), count)
+    high = _points(d, add(add(plane, at), end), count)
+    for c in range(3):
+        edge = d.every(plane, c) - d.every(add(plane, end), c)
+        sides.store(zero, low[c], (_ONE + c) * TILE)
+        sides.store(zero, high[c] - low[c] + edge, (_BY_Y + c) * TILE)
 
 
-@inlined
-def _blend_node(x, y, z, lines, n, sides, k, c, one, by_z, by_yz, by_xz, by_xyz):
-    p = lines[n, _ONE + c, k] + sides[_ONE + c, k] + one + z * by_z
-    q = lines[n, _BY_Y + c, k] + sides[_BY_Y + c, k] + z * by_yz
-    r = lines[n, _BY_X + c, k] + z * by_xz
-    s = lines[n, _BY_XY + c, k] + z * by_xyz
-    return p + y * q + x * (r + y * s)
+@lanes
+def fill_line(
+    arc: Array, at: ir.Value, width: ir.Value, lines: Array, line: ir.Value, sides: Array, ends: Array, filled: Array
+) -> None:
+    """Displacements of sixteen nodes of a line by components; those beyond its end are not used."""
+    add, zero = arc.builder.add, at.type(0)
+    x, y, z = (arc.load(start) for start in (at, add(at, width), add(add(at, width), width)))
+    for c in range(3):
+        one, by_z, by_yz, by_xz, by_xyz = (ends.every(zero, 5 * c + n) for n in range(5))
+        p, q, r, s = (lines.load(line, (row + c) * TILE) for row in (_ONE, _BY_Y, _BY_X, _BY_XY))
+        p = p + sides.load(zero, (_ONE + c) * TILE) + one + z * by_z
+        q = q + sides.load(zero, (_BY_Y + c) * TILE) + z * by_yz
+        filled.store(zero, p + y * q + x * (r + z * by_xz + y * (s + z * by_xyz)), c * TILE)
 
 
 @kernel("f8[:, ::1], f8[::1], i8[:, ::1]")
