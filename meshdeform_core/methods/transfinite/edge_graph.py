@@ -63,17 +63,6 @@ class _Rows:
         return np.logical_or.reduceat(marked, self.start[:-1]) if len(self) else np.zeros(0, dtype=bool)
 
 
-@dataclass(frozen=True)
-class _Segments:
-    """Sections of block edges whose two end nodes are moved before the nodes in between.
-
-    ``rows``: their nodes, ends included; ``length`` (n,) in grid length units.
-    """
-
-    rows: _Rows
-    length: FloatArray
-
-
 class PreparedEdgeGraph:
     """The block edges and faces of one undeformed grid, ready to move with the sources."""
 
@@ -95,22 +84,23 @@ class PreparedEdgeGraph:
         reached[edges.ends()] = True
         points = grid.nodes.at(topology.first)
         self._free = np.flatnonzero(reached & ~known)
-        segments = _segments(points, edges, np.zeros(len(edges), dtype=np.int64), reached, known)
-        self._graph = _Graph.of(segments, self._free, len(known), problem.boundary.slip) if self._free.size else None
-        reached[segments.rows.nodes] = True
+        segments, length = _segments(points, edges, np.zeros(len(edges), dtype=np.int64), reached, known)
+        self._graph = None
+        if self._free.size:
+            self._graph = _Graph.of(segments.ends(), length, self._free, len(known), problem.boundary.slip)
+        reached[segments.nodes] = True
         parts, width, wanted = _face_parts(grid, topology, reached)
         # L-shaped faces are divided into rectangles, some borders of which are not block edges.
         borders, part = _borders(parts, width)
         inside = borders.any(~reached[borders.nodes])
-        rest = _segments(points, borders.chosen(inside), part[inside], reached, reached)
-        rows = segments.rows, rest.rows, parts
-        lines = len(segments.rows) + len(rest.rows)
+        rest, _ = _segments(points, borders.chosen(inside), part[inside], reached, reached)
+        rows, lines = (segments, rest, parts), len(segments) + len(rest)
         self._faces = Faces.on(
             points,
             np.append(0, np.cumsum(np.concatenate([np.diff(each.start) for each in rows]))),
             np.append(np.ones(lines, dtype=np.int64), width),
             np.concatenate([each.nodes for each in rows]),
-            np.append(np.ones(len(segments.rows.nodes) + len(rest.rows.nodes), dtype=bool), wanted),
+            np.append(np.ones(len(segments.nodes) + len(rest.nodes), dtype=bool), wanted),
         )
 
     def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
@@ -167,8 +157,11 @@ def _borders(rectangles: _Rows, width: IntArray) -> tuple[_Rows, IntArray]:
     return _Rows.of(count, nodes), np.repeat(np.arange(len(rectangles)), 4)
 
 
-def _segments(points: FloatArray, lines: _Rows, group: IntArray, knot: BoolArray, known: BoolArray) -> _Segments:
-    """Segments of ``lines`` between nodes that are ``knot``; ``points`` (n_unique, 3).
+def _segments(
+    points: FloatArray, lines: _Rows, group: IntArray, knot: BoolArray, known: BoolArray
+) -> tuple[_Rows, FloatArray]:
+    """Sections of ``lines`` between nodes that are ``knot``, which are moved before the nodes in between, with these
+    ends, and their lengths (n,); ``points`` (n_unique, 3).
 
     Adjacent ``known`` nodes form no segment, as there is nothing between them to fill. Blocks that share an edge all
     contribute it, in either direction; only the first of those with equal ``group`` is kept.
@@ -189,7 +182,7 @@ def _segments(points: FloatArray, lines: _Rows, group: IntArray, knot: BoolArray
     sound = np.flatnonzero(length > 0.0)
     keys = np.stack([group[line[first]], ends.min(axis=1), ends.max(axis=1), lowest], axis=1)
     sound = sound[distinct_rows(keys[sound])]
-    return _Segments(rows.chosen(sound), length[sound])
+    return rows.chosen(sound), length[sound]
 
 
 @dataclass(frozen=True)
@@ -197,12 +190,11 @@ class _Graph:
     """Harmonic extension to the free vertices.
 
     ``row``, ``known``, ``weight`` (m,) list the edges from free vertices to known nodes; ``factor`` is the factorised
-    Laplacian of the free vertices; ``segments`` are all edges. Vertices on slip planes remain in them: ``removed``
+    Laplacian of the free vertices. Vertices on slip planes remain in them: ``removed``
     lists sets of such vertices with the projector (3, 3) onto the directions that are removed from their motion; the
     Laplacian then covers all three components.
     """
 
-    segments: _Segments
     factor: SuperLU
     row: IntArray
     known: IntArray
@@ -210,12 +202,12 @@ class _Graph:
     removed: tuple[tuple[IntArray, FloatArray], ...] = ()
 
     @classmethod
-    def of(cls, segments: _Segments, free: IntArray, n_unique: int, slip: Slip) -> _Graph:
+    def of(cls, ends: IntArray, length: FloatArray, free: IntArray, n_unique: int, slip: Slip) -> _Graph:
+        """From the ends (n, 2) of all edges between vertices and their lengths (n,)."""
         n = len(free)
         index = np.full(n_unique, -1)
         index[free] = np.arange(n)
-        ends = segments.rows.ends()
-        weight = np.tile(1 / segments.length, 2)
+        weight = np.tile(1 / length, 2)
         one, two = index[np.r_[ends[:, 0], ends[:, 1]]], np.r_[ends[:, 1], ends[:, 0]]
         inner, outer = (one >= 0) & (index[two] >= 0), (one >= 0) & (index[two] < 0)
         diagonal = np.bincount(one[one >= 0], weight[one >= 0], n)
@@ -231,7 +223,7 @@ class _Graph:
         removed = tuple((rows[rows >= 0], span) for rows, span in sliding if (rows >= 0).any())
         if removed:
             laplacian = _within_planes(laplacian, removed)
-        return cls(segments, scipy.sparse.linalg.splu(laplacian), one[outer], two[outer], weight[outer], removed)
+        return cls(scipy.sparse.linalg.splu(laplacian), one[outer], two[outer], weight[outer], removed)
 
     def solve(self, d: FloatArray) -> FloatArray:
         """Displacement of the free vertices from ``d`` (n_unique, 3) of the known nodes."""

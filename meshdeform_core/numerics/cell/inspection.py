@@ -277,10 +277,8 @@ def inspect_hexahedra(before, x, compare, both, sign, scale, i0, i1, out, is_ope
                         start = ((i * nodes.shape[1] + j0 + j) * nodes.shape[2] + k0) * 3
                         for m in range(0, 3 * width, WIDTH):
                             move(nodes, start + m, points, new + 3 * j * width + m, 3 * width - m)
-                    if i > i0:
-                        _edges(points, old, new, e, to + ALONG_I * N, rows * width, signed)
-                    _edges(points, new, new + 3 * width, e, to + ALONG_J * N + here, (rows - 1) * width, single)
-                    _edges(points, new, new + 3, e, to + ALONG_K * N + here, rows * width - 1, single)
+                    for kind in range(0 if i > i0 else 1, 3):
+                        _edges(points, old, new, e, to, here, kind, rows, width, signed if kind == 0 else single)
                 if i > i0:
                     for m in range(0, (rows - 1) * width - 1, WIDTH):
                         for g in range(left + 1):
@@ -300,10 +298,15 @@ def inspect_hexahedra(before, x, compare, both, sign, scale, i0, i1, out, is_ope
 
 
 @inlined
-def _edges(points, one, other, e, to, count, scale):
-    """Edges between the points from the numbers ``one`` and ``other`` on."""
+def _edges(points, old, new, e, to, here, kind, rows, width, scale):
+    """Edges along i from the plane of points at ``old`` to that at ``new``; along j or k within the latter."""
+    one, other, row, count = old, new, ALONG_I * N, rows * width
+    if kind > 0:
+        one, other, row, count = new, new + 3 * width, ALONG_J * N + here, (rows - 1) * width
+    if kind > 1:
+        other, row, count = new + 3, ALONG_K * N + here, rows * width - 1
     for m in range(0, count, WIDTH):
-        edges(points, one + 3 * m, other + 3 * m, e, to + m, scale)
+        edges(points, one + 3 * m, other + 3 * m, e, to + row + m, scale)
 
 
 @inlined

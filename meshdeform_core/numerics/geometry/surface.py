@@ -88,23 +88,22 @@ def _search(targets, corners, box, leaf, waiting, found, weights, distance):
         distance[t] = np.sqrt(best) if best < limit else np.inf
 
 
-# The loops below work on scalars: views of points cost atomic reference counts, and vector sums allocate memory.
-
-
-@kernel
+@inlined
 def _triangle_distance2(x, y, z, corners, m, weights):
     """Squared distance to triangle ``m``; fills the barycentric coordinates of the closest point.
 
-    Voronoi regions of corners, edges and face (Ericson, Real-Time Collision Detection, section 5.1.5).
+    Voronoi regions of corners, edges and face (Ericson, Real-Time Collision Detection, section 5.1.5). On scalars, as
+    views of points cost atomic reference counts, and vector sums allocate memory.
     """
     a0, a1, a2 = corners[m, 0, 0], corners[m, 0, 1], corners[m, 0, 2]
-    b0, b1, b2 = corners[m, 1, 0], corners[m, 1, 1], corners[m, 1, 2]
-    c0, c1, c2 = corners[m, 2, 0], corners[m, 2, 1], corners[m, 2, 2]
-    u0, u1, u2, v0, v1, v2 = b0 - a0, b1 - a1, b2 - a2, c0 - a0, c1 - a1, c2 - a2
+    u0, u1, u2 = corners[m, 1, 0] - a0, corners[m, 1, 1] - a1, corners[m, 1, 2] - a2
+    v0, v1, v2 = corners[m, 2, 0] - a0, corners[m, 2, 1] - a1, corners[m, 2, 2] - a2
     p0, p1, p2 = x - a0, y - a1, z - a2
-    d1, d2 = _dot(u0, u1, u2, p0, p1, p2), _dot(v0, v1, v2, p0, p1, p2)
-    d3, d4 = _dot(u0, u1, u2, x - b0, y - b1, z - b2), _dot(v0, v1, v2, x - b0, y - b1, z - b2)
-    d5, d6 = _dot(u0, u1, u2, x - c0, y - c1, z - c2), _dot(v0, v1, v2, x - c0, y - c1, z - c2)
+    uv = u0 * v0 + u1 * v1 + u2 * v2
+    # Products of the edges u and v with the vectors from all three corners.
+    d1, d2 = u0 * p0 + u1 * p1 + u2 * p2, v0 * p0 + v1 * p1 + v2 * p2
+    d3, d4 = d1 - (u0 * u0 + u1 * u1 + u2 * u2), d2 - uv
+    d5, d6 = d1 - uv, d2 - (v0 * v0 + v1 * v1 + v2 * v2)
     va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
     v = w = 0.0
     if d1 <= 0.0 and d2 <= 0.0:
@@ -126,8 +125,3 @@ def _triangle_distance2(x, y, z, corners, m, weights):
     weights[0], weights[1], weights[2] = 1.0 - v - w, v, w
     g0, g1, g2 = p0 - v * u0 - w * v0, p1 - v * u1 - w * v1, p2 - v * u2 - w * v2
     return g0 * g0 + g1 * g1 + g2 * g2
-
-
-@inlined
-def _dot(a, b, c, x, y, z):
-    return a * x + b * y + c * z

@@ -115,12 +115,24 @@ def arc_coordinates(points, subs, parts, arc):
         if parts[part, 1] == 0:
             width = min(TILE, padded(nk) - first)
             at = subs[n, 10] + tile_start(0, 0, first, nj, nk)
-            for j in range(nj):
-                node, to = corner + (j + 1) * sj + first + 1, at + 3 * j * width
-                _across(points, node, si, ni, last - first, work, arc, to, 3 * nj * padded(nk), width)
-            for i in range(ni):
-                node, to = corner + (i + 1) * si + first + 1, at + 3 * nj * i * padded(nk) + width
-                _across(points, node, sj, nj, last - first, work, arc, to, 3 * width, width)
+            # All lines along i that cross a plane, then those along j; a tile of them together.
+            for q in range(nj + ni):
+                if q < nj:
+                    node, step, length = corner + (q + 1) * sj + first + 1, si, ni
+                    to, apart = at + 3 * q * width, 3 * nj * padded(nk)
+                else:
+                    node, step, length = corner + (q - nj + 1) * si + first + 1, sj, nj
+                    to, apart = at + 3 * nj * (q - nj) * padded(nk) + width, 3 * width
+                for k in range(WIDTH):
+                    work[k] = 0.0
+                for m in range(length + 1):
+                    one = 3 * (node + m * step)
+                    # The last edge adds to the total length only.
+                    kept = width if m < length else 0
+                    lengthen(points, one, one + 3 * step, 3 * (last - first), work, arc, to + m * apart, kept)
+                invert(work)
+                for m in range(length):
+                    normalise(arc, to + m * apart, width, work, (m + 1) / (length + 1))
         else:
             for i in range(first, last):
                 for j in range(nj):
@@ -139,23 +151,6 @@ def arc_coordinates(points, subs, parts, arc):
                         if work[_INVERSE] == 0.0:
                             for k in range(min(TILE, nk - k0)):
                                 arc[to + k] = (k0 + k + 1) / (nk + 1)
-
-
-@inlined
-def _across(points, node, step, n, count, work, arc, at, apart, width):
-    """Coordinates of ``n`` nodes inside each of ``count`` neighbouring lines, all lines together.
-
-    ``node`` is the first end of the first line; coordinates begin at ``at``, those of consecutive nodes are ``apart``.
-    """
-    for k in range(WIDTH):
-        work[k] = 0.0
-    for m in range(n + 1):
-        one = 3 * (node + m * step)
-        # The last edge adds to the total length only.
-        lengthen(points, one, one + 3 * step, 3 * count, work, arc, at + m * apart, width if m < n else 0)
-    invert(work)
-    for m in range(n):
-        normalise(arc, at + m * apart, width, work, (m + 1) / (n + 1))
 
 
 def _edges(points: Array, one: ir.Value, other: ir.Value, count: ir.Value) -> Lanes:

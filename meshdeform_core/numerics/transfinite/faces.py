@@ -8,12 +8,14 @@ import math
 
 import numpy as np
 
-from ..jit import inlined, kernel
+from ..jit import kernel
 
 
 @kernel("f8[:, ::1], i8[::1], i8[::1], i8[::1], f8[::1], f8[::1]")
 def face_coordinates(points, start, width, nodes, s, t):
     """Arc coordinates of the nodes of faces along their first and second index, into ``s`` and ``t``.
+
+    They are uniform on lines of zero length.
 
     Parameters
     ----------
@@ -21,26 +23,21 @@ def face_coordinates(points, start, width, nodes, s, t):
     nodes : rows of ``points``
     """
     for face in range(start.size - 1):
-        count = (start[face + 1] - start[face]) // width[face]
-        for m in range(width[face]):
-            _arcs(points, nodes, start[face] + m, width[face], count, s)
-        for m in range(count):
-            _arcs(points, nodes, start[face] + m * width[face], 1, width[face], t)
-
-
-@inlined
-def _arcs(points, nodes, first, step, count, arc):
-    """Arc coordinates of ``count`` nodes, every ``step``-th from ``first`` on; uniform on lines of zero length."""
-    total = 0.0
-    arc[first] = 0.0
-    for m in range(1, count):
-        p, q = nodes[first + m * step], nodes[first + (m - 1) * step]
-        dx, dy, dz = points[p, 0] - points[q, 0], points[p, 1] - points[q, 1], points[p, 2] - points[q, 2]
-        total += math.sqrt(dx * dx + dy * dy + dz * dz)
-        arc[first + m * step] = total
-    for m in range(1, count):
-        at = first + m * step
-        arc[at] = arc[at] / total if total > 0.0 else m / (count - 1)
+        height = (start[face + 1] - start[face]) // width[face]
+        for line in range(width[face] + height):
+            if line < width[face]:
+                arc, first, step, count = s, start[face] + line, width[face], height
+            else:
+                arc, first, step, count = t, start[face] + (line - width[face]) * width[face], 1, width[face]
+            total, arc[first] = 0.0, 0.0
+            for m in range(1, count):
+                p, q = nodes[first + m * step], nodes[first + (m - 1) * step]
+                dx, dy, dz = points[p, 0] - points[q, 0], points[p, 1] - points[q, 1], points[p, 2] - points[q, 2]
+                total += math.sqrt(dx * dx + dy * dy + dz * dz)
+                arc[first + m * step] = total
+            for m in range(1, count):
+                at = first + m * step
+                arc[at] = arc[at] / total if total > 0.0 else m / (count - 1)
 
 
 @kernel("f8[:, ::1], i8[::1], i8[::1], i8[::1], b1[::1], f8[::1], f8[::1], b1")
