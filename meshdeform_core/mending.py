@@ -195,5 +195,5 @@ def _reasons(original: Grid, topology: Topology, boundary: Boundary, points: Flo
         names = " and ".join(dict.fromkeys(crossing.patches))
         found.append(f"the boundary crosses itself, so no valid grid exists: {names} near ({place})")
     pinned = find_pinned(original, topology, boundary, change)
-    found += [pinned.message] if pinned else []
+    found += [pinned] if pinned else []
     return found or ["no valid grid was found; whether there is one is not known"]

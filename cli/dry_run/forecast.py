@@ -109,7 +109,7 @@ def forecast(setup: Setup, time: float, steps: int | str | None, precision: str)
     motion = setup.displacement(time)
     contact = setup.undeformed.crossing_test.contact(functools.partial(setup.displacement, time))
     pinned = find_pinned(setup.grid, setup.topology, setup.boundary, motion)
-    certain: list[str] = [found.message for found in (contact, pinned) if found]
+    certain: list[str] = [found for found in (contact and contact.message, pinned) if found]
     count = steps if isinstance(steps, int) else 1
     if setup.grid.n_nodes * count > TRIAL_NODES:
         untried = (

@@ -320,46 +320,14 @@ def _grouped(names: np.ndarray, places: FloatArray) -> tuple[Crossing, ...]:
     return tuple(sorted(found, key=lambda crossing: -crossing.count))
 
 
-@dataclass(frozen=True)
-class PinnedCells:
-    """Cells that the prescribed displacements of all of their nodes invert.
-
-    Attributes
-    ----------
-    count : number of cells
-    block, ijk : location of the first one, indices from 1
-    center : mean of its corners after the motion (grid length unit)
-    """
-
-    count: int
-    block: str
-    ijk: tuple[int, int, int]
-    center: tuple[float, float, float]
-
-    @property
-    def message(self) -> Notice:
-        """Warning: what is wrong and where."""
-        place = ", ".join(f"{x:.6g}" for x in self.center)
-        cells = (
-            "1 cell, whose nodes are all prescribed, is"
-            if self.count == 1
-            else f"{self.count} cells, whose nodes are all prescribed, are"
-        )
-        text = (
-            f"{cells} inverted by the motion of the boundary itself, so no valid grid exists: first in {self.block} at "
-            f"{self.ijk}, around ({place})"
-        )
-        return Notice(text, f"prescribed cells inverted in {self.block}")
-
-
-def find_pinned(grid: Grid, topology: Topology, boundary: Boundary, displacement: FloatArray) -> PinnedCells | None:
-    """Cells with only prescribed nodes that a displacement (n_unique, 3) of the boundary inverts, or ``None``.
+def find_pinned(grid: Grid, topology: Topology, boundary: Boundary, displacement: FloatArray) -> Notice | None:
+    """Warning about cells with only prescribed nodes that a displacement (n_unique, 3) of the boundary inverts.
 
     Inverted means that the Jacobian at a corner that was not collapsed changes sign or vanishes.
     """
     known = np.zeros(grid.n_nodes, dtype=bool)
     known[topology.face_nodes] = boundary.known[topology.number]
-    normal, count, first = plane_normal(grid), 0, None
+    normal, count, name, place = plane_normal(grid), 0, "", ""
     side = 1.0 if normal is None else normal
     for block, shape in enumerate(grid.shapes):
         inside = np.flatnonzero(cell_corners(grid.block(block, known)).all(axis=1))
@@ -372,12 +340,17 @@ def find_pinned(grid: Grid, topology: Topology, boundary: Boundary, displacement
         new = np.stack([jacobian for jacobian, _ in corners_and_edges(after, side)], axis=1)
         bad = ((np.abs(old) > _COLLAPSED) & (new * np.sign(old) <= 0.0)).any(axis=1)
         count += int(bad.sum())
-        if first is None and bad.any():
+        if not place and bad.any():
             index = int(np.argmax(bad))
-            i, j, k = (int(n) + 1 for n in cells[index])
-            x, y, z = after[index].mean(axis=0)
-            first = (grid.names[block], (i, j, k), (float(x), float(y), float(z)))
-    return PinnedCells(count, *first) if first else None
+            i, j, k = (cells[index] + 1).tolist()
+            around = ", ".join(f"{x:.6g}" for x in after[index].mean(axis=0))
+            name, place = grid.names[block], f"({i}, {j}, {k}), around ({around})"
+    if not place:
+        return None
+    many = f"{count} cells, whose nodes are all prescribed, are"
+    cells_are = "1 cell, whose nodes are all prescribed, is" if count == 1 else many
+    why = "inverted by the motion of the boundary itself, so no valid grid exists"
+    return Notice(f"{cells_are} {why}: first in {name} at {place}", f"prescribed cells inverted in {name}")
 
 
 def torn_faces(grid: Grid, topology: Topology, boundary: Boundary, displacement: FloatArray) -> list[Notice]:

@@ -184,7 +184,7 @@ def _find_impossible(course: Course) -> _Impossible | None:
     setup = course.setup
     contact = setup.undeformed.crossing_test.contact(course.path)
     pinned = find_pinned(setup.grid, setup.topology, setup.boundary, course.total)
-    reasons: list[str] = [found.message for found in (contact, pinned) if found]
+    reasons: list[str] = [found for found in (contact and contact.message, pinned) if found]
     return _Impossible(reasons, contact.fraction if contact else 1.0) if reasons else None
 
 
