@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -19,8 +18,7 @@ LAYERS = 8
 """First cells of a grid line at a wall whose total thickness is measured; at most half of the cells of the line."""
 
 
-@dataclass(frozen=True)
-class InterfaceLines:
+class InterfaceLines(NamedTuple):
     """Grid lines that cross block interfaces: flat indices (...) of the interface node in each block and its neighbour.
 
     The line runs ``before -> here | there -> beyond``; ``here`` and ``there`` coincide.
@@ -35,26 +33,16 @@ class InterfaceLines:
 def interface_lines(grid: Grid, topology: Topology) -> InterfaceLines:
     """All grid lines across shared faces, each once."""
     quads = np.flatnonzero(topology.partner > np.arange(len(topology.partner)))
-    found = [_distinct_lines(grid, topology, quads[lo : lo + _TOGETHER]) for lo in range(0, len(quads), _TOGETHER)]
-    if not found:
-        return InterfaceLines(*(np.empty(0, dtype=np.int64) for _ in range(4)))
-    once = _distinct(np.concatenate([keys for keys, _ in found], axis=1))
-    names = [field.name for field in dataclasses.fields(InterfaceLines)]
-    # A direction at a time is dropped from the portions once it is joined.
-    parts = [{name: getattr(lines, name) for name in names} for _, lines in found]
-    del found
-    return InterfaceLines(*(np.concatenate([part.pop(name) for part in parts])[once] for name in names))
-
-
-def _distinct_lines(grid: Grid, topology: Topology, quads: IntArray) -> tuple[IntArray, InterfaceLines]:
-    """The grid lines across ``quads``, each once, and two numbers (2, n) for each of them, of both its ends."""
-    lines, sides = lines_across(grid, topology, quads)
-    keys = np.stack([
-        nodes.ravel() * 6 + np.repeat(side % 6, nodes.shape[1])
-        for nodes, side in zip((lines.here, lines.there), sides, strict=True)
-    ])  # fmt: skip
-    once = _distinct(keys)
-    return keys[:, once], InterfaceLines(*(getattr(lines, f.name).ravel()[once] for f in dataclasses.fields(lines)))
+    keys, found = [np.empty((2, 0), dtype=np.int64)], [np.empty((4, 0), dtype=np.int64)]
+    for lo in range(0, len(quads), _TOGETHER):
+        lines, sides = lines_across(grid, topology, quads[lo : lo + _TOGETHER])
+        # Two numbers for each line, of both its ends.
+        ends = zip((lines.here, lines.there), sides, strict=True)
+        key = np.stack([(nodes * 6 + side[:, None] % 6).ravel() for nodes, side in ends])
+        once = _distinct(key)
+        keys.append(key[:, once])
+        found.append(np.stack([nodes.ravel()[once] for nodes in lines]))
+    return InterfaceLines(*np.concatenate(found, axis=1)[:, _distinct(np.concatenate(keys, axis=1))])
 
 
 def _distinct(pairs: IntArray) -> IntArray:
