@@ -197,7 +197,7 @@ class Triangles:
         return dataclasses.replace(self, weight=self.weight**power)
 
     def excess(self, x: FloatArray) -> FloatArray:
-        return np.asarray(excess_of_triangles(x, self.nodes, self.slope, HEALTHY, SOFT))
+        return excess_of_triangles(x, self.nodes, self.slope, HEALTHY, SOFT)
 
     @classmethod
     def at_corners(
@@ -205,10 +205,8 @@ class Triangles:
     ) -> Triangles:
         """From the sound corners of undeformed quadrilaterals (m, 4) with at least one node that ``moves`` (n,);
         ``sign`` (m,) is the sign of sound Jacobians."""
-        most = 4 * len(cells)
-        nodes, slope, cell = np.empty((most, 3), np.int64), np.empty((most, 3, 2)), np.empty(most, np.int64)
-        count = corner_triangles(start, cells, sign, COLLAPSED, nodes, slope, cell)
-        kept = np.flatnonzero(moves[nodes[:count]].any(axis=1))
+        nodes, slope, cell = corner_triangles(start, cells, sign, COLLAPSED)
+        kept = np.flatnonzero(moves[nodes].any(axis=1))
         return cls(nodes[kept], slope[kept], start, weight[cell[kept]])
 
     def sum(

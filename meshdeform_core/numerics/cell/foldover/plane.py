@@ -15,6 +15,7 @@ basis the second derivatives are diagonal but for one 2 x 2 matrix, so their neg
 
 import numpy as np
 
+from ...arrays import FloatArray, IntArray
 from ...jit import inlined, kernel
 from ...lanes import NARROW as WIDTH
 from .hexahedra import Unknowns, add_element
@@ -104,23 +105,23 @@ def add_triangles(x, node, slope, weight, reference, penalty, which, unknowns, r
             add_element(node, which[first + lane], 3, 2, found, lane, FORCE, work, unknowns, rows, matrix, gradient)
 
 
-@kernel("f8[:, ::1], i8[:, ::1], f8[:, :, ::1], f8, f8")
-def excess_of_triangles(x, node, slope, healthy, eps):
+def excess_of_triangles(x: FloatArray, node: IntArray, slope: FloatArray, healthy: float, eps: float) -> FloatArray:
     """max(0, log(f / healthy)) of every triangle (m,)."""
-    result = np.zeros(len(node))
-    for m in range(len(node)):
-        a, b, c, d = plane_matrix(x, node[m], slope[m])
-        det = a * d - b * c
-        chi, _ = regular(det, eps)
-        f = 0.5 * (a * a + b * b + c * c + d * d + det * det + 1.0) / chi
-        if f > healthy:
-            result[m] = np.log(f / healthy)
-    return result
+    a, b, c, d = np.einsum("mni,mnk->ikm", x[node], slope).reshape(4, -1)
+    det = a * d - b * c
+    root = np.sqrt(eps * eps + det * det)
+    # As :func:`.jacobian.regular`.
+    up = det > 0.0
+    chi = np.where(up, 0.5 * (det + root), 0.5 * eps * eps / np.where(up, 1.0, root - det))
+    f = 0.5 * (a * a + b * b + c * c + d * d + det * det + 1.0) / chi
+    return np.asarray(np.log(np.maximum(f / healthy, 1.0)))
 
 
-@kernel("f8[:, ::1], i8[:, ::1], f8[::1], f8, i8[:, ::1], f8[:, :, ::1], i8[::1]")
-def corner_triangles(start, cells, sign, tolerance, node, slope, cell):
-    """Triangles at the sound corners of quadrilaterals; returns their number.
+def corner_triangles(
+    start: FloatArray, cells: IntArray, sign: FloatArray, tolerance: float
+) -> tuple[IntArray, FloatArray, IntArray]:
+    """Triangles at the sound corners of quadrilaterals: nodes (t, 3), gradients of shape functions (t, 3, 2), as in
+    :func:`energy_of_triangles`, and the cell (t,) of each.
 
     A corner is sound if its undeformed Jacobian has the ``sign`` (m,) of the cell and is more than ``tolerance`` of the
     product of its edges.
@@ -129,25 +130,16 @@ def corner_triangles(start, cells, sign, tolerance, node, slope, cell):
     ----------
     start : (n, 2) undeformed coordinates
     cells : (m, 4) nodes; node a of a cell is the corner (a >> 1, a & 1)
-    node, slope, cell : (4 m, 3), (4 m, 3, 2), (4 m,), out: as in :func:`energy_of_triangles`, and the cell of each
-        triangle
     """
-    count = 0
-    for c in range(len(cells)):
-        for s in range(4):
-            # Both edges point along ascending indices, at whichever end of them the corner is.
-            p, q, r = cells[c, s], cells[c, s ^ 2], cells[c, s ^ 1]
-            i, j = (1.0 if s < 2 else -1.0), (1.0 if s % 2 == 0 else -1.0)
-            ux, uy = i * (start[q, 0] - start[p, 0]), i * (start[q, 1] - start[p, 1])
-            vx, vy = j * (start[r, 0] - start[p, 0]), j * (start[r, 1] - start[p, 1])
-            det = ux * vy - uy * vx
-            if sign[c] * det <= tolerance * np.sqrt((ux * ux + uy * uy) * (vx * vx + vy * vy)):
-                continue
-            node[count, 0], node[count, 1], node[count, 2] = p, q, r
-            slope[count, 1, 0], slope[count, 1, 1] = i * vy / det, -i * vx / det
-            slope[count, 2, 0], slope[count, 2, 1] = -j * uy / det, j * ux / det
-            slope[count, 0, 0] = -slope[count, 1, 0] - slope[count, 2, 0]
-            slope[count, 0, 1] = -slope[count, 1, 1] - slope[count, 2, 1]
-            cell[count] = c
-            count += 1
-    return count
+    corner = np.arange(4)
+    node = np.stack([cells, cells[:, corner ^ 2], cells[:, corner ^ 1]], axis=2)
+    # Both edges point along ascending indices, at whichever end of them the corner is.
+    along = np.stack([np.where(corner & 2, -1.0, 1.0), np.where(corner & 1, -1.0, 1.0)])
+    u, v = (along[n][:, None] * (start[node[..., n + 1]] - start[node[..., 0]]) for n in range(2))
+    det = u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
+    size = np.sqrt((u * u).sum(axis=-1) * (v * v).sum(axis=-1))
+    cell, at = np.nonzero(sign[:, None] * det > tolerance * size)
+    u, v, det = u[cell, at], v[cell, at], det[cell, at][:, None]
+    one = along[0, at][:, None] * np.stack([v[:, 1], -v[:, 0]], axis=1) / det
+    two = along[1, at][:, None] * np.stack([-u[:, 1], u[:, 0]], axis=1) / det
+    return node[cell, at], np.stack([-one - two, one, two], axis=1), cell

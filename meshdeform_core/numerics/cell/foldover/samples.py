@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...arrays import FloatArray, IntArray
 from ...jit import kernel, record
 from .jacobian import determinant, jacobian
 
@@ -71,19 +72,14 @@ def sound_samples(start, cells, samples, sign, tolerance):
     return mask
 
 
-@kernel("f8[:, ::1], i8[:, ::1], i8[:, ::1]")
-def shortest_edges(start, cells, pairs):
+def shortest_edges(start: FloatArray, cells: IntArray, pairs: IntArray) -> FloatArray:
     """Length (n,) of the shortest edge at every node of ``start`` (n, d), edges of zero length ignored.
 
     The edges join the ``pairs`` (p, 2) of corners of each of the ``cells`` (m, k).
     """
+    one, two = np.moveaxis(cells[:, pairs], -1, 0)
+    length = np.sqrt(((start[one] - start[two]) ** 2).sum(axis=-1))
     result = np.full(len(start), np.inf)
-    for c in range(len(cells)):
-        for n in range(len(pairs)):
-            p, q = cells[c, pairs[n, 0]], cells[c, pairs[n, 1]]
-            square = 0.0
-            for d in range(start.shape[1]):
-                square += (start[p, d] - start[q, d]) ** 2
-            if square > 0.0:
-                result[p], result[q] = min(result[p], np.sqrt(square)), min(result[q], np.sqrt(square))
+    for ends in (one, two):
+        np.minimum.at(result, ends, np.where(length > 0.0, length, np.inf))
     return result
