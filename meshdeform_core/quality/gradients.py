@@ -86,9 +86,9 @@ def quality_gradient(
     if not some or not all(0 <= block < grid.n_blocks for block in some):
         raise GridError(f"blocks = {list(some)}; expected numbers from 0 to {grid.n_blocks - 1}")
     grid.hold_neighbours(points)
-    chosen, rows, cells = MEASURES[measure], Nodes.of(points).rows, _Cells(grid, topology, some)
+    chosen, rows = MEASURES[measure], Nodes.of(points).rows
     with np.errstate(all="ignore"):
-        found = Found(points, [chosen.values(rows[nodes], side) for nodes, side in cells.own()])
+        found = Found(points, [chosen.values(rows[nodes], side) for nodes, side in _cells(grid, topology, some, False)])
     invalid = sum(Nodes.of(points).gather(sum(np.count_nonzero(~np.isfinite(part)) for part in found.parts)))
     if invalid:
         raise GridError(
@@ -98,7 +98,7 @@ def quality_gradient(
     value, slope = chosen.combine(found, sharpness)
     gradient = Nodes.of(points).like(3)
     Nodes.of(gradient).each(lambda own: gradient[own].fill(0.0))
-    for nodes, side in cells.around():
+    for nodes, side in _cells(grid, topology, some, True):
         tape = Tape()
         corners = tape.variable(rows[nodes])
         result = chosen.values(corners, side)
@@ -106,40 +106,18 @@ def quality_gradient(
     return value, gradient
 
 
-class _Cells:
-    """Cells of some blocks, a limited number at a time: their corner nodes (n, 8 or 4) and their side."""
-
-    def __init__(self, grid: Grid, topology: Topology, blocks: Iterable[int]) -> None:
-        self._grid, self._blocks = grid, set(blocks)
-        self._handedness, self._normal = topology.handedness, plane_normal(grid)
-
-    def own(self) -> Iterator[tuple[IntArray, Any]]:
-        """The cells behind the planes i of this rank."""
-        for block, first, last in self._pieces():
-            yield from self._between(block, first, last)
-
-    def around(self) -> Iterator[tuple[IntArray, Any]]:
-        """All cells at nodes of this rank: also those before its first plane, which come first."""
-        for block, first, last in self._pieces():
-            if first == self._grid.planes(block).start > 0:
-                yield from self._between(block, first - 1, first)
-            yield from self._between(block, first, last)
-
-    def _pieces(self) -> Iterator[tuple[int, int, int]]:
-        """Pieces of blocks that this rank holds: block, first and one past the last plane."""
-        for block, first, last in pieces(self._grid.shapes).tolist():
-            own = self._grid.planes(block)
-            if block in self._blocks and own.start <= first and last <= own.stop:
-                yield block, first, last
-
-    def _between(self, block: int, first: int, last: int) -> Iterator[tuple[IntArray, Any]]:
-        """The cells behind the planes first <= i < last of a block."""
-        grid, side = self._grid, sides_of(self._grid, self._handedness, self._normal, block)
-        ci, cj, ck = grid.cell_shapes[block]
-        start, stop = (int(grid.cell_offsets[block]) + min(plane, ci) * cj * ck for plane in (first, last))
-        for begin in range(start, stop, _CELLS):
-            cells = np.arange(begin, min(begin + _CELLS, stop))
-            yield corner_nodes(grid, *places(grid, cells)), side
+def _cells(grid: Grid, topology: Topology, blocks: Iterable[int], around: bool) -> Iterator[tuple[IntArray, Any]]:
+    """Corner nodes (n, 8 or 4) and side of the cells of blocks behind the planes i of this rank, a limited number of
+    them at a time, in the order of pieces; with ``around``, also of those before its first plane, which come first."""
+    normal = plane_normal(grid)
+    for block, first, last in pieces(grid.shapes).tolist():
+        own, (ci, cj, ck) = grid.planes(block), grid.cell_shapes[block]
+        if block not in blocks or not own.start <= first < last <= own.stop:
+            continue
+        begin, side = first - (around and first == own.start > 0), sides_of(grid, topology.handedness, normal, block)
+        start, stop = (int(grid.cell_offsets[block]) + min(plane, ci) * cj * ck for plane in (begin, last))
+        for lo in range(start, stop, _CELLS):
+            yield corner_nodes(grid, *places(grid, np.arange(lo, min(lo + _CELLS, stop)))), side
 
 
 def _inverse_skew(x: Any, side: Any) -> Any:
