@@ -80,7 +80,8 @@ class Frame:
         if self.turn is None or self.centre is None:
             return displacement + self.shift
         carried = (points - self.centre) @ (self.turn - np.eye(3)).T
-        return np.asarray(displacement @ self.turn.T + carried + self.shift)
+        moved: FloatArray = displacement @ self.turn.T + carried + self.shift
+        return moved
 
 
 def _transposed_inverse(matrix: FloatArray) -> FloatArray:

@@ -30,6 +30,7 @@ _PARTIALS: dict[str, Callable[..., tuple[Any, ...]]] = {
     "divide": lambda y, a, b: (1.0 / np.asarray(b), -np.asarray(a) / np.asarray(b) ** 2),
     "negative": lambda y, a: (-1.0,),
     "sqrt": lambda y, a: (_quotient(0.5, y),),
+    "hypot": lambda y, a, b: (_quotient(a, y), _quotient(b, y)),
     "sin": lambda y, a: (np.cos(a),),
     "cos": lambda y, a: (-np.sin(a),),
     "power": lambda y, a, n: (n * a ** (n - 1.0), 0.0),
@@ -152,11 +153,14 @@ class Tracked(NDArrayOperatorsMixin):
         return self.value.any(*args, **options)
 
     def __getitem__(self, place: Any) -> Tracked:
-        shape = self.shape
+        shape, once = self.shape, isinstance(place, int | slice)
 
         def pull(g: FloatArray) -> FloatArray:
             total = np.zeros(shape)
-            np.add.at(total, place, g)
+            if once:
+                total[place] = g
+            else:
+                np.add.at(total, place, g)
             return total
 
         return self.tape.result(self.value[place], [(self, lambda t: t[place], pull)])

@@ -18,7 +18,7 @@ from meshdeform_core.methods.scattered.rbf import RBF
 from meshdeform_core.methods.transfinite.skeleton import Skeleton
 from meshdeform_core.methods.transfinite.tfi import TFI
 from meshdeform_core.numerics.exact.direct import N_VALUES
-from meshdeform_core.numerics.rigid import finish_width
+from meshdeform_core.numerics.rigid import WIDTHS
 
 from .paper_methods import MinresRBF, ReweightedIDW
 
@@ -67,7 +67,7 @@ def tfi_operations(nodes: int, dimension: int) -> float:
 
 def idw_operations(idw: IDW, targets: int, sources: int) -> float:
     """Weight (eq. 16) and accumulation of seven values per pair and pass; one pass per evaluation of the weights."""
-    passes = -(-finish_width(idw.rotation) // N_VALUES)
+    passes = -(-WIDTHS[idw.rotation] // N_VALUES)
     per_pair = passes * (_LUKE_PAIR + 2 * (1 + N_VALUES))
     return float(targets) * (
         (idw.divisions if isinstance(idw, ReweightedIDW) else 1) * (per_pair * float(sources)) + _FINISH

@@ -50,14 +50,13 @@ class _Marching:
     def evaluate(self, fit: SourceValues, out: FloatArray, progress: Progress | None) -> None:
         """Write the displacement of the target nodes into their rows of ``out`` (n_nodes, 3)."""
         method, x = self._method, self._points - fit.origin
-        sources, step = method.points - fit.origin, np.empty_like(x)
+        sources = method.points - fit.origin
         part, translation = fit.values[:4].T.copy(), fit.values[4:].T
         for _ in range(method.options.divisions):
             sums = np.zeros((len(x), 1 + len(fit.values)))
             for group, weights in zip(method.groups, fit.weights, strict=True):
                 sums += weighted_sums(x, sources[group], method.strength[group], weights, fit.values[:, group])
-            finish("division", sums, x, step)
-            x += step
+            x += finish("division", sums.T, x)
             sources = rotate(part, sources) + translation
         out[self._flat] = fit.frame.absolute(self._points, x - (self._points - fit.origin))
 

@@ -51,7 +51,7 @@ class FastEvaluator:
         moving, lasting = scaled.moving, 1 if fit.transition.width else 0
 
         def use(_: slice, flat: IntArray, values: FloatArray) -> None:
-            rows[flat] = bound.displacement(fit, flat, values)
+            rows[flat] = bound.displacement(fit, flat, np.ascontiguousarray(values.T))
 
         def once() -> float:
             accuracy = Accuracy(self._tolerance * self._share, True, self._single)

@@ -21,7 +21,7 @@ from ..base import Account, LinearNodes, Problem, Progress, Setting
 from ..kinks import FOLDED, HALF_TURNS, LARGEST, half_turns, kinks_of, tied
 from ..limits import LARGEST_ROTATION, PLAIN_ROTATION, warn_of_alpha, warn_of_rotation
 from ..options import MethodOptions, option
-from .idw_sums import Bound, ExactEvaluator, SourceValues
+from .idw_sums import Bound, SourceValues
 from .mirror import mirror_images
 from .summation import Summation, fast_pays, summation_tolerance
 from .transition import MovingShare, bodies, motion_values, with_motion
@@ -274,7 +274,7 @@ class PreparedIDW:
             found._share = dataclasses.replace(self._share, moving=self._share.moving[kept])
         return found
 
-    def linearised(self, evaluator: ExactEvaluator | FastEvaluator, displacement: FloatArray) -> LinearNodes:
+    def linearised(self, evaluator: Bound | FastEvaluator, displacement: FloatArray) -> LinearNodes:
         """The derivative of the displacement of the nodes of ``evaluator`` at a displacement (n_sources, 3).
 
         Rotations, their smoothing and the mean motion are recorded operation by operation.
@@ -350,14 +350,14 @@ class PreparedIDW:
         self.account.settings["alpha"] = Setting(alpha, reason)
         return alpha
 
-    def at(self, flat: IntArray) -> ExactEvaluator | FastEvaluator:
+    def at(self, flat: IntArray) -> Bound | FastEvaluator:
         """Bind to the target nodes ``flat``."""
         o, grid, room = self.options, self.problem.grid, self.problem.memory.size // _KEPT
         bound = Bound(grid, flat, self.points, self.strength, self.groups, o.rotation, o.divisions, room)
         n_targets = sum(grid.nodes.gather(len(flat)))
         fast, self.account.settings["summation"] = fast_pays(o.summation, n_targets, len(self.points))
         if not fast:
-            return ExactEvaluator(bound)
+            return bound
         self.account.settings |= o.used("summation_tolerance")
         # Imported here, as its loops take a while to load and exact sums need none of them.
         from .fast_idw_sums import FastEvaluator

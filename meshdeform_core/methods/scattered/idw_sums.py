@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -66,21 +66,23 @@ class Bound:
         """Coordinates (n_nodes, 3); of a grid in parts, only the rows that this rank holds."""
         return np.asarray(self.grid.nodes.rows)
 
-    @property
-    def repeats(self) -> int:
-        """Number of steps in which the mean rigid motion is applied."""
-        return self.divisions if self.rotation == "division" else 1
-
-    def displacement(self, fit: SourceValues, flat: IntArray, sums: FloatArray) -> FloatArray:
-        """Displacement (n, 3) of the nodes ``flat`` from their sums (n, 1 + k)."""
-        x = Nodes.of(self.points).at(flat)
-        moved = np.empty_like(x)
-        finish(self.rotation, sums, x - fit.origin, moved, self.repeats, fit.transition)
-        return fit.frame.absolute(x, moved)
+    def displacement(self, fit: SourceValues, flat: IntArray, sums: Sequence[FloatArray]) -> FloatArray:
+        """Displacement (n, 3) of the nodes ``flat`` from the 1 + k columns (n,) of their sums."""
+        x, steps = Nodes.of(self.points).at(flat), self.divisions if self.rotation == "division" else 1
+        return fit.frame.absolute(x, finish(self.rotation, sums, x - fit.origin, steps, fit.transition))
 
     def exact(self, fit: SourceValues, flat: IntArray) -> FloatArray:
         """Displacement (n, 3) of some nodes by exact sums, with which fast ones are compared."""
-        return self.displacement(fit, flat, ExactSums(self, fit.weights).at(flat, fit.values, chunk=_CHECKED))
+        return self.displacement(fit, flat, ExactSums(self, fit.weights).at(flat, fit.values, chunk=_CHECKED).T)
+
+    def evaluate(self, fit: SourceValues, out: FloatArray, progress: Progress | None) -> None:
+        """Write the displacement of the targets into ``out`` (n_nodes, 3), by exact sums."""
+        rows = Nodes.of(out).rows
+
+        def use(_: slice, flat: IntArray, sums: FloatArray) -> None:
+            rows[flat] = self.displacement(fit, flat, np.ascontiguousarray(sums.T))
+
+        ExactSums(self, fit.weights).apply(fit.values, use, progress=of_stage(progress, "idw"))
 
 
 class ExactSums:
@@ -160,19 +162,3 @@ class ExactSums:
         gradient = np.zeros((k, n))
         gradient[:, self.acting] = sum(totals[portion] for portion in range(self.portions))
         return gradient
-
-
-@dataclass(frozen=True)
-class ExactEvaluator:
-    """Exact sums: every target with every source."""
-
-    bound: Bound
-
-    def evaluate(self, fit: SourceValues, out: FloatArray, progress: Progress | None) -> None:
-        """Write the displacement of the targets into ``out`` (n_nodes, 3)."""
-        bound, rows = self.bound, Nodes.of(out).rows
-
-        def use(_: slice, flat: IntArray, sums: FloatArray) -> None:
-            rows[flat] = bound.displacement(fit, flat, sums)
-
-        ExactSums(bound, fit.weights).apply(fit.values, use, progress=of_stage(progress, "idw"))

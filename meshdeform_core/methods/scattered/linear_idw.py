@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from ...grid import BoolArray, FloatArray, Grid, IntArray
-from ...numerics.fastsum.weighted.sums import FastSums, Scaled
-from ...numerics.rigid import finish
-from ...numerics.tangents import finish_gradients, finish_tangents
-from ...numerics.tape import Tracked, plain
+from ...numerics.fastsum.weighted.sums import FastSums
+from ...numerics.tape import Tape, Tracked, plain
 from ...parallel import Nodes, agreed, empty
 from ..kinks import Kinks
 from .fast_idw_sums import FastEvaluator, fast_sums
-from .idw_sums import Bound, ExactEvaluator, ExactSums, SourceValues, Use, Weights
+from .idw_sums import Bound, ExactSums, SourceValues, Weights
 from .summation import DERIVATIVE_TOLERANCE, MAX_RETRIES, doubtful
 
 _FIRST_SHARE = 1.7
 """Initial error allowed to one cluster, as a multiple of that allowed to the sum; sufficient on the hemispheres, while
 the plates need half of it."""
-# Nodes per chunk when fast sums are checked.
-_CHECKED = 64
+# Nodes per chunk when fast sums are checked, and nodes whose motion is recorded at a time, which bounds the memory.
+_CHECKED, _RECORDED = 64, 1024
 
 Sums = ExactSums | FastSums
 
@@ -38,18 +38,23 @@ class LinearIDW:
     """
 
     def __init__(
-        self, evaluator: ExactEvaluator | FastEvaluator, variable: Tracked, fit: SourceValues, acting: BoolArray,
+        self, evaluator: Bound | FastEvaluator, variable: Tracked, fit: SourceValues, acting: BoolArray,
         alpha: Tracked | None, slope: float, kinks: Kinks,
     ) -> None:  # fmt: skip
-        self._bound, self._tape, self._variable = evaluator.bound, variable.tape, variable.number
-        self._fit, self._slope, self.kinks = fit, slope, kinks
-        self._transition = fit.transition._replace(rest=plain(fit.transition.rest))
-        wanted = {
-            "values": fit.values, "shift": fit.frame.shift, "turn": fit.frame.turn,
-            "rest": fit.transition.rest, "alpha": alpha,
-        }  # fmt: skip
-        self._numbers = {name: each.number for name, each in wanted.items() if isinstance(each, Tracked)}
-        kept = plain(fit.values), acting, isinstance(evaluator, FastEvaluator), self._transition.width > 0.0
+        self._bound = evaluator if isinstance(evaluator, Bound) else evaluator.bound
+        self._variable, self._slope, self.kinks = variable, slope, kinks
+        frame, rest = fit.frame, fit.transition.rest
+        # What every node depends on beside its own sums.
+        common = {"shift": frame.shift, "turn": frame.turn, "rest": rest}
+        self._common = {name: each for name, each in common.items() if isinstance(each, Tracked)}
+        self._tracked = self._common | {"values": fit.values} | ({} if alpha is None else {"alpha": alpha})
+        self._transition = fit.transition._replace(rest=plain(rest))
+        self._fit = dataclasses.replace(
+            fit,
+            frame=dataclasses.replace(frame, shift=plain(frame.shift), turn=plain(frame.turn)),
+            transition=self._transition,
+        )
+        kept = plain(fit.values), acting, evaluator is not self._bound, self._transition.width > 0.0
         self._sums, self._base = _accurate(self._bound, fit.weights, *kept)
         self._near = None
         if slope:
@@ -62,76 +67,77 @@ class LinearIDW:
         """Flat indices (n,) of the target nodes."""
         return self._bound.flat
 
-    def _turned(self) -> FloatArray | None:
-        turn = self._fit.frame.turn
-        return None if turn is None else plain(turn)
-
-    def _seen(self, sums: FloatArray, flat: IntArray) -> FloatArray:
-        """Displaced positions (n, 3) within the frame, relative to the centre of the mean rotation."""
-        assert self._fit.frame.centre is not None
-        bound, points = self._bound, self._bound.points[flat]
-        moved = np.empty_like(points)
-        finish(bound.rotation, sums, points - self._fit.origin, moved, bound.repeats, self._transition)
-        return np.asarray(moved + points - self._fit.frame.centre)
+    def _recorded(self, flat: IntArray, sums: FloatArray) -> tuple[Tracked, list[Tracked], dict[str, Tracked]]:
+        """Displacement of some nodes, recorded from the columns of their sums and from what they have in common."""
+        tape, fit = Tape(), self._fit
+        columns = [tape.variable(column) for column in sums.T]
+        common = {name: tape.variable(plain(each)) for name, each in self._common.items()}
+        frame = {name: each for name, each in common.items() if name != "rest"}
+        fit = dataclasses.replace(
+            fit,
+            frame=dataclasses.replace(fit.frame, **frame),  # type: ignore[arg-type]
+            transition=self._transition._replace(rest=common.get("rest", self._transition.rest)),  # type: ignore[arg-type]
+        )
+        found: Tracked = self._bound.displacement(fit, flat, columns)  # type: ignore[assignment, arg-type]
+        return found, columns, common
 
     def push(self, change: FloatArray, out: FloatArray) -> None:
         """Write the change of the nodes into their rows of ``out`` (n_nodes, 3), for a ``change`` of the sources."""
-        found = dict(
-            zip(self._numbers, self._tape.push({self._variable: change}, list(self._numbers.values())), strict=True)
-        )
-        bound, turn, rest = self._bound, self._turned(), found.get("rest", np.zeros(6))
-        values, common = _apart(found["values"], self._sums.acting)
+        numbers = [each.number for each in self._tracked.values()]
+        given = self._variable.tape.push({self._variable.number: change}, numbers)
+        found, moved = dict(zip(self._tracked, given, strict=True)), Nodes.of(out).rows
+        values, at_rest = _apart(found["values"], self._sums.acting)
 
         def use(rows: slice, flat: IntArray, changes: FloatArray) -> None:
             sums = self._base.rows(rows)
-            changes[:, 1:] += sums[:, :1] * common
+            changes[:, 1:] += sums[:, :1] * at_rest
             if self._near:
                 # The weights themselves change only if alpha is automatic.
                 changes += self._slope * found["alpha"] * self._near.rows(rows)
-            x = bound.points[flat] - self._fit.origin
-            moved = finish_tangents(bound.rotation, sums, x, changes, bound.repeats, self._transition, rest)
-            if turn is not None:
-                moved = moved @ turn.T + self._seen(sums, flat) @ found["turn"].T
-            moved_rows[flat] = moved + found.get("shift", 0.0)
+            for lo in range(0, len(flat), _RECORDED):
+                some = slice(lo, lo + _RECORDED)
+                result, columns, common = self._recorded(flat[some], sums[some])
+                told = {each.number: column for each, column in zip(columns, changes[some].T, strict=True)}
+                told |= {each.number: found[name] for name, each in common.items()}
+                moved[flat[some]] = result.tape.push(told, [result.number])[0]
 
-        moved_rows = Nodes.of(out).rows
-        _push(self._sums, values, use, weigh=False)
+        self._sums.apply(values, use, weigh=False)
 
     def pull(self, gradient: FloatArray) -> FloatArray:
         """Gradient (n_sources, 3) from that of the nodes, rows of ``gradient`` (n_nodes, 3)."""
-        bound, turn, k = self._bound, self._turned(), len(self._fit.values)
-        # For every portion: gradients of shift, turn, rest, alpha, and of the value common to sources at rest.
-        parts = np.zeros((self._sums.portions, 3 + 9 + 6 + 1 + k))
+        bound, k, rows = self._bound, len(self._fit.values), Nodes.of(gradient).rows
+        # For every portion: gradients of what the nodes have in common, and of the values common to sources at rest.
+        sizes = {name: each.shape for name, each in self._common.items()} | {"alpha": (), "at rest": (k,)}
+        parts = {name: np.zeros((self._sums.portions, *size)) for name, size in sizes.items()}
         # With a transition, the last sum is the total weight of the moving sources, which never changes.
         changing = k - 1 if self._transition.width > 0.0 else k
 
         def make(places: slice, flat: IntArray, portion: int) -> FloatArray:
-            g, sums, part = rows[flat], self._base.rows(places), parts[portion]
-            part[:3] += g.sum(axis=0)
-            if turn is not None:
-                part[3:12] += (g.T @ self._seen(sums, flat)).ravel()
-                g = g @ turn
-            x = bound.points[flat] - self._fit.origin
-            found, rest = finish_gradients(bound.rotation, sums, x, g, bound.repeats, self._transition)
-            part[12:18] += rest
+            sums = self._base.rows(places)
+            of_sums = np.empty_like(sums)
+            for lo in range(0, len(flat), _RECORDED):
+                some = slice(lo, lo + _RECORDED)
+                result, columns, common = self._recorded(flat[some], sums[some])
+                wanted = [each.number for each in (*columns, *common.values())]
+                found = result.tape.pull({result.number: rows[flat[some]]}, wanted)
+                of_sums[some] = np.stack(found[: k + 1], axis=1)
+                for name, each in zip(common, found[k + 1 :], strict=True):
+                    parts[name][portion] += each
             if self._near:
-                part[18] += self._slope * np.einsum("nk,nk->", found, self._near.rows(places))
-            part[19:] += sums[:, 0] @ found[:, 1:]
-            return found[:, 1 : 1 + changing]
+                parts["alpha"][portion] += self._slope * np.einsum("nk,nk->", of_sums, self._near.rows(places))
+            parts["at rest"][portion] += sums[:, 0] @ of_sums[:, 1:]
+            return of_sums[:, 1 : 1 + changing]
 
-        acting, rows = self._sums.acting, Nodes.of(gradient).rows
+        acting, total = self._sums.acting, bound.grid.nodes.total
         values = np.zeros((k, np.count_nonzero(acting)))
         own = self._sums.transpose(make, changing)[:, acting]
-        values[:changing] = bound.grid.nodes.total(own)
-        part = bound.grid.nodes.total(parts.sum(axis=0))
+        values[:changing] = total(own)
+        known = {name: total(part.sum(axis=0)) for name, part in parts.items()}
         if not acting.all():
-            values = np.append(values, (part[19:] - values.sum(axis=1))[:, None], axis=1)
-        known = {
-            "values": values, "shift": part[:3], "turn": part[3:12].reshape(3, 3),
-            "rest": part[12:18], "alpha": part[18],
-        }  # fmt: skip
-        given = {number: known[name] for name, number in self._numbers.items()}
-        return self._tape.pull(given, [self._variable])[0]
+            values = np.append(values, (known["at rest"] - values.sum(axis=1))[:, None], axis=1)
+        known["values"] = values
+        given = {each.number: known[name] for name, each in self._tracked.items()}
+        return self._variable.tape.pull(given, [self._variable.number])[0]
 
 
 def _apart(values: FloatArray, acting: BoolArray) -> tuple[FloatArray, FloatArray]:
@@ -162,14 +168,6 @@ def _accurate(
     return exact, _AtNodes(bound.grid, exact, values, transition)
 
 
-def _push(sums: Sums, values: FloatArray, use: Use, weigh: bool = True) -> None:
-    """Sums of values as they are, exact or fast."""
-    if isinstance(sums, FastSums):
-        sums.apply(Scaled.plain(values), use, weigh)
-    else:
-        sums.apply(values, use, weigh)
-
-
 class _AtNodes:
     """Sums (n, 1 + k) of the values at the nodes, stored as total weights and means.
 
@@ -191,7 +189,7 @@ class _AtNodes:
             self._weight[rows, 0], self._weight[rows, -1] = found[:, 0], found[:, -1] if transition else found[:, 0]
             self._means[rows] = found[:, 1 : self._k - lasting] / found[:, :1]
 
-        _push(sums, values, keep)
+        sums.apply(values, keep)
 
     def error(self, bound: Bound, sums: FastSums, weights: Weights, values: FloatArray) -> float:
         """Largest error of a sum of unit values relative to the total weight, at the nodes with the largest error

@@ -65,11 +65,6 @@ class Scaled:
         spread[spread == 0.0] = 1.0
         return cls(values, middle, spread)
 
-    @classmethod
-    def plain(cls, values: FloatArray) -> Scaled:
-        """The values themselves."""
-        return cls(values, np.zeros(len(values)), np.ones(len(values)))
-
     def part(self, which: slice, sources: slice | IntArray) -> FloatArray:
         """The values ``which`` of some sources, (m, s)."""
         rest: FloatArray = self.values[which][:, sources] - self.middle[which, None]
@@ -178,7 +173,7 @@ class FastSums:
 
     def apply(
         self,
-        scaled: Scaled,
+        values: FloatArray | Scaled,
         use: Use,
         weigh: bool = True,
         progress: Report | None = None,
@@ -188,6 +183,7 @@ class FastSums:
         The first column is the total weight of all sources if ``weigh``, else zero. ``use`` is called from several
         threads.
         """
+        scaled = values if isinstance(values, Scaled) else Scaled(values, np.zeros(len(values)), np.ones(len(values)))
         plan, targets, k = self._plan, self.targets, len(scaled.values)
         lasting = plan.key.lasting
         known = plan.weight if plan.weighed and weigh else None
