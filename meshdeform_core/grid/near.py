@@ -10,6 +10,8 @@ from ..numerics.arrays import FloatArray, IntArray, Shapes
 from ..parallel import empty
 
 _LAYERS = 2
+_TOGETHER = 100_000
+"""Rows whose places are computed at a time, which bounds the memory."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -45,21 +47,36 @@ class NearNodes:
     @property
     def rows(self) -> IntArray:
         """Flat indices (n,) of the near nodes, ascending."""
-        # Imported late, as below: `meshdeform info` imports no numba.
-        from ..numerics.near import near_rows
-
-        found = empty([int(self.start[-1])], np.int64)
-        near_rows(self.shapes, self.offsets, self.inside, found)
+        found, at = empty([int(self.start[-1])], np.int64), 0
+        for (ni, nj, nk), offset, ((i0, i1), (j0, j1), (k0, k1)) in zip(
+            self.shapes.tolist(), self.offsets.tolist(), self.inside.tolist(), strict=False
+        ):
+            every, across = np.arange(nj * nk), np.ones((nj, nk), dtype=bool)
+            across[j0:j1, k0:k1] = False
+            for first, last, near in ((0, i0, every), (i0, i1, np.flatnonzero(across)), (i1, ni, every)):
+                part = offset + nj * nk * np.arange(first, last)[:, None] + near
+                found[at : at + part.size] = part.ravel()
+                at += part.size
         return np.asarray(found)
 
     def taken(self, values: FloatArray, rows: IntArray) -> FloatArray | None:
         """The ``values`` (m, 3), one row per near node, of flat indices (n,); ``None`` if any is not near."""
-        from ..numerics.near import near_values
-
         found = empty((len(rows), 3))
-        all_near = near_values(np.ascontiguousarray(rows, dtype=np.int64), *self._table, values, found)
-        return found if all_near else None
+        for lo in range(0, len(rows), _TOGETHER):
+            place = self._places(np.asarray(rows[lo : lo + _TOGETHER], dtype=np.int64))
+            if (place < 0).any():
+                return None
+            found[lo : lo + _TOGETHER] = values[place]
+        return np.asarray(found)
 
-    @property
-    def _table(self) -> tuple[IntArray, ...]:
-        return self.shapes, self.offsets, self.inside, self.start
+    def _places(self, rows: IntArray) -> IntArray:
+        """Position (n,) of each flat index among the near nodes, -1 if it is not near."""
+        block = np.searchsorted(self.offsets, rows, side="right") - 1
+        local, (_, nj, nk) = rows - self.offsets[block], self.shapes[block].T
+        low, high = self.inside[block].transpose(2, 1, 0)
+        at = np.stack([local // (nj * nk), local // nk % nj, local % nk])
+        within, before, width = (at >= low) & (at < high), np.clip(at, low, high) - low, high - low
+        # The nodes inside that come before: of whole planes, of lines in the same plane, and in the same line.
+        inside = before[0] * width[1] * width[2]
+        inside += within[0] * (before[1] * width[2] + within[1] * before[2])
+        return np.where(within.all(axis=0), -1, self.start[block] + local - inside)

@@ -14,7 +14,6 @@ import numpy as np
 from ..boundary import Kind
 from ..boundary.slip import triangles_of
 from ..grid import FloatArray, IntArray
-from ..numerics.damping import damp_rows
 from ..numerics.geometry.surface import TriangleTree
 from ..parallel import Nodes, for_chunks
 from .base import Problem, Progress, of_stage
@@ -53,12 +52,12 @@ class BesideSlip:
         """Damp the rows of ``out`` (n_nodes, 3) of these nodes, in place."""
         if not len(self.normals):
             return
-        rows, least = Nodes.of(out).rows, self._least
+        rows, least = Nodes.of(out).rows, _ROUND_OFF * float(np.ptp(self._problem.source_points, axis=0).max())
 
         def work(lo: int, hi: int) -> None:
             flat = self._flat[lo:hi]
             if np.abs(rows[flat] @ self.normals.T).max() > least:
-                damp_rows(rows, flat, self.normals, self._kept(lo, hi), least)
+                _damp(rows, flat, self.normals, self._kept(lo, hi), least)
 
         for_chunks(work, len(self._flat), _CHUNK, of_stage(progress, "beside slip sides"))
         self._done()
@@ -67,7 +66,7 @@ class BesideSlip:
         """As :meth:`apply`, for ``values`` (n_nodes, 3) of any magnitude, such as changes or gradients."""
         for lo in range(0, len(self._flat) if len(self.normals) else 0, _CHUNK):
             hi = min(lo + _CHUNK, len(self._flat))
-            damp_rows(values, self._flat[lo:hi], self.normals, self._kept(lo, hi), 0.0)
+            _damp(values, self._flat[lo:hi], self.normals, self._kept(lo, hi), 0.0)
         self._done()
 
     def _done(self) -> None:
@@ -91,10 +90,6 @@ class BesideSlip:
         return np.stack([lost(place(to_wall, to_side)) for to_side in to_sides], axis=1)
 
     @cached_property
-    def _least(self) -> float:
-        return _ROUND_OFF * float(np.ptp(self._problem.source_points, axis=0).max())
-
-    @cached_property
     def trees(self) -> Sequence[TriangleTree]:
         """Search trees, over unique nodes, of the moving faces and of the slip sides of each normal."""
         problem, corners = self._problem, self._problem.topology.quads.corners
@@ -105,6 +100,30 @@ class BesideSlip:
         every = [walls, *(triangles_of(corners[quads]) for _, quads in problem.boundary.slip.sides)]
         points = problem.grid.nodes.at(problem.topology.first)
         return [TriangleTree(points, triangles) for triangles in every]
+
+
+def _damp(values: FloatArray, rows: IntArray, normals: FloatArray, parts: FloatArray, least: float) -> None:
+    """``values[r] = (I + sum_k c_k n_k n_k^T)^-1 values[r]`` for the given rows, each once; c = part / (1 - part).
+
+    ``normals`` (k, 3) are unit vectors; ``parts`` (n, k) is the part of the component along each normal to be removed,
+    from 0 (none) to 1 (all). Rows without a component larger than ``least`` remain unchanged. The inverse is built up
+    normal by normal with the Sherman-Morrison formula.
+    """
+    # No matrix products, whose last bits depend on how many rows there are.
+    given = values[rows]
+    acts = (np.abs(np.einsum("nd,kd->nk", given, normals)) > least).any(axis=1)
+    rows, given, parts = rows[acts], given[acts], parts[acts]
+    x, before = given.copy(), list[tuple[FloatArray, FloatArray]]()
+    for normal, part in zip(normals, parts.T, strict=True):
+        way = np.tile(normal, (len(given), 1))
+        for other, factor in before:
+            way -= (factor * np.einsum("nd,d->n", other, normal))[:, None] * other
+        rest = 1.0 - part + part * np.einsum("nd,d->n", way, normal)
+        # Zero where the preceding normals leave no component along this one.
+        factor = np.divide(part, rest, out=np.zeros_like(rest), where=rest > 1e-12)
+        x -= (factor * np.einsum("nd,nd->n", way, given))[:, None] * way
+        before.append((way, factor))
+    values[rows] = x
 
 
 def place(to_wall: FloatArray, to_side: FloatArray) -> FloatArray:

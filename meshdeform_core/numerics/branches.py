@@ -12,9 +12,8 @@ import math
 import numpy as np
 import scipy
 
-from .arrays import FloatArray, IntArray, lengths
+from .arrays import FloatArray, IntArray, lengths, spans
 from .geometry.coincidence import connected_components
-from .jit import kernel
 from .tape import Tracked, plain
 
 _FULL = 2 * math.pi
@@ -37,11 +36,6 @@ def nearest_branch(vectors: FloatArray, reference: FloatArray) -> FloatArray:
     return vectors + (_FULL * turns)[:, None] * axis
 
 
-def is_ambiguous(vectors: FloatArray) -> bool:
-    """Whether any rotation vector (n, 3) is long enough to be opposite to those of its neighbours."""
-    return bool((lengths(vectors) > _CERTAIN).any())
-
-
 def continuous(vectors: FloatArray, pairs: IntArray) -> FloatArray:
     """Rotation vectors (n, 3) of the same rotations that are continuous along every connected surface.
 
@@ -54,14 +48,16 @@ def continuous(vectors: FloatArray, pairs: IntArray) -> FloatArray:
     """
     if isinstance(vectors, Tracked):
         return nearest_branch(vectors, continuous(plain(vectors), pairs))
-    if not len(pairs) or not is_ambiguous(vectors):
-        return vectors
     angle = lengths(vectors)
+    if not len(pairs) or not (angle > _CERTAIN).any():
+        return vectors
     label = connected_components(len(vectors), pairs)
     turning = np.unique(label[angle > _CERTAIN])
     rows = np.flatnonzero(np.isin(label, turning))
     found = vectors.copy()
-    _along_surfaces(found, rows[np.argsort(angle[rows], kind="stable")], *_adjacency(pairs, len(vectors)))
+    ordered = rows[np.argsort(angle[rows], kind="stable")]
+    # From the node of each surface that turns least.
+    _along_surfaces(found, ordered[np.unique(label[ordered], return_index=True)[1]], pairs)
     too_far = np.unique(label[lengths(found) > _LARGEST])
     found[np.isin(label, too_far)] = vectors[np.isin(label, too_far)]
     rows = rows[np.argsort(label[rows], kind="stable")]
@@ -96,41 +92,20 @@ def _cost(mean: FloatArray, lead: FloatArray) -> float:
     return float(mean @ mean + _AGREEMENT * (apart @ apart))
 
 
-def _adjacency(pairs: IntArray, n: int) -> tuple[IntArray, IntArray]:
-    matrix = scipy.sparse.csr_matrix((np.ones(len(pairs), dtype=bool), pairs.T), shape=(n, n))
-    return matrix.indptr.astype(np.int64), matrix.indices.astype(np.int64)
-
-
-@kernel("f8[:, ::1], i8[::1], i8[::1], i8[::1]")
-def _along_surfaces(vectors, seeds, start, neighbour):
-    """Every node takes the rotation vector nearest to that of the node from which it is reached first, in place.
-
-    ``seeds``: nodes at which the traversal may begin, in order of preference; the neighbours of node n are
-    ``neighbour[start[n]:start[n + 1]]``.
-    """
-    n_nodes = vectors.shape[0]
-    reached = np.zeros(n_nodes, np.bool_)
-    queue = np.empty(n_nodes, np.int64)
-    for seed in seeds:
-        if reached[seed]:
-            continue
-        reached[seed] = True
-        queue[0], head, tail = seed, 0, 1
-        while head < tail:
-            here = queue[head]
-            head += 1
-            for place in range(start[here], start[here + 1]):
-                there = neighbour[place]
-                if reached[there]:
-                    continue
-                reached[there] = True
-                queue[tail] = there
-                tail += 1
-                x, y, z = vectors[there, 0], vectors[there, 1], vectors[there, 2]
-                angle = math.sqrt(x * x + y * y + z * z)
-                if angle > 0.0:
-                    along = (x * vectors[here, 0] + y * vectors[here, 1] + z * vectors[here, 2]) / angle
-                    turns = np.rint((along - angle) / _FULL)
-                    if turns != 0.0:
-                        factor = 1.0 + turns * _FULL / angle
-                        vectors[there, 0], vectors[there, 1], vectors[there, 2] = factor * x, factor * y, factor * z
+def _along_surfaces(vectors: FloatArray, seeds: IntArray, pairs: IntArray) -> None:
+    """Every node takes the rotation vector nearest to that of the node from which it is reached first, in place;
+    ``seeds`` are the nodes at which surfaces are entered, one each."""
+    graph = scipy.sparse.csr_matrix((np.ones(len(pairs), dtype=bool), pairs.T), shape=(len(vectors),) * 2)
+    reached, here = np.zeros(len(vectors), dtype=bool), seeds
+    while len(here):
+        reached[here] = True
+        start = graph.indptr[here]
+        run, place = spans(graph.indptr[here + 1] - start)
+        there, before = graph.indices[start[run] + place], here[run]
+        new = ~reached[there]
+        # In the order in which they are reached.
+        first = np.sort(np.unique(there[new], return_index=True)[1])
+        there, before = there[new][first], before[new][first]
+        turns = lengths(vectors[there]) > 0.0
+        vectors[there[turns]] = nearest_branch(vectors[there[turns]], vectors[before[turns]])
+        here = there

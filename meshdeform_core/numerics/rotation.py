@@ -7,12 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
-from .arrays import BoolArray, FloatArray, IntArray, lengths
-from .branches import continuous, is_ambiguous, nearest_branch
+from .arrays import BoolArray, FloatArray, IntArray, lengths, places_among
+from .branches import continuous, nearest_branch
 from .geometry.quaternions import dot, multiply, rotate, rotation_vector
 from .tape import Tracked, plain
 
@@ -43,9 +42,12 @@ class SurfaceRotations:
     def __init__(
         self, points: FloatArray, corners: IntArray, edges: IntArray, plane_normal: FloatArray | None = None
     ) -> None:
-        self._points, self._corners, self._edges, self._plane_normal = points, corners, edges, plane_normal
-        self._last: _Turned | None = None
-        self._moved: tuple[BoolArray, _Part] | None = None
+        # Many more nodes have no face here than have one.
+        self._nodes = np.unique(corners)
+        self._place = places_among(self._nodes, len(points))
+        self._points, self._corners, self._edges = points[self._nodes], self._place[corners], self._place[edges]
+        self._plane_normal = plane_normal
+        self._last: tuple[FloatArray, tuple[FloatArray, FloatArray]] | None = None
 
     @cached_property
     def _normals(self) -> FloatArray:
@@ -53,7 +55,7 @@ class SurfaceRotations:
 
     def folded(self, displacement: FloatArray) -> int:
         """Number of nodes whose faces cancel after a displacement (n, 3), or before it, but not both."""
-        after = _node_normals(self._points + displacement, self._corners, self._plane_normal)
+        after = _node_normals(self._points + displacement[self._nodes], self._corners, self._plane_normal)
         return int(np.count_nonzero(self._normals.any(axis=1) != after.any(axis=1)))
 
     def quaternions(self, displacement: FloatArray) -> FloatArray:
@@ -62,73 +64,37 @@ class SurfaceRotations:
         Signs are continuous between neighbours: scalar parts are negative where :meth:`vectors` are longer than pi.
         The last result is kept, as methods, warnings and reports all need it for the same displacement.
         """
-        if isinstance(displacement, Tracked):
-            return self._differentiated(displacement)[0]
-        turned, found = self._of(displacement), np.zeros((len(displacement), 4))
-        found[:, 0] = 1.0
-        found[turned.rows] = turned.quaternions
-        return found
+        found, identity = self._of(displacement)[0], np.array([[1.0, 0.0, 0.0, 0.0]])
+        return np.concatenate([found, identity])[self._place]
 
     def vectors(self, displacement: FloatArray) -> FloatArray:
         """Rotation vectors (n, 3) of :meth:`quaternions`, radians, continuous along every surface."""
+        return np.concatenate([self._of(displacement)[1], np.zeros((1, 3))])[self._place]
+
+    def _of(self, displacement: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Quaternions and vectors of the nodes with faces."""
+        inside = displacement[self._nodes]
         if isinstance(displacement, Tracked):
-            return self._differentiated(displacement)[1]
-        turned, found = self._of(displacement), np.zeros((len(displacement), 3))
-        found[turned.rows] = turned.vectors
-        return found
+            return self._turned(inside)
+        if self._last is None or not np.array_equal(self._last[0], inside):
+            self._last = inside, self._turned(inside)
+        return self._last[1]
 
-    def _of(self, displacement: FloatArray) -> _Turned:
-        """The rotations of the nodes that turn, few of those at rest."""
-        part = self._part_moved_by(displacement)
-        inside, last = displacement[part.nodes], self._last
-        if last is None or last.part is not part or not np.array_equal(last.displacement, inside):
-            rows = part.nodes[part.turning]
-            found = np.empty((0, 4))
-            if rows.size:
-                found = part.surface._fitted(part.surface._points + inside)[part.turning]
-            vectors = self._continuous(rotation_vector(found), rows)
-            found[lengths(vectors) > np.pi] *= -1.0
-            self._last = last = _Turned(part, inside, rows, found, vectors)
-        return last
-
-    def _continuous(self, vectors: FloatArray, rows: IntArray) -> FloatArray:
-        """:func:`.branches.continuous` for the rotation vectors of some ``rows``; the other nodes do not turn."""
-        if not is_ambiguous(vectors):
-            return vectors
-        whole = np.zeros((len(self._points), 3))
-        whole[rows] = vectors
-        return continuous(whole, neighbours(self._corners, self._edges, self._plane_normal))[rows]
-
-    def _differentiated(self, displacement: Tracked) -> tuple[FloatArray, FloatArray]:
-        """:meth:`_of` with derivatives; nodes at rest are included, as they turn once they or their neighbours move."""
-        found = self._fitted(self._points + displacement)
+    def _turned(self, displacement: FloatArray) -> tuple[FloatArray, FloatArray]:
+        found = np.array([[1.0, 0.0, 0.0, 0.0]])[np.zeros(len(displacement), dtype=np.int64)]
+        turning = np.ones(len(displacement), dtype=bool)
+        if not isinstance(displacement, Tracked):
+            # No round-off where all faces of a node are at rest; in 2-D, an edge of the curve is a face of both ends.
+            touched = self._corners[(displacement != 0.0).any(axis=1)[self._corners].any(axis=1)]
+            turning = np.zeros(len(displacement), dtype=bool)
+            turning[touched if self._plane_normal is not None else touched[:, 0]] = True
+        if turning.all():
+            found = self._fitted(self._points + displacement)
+        elif turning.any():
+            found[turning] = self._fitted(self._points + displacement)[turning]
         vectors = continuous(rotation_vector(found), neighbours(self._corners, self._edges, self._plane_normal))
         found[lengths(vectors) > np.pi] *= -1.0
         return found, vectors
-
-    def _part_moved_by(self, displacement: FloatArray) -> _Part:
-        """The part of the surface whose nodes may turn, usually the same at all levels of a series."""
-        x, y, z = displacement.T
-        moved = (x != 0.0) | (y != 0.0) | (z != 0.0)
-        if self._moved is None or not np.array_equal(self._moved[0], moved):
-            self._moved = moved, self._part(moved)
-        return self._moved[1]
-
-    def _part(self, moved: BoolArray) -> _Part:
-        """The nodes of faces with a ``moved`` node, and all nodes that their rotation depends on."""
-        corners, edges = self._corners, self._edges
-        turning, needed = np.zeros(len(moved), dtype=bool), np.zeros(len(moved), dtype=bool)
-        touched = corners[moved[corners].any(axis=1)]
-        # In 2-D an edge of the curve is a corner of both its ends.
-        plane = self._plane_normal is not None
-        turning[touched if plane else touched[:, 0]] = True
-        chosen = turning[corners].any(axis=1) if plane else turning[corners[:, 0]]
-        sides = edges[turning[edges[:, 0]]]
-        needed[corners[chosen]] = True
-        needed[sides] = True
-        nodes, number = np.flatnonzero(needed), np.cumsum(needed, dtype=corners.dtype) - 1
-        part = SurfaceRotations(self._points[nodes], number[corners[chosen]], number[sides], self._plane_normal)
-        return _Part(part, nodes, np.flatnonzero(turning[nodes]))
 
     def _fitted(self, after: FloatArray) -> FloatArray:
         before, edges, normals = self._points, self._edges, _node_normals(after, self._corners, self._plane_normal)
@@ -187,25 +153,6 @@ def _mean_angles(angle: FloatArray, weight: FloatArray, node: IntArray, n: int) 
         spread = np.bincount(node, weight * apart, minlength=n) / total
         mean = np.where(large, middle + spread, mean)
     return mean
-
-
-class _Part(NamedTuple):
-    """A part of a surface: its nodes, as rows of the whole, and those among them (``turning``) whose faces are all in
-    it."""
-
-    surface: SurfaceRotations
-    nodes: IntArray
-    turning: IntArray
-
-
-class _Turned(NamedTuple):
-    """Rotations of the nodes ``rows`` of a surface, for a ``displacement`` of the nodes of a part of it."""
-
-    part: _Part
-    displacement: FloatArray
-    rows: IntArray
-    quaternions: FloatArray
-    vectors: FloatArray
 
 
 def near_sharp_edges(

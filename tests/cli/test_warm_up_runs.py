@@ -15,11 +15,9 @@ import pytest
 from meshdeform_cli.work import cells_of
 from meshdeform_core.deform import Case, Result, deform, set_up
 from meshdeform_core.grid import Grid
-from meshdeform_core.grid.near import NearNodes
 from meshdeform_core.methods import IDW, RBF, Options, make_method
-from meshdeform_core.numerics.damping import damp_rows
 from meshdeform_core.numerics.exact.basis import BASES
-from meshdeform_core.numerics.fastsum.radial.nested import NestedSums
+from meshdeform_core.numerics.fastsum.nested import NestedSums
 from meshdeform_core.repair import Mode, RepairOptions
 from meshdeform_core.repair.derivative import derivative_of_repair
 from meshdeform_core.series import Schedule, deform_series
@@ -53,7 +51,6 @@ def runs() -> Iterator[Callable[[], object]]:
     yield partial(_deformed, "airfoil", 33, Options("idw-tfi"))
     yield partial(_series, "square", 11, Options("tfi"))
     yield partial(_derivatives, "hemisphere", 8, Options("tfi"))
-    yield _others
 
 
 def _sample(name: str, size: int, method: Options, repair: Mode = "auto", **constants: float) -> tuple[Grid, Case]:
@@ -95,15 +92,6 @@ def _pictures(name: str, size: int, method: Options) -> None:
     with_fields(cells_of(result.setup, result.grid), [ALL])
     setup = result.setup
     page_png(quality_planes(Pair(setup.grid, result.grid, setup.topology, original=setup.original))[1], dpi=10)
-
-
-def _others() -> None:
-    """Loops that no run of a small sample needs: displacements beside slip sides and normal to them, and what
-    ranks know of each other's nodes."""
-    damp_rows(np.ones((1, 3)), np.zeros(1, dtype=np.int64), np.eye(3), np.ones((1, 3)), 0.0)
-    grid, _ = generate("square", 11)
-    near = NearNodes.of(grid.shapes, grid.offsets)
-    near.taken(np.zeros((len(near.rows), 3)), near.rows)
 
 
 def _nested_sums() -> None:
