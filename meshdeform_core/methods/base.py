@@ -245,21 +245,6 @@ class PreparedMethod(Protocol):
         ...
 
 
-class LinearMover(Protocol):
-    """Derivative of the first step of a method at one displacement."""
-
-    kinks: Kinks
-
-    def push(self, change: FloatArray, out: FloatArray) -> FloatArray:
-        """As :meth:`Mover.move`, for a ``change`` (n_sources, 3) of the displacement."""
-        ...
-
-    def pull(self, face: FloatArray, gradient: FloatArray) -> FloatArray:
-        """Gradient (n_sources, 3) from those of the nodes on block faces (n_unique, 3) and, rows of ``gradient``
-        (n_nodes, 3), inside blocks; both are overwritten."""
-        ...
-
-
 class Mover(Protocol):
     """The first step of a method, bound to the nodes that it moves."""
 
@@ -277,30 +262,13 @@ class Mover(Protocol):
         """
         ...
 
-    def linearised(self, displacement: FloatArray) -> LinearMover:
-        """The derivative at a displacement (n_sources, 3)."""
-        ...
+    def linearised(self, displacement: FloatArray) -> Any:
+        """The derivative at a displacement (n_sources, 3), with ``kinks`` as :class:`Linearised`.
 
-
-class Evaluator(Protocol):
-    """An interpolation bound to its target nodes."""
-
-    def evaluate(self, fit: Any, out: FloatArray, progress: Progress | None) -> None:
-        """Write the displacement of the target nodes into their rows of ``out`` (n_nodes, 3)."""
-        ...
-
-
-class LinearNodes(Protocol):
-    """Derivative of the displacement of the nodes of an evaluator at one displacement of the sources."""
-
-    kinks: Kinks
-
-    def push(self, change: FloatArray, out: FloatArray) -> None:
-        """Write the change of the nodes into their rows of ``out`` (n_nodes, 3), for a ``change`` of the sources."""
-        ...
-
-    def pull(self, gradient: FloatArray) -> FloatArray:
-        """Gradient (n_sources, 3) from that of the nodes, rows of ``gradient`` (n_nodes, 3)."""
+        ``push(change, out)`` is as :meth:`move` for a ``change`` of the displacement; ``pull(face, gradient)`` returns
+        the gradient (n_sources, 3) from those of the nodes on block faces (n_unique, 3) and, rows of ``gradient``
+        (n_nodes, 3), inside blocks, and overwrites both.
+        """
         ...
 
 
@@ -309,8 +277,12 @@ class PreparedInterpolation(Protocol):
 
     account: Account
 
-    def at(self, flat: IntArray) -> Evaluator:
-        """Bind to the target nodes ``flat`` of the grid."""
+    def at(self, flat: IntArray) -> Any:
+        """Bind to the target nodes ``flat`` of the grid.
+
+        ``evaluate(fit, out, progress)`` of the evaluator that this returns writes their displacement into the rows of
+        ``out`` (n_nodes, 3).
+        """
         ...
 
     def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
@@ -321,8 +293,12 @@ class PreparedInterpolation(Protocol):
         """Fit the displacement (n_sources, 3) of the sources; returns the coefficients for the evaluation."""
         ...
 
-    def linearised(self, evaluator: Any, displacement: FloatArray) -> LinearNodes:
-        """The derivative of the displacement of an evaluator's nodes at a displacement (n_sources, 3)."""
+    def linearised(self, evaluator: Any, displacement: FloatArray) -> Any:
+        """The derivative of the displacement of an evaluator's nodes at a displacement (n_sources, 3).
+
+        It has ``kinks`` as :class:`Linearised`; ``push(change, out)`` writes the change of the nodes into their rows of
+        ``out`` (n_nodes, 3), and ``pull(gradient)`` returns the gradient (n_sources, 3) from these rows.
+        """
         ...
 
 

@@ -18,7 +18,7 @@ from ..grid import FloatArray, IntArray
 from ..memory import release_freed
 from ..parallel import Nodes
 from ..wording import vector
-from .base import Account, Interpolation, LinearMover, Mover, PreparedMethod, Problem, Progress
+from .base import Account, Interpolation, Mover, PreparedMethod, Problem, Progress
 from .beside_slip import BesideSlip
 from .constraints import Constraints, add_to_faces, impose
 from .transfinite.edge_graph import PreparedEdgeGraph
@@ -114,7 +114,7 @@ class Scattered:
         face[self.problem.source_numbers] = displacement
         return face
 
-    def linearised(self, displacement: FloatArray) -> LinearMover:
+    def linearised(self, displacement: FloatArray) -> _LinearScattered:
         return _LinearScattered(self, displacement)
 
 

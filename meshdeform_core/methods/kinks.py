@@ -14,10 +14,9 @@ Kinks = Counter[str]
 """Number of places by kind, one of the texts below, in which ``{}`` stands for the number."""
 
 EDGES = "{} nodes that slide on curved surfaces are at edges of their flat faces, where there is no derivative"
-CHOSEN = "the centres that the greedy reduction has chosen are held fixed"
-UNCHOSEN = (
-    "the greedy reduction chooses centres for each displacement, and nothing has moved; the derivative is that of the "
-    "interpolation with all centres"
+CHOSEN = (
+    "the greedy reduction chooses centres for each displacement; the derivative is that of the interpolation with all "
+    "centres"
 )
 HALF_TURNS = (
     "{} wall nodes turn by 180 degrees, where the direction of rotation jumps; the derivative is that on one side"

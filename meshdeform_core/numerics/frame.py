@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -63,7 +64,12 @@ class Frame:
         if flat or plain(left) >= _FOLLOWS * plain(whole):
             return cls(shift, turn, centre, turn)
         turn = turn + (affine - turn) * (1.0 - left / (_FOLLOWS * whole)) ** 2
-        return cls(shift, turn, centre, _transposed_inverse(turn))
+        inverse: FloatArray = np.linalg.inv(plain(turn)).T
+        back: Any = inverse
+        if isinstance(turn, Tracked):
+            # The derivative is its own transpose.
+            back = turn.tape.result(inverse, [(turn, *2 * (lambda t: -inverse @ t.T @ inverse,))])
+        return cls(shift, turn, centre, back)
 
     def relative(self, points: FloatArray, displacement: FloatArray) -> FloatArray:
         """Displacement (n, 3) of ``points`` (n, 3) as seen from the frame."""
@@ -82,14 +88,6 @@ class Frame:
         carried = (points - self.centre) @ (self.turn - np.eye(3)).T
         moved: FloatArray = displacement @ self.turn.T + carried + self.shift
         return moved
-
-
-def _transposed_inverse(matrix: FloatArray) -> FloatArray:
-    """The transpose (3, 3) of the inverse of a matrix."""
-    found: FloatArray = np.linalg.inv(plain(matrix)).T
-    if not isinstance(matrix, Tracked):
-        return found
-    return matrix.tape.result(found, [(matrix, lambda t: -found @ t.T @ found, lambda g: -found @ g.T @ found)])
 
 
 def _nearest_rotation(moment: FloatArray) -> FloatArray:

@@ -14,6 +14,7 @@ import numpy as np
 from .arrays import FloatArray
 from .tape import plain
 
+Columns = Sequence[FloatArray] | FloatArray
 Triple = tuple[FloatArray, FloatArray, FloatArray]
 """The three components (n,) of vectors, apart: short rows would take most of the time."""
 _SMALL = 1e-2
@@ -44,7 +45,7 @@ WIDTHS = {"none": 3, "quaternion": 7, "division": 7, "blend": 12, "lie": 6}
 
 def finish(
     kind: str,
-    sums: Sequence[FloatArray],
+    sums: Columns,
     points: FloatArray,
     steps: int = 1,
     transition: Transition = NO_TRANSITION,
@@ -71,7 +72,7 @@ def finish(
         else:
             # Mean of the predicted positions R_i (x - x_i) + y_i (Luke et al. 2012): an affine map of x.
             linear = [sums[d] * x + sums[d + 1] * y + sums[d + 2] * z for d in (1, 4, 7)]
-            found = tuple((part + sums[10 + d]) * inverse for d, part in enumerate(linear))  # type: ignore[assignment]
+            found = tuple((part + sums[10 + d]) * inverse for d, part in enumerate(linear))
     return np.stack(found, axis=1)
 
 
@@ -79,7 +80,7 @@ def _cross(a: Triple, b: Triple) -> Triple:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-def _by_quaternion(sums: Sequence[FloatArray], x: Triple, steps: int) -> Triple:
+def _by_quaternion(sums: Columns, x: Triple, steps: int) -> Triple:
     """Mean quaternion, normalised, and mean translation (eqs. 19, 20), applied ``steps`` times (eqs. 26-28)."""
     q0, q1, q2, q3 = sums[1:5]
     norm, inverse = 1.0 / np.sqrt(q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3), 1.0 / sums[0]
@@ -94,7 +95,7 @@ def _by_quaternion(sums: Sequence[FloatArray], x: Triple, steps: int) -> Triple:
     return d0, d1, d2
 
 
-def _by_twist(sums: Sequence[FloatArray], x: Triple, transition: Transition) -> Triple:
+def _by_twist(sums: Columns, x: Triple, transition: Transition) -> Triple:
     """Exponential of the mean twist: (R - 1) x + V v with R = exp w."""
     if transition.width > 0.0:
         moving = sums[7]

@@ -275,10 +275,6 @@ def _products(function: Callable[..., Any], rule: str, operands: Any) -> Tracked
     return _tape_of(operands).result(np.einsum(rule, *values), links)
 
 
-def _einsum(rule: str, *operands: Any) -> Tracked:
-    return _products(np.einsum, rule, operands)
-
-
 def _where(mask: Any, yes: Any, no: Any) -> Tracked:
     mask = plain(mask)
     value = np.where(mask, plain(yes), plain(no))
@@ -329,21 +325,13 @@ def _bincount(places: Any, weights: Tracked, minlength: int = 0) -> Tracked:
     )
 
 
-def _norm(x: Tracked, axis: int | None = None, keepdims: bool = False) -> Any:
-    return np.sqrt((x * x).sum(axis=axis, keepdims=keepdims))
-
-
-def _zeros_like(x: Tracked) -> Tracked:
-    return x.tape.result(np.zeros(x.shape), [])
-
-
 _FUNCTIONS: dict[Any, Callable[..., Any]] = {
-    np.einsum: _einsum,
+    np.einsum: lambda rule, *operands: _products(np.einsum, rule, operands),
     np.where: _where,
     np.concatenate: lambda parts, axis=0: _joined(np.concatenate, parts, axis),
     np.stack: lambda parts, axis=0: _joined(np.stack, parts, axis),
     np.cross: _cross,
     np.bincount: _bincount,
-    np.linalg.norm: _norm,
-    np.zeros_like: _zeros_like,
+    np.linalg.norm: lambda x, axis=None, keepdims=False: np.sqrt((x * x).sum(axis=axis, keepdims=keepdims)),
+    np.zeros_like: lambda x: x.tape.result(np.zeros(x.shape), []),
 }

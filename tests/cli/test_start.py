@@ -40,8 +40,8 @@ from meshdeform_cli.main import run
 code = run(sys.argv[1:])
 lazy = {
     "scipy.sparse", "scipy.spatial", "scipy.io", "matplotlib", "meshio",
-    "meshdeform_core.numerics.cell.foldover.tangents", "meshdeform_core.numerics.fastsum.radial.sums",
-    "meshdeform_core.numerics.fastsum.weighted.sums", "meshdeform_core.numerics.systems.krylov",
+    "meshdeform_core.numerics.cell.foldover.tangents", "meshdeform_core.numerics.fastsum.radial",
+    "meshdeform_core.numerics.fastsum.weighted", "meshdeform_core.numerics.systems.krylov",
     "meshdeform_formats.picture", "meshdeform_formats.vtk", "meshdeform_formats.report.page",
 }
 print(code, sorted(lazy & set(sys.modules)))

@@ -3,14 +3,19 @@
 import numpy as np
 import pytest
 
-from meshdeform_core.numerics.exact.direct import DOUBLE, SINGLE, sum_groups
+from meshdeform_core.numerics.exact.direct import sum_groups
+from meshdeform_core.numerics.fastsum.plan import sum_single
 
 
-def _sums(targets, sources, charges, a, kappa, every=True, precision=SINGLE):
+def _sums(targets, sources, charges, a, kappa, every=True, single=True):
     out = np.zeros((len(targets), 8))
     half = len(sources) // 2
     pieces, span = np.array([[0, half], [half, len(sources)]]), np.array([[0, len(targets)]])
-    sum_groups(targets, span, sources, charges, pieces, np.array([[0, 2]]), a, 5.0, kappa, every, precision, out)
+    groups = targets, span, sources, charges, pieces, np.array([[0, 2]])
+    if single:
+        sum_single(*groups, a, kappa, every, out)
+    else:
+        sum_groups(*groups, a, 5.0, kappa, every, out)
     return out
 
 
@@ -22,15 +27,15 @@ def _exact(targets, sources, charges, a, kappa):
 
 @pytest.mark.parametrize("a", [3.0, 4.0])
 @pytest.mark.parametrize("kappa", [0.3, 1e12])
-@pytest.mark.parametrize(("precision", "error"), [(SINGLE, 2e-5), (DOUBLE, 1e-14)])
+@pytest.mark.parametrize(("single", "error"), [(True, 2e-5), (False, 1e-14)])
 @pytest.mark.parametrize("n_sources", [7, 1300])
-def test_as_plain_numpy(a, kappa, n_sources, precision, error):
+def test_as_plain_numpy(a, kappa, n_sources, single, error):
     random = np.random.default_rng(0)
     targets, sources = 50.0 + random.random((33, 3)), 50.7 + random.random((n_sources, 3))
     charges = random.standard_normal((n_sources, 8))
     wanted, size = _exact(targets, sources, charges, a, kappa)
-    assert np.abs((_sums(targets, sources, charges, a, kappa, True, precision) - wanted) / size).max() < error
-    some = _sums(targets, sources, charges, a, kappa, False, precision)
+    assert np.abs((_sums(targets, sources, charges, a, kappa, True, single) - wanted) / size).max() < error
+    some = _sums(targets, sources, charges, a, kappa, False, single)
     assert not some[:, [0, 7]].any()
     assert np.abs((some - wanted)[:, 1:7] / size[:, 1:7]).max() < error
 

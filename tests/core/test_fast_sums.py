@@ -14,9 +14,8 @@ from meshdeform_core.methods import IDW, RBF, Options, make_method
 from meshdeform_core.methods.scattered import fast_idw_sums
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.exact.radial import radial_sums
-from meshdeform_core.numerics.fastsum.clusters.targets import node_sizes, shape_table
-from meshdeform_core.numerics.fastsum.radial.sums import FastRadial
-from meshdeform_core.numerics.fastsum.radial.targets import make_radial_targets
+from meshdeform_core.numerics.fastsum.radial import FastRadial, make_radial_targets
+from meshdeform_core.numerics.fastsum.targets import node_sizes, shape_table
 
 VARIANTS = {
     "none": {"rotation": "none"},

@@ -14,11 +14,9 @@ from meshdeform_core.methods.scattered.centres import Centres
 from meshdeform_core.methods.scattered.radial_system import RadialSystem
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.exact.radial import radial_matrix, radial_sums
-from meshdeform_core.numerics.systems import schwarz
 from meshdeform_core.numerics.systems.krylov import KrylovSolver
 from meshdeform_core.numerics.systems.products import ExactProduct
 from meshdeform_core.numerics.systems.saddle import DirectSolver
-from meshdeform_core.numerics.systems.schwarz import SchwarzPreconditioner
 
 
 def system(points: np.ndarray, basis: str, radius: float | None) -> tuple[KrylovSolver, Centres, int]:
@@ -48,19 +46,6 @@ def test_solution_is_that_of_the_factorised_system(name, basis, reach):
     one, two = (radial_sums(kind, between, x, c) + centres.polynomial(between) @ p
                 for c, p in [(found.coefficients, found.polynomial), known])  # fmt: skip
     assert np.abs(one - two).max() < 2e-5 * np.abs(told).max()
-
-
-def test_large_coarse_level_has_a_coarse_level_of_its_own(monkeypatch):
-    monkeypatch.setattr(schwarz, "_DIRECT", 600)
-    monkeypatch.setattr(schwarz, "COARSENING", 4)
-    monkeypatch.setattr(schwarz, "_SPARSEST", 0)
-    solver, centres, _ = system(sphere(4000), "tps", None)
-    found = solver.solve(bend(centres.points), 1e-6, 40)
-    inner = solver.preconditioner._next._solver
-    assert isinstance(inner.preconditioner, SchwarzPreconditioner)
-    assert len(inner.preconditioner._coarse) < 600
-    assert found.residual.max() <= 1e-6
-    assert found.iterations <= 10
 
 
 def test_dependent_and_empty_columns():

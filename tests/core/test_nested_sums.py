@@ -12,7 +12,7 @@ from meshdeform_core.methods.scattered.centres import Centres
 from meshdeform_core.methods.scattered.radial_system import RadialSystem
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.exact.radial import radial_matrix, radial_sums
-from meshdeform_core.numerics.fastsum.radial.nested import NestedSums
+from meshdeform_core.numerics.fastsum.nested import NestedSums
 from meshdeform_core.numerics.systems import products
 from meshdeform_core.numerics.systems.krylov import KrylovSolver
 from meshdeform_core.numerics.systems.products import NestedProduct

@@ -7,8 +7,7 @@ from grids import frame
 
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.exact.radial import radial_sums
-from meshdeform_core.numerics.fastsum.radial.sums import FastRadial
-from meshdeform_core.numerics.fastsum.radial.targets import make_radial_targets
+from meshdeform_core.numerics.fastsum.radial import FastRadial, make_radial_targets
 
 
 def grid_targets(wanted=None):

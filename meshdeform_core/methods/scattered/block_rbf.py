@@ -135,7 +135,7 @@ class PreparedBlockRBF:
             gradient[block.known] += system.solve_transposed(upper, lower)
 
     def _system(self, block: _Block) -> RadialSystem:
-        system = block.system or RadialSystem(self._options.system, block.centres, self._problem.memory)
+        system = block.system or RadialSystem(self._options, block.centres, self._problem.memory)
         block.system = system if self._keep else None
         return system
 

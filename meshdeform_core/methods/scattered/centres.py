@@ -1,4 +1,4 @@
-"""Centres of radial basis functions, the options of their linear system, and its solution.
+"""Centres of radial basis functions, and the solution of their linear system.
 
 Separate from the system and the sums themselves, whose loops take a while to load.
 """
@@ -17,26 +17,6 @@ DIRECT_CENTRES = 4000
 REACH = 20.0
 """Distance from a wall over which nodes are corrected by the residual of a greedy reduction there, as a multiple of the
 residual; large enough that the correction cannot fold cells."""
-
-
-@dataclass(frozen=True)
-class SystemOptions:
-    """The options of :class:`.rbf.RBF` that concern its linear system."""
-
-    basis: str
-    solver: str
-    tolerance: float | str
-    max_iterations: int
-
-
-@dataclass(frozen=True)
-class SumOptions:
-    """The options of :class:`.rbf.RBF` that concern its sums; ``correct``: add the residual of a greedy reduction."""
-
-    basis: str
-    summation: str
-    tolerance: float
-    correct: bool
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from ...grid import BoolArray, FloatArray, IntArray
-from ...numerics.fastsum.clusters.targets import interpolation_order, make_targets
-from ...numerics.fastsum.clusters.tree import build_tree
+from ...numerics.fastsum.clusters import build_tree
+from ...numerics.fastsum.targets import interpolation_order, make_targets
 from ...numerics.fastsum.tuned import SHARE, SINGLE_TOLERANCE
-from ...numerics.fastsum.weighted.sums import Accuracy, FastSums, Scaled
+from ...numerics.fastsum.weighted import Accuracy, FastSums, Scaled
 from ...parallel import Nodes
 from ..base import Account, Progress, of_stage
 from .idw_sums import Bound, SourceValues, Weights

@@ -17,7 +17,7 @@ from ...numerics.arrays import lengths, places_among, weighted_total
 from ...numerics.frame import AT_REST, Frame
 from ...numerics.rigid import NO_TRANSITION
 from ...numerics.tape import Tape, Tracked, plain
-from ..base import Account, LinearNodes, Problem, Progress, Setting
+from ..base import Account, Problem, Progress, Setting
 from ..kinks import FOLDED, HALF_TURNS, LARGEST, half_turns, kinks_of, tied
 from ..limits import LARGEST_ROTATION, PLAIN_ROTATION, warn_of_alpha, warn_of_rotation
 from ..options import MethodOptions, option
@@ -29,6 +29,7 @@ from .tuned import ALPHA_CAP, FAR, FAR_IN_PLANES, FAR_OF_ONE_BODY, ROUNDS, STEEP
 
 if TYPE_CHECKING:
     from .fast_idw_sums import FastEvaluator
+    from .linear_idw import LinearIDW
 
 # Fraction of the remaining memory for data kept between displacements.
 _KEPT = 2
@@ -274,7 +275,7 @@ class PreparedIDW:
             found._share = dataclasses.replace(self._share, moving=self._share.moving[kept])
         return found
 
-    def linearised(self, evaluator: Bound | FastEvaluator, displacement: FloatArray) -> LinearNodes:
+    def linearised(self, evaluator: Bound | FastEvaluator, displacement: FloatArray) -> LinearIDW:
         """The derivative of the displacement of the nodes of ``evaluator`` at a displacement (n_sources, 3).
 
         Rotations, their smoothing and the mean motion are recorded operation by operation.

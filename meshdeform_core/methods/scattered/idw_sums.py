@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,7 +11,7 @@ import numpy as np
 from ...grid import BoolArray, FloatArray, Grid, IntArray
 from ...numerics.exact.direct import N_VALUES, weighted_sums
 from ...numerics.frame import Frame
-from ...numerics.rigid import NO_TRANSITION, Transition, finish
+from ...numerics.rigid import NO_TRANSITION, Columns, Transition, finish
 from ...parallel import Nodes, empty, for_chunks
 from ..base import Progress, of_stage
 
@@ -66,7 +66,7 @@ class Bound:
         """Coordinates (n_nodes, 3); of a grid in parts, only the rows that this rank holds."""
         return np.asarray(self.grid.nodes.rows)
 
-    def displacement(self, fit: SourceValues, flat: IntArray, sums: Sequence[FloatArray]) -> FloatArray:
+    def displacement(self, fit: SourceValues, flat: IntArray, sums: Columns) -> FloatArray:
         """Displacement (n, 3) of the nodes ``flat`` from the 1 + k columns (n,) of their sums."""
         x, steps = Nodes.of(self.points).at(flat), self.divisions if self.rotation == "division" else 1
         return fit.frame.absolute(x, finish(self.rotation, sums, x - fit.origin, steps, fit.transition))
@@ -88,7 +88,7 @@ class Bound:
 class ExactSums:
     """Exact sums of values over the sources, every node with every source, and their transposes.
 
-    Interface as :class:`...numerics.fastsum.weighted.sums.FastSums`; ``acting`` (n,) are the sources with values other
+    Interface as :class:`...numerics.fastsum.weighted.FastSums`; ``acting`` (n,) are the sources with values other
     than zero, by default all.
     """
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
 from ...grid import BoolArray, FloatArray, Grid, IntArray
-from ...numerics.fastsum.weighted.sums import FastSums
+from ...numerics.fastsum.weighted import FastSums
 from ...numerics.tape import Tape, Tracked, plain
 from ...parallel import Nodes, agreed, empty
 from ..kinks import Kinks
@@ -45,9 +46,10 @@ class LinearIDW:
         self._variable, self._slope, self.kinks = variable, slope, kinks
         frame, rest = fit.frame, fit.transition.rest
         # What every node depends on beside its own sums.
-        common = {"shift": frame.shift, "turn": frame.turn, "rest": rest}
-        self._common = {name: each for name, each in common.items() if isinstance(each, Tracked)}
-        self._tracked = self._common | {"values": fit.values} | ({} if alpha is None else {"alpha": alpha})
+        common: dict[str, Any] = {"shift": frame.shift, "turn": frame.turn, "rest": rest}
+        self._common: dict[str, Tracked] = {name: each for name, each in common.items() if isinstance(each, Tracked)}
+        own: dict[str, Any] = {"values": fit.values} if alpha is None else {"values": fit.values, "alpha": alpha}
+        self._tracked: dict[str, Tracked] = self._common | own
         self._transition = fit.transition._replace(rest=plain(rest))
         self._fit = dataclasses.replace(
             fit,
@@ -197,7 +199,9 @@ class _AtNodes:
         if not np.isfinite(self._weight).all():
             return np.inf
         own, common = _apart(values, sums.acting)
-        rows = np.unique(doubtful(bound.grid.points, sums.targets.numbered, sums.risk))
+        order = np.argsort(sums.flat)
+        flat = np.unique(doubtful(bound.grid.points, sums.targets, sums.risk))
+        rows = order[np.searchsorted(sums.flat, flat, sorter=order)]
         exact = ExactSums(bound, weights).at(sums.flat[rows], np.vstack([own, sums.acting]), chunk=_CHECKED)
         exact /= bound.strength.max()
         exact, acting = exact[:, :-1], exact[:, -1]

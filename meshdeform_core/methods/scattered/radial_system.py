@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,7 +17,10 @@ from ...numerics.systems.products import ExactProduct, nested_bytes, product_of
 from ...numerics.systems.saddle import DirectSolver
 from ...parallel import OneRank, Ranks
 from ..base import Account, Progress, Setting, of_stage
-from .centres import DIRECT_CENTRES, Centres, SystemOptions
+from .centres import DIRECT_CENTRES, Centres
+
+if TYPE_CHECKING:
+    from .rbf import RBF
 
 _TOLERANCE = 1e-6
 ROUND_OFF = 1e-13
@@ -29,9 +33,7 @@ class RadialSystem:
     Of several ``ranks`` the first solves it, on all cores of its machine, and the others get the solution.
     """
 
-    def __init__(
-        self, options: SystemOptions, centres: Centres, limit: MemoryLimit = UNLIMITED, ranks: Ranks | None = None
-    ):
+    def __init__(self, options: RBF, centres: Centres, limit: MemoryLimit = UNLIMITED, ranks: Ranks | None = None):
         self._ranks = ranks or OneRank()
         self.options, self.centres = options, centres
         self.kind = BASES[options.basis]
@@ -76,9 +78,7 @@ class RadialSystem:
         return coefficients, polynomial
 
     @classmethod
-    def accurate(
-        cls, options: SystemOptions, centres: Centres, limit: MemoryLimit, ranks: Ranks | None = None
-    ) -> RadialSystem:
+    def accurate(cls, options: RBF, centres: Centres, limit: MemoryLimit, ranks: Ranks | None = None) -> RadialSystem:
         """The system for derivatives: with a direct solution, or an iterative one to round-off; it is factorised here,
         once."""
         system = cls(dataclasses.replace(options, solver="auto", tolerance=ROUND_OFF), centres, limit, ranks)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
@@ -13,18 +12,17 @@ from ...boundary import Kind
 from ...errors import MethodError
 from ...grid import FloatArray, IntArray
 from ...numerics.exact.basis import BASES
-from ...parallel import Nodes
-from ..base import Account, LinearNodes, Problem, Progress, Setting, of_stage
-from ..kinks import CHOSEN, UNCHOSEN, Kinks
+from ..base import Account, Problem, Progress, Setting, of_stage
+from ..kinks import CHOSEN, Kinks
 from ..limits import warn_of_coarse_tolerance, warn_of_radius
 from ..options import MethodOptions, option
-from .centres import DIRECT_CENTRES, REACH, Centres, Coefficients, SumOptions, SystemOptions
+from .centres import DIRECT_CENTRES, REACH, Centres, Coefficients
 from .mirror import mirror_images
 from .summation import Summation, summation_tolerance
 
 if TYPE_CHECKING:
     from ...numerics.systems.greedy import Selection
-    from .rbf_sums import RadialSums
+    from .rbf_sums import LinearRBF, RadialSums
 
 Basis = Literal["tps", "wendland-c0", "wendland-c2", "ctps-c1", "ctps-c2a", "ctps-c2b"]
 _GREEDY: Mapping[str, tuple[str, ...]] = {"greedy": ("hybrid",)}
@@ -88,17 +86,6 @@ class RBF(MethodOptions):
                 'centre can correct its own error; choose a compact basis, like wendland-c2, or greedy = "none"'
             )
 
-    @property
-    def system(self) -> SystemOptions:
-        """The options of the linear system."""
-        return SystemOptions(self.basis, self.solver, self.tolerance, self.max_iterations)
-
-    @property
-    def sums(self) -> SumOptions:
-        """The options of the sums at the nodes."""
-        correct = self.greedy != "none" and self.greedy_correct
-        return SumOptions(self.basis, self.summation, self.summation_tolerance, correct)
-
     def bind(self, problem: Problem) -> PreparedRBF:
         """Sources and their images at symmetry planes as centres; nothing is solved yet."""
         return PreparedRBF(self, problem)
@@ -121,7 +108,7 @@ class PreparedRBF:
         # Without greedy reduction the size of the system is known: refuse it now if it is too large.
         self.system: RadialSystem | None = None
         if options.greedy == "none":
-            self.system = RadialSystem(options.system, self.centres, problem.memory, problem.grid.nodes.ranks)
+            self.system = RadialSystem(options, self.centres, problem.memory, problem.grid.nodes.ranks)
         self.account.settings |= options.used("basis", "solver", "tolerance", "max_iterations", "greedy") | {
             "centres": Setting(len(self.images.points)),
             "polynomial": Setting(
@@ -166,7 +153,7 @@ class PreparedRBF:
             return Coefficients(here, *self.system.solve(values, self.account, progress))
         from ...numerics.exact.radial import radial_sums
 
-        found = self.selected(values, progress)
+        found = self._selected(values, progress)
         self._record(found)
         points = np.ascontiguousarray(here[found.active])
         residual = values - radial_sums(BASES[self.options.basis], here, points, found.coefficients)
@@ -174,7 +161,7 @@ class PreparedRBF:
         reach = REACH * float(np.linalg.norm(residual, axis=1).max())
         return Coefficients(points, found.coefficients, found.polynomial, residual, reach)
 
-    def selected(self, values: FloatArray, progress: Progress | None = None) -> Selection:
+    def _selected(self, values: FloatArray, progress: Progress | None) -> Selection:
         """Centres chosen for values (n, 3) at all of them, with their coefficients."""
         from ...numerics.systems.greedy import Search, select
 
@@ -205,33 +192,20 @@ class PreparedRBF:
         )
         self.account.note("greedy", None if found.converged else failed)
 
-    def linearised(self, evaluator: RadialSums, displacement: FloatArray) -> LinearNodes:
-        """The derivative of the displacement of the nodes of ``evaluator`` at a displacement (n_sources, 3)."""
-        from .linear_rbf import LinearGreedy, LinearRBF
+    def linearised(self, evaluator: RadialSums, displacement: FloatArray) -> LinearRBF:
+        """The derivative of the displacement of the nodes of ``evaluator``; the same at all displacements."""
         from .radial_system import RadialSystem
+        from .rbf_sums import LinearRBF
 
-        points, memory = self.problem.grid.points, self.problem.memory
-        reduces = self.options.greedy != "none"
-        # Few centres chosen for nothing would be those of no direction.
-        if not reduces or not displacement.any():
-            evaluator.prepare(len(self.centres.points))
-            system = RadialSystem.accurate(self.options.system, self.centres, memory, Nodes.of(points).ranks)
-            return LinearRBF(system, points, evaluator, self.images, Kinks({UNCHOSEN: 1} if reduces else {}))
-        Nodes.of(points).require_whole("a derivative of a greedy reduction")
-        values = self.images.displaced(displacement)
-        active = self.selected(values).active
-        chosen = dataclasses.replace(self.centres, points=np.ascontiguousarray(self.centres.points[active]))
-        system = RadialSystem.accurate(self.options.system, chosen, memory)
-        greedy = LinearGreedy(system, points, evaluator, self.images, Kinks({CHOSEN: 1}), active)
-        if self.options.greedy_correct:
-            greedy.correct(values)
-        return greedy
+        problem, reduces = self.problem, self.options.greedy != "none"
+        system = RadialSystem.accurate(self.options, self.centres, problem.memory, problem.grid.nodes.ranks)
+        return LinearRBF(system, problem.grid, evaluator.flat, self.images, Kinks({CHOSEN: 1} if reduces else {}))
 
     def at(self, flat: IntArray) -> RadialSums:
         """Bind to the target nodes ``flat``."""
         from .rbf_sums import RadialSums
 
-        sums = RadialSums(self.problem.grid, flat, self.centres, self.options.sums, self.account)
+        sums = RadialSums(self.problem.grid, flat, self.centres, self.options, self.account)
         if self.options.greedy == "none":
             sums.prepare(len(self.centres.points))
         return sums

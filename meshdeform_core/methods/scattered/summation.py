@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 
@@ -44,36 +44,11 @@ def fast_pays(summation: str, n_targets: int, n_sources: int) -> tuple[bool, Set
     return fast, Setting("fast" if fast else "exact", reason)
 
 
-class Refinable(Protocol):
-    """Fast sums that can be made more accurate."""
-
-    def restart(self) -> None:
-        """Return to the initial accuracy, with which the first sum of every displacement is taken."""
-        ...
-
-    def refine(self, excess: float) -> None:
-        """Increase the accuracy, as the error was ``excess`` times too large."""
-        ...
-
-
-class HasSamples(Protocol):
-    """Target nodes in groups (bricks)."""
-
-    @property
-    def samples(self) -> IntArray:
-        """Some targets (b, 9) of each group."""
-        ...
-
-    @property
-    def every(self) -> IntArray:
-        """Flat indices of all targets."""
-        ...
-
-
-def sum_accurately(method: str, sums: Refinable, once: Callable[[], float], tolerance: float, account: Account) -> None:
+def sum_accurately(method: str, sums: Any, once: Callable[[], float], tolerance: float, account: Account) -> None:
     """Call ``once``, which computes the sums and returns their error, until the error is within the tolerance.
 
-    Every displacement starts with the same accuracy, whatever earlier ones needed. The error (in cells) is reported,
+    Every displacement starts with the same accuracy, ``sums.restart()``, whatever earlier ones needed;
+    ``sums.refine(excess)`` increases it, as the error was ``excess`` times too large. The error (in cells) is reported,
     with a warning if it remains too large.
     """
     sums.restart()
@@ -92,14 +67,14 @@ def sum_accurately(method: str, sums: Refinable, once: Callable[[], float], tole
 
 
 def largest_error(
-    grid: Grid, targets: HasSamples, risk: FloatArray, found: FloatArray, exact: Callable[[IntArray], FloatArray]
+    grid: Grid, targets: Any, risk: FloatArray, found: FloatArray, exact: Callable[[IntArray], FloatArray]
 ) -> float:
     """Largest error in cells of the displacement ``found`` (n_nodes, 3).
 
     Searched at samples of the bricks with the largest bounds ``risk`` (b,) and at random nodes; ``exact`` computes the
     displacement (n, 3) of given nodes by exact sums.
     """
-    from ...numerics.fastsum.clusters.targets import node_sizes, shape_table
+    from ...numerics.fastsum.targets import node_sizes, shape_table
 
     flat, error = doubtful(grid.points, targets, risk), np.zeros(0)
     if flat.size:
@@ -108,8 +83,9 @@ def largest_error(
     return agreed(grid.nodes.ranks, error.max(initial=0.0))
 
 
-def doubtful(points: FloatArray, targets: HasSamples, risk: FloatArray) -> IntArray:
-    """Flat indices of samples of the bricks with the largest bounds ``risk`` (b,), and of random nodes.
+def doubtful(points: FloatArray, targets: Any, risk: FloatArray) -> IntArray:
+    """Flat indices of ``targets.samples`` (b, 9) of the bricks with the largest bounds ``risk`` (b,), and of random
+    nodes among ``targets.every`` (n,).
 
     If ``points`` are in parts, the bricks of all ranks compete; returns those nodes that are targets of this rank.
     """
@@ -122,4 +98,4 @@ def doubtful(points: FloatArray, targets: HasSamples, risk: FloatArray) -> IntAr
         numbers[(numbers >= first[number]) & (numbers < first[number + 1])] - first[number]
         for numbers, first in ((worst, bricks), (some, nodes))
     )
-    return np.concatenate([targets.samples[worst].ravel(), targets.every[some]])
+    return np.concatenate([np.asarray(targets.samples[worst]).ravel(), np.asarray(targets.every[some])])

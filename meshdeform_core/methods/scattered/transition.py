@@ -2,7 +2,7 @@
 transition between moving sources and sources at rest: how ``lie`` distributes the motion across the gap.
 
 With weights alone, the share of the moving sources falls steeply half-way between two boundaries, where cells then
-shear most. The share that :func:`.rigid.finish_twist` computes from the same sums instead falls linearly across the
+shear most. The share that :func:`.rigid.finish` computes from the same sums instead falls linearly across the
 gap, except near both ends, where cells follow their wall.
 """
 
@@ -17,7 +17,7 @@ from ...grid import BoolArray, FloatArray
 from ...numerics.arrays import weighted_total
 from ...numerics.geometry import quaternions as rot
 from ...numerics.geometry.coincidence import connected_components
-from ...numerics.rigid import Transition
+from ...numerics.rigid import WIDTHS, Transition
 from ...numerics.tape import Tracked
 from ..base import Problem
 from .mirror import Images
@@ -112,11 +112,9 @@ def motion_values(
         return d.T.copy()
     if isinstance(d, Tracked) or len(x) <= _TOGETHER:
         return _values(rotation, divisions, x, d, q, w)
-    some = [slice(lo, lo + _TOGETHER) for lo in range(0, len(x), _TOGETHER)]
-    first = _values(rotation, divisions, x[some[0]], d[some[0]], q[some[0]], w[some[0]])
-    found = np.empty((len(first), len(x)))
-    found[:, some[0]] = first
-    for rows in some[1:]:
+    found = np.empty((WIDTHS[rotation], len(x)))
+    for lo in range(0, len(x), _TOGETHER):
+        rows = slice(lo, lo + _TOGETHER)
         found[:, rows] = _values(rotation, divisions, x[rows], d[rows], q[rows], w[rows])
     return found
 

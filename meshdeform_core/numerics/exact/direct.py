@@ -20,7 +20,7 @@ from .elementary import exp, log
 N_VALUES = 7
 """Values that one pass accumulates in addition to the weight; shorter sets are padded with zeros."""
 DOUBLE, SINGLE = np.empty(0), np.empty(0, np.float32)
-"""Precision of :func:`sum_groups`: to round-off, or to about 1e-5."""
+"""Precision of :func:`sum_whole`: to round-off, or to about 1e-5."""
 
 # A tile of sources stays in the first-level cache while all targets are summed over it. Its size is fixed, so that the
 # compiler sees that its rows do not alias.
@@ -65,7 +65,7 @@ def weighted_sums(
         sums = np.zeros((len(targets), 1 + N_VALUES))
 
         def work(lo: int, hi: int, charges: FloatArray = charges, sums: FloatArray = sums) -> None:
-            sum_groups(targets, np.array([[lo, hi]]), sources, charges, *every, a, b, kappa, True, DOUBLE, sums)
+            sum_groups(targets, np.array([[lo, hi]]), sources, charges, *every, a, b, kappa, True, sums)
 
         for_chunks(work, len(targets), chunk, progress)
         result[:, 0] = sums[:, 0]
@@ -75,7 +75,7 @@ def weighted_sums(
 
 def sum_groups(
     targets: FloatArray, target_span: IntArray, sources: FloatArray, charges: FloatArray, pieces: IntArray,
-    piece_span: IntArray, a: float, b: float, kappa: float, all_charges: bool, precision: np.ndarray, out: FloatArray,
+    piece_span: IntArray, a: float, b: float, kappa: float, all_charges: bool, out: FloatArray,
 ) -> None:  # fmt: skip
     """Add to ``out`` (n, 8) the sums of charge * (r^-a + kappa r^-b), for groups of targets and of sources.
 
@@ -87,14 +87,10 @@ def sum_groups(
     pieces : (p, 2) int64, first and one past the last source of each piece, none of them empty
     piece_span : (m, 2) int64, first and one past the last piece that acts on each group
     all_charges : whether all eight charges are summed; otherwise the first and the last one are taken as zero
-    precision : :data:`DOUBLE`, or :data:`SINGLE` for a = 3 or 4 with b = 5: twice as many numbers per vector register.
-        Coordinates are then relative to the targets and in units of their extent, so that a distance is wrong by less
-        than 1e-7 of that extent however far away the origin is; distances below 1e-5 of it are computed in double
-        precision. Charges should be of the order of one.
     """
     groups = targets, target_span, sources, charges, pieces, piece_span
     if (a == 3.0 or a == 4.0) and b == 5.0:
-        _sum_whole(*groups, a, kappa, all_charges, precision, out)
+        sum_whole(*groups, a, kappa, all_charges, DOUBLE, out)
     else:
         _sum_any(*groups, a, b, kappa, out)
 
@@ -133,12 +129,15 @@ def _sum_any(targets, target_span, sources, charges, pieces, piece_span, a, b, k
                         out[t, c] += total
 
 
-@fast_kernel(
-    "f8[:, ::1], i8[:, ::1], f8[:, ::1], f8[:, ::1], i8[:, ::1], i8[:, ::1], f8, f8, b1, f4[::1], f8[:, ::1]",
-    "f8[:, ::1], i8[:, ::1], f8[:, ::1], f8[:, ::1], i8[:, ::1], i8[:, ::1], f8, f8, b1, f8[::1], f8[:, ::1]",
-)
-def _sum_whole(targets, target_span, sources, charges, pieces, piece_span, a, kappa, all_charges, precision, out):
-    """:func:`sum_groups` for a = 3 or 4 with b = 5: r^-3 (three + four / r + five / r^2) in one vector loop."""
+@fast_kernel("f8[:, ::1], i8[:, ::1], f8[:, ::1], f8[:, ::1], i8[:, ::1], i8[:, ::1], f8, f8, b1, f8[::1], f8[:, ::1]")
+def sum_whole(targets, target_span, sources, charges, pieces, piece_span, a, kappa, all_charges, precision, out):
+    """:func:`sum_groups` for a = 3 or 4 with b = 5: r^-3 (three + four / r + five / r^2) in one vector loop.
+
+    ``precision`` is :data:`DOUBLE` or :data:`SINGLE`, with twice as many numbers per vector register. Coordinates are
+    then relative to the targets and in units of their extent, so that a distance is wrong by less than 1e-7 of that
+    extent however far away the origin is; distances below 1e-5 of it are computed in double precision. Charges should
+    be of the order of one.
+    """
     tile, weight = np.empty((11, _TILE), precision.dtype), np.empty(_TILE, precision.dtype)
     # Of this precision: coordinates of a target, factors of r^-3, r^-4 and r^-5, zero.
     own, center, row = np.empty(7, precision.dtype), np.empty(3), np.empty(_TILE, np.int64)

@@ -8,9 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import FloatArray, IntArray, Report
-from ..exact.basis import apply_basis
-from ..exact.radial import radial_matrix
-from ..jit import kernel
+from ..exact.radial import fill_rows, radial_matrix
 from .saddle import DirectSolver
 
 
@@ -70,23 +68,20 @@ def select(
     values : (n, m) displacements at the centres
     scale : (n,) lengths relative to which errors are measured
     """
-    n = len(centres)
-    columns, residual = np.ascontiguousarray(centres.T), np.array(values, dtype=np.float64)
-    chosen, order = np.zeros(n, dtype=np.bool_), np.empty(n, dtype=np.int64)
-    first, count, rounds, updates = search.start, 0, 0, 0
+    residual, order, rounds, updates = values, list[int](), 0, 0
     while True:
-        done, count = _update(
-            kind, columns, residual, 1.0 / scale, chosen, order, count, search.max_points, search.per_round, first
-        )
-        first, rounds, updates = -1, rounds + 1, updates + done
-        solved, residual = _solve_exactly(kind, centres, polynomial, values, order[:count])
+        start = search.start if rounds == 0 else None
+        done = _update(kind, centres, residual.T.copy(), 1.0 / scale, order, search, start)
+        rounds, updates = rounds + 1, updates + done
+        active = np.array(order, dtype=np.int64)
+        solved, residual = _solve_exactly(kind, centres, polynomial, values, active)
         error = np.abs(residual).max(axis=1) / scale
         if progress:
-            progress(count, search.max_points)
-        if error.max() <= search.tolerance or count >= search.max_points or done == 0:
+            progress(len(order), search.max_points)
+        if error.max() <= search.tolerance or len(order) >= search.max_points or done == 0:
             break
     converged = bool(error.max() <= search.tolerance)
-    return Selection(order[:count].copy(), *solved, error, rounds, updates, converged)
+    return Selection(active, *solved, error, rounds, updates, converged)
 
 
 def _solve_exactly(
@@ -112,43 +107,30 @@ def independent(polynomial: FloatArray) -> FloatArray:
     return polynomial[:, :1]
 
 
-@kernel("i8, f8[:, ::1], f8[:, ::1], f8[::1], b1[::1], i8[::1], i8, i8, i8, i8")
-def _update(kind, columns, residual, inverse_scale, chosen, order, count, max_points, limit, start):
-    """Make at most ``limit`` single-point updates; return their number and the number of chosen centres.
+def _update(
+    kind: int, centres: FloatArray, residual: FloatArray, inverse: FloatArray, order: list[int], search: Search,
+    start: int | None,
+) -> int:  # fmt: skip
+    """Make at most ``search.per_round`` single-point updates, append the new centres to ``order``, and return their
+    number.
 
-    ``columns`` (3, n) are the coordinates of the centres, ``residual`` (n, m) the error at each, which is updated;
-    ``start`` is the first centre to be corrected, -1 for that with the largest error.
+    ``residual`` (m, n) is the error at every centre, which is updated, ``inverse`` (n,) one over its scale. The first
+    centre to be corrected is ``start``, or, as all others, that with the largest error.
     """
-    n, m = residual.shape
-    value = np.empty(n)
-    for done in range(limit):
-        point = start
-        if point < 0 or done > 0:
-            # The largest component, the paper's "maximum absolute error".
-            largest, point = -1.0, 0
-            for i in range(n):
-                for c in range(m):
-                    size = abs(residual[i, c]) * inverse_scale[i]
-                    if size > largest:
-                        largest, point = size, i
-            if largest <= 0.0 and done > 0:
-                return done, count
-        if not chosen[point]:
-            if count >= max_points:
-                return done, count
-            chosen[point] = True
-            order[count] = point
-            count += 1
-        for i in range(n):
-            dx = columns[0, i] - columns[0, point]
-            dy = columns[1, i] - columns[1, point]
-            dz = columns[2, i] - columns[2, point]
-            value[i] = dx * dx + dy * dy + dz * dz
-        apply_basis(kind, value, n)
-        for c in range(m):
-            change = residual[point, c]
-            for i in range(n):
-                residual[i, c] -= change * value[i]
-        if count >= max_points:
-            return done + 1, count
-    return limit, count
+    columns, value, chosen = np.ascontiguousarray(centres.T), np.empty((1, len(centres))), set(order)
+    for done in range(search.per_round):
+        # The largest component, the paper's "maximum absolute error".
+        size = np.abs(residual).max(axis=0) * inverse
+        point = int(np.argmax(size)) if start is None or done else start
+        if size[point] <= 0.0 and done:
+            return done
+        if point not in chosen:
+            if len(order) >= search.max_points:
+                return done
+            chosen.add(point)
+            order.append(point)
+        fill_rows(kind, centres[point : point + 1], columns, value)
+        residual -= residual[:, point, None].copy() * value[0]
+        if len(order) >= search.max_points:
+            return done + 1
+    return search.per_round

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
 from ..arrays import FloatArray, Report
-from .products import Product, product_of
+from .products import Product
 from .schwarz import SchwarzPreconditioner
 
 _RESTART = 40
@@ -24,9 +23,6 @@ _LARGEST_ERROR = 0.3
 _MANY_DIGITS = 1e-9
 # Reduction of the residual after which a cycle ends: beyond it, the recursive residual deviates from the true one.
 _REDUCTION = 1e-7
-# Tolerance and number of iterations for a large coarse system, with a twenty-fifth of the centres.
-_COARSE_TOLERANCE, _COARSE_ITERATIONS = 0.02, 6
-_COARSE_PRODUCT = 1e-4
 
 
 @dataclass(frozen=True)
@@ -61,9 +57,7 @@ class KrylovSolver:
         self, kind: int, points: FloatArray, polynomial: FloatArray, product: Product, tolerance: float = 1e-6
     ) -> None:
         self._polynomial, self.product = polynomial, product
-        self.preconditioner = SchwarzPreconditioner(
-            kind, points, polynomial, product, _CoarseSolver, _widening(tolerance)
-        )
+        self.preconditioner = SchwarzPreconditioner(kind, points, polynomial, product, _widening(tolerance))
 
     @staticmethod
     def memory(n: int, tolerance: float = 1e-6) -> int:
@@ -88,9 +82,13 @@ class KrylovSolver:
         self.product.restart()
         residual = np.linalg.norm(rest, axis=0)
         while iterations < max_iterations and (residual > tolerance).any() and not stalled:
-            report = None if progress is None else partial(_advance, progress, iterations, max_iterations)
             limit = min(_RESTART, max_iterations - iterations)
             wanted = max(tolerance - error.max(), _REDUCTION * residual.min(initial=1.0, where=norm > 0.0))
+
+            def report(step: int, before: int = iterations) -> None:
+                if progress:
+                    progress(before + step, max_iterations)
+
             more, shift, steps = self._search(rest, wanted, limit, report)
             coefficients, polynomial, iterations = coefficients + more, polynomial + shift, iterations + steps
             rest, error = self._rest(right, coefficients, polynomial, tolerance)
@@ -116,7 +114,7 @@ class KrylovSolver:
             self.product.refine()
 
     def _search(
-        self, rest: FloatArray, tolerance: float, limit: int, report: Callable[[int], None] | None
+        self, rest: FloatArray, tolerance: float, limit: int, report: Callable[[int], None]
     ) -> tuple[FloatArray, FloatArray, int]:
         """One cycle: the solution whose image is nearest to ``rest`` (n, m), and its number of iterations."""
         n, m = rest.shape
@@ -138,8 +136,7 @@ class KrylovSolver:
             space[:, new], hessenberg[new, old] = _orthonormal(image, size)
             found = hessenberg[: new.stop, : new.start]
             y = np.linalg.lstsq(found, start[: new.stop], rcond=None)[0]
-            if report:
-                report(step)
+            report(step)
             if (np.linalg.norm(start[: new.stop] - found @ y, axis=0) <= 0.9 * tolerance).all():
                 break
         parts = [(c @ each, p @ each) for (c, p), each in zip(directions, y.reshape(-1, m, m), strict=True)]
@@ -148,22 +145,6 @@ class KrylovSolver:
 
 def _widening(tolerance: float) -> int:
     return 2 if tolerance < _MANY_DIGITS else 1
-
-
-class _CoarseSolver:
-    """A large coarse system, solved by the same method to two digits; less would cost iterations on all centres."""
-
-    def __init__(self, kind: int, centres: FloatArray, polynomial: FloatArray) -> None:
-        product = product_of(kind, centres, _COARSE_PRODUCT)
-        self._solver = KrylovSolver(kind, centres, polynomial, product)
-
-    def solve(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        found = self._solver.solve(values, _COARSE_TOLERANCE, _COARSE_ITERATIONS)
-        return found.coefficients, found.polynomial
-
-
-def _advance(progress: Report, before: int, total: int, step: int) -> None:
-    progress(before + step, total)
 
 
 def _orthonormal(block: FloatArray, size: np.floating | float) -> tuple[FloatArray, FloatArray]:

@@ -9,48 +9,35 @@ small set of centres.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Protocol
-
 import numpy as np
 import scipy
 
 from ...parallel import for_chunks, thread_count
 from ..arrays import FloatArray, IntArray
-from ..exact.radial import radial_matrix
-from .cholesky import invert_last
+from ..exact.radial import fill_rows, radial_matrix
 from .products import Product
 from .saddle import DirectSolver
 
 OWN = 60
 OVERLAP = 300
 COARSENING = 25
+# The coarse system stays small enough to factorise: with 60 centres per coarse one instead of 25, 8 iterations are
+# needed instead of 6.
 _DIRECT = 8000
-# Up to this many centres per coarse one, the coarse system is kept small enough to factorise: with 60 instead of 25,
-# 8 iterations are needed instead of 6; with 25 and an approximate coarse solution, 10 to 16.
-_SPARSEST = 100
 _FEWEST = 500
 _SPACING = 20
 _SHIFT = 1e-13
 _BOXES = 8
 
 
-class CoarseSolver(Protocol):
-    """Solver of the system of the coarse centres."""
-
-    def solve(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Coefficients (n, m) and polynomial (q, m) for values (n, m)."""
-        ...
-
-
 class SchwarzPreconditioner:
-    """Approximate inverse of the system ``A c + P p = r, P^T c = 0``; linear if its coarse solver is.
+    """Approximate inverse of the system ``A c + P p = r, P^T c = 0``.
 
     Boxes of at most ``OWN`` centres result from repeated bisection across the direction of largest extent, so that they
     follow clustered nodes; they are widened to ``OVERLAP`` centres. One centre in ``COARSENING``, the middle of a
     smaller box, is a coarse centre. Both must follow the clustering: with coarse centres spread evenly in space, or an
     overlap measured as a length, a surface clustered towards an edge takes 4 to 10 times the iterations. The coarse
-    system is factorised or, if it is large, solved approximately by another solver.
+    system is factorised.
 
     Parameters
     ----------
@@ -58,8 +45,6 @@ class SchwarzPreconditioner:
     points : (n, 3) centres in units of the support radius
     polynomial : (n, q) polynomial terms at the centres, full column rank
     product : A times coefficients (n, 3), see :class:`.products.Product`
-    coarse_solver : function of kind, coarse centres and their polynomial that returns a solver, which need not be
-        accurate, for a coarse system too large to factorise
     widening : factor by which ``OWN`` and ``OVERLAP`` are multiplied
     """
 
@@ -69,7 +54,6 @@ class SchwarzPreconditioner:
         points: FloatArray,
         polynomial: FloatArray,
         product: Product,
-        coarse_solver: Callable[[int, FloatArray, FloatArray], CoarseSolver],
         widening: int = 1,
     ) -> None:
         self._side = np.linalg.qr(polynomial)[0]
@@ -79,10 +63,7 @@ class SchwarzPreconditioner:
         self._coarse = _coarse(points, polynomial)
         self._at_coarse = product.roughly_at(self._coarse)
         centres = np.ascontiguousarray(points[self._coarse])
-        if len(centres) > _DIRECT:
-            self._next = coarse_solver(kind, centres, polynomial[self._coarse])
-        else:
-            self._next = DirectSolver(lambda: radial_matrix(kind, centres, centres), polynomial[self._coarse])
+        self._next = DirectSolver(lambda: radial_matrix(kind, centres, centres), polynomial[self._coarse])
 
     @staticmethod
     def memory(n: int, widening: int = 1) -> int:
@@ -124,11 +105,8 @@ def bisect(points: FloatArray, parts: int) -> list[IntArray]:
 
 def coarse_count(n: int) -> int:
     """Number of coarse centres for ``n`` centres, one in ``COARSENING``, or as many as can be factorised."""
-    count = n // COARSENING
-    if count > _DIRECT and n <= _SPARSEST * _DIRECT:
-        # The centres that determine the polynomial are added to these.
-        count = _DIRECT - 8
-    return min(n, max(_FEWEST, count))
+    # The centres that determine the polynomial are added to these.
+    return min(n, max(_FEWEST, min(n // COARSENING, _DIRECT - 8)))
 
 
 def _coarse(points: FloatArray, polynomial: FloatArray) -> IntArray:
@@ -176,13 +154,27 @@ def _restricted_inverses(kind: int, points: FloatArray, own: list[IntArray], nea
 
 
 def _last_rows(kind: int, points: FloatArray, basis: FloatArray, count: int) -> FloatArray:
-    matrix = np.empty((len(points), len(points)))
-    rows = np.empty((count, len(points)))
-    shift = 0.0
-    while not invert_last(kind, points, basis, shift, matrix, rows):
+    """The last rows (count, n) of the inverse of A on the orthogonal complement of the polynomials.
+
+    With orthonormal polynomials Q, ``B = (I - Q Q^T) A (I - Q Q^T) + t Q Q^T`` is positive definite for conditionally
+    positive definite functions, and its inverse differs from the required one only by ``Q Q^T / t``.
+    """
+    n, shift, info = len(points), 0.0, 1
+    a = np.empty((n, n))
+    fill_rows(kind, points, np.ascontiguousarray(points.T), a)
+    t = float(np.abs(a).max()) or 1.0
+    # A - Q U^T - U Q^T with U = A Q - Q (Q^T A Q + t I) / 2.
+    u = a @ basis
+    u -= 0.5 * basis @ (basis.T @ u + t * np.eye(basis.shape[1]))
+    a -= basis @ u.T + u @ basis.T
+    while info:
         # Centres coincide, or round-off is too large: for a preconditioner, the smallest sufficient shift will do.
+        factor, info = scipy.linalg.lapack.dpotrf((a + shift * t * np.eye(n)).T, lower=1, overwrite_a=1, clean=0)
         shift = max(_SHIFT, 100.0 * shift)
-    return rows
+    unit = np.zeros((n, count), order="F")
+    unit[n - count :] = np.eye(count)
+    columns, _ = scipy.linalg.lapack.dpotrs(factor, unit, lower=1, overwrite_b=1)
+    return np.ascontiguousarray(columns.T) - basis[n - count :] @ basis.T / t
 
 
 def _polynomial_basis(points: FloatArray) -> FloatArray:

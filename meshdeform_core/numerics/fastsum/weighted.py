@@ -18,13 +18,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ....parallel import empty, for_chunks
-from ...arrays import BoolArray, FloatArray, IntArray, Report, weighted_total
-from ...exact.direct import DOUBLE, N_VALUES, sum_groups
-from ..clusters.boxes import interpolate
-from ..clusters.targets import Targets, spans
-from ..clusters.tree import CHARGES, SourceTree
+from ...parallel import empty, for_chunks
+from ..arrays import BoolArray, FloatArray, IntArray, Report, weighted_total
+from ..exact.direct import N_VALUES, sum_groups
+from .clusters import CHARGES, SourceTree, interpolate
 from .plan import Charges, Plan, PlanKey, charge_points, cluster_reach, gather, places_of, rounded_up
+from .targets import Targets, spans
 from .walk import Kernel, Lists, Reach
 
 CHUNK = 2
@@ -101,8 +100,8 @@ class FastSums:
     ----------
     strength : (n,) per source
     groups : index arrays, the sources of each weight function
-    trees : source tree of each group, from :func:`..clusters.tree.build_tree`, of the order that the tolerance requires
-    targets : from :func:`..clusters.targets.make_targets`
+    trees : source tree of each group, from :func:`.clusters.build_tree`, of the order that the tolerance requires
+    targets : from :func:`.targets.make_targets`
     room : limit in bytes for stored lists and weights; results do not depend on it
     """
 
@@ -271,7 +270,10 @@ class FastSums:
         """Add the contributions of some regions with gradients (m, k) to ``total`` (passes, points, 8)."""
         targets, lists = self.targets, plan.lists_of(first, last)
         places = places_of(first, last, targets)
-        filled = np.logical_or.reduce([_filled(each, m) for each, m in zip(lists, plan.moving, strict=True)])
+        filled = np.zeros(len(places.span), dtype=bool)
+        for each, moving in zip(lists, plan.moving, strict=True):
+            count = np.append(0, np.cumsum(moving[each.codes >> 1]))
+            filled |= np.diff(count[np.append(0, each.stop)]) > 0
         of_regions, of_bricks = places.tasks(filled)
         here = np.empty((len(places.points), CHARGES))
         for number in range(len(total)):
@@ -280,7 +282,7 @@ class FastSums:
             here[: len(part), 1 : 1 + part.shape[1]] = part
             every = bool(here[:, -1].any())
             columns = (0, CHARGES) if every else (1, CHARGES - 1)
-            for boxes, tasks in ((targets.bricks.boxes, of_bricks), (targets.regions.boxes, of_regions)):
+            for boxes, tasks in ((targets.bricks, of_bricks), (targets.regions, of_regions)):
                 interpolate(boxes, tasks, places.points, here, *columns, True)
             for (_, tree), x, each, kind, moving, lo, hi in zip(
                 self._groups, points, lists, plan.key.kinds, plan.moving, ends[:-1], ends[1:], strict=True
@@ -329,13 +331,7 @@ def _to_clusters(
         rows = np.ascontiguousarray(np.where(raw, tree.span[number].T, first).T)
         pieces, span = place[item[order]], spans(np.append(start, len(order)))
         # Places without points: bricks of few nodes have no interpolation points.
-        sum_groups(charged, rows, points, gradients, pieces, span, *function[:3], all_charges, DOUBLE, out)
-
-
-def _filled(lists: Lists, acting: BoolArray) -> BoolArray:
-    """Which lists (items,) hold any of the ``acting`` (m,) clusters."""
-    count = np.append(0, np.cumsum(acting[lists.codes >> 1]))
-    return np.asarray(np.diff(count[np.append(0, lists.stop)]) > 0)
+        sum_groups(charged, rows, points, gradients, pieces, span, *function[:3], all_charges, out)
 
 
 def _to_sources(tree: SourceTree, points: FloatArray, total: FloatArray) -> None:

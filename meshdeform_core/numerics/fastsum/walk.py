@@ -15,11 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray
-from ...jit import kernel
-from ..clusters.boxes import Boxes
-from ..clusters.targets import Bricks, Regions
-from ..clusters.tree import SourceTree
+from ..arrays import FloatArray, IntArray
+from ..jit import kernel
+from .clusters import Boxes, SourceTree
+from .targets import Targets
 
 
 class Kernel(NamedTuple):
@@ -74,8 +73,7 @@ class Lists(NamedTuple):
 def list_clusters(
     first: int,
     last: int,
-    regions: Regions,
-    bricks: Bricks,
+    targets: Targets,
     tree: SourceTree,
     reach: Reach,
     function: Kernel,
@@ -91,12 +89,12 @@ def list_clusters(
     mean : (b,) bound of the mean displacement in a brick
     risk : (b,), added to: the sum of the error bounds of all clusters, relative to ``allowed``
     """
-    ends = regions.first[first : last + 1]
+    ends = targets.first[first : last + 1]
     low, high = int(ends[0]), int(ends[-1])
     start = ends[:-1] - low
     # Each region is followed by its bricks.
     order = np.insert(np.arange(last - first, last - first + high - low), start, np.arange(last - first))
-    state = np.concatenate([np.full(last - first, _REGION), np.where(few_nodes(bricks, low, high), _FEW, _BRICK)])
+    state = np.concatenate([np.full(last - first, _REGION), np.where(targets.few[low:high], _FEW, _BRICK)])
     limits = np.stack(
         [
             np.append(np.minimum.reduceat(allowed[low:high], start), allowed[low:high]),
@@ -106,7 +104,7 @@ def list_clusters(
     )
     places, counts = (
         np.concatenate([one, two])
-        for one, two in zip(_extents(regions.boxes, first, last), _extents(bricks.boxes, low, high), strict=True)
+        for one, two in zip(_extents(targets.regions, first, last), _extents(targets.bricks, low, high), strict=True)
     )
     m = len(tree.child)
     clusters, inner = _extents(tree.boxes, 0, m)
@@ -127,12 +125,6 @@ def list_clusters(
 
 _REGION, _BRICK, _FEW = 0, 1, 2
 """Places: a region, a brick, a brick of few nodes."""
-
-
-def few_nodes(bricks: Bricks, first: int, last: int) -> BoolArray:
-    """Whether the bricks first <= b < last have so few nodes that they need no interpolation points of their own."""
-    nodes, points = np.diff(bricks.start[first : last + 1]), np.diff(bricks.boxes.proxy[first : last + 1])
-    return np.asarray(nodes <= 2 * points)
 
 
 def _extents(boxes: Boxes, first: int, last: int) -> tuple[FloatArray, IntArray]:

@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ....parallel import for_chunks
-from ...arrays import BoolArray, FloatArray, IntArray
-from ...exact.direct import DOUBLE, SINGLE, sum_groups
-from ..clusters.boxes import interpolate
-from ..clusters.targets import Targets, spans
-from ..clusters.tree import CHARGES, SourceTree, interpolation_points
-from .walk import Kernel, Lists, Reach, few_nodes, list_clusters
+from ...parallel import for_chunks
+from ..arrays import BoolArray, FloatArray, IntArray
+from ..exact.direct import SINGLE, sum_groups, sum_whole
+from ..jit import fast_kernel
+from .clusters import CHARGES, SourceTree, interpolate, place_points
+from .targets import Targets, spans
+from .walk import Kernel, Lists, Reach, list_clusters
 
 # Portions into which the clusters of a tree are divided among threads.
 _PORTIONS = 64
@@ -48,7 +48,7 @@ class PlanKey:
     kinds : weight function of each group
     reaches : bounds of the effect of each group's clusters, rounded up
     moving : (n,) which sources are summed separately from the others
-    accuracy : :class:`.sums.Accuracy`
+    accuracy : :class:`.weighted.Accuracy`
     lasting : number of values per source whose sums are stored with the weights
     """
 
@@ -113,7 +113,7 @@ class Charges(NamedTuple):
 def charge_points(tree: SourceTree, start: IntArray) -> FloatArray:
     """``points`` of :class:`Charges`; after the sources, the interpolation points of cluster c: rows ``start[c]`` to
     ``start[c + 1]``."""
-    return np.concatenate([tree.points, interpolation_points(tree, start)])
+    return np.concatenate([tree.points, place_points(tree.boxes, start)])
 
 
 def gather(tree: SourceTree, start: IntArray, values: FloatArray) -> Charges:
@@ -132,6 +132,12 @@ def gather(tree: SourceTree, start: IntArray, values: FloatArray) -> Charges:
 
     for_chunks(share_out, len(cut) - 1, 1)
     return Charges(points, values, n + start, tree.span, bool(values[:n, [0, -1]].any()))
+
+
+@fast_kernel("f8[:, ::1], i8[:, ::1], f8[:, ::1], f8[:, ::1], i8[:, ::1], i8[:, ::1], f8, f8, b1, f8[:, ::1]")
+def sum_single(targets, target_span, sources, charges, pieces, piece_span, a, kappa, all_charges, out):
+    """:func:`..exact.direct.sum_groups` for a = 3 or 4 with b = 5 in single precision, which exact sums never need."""
+    sum_whole(targets, target_span, sources, charges, pieces, piece_span, a, kappa, all_charges, SINGLE, out)
 
 
 class Places(NamedTuple):
@@ -156,8 +162,8 @@ class Places(NamedTuple):
     few: np.ndarray
 
     def tasks(self, filled: BoolArray) -> tuple[IntArray, IntArray]:
-        """Tasks of :func:`.boxes.interpolate` for ``filled`` (items,) lists: from regions to the interpolation points
-        of their bricks, or the nodes of those that have none, and from bricks to nodes."""
+        """Tasks of :func:`.clusters.interpolate` for ``filled`` (items,) lists: from regions to the interpolation
+        points of their bricks, or the nodes of those that have none, and from bricks to nodes."""
         to = self.span[self.item + self.few]
         down = filled[self.above]
         of_regions = np.column_stack([self.region, self.span[self.above, 0], to])[down]
@@ -178,22 +184,24 @@ class Places(NamedTuple):
         # Rows of each list entry: those of a cluster's interpolation points, or of its sources.
         rows = np.where(raw, charges.span[number].T, np.stack([charges.start[number], charges.start[number + 1]])).T
         stop = np.append(0, np.cumsum(active))[np.append(0, lists.stop)]
-        sum_groups(
-            self.points, self.span, charges.points, charges.values, np.ascontiguousarray(rows), spans(stop),
-            *function[:3], charges.all, SINGLE if function.single else DOUBLE, out,
-        )  # fmt: skip
+        rows = np.ascontiguousarray(rows)
+        groups = self.points, self.span, charges.points, charges.values, rows, spans(stop)
+        if function.single:
+            sum_single(*groups, function.a, function.kappa, charges.all, out)
+        else:
+            sum_groups(*groups, *function[:3], charges.all, out)
         return np.asarray(stop[1:] > stop[:-1])
 
 
 def places_of(first: int, last: int, targets: Targets) -> Places:
     """:class:`Places` of the regions first <= g < last."""
     bricks, regions = targets.bricks, targets.regions
-    ends = regions.first[first : last + 1]
+    ends = targets.first[first : last + 1]
     low, high = int(ends[0]), int(ends[-1])
-    start, proxy = bricks.start[low : high + 1], bricks.boxes.proxy[low : high + 1]
-    region = regions.boxes.proxy[first : last + 1]
-    x = [targets.points[bricks.targets[start[0] : start[-1]]], bricks.boxes.proxies[proxy[0] : proxy[-1]],
-         regions.boxes.proxies[region[0] : region[-1]]]  # fmt: skip
+    start, proxy = targets.start[low : high + 1], bricks.proxy[low : high + 1]
+    region = regions.proxy[first : last + 1]
+    x = [targets.points[targets.every[start[0] : start[-1]]], bricks.proxies[proxy[0] : proxy[-1]],
+         regions.proxies[region[0] : region[-1]]]  # fmt: skip
     start, proxy = start - start[0], proxy - proxy[0] + start[-1] - start[0]
     region = region - region[0] + proxy[-1]
     # The list of a region precedes the two lists of each of its bricks.
@@ -203,8 +211,7 @@ def places_of(first: int, last: int, targets: Targets) -> Places:
     span = np.empty((last - first + 2 * (high - low), 2), dtype=np.int64)
     span[above] = np.stack([region[:-1], region[1:]], axis=1)[number]
     span[item], span[item + 1] = spans(proxy), spans(start)
-    few = few_nodes(bricks, low, high)
-    return Places(np.concatenate(x), span, first + number, np.arange(low, high), item, above, few)
+    return Places(np.concatenate(x), span, first + number, np.arange(low, high), item, above, targets.few[low:high])
 
 
 class Plan:
@@ -233,7 +240,8 @@ class Plan:
         self.key, self._targets, self._trees = key, targets, [tree for _, tree in trees]
         self._allowed, self._mean = _allowance(targets, self._trees, key)
         self.risk = np.zeros(len(self._allowed))
-        self.moving = [_any_of(tree, key.moving[group]) for group, tree in trees]
+        counts = [np.append(0, np.cumsum(key.moving[group][tree.order])) for group, tree in trees]
+        self.moving = [n[tree.span[:, 1]] > n[tree.span[:, 0]] for n, (_, tree) in zip(counts, trees, strict=True)]
         self._kept: dict[int, list[Lists]] = {}
         rows = len(targets.every)
         size = 8 * rows * (1 + key.lasting) if keep_weights else 0
@@ -268,10 +276,9 @@ class Plan:
 
     def _made(self, first: int, last: int) -> list[Lists]:
         targets, key = self._targets, self.key
-        self.risk[targets.numbers(first, last)] = 0.0
-        where = targets.regions, targets.bricks
+        self.risk[targets.first[first] : targets.first[last]] = 0.0
         found = [
-            list_clusters(first, last, *where, tree, reach, kind, self._allowed, self._mean, self.risk)
+            list_clusters(first, last, targets, tree, reach, kind, self._allowed, self._mean, self.risk)
             for tree, reach, kind in zip(self._trees, key.reaches, key.kinds, strict=True)
         ]
         for used, direct, lists in zip(self.used, self.direct, found, strict=True):
@@ -297,16 +304,10 @@ class Plan:
                     filled |= places.add(tree, charge, each, kind, ~moving, total)
             columns = (0, CHARGES) if any(charge.all for charge in charges) else (1, CHARGES - 1)
             of_regions, of_bricks = places.tasks(filled)
-            for boxes, tasks in ((targets.regions.boxes, of_regions), (targets.bricks.boxes, of_bricks)):
+            for boxes, tasks in ((targets.regions, of_regions), (targets.bricks, of_bricks)):
                 interpolate(boxes, tasks, places.points, total, *columns, False)
             found.append(total[: len(targets.flat(first, last))])
         return found
-
-
-def _any_of(tree: SourceTree, chosen: BoolArray) -> BoolArray:
-    """Which clusters (m,) hold any of the ``chosen`` sources (n,)."""
-    count = np.append(0, np.cumsum(chosen[tree.order]))
-    return np.asarray(count[tree.span[:, 1]] > count[tree.span[:, 0]])
 
 
 def _allowance(targets: Targets, trees: Sequence[SourceTree], key: PlanKey) -> tuple[FloatArray, FloatArray]:

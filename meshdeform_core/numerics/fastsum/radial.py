@@ -1,25 +1,100 @@
-"""Fast sums of radial basis functions at target nodes: a linear map of the coefficients, and its transpose."""
+"""Fast sums of radial basis functions at target nodes."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ....parallel import Nodes, agreed, empty, for_chunks
-from ...arrays import FloatArray, IntArray, Report
-from ...exact.basis import BASES
-from ...exact.radial import radial_sums
-from ..clusters.tree import build_tree
-from ..tuned import AIM, RADIAL_LEAF, SKELETONS, TRIAL_LEAVES, TRIALS
+from ...parallel import Nodes, agreed, for_chunks
+from ..arrays import FloatArray, IntArray, Report, Shapes
+from ..exact.basis import BASES
+from ..exact.radial import radial_sums
+from .clusters import build_tree
 from .nested import Bases, find_bases, gather_up
-from .passes import Boxes, Clusters, scatter_to_centres, spread_region, sum_regions
-from .targets import RadialTargets
+from .passes import Boxes, Clusters, Spaces, spaces_of, sum_regions
+from .targets import TargetTree, build_target_tree, node_sizes, sample_places, shape_table
+from .tuned import AIM, CAPACITY, RADIAL_LEAF, SKELETONS, TERMS, TRIAL_LEAVES, TRIALS
+
+# Leading singular term of each function at the origin: power of the distance, and size relative to that of r^2 log r.
+_SINGULAR = {0: (2.0, 1.0), 1: (1.0, 0.5), 2: (3.0, 15.0), 3: (2.0, 20.0), 4: (3.0, 60.0), 5: (4.0, 60.0)}
+
+
+class RadialTargets(NamedTuple):
+    """Target nodes in trees, and where the accuracy of each leaf is judged.
+
+    Attributes
+    ----------
+    coordinates : (n_nodes, 3) array, or one in parts
+    tree : of the targets
+    leaves : (b,) tree nodes that are leaves and hold targets
+    places : (b, 9) positions in the tree's list of targets, spread over each leaf
+    samples : (b, 9) the targets at these positions
+    sizes : (b, 9) length of the shortest edge at each sample
+    spaces : polynomial spaces, and the number (m,) of the space of each tree node's box
+    """
+
+    coordinates: Any
+    tree: TargetTree
+    leaves: np.ndarray
+    places: np.ndarray
+    samples: np.ndarray
+    sizes: np.ndarray
+    spaces: tuple[Spaces, np.ndarray]
+
+    @property
+    def points(self) -> FloatArray:
+        """Coordinates (n_nodes, 3); of a grid in parts, only the rows that this rank holds."""
+        return np.asarray(Nodes.of(self.coordinates).rows)
+
+    @property
+    def every(self) -> IntArray:
+        """Flat indices of all targets."""
+        return self.tree.targets
+
+    def permitted(self, kind: int) -> FloatArray:
+        """Length (m,) relative to which errors of a basis function are measured in each tree node.
+
+        The shortest edge at its samples, divided by the size of the function's singular part at the radius of its box.
+        """
+        size, child = np.full(len(self.tree.span), np.inf), self.tree.child
+        size[self.leaves] = self.sizes.min(axis=1)
+        for n in range(len(size) - 1, -1, -1):
+            if child[n, 0] >= 0:
+                size[n] = size[child[n]].min()
+        power, factor = _SINGULAR[kind]
+        return size / (factor * np.maximum((self.tree.half**2).sum(axis=1), 1e-300) ** (0.5 * power))
+
+    def flat(self, first: int, last: int) -> IntArray:
+        """Flat indices of the targets in the regions first <= g < last."""
+        roots = self.tree.region[[first, last - 1]]
+        return self.tree.targets[self.tree.span[roots[0], 0] : self.tree.span[roots[1], 1]]
+
+    def nodes(self, first: int, last: int) -> range:
+        """Numbers of the tree nodes of the regions first <= g < last."""
+        return range(self.tree.region[first], self.tree.region[last])
+
+
+def make_radial_targets(
+    coordinates: Any,
+    shapes: Shapes,
+    offsets: IntArray,
+    flat: IntArray,
+) -> RadialTargets:
+    """Targets ``flat``, ascending, of a grid; those of this rank if the grid is in parts."""
+    points, shapes = Nodes.of(coordinates).rows, shape_table(shapes)
+    tree = build_target_tree(points, shapes, offsets, flat, CAPACITY)
+    leaves = np.flatnonzero((tree.child[:, 0] < 0) & (tree.span[:, 1] > tree.span[:, 0]))
+    leaves = leaves[np.argsort(tree.span[leaves, 0])]
+    places = sample_places(np.append(tree.span[leaves, 0], len(tree.targets)))
+    samples = tree.targets[places]
+    sizes = node_sizes(points, shapes, offsets, samples.ravel()).reshape(samples.shape)
+    return RadialTargets(coordinates, tree, leaves, places, samples, sizes, spaces_of(tree.half, TERMS))
+
 
 _FINEST = 1e-13
 _CHUNK = 1
-_MOST_PORTIONS = 64
 
 Use = Callable[[IntArray, FloatArray], object]
 
@@ -37,7 +112,7 @@ class FastRadial:
 
     Parameters
     ----------
-    kind : number of the basis function, see :data:`.basis.BASES`
+    kind : number of the basis function, see :data:`..exact.basis.BASES`
     centres : (n, 3) in units of the support radius
     """
 
@@ -88,22 +163,14 @@ class FastRadial:
             self.refine(error)
         self._plan = _Plan(targets, clusters, boxes)
 
-    def apply(self, use: Use, coefficients: FloatArray | None = None, progress: Report | None = None) -> FloatArray:
+    def apply(self, use: Use, progress: Report | None = None) -> FloatArray:
         """Call ``use`` with the flat indices (k,) of the targets of each region and the sums (k, 3) there.
-
-        Parameters
-        ----------
-        coefficients : (n, 3) other than those prepared for, but no rougher; the same clusters are far
 
         Returns
         -------
         risk : (b,) bound of each leaf's error, in arbitrary units: leaves can be compared with each other
         """
         targets, clusters, boxes = self._plan
-        if coefficients is not None:
-            charges, upper = coefficients[self._tree.order], np.empty_like(clusters.upper)
-            gather_up(clusters.span, clusters.child, clusters.bases, charges, upper)
-            clusters = clusters._replace(charges=charges, upper=upper)
         risk = np.zeros(len(boxes.allowed))
 
         def work(lo: int, hi: int) -> None:
@@ -111,35 +178,6 @@ class FastRadial:
 
         for_chunks(work, len(targets.tree.region) - 1, _CHUNK, progress)
         return risk[targets.leaves]
-
-    def transpose(self, gradient: FloatArray) -> FloatArray:
-        """Gradient (n, 3) of the coefficients from that of the nodes (n_nodes, 3)."""
-        targets, clusters, boxes = self._plan
-        n, total = len(clusters.points), len(clusters.bases.place)
-        regions = len(targets.tree.region) - 1
-        # The sums of all portions together are no larger than the coordinates.
-        portions = int(np.clip(3 * len(targets.points) // (3 * (n + total)), 1, min(_MOST_PORTIONS, regions)))
-        # Row numbers take the place of charges, so that lists say which centres and skeletons they hold.
-        number = np.zeros((n + total, 3))
-        number[:, 0] = np.arange(n + total)
-        clusters = clusters._replace(charges=number[:n], upper=number[n:])
-        cut = np.linspace(0, regions, portions + 1).astype(np.int64)
-        parts = empty((portions, n + total, 3))
-
-        def work(lo: int, hi: int) -> None:
-            for portion in range(lo, hi):
-                parts[portion] = 0.0
-                for region in range(cut[portion], cut[portion + 1]):
-                    given = np.ascontiguousarray(gradient[targets.flat(region, region + 1)])
-                    spread_region(self._kind, region, targets.points, boxes, clusters, given, parts[portion])
-
-        for_chunks(work, portions, 1)
-        whole = np.asarray(sum(parts[portion] for portion in range(portions)))
-        charges, upper = whole[:n].copy(), whole[n:].copy()
-        scatter_to_centres(clusters.child, clusters.span, clusters.bases, upper, charges)
-        found = np.empty_like(charges)
-        found[self._tree.order] = charges
-        return found
 
     def _clusters(self, coefficients: FloatArray) -> Clusters:
         """:class:`Clusters` with these charges (n, 3)."""

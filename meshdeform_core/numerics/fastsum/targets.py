@@ -1,17 +1,19 @@
-"""Trees of target nodes, built by halving ranges of block indices instead of sorting nodes in space."""
+"""Target nodes in trees, built once per undeformed grid by halving ranges of block indices instead of sorting nodes in
+space; for weighted sums in bricks and regions of these, and where the accuracy of each brick is judged."""
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ....parallel import for_chunks
-from ...arrays import BoolArray, FloatArray, IntArray
-from ...jit import record
-from ...pieces import pieces
-from ..tuned import RADIAL_REGION
-from .boxes import fit_boxes
+from ...parallel import Nodes, for_chunks
+from ..arrays import BoolArray, FloatArray, IntArray, Shapes
+from ..jit import record
+from ..pieces import pieces
+from .clusters import Boxes, extents, fit_boxes, make_boxes
+from .tuned import RADIAL_REGION, REGION
 
 
 class Halves(NamedTuple):
@@ -46,7 +48,7 @@ def halve(
 
     Index ranges are halved along the direction in which they are longest in space, so that leaves are compact although
     cells are stretched. A region is a range with about ``region`` leaves. No tree extends beyond a piece of a block
-    (:mod:`...pieces`), so trees do not depend on which other parts of the grid are evaluated, or held by this rank.
+    (:mod:`..pieces`), so trees do not depend on which other parts of the grid are evaluated, or held by this rank.
 
     Parameters
     ----------
@@ -199,3 +201,111 @@ def _corners(center: FloatArray, axes: FloatArray, half: FloatArray) -> FloatArr
     """The eight corners (m, 8, 3) of boxes."""
     signs = 2.0 * (np.arange(8)[:, None] >> np.arange(3) & 1) - 1.0
     return center[:, None] + (signs * half[:, None]) @ axes
+
+
+_SAMPLES = 9
+
+
+def spans(start: IntArray) -> IntArray:
+    """Rows (m, 2) of the first and one past the last index of groups that begin at ``start`` (m + 1,)."""
+    return np.stack([start[:-1], start[1:]], axis=1)
+
+
+def node_sizes(points: FloatArray, shapes: IntArray, offsets: IntArray, flat: IntArray) -> FloatArray:
+    """Length (n,) of the shortest edge at the nodes ``flat`` of a grid; edges of zero length, at poles, are ignored."""
+    block = np.searchsorted(offsets, flat, side="right") - 1
+    rest, shape = flat - offsets[block], shapes[block]
+    nodes, size = Nodes.of(points), np.full(len(flat), np.inf)
+    for axis, step in enumerate((shape[:, 1] * shape[:, 2], shape[:, 2], np.ones_like(rest))):
+        at = rest // step % shape[:, axis]
+        for way in (-1, 1):
+            inside = (at + way >= 0) & (at + way < shape[:, axis])
+            one = flat[inside]
+            edge = np.linalg.norm(nodes.at(one + way * step[inside]) - nodes.at(one), axis=1)
+            size[inside] = np.minimum(size[inside], np.where(edge > 0.0, edge, np.inf))
+    return size
+
+
+class Targets(NamedTuple):
+    """Target nodes in bricks, compact groups that follow the grid's own order, and where each one's accuracy is judged.
+
+    Regions are groups of neighbouring bricks for which the same clusters of sources are far.
+
+    Attributes
+    ----------
+    points : (n_nodes, 3)
+    start : (b + 1,) start of each brick in ``every``
+    every : (n,) flat indices of all targets
+    bricks : boxes around the targets of each brick
+    few : (b,) whether a brick has so few nodes that it needs no interpolation points of its own
+    first : (g + 1,) number of each region's first brick
+    regions : boxes around the targets and the interpolation points of the bricks of each region
+    samples : (b, 9) targets spread over each brick, in the grid's order
+    sizes : (b, 9) length of the shortest edge at each sample
+    """
+
+    points: np.ndarray
+    start: np.ndarray
+    every: np.ndarray
+    bricks: Boxes
+    few: np.ndarray
+    first: np.ndarray
+    regions: Boxes
+    samples: np.ndarray
+    sizes: np.ndarray
+
+    @property
+    def n_regions(self) -> int:
+        return len(self.first) - 1
+
+    def places(self, first: int, last: int) -> slice:
+        """Slice of the list of targets that lies in the regions first <= g < last."""
+        start, stop = self.start[self.first[[first, last]]]
+        return slice(start, stop)
+
+    def flat(self, first: int, last: int) -> IntArray:
+        """Flat indices of the targets in the regions first <= g < last."""
+        return self.every[self.places(first, last)]
+
+
+def interpolation_order(tolerance: float) -> int:
+    """Interpolation points per side of a cube for a relative tolerance: 4 for 1e-2, 5 for 1e-4, 7 for 1e-8."""
+    return 3 + math.ceil(-0.5 * math.log10(tolerance) - 1e-9)
+
+
+def shape_table(shapes: Shapes) -> IntArray:
+    """Block shapes (n_blocks, 3) as the int64 array that the loops expect."""
+    return np.asarray(shapes, dtype=np.int64).reshape(-1, 3)
+
+
+def make_targets(
+    points: FloatArray,
+    shapes: Shapes,
+    offsets: IntArray,
+    flat: IntArray,
+    order: int,
+    per_point: int = 8,
+) -> Targets:
+    """Targets ``flat``, ascending, in bricks that hold about ``per_point`` targets per interpolation point, the leaves
+    of the trees that :func:`halve` makes, and in regions of about ``REGION`` bricks."""
+    shapes = shape_table(shapes)
+    halves = halve(points, shapes, offsets, flat, per_point * order**3, REGION)
+    every, start = halves.targets, np.append(halves.span[halves.leaves, 0], len(halves.targets))
+    first = np.searchsorted(start, halves.span[halves.region[:-1], 0])
+    # Regions without targets have no bricks.
+    first = np.append(first, len(start) - 1)[np.append(np.diff(np.append(first, len(start) - 1)) > 0, True)]
+    bricks = make_boxes(*fit_boxes(points, every, spans(start)), order)
+    few = np.diff(start) <= 2 * np.diff(bricks.proxy)
+    center, axes, half = fit_boxes(bricks.proxies, np.arange(len(bricks.proxies)), spans(bricks.proxy[first]))
+    # The boxes enclose the targets too.
+    low, high = extents(points, every, spans(start[first]), center, axes)
+    regions = make_boxes(center, axes, np.maximum(half, np.maximum(-low, high)), order)
+    samples = every[sample_places(start)]
+    sizes = node_sizes(points, shapes, offsets, samples.ravel()).reshape(samples.shape)
+    return Targets(points, start, every, bricks, few, first, regions, samples, sizes)
+
+
+def sample_places(start: IntArray) -> IntArray:
+    """Nine positions (b, 9) in the list of targets, spread over each of the bricks that begin at ``start`` (b + 1,)."""
+    count = np.diff(start)
+    return start[:-1, None] + (np.arange(_SAMPLES) * (count[:, None] - 1)) // (_SAMPLES - 1)

@@ -1,1 +1,0 @@
-"""Fast sums of radial basis functions by skeletons of clusters."""

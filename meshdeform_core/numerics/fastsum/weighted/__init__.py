@@ -1,1 +1,0 @@
-"""Fast weighted sums (IDW) over a tree of sources."""
