@@ -4,29 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
 from ..boundary.layer import Layer
 from ..grid import FloatArray
 from .base import Account, Linearised, PreparedMethod, Problem, Progress
-from .composite import on_faces
+from .composite import Composite, on_faces
 from .constraints import put_on_faces
-
-
-class Preparable(Protocol):
-    """A method that can be bound to a grid."""
-
-    def prepare(self, problem: Problem) -> PreparedMethod:
-        """Bind to the undeformed grid."""
-        ...
+from .gaps import InGaps
 
 
 class PreparedLayer:
     """A method prepared on one of two planes that mirror each other; for other motions, on both."""
 
-    def __init__(self, method: Preparable, problem: Problem, layer: Layer):
+    def __init__(self, method: Composite | InGaps, problem: Problem, layer: Layer):
         self._method, self._problem, self._layer = method, problem, layer
         self._half = method.prepare(dataclasses.replace(problem, layer=layer))
 

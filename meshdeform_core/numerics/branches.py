@@ -73,18 +73,13 @@ def _turn_alike(vectors: FloatArray, surfaces: list[IntArray]) -> None:
     for index in np.argsort([np.linalg.norm(mean) for mean in means], kind="stable"):
         rows, mean = surfaces[index], means[index]
         if lengths(vectors[rows]).min() > _CERTAIN:
-            lead = total / count if count else _upwards(mean)
+            # At first a small rotation whose largest component is positive: it decides the sense of half a turn.
+            lead = total / count if count else 1e-3 * mean * np.sign(mean[np.argmax(np.abs(mean).round(6))])
             other = mean - _FULL * mean / max(float(np.linalg.norm(mean)), 1e-100)
             if _cost(other, lead) < _cost(mean, lead):
                 angle = lengths(vectors[rows])[:, None]
                 vectors[rows] *= 1.0 - _FULL / angle
         total, count = total + vectors[rows].sum(axis=0), count + len(rows)
-
-
-def _upwards(mean: FloatArray) -> FloatArray:
-    """A small rotation about the same axis whose largest component is positive: it decides the sense of half a turn."""
-    leading = mean[np.argmax(np.abs(mean).round(6))]
-    return 1e-3 * mean * np.sign(leading)
 
 
 def _cost(mean: FloatArray, lead: FloatArray) -> float:

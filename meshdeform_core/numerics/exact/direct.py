@@ -15,7 +15,7 @@ from numba.extending import overload
 from ...parallel import for_chunks
 from ..arrays import FloatArray, IntArray, Report
 from ..jit import fast_kernel, inlined
-from .elementary import exp, log
+from .basis import exp, log
 
 N_VALUES = 7
 """Values that one pass accumulates in addition to the weight; shorter sets are padded with zeros."""
