@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -19,9 +19,6 @@ from ...parallel import OneRank, Ranks
 from ..base import Account, Progress, Setting, of_stage
 from .centres import DIRECT_CENTRES, Centres
 
-if TYPE_CHECKING:
-    from .rbf import RBF
-
 _TOLERANCE = 1e-6
 ROUND_OFF = 1e-13
 """Tolerance of iterative solutions to which forward and transposed derivatives agree."""
@@ -30,10 +27,11 @@ ROUND_OFF = 1e-13
 class RadialSystem:
     """The linear system of one set of centres; its factorisation or preconditioner is made on first use and stored.
 
-    Of several ``ranks`` the first solves it, on all cores of its machine, and the others get the solution.
+    ``options`` are those of :class:`.rbf.RBF`. Of several ``ranks`` the first solves it, on all cores of its machine,
+    and the others get the solution.
     """
 
-    def __init__(self, options: RBF, centres: Centres, limit: MemoryLimit = UNLIMITED, ranks: Ranks | None = None):
+    def __init__(self, options: Any, centres: Centres, limit: MemoryLimit = UNLIMITED, ranks: Ranks | None = None):
         self._ranks = ranks or OneRank()
         self.options, self.centres = options, centres
         self.kind = BASES[options.basis]
@@ -78,7 +76,7 @@ class RadialSystem:
         return coefficients, polynomial
 
     @classmethod
-    def accurate(cls, options: RBF, centres: Centres, limit: MemoryLimit, ranks: Ranks | None = None) -> RadialSystem:
+    def accurate(cls, options: Any, centres: Centres, limit: MemoryLimit, ranks: Ranks | None = None) -> RadialSystem:
         """The system for derivatives: with a direct solution, or an iterative one to round-off; it is factorised here,
         once."""
         system = cls(dataclasses.replace(options, solver="auto", tolerance=ROUND_OFF), centres, limit, ranks)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 import scipy
@@ -22,17 +22,15 @@ from .mirror import Images
 from .radial_system import RadialSystem
 from .summation import fast_pays, largest_error, sum_accurately
 
-if TYPE_CHECKING:
-    from .rbf import RBF
-
 # Nodes per chunk of exact sums, and in derivatives.
 _CHUNK, _ROWS = 1024, 1 << 16
 
 
 class RadialSums:
-    """Sums at the target nodes ``flat``, with the greedy residual added near the walls where the options say so."""
+    """Sums at the target nodes ``flat``, with the greedy residual added near the walls where the ``options``, those of
+    :class:`.rbf.RBF`, say so."""
 
-    def __init__(self, grid: Grid, flat: IntArray, centres: Centres, options: RBF, account: Account):
+    def __init__(self, grid: Grid, flat: IntArray, centres: Centres, options: Any, account: Account):
         self._grid, self.flat, self._centres = grid, flat, centres
         self._options, self._account = options, account
         self._is_fast = False
