@@ -79,6 +79,11 @@ class _CompileClock(event.Listener):
         self.notice: Callable[[Compiled], None] | None = None
         self._depth, self._start, self._collecting = 0, 0.0, True
 
+    @property
+    def busy(self) -> bool:
+        """Whether a loop is being compiled."""
+        return self._depth > 0
+
     # Called under numba's compiler lock, hence by one thread at a time.
     def on_start(self, event: Any) -> None:
         self.begin()
@@ -139,7 +144,8 @@ class _Cache(FunctionCache):
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         found, name = self._load(sig, target_context), self._declared.get(tuple(getattr(sig, "args", sig)))
-        if found is None and name is not None and _clock.cached:
+        # Within another loop no third one is compiled meanwhile: it may call the first, which is not finished.
+        if found is None and name is not None and _clock.cached and not _clock.busy:
             _compilers.begin(name)
             _clock.begin()
             try:
