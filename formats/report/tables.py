@@ -113,8 +113,8 @@ def shape_table(report: Report) -> Table:
     rows = []
     for name, after in report["shape"]["after"].items():
         before, place = (report["shape"]["before"] or {}).get(name), after.get("worst")
-        where = place_text(place) if place else ""
         shown = "wrong" if name == "face_pyramids" else "max"
+        where = place_text(place) if place and after[shown] else ""
         rows.append((name, before[shown] if before else None, after[shown], after.get("mean"), where))
     heads = ("measure", "largest before", "largest", "mean", "largest at")
     return Table("Measures that matter to flow solvers", heads, rows, (0, 4))

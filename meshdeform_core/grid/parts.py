@@ -193,6 +193,8 @@ class FileFormat:
 
     @property
     def label(self) -> str:
-        """One line of text, e.g. ``plot3d (fortran, big endian, multi-block), float64``."""
-        words = ", ".join(f"{key}={value}" for key, value in self.options.items())
+        """One line of text, e.g. ``plot3d (encoding=fortran, iblank=false), float64``."""
+        words = ", ".join(
+            f"{key}={str(value).lower() if isinstance(value, bool) else value}" for key, value in self.options.items()
+        )
         return f"{self.name} ({words}), {self.precision}" if words else f"{self.name}, {self.precision}"

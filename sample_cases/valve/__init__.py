@@ -1,4 +1,4 @@
-"""A flap above its seat opens over time: motion as a formula of t, for ``deform --time`` and ``series``, 3-D."""
+"""A flap above its seat opens over time: a motion as a formula of t, for deform --time and series, 3-D."""
 
 import numpy as np
 

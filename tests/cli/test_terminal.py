@@ -52,7 +52,7 @@ def test_methods_are_text_for_people(call):
     for markup in ("``", "----", "Attributes"):
         assert markup not in text
     assert max(map(len, text.splitlines())) <= 160
-    assert '  rotation = "lie"\n      what is averaged: none displacements' in text
+    assert '  rotation = "lie"\n      what is averaged. none: displacements' in text
     assert "default: independent of the frame" in text
 
 

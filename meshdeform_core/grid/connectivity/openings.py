@@ -14,7 +14,7 @@ from ...numerics.arrays import BoolArray, batches, runs, spans, spread
 from ...numerics.geometry.boxes import overlapping_boxes
 from ...numerics.geometry.coincidence import close_pairs, connected_components, distinct, equal_rows
 from ...numerics.geometry.vectors import distance_to_faces
-from ...wording import listed
+from ...wording import counted, listed
 from ..blocks import FloatArray, Grid, IntArray
 from ..faces.roles import Role, role_of_patch
 from ..parts import Side, Window
@@ -65,7 +65,7 @@ class Opening:
     def describe(self, grid: Grid) -> str:
         """One line: position, gap, and the tolerance that closes it."""
         one, two = f"{grid.names[self.block]}.{self.side.label}", f"{grid.names[self.other]}.{self.other_side.label}"
-        where = f"{one}[{self.window.ranges}] ({len(self.quads)} quads) and {two}"
+        where = f"{one}[{self.window.ranges}] ({counted(len(self.quads), 'quad')}) and {two}"
         if self.matching:
             return (
                 f"{where} nearly coincide: the gap is up to {self.gap:.3g}, {self.relative:.2g} of the local edge; "

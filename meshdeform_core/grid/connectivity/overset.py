@@ -14,6 +14,7 @@ import numpy as np
 from ...numerics.arrays import BoolArray, batches, runs, spans, spread
 from ...numerics.geometry.boxes import overlapping_boxes
 from ...numerics.geometry.vectors import distance_to_faces, plane_winding, winding
+from ...wording import counted
 from ..blocks import FloatArray, Grid, IntArray
 from ..extent import block_extents
 from ..parts import Side, Window
@@ -58,10 +59,10 @@ class Overlap:
 
     def describe(self, grid: Grid) -> str:
         """One line: where, how much of it, how deep."""
+        face = f"{grid.names[self.block]}.{self.side.label}[{self.window.ranges}] ({counted(len(self.quads), 'quad')})"
         return (
-            f"{grid.names[self.block]}.{self.side.label}[{self.window.ranges}] ({len(self.quads)} quads) lies inside "
-            f"{grid.names[self.other]}, {self.share:.0%} of it up to {self.depth:.3g} deep (overset or overlapping "
-            f"blocks)"
+            f"{face} lies inside {grid.names[self.other]}, {self.share:.0%} of it up to {self.depth:.3g} deep "
+            f"(overset or overlapping blocks)"
         )
 
 

@@ -51,9 +51,9 @@ class IDW(MethodOptions):
 
     Attributes
     ----------
-    rotation : what is averaged: ``none`` displacements (eq. 14); ``quaternion`` rotation and translation about the
-        origin of coordinates (eq. 20); ``division`` the same in ``divisions`` steps (eqs. 26-28); ``blend`` predicted
-        positions (Luke et al.); ``lie`` the twist, the limit of ``division`` in closed form, frame independent
+    rotation : what is averaged. ``none``: displacements (eq. 14); ``quaternion``: rotations and translations about the
+        origin of coordinates (eq. 20); ``division``: the same in ``divisions`` steps (eqs. 26-28); ``blend``: predicted
+        positions (Luke et al.); ``lie``: the twist, the limit of ``division`` in closed form, independent of the frame
     weights : ``luke`` (eq. 16) or ``shepard`` (eq. 15)
     alpha : weight of near against far sources in eq. 16, or ``"auto"``: eq. 18, at most 0.3
     eta : factor of eq. 18
