@@ -146,7 +146,7 @@ def _other_bytes(grid: Grid, case: CaseFile) -> int:
     arrays += [table.nodes.rows for table in grids]
     arrays += [field.own for each in (grid, *grids) for field in each.fields]
     size = sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
-    return max(grid.nodes.ranks.gather([size + (grid.format.other_bytes if grid.format else 0)]))
+    return max(grid.nodes.ranks.gather([size]))
 
 
 @dataclass(frozen=True)

@@ -53,15 +53,14 @@ def lack(needed: int, path: Path, what: str) -> str:
 
 
 def least_bytes(grid: Grid | Layout, path: Path, variant: FileFormat) -> int:
-    """Smallest size in bytes of a grid in a file; 0 for text and compressed files, whose size is not known."""
+    """Smallest size in bytes of a grid in a file; 0 for text, whose size is not known."""
     name = format_of(path)
     container = grid.format.options.get("container") if grid.format else None
     if name == "cgns" and container == "HDF5" and grid.path is not None and grid.path.exists():
         # A copy of the original file, whose coordinates may be compressed.
         return os.path.getsize(grid.path) // (1 if variant.precision == grid.precision else 2)
     options = variant.options
-    packed = options.get("encoding") == "ascii" or options.get("compression", "none") != "none"
-    raw = name == "cgns" or (name in ("plot3d", "vtk") and not packed)
+    raw = name == "cgns" or (name in ("plot3d", "vtk") and options.get("encoding") != "ascii")
     plane = name == "plot3d" and str(options.get("dimension")) == "2"
     count = 3 if name == "vtk" else 2 if plane else grid.dimension
     return grid.n_nodes * count * np.dtype(variant.precision).itemsize if raw else 0

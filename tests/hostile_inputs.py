@@ -57,7 +57,7 @@ def c_root() -> None:
 
 def d1_abort() -> None:
     """The tag of the appended data stands there twice."""
-    write_grid(curved(1), "d1_abort.vts", {"compression": "zlib"})
+    write_grid(curved(1), "d1_abort.vts")
     data = Path("d1_abort.vts").read_bytes()
     tag = re.search(rb'[ \t]*<AppendedData encoding="raw">\n?', data)
     assert tag

@@ -55,25 +55,13 @@ Values = NDArray[Any] | Run
 class DataArray(NamedTuple):
     """A data array as VTK stores it.
 
-    ``location`` is ``node``, ``cell`` or, for the field data of the whole data set, empty; ``values`` is ``(n,)`` or
-    ``(n, components)``, those of nodes and cells possibly still to be read.
+    ``location`` is ``node``, ``cell`` or, in field data of the whole data set, which are not kept, empty; ``values`` is
+    ``(n,)`` or ``(n, components)``, possibly still to be read.
     """
 
     name: str
     location: str
     values: Any
-
-
-@dataclass(frozen=True)
-class VtkFormat(FileFormat):
-    """A VTK file variant; ``field_data`` are arrays of each block that do not belong to nodes or cells (time, ...),
-    empty if there are none."""
-
-    field_data: tuple[tuple[DataArray, ...], ...] = ()
-
-    @property
-    def other_bytes(self) -> int:
-        return sum(array.values.nbytes for arrays in self.field_data for array in arrays)
 
 
 @dataclass(frozen=True)
@@ -95,12 +83,10 @@ def assemble(path: Path, kind: str, data_sets: Sequence[DataSet], names: Sequenc
     Raises FormatError when an array does not have one value per node or cell. Raises GridError when a data set is a
     line or a point, or 2-D and 3-D are mixed.
     """
-    field_data = tuple(tuple(a for a in d.arrays if not a.location) for d in data_sets)
-    file_format = VtkFormat(
+    file_format = FileFormat(
         name="vtk",
         precision="float32" if all(d.points.dtype.itemsize == 4 for d in data_sets) else "float64",
         options={"kind": kind, **data_sets[0].options},
-        field_data=field_data if any(field_data) else (),
     )
     shapes: list[Shape] = [(d.points.shape[2], d.points.shape[1], d.points.shape[0]) for d in data_sets]
     notes = tuple(note for d in data_sets for note in d.notes)
@@ -224,10 +210,10 @@ class BlockOutput:
         return {number: self._places[id(one)] for number, one in enumerate(contents) if id(one) in self._places}
 
 
-Begin = Callable[[Grid, int, Path, VtkFormat, Sequence[StoredArray]], Reserved]
+Begin = Callable[[Grid, int, Path, FileFormat, Sequence[StoredArray]], Reserved]
 
 
-def write_blocks(grid: Grid, paths: Sequence[Path], variant: VtkFormat, begin: Begin) -> None:
+def write_blocks(grid: Grid, paths: Sequence[Path], variant: FileFormat, begin: Begin) -> None:
     """Write every block to its file: the first rank all but the values for which ``begin`` leaves room, then all ranks
     these.
 
@@ -249,8 +235,8 @@ def write_blocks(grid: Grid, paths: Sequence[Path], variant: VtkFormat, begin: B
     write_outputs(grid, outputs)
 
 
-def _arrays_to_write(grid: Grid, block: int, variant: VtkFormat, fields: Sequence[Field]) -> list[StoredArray]:
-    """Coordinates of a block and its arrays: field data of the variant and ``fields`` of the grid.
+def _arrays_to_write(grid: Grid, block: int, variant: FileFormat, fields: Sequence[Field]) -> list[StoredArray]:
+    """Coordinates of a block and its arrays, the ``fields`` of the grid.
 
     Fields at faces become field data: ``NAME`` with the suffix I, J or K of the index axis across them.
 
@@ -273,12 +259,9 @@ def _arrays_to_write(grid: Grid, block: int, variant: VtkFormat, fields: Sequenc
             raise FormatError(f"{label} exists twice; a VTK data set needs unique names")
         kind = storable_type(values, label)
         found[field.location, field.name] = StoredArray(field.name, field.location, values, whole, kind)
-    field_data = variant.field_data[block] if variant.field_data else ()
-    kept = (a for a in field_data if ("", a.name) not in found)
     points = grid.in_planes(block).swapaxes(0, 2)
     return [
         StoredArray("Points", "node", points, (*grid.shapes[block][::-1], 3), np.dtype(variant.precision)),
-        *(StoredArray(a.name, "", a.values, a.values.shape, a.values.dtype) for a in kept),
         *found.values(),
     ]
 
@@ -295,8 +278,3 @@ def storable_type(values: NDArray[Any], label: str) -> np.dtype[Any]:
     if values.dtype.kind not in "iuf" or values.dtype.itemsize > 8 or values.dtype == np.float16:
         raise FormatError(f"{label} is of type {values.dtype}; expected integers, float32 or float64")
     return values.dtype.newbyteorder("=")
-
-
-def native(values: NDArray[Any]) -> NDArray[Any]:
-    """A C-contiguous copy in the byte order of this machine."""
-    return values.astype(values.dtype.newbyteorder("="), order="C")

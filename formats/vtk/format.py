@@ -1,8 +1,8 @@
 """VTK structured grids: legacy .vtk, XML .vts, and multi-block sets .vtm of .vts files.
 
-All node and cell arrays are kept as fields, and so are field data, but no attributes like ``Scalars`` and no names of
-components. Text arrays and lookup tables are dropped, with a note in :attr:`Grid.notes`. VTK files cannot hold patches
-and connections. IBLANK of Plot3D is the node array ``iblank``.
+All node and cell arrays are kept as fields, but no attributes like ``Scalars``, no names of components, and no data of
+the whole set, such as its time. Text arrays and lookup tables are dropped, with a note in :attr:`Grid.notes`. VTK files
+cannot hold patches and connections. IBLANK of Plot3D is the node array ``iblank``.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import Grid
+from meshdeform_core.grid import FileFormat, Grid
 
 from ..files import checked_options, replacing_by_all
-from .dataset import VtkFormat, assemble, write_blocks
+from .dataset import assemble, write_blocks
 from .legacy import begin_block as begin_legacy_block
 from .legacy import read as read_legacy
 from .multiblock import read as read_multiblock
@@ -24,18 +24,16 @@ from .multiblock import write as write_multiblock
 from .xml_arrays import read as read_xml
 from .xml_tags import file_kind
 from .xml_write import begin_block as begin_xml_block
-from .xml_write import plain
 
 _KINDS = {".vtk": "legacy", ".vts": "vts", ".vtm": "vtm"}
 
 _PRECISIONS = ("float32", "float64")
-_LEGACY_OPTIONS: dict[str, tuple[str, ...]] = {"encoding": ("binary", "ascii"), "precision": _PRECISIONS}
-_XML_OPTIONS: dict[str, tuple[str, ...]] = {
-    "encoding": ("appended", "ascii"),
-    "compression": ("none", "zlib"),
-    "precision": _PRECISIONS,
+_XML_OPTIONS = {"encoding": ("appended", "ascii"), "precision": _PRECISIONS}
+_OPTIONS = {
+    "legacy": {"encoding": ("binary", "ascii"), "precision": _PRECISIONS},
+    "vts": _XML_OPTIONS,
+    "vtm": _XML_OPTIONS,
 }
-_OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {"legacy": _LEGACY_OPTIONS, "vts": _XML_OPTIONS, "vtm": _XML_OPTIONS}
 
 
 def read(path: Path) -> Grid:
@@ -56,11 +54,11 @@ def read(path: Path) -> Grid:
     return assemble(path, "vts", [read_xml(path)])
 
 
-def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> VtkFormat:
-    """How to write ``grid`` to ``path``: if it is from a file of this kind, as text or packed as that, else binary.
+def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
+    """How to write ``grid`` to ``path``: as text if it is from a text of this kind, else binary.
 
     ``options``: ``encoding`` is ``ascii`` or ``binary``, in XML files ``ascii`` or ``appended`` (raw); ``precision`` is
-    ``float32`` or ``float64``; XML files have ``compression`` (``none`` or ``zlib``).
+    ``float32`` or ``float64``.
 
     Raises FormatError for unknown options, several blocks in a file for one, or a .vtm whose folder cannot be replaced.
     """
@@ -70,22 +68,17 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> VtkFormat:
         raise FormatError(f"cannot write {path}: it holds one block, the grid has {grid.n_blocks}; write a .vtm")
     if kind == "vtm":
         require_replaceable(path)
-    own = grid.format if isinstance(grid.format, VtkFormat) else VtkFormat("vtk")
     known, chosen = _OPTIONS[kind], checked_options(path, options, _OPTIONS[kind])
-    inherited = own.options if own.options.get("kind") == kind else {}
+    inherited = grid.format.options if grid.format is not None and grid.format.options.get("kind") == kind else {}
     switches = {key: word if (word := inherited.get(key)) in words else words[0] for key, words in known.items()}
     switches |= {"precision": grid.precision, **chosen}
     precision = switches.pop("precision")
-    if switches["encoding"] == "ascii" and kind != "legacy":
-        if chosen.get("compression", "none") != "none":
-            raise FormatError(f"cannot write {path}: ascii is never compressed; choose encoding = appended or binary")
-        switches["compression"] = "none"
-    if not (switches["encoding"] == "binary" if kind == "legacy" else plain(switches)):
-        grid.nodes.require_whole(f"{path} is written as text or compressed")
-    return VtkFormat("vtk", precision, {"kind": kind, **switches}, own.field_data)
+    if switches["encoding"] == "ascii":
+        grid.nodes.require_whole(f"{path} is written as text")
+    return FileFormat("vtk", precision, {"kind": kind, **switches})
 
 
-def write(grid: Grid, path: Path, variant: VtkFormat) -> None:
+def write(grid: Grid, path: Path, variant: FileFormat) -> None:
     """Write ``grid`` in the given variant, replacing ``path`` (and, for .vtm, the folder of its pieces) as a whole.
 
     Raises FormatError when the file cannot be written, or a field cannot be stored in a VTK file.

@@ -18,11 +18,11 @@ from urllib.parse import quote, unquote
 import numpy as np
 
 from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import Grid, Shape
+from meshdeform_core.grid import FileFormat, Grid, Shape
 from meshdeform_core.parallel import require_undivided
 
 from ..text import strict_numbers
-from .dataset import BlockOutput, DataArray, DataSet, Reserved, Run, StoredArray, Values, VtkFormat
+from .dataset import BlockOutput, DataArray, DataSet, Reserved, Run, StoredArray, Values
 
 # Value types and their numpy codes. VTK writes ids in binary files with 4 bytes.
 TYPES = {
@@ -323,7 +323,7 @@ _VALUES_PER_LINE = 9
 _LINES_AT_ONCE = 10_000
 
 
-def begin_block(grid: Grid, block: int, path: Path, variant: VtkFormat, contents: Sequence[StoredArray]) -> Reserved:
+def begin_block(grid: Grid, block: int, path: Path, variant: FileFormat, contents: Sequence[StoredArray]) -> Reserved:
     """Write one block, in binary without the values that have planes; returns the places of these."""
     points, *arrays = contents
     with path.open("wb") as stream:

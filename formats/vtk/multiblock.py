@@ -13,10 +13,10 @@ from xml.etree import ElementTree
 
 from meshdeform_core import interruption
 from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import Grid
+from meshdeform_core.grid import FileFormat, Grid
 
 from ..files import replacing_by_all, shown
-from .dataset import DataSet, VtkFormat, write_blocks
+from .dataset import DataSet, write_blocks
 from .xml_arrays import read as read_piece
 from .xml_tags import DEEPEST, read_tags
 from .xml_write import attribute, begin_block
@@ -81,7 +81,7 @@ def _files(path: Path) -> Iterator[tuple[str, Path]]:
             waiting.extend((child, below) for child in reversed(element.children))
 
 
-def write(grid: Grid, path: Path, variant: VtkFormat) -> None:
+def write(grid: Grid, path: Path, variant: FileFormat) -> None:
     """Write the index ``NAME.vtm`` and its pieces ``NAME/NAME_0.vts``, ...; a ``/`` in a block name makes a group.
 
     The set changes atomically when the new index replaces the old one: the new pieces have names that the old set does

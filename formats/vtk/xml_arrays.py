@@ -26,7 +26,7 @@ from meshdeform_core.grid import Shape
 from meshdeform_core.parallel import require_undivided
 
 from ..text import strict_numbers
-from .dataset import DataArray, DataSet, Run, native
+from .dataset import DataArray, DataSet, Run
 from .xml_tags import TAG, Element, XmlFile, read_tags
 
 TYPES = {
@@ -42,7 +42,7 @@ TYPES = {
     "Float64": "f8",
 }
 
-SECTIONS = {"PointData": "node", "CellData": "cell", "FieldData": ""}
+SECTIONS = {"PointData": "node", "CellData": "cell"}
 # Largest compression ratio, by the definition of zlib; lzma exceeds it for constants.
 LARGEST_RATIO = {"none": 1, "zlib": 1032, "lzma": 10_000}
 # Total size to which the arrays of a file may be decompressed, beyond what its size explains.
@@ -318,7 +318,7 @@ def read_section(
     """The arrays of all ``tag`` elements (a key of :data:`SECTIONS`) in ``above``.
 
     ``tuples`` is the number of nodes or cells; a line for each array that is not kept is added to ``notes``. With
-    ``later``, values that are stored as they are remain to be read; those of field data are in native byte order.
+    ``later``, values that are stored as they are remain to be read.
 
     Raises FormatError when an array is damaged or does not have the expected number of values.
     """
@@ -330,12 +330,8 @@ def read_section(
                 notes.append(f"the text array {name!r} is not kept")
                 continue
             if name in found:
-                notes.append(f"{SECTIONS[tag] or 'field'} array {name!r} exists twice; the last one is kept")
-            if SECTIONS[tag]:
-                values = reader.values(element, tuples, later=later)
-            else:
-                values = native(reader.values(element, reader.number(element, "NumberOfTuples")))
-            found[name] = DataArray(name, SECTIONS[tag], values)
+                notes.append(f"{SECTIONS[tag]} array {name!r} exists twice; the last one is kept")
+            found[name] = DataArray(name, SECTIONS[tag], reader.values(element, tuples, later=later))
     return list(found.values())
 
 
@@ -382,7 +378,6 @@ def read(path: Path) -> DataSet:
         arrays = [
             *read_section(reader, piece, "PointData", ni * nj * nk, notes, later=True),
             *read_section(reader, piece, "CellData", n_cells, notes, later=True),
-            *read_section(reader, data_set, "FieldData", 0, notes),
         ]
         reader.require_no_rest()
     return DataSet(points, tuple(arrays), file.options, tuple(dict.fromkeys(notes)))

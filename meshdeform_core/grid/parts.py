@@ -187,11 +187,6 @@ class FileFormat:
     options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     @property
-    def other_bytes(self) -> int:
-        """Size of what the variant keeps beside the fields of the grid."""
-        return 0
-
-    @property
     def label(self) -> str:
         """One line of text, e.g. ``plot3d (encoding=fortran, iblank=false), float64``."""
         words = ", ".join(

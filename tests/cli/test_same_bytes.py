@@ -50,7 +50,6 @@ FORMATS = {
     "plot3d text": ("out.p3dfmt",),
     "vtk": ("out.vtm", "--field", "all"),
     "vtk text": ("out.vtm", "--variant", "encoding=ascii"),
-    "vtk packed": ("out.vtm", "--variant", "compression=zlib"),
     "unstructured": ("out.vtu",),
     "gmsh": ("out.msh",),
     "su2": ("out.su2",),

@@ -231,7 +231,7 @@ TARGETS = {
     "fortran.xyz": ("encoding=fortran", "byte_order=big", "markers=8"),
     "out.cgns": (),
     "out.vtm": (),
-    "zlib.vtm": ("compression=zlib",),
+    "ascii.vtm": ("encoding=ascii",),
 }
 
 

@@ -18,7 +18,6 @@ VARIANTS = {
     "new.cgns": {},
     "single.cgns": {"precision": "float32"},
     "grid.vts": {},
-    "packed.vts": {"compression": "zlib"},
     "text.vts": {"encoding": "ascii"},
     "single.vts": {"precision": "float32"},
     "plane.vtk": {},

@@ -48,8 +48,6 @@ def check(grid, points, arrays):
         np.testing.assert_array_equal(fields[key].values, values)
         assert fields[key].values.dtype == values.dtype
         assert fields[key].values.flags.c_contiguous
-    ((name, location, values),) = grid.format.field_data[0]
-    assert (name, location, values.tolist()) == ("TimeValue", "", [0.25])
 
 
 XML_VARIANTS = [
@@ -143,7 +141,7 @@ def test_global_ids_and_text(tmp_path, rng):
         write(path, vts)
         grid = read_grid(path)
         np.testing.assert_array_equal(grid.fields[0].values, numbers)
-        assert grid.notes == ("the text array 'author' is not kept",)
+        assert grid.notes == (("the text array 'author' is not kept",) if path.suffix == ".vtk" else ())
     vtk_witness.write_legacy(tmp_path / "a.vtk", vts, binary=False)
     np.testing.assert_array_equal(read_grid(tmp_path / "a.vtk").fields[0].values, numbers)
 

@@ -1,7 +1,6 @@
 """Our own reader and writer of VTK's XML files: pieces, encodings, damage, and limits of memory; VTK is the witness."""
 
 import base64
-import itertools
 import lzma
 import time
 import tracemalloc
@@ -17,7 +16,7 @@ from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.displacement import read_displacement
 
 CUBE = np.stack(np.meshgrid([0.0, 1.0], [0.0, 1.0], [0.0, 1.0], indexing="ij"), axis=-1)
-VARIANTS = [{"encoding": "ascii"}, {"compression": "none"}, {"compression": "zlib"}]
+VARIANTS = [{"encoding": "ascii"}, {"encoding": "appended"}]
 
 
 @pytest.mark.parametrize("options", VARIANTS, ids=lambda o: "-".join(o.values()))
@@ -45,8 +44,7 @@ def test_slabs_and_blocks_of_every_length(tmp_path, monkeypatch):
     monkeypatch.setattr("meshdeform_formats.vtk.dataset._SLAB", 100)
     monkeypatch.setattr("meshdeform_formats.vtk.dataset._PLANES", 1)
     rng = np.random.default_rng(3)
-    for block, options in itertools.product((1, 7, 24, 25, 1000), VARIANTS):
-        monkeypatch.setattr("meshdeform_formats.vtk.xml_write._BLOCK", block)
+    for options in VARIANTS:
         grid = Grid.from_blocks([rng.normal(size=(2, 5, 3, 3))])
         write_grid(grid, tmp_path / "a.vts", options)
         np.testing.assert_array_equal(read_grid(tmp_path / "a.vts").points, grid.points)
