@@ -192,10 +192,11 @@ def repair_sentence(report: Report) -> str:
 
 def repair_lines(report: Report) -> list[str]:
     """How many cells were repaired, how far nodes moved, and measures of the method's grid beside those of the repaired
-    one; empty without a repair."""
+    one; empty without a repair, unless `meshdeform repair` found nothing to do."""
     done = report.get("repair")
     if not done:
-        return []
+        idle = report.get("new_interior", "") is None and report["valid"]
+        return ["no cell is invalid or weak: nothing to repair"] if idle else []
     if done["left_out"]:
         return [f"not repaired: {done['left_out']}"]
     counts = [f"{done[kind]:,} {kind}" for kind in ("invalid", "weak") if done[kind]]

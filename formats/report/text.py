@@ -148,7 +148,8 @@ def _boundary_lines(boundary: Report, motion: list[Report]) -> Iterator[str]:
     if "max_displacement" in boundary:
         yield f"motion    largest displacement {boundary['max_displacement']:.6g}"
     for patch in motion:
-        mean = ", ".join(f"{part:.4g}" for part in patch["mean_displacement"])
+        least = 1e-12 * patch["max_displacement"]
+        mean = ", ".join(f"{part if abs(part) > least else 0.0:.4g}" for part in patch["mean_displacement"])
         yield (
             f"          {patch['boundary']}: up to {patch['max_displacement']:.6g}, mean ({mean}), "
             f"rotated by up to {patch['max_rotation_deg']:.4g} degrees{axis_text(patch['rotation_axis'])}"
