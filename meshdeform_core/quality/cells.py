@@ -172,7 +172,15 @@ def block_volumes(grid: Grid, points: FloatArray, sign: IntArray) -> FloatArray:
     flux = np.empty(6 * grid.n_blocks)
     for alike in _alike(grid.sides.nodes):
         for lo, hi in batches(grid.sides.nodes[alike].prod(axis=1), _SLAB_CELLS):
-            flux[alike[lo:hi]] = _flux(grid, points, center, alike[lo:hi])
+            some = alike[lo:hi]
+            na, nb = grid.sides.nodes[some[0]]
+            nodes = grid.sides.at(some[:, None, None], np.arange(na)[:, None], np.arange(nb))
+            # Component by component, as numpy is slow on axes of length 3.
+            face = Nodes.of(points).at(nodes) - center[some // 6, None, None]
+            face = np.ascontiguousarray(np.moveaxis(face, -1, 0))
+            low, high, right, left = face[..., :-1, :-1], face[..., 1:, 1:], face[..., 1:, :-1], face[..., :-1, 1:]
+            through = dot(low + high + left + right, cross(high - low, left - right))
+            flux[some] = through.reshape(len(some), -1).sum(axis=1)
     # With the other two axes in ascending order, i and k form a right-handed frame, j a left-handed one.
     total: FloatArray = np.zeros(grid.n_blocks)
     for side, outward in enumerate((-1, 1, 1, -1, -1, 1)):
@@ -185,14 +193,3 @@ def _alike(shapes: IntArray) -> list[IntArray]:
     order = np.lexsort(shapes.T)
     new = np.append(True, (shapes[order[1:]] != shapes[order[:-1]]).any(axis=1))
     return np.split(order, np.flatnonzero(new)[1:])
-
-
-def _flux(grid: Grid, points: FloatArray, center: FloatArray, sides: IntArray) -> FloatArray:
-    """24 times the flux through sides of one shape of a third of the position relative to ``center`` (n_blocks, 3)."""
-    na, nb = grid.sides.nodes[sides[0]]
-    nodes = grid.sides.at(sides[:, None, None], np.arange(na)[:, None], np.arange(nb))
-    # Component by component, as numpy is slow on axes of length 3.
-    face = np.ascontiguousarray(np.moveaxis(Nodes.of(points).at(nodes) - center[sides // 6, None, None], -1, 0))
-    low, high, right, left = face[..., :-1, :-1], face[..., 1:, 1:], face[..., 1:, :-1], face[..., :-1, 1:]
-    flux = dot(low + high + left + right, cross(high - low, left - right))
-    return np.asarray(flux.reshape(len(sides), -1).sum(axis=1))

@@ -15,7 +15,7 @@ from ..grid.topology import Topology, cells_behind
 from ..parallel import Nodes
 from .cells import cells_alike
 from .comparison import Range, Spread
-from .lines import InterfaceLines, WallLines, WallMeasures, kink_and_jump, lines_across
+from .lines import InterfaceLines, WallLines, kink_and_jump, lines_across
 from .listed import Worst, worst_cell
 from .original import Original
 
@@ -67,29 +67,23 @@ def measure_walls(
     """
     before: WallQualities = {"moving": None, "fixed": None}
     now: WallQualities = dict(before)
+    grid, alike = original.grid, Range(1.0, 1.0)
     for name, (lines, old) in original.walls(boundary).items() if boundary is not None else ():
-        if lines.quads.size:
-            before[name], now[name] = _compared(original, lines, old, after)
+        if not lines.quads.size:
+            continue
+        new = lines.measure(after, original.normal)
+        heights, layers = _ratios(old.height, new.height), _ratios(old.thickness, new.thickness)
+        steepest = int(new.angle.argmax()), float(new.angle.max())
+        worst: Extremes = {"wall_normal_deviation_deg": steepest} if steepest[1] else {}
+        worst |= extremes_of("first_cell_height_ratio", heights) | extremes_of("layer_thickness_ratio", layers)
+        found = {}
+        for measure, (line, value) in worst.items():
+            quad = int((lines.line == line).any(axis=1).argmax())
+            cell = int(cells_behind(grid, original.topology, lines.quads[quad : quad + 1])[0])
+            found[measure] = worst_cell(grid, after, cell, value)
+        before[name] = WallQuality(Spread.of(old.angle), alike if heights else None, alike if layers else None, {})
+        now[name] = WallQuality(Spread.of(new.angle), _range(heights), _range(layers), found)
     return before, now
-
-
-def _compared(
-    original: Original, lines: WallLines, old: WallMeasures, after: FloatArray
-) -> tuple[WallQuality, WallQuality]:
-    grid, new = original.grid, lines.measure(after, original.normal)
-    worst: Extremes = {}
-    if new.angle.any():
-        worst["wall_normal_deviation_deg"] = int(new.angle.argmax()), float(new.angle.max())
-    heights, layers = _ratios(old.height, new.height), _ratios(old.thickness, new.thickness)
-    worst |= extremes_of("first_cell_height_ratio", heights) | extremes_of("layer_thickness_ratio", layers)
-    found = {}
-    for name, (line, value) in worst.items():
-        quad = int((lines.line == line).any(axis=1).argmax())
-        cell = int(cells_behind(grid, original.topology, lines.quads[quad : quad + 1])[0])
-        found[name] = worst_cell(grid, after, cell, value)
-    alike = Range(1.0, 1.0)
-    before = WallQuality(Spread.of(old.angle), alike if heights else None, alike if layers else None, {})
-    return before, WallQuality(Spread.of(new.angle), _range(heights), _range(layers), found)
 
 
 def layer_changes(

@@ -145,7 +145,9 @@ class _Range:
             hi = int(np.searchsorted(keys, reach, side="right"))
             groups = self._groups(lo, hi)
             if hi == len(keys):
-                groups = _with_more(groups, beyond[: np.searchsorted(beyond[:, 0], reach, side="right")])
+                more = beyond[: np.searchsorted(beyond[:, 0], reach, side="right")]
+                columns = more[:, 0], more[:, 1:4], more[:, 4]
+                groups = tuple(np.concatenate(each) for each in zip(groups, columns, strict=True))
             pairs = int(self._group[lo]) + pairs_in_order(*groups)
             found.append(self._base + pairs[pairs[:, 0] <= self._group[own - 1]])
             lo = own
@@ -174,12 +176,6 @@ class _Range:
         sizes[: len(ends)] = np.append(0, np.cumsum(self._new[: ends.max(initial=0)]))[ends]
         target, group = spans(sizes)
         return Route(self._ranks, target).there(np.column_stack([key, points, tolerance])[group])
-
-
-def _with_more(groups: tuple[FloatArray, ...], more: FloatArray) -> tuple[FloatArray, ...]:
-    """Key, coordinates and tolerance of groups, followed by those in the rows ``more`` (n, 5)."""
-    columns = more[:, 0], more[:, 1:4], more[:, 4]
-    return tuple(np.concatenate(each) for each in zip(groups, columns, strict=True))
 
 
 def _new_points(key: FloatArray, order: IntArray, points: FloatArray) -> BoolArray:
