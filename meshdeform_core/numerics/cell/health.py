@@ -28,12 +28,14 @@ def mark_unhealthy(x, start, normal, healthy, eps, tolerance, marks):
     """
     edge, base, dual = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     si, sj, sk = min(x.shape[0] - 1, 1), min(x.shape[1] - 1, 1), min(x.shape[2] - 1, 1)
-    plane = si + sj + sk == 2
+    flat = 4 * (1 - si) + 2 * (1 - sj) + (1 - sk)
     for i in range(marks.shape[0]):
         for j in range(marks.shape[1]):
             for k in range(marks.shape[2]):
                 marks[i, j, k] = False
                 for corner in range(8):
+                    if corner & flat:
+                        continue
                     a, b, c = i + si * (corner >> 2), j + sj * (corner >> 1 & 1), k + sk * (corner & 1)
                     for d in range(3):
                         edge[0, d] = x[i + si, b, c, d] - x[i, b, c, d] + (1 - si) * normal[d]
@@ -56,7 +58,7 @@ def mark_unhealthy(x, start, normal, healthy, eps, tolerance, marks):
                     norm /= before * before
                     det = determinant(edge) / before
                     chi, _ = regular(det, eps)
-                    if plane:
+                    if flat:
                         # The normal, which remains, adds one to the square of the norm.
                         sound = 0.5 * (norm + det * det) <= healthy * _BELOW * chi
                     else:
