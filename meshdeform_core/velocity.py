@@ -5,13 +5,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from .grid import Field, FloatArray, Grid
 from .grid.planes import plane_normal
 from .grid.topology import block_handedness
-from .numerics.cell.measures import corners_and_edges, volume
+from .numerics.geometry.vectors import cross, dot
 from .parallel import Nodes, empty, for_chunks
 from .quality.cells import positive_side
 
@@ -21,8 +22,8 @@ PAST = {"none": 0, "first": 1, "second": 2, "swept": 2}
 """Number of earlier levels that each order needs."""
 SWEPT, FLUX = "SweptVolume", "VolumeFlux"
 """Names of the fields at the faces."""
-_TOGETHER = 1 << 14
-"""Faces measured at a time, which bounds the memory."""
+_TOGETHER = 1 << 13
+"""Nodes whose faces are measured at a time, which bounds the memory."""
 FACES = ("iface", "jface", "kface")
 """Locations of fields at the faces across each index axis."""
 
@@ -86,25 +87,45 @@ def swept_volumes(grid: Grid, before: FloatArray, after: FloatArray) -> FloatArr
 
     def work(index: int, _: int) -> None:
         block, axis = divmod(index, 3)
-        shape, out = grid.shapes[block], faces[block][axis].reshape(-1)
+        shape, out = grid.shapes[block], faces[block][axis]
         if not out.size:
             return
-        # The nodes of a face before and after span a cell, whose first index is the time.
-        steps, sign = np.array([shape[1] * shape[2], shape[2], 1]), float(handedness[block])
-        others = [other for other in ((axis + 1) % 3, (axis + 2) % 3) if shape[other] > 1]
-        corners = np.indices((2,) * len(others)).reshape(len(others), -1).T @ steps[others]
+        size, others = shape[1] * shape[2], [other for other in ((axis + 1) % 3, (axis + 2) % 3) if shape[other] > 1]
+        sign, begin = float(handedness[block]), int(grid.offsets[block]) + grid.planes(block).start * size
         thin = 3 - axis - others[0]
-        side = positive_side(thin == 1, sign if normal is None or others[0] > axis else -sign, normal)
-        begin = int(grid.offsets[block]) + grid.planes(block).start * int(steps[0])
-        counts = faces[block][axis].shape
-        for lo in range(0, out.size, _TOGETHER):
-            at = np.unravel_index(np.arange(lo, min(lo + _TOGETHER, out.size)), counts)
-            nodes = (begin + steps @ np.array(at))[:, None] + corners
-            x = np.concatenate([one[nodes], two[nodes]], axis=1)
-            out[lo : lo + _TOGETHER] = volume(corners_and_edges(x, side), side)
+        side = positive_side(thin == 1, sign if normal is None or others[0] < axis else -sign, normal)
+        step = max(1, _TOGETHER // size)
+        for lo in range(0, len(out), step):
+            # Faces along i also need the next plane. By components, as numpy is slow on axes of length 3.
+            rows = slice(begin + lo * size, begin + min(lo + step, len(out)) * size + (size if 0 in others else 0))
+            x, y = (np.moveaxis(p[rows].reshape(-1, *shape[1:], 3), -1, 0).copy() for p in (one, two))
+            out[lo : lo + step] = _swept(x, y, others, side)
 
     for_chunks(work, 3 * grid.n_blocks, 1)
     return swept
+
+
+def _swept(before: FloatArray, after: FloatArray, axes: Sequence[int], side: Any) -> FloatArray:
+    """Volumes swept by faces between nodes (3, ni, nj, nk) that extend along two index ``axes``, or in 2-D along one;
+    ``side`` is the sign of the volume, in 2-D the normal along which areas are seen.
+
+    The nodes of a face before and after span a trilinear hexahedron, whose volume is computed exactly (Grandy 1997).
+    """
+
+    def corners(x: FloatArray) -> list[FloatArray]:
+        found = [x]
+        for axis in axes:
+            ends = [(*[slice(None)] * (axis + 1), end) for end in (slice(-1), slice(1, None))]
+            found = [part[end] for part in found for end in ends]
+        return found
+
+    if len(axes) == 1:
+        (a0, b0), (a1, b1) = corners(before), corners(after)
+        return 0.5 * dot(side, cross(b1 - a0, a1 - b0))
+    (a0, b0, c0, d0), (a1, b1, c1, d1) = corners(before), corners(after)
+    # Diagonals of the hexahedron and of its faces, towards its last corner and from its first one.
+    a, b, c, d, e, f = d1 - c0, d1 - b0, d1 - a1, b1 - a0, c1 - a0, d0 - a0
+    return np.asarray(side / 12.0 * (dot(cross(a + d, b), f) + dot(cross(d, b + e), c) + dot(cross(a, e), c + f)))
 
 
 def volume_flux(times: Sequence[float], swept: Sequence[FloatArray]) -> FloatArray:

@@ -24,6 +24,8 @@ from ..parallel import Nodes
 from .cells import Slab, cells_alike, corners_of, for_slabs, hold_cells
 from .original import Original
 
+_TOGETHER = 1 << 13
+"""Cells measured at a time in double precision, which keeps them in the cache."""
 HISTOGRAM_BINS = 20
 INVERSE, SKEW, VOLUME, NEGATIVE, BAD, HISTOGRAM = 0, 1, 2, 3, 4, 5
 TOTALS = HISTOGRAM + HISTOGRAM_BINS
@@ -102,7 +104,9 @@ def inspect_slab(original: Original, after: FloatArray, slab: Slab, both: bool) 
             _scale(before, slab), slab.first, slab.last, out.reshape(6, *shape), is_open.reshape(shape), totals,
         )  # fmt: skip
     figures = SlabMeasures(*[*out, *totals, np.zeros(count, np.int8)])
-    _measure_open(original, after, slab, np.flatnonzero(is_open), figures, both)
+    left = np.flatnonzero(is_open)
+    for lo in range(0, left.size, _TOGETHER):
+        _measure_open(original, after, slab, left[lo : lo + _TOGETHER], figures, both)
     if original.min_jacobian > 0.0:
         near = np.abs(figures.ratio - original.min_jacobian) <= 1e-3 * original.min_jacobian
         cells = slab.start + np.flatnonzero(near & ~is_open)
@@ -126,8 +130,6 @@ def _measure_open(
     original: Original, after: FloatArray, slab: Slab, cells: IntArray, f: SlabMeasures, both: bool
 ) -> None:
     """Measure and judge ``cells`` of a slab, numbered from its first one, in double precision."""
-    if cells.size == 0:
-        return
     grid, side = original.grid, original.sides(slab.block)
     x0, x = (corners_of(grid, Nodes.of(points).rows, slab.start + cells) for points in (grid.points, after))
     old, new = measure_cells(x0, side), measure_cells(x, side)
@@ -138,7 +140,7 @@ def _measure_open(
         f.failed[cells] = np.array([Failure.NONE, Failure.INSIDE, Failure.VOLUME])[reason]
     bad, was_bad = (np.asarray((each.jacobian <= 0).any(axis=1)) for each in (new, old))
     kept = (f.failed[cells] == 0) & ~((f.ratio[cells] <= 0.0) | (f.ratio[cells] < original.min_jacobian))
-    f.inherited = int((bad & was_bad & kept).sum())
+    f.inherited += int((bad & was_bad & kept).sum())
     f.after += _totals(new.skew, new.volume, bad)
     if both:
         f.skew_before[cells], f.scaled_before[cells] = old.skew, old.scaled
