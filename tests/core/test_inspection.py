@@ -147,6 +147,7 @@ def test_extremes_and_totals_of_a_report_are_in_double_precision(flip):
     assert quality.total_volume == pytest.approx(new[3].sum(), rel=1e-12)
     assert quality.f_skew.mean == pytest.approx(new[0].mean(), rel=TOLERANCE)
     assert quality.f_skew.harmonic_mean == pytest.approx(1 / (1 / new[0]).mean(), rel=TOLERANCE)
+    assert quality.f_skew.histogram == tuple(np.histogram(new[0], 20, (0.0, 1.0))[0])
 
 
 @given(st.lists(st.floats(0.0, 1.0, width=32), min_size=1, max_size=300), st.randoms(use_true_random=False))

@@ -17,22 +17,6 @@ from meshdeform_core.parallel import (
 
 
 @pytest.mark.parametrize("threads", [1, 3])
-def test_progress_ends_with_all_items_and_comes_from_the_thread_that_asked(threads):
-    told = []
-    for_chunks(
-        lambda lo, hi: time.sleep(1e-3),
-        100,
-        7,
-        lambda done, size: told.append((done, size, threading.get_ident())),
-        threads=threads,
-    )
-    counts = [done for done, _, _ in told]
-    assert counts == sorted(counts)
-    assert told[-1] == (100, 100, threading.get_ident())
-    assert {(size, thread) for _, size, thread in told} == {(100, threading.get_ident())}
-
-
-@pytest.mark.parametrize("threads", [1, 3])
 def test_an_error_ends_the_loop_when_no_chunk_runs_any_more(threads):
     begun, ended = [], []
 

@@ -168,15 +168,6 @@ def test_nodes_without_data_are_refused(number, suffix, folder):
     assert "one row for each node" in told
 
 
-def test_an_element_of_a_node_that_does_not_exist_is_refused(folder):
-    surfaces.write(Path("table.msh"), body_table(), "ascii")
-    text = Path("table.msh").read_text()
-    Path("table.msh").write_text(text.replace("1 2 2 0 1 1 2 3", "1 2 2 0 1 1 2 -1"))
-    code, told = called("deform", "grid.xyz", "-d", "table.msh", "-m", "tfi", "-o", "out.xyz", "-q")
-    assert code == 2
-    assert "does not have the nodes of its type" in told
-
-
 @pytest.mark.parametrize("apart", ["1e-260", "-3e-17", "5e-324"])
 @pytest.mark.parametrize("match", ["nearest", "interpolate"])
 def test_points_that_differ_by_rounding_are_one_point(match, apart, folder):
