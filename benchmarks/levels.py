@@ -20,7 +20,7 @@ from tables import MarkdownTable, Row
 from meshdeform_core.deform import set_up
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.grid.topology import find_topology
-from meshdeform_core.memory import COORDINATE_ARRAYS, Demand
+from meshdeform_core.memory import Demand, deforming
 from meshdeform_core.methods import CATALOGUE, Options, make_method
 from meshdeform_formats import read_grid
 from meshdeform_formats.case import read_case
@@ -160,7 +160,7 @@ def _capped(case: _Case, method: str, every: int) -> Row:
     """The same with the least memory that the method accepts."""
     grid = read_grid(case.folder / "grid.cgns")
     for arrays in _CAPS:
-        cap = Demand.of("deforming", grid, arrays=COORDINATE_ARRAYS + arrays).in_memory
+        cap = Demand.of("deforming", deforming(method, beside=24 * arrays), grid).in_memory
         try:
             return _series(case, method, every, str(cap))
         except subprocess.CalledProcessError as error:

@@ -27,16 +27,16 @@ from tables import MarkdownTable
 from meshdeform_core import setup
 from meshdeform_core.deform import deform
 from meshdeform_core.grid import Grid
-from meshdeform_core.grid.near import NearNodes
+from meshdeform_core.grid.lattice import NearNodes
 from meshdeform_core.memory import peak_memory
-from meshdeform_core.parallel import Nodes, OneRank, sharing
+from meshdeform_core.parallel import Nodes, Ranks, sharing
 from meshdeform_formats.case import case_of
 
 _TOGETHER = 1 << 20
 """Rows computed at a time."""
 
 
-class LonelyRank(OneRank):
+class LonelyRank(Ranks):
     """Rank ``number`` of ``count``; what the others would send is missing."""
 
     def __init__(self, number: int, count: int) -> None:

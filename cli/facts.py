@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 
 from meshdeform_core.grid import Grid
-from meshdeform_core.grid.connectivity.declared import check_connections
-from meshdeform_core.grid.connectivity.interfaces import find_interfaces
-from meshdeform_core.grid.connectivity.openings import describe_group, find_openings, patched_groups
-from meshdeform_core.grid.connectivity.overset import coincident_blocks
-from meshdeform_core.grid.faces.roles import Role, declared_role
-from meshdeform_core.grid.faces.surfaces import Outside, clustered_interfaces, find_outside, thin_direction
+from meshdeform_core.grid.connections import check_connections, find_interfaces
+from meshdeform_core.grid.faces import Role, declared_role
+from meshdeform_core.grid.openings import coincident_blocks, describe_group, find_openings, patched_groups
+from meshdeform_core.grid.surfaces import Outside, clustered_interfaces, find_outside, thin_direction
 from meshdeform_core.grid.topology import Topology, find_topology
 from meshdeform_core.numerics.arrays import extent
 from meshdeform_core.wording import counted, listed, vector

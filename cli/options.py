@@ -209,7 +209,7 @@ class CaseInput:
 
         matching, overrides = None, self.overrides
         if self.match is not None or self.tolerance is not None:
-            from meshdeform_core.boundary.tables.matching import AUTOMATIC, Matching
+            from meshdeform_core.boundary.tables import AUTOMATIC, Matching
 
             if self.displacement is None:
                 raise click.UsageError("--match and --tolerance belong to --displacement; in a case they are keys.")

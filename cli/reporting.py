@@ -10,7 +10,7 @@ from pathlib import Path
 
 import click
 
-from meshdeform_core.parallel import OneRank, Ranks
+from meshdeform_core.parallel import Ranks
 from meshdeform_formats.report.records import Report, with_other
 from meshdeform_formats.report.tables import Illustrate, Illustrations
 from meshdeform_formats.report.text import as_text
@@ -29,7 +29,7 @@ class Delivery:
     start: float
     files: Sequence[tuple[str, Path | None]]
     illustrate: Illustrate = field(default=Illustrations)
-    ranks: Ranks = field(default_factory=OneRank)
+    ranks: Ranks = field(default_factory=Ranks)
 
 
 def deliver(

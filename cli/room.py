@@ -8,17 +8,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from meshdeform_core.memory import COORDINATE_ARRAYS, Demand, MemoryLimit, machine_memory, parse_memory
+from meshdeform_core.memory import Demand, MemoryLimit, Work, machine_memory, parse_memory
+from meshdeform_core.parallel.scratch import set_scratch
 
 from .options import GridInput, parse_pairs
 
 if TYPE_CHECKING:
     from meshdeform_formats.grids import Layout
 
-_UNPACKED = 6
-"""Largest ratio of the memory of coordinates to the size of a compressed file in single precision."""
+_NODES = 4
+"""Bytes of a file in which at least one node is held: compressed, in single precision."""
 
-
+_COORDINATES = 24
 _SMALL = 1 << 20
 
 
@@ -27,20 +28,13 @@ def limit_of(text: str | None) -> MemoryLimit:
     return machine_memory() if text is None else parse_memory(text, "--max-memory")
 
 
-def make_room(
-    limit: MemoryLimit,
-    doing: str,
-    sources: Sequence[GridInput],
-    folder: Path | None,
-    arrays: float = COORDINATE_ARRAYS,
-) -> None:
+def make_room(limit: MemoryLimit, doing: str, work: Work, sources: Sequence[GridInput], folder: Path | None) -> None:
     """Refuse grids that do not fit, before they are read; large arrays are put into files if they fit in that way.
 
     Parameters
     ----------
     doing : like ``deforming``
     folder : for these files
-    arrays : as large as the coordinates of all ``sources`` together, that the work takes
 
     Raises
     ------
@@ -49,28 +43,26 @@ def make_room(
     """
     there = [source for source in sources if source.path.is_file()]
     size = sum(_bytes_of(source.path) for source in there)
-    if Demand("", 0, _UNPACKED * size, arrays=arrays).in_memory <= limit.size:
-        Demand("", 0, 0).place(limit, None)
+    if Demand("", work, size // _NODES).in_memory <= limit.size:
+        set_scratch(None)
         return
     layouts = [layout_at(source) for source in there]
     known = [layout for layout in layouts if layout is not None]
     if len(known) < len(layouts):
         names = " and ".join(str(source.path) for source in there)
-        Demand(f"{doing} {names} (read as a whole)", 0, size, arrays=arrays + 1).place(limit, None)
+        whole = work._replace(more=work.more + _COORDINATES)
+        Demand(f"{doing} {names} (read as a whole)", whole, size // _COORDINATES).place(limit, None)
         return
-    Demand.of(doing, *known, arrays=arrays).place(limit, folder)
+    Demand.of(doing, work, *known).place(limit, folder)
 
 
-def too_large(limit: MemoryLimit, source: GridInput, more_arrays: int = 0) -> Layout | None:
+def too_large(limit: MemoryLimit, work: Work, source: GridInput) -> Layout | None:
     """The blocks of a grid that cannot be deformed in memory; ``None`` for others, and where its header does not
     tell."""
-    arrays = COORDINATE_ARRAYS + more_arrays
-    if not source.path.is_file():
-        return None
-    if Demand("", 0, _UNPACKED * _bytes_of(source.path), arrays=arrays).in_memory <= limit.size:
+    if not source.path.is_file() or Demand("", work, _bytes_of(source.path) // _NODES).in_memory <= limit.size:
         return None
     layout = layout_at(source)
-    return layout if layout and Demand.of("deforming", layout, arrays=arrays).in_memory > limit.size else None
+    return layout if layout and Demand.of("deforming", work, layout).in_memory > limit.size else None
 
 
 def _bytes_of(path: Path) -> int:

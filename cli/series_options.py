@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from meshdeform_core.memory import SMOOTHNESS_ARRAYS, SWEPT_ARRAYS, VELOCITY_ARRAYS
+from meshdeform_core.memory import SWEPT_BYTES, VELOCITY_BYTES
 
 from .options import PATH, packed, steps_option
 
@@ -26,14 +26,9 @@ class SeriesInput:
     resume: bool
 
     @property
-    def velocity_arrays(self) -> int:
-        """Memory that the velocities need, in units of the coordinates."""
-        return VELOCITY_ARRAYS * (self.velocity != "none") + SWEPT_ARRAYS * (self.velocity == "swept")
-
-    @property
-    def more_arrays(self) -> int:
-        """Memory that a series needs in addition to a single deformation, in units of the coordinates."""
-        return SMOOTHNESS_ARRAYS + self.velocity_arrays
+    def velocity_bytes(self) -> int:
+        """Bytes per node that the velocities take in memory."""
+        return VELOCITY_BYTES * (self.velocity != "none") + SWEPT_BYTES * (self.velocity == "swept")
 
 
 series_options = packed(

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import TracebackType
 
 from meshdeform_core import interruption
-from meshdeform_core.boundary.motions.motion import FollowSequence
+from meshdeform_core.boundary.motions.motion import Follow
 from meshdeform_core.deform import Setup, Timing, set_up
 from meshdeform_core.errors import CaseError, FormatError, MeshDeformError
 from meshdeform_core.grid import FileFormat
@@ -106,7 +106,7 @@ def times_of(case: CaseFile, wanted: SeriesInput) -> tuple[float, ...]:
     if wanted.times:
         return parse_times(wanted.times, "--times")
     motions = [spec.motion for spec in case.case.boundaries if spec.motion is not None]
-    found = {step.times for motion in motions for step in motion.steps if isinstance(step, FollowSequence)}
+    found = {step.times for motion in motions for step in motion.steps if isinstance(step, Follow)} - {()}
     if len(found) != 1:
         reason = "has no sequence of displacement files" if not found else "has sequences with different times"
         raise CaseError(f"the case {reason}; give the time levels: --times START:STOP:STEP")

@@ -16,12 +16,12 @@ import numpy as np
 
 from meshdeform_core.boundary import Kind
 from meshdeform_core.boundary.motions.motion import Follow
-from meshdeform_core.boundary.tables.matching import SurfaceData
+from meshdeform_core.boundary.tables import SurfaceData
 from meshdeform_core.deform import Case, Setup, deform
 from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.grid import Grid
-from meshdeform_core.grid.components import with_components
-from meshdeform_core.memory import COORDINATE_ARRAYS, Demand, MemoryLimit, peak_memory
+from meshdeform_core.grid.selection import with_components
+from meshdeform_core.memory import Demand, MemoryLimit, Work, deforming, peak_memory
 from meshdeform_core.methods import make_method
 from meshdeform_core.parallel import Ranks, WholeGridNeeded, current_ranks, thread_count
 from meshdeform_core.quality.fields import CellFields
@@ -29,7 +29,7 @@ from meshdeform_core.wording import counted
 from meshdeform_formats.case import CaseFile
 from meshdeform_formats.fields import with_fields
 from meshdeform_formats.files import invalid_path
-from meshdeform_formats.grids import complete_for_export, require_earlier_grid, variant_of, write_grid
+from meshdeform_formats.grids import FORMATS, complete_for_export, require_earlier_grid, variant_of, write_grid
 from meshdeform_formats.inputs import existing_outputs
 from meshdeform_formats.placing import existing, require_space
 from meshdeform_formats.report.records import Report, deformation_report
@@ -55,11 +55,12 @@ __all__ = ["Imposed", "Job", "conclude", "in_parts", "load", "place_of", "print_
 
 @dataclass(frozen=True)
 class Job:
-    """A grid and the case to apply to it; ``memory`` is the limit left for the method."""
+    """A grid and the case to apply to it; ``demand`` is its memory, ``memory`` the limit left for the method."""
 
     grid: Grid
     case: CaseFile
     read_seconds: float
+    demand: Demand
     memory: MemoryLimit
 
     @property
@@ -68,18 +69,26 @@ class Job:
         return self.grid.nodes.ranks
 
 
+def work_of(what: CaseFile, run: RunInput, suffix: str, beside: float | None = None) -> Work:
+    """What a run that writes files with a ``suffix`` does, for the model of its memory; ``beside`` as in
+    :func:`.memory.deforming`."""
+    unstructured = suffix.lower() in (*FORMATS["meshio"].suffixes, *FORMATS["openfoam"].suffixes)
+    return deforming(what.case.method.name, bool(run.fields) or unstructured, beside)
+
+
 def load(
     source: GridInput,
     case: CaseInput,
-    memory: MemoryLimit,
+    run: RunInput,
     outputs: Sequence[Path],
+    suffix: str,
     workplace: Path | None = None,
-    more_arrays: int = 0,
+    beside: float | None = None,
 ) -> Job:
     """Read the case first (it is small and most often wrong), then the grid with its boundary information.
 
-    ``outputs`` must not be files named in the case; ``more_arrays`` is additional memory in units of the coordinates.
-    If ``workplace`` is given, arrays of a grid larger than the memory are put into files in this folder.
+    ``outputs`` must not be files named in the case; ``suffix`` and ``beside`` as in :func:`work_of`. If ``workplace``
+    is given, arrays of a grid larger than the memory are put into files in this folder.
     """
     what = case.read()
     inputs = [source.path, source.boundary_file, case.file, case.displacement, *what.files]
@@ -87,13 +96,13 @@ def load(
     for path in outputs:
         keep_inputs(path, *what.files)
     make_method(what.case.method)
-    arrays = COORDINATE_ARRAYS + more_arrays
-    make_room(memory, "deforming", [source], workplace and existing(workplace.absolute()), arrays)
+    memory, work = run.memory, work_of(what, run, suffix, beside)
+    make_room(memory, "deforming", work, [source], workplace and existing(workplace.absolute()))
     start = clock.perf_counter()
     grid = with_components(source.read(what.boundary_file), what.case.components)
     seconds = clock.perf_counter() - start
-    demand = Demand.of("deforming", grid, arrays=arrays, other_bytes=_other_bytes(grid, what))
-    return Job(grid, what, seconds, demand.left_of(memory))
+    demand = Demand.of("deforming", work, grid, data=_other_bytes(grid, what))
+    return Job(grid, what, seconds, demand, demand.left_of(memory))
 
 
 def _require_alike(ranks: Ranks, options: str, files: Sequence[Path | None]) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 
 from meshdeform_core.errors import FormatError, GridError, MeshDeformError, suggestion
 from meshdeform_core.grid import FileFormat, Grid, Shape
-from meshdeform_core.grid.sizes import BlockSizes
+from meshdeform_core.grid.parts import BlockSizes
 from meshdeform_core.wording import listed
 
 from .files import read_head
@@ -143,7 +143,7 @@ def complete_for_export(grid: Grid, path: Path) -> Grid:
     own = grid.format is not None and grid.format.name == "cgns"
     if kind != "cgns" or grid.connections or own:
         return grid
-    from meshdeform_core.grid.connectivity.interfaces import find_interfaces
+    from meshdeform_core.grid.connections import find_interfaces
     from meshdeform_core.grid.topology import find_topology
 
     return dataclasses.replace(grid, connections=find_interfaces(grid, find_topology(grid)))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import GridError
 from meshdeform_core.grid import BoolArray, FloatArray, Grid, IntArray, Patch, Periodicity, Side
-from meshdeform_core.grid.connectivity.declared import connected_nodes, periodic_rotation
+from meshdeform_core.grid.connections import connected_nodes, periodic_rotation
 from meshdeform_core.grid.topology import Topology, quads_of_patches
 from meshdeform_core.numerics.geometry.coincidence import equal_rows
 

@@ -11,9 +11,9 @@ from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.motion import GIVEN
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.errors import CaseError
-from meshdeform_core.grid.components import Components
-from meshdeform_core.memory import Demand, MemoryLimit, machine_memory, parse_memory
-from meshdeform_core.parallel import OneRank, Ranks, WholeGridNeeded, sharing
+from meshdeform_core.grid.selection import Components
+from meshdeform_core.memory import Demand, MemoryLimit, deforming, machine_memory, parse_memory
+from meshdeform_core.parallel import Ranks, WholeGridNeeded, sharing
 from meshdeform_formats.case import CaseFile, case_of, read_case
 
 from .choice import Method, options_of
@@ -84,7 +84,7 @@ def prepare(
         what = _case(case, selections, components)
         held = _grid_of(grid, what, ranks)
         chosen = what.case if method is None else dataclasses.replace(what.case, method=options_of(method))
-        memory = Demand.of("deforming", held.core).left_of(_memory(max_memory))
+        memory = Demand.of("deforming", deforming(chosen.method.name), held.core).left_of(_memory(max_memory))
         setup = set_up(held.core, chosen, memory=memory)
         return Mesh(Session(setup, held.plane, ranks, threads))
 
@@ -97,7 +97,7 @@ def _grid_of(source: Grid | str | Path, what: CaseFile, ranks: Ranks) -> Grid:
         if ranks.count == 1:
             raise
         # Some files can only be read as a whole: each rank does, and keeps its part.
-        with sharing(OneRank(ranks.cores), None):
+        with sharing(Ranks(ranks.cores), None):
             found = _read(source, what, ranks)
     return wrapped(found.core.divided(ranks), found.plane)
 

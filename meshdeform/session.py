@@ -15,7 +15,7 @@ from meshdeform_core.boundary.prescribed import given_displacement
 from meshdeform_core.deform import Setup
 from meshdeform_core.errors import GridError, MotionError
 from meshdeform_core.grid import FloatArray, IntArray
-from meshdeform_core.parallel import OneRank, Ranks, sharing
+from meshdeform_core.parallel import Ranks, sharing
 
 from .gate import checked_array, in_parts
 
@@ -46,7 +46,7 @@ if hasattr(os, "register_at_fork"):
 def ranks_of_comm(comm: Comm | None) -> Ranks:
     """The ranks of a communicator; this process alone without one."""
     if comm is None:
-        return OneRank()
+        return Ranks()
     from meshdeform_core.parallel.mpi import MPIRanks
 
     return MPIRanks(comm)

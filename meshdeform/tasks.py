@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from meshdeform_core.errors import CaseError
-from meshdeform_core.judgement import judge_grid
+from meshdeform_core.mending import judge_grid
 from meshdeform_core.quality.difference import Difference, compare_points
 from meshdeform_core.repair.options import Mode
 

@@ -22,8 +22,7 @@ from .repair.tuned import COLLAPSING
 from .result import Result
 from .setup import BoundaryMotion, Case, Setup, Start, Timing
 from .stepping.attempts import adaptively, in_equal_steps, until_valid
-from .stepping.course import Attempt, Course, doubts
-from .stepping.steps import Reached, State, beginning
+from .stepping.steps import Attempt, Course, Reached, State, beginning, doubts
 from .wording import counted
 
 _WORSE = 0.9
@@ -100,19 +99,16 @@ def impose(
         raise CaseError(f'steps = {steps!r}; expected a whole number >= 1 or "auto"')
 
     def result(of: Course) -> Result:
-        return _result(_imposed(of, steps), start)
+        if not of.setup.boundary.count(Kind.MOVING):
+            # A component in which nothing moves.
+            still = dataclasses.replace(beginning(of, of.setup.case.method), fraction=1.0, steps=1)
+            return _result(Reached(still), start)
+        if isinstance(steps, int):
+            return _result(in_equal_steps(of, steps), start)
+        return _result(until_valid(of) if of.repairing else adaptively(of), start)
 
     undeformed = setup.undeformed
     return impose_on_components(course, undeformed, result) if isinstance(undeformed, Overset) else result(course)
-
-
-def _imposed(course: Course, steps: int | str) -> Reached:
-    if not course.setup.boundary.count(Kind.MOVING):
-        # A component in which nothing moves.
-        return Reached(dataclasses.replace(beginning(course, course.setup.case.method), fraction=1.0, steps=1))
-    if isinstance(steps, int):
-        return in_equal_steps(course, steps)
-    return until_valid(course) if course.repairing else adaptively(course)
 
 
 def _result(reached: Reached, start: Start | None) -> Result:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import ctypes
+import itertools
+import math
 import mmap
+import operator
 import os
 import platform
 import re
@@ -12,43 +15,35 @@ import sys
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, NamedTuple, Protocol
 
 from .errors import CaseError, MethodError
 from .parallel import current_ranks
 from .parallel.scratch import RESERVE, Scratch, current_scratch, resident_memory, set_scratch
 
 _UNITS = ("B", "KiB", "MiB", "GiB", "TiB")
-# The program with its libraries: up to 235 MiB were measured, with rbf. Coordinates before and after, displacement, arc
-# lengths, topology, fast sums, quality: peaks of 5.4 to 6.4 coordinate arrays were measured with tfi, idw and idw-tfi
-# from 2.7 to 21 million nodes, of 7.6 with the earlier levels of a series, 8.1 with all fields and 8.5 with repairs.
-PROGRAM_BYTES, COORDINATE_ARRAYS = 240 * 2**20, 9
-VELOCITY_ARRAYS, SWEPT_ARRAYS = 2, 4
-"""Coordinate arrays for the grid velocity of a series and the levels of which it is a difference; for the volumes swept
-by faces: those of two intervals, their combination, and what is written."""
-SMOOTHNESS_ARRAYS = 2
-"""Coordinate arrays for the two earlier levels of a series from which the acceleration of its nodes is computed."""
+VELOCITY_BYTES, SWEPT_BYTES = 48, 96
+"""Bytes per node of a series for velocities of nodes and the levels of which they are differences; for what faces
+sweep: in two intervals, their combination, and what is written."""
 WRITING_ARRAYS = 2
 """Coordinate arrays for writing a level while the next one is computed."""
 PICTURE_BYTES = 280 * 2**20
 """Bytes for drawing the pictures of a report: up to 273 MiB were measured."""
-# With large arrays in files: bytes of everything else per node and per node on block faces; one part in this many of
-# the limit is for the pages of the files in use.
-_BESIDE_FILES, _PER_FACE_NODE, _WINDOW = 6, 85, 8
-# Bytes that the HDF5 library holds for a zone while it is read, and the program for a block: 158 KiB were measured with
-# CGNS files, 32 KiB with Plot3D.
-_PER_BLOCK = 160 * 2**10
-_OTHER_COPIES = 3
-# For a rank that holds a part of the grid: largest size of the part relative to the mean, bytes per node on block faces
-# for data that all ranks hold (idw-tfi, 4 ranks, 4 to 30 million nodes in one block: 460 to 560 were measured), and
-# bytes of the MPI library.
-_LARGEST_PART, _PER_SHELL_NODE, _MPI_BYTES = 1.25, 630, 32 * 2**20
-_COMPILER = "libllvmlite"
-"""Name of the library that compiles loops, and loads those that have been compiled."""
-_PER_NODE = 24
-"""Bytes of the coordinates."""
 SMALL = 2**28
 """Resident bytes of a process whose freed memory is not worth the time to return it."""
+MARGIN = 1.1
+"""Work is taken to need this times what its largest stage takes: measured peaks are .9 to 1.1 times that."""
+# Bytes of a block, and of a zone of a CGNS file, which has dozens of nodes in the file; of the libraries for CGNS; of
+# every rank of several: the MPI library, and per node on block faces a copy of the coordinates near it.
+_BLOCK, _ZONE, _CGNS, _MPI, _COPY = 24e3, 110e3, 11e6, 34e6, 60
+_OTHER_COPIES = 3
+# With large arrays in files: per node coordinates before and after, the verdict and one measure of every cell, and in a
+# series what it holds but so much; per node on block faces. Parts of a limit that pages of these files need at least,
+# and usually take.
+_IN_FILES, _NOT_IN_FILES, _FACES_IN_FILES, _WINDOW, _PAGES = 52, 40, 38, 8, 4
+_COMPILER, _COMPILER_BYTES = "libllvmlite", 60e6
+"""Name and size of the library that compiles loops and loads those that have been compiled; processes that are not
+small return its memory (:func:`release_freed`)."""
 _INSTEAD = "allow more, or use a machine that has it"
 
 
@@ -121,79 +116,165 @@ def parse_memory(text: str, name: str) -> MemoryLimit:
     return MemoryLimit(size, f"{name} allows")
 
 
+class Stage(NamedTuple):
+    """Bytes that are in memory when a part of the work takes most, as a sum of parts.
+
+    Attributes
+    ----------
+    program : of the program with its libraries and loops
+    node, face_node : per node, and per node on block faces
+    outside : further ones per node on outside faces, which are mostly sources
+    largest : per node of the largest block, where blocks are filled as a whole
+    source : per source, of radial basis functions, which refuse by themselves what does not fit
+    """
+
+    program: float
+    node: float
+    face_node: float = 0.0
+    outside: float = 0.0
+    largest: float = 0.0
+    source: float = 0.0
+
+
+# Measured from 0.3 to 12 million nodes in 1 to 1,000 blocks (tests/cli/test_expense.py, benchmarks/large.py).
+_RADIAL = Stage(183e6, 70, 50, source=7400)
+_MOVING = {
+    "tfi": Stage(137e6, 52, 110, largest=22),
+    "idw": Stage(139e6, 88, 50, 395),
+    "idw-tfi": Stage(139e6, 57, 80, 395),
+}
+"""While nodes move."""
+_JUDGING = Stage(151e6, 49, 185)
+"""While the grid is judged: faces get roles, lines at walls and interfaces are measured; the method has been freed."""
+_FIELDS = Stage(160e6, 190, 150)
+"""While fields of nodes and cells are measured and written."""
+_BESIDE_FILES = Stage(241e6, 3.6, 58)
+"""What is not in files where large arrays are."""
+_LEVELS = 120
+"""Bytes per node of a series: undeformed cells, the two levels before, and the one that is being written."""
+
+
+class Work(NamedTuple):
+    """The stages of some work, and bytes per node that it holds during all of them."""
+
+    stages: tuple[Stage, ...]
+    more: float = 0.0
+
+
+def deforming(method: str, fields: bool = False, beside: float | None = None) -> Work:
+    """A deformation by a method; a repair asks for its own memory when it begins.
+
+    ``fields``: whether any are written; ``beside``: bytes per node for the velocities of a series, ``None`` of a single
+    grid.
+    """
+    moving = _RADIAL if "rbf" in method else _MOVING.get(method) or _MOVING[method.split("-")[0]]
+    return Work((moving, _JUDGING, *([_FIELDS] if fields else [])), 0.0 if beside is None else _LEVELS + beside)
+
+
+def passing(arrays: float) -> Work:
+    """Work that deforms nothing and takes so many arrays of the size of the coordinates."""
+    return Work((Stage(185e6, 24 * arrays),))
+
+
+REPAIRING = passing(8.5)
+"""A repair of a grid that another program deformed, beside its search, which asks for its own memory."""
+
+
 class Sizes(Protocol):
     """Sizes of a grid, or of one of which only the file header has been read."""
 
+    @property
+    def shapes(self) -> tuple[tuple[int, int, int], ...]: ...
     @property
     def n_nodes(self) -> int: ...
     @property
     def n_face_nodes(self) -> int: ...
     @property
-    def n_blocks(self) -> int: ...
+    def format(self) -> Any: ...
 
 
 @dataclass(frozen=True)
 class Demand:
-    """The memory that work on a grid takes, by its size.
+    """The memory that work takes, by the sizes of grids; of several ranks, on the one that takes most.
 
     Attributes
     ----------
     what : description for messages, such as ``deforming 8,000 nodes``
-    nodes, face_nodes, blocks : of the grid; ``face_nodes`` on block faces
-    coordinate_bytes : size of the coordinates
-    arrays : number of arrays of that size that the work takes
-    other_bytes : size of point and cell data and displacement tables, which are read, kept and written again
+    work : its stages
+    nodes, face_nodes : of the grids; those of this rank, and those on all block faces
+    outside, largest, sources : what the parts of a stage are multiplied with
+    other_bytes : of blocks, of libraries, and of data other than coordinates
     """
 
     what: str
+    work: Work
     nodes: int
-    coordinate_bytes: int
     face_nodes: int = 0
-    arrays: float = COORDINATE_ARRAYS
-    other_bytes: int = 0
-    blocks: int = 0
+    outside: float = 0.0
+    largest: int = 0
+    sources: int = 0
+    other_bytes: float = 0.0
 
     @classmethod
-    def of(cls, doing: str, *grids: Sizes, arrays: float = COORDINATE_ARRAYS, other_bytes: int = 0) -> Demand:
-        """The memory that ``doing`` something, such as ``deforming``, with one or more grids takes."""
-        nodes, faces = sum(grid.n_nodes for grid in grids), sum(grid.n_face_nodes for grid in grids)
-        blocks = sum(grid.n_blocks for grid in grids)
-        return cls(f"{doing} {nodes:,} nodes", nodes, _PER_NODE * nodes, faces, arrays, other_bytes, blocks)
+    def of(cls, doing: str, work: Work, *grids: Sizes, data: int = 0, sources: int = 0) -> Demand:
+        """The memory that ``doing`` something, such as ``deforming``, with grids takes.
+
+        ``data`` are bytes of point and cell data and displacement tables, which are read, kept and written again.
+        """
+        ranks, faces = current_ranks().count, sum(grid.n_face_nodes for grid in grids)
+        whole = nodes = sum(grid.n_nodes for grid in grids)
+        other = float(_OTHER_COPIES * data)
+        if ranks > 1:
+            from .numerics.pieces import bounds_of
+
+            ends = (bounds_of(grid.shapes, ranks).tolist() for grid in grids)
+            nodes = sum(max(last - first for first, last in itertools.pairwise(each)) for each in ends)
+            other += _MPI + _COPY * faces
+        for grid in grids:
+            in_zones = grid.format is not None and grid.format.name == "cgns"
+            other += len(grid.shapes) * (_ZONE if in_zones else _BLOCK) + _CGNS * in_zones
+        # How much of the block faces lies outside is known only from coordinates: as if equal cubes formed a cube.
+        outside = sum(grid.n_face_nodes / len(grid.shapes) ** (1 / 3) for grid in grids)
+        largest = max(math.prod(shape) for grid in grids for shape in grid.shapes)
+        return cls(f"{doing} {whole:,} nodes", work, nodes, faces, outside, largest, sources, other)
 
     @property
     def in_memory(self) -> int:
         """Bytes taken if everything is in memory."""
-        own = _OTHER_COPIES * self.other_bytes + _PER_BLOCK * self.blocks
-        whole = PROGRAM_BYTES + int(self.arrays * self.coordinate_bytes) + own
-        # In a small grid, most of the memory of a part is for data that all ranks hold.
-        parts = current_ranks().count
-        return min(whole, self._of_part(parts)) if parts > 1 else whole
+        size = max(map(self._bytes_of, self.work.stages)) + self.work.more * self.nodes
+        return int(MARGIN * max(size, min(size + _COMPILER_BYTES, SMALL)))
 
-    def _of_part(self, parts: int) -> int:
-        """Bytes for a rank that holds one of several parts of the grid, and the data near block faces."""
-        part = _LARGEST_PART * self.arrays * self.coordinate_bytes / parts
-        shell = _PER_SHELL_NODE * self.face_nodes + _PER_BLOCK * self.blocks
-        return PROGRAM_BYTES + _MPI_BYTES + int(part) + shell + _OTHER_COPIES * self.other_bytes
+    def _bytes_of(self, stage: Stage) -> float:
+        # A rank holds what it fills as a whole, even if its part ends within.
+        nodes = max(self.nodes, self.largest) if stage.largest else self.nodes
+        sizes = 1, nodes, self.face_nodes, self.outside, self.largest, self.sources
+        return sum(map(operator.mul, stage, sizes)) + self.other_bytes
 
     def beside_files(self, limit: MemoryLimit) -> int:
-        """Bytes taken if large arrays are stored in files (:mod:`.parallel.scratch`); of each rank, if several hold
-        the grid. Above the ``limit`` it is the smallest limit that is enough."""
-        rest = _BESIDE_FILES * self._nodes_of_part + _PER_FACE_NODE * self.face_nodes + _PER_BLOCK * self.blocks
-        rest += _OTHER_COPIES * self.other_bytes + _MPI_BYTES * (current_ranks().count > 1)
-        rest += PROGRAM_BYTES + RESERVE
+        """Bytes taken if large arrays are stored in files (:mod:`.parallel.scratch`). Above the ``limit`` it is the
+        smallest limit that is enough."""
+        rest = int(MARGIN * self._bytes_of(_BESIDE_FILES)) + RESERVE
         return rest + max(limit.size // _WINDOW, -(-rest // (_WINDOW - 1)))
 
     @property
-    def _nodes_of_part(self) -> int:
-        """Most nodes that a rank holds."""
-        parts = current_ranks().count
-        return int(_LARGEST_PART * self.nodes / parts) if parts > 1 else self.nodes
+    def file_bytes(self) -> int:
+        """Bytes of the files of a rank, or of a process alone, if large arrays are stored in files."""
+        per_node = _IN_FILES + max(self.work.more - _NOT_IN_FILES, 0)
+        return int(per_node * self.nodes + _FACES_IN_FILES * self.face_nodes)
 
-    @property
-    def _in_files(self) -> int:
-        """Bytes of the files of a rank, or of a process alone."""
-        shell = (_PER_SHELL_NODE - _PER_FACE_NODE) * self.face_nodes if current_ranks().count > 1 else 0
-        return 2 * _PER_NODE * self._nodes_of_part + shell
+    def foretold(self, limit: MemoryLimit) -> tuple[int, int]:
+        """Largest resident bytes under a limit, and those of files.
+
+        Raises
+        ------
+        MethodError
+            When the memory does not suffice even with large arrays in files.
+        """
+        if self.in_memory <= limit.size:
+            return self.in_memory, 0
+        limit.require(self.beside_files(limit), self.what, _INSTEAD)
+        pages = max(limit.size // _PAGES, RESERVE)
+        return min(int(MARGIN * self._bytes_of(_BESIDE_FILES)) + pages, limit.size), self.file_bytes
 
     def left_of(self, limit: MemoryLimit) -> MemoryLimit:
         """The part of ``limit`` that program and grid leave.
@@ -218,21 +299,16 @@ class Demand:
         MethodError
             When the rest does not fit into memory either, or the files do not fit on the disk.
         """
+        # Imported late, as it takes a tenth of the time of ``--help``.
+        import tempfile
+
         possible = folder is not None and sys.platform == "linux" and self.in_memory > limit.size
-        files = _folder_of_rank(folder) if folder and possible else None
+        files = (Path(tempfile.gettempdir()) if _on_several_machines() else folder) if possible else None
         set_scratch(Scratch(files, limit.size) if files else None)
         needed = min(self.in_memory, self.beside_files(limit)) if files else self.in_memory
         limit.require(needed, self.what, _INSTEAD)
         if files:
-            _require_disk(self._in_files, self.what, files)
-
-
-def _folder_of_rank(folder: Path) -> Path:
-    """``folder``; of ranks on several machines the local folder for temporary files."""
-    # Imported late, as it takes a tenth of the time of ``--help``.
-    import tempfile
-
-    return Path(tempfile.gettempdir()) if _on_several_machines() else folder
+            _require_disk(self.file_bytes, self.what, files)
 
 
 def _on_several_machines() -> bool:

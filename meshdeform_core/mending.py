@@ -1,4 +1,4 @@
-"""The repair of a grid that another program has deformed; its boundary remains in place."""
+"""A grid that another program deformed: its judgement, and its repair, during which its boundary remains in place."""
 
 from __future__ import annotations
 
@@ -8,29 +8,32 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .boundary import Boundary, classify
-from .boundary.classification import with_plates
+from .boundary import Boundary, Kind, classify
+from .boundary.classification import ClassifiedPatch, with_plates
 from .boundary.crossing import find_pinned
+from .boundary.motions.motion import GIVEN
+from .boundary.tables import BoundaryNodes
+from .deform import Result, Timing, impose
 from .errors import GridError
 from .grid import FloatArray, Grid
-from .grid.components import with_components
-from .grid.precision import rounded
+from .grid.blocks import rounded
+from .grid.selection import with_components
 from .grid.topology import Topology, find_topology
 from .memory import UNLIMITED, MemoryLimit
 from .methods import Progress
+from .numerics.geometry.coincidence import distinct
 from .overset import undeformed_of
 from .quality import Assessment, Original, assess
 from .quality.comparison import Comparison
 from .quality.difference import require_same_blocks
 from .quality.validity import Verdict, judge
-from .renewal import renewed
 from .repair.constraints import Constraints
 from .repair.limit import Limit
 from .repair.outcome import Judged, Repair
 from .repair.region import Basis
 from .repair.repair import WEAK, Repairer
 from .repair.tuned import FARTHEST
-from .setup import Case
+from .setup import Case, Setup
 
 MANY = 0.01
 """If more than this share of the cells is bad, their positions are of little use: the interior is remade at once."""
@@ -65,6 +68,29 @@ class Mended:
         return f"Mended(valid={self.assessment.valid})"
 
 
+def _undeformed(grid: Grid, original: Grid, case: Case) -> tuple[Grid, Topology]:
+    """The original of a grid with the components and plates of the case, and its topology."""
+    require_same_blocks(grid, original)
+    original = with_components(original, case.components)
+    return with_plates(original, find_topology(original, case.tolerance), case.plates)
+
+
+def judge_grid(grid: Grid, original: Grid, case: Case) -> tuple[Assessment, tuple[str, ...]]:
+    """Judge ``grid`` against ``original``, which may be the same; the case defines the moving walls.
+
+    Returns the assessment and the warnings about the original.
+
+    Raises
+    ------
+    GridError
+        When the two have different blocks.
+    """
+    original, topology = _undeformed(grid, original, case)
+    boundary = classify(original, topology, case.boundaries, case.constants) if case.boundaries else None
+    notes = (*original.notes, *(boundary.notes if boundary else ()))
+    return assess(Original(original, topology), grid.points, boundary), notes
+
+
 def mend(
     grid: Grid,
     original: Grid,
@@ -91,9 +117,7 @@ def mend(
     GridError
         When the two have different blocks, or nodes that coincide in the original are apart.
     """
-    require_same_blocks(grid, original)
-    original = with_components(original, case.components)
-    original, topology = with_plates(original, find_topology(original, case.tolerance), case.plates)
+    original, topology = _undeformed(grid, original, case)
     boundary = classify(original, topology, case.boundaries, case.constants)
     _require_closed(grid, topology, case.tolerance)
     width = precision or grid.precision
@@ -197,3 +221,51 @@ def _reasons(original: Grid, topology: Topology, boundary: Boundary, points: Flo
     pinned = find_pinned(original, topology, boundary, change)
     found += [pinned] if pinned else []
     return found or ["no valid grid was found; whether there is one is not known"]
+
+
+def renewed(
+    grid: Grid,
+    original: Grid,
+    placed: tuple[Topology, Boundary],
+    case: Case,
+    precision: str,
+    memory: MemoryLimit,
+    progress: Progress | None = None,
+) -> Result | None:
+    """Deform ``original`` so that nodes of moving and fixed boundaries take their positions in ``grid``, to the bit.
+
+    ``placed`` are topology and boundary classified by the case. Faces count as moving where such nodes have moved, and
+    as fixed elsewhere. Returns ``None`` if none has moved.
+    """
+    topology, boundary = placed
+    change = np.where(boundary.known[:, None], (grid.points - original.points)[topology.first], 0.0)
+    moved = np.asarray(change.any(axis=1))
+    if not moved.any():
+        return None
+    moving = _moving_where(original, topology, boundary, moved)
+    setup = Setup(undeformed_of(original, topology, moving, memory, case.repair.min_jacobian), case, ())
+    result = impose(setup, lambda fraction: fraction * change, None, precision, Timing(progress=progress), progress)
+    points: FloatArray = np.array(result.grid.points)
+    held = topology.face_nodes[boundary.known[topology.number]]
+    points[held] = grid.points[held]
+    return dataclasses.replace(result, grid=original.moved(points))
+
+
+def _moving_where(grid: Grid, topology: Topology, boundary: Boundary, moved: np.ndarray) -> Boundary:
+    """The boundary with faces that have ``moved`` nodes (n_unique,) moving, and other moving or fixed faces fixed."""
+    known = boundary.quad_kind >= Kind.FIXED
+    moving = known & moved[topology.quads.corners].any(axis=1)
+    quad_kind = np.where(moving, Kind.MOVING, np.where(known, Kind.FIXED, boundary.quad_kind)).astype(np.int8)
+    kind = np.where(boundary.known, Kind.FIXED, boundary.kind).astype(np.int8)
+    quads = np.flatnonzero(moving)
+    numbers = distinct(topology.quads.corners[quads], topology.n_unique)
+    kind[numbers] = Kind.MOVING
+    kind[moved] = Kind.MOVING
+    rest = np.flatnonzero(known & ~moving)
+    patches = (
+        ClassifiedPatch("moved", Kind.MOVING, numbers, quads),
+        ClassifiedPatch("at rest", Kind.FIXED, distinct(topology.quads.corners[rest], topology.n_unique), rest),
+        *(patch for patch in boundary.patches if patch.kind < Kind.FIXED),
+    )
+    movers = ((numbers, GIVEN.prepare(BoundaryNodes.of_quads(grid, topology, quads))),)
+    return dataclasses.replace(boundary, kind=kind, quad_kind=quad_kind, patches=patches, movers=movers)

@@ -16,13 +16,13 @@ import numpy as np
 
 from .boundary import Boundary, Kind
 from .boundary.classification import ClassifiedPatch
-from .boundary.coverage import Tables
 from .boundary.crossing import Contact, Crossing
+from .boundary.fitting import Tables
 from .boundary.periodic import Periodic
 from .boundary.slip import find_sliding
 from .errors import CaseError
 from .grid import FloatArray, Grid, IntArray
-from .grid.components import BY_PREFIX, with_components
+from .grid.selection import BY_PREFIX, with_components
 from .grid.topology import RELATIVE_TOLERANCE, FaceQuads, Topology, quads_of_patches
 from .memory import UNLIMITED, MemoryLimit
 from .methods import Account, Options, PreparedMethod, Problem, Progress
@@ -30,7 +30,7 @@ from .methods.base import Linearised
 from .methods.kinks import Kinks
 from .methods.limits import patch_motions
 from .notices import Notice, kind_of
-from .numerics.arrays import BoolArray, places_among
+from .numerics.arrays import places_among
 from .numerics.geometry.coincidence import distinct, equal_rows
 from .numerics.geometry.copies import coincident_groups
 from .parallel import Nodes
@@ -41,7 +41,7 @@ from .repair.limit import Limit
 from .repair.outcome import Repair
 from .result import Result
 from .setup import Case, Setup, Start, Timing, Undeformed, set_up_whole
-from .stepping.course import Course
+from .stepping.steps import Course
 
 
 def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryLimit = UNLIMITED) -> Setup:
@@ -89,7 +89,10 @@ def _require_apart(grid: Grid, topology: Topology) -> None:
     two = np.flatnonzero(partner >= 0)
     block = topology.quads.block_side[outside] // 6
     two = two[grid.component_numbers[block[two]] != grid.component_numbers[block[partner[two]]]]
-    two = two[_opposite(corners[two], corners[partner[two]])]
+    # Wound in opposite directions, as the quads of two neighbours are.
+    own, other = corners[two], corners[partner[two]]
+    start, row = (other == own[:, :1]).argmax(axis=1), np.arange(len(two))
+    two = two[other[row, (start - 1) % own.shape[1]] == own[:, 1]]
     if two.size:
         pair = block[two[0]], block[partner[two[0]]]
         names, components = ([of[b] for b in pair] for of in (grid.names, grid.components))
@@ -98,13 +101,6 @@ def _require_apart(grid: Grid, topology: Topology) -> None:
             f"neighbours with common faces ({len(two) // 2} between components in all), at which a motion would tear "
             f"the grid; expected such blocks in one component"
         )
-
-
-def _opposite(one: IntArray, two: IntArray) -> BoolArray:
-    """Whether quads with the same corners (n, c) are wound in opposite directions, as those of two neighbours are."""
-    count, row = one.shape[1], np.arange(len(one))
-    start = (two == one[:, :1]).argmax(axis=1)
-    return np.asarray(two[row, (start - 1) % count] == one[:, 1])
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -56,7 +56,9 @@ class Schedule:
             if value not in known:
                 raise CaseError(f"{name} = {value!r} of a series is unknown; known are {', '.join(known)}")
         if not self.times or not np.isfinite(self.times).all() or (np.diff(self.times) <= 0).any():
-            raise CaseError(f"the times of a series must ascend; found {_shortened(self.times)}")
+            shown = ", ".join(f"{t:g}" for t in self.times[:5])
+            more = ", ..." if len(self.times) > 5 else ""
+            raise CaseError(f"the times of a series must ascend; found [{shown}{more}]")
 
     def past(self, number: int) -> int:
         """Number of levels before level ``number`` that are needed to make it."""
@@ -160,7 +162,10 @@ class _Series:
     def level(self, number: int, past: list[FloatArray]) -> Level:
         setup, schedule = self.setup, self.schedule
         time, timing = schedule.times[number], Timing(progress=self.progress)
-        reference = self._prepared(timing)
+        if self._reference is None:
+            with timing.stage("prepare"):
+                self._reference = setup.prepare()
+        reference = self._reference
         marching = schedule.origin == "last" and bool(past)
         start = Start(past[-1]) if marching else Start(setup.grid.points, reference)
         result = impose(setup, setup.motion(time), schedule.steps, self.precision, timing, self.progress, start)
@@ -176,18 +181,16 @@ class _Series:
         if schedule.velocity == "swept":
             with timing.stage("velocity"):
                 faces = face_fields(setup.grid, schedule.times[: number + 1], [*past[-2:], result.grid.points])
-        smooth = self._smoothness(time, result)
-        if smooth.warning:
-            result = dataclasses.replace(result, warnings=(*result.warnings, smooth.warning))
-        made = Made(self._recent[-1].plain, result.way)
-        return Level(number, time, result, self._rotation(displacement), drift, velocity, faces, timing, smooth, made)
-
-    def _smoothness(self, time: float, result: Result) -> Smoothness:
         self._recent = [
             *self._recent[-_RECENT:],
             Moment(time, result.grid.points, result.repair is None and result.steps == 1, result.way),
         ]
-        return smoothness(self._recent, self._walls, self._edges)
+        smooth = smoothness(self._recent, self._walls, self._edges)
+        if smooth.warning:
+            result = dataclasses.replace(result, warnings=(*result.warnings, smooth.warning))
+        made = Made(self._recent[-1].plain, result.way)
+        rotation = float(np.degrees(lengths(self.problem.rotations.vectors(displacement)).max()))
+        return Level(number, time, result, rotation, drift, velocity, faces, timing, smooth, made)
 
     @cached_property
     def _walls(self) -> IntArray:
@@ -197,12 +200,6 @@ class _Series:
     @cached_property
     def _edges(self) -> FloatArray:
         return shortest_edges(self.setup.grid)
-
-    def _prepared(self, timing: Timing) -> PreparedMethod:
-        if self._reference is None:
-            with timing.stage("prepare"):
-                self._reference = self.setup.prepare()
-        return self._reference
 
     def _drift(self, result: Result, displacement: FloatArray) -> Drift:
         """The distance of a result from a ``displacement`` (n_nodes, 3), which is overwritten."""
@@ -215,12 +212,3 @@ class _Series:
         low, high = Nodes.of(squares).ends
         largest = max(Nodes.of(squares).gather(float(squares[low:high].sum(axis=1).max(initial=0.0))))
         return Drift(math.sqrt(largest), math.sqrt(grid.total_of(squares).sum() / grid.n_nodes))
-
-    def _rotation(self, displacement: FloatArray) -> float:
-        turned = self.problem.rotations.vectors(displacement)
-        return float(np.degrees(lengths(turned).max()))
-
-
-def _shortened(times: tuple[float, ...]) -> str:
-    shown = ", ".join(f"{t:g}" for t in times[:5])
-    return f"[{shown}{', ...' if len(times) > 5 else ''}]"

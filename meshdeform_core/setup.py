@@ -11,17 +11,15 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 from .boundary import Boundary, BoundarySpec, Kind, classify
-from .boundary.classification import UNSELECTED, with_plates
+from .boundary.classification import UNSELECTED, opening_notes, with_plates
 from .boundary.crossing import CrossingTest
 from .boundary.prescribed import prescribed_displacement
-from .boundary.unselected import opening_notes
 from .errors import CaseError, MotionError
 from .grid import FloatArray, Grid
-from .grid.components import Components
-from .grid.connectivity.declared import check_connections
-from .grid.connectivity.openings import find_openings
-from .grid.connectivity.overset import coincident_blocks
-from .grid.extent import require_extent
+from .grid.connections import check_connections
+from .grid.openings import coincident_blocks, find_openings
+from .grid.planes import require_extent
+from .grid.selection import Components
 from .grid.topology import RELATIVE_TOLERANCE, Topology, find_topology
 from .memory import UNLIMITED, MemoryLimit, release_freed
 from .methods import Options, PreparedMethod, Problem, Progress, prepare_method

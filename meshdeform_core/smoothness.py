@@ -110,19 +110,14 @@ def shortest_edges(grid: Grid) -> FloatArray:
             x = grid.points[start + begin * nj * nk : start + end * nj * nk].reshape(-1, nj, nk, 3)
             shortest = np.full(x.shape[:3], np.inf)
             for axis in range(3):
-                _shorten_along(axis, x, shortest)
+                length = np.moveaxis(np.linalg.norm(np.diff(x, axis=axis), axis=-1), axis, 0)
+                length[length == 0.0] = np.inf
+                ends = np.moveaxis(shortest, axis, 0)
+                for some in (ends[:-1], ends[1:]):
+                    np.minimum(some, length, out=some)
             rows = slice(start + first * nj * nk - low, start + last * nj * nk - low)
             result[rows] = shortest[first - begin : last - begin].ravel()
     return result
-
-
-def _shorten_along(axis: int, x: FloatArray, result: FloatArray) -> None:
-    """Lower ``result`` (ni, nj, nk) to the lengths of the edges along one axis of nodes ``x`` (ni, nj, nk, 3)."""
-    length = np.moveaxis(np.linalg.norm(np.diff(x, axis=axis), axis=-1), axis, 0)
-    length[length == 0.0] = np.inf
-    ends = np.moveaxis(result, axis, 0)
-    for end in (ends[:-1], ends[1:]):
-        np.minimum(end, length, out=end)
 
 
 def smoothness(levels: list[Moment], walls: IntArray, edges: FloatArray) -> Smoothness:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from meshdeform_core.errors import CaseError, suggestion
 
 if TYPE_CHECKING:
-    from meshdeform_core.boundary.tables.matching import SurfaceData
+    from meshdeform_core.boundary.tables import SurfaceData
     from meshdeform_core.grid import Grid
 
 _LARGEST = 10

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
 from meshdeform_core.grid import BoolArray, FloatArray, Grid, Patch, Side, Window
-from meshdeform_core.grid.connectivity.interfaces import find_interfaces
+from meshdeform_core.grid.connections import find_interfaces
 from meshdeform_core.grid.topology import find_topology, side_nodes
 from meshdeform_core.grid.windows import windows_of_quads
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.motion import Follow, Motion
-from meshdeform_core.boundary.tables.matching import Matching
+from meshdeform_core.boundary.tables import Matching
 from meshdeform_core.deform import Case
 from meshdeform_core.grid import FloatArray, Grid, Side
 from meshdeform_core.grid.planes import plane_normal

@@ -7,13 +7,13 @@ import traceback
 import numpy as np
 
 from meshdeform_core.numerics import pieces
-from meshdeform_core.parallel import OneRank, empty, nodes, sharing
+from meshdeform_core.parallel import Ranks, empty, nodes, sharing
 
 _PATIENCE = 120.0
 _FORK = multiprocessing.get_context("fork")
 
 
-class ForkedRank(OneRank):
+class ForkedRank(Ranks):
     """One of several ranks, as far as arrays in parts need them."""
 
     def __init__(self, number, count, hub):
@@ -43,7 +43,7 @@ class ForkedRank(OneRank):
         result = failure = None
         if self.number == 0:
             try:
-                with sharing(OneRank(1), 1):
+                with sharing(Ranks(1), 1):
                     result = action()
             except Exception as error:
                 failure = error

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import click
 
+from meshdeform_core.memory import passing
+
 from ..options import PATH, FiniteNumber, GridInput, json_option, memory_option
 from ..room import limit_of, make_room, temporary_folder
 
@@ -37,7 +39,7 @@ def command(first: Path, second: Path, tolerance: float | None, max_memory: str 
     from meshdeform_formats import read_grid
 
     sources = [GridInput(path) for path in (first, second)]
-    make_room(limit_of(max_memory), "comparing", sources, temporary_folder(), _ARRAYS)
+    make_room(limit_of(max_memory), "comparing", passing(_ARRAYS), sources, temporary_folder())
     difference = compare_points(read_grid(first), read_grid(second))
     if as_json:
         click.echo(json.dumps(dataclasses.asdict(difference), indent=2))

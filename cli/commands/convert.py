@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from meshdeform_core.errors import FormatError
+from meshdeform_core.memory import passing
 from meshdeform_core.wording import counted
 
 from ..measures import measured
@@ -75,7 +76,7 @@ def command(
     check_fields(fields, target, reference is not None)
     sources = [source, *([GridInput(reference)] if reference else [])]
     arrays = _ARRAYS + (_FIELD_ARRAYS if fields else 0)
-    make_room(limit_of(max_memory), "converting", sources, existing(target.absolute().parent), arrays)
+    make_room(limit_of(max_memory), "converting", passing(arrays), sources, existing(target.absolute().parent))
     with ProgressBar(not quiet, compiles=bool(fields)) as progress:
         grid = complete_for_export(source.read(), target)
         if fields:

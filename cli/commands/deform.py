@@ -82,15 +82,15 @@ def command(
 def _dry_run(source: GridInput, case: CaseInput, output: Path | None, imposed: work.Imposed, run: RunInput) -> int:
     """Print what the run would do and take; returns the exit code."""
     from .. import work
-    from ..dry_run import forecast
-    from ..dry_run.expense import plan_by_sizes
+    from ..dry_run import plan, plan_by_sizes
 
-    if layout := too_large(run.memory, source):
-        planned = plan_by_sizes(layout, case.read().case, output, run.variant_options, run.memory)
+    doing = work.work_of(case.read(), run, output.suffix if output else "")
+    if layout := too_large(run.memory, doing, source):
+        planned = plan_by_sizes(layout, doing, output, run.variant_options, run.memory)
         return work.print_plan(planned, False, run)
     with ProgressBar(not run.quiet):
         job = _load(source, case, output, run)
-        planned, impossible = forecast.plan(job, output, imposed, run.variant_options, run.memory)
+        planned, impossible = plan(job, output, imposed, run.variant_options, run.memory)
     return work.print_plan(planned, impossible, run)
 
 
@@ -102,6 +102,7 @@ def _load(source: GridInput, case: CaseInput, output: Path | None, run: RunInput
 
     outputs = [output, *([] if output is None or run.allow_invalid else [invalid_path(output)]), *run.reports]
     workplace = None if run.dry_run or output is None else output.parent
-    job = work.load(source, case, run.memory, [path for path in outputs if path is not None], workplace)
+    named = [path for path in outputs if path is not None]
+    job = work.load(source, case, run, named, output.suffix if output else "", workplace)
     work.require_room_for_invalid(output, job.grid, run)
     return job

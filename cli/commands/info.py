@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from meshdeform_core.memory import passing
+
 from ..options import PATH, GridInput, force_option, grid_options, json_option, memory_option
 from ..outputs import check_output
 from ..room import limit_of, make_room, temporary_folder
@@ -41,7 +43,7 @@ def command(
 
         check_picture_path(picture)
         check_output(picture, force, *source.files)
-    make_room(limit_of(max_memory), "describing", [source], temporary_folder(), _ARRAYS)
+    make_room(limit_of(max_memory), "describing", passing(_ARRAYS), [source], temporary_folder())
     grid = source.read()
 
     from meshdeform_formats.text import json_text

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import click
 
+from meshdeform_core.memory import passing
+
 from ..exit_codes import EXIT_INVALID
 from ..options import (
     PATH,
@@ -58,7 +60,7 @@ def command(
     start = clock.perf_counter()
     check_reports(reports, force, reference, *source.files, *case.files)
 
-    from meshdeform_core.judgement import judge_grid
+    from meshdeform_core.mending import judge_grid
     from meshdeform_formats import read_grid
     from meshdeform_formats.report.records import quality_report
 
@@ -68,7 +70,7 @@ def command(
     for path in reports:
         keep_inputs(path, *what.files)
     sources = [source, *([GridInput(reference)] if reference else [])]
-    make_room(limit_of(max_memory), "judging", sources, temporary_folder(), _ARRAYS)
+    make_room(limit_of(max_memory), "judging", passing(_ARRAYS), sources, temporary_folder())
     with ProgressBar(not quiet) as progress:
         grid = source.read(what.boundary_file)
         # Boundaries that the file of the original lacks are those of the deformed grid.

@@ -64,7 +64,7 @@ def repaired(
     source: GridInput, reference: Path, output: Path | None, case: CaseInput, run: RunInput, progress: ProgressBar
 ) -> dict[str, Any]:
     """Repair and write; returns the report."""
-    from meshdeform_core.memory import Demand, peak_memory
+    from meshdeform_core.memory import REPAIRING, Demand, peak_memory
     from meshdeform_core.mending import mend
     from meshdeform_core.quality.fields import CellFields
     from meshdeform_formats.grids import complete_for_export, read_grid, variant_of
@@ -77,7 +77,7 @@ def repaired(
     for path in (*run.reports, *([output] if output else [])):
         keep_inputs(path, *what.files)
     place = existing(output.absolute().parent) if output else None
-    make_room(run.memory, "repairing", [source, GridInput(reference)], place)
+    make_room(run.memory, "repairing", REPAIRING, [source, GridInput(reference)], place)
     start = clock.perf_counter()
     grid = source.read(what.boundary_file)
     # Boundaries are selected on the reference.
@@ -93,7 +93,7 @@ def repaired(
         else:
             require_space(grid, output, chosen)
     start = clock.perf_counter()
-    memory = Demand.of("repairing", grid, original).left_of(run.memory)
+    memory = Demand.of("repairing", REPAIRING, grid, original).left_of(run.memory)
     mended = mend(whole, original, what.case, precision, memory, progress)
     seconds["repair"] = clock.perf_counter() - start
     target = None

@@ -79,7 +79,7 @@ def _planned(
 ) -> series_run.Run:
     from .. import series_run, work
 
-    job = work.load(source, case, run.memory, run.reports, workplace, wanted.more_arrays)
+    job = work.load(source, case, run, run.reports, wanted.suffix or "", workplace, wanted.velocity_bytes)
     plan = series_run.prepare(job, source, wanted, run)
     run.warnings.tell(plan.setup.warnings)
     return plan
@@ -88,17 +88,17 @@ def _planned(
 def _dry_run(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunInput) -> int:
     """Print what the series would do and take; returns the exit code."""
     from .. import series_run, work
-    from ..dry_run import forecast
-    from ..dry_run.expense import Levels, plan_by_sizes
+    from ..dry_run import Levels, plan_by_sizes, plan_series
 
-    if layout := too_large(run.memory, source, wanted.more_arrays):
-        what = case.read()
-        levels = Levels(len(series_run.times_of(what, wanted)), wanted.velocity, wanted.velocity_arrays)
+    what = case.read()
+    doing = work.work_of(what, run, wanted.suffix or "", wanted.velocity_bytes)
+    if layout := too_large(run.memory, doing, source):
+        levels = Levels(len(series_run.times_of(what, wanted)), wanted.velocity)
         output = wanted.output / series_run.name_of(source.path, wanted, layout.format)
-        planned = plan_by_sizes(layout, what.case, output, run.variant_options, run.memory, levels)
+        planned = plan_by_sizes(layout, doing, output, run.variant_options, run.memory, levels)
         return work.print_plan(planned, False, run)
     with ProgressBar(not run.quiet):
         plan = _planned(source, case, wanted, run, None)
-        levels = Levels(len(plan.schedule.times), wanted.velocity, wanted.velocity_arrays)
-        planned, impossible, text = forecast.plan_series(plan, levels, run.memory)
+        levels = Levels(len(plan.schedule.times), wanted.velocity)
+        planned, impossible, text = plan_series(plan, levels, run.memory)
     return work.print_plan(planned, impossible, run, text)

@@ -16,9 +16,9 @@ from msgspec import Meta
 from meshdeform_core.boundary.motions.expression import Expression
 from meshdeform_core.boundary.motions.histories import History, Modes, RigidHistory
 from meshdeform_core.boundary.motions.lattice import ControlMove, Lattice
-from meshdeform_core.boundary.motions.motion import Displace, Follow, FollowNumbers, FollowSequence, Rotate, Step
+from meshdeform_core.boundary.motions.motion import Displace, Follow, Rotate, Step
 from meshdeform_core.boundary.motions.section import Airfoil
-from meshdeform_core.boundary.tables.matching import Matching, SurfaceData
+from meshdeform_core.boundary.tables import Matching, SurfaceData
 from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.grid import Grid, IntArray
 from meshdeform_core.wording import literal
@@ -252,10 +252,9 @@ class PositionsForm(Form):
         if self.given() not in (["file"], ["files", "times"]):
             raise context.refusal(f"found {self.given()}; expected file, or files and times")
         if self.files is None:
-            data = read_positions(context.folder / str(self.file))
-            return FollowNumbers((), lambda number: data)
+            return Follow(read_positions(context.folder / str(self.file)), Matching("exact"))
         paths, times = files_over_time(self.files, self.times, context.folder, context.where)
-        return FollowNumbers(times, lambda number: read_positions(paths[number]))
+        return Follow(lambda number: read_positions(paths[number]), Matching("exact"), times)
 
 
 _How = Literal["exact", "nearest", "interpolate"]
@@ -296,7 +295,7 @@ class MotionStep(Form):
             return read_beam(folder / value)
         if kinds[0] == "files":
             paths, times = files_over_time(value, self.times, folder, where)
-            return FollowSequence(times, lambda number: read_displacement(paths[number]), context.matching)
+            return Follow(lambda number: read_displacement(paths[number]), context.matching, times)
         if kinds[0] == "file":
             if not isinstance(value, SurfaceData | str) or value == "" or "\0" in str(value):
                 raise fail(where, f"file: expected a file name, found {literal(value)}")

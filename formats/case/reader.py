@@ -17,11 +17,11 @@ import msgspec
 from msgspec import Meta
 
 from meshdeform_core.boundary import BoundarySpec, Kind
-from meshdeform_core.boundary.motions.motion import VARIABLES, Follow, FollowSequence, Motion, Step
-from meshdeform_core.boundary.tables.matching import AUTOMATIC, Matching
+from meshdeform_core.boundary.motions.motion import VARIABLES, Follow, Motion
+from meshdeform_core.boundary.tables import AUTOMATIC, Matching
 from meshdeform_core.deform import Case
 from meshdeform_core.errors import CaseError, MethodError, suggestion
-from meshdeform_core.grid.components import BY_PREFIX, Components
+from meshdeform_core.grid.selection import BY_PREFIX, Components
 from meshdeform_core.grid.topology import RELATIVE_TOLERANCE
 from meshdeform_core.methods import ALIASES, CATALOGUE, IDW, RBF, TFI, MethodOptions, Options, declared, entry_of
 from meshdeform_core.repair import MODES, RepairOptions
@@ -176,12 +176,11 @@ def case_of(content: Mapping[str, Any], folder: str | Path = ".") -> CaseFile:
 def _with_table(parsed: CaseFile, table: Path, times: str | None, matching: Matching) -> CaseFile:
     """The case with an additional boundary entry: the nodes matched by a table or a sequence of tables."""
     where = f"--displacement {table}"
-    step: Step
     if times is None:
         step, files = Follow(read_displacement(table), matching), [table]
     else:
         files, when = files_over_time(str(table), times, Path(), where)
-        step = FollowSequence(when, lambda number: read_displacement(files[number]), matching)
+        step = Follow(lambda number: read_displacement(files[number]), matching, when)
     spec = BoundarySpec(table.name, ("*",), Kind.MOVING, None, Motion((step,), parsed.case.constants))
     case = replace(parsed.case, boundaries=(*parsed.case.boundaries, spec))
     return replace(parsed, case=case, files=(*parsed.files, *files))

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from meshdeform_core.boundary.motions.beam import Beam
-from meshdeform_core.boundary.motions.histories import History
+from meshdeform_core.boundary.motions.histories import Beam, History
 from meshdeform_core.boundary.motions.motion import Positions
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray

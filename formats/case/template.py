@@ -11,14 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from meshdeform_core.boundary.tables.fitting import fit_table
-from meshdeform_core.boundary.tables.matching import AUTOMATIC, BoundaryNodes, Matching, SurfaceData
-from meshdeform_core.boundary.tables.transfer import transfer
+from meshdeform_core.boundary.fitting import fit_table
+from meshdeform_core.boundary.tables import AUTOMATIC, BoundaryNodes, Matching, SurfaceData, transfer
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import FloatArray, Grid
-from meshdeform_core.grid.faces.roles import Role
-from meshdeform_core.grid.faces.surfaces import Outside, Surface, thin_direction
+from meshdeform_core.grid.faces import Role
 from meshdeform_core.grid.planes import FLATNESS
+from meshdeform_core.grid.surfaces import Outside, Surface, thin_direction
 from meshdeform_core.grid.topology import Topology
 
 from ..displacement import read_displacement

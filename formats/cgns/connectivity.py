@@ -9,7 +9,7 @@ import numpy as np
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Connection, FloatArray, Grid, Periodicity, Shape
-from meshdeform_core.grid.connectivity.declared import periodic_image, periodic_rotation
+from meshdeform_core.grid.connections import periodic_image, periodic_rotation
 
 from .file import Notes
 from .tree import Node

@@ -17,7 +17,7 @@ import numpy as np
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Grid
-from meshdeform_core.grid.extent import block_extents
+from meshdeform_core.grid.planes import block_extents
 
 from ..hdf5_output import hdf5_output
 from ..planes import Stored, split

@@ -14,7 +14,7 @@ from types import ModuleType
 
 import numpy as np
 
-from meshdeform_core.boundary.tables.matching import SurfaceData
+from meshdeform_core.boundary.tables import SurfaceData
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid, OwnPlanes
 from meshdeform_core.parallel import WholeGridNeeded, alone

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from meshdeform_core.boundary.tables.matching import SurfaceData
+from meshdeform_core.boundary.tables import SurfaceData
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, IntArray
 from meshdeform_core.wording import counted, vector

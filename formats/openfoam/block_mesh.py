@@ -16,7 +16,7 @@ import scipy
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Connection, FloatArray, Grid, Patch, Periodicity, Window
-from meshdeform_core.grid.connectivity.declared import periodic_image
+from meshdeform_core.grid.connections import periodic_image
 from meshdeform_core.memory import machine_memory, readable
 from meshdeform_core.numerics.geometry.coincidence import connected_components
 

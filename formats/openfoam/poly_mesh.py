@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import BoolArray, FloatArray, Grid, IntArray, Side
-from meshdeform_core.grid.connectivity.declared import periodic_image, periodic_rotation
-from meshdeform_core.grid.faces.roles import Role, role_of_patch
+from meshdeform_core.grid.connections import periodic_image, periodic_rotation
+from meshdeform_core.grid.faces import Role, role_of_patch
 from meshdeform_core.grid.planes import plane_normal, plane_of
-from meshdeform_core.grid.sides import end_planes
 from meshdeform_core.grid.topology import Topology, cells_behind, find_topology, is_wall, separated, side_nodes
+from meshdeform_core.grid.windows import end_planes
 
 from ..markers import Marker, find_markers, point_numbers
 from ..text import distinct

@@ -9,9 +9,9 @@ from functools import cached_property
 import numpy as np
 
 from meshdeform_core.grid import FloatArray, Grid, IntArray, Shape
-from meshdeform_core.grid.faces.roles import Role
-from meshdeform_core.grid.faces.surfaces import Surface
+from meshdeform_core.grid.faces import Role
 from meshdeform_core.grid.planes import Plane
+from meshdeform_core.grid.surfaces import Surface
 from meshdeform_core.grid.topology import Topology
 from meshdeform_core.numerics.geometry.vectors import doubled_areas
 from meshdeform_core.quality import Original

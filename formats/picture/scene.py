@@ -9,9 +9,9 @@ import numpy as np
 
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import BoolArray, FloatArray, Grid, IntArray, Side
-from meshdeform_core.grid.faces.roles import Role
-from meshdeform_core.grid.faces.surfaces import Surface
+from meshdeform_core.grid.faces import Role
 from meshdeform_core.grid.planes import Plane
+from meshdeform_core.grid.surfaces import Surface
 from meshdeform_core.grid.topology import Topology, side_nodes
 from meshdeform_core.parallel import Nodes
 

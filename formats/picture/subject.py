@@ -9,10 +9,9 @@ from functools import cached_property
 import numpy as np
 
 from meshdeform_core.grid import FloatArray, IntArray, Shape
-from meshdeform_core.grid.faces.pieces import Face
-from meshdeform_core.grid.faces.roles import Role
-from meshdeform_core.grid.faces.surfaces import Surface, thin_direction
+from meshdeform_core.grid.faces import Face, Role
 from meshdeform_core.grid.planes import Plane
+from meshdeform_core.grid.surfaces import Surface, thin_direction
 from meshdeform_core.numerics.arrays import extent
 from meshdeform_core.numerics.geometry.vectors import doubled_areas
 from meshdeform_core.quality.fields import CELL_MEASURES, CellFields, Cells

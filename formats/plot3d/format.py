@@ -14,7 +14,7 @@ import numpy as np
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FileFormat, Grid, Shape
-from meshdeform_core.grid.extent import block_extents
+from meshdeform_core.grid.planes import block_extents
 from meshdeform_core.numerics.arrays import extent
 
 from ..files import replacing_by_all

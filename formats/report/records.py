@@ -11,7 +11,7 @@ import numpy as np
 
 from meshdeform_core.boundary import Kind
 from meshdeform_core.boundary.motions.motion import PreparedMotion
-from meshdeform_core.boundary.tables.matching import Transfer
+from meshdeform_core.boundary.tables import Transfer
 from meshdeform_core.deform import Result, Setup
 from meshdeform_core.grid import Grid
 from meshdeform_core.mending import Mended

@@ -87,9 +87,8 @@ def _expected(expense: Report) -> str:
     used = [f"{readable(work)} of files to work in"] if work else []
     used += [f"{readable(output)} for the output"] if output else []
     disk = f"; disk {' and '.join(used)}" if used else ""
-    bound = "at most " if expense["bound"] else ""
     each = f" on each of {expense['ranks']} ranks" if expense["ranks"] > 1 else ""
-    return f"expected  memory {bound}{readable(expense['memory_bytes'])}{each}{disk}"
+    return f"expected  memory {readable(expense['memory_bytes'])}{each}{disk}"
 
 
 def _verdict_lines(report: Report) -> Iterator[str]:

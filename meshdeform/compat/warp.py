@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from meshdeform_core.errors import CaseError, GridError, MotionError
 from meshdeform_core.grid import FloatArray, Grid, IntArray
-from meshdeform_core.parallel import OneRank, Ranks, sharing
+from meshdeform_core.parallel import Ranks, sharing
 from meshdeform_core.wording import vector
 
 from ..grid import read, wrapped, write
@@ -39,7 +39,7 @@ class Warp:
         if grid.dimension != 3:
             raise GridError(f"{grid.path}: a plane grid; expected one in space, at least one cell thick")
         self._grid, self._ranks = grid, ranks
-        with one_at_a_time(), sharing(OneRank(ranks.cores), None):
+        with one_at_a_time(), sharing(Ranks(ranks.cores), None):
             self._zones = [Zones(grid, zones, options) for zones, options in groups]
         self._solver_rows: IntArray | None = None
         self._components: list[Component] = []
@@ -259,7 +259,7 @@ def grid_of(name: str, file_type: str, ranks: Ranks) -> Grid:
     CaseError
         When the file is of another type than ``file_type``.
     """
-    with one_at_a_time(), sharing(OneRank(ranks.cores), None):
+    with one_at_a_time(), sharing(Ranks(ranks.cores), None):
         grid = read(name).core
     found = grid.format.name if grid.format else ""
     if found != file_type.lower():
@@ -276,5 +276,5 @@ def ranks_of(comm: Comm | None) -> tuple[Comm | None, Ranks]:
 
         comm = MPI.COMM_WORLD
     if comm is None or comm.size == 1:
-        return None, OneRank()
+        return None, Ranks()
     return comm, ranks_of_comm(comm)

@@ -10,22 +10,19 @@ import numpy as np
 
 from ..errors import CaseError
 from ..grid import Grid, IntArray, Patch
-from ..grid.planes import Plane
+from ..grid.openings import Opening, Overlap, describe_group, patched_groups
+from ..grid.planes import Plane, plane_normal, plane_of
 from ..grid.selection import quads_of_pattern, select_quads
-from ..grid.sides import end_planes
-from ..grid.topology import Topology, quads_of_patches
-from ..grid.windows import rectangles
+from ..grid.topology import Topology, quads_of_patches, quads_of_windows
+from ..grid.windows import end_planes, rectangles
 from ..numerics.geometry.coincidence import distinct
-from ..wording import vector
-from .coverage import Tables
+from ..wording import listed, vector
+from .fitting import Fit, Tables, fit_table
 from .motions.expression import Expression
-from .motions.motion import Follow, FollowSequence, Motion, PreparedMotion, tiny_rotations
+from .motions.motion import Follow, Motion, PreparedMotion, tiny_rotations
 from .periodic import Periodic, find_periodicity
 from .slip import Slip, crease_notes, find_sliding
-from .tables.fitting import Fit, fit_table
-from .tables.matching import BoundaryNodes
-from .tables.numbered import by_place
-from .unselected import unselected_notes
+from .tables import BoundaryNodes, SurfaceData, by_place
 
 UNSELECTED = "(not selected)"
 
@@ -146,9 +143,13 @@ def classify(grid: Grid, topology: Topology, specs: Sequence[BoundarySpec], cons
     """
     specs, selected, corners = list(specs), list[IntArray](), topology.quads.corners
     for index, spec in enumerate(specs):
-        fit = _fit(grid, topology, spec)
-        if fit is not None and spec.motion is not None:
-            specs[index] = replace(spec, motion=spec.motion.matched_by(fit.matching))
+        fit: Fit | None = None
+        if spec.motion is not None and spec.motion.partial:
+            # The table alone says which nodes move: those of the wall that it fits.
+            table = next(step for step in spec.motion.steps if isinstance(step, Follow))
+            if isinstance(data := table.table(), SurfaceData):
+                fit = fit_table(grid, topology, by_place(data, grid, topology), table.matching)
+                specs[index] = replace(spec, motion=spec.motion.matched_by(fit.matching))
         selected.append(_select(grid, topology, spec, constants) if fit is None or fit.quads is None else fit.quads)
     movers, asked = list[tuple[IntArray, PreparedMotion]](), list[tuple[IntArray, PreparedMotion]]()
     for index, spec in enumerate(specs):
@@ -197,17 +198,6 @@ def classify(grid: Grid, topology: Topology, specs: Sequence[BoundarySpec], cons
     slip, mirrors = find_sliding(grid, topology, slipping, node_kind < Kind.FIXED, node_kind == Kind.MOVING)
     notes += [*more, *crease_notes(grid, topology, slip)]
     return Boundary(node_kind, quad_kind, tuple(patches), tuple(movers), slip, periodic, mirrors, tuple(notes), tables)
-
-
-def _fit(grid: Grid, topology: Topology, spec: BoundarySpec) -> Fit | None:
-    """The wall that the table of an entry fits, if the table alone says which nodes move."""
-    if spec.motion is None or not spec.motion.partial:
-        return None
-    tables = [step for step in spec.motion.steps if isinstance(step, Follow | FollowSequence)]
-    data = tables[0].first
-    if isinstance(data, Grid):
-        return None
-    return fit_table(grid, topology, by_place(data, grid, topology), tables[0].matching)
 
 
 def _select(grid: Grid, topology: Topology, spec: BoundarySpec, constants: Mapping[str, float]) -> IntArray:
@@ -286,3 +276,89 @@ def with_plates(grid: Grid, topology: Topology, patterns: Sequence[str]) -> tupl
             patches.append(Patch(name, tuple(rectangles(grid, topology.quads, new).windows()), bc_type="wall"))
         topology = topology.opened(shared)
     return (replace(grid, patches=tuple(patches)) if patterns else grid), topology
+
+
+def unselected_notes(grid: Grid, topology: Topology, quads: IntArray, moving: IntArray, expected: bool) -> list[str]:
+    """Warnings about faces ``quads`` that are fixed because nothing selects them.
+
+    Parameters
+    ----------
+    moving : unique numbers of the nodes that move
+    expected : the case is only a table, and the other faces are meant to be fixed
+    """
+    label = np.full(len(topology.partner), -1)
+    label[quads] = 0
+    pieces = rectangles(grid, topology.quads, label)
+    places = [(window, pieces.quads_of(number)) for number, window in enumerate(pieces.windows())]
+    places.sort(key=lambda place: -len(place[1]))
+    notes = []
+    if not expected:
+        ranges = listed((f"{grid.window_label(window)} ({len(found):,})" for window, found in places), noun="ranges")
+        notes.append(
+            f"{quads.size:,} external face quads are not selected by any boundary entry; they are fixed: {ranges}"
+        )
+    moves = np.zeros(topology.n_unique, dtype=bool)
+    moves[moving] = True
+    touching = [window for window, found in places if moves[topology.quads.corners[found]].any()]
+    if touching:
+        normal = plane_normal(grid)
+        corners = (topology.quads.corners[quads_of_windows(topology.quads, [window])[0]] for window in touching)
+        points = (grid.nodes.at(topology.first[np.unique(some)]) for some in corners)
+        flat = all(plane_of(x, normal) is not None for x in points)
+        remedy = (
+            'they are flat: symmetry planes and end planes need kind = "symmetry" or "slip"'
+            if flat
+            else 'give them a kind: "slip" lets their nodes follow, "fixed" confirms that they stay'
+        )
+        if expected:
+            remedy += " in a case file; `meshdeform init --table` writes one"
+        names = listed(grid.window_label(window) for window in touching)
+        notes.append(f"faces that no boundary entry selects touch moving nodes but are fixed: {names}; {remedy}")
+    return notes
+
+
+def opening_notes(
+    grid: Grid,
+    topology: Topology,
+    openings: Sequence[Opening | Overlap],
+    unselected: IntArray,
+    moving: IntArray,
+    declared: bool | Sequence[str],
+) -> list[str]:
+    """Warnings about outside faces that nearly coincide with others.
+
+    Parameters
+    ----------
+    unselected, moving : face quads that nothing selects, and those of moving entries
+    declared : the value of ``grid.open``: faces that are meant to be open (``True``: all)
+
+    Raises
+    ------
+    CaseError
+        When no boundary entry selects such a face, as the grid would tear at this fixed wall.
+    """
+    if declared is True or not openings:
+        return []
+    meant = select_quads(grid, topology, declared, "grid.open") if declared else np.empty(0, dtype=np.int64)
+    told = []
+    for opening in openings:
+        if any(np.isin(opening.quads, known).all() for known in (meant, moving)):
+            continue
+        text = opening.describe(grid)
+        apart = overlap_advice(grid) if isinstance(opening, Overlap) else ""
+        if np.isin(opening.quads, unselected).any():
+            count = f" ({len(openings)} such places, see `meshdeform info`)" if len(openings) > 1 else ""
+            close = "Close the gap with that tolerance, or say" if opening.matching else "Say"
+            raise CaseError(
+                f"{text}{count}. Nothing selects them, so they would be fixed walls, at which the grid tears. {close} "
+                f"that they are walls: [grid] open = true, or a list of faces; or select them in a boundary entry"
+                f"{apart}"
+            )
+        told.append(opening)
+    groups = ((describe_group(grid, group), group[0]) for group in patched_groups(told))
+    return [text + (overlap_advice(grid) if isinstance(first, Overlap) else "") for text, first in groups]
+
+
+def overlap_advice(grid: Grid) -> str:
+    """What to do about blocks that overlap; empty if the grid is divided into components."""
+    return "" if grid.components else "; blocks that overlap on purpose: name their groups in [grid] components"

@@ -13,8 +13,8 @@ import numpy as np
 
 from ..grid import FloatArray, Grid, IntArray, Side
 from ..grid.planes import FLATNESS, snapped
-from ..grid.sides import end_planes, side_numbers
 from ..grid.topology import Topology
+from ..grid.windows import end_planes, side_numbers
 from ..numerics.arrays import lengths
 from .classification import Boundary
 

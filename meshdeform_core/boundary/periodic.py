@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import CaseError
 from ..grid import BoolArray, FloatArray, Grid, IntArray
-from ..grid.connectivity.declared import connected_nodes, periodic_rotation
+from ..grid.connections import connected_nodes, periodic_rotation
 from ..grid.topology import RELATIVE_TOLERANCE, Topology
 from ..numerics.geometry.coincidence import close_pairs
 

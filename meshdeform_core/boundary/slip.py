@@ -166,11 +166,7 @@ class Slip:
 
 
 def find_sliding(
-    grid: Grid,
-    topology: Topology,
-    slipping: Sequence[tuple[str, IntArray, bool]],
-    free: BoolArray,
-    moving: BoolArray,
+    grid: Grid, topology: Topology, slipping: Sequence[tuple[str, IntArray, bool]], free: BoolArray, moving: BoolArray
 ) -> tuple[Slip, tuple[Plane, ...]]:
     """Slip constraints and symmetry planes.
 

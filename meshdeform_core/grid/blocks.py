@@ -19,13 +19,10 @@ import numpy as np
 
 from ..errors import GridError
 from ..numerics.arrays import FloatArray, IntArray, total
-from ..numerics.pieces import pieces
+from ..numerics.pieces import bounds_of, pieces
 from ..parallel import Nodes, Ranks, current_ranks, for_items
-from .dealing import points_among
-from .lattice import SideLattice
-from .near import NearNodes
-from .parts import Connection, Field, FileFormat, OwnPlanes, Patch, Planes, Shape, Window
-from .sizes import BlockSizes
+from .lattice import NearNodes, SideLattice
+from .parts import BlockSizes, Connection, Field, FileFormat, OwnPlanes, Patch, Planes, Shape, Window
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -66,7 +63,13 @@ class Grid(BlockSizes):
         self._check_points()
         if len(self.names) != len(self.shapes) or len(set(self.names)) != len(self.names):
             raise GridError(f"need one unique name per block, found {list(self.names)} for {len(self.shapes)} blocks")
-        _check_dimension(self.shapes, self.names)
+        flat = [sum(n == 1 for n in shape) for shape in self.shapes]
+        for shape, name, ones in zip(self.shapes, self.names, flat, strict=True):
+            if min(shape) < 1 or ones > 1:
+                raise GridError(f"{name}: {shape} nodes is not a block; expected at least 2 nodes along two indices")
+        if len(set(flat)) > 1:
+            two, three = self.names[flat.index(1)], self.names[flat.index(0)]
+            raise GridError(f"the grid mixes 2-D and 3-D blocks ({two} is one plane of nodes, {three} is not)")
 
     def _check_points(self) -> None:
         expected = int(self.offsets[-1])
@@ -81,7 +84,7 @@ class Grid(BlockSizes):
         """Make a grid with uninitialised coordinates, to be filled block by block through :meth:`fill`."""
         sizes: tuple[Shape, ...] = tuple((int(ni), int(nj), int(nk)) for ni, nj, nk in shapes)
         labels = tuple(names) if names is not None else tuple(f"block{b + 1}" for b in range(len(sizes)))
-        return cls(points_among(sizes, current_ranks()), sizes, labels, **rest)
+        return cls(_points_among(sizes, current_ranks()), sizes, labels, **rest)
 
     @classmethod
     def from_blocks(cls, blocks: Sequence[FloatArray], names: Sequence[str] | None = None, **rest: Any) -> Grid:
@@ -215,7 +218,7 @@ class Grid(BlockSizes):
         """The grid in parts, which several ranks that hold the whole of it take; otherwise the grid itself."""
         if ranks.count == 1 or self.nodes.divided:
             return self
-        grid = self.moved(points_among(self.shapes, ranks))
+        grid = self.moved(_points_among(self.shapes, ranks))
         grid.nodes.own[...] = self.points[slice(*grid.nodes.ends)]
         grid.keep_near()
         fields = tuple(
@@ -263,11 +266,16 @@ class Grid(BlockSizes):
         return f"{self.names[block]} ({', '.join(str(n + 1) for n in place)})"
 
 
-def _check_dimension(shapes: Sequence[Shape], names: Sequence[str]) -> None:
-    flat = [sum(n == 1 for n in shape) for shape in shapes]
-    for shape, name, ones in zip(shapes, names, flat, strict=True):
-        if min(shape) < 1 or ones > 1:
-            raise GridError(f"{name}: {shape} nodes is not a block; expected at least 2 nodes along two indices")
-    if len(set(flat)) > 1:
-        two, three = names[flat.index(1)], names[flat.index(0)]
-        raise GridError(f"the grid mixes 2-D and 3-D blocks ({two} is one plane of nodes, {three} is not)")
+def _points_among(shapes: tuple[Shape, ...], ranks: Ranks) -> Any:
+    """Uninitialised coordinates (n_nodes, 3) of blocks of these shapes, of which every rank holds its part."""
+    bounds = bounds_of(shapes, ranks.count)
+    return Nodes.new(ranks, bounds, (int(bounds[-1]), 3))
+
+
+def rounded(points: FloatArray, precision: str) -> FloatArray:
+    """Coordinates (n_nodes, 3) rounded to ``precision``; returned as they are for ``float64``."""
+    if precision != "float32":
+        return points
+    result: FloatArray = Nodes.of(points).like(3)
+    Nodes.of(result).each(lambda rows: np.copyto(result[rows], points[rows].astype(np.float32)))
+    return result

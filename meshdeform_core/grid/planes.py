@@ -1,4 +1,4 @@
-"""Planes of 2-D grids and of slip and symmetry boundaries."""
+"""Planes of 2-D grids and of slip and symmetry boundaries; the extent of a grid in any direction."""
 
 from __future__ import annotations
 
@@ -7,9 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import GridError
-from ..numerics.arrays import extent
+from ..numerics.arrays import batches, extent
+from ..parallel import for_items
+from ..wording import vector
 from .blocks import FloatArray, Grid
 
+_SMALLEST, _FLAT = 1e-100, 1e-14
+_SAMPLE, _TOGETHER = 100_000, 100_000
 FLATNESS = 1e-6
 """Nodes that deviate from their mean plane by less than this fraction of their extent lie in a plane."""
 
@@ -37,18 +41,14 @@ def planes_of(points: FloatArray, plane_normal: FloatArray | None) -> list[Plane
     size = np.abs(arms).max(axis=(1, 2), initial=0.0)
     found: list[Plane | None] = [None] * len(points)
     some = np.flatnonzero(size)
-    axes = _main_axes(arms[some])
+    # Principal directions, the longest extent first.
+    axes = np.asarray(np.linalg.svd(arms[some], full_matrices=False)[2])
     normal = axes[:, -1] if plane_normal is None else np.cross(plane_normal, axes[:, 0])
     normal = snapped(normal / np.linalg.norm(normal, axis=1, keepdims=True))
     flat = np.abs((arms[some] @ normal[..., None])[..., 0]).max(axis=1, initial=0.0) <= FLATNESS * size[some]
     for number, one in zip(some[flat].tolist(), normal[flat], strict=True):
         found[number] = Plane(center[number], one)
     return found
-
-
-def _main_axes(arms: FloatArray) -> FloatArray:
-    """Principal directions (m, 3, 3) of sets of points (m, n, 3), the longest extent first."""
-    return np.asarray(np.linalg.svd(arms, full_matrices=False)[2])
 
 
 def snapped(normal: FloatArray) -> FloatArray:
@@ -88,3 +88,87 @@ def plane_axes(normal: FloatArray) -> FloatArray:
     one = near - (near @ normal) * normal
     one /= np.linalg.norm(one)
     return np.stack([one, np.cross(normal, one)])
+
+
+def block_extents(grid: Grid) -> tuple[FloatArray, FloatArray]:
+    """Smallest and largest coordinates (n_blocks, 3) of every block."""
+    low, high = np.full((grid.n_blocks, 3), np.inf), np.full((grid.n_blocks, 3), -np.inf)
+    ends = np.clip(grid.offsets, *grid.nodes.ends)
+    together = batches(np.diff(ends), _TOGETHER)
+
+    def find(number: int) -> None:
+        first, last = together[number]
+        rows, held = grid.points[ends[first] : ends[last]], first + np.flatnonzero(np.diff(ends[first : last + 1]))
+        if len(held) == 1:
+            low[held[0]], high[held[0]] = extent(rows)
+        elif held.size:
+            low[held] = np.minimum.reduceat(rows, ends[held] - ends[first], axis=0)
+            high[held] = np.maximum.reduceat(rows, ends[held] - ends[first], axis=0)
+
+    for_items(find, len(together), threads=None)
+    lows, highs = zip(*grid.nodes.gather((low, high)), strict=True)
+    return np.min(lows, axis=0), np.max(highs, axis=0)
+
+
+@dataclass
+class _Reach:
+    """Bounds of the largest x . normal of a grid: from the corners of its blocks, and from their bounding boxes."""
+
+    least: float
+    most: float
+
+
+class Bounds:
+    """The extent of a grid in any direction, mostly from the bounding boxes of its blocks."""
+
+    def __init__(self, grid: Grid):
+        self._grid = grid
+        self.low, self.high = block_extents(grid)
+        last = np.array(grid.shapes)[:, None] - 1
+        i, j, k = np.moveaxis(np.indices((2, 2, 2)).reshape(3, 8).T * last, -1, 0)
+        nj, nk = last[..., 1] + 1, last[..., 2] + 1
+        self._corners = grid.nodes.at(grid.offsets[:-1, None] + (i * nj + j) * nk + k).reshape(-1, 3)
+        self._reach: dict[tuple[float, ...], _Reach] = {}
+
+    def within(self, normal: FloatArray, level: float) -> bool:
+        """Whether x . ``normal`` is at most ``level`` at all nodes x."""
+        # The faces of one plane differ in their normals by round-off only.
+        key = tuple(round(part, 9) for part in normal.tolist())
+        reach = self._reach.get(key)
+        if reach is None:
+            highest = np.maximum(self.low * normal, self.high * normal).sum(axis=1)
+            reach = self._reach[key] = _Reach(float((self._corners @ normal).max()), float(highest.max()))
+        if reach.most > level >= reach.least:
+            reach.least = reach.most = self._support(normal)
+        return reach.most <= level
+
+    def _support(self, normal: FloatArray) -> float:
+        """Largest x . ``normal``; blocks whose bounding box cannot contain it are skipped."""
+        highest = np.maximum(self.low * normal, self.high * normal).sum(axis=1)
+        found = -np.inf
+        for block in np.argsort(-highest):
+            if highest[block] <= found:
+                break
+            rows = self._grid.in_planes(block)
+            found = max(found, *self._grid.nodes.gather(float((rows @ normal).max(initial=-np.inf))))
+        return found
+
+
+def require_extent(grid: Grid) -> None:
+    """Refuse a grid whose nodes are all at one point, on one line or, in 3-D, in one plane.
+
+    Raises
+    ------
+    GridError
+        Stating the extent of the nodes.
+    """
+    some = grid.sample(_SAMPLE)
+    low, high = extent(grid.points)
+    size = float((high - low).max())
+    if not size > _SMALLEST:
+        raise GridError(f"all nodes lie within {size:.3g} of {vector(low)}; expected a grid with a larger extent")
+    spread = np.linalg.svd((some - 0.5 * (low + high)) / size, compute_uv=False)
+    rank = int((spread > _FLAT * spread[0]).sum())
+    if rank < grid.dimension:
+        shape = {1: "on a line", 2: "in a plane"}[rank]
+        raise GridError(f"all nodes of the {grid.dimension}-D grid lie {shape}; expected cells with a volume")

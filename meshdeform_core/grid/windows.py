@@ -1,4 +1,4 @@
-"""Sets of face quads as rectangles of nodes."""
+"""Block sides: sets of their face quads as rectangles of nodes, and the end planes of a grid that is one cell thick."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..numerics.arrays import IntArray, batches, runs, spans
 from .blocks import Grid
 from .parts import Shape, Side, Window
-from .topology import FaceQuads
+from .topology import FaceQuads, Topology, side_nodes
 
 
 def windows_of_quads(shape: Shape, block: int, side: Side, quads: NDArray[np.bool_]) -> list[Window]:
@@ -152,3 +152,46 @@ def largest_rectangles(grid: Grid, faces: FaceQuads, quads: IntArray) -> dict[in
         int(side): (window, largest.quads_of(number))
         for number, (side, window) in enumerate(zip(largest.side, largest.windows(), strict=True))
     }
+
+
+def side_numbers(grid: Grid, topology: Topology, block: int, side: Side) -> IntArray:
+    """Unique node numbers of a block side, shaped along ``side.tangential``."""
+    u, v = np.indices([grid.shapes[block][axis] for axis in side.tangential])
+    return topology.quads.numbers_at(np.full(u.shape, 6 * block + side), u, v)
+
+
+def end_planes(grid: Grid, topology: Topology) -> list[int]:
+    """Block sides (``6 * block + side``) between which the whole grid is one cell thick; empty if it is not.
+
+    A block that is one cell thick between outside faces in two directions counts as thin in the direction in which its
+    neighbours are; if these leave it open, there are no end planes.
+    """
+    thin, external, quads = list[list[int]](), topology.external, topology.quads
+    for block, shape in enumerate(grid.shapes):
+        # With only outside faces at both ends.
+        ends = ((axis, [quads.of_side(block, Side(2 * axis + end)) for end in (0, 1)]) for axis in range(3))
+        thin.append([axis for axis, of in ends if shape[axis] == 2 and all(external[some].all() for some in of)])
+        if not thin[-1]:
+            return []
+    if all(len(axes) == 1 for axes in thin):
+        return _sides(thin)
+
+    def edges_across(block: int, axis: int) -> IntArray:
+        """A number for each edge that crosses the block along the axis."""
+        ends = [topology.numbers_of(side_nodes(grid, block, Side(2 * axis + end)).ravel()) for end in (0, 1)]
+        edges: IntArray = np.minimum(*ends) * topology.n_unique + np.maximum(*ends)
+        return edges
+
+    across = [{axis: edges_across(b, axis) for axis in axes} for b, axes in enumerate(thin)]
+    left = set(range(grid.n_blocks))
+    known: IntArray = np.empty(0, dtype=np.int64)
+    while decided := [block for block in left if len(across[block]) == 1]:
+        left -= set(decided)
+        known = np.concatenate([known, *(edges for block in decided for edges in across[block].values())])
+        for block in left:
+            across[block] = {axis: edges for axis, edges in across[block].items() if np.isin(edges, known).any()}
+    return [] if left else _sides([list(axes) for axes in across])
+
+
+def _sides(thin: list[list[int]]) -> list[int]:
+    return [6 * block + side for block, axes in enumerate(thin) for axis in axes for side in (2 * axis, 2 * axis + 1)]

@@ -17,8 +17,8 @@ from ..boundary import Boundary, Kind
 from ..boundary.layer import Layer
 from ..grid import BoolArray, FloatArray, Grid, IntArray, Side
 from ..grid.planes import plane_normal
-from ..grid.sides import end_planes, side_numbers
 from ..grid.topology import Topology, inward_step, side_nodes
+from ..grid.windows import end_planes, side_numbers
 from ..memory import UNLIMITED, MemoryLimit
 from ..notices import Notice
 from ..numerics.arrays import distinct_pairs, places_among, total

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -25,6 +26,28 @@ def pieces(shapes: Shapes) -> IntArray:
     first = np.concatenate([each[:-1] for each in ends])
     last = np.concatenate([each[1:] for each in ends])
     return np.stack([block, first, last], axis=1)
+
+
+def bounds_of(shapes: Shapes, count: int) -> IntArray:
+    """First row (count + 1,) of each of several ranks, and the number of all rows: the largest part is as small as it
+    can be."""
+    if count == 1:
+        return np.array([0, sum(map(math.prod, shapes))], dtype=np.int64)
+    block, first, last = pieces(shapes).T
+    ends = np.append(0, np.cumsum((last - first) * np.prod(shapes, axis=1)[block] // np.array(shapes)[block, 0]))
+    few, many = -(-int(ends[-1]) // count), int(ends[-1])
+    while few < many:
+        most = (few + many) // 2
+        few, many = (few, most) if _dealt(ends, most, count)[-1] == ends[-1] else (most + 1, many)
+    return _dealt(ends, many, count)
+
+
+def _dealt(ends: IntArray, most: int, count: int) -> IntArray:
+    """First rows if no rank takes more than ``most`` rows; pieces that are left over remain beyond the last one."""
+    found = [0]
+    for _ in range(count):
+        found.append(int(ends[np.searchsorted(ends, found[-1] + most, side="right") - 1]))
+    return np.array(found)
 
 
 @lru_cache(maxsize=1024)

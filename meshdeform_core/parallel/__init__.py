@@ -14,23 +14,19 @@ from .loops import (
     thread_count,
 )
 from .nodes import Nodes, WholeGridNeeded, require_undivided
-from .ranks import OneRank, Ranks, Route, collected, joined
+from .ranks import Ranks
 
 __all__ = [
     "Nodes",
-    "OneRank",
     "Ranks",
-    "Route",
     "WholeGridNeeded",
     "agreed",
     "alone",
     "carried",
-    "collected",
     "current_ranks",
     "empty",
     "for_chunks",
     "for_items",
-    "joined",
     "require_undivided",
     "set_ranks",
     "set_threads",

@@ -14,7 +14,7 @@ from contextvars import ContextVar, copy_context
 from functools import partial
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
-from .ranks import OneRank, Ranks, usable_cores
+from .ranks import Ranks, usable_cores
 from .scratch import current_scratch
 
 T = TypeVar("T")
@@ -34,7 +34,7 @@ class Sharing(NamedTuple):
 
 # A context variable, not a global one: calls in different threads of a program do not change each other's settings,
 # and a block that sets it (such as work that one rank does alone) affects nothing outside.
-_ONE_PROCESS = Sharing(OneRank(), None)
+_ONE_PROCESS = Sharing(Ranks(), None)
 _sharing = ContextVar("sharing", default=_ONE_PROCESS)
 
 
@@ -67,7 +67,7 @@ def alone(cores: int | None = None, times: int = 1) -> AbstractContextManager[No
     """Share nothing within the block: for work that one rank does alone, by default on its share of the cores, with
     ``times`` as many threads."""
     ranks, threads = _sharing.get()
-    return sharing(OneRank(cores or ranks.cores), threads and times * threads)
+    return sharing(Ranks(cores or ranks.cores), threads and times * threads)
 
 
 def agreed(ranks: Ranks, value: float) -> float:
@@ -98,7 +98,9 @@ def thread_count() -> int:
 
 
 def for_chunks(work: Work, size: int, chunk: int, progress: Counter | None = None, threads: int | None = None) -> None:
-    """Call ``work(first, last)`` for consecutive chunks of ``range(size)``, spread over the threads.
+    """Call ``work(first, last)`` for consecutive chunks of ``range(size)``; each thread takes the next when it is free.
+
+    Work that asks for rows of other ranks raises an error, as these are not in the loop.
 
     Parameters
     ----------
@@ -108,43 +110,6 @@ def for_chunks(work: Work, size: int, chunk: int, progress: Counter | None = Non
     threads : largest number of threads, for work that must not run concurrently
     """
     bounds = [(first, min(first + chunk, size)) for first in range(0, size, chunk)]
-    _on_threads(work, bounds, progress, threads or thread_count())
-
-
-def for_items(
-    work: Callable[[int], object], count: int, progress: Counter | None = None, threads: int | None = 1
-) -> None:
-    """Call ``work(n)`` for every n of ``range(count)``, ascending.
-
-    By default one item at a time, for large items whose own loops use the threads. With more ``threads`` (``None``:
-    all), items run concurrently and their own loops on one thread. Of several exceptions, that of the first item is
-    raised.
-    """
-    failures: list[tuple[int, Exception]] = []
-
-    def attempt(number: int, _: int) -> None:
-        try:
-            if failures:
-                return
-            if threads == 1:
-                work(number)
-            else:
-                with sharing(OneRank(1), 1):
-                    work(number)
-        except Exception as error:
-            failures.append((number, error))
-
-    for_chunks(attempt, count, 1, progress, threads=threads)
-    if failures:
-        raise min(failures, key=lambda each: each[0])[1]
-
-
-def _on_threads(work: Work, bounds: list[Bounds], progress: Counter | None, limit: int) -> None:
-    """Process all chunks on several threads; each thread takes the next chunk when it is free.
-
-    Work that asks for rows of other ranks raises an error, as these are not in the loop.
-    """
-    size = sum(last - first for first, last in bounds)
     # ``next`` on an iterator and ``list.append`` are atomic in the interpreter.
     pending, done, failures = iter(bounds), list[int](), list[BaseException]()
     scratch = current_scratch()
@@ -168,25 +133,49 @@ def _on_threads(work: Work, bounds: list[Bounds], progress: Counter | None, limi
     others = list[threading.Thread]()
     with alone():
         try:
-            for _ in range(min(limit, len(bounds)) - 1):
+            for _ in range(min(threads or thread_count(), len(bounds)) - 1):
                 others.append(threading.Thread(target=carried(run), args=(None,), name="chunks"))
                 others[-1].start()
         except BaseException as error:
             # Raised by a signal handler: threads already started end after their chunk.
             failures.append(error)
         run(progress)
-        _joined(others, failures)
+        # Even after an interrupt, as they still write to arrays of the caller.
+        for other in others:
+            while other.is_alive():
+                try:
+                    other.join()
+                except BaseException as error:
+                    failures.append(error)
     if failures:
         raise failures[0]
     if others and progress:
         progress(size, size)
 
 
-def _joined(others: list[threading.Thread], failures: list[BaseException]) -> None:
-    """Wait for the other threads, even after an interrupt, as they still write to arrays of the caller."""
-    for other in others:
-        while other.is_alive():
-            try:
-                other.join()
-            except BaseException as error:
-                failures.append(error)
+def for_items(
+    work: Callable[[int], object], count: int, progress: Counter | None = None, threads: int | None = 1
+) -> None:
+    """Call ``work(n)`` for every n of ``range(count)``, ascending.
+
+    By default one item at a time, for large items whose own loops use the threads. With more ``threads`` (``None``:
+    all), items run concurrently and their own loops on one thread. Of several exceptions, that of the first item is
+    raised.
+    """
+    failures: list[tuple[int, Exception]] = []
+
+    def attempt(number: int, _: int) -> None:
+        try:
+            if failures:
+                return
+            if threads == 1:
+                work(number)
+            else:
+                with sharing(Ranks(1), 1):
+                    work(number)
+        except Exception as error:
+            failures.append((number, error))
+
+    for_chunks(attempt, count, 1, progress, threads=threads)
+    if failures:
+        raise min(failures, key=lambda each: each[0])[1]

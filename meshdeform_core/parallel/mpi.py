@@ -6,13 +6,12 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, TypeVar
 
 from ..errors import MeshDeformError
 from .loops import alone, empty
-from .ranks import usable_cores
+from .ranks import Ranks, usable_cores
 
 if TYPE_CHECKING:
     import numpy as np
@@ -27,8 +26,8 @@ _POLL = 0.002
 _TRIES = 50
 
 
-class MPIRanks:
-    """The ranks of a communicator as the core sees them (:class:`meshdeform_core.parallel.Ranks`)."""
+class MPIRanks(Ranks):
+    """The ranks of a communicator as the core sees them."""
 
     def __init__(self, world: Comm):
         from mpi4py import MPI
@@ -40,7 +39,7 @@ class MPIRanks:
         # Launchers often bind each rank to some cores, which may overlap.
         usable = self._usable()
         self._all_cores = set().union(*machine.allgather(usable))
-        self.cores = max(1, min(len(usable), len(self._all_cores) // machine.size))
+        super().__init__(max(1, min(len(usable), len(self._all_cores) // machine.size)))
         machine.Free()
 
     @staticmethod
@@ -49,12 +48,10 @@ class MPIRanks:
         return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set(range(os.cpu_count() or 1))
 
     def gather(self, found: Sequence[T]) -> list[T]:
-        """The (small) results of all ranks, in rank order."""
         self._meet()
         return [each for own in self._comm.allgather(list(found)) for each in own]
 
     def collect(self, own: np.ndarray, counts: Sequence[int]) -> np.ndarray:
-        """The rows of all ranks, ``counts`` of each, concatenated in rank order."""
         import numpy as np
 
         found = empty((sum(counts), *own.shape[1:]), own.dtype)
@@ -64,7 +61,6 @@ class MPIRanks:
         return found
 
     def swap(self, sends: Mapping[int, np.ndarray], receives: Mapping[int, np.ndarray]) -> None:
-        """Exchange arrays with other ranks, by number: send ``sends``, fill ``receives``; empty ones are skipped."""
         self._meet()
         requests = [self._comm.Irecv(array, source=number) for number, array in receives.items() if array.size]
         requests += [self._comm.Isend(array, dest=number) for number, array in sends.items() if array.size]
@@ -72,14 +68,18 @@ class MPIRanks:
             request.Wait()
 
     def on_first(self, action: Callable[[], T]) -> T:
-        """Run ``action`` on the first rank only, with all cores that it may use, while the others wait; its result is
-        returned, or its error raised, on all ranks."""
         failure: Exception | None = None
         result: T | None = None
         if self.number == 0:
             try:
-                with self._on_all_cores():
-                    result = action()
+                # The cores of all ranks on its machine, to which launchers bind them.
+                bind, own = getattr(os, "sched_setaffinity", lambda *_: None), self._usable()
+                bind(0, self._all_cores)
+                try:
+                    with alone(usable_cores(), self.on_machine):
+                        result = action()
+                finally:
+                    bind(0, own)
             except Exception as error:
                 failure = error
         self._meet()
@@ -89,17 +89,6 @@ class MPIRanks:
         if failed:
             raise MeshDeformError("the first rank failed; its message says why")
         return result
-
-    @contextmanager
-    def _on_all_cores(self) -> Iterator[None]:
-        """Context for work of this rank on the cores of all ranks on its machine, to which launchers bind them."""
-        bind, own = getattr(os, "sched_setaffinity", lambda *_: None), self._usable()
-        bind(0, self._all_cores)
-        try:
-            with alone(usable_cores(), self.on_machine):
-                yield
-        finally:
-            bind(0, own)
 
     def _meet(self) -> None:
         """Barrier that sleeps after a while, as the rank waited for may need the core."""

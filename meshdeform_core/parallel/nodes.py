@@ -15,7 +15,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from .loops import current_ranks, empty, for_chunks
-from .ranks import OneRank, Ranks
+from .ranks import Ranks
 from .scratch import ScratchFile, current_scratch
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ class Nodes:
     @classmethod
     def of(cls, array: Any) -> Nodes:
         """The rows of an array, in parts or whole."""
-        return array if isinstance(array, cls) else cls(OneRank(), (0, len(array)), array)
+        return array if isinstance(array, cls) else cls(Ranks(), (0, len(array)), array)
 
     @classmethod
     def new(cls, ranks: Ranks, bounds: ArrayLike, shape: Sequence[int], dtype: Any = "float64") -> Any:
@@ -177,7 +177,11 @@ class Nodes:
         if np.any(rows[1:] < rows[:-1]):
             order = np.argsort(np.searchsorted(self.bounds, rows, side="right"), kind="stable")
             rows = rows[order]
-        first = np.searchsorted(rows, self.bounds) if order is None else self._first_of(rows)
+        first = np.searchsorted(rows, self.bounds)
+        if order is not None:
+            # Ascending by the rank that holds them only.
+            holder = np.searchsorted(self.bounds, rows, side="right")
+            first = np.searchsorted(holder, np.arange(1, self.ranks.count + 2))
         own = rows[first[self.ranks.number] : first[self.ranks.number + 1]]
         found = self.ranks.collect(_rows_at(self.rows, own), np.diff(first).tolist())
         if order is None:
@@ -185,12 +189,6 @@ class Nodes:
         result = empty(found.shape, found.dtype)
         result[order] = found
         return result
-
-    def _first_of(self, rows: np.ndarray) -> np.ndarray:
-        """Index at which those of the ascending ``rows`` (n,) begin that belong to each rank."""
-        import numpy as np
-
-        return np.searchsorted(np.searchsorted(self.bounds, rows, side="right"), np.arange(1, self.ranks.count + 2))
 
     def widen(self, first: int, last: int) -> None:
         """Also hold copies of the rows first <= n < last as their owners have them now; all ranks must call this."""

@@ -12,9 +12,9 @@ import scipy
 
 from ..errors import CaseError, suggestion
 from ..grid import BoolArray, FloatArray, Grid, IntArray
-from ..grid.faces.roles import Role
-from ..grid.faces.surfaces import Outside, find_outside
+from ..grid.faces import Role
 from ..grid.planes import plane_normal
+from ..grid.surfaces import Outside, find_outside
 from ..grid.topology import Topology
 from .cells import CellMeasures, measure_block
 from .original import Original

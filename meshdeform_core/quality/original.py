@@ -11,10 +11,9 @@ import numpy as np
 
 from ..boundary import Boundary, Kind
 from ..grid import BoolArray, FloatArray, Grid
-from ..grid.faces.pieces import Face
-from ..grid.faces.roles import Role, declared_role
-from ..grid.faces.surfaces import Outside, find_outside
+from ..grid.faces import Face, Role, declared_role
 from ..grid.planes import plane_normal
+from ..grid.surfaces import Outside, find_outside
 from ..grid.topology import Topology
 from .cells import sides_of
 from .lines import InterfaceLines, WallLines, WallMeasures, interface_lines, kink_and_jump

@@ -63,7 +63,7 @@ def measure_walls(
 ) -> tuple[WallQualities, WallQualities]:
     """The ``moving`` and the ``fixed`` walls before, and with coordinates ``after`` (n_nodes, 3).
 
-    ``None`` where there are none. Fixed walls are fixed faces with the role of a wall (:mod:`..grid.faces.roles`).
+    ``None`` where there are none. Fixed walls are fixed faces with the role of a wall (:mod:`..grid.faces`).
     """
     before: WallQualities = {"moving": None, "fixed": None}
     now: WallQualities = dict(before)

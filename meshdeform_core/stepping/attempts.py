@@ -1,17 +1,21 @@
-"""How a motion is imposed: in a given number of steps, or adaptively so that the grid stays valid."""
+"""How a motion is imposed: in a given number of steps, or adaptively so that the grid stays valid.
+
+The parameters were tuned together. How many large motions succeed, and what the attempts cost, is measured by
+``studies/robustness_table.py`` and ``studies/default_method.py``; results are in docs/validity.md. Whoever changes one
+number runs these studies for all of them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 from ..boundary.crossing import find_pinned
 from ..errors import MethodError
 from ..methods import Options
 from ..notices import Notice
 from ..repair.tuned import COLLAPSING
-from .course import Course
 from .steps import (
+    Course,
     Reached,
     State,
     Trial,
@@ -25,7 +29,20 @@ from .steps import (
     step,
     warnings_ahead,
 )
-from .tuned import BEFORE, MAX_ATTEMPTS, MAX_HALVINGS, MAX_REPAIRED_HALVINGS, RESCUE, RESCUE_STEPS, SQUEEZED
+
+MAX_HALVINGS, MAX_REPAIRED_HALVINGS = 8, 4
+"""How often a step may be halved until the grid is valid: by the method alone, and with a repair of each step, which is
+far more expensive."""
+MAX_ATTEMPTS = 24
+"""Largest number of steps tried with repairs, to bound the time spent on hopeless cases."""
+BEFORE = 0.9
+"""If the boundary crosses itself, this fraction of the motion up to that point is tried and reported to the user."""
+RESCUE = "rbf-tfi"
+"""The method tried when the chosen one finds no valid grid: it succeeds most often."""
+RESCUE_STEPS = (8, 16)
+"""Numbers of steps without repairs in which it is tried first (studies/repairs.py, pipes that close to 3 %)."""
+SQUEEZED = ("tfi", RESCUE)
+"""Methods tried when the best valid grid is nearly collapsed; in narrow gaps TFI often preserves grid lines better."""
 
 
 def in_equal_steps(course: Course, count: int) -> Reached:
@@ -75,11 +92,18 @@ def until_valid(course: Course) -> Reached:
     state = beginning(course, course.setup.case.method)
     course.log.warn(*warnings_ahead(state, 0.0))
     plain = plain_step(state, 1.0)
-    impossible = None if plain.valid else _find_impossible(course)
-    best = repaired(plain, "hasty" if impossible else "quick")
-    if impossible and not best.valid:
-        course.log.warn(*impossible.reasons)
-        step(state, BEFORE * impossible.fraction, "hasty")
+    # Reasons visible in the boundary alone why no valid grid exists, and the part of the motion up to which there are
+    # none.
+    reasons, fraction = list[str](), 1.0
+    if not plain.valid:
+        setup, contact = course.setup, course.setup.undeformed.crossing_test.contact(course.path)
+        pinned = find_pinned(setup.grid, setup.topology, setup.boundary, course.total)
+        reasons = [found for found in (contact and contact.message, pinned) if found]
+        fraction = contact.fraction if contact else 1.0
+    best = repaired(plain, "hasty" if reasons else "quick")
+    if reasons and not best.valid:
+        course.log.warn(*reasons)
+        step(state, BEFORE * fraction, "hasty")
     elif not best.valid:
         found = _persistently(best)
         if isinstance(found, State):
@@ -169,23 +193,6 @@ def _with_other_methods(course: Course, names: tuple[str, ...], chosen: Options)
             yield step(beginning(course, Options(name)), 1.0)
         except MethodError as error:
             course.log.warn(Notice(f"{name} was not tried: {error}", f"{name} not tried"))
-
-
-@dataclass(frozen=True)
-class _Impossible:
-    """``reasons`` visible in the boundary alone why no valid grid exists, and the ``fraction`` of the motion up to
-    which there are none."""
-
-    reasons: list[str]
-    fraction: float
-
-
-def _find_impossible(course: Course) -> _Impossible | None:
-    setup = course.setup
-    contact = setup.undeformed.crossing_test.contact(course.path)
-    pinned = find_pinned(setup.grid, setup.topology, setup.boundary, course.total)
-    reasons: list[str] = [found for found in (contact and contact.message, pinned) if found]
-    return _Impossible(reasons, contact.fraction if contact else 1.0) if reasons else None
 
 
 def _give_up(course: Course) -> None:

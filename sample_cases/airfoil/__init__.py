@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from meshdeform_core.boundary.tables.matching import SurfaceData
+from meshdeform_core.boundary.tables import SurfaceData
 from meshdeform_core.grid import FloatArray, Grid
 
 from ..building import tanh_law, with_patches

@@ -10,7 +10,7 @@ from grids import frame, frame_2d
 
 import meshdeform as md
 from meshdeform import preparation
-from meshdeform_core.parallel import OneRank, current_ranks
+from meshdeform_core.parallel import Ranks, current_ranks
 
 MEASURES = "f_skew", "f_skew_min", "scaled_jacobian_min", "volume"
 
@@ -18,7 +18,7 @@ MEASURES = "f_skew", "f_skew_min", "scaled_jacobian_min", "volume"
 @pytest.fixture
 def source(tmp_path, monkeypatch):
     """A grid file; ``comm`` is the ranks themselves, and blocks are cut although they are small."""
-    monkeypatch.setattr(preparation, "ranks_of_comm", lambda comm: comm or OneRank())
+    monkeypatch.setattr(preparation, "ranks_of_comm", lambda comm: comm or Ranks())
     grid = frame(6, 5)
     grid = grid.moved(grid.points * (1.0 - 0.2 * grid.points[:, 2:]) ** np.array([1.0, 1.0, 0.0]))
     path = tmp_path / "grid.xyz"

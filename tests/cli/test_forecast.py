@@ -78,6 +78,6 @@ def test_of_a_series_the_worst_level_is_tried(plate, call):
 
 
 def test_large_grids_are_not_tried(plate, call, monkeypatch):
-    monkeypatch.setattr("meshdeform_cli.dry_run.forecast.TRIAL_NODES", 1000)
+    monkeypatch.setattr("meshdeform_cli.dry_run.TRIAL_NODES", 1000)
     result = call("deform", plate / "grid.cgns", "-c", plate / "case.toml", "--dry-run", "-m", "tfi")
     assert any(text.startswith("not tried: 1 step with ") for text in result.warnings)

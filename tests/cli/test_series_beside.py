@@ -75,10 +75,10 @@ def test_files_are_the_same_as_when_levels_are_written_alone(extra, swing, call,
                                    ("--max-memory", "tight")])  # fmt: skip
 def test_without_threads_or_memory_to_spare_levels_are_written_alone(extra, swing, call, written):
     if extra[-1] == "tight":
-        from meshdeform_core.memory import COORDINATE_ARRAYS, Demand
+        from meshdeform_core.memory import Demand, deforming
         from meshdeform_formats import read_grid
 
-        need = Demand.of("deforming", read_grid("grid.xyz"), arrays=COORDINATE_ARRAYS + 6)
+        need = Demand.of("deforming", deforming("tfi", beside=0), read_grid("grid.xyz"))
         extra = ("--max-memory", str(need.in_memory))
     assert call(*RUN, "-m", "tfi", *extra, "-o", "out").code == 0
     assert written == [(n, True) for n in range(COUNT)]

@@ -13,7 +13,7 @@ from meshdeform_core.boundary.classification import with_plates
 from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.boundary.motions.motion import Follow, Motion
 from meshdeform_core.boundary.prescribed import prescribed_displacement
-from meshdeform_core.boundary.tables.matching import Matching, SurfaceData
+from meshdeform_core.boundary.tables import Matching, SurfaceData
 from meshdeform_core.deform import Case, deform, set_up
 from meshdeform_core.errors import CaseError, MotionError
 from meshdeform_core.grid import Connection, Grid, Patch, Periodicity, Side, Window

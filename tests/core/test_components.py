@@ -14,8 +14,8 @@ from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.deform import Case, deform, set_up
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid
-from meshdeform_core.grid.components import BY_PREFIX, with_components
-from meshdeform_core.grid.connectivity.openings import find_openings
+from meshdeform_core.grid.openings import find_openings
+from meshdeform_core.grid.selection import BY_PREFIX, with_components
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.methods import Options
 from meshdeform_core.repair import RepairOptions

@@ -19,7 +19,7 @@ from meshdeform_core.methods.scattered.idw_sums import ExactSums
 from meshdeform_core.methods.scattered.summation import DERIVATIVE_TOLERANCE
 from meshdeform_core.numerics.fastsum.weighted import FastSums
 from meshdeform_core.numerics.frame import Frame
-from meshdeform_core.parallel import OneRank, sharing
+from meshdeform_core.parallel import Ranks, sharing
 
 FEW = ("tfi", "rbf-tfi", "idw-rbf", "idw-quaternion", "idw-lie", "idw-tfi")
 
@@ -185,7 +185,7 @@ def test_threads_change_no_bit_of_a_derivative():
     for options in [*ways, Options("rbf", rbf=RBF(summation="fast"))]:
         method = make_method(options).prepare(where)
         for threads in (1, 2, 3):
-            with sharing(OneRank(), threads):
+            with sharing(Ranks(), threads):
                 derivative = method.linearised(smooth)
                 found.append((derivative.push(rough), derivative.pull(weight.copy())))
     for one, two, three in (found[:3], found[3:6], found[6:]):

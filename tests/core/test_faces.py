@@ -12,9 +12,8 @@ import pytest
 from grids import block_around, frame, frame_2d, permuted, polar, whole_face
 
 from meshdeform_core.grid import Grid, Patch, Side, Window
-from meshdeform_core.grid.faces.pieces import find_faces, quad_geometry
-from meshdeform_core.grid.faces.roles import Role
-from meshdeform_core.grid.faces.surfaces import find_outside, thin_direction
+from meshdeform_core.grid.faces import Role, find_faces, quad_geometry
+from meshdeform_core.grid.surfaces import find_outside, thin_direction
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_formats import read_grid
 from meshdeform_samples import load

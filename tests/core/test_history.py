@@ -14,14 +14,14 @@ from meshdeform.session import Session
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.methods import Options
-from meshdeform_core.parallel import OneRank
+from meshdeform_core.parallel import Ranks
 
 
 def mesh_of(options: Options) -> Mesh:
     """A hollow bar in a frame; two of its sides move, no cells lie between them."""
     left = BoundarySpec("left", ("block2.imax",), Kind.MOVING, None, constant(0, 0, 0))
     right = BoundarySpec("right", ("block7.imin",), Kind.MOVING, None, constant(0, 0, 0))
-    return Mesh(Session(set_up(frame_2d(), Case((left, right), {}, options)), False, OneRank(), None))
+    return Mesh(Session(set_up(frame_2d(), Case((left, right), {}, options)), False, Ranks(), None))
 
 
 def bulge(depth: float, points: np.ndarray, _: float) -> np.ndarray:

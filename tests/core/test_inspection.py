@@ -11,7 +11,7 @@ from meshdeform_core.grid import Grid
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.numerics.cell.inspection import inspect_hexahedra
 from meshdeform_core.numerics.cell.measures import measure_cells
-from meshdeform_core.parallel import OneRank
+from meshdeform_core.parallel import Ranks
 from meshdeform_core.quality import Original, assess
 from meshdeform_core.quality.comparison import Lowest
 from meshdeform_core.quality.validity import TOTALS
@@ -158,4 +158,4 @@ def test_the_quantile_does_not_depend_on_how_values_arrive(values, random):
     whole = Lowest(count)
     while values:
         whole.add(np.array([values.pop() for _ in range(random.randint(1, len(values)))], np.float32))
-    assert whole.largest(OneRank()) == expected
+    assert whole.largest(Ranks()) == expected

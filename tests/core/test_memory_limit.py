@@ -5,17 +5,17 @@ import mmap
 import platform
 import subprocess
 import sys
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from grids import whole_face
 
 from meshdeform_core import memory
-from meshdeform_core.grid import Grid, Patch, Side
-from meshdeform_core.memory import UNLIMITED, Demand, MemoryLimit, readable, release_freed
+from meshdeform_core.grid import FileFormat, Grid, Patch, Side
+from meshdeform_core.memory import UNLIMITED, Demand, MemoryLimit, passing, readable, release_freed
 from meshdeform_core.parallel.scratch import resident_memory
 from meshdeform_formats import write_grid
+from meshdeform_formats.grids import Layout
 
 
 def test_a_quarter_may_be_taken_while_the_rest_is_in_its_bounds(monkeypatch):
@@ -40,8 +40,10 @@ def test_what_is_set_apart_adds_up():
 
 def test_every_block_takes_memory_beside_its_nodes():
     """Of one block and of a thousand with the same nodes, in memory and in files."""
-    one, many = (Demand.of("deforming", SimpleNamespace(n_nodes=10**6, n_face_nodes=0, n_blocks=n)) for n in (1, 1000))
-    assert one.what == "deforming 1,000,000 nodes"
+    zones = FileFormat("cgns")
+    layouts = (Layout("grid.cgns", ((20, 20, 20_000 // n),) * n, zones) for n in (1, 1000))
+    one, many = (Demand.of("deforming", passing(1), layout) for layout in layouts)
+    assert one.what == many.what == "deforming 8,000,000 nodes"
     limit = MemoryLimit(2**32, "--max-memory allows")
     for more in (many.in_memory - one.in_memory, many.beside_files(limit) - one.beside_files(limit)):
         assert 100e6 < more < 300e6

@@ -13,8 +13,7 @@ from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, deform, set_up
 from meshdeform_core.errors import CaseError, MethodError
 from meshdeform_core.grid import Grid, Patch, Side
-from meshdeform_core.grid.connectivity.openings import describe_group, find_openings, patched_groups
-from meshdeform_core.grid.connectivity.overset import Overlap, coincident_blocks
+from meshdeform_core.grid.openings import Overlap, coincident_blocks, describe_group, find_openings, patched_groups
 from meshdeform_core.grid.topology import find_topology
 
 MOVE = formulas("0", "0.01*x", "0")

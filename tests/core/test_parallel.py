@@ -6,7 +6,7 @@ import time
 import pytest
 
 from meshdeform_core.parallel import (
-    OneRank,
+    Ranks,
     alone,
     carried,
     for_chunks,
@@ -38,7 +38,7 @@ def test_threads_of_a_program_do_not_change_each_others_setting():
     found, inside, leave = {}, threading.Event(), threading.Event()
 
     def other() -> None:
-        with sharing(OneRank(1), 1):
+        with sharing(Ranks(1), 1):
             inside.set()
             assert leave.wait(10)
             found["other"] = thread_count()

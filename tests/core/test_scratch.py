@@ -21,7 +21,7 @@ from grids import frame
 from meshdeform_core.deform import Case, deform
 from meshdeform_core.errors import MethodError
 from meshdeform_core.grid import Grid
-from meshdeform_core.memory import Demand, MemoryLimit
+from meshdeform_core.memory import Demand, MemoryLimit, deforming
 from meshdeform_core.methods import Options
 from meshdeform_core.parallel import empty, scratch
 from meshdeform_core.parallel.scratch import Scratch, current_scratch, scratch_in
@@ -90,9 +90,9 @@ def test_what_a_method_may_take_beside_the_files(tmp_path):
     nodes, limit = 10**8, MemoryLimit(4 * 2**30, "--max-memory allows")
 
     def demand(face_nodes):
-        return Demand("deforming 100,000,000 nodes", nodes, 24 * nodes, face_nodes)
+        return Demand("deforming 100,000,000 nodes", deforming("idw-tfi"), nodes, face_nodes)
 
-    with pytest.raises(MethodError, match=r"deforming 100,000,000 nodes needs about 20\.\d GiB"):
+    with pytest.raises(MethodError, match=r"deforming 100,000,000 nodes needs about 6\.\d+ GiB"):
         demand(0).place(limit, None)
     with scratch_in(Scratch(tmp_path, 1)):
         demand(0).place(MemoryLimit(2**40, "the machine has"), tmp_path)
@@ -102,7 +102,7 @@ def test_what_a_method_may_take_beside_the_files(tmp_path):
         left = demand(2 * 10**6).left_of(limit)
         assert 2 * 2**30 < left.size < 3 * 2**30
         with pytest.raises(MethodError, match=r"needs about \d\.\d+ GiB, --max-memory allows 4 GiB"):
-            demand(4 * 10**7).place(limit, tmp_path)
+            demand(5 * 10**7).place(limit, tmp_path)
 
 
 def placed(tmp_path, lacking, on_machine):
@@ -118,7 +118,7 @@ def placed(tmp_path, lacking, on_machine):
             patch.setattr(tempfile, "tempdir", str(own))
             patch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=free))
             try:
-                Demand("deforming 2e8 nodes", 2 * 10**8, 48 * 10**8).place(limit, tmp_path)
+                Demand("deforming 2e8 nodes", deforming("idw-tfi"), 8 * 10**7).place(limit, tmp_path)
             except MethodError as error:
                 return str(error)
         return current_scratch().empty((3,), "int8") is not None and current_scratch()._folder
@@ -135,19 +135,18 @@ def test_ranks_work_beside_the_output_or_each_on_a_disk_of_its_machine(tmp_path)
 
 def test_a_disk_without_room_on_one_machine_is_the_error_of_all_ranks(tmp_path):
     (message,) = set(placed(tmp_path, (1, 2), 1))
-    # 1.25 times a third of the nodes, 48 bytes for each.
-    expected = f"needs files of 3.73 GiB to work in; the disk of {tmp_path / '1'} of {platform.node()} has 1 MiB free"
+    expected = f"needs files of 3.87 GiB to work in; the disk of {tmp_path / '1'} of {platform.node()} has 1 MiB free"
     assert expected in message
     other = tmp_path / "other"
     other.mkdir()
     (message,) = set(placed(other, (0, 1, 2), 3))
-    assert f"needs files of 11.2 GiB for 3 ranks to work in; the disk of {other} has 1 MiB free" in message
+    assert f"needs files of 11.6 GiB for 3 ranks to work in; the disk of {other} has 1 MiB free" in message
 
 
 def test_two_hundred_million_nodes_in_a_thousand_blocks_fit_into_four_gibibytes():
     side = 58
     nodes, face_nodes = 1000 * side**3, 1000 * (side**3 - (side - 2) ** 3)
-    demand = Demand("deforming", nodes, 24 * nodes, face_nodes, blocks=1000)
+    demand = Demand("deforming", deforming("idw-tfi"), nodes, face_nodes, other_bytes=1000 * 110e3)
     assert demand.beside_files(MemoryLimit(4 * 2**30, "--max-memory allows")) < 4 * 2**30
 
 
@@ -157,7 +156,7 @@ from pathlib import Path
 import numpy as np
 from meshdeform_core.parallel import empty, for_chunks, loops, nodes, scratch
 from meshdeform_formats import read_grid
-from meshdeform_core.grid.extent import block_extents
+from meshdeform_core.grid.planes import block_extents
 
 # Every thread brings in pages of its own.
 loops.set_threads(2)

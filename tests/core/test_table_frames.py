@@ -13,8 +13,7 @@ from meshdeform_core.boundary.motions.motion import (
     Follow,
     Motion,
 )
-from meshdeform_core.boundary.tables.frames import other_frame
-from meshdeform_core.boundary.tables.matching import AUTOMATIC, BoundaryNodes, Matching, SurfaceData
+from meshdeform_core.boundary.tables import AUTOMATIC, BoundaryNodes, Matching, SurfaceData, other_frame
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.errors import MotionError
 from meshdeform_core.grid.selection import select_quads

@@ -12,7 +12,7 @@ from scipy.interpolate import RBFInterpolator
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.motion import Follow, Motion
-from meshdeform_core.boundary.tables.matching import Matching, SurfaceData
+from meshdeform_core.boundary.tables import Matching, SurfaceData
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.errors import MotionError
 from meshdeform_core.numerics.geometry.local_spline import local_spline

@@ -1,4 +1,4 @@
-"""The topology of a grid in parts, which all ranks find together, is that of the whole grid to the last bit.
+"""The topology of a grid in parts, which every rank finds, is that of the whole grid to the last bit.
 
 The ranks are forks of this process (:mod:`forked_ranks`); coordinates that a rank does not hold are poisoned.
 """
@@ -14,10 +14,9 @@ from hypothesis import strategies as st
 from random_grids import block_grids
 
 from meshdeform_core.grid import Grid
-from meshdeform_core.grid.components import BY_PREFIX, with_components
-from meshdeform_core.grid.near import NearNodes
-from meshdeform_core.grid.topology import find_topology, partners, strips
-from meshdeform_core.numerics.geometry import copies
+from meshdeform_core.grid.lattice import NearNodes
+from meshdeform_core.grid.selection import BY_PREFIX, with_components
+from meshdeform_core.grid.topology import find_topology
 
 LINE = np.linspace(0.0, 1.0, 5)
 # Compiled loops are loaded once, before ranks are forked.
@@ -105,10 +104,3 @@ def test_every_kind_of_grid(name):
 @given(block_grids(), st.integers(2, 7), st.sampled_from([0.0, 1e-6, 1e-3]), st.integers(0, 10**6))
 def test_random_grids(drawn, count, noise, seed):
     same_on_ranks(noisy(drawn.shuffled, noise, seed), count)
-
-
-@pytest.mark.parametrize("few", [1, 7])
-def test_little_is_done_at_a_time(few, monkeypatch):
-    for module, name in ((copies, "_WINDOW"), (copies, "_SAMPLE"), (partners, "_MATCHED"), (strips, "_TOGETHER")):
-        monkeypatch.setattr(module, name, few)
-    same_on_ranks(noisy(frame(5, 4), 1e-4), 4)

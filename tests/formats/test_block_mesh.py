@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid, Side
-from meshdeform_core.grid.connectivity.declared import connected_nodes, periodic_rotation
+from meshdeform_core.grid.connections import connected_nodes, periodic_rotation
 from meshdeform_core.grid.topology import find_topology, quads_of_patches
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.openfoam.curves import Section, arc_about, arc_by_angle, arc_through, divide

@@ -11,7 +11,7 @@ from cgns_witness import N, bc, box, connectivity, one_to_one, periodic, tree, t
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.errors import CaseError, FormatError
-from meshdeform_core.grid.connectivity.declared import check_connections
+from meshdeform_core.grid.connections import check_connections
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_formats import read_grid
 

@@ -16,7 +16,7 @@ from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
 from vtkmodules.vtkIOLegacy import vtkPolyDataWriter
 from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter
 
-from meshdeform_core.boundary.tables.matching import SurfaceData
+from meshdeform_core.boundary.tables import SurfaceData
 from meshdeform_core.grid import Field, Grid
 from meshdeform_formats import write_grid
 from meshdeform_formats.displacement import read_displacement, write_displacement

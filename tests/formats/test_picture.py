@@ -12,9 +12,9 @@ from PIL import Image
 
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid
-from meshdeform_core.grid.faces.roles import Role
-from meshdeform_core.grid.faces.surfaces import find_outside
+from meshdeform_core.grid.faces import Role
 from meshdeform_core.grid.planes import Plane
+from meshdeform_core.grid.surfaces import find_outside
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality.cells import measure_block
 from meshdeform_formats.case.template import case_template

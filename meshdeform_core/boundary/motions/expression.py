@@ -78,11 +78,7 @@ _COMPARE: dict[type[ast.AST], Callable[[Any, Any], Any]] = {
     ast.Eq: _comparison(operator.eq),
     ast.NotEq: _comparison(operator.ne),
 }
-_UNARY: dict[type[ast.AST], Callable[[Any], Any]] = {
-    ast.USub: operator.neg,
-    ast.UAdd: operator.pos,
-    ast.Not: _not,
-}
+_UNARY: dict[type[ast.AST], Callable[[Any], Any]] = {ast.USub: operator.neg, ast.UAdd: operator.pos, ast.Not: _not}
 _FUNCTIONS: dict[str, tuple[int, Callable[..., Any]]] = {
     "where": (3, _where),
     "min": (2, np.minimum),

@@ -1,20 +1,25 @@
-"""Motions given as tables over time: rigid bodies with six degrees of freedom, and structural modes."""
+"""Motions given as tables over time: rigid bodies with six degrees of freedom, structural modes, and beams."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 import scipy
 
 from ...errors import MotionError
 from ...grid import FloatArray, Grid
-from ..tables.matching import BoundaryNodes, Matching, SurfaceData
-from ..tables.transfer import transfer
+from ...wording import vector
+from ..tables import BoundaryNodes, Matching, SurfaceData, Transfer, transfer
 from .expression import Expression
-from .motion import Imposed, PreparedStep, Step, at_time, turned
+from .motion import PreparedStep, Step, at_time, turned
+
+_LARGEST_TURN = 170.0
+"""Degrees between neighbouring stations: at 180 the shorter way is not the one meant."""
+_CLOSEST = 1e-9
+"""Least distance of stations along the line, relative to its length."""
 
 
 @dataclass(frozen=True)
@@ -120,16 +125,140 @@ class Modes(Step):
 
     def prepare(self, nodes: BoundaryNodes) -> ImposedModes:
         matches = [transfer(shape, self.matching, nodes) for shape in self.shapes]
-        return ImposedModes(matches[0], self, np.stack([match.displacement for match in matches]))
+        return ImposedModes(self, np.stack([match.displacement for match in matches]), matches[0])
 
 
 @dataclass(frozen=True)
-class ImposedModes(Imposed):
+class ImposedModes(PreparedStep):
     """Shapes (m, n, 3) that have been transferred to the nodes; ``match`` is the transfer of the first one."""
 
     modes: Modes
     shapes: FloatArray
+    match: Transfer
 
     def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
         factors = self.modes.factors(float(values["t"]), values)
         return np.asarray(fraction * np.tensordot(factors, self.shapes, axes=1))
+
+
+@dataclass(frozen=True)
+class Beam(Step, PreparedStep):
+    """A beam whose sections move rigidly.
+
+    A node X belongs to the section at s, its distance from the first station X_0 along the straight line to the last
+    one. With the undeformed axis P(s) it moves to::
+
+        x = X_0 + u_0 + R_0 (P(s) - X_0 + d(s) + exp(w(s)) (X - P(s)))
+
+    u_0 and R_0 are displacement and rotation of the first station; d and w, displacement and rotation vector of the
+    others as seen from it, so that a rigid motion of the whole beam is reproduced. P, d and w are cubic Hermite splines
+    through the stations, with the slopes of parabolas through three: errors of the third order in their distance. Nodes
+    beyond an end move with its section. Between times u_0, d and w are linear, and R_0 turns uniformly.
+
+    Attributes
+    ----------
+    stations : (n, 3), undeformed, grid length unit
+    shape : d and w (radians), (t, 6 n)
+    first : the motion of the first station
+    timed : whether the table has times
+    """
+
+    stations: FloatArray
+    shape: History
+    first: RigidHistory
+    timed: bool
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, stations: FloatArray, displacement: History, turns: FloatArray, timed: bool) -> Beam:
+        """The beam from displacements (t, 3 n) and rotation vectors (t, n, 3) in radians.
+
+        Raises
+        ------
+        MotionError
+            Naming the stations, when there are fewer than two, they do not follow each other along the line, or the
+            way from one rotation to the next is not clear.
+        """
+        times, label = displacement.times, displacement.label
+        place = _along(stations, stations)
+        if len(stations) < 2:
+            raise MotionError(f"{label} has one station; expected at least two, along a line")
+        if not place[-1] > 0:
+            raise MotionError(f"{label}: its first and last stations lie at one point; expected stations along a line")
+        back = np.flatnonzero(np.diff(place) <= _CLOSEST * place[-1])
+        if back.size:
+            one, two = stations[back[0] : back[0] + 2]
+            raise MotionError(
+                f"{label}: stations {back[0] + 1} and {back[0] + 2}, {vector(one)} and {vector(two)}, coincide or go "
+                "back along the line from the first to the last; expected them in the order of the beam"
+            )
+        moved = displacement.values.reshape(len(times), -1, 3)
+        frames = scipy.spatial.transform.Rotation.from_rotvec(turns[:, 0])
+        seen = np.zeros((len(times), len(stations), 6))
+        arms = stations - stations[0]
+        for n in range(1, len(stations)):
+            seen[:, n, :3] = frames.inv().apply(arms[n] + moved[:, n] - moved[:, 0]) - arms[n]
+            own = scipy.spatial.transform.Rotation.from_rotvec(turns[:, n])
+            seen[:, n, 3:] = _nearest_turn((frames.inv() * own).as_rotvec(), seen[:, n - 1, 3:])
+        angles = np.degrees(np.linalg.norm(np.diff(seen[..., 3:], axis=1), axis=2))
+        if angles.max() > _LARGEST_TURN:
+            level, n = map(int, np.unravel_index(int(angles.argmax()), angles.shape))
+            raise MotionError(
+                f"{label}: stations {n + 1} and {n + 2} are turned by {angles[level, n]:.0f} degrees from each other "
+                f"at t = {times[level]:g}; expected up to {_LARGEST_TURN:g}: give stations between"
+            )
+        x, y, z = stations[0]
+        start = History(times, moved[:, 0], label)
+        first = RigidHistory(start, History(times, frames.as_quat(), label), "", (x, y, z))
+        return cls(stations, History(times, seen.reshape(len(times), -1), label), first, timed)
+
+    @property
+    def names(self) -> frozenset[str]:
+        return frozenset({"t"} if self.timed else ())
+
+    def require(self, time: float, constants: Mapping[str, float]) -> None:
+        if self.timed:
+            self.shape.require(time)
+
+    def prepare(self, nodes: BoundaryNodes) -> PreparedStep:
+        length = float(_along(self.stations[-1:], self.stations)[0])
+        place = _along(nodes.points, self.stations)
+        low, high = float(place.min()), float(place.max())
+        beyond, beside = max(-low, high - length), min(high, length) - max(low, 0.0)
+        if beyond <= 0.01 * length and beside >= 0.5 * length:
+            return self
+        note = (
+            f"{self.shape.label} has stations from 0 to {length:g} along the beam, the nodes lie from {low:.4g} to "
+            f"{high:.4g}; those beyond an end move with its section: check the length unit"
+        )
+        return replace(self, notes=(note,))
+
+    def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
+        time = float(values["t"]) if self.timed else float(self.shape.times[0])
+        seen = self.shape.at(time).reshape(-1, 6)
+        place = _along(self.stations, self.stations)
+        ends: Literal[1, 2] = 2 if len(place) > 2 else 1
+        at_stations = np.hstack([self.stations, seen])
+        slopes = np.gradient(at_stations, place, axis=0, edge_order=ends)
+        spline = scipy.interpolate.CubicHermiteSpline(place, at_stations, slopes)
+        axis, shift, turn = np.split(spline(np.clip(_along(current, self.stations), 0.0, place[-1])), 3, axis=1)
+        bent = fraction * shift + turned(current - axis, fraction * turn)
+        return np.asarray(bent + self.first.increment(current + bent, {"t": time}, fraction))
+
+
+def _along(points: FloatArray, stations: FloatArray) -> FloatArray:
+    """Distances (m,) of points (m, 3) from the first station, along the straight line from it to the last."""
+    line = stations[-1] - stations[0]
+    size = float(np.linalg.norm(line))
+    return np.asarray((points - stations[0]) @ (line / size if size > 0 else line))
+
+
+def _nearest_turn(turn: FloatArray, before: FloatArray) -> FloatArray:
+    """Rotation vectors (t, 3) of the rotations ``turn``, up to half a turn, nearest to those in ``before``."""
+    angle = np.linalg.norm(turn, axis=1, keepdims=True)
+    size = np.linalg.norm(before, axis=1, keepdims=True)
+    # A whole number of turns has no axis: that of the station before.
+    clear = angle > 1e-9
+    axis = np.where(clear, turn / np.where(clear, angle, 1.0), before / np.where(size > 0, size, 1.0))
+    ahead = (before * axis).sum(axis=1, keepdims=True)
+    return np.asarray(axis * (angle + 2 * np.pi * np.round((ahead - angle) / (2 * np.pi))))

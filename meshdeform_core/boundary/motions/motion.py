@@ -16,9 +16,7 @@ import numpy as np
 from ...errors import MotionError
 from ...grid import BoolArray, FloatArray, Grid, IntArray
 from ...wording import vector
-from ..tables.matching import BoundaryNodes, Matching, SurfaceData, Transfer
-from ..tables.numbered import positions_by_number
-from ..tables.transfer import transfer
+from ..tables import BoundaryNodes, Matching, SurfaceData, Transfer, positions_by_number, transfer
 from .expression import Expression
 
 VARIABLES = ("x", "y", "z", "t")
@@ -36,9 +34,10 @@ LARGEST = 1e30
 
 
 class PreparedStep:
-    """A step bound to its nodes; ``notes`` are for the report."""
+    """A step bound to its nodes; ``notes`` are for the report, ``match`` is that of a table."""
 
     notes: tuple[str, ...] = ()
+    match: Transfer | None = None
 
     def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
         """Displacement (n, 3) from the ``current`` positions; ``values`` are the variables at the undeformed nodes."""
@@ -101,83 +100,6 @@ class Displace(Step, PreparedStep):
 
 
 @dataclass(frozen=True)
-class Follow(Step):
-    """Displacement from a table or from a grid that holds the deformed positions of the same nodes."""
-
-    data: SurfaceData | Grid
-    matching: Matching
-
-    @property
-    def first(self) -> SurfaceData | Grid:
-        """The first table."""
-        return self.data
-
-    def prepare(self, nodes: BoundaryNodes) -> PreparedStep:
-        return Imposed(transfer(self.data, self.matching, nodes))
-
-
-@dataclass(frozen=True)
-class Imposed(PreparedStep):
-    """A displacement that has been transferred to the nodes."""
-
-    match: Transfer
-
-    def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
-        return fraction * self.match.displacement
-
-
-@dataclass(frozen=True)
-class FollowSequence(Step):
-    """Displacement from one table per time, read when needed; only one is in memory at a time.
-
-    ``times`` ascend; ``read(n)`` reads the table of ``times[n]``.
-    """
-
-    times: tuple[float, ...]
-    read: Callable[[int], SurfaceData | Grid]
-    matching: Matching
-
-    @property
-    def names(self) -> frozenset[str]:
-        return frozenset({"t"})
-
-    @property
-    def first(self) -> SurfaceData | Grid:
-        """The first table."""
-        return self.read(0)
-
-    def require(self, time: float, constants: Mapping[str, float]) -> None:
-        level_at(self.times, time)
-
-    def prepare(self, nodes: BoundaryNodes) -> PreparedStep:
-        return ImposedSequence(self, nodes)
-
-
-class ImposedSequence(PreparedStep):
-    """Tables transferred to the nodes one at a time; ``match`` is the transfer of the last one used."""
-
-    def __init__(self, sequence: FollowSequence, nodes: BoundaryNodes):
-        self._sequence, self._nodes = sequence, nodes
-        self._current = 0
-        self.match = self._transfer(0)
-
-    def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
-        wanted = level_at(self._sequence.times, values["t"])
-        if wanted != self._current:
-            match = self._transfer(wanted)
-            if (match.matched != self.match.matched).any():
-                raise MotionError(
-                    f"{match.label} matches {int(match.matched.sum())} boundary nodes, {self.match.label} others "
-                    f"({int(self.match.matched.sum())}); expected all tables of a sequence to cover the same nodes"
-                )
-            self._current, self.match = wanted, match
-        return fraction * self.match.displacement
-
-    def _transfer(self, index: int) -> Transfer:
-        return transfer(self._sequence.read(index), self._sequence.matching, self._nodes)
-
-
-@dataclass(frozen=True)
 class Positions:
     """New positions (n, 3), or (n, 2) in a plane grid, of the points with these numbers (n,)."""
 
@@ -205,26 +127,63 @@ class Positions:
         return surface
 
 
-@dataclass(frozen=True)
-class FollowNumbers(Step):
-    """Displacement from positions by number: one file, or one for each of ``times``, read when needed."""
+Table = SurfaceData | Grid | Positions
 
-    times: tuple[float, ...]
-    read: Callable[[int], Positions]
+
+@dataclass(frozen=True)
+class Follow(Step):
+    """Displacement from a table, from a grid that holds the deformed positions of the same nodes, or from positions by
+    number.
+
+    ``data`` is one of them, or a function that reads the one of ``times[n]``, which ascend: only one is in memory at a
+    time.
+    """
+
+    data: Table | Callable[[int], Table]
+    matching: Matching
+    times: tuple[float, ...] = ()
 
     @property
     def names(self) -> frozenset[str]:
         return frozenset({"t"} if self.times else ())
+
+    def table(self, number: int = 0) -> Table:
+        """The table of ``times[number]``, or the only one."""
+        return self.data(number) if callable(self.data) else self.data
 
     def require(self, time: float, constants: Mapping[str, float]) -> None:
         if self.times:
             level_at(self.times, time)
 
     def prepare(self, nodes: BoundaryNodes) -> PreparedStep:
-        exact = Matching("exact")
-        if self.times:
-            return FollowSequence(self.times, lambda n: self.read(n).at(nodes), exact).prepare(nodes)
-        return Imposed(transfer(self.read(0).at(nodes), exact, nodes))
+        return Imposed(self, nodes)
+
+
+class Imposed(PreparedStep):
+    """A displacement transferred to the nodes, of several tables one at a time; ``match`` is that of the last one."""
+
+    def __init__(self, follow: Follow, nodes: BoundaryNodes):
+        self._follow, self._nodes, self._current = follow, nodes, 0
+        self.match: Transfer = self._transfer(0)
+
+    def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
+        times = self._follow.times
+        wanted = level_at(times, values["t"]) if times else 0
+        if wanted != self._current:
+            match = self._transfer(wanted)
+            if (match.matched != self.match.matched).any():
+                raise MotionError(
+                    f"{match.label} matches {int(match.matched.sum())} boundary nodes, {self.match.label} others "
+                    f"({int(self.match.matched.sum())}); expected all tables of a sequence to cover the same nodes"
+                )
+            self._current, self.match = wanted, match
+        return fraction * self.match.displacement
+
+    def _transfer(self, number: int) -> Transfer:
+        data = self._follow.table(number)
+        return transfer(
+            data.at(self._nodes) if isinstance(data, Positions) else data, self._follow.matching, self._nodes
+        )
 
 
 @dataclass(frozen=True)
@@ -242,7 +201,7 @@ class Motion:
     @property
     def partial(self) -> bool:
         """Whether it is a table that moves only the nodes it matches."""
-        return any(isinstance(step, Follow | FollowSequence) and step.matching.partial for step in self.steps)
+        return any(isinstance(step, Follow) and step.matching.partial for step in self.steps)
 
     def require(self, times: Iterable[float]) -> None:
         """Refuse times at which a step is not defined, before anything is computed.
@@ -258,8 +217,7 @@ class Motion:
 
     def matched_by(self, matching: Matching) -> Motion:
         """The motion with another matching of its tables."""
-        tables = Follow | FollowSequence
-        steps = tuple(replace(step, matching=matching) if isinstance(step, tables) else step for step in self.steps)
+        steps = tuple(replace(step, matching=matching) if isinstance(step, Follow) else step for step in self.steps)
         return replace(self, steps=steps)
 
     def prepare(self, nodes: BoundaryNodes) -> PreparedMotion:
@@ -282,7 +240,7 @@ class PreparedMotion:
     @property
     def matches(self) -> tuple[Transfer, ...]:
         """The matches of all tables, for the report."""
-        return tuple(step.match for step in self.steps if isinstance(step, Imposed | ImposedSequence))
+        return tuple(step.match for step in self.steps if step.match is not None)
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ import scipy
 from ...errors import MotionError
 from ...grid import FloatArray, IntArray
 from ...wording import vector
-from ..tables.matching import BoundaryNodes
+from ..tables import BoundaryNodes
 from .motion import PreparedStep, Step
 
 _SAME = 1e-9

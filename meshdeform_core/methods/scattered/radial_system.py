@@ -15,7 +15,7 @@ from ...numerics.systems.greedy import independent
 from ...numerics.systems.krylov import KrylovSolver
 from ...numerics.systems.products import ExactProduct, nested_bytes, product_of
 from ...numerics.systems.saddle import DirectSolver
-from ...parallel import OneRank, Ranks
+from ...parallel import Ranks
 from ..base import Account, Progress, Setting, of_stage
 from .centres import DIRECT_CENTRES, Centres
 
@@ -32,7 +32,7 @@ class RadialSystem:
     """
 
     def __init__(self, options: Any, centres: Centres, limit: MemoryLimit = UNLIMITED, ranks: Ranks | None = None):
-        self._ranks = ranks or OneRank()
+        self._ranks = ranks or Ranks()
         self.options, self.centres = options, centres
         self.kind = BASES[options.basis]
         # A small set of greedy centres (a single one if nothing moves) may not determine all polynomial terms.

@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Protocol
 
 import numpy as np
 import scipy
 
-from ...grid import BoolArray, FloatArray
-from .matching import BoundaryNodes
-from .tuned import FITS, FRAME_SAMPLE, GAIN, ON_NODE, PROBES, SPREAD
+from ..grid import FloatArray
 
+# In which other frame a table would fit (thresholds that were tuned together, tests/core/test_table_frames.py):
+FRAME_SAMPLE = 2000
+"""Largest number of the table's points that are tried in every frame."""
+FITS = 0.9
+"""A frame is proposed if this share of the points would lie on the nodes, ..."""
+GAIN = 0.25
+"""... and if this share exceeds that of the points as given by at least this much."""
+SPREAD = 0.2
+"""Points that fit must extend over at least this fraction of the diagonal of the nodes, or of the wall around them, as
+a table shrunk to a point lies on any wall."""
+PROBES, ON_NODE = 12, 0.05
+"""Number of points by which a shift onto nodes is found, and its tolerance as a fraction of the shortest edge there."""
 _UNITS = (
     (1e-3, "in millimetres where the grid is in metres"),
     (1e3, "in metres where the grid is in millimetres"),
@@ -28,13 +39,18 @@ _UNITS = (
 """Factors between length units, and the mistake that each of them indicates."""
 
 
-def far_points(points: FloatArray, nodes: BoundaryNodes) -> BoolArray:
-    """(n,) bool: points that are farther from every node than the longest face edge there."""
-    distance, nearest = scipy.spatial.cKDTree(nodes.points).query(points)
-    return np.asarray(distance > nodes.longest[nearest])
+class Places(Protocol):
+    """Points (n, 3) of a boundary, with the shortest and the longest edge (n,) of its faces at each."""
+
+    @property
+    def points(self) -> FloatArray: ...
+    @property
+    def edge(self) -> FloatArray: ...
+    @property
+    def longest(self) -> FloatArray: ...
 
 
-def other_frame(points: FloatArray, nodes: BoundaryNodes) -> str:
+def other_frame(points: FloatArray, nodes: Places) -> str:
     """A hint on what would make table points match the nodes, with the share of points that would then lie on them.
 
     Tried are length units and shifts. Of those that fit, the one with the smallest distances is named.
@@ -60,7 +76,7 @@ def other_frame(points: FloatArray, nodes: BoundaryNodes) -> str:
     return ""
 
 
-def _fit(points: FloatArray, nodes: BoundaryNodes, tree: scipy.spatial.cKDTree) -> tuple[float, float]:
+def _fit(points: FloatArray, nodes: Places, tree: scipy.spatial.cKDTree) -> tuple[float, float]:
     """Share of points that lie on the nodes, 0 if they do not spread over them, and their mean distance in edges."""
     distance, nearest = tree.query(points)
     near = distance <= nodes.longest[nearest]
@@ -78,11 +94,11 @@ def _fit(points: FloatArray, nodes: BoundaryNodes, tree: scipy.spatial.cKDTree) 
 
 
 def _candidates(
-    points: FloatArray, nodes: BoundaryNodes, tree: scipy.spatial.cKDTree
+    points: FloatArray, nodes: Places, tree: scipy.spatial.cKDTree
 ) -> Iterator[tuple[tuple[str, str], FloatArray]]:
     """Changes with the likely reason, and the changed points."""
-    for factor, unit in _UNITS:
-        yield (f"multiplied by {factor:.6g}", f"different length units, {unit}"), points * factor
+    for factor, mistake in _UNITS:
+        yield (f"multiplied by {factor:.6g}", f"different length units, {mistake}"), points * factor
     x = nodes.points
     shifts = [(x.min(axis=0) + x.max(axis=0) - points.min(axis=0) - points.max(axis=0)) / 2]
     # Of part of a wall, the first point may lie on any node; each further point rules out most of the remaining shifts.

@@ -1,28 +1,188 @@
-"""From a surface displacement to the boundary nodes of the grid: exact, nearest, or interpolated."""
+"""Displacement tables, the boundary nodes that need a displacement, and the transfer from one to the other: exact,
+nearest or interpolated; tables that name points by number, like SU2's surface_positions.dat."""
 
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
-from ...errors import MotionError
-from ...grid import BoolArray, FloatArray, Grid, IntArray, Side
-from ...grid.topology import RELATIVE_TOLERANCE, side_nodes
-from ...numerics.geometry.vectors import unit
-from ...parallel import Nodes
-from ...wording import counted, vector
+from ..errors import CaseError, MotionError
+from ..grid import BoolArray, FloatArray, Grid, IntArray, Side
+from ..grid.planes import plane_normal
+from ..grid.topology import RELATIVE_TOLERANCE, Topology, side_nodes
+from ..numerics.arrays import places_among
+from ..numerics.geometry.coincidence import distinct
+from ..numerics.geometry.vectors import doubled_areas, unit
+from ..parallel import Nodes
+from ..wording import counted, literal, vector
 from .frames import other_frame
-from .matching import BoundaryNodes, Matching, SurfaceData, Transfer, spacings
-from .numbered import by_place
 
+HOW = ("exact", "nearest", "interpolate")
+_LARGEST = 1e100
+AUTOMATIC = "automatic"
+"""``nearest`` for a table of the grid's own nodes, else ``interpolate``; only for tables that select their nodes."""
 # Two displacements at one point are the same up to this fraction of the largest one.
 _ALIKE = 1e-6
 _INTERPOLATE = ', match = "interpolate"'
 # Points of a table closer than the first fraction of its extent are treated as one point if the surface between them
 # would be stretched by more than the second factor.
 _ONE_POINT, _STRETCH = 1e-6, 10.0
+COUNTED = 20
+"""Up to this number of points, whole numbers that all differ as first coordinates may be chance; of more points, they
+are point numbers."""
+_ROUGH = 3.0
+"""If the displacements of neighbours typically differ by more than this many edges, the numbers of the points belong to
+another mesh."""
+
+
+@dataclass(frozen=True)
+class SurfaceData:
+    """Displacements known at scattered points, with the surface between them where the file has one.
+
+    Attributes
+    ----------
+    points, displacement : (n, 3) float64, grid length unit
+    triangles : (m, 3) int64, indices into ``points``; (0, 3) when the file has points only
+    label : name for messages, usually the file name
+    plane : whether the file has two components of the displacement only; the third one is zero
+    numbered : whether the file has three columns only, the number and position of each point; read as x, y and dx
+    """
+
+    points: FloatArray
+    displacement: FloatArray
+    triangles: IntArray
+    label: str
+    plane: bool = False
+    numbered: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse numbers whose squares overflow."""
+        for what, values in (("coordinates", self.points), ("displacements", self.displacement)):
+            largest = float(np.abs(values).max(initial=0.0))
+            if largest > _LARGEST:
+                raise MotionError(f"{self.label} has {what} of {largest:.3g}; expected lengths below {_LARGEST:g}")
+
+
+@dataclass(frozen=True)
+class BoundaryNodes:
+    """Undeformed boundary nodes that need a displacement.
+
+    Attributes
+    ----------
+    points : (n, 3), grid length unit
+    numbers : (n,) unique node numbers
+    edge, longest : (n,) shortest and longest edge of the boundary's faces at each node: scales of matching
+    faces : (m, 4) corners of the boundary's faces, indices into ``points``; (m, 2) in 2-D
+    grid, topology : to which they belong
+    """
+
+    points: FloatArray
+    numbers: IntArray
+    edge: FloatArray
+    longest: FloatArray
+    faces: IntArray
+    grid: Grid
+    topology: Topology
+
+    @classmethod
+    def of_quads(cls, grid: Grid, topology: Topology, quads: IntArray) -> BoundaryNodes:
+        """The nodes of face quads (m,)."""
+        corners = topology.quads.corners[quads]
+        points = grid.nodes.at(topology.first)
+        edge, longest = np.full(topology.n_unique, np.inf), np.zeros(topology.n_unique)
+        for one in range(corners.shape[1]):
+            a, b = corners[:, one], corners[:, (one + 1) % corners.shape[1]]
+            length = np.linalg.norm(points[a] - points[b], axis=1)
+            for end in (a, b):
+                np.minimum.at(edge, end, np.where(a == b, np.inf, length))
+                np.maximum.at(longest, end, length)
+        numbers = distinct(corners, topology.n_unique)
+        local = places_among(numbers, topology.n_unique)
+        return cls(points[numbers], numbers, edge[numbers], longest[numbers], local[corners], grid, topology)
+
+    @property
+    def face_normals(self) -> FloatArray:
+        """Unit normals (m, 3) of the faces, out of the grid."""
+        corners, plane = self.points[self.faces], plane_normal(self.grid)
+        return unit(doubled_areas(corners) if plane is None else np.cross(corners[:, 1] - corners[:, 0], plane))
+
+    @property
+    def normals(self) -> FloatArray:
+        """Unit normals (n, 3) at the nodes: mean of those of their faces."""
+        total, faces = np.zeros((len(self.points), 3)), self.face_normals
+        for column in self.faces.T:
+            np.add.at(total, column, faces)
+        return unit(total)
+
+    def label(self, index: int) -> str:
+        """Name of one node: block and 1-based indices."""
+        return self.grid.node_label(int(self.topology.first[self.numbers[index]]))
+
+
+@dataclass(frozen=True)
+class Matching:
+    """How boundary nodes find their displacement in a table.
+
+    Attributes
+    ----------
+    how : ``exact`` (the same points), ``nearest`` (the closest point's value) or ``interpolate`` (the closest point of
+        the table's surface; without a surface a thin plate spline through the nearest points); ``AUTOMATIC`` if
+        ``partial``
+    tolerance : largest distance, grid length unit; ``None`` for 1e-3 of the shortest surface edge at the node (exact),
+        half of it (nearest, and interpolate if ``partial``) or a tenth of the diagonal of the table or of the nodes,
+        whichever is smaller (interpolate)
+    partial : nodes without a match are allowed; they are not moved by the table
+    walls : names of the surfaces that the table was found to fit, where the case does not select any
+    """
+
+    how: str = "nearest"
+    tolerance: float | None = None
+    partial: bool = False
+    walls: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.how not in HOW and not (self.partial and self.how == AUTOMATIC):
+            raise CaseError(f"match = {literal(self.how)} is unknown; known are {', '.join(HOW)}")
+        if self.tolerance is not None and not (np.isfinite(self.tolerance) and self.tolerance > 0):
+            raise CaseError(f"tolerance = {self.tolerance} of a displacement table; expected a positive length")
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """Displacement of nodes from a table.
+
+    Attributes
+    ----------
+    displacement : (n, 3), zero where nothing matched
+    matched : (n,) bool
+    distance : (n,) from each node to the point or surface that gave its displacement
+    label, how, used : name of the table, the matching, and the number of its points that were used, of how many
+    points : (m, 3) of the table; (0, 3) for a grid of the same nodes
+    beyond : (n,) distance of the node beyond the edge of the table's surface
+    partial : whether nodes without a match are allowed
+    plane : whether the table has two components of the displacement only
+    walls : see :class:`Matching`
+    """
+
+    displacement: FloatArray
+    matched: BoolArray
+    distance: FloatArray
+    label: str
+    how: str
+    used: tuple[int, int]
+    points: FloatArray
+    beyond: FloatArray
+    partial: bool
+    plane: bool = False
+    walls: tuple[str, ...] = ()
+
+
+def spacings(tree: scipy.spatial.cKDTree) -> FloatArray:
+    """Distance (n,) of every point of a tree from its fourth nearest neighbour, or from the last of fewer."""
+    return np.asarray(tree.query(tree.data, k=min(5, tree.n))[0].reshape(tree.n, -1)[:, -1])
 
 
 def transfer(data: SurfaceData | Grid, matching: Matching, nodes: BoundaryNodes) -> Transfer:
@@ -131,7 +291,7 @@ def _interpolate(data: SurfaceData, matching: Matching, nodes: BoundaryNodes) ->
 
 def _on_triangles(data: SurfaceData, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Displacement, distance, and distance beyond the edge, at the closest points of the table's surface."""
-    from ...numerics.geometry.surface import TriangleTree
+    from ..numerics.geometry.surface import TriangleTree
 
     triangle, weights, distance = TriangleTree(data.points, data.triangles).closest(points)
     corners = data.triangles[triangle]
@@ -152,8 +312,8 @@ def _on_triangles(data: SurfaceData, points: FloatArray) -> tuple[FloatArray, Fl
 def _between_points(data: SurfaceData, nodes: BoundaryNodes) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Displacement from a spline through the nearest points of the node's side of the body, distance to the nearest
     point, and beyond their spacing."""
-    from ...numerics.geometry.local_spline import local_spline
-    from ...numerics.geometry.surface import TriangleTree
+    from ..numerics.geometry.local_spline import local_spline
+    from ..numerics.geometry.surface import TriangleTree
 
     known, first = np.unique(data.points, axis=0, return_index=True)
     # Normals of the wall where it is closest to the points of the table.
@@ -225,3 +385,63 @@ def _closest_face(new: FloatArray, name: str, nodes: BoundaryNodes, taken: set[t
 def _span(points: FloatArray) -> str:
     low, high = points.min(axis=0), points.max(axis=0)
     return " x ".join(f"[{a:.4g}, {b:.4g}]" for a, b in zip(low, high, strict=True))
+
+
+def positions_by_number(
+    numbers: IntArray, positions: FloatArray, label: str, grid: Grid, topology: Topology
+) -> SurfaceData:
+    """The displacements of points whose new ``positions`` (n, 3), or (n, 2) in a plane grid, are given by ``numbers``
+    (n,); numbering is that of the unstructured files that this program writes.
+
+    Raises
+    ------
+    MotionError
+        When a number does not denote a point on a block face, or neighbours move so differently that the numbers must
+        belong to another mesh.
+    """
+    beyond = np.flatnonzero((numbers < 0) | (numbers >= topology.n_unique))
+    if beyond.size:
+        raise MotionError(
+            f"{label}: {beyond.size} numbers are not of points on block faces, the first {numbers[beyond[0]]}; these "
+            f"have 0 to {topology.n_unique - 1}"
+        )
+    points = grid.nodes.at(topology.first[numbers])
+    moved = points.copy()
+    kept = np.sort(np.argsort(np.ptp(grid.points, axis=0))[3 - positions.shape[1] :])
+    moved[:, kept] = positions
+    row = np.full(topology.n_unique, -1, dtype=np.int64)
+    row[numbers] = np.arange(len(numbers))
+    a, b = row[topology.quads.corners[:, :2]].T
+    a, b = a[(a >= 0) & (b >= 0)], b[(a >= 0) & (b >= 0)]
+    displacement = moved - points
+    apart = np.linalg.norm(displacement[a] - displacement[b], axis=1)
+    if a.size and float(np.median(apart - _ROUGH * np.linalg.norm(points[a] - points[b], axis=1))) > 0:
+        raise MotionError(
+            f"{label}: neighbours move apart by several edges almost everywhere; its numbers seem to be those of "
+            "another mesh than the one that `meshdeform convert` writes"
+        )
+    return SurfaceData(points, displacement, np.empty((0, 3), dtype=np.int64), label)
+
+
+def by_place(data: SurfaceData, grid: Grid, topology: Topology) -> SurfaceData:
+    """The table itself; or what it means, if its first column numbers the points and positions follow.
+
+    These are three columns, or four for a grid in space, which without names are read as x, y, dx and dy of a plane.
+
+    Raises
+    ------
+    MotionError
+        As above, and for three columns that are not a number, x and y in a plane grid.
+    """
+    first = data.points[:, 0]
+    whole = bool((first == np.round(first)).all())
+    if data.numbered and not (whole and grid.dimension == 2):
+        raise MotionError(
+            f"{data.label} has three columns: for a plane grid the number of a point, x and y; expected "
+            "x y z dx dy dz (or x y dx dy), or the number of each point and all its new coordinates"
+        )
+    distinct = whole and len(first) > COUNTED and len(np.unique(first)) == len(first)
+    if not data.numbered and not (data.plane and distinct and grid.dimension == 3):
+        return data
+    positions = np.column_stack([data.points[:, 1], data.displacement])[:, : grid.dimension]
+    return positions_by_number(first.astype(np.int64), positions, data.label, grid, topology)

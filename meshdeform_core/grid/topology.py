@@ -1,8 +1,8 @@
-"""Faces that the file declares as boundary although faces of other blocks lie at the same place.
+"""The topology of a grid: which block nodes coincide, which face quads are shared, and which are outside faces.
 
-Thin plates are walls on both sides; other examples are the two sides of a sliding interface. Where patches are
-declared on both sides, the faces are outside faces. Their nodes move together, as a plate has no thickness, unless they
-belong to different components; in a file, they are nodes of their own on each side (:func:`separated`).
+Thin plates are walls on both sides of one place; other examples are the two sides of a sliding interface. Where patches
+are declared on both sides, the faces are outside faces. Their nodes move together, as a plate has no thickness, unless
+they belong to different components; in a file, they are nodes of their own on each side (:func:`separated`).
 """
 
 from __future__ import annotations
@@ -12,12 +12,36 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from ...numerics.arrays import spans
-from ...numerics.geometry.coincidence import connected_components, equal_rows
-from ...numerics.geometry.copies import numbered_by_first
-from ..blocks import Grid, IntArray
-from ..parts import Patch, Side, Window
-from .topology import RELATIVE_TOLERANCE, FaceQuads, Topology, coincident_topology
+from ..numerics.arrays import spans
+from ..numerics.geometry.coincidence import connected_components, equal_rows
+from ..numerics.geometry.copies import numbered_by_first
+from .blocks import Grid, IntArray
+from .coincident import (
+    RELATIVE_TOLERANCE,
+    FaceQuads,
+    Topology,
+    block_handedness,
+    cells_behind,
+    coincident_topology,
+    inward_step,
+    side_nodes,
+)
+from .parts import Patch, Side, Window
+
+__all__ = [
+    "RELATIVE_TOLERANCE",
+    "FaceQuads",
+    "Topology",
+    "block_handedness",
+    "cells_behind",
+    "find_topology",
+    "inward_step",
+    "is_wall",
+    "quads_of_patches",
+    "quads_of_windows",
+    "separated",
+    "side_nodes",
+]
 
 
 def find_topology(grid: Grid, tolerance: float = RELATIVE_TOLERANCE) -> Topology:

@@ -1,38 +1,95 @@
-"""Warnings of a dry run about motions that are bound to fail, found by tests of the boundary and by a trial."""
+"""Dry runs: what a run would do, warnings about motions that are bound to fail, found by tests of the boundary and by a
+trial, and forecasts of memory and disk space from the sizes of the grid."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from meshdeform_core.boundary.crossing import find_pinned
 from meshdeform_core.boundary.prescribed import largest_displacement
 from meshdeform_core.deform import Result, Setup, Timing, impose, set_up
-from meshdeform_core.memory import MemoryLimit
+from meshdeform_core.grid import FileFormat, Grid
+from meshdeform_core.memory import Demand, MemoryLimit, Work, readable
 from meshdeform_core.methods import PreparedMethod
 from meshdeform_core.methods.limits import patch_motions
+from meshdeform_core.parallel import current_ranks
 from meshdeform_core.repair.limit import Limit
 from meshdeform_core.setup import Start
-from meshdeform_core.stepping.course import Course, doubts
+from meshdeform_core.stepping.steps import Course, doubts
 from meshdeform_core.wording import counted
-from meshdeform_formats.grids import variant_of
-from meshdeform_formats.placing import shortage
-from meshdeform_formats.report.records import Report, plan_report
+from meshdeform_formats.grids import Layout, format_of, variant_of
+from meshdeform_formats.placing import lack, least_bytes, shortage, velocity_bytes
+from meshdeform_formats.report.records import Report, head_part, plan_report
 
-from ..work import Imposed, Job, place_of
-from .expense import Levels, expense_of
+from .work import Imposed, Job, place_of
 
 if TYPE_CHECKING:
-    from ..series_run import Run
+    from .series_run import Run
 
 TRIAL_NODES = 5_000_000
 """Largest number of nodes times steps for which the motion is tried."""
 _GROUPS = 2
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
+class Levels:
+    """Number of grids that a run writes, and their velocities."""
+
+    count: int = 1
+    velocity: str = "none"
+
+
+ONE = Levels()
+
+
+def expense_of(
+    grid: Grid | Layout, demand: Demand, output: Path | None, precision: str, limit: MemoryLimit, levels: Levels = ONE
+) -> dict[str, int]:
+    """What one step without a repair takes, at every level, in bytes: memory of each of the ranks that hold a part of
+    the grid; temporary files of all of them, and the output. What has been taken from the ``limit`` is for pictures.
+
+    Raises
+    ------
+    MethodError
+        When the memory does not suffice even with large arrays in files.
+    """
+    ranks, (memory, files), written = current_ranks().count, demand.foretold(limit), 0
+    if output is not None:
+        options = grid.format.options if grid.format and grid.format.name == format_of(output) else {}
+        size = least_bytes(grid, output, FileFormat(format_of(output), precision, options))
+        written = levels.count * (size and size + velocity_bytes(grid, levels.velocity, precision))
+    return {
+        "ranks": ranks,
+        "memory_bytes": memory + limit.taken,
+        "work_bytes": ranks * files,
+        "output_bytes": written,
+    }
+
+
+def plan_by_sizes(
+    layout: Layout, work: Work, output: Path | None, variant: dict[str, str], limit: MemoryLimit, levels: Levels = ONE
+) -> Report:
+    """The report of a dry run for a grid that does not fit into memory, from the header of its file."""
+    demand = Demand.of("deforming", work, layout)
+    # How many nodes are sources is known only from coordinates.
+    demand = dataclasses.replace(demand, sources=int(demand.outside))
+    expense = expense_of(layout, demand, output, variant.get("precision", layout.precision), limit, levels)
+    note = (
+        f"the grid is larger than the memory ({readable(limit.size)}): only the header of its file was read; the "
+        "boundary was not classified, the motion not tried"
+    )
+    warnings = [note]
+    needed = expense["work_bytes"] + expense["output_bytes"]
+    if output is not None and (missing := lack(needed, output, "files to work in and the output take")):
+        warnings.append(missing)
+    return head_part(layout) | {"expected": expense, "warnings": warnings}
+
+
+@dataclass(frozen=True)
 class Forecast:
     """Warnings about a motion, and whether the boundary alone shows that no valid grid exists for it."""
 
@@ -58,8 +115,8 @@ def plan(
     if output is not None and chosen and (missing := shortage(job.grid, output, chosen)):
         report["warnings"].append(missing)
     if job.grid.n_nodes > TRIAL_NODES:
-        expense = expense_of(job.grid, setup.case, output, precision, limit)
-        report["expected"] = dataclasses.asdict(expense)
+        demand = dataclasses.replace(job.demand, sources=len(setup.problem.source_numbers))
+        report["expected"] = expense_of(job.grid, demand, output, precision, limit)
     return report, expected.impossible
 
 
@@ -79,8 +136,8 @@ def plan_series(run: Run, levels: Levels, limit: MemoryLimit) -> tuple[Report, b
     if missing := run.shortage(0):
         report["warnings"].append(missing)
     if run.setup.grid.n_nodes > TRIAL_NODES:
-        expense = expense_of(run.setup.grid, run.setup.case, run.files.path(0), precision, limit, levels)
-        report["expected"] = dataclasses.asdict(expense)
+        demand = dataclasses.replace(run.job.demand, sources=len(run.setup.problem.source_numbers))
+        report["expected"] = expense_of(run.setup.grid, demand, run.files.path(0), precision, limit, levels)
     return (
         report,
         expected.impossible,
@@ -91,7 +148,7 @@ def plan_series(run: Run, levels: Levels, limit: MemoryLimit) -> tuple[Report, b
 def _doubts(
     setup: Setup, prepared: PreparedMethod, time: float, steps: int | str | None, precision: str, one_of_many: bool
 ) -> list[str]:
-    """The warnings that a run gives before its first step; see :func:`meshdeform_core.stepping.course.doubts`."""
+    """The warnings that a run gives before its first step; see :func:`meshdeform_core.stepping.steps.doubts`."""
     course = Course(setup, setup.motion(time), precision, Timing(), None, Start(setup.grid.points), Limit())
     # Adaptive steps are halved until they succeed, so none is too large.
     first = setup.displacement(time, 1 / steps if isinstance(steps, int) else 0.0)

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ...numerics.arrays import extent
-from ..blocks import FloatArray, Grid, IntArray
-from ..parts import Side
-from ..planes import plane_normal, plane_of
-from ..topology import Topology, side_nodes
-from .pieces import Face, find_faces, quad_geometry
-from .roles import Role, clusters, declared_role, guess_roles
+from ..numerics.arrays import extent
+from .blocks import FloatArray, Grid, IntArray
+from .faces import Face, Role, clusters, declared_role, find_faces, guess_roles, quad_geometry
+from .parts import Side
+from .planes import plane_normal, plane_of
+from .topology import Topology, side_nodes
 
 _MOST = 0.6
 """Walls longer than this fraction of the grid in two directions are floors or side walls, not bodies."""
@@ -123,9 +121,16 @@ def find_outside(grid: Grid, topology: Topology) -> Outside:
         if role is not Role.INTERFACE:
             name = (face.patch.family or face.patch.name) if face.patch else ""
             groups.setdefault((name or face.label(grid), bool(name)), []).append(number)
-    surfaces = tuple(_surface(name, named, members, faces, roles) for (name, named), members in groups.items())
+    surfaces = []
+    for (name, named), members in groups.items():
+        weight: dict[Role, float] = {}
+        for n in members:
+            weight[roles[n]] = weight.get(roles[n], 0.0) + faces[n].area
+        role = max(weight, key=lambda each: weight[each])
+        declared = any(declared_role(faces[n]) is role for n in members)
+        surfaces.append(Surface(name, named, role, declared, tuple(faces[n] for n in members)))
     low, high = extent(grid.points)
-    found = Outside(tuple(faces), tuple(roles), surfaces, (), high - low)
+    found = Outside(tuple(faces), tuple(roles), tuple(surfaces), (), high - low)
     return dataclasses.replace(found, plates=_likely_plates(grid, topology, found))
 
 
@@ -157,15 +162,6 @@ def clustered_interfaces(topology: Topology, outside: Outside) -> list[Face]:
     for face in shared:
         fine[face.quads] = True
     return [face for face in shared if fine[topology.partner[face.quads]].all()]
-
-
-def _surface(name: str, named: bool, members: list[int], faces: Sequence[Face], roles: Sequence[Role]) -> Surface:
-    weight: dict[Role, float] = {}
-    for n in members:
-        weight[roles[n]] = weight.get(roles[n], 0.0) + faces[n].area
-    role = max(weight, key=lambda each: weight[each])
-    declared = any(declared_role(faces[n]) is role for n in members)
-    return Surface(name, named, role, declared, tuple(faces[n] for n in members))
 
 
 def thin_direction(grid: Grid) -> FloatArray | None:

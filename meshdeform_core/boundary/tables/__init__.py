@@ -1,1 +1,0 @@
-"""Displacement tables: points matched with boundary nodes, units and frames, and the walls a table fits."""

@@ -1,0 +1,330 @@
+"""Block-to-block connections: those that the file declares, checked against coordinates, and interfaces found."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import GridError
+from ..numerics.arrays import BoolArray, batches, runs, spans
+from ..numerics.geometry.coincidence import distinct
+from ..wording import listed
+from .blocks import FloatArray, Grid, IntArray
+from .parts import Connection, Periodicity, Shape, Side, strides_of
+from .topology import RELATIVE_TOLERANCE, Topology
+from .windows import Rectangles, rectangles
+
+_TOGETHER = 300_000
+"""Pairs of nodes compared at a time, which bounds the memory."""
+_MAPPED = 1 << 16
+"""Quads mapped at a time, likewise."""
+
+
+def connected_nodes(grid: Grid, connection: Connection) -> tuple[IntArray, IntArray]:
+    """Flat indices of the nodes of a declared connection and of their donors, both (n,).
+
+    Raises
+    ------
+    GridError
+        When a range exceeds its block, or the two differ in size.
+    """
+    table = _Table.of(grid, [connection])
+    reached = table.ends()[:, 0]
+    sides = (connection.block, "range"), (connection.donor_block, "donor range")
+    for nodes, (block, role) in zip(np.moveaxis(reached, 1, 0), sides, strict=True):
+        shape = grid.shapes[block]
+        if (nodes < 0).any() or (nodes >= shape).any():
+            raise GridError(
+                f"connection {connection.name!r} of {grid.names[connection.block]}: its {role} reaches node "
+                f"{(nodes.max(axis=0) + 1).tolist()}, but {grid.names[block]} has {list(shape)} nodes"
+            )
+    _, own, donor = table.nodes(np.array([0]))
+    return own, donor
+
+
+def periodic_rotation(periodic: Periodicity) -> FloatArray:
+    """Rotation matrix (3, 3) of a periodic connection: about x, then y, then z."""
+    rotation = np.eye(3)
+    for axis, angle in enumerate(np.deg2rad(periodic.rotation_angle)):
+        a, b = (axis + 1) % 3, (axis + 2) % 3
+        turn = np.eye(3)
+        turn[[a, a, b, b], [a, b, a, b]] = [np.cos(angle), -np.sin(angle), np.sin(angle), np.cos(angle)]
+        rotation = turn @ rotation
+    return rotation
+
+
+def periodic_image(points: FloatArray, periodic: Periodicity) -> FloatArray:
+    """Points (n, 3) moved by the motion of a periodic connection."""
+    center = np.array(periodic.rotation_center)
+    return np.asarray((points - center) @ periodic_rotation(periodic).T + center + np.array(periodic.translation))
+
+
+def check_connections(grid: Grid, topology: Topology) -> list[str]:
+    """Disagreements between the declared connections and the coordinates, one message each."""
+    declared = np.zeros(topology.n_unique, dtype=bool)
+    messages: list[str] = []
+    doubtful = np.ones(len(grid.connections), dtype=bool)
+    if grid.connections:
+        table = _Table.of(grid, grid.connections)
+        sound = np.flatnonzero(table.within())
+        for lo, hi in batches(table.counts[sound].prod(axis=1), _TOGETHER):
+            some = sound[lo:hi]
+            run, own, donor = table.nodes(some)
+            a, b = topology.numbers_of(own), topology.numbers_of(donor)
+            declared[a] = declared[b] = True
+            # A connection of nodes with themselves has no effect.
+            idle = np.bincount(run[own != donor], minlength=len(some)) == 0
+            doubtful[some] = (np.bincount(run[a != b], minlength=len(some)) > 0) | idle
+        doubtful |= [each.periodic is not None for each in grid.connections]
+    for number in np.flatnonzero(doubtful):
+        messages += _remark(grid, topology, grid.connections[number])
+    # A file that declares only periodic connections leaves the interfaces to be found from the coordinates.
+    if any(connection.periodic is None for connection in grid.connections):
+        messages += _undeclared(grid, topology, declared)
+    return messages
+
+
+@dataclass(frozen=True)
+class _Table:
+    """All declared connections, one per row, between blocks with these ``shapes`` and ``offsets``.
+
+    ``blocks`` (n, 2) and first nodes ``begin`` (n, 2, 3) of both sides, number of nodes ``counts`` (n, 3), and the
+    ``steps`` (n, 2, 3, 3) of the indices of both sides along each axis of the first.
+    """
+
+    shapes: IntArray
+    offsets: IntArray
+    blocks: IntArray
+    begin: IntArray
+    counts: IntArray
+    steps: IntArray
+
+    @classmethod
+    def of(cls, grid: Grid, every: Sequence[Connection]) -> _Table:
+        """Connections of a grid."""
+        begin, end, donor, transform = (
+            np.array([getattr(each, name) for each in every], dtype=np.int64)
+            for name in ("begin", "end", "donor_begin", "transform")
+        )
+        sign = np.where(end >= begin, 1, -1)
+        steps = np.zeros((len(every), 2, 3, 3), dtype=np.int64)
+        row = np.arange(len(every))
+        for axis in range(3):
+            steps[:, 0, axis, axis] = sign[:, axis]
+            used = np.flatnonzero(transform[:, axis])
+            steps[row[used], 1, abs(transform[used, axis]) - 1, axis] = (np.sign(transform) * sign)[used, axis]
+        blocks = np.array([(each.block, each.donor_block) for each in every], dtype=np.int64)
+        return cls(
+            np.array(grid.shapes),
+            grid.offsets,
+            blocks,
+            np.stack([begin, donor], axis=1),
+            np.abs(end - begin) + 1,
+            steps,
+        )
+
+    def ends(self) -> IntArray:
+        """First and last nodes (2, n, 2, 3) of both sides: the steps are whole multiples of index axes."""
+        return np.stack([self.begin, self.begin + np.einsum("nsij,nj->nsi", self.steps, self.counts - 1)])
+
+    def within(self) -> BoolArray:
+        """Whether both ranges lie within their blocks."""
+        both = self.ends()
+        return np.asarray(((both >= 0) & (both < self.shapes[self.blocks])).all(axis=(0, 2, 3)))
+
+    def nodes(self, some: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+        """All node pairs of the connections ``some``: the connection of each, and the flat indices on both sides."""
+        counts = self.counts[some]
+        run, place = spans(counts.prod(axis=1))
+        i, rest = np.divmod(place, (counts[:, 1] * counts[:, 2])[run])
+        j, k = np.divmod(rest, counts[run, 2])
+        flat = []
+        for side in (0, 1):
+            block = self.blocks[some, side]
+            strides = strides_of(self.shapes[block])
+            first = self.offsets[block] + (self.begin[some, side] * strides).sum(axis=1)
+            along = np.einsum("nij,ni->nj", self.steps[some, side], strides)[run]
+            flat.append(first[run] + i * along[:, 0] + j * along[:, 1] + k * along[:, 2])
+        return run, flat[0], flat[1]
+
+
+def _remark(grid: Grid, topology: Topology, connection: Connection) -> list[str]:
+    """A message that says what is wrong with a connection, if anything."""
+    try:
+        own, donor = connected_nodes(grid, connection)
+    except GridError as error:
+        return [str(error)]
+    names = grid.names[connection.block], grid.names[connection.donor_block]
+    where = f"connection {connection.name!r} of {names[0]} with {names[1]}"
+    a, b = topology.numbers_of(own), topology.numbers_of(donor)
+    edge = np.minimum(topology.edge[a], topology.edge[b])
+    if connection.periodic is not None:
+        gap = np.linalg.norm(periodic_image(grid.points[own], connection.periodic) - grid.points[donor], axis=1)
+        far = int((gap > 10 * RELATIVE_TOLERANCE * edge).sum())
+        return [f"{where}: {far} of {len(own)} periodic node pairs differ, by up to {gap.max():.3g}"] if far else []
+    if (own == donor).all():
+        return [f"{where}: it joins the nodes of one face with themselves and has no effect"]
+    apart = a != b
+    if not apart.any():
+        return []
+    gap = np.linalg.norm(grid.points[own] - grid.points[donor], axis=1)[apart]
+    return [
+        f"{where}: {int(apart.sum())} of {len(own)} node pairs do not coincide (largest gap {gap.max():.3g}, "
+        f"{(gap / edge[apart]).max():.3g} of the local edge); the coordinates decide, the faces count as outside"
+    ]
+
+
+def _undeclared(grid: Grid, topology: Topology, declared: np.ndarray) -> list[str]:
+    shared = topology.partner >= 0
+    quads = shared & ~declared[topology.quads.corners].all(axis=1)
+    sides = distinct(topology.quads.block_side[quads], 6 * grid.n_blocks)
+    if sides.size == 0:
+        return []
+    names = listed(dict.fromkeys(grid.names[side // 6] for side in sides))
+    return [f"{int(quads.sum())} face quads coincide but no connection declares them (blocks {names}); they are joined"]
+
+
+def find_interfaces(grid: Grid, topology: Topology) -> tuple[Connection, ...]:
+    """One connection per rectangle of shared quads; each interface once, from the block side with the lower number."""
+    faces, partner = topology.quads, topology.partner
+    quads = np.flatnonzero(partner >= 0)
+    own, other = faces.block_side[quads], faces.block_side[partner[quads]]
+    # A face folded onto itself (C-grid cut): each pair once.
+    once = (own < other) | ((own == other) & (quads < partner[quads]))
+    if not once.any():
+        return ()
+    quads = quads[once]
+    pair = own[once].astype(np.int64) * len(grid.sides.depth) + other[once]
+    fits, maps = _index_maps(grid, topology, quads, pair)
+    label = np.full(len(partner), -1)
+    label[quads] = fits
+    pieces = rectangles(grid, faces, label)
+    order = np.lexsort((np.arange(len(pieces)), pieces.label, maps.pair[pieces.label]))
+    return tuple(_described(grid, pieces.chosen(order), maps))
+
+
+@dataclass(frozen=True)
+class _Maps:
+    """Index transformations from the quads of one side to those of another: (p, q) = matrix (u, v) + offset.
+
+    ``pair`` (m,) numbers the pairs of sides, ``matrix`` (m, 2, 2), ``offset`` (m, 2), ``donor`` (m,) the other side.
+    """
+
+    pair: IntArray
+    matrix: IntArray
+    offset: IntArray
+    donor: IntArray
+
+
+def _index_maps(grid: Grid, topology: Topology, quads: IntArray, pair: IntArray) -> tuple[IntArray, _Maps]:
+    """The transformations between all pairs of sides, and the number of the one that maps each quad (n,), or -1.
+
+    ``pair`` (n,) is the pair of sides of each of the ``quads``. Each round finds one transformation per pair from one
+    of its quads, and removes the quads that it maps. Quads with a collapsed edge fit several transformations, so
+    that the others come first.
+    """
+    faces, partner = topology.quads, topology.partner[quads]
+    corners = np.sort(faces.corners[quads], axis=1)
+    collapsed = (np.diff(corners, axis=1) == 0).any(axis=1)
+    local = np.stack(faces.places(quads)[1:], axis=1)
+    donor_local = np.stack(faces.places(partner)[1:], axis=1)
+    donor, fits = faces.block_side[partner], np.full(len(quads), -1)
+    waiting = np.lexsort((quads, collapsed, pair))
+    found: list[_Maps] = []
+    count = 0
+    while waiting.size:
+        seed = waiting[runs(pair[waiting])[0]]
+        turn = _orientation(grid, topology, quads[seed], partner[seed])
+        # A quad that determines no transformation may still be mapped by that of another quad.
+        hopeless = np.isin(waiting, seed[turn < 0])
+        seed, turn = seed[turn >= 0], turn[turn >= 0]
+        matrix = _ORIENTATIONS[turn]
+        offset = donor_local[seed] - np.einsum("nij,nj->ni", matrix, local[seed])
+        found.append(_Maps(pair[seed], matrix, offset, donor[seed]))
+        left = np.flatnonzero(fits < 0)
+        for lo in range(0, len(left), _MAPPED):
+            some = left[lo : lo + _MAPPED]
+            number = np.searchsorted(pair[seed], pair[some])
+            known = np.append(pair[seed], -1)[number] == pair[some]
+            some, number = some[known], number[known]
+            image = np.einsum("nij,nj->ni", matrix[number], local[some]) + offset[number]
+            same = (image == donor_local[some]).all(axis=1)
+            fits[some[same]] = count + number[same]
+        count += len(seed)
+        waiting = waiting[~hopeless & (fits[waiting] < 0)]
+    parts = [[getattr(each, name) for each in found] for name in ("pair", "matrix", "offset", "donor")]
+    return fits, _Maps(*map(np.concatenate, parts))
+
+
+def _orientation(grid: Grid, topology: Topology, quads: IntArray, partner: IntArray) -> IntArray:
+    """The first orientation (n,) that maps the nodes of quads (n,) to those of their partners, or -1."""
+    corners = []
+    for some in (quads, partner):
+        # Unique numbers (n, 2, 2) along u and v; in 2-D equal along one of them.
+        side, u, v = topology.quads.places(some)
+        du, dv = grid.sides.corner_steps[side].T
+        flat = [[grid.sides.at(side, u + a, v + b) for b in (0 * dv, dv)] for a in (0 * du, du)]
+        corners.append(topology.numbers_of(np.moveaxis(np.array(flat), 2, 0)))
+    own, donor = corners
+    found = np.full(len(quads), -1)
+    for turn in reversed(range(len(_ORIENTATIONS))):
+        matrix = _ORIENTATIONS[turn]
+        # In the donor's index order.
+        swapped = own.transpose(0, 2, 1) if matrix[0, 0] == 0 else own
+        rows, columns = matrix.sum(axis=1)
+        found[(swapped[:, :: int(rows), :: int(columns)] == donor).all(axis=(1, 2))] = turn
+    return found
+
+
+# The eight ways to map one rectangle onto another: donor (p, q) = M (u, v) up to an offset.
+_ORIENTATIONS = np.array([
+    np.array(m).reshape(2, 2)
+    for s in (1, -1)
+    for t in (1, -1)
+    for m in ((s, 0, 0, t), (0, s, t, 0))
+])  # fmt: skip
+
+
+def _described(grid: Grid, pieces: Rectangles, maps: _Maps) -> Iterator[Connection]:
+    matrix, offset, donors = (values[pieces.label] for values in (maps.matrix, maps.offset, maps.donor))
+    # Quad offsets become node offsets: a reversed axis counts from the quad's far node.
+    shift = offset + (matrix.sum(axis=2) < 0)
+    ends = [np.einsum("nij,nj->ni", matrix, corner) + shift for corner in (pieces.low, pieces.high)]
+    transforms = _transforms(pieces.side, donors, matrix)
+    nodes = (_nodes(grid, side, at) for side, at in
+             ((pieces.side, pieces.low), (pieces.side, pieces.high), (donors, ends[0]), (donors, ends[1])))  # fmt: skip
+    labels = [side.label for side in Side]
+    rows = zip(pieces.side.tolist(), donors.tolist(), transforms.tolist(), *nodes, strict=True)
+    for own, other, transform, begin, end, donor_begin, donor_end in rows:
+        (block, side), (donor, donor_side) = divmod(own, 6), divmod(other, 6)
+        name = f"{grid.names[block]}.{labels[side]}-{grid.names[donor]}.{labels[donor_side]}"
+        yield Connection(name, block, begin, end, donor, donor_begin, donor_end, _triple(transform))
+
+
+def _transforms(own: IntArray, donors: IntArray, matrix: IntArray) -> IntArray:
+    """The CGNS short form (n, 3) of connections of sides ``own`` (n,) with ``donors`` (n,)."""
+    tangential = np.array([side.tangential for side in Side])
+    row, transform = np.arange(len(own)), np.zeros((len(own), 3), dtype=np.int64)
+    for axis in (0, 1):
+        along = np.argmax(matrix[:, :, axis] != 0, axis=1)
+        transform[row, tangential[own % 6, axis]] = matrix[row, along, axis] * (tangential[donors % 6, along] + 1)
+    # A step out of this block is a step into the donor.
+    outward, inward = np.where(own % 2, 1, -1), np.where(donors % 2, -1, 1)
+    transform[row, own % 6 // 2] = outward * inward * (donors % 6 // 2 + 1)
+    return transform
+
+
+def _nodes(grid: Grid, side: IntArray, tangential: IntArray) -> list[Shape]:
+    """Block indices of nodes of sides, by their places (n, 2) along ``side.tangential``."""
+    axes = np.array([[*each.tangential, each.axis] for each in Side])[side % 6]
+    far = np.where(side % 2, grid.sides.depth[side] - 1, 0)
+    nodes = np.empty((len(side), 3), dtype=np.int64)
+    np.put_along_axis(nodes, axes, np.column_stack([tangential, far]), axis=1)
+    return [_triple(node) for node in nodes.tolist()]
+
+
+def _triple(values: Sequence[int]) -> Shape:
+    a, b, c = values
+    return a, b, c

@@ -1,1 +1,0 @@
-"""How blocks meet: interfaces, declared connections, openings between them, overset components."""
