@@ -10,8 +10,10 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from unittest.mock import patch
 
 import numpy as np
 from flows import SAMPLES, grids_folder, without_missing_flap
@@ -23,8 +25,12 @@ from meshdeform_core.boundary.motions.motion import Displace, Motion, Rotate
 from meshdeform_core.deform import Case, Setup, Timing, impose, set_up
 from meshdeform_core.grid import FloatArray, Grid
 from meshdeform_core.numerics.arrays import lengths
+from meshdeform_core.repair import energy
+from meshdeform_core.repair.onset import unhealthy_cells
+from meshdeform_core.repair.tuned import HEALTHY
 from meshdeform_core.series import Level, Schedule, deform_series
 from meshdeform_core.smoothness import shortest_edges
+from meshdeform_core.stepping import course as courses
 from meshdeform_formats.case import read_case
 from meshdeform_formats.grids import read_grid
 from meshdeform_samples import load
@@ -35,11 +41,13 @@ _SINGLE_RUNS = 3
 
 @dataclass(frozen=True)
 class Course:
-    """A motion at ``times``; levels with equal ``phase`` (a number for each time) have the same boundary."""
+    """A motion at ``times``; levels with equal ``phase`` (a number for each time) have the same boundary. ``onset``: f
+    of cells that are weak."""
 
     make: Callable[[], Setup]
     times: FloatArray
     phase: Callable[[FloatArray], FloatArray] | None = None
+    onset: float = HEALTHY
 
 
 def _moving(select: str, part: Displace | Rotate) -> BoundarySpec:
@@ -116,6 +124,12 @@ COURSES: dict[str, Course] = {
     "splitter plate, 44 to 44.5 degrees by 0.05": Course(plate, np.arange(44.0, 44.51, 0.05)),
     "nozzle to 3 %, two periods": Course(nozzle, np.linspace(0.0, 2.0, 129), _stroke),
     "nozzle to 3 %, closing, a quarter of the interval": Course(nozzle, np.linspace(0.0, 0.5, 129)),
+    **{
+        f"nozzle to 3 %, closing, a quarter of the interval, onset f = {f:g}": Course(
+            nozzle, np.linspace(0.0, 0.5, 129), onset=f
+        )
+        for f in (2.3, 2.75, 3.0)
+    },
     "airfoil, y+ 1, pitching by 75 degrees": Course(
         airfoil, np.linspace(0.0, 1.0, 41), lambda t: np.round(np.sin(2.0 * np.pi * t), 9)
     ),
@@ -127,8 +141,25 @@ COURSES: dict[str, Course] = {
 }
 
 
+@contextmanager
+def onset_at(f: float) -> Iterator[None]:
+    """Repairs that set in at f, and have their full share where they have it by default."""
+    full, between = np.log(15.0 / f), np.log(4.0 / f)
+    with (
+        patch.multiple(energy, HEALTHY=f, FULL=full, BETWEEN=between, ALONG=(between / full) ** energy.POWER),
+        patch.object(unhealthy_cells, "__defaults__", (f,)),
+        patch.object(courses, "AS_PLANE", 2.0 + 0.6 * (f - 2.0)),
+    ):
+        yield
+
+
 def measure(name: str, course: Course) -> Row:
     """One row: the levels of a motion, some of them made alone."""
+    with onset_at(course.onset):
+        return _measured(name, course)
+
+
+def _measured(name: str, course: Course) -> Row:
     setup, times = course.make(), np.round(course.times, 12)
     edges, levels, seconds = shortest_edges(setup.grid), [], []
     begin = time.process_time()

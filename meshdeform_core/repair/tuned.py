@@ -11,9 +11,9 @@ COLLAPSED = 1e-10
 """A corner whose undeformed Jacobian is below this fraction of the product of its edges is collapsed."""
 HEALTHY, SOFT, NORM = 2.5, 0.5, 24.0
 """An element is healthy while its f, regularised by SOFT, is below HEALTHY: in the plane sheared by less than 45
-degrees, or stretched or shortened by less than a factor of 2. It is the largest onset at which the nodes of the nozzle
-are accelerated by no more than a tenth of the wall's step (studies/smoothness.py, closing, a quarter of the interval:
-2.15: .069, 2.3: .080, 2.6: .106, 3: .177). The excess log(f / HEALTHY) of corners is combined into that of a cell, and
+degrees, or stretched or shortened by less than a factor of 2. With it, the nodes of the nozzle are accelerated by about
+a tenth of the wall's step, with a later onset by more (studies/smoothness.py, closing, a quarter of the interval:
+2.15: .069, 2.3: .080, 2.5: .104, 3: .179). The excess log(f / HEALTHY) of corners is combined into that of a cell, and
 that of cells into that of the grid, by the p-norm with p = NORM."""
 AS_PLANE = 2.0 + 0.6 * (HEALTHY - 2.0)
 """Of an extruded grid f is that of its plane grid, where it is larger for the same map. If it is 2.5 there, it is at
