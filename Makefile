@@ -75,8 +75,8 @@ clean:
 	rm -rf build dist demo reproduced .pytest_cache .mypy_cache .ruff_cache
 
 reproduce: $(VENV)/program
-	$(BIN)/meshdeform reproduce all -o reproduced --validation reproduced/validation.md --force $(if $(QUICK),--quick)
-	@echo "Look at reproduced/validation.md, reproduced/results.md and the figures beside them."
+	$(BIN)/meshdeform reproduce all -o reproduced --force $(if $(QUICK),--quick)
+	@echo "Look at reproduced/results.md and the figures beside them."
 
 # What the time goes into is printed at the end; build/ has when it began.
 .PHONY: demo-begins

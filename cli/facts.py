@@ -226,14 +226,9 @@ def _first(verbose: bool, lines: list[str]) -> list[str]:
 
 
 def _surface_lines(surfaces: list[Facts], verbose: bool) -> list[str]:
-    """A table of the boundaries; many unnamed ones are summed up by role."""
+    """A table of the boundaries, walls first."""
     if not surfaces:
         return ["boundaries (none: every face is shared)"]
-    nameless = [s for s in surfaces if not s["named"]]
-    if not verbose and len(nameless) > _MAX_LISTED:
-        surfaces = [s for s in surfaces if s["named"]]
-        for role in dict.fromkeys(s["role"] for s in nameless):
-            surfaces.append(_summed([s for s in nameless if s["role"] == role]))
     order = ("wall", "symmetry", "end", "far", "unknown")
     rows = [("", "role", "quads", "area", "first cell (min, median)", "extent")]
     for s in sorted(surfaces, key=lambda s: order.index(s["role"]) if s["role"] in order else len(order)):
@@ -247,22 +242,7 @@ def _surface_lines(surfaces: list[Facts], verbose: bool) -> list[str]:
         rows.append((title, f"{s['role']}{mark}", f"{s['quads']:,}", f"{s['area']:.4g}", heights, _box(s["bbox"])))
     a, b, c, d, e, _ = (max(map(len, column)) for column in zip(*rows, strict=True))
     table = [f"  {r[0]:{a}s}  {r[1]:{b}s}  {r[2]:>{c}s}  {r[3]:>{d}s}  {r[4]:{e}s}  {r[5]}".rstrip() for r in rows]
-    return ["boundaries ('?': guessed from the shape of the grid)", *table]
-
-
-def _summed(surfaces: list[Facts]) -> Facts:
-    """Unnamed faces of one role as one entry."""
-    boxes = np.array([s["bbox"] for s in surfaces])
-    heights = [s["first_cell_height"] for s in surfaces]
-    medians = sorted(h["median"] for h in heights)
-    return {
-        **surfaces[0],
-        "name": f"{len(surfaces)} faces",
-        "quads": sum(s["quads"] for s in surfaces),
-        "area": sum(s["area"] for s in surfaces),
-        "bbox": [boxes[:, 0].min(axis=0).tolist(), boxes[:, 1].max(axis=0).tolist()],
-        "first_cell_height": {"min": min(h["min"] for h in heights), "median": medians[len(medians) // 2]},
-    }
+    return ["boundaries ('?': guessed from the shape of the grid)", *_first(verbose, table)]
 
 
 def _patch_line(patch: Facts) -> str:

@@ -73,26 +73,8 @@ class LazyGroup(click.Group):
             formatter.write_dl(list(_COMMANDS.items()))
 
 
-def _print_version(context: click.Context, _: click.Parameter, wanted: bool) -> None:
-    if not wanted or context.resilient_parsing:
-        return
-    from .version import version_lines
-
-    click.echo("\n".join(version_lines(bool(context.meta.get("verbose")))))
-    context.exit()
-
-
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
-@click.option(
-    "-v",
-    "--verbose",
-    is_flag=True,
-    is_eager=True,
-    expose_value=False,
-    help="With --version: the environment too.",
-    callback=lambda context, _, value: context.meta.update(verbose=value),
-)
-@click.option("--version", is_flag=True, expose_value=False, callback=_print_version, help="Show the version and exit.")
+@click.version_option(package_name="meshdeform")
 @click.pass_context
 def cli(context: click.Context) -> None:
     """Deform block-structured grids and judge the result.

@@ -14,10 +14,16 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from meshdeform_core.errors import CaseError, FormatError
-from meshdeform_core.memory import PICTURE_BYTES, MemoryLimit, machine_memory, parse_memory
+from meshdeform_core.memory import (
+    PICTURE_BYTES,
+    SWEPT_BYTES,
+    VELOCITY_BYTES,
+    MemoryLimit,
+    machine_memory,
+    parse_memory,
+)
 from meshdeform_core.parallel import set_threads
 
-from . import completion
 from .process.messages import Warnings
 
 if TYPE_CHECKING:
@@ -126,13 +132,13 @@ variant_option = click.option(
     "boundary=true|false (repeatable).",
 )  # fmt: skip
 field_option = click.option(
-    "--field", "fields", metavar="NAME", multiple=True, shell_complete=completion.fields,
+    "--field", "fields", metavar="NAME", multiple=True,
     help="Write this into VTK and CGNS files too: displacement, invalid, a measure of `meshdeform plot`, or all "
     "(repeatable).",
 )  # fmt: skip
 report_option = click.option(
     "--report", "reports", type=PATH, multiple=True,
-    help="Report file; the suffix selects .json .txt .html or .md, - is JSON to stdout (repeatable).",
+    help="Report file; the suffix selects .json .txt or .html, - is JSON to stdout (repeatable).",
 )  # fmt: skip
 min_jacobian_option = click.option(
     "--min-jacobian", type=float, metavar="R", help="Count a cell as invalid below R times its undeformed Jacobian."
@@ -245,7 +251,7 @@ _WALL_OPTIONS = (
     ),
     click.option("--tolerance", type=FiniteNumber(), metavar="T", help="For -d: largest distance of a match."),
     click.option(
-        "-s", "--set", "overrides", metavar="KEY=VALUE", multiple=True, shell_complete=completion.settings,
+        "-s", "--set", "overrides", metavar="KEY=VALUE", multiple=True,
         help="Override a key of the case, like method.idw.alpha=0.3 (repeatable).",
     ),
     min_jacobian_option,
@@ -257,7 +263,7 @@ case_options = packed(
     "case",
     *_WALL_OPTIONS,
     click.option(
-        "-m", "--method", metavar="NAME", shell_complete=completion.methods,
+        "-m", "--method", metavar="NAME",
         help="tfi, idw, rbf or a hybrid like idw-tfi (the default).",
     ),
     click.option(
@@ -317,3 +323,21 @@ run_options = packed(
     quiet_option,
     click.option("-v", "--verbose", is_flag=True, help="Show stages and their times on stderr."),
 )
+
+
+@dataclass(frozen=True)
+class SeriesInput:
+    """Output folder, times, mode and format of the levels."""
+
+    output: Path
+    times: str | None
+    origin: str
+    steps: int | str | None
+    velocity: str
+    suffix: str | None
+    resume: bool
+
+    @property
+    def velocity_bytes(self) -> int:
+        """Bytes per node that the velocities take in memory."""
+        return VELOCITY_BYTES * (self.velocity != "none") + SWEPT_BYTES * (self.velocity == "swept")

@@ -8,7 +8,7 @@ import time as clock
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 
@@ -21,7 +21,7 @@ from meshdeform_core.memory import WRITING_ARRAYS, peak_memory
 from meshdeform_core.notices import Notice, first_of_each_kind, kind_of
 from meshdeform_core.parallel import carried, thread_count
 from meshdeform_core.series import Level, Schedule, deform_series
-from meshdeform_core.wording import counted, listed
+from meshdeform_core.wording import counted
 from meshdeform_formats.case import CaseFile
 from meshdeform_formats.case.sequences import parse_times
 from meshdeform_formats.fields import check_fields, with_fields
@@ -31,14 +31,12 @@ from meshdeform_formats.placing import lack
 from meshdeform_formats.report.records import Report, level_record, series_head, series_report
 from meshdeform_formats.report.tables import Illustrations
 from meshdeform_formats.series.manifest import NAME, Manifest, ingredients_of
-from meshdeform_formats.series.outputs import LevelFiles, SeriesFiles
-from meshdeform_formats.series.shared import FoamFiles, SingleFile
+from meshdeform_formats.series.outputs import FoamFiles, LevelFiles, SeriesFiles
 
-from .options import GridInput, RunInput
+from .options import GridInput, RunInput, SeriesInput
 from .outputs import keep_inputs
 from .process.messages import Warnings
 from .process.progress import ProgressBar, stage
-from .series_options import SeriesInput
 from .work import Job, cells_of
 
 _PICTURES = 8
@@ -71,12 +69,12 @@ def prepare(job: Job, source: GridInput, wanted: SeriesInput, options: RunInput)
     name = name_of(source.path, wanted, job.grid.format)
     check_fields(options.fields, Path(name), True)
     grid = complete_for_export(job.grid, Path(name))
-    kind = SingleFile if wanted.single_file else FoamFiles if Path(name).suffix.lower() == ".foam" else LevelFiles
+    kind = FoamFiles if Path(name).suffix.lower() == ".foam" else LevelFiles
     files: SeriesFiles = kind(grid, wanted.output, name, times, options.variant_options, wanted.velocity)
     manifest = Manifest(wanted.output / NAME, {})
     for path in [*files.replaced, manifest.path]:
         keep_inputs(path, *source.files, *job.case.files)
-    output = {"output": name, "single file": wanted.single_file, "variant": files.variant.label}
+    output: dict[str, object] = {"output": name, "variant": files.variant.label}
     output |= {"fields": list(options.fields)} if options.fields else {}
     manifest.ingredients = ingredients_of(source.path, source.boundary_file, job.case, schedule, output)
     timing = Timing()
@@ -92,12 +90,11 @@ def name_of(source: Path, wanted: SeriesInput, form: FileFormat | None) -> str:
     """The name of the grid that a level is written as, before its number."""
     if wanted.suffix:
         suffix = f".{wanted.suffix.removeprefix('.')}"
-    elif form is not None and form.name == "openfoam" and not wanted.single_file:
+    elif form is not None and form.name == "openfoam":
         suffix = ".foam"
     else:
         # ADF files can only be read.
-        cgns = wanted.single_file or source.suffix.lower() in FORMATS["cgns"].suffixes
-        suffix = ".cgns" if cgns else source.suffix
+        suffix = ".cgns" if source.suffix.lower() in FORMATS["cgns"].suffixes else source.suffix
     return source.stem + suffix
 
 
@@ -129,14 +126,13 @@ def open_manifest(run: Run, resume: bool, force: bool) -> Manifest:
         run.files.recall(old.levels)
         _keep_what_exists(run, old)
         _require_space(run, len(old.levels))
-        run.files.clean(old.complete)
+        run.files.clean()
         return old
     present = [new.path] if old and old.levels else [path for path in run.files.outputs if path.exists()]
     if present and not force and not (old and resume):
         hint = "use --resume to continue it, or --force to start again" if old else "use --force to overwrite it"
         raise FormatError(f"{present[0]} exists; {hint}")
     _require_space(run, 0)
-    _tell_of_strangers(run)
     new.path.parent.mkdir(parents=True, exist_ok=True)
     run.files.clean()
     new.save()
@@ -148,29 +144,13 @@ def _require_space(run: Run, first: int) -> None:
         raise FormatError(f"cannot write {run.manifest.path.parent}: {missing}")
 
 
-def _tell_of_strangers(run: Run) -> None:
-    """Warn of levels of an earlier series in the folder that this one does not replace."""
-    folder = run.manifest.path.parent
-    try:
-        levels = Manifest.load(run.manifest.path).levels
-    except (FormatError, OSError):
-        return
-    replaced = {part for path in run.files.replaced for part in path.relative_to(folder).parts}
-    names = dict.fromkeys(str(level.get("file")) for level in levels if isinstance(level, dict))
-    left = [name for name in names if name not in replaced and (folder / name).exists()]
-    if left:
-        run.warnings.tell([f"levels of an earlier series remain in {folder}, not part of this one: {listed(left)}"])
-
-
 def _keep_what_exists(run: Run, manifest: Manifest) -> None:
     """Discard levels whose files are missing or not what was written; a complete series must have all its files."""
     files, whole = run.files, manifest.complete and all(path.exists() for path in run.files.outputs)
-    # All levels of a complete series may be in one file.
-    place, found = files.finished if manifest.complete else files.kept, cache(digest)
     changed = [
         number
         for number, written in enumerate(manifest.digests)
-        if place(number).is_file() and found(place(number)) != written
+        if files.has(number) and digest(files.file(number)) != written
     ]
     if whole and not changed:
         return
@@ -189,11 +169,10 @@ def carry_out(run: Run, progress: ProgressBar) -> Report:
     with interruption.continued_by(partial(_how_to_continue, run)):
         count, first, ranks = len(run.schedule.times), len(run.manifest.levels), run.job.ranks
         progress("levels", first, count)
-        # The files from which a complete series was assembled no longer exist.
-        finished = run.files.read if first < count else None
         # The state of earlier levels is known only from files that can be read back.
-        made = tuple(run.manifest.made) if ranks.on_first(lambda: run.files.readable) else ()
-        levels = deform_series(run.setup, run.schedule, run.files.variant.precision, progress, first, finished, made)
+        made = tuple(run.manifest.made) if run.files.readable else ()
+        precision, finished = run.files.variant.precision, run.files.read
+        levels = deform_series(run.setup, run.schedule, precision, progress, first, finished, made)
         with Recorder(run) as recorder:
             for level in levels:
                 recorder.finish()
@@ -234,20 +213,14 @@ def illustrate(run: Run) -> Illustrations:
     shown = min(count, _PICTURES)
     chosen = [round(n * (count - 1) / max(1, shown - 1)) for n in range(shown)]
     levels = [(n, f"level {n}, t = {run.schedule.times[n]:g}", run.files.path(n).name) for n in chosen]
-    readable = run.job.ranks.on_first(lambda: run.files.readable)
-    return level_thumbnails(run.setup, levels, run.files.read) if readable else Illustrations()
+    return level_thumbnails(run.setup, levels, run.files.read) if run.files.readable else Illustrations()
 
 
 def _complete(run: Run, peak: int) -> Report:
     manifest, files, schedule = run.manifest, run.files, run.schedule
     if not manifest.complete:
-        for level in manifest.levels:
-            level["file"] = files.path(level["number"]).name
-        if files.kept(0) != files.finished(0):
-            manifest.digests = [digest(files.finished(0))] * len(manifest.levels)
         manifest.complete = True
         manifest.save()
-        files.clean(complete=True)
     seconds = {"read": run.job.read_seconds, **run.timing.seconds}
     places = {"folder": str(manifest.path.parent), "view": str(files.view) if files.view else None}
     return series_report(manifest.head, manifest.levels, schedule, places, seconds, peak)
@@ -336,7 +309,7 @@ def _note(run: Run, level: Level, seconds: float) -> None:
     manifest.levels.append(record)
     manifest.kinds.append([kind_of(text) for text in warnings])
     manifest.made.append(level.made)
-    manifest.digests.append(digest(files.kept(level.number)))
+    manifest.digests.append(digest(files.file(level.number)))
     try:
         manifest.save()
     except BaseException:

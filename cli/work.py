@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import hashlib
 import time as clock
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -30,7 +29,7 @@ from meshdeform_formats.case import CaseFile
 from meshdeform_formats.fields import with_fields
 from meshdeform_formats.files import invalid_path
 from meshdeform_formats.grids import FORMATS, complete_for_export, require_earlier_grid, variant_of, write_grid
-from meshdeform_formats.inputs import existing_outputs
+from meshdeform_formats.inputs import digest, existing_outputs
 from meshdeform_formats.placing import existing, require_space
 from meshdeform_formats.report.records import Report, deformation_report
 from meshdeform_formats.report.tables import Illustrate, Illustrations
@@ -46,11 +45,6 @@ from .reporting import STDOUT, Delivery, deliver
 from .room import make_room
 
 T = TypeVar("T")
-
-_READ, _PARTS = 1 << 16, 256
-"""Bytes that the digest of a file reads at a time, and the number of such parts of a large file."""
-
-__all__ = ["Imposed", "Job", "conclude", "in_parts", "load", "place_of", "print_plan", "run"]
 
 
 @dataclass(frozen=True)
@@ -109,7 +103,10 @@ def _require_alike(ranks: Ranks, options: str, files: Sequence[Path | None]) -> 
     """Refuse inputs that differ between ranks: other options of the case, or files with other contents."""
     if ranks.count == 1:
         return
-    found = [(options, "options of the case"), *((_digest(path), str(path)) for path in files if path)]
+    found = [
+        (options, "options of the case"),
+        *((digest(path), str(path)) for path in files if path and path.is_file()),
+    ]
     first, *others = ranks.gather([found])
     for number, other in enumerate(others, 1):
         for (own, name), (its, its_name) in zip(first, other, strict=False):
@@ -118,19 +115,6 @@ def _require_alike(ranks: Ranks, options: str, files: Sequence[Path | None]) -> 
                     f"rank {number} has other inputs than rank 0: {its_name} differs from {name}; expected the same "
                     f"grid, case and tables on every rank"
                 )
-
-
-def _digest(path: Path) -> str:
-    """Digest of a file, if it is large of its size and of parts spread over it; empty if there is no such file."""
-    if not path.is_file():
-        return ""
-    size, found = path.stat().st_size, hashlib.blake2b(digest_size=16)
-    step = max(_READ, size // _PARTS)
-    with path.open("rb") as stream:
-        for at in (*range(0, size, step), max(size - _READ, 0)):
-            stream.seek(at)
-            found.update(stream.read(_READ))
-    return f"{size} {found.hexdigest()}"
 
 
 def in_parts(action: Callable[[], T], verbose: bool) -> T:

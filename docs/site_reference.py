@@ -13,7 +13,7 @@ import click
 
 import meshdeform
 from meshdeform_cli.main import cli
-from meshdeform_formats.report.measures import report_schema
+from meshdeform_formats.report.schema import report_schema
 
 INTERFACES = {
     "meshdeform.compat.idwarp": (),
@@ -160,6 +160,6 @@ def _type(value: dict[str, Any]) -> str:
     if "const" in value:
         return f"`{value['const']}`"
     if value.get("type") == "array":
-        return f"list of {_type(value['items'])}"
+        return f"list of {_type(value['items'] or value['prefixItems'][0])}"
     kind = value.get("type", "any")
     return " or ".join(kind) if isinstance(kind, list) else str(kind)

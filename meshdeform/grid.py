@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,18 +13,14 @@ from numpy.typing import ArrayLike
 from meshdeform_core import grid as core
 from meshdeform_core.errors import FormatError, GridError
 from meshdeform_core.grid import FloatArray
-from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.parallel import sharing
 
 from .gate import checked_array, in_parts
-from .notebook import html_table
 
 if TYPE_CHECKING:
     import meshio
     import pyvista
     from matplotlib.figure import Figure
-
-    from meshdeform_formats.picture.subject import Subject
 
 
 class BlockPart(NamedTuple):
@@ -172,28 +168,17 @@ class Grid:
         return self.core.notes
 
     def plot(
-        self, metric: str = "f_skew", *, reference: Grid | None = None, plane: str | None = None,
-        block: Sequence[str] = (), select: Sequence[str] = (), view: str = "auto",
-        zoom: str | tuple[float, float, float, float] | None = None, before: str | None = None, arrows: bool = False,
-        limits: tuple[float, float] | None = None, log: bool = False, lines: bool = True, title: str | None = None,
-    ) -> Figure:  # fmt: skip
-        """A picture of the grid, as ``meshdeform plot`` draws it; the arguments are that command's options.
+        self, metric: str = "f_skew", *, reference: Grid | None = None, title: str | None = None, **options: Any
+    ) -> Figure:
+        """A picture of the grid, as ``meshdeform plot`` draws it; shown by notebooks, ``savefig`` writes it.
 
         Parameters
         ----------
         metric : what colours the cells, like ``"volume_ratio"``
-        reference : the undeformed grid, for measures that compare, ``before`` and ``arrows``
-        plane : of nodes, like ``"k=1"`` or ``"j=mid"``, or in space, like ``"z=0.25"``
-        block, select : patterns of blocks, of patches or block faces
-        view : ``"auto"``, ``"x"``, ``"y"``, ``"z"``, ``"iso"`` or a direction like ``"1,-1,0.5"``
-        zoom : ``"worst"``, ``"walls"`` or a window (left, right, bottom, top)
-        before : ``"side"`` or ``"overlay"``: draw the reference too
-        limits : ends of the colours
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            Shown by notebooks; ``savefig`` writes it.
+        reference : the undeformed grid, for measures that compare
+        options : those of the command: ``plane`` of nodes, like ``"k=1"``, or in space, like ``"z=0.25"``;
+            ``select``, a list of patterns; ``view``; ``zoom`` (``"worst"``, ``"walls"`` or left, right, bottom, top);
+            ``limits`` of the colours; ``log``
 
         Raises
         ------
@@ -202,14 +187,11 @@ class Grid:
         """
         from meshdeform_formats.picture.page import page_figure
         from meshdeform_formats.picture.request import PlotOptions, picture
+        from meshdeform_formats.picture.subject import Subject
 
-        options = PlotOptions(
-            metric=metric, plane=plane, block=tuple(block), select=tuple(select), view=view, zoom=zoom, before=before,
-            arrows=arrows, limits=limits, log=log, lines=lines,
-        )  # fmt: skip
-        name = self.path.name if self.path else ""
-        subject = _subject(self, reference, "a picture")
-        return page_figure(picture(subject, options, name if title is None else title))
+        chosen, name = PlotOptions(metric, **options), self.path.name if self.path else ""
+        subject = Subject.of(*_compared(self, reference, "a picture"))
+        return page_figure(picture(subject, chosen, name if title is None else title))
 
     def to_pyvista(self, *measures: str, reference: Grid | None = None) -> pyvista.MultiBlock:
         """The blocks as pyvista structured grids, by name, with the file's fields at nodes and cells.
@@ -227,7 +209,9 @@ class Grid:
         """
         import pyvista
 
-        cells, grid = _subject(self, reference, "a pyvista grid"), self.core
+        from meshdeform_core.quality.fields import CellFields
+
+        cells, grid = CellFields.of(*_compared(self, reference, "a pyvista grid")), self.core
         blocks = pyvista.MultiBlock()
         for number, name in enumerate(grid.names):
             block = pyvista.StructuredGrid(*np.moveaxis(grid.block(number), 3, 0))
@@ -268,12 +252,6 @@ class Grid:
             f"{self.n_cells:,} cells, {self.dimension}-D{where})"
         )
 
-    def _repr_html_(self) -> str:
-        shown = zip(self.names[:12], self.shapes, strict=False)
-        rows = [(name, " × ".join(map(str, shape))) for name, shape in shown]
-        more = [(f"and {len(self) - 12} more", "")] if len(self) > 12 else []
-        return html_table(repr(self), [*rows, *more], ("block", "nodes"))
-
 
 def _read_only(view: FloatArray) -> FloatArray:
     view = view.view()
@@ -301,6 +279,10 @@ def whole(grid: Grid, what: str) -> core.Grid:
     return grid.core
 
 
+def _compared(grid: Grid, reference: Grid | None, what: str) -> tuple[core.Grid, core.Grid | None]:
+    return whole(grid, what), None if reference is None else whole(reference, what)
+
+
 @contextmanager
 def together(grid: Grid) -> Iterator[None]:
     """Context of work by all ranks that hold parts of the grid."""
@@ -317,20 +299,6 @@ def rows_of_block(grid: Grid, number: int, values: FloatArray) -> FloatArray:
 def by_part(grid: Grid, values: FloatArray) -> list[FloatArray]:
     """The rows of ``values`` (n_nodes, 3) that this rank holds: one array per ``grid.part``."""
     return [rows_of_block(grid, part.block, values).copy() for part in grid.part]
-
-
-def _subject(grid: Grid, reference: Grid | None, what: str) -> Subject:
-    """The cells to draw or measure, compared with those of the reference."""
-    from meshdeform_core.quality.difference import require_same_blocks
-    from meshdeform_formats.picture.subject import Subject
-
-    own = whole(grid, what)
-    if reference is None:
-        return Subject(own, find_topology(own))
-    other = whole(reference, what)
-    require_same_blocks(own, other)
-    other = other.with_patches_of(own)
-    return Subject(own, find_topology(other), other)
 
 
 def read(path: str | Path, *, boundary_file: str | Path | None = None, **variant: str) -> Grid:

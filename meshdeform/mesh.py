@@ -24,7 +24,6 @@ from meshdeform_core.wording import vector
 from .gate import checked_time, require_arguments, whole_number
 from .grid import Grid, wrapped
 from .linearisation import Linearisation
-from .notebook import html_table
 from .session import Session
 from .step import Step
 
@@ -249,8 +248,3 @@ class Mesh:
     def __repr__(self) -> str:
         patches = ", ".join(self.patches)
         return f"Mesh({self.method}, {len(self.points):,} moving nodes of {patches}; {self.grid!r})"
-
-    def _repr_html_(self) -> str:
-        patches = self.session.setup.boundary.patches
-        rows = [(patch.name, patch.kind.label, f"{len(patch.nodes):,}") for patch in patches]
-        return html_table(repr(self), rows, ("boundary", "kind", "nodes"))

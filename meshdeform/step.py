@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -17,7 +16,6 @@ from meshdeform_core.quality import InvalidCell
 from meshdeform_core.repair.outcome import Repair
 
 from .grid import Grid, by_part, together, whole, wrapped
-from .notebook import html_table, quality_rows
 
 
 class QualityGradient(NamedTuple):
@@ -144,9 +142,6 @@ class Step:
             verdict += f", {self.result.reached:.1%} imposed"
         count = f"{self.steps} {'step' if self.steps == 1 else 'steps'}"
         return f"Step({verdict}; {count}, largest displacement {self.result.max_displacement:.6g})"
-
-    def _repr_html_(self) -> str:
-        return html_table(repr(self), quality_rows(asdict(self.result.assessment.after)))
 
 
 def unusable(step: Step) -> str:

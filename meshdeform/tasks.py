@@ -12,7 +12,6 @@ from meshdeform_core.repair.options import Mode
 
 from .choice import Method
 from .grid import Grid, user_grid, whole, wrapped
-from .notebook import QualityReport
 from .preparation import CaseLike, parsed_case, prepare
 from .step import Step
 
@@ -44,7 +43,7 @@ def deform(
 
 def quality(
     grid: Grid | str | Path, reference: Grid | str | Path | None = None, case: CaseLike | None = None
-) -> QualityReport:
+) -> dict[str, Any]:
     """The quality report of a grid, by itself or against its original: a dictionary (see docs/report.md).
 
     Parameters
@@ -63,7 +62,7 @@ def quality(
     what = parsed_case({} if case is None else case)
     original = None if reference is None else whole(user_grid(reference), "a report")
     assessment, notes = judge_grid(own, original or own, what.case)
-    return QualityReport(quality_report(own, assessment, notes, original=original))
+    return quality_report(own, assessment, notes, original=original)
 
 
 def compare(a: Grid | str | Path, b: Grid | str | Path) -> Difference:

@@ -1,7 +1,6 @@
 """Fixtures for all tests: where the third-party grids lie, and a clean place to write."""
 
 import gc
-import math
 import os
 from pathlib import Path
 
@@ -12,7 +11,6 @@ for _library in ("OPENBLAS", "OMP", "MKL"):
 import hypothesis  # noqa: E402 (numpy reads the variables when it is loaded)
 import pytest  # noqa: E402
 
-from meshdeform_cli.process import progress  # noqa: E402
 from meshdeform_core import memory  # noqa: E402
 from meshdeform_formats.picture.page import STYLE  # noqa: E402
 
@@ -21,12 +19,6 @@ hypothesis.settings.register_profile(
     "repeatable", derandomize=True, deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
 )
 hypothesis.settings.load_profile("repeatable")
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _no_times_in_messages() -> None:
-    """Commands called in this process say nothing of their times: on a busy machine any of them may take a second."""
-    progress.LOGGED = math.inf
 
 
 @pytest.fixture(scope="session", autouse=True)

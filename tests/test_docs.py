@@ -17,7 +17,7 @@ from site_pages import blocks, expected_outcomes, made, pictures
 import meshdeform
 from meshdeform_cli.main import cli, run
 from meshdeform_formats.case import read_case
-from meshdeform_formats.report.measures import report_schema
+from meshdeform_formats.report.schema import report_schema
 
 OWN_URL = re.compile(r"https://github\.com/meshdeform/meshdeform/blob/main/")
 ROOT = Path(__file__).parents[1]

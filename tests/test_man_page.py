@@ -34,5 +34,5 @@ def test_man_renders_it():
     for name in cli.list_commands(None):  # type: ignore[arg-type]
         assert f"meshdeform {name}" in done.stdout
     # What click would fold into a paragraph keeps its lines, and dashes are dashes.
-    assert "\n           meshdeform info wing.cgns --picture wing.png\n" in done.stdout
+    assert "\n           meshdeform info grid.vts --json\n" in done.stdout
     assert "--min-jacobian R" in done.stdout

@@ -14,7 +14,6 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.memory import passing
 from meshdeform_core.wording import counted
 
-from ..measures import measured
 from ..options import (
     OUTPUT,
     PATH,
@@ -67,7 +66,7 @@ def command(
     are the names of families or patches.
     """
     from meshdeform_formats.fields import check_fields, with_fields
-    from meshdeform_formats.grids import complete_for_export, format_of, write_grid
+    from meshdeform_formats.grids import complete_for_export, format_of, read_grid, write_grid
     from meshdeform_formats.placing import existing
 
     kind = format_of(target)
@@ -80,8 +79,10 @@ def command(
     with ProgressBar(not quiet, compiles=bool(fields)) as progress:
         grid = complete_for_export(source.read(), target)
         if fields:
+            from meshdeform_core.quality.fields import CellFields
+
             progress("quality", 0, 0)
-            grid = with_fields(measured(grid, reference), fields)
+            grid = with_fields(CellFields.of(grid, None if reference is None else read_grid(reference)), fields)
         boundaries, write_boundaries = target.with_suffix(".nmf"), None
         if kind in ("plot3d", "vtk") and (grid.patches or grid.connections):
             write_boundaries = _write_boundaries(grid, boundaries, target, force, *source.files)

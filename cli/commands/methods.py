@@ -8,13 +8,11 @@ from collections.abc import Iterator
 
 import click
 
-from .. import completion
-
 _WIDTH = 100
 
 
 @click.command("methods")
-@click.argument("name", required=False, shell_complete=completion.methods)
+@click.argument("name", required=False)
 def command(name: str | None) -> int:
     """List the methods, or explain NAME: parameters, defaults, strengths and limits.
 

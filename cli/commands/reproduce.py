@@ -16,21 +16,16 @@ _RESULT = "results.json"
 @click.argument("what")
 @click.option("-o", "--output", type=PATH, required=True, help="Folder for data, tables, figures; created if missing.")
 @click.option("--quick", is_flag=True, help="Small sizes: minutes instead of an hour.")
-@click.option(
-    "--validation", type=PATH, help="Also write the page that compares the results with the paper (markdown)."
-)
 @threads_option
 @force_option
 @quiet_option
-def command(what: str, output: Path, quick: bool, validation: Path | None, force: bool, quiet: bool) -> int:
-    """Rerun the evaluation of Sen, De Nayer, Breuer (2017): WHAT is table2, table3, table4, table5, figB, robustness
-    or all.
+def command(what: str, output: Path, quick: bool, force: bool, quiet: bool) -> int:
+    """Rerun the evaluation of Sen, De Nayer, Breuer (2017): WHAT is table2, table3, table4, table5, figB or all.
 
     \b
     Examples:
       meshdeform reproduce table4 -o reproduced
       meshdeform reproduce all -o reproduced --quick
-      meshdeform reproduce all -o reproduced --validation reproduced/validation.md --force
 
     Every row is shown with the paper's own number. Sizes are the paper's unless --quick is given; in full, all takes
     about an hour on two cores.
@@ -41,14 +36,12 @@ def command(what: str, output: Path, quick: bool, validation: Path | None, force
     check(what)
     make_folder(output)
     check_output(output / _RESULT, force)
-    if validation is not None:
-        check_output(validation, force)
 
     def tell(label: str, done: int, total: int) -> None:
         if not quiet:
             click.echo(f"meshdeform: {label} ({done} of {total})", err=True)
 
-    results = reproduce(what, output, quick, validation, tell)
+    results = reproduce(what, output, quick, tell)
     if not quiet:
         click.echo(as_markdown(results), nl=False)
     return 0

@@ -10,7 +10,6 @@ import click
 from meshdeform_core.errors import CaseError
 from meshdeform_core.wording import counted
 
-from .. import completion
 from ..options import PATH, force_option, parse_pairs, quiet_option, variant_option
 from ..outputs import check_output, make_folder
 
@@ -18,7 +17,7 @@ _BOUNDARY_FILE = "grid.nmf"
 
 
 @click.command("sample")
-@click.argument("name", required=False, shell_complete=completion.samples)
+@click.argument("name", required=False)
 @click.option("-o", "--output", type=PATH, help="Folder for grid and case.toml; created if missing.")
 @click.option("--size", help="Size of the grid: a number, whose meaning depends on the sample, or a name like small.")
 @click.option(

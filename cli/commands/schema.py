@@ -20,7 +20,7 @@ def command(what: str) -> int:
     TOML-aware editors complete and check a case whose first line is `#:schema ./case.schema.json`.
     """
     from meshdeform_formats.case.reader import case_schema
-    from meshdeform_formats.report.measures import report_schema
+    from meshdeform_formats.report.schema import report_schema
 
     click.echo(json.dumps(case_schema() if what == "case" else report_schema(), indent=2, ensure_ascii=False))
     return 0

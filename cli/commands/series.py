@@ -10,14 +10,47 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ..options import CaseInput, GridInput, RunInput, case_options, grid_options, run_options
+from ..options import (
+    PATH,
+    CaseInput,
+    GridInput,
+    RunInput,
+    SeriesInput,
+    case_options,
+    grid_options,
+    packed,
+    run_options,
+    steps_option,
+)
 from ..outputs import check_order, check_reports
 from ..process.progress import ProgressBar
 from ..room import too_large
-from ..series_options import SeriesInput, series_options
 
 if TYPE_CHECKING:
     from .. import series_run
+
+
+series_options = packed(
+    SeriesInput,
+    "wanted",
+    click.option("-o", "--output", type=PATH, required=True, help="Folder for the levels; created if missing."),
+    click.option(
+        "--times", metavar="START:STOP:STEP",
+        help="Time levels, or a list a,b,c; by default those of the case's sequence of displacement files.",
+    ),
+    click.option(
+        "--from", "origin", type=click.Choice(("reference", "last")), default="reference", show_default=True,
+        help="Make each level from the undeformed grid, or from the previous level (marching).",
+    ),
+    steps_option("each level"),
+    click.option(
+        "--velocity", type=click.Choice(("none", "first", "second", "swept")), default="none", show_default=True,
+        help="Write the grid velocity, by backward differences of this order, or the volumes swept by the cell faces "
+        "as well (VTK and CGNS).",
+    ),
+    click.option("--suffix", help="Format of the levels, by suffix (default: that of GRID)."),
+    click.option("--resume", is_flag=True, help="Continue an interrupted run of the same series."),
+)  # fmt: skip
 
 
 @click.command("series")
@@ -32,7 +65,7 @@ def command(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunInp
     Examples:
       meshdeform series wing.cgns -c flutter.toml --times 0:0.5:0.01 -o flutter
       meshdeform series grid.xyz -c case.toml --times 0:1:0.1 -o out --suffix .vtm --velocity second
-      meshdeform series wing.cgns -c flutter.toml --times 0:0.5:0.01 -o flutter --single-file --report flutter.json
+      meshdeform series wing.cgns -c flutter.toml --times 0:0.5:0.01 -o flutter --report flutter.json
       meshdeform series wing.cgns -c flutter.toml --times 0:0.5:0.01 -o flutter --resume
       meshdeform series wing.cgns -d 'surface_*.csv' --times 0:0.5:0.01 -o flutter
 

@@ -22,13 +22,9 @@ if TYPE_CHECKING:
 
 PATIENCE = 1.0
 """Runs longer than this have a bar (seconds)."""
-LOGGED = 1.0
-"""If stderr is not a terminal, runs longer than this end with a line of their stages (seconds)."""
 SELDOM, SELDOMEST, _GROWTH = 10.0, 60.0, 0.5
 """If stderr is not a terminal, a line states the progress after SELDOM seconds, then at intervals that grow with the
 time taken, up to SELDOMEST seconds."""
-# Stages that would be shown as 0.0 s are left out.
-_LISTED = 0.05
 _TICK = 0.1
 _UNCACHED = "at every start: no folder for them can be written; NUMBA_CACHE_DIR may name one"
 _OUTER = "levels"
@@ -38,8 +34,8 @@ class ProgressBar:
     """Callback for the core's progress, ``bar(stage, done, total)``; ``total`` is 0 if unknown.
 
     On a terminal, a run that takes longer than a second has a bar with the time remaining of its stage. Elsewhere, long
-    work is logged at intervals, and a run of more than a second ends with a line of the times of its stages. Compiling
-    of loops is announced in either case, unless the bar is not ``enabled`` or nothing ``compiles``.
+    work is logged at intervals. Compiling of loops is announced in either case, unless the bar is not ``enabled`` or
+    nothing ``compiles``.
     """
 
     active: ProgressBar | None = None
@@ -47,10 +43,9 @@ class ProgressBar:
     def __init__(self, enabled: bool = True, compiles: bool = True):
         self._wanted, self._loops, self._compiles = enabled, compiles, enabled and compiles
         self._shown = enabled and sys.stderr.isatty()
-        self._start = self._began = time.perf_counter()
+        self._start = time.perf_counter()
         self._levels: tuple[str, int, int] | None = None
-        self._stage = ("", 0, 0)
-        self._seconds: dict[str, float] = {}
+        self._stage: tuple[str, int, int] | None = None
         self._over = threading.Event()
         self._told = False
         self._display: threading.Thread | None = None
@@ -60,16 +55,11 @@ class ProgressBar:
         if stage == _OUTER:
             self._levels = stage, min(done, total), total
         else:
-            self._enter(stage, min(done, total), total)
+            self._stage = stage, min(done, total), total
 
-    def _enter(self, stage: str, done: int = 0, total: int = 0) -> None:
-        before = self._stage[0]
-        if stage != before:
-            now = time.perf_counter()
-            if before:
-                self._seconds[before] = self._seconds.get(before, 0.0) + now - self._began
-            self._began = now
-        self._stage = stage, done, total
+    def _under_way(self) -> list[tuple[str, int, int]]:
+        """The levels of a series, if it is one, and the current stage, with the amounts done and in total."""
+        return [line for line in (self._levels, self._stage) if line]
 
     def _compiling(self, compiled: Compiled) -> None:
         from meshdeform_core.numerics.jit import is_cached
@@ -105,15 +95,6 @@ class ProgressBar:
         self._over.set()
         if self._display is not None:
             self._display.join()
-        self._enter("")
-        elapsed = time.perf_counter() - self._start
-        stages = [f"{name} {seconds:.1f} s" for name, seconds in self._seconds.items() if seconds >= _LISTED]
-        if self._wanted and not self._shown and error is None and elapsed > LOGGED and stages:
-            tell(", ".join(stages))
-
-    def _under_way(self) -> list[tuple[str, int, int]]:
-        """The levels of a series, if it is one, and the current stage, with the amounts done and in total."""
-        return [line for line in (self._levels, self._stage) if line and line[0]]
 
     def _draw(self) -> None:
         """Draw on a terminal; in a thread, because long stages do not call back."""
@@ -141,11 +122,11 @@ class ProgressBar:
     @contextlib.contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """A stage whose code does not report progress."""
-        self._enter(name)
+        self._stage = name, 0, 0
         try:
             yield
         finally:
-            self._enter("")
+            self._stage = None
 
 
 @contextlib.contextmanager

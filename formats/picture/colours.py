@@ -1,4 +1,4 @@
-"""Colours of values and of groups, chosen so that colour-blind people can distinguish them."""
+"""Colours of values, chosen so that colour-blind people can distinguish them."""
 
 from __future__ import annotations
 
@@ -16,18 +16,12 @@ from .subject import METRICS, Metric
 if TYPE_CHECKING:
     from matplotlib.cm import ScalarMappable
 
-Colour = tuple[float, float, float]
 INVALID_COLOUR = (0.90, 0.00, 0.42)
 """Not in any of the colour maps; colour-blind people can distinguish it from them by lightness or hue."""
 _REACHES = (0.01, 0.02, 0.05)
 """Shortest ranges for metrics with a fixed end; longer ones are multiples of a tenth."""
 SEQUENTIAL, DIVERGING = "viridis", "PuOr"
 NO_VALUE = (0.86, 0.86, 0.87)
-GROUPS = (
-    (0.34, 0.71, 0.91), (0.90, 0.62, 0.00), (0.00, 0.62, 0.45), (0.94, 0.89, 0.26),
-    (0.80, 0.47, 0.65), (0.00, 0.45, 0.70), (0.84, 0.37, 0.00), (0.60, 0.60, 0.60),
-)  # fmt: skip
-"""Okabe and Ito's palette, the first colours those that go best with dark lines."""
 
 
 @dataclass(frozen=True)
@@ -66,13 +60,12 @@ class Scale:
 class Choice:
     """Metric and scale of the colours.
 
-    ``limits`` of the colours, ``logarithmic`` scale, ``lines``: draw grid lines.
+    ``limits`` of the colours, ``logarithmic`` scale.
     """
 
     metric: str = "f_skew"
     limits: tuple[float, float] | None = None
     logarithmic: bool = False
-    lines: bool = True
 
     def scale(self, *values: FloatArray) -> Scale:
         """Colours for all values (n,) together: between the limits, else the metric's own, else the ends of the values.
@@ -113,18 +106,8 @@ def _ends_of_colours(finite: FloatArray, known: Metric, logarithmic: bool) -> tu
     return low, high
 
 
-def colours_of(scene: Scene, scale: Scale | None) -> FloatArray:
-    """RGB (n, 3) of the polygons of a scene: its own colour, else by value, without a scale by group."""
+def colours_of(scene: Scene, scale: Scale) -> FloatArray:
+    """RGB (n, 3) of the polygons of a scene: its own colour, else by value."""
     if scene.colour is not None:
         return np.tile(scene.colour, (len(scene.facets), 1))
-    if scale is not None:
-        return scale.colours(scene.facets)
-    groups = scene.facets.group
-    return np.array([colour_of(n) for n in range(int(groups.max(initial=0)) + 1)])[groups]
-
-
-def colour_of(group: int) -> Colour:
-    """RGB of a group; beyond eight the colours repeat, lighter."""
-    red, green, blue = GROUPS[group % len(GROUPS)]
-    fade = min(0.35 * (group // len(GROUPS)), 0.7)
-    return red + (1 - red) * fade, green + (1 - green) * fade, blue + (1 - blue) * fade
+    return scale.colours(scene.facets)

@@ -1,4 +1,4 @@
-"""What is shown where nothing is specified: a grid, its boundaries by name, two grids before and after."""
+"""What is shown where nothing is specified: a grid, two grids before and after."""
 
 from __future__ import annotations
 
@@ -11,18 +11,14 @@ import numpy as np
 from meshdeform_core.grid import FloatArray, Grid, IntArray, Shape
 from meshdeform_core.grid.faces import Role
 from meshdeform_core.grid.planes import Plane
-from meshdeform_core.grid.surfaces import Surface
 from meshdeform_core.grid.topology import Topology
-from meshdeform_core.numerics.geometry.vectors import doubled_areas
 from meshdeform_core.quality import Original
 
-from .colours import Choice, colour_of
+from .colours import Choice
 from .page import Page, Panel
 from .scene import (
-    Facets,
     Scene,
     block_facets,
-    block_outlines,
     cut_facets,
     cut_scene,
     joined,
@@ -37,14 +33,7 @@ from .view import View, Window, facing, iso
 
 _SMALL = 0.3
 """Details smaller than this fraction of the picture along its larger side get a close-up."""
-_LOST, _NOSE_NODES = 1e-3, (4, 9)
-"""If first cells are lower than this fraction of a close-up, a second close-up shows that many nodes of the wall."""
-_NOSE = 0.08
-"""Largest close-up of first cells, as a fraction of the picture around it."""
-_SQUARE = (0.85, 1.15)
 _TALL, _FLAT = 1.15, 0.05
-_MOST_NAMES = 14
-_PALE = (0.95, 0.95, 0.95)
 _GREY = (0.72, 0.74, 0.78)
 _AROUND = 7
 """Number of cells that a close-up shows on either side of the worst one."""
@@ -72,20 +61,8 @@ def _with_close_ups(subject: Subject, scene: Scene) -> list[Panel]:
     detail = _detail(subject, scene, whole)
     if detail is None:
         return [panel]
-    nose = _first_cells(subject, scene.view, scene.walls, detail)
-    wanted = max(_FLAT, min(0.5, panel.aspect)), min(_TALL, max(panel.aspect, 0.5))
-    near = detail.shaped(*(wanted if nose is None else _SQUARE)).moved_into(whole)
-    return [
-        dataclasses.replace(panel, title="whole grid", frames=(near,)),
-        *_framed(Panel(scene, near, "close-up"), nose),
-    ]
-
-
-def _framed(panel: Panel, nose: Window | None) -> list[Panel]:
-    """A panel, and a close-up of first cells in it."""
-    if nose is None:
-        return [panel]
-    return [dataclasses.replace(panel, frames=(nose,)), dataclasses.replace(panel, window=nose, title="first cells")]
+    near = detail.shaped(max(_FLAT, min(0.5, panel.aspect)), min(_TALL, max(panel.aspect, 0.5))).moved_into(whole)
+    return [dataclasses.replace(panel, title="whole grid", frames=(near,)), Panel(scene, near, "close-up")]
 
 
 def _detail(subject: Subject, scene: Scene, whole: Window) -> Window | None:
@@ -99,25 +76,9 @@ def _detail(subject: Subject, scene: Scene, whole: Window) -> Window | None:
         points = np.quantile(points, [0.2, 0.8], axis=0)
     (left, bottom), (right, top) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     near = Window(left, right, bottom, top)
-    return (
-        None
-        if not 0.0 < near.larger_side <= _SMALL * whole.larger_side
-        else near.grown(0.35 * near.larger_side).within(whole)
-    )
-
-
-def _first_cells(subject: Subject, view: View, edges: FloatArray, window: Window) -> Window | None:
-    """A window at the left end of the ``edges`` of walls, if their first cells are too low to be seen in a window."""
-    height = min((wall.median_height for wall in subject.bodies), default=np.inf)
-    flat = np.unique(view.project(edges.reshape(-1, 3))[:, :2], axis=0)
-    if height > _LOST * window.larger_side or len(flat) <= _NOSE_NODES[1]:
+    if not 0.0 < near.larger_side <= _SMALL * whole.larger_side:
         return None
-    distance = np.sort(np.linalg.norm(flat - flat[0], axis=1))
-    reach = float(np.clip(200 * height, *distance[list(_NOSE_NODES)]))
-    if reach == 0.0 or reach > _NOSE * window.larger_side:
-        return None
-    x, y = flat[0].tolist()
-    return Window(x, x, y, y).grown(reach)
+    return near.grown(0.35 * near.larger_side).within(whole)
 
 
 def _walls_and_cut(subject: Subject, metric: str) -> list[Panel]:
@@ -131,62 +92,12 @@ def _walls_and_cut(subject: Subject, metric: str) -> list[Panel]:
     edges = wall_edges(subject, plane, bodies)
     points = edges if len(edges) else subject.corners(bodies)
     near = cut.view.window(points, 0.3).shaped(0.6, _TALL).moved_into(cut.view.window(cut.facets.corners, 0.0))
-    nose = _first_cells(subject, cut.view, edges, near)
     axis = int(np.argmax(np.abs(plane.normal)))
     title = f"cut {'xyz'[axis]} = {plane.point[axis]:.4g}"
     return [
         Panel(walls, walls.view.window(walls.facets.corners, 0.08).shaped(0.7, 0.95), "walls"),
-        *_framed(Panel(cut, near if nose is None else near.shaped(*_SQUARE), title), nose),
+        Panel(cut, near, title),
     ]
-
-
-def boundaries(subject: Subject, title: str = "") -> Page:
-    """All outside faces coloured by family, patch, or role where they have no name.
-
-    In 3-D those that would hide the rest (far field and planes that face the viewer) are omitted; small walls have a
-    close-up. In a plane grid the edges are coloured.
-    """
-    groups = _surfaces_by_name(subject)
-    legend = tuple((name, colour_of(number)) for number, name in enumerate(groups))[:_MOST_NAMES]
-    if subject.grid.dimension == 2:
-        strokes = tuple((subject.corners(group), colour_of(number)) for number, group in enumerate(groups.values()))
-        panels = [
-            dataclasses.replace(panel, scene=dataclasses.replace(panel.scene, colour=_PALE), strokes=strokes)
-            for panel in overview(subject, Choice()).panels
-        ]
-        return Page(tuple(panels), title, None, legend)
-    view = onto_walls(subject)
-    scene = _outside_scene(subject, groups, view)
-    whole = Panel(scene, view.window(scene.facets.corners).shaped(0.5, 1.1), "outside")
-    panels = [whole]
-    if subject.bodies:
-        near = view.window(subject.corners(subject.bodies), 0.1).shaped(0.7, 1.0)
-        if near.width < 0.5 * whole.window.width:
-            panels.append(dataclasses.replace(whole, window=near, title="walls"))
-    return Page(tuple(panels), title, None, legend)
-
-
-def _surfaces_by_name(subject: Subject) -> dict[str, list[Surface]]:
-    """Surfaces by the name that the legend shows, walls first."""
-    groups: dict[str, list[Surface]] = {}
-    for surface in sorted(subject.outside.surfaces, key=lambda s: list(Role).index(s.role)):
-        role = surface.role.value + ("" if surface.declared or surface.role is Role.UNKNOWN else "?")
-        name = f"{surface.name} ({role})" if surface.named and surface.name != role else role
-        groups.setdefault(name, []).append(surface)
-    return groups
-
-
-def _outside_scene(subject: Subject, groups: dict[str, list[Surface]], view: View) -> Scene:
-    """The surfaces in groups but for faces, other than walls, whose outer side faces the viewer."""
-    parts, quads = [], []
-    for number, surfaces in enumerate(groups.values()):
-        for surface in surfaces:
-            corners = subject.corners([surface])
-            keep = np.full(len(corners), surface.role is Role.WALL) | (doubled_areas(corners) @ view.towards < 0)
-            parts.append(Facets.plain(corners[keep], number))
-            quads.append(surface.quads[keep])
-    outlines: FloatArray = block_outlines(subject.grid, subject.topology, np.concatenate(quads))
-    return Scene(joined(parts), view, outlines, lit=True)
 
 
 @dataclasses.dataclass(frozen=True)

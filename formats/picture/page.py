@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import FloatArray
 
 from ..files import replacing
-from .colours import INVALID_COLOUR, NO_VALUE, Choice, Colour, Scale, colours_of
-from .raster import FINE, Image, render
-from .scene import Facets, Scene, no_edges
+from .colours import INVALID_COLOUR, NO_VALUE, Choice, Scale, colours_of
+from .raster import FINE, render
+from .scene import Facets, Scene
 from .subject import METRICS
 from .view import View, Window, spread
 
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SUFFIXES = (".png", ".svg", ".pdf")
-FILMS = (".gif", ".mp4")
 STYLE: dict[Any, Any] = {
     "font.size": 9,
     "axes.labelsize": 9,
@@ -56,19 +54,13 @@ class Panel:
     Attributes
     ----------
     window : what is shown, in coordinates of the view
-    arrows : (k, 2, 3) points and displacements, drawn as arrows at their true length
     frames : windows of close-ups, drawn as rectangles
-    under : another scene, drawn first and seen through this one
-    strokes : thick lines (k, 2, 3) in colours of their own
     """
 
     scene: Scene
     window: Window
     title: str = ""
-    arrows: FloatArray = field(default_factory=no_edges)
     frames: tuple[Window, ...] = ()
-    under: Scene | None = None
-    strokes: tuple[tuple[FloatArray, Colour], ...] = ()
 
     @property
     def aspect(self) -> float:
@@ -80,36 +72,32 @@ class Panel:
 class Page:
     """Panels side by side, or one below the other if they are flat, with colour bar and legend.
 
-    ``legend`` are names and colours of groups; ``marks`` which cells the legend always explains, besides those that
-    the page shows: ``invalid`` ones, those of ``absent`` values. ``lines``: draw the edges of the cells.
+    ``marks`` are the cells that the legend always explains, besides those that the page shows: ``invalid`` ones, those
+    of ``absent`` values.
     """
 
     panels: tuple[Panel, ...]
-    title: str = ""
-    scale: Scale | None = None
-    legend: tuple[tuple[str, Colour], ...] = ()
+    title: str
+    scale: Scale
     marks: frozenset[str] = frozenset()
-    lines: bool = True
 
     @classmethod
     def of(cls, panels: Sequence[Panel], choice: Choice, title: str = "") -> Page:
         """Panels in the colours of all their values together."""
-        values = [each.facets.values for panel in panels for each in (panel.scene, panel.under) if each is not None]
-        return cls(tuple(panels), title, choice.scale(*values), lines=choice.lines)
+        scale = choice.scale(*(panel.scene.facets.values for panel in panels))
+        return cls(tuple(panels), title, scale)
 
     @property
     def explained(self) -> frozenset[str]:
         """Kinds of cells that the legend explains."""
         scenes = [panel.scene for panel in self.panels]
         invalid = {"invalid"} if any(scene.facets.bad.any() for scene in scenes) else set()
-        absent = {"absent"} if self.scale is not None and any(scene.absent for scene in scenes) else set()
+        absent = {"absent"} if any(scene.absent for scene in scenes) else set()
         return self.marks | invalid | absent
 
 
 def check_picture_path(path: Path) -> None:
     """Refuse an unknown suffix before anything is computed."""
-    if path.suffix.lower() in FILMS:
-        raise FormatError(f"{path} is a film; it needs a series: the folder that `meshdeform series` has written")
     if path.suffix.lower() not in SUFFIXES:
         raise FormatError(f"picture {path}: suffix {path.suffix!r} is unknown; expected {', '.join(SUFFIXES)}")
 
@@ -171,14 +159,14 @@ def _shares(page: Page) -> list[float]:
 def _size(page: Page, width: float) -> tuple[float, float]:
     """Width and height of the page in inches."""
     aspects = [panel.aspect for panel in page.panels]
-    side = 0.15 + (0.9 if page.scale else 0.1)
+    side = 1.05
     if _stacked(page):
         height = sum((width - side - 0.5) * min(aspect, 0.8) + 0.6 for aspect in aspects)
     else:
         shares = _shares(page)
         each = (width - side - 0.55 * len(aspects)) / sum(shares)
         height = max(each * share * aspect for share, aspect in zip(shares, aspects, strict=True)) + 0.8
-    below = 0.35 if page.legend or page.explained else 0.0
+    below = 0.35 if page.explained else 0.0
     return width, min(max(height, 2.2), 1.4 * width) + (0.3 if page.title else 0.0) + below
 
 
@@ -198,35 +186,29 @@ def _frames(figure: Figure, page: Page) -> list[Axes]:
             ax.set(xlabel=panel.scene.view.labels[0], ylabel=panel.scene.view.labels[1])
         else:
             ax.set_axis_off()
-    legend = list(page.legend)
-    if page.scale:
-        known = METRICS[page.scale.metric]
-        # Keeps the label shorter than the bar.
-        label = known.label if figure.get_figheight() > _HIGH else known.label.replace(" (", "\n(")
-        bar = figure.colorbar(page.scale.mappable, ax=axes, label=label, shrink=0.85, aspect=28, pad=0.015,
-                              extend=page.scale.extended)  # fmt: skip
-        bar.outline.set_linewidth(0.5)
-        legend += [(known.absent, NO_VALUE)] if "absent" in page.explained else []
+    known = METRICS[page.scale.metric]
+    # Keeps the label shorter than the bar.
+    label = known.label if figure.get_figheight() > _HIGH else known.label.replace(" (", "\n(")
+    bar = figure.colorbar(page.scale.mappable, ax=axes, label=label, shrink=0.85, aspect=28, pad=0.015,
+                          extend=page.scale.extended)  # fmt: skip
+    bar.outline.set_linewidth(0.5)
+    legend = [(known.absent, NO_VALUE)] if "absent" in page.explained else []
     legend += [("invalid cell", INVALID_COLOUR)] if "invalid" in page.explained else []
     if legend:
         entries = [Patch(facecolor=colour, edgecolor="0.3", linewidth=0.4, label=name) for name, colour in legend]
-        figure.legend(handles=entries, loc="outside lower center", ncols=min(len(entries), 5), frameon=False)
+        figure.legend(handles=entries, loc="outside lower center", ncols=len(entries), frameon=False)
     if page.title:
         figure.suptitle(page.title, fontsize=10.5, fontweight="bold")
     return axes
 
 
 def _fill_axes(ax: Axes, panel: Panel, page: Page, fine: int) -> None:
-    from matplotlib.collections import LineCollection, PolyCollection
+    from matplotlib.collections import PolyCollection
     from matplotlib.patches import Rectangle
 
     scene, view = panel.scene, panel.scene.view
-    image = None
-    for each in (panel.under, scene):
-        if each is not None:
-            width = max(64, round(ax.get_window_extent().width))
-            image = render(each, colours_of(each, page.scale), panel.window, width, fine, page.lines, image)
-    assert image is not None
+    width = max(64, round(ax.get_window_extent().width))
+    image = render(scene, colours_of(scene, page.scale), panel.window, width, fine)
     ax.imshow(image.pixels, extent=panel.window, interpolation="nearest", aspect="equal", zorder=1)
     if not scene.lit and scene.facets.bad.any():
         # Edges of invalid cells of a plane, which would otherwise be too thin to be seen.
@@ -238,17 +220,10 @@ def _fill_axes(ax: Axes, panel: Panel, page: Page, fine: int) -> None:
     ax.set(xlim=panel.window[:2], ylim=panel.window[2:], aspect="equal")
     ax.apply_aspect()
     if not view.flat:
-        _triad(ax, view, image, len(scene.facets))
-    if len(panel.arrows):
-        at, shift = view.project(panel.arrows[:, 0]), view.project(panel.arrows[:, 1])
-        ax.quiver(at[:, 0], at[:, 1], shift[:, 0], shift[:, 1], angles="xy", scale_units="xy", scale=1.0,
-                  width=0.0028, facecolor="white", edgecolor="black", linewidth=0.35, zorder=4)  # fmt: skip
+        _triad(ax, view)
     for frame in panel.frames:
         ax.add_patch(Rectangle((frame.left, frame.bottom), frame.width, frame.height, fill=False, linewidth=1.0,
                                edgecolor="#c03000", zorder=3))  # fmt: skip
-    for edges, colour in panel.strokes:
-        lines = list(view.project(edges)[..., :2])
-        ax.add_collection(LineCollection(lines, colors=[colour], linewidths=2.2, capstyle="round", zorder=3))
 
 
 def draw(
@@ -267,31 +242,14 @@ def draw(
     return scale.mappable
 
 
-def free_corner(item: np.ndarray, polygons: int, part: float) -> tuple[float, float]:
-    """The corner of a panel, in fractions of its width and height, that shows least apart from the backdrop.
-
-    ``item`` is that of the image of ``polygons`` and a backdrop; corners are squares whose side is the fraction
-    ``part`` of the width.
-    """
-    drawn = (item >= 0) & (item < polygons)
-    reach = max(1, min(round(part * drawn.shape[1]), *drawn.shape))
-    rows = {0.0: np.s_[-reach:], 1.0: np.s_[:reach]}
-    columns = {0.0: np.s_[:reach], 1.0: np.s_[-reach:]}
-    corners = ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0))
-    return min(corners, key=lambda corner: float(drawn[rows[corner[1]], columns[corner[0]]].mean()))
-
-
-def _triad(ax: Axes, view: View, image: Image, polygons: int) -> None:
-    """The directions of x, y and z in a free corner."""
+def _triad(ax: Axes, view: View) -> None:
+    """The directions of x, y and z in the lower left corner."""
     from matplotlib.patheffects import withStroke
 
     white = [withStroke(linewidth=2.0, foreground="white")]
     box, points = ax.get_window_extent(), 72 / ax.get_figure(root=True).dpi  # type: ignore[union-attr]
-    width, height = box.width * points, box.height * points
-    size = min(1.0, width / 260)
-    side = _CORNER * size
-    right, up = free_corner(image.item, polygons, side / width)
-    x, y = side / 2 + right * (width - side), side / 2 + up * (height - side)
+    size = min(1.0, box.width * points / 260)
+    x = y = _CORNER * size / 2
     for name, unit in zip("xyz", np.eye(3), strict=True):
         across, upwards, _ = view.project(unit) * size
         # Seen end-on, an axis would be a meaningless dot.

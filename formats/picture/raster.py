@@ -21,8 +21,6 @@ _LINE_COLOUR = np.array([0.10, 0.11, 0.14], dtype=np.float32)
 _PALE = (0.93, 0.94, 0.96)
 _LINE_STRENGTH = 0.62
 _AMBIENT = 0.55
-_OVER = 0.75
-"""Strength of a scene over another one that is seen through it."""
 # Grid lines: width as a fraction of the spacing of the lines, within limits (pixels), and the spacing below which they
 # fade and vanish, so that fine regions do not turn black.
 _WIDTH, _THINNEST, _THICKEST = 0.06, 0.9, 2.2
@@ -45,11 +43,10 @@ def render(
     width: int,
     fine: int = FINE,
     lines: bool = True,
-    under: Image | None = None,
 ) -> Image:
     """The image of a scene, ``width`` pixels wide, as high as the window asks for.
 
-    ``colours`` (n, 3) RGB, 0 to 1, of the polygons; ``under`` is seen through them, otherwise white around them.
+    ``colours`` (n, 3) RGB, 0 to 1, of the polygons, on white.
     """
     scale = fine * width / window.width
     height = max(1, round(width * window.height / window.width))
@@ -81,9 +78,7 @@ def render(
         mean, item = _drawn(some, shades[number], lined, reach[1] - reach[0], fine * width, fine)
         # The last number stands for pixels without a polygon.
         image.item[band] = np.append(number, -1)[item]
-        mean *= 1.0 if under is None else _OVER
-        behind = 255 if under is None else under.pixels[band, :, :3]
-        image.pixels[band, :, :3] = np.rint(255 * mean[..., :3] + (1 - mean[..., 3:]) * behind)
+        image.pixels[band, :, :3] = np.rint(255 * (mean[..., :3] + 1 - mean[..., 3:]))
     return image
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import fnmatch
 import math
 import re
 from collections.abc import Sequence
@@ -12,11 +11,9 @@ from functools import cached_property
 import numpy as np
 
 from meshdeform_core.errors import CaseError
-from meshdeform_core.grid import FloatArray
 from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.selection import select_quads
 from meshdeform_core.numerics.arrays import extent
-from meshdeform_core.wording import listed
 
 from .colours import Choice
 from .overview import Pair, overview, worst_cells
@@ -26,9 +23,6 @@ from .subject import Subject, quads_of_surfaces, worst_cell
 from .view import View, Window, along, iso, towards
 
 _IN_SPACE = r"([xyz])=([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)"
-_ARROWS = 20
-"""Number of arrows across a picture."""
-_GREY = (0.80, 0.81, 0.84)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,42 +36,34 @@ class PlotOptions:
 
     metric: str = "f_skew"
     plane: str | None = None
-    block: tuple[str, ...] = ()
     select: tuple[str, ...] = ()
     view: str = "auto"
     zoom: str | Sequence[float] | None = None
-    before: str | None = None
-    arrows: bool = False
     limits: str | Sequence[float] | None = None
     log: bool = False
-    lines: bool = True
     lead: str = ""
 
     def __post_init__(self) -> None:
         if self.plane and self.select:
             raise CaseError(f"{self.lead}plane and {self.lead}select exclude each other; give one of them")
-        if self.before not in (None, "side", "overlay"):
-            raise CaseError(f"{self.lead}before {self.before!r}: expected side or overlay")
         _ = self.choice, self.index_plane, self.direction, self.window
 
     @property
     def plain(self) -> bool:
         """Whether only the colouring is specified."""
-        return not (self.plane or self.block or self.select or self.zoom or self.before or self.arrows) and (
-            self.view == "auto"
-        )
+        return not (self.plane or self.select or self.zoom) and self.view == "auto"
 
     @cached_property
     def choice(self) -> Choice:
         """What colours the cells."""
         if self.limits is None:
-            return Choice(self.metric, None, self.log, self.lines)
+            return Choice(self.metric, None, self.log)
         # The command line has another name for it than Python, where `range` is a built-in function.
         name = f"{self.lead}range" if self.lead else "limits"
         low, high = _numbers(name, self.limits, "low,high", 2)
         if not low < high:
             raise CaseError(f"{name} {self.limits!r}: expected low < high")
-        return Choice(self.metric, (low, high), self.log, self.lines)
+        return Choice(self.metric, (low, high), self.log)
 
     @property
     def space_plane(self) -> tuple[str, float] | None:
@@ -89,7 +75,7 @@ class PlotOptions:
     def index_plane(self) -> tuple[int, int | None] | None:
         """Index axis and node (0-based, ``None``: the middle): ``k=3`` is (2, 2), ``k=mid`` (2, None)."""
         if self.plane is None or self.space_plane:
-            return (2, None) if self.block else None
+            return None
         match = re.fullmatch(r"([ijk])=(mid|[1-9]\d*)", self.plane)
         if not match:
             raise CaseError(
@@ -142,34 +128,20 @@ def _numbers(name: str, given: str | Sequence[float], expected: str, count: int)
 def picture(subject: Subject, options: PlotOptions, title: str = "") -> Page:
     """The page that options describe.
 
-    Raises CaseError when a plane does not meet the grid, a name matches nothing, or something needs the undeformed
-    grid.
+    Raises CaseError when a plane does not meet the grid, or a name matches nothing.
     """
     choice = options.choice
-    if (options.before or options.arrows) and subject.reference is None:
-        raise CaseError("before and after, and arrows, need the undeformed grid: give --reference")
     if options.plain:
         return overview(subject, choice, title)
     if options.close == "worst":
-        return _worst_page(subject, choice, title)
+        block, cell = worst_cell(subject, choice.metric)
+        page = worst_cells(Pair(subject.reference or subject.grid, subject.grid, subject.topology), block, cell, choice)
+        before, after = page.panels
+        after = dataclasses.replace(after, title=f"worst cell: {subject.grid.label(block, cell)}")
+        panels = (after,) if subject.reference is None else (before, after)
+        return dataclasses.replace(page, panels=panels, title=title)
     scene = _scene(subject, options)
-    scenes, old = [scene], None
-    if options.before or options.arrows:
-        # The undeformed grid, with itself as reference so that all metrics have a value.
-        old = _scene(dataclasses.replace(subject, grid=subject.reference or subject.grid), options)
-        old = dataclasses.replace(old, view=scene.view)
-        scenes.append(old)
-    panel = Panel(scene, _window(subject, options, scenes))
-    if old is not None and options.arrows:
-        panel = dataclasses.replace(panel, arrows=_arrows(old, panel))
-    panels = [panel]
-    if old is not None and options.before == "overlay":
-        panels = [dataclasses.replace(panel, under=dataclasses.replace(old, colour=_GREY))]
-    elif old is not None and options.before:
-        panels = [Panel(old, panel.window, "before"), dataclasses.replace(panel, title="after")]
-    return dataclasses.replace(
-        Page.of(panels, choice, title), scale=choice.scale(*(each.facets.values for each in scenes))
-    )
+    return Page.of([Panel(scene, _window(subject, options, scene))], choice, title)
 
 
 def _scene(subject: Subject, options: PlotOptions) -> Scene:
@@ -183,7 +155,7 @@ def _scene(subject: Subject, options: PlotOptions) -> Scene:
     elif options.space_plane is not None:
         scene = cut_scene(subject, _space_plane(subject, options), metric)
     elif options.index_plane is not None:
-        scene = index_scene(subject, *options.index_plane, metric, _blocks(subject.grid.names, options))
+        scene = index_scene(subject, *options.index_plane, metric)
     else:
         walls = subject.wall_surfaces
         scene = whole_scene(subject, metric) or surface_scene(
@@ -191,17 +163,6 @@ def _scene(subject: Subject, options: PlotOptions) -> Scene:
             None if walls else iso(),
         )  # fmt: skip
     return dataclasses.replace(scene, view=options.direction or scene.view)
-
-
-def _blocks(names: Sequence[str], options: PlotOptions) -> tuple[int, ...] | None:
-    """Numbers of the blocks whose names match the patterns; ``None`` means all."""
-    found: list[int] = []
-    for pattern in options.block:
-        matching = [n for n, name in enumerate(names) if fnmatch.fnmatchcase(name, pattern)]
-        if not matching:
-            raise CaseError(f"{options.lead}block {pattern!r} matches no block; blocks are {listed(names)}")
-        found += matching
-    return tuple(dict.fromkeys(found)) or None
 
 
 def _space_plane(subject: Subject, options: PlotOptions) -> Plane:
@@ -217,34 +178,11 @@ def _space_plane(subject: Subject, options: PlotOptions) -> Plane:
     return Plane(at * normal, normal)
 
 
-def _window(subject: Subject, options: PlotOptions, scenes: Sequence[Scene]) -> Window:
-    view = scenes[0].view
+def _window(subject: Subject, options: PlotOptions, scene: Scene) -> Window:
     if options.window:
         return options.window
     if options.close == "walls":
         if not subject.wall_surfaces:
             raise CaseError(f"{options.lead}zoom walls: no wall is known; see `meshdeform info`")
-        return view.window(subject.corners(subject.wall_surfaces), 0.3).shaped(0.4, 1.2)
-    corners = np.concatenate([scene.facets.corners.reshape(-1, 3) for scene in scenes])
-    return view.window(corners, 0.03).shaped(0.05, 1.4)
-
-
-def _worst_page(subject: Subject, choice: Choice, title: str) -> Page:
-    block, cell = worst_cell(subject, choice.metric)
-    page = worst_cells(Pair(subject.reference or subject.grid, subject.grid, subject.topology), block, cell, choice)
-    before, after = page.panels
-    after = dataclasses.replace(after, title=f"worst cell: {subject.grid.label(block, cell)}")
-    return dataclasses.replace(page, panels=(after,) if subject.reference is None else (before, after), title=title)
-
-
-def _arrows(old: Scene, new: Panel) -> FloatArray:
-    """Arrows (k, 2, 3), undeformed position and displacement, of polygons spread over the picture."""
-    if len(old.facets) != len(new.scene.facets):
-        raise CaseError("arrows need a plane of nodes, a surface or a flat grid; a cut in space has no cells in common")
-    start, end = old.facets.corners[:, 0], new.scene.facets.corners[:, 0]
-    window = new.window
-    at = old.view.project(start)[:, :2] - (window.left, window.bottom)
-    cell = np.floor(at / (window.width / _ARROWS)).astype(np.int64)
-    inside = np.flatnonzero(((at >= 0) & (at <= (window.width, window.height))).all(axis=1))
-    _, first = np.unique(cell[inside], axis=0, return_index=True)
-    return np.stack([start, end - start], axis=1)[inside[first]]
+        return scene.view.window(subject.corners(subject.wall_surfaces), 0.3).shaped(0.4, 1.2)
+    return scene.view.window(scene.facets.corners, 0.03).shaped(0.05, 1.4)

@@ -21,25 +21,23 @@ from .view import View, facing, spread, towards
 
 @dataclass(frozen=True)
 class Facets:
-    """Polygons: corners (n, m, 3), values (n,), whether each belongs to an invalid cell (n,), and its group.
+    """Polygons: corners (n, m, 3), values (n,), and whether each belongs to an invalid cell (n,).
 
-    Polygons with fewer than m corners repeat the last one. Groups are numbers of blocks or of surfaces.
+    Polygons with fewer than m corners repeat the last one.
     """
 
     corners: FloatArray
     values: FloatArray
     bad: BoolArray
-    group: IntArray
 
     @classmethod
-    def plain(cls, corners: FloatArray, group: int = 0) -> Facets:
+    def plain(cls, corners: FloatArray) -> Facets:
         """Polygons without values."""
-        n = len(corners)
-        return cls(corners, np.full(n, np.nan), np.zeros(n, dtype=bool), np.full(n, group))
+        return cls(corners, np.full(len(corners), np.nan), np.zeros(len(corners), dtype=bool))
 
     def where(self, mask: BoolArray) -> Facets:
         """Some of them."""
-        return Facets(self.corners[mask], self.values[mask], self.bad[mask], self.group[mask])
+        return Facets(self.corners[mask], self.values[mask], self.bad[mask])
 
     def __len__(self) -> int:
         return len(self.corners)
@@ -53,8 +51,8 @@ def stacked(parts: Sequence[FloatArray]) -> FloatArray:
 
 def joined(parts: Sequence[Facets]) -> Facets:
     """Several sets of polygons as one."""
-    rest = (np.concatenate([getattr(part, name) for part in parts]) for name in ("values", "bad", "group"))
-    return Facets(stacked([part.corners for part in parts]), *rest)
+    values, bad = np.concatenate([part.values for part in parts]), np.concatenate([part.bad for part in parts])
+    return Facets(stacked([part.corners for part in parts]), values, bad)
 
 
 def quads_of_layer(x: FloatArray) -> FloatArray:
@@ -62,30 +60,28 @@ def quads_of_layer(x: FloatArray) -> FloatArray:
     return np.stack([x[:-1, :-1], x[1:, :-1], x[1:, 1:], x[:-1, 1:]], axis=2).reshape(-1, 4, 3)
 
 
-def plane_facets(
-    subject: Subject, axis: int, index: int | None, metric: str, blocks: Sequence[int] | None = None
-) -> Facets:
-    """The cells at the index plane ``index`` (0-based node, ``None``: the middle) along ``axis`` of ``blocks``.
+def plane_facets(subject: Subject, axis: int, index: int | None, metric: str) -> Facets:
+    """The cells at the index plane ``index`` (0-based node, ``None``: the middle) along ``axis`` of all blocks.
 
     Blocks that do not extend to the index are omitted; a 2-D grid is drawn completely.
     """
-    planes = _node_planes(subject.grid, axis, index, blocks)
+    planes = _node_planes(subject.grid, axis, index)
     if not planes:
         longest = max(shape[axis] for shape in subject.grid.shapes)
         raise CaseError(f"no block has a node plane {'ijk'[axis]} = {(index or 0) + 1}; the largest is {longest}")
     return joined([block_facets(subject, *plane, metric) for plane in planes])
 
 
-def plane_outlines(subject: Subject, axis: int, index: int | None, blocks: Sequence[int] | None = None) -> FloatArray:
+def plane_outlines(subject: Subject, axis: int, index: int | None) -> FloatArray:
     """Edges (n, 2, 3) of the blocks in an index plane."""
-    layers = [_layer(subject.grid, *plane) for plane in _node_planes(subject.grid, axis, index, blocks)]
+    layers = [_layer(subject.grid, *plane) for plane in _node_planes(subject.grid, axis, index)]
     return np.concatenate([_outline(x, np.ones((x.shape[0] - 1, x.shape[1] - 1), dtype=bool)) for x in layers])
 
 
-def _node_planes(grid: Grid, axis: int, index: int | None, blocks: Sequence[int] | None) -> list[tuple[int, int, int]]:
+def _node_planes(grid: Grid, axis: int, index: int | None) -> list[tuple[int, int, int]]:
     """Block, axis and index of the planes of nodes of blocks."""
     found = []
-    for block in range(grid.n_blocks) if blocks is None else blocks:
+    for block in range(grid.n_blocks):
         shape = grid.shapes[block]
         along = shape.index(1) if grid.dimension == 2 else axis
         at = (shape[along] - 1) // 2 if index is None or grid.dimension == 2 else index
@@ -98,7 +94,7 @@ def block_facets(subject: Subject, block: int, axis: int, index: int, metric: st
     """The cells behind the node plane ``index`` (0-based) along ``axis`` of one block."""
     layer = min(index, subject.grid.cell_shapes[block][axis] - 1)
     quads = quads_of_layer(_layer(subject.grid, block, axis, index))
-    return _facets(subject, block, axis, layer, quads, metric, block)
+    return _facets(subject, block, axis, layer, quads, metric)
 
 
 def _layer(grid: Grid, block: int, axis: int, index: int) -> FloatArray:
@@ -107,7 +103,7 @@ def _layer(grid: Grid, block: int, axis: int, index: int) -> FloatArray:
     return grid.few(block, window).squeeze(axis=axis)
 
 
-def _facets(subject: Subject, block: int, axis: int, layer: int, quads: FloatArray, metric: str, group: int) -> Facets:
+def _facets(subject: Subject, block: int, axis: int, layer: int, quads: FloatArray, metric: str) -> Facets:
     """Quads (n, 4, 3) with the values of the cells of a layer of a block."""
     i, j, k = (slice(layer, layer + 1) if a == axis else whole for a, whole in enumerate(subject.whole(block)))
     cells = i, j, k
@@ -115,7 +111,7 @@ def _facets(subject: Subject, block: int, axis: int, layer: int, quads: FloatArr
         look = subject.of_all(lambda own: subject.shown(metric, block, own), block, cells) if metric else None
         bad = subject.of_all(lambda own: subject.bad(block, own), block, cells)
     values = np.full(len(quads), np.nan) if look is None else look.ravel()
-    return Facets(quads, values, bad.ravel(), np.full(len(quads), group))
+    return Facets(quads, values, bad.ravel())
 
 
 def surface_facets(subject: Subject, quads: IntArray, metric: str = "") -> Facets:
@@ -127,7 +123,7 @@ def surface_facets(subject: Subject, quads: IntArray, metric: str = "") -> Facet
         corners = quads_of_layer(subject.grid.points[side_nodes(subject.grid, block, side)])
         if metric:
             layer = side.layer(subject.grid.cell_shapes[block])
-            parts.append(_facets(subject, block, side.axis, layer, corners, metric, 0).where(local))
+            parts.append(_facets(subject, block, side.axis, layer, corners, metric).where(local))
         else:
             parts.append(Facets.plain(corners[local]))
     return joined(parts)
@@ -176,14 +172,14 @@ def _cut_block(subject: Subject, block: int, level: FloatArray, shift: float, me
     """The cells of this rank."""
     cells = subject.own(block, subject.whole(block))
     if cells[0].start == cells[0].stop:
-        return Facets.plain(np.empty((0, 6, 3)), block)
+        return Facets.plain(np.empty((0, 6, 3)))
     nodes = [slice(each.start, each.stop + 1) for each in cells]
     x, value = subject.grid.box(block, nodes), subject.grid.box(block, nodes, level)[..., 0] - shift
     corner = [np.s_[a : a - 1 or None, b : b - 1 or None, c : c - 1 or None] for a, b, c in np.ndindex(2, 2, 2)]
     above = np.sum([value[each] > 0 for each in corner], axis=0)
     at = np.nonzero((above > 0) & (above < 8))
     if at[0].size == 0:
-        return Facets.plain(np.empty((0, 6, 3)), block)
+        return Facets.plain(np.empty((0, 6, 3)))
     values = np.stack([value[each][at] for each in corner], axis=1)
     points = np.stack([x[each][at] for each in corner], axis=1)
     polygons = _polygons(points, values)
@@ -191,7 +187,6 @@ def _cut_block(subject: Subject, block: int, level: FloatArray, shift: float, me
         polygons,
         subject.shown(metric, block, cells)[at] if metric else np.full(len(polygons), np.nan),
         subject.bad(block, cells)[at],
-        np.full(len(polygons), block),
     )
 
 
@@ -255,7 +250,7 @@ class Scene:
     walls : (l, 2, 3) edges drawn stronger still
     lit : shade the polygons by their angle to the viewer
     backdrop : further polygons, for orientation: pale, not shaded
-    colour : RGB of all polygons; without it they have the colours of their values, or of their groups
+    colour : RGB of all polygons; without it they have the colours of their values
     """
 
     facets: Facets
@@ -292,12 +287,10 @@ def _plan(subject: Subject, facets: Facets, view: View, outlines: FloatArray) ->
     return Scene(facets, view, outlines, wall_edges(subject, Plane(facets.corners[0, 0], view.towards)))
 
 
-def index_scene(
-    subject: Subject, axis: int, index: int | None, metric: str, blocks: Sequence[int] | None = None
-) -> Scene:
+def index_scene(subject: Subject, axis: int, index: int | None, metric: str) -> Scene:
     """A plane of nodes, see :func:`plane_facets`."""
-    facets = plane_facets(subject, axis, index, metric, blocks)
-    view, outlines = spread(facets.corners), plane_outlines(subject, axis, index, blocks)
+    facets = plane_facets(subject, axis, index, metric)
+    view, outlines = spread(facets.corners), plane_outlines(subject, axis, index)
     return _plan(subject, facets, view, outlines) if view.flat else Scene(facets, view, outlines, lit=True)
 
 

@@ -56,13 +56,6 @@ class Window(NamedTuple):
         upwards = max(outer.bottom - self.bottom, 0.0) or min(outer.top - self.top, 0.0)
         return Window(self.left + across, self.right + across, self.bottom + upwards, self.top + upwards)
 
-    def joined(self, other: Window) -> Window:
-        """The smallest one that contains both."""
-        return Window(
-            min(self.left, other.left), max(self.right, other.right),
-            min(self.bottom, other.bottom), max(self.top, other.top),
-        )  # fmt: skip
-
 
 @dataclass(frozen=True)
 class View:

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
-from dataclasses import dataclass
-from importlib.resources import files
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 _MEASURES: tuple[tuple[str, tuple[str, ...], bool], ...] = (
@@ -53,39 +50,22 @@ DEFINITIONS = {
 }
 # Measures to which all cells contribute, so that they have no worst cell.
 _OF_ALL = ("harmonic_mean", "mean", "p01", "rms")
-_COUNTS = ("invalid_cells", "inherited_invalid_cells", "negative_volumes")
-_ALWAYS = ("f_skew", "volume_ratio")
-_SINCE = ("min_relative_jacobian", "walls")
 
 
-@dataclass(frozen=True)
-class MeasureRow:
-    """One measure: value before (``None`` if there is none) and after, the position of the worst as text, and whether
-    it compares with another grid."""
-
-    name: str
-    before: float | None
-    after: float
-    place: str
-    compared: bool = False
-
-    @property
-    def change(self) -> float | None:
-        """Difference from the value before, ``None`` without one; round-off counts as no change."""
-        if self.before is None:
-            return None
-        change = self.after - self.before
-        return change if abs(change) > 1e-13 * abs(self.before) else 0.0
-
-
-def measure_rows(quality: Mapping[str, Any]) -> list[MeasureRow]:
-    """Every measure that the ``quality`` of a report has."""
-    rows = []
+def measure_values(quality: Mapping[str, Any]) -> Iterator[tuple[str, bool, Any, Any, str]]:
+    """Every measure that the ``quality`` of a report has: its name, whether it compares with another grid, its values
+    before (``None`` if there is none) and after, and the position of the worst cell as text."""
     for name, keys, compared in _MEASURES:
         before, after = (_pick(quality[when], keys) for when in ("before", "after"))
         if after is not None:
-            rows.append(MeasureRow(name, before, after, _place_of_worst(quality["after"], keys), compared))
-    return rows
+            yield name, compared, before, after, _place_of_worst(quality["after"], keys)
+
+
+def change_of(before: float | None, after: float) -> float | None:
+    """Difference from the value before, ``None`` without one; round-off counts as no change."""
+    if before is None:
+        return None
+    return after - before if abs(after - before) > 1e-13 * abs(before) else 0.0
 
 
 def _pick(quality: Mapping[str, Any], keys: tuple[str, ...]) -> Any:
@@ -107,50 +87,3 @@ def _place_of_worst(quality: Mapping[str, Any], keys: tuple[str, ...]) -> str:
 def place_text(worst: Mapping[str, Any]) -> str:
     """Block and indices of a cell."""
     return f"{worst['block']} ({', '.join(map(str, worst['ijk']))})"
-
-
-def report_schema() -> dict[str, Any]:
-    """The schema (draft 2020-12) of the output of ``--report FILE.json``, as data."""
-    text = files(__package__).joinpath("report.schema.json").read_text(encoding="utf-8")
-    schema: dict[str, Any] = json.loads(text)
-    schema["$defs"]["quality"] = _quality_schema()
-    return schema
-
-
-def _quality_schema() -> dict[str, Any]:
-    """The JSON schema of the quality of one grid, from the table of measures."""
-    properties: dict[str, Any] = {}
-    of_walls: dict[str, Any] = {}
-    for _, keys, _ in _MEASURES:
-        into, keys = (of_walls, keys[2:]) if keys[0] == "walls" else (properties, keys)
-        if keys[0] not in into:
-            into[keys[0]] = _property(keys)
-    worst = {"type": "object", "additionalProperties": {"$ref": "#/$defs/place"}}
-    walls = {"type": "object", "properties": of_walls | {"worst": worst}, "additionalProperties": False}
-    told = "at moving walls and at fixed ones (by role: no far field); null where there are none"
-    either = {name: _or_null(walls) for name in ("moving", "fixed")}
-    properties["walls"] = {
-        "type": "object", "description": told, "properties": either, "additionalProperties": False
-    }  # fmt: skip
-    told = "the worst cell of each measure that is an extreme; with _min or _max where both ends matter"
-    return {
-        "type": "object",
-        "description": "Quality of one grid; null where there is no moving wall or no interface",
-        "properties": properties | {"worst": worst | {"description": told}},
-        "required": [key for key in properties if key not in _SINCE],
-        "additionalProperties": False,
-    }
-
-
-def _property(keys: tuple[str, ...]) -> dict[str, Any]:
-    kind: dict[str, Any]
-    if len(keys) == 1:
-        kind = {"type": "integer", "minimum": 0} if keys[0] in _COUNTS else {"type": "number"}
-    else:
-        kind = {"$ref": f"#/$defs/{'skew' if keys[0] == 'f_skew' else 'spread' if keys[1] == 'rms' else 'range'}"}
-        kind = kind if keys[0] in _ALWAYS else _or_null(kind)
-    return kind | ({"description": DEFINITIONS[keys[0]]} if keys[0] in DEFINITIONS else {})
-
-
-def _or_null(kind: dict[str, Any]) -> dict[str, Any]:
-    return {"anyOf": [kind, {"type": "null"}]}

@@ -29,7 +29,6 @@ from .tables import (
     levels_table,
     measures_table,
     number,
-    remedy_of,
     repair_lines,
     repair_sentence,
     shape_table,
@@ -48,15 +47,13 @@ _STAGES = {
     "repair": "repairing cells",
     "quality": "judging the cells",
     "write": "writing the grid",
-    "publish": "index and single file of the series",
+    "publish": "index of the series",
     "other": "everything else (start, checksums)",
 }
 _SHOWN = 12
 """Groups of invalid cells, cells and levels that the page lists."""
-_TOGETHER = 200
-"""Above this number of blocks they are grouped by the families of their patches."""
-_LISTED = 100
-"""Blocks of a group that are listed."""
+_LISTED = 200
+"""Blocks that are listed."""
 
 # Colours of the page's style sheet, which stand for these in the drawing.
 _INK, _LINE, _BEFORE, _AFTER, _BAD = "#010101", "#020202", "#030303", "#040404", "#050505"
@@ -115,42 +112,15 @@ def as_html(
         title=f"Series of {len(report['levels'])} levels: {name}" if series else title,
         about=f"{kind}{grid['dimension']}-D, {blocks}, {grid['nodes']:,} nodes, {cells}",
         verdict=_verdict_banner(report),
-        tiles=_level_tiles(report) if series else _tiles(report),
         sections=[section for section in sections if section.parts],
         style=style,
         script=script,
     )
 
 
-def _tiles(report: Report) -> list[tuple[str, str]]:
-    before, after = (report["quality"][when]["f_skew"] for when in ("before", "after"))
-    if "method" not in report:
-        return [("f_skew minimum", f"{after['min']:.4f}"), ("f_skew mean", f"{after['mean']:.4f}")]
-    return [
-        ("f_skew minimum", f"{before['min']:.3f} → {after['min']:.3f}"),
-        ("f_skew mean", f"{before['mean']:.3f} → {after['mean']:.3f}"),
-        ("largest displacement", f"{report['boundary']['max_displacement']:.5g}"),
-        ("method, steps", f"{report['method']['name']}, {report['steps']}"),
-        ("seconds", f"{report['timing']['total']:.2f}"),
-    ]
-
-
-def _level_tiles(report: Report) -> list[tuple[str, str]]:
-    """Worst over all levels."""
-    levels = report["levels"]
-    worst = min(levels, key=lambda level: level["quality"]["f_skew"]["min"])
-    return [
-        ("levels", f"{len(levels)}, t = {levels[0]['time']:g} to {levels[-1]['time']:g}"),
-        ("smallest f_skew", f"{worst['quality']['f_skew']['min']:.4f} (level {worst['number']})"),
-        ("largest displacement", f"{report['boundary']['max_displacement']:.5g}"),
-        ("method", report["method"]["name"]),
-        ("seconds", f"{report['timing']['total']:.2f}"),
-    ]
-
-
 def _verdict_banner(report: Report) -> dict[str, Any]:
-    """Whether the grid is usable; if not, where and why not, and what to do (advice is HTML)."""
-    found: dict[str, Any] = {"how": "", "places": [], "blocks": "", "advice": []}
+    """Whether the grid is usable; if not, where and why not."""
+    found: dict[str, Any] = {"how": "", "places": [], "blocks": ""}
     if report["valid"]:
         headline = f"All {len(report['levels'])} levels are valid." if "levels" in report else "The grid is valid."
         if "levels" not in report and (old := report["quality"]["after"]["inherited_invalid_cells"]):
@@ -162,7 +132,6 @@ def _verdict_banner(report: Report) -> dict[str, Any]:
         return found | {
             "headline": f"{len(bad)} of {len(report['levels'])} levels are not valid.",
             "places": [*map(_bad_level, bad[:_SHOWN]), *more],
-            "advice": ["<code>--steps auto</code>, <code>--from last</code>, or another method."],
         }
     groups, reached = report["invalid_groups"], report.get("reached", 1.0)
     count = report["quality"]["after"]["invalid_cells"]
@@ -176,7 +145,6 @@ def _verdict_banner(report: Report) -> dict[str, Any]:
         "headline": headline,
         "places": [*map(_group, groups[:_SHOWN]), *more],
         "blocks": blocks + (" and more" if len(hit) > _SHOWN else "") if len(hit) > 1 and reached == 1.0 else "",
-        "advice": _advice(report),
     }
 
 
@@ -194,25 +162,6 @@ def _group(group: Report) -> str:
     return (
         f"{counted(group['cells'], 'cell')}{near} in {blocks}, around x, y, z = {at}; the worst is {place_text(group)}"
     )
-
-
-def _advice(report: Report) -> list[str]:
-    """Advice, in order of effort."""
-    if "method" not in report:
-        return [
-            "Deform the original again with <code>--repair auto</code>, or with another method "
-            "(<code>meshdeform methods</code>)."
-        ]
-    advice = []
-    repaired = any(attempt["repair"] for attempt in report.get("attempts") or ())
-    if not repaired:
-        advice.append("Repair invalid cells and halve the motion as needed: <code>--repair auto</code>.")
-    if not repaired and report["steps"] == 1 and report.get("reached", 1.0) == 1.0:
-        advice.append("Impose the motion in as many steps as a valid grid requires: <code>--steps auto</code>.")
-    holds = "" if report["method"]["name"] == "idw-tfi" else "<code>-m idw-tfi</code> keeps walls under rotation; "
-    advice.append(f"Try another method: {holds}<code>meshdeform methods</code> lists the limits of each.")
-    advice.append("Let nodes slide on nearby planes that need not be fixed: <code>kind = &quot;slip&quot;</code>.")
-    return advice
 
 
 def _levels_section(report: Report, thumbnails: Sequence[tuple[Figure, str]], folder: str) -> Iterator[Section]:
@@ -261,8 +210,7 @@ def _common_sections(report: Report) -> Iterator[Section]:
     yield Section("shape", "Shape of cells", [shape_table(report)] if report.get("shape") else [])
     yield Section("attempts", "Attempts", list(_attempts(report)))
     yield Section("blocks", "Blocks", list(_blocks(report.get("blocks") or ())))
-    warnings = [(warning, remedy_of(warning)) for warning in report["warnings"]]
-    yield Section("warnings", "Warnings", [{"warnings": warnings}] if warnings else [])
+    yield Section("warnings", "Warnings", [{"warnings": report["warnings"]}] if report["warnings"] else [])
     yield Section("boundary", "Boundary and motion", list(_boundary_tables(report)))
     if "method" in report:
         rows = [
@@ -299,29 +247,10 @@ def _attempts(report: Report) -> Iterator[Any]:
 
 
 def _blocks(blocks: Sequence[Report]) -> Iterator[Any]:
-    """Every block, or groups of them that unfold."""
+    """The blocks, the worst first."""
     blocks = sorted(blocks, key=lambda block: block["after"]["f_skew_min"])
-    if 0 < len(blocks) <= _TOGETHER:
-        yield _block_table(f"{len(blocks)} blocks, the one with the worst cell first", blocks)
-    if len(blocks) <= _TOGETHER:
+    if not blocks:
         return
-    yield f"{len(blocks):,} blocks by the families on them, the worst first"
-    groups: dict[str, list[Report]] = {}
-    for block in blocks:
-        groups.setdefault(", ".join(block["families"]) or "no family", []).append(block)
-    for name, members in groups.items():
-        cells, invalid = (sum(block[key] for block in members) for key in ("cells", "invalid_cells"))
-        summary = (
-            f"{name}: {counted(len(members), 'block')}, {counted(cells, 'cell')}, {invalid:,} invalid; "
-            f"f_skew min {number(members[0]['after']['f_skew_min'])}"
-        )
-        rest = len(members) - _LISTED
-        more = f"; {counted(rest, 'more is', 'more are')} in the report as JSON" if rest > 0 else ""
-        table = _block_table(f"The one with the worst cell first{more}", members[:_LISTED])
-        yield {"summary": summary, "tables": [table]}
-
-
-def _block_table(caption: str, blocks: Sequence[Report]) -> Table:
     heads = ("block", "cells", "invalid", "f_skew min", "before", "f_skew mean", "before", "scaled Jacobian min")
     rows = [
         (
@@ -329,9 +258,12 @@ def _block_table(caption: str, blocks: Sequence[Report]) -> Table:
             *(block[when][key] for key in ("f_skew_min", "f_skew_mean") for when in ("after", "before")),
             block["after"]["min_scaled_jacobian"],
         )
-        for block in blocks
+        for block in blocks[:_LISTED]
     ]  # fmt: skip
-    return Table(caption, heads, rows, flagged=[n for n, row in enumerate(rows) if row[2]], sortable=True)
+    rest = len(blocks) - _LISTED
+    more = f"; {counted(rest, 'more is', 'more are')} in the report as JSON" if rest > 0 else ""
+    caption = f"{len(blocks):,} blocks, the one with the worst cell first{more}"
+    yield Table(caption, heads, rows, flagged=[n for n, row in enumerate(rows) if row[2]], sortable=True)
 
 
 def _boundary_tables(report: Report) -> Iterator[Any]:

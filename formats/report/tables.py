@@ -1,4 +1,4 @@
-"""What reports in several forms have in common: tables, sentences on repairs, advice on warnings, pictures."""
+"""What reports in several forms have in common: tables, sentences on repairs, pictures."""
 
 from __future__ import annotations
 
@@ -10,52 +10,12 @@ from urllib.parse import quote
 
 from meshdeform_core.wording import counted
 
-from .measures import measure_rows, place_text
+from .measures import change_of, measure_values, place_text
 from .records import Report
 
 ACCELERATION = "largest acceleration of a node, in the largest step of the walls; 2 where they turn back"
 _LAYERS = (("first cell", "first_cell_height_ratio"), ("first cells together", "layer_thickness_ratio"))
 _WEAK = "weak: sheared by more than 45 degrees, or twice or half as long in one direction"
-REMEDIES = (
-    (
-        "not selected by any boundary entry; they are fixed",
-        "If some of them are planes on which nodes should slide, add a boundary entry for them with "
-        'kind = "slip" or "symmetry"; if they are the far field, no action is needed.',
-    ),
-    (
-        "the grid is one cell thick",
-        "No action is needed if this is a two-dimensional case; otherwise add a boundary entry for the end planes.",
-    ),
-    (
-        "nothing moves",
-        "Check the motion in the case: a formula that is zero at this time (--time), a table with zero "
-        "displacements, or an angle of 0.",
-    ),
-    (
-        "of the motion was imposed; a further step",
-        "The report's invalid cells are those of the next step. Another method, a slip plane instead of a fixed one, "
-        "or more space beside the wall allows a larger motion.",
-    ),
-    (
-        "out of a slip or symmetry plane",
-        "Give the plane itself a motion, or check the axis and the components of the motion.",
-    ),
-    (
-        "face quads are shared by more than two blocks",
-        "Such faces cannot be interfaces; check the grid generator's export for duplicate blocks.",
-    ),
-    (
-        "node pairs do not coincide",
-        "If the gap is round-off of the file, raise grid.tolerance (a fraction of the local edge); otherwise the "
-        "connection in the file is wrong.",
-    ),
-    (
-        "but no connection declares them",
-        "No action is needed if the blocks belong together. For a thin plate whose two sides coincide, name one "
-        "side in the case: [grid] plates.",
-    ),
-)
-"""Words of warnings that do not say what to do, and what to do."""
 
 
 @dataclass(frozen=True)
@@ -99,13 +59,17 @@ def is_alone(report: Report) -> bool:
 
 def measures_table(report: Report, change: bool = False) -> Table:
     """All measures with the position of the worst cell."""
-    alone = is_alone(report)
-    found = [row for row in measure_rows(report["quality"]) if not (alone and row.compared)]
-    values = ("value",) if alone else ("before", "after", *(("change",) if change else ()))
-    rows = [(row.name, *(getattr(row, "after" if alone else key) for key in values), row.place) for row in found]
-    flagged = [n for n, row in enumerate(found) if row.name == "invalid cells" and row.after]
+    alone, rows, flagged = is_alone(report), list[tuple[Any, ...]](), list[int]()
+    for name, compared, before, after, place in measure_values(report["quality"]):
+        if alone and compared:
+            continue
+        if name == "invalid cells" and after:
+            flagged.append(len(rows))
+        values = [after] if alone else [before, after, *([change_of(before, after)] if change else [])]
+        rows.append((name, *values, place))
+    heads = ("value",) if alone else ("before", "after", *(("change",) if change else ()))
     caption = "Quality measures; f_skew is Knupp's skew measure: 1 orthogonal, 0 invalid"
-    return Table(caption, ("measure", *values, "worst at"), rows, (0, len(values) + 1), flagged)
+    return Table(caption, ("measure", *heads, "worst at"), rows, (0, len(heads) + 1), flagged)
 
 
 def shape_table(report: Report) -> Table:
@@ -238,11 +202,6 @@ def _layer_text(name: str, change: Report) -> str:
     return (
         f"{change['changed']:,} {walls} changed by more than 1% there (height over that by the method alone: {heights})"
     )
-
-
-def remedy_of(warning: str) -> str:
-    """Advice for a warning; empty if the warning itself contains it."""
-    return next((advice for words, advice in REMEDIES if words in warning), "")
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Reports as plain text, and as GitHub-flavoured Markdown that is short enough for the summary of a CI run."""
+"""Reports as plain text."""
 
 from __future__ import annotations
 
@@ -11,25 +11,18 @@ from .measures import place_text
 from .records import Report
 from .tables import (
     ACCELERATION,
-    Table,
     acceleration_of,
     component_verdict,
-    components_table,
     is_alone,
-    levels_table,
     measures_table,
     number,
-    remedy_of,
     repair_lines,
-    repair_sentence,
     repaired,
     shape_table,
 )
 
 _LISTED = 20
 _ALONG = 0.9994
-_GROUPS = 10
-"""Groups of invalid cells that the Markdown lists."""
 _ORIGINS = {"reference": "undeformed grid", "last": "previous level (marching)"}
 _SHAPE_NAMES = {
     "non_orthogonality_deg": "largest non-orthogonality [deg]",
@@ -209,70 +202,3 @@ def _level_lines(report: Report) -> Iterator[str]:
             f"drift     {series['drift']['max']:.3g} at most, {series['drift']['rms']:.3g} rms: distance of the last "
             f"level from the grid made from the undeformed one"
         )
-
-
-def as_markdown(report: Report) -> str:
-    """Verdict, measures or levels, warnings, command."""
-    return "\n".join(_markdown(report)) + "\n"
-
-
-def _markdown(report: Report) -> Iterator[str]:
-    grid = report["grid"]
-    yield f"## {'✅' if report['valid'] else '❌'} {_escaped(grid['file'] or 'grid')}: {_headline(report)}"
-    yield ""
-    if done := repair_sentence(report):
-        yield f"**Repair:** {_escaped(done)}."
-        yield ""
-    yield f"{grid['dimension']}-D, {counted(grid['blocks'], 'block')}, {grid['nodes']:,} nodes, {grid['cells']:,} cells"
-    if report.get("components"):
-        yield from _markdown_table(components_table(report))
-    if "levels" in report:
-        yield from _markdown_table(levels_table(report))
-    else:
-        if report["invalid_groups"]:
-            yield from _markdown_table(_groups_table(report))
-        yield from _markdown_table(measures_table(report))
-    if report["warnings"]:
-        yield from ("", "### Warnings", "")
-        for warning in report["warnings"]:
-            advice = remedy_of(warning)
-            yield f"- {_escaped(warning)}{f'<br>{_escaped(advice)}' if advice else ''}"
-    if report.get("run"):
-        yield from ("", "```sh", report["run"]["command"], "```")
-    if "timing" in report:
-        yield from ("", f"{report['timing']['total']:.1f} s, meshdeform {report['meshdeform']}")
-
-
-def _headline(report: Report) -> str:
-    if report["valid"]:
-        return "valid"
-    if "levels" in report:
-        bad = sum(not level["valid"] for level in report["levels"])
-        return f"{bad} of {len(report['levels'])} levels are not valid"
-    if report.get("reached", 1.0) < 1.0:
-        return f"only {report['reached']:.1%} of the motion imposed"
-    return f"{report['quality']['after']['invalid_cells']:,} cells became invalid"
-
-
-def _groups_table(report: Report) -> Table:
-    rows = [
-        (group["cells"], ", ".join(group["blocks"][:4]), group["nearest_patch"],
-         " ".join(f"{x:.4g}" for x in group["center"]), f"{group['block']} {tuple(group['ijk'])}")
-        for group in report["invalid_groups"][:_GROUPS]
-    ]  # fmt: skip
-    return Table("", ("invalid cells", "blocks", "near", "around", "worst"), rows, range(5))
-
-
-def _markdown_table(table: Table) -> Iterator[str]:
-    yield ""
-    yield f"| {' | '.join(table.heads)} |"
-    yield f"|{'|'.join('---' if n in table.texts else '---:' for n in range(len(table.heads)))}|"
-    for row in table.rows:
-        yield f"| {' | '.join(_escaped(number(cell)) for cell in row)} |"
-
-
-def _escaped(text: str) -> str:
-    """Text escaped for Markdown."""
-    for sign in "\\`*_|<>":
-        text = text.replace(sign, f"\\{sign}")
-    return text

@@ -1,4 +1,4 @@
-"""Writing reports as JSON, text, Markdown or HTML; their provenance."""
+"""Writing reports as JSON, text or HTML; their provenance."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from ..text import json_text
 from .records import Report
 from .tables import Illustrate, Illustrations
 
-SUFFIXES = (".json", ".txt", ".html", ".md")
+SUFFIXES = (".json", ".txt", ".html")
 _LIBRARIES = ("numpy", "scipy", "numba")
 
 
 def write_report(report: Report, path: Path, illustrate: Illustrate = Illustrations) -> None:
-    """Write a report; the suffix selects json, txt, html or md. Pictures are made only for HTML.
+    """Write a report; the suffix selects json, txt or html. Pictures are made only for HTML.
 
     Raises FormatError for another suffix, or when the file cannot be written.
     """
@@ -43,10 +43,6 @@ def _render(report: Report, path: Path, illustrate: Illustrate) -> str:
         from .text import as_text
 
         return as_text(report)
-    if path.suffix == ".md":
-        from .text import as_markdown
-
-        return as_markdown(report)
     from .page import as_html
 
     pictures = illustrate()

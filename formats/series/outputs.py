@@ -1,4 +1,4 @@
-"""The files of a series: what they have in common, and one grid file per level with an index for ParaView.
+"""The files of a series: one grid file per level with an index for ParaView, or an OpenFOAM case.
 
 ======================  ========================  ==============================================
 levels                  index                     read by
@@ -15,7 +15,7 @@ import abc
 import dataclasses
 import json
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -27,12 +27,15 @@ from meshdeform_core.velocity import FLUX, SWEPT
 from ..fields import WITH_FIELDS
 from ..files import invalid_path, remove_partial, replacing
 from ..grids import FORMATS, format_of, read_grid, variant_of, write_grid
+from ..openfoam.case import POLY_MESH, mesh_files, replaced_mesh
+from ..openfoam.format import MeshWriter
 from ..placing import bytes_at, least_bytes, velocity_bytes
 from ..plot3d.variant import Variant
 
 VELOCITY = "GridVelocity"
 _WITH_FACES = (*FORMATS["vtk"].suffixes, *FORMATS["cgns"].suffixes)
 _COLLECTION = (".vts", ".vtm", ".vtu")
+_LONGEST = 17
 _SERIES = (".vtk", *FORMATS["cgns"].suffixes)
 
 
@@ -86,31 +89,26 @@ class SeriesFiles(abc.ABC):
     @property
     def outputs(self) -> list[Path]:
         """All files of the complete series."""
-        levels = [self.stored(self.path(number)) for number in range(len(self.times))]
-        return list(dict.fromkeys([*levels, *([self.view] if self.view else [])]))
+        return [*map(self.file, range(len(self.times))), *([self.view] if self.view else [])]
 
     @property
     def replaced(self) -> list[Path]:
         """All files that may be written or removed, for checks before anything is computed."""
         both = [self.stored(path) for number in range(len(self.times)) for path in self.names(number)]
-        return list(dict.fromkeys([*both, *([self.view] if self.view else [])]))
+        return [*both, *([self.view] if self.view else [])]
 
     @property
     def readable(self) -> bool:
-        """Whether the files that :meth:`read` needs exist, including after completion of the series."""
+        """Whether levels can be read back."""
         return True
 
-    def kept(self, number: int) -> Path:
-        """The file with the data of a level from which an interrupted series continues."""
-        return self.stored(self.path(number))
-
-    def finished(self, number: int) -> Path:
-        """The file with the data of a level when the series is complete."""
+    def file(self, number: int) -> Path:
+        """The file with the coordinates of a level."""
         return self.stored(self.path(number))
 
     def has(self, number: int) -> bool:
         """Whether a level has been written."""
-        return self.kept(number).is_file()
+        return self.file(number).is_file()
 
     def recall(self, records: Sequence[Mapping[str, Any]]) -> None:
         """Take over the names of levels that an earlier run has written, from their records in the report."""
@@ -124,8 +122,8 @@ class SeriesFiles(abc.ABC):
     def publish(self, done: int) -> None:  # noqa: B027 (not every format has an index)
         """Make the first ``done`` levels visible to other programs; on all ranks."""
 
-    def clean(self, complete: bool = False) -> None:
-        """Remove remains of a killed run and, when the series is complete, files that are no longer needed."""
+    def clean(self) -> None:
+        """Remove remains of a killed run."""
         remove_partial(self.folder)
 
 
@@ -140,11 +138,6 @@ def with_velocity(grid: Grid, velocity: FloatArray | None, faces: Sequence[Field
     new = [Field(VELOCITY, "node", b, grid.spread(each, grid.shapes[b][0])) for b, each in enumerate(own)]
     kept = (field for field in grid.fields if field.name not in (VELOCITY, SWEPT, FLUX))
     return dataclasses.replace(grid, fields=(*kept, *new, *faces))
-
-
-def level_name(stem: str, number: int, count: int, suffix: str) -> str:
-    """``wing_0007.vtm``: enough digits for all levels, at least four."""
-    return f"{stem}_{number:0{max(4, len(str(count - 1)))}d}{suffix}"
 
 
 class LevelFiles(SeriesFiles):
@@ -170,7 +163,8 @@ class LevelFiles(SeriesFiles):
         self.view = index_path(folder, self.plain.stem, self.suffix)
 
     def names(self, number: int) -> tuple[Path, Path]:
-        plain = self.folder / level_name(self.plain.stem, number, len(self.times), self.suffix)
+        digits = max(4, len(str(len(self.times) - 1)))
+        plain = self.folder / f"{self.plain.stem}_{number:0{digits}d}{self.suffix}"
         return plain, invalid_path(plain)
 
     def write(self, number: int, grid: Grid, velocity: FloatArray | None, faces: Sequence[Field] = ()) -> None:
@@ -214,8 +208,8 @@ class LevelFiles(SeriesFiles):
             levels = [(self.times[number], self.path(number).name) for number in range(done)]
             self.grid.nodes.on_first(partial(write_index, self.view, levels, self.variant))
 
-    def clean(self, complete: bool = False) -> None:
-        super().clean(complete)
+    def clean(self) -> None:
+        super().clean()
         for number in range(len(self.times)):
             for path in self.names(number):
                 self._remove_lone_pieces(path)
@@ -232,6 +226,76 @@ class LevelFiles(SeriesFiles):
             for piece in folder.glob(f"{index.stem}_*.vts"):
                 piece.unlink()
             folder.rmdir()
+
+
+class FoamFiles(SeriesFiles):
+    """``NAME.foam``, ``constant/polyMesh`` and ``TIME/polyMesh/points``, as OpenFOAM's moving meshes have them.
+
+    Levels with invalid cells are in ``TIME.invalid``, which OpenFOAM does not take for a time. OpenFOAM and ParaView
+    find the times by their folders.
+
+    Raises FormatError when velocities are requested, or two times cannot be told apart by their names.
+    """
+
+    def __init__(
+        self, grid: Grid, folder: Path, name: str, times: tuple[float, ...], options: Mapping[str, Any], velocity: str
+    ):
+        if velocity != "none":
+            raise FormatError("OpenFOAM finds the grid velocity from the points; omit --velocity")
+        self.time_names = _time_names(times)
+        super().__init__(grid, folder, name, times, options, velocity)
+        self.view = self.plain
+        self._begun = False
+
+    @cached_property
+    def _writer(self) -> MeshWriter:
+        return MeshWriter(self.grid, self.variant)
+
+    def names(self, number: int) -> tuple[Path, Path]:
+        return self.folder / self.time_names[number], self.folder / f"{self.time_names[number]}.invalid"
+
+    def stored(self, path: Path) -> Path:
+        return path / "polyMesh" / "points"
+
+    def write(self, number: int, grid: Grid, velocity: FloatArray | None, faces: Sequence[Field] = ()) -> None:
+        grid.nodes.require_whole("levels are written for OpenFOAM")
+        if not self._begun:
+            with replaced_mesh(self.plain) as folder:
+                self._writer.write(folder, self.grid)
+            self._begun = True
+        target = self.stored(self.path(number))
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(target) as partial:
+            self._writer.write_points(partial, grid, f"{self.time_names[number]}/polyMesh")
+        # Remove the level of an earlier run with the other verdict, which could be mistaken for this one, and its
+        # folder unless something else is in it.
+        other = self.names(number)[number not in self.invalid]
+        self.stored(other).unlink(missing_ok=True)
+        for empty in (other / "polyMesh", other):
+            if empty.is_dir() and not any(empty.iterdir()):
+                empty.rmdir()
+
+    def read(self, number: int) -> FloatArray:
+        return self._writer.read_points(self.stored(self.path(number)))
+
+    def has(self, number: int) -> bool:
+        return super().has(number) and len(mesh_files(self.plain)) > 0
+
+    def clean(self) -> None:
+        super().clean()
+        remove_partial(self.folder / POLY_MESH)
+        for number in range(len(self.time_names)):
+            for folder in self.names(number):
+                remove_partial(folder / "polyMesh")
+
+
+def _time_names(times: Sequence[float]) -> list[str]:
+    """Distinct names of the times with as few digits as possible, at least the six that OpenFOAM writes."""
+    for digits in range(6, _LONGEST + 1):
+        names = [f"{time:.{digits}g}" for time in times]
+        if len(set(names)) == len(names):
+            return names
+    raise FormatError("two times of the series are equal; expected different ones")
 
 
 def index_path(folder: Path, stem: str, suffix: str) -> Path | None:

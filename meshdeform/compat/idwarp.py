@@ -10,7 +10,9 @@ are honoured, mapped or refused. Nothing is fixed: outside nodes on neither surf
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import warnings
+from collections.abc import Callable, Mapping
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -18,13 +20,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from meshdeform_core.errors import CaseError, MotionError
+from meshdeform_core.errors import CaseError, GridError, MotionError
 from meshdeform_core.grid import FloatArray, IntArray
+from meshdeform_core.parallel import Ranks, sharing
+from meshdeform_core.wording import vector
 
-from ..grid import read
+from ..grid import read, wrapped, write
+from ..pieces import gathered, share_of, summed
+from ..session import one_at_a_time, ranks_of_comm
+from .component import Component, Zones
 from .options import Options
-from .surface import Definition
-from .warp import Warp, grid_of, ranks_of
+from .surface import Definition, match, require_found, rows_of_file, rows_of_freedoms
 
 if TYPE_CHECKING:
     from mpi4py.MPI import Comm
@@ -33,11 +39,41 @@ __all__ = ["MultiUSMesh", "USMesh"]
 
 
 class _Interface:
-    """Interface common to both kinds of mesh. All calls are collective."""
+    """Interface common to both kinds of mesh. All calls are collective.
 
-    _warp: Warp
-    _comm: Comm | None
-    _file: str
+    Every rank holds the whole grid, as the solver may ask for any of its nodes; the first rank deforms it, on all cores
+    of its machine.
+
+    Parameters
+    ----------
+    groups : gives, by the names of the zones, those (numbers from 0) that move together, with their options
+    """
+
+    def __init__(
+        self, file: str, kind: str, comm: Comm | None,
+        groups: Callable[[tuple[str, ...]], list[tuple[IntArray, Options]]],
+    ):  # fmt: skip
+        if comm is None and find_spec("mpi4py"):
+            from mpi4py import MPI
+
+            comm = MPI.COMM_WORLD
+        # A process alone needs no mpi4py.
+        self._comm = None if comm is None or comm.size == 1 else comm
+        self._ranks: Ranks = ranks_of_comm(self._comm)
+        self._file = file
+        with one_at_a_time(), sharing(Ranks(self._ranks.cores), None):
+            grid = read(file).core
+            found = grid.format.name if grid.format else ""
+            if found != kind.lower():
+                raise CaseError(f"{file}: found a file of type {found}; fileType is {kind!r}")
+            if grid.dimension != 3:
+                raise GridError(f"{file}: a plane grid; expected one in space, at least one cell thick")
+            self._zones = [Zones(grid, zones, options) for zones, options in groups(grid.names)]
+        self._grid, self._points = grid, grid.points
+        self._freedoms: IntArray | None = None
+        self._components: list[Component] = []
+        self._surface = self._start = self._gradient = np.empty((0, 3))
+        self._still: IntArray = np.empty(0, dtype=np.int64)
 
     def setExternalMeshIndices(self, ind: ArrayLike) -> None:
         """The degrees of freedom (3 n,) that the solver holds on this rank.
@@ -45,50 +81,127 @@ class _Interface:
         The number of a node is zone offset + (k - 1) ni nj + (j - 1) ni + (i - 1), with zones in the order of the file;
         its x, y, z have three times that number plus 0, 1, 2. Nodes may repeat.
         """
-        self._warp.set_solver_nodes(ind)
+        self._freedoms = rows_of_freedoms(self._grid, ind)
 
     def setSurfaceDefinitionFromFile(self, surfFile: str) -> None:
         """The surface from a Plot3D file with a block for each patch; the first rank holds its points."""
         points, faces = _surface_file(surfFile)
-        own = slice(None) if self._rank == 0 else slice(0)
-        flat = faces[own]
-        self._warp.define(Definition.of(points[own], flat, np.full(len(flat), 4), None))
+        own = slice(None) if self._ranks.number == 0 else slice(0)
+        self._define(Definition.of(points[own], faces[own], np.full(len(faces[own]), 4), None))
 
     def setSurfaceFromFile(self, surfFile: str) -> None:
         """New surface coordinates from a file like that of :meth:`setSurfaceDefinitionFromFile`."""
         points = _surface_file(surfFile)[0]
-        self._warp.set_surface(points if self._rank == 0 else points[:0])
+        self.setSurfaceCoordinates(points if self._ranks.number == 0 else points[:0])
 
     def getSurfaceCoordinates(self) -> FloatArray:
         """This rank's points (n, 3), exactly as they were set."""
-        return self._warp.surface
+        if not self._components:
+            # The families that the options select; their nodes are divided among the ranks.
+            found, points, count = [], [], 0
+            for zones in self._zones:
+                quads = zones.wall_quads()
+                nodes = np.unique(zones.topology.quads.corners[quads])
+                found.append((quads, (count + np.arange(len(nodes)), nodes)))
+                points.append(zones.grid.points[zones.topology.first[nodes]])
+                count += len(nodes)
+            self._begin(np.concatenate(points)[share_of(count, self._ranks)], found)
+        return self._surface.copy()
 
     def setSurfaceCoordinates(self, coordinates: ArrayLike) -> None:
         """Set the new positions (n, 3) of this rank's points; :meth:`warpMesh` then moves the grid."""
-        self._warp.set_surface(coordinates)
+        expected, values = self.getSurfaceCoordinates().shape, np.array(coordinates, dtype=np.float64)
+        if values.shape != expected and values.size != expected[0] * 3:
+            raise MotionError(f"surface coordinates have the shape {values.shape}; expected {expected}")
+        if not np.isfinite(values).all():
+            raise MotionError("surface coordinates contain values that are not finite; expected numbers")
+        self._surface = values.reshape(-1, 3)
 
     def warpMesh(self) -> None:
         """Move the grid. An invalid grid causes a warning only, as solvers have checks of their own."""
-        self._warp.warp()
+        whole = gathered(self._ranks, self.getSurfaceCoordinates())
+        moved = np.any(whole[self._still] != gathered(self._ranks, self._start)[self._still], axis=1)
+        if moved.any():
+            raise MotionError(
+                f"{moved.sum():,} surface points moved that lie on zones without options, the first to "
+                f"{vector(whole[self._still[np.argmax(moved)]])}; expected points that stay, or options for the zones"
+            )
+
+        def warped() -> tuple[FloatArray, list[str]]:
+            points, found = self._grid.points.copy(), []
+            for number, component in enumerate(self._components, 1):
+                step, apart = component.warp(whole)
+                where = f" of component {number}" if len(self._components) > 1 else ""
+                if apart:
+                    found.append(f"copies of surface points are up to {apart:.3g} edges apart; they get their mean")
+                if not step.valid:
+                    first = step.invalid_cells[0] if step.invalid_cells else None
+                    found.append(f"the warped grid{where} is invalid: {step!r}; first {first}")
+                component.put(points)
+            return points, found
+
+        self._points, found = self._ranks.on_first(warped)
+        for text in found:
+            warnings.warn(text, stacklevel=2)
 
     def getSolverGrid(self) -> FloatArray:
         """The solver's nodes (3 n,) on this rank; wall nodes are exactly where they were set."""
-        return self._warp.coordinates(self._warp.solver_rows)
+        return self._points[self._solver_rows].ravel()
 
     def getCommonGrid(self) -> FloatArray:
         """This rank's share (3 n,) of all nodes, which are divided evenly in the order of the file."""
-        return self._warp.coordinates(self._warp.own_rows)
+        return self._points[self._own_rows].ravel()
 
     def getdXs(self) -> FloatArray:
         """The gradient (n, 3) of this rank's points computed by the last :meth:`warpDeriv`."""
-        return self._warp.gradient
+        return self._gradient.copy()
 
     def warpDerivFwd(self, dXs: ArrayLike, solverVec: bool = True) -> FloatArray:
         """Change (3 n,) of the solver's nodes, or of those of :meth:`getCommonGrid`, for a change of the points.
 
         ``dXs`` is (n, 3) or flat.
         """
-        return self._warp.forward(dXs, self._rows(solverVec))
+        rows, own = self._rows(solverVec), np.asarray(dXs, dtype=np.float64).reshape(-1, 3)
+        if own.shape != self.getSurfaceCoordinates().shape:
+            raise MotionError(f"dXs has {own.size} values; expected {self._surface.size}")
+        whole = gathered(self._ranks, own)
+
+        def forward() -> FloatArray:
+            moved = np.zeros_like(self._grid.points)
+            for component in self._components:
+                moved[component.rows] = component.forward(whole)
+            return moved
+
+        return np.asarray(self._differentiated(forward)[rows]).ravel()
+
+    def _reverse(self, gradient: ArrayLike, rows: IntArray) -> FloatArray:
+        """Gradient (n, 3) of this rank's points from that (3 n,) of the nodes ``rows``, which may repeat."""
+        own = np.asarray(gradient, dtype=np.float64).reshape(-1, 3)
+        if len(own) != len(rows):
+            raise GridError(f"dXv has {own.size} values; expected {3 * len(rows)}")
+        count = len(self.getSurfaceCoordinates())
+        total, sizes = summed(self._ranks, self._grid.n_nodes, rows, own), self._ranks.gather([count])
+
+        def reverse() -> FloatArray:
+            whole = np.zeros((sum(sizes), 3))
+            for component in self._components:
+                component.reverse(total, whole)
+            return whole
+
+        first = sum(sizes[: self._ranks.number])
+        self._gradient = self._differentiated(reverse)[first : first + count]
+        return self._gradient
+
+    def _differentiated(self, product: Callable[[], FloatArray]) -> FloatArray:
+        """A product with the derivative, taken by the first rank; where it is not that of the grid, all say so."""
+
+        def taken() -> tuple[FloatArray, list[str]]:
+            return product(), [reason for each in self._components if (reason := each.derivative().reason)]
+
+        found, reasons = self._ranks.on_first(taken)
+        for reason in reasons:
+            warnings.warn(f"the derivative is not that of the warped grid: {reason}", stacklevel=4)
+        return found
 
     def verifyWarpDeriv(
         self, dXv: ArrayLike | None = None, solverVec: bool = True, dofStart: int = 0, dofEnd: int = 10,
@@ -111,45 +224,83 @@ class _Interface:
         if dXv is None:
             dXv = np.random.default_rng(randomSeed).random(3 * len(rows))
         weights, at = np.asarray(dXv, dtype=np.float64).ravel(), self.getSurfaceCoordinates()
-        self._warp.warp()
-        found = self._warp.reverse(weights, rows).ravel()[dofStart:dofEnd]
+        self.warpMesh()
+        found = self._reverse(weights, rows).ravel()[dofStart:dofEnd]
         found = found if self._comm is None else self._comm.bcast(found)
         expected = np.zeros_like(found)
         for number in range(len(found)):
             ends = []
             for step in (h, -h):
                 moved = at.ravel().copy()
-                if self._rank == 0:
+                if self._ranks.number == 0:
                     moved[dofStart + number] += step
-                self._warp.set_surface(moved)
-                self._warp.warp()
-                value = float(weights @ self._warp.coordinates(rows))
+                self.setSurfaceCoordinates(moved)
+                self.warpMesh()
+                value = float(weights @ self._points[rows].ravel())
                 ends.append(value if self._comm is None else self._comm.allreduce(value))
             expected[number] = (ends[0] - ends[1]) / (2 * h)
-        self._warp.set_surface(at)
-        self._warp.warp()
+        self.setSurfaceCoordinates(at)
+        self.warpMesh()
         error = np.abs(found - expected).max(initial=0.0)
         if error > 1e-4 * np.abs(expected).max(initial=0.0):
             raise AssertionError(f"gradients {found.tolist()}; differences with h = {h:g}: {expected.tolist()}")
 
     def writeGrid(self, fileName: str | None = None) -> None:
         """The grid as a copy of its file, by default beside it with ``_warped`` in its name."""
-        source = Path(self._file)
-        self._warp.write(fileName or str(source.with_name(f"{source.stem}_warped{source.suffix}")))
+        source, moved = Path(self._file), wrapped(self._grid.moved(self._points))
+        target = fileName or str(source.with_name(f"{source.stem}_warped{source.suffix}"))
+        self._ranks.on_first(lambda: write(moved, target, force=True))
 
     @property
     def warp(self) -> SimpleNamespace:
         """Sizes as callers ask for them: ``warp.griddata.warpmeshdof``, ``solvermeshdof``, ``commonmeshdof``."""
-        own = 3 * len(self._warp.own_rows)
-        solver = 3 * len(self._warp.solver_rows) if self._warp.knows_solver_nodes else 0
+        own, solver = 3 * len(self._own_rows), 0 if self._freedoms is None else 3 * len(self._freedoms)
         return SimpleNamespace(griddata=SimpleNamespace(warpmeshdof=own, commonmeshdof=own, solvermeshdof=solver))
 
     @property
-    def _rank(self) -> int:
-        return 0 if self._comm is None else self._comm.rank
+    def _own_rows(self) -> IntArray:
+        """Rows of the grid's points of this rank's share of the nodes, in the order of the file."""
+        own = share_of(self._grid.n_nodes, self._ranks)
+        return rows_of_file(self._grid, np.arange(own.start, own.stop))
 
-    def _rows(self, solver: bool) -> Any:
-        return self._warp.solver_rows if solver else self._warp.own_rows
+    @property
+    def _solver_rows(self) -> IntArray:
+        """Rows of the grid's points of the nodes that the solver holds on this rank."""
+        if self._freedoms is None:
+            raise CaseError("the solver's nodes are not known; expected a call of setExternalMeshIndices first")
+        return self._freedoms
+
+    def _rows(self, solver: bool) -> IntArray:
+        return self._solver_rows if solver else self._own_rows
+
+    def _define(self, definition: Definition) -> None:
+        """Define the surface by this rank's points and faces, which are located on the undeformed grid."""
+        first = sum(self._ranks.gather([len(definition.points)])[: self._ranks.number])
+        parts = definition.points, definition.faces + first, definition.zone
+        whole = Definition(*(gathered(self._ranks, part) for part in parts))
+        times, found = np.zeros(len(whole.faces), dtype=np.int64), []
+        for zones in self._zones:
+            asked = np.flatnonzero((whole.zone < 0) | np.isin(whole.zone, zones.zones))
+            faces, quads, pairs = match(zones.grid, zones.topology, whole, asked)
+            times += faces
+            found.append((quads, pairs))
+        moving = np.concatenate([zones.zones for zones in self._zones])
+        require_found(whole, np.where((whole.zone < 0) | np.isin(whole.zone, moving), times, 1))
+        self._begin(definition.points, found)
+
+    def _begin(self, surface: FloatArray, found: list[tuple[IntArray, tuple[IntArray, IntArray]]]) -> None:
+        """Take this rank's points; ``found`` are face quads, and points with their nodes, of every group of zones."""
+        for zones, (quads, _) in zip(self._zones, found, strict=True):
+            if not len(quads):
+                raise CaseError(
+                    f"no face of the surface lies on {', '.join(zones.grid.names[:4])}; expected a surface for every "
+                    f"component with options"
+                )
+        self._components = [Component(zones, *each) for zones, each in zip(self._zones, found, strict=True)]
+        used = np.concatenate([component.point for component in self._components])
+        self._still = np.setdiff1d(np.arange(sum(self._ranks.gather([len(surface)]))), used)
+        self._surface = self._start = surface
+        self._points, self._gradient = self._grid.points, np.zeros_like(surface)
 
 
 class USMesh(_Interface):
@@ -168,11 +319,8 @@ class USMesh(_Interface):
     """
 
     def __init__(self, options: Mapping[str, Any] | None = None, comm: Comm | None = None, debug: bool = False) -> None:
-        self._options = Options(options)
-        self._comm, ranks = ranks_of(comm)
-        self._file = self._options["gridFile"]
-        grid = grid_of(self._file, self._options["fileType"], ranks)
-        self._warp = Warp(grid, [(np.arange(grid.n_blocks), self._options)], ranks)
+        own = self._options = Options(options)
+        super().__init__(own["gridFile"], own["fileType"], comm, lambda names: [(np.arange(len(names)), own)])
 
     def setSurfaceDefinition(
         self, pts: ArrayLike, conn: ArrayLike, faceSizes: ArrayLike, cgnsBlockID: ArrayLike | None = None
@@ -181,7 +329,7 @@ class USMesh(_Interface):
 
         Points may repeat; a rank may have none. ``cgnsBlockID``: the zone of each face, from 1.
         """
-        self._warp.define(Definition.of(pts, conn, faceSizes, cgnsBlockID))
+        self._define(Definition.of(pts, conn, faceSizes, cgnsBlockID))
 
     def getWarpGrid(self) -> FloatArray:
         """As :meth:`getCommonGrid`, as the order of the file is the only one."""
@@ -193,13 +341,13 @@ class USMesh(_Interface):
 
     def setOption(self, name: str, value: Any) -> None:
         """Change an option before the surface is defined."""
-        if self._warp.defined:
+        if self._components:
             raise CaseError(f"setOption({name!r}) after the surface was defined; expected options before that")
         self._options.set(name, value)
 
     def printOptions(self) -> None:
         """Print every option with its value, and its meaning here where that differs from IDWarp's."""
-        if self._rank == 0:
+        if self._ranks.number == 0:
             for name, value, note in self._options.items():
                 print(f"{name:20} {value!r}" + (f"  ({note})" if note else ""))
 
@@ -208,7 +356,7 @@ class USMesh(_Interface):
 
         Gradients of solver nodes that repeat are added.
         """
-        self._warp.reverse(dXv, self._rows(solverVec))
+        self._reverse(dXv, self._rows(solverVec))
 
 
 class MultiUSMesh(_Interface):
@@ -234,37 +382,45 @@ class MultiUSMesh(_Interface):
     ) -> None:  # fmt: skip
         if dtype != "d":
             raise CaseError(f"dtype = {dtype!r}; expected 'd': derivatives do not need complex numbers")
-        self._comm, ranks = ranks_of(comm)
-        self._file = str(CGNSFile)
-        grid = grid_of(self._file, "CGNS", ranks)
-        member = np.array([name.split(".")[0].lower() for name in grid.names])
-        groups: list[tuple[IntArray, Options]] = []
-        for name, options in optionsDict.items():
-            zones = np.flatnonzero(member == name.lower())
-            if not zones.size:
-                known = ", ".join(dict.fromkeys(member.tolist()))
-                raise CaseError(f"no zone of component {name!r}; expected some of {known}")
-            groups.append((zones, Options({**options, "gridFile": self._file})))
-        if not groups:
-            raise CaseError("optionsDict is empty; expected options for at least one component")
-        # In the order of the file, as IDWarp has its instances.
-        groups.sort(key=lambda group: int(group[0][0]))
-        self._warp = Warp(grid, groups, ranks)
+        file = str(CGNSFile)
+
+        def groups(names: tuple[str, ...]) -> list[tuple[IntArray, Options]]:
+            member = np.array([name.split(".")[0].lower() for name in names])
+            found = []
+            for name, options in optionsDict.items():
+                zones = np.flatnonzero(member == name.lower())
+                if not zones.size:
+                    known = ", ".join(dict.fromkeys(member.tolist()))
+                    raise CaseError(f"no zone of component {name!r}; expected some of {known}")
+                found.append((zones, Options({**options, "gridFile": file})))
+            if not found:
+                raise CaseError("optionsDict is empty; expected options for at least one component")
+            # In the order of the file, as IDWarp has its instances.
+            return sorted(found, key=lambda group: int(group[0][0]))
+
+        super().__init__(file, "CGNS", comm, groups)
 
     def setSurfaceDefinition(
         self, pts: ArrayLike, conn: ArrayLike, faceSizes: ArrayLike, cgnsBlockIDs: ArrayLike | None = None
     ) -> None:
         """As :meth:`USMesh.setSurfaceDefinition`, after :meth:`setExternalMeshIndices`."""
-        self._warp.solver_rows  # noqa: B018  (refuses the wrong order)
-        self._warp.define(Definition.of(pts, conn, faceSizes, cgnsBlockIDs))
+        self._solver_rows  # noqa: B018  (refuses the wrong order)
+        self._define(Definition.of(pts, conn, faceSizes, cgnsBlockIDs))
 
     def getWarpGrid(self) -> tuple[list[FloatArray], int]:
         """This rank's share (3 n,) of the nodes of each component that moves, and the number of coordinates of all."""
-        return self._warp.by_component()
+        found, total = [], 0
+        for zones in self._zones:
+            ends = self._grid.offsets[zones.zones], self._grid.offsets[zones.zones + 1]
+            numbers = np.concatenate([np.arange(low, high) for low, high in zip(*ends, strict=True)])
+            own = numbers[share_of(len(numbers), self._ranks)]
+            found.append(self._points[rows_of_file(self._grid, own)].ravel())
+            total += 3 * len(numbers)
+        return found, total
 
     def warpDeriv(self, dXv: ArrayLike, solverVec: bool = True) -> FloatArray:
         """As :meth:`USMesh.warpDeriv`; returns the gradient (n, 3), too."""
-        return self._warp.reverse(dXv, self._rows(solverVec)).copy()
+        return self._reverse(dXv, self._rows(solverVec)).copy()
 
 
 def _surface_file(name: str) -> tuple[FloatArray, np.ndarray[Any, Any]]:

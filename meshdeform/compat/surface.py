@@ -56,32 +56,14 @@ class Definition:
             raise MotionError(f"{len(zone)} cgnsBlockIDs for {len(count)} faces; expected one each")
         return cls(pts, flat[at], zone)
 
-    def moved_by(self, first: int) -> Definition:
-        """The definition with point numbers increased by ``first``, for points that follow others."""
-        return Definition(self.points, self.faces + first, self.zone)
 
-
-@dataclass(frozen=True)
-class Match:
-    """Where the faces and points of a definition lie on one grid.
-
-    Attributes
-    ----------
-    found : (n_faces,) bool: faces of this grid
-    quads : their face quads, ascending
-    point, node : pairs: a point of these faces and its unique node
-    """
-
-    found: BoolArray
-    quads: IntArray
-    point: IntArray
-    node: IntArray
-
-
-def match(grid: Grid, topology: Topology, definition: Definition, candidates: IntArray) -> Match:
+def match(
+    grid: Grid, topology: Topology, definition: Definition, candidates: IntArray
+) -> tuple[BoolArray, IntArray, tuple[IntArray, IntArray]]:
     """Find the faces ``candidates`` of a definition among the outside faces of a grid.
 
-    Points match nodes closer than ``RELATIVE_TOLERANCE`` times the shortest edge there.
+    Returns which faces (n_faces,) were found, their face quads, ascending, and pairs: the points of these faces with
+    their unique nodes. Points match nodes closer than ``RELATIVE_TOLERANCE`` times the shortest edge there.
     """
     outside = np.flatnonzero(topology.external)
     nodes = np.unique(topology.quads.corners[outside])
@@ -97,7 +79,7 @@ def match(grid: Grid, topology: Topology, definition: Definition, candidates: In
     found = np.zeros(len(definition.faces), dtype=bool)
     found[candidates[known]] = np.isin(asked, offered)
     used = np.unique(definition.faces[found])
-    return Match(found, outside[np.isin(offered, asked)], used, node[used])
+    return found, outside[np.isin(offered, asked)], (used, node[used])
 
 
 def _keys(corners: IntArray) -> IntArray:

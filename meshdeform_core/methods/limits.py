@@ -1,6 +1,6 @@
 """Warnings for a displacement before it is applied.
 
-The limits were measured on the splitter plate (Sen et al. section 4; ``meshdeform reproduce robustness``), which turns
+The limits were measured on the splitter plate (Sen et al. section 4; ``studies/largest_angles.py``), which turns
 by up to 14 degrees more than the body it is attached to: one step is valid up to a rotation of 54 degrees with TFI, and
 of 34 degrees with IDW of displacements.
 """

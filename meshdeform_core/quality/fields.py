@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 import scipy
@@ -15,8 +16,9 @@ from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.faces import Role
 from ..grid.planes import plane_normal
 from ..grid.surfaces import Outside, find_outside
-from ..grid.topology import Topology
+from ..grid.topology import Topology, find_topology
 from .cells import CellMeasures, measure_block
+from .difference import require_same_blocks
 from .original import Original
 from .shape import shape_of_cells, thickness_of
 from .validity import Verdict, judge
@@ -59,6 +61,21 @@ class CellFields:
     reference: Grid | None = None
     moving: IntArray | None = None
     original: CellFields | Original | None = None
+
+    @classmethod
+    def of(cls, grid: Grid, reference: Grid | None = None) -> Self:
+        """The cells of a grid, against an undeformed one if given, which gets the patches that it lacks from ``grid``.
+
+        Raises
+        ------
+        GridError
+            When the two have different blocks.
+        """
+        if reference is None:
+            return cls(grid, find_topology(grid))
+        require_same_blocks(grid, reference)
+        reference = reference.with_patches_of(grid)
+        return cls(grid, find_topology(reference), reference)
 
     @cached_property
     def outside(self) -> Outside:

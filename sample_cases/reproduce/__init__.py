@@ -1,4 +1,4 @@
-"""The paper's evaluation (Sen, De Nayer, Breuer 2017) rerun: tables, figures, robustness curves, validation page."""
+"""The paper's evaluation (Sen, De Nayer, Breuer 2017) rerun: tables and figures."""
 
 from __future__ import annotations
 
@@ -16,14 +16,12 @@ from meshdeform_formats.files import replacing
 
 from .figures import Gallery
 from .report import as_markdown
-from .robustness import study
 from .rows import Tell, reproduce_table
 from .tables import TABLES
-from .validation import validation_page
 
 __all__ = ["WHAT", "check", "reproduce"]
 
-WHAT = (*TABLES, "robustness", "all")
+WHAT = (*TABLES, "all")
 """Valid arguments of ``meshdeform reproduce``."""
 
 
@@ -33,13 +31,12 @@ def check(what: str) -> None:
         raise CaseError(f"cannot reproduce {what!r}; known are {', '.join(WHAT)}")
 
 
-def reproduce(what: str, folder: Path, quick: bool, validation: Path | None, tell: Tell) -> dict[str, Any]:
-    """Run a table, the robustness curves or everything; write data, markdown and figures into ``folder``.
+def reproduce(what: str, folder: Path, quick: bool, tell: Tell) -> dict[str, Any]:
+    """Run a table or everything; write data, markdown and figures into ``folder``.
 
     Parameters
     ----------
     quick : sizes that take minutes instead of an hour
-    validation : also write the page that compares with the paper
 
     Raises
     ------
@@ -50,19 +47,12 @@ def reproduce(what: str, folder: Path, quick: bool, validation: Path | None, tel
     results: dict[str, Any] = {
         "schema": 1, "meshdeform": version("meshdeform"), "quick": quick, "machine": _machine(), "tables": {},
     }  # fmt: skip
-    names = tuple(TABLES) if what == "all" else (what,)
-    for name in names:
-        if name in TABLES:
-            gallery = Gallery(name, folder)
-            table = reproduce_table(TABLES[name](quick), tell, gallery.keep)
-            results["tables"][name] = table | {"figures": gallery.draw()}
-            _write(folder / name, results | {"tables": {name: results["tables"][name]}})
-    if what in ("all", "robustness"):
-        results["robustness"] = study(folder, quick, tell)
+    for name in TABLES if what == "all" else (what,):
+        gallery = Gallery(name, folder)
+        table = reproduce_table(TABLES[name](quick), tell, gallery.keep)
+        results["tables"][name] = table | {"figures": gallery.draw()}
+        _write(folder / name, results | {"tables": {name: results["tables"][name]}})
     _write(folder / "results", results)
-    if validation is not None:
-        figures = os.path.relpath(folder, validation.parent)
-        _write_text(validation, validation_page(results, Path(figures).as_posix()))
     return results
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,6 @@ from .experiment import Outcome, Trial
 _SUFFIX = ".png"
 _LINES = 30
 _DOTS = 110
-_COLOURS = 96
 Zoom = tuple[float, float, float, float]
 
 
@@ -217,7 +215,8 @@ def _draw(figure: Figure, slices: dict[str, Slice], folder: Path) -> str:
             place.set_axis_off()
         bar = whole.colorbar(collection, ax=axes, label="$f_{skew}$ [-]", shrink=0.8, aspect=30, pad=0.015)
         bar.outline.set_linewidth(0.5)
-        save_small(whole, folder / f"{figure.name}{_SUFFIX}", _DOTS)
+        with replacing(folder / f"{figure.name}{_SUFFIX}") as partial:
+            whole.savefig(partial, format="png", dpi=_DOTS)
         plt.close(whole)
     return f"{figure.name}{_SUFFIX}"
 
@@ -236,18 +235,3 @@ def _draw_panel(axes: Any, part: Slice, panel: Panel, figure: Figure) -> Any:
     axes.set_xlabel(f"{view.labels[0]} [{figure.unit}]", labelpad=1)
     axes.set_ylabel(f"{view.labels[1]} [{figure.unit}]", labelpad=1)
     return collection
-
-
-def save_small(figure: Any, path: Path, dots: int) -> None:
-    """Write a matplotlib figure with ``dots`` per inch and a palette, hardly visible with a single colour map.
-
-    The same figure gives the same file, a quarter of the size in true colour.
-    """
-    from PIL import Image
-
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=dots)
-    with Image.open(stream) as picture:
-        small = picture.convert("RGB").quantize(_COLOURS, method=Image.Quantize.MAXCOVERAGE)
-    with replacing(path) as partial:
-        small.save(partial, format="png", optimize=True)

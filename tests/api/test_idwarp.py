@@ -137,7 +137,7 @@ def test_free_and_mirrored_nodes(mesh):
     start = mesh.getSurfaceCoordinates()
     mesh.setSurfaceCoordinates(start + [0.3, 0.0, 0.2])
     mesh.warpMesh()
-    moved = (mesh.getWarpGrid() - mesh._warp.grid.points[mesh._warp.own_rows].ravel()).reshape(-1, 3)
+    moved = (mesh.getWarpGrid() - mesh._grid.points[mesh._own_rows].ravel()).reshape(-1, 3)
     np.testing.assert_allclose(moved, np.broadcast_to([0.3, 0.0, 0.2], moved.shape), atol=1e-12)
     mesh.setSurfaceCoordinates(start)
     mesh.warpMesh()
@@ -184,7 +184,7 @@ def test_components_move_together(overset):
     with pytest.raises(md.CaseError, match="setExternalMeshIndices"):
         solver.set_mesh(SurfaceFirst(mesh))
     solver.set_mesh(mesh, zones=True)
-    zone = np.searchsorted(mesh._warp.grid.offsets, solver.indices[::3] // 3, side="right") - 1
+    zone = np.searchsorted(mesh._grid.offsets, solver.indices[::3] // 3, side="right") - 1
     moved = solver.points.copy()
     flap = zone[solver.wall_of] == 2
     moved[flap] += [0.1, 0.2, 0.0]
@@ -259,10 +259,10 @@ def test_options_are_honoured(wing, capsys):
     assert mesh.getOption("AEXP") == 2.0
     mesh.setOption("alpha", 0.3)
     mesh.getSurfaceCoordinates()
-    part = mesh._warp._components[0]._mesh.session.setup.case.method.idw
+    part = mesh._components[0]._mesh.session.setup.case.method.idw
     reach = USMesh({"gridFile": wing})
     reach.getSurfaceCoordinates()
-    usual = reach._warp._components[0]._mesh.session.setup.case.method.idw
+    usual = reach._components[0]._mesh.session.setup.case.method.idw
     assert (part.a, part.alpha, part.rotation, usual.rotation) == (2.0, 0.3, "none", "lie")
     assert part.length == pytest.approx(50 * usual.length)
     assert part.summation_tolerance == usual.summation_tolerance == 5e-7

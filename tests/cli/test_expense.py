@@ -17,7 +17,7 @@ from meshdeform_core.grid import FileFormat
 from meshdeform_core.memory import PICTURE_BYTES, Demand, deforming, parse_memory, passing
 from meshdeform_core.parallel import Ranks, sharing
 from meshdeform_formats.grids import Layout, read_grid
-from meshdeform_formats.report.measures import report_schema
+from meshdeform_formats.report.schema import report_schema
 
 BILLION = 10**9
 

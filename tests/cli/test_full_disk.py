@@ -44,21 +44,17 @@ def test_a_full_disk_is_found_before_the_computation(command, bench, call, disk,
         (),
         ("--suffix", ".vtm", "--velocity", "swept"),
         ("--suffix", ".cgns", "--velocity", "swept", "--variant", "precision=float32"),
-        ("--suffix", ".cgns", "--velocity", "second", "--single-file"),
     ],
-    ids=["plot3d", "vtk", "cgns", "one file"],
+    ids=["plot3d", "vtk", "cgns"],
 )
 def test_a_series_looks_for_room_for_all_levels(options, bench, call, disk, monkeypatch):
     write_grid(frame(12, 8), "large.xyz")
     words = ("series", "large.xyz", "-c", "case.toml", "-m", "tfi", "--times", "0:3:1", "-o", "out", "-q", *options)
-    single = "--single-file" in options
     assert call(*words).code == 0
     size = sum(path.stat().st_size for path in Path("out").rglob("*") if path.is_file())
-    # Until one file is assembled, its levels are in files of their own.
-    needed = 2 * size if single else size
     with monkeypatch.context() as patch:
         patch.setattr(series, "_Series", None)
-        disk(needed // 2)
+        disk(size // 2)
         refused = call(*words, "-o", "other")
         assert refused.code == 2
         assert "free, 4 levels of the series take at least" in refused.err
@@ -66,13 +62,12 @@ def test_a_series_looks_for_room_for_all_levels(options, bench, call, disk, monk
         dry = call(*words, "-o", "other", "--dry-run")
         assert dry.code == 0
         assert any("4 levels of the series take at least" in warning for warning in dry.warnings)
-    disk(needed)
+    disk(size)
     assert call(*words, "-o", "other").code == 0
     # Levels that exist, or are replaced, need no more room.
-    disk(needed // 2)
+    disk(size // 2)
     assert call(*words, "--resume").code == 0
-    if not single:
-        assert call(*words, "--force").code == 0
-        for path in Path("out").glob("large_0003*"):
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
-        assert call(*words, "--resume").code == 0
+    assert call(*words, "--force").code == 0
+    for path in Path("out").glob("large_0003*"):
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+    assert call(*words, "--resume").code == 0

@@ -7,11 +7,9 @@ import re
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from meshdeform_core.methods import ALIASES, CATALOGUE
 from meshdeform_formats import read_grid, write_grid
-from meshdeform_formats.series.manifest import open_levels
 from meshdeform_samples import SAMPLES
 
 # info
@@ -157,9 +155,9 @@ def test_plot_formats(suffix, magic, bench, call):
         ("--select", "block1.imin", "--select", "block*.kmax[1:2,*]", "--view", "x"),
         ("--zoom=-1,1,-0.5,0.5", "--title", "x < y & z"),
         ("--plane", "z=0.4", "--zoom", "walls", "--range", "0.5,1", "--metric", "wall_distance"),
-        ("--reference", "grid.xyz", "--metric", "volume_ratio", "--log", "--plane", "k=2", "--block", "block[12]"),
-        ("--reference", "grid.xyz", "--before", "overlay", "--select", "body", "--metric", "displacement"),
-        ("--reference", "grid.xyz", "--arrows", "--view", "1,1,0.5", "--no-lines"),
+        ("--reference", "grid.xyz", "--metric", "volume_ratio", "--log", "--plane", "k=2"),
+        ("--reference", "grid.xyz", "--select", "body", "--metric", "displacement"),
+        ("--reference", "grid.xyz", "--view", "1,1,0.5"),
         ("--zoom", "worst"),
     ],
 )
@@ -176,13 +174,11 @@ def test_plot_options(options, bench, call):
         (("--plane", "z=1.5"), "no part of the grid lies at z = 1.5; it spans z = 0 to 1"),
         (("--plane", "k=9"), "no block has a node plane k = 9; the largest is 4"),
         (("--plane", "q=1"), "expected a plane of nodes, like k=1 or k=mid, or one in space"),
-        (("--plane", "k=1", "--block", "wing"), "--block 'wing' matches no block; blocks are block1"),
         (("--metric", "displacement"), "give --reference"),
-        (("--before", "side"), "give --reference"),
         (("--range", "1,0"), "expected low < high"),
         (("--view", "0,0,0"), "a direction has a length"),
         (("--zoom", "2,1,0,1"), "left < right"),
-        (("--reference", "grid.xyz", "--arrows", "--plane", "x=0.6", "--metric", "volume", "--log", "--range", "0,1"),
+        (("--reference", "grid.xyz", "--plane", "x=0.6", "--metric", "volume", "--log", "--range", "0,1"),
          "does not begin above zero"),
         (("--reference", "flat.p2dfmt",), "blocks"),
     ],
@@ -192,39 +188,6 @@ def test_plot_refuses_what_is_not_there(options, words, bench, call):
     assert (result.code, result.out) == (2, "")
     assert words in result.err
     assert not (bench / "picture.png").exists()
-
-
-@pytest.mark.slow
-def test_a_series_becomes_a_film(bench, call):
-    turning = ("-s", "boundary.body.motion.1.rotate.angle=turn*t", "--times", "0:1:0.5")
-    assert call("series", "grid.cgns", "-c", "case.toml", "-o", "out", *turning, "-q").code == 0
-    # Displacement needs the undeformed grid, which is still where the series says.
-    result = call("plot", "out", "-o", "out.gif", "--metric", "displacement", "--rate", "4")
-    assert (result.code, result.out) == (0, "")
-    # A busy machine takes so long that the progress is logged.
-    assert [line for line in result.err.splitlines() if ", draw " not in line] == []
-    with Image.open(bench / "out.gif") as film:
-        assert film.n_frames == 3
-    assert call("plot", "out/series.json", "-o", "again.gif", "--metric", "displacement", "--rate", "4").code == 0
-    assert (bench / "again.gif").stat().st_size > 1000
-    result = call("plot", "out", "-o", "out.png")
-    assert (result.code, result.err) == (2, "meshdeform: error: film out.png: suffix '.png' is unknown; expected .gif "
-                                            "or .mp4\n")  # fmt: skip
-    result = call("plot", "grid.cgns", "-o", "grid.gif")
-    assert result.code == 2
-    assert "is a film; it needs a series" in result.err
-
-
-def test_a_film_of_levels_in_one_file(bench, call):
-    turning = ("-s", "boundary.body.motion.1.rotate.angle=turn*t", "--times", "0:1:1")
-    assert call("series", "grid.cgns", "-c", "case.toml", "-o", "out", "--single-file", *turning, "-q").code == 0
-    assert call("series", "grid.cgns", "-c", "case.toml", "-o", "many", *turning, "-q").code == 0
-    one, many = open_levels(bench / "out"), open_levels(bench / "many")
-    for number in range(2):
-        np.testing.assert_array_equal(one.read(number).points, many.read(number).points)
-    assert one.undeformed == many.undeformed
-    (bench / "grid.cgns").write_bytes((bench / "out/grid.cgns").read_bytes())
-    assert open_levels(bench / "out").undeformed is None
 
 
 # methods

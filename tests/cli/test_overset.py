@@ -13,7 +13,7 @@ from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid, Patch, Side, Window
 from meshdeform_formats.case import case_of
 from meshdeform_formats.grids import read_grid, write_grid
-from meshdeform_formats.report.measures import report_schema
+from meshdeform_formats.report.schema import report_schema
 
 LINE = np.linspace(-5.0, 5.0, 9)
 BACKGROUND = Grid.from_blocks([block_around(LINE, LINE, np.linspace(0, 1, 3))])
@@ -63,14 +63,13 @@ def test_one_command_moves_all_components(folder, call):
 
 def test_reports_have_a_verdict_for_every_component(folder, call):
     command = ("deform", folder / "all.cgns", "-c", folder / "case.toml", "-o", folder / "out.cgns", "-q")
-    reports = [folder / f"report{suffix}" for suffix in (".json", ".html", ".md", ".txt")]
+    reports = [folder / f"report{suffix}" for suffix in (".json", ".html", ".txt")]
     assert call(*command, *(word for path in reports for word in ("--report", path))).code == 0
     report = json.loads(reports[0].read_text())
     jsonschema.Draft202012Validator(report_schema()).validate(report)
     assert [part["name"] for part in report["components"]] == ["main", "ring", "bar"]
     assert "3 components, each moved by its own boundary" in reports[1].read_text()
-    assert "| ring | 1 | 255 |" in reports[2].read_text()
-    assert "bar: 8 blocks" in reports[3].read_text()
+    assert "bar: 8 blocks" in reports[2].read_text()
     series = ("series", folder / "all.cgns", "-c", folder / "case.toml", "--times", "0,1", "-o", folder / "s")
     done = call(*series, "--suffix", ".vtm", "-q", "--report", folder / "s.json")
     assert done.code == 0, done.err

@@ -24,7 +24,6 @@ from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality.cells import measure_block
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.report.page import as_html
-from meshdeform_formats.report.text import as_markdown
 
 RUN = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz")
 SERIES = ("series", "grid.xyz", "-c", "case.toml", "-s", "constants.turn=1", "--times", "0:1:0.5", "-o", "levels")
@@ -72,7 +71,7 @@ def broken(_template, tmp_path_factory):
     folder = tmp_path_factory.mktemp("broken") / "bench"
     shutil.copytree(_template, folder)
     with contextlib.chdir(folder):
-        reports = ("--report", "r.json", "--report", "r.html", "--report", "r.md")
+        reports = ("--report", "r.json", "--report", "r.html")
         assert run([*RUN, "-s", "constants.turn=80", "--repair", "off", *reports, "-q"]) == 3
     return folder
 
@@ -109,7 +108,7 @@ def test_pairs_of_pictures_are_two_pictures_without_scripts(far):
     assert not re.search(r"^\.slider", style, re.MULTILINE)
 
 
-def test_verdict_says_how_many_where_and_what_to_do(far):
+def test_verdict_says_how_many_and_where(far):
     report, page = far
     count = report["quality"]["after"]["invalid_cells"]
     assert count > 0
@@ -119,8 +118,6 @@ def test_verdict_says_how_many_where_and_what_to_do(far):
         i, j, k = group["ijk"]
         assert f"near {group['nearest_patch']!r}" in page.text
         assert f"the worst is {group['block']} ({i}, {j}, {k})" in page.text
-    assert "--repair auto" in page.text
-    assert "--steps auto" in page.text
 
 
 def test_blocks_are_those_of_a_plain_count(far):
@@ -165,7 +162,6 @@ def test_seconds_of_a_resumed_series_add_up(bench, call):
 def test_names_cannot_break_the_page(far):
     report = far[0] | {"grid": far[0]["grid"] | {"file": "<b>&'\".xyz"}}
     assert "Deformation of <b>&'\".xyz" in Page(as_html(report)).text
-    assert "\\<b\\>" in as_markdown(report)
 
 
 def test_series_page_has_curves_pictures_and_links(bench, call):
@@ -199,16 +195,6 @@ def test_series_page_shows_accelerations_and_repairs(bench, call):
     assert len(curves) == 5
 
 
-def test_markdown_has_verdict_places_and_measures(far):
-    text, report = Path("r.md").read_text(), far[0]
-    assert text.startswith("## ❌ grid.xyz: ")
-    rows = [line for line in text.splitlines() if line.startswith("| f\\_skew minimum")]
-    cells = [cell.strip() for cell in rows[0].strip("|").split("|")]
-    assert float(cells[2]) == pytest.approx(report["quality"]["after"]["f_skew"]["min"], abs=1e-5)
-    widths = {line.count("|") - line.count("\\|") for line in text.splitlines() if line.startswith("| ")}
-    assert widths <= {5, 6}
-
-
 def test_json_goes_to_stdout_alone(bench, call):
     for option in (("--json",), ("--report", "-")):
         result = call(*RUN, *option, "--force")
@@ -221,7 +207,7 @@ def test_json_goes_to_stdout_alone(bench, call):
     assert len(json.loads(call(*SERIES, "--json").out)["levels"]) == 3
 
 
-def test_blocks_of_large_grids_unfold_by_family(tmp_path, monkeypatch):
+def test_the_worst_blocks_of_large_grids_are_listed(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     blocks = [grids.block_around(at + np.arange(2.0), np.arange(2.0), np.arange(2.0)) for at in range(250)]
     below = tuple(Patch(f"w{n}", (Window(n, Side.JMIN, (0, 0), (1, 1)),), "wall") for n in range(120))
@@ -231,8 +217,4 @@ def test_blocks_of_large_grids_unfold_by_family(tmp_path, monkeypatch):
     report = json.loads(Path("report.json").read_text())
     assert [block["families"] for block in report["blocks"]] == [["end", "wall"]] + 119 * [["wall"]] + 130 * [[]]
     page = Page(Path("report.html").read_text())
-    assert len(page.of("details")) == len(page.of("summary")) == 3
-    for text in ("end, wall: 1 block, 1 cell,", "wall: 119 blocks, 119 cells,", "no family: 130 blocks, 130 cells,"):
-        assert text in page.text
-    assert "19 more are in the report as JSON" in page.text
-    assert "30 more are in the report as JSON" in page.text
+    assert "250 blocks, the one with the worst cell first; 50 more are in the report as JSON" in page.text

@@ -36,7 +36,6 @@ SERIES = {
     "as many steps as needed": ("-m", "tfi", *FOLDED, "--steps", "auto", "--repair", "off"),
     "from the last level": ("-m", "idw", "--from", "last", "--velocity", "swept"),
     "single precision": ("-m", "idw-tfi", "--variant", "precision=float32", "--velocity", "second"),
-    "one file": ("-m", "idw-tfi", "--single-file"),
     "VTK": ("-m", "rbf", "--suffix", ".vtm", "--velocity", "first", "--field", "all"),
     "plane": ("-m", "idw-tfi"),
     "plane, rbf": ("-m", "rbf-tfi", "--suffix", ".vtm"),

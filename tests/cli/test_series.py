@@ -171,17 +171,14 @@ def files_in(folder: str) -> list[str]:
 
 
 @pytest.mark.parametrize("options", [
-    ("--suffix", ".vtm"), ("--single-file",), ("--from", "last", "--suffix", ".xyz"),
+    ("--suffix", ".vtm"), ("--suffix", ".cgns"), ("--from", "last", "--suffix", ".xyz"),
 ])  # fmt: skip
 def test_a_series_with_a_broken_level_goes_on(options, swing, call):
     """The names of broken levels are known again, and levels are made from them."""
     (swing / "swing.toml").write_text(SWING.replace("20*sin(2*pi*t)", "150*sin(pi*t)"))
     run = ("series", "grid.xyz", "-c", "swing.toml", "--times", "0:1:0.5", "--repair", "off", "-q", *options)
     assert call(*run, "-o", "whole").code == 3
-    single = "--single-file" in options
     assert any(".invalid." in name for name in files_in("whole"))
-    assert ("grid.invalid.cgns" in files_in("whole")) == single
-    assert "grid.cgns" not in files_in("whole")
     shutil.copytree("whole", "part")
     before = files_in("part")
     # As if the run had stopped after the second level.
@@ -262,7 +259,6 @@ def test_a_signal_says_how_to_continue(swing, call):
 @pytest.mark.slow
 @pytest.mark.parametrize(("at", "extra"), [
     (2, ("--suffix", ".vtm")), (13, ("--suffix", ".vtm", "--from", "last", "--velocity", "second")),
-    (12, ("--single-file", "--velocity", "swept")),
 ])  # fmt: skip
 def test_killed_at_any_point_it_goes_on_and_ends_the_same(at, extra, swing, call):
     options = ("grid.xyz", "-c", "swing.toml", "--times", "0:1:0.25", *extra)
@@ -354,10 +350,8 @@ def test_the_state_of_a_series_holds_every_option_with_its_value(done):
         (("-o", "out", "--times", "0,2,1"), "the times [0.0, 2.0, 1.0] do not ascend"),
         (("-o", "out", "--times", "0:1:0.5", "--suffix", ".abc"), "cannot tell the format"),
         (("-o", "out", "--times", "0:1:0.5", "--velocity", "first"), ".xyz files cannot hold the grid velocity"),
-        (("-o", "out", "--times", "0:1:0.5", "--single-file", "--suffix", ".vtm"), "only a CGNS file"),
         (("-o", "out", "--times", "0:1:0.5", "--resume", "--force"), "--force restarts it"),
         (("-o", "grid.cgns", "--times", "0:1:0.5"), "grid.cgns"),
-        (("-o", ".", "--times", "0:1:0.5", "--single-file"), "grid.cgns exists"),
         (("-o", "out", "--times", "0:1:0.5", "--steps", "0"), "--steps"),
     ],
 )
@@ -367,23 +361,6 @@ def test_wrong_calls_are_refused(arguments, words, swing, call, snapshot):
     assert result.code == 2
     assert words in result.err
     assert snapshot(swing) == before
-
-
-@pytest.mark.parametrize("suffix", [".xyz", pytest.param(".foam", marks=pytest.mark.slow)])
-def test_levels_of_an_earlier_series_that_remain_are_told(suffix, swing, call):
-    words = (*RUN, "--suffix", suffix)
-    assert call(*words, "-q").code == 0
-    again = call(*words, "-q", "--force")
-    assert not any("earlier series" in text for text in again.warnings)
-    shorter = call(*words[:-3], "0:0.5:0.25", "--suffix", suffix, "-q", "--force")
-    assert shorter.code == 0
-    (told,) = (text for text in shorter.warnings if "earlier series" in text)
-    names = ("0.75", "1") if suffix == ".foam" else (f"grid_0003{suffix}", f"grid_0004{suffix}")
-    assert told == f"levels of an earlier series remain in out, not part of this one: {', '.join(names)}"
-    assert all(Path("out", name).exists() for name in names)
-    # A state that cannot be read is no reason to stop.
-    Path("out/series.json").write_text("{")
-    assert call(*words, "-q", "--force").code == 0
 
 
 def test_formats_that_are_not_read_cannot_go_on_marching(swing, call):

@@ -11,7 +11,6 @@ import pytest
 from meshdeform_cli import series_run
 from meshdeform_core.errors import FormatError
 from meshdeform_formats.series.outputs import LevelFiles
-from meshdeform_formats.series.shared import SingleFile
 
 CASE = """\
 [[boundary]]
@@ -43,23 +42,23 @@ def levels_of(folder: str) -> list[str]:
 def written(monkeypatch):
     """Which levels are written, by which thread."""
     found: list[tuple[int, bool]] = []
-    for kind in (LevelFiles, SingleFile):
+    plain = LevelFiles.write
 
-        def write(self, number, grid, *rest, kind=kind, plain=kind.write):
-            found.append((number, threading.current_thread() is threading.main_thread()))
-            plain(self, number, grid, *rest)
+    def write(self, number, grid, *rest):
+        found.append((number, threading.current_thread() is threading.main_thread()))
+        plain(self, number, grid, *rest)
 
-        monkeypatch.setattr(kind, "write", write)
+    monkeypatch.setattr(LevelFiles, "write", write)
     return found
 
 
 @pytest.mark.parametrize("extra", [
-    ("--suffix", ".vtm", "--velocity", "second", "--from", "last"), ("--single-file",),
+    ("--suffix", ".vtm", "--velocity", "second", "--from", "last"),
 ], ids=lambda extra: extra[-1])  # fmt: skip
 def test_files_are_the_same_as_when_levels_are_written_alone(extra, swing, call, written, monkeypatch):
     assert call(*RUN, *extra, "-o", "beside").code == 0
-    # The folder for the levels of a single file is made with the first one; the last level has no next one.
-    assert [alone for _, alone in written] == [extra == ("--single-file",), *[False] * (COUNT - 2), True]
+    # The last level has no next one.
+    assert [alone for _, alone in written] == [*[False] * (COUNT - 1), True]
     monkeypatch.setattr(series_run.Recorder, "_alone", lambda *_: True)
     assert call(*RUN, *extra, "-o", "alone").code == 0
     assert written[COUNT:] == [(n, True) for n in range(COUNT)]

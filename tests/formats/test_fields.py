@@ -20,7 +20,6 @@ from meshdeform_core.quality.fields import CELL_MEASURES, CellFields
 from meshdeform_formats import fields
 from meshdeform_formats.fields import WITH_FIELDS, check_fields, with_fields
 from meshdeform_formats.grids import read_grid, write_grid
-from meshdeform_formats.series.shared import SingleFile
 
 
 def moved(grid: Grid) -> CellFields:
@@ -77,20 +76,6 @@ def test_cgns_holds_them_as_flow_solutions(tmp_path):
         skew = zone["FlowSolutionCellCenter/f_skew/ data"][()].T
         np.testing.assert_array_equal(skew, cells.values("f_skew", 2, cells.whole(2)).astype(np.float32))
     assert_cgnscheck_finds_no_error(tmp_path / "frame.cgns")
-
-
-def test_levels_in_one_file_have_them(tmp_path):
-    grid = frame()
-    files = SingleFile(grid, tmp_path, "frame.cgns", (0.0, 1.0), {}, "none")
-    files.dress = lambda level: with_fields(CellFields(level, find_topology(grid), grid), ["displacement"])
-    files.write(0, grid, None)
-    files.write(1, grid.moved(grid.points + [0.0, 0.25, 0.0]), None)
-    files.publish(2)
-    assert_cgnscheck_finds_no_error(tmp_path / "frame.cgns")
-    found = []
-    with h5py.File(tmp_path / "frame.cgns") as file:
-        file.visititems(lambda name, node: found.append(node[()]) if name.endswith("displacementY/ data") else None)
-    assert sorted({float(values.mean()) for values in found}) == [0.0, 0.25]
 
 
 def test_fields_of_the_same_name_are_replaced_and_others_stay():

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from cases import body_specs, turning
 from cgns_witness import N, box, tree, write_hdf5, zone
-from forked_ranks import Failed, on_ranks, poison_parts, small_blocks_are_cut
+from forked_ranks import on_ranks, poison_parts, small_blocks_are_cut
 from grids import frame, frame_2d
 from plot3d_witness import binary_file, sample_blocks, sample_iblank
 
@@ -28,7 +28,6 @@ from meshdeform_formats.fields import with_fields
 from meshdeform_formats.grids import read_grid, write_grid
 from meshdeform_formats.report.illustrations import deformation_figures, level_thumbnails
 from meshdeform_formats.series.outputs import LevelFiles
-from meshdeform_formats.series.shared import SingleFile
 
 TIMES = (0.0, 0.5, 2.0, 3.0)
 
@@ -73,14 +72,14 @@ def scaled(points):
     return result
 
 
-def series_of(source, name, kind, velocity, options=None, case=None):
+def series_of(source, name, velocity, options=None, case=None):
     """Write all levels of a series, the last two of them again after a fresh start."""
     case = case or Case(tuple(body_specs(turning("5*t"))), method=Options("idw-tfi"), repair=RepairOptions(mode="off"))
 
     def act(folder):
         grid = read_grid(source)
         setup, schedule = set_up(grid, case), Schedule(TIMES, velocity=velocity)
-        files = kind(grid, folder, name, TIMES, options or {}, velocity)
+        files = LevelFiles(grid, folder, name, TIMES, options or {}, velocity)
         for first in (0, 2):
             finished = files.read if first else None
             for level in deform_series(setup, schedule, files.variant.precision, None, first, finished):
@@ -90,12 +89,9 @@ def series_of(source, name, kind, velocity, options=None, case=None):
     return act
 
 
-@pytest.mark.parametrize(("source", "kind", "velocity"), [
-    ("grid.xyz", SingleFile, "swept"), ("grid.cgns", LevelFiles, "second"),
-])  # fmt: skip
-def test_velocities_and_swept_volumes(source, kind, velocity, tmp_path):
-    write_grid(frame(4, 3), tmp_path / source)
-    same_files(tmp_path, 3, series_of(tmp_path / source, "wing.cgns", kind, velocity))
+def test_velocities_and_swept_volumes(tmp_path):
+    write_grid(frame(4, 3), tmp_path / "grid.cgns")
+    same_files(tmp_path, 3, series_of(tmp_path / "grid.cgns", "wing.cgns", "swept"))
 
 
 @pytest.mark.parametrize("variant", [
@@ -288,14 +284,14 @@ def test_ranks_on_several_machines_write_levels_synchronously(tmp_path, monkeypa
     opened, begin = [], os.open
 
     def recorded(path, flags, *args, **kwargs):
-        if "level_" in str(path) and flags & os.O_WRONLY:
+        if "wing_" in str(path) and flags & os.O_WRONLY:
             opened.append(bool(flags & os.O_DSYNC))
         return begin(path, flags, *args, **kwargs)
 
     monkeypatch.setattr(os, "open", recorded)
 
     def act(number):
-        series_of(tmp_path / "grid.xyz", "wing.cgns", SingleFile, "none")(tmp_path / "out")
+        series_of(tmp_path / "grid.xyz", "wing.xyz", "none")(tmp_path / "out")
         return opened
 
     for found in on_ranks(2, act):
@@ -315,24 +311,3 @@ def test_every_rank_reads_a_displacement_table_as_a_whole(variant, tmp_path):
 
     for found in on_ranks(2, act):
         np.testing.assert_array_equal(found, moves.reshape(-1, 3))
-
-
-def test_a_rank_that_cannot_write_its_levels_stops_all(tmp_path, monkeypatch):
-    from meshdeform_formats.series import shared
-
-    write_grid(frame(5, 4), tmp_path / "grid.xyz")
-    put = shared._put
-
-    def full(stored, rows, own, synchronous):
-        if own[0] > 0:
-            raise OSError(28, "No space left on device")
-        put(stored, rows, own, synchronous)
-
-    monkeypatch.setattr(shared, "_put", full)
-    (tmp_path / "out").mkdir()
-
-    def act(number):
-        series_of(tmp_path / "grid.xyz", "wing.cgns", SingleFile, "none")(tmp_path / "out")
-
-    with pytest.raises(Failed, match=r"level_0000.npy: No space left"):
-        on_ranks(2, act)

@@ -21,7 +21,6 @@ from meshdeform_core.numerics.arrays import extent
 from meshdeform_core.quality.cells import block_volumes
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.openfoam.lists import write_points
-from meshdeform_formats.series.manifest import is_series, open_levels
 
 ROOT = Path(__file__).parents[2]
 THIRD_PARTY = (
@@ -297,29 +296,6 @@ def test_a_solver_runs_on_the_points_of_a_series(tmp_path, monkeypatch):
     assert inside is not None
     flow = np.array(re.sub(r"[()]", " ", inside[1]).split(), dtype=float).reshape(-1, 3)
     np.testing.assert_allclose(flow, np.broadcast_to([1, 0.5, 0], (200, 3)), rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("source", ["case", "grid"])
-def test_a_series_of_points_is_drawn_from_its_folder(source, tmp_path, capsys):
-    """Its levels are the undeformed grid with the points of the folders."""
-    made_case(tmp_path / "old")
-    (tmp_path / "case.toml").write_text(CASE)
-    given = tmp_path / "old"
-    if source == "grid":
-        given = tmp_path / "grid.cgns"
-        write_grid(read_grid(tmp_path / "old"), given)
-    command = ["series", str(given), "-c", str(tmp_path / "case.toml"), "--times", "0:1:0.5", "-q", "-o"]
-    assert run([*command, str(tmp_path / "foam"), "--suffix", ".foam"]) == 0
-    assert run([*command, str(tmp_path / "cgns"), "--suffix", ".cgns"]) == 0
-    foam, cgns = (open_levels(tmp_path / name) for name in ("foam", "cgns"))
-    for number in range(3):
-        np.testing.assert_array_equal(foam.read(number).points, cgns.read(number).points)
-    assert is_series(next((tmp_path / "foam").glob("*.foam")))
-    assert not is_series(tmp_path / "old" / "x.foam")
-    capsys.readouterr()
-    given.rename(tmp_path / "gone")
-    assert run(["plot", str(tmp_path / "foam"), "-o", str(tmp_path / "a.gif")]) == 2
-    assert "the grid that they were made of is not where and what it was" in capsys.readouterr().err
 
 
 def test_outputs_never_replace_inputs_or_other_meshes(tmp_path, capsys):

@@ -14,7 +14,7 @@ from meshdeform_cli.main import run
 from meshdeform_core.errors import MeshDeformError
 from meshdeform_formats.case import read_case
 from meshdeform_formats.case.reader import case_schema
-from meshdeform_formats.report.measures import report_schema
+from meshdeform_formats.report.schema import report_schema
 
 SAMPLES = sorted((Path(__file__).parents[2] / "sample_cases").glob("*/case.toml"))
 CASE = """

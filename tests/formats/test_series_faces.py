@@ -9,16 +9,14 @@ import vtk_witness
 from cgns_witness import assert_cgnscheck_finds_no_error
 from grids import frame, frame_2d
 from vtkmodules.util.numpy_support import vtk_to_numpy
-from vtkmodules.vtkIOCGNSReader import vtkCGNSReader
 from vtkmodules.vtkIOLegacy import vtkStructuredGridReader
 from vtkmodules.vtkIOXML import vtkXMLStructuredGridReader
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
 from meshdeform_core.velocity import at_faces, face_fields, grid_velocity, swept_volumes
-from meshdeform_formats import read_grid, write_grid
+from meshdeform_formats import read_grid
 from meshdeform_formats.series.outputs import LevelFiles
-from meshdeform_formats.series.shared import SingleFile
 
 TIMES = (0.0, 0.5, 2.0)
 AXES = "IJK"
@@ -71,30 +69,6 @@ def test_flat_axis_of_a_block_is_no_axis_of_its_zone(tmp_path):
         stored = file["Base/only/FlowSolutionIFaceCenter/SweptVolume/ data"][()].T
         np.testing.assert_array_equal(stored, expected(grid, 1)[0][1][0])
         assert "FlowSolutionKFaceCenter" not in file["Base/only"]
-
-
-@pytest.mark.parametrize("source", ["copy"])
-def test_one_cgns_file_points_to_the_solutions_of_every_level(source, tmp_path):
-    grid = frame()
-    if source == "copy":
-        write_grid(grid, tmp_path / "grid.cgns")
-        grid = read_grid(tmp_path / "grid.cgns")
-    files = written(grid, tmp_path, "wing.cgns", SingleFile)
-    assert_cgnscheck_finds_no_error(files.view)
-    with h5py.File(files.view) as file:
-        zone = file["Base"][grid.names[1]]
-        for key in ("", *(f"{axis}FaceCenter" for axis in AXES)):
-            pointers = f"FlowSolution{key}Pointers/ data"
-            words = zone["ZoneIterativeData"][pointers][()].tobytes().decode().split()
-            assert words == [f"FlowSolution{key or 'Vertex'}#{n}" for n in (1, 2, 3)]
-        for axis, values in zip(AXES, expected(grid, 2)[1], strict=True):
-            stored = zone[f"FlowSolution{axis}FaceCenter#3/SweptVolume/ data"][()].T
-            np.testing.assert_array_equal(stored, values)
-            assert not zone[f"FlowSolution{axis}FaceCenter#1/SweptVolume/ data"][()].any()
-    reader = vtkCGNSReader()
-    reader.SetFileName(str(files.view))
-    reader.Update()
-    assert reader.GetOutput().GetNumberOfPoints() == grid.n_nodes
 
 
 @pytest.mark.parametrize("suffix", [".vts", ".vtk"])

@@ -1,4 +1,4 @@
-"""Levels on disk: velocities in every format that holds them, ParaView's index, one CGNS file; VTK as the witness."""
+"""Levels on disk: velocities in every format that holds them, ParaView's index; VTK as the witness."""
 
 from __future__ import annotations
 
@@ -15,11 +15,10 @@ import numpy as np
 import pytest
 import vtk_witness
 from cgns_witness import assert_cgnscheck_finds_no_error
-from grids import frame, frame_2d, permuted
+from grids import frame
 from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkCommonDataModel import vtkCompositeDataSet
 from vtkmodules.vtkCommonExecutionModel import vtkStreamingDemandDrivenPipeline
-from vtkmodules.vtkIOCGNSReader import vtkCGNSReader
 from vtkmodules.vtkIOParallel import vtkPlot3DMetaReader
 
 from meshdeform_core.errors import FormatError
@@ -27,7 +26,6 @@ from meshdeform_core.grid import Grid
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.files import remove_partial, replacing
 from meshdeform_formats.series.outputs import LevelFiles
-from meshdeform_formats.series.shared import SingleFile
 
 TIMES = (0.0, 0.5, 2.0)
 
@@ -45,8 +43,8 @@ def one_block() -> Grid:
     return Grid.from_blocks([frame().block(2)], ["only"])
 
 
-def written(grid: Grid, folder: Path, name: str, kind=LevelFiles, order="second"):
-    files = kind(grid, folder, name, TIMES, {}, order)
+def written(grid: Grid, folder: Path, name: str, order="second"):
+    files = LevelFiles(grid, folder, name, TIMES, {}, order)
     for number, time in enumerate(TIMES):
         files.write(number, at(grid, time), None if order == "none" else velocity(grid, time))
         files.publish(number + 1)
@@ -183,61 +181,6 @@ def test_vtk_reads_a_plot3d_series_through_its_index(options, tmp_path):
         for block, data_set in enumerate(found):
             expected = at(grid, time).block(block)
             np.testing.assert_allclose(points_of(data_set, grid.shapes[block]), expected, rtol=0, atol=1e-6)
-
-
-@pytest.mark.parametrize(("source", "order"), [("new", "none"), ("copy", "first"), ("new", "second")])
-def test_vtk_reads_all_levels_of_one_cgns_file(source, order, tmp_path):
-    grid = frame()
-    if source == "copy":
-        write_grid(grid, tmp_path / "grid.cgns")
-        grid = read_grid(tmp_path / "grid.cgns")
-    files = written(grid, tmp_path, "wing.cgns", SingleFile, order)
-    assert_cgnscheck_finds_no_error(files.view)
-    reader = vtkCGNSReader()
-    reader.SetFileName(str(files.view))
-    reader.UpdateInformation()
-    reader.EnableAllPointArrays()
-    expected = {"first": [0, 0.5, 2.5], "second": [0, 0.5, 4.0], "none": []}[order]
-    for number in (2, 0, 1):
-        found = blocks_at(reader, TIMES[number])
-        assert len(found) == grid.n_blocks
-        for block, data_set in enumerate(found):
-            shape = grid.shapes[block]
-            np.testing.assert_array_equal(points_of(data_set, shape), at(grid, TIMES[number]).block(block))
-            if expected:
-                moving = in_order(data_set.GetPointData().GetArray("GridVelocity"), shape)
-                slope = expected[number] * grid.block(block)[..., 1]
-                np.testing.assert_allclose(moving[..., 0], slope, rtol=0, atol=1e-13)
-    # What this program reads is the undeformed grid.
-    np.testing.assert_array_equal(read_grid(files.view).points, grid.points)
-
-
-@pytest.mark.parametrize(("source", "axes"), [("new", (2, 0, 1)), ("copy", (0, 2, 1)), ("copy", (0, 1, 2))])
-def test_levels_of_a_plane_grid_flat_along_any_index_in_one_cgns_file(axes, source, tmp_path):
-    grid = permuted(frame_2d(), axes, (False, False, False))
-    if source == "copy":
-        write_grid(grid, tmp_path / "grid.cgns")
-        grid = read_grid(tmp_path / "grid.cgns")
-    files = written(grid, tmp_path, "wing.cgns", SingleFile, "first")
-    assert_cgnscheck_finds_no_error(files.view)
-    with h5py.File(files.view) as file:
-        for block, name in enumerate(grid.names):
-            for number, time in enumerate(TIMES):
-                found = file["Base"][name][f"GridCoordinates#{number + 1}"]
-                expected = at(grid, time).block(block).squeeze()
-                np.testing.assert_array_equal(found["CoordinateX/ data"][()].T, expected[..., 0])
-                np.testing.assert_array_equal(found["CoordinateY/ data"][()].T, expected[..., 1])
-                assert sorted(found) == ["CoordinateX", "CoordinateY"]
-            words = file["Base"][name]["ZoneIterativeData/GridCoordinatesPointers/ data"][()].tobytes().decode()
-            assert words.split() == [f"GridCoordinates#{n}" for n in (1, 2, 3)]
-        np.testing.assert_array_equal(file["Base/BaseIterativeData/TimeValues/ data"][()], TIMES)
-    np.testing.assert_array_equal(read_grid(files.view).points, grid.points)
-
-
-def test_a_file_that_holds_a_series_takes_no_second_one(tmp_path):
-    written(frame(), tmp_path, "wing.cgns", SingleFile, "none")
-    with pytest.raises(FormatError, match="already holds a series"):
-        SingleFile(read_grid(tmp_path / "wing.cgns"), tmp_path, "again.cgns", TIMES, {}, "none")
 
 
 def test_what_another_program_is_writing_stays(tmp_path):

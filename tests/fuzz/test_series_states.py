@@ -40,7 +40,6 @@ class Series(RuleBasedStateMachine):
     """The folder of one series, and what its levels must be."""
 
     suffix = ".xyz"
-    options: tuple[str, ...] = ()
 
     @initialize(folding=st.booleans(), marching=st.booleans())
     def begin(self, folding, marching):
@@ -51,10 +50,10 @@ class Series(RuleBasedStateMachine):
         self.folding = folding
         command = ["series", "grid.xyz", "-c", "case.toml", "-m", "tfi", "--times", "0:3:1"]
         self.command = [*command, "--repair", "off", "-q"]
-        self.command += [*self.options, "--suffix", self.suffix, *(["--from", "last"] if marching else [])]
+        self.command += ["--suffix", self.suffix, *(["--from", "last"] if marching else [])]
         code, told = called(*self.command, "-o", "whole")
         assert code == (3 if self.invalid_levels("whole") else 0), told
-        self.expected = [level.points for level in map(read_grid, self.files("whole"))] if not self.options else []
+        self.expected = [level.points for level in map(read_grid, self.files("whole"))]
         self.names = {path.name for path in Path("whole").iterdir() if path.is_file()}
         self.final = code
 
@@ -132,13 +131,8 @@ class Series(RuleBasedStateMachine):
             return
         for number, record in enumerate(self.records("out")):
             path = Path("out", record["file"])
-            # One file for all levels has the name of its worst.
-            own = [record] if not self.options else self.records("out")
-            bad = not all(each["valid"] for each in own)
-            assert (path == invalid_path(path.with_name(path.name.replace(".invalid", "")))) == bad or (
-                self.options and not json.loads(Path("out/series.json").read_text())["complete"]
-            )
-            if self.expected and path.exists():
+            assert (path == invalid_path(path.with_name(path.name.replace(".invalid", "")))) != record["valid"]
+            if path.exists():
                 np.testing.assert_array_equal(read_grid(path).points, self.expected[number])
 
     @invariant()
@@ -154,12 +148,7 @@ class SetSeries(Series):
     suffix = ".vtm"
 
 
-class SingleFileSeries(Series):
-    suffix = ".cgns"
-    options = ("--single-file",)
-
-
-@pytest.mark.parametrize("machine", [Series, SetSeries, SingleFileSeries])
+@pytest.mark.parametrize("machine", [Series, SetSeries])
 def test_series_in_all_states(machine):
     run_state_machine_as_test(
         machine,
