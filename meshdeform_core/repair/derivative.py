@@ -8,7 +8,6 @@ side collects how the energy depends on that grid: through the elastic reference
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
@@ -23,26 +22,6 @@ _LOOSE, _ITERATIONS, _REFINEMENTS = 1e-3, 5000, 40
 """Tolerance and iterations of one solution, and number of refinements: the matrix is stored in single precision."""
 _ENOUGH = 1e-15
 _STEPS = 2
-
-
-class RepairDerivative(Protocol):
-    """Changes and gradients (n_nodes, 3) of block nodes."""
-
-    def push(self, change: FloatArray) -> FloatArray:
-        """Change of the repaired grid for a change of the method's grid."""
-        ...
-
-    def pull(self, gradient: FloatArray) -> FloatArray:
-        """Gradient with respect to the method's grid, from that with respect to the repaired grid."""
-        ...
-
-    def settle(self, rounding: float) -> float:
-        """Continue to the exact minimum from coordinates that were rounded by up to ``rounding`` when written.
-
-        Returns the largest distance moved beyond the rounding, relative to the shortest local edge; infinity if the
-        Hessian is not positive definite, or too nearly singular for the linear system to be solved.
-        """
-        ...
 
 
 def derivative_of_repair(basis: Basis, start: FloatArray, end: FloatArray, polish: bool) -> RepairDerivative | None:
@@ -128,6 +107,7 @@ class _AtMinimum:
             self._surfaces = _Surfaces(region, self._x, system.gradient)
 
     def push(self, change: FloatArray) -> FloatArray:
+        """Change (n_nodes, 3) of the repaired grid for a change of the method's grid."""
         plot, moved = self._plot, np.array(change)
         given = plot.vectors(change)
 
@@ -145,6 +125,7 @@ class _AtMinimum:
         return moved
 
     def pull(self, gradient: FloatArray) -> FloatArray:
+        """Gradient (n_nodes, 3) with respect to the method's grid, from that with respect to the repaired grid."""
         plot, pulled = self._plot, np.array(gradient)
 
         def make() -> FloatArray:
@@ -163,6 +144,12 @@ class _AtMinimum:
         return pulled
 
     def settle(self, rounding: float) -> float:
+        """Continue to the exact minimum from coordinates that were rounded by up to ``rounding`` when written.
+
+        Returns the largest distance moved beyond the rounding, relative to the shortest local edge; infinity if the
+        Hessian is not positive definite, or too nearly singular for the linear system to be solved.
+        """
+
         def make() -> FloatArray:
             for _ in range(_STEPS):
                 self._fill()
@@ -321,3 +308,6 @@ class _Extruded:
 
     def settle(self, rounding: float) -> float:
         return self._inside.settle(rounding)
+
+
+RepairDerivative = _AtMinimum | _Extruded

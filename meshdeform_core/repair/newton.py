@@ -18,7 +18,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import scipy
@@ -46,35 +46,22 @@ Matrix = tuple[NDArray[np.float32], IntArray, NDArray[np.int32]]
 """Blocks, where the rows start, and columns."""
 
 
-class Products(Protocol):
-    """Products of the preconditioned matrix with vectors (n, d)."""
-
-    def begin(self, b: FloatArray) -> FloatArray:
-        """The right-hand side of the preconditioned system."""
-        ...
-
-    def multiply(self, p: FloatArray, image: FloatArray) -> float:
-        """Fill ``image`` with the product of the matrix and ``p``; return ``p . image``."""
-        ...
-
-    def end(self, y: FloatArray) -> FloatArray:
-        """The solution from that of the preconditioned system."""
-        ...
-
-
 class Plain:
-    """Products of the matrix itself, with 3 x 3 blocks."""
+    """Products of the matrix itself, with 3 x 3 blocks, with vectors (n, d)."""
 
     def __init__(self, matrix: Matrix) -> None:
         self._matrix = matrix
 
     def begin(self, b: FloatArray) -> FloatArray:
+        """The right-hand side of the preconditioned system."""
         return b
 
     def multiply(self, p: FloatArray, image: FloatArray) -> float:
+        """Fill ``image`` with the product of the matrix and ``p``; return ``p . image``."""
         return sum_over_rows(partial(multiply_rows, *self._matrix, p, image), len(image))
 
     def end(self, y: FloatArray) -> FloatArray:
+        """The solution from that of the preconditioned system."""
         return y
 
 
@@ -156,7 +143,7 @@ class NewtonSystem:
         self._matrix = with_room((len(self._columns), d, d), np.float32)
         self._factor = np.zeros((n, d, d))
         matrix = self._matrix, self._starts, self._columns
-        self._products: Products = Plain(matrix) if d == 3 else Swept(matrix)
+        self._products: Plain | Swept = Plain(matrix) if d == 3 else Swept(matrix)
         self.work, self.iterations = _BLOCK * len(self._columns), 0
         self.solved = False
         self.gradient = np.empty((n, d))

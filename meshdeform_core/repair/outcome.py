@@ -54,12 +54,11 @@ class Repair:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Coordinates (n_nodes, 3) after a repair, their verdict, what was done, and the share of the energy of cells."""
+    """Coordinates (n_nodes, 3) after a repair, their verdict, and what was done."""
 
     points: FloatArray
     verdict: Verdict
     repair: Repair
-    share: float = 0.0
 
 
 @dataclass(frozen=True)

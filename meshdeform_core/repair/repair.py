@@ -31,7 +31,7 @@ from .options import Effort
 from .outcome import Judged, Outcome, Repair
 from .region import Basis, Plot
 from .tuned import FEW, KEPT, LARGE, LAYERS, PER_NODE, REGIONS
-from .untangle import CLOSE, WAYS, Progress, Search, Searcher, Way
+from .untangle import WAYS, Progress, Search, Searcher, Way
 
 WEAK = 0.35
 """Cells with a corner below this fraction of its undeformed Jacobian are the centres of regions."""
@@ -78,16 +78,13 @@ class Repairer:
         self.basis, self.original, self.rounded = basis, basis.original, rounded
         self.memory, self.progress, self.limit, self.farthest = memory, progress, limit or Limit(), farthest
 
-    def repair(
-        self, start: Judged, polish: bool = False, effort: Effort = "all", close: float = CLOSE
-    ) -> Outcome | None:
+    def repair(self, start: Judged, polish: bool = False, effort: Effort = "all") -> Outcome | None:
         """Make cells sound; the result may still have invalid cells, but no more than the grid at the ``start``, which
         is not touched outside the neighbourhood of the cells that are or were invalid then. ``None`` if no cell is
         invalid or weak.
 
         If it is found, the result is the minimum of the energy. Otherwise cells are untangled in regions, and the
         minimum is searched for from there. ``polish``: the weakest cells count as weak however good they are.
-        ``close``: the distance from the minimum at which the search ends.
         """
         begin, valid = clock.perf_counter(), start.verdict.valid
         flat, basis = self._flattened(start.points)
@@ -96,9 +93,9 @@ class Repairer:
         limit = self.limit.for_valid(self.original.grid.n_nodes) if valid else self.limit.for_invalid()
         try:
             if flat is not None:
-                found = self._in_plane(start, flat, basis, polish, effort, limit, close)
+                found = self._in_plane(start, flat, basis, polish, effort, limit)
             else:
-                found = self._found(start, bad, polish, effort, limit, close)
+                found = self._found(start, bad, polish, effort, limit)
         except MethodError as error:
             found = _Found(start, left_out=str(error))
         if found is None or (valid and not (found.steps or found.left_out)):
@@ -110,17 +107,15 @@ class Repairer:
             found = replace(found, grid=self._kept(start, found.grid))
         count = found.weak or len(np.setdiff1d(weak, start.verdict.invalid))
         record = replace(self._record(start, found, clock.perf_counter() - begin), weak=count)
-        return Outcome(found.grid.points, found.grid.verdict, record, found.share)
+        return Outcome(found.grid.points, found.grid.verdict, record)
 
-    def _found(
-        self, start: Judged, bad: IntArray, polish: bool, effort: Effort, limit: Limit, close: float
-    ) -> _Found | None:
+    def _found(self, start: Judged, bad: IntArray, polish: bool, effort: Effort, limit: Limit) -> _Found | None:
         if not (bad.size or polish):
             return None
         plot = self._plot(bad, polish)
         found: _Found | None = _Found(start)
         if plot is not None and effort != "hasty":
-            found = self._minimum(start, plot, polish, limit, None, close)
+            found = self._minimum(start, plot, polish, limit, None)
         if found and not found.grid.verdict.valid:
             found = self._by_regions(start, found, plot, polish, limit, () if limit.reached else WAYS[effort])
             if not found.grid.verdict.valid:
@@ -165,13 +160,11 @@ class Repairer:
         limit.spend(spent - (limit.spent - before))
         return found
 
-    def _minimum(
-        self, start: Judged, plot: Plot, polish: bool, limit: Limit, near: Judged | None, close: float = CLOSE
-    ) -> _Found | None:
+    def _minimum(self, start: Judged, plot: Plot, polish: bool, limit: Limit, near: Judged | None) -> _Found | None:
         """The grid at, or on the way to, the minimum of the energy, searched for from ``near``, by default from the
         ``start``; ``None`` if no cell is weak."""
         shift = None if near is None else plot.vectors(Nodes.of(near.points).combined(np.subtract, start.points))
-        found = self._searched(start, plot, limit, lambda searcher: searcher.minimum(polish, shift, close))
+        found = self._searched(start, plot, limit, lambda searcher: searcher.minimum(polish, shift))
         if found is None:
             return None if start.verdict.valid else _Found(start)
         end = self._moved(start, plot, found.shift)
@@ -304,7 +297,6 @@ class Repairer:
         polish: bool,
         effort: Effort,
         limit: Limit,
-        close: float,
     ) -> _Found | None:
         """The repair on the plane grid that this one is extruded from."""
         assert self.basis.extrusion is not None
@@ -312,7 +304,7 @@ class Repairer:
         plane = Repairer(basis, self.rounded, self.memory, self.progress, self.limit, self.farthest)
         plain = Judged(flat, judge(basis.original, self.rounded(flat)))
         weak = unhealthy_cells(basis.original, flat)
-        found = plane._found(plain, np.union1d(weak, plain.verdict.invalid), polish, effort, limit, close)
+        found = plane._found(plain, np.union1d(weak, plain.verdict.invalid), polish, effort, limit)
         if found is None or not found.steps:
             return found and replace(found, grid=start)
         kept = 0.0 if polish else kept_along_lines(found.share)[0]

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -53,15 +52,19 @@ class State:
 
 
 @dataclass(frozen=True)
-class Pace:
-    """The effort spent on untangling a region: the largest number of ``steps``, the ``first`` regularisation, its
+class Way:
+    """A strategy of untangling a region: the largest number of ``steps``, the ``first`` regularisation, its
     ``slowest`` relative decrease, and the largest number of preceding steps in which cells are compared with those
-    ``around`` them."""
+    ``around`` them. ``patient``: all nodes at once; ``even``: without larger weights near walls; ``hasty``: only
+    around weak cells, without subsequent improvement."""
 
     steps: int
-    first: float = 0.5
-    slowest: float = 0.4
+    first: float
+    slowest: float
     around: int = 0
+    patient: bool = False
+    even: bool = False
+    hasty: bool = False
 
 
 @dataclass
@@ -95,51 +98,51 @@ class Untangler:
         self.limit.spend(_EVALUATION * self.region.energy.work)
         return State(x, parts[:, 0].sum(), parts[:, 1].min(initial=np.inf), parts[:, 2].max(initial=0.0))
 
-    def untangle(self, pace: Pace) -> bool:
+    def untangle(self, way: Way) -> bool:
         """Newton steps until every determinant is positive; returns whether this succeeded.
 
         Cells are compared with undeformed ones; if some are squeezed, first with those around them, see
         :mod:`.energy`. Cells at walls have smaller weights than in the energy to be minimised, as folds open
         sooner if all cells take part.
         """
-        if self.state(self.x, Penalty(pace.first)).lowest > 0.0:
+        if self.state(self.x, Penalty(way.first)).lowest > 0.0:
             return True
         start, energy = self.x, self.region.energy.softened(SOFTENED)
-        among = among_others(energy, start) if pace.around else None
-        if among is not None and self._untangle(among, replace(pace, steps=pace.around)):
+        among = among_others(energy, start) if way.around else None
+        if among is not None and self._untangle(among, replace(way, steps=way.around)):
             return True
         self.x = start
-        return self._untangle(energy, pace)
+        return self._untangle(energy, way)
 
-    def _untangle(self, energy: Energy, pace: Pace) -> bool:
+    def _untangle(self, energy: Energy, way: Way) -> bool:
         """Newton steps with a given energy until every determinant is positive.
 
-        The regularisation falls as in Garanzha et al. 2021 (section 2.3), but by at least ``pace.slowest`` once the
+        The regularisation falls as in Garanzha et al. 2021 (section 2.3), but by at least ``way.slowest`` once the
         energy hardly changes: a few extra steps at the end cost less than many before.
         """
         other = replace(self, region=replace(self.region, energy=energy))
-        untangled = other._descend(pace)
+        untangled = other._descend(way)
         self.x, self.steps = other.x, other.steps
         return untangled
 
-    def _descend(self, pace: Pace) -> bool:
-        eps = pace.first
-        for step in range(pace.steps + 1):
+    def _descend(self, way: Way) -> bool:
+        eps = way.first
+        for step in range(way.steps + 1):
             now = self.state(self.x, Penalty(eps))
             if now.lowest > 0.0:
                 return True
-            if step == pace.steps or now.lowest < -_LOCKED * eps or self.limit.reached:
+            if step == way.steps or now.lowest < -_LOCKED * eps or self.limit.reached:
                 break
-            self._tell(step, pace.steps)
+            self._tell(step, way.steps)
             after, _ = self._step(now, Penalty(eps), _ROUGH)
             self.x = after.x
-            eps = _next_eps(eps, after.lowest, max(pace.slowest, 1.0 - after.energy / now.energy))
+            eps = _next_eps(eps, after.lowest, max(way.slowest, 1.0 - after.energy / now.energy))
         return False
 
-    def minimise(self, share: float, most: int, edges: FloatArray, close: float = CLOSE) -> bool:
+    def minimise(self, share: float, most: int, edges: FloatArray) -> bool:
         """At most ``most`` Newton steps to the minimum from a valid start; returns whether it was reached.
 
-        ``edges`` (n,) are the shortest undeformed edges at the nodes, relative to which steps must be below ``close``.
+        ``edges`` (n,) are the shortest undeformed edges at the nodes, relative to which steps must be below CLOSE.
         """
         penalty = Penalty(0.0, share, CUBIC, 1.0)
         now, length, earlier = self.state(self.x, penalty), np.inf, list[State]()
@@ -161,7 +164,7 @@ class Untangler:
                 self.system.solved
                 and self.damped == 0.0
                 and part >= 1.0
-                and (length < close or (step and _SAFETY * shrinking * length < close))
+                and (length < CLOSE or (step and _SAFETY * shrinking * length < CLOSE))
             ):
                 return True
             if part == 0.0:
@@ -243,9 +246,9 @@ def _next_eps(eps: float, lowest: float, change: float) -> float:
 
 
 # A regularisation that starts large and falls slowly finds valid grids where a fast one fails.
-QUICK, PATIENT = Pace(60, 2.0, 0.2, around=40), Pace(200, 50.0, 0.1)
+QUICK, PATIENT = Way(60, 2.0, 0.2, around=40), Way(200, 50.0, 0.1, patient=True)
 # Where no valid grid exists, most of the cells that can become valid do so early.
-HASTY = Pace(30, 2.0, 0.3)
+HASTY = Way(30, 2.0, 0.3, hasty=True)
 _CONVERGING, _IMPROVING = 60, 20
 # A region of n nodes takes at most _WORK / n Newton steps, so that time is bounded on large grids.
 _WORK, _FEWEST = 20_000_000, 6
@@ -253,26 +256,12 @@ _WORK, _FEWEST = 20_000_000, 6
 Progress = Callable[[str, int, int], None]
 
 
-class Way(NamedTuple):
-    """A strategy of untangling: ``patient`` or quick; ``even``: without larger weights near walls; ``hasty``: only
-    around weak cells, without subsequent improvement."""
-
-    patient: bool = False
-    even: bool = False
-    hasty: bool = False
-
-    @property
-    def pace(self) -> Pace:
-        """The effort spent on each search."""
-        return PATIENT if self.patient else HASTY if self.hasty else QUICK
-
-
-_PATIENTLY = Way(patient=True), Way(patient=True, even=True)
+_PATIENTLY = PATIENT, replace(PATIENT, even=True)
 WAYS: dict[Effort, tuple[Way, ...]] = {
-    "hasty": (Way(hasty=True),),
-    "quick": (Way(),),
+    "hasty": (HASTY,),
+    "quick": (QUICK,),
     "patient": _PATIENTLY,
-    "all": (Way(), *_PATIENTLY),
+    "all": (QUICK, *_PATIENTLY),
 }
 """The strategies that are tried in turn."""
 
@@ -314,11 +303,10 @@ class Searcher:
         untangler.progress, untangler.limit = self.progress, self.limit
         return untangler, most
 
-    def minimum(self, polish: bool, shift: FloatArray | None, close: float = CLOSE) -> Search | None:
+    def minimum(self, polish: bool, shift: FloatArray | None) -> Search | None:
         """The minimum, from coordinates moved by ``shift`` (n, d); ``None`` if no cell is weak.
 
         ``polish``: the energy always has its full share, and cells at walls have little more weight than others.
-        ``close``: the distance from the minimum at which the search ends, see :mod:`.untangle`.
         """
         share, energy = share_of(self.plot.region.energy, self.reference)
         if polish:
@@ -329,7 +317,7 @@ class Searcher:
         untangler, most = self._untangler(replace(self.plot.region, energy=energy), start)
         untangled = untangler.untangle(replace(QUICK, steps=min(QUICK.steps, most)))
         first = self._shift(untangler) if untangled else None
-        converged = untangled and untangler.minimise(share, min(_CONVERGING, most), self.plot.edges, close)
+        converged = untangled and untangler.minimise(share, min(_CONVERGING, most), self.plot.edges)
         untangled_at = None if converged else first
         return Search(self._shift(untangler), converged, untangler.steps, untangled=untangled_at, share=share)
 
@@ -338,7 +326,7 @@ class Searcher:
         share, energy = share_of(self.plot.region.energy, self.reference)
         untangler, most = self._untangler(replace(self.plot.region, energy=energy), self.reference)
         before = untangler.state(self.reference, Penalty()).highest
-        done = untangler.untangle(replace(way.pace, steps=min(way.pace.steps, most)))
+        done = untangler.untangle(replace(way, steps=min(way.steps, most)))
         if done and not way.hasty:
             untangler.minimise(max(share, 1.0), min(_IMPROVING, most), self.plot.edges)
         after = untangler.state(untangler.x, Penalty()).highest

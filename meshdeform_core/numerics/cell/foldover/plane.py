@@ -1,4 +1,4 @@
-"""The foldover-free energy of plane grids: its sum, gradient, and the convex part of its second derivatives.
+"""The derivatives of the foldover-free energy of plane grids, for eight triangles at a time.
 
 Every sound corner of a quadrilateral defines a triangle of three nodes. With A the Jacobian matrix (2, 2) of the map
 from the undeformed triangle to the deformed one, and D = det A,
@@ -13,66 +13,115 @@ Split A = C + M into a similarity C and a mirrored similarity M: |A|^2 = |C|^2 +
 basis the second derivatives are diagonal but for one 2 x 2 matrix, so their negative part can be removed exactly.
 """
 
+from __future__ import annotations
+
+import math
+
 import numpy as np
 
-from ...arrays import FloatArray, IntArray
-from ...jit import inlined, kernel
+from ...jit import kernel
 from ...lanes import NARROW as WIDTH
+from ...lanes import Array, Lanes, narrow
 from .hexahedra import Unknowns, add_element
-from .jacobian import growth, regular
-from .nodes import transpose
-from .triangles import (
-    DEFORMED,
-    FORCE,
-    GIVEN,
-    REFERENCE,
-    ROWS,
-    SLOPE,
-    WEIGHT,
-    triangle_derivatives,
-)
+from .jacobian import growth, slopes_of_triangle
+from .nodes import load, regular, store, transpose
+
+DEFORMED, REFERENCE, SLOPE, WEIGHT, GIVEN = 0, 6, 12, 18, 19
+"""Rows of ``given`` (GIVEN, WIDTH): coordinates (3, 2) of the nodes in two grids, gradients (3, 2) of their shape
+functions, and w."""
+FORCE, ROWS = 24, 32
+"""Rows of ``result`` (ROWS, WIDTH): second derivatives (6, 2, 2) for pairs of nodes in ascending order, from FORCE on
+the first ones (3, 2)."""
+
+_HALF = math.sqrt(0.5)
 
 
-@inlined
-def plane_matrix(x, node, slope):
-    """The Jacobian matrix ((a, b), (c, d)) of a triangle, returned as four numbers."""
-    a = b = c = d = 0.0
+@narrow
+def triangle_derivatives(
+    given: Array, result: Array, eps: Lanes, share: Lanes, cubic: Lanes, elastic: Lanes, exact: Lanes
+) -> None:
+    """Derivatives of the energy of eight triangles; of negative second derivatives only the share ``exact``."""
+    slope = [[load(given, SLOPE + 2 * n + k) for k in range(2)] for n in range(3)]
+    (a, b), (c, d) = matrix = _matrix(given, DEFORMED, slope)
+    held = _matrix(given, REFERENCE, slope)
+    det = a * d - b * c
+    chi, root = regular(det, eps)
+    f, dg, dd, gd, ddd = slopes_of_triangle.py_func(a * a + b * b + c * c + d * d, det, chi, root)
+    one, two = growth.py_func(f)[1:]
+    one, two = share * (load(given, WEIGHT) + cubic * one), share * cubic * two
+    u, v = 2.0 * dg * one, dd * one
+    second = two * dg * dg, one * gd + two * dg * dd, one * ddd + two * dd * dd
+    same, mirrored = [_HALF * (a + d), _HALF * (c - b)], [_HALF * (a - d), _HALF * (b + c)]
+    values, vectors = _spectrum(same, mirrored, u, v, second)
+    values = [(value + elastic).max(exact * (value + elastic)) for value in values]
+    cofactors = [[d, c * -1.0], [b * -1.0, a]]
+    stress = [
+        [u * matrix[i][k] + v * cofactors[i][k] + elastic * (matrix[i][k] - held[i][k]) for k in range(2)]
+        for i in range(2)
+    ]
+    turned = [[_turned(vector, s) for vector in vectors] for s in slope]
+    row = 0
     for n in range(3):
-        p = node[n]
-        a += x[p, 0] * slope[n, 0]
-        b += x[p, 0] * slope[n, 1]
-        c += x[p, 1] * slope[n, 0]
-        d += x[p, 1] * slope[n, 1]
-    return a, b, c, d
+        for i in range(2):
+            store(result, FORCE + 2 * n + i, stress[i][0] * slope[n][0] + stress[i][1] * slope[n][1])
+        scaled = [[value * c for c in vector] for value, vector in zip(values, turned[n], strict=True)]
+        for o in range(n, 3):
+            for i in range(2):
+                for k in range(2):
+                    parts = [one[i] * other[k] for one, other in zip(scaled, turned[o], strict=True)]
+                    store(result, row, (parts[0] + parts[1]) + (parts[2] + parts[3]))
+                    row += 1
 
 
-@kernel("f8[:, ::1], i8[:, ::1], f8[:, :, ::1], f8[::1], f8[:, ::1], UniTuple(f8, 5), i8, i8")
-def energy_of_triangles(x, node, slope, weight, reference, penalty, low, high):
-    """Sum of the energy over the triangles low <= m < high, their smallest D and largest f.
+def _turned(vector: list[Lanes], slope: list[Lanes]) -> list[Lanes]:
+    """The change of A along an eigenvector per displacement of a node."""
+    e, (p, q) = vector, slope
+    return [_HALF * ((e[0] + e[2]) * p + (e[3] - e[1]) * q), _HALF * ((e[1] + e[3]) * p + (e[0] - e[2]) * q)]
 
-    Parameters
-    ----------
-    x : (n, 2) deformed coordinates
-    node, slope : (m, 3), (m, 3, 2) nodes and undeformed gradients of their shape functions
-    weight : (m,) w, see :mod:`.hexahedra`
-    reference, penalty : see :func:`.hexahedra.energy_of_cells`
+
+def _spectrum(
+    c: list[Lanes], m: list[Lanes], u: Lanes, v: Lanes, second: tuple[Lanes, Lanes, Lanes]
+) -> tuple[list[Lanes], list[list[Lanes]]]:
+    """Eigenvalues (4,) and eigenvectors (4, 4) of the second derivatives.
+
+    ``c`` (2,) and ``m`` (2,) are coordinates of the two parts of A; ``u`` is twice the derivative along g = |A|^2,
+    ``v`` the one along D; ``second``: those along g, along g and D, and along D.
     """
-    eps, share, cubic, elastic, _ = penalty
-    total, lowest, highest = 0.0, np.inf, 0.0
-    for m in range(low, high):
-        a, b, c, d = plane_matrix(x, node[m], slope[m])
-        det = a * d - b * c
-        chi, _ = regular(det, eps)
-        lowest = min(lowest, det)
-        f = np.inf
-        if chi > 0.0:
-            f = 0.5 * (a * a + b * b + c * c + d * d + det * det + 1.0) / chi
-        highest = max(highest, f)
-        total += share * (weight[m] * f + cubic * growth(f)[0])
-        if elastic > 0.0:
-            p, q, r, s = plane_matrix(reference, node[m], slope[m])
-            total += 0.5 * elastic * ((a - p) ** 2 + (b - q) ** 2 + (c - r) ** 2 + (d - s) ** 2)
-    return total, lowest, highest
+    gg, gd, dd = second
+    zero = u * 0.0
+    (cc, c0, c1), (mm, m0, m1) = _unit(*c), _unit(*m)
+    one = u + v + cc * cc * (4.0 * gg + 4.0 * gd + dd)
+    two = u - v + mm * mm * (4.0 * gg - 4.0 * gd + dd)
+    mixed = cc * mm * (4.0 * gg - dd)
+    half, middle = 0.5 * (one - two), 0.5 * (one + two)
+    radius = (half * half + mixed * mixed).sqrt()
+    # The eigenvector of the larger eigenvalue in the plane spanned by the unit vectors along C and M.
+    less = half.below(0.0)
+    _, p, q = _unit(less.choose(mixed, half + radius), less.choose(radius - half, mixed))
+    values = [u + v, u - v, middle + radius, middle - radius]
+    vectors = [
+        [c1 * -1.0, c0, zero, zero],
+        [zero, zero, m1 * -1.0, m0],
+        [p * c0, p * c1, q * m0, q * m1],
+        [q * c0 * -1.0, q * c1 * -1.0, p * m0, p * m1],
+    ]
+    return values, vectors
+
+
+def _unit(x: Lanes, y: Lanes) -> tuple[Lanes, Lanes, Lanes]:
+    """The length of a vector, and the unit vector along it, (1, 0) if it is zero."""
+    length = (x * x + y * y).sqrt()
+    some = (length * 0.0).below(length)
+    return length, some.choose(x / length, 1.0), some.choose(y / length, 0.0)
+
+
+def _matrix(given: Array, grid: int, slope: list[list[Lanes]]) -> list[list[Lanes]]:
+    """The Jacobian matrix of a grid by rows."""
+    place = [[load(given, grid + 2 * n + i) for i in range(2)] for n in range(3)]
+    return [
+        [sum((place[n][i] * slope[n][k] for n in (1, 2)), place[0][i] * slope[0][k]) for k in range(2)]
+        for i in range(2)
+    ]
 
 
 @kernel(
@@ -103,43 +152,3 @@ def add_triangles(x, node, slope, weight, reference, penalty, which, unknowns, r
             transpose(result, row, found, ROWS)
         for lane in range(used):
             add_element(node, which[first + lane], 3, 2, found, lane, FORCE, work, unknowns, rows, matrix, gradient)
-
-
-def excess_of_triangles(x: FloatArray, node: IntArray, slope: FloatArray, healthy: float, eps: float) -> FloatArray:
-    """max(0, log(f / healthy)) of every triangle (m,)."""
-    a, b, c, d = np.einsum("mni,mnk->ikm", x[node], slope).reshape(4, -1)
-    det = a * d - b * c
-    root = np.sqrt(eps * eps + det * det)
-    # As :func:`.jacobian.regular`.
-    up = det > 0.0
-    chi = np.where(up, 0.5 * (det + root), 0.5 * eps * eps / np.where(up, 1.0, root - det))
-    f = 0.5 * (a * a + b * b + c * c + d * d + det * det + 1.0) / chi
-    return np.asarray(np.log(np.maximum(f / healthy, 1.0)))
-
-
-def corner_triangles(
-    start: FloatArray, cells: IntArray, sign: FloatArray, tolerance: float
-) -> tuple[IntArray, FloatArray, IntArray]:
-    """Triangles at the sound corners of quadrilaterals: nodes (t, 3), gradients of shape functions (t, 3, 2), as in
-    :func:`energy_of_triangles`, and the cell (t,) of each.
-
-    A corner is sound if its undeformed Jacobian has the ``sign`` (m,) of the cell and is more than ``tolerance`` of the
-    product of its edges.
-
-    Parameters
-    ----------
-    start : (n, 2) undeformed coordinates
-    cells : (m, 4) nodes; node a of a cell is the corner (a >> 1, a & 1)
-    """
-    corner = np.arange(4)
-    node = np.stack([cells, cells[:, corner ^ 2], cells[:, corner ^ 1]], axis=2)
-    # Both edges point along ascending indices, at whichever end of them the corner is.
-    along = np.stack([np.where(corner & 2, -1.0, 1.0), np.where(corner & 1, -1.0, 1.0)])
-    u, v = (along[n][:, None] * (start[node[..., n + 1]] - start[node[..., 0]]) for n in range(2))
-    det = u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
-    size = np.sqrt((u * u).sum(axis=-1) * (v * v).sum(axis=-1))
-    cell, at = np.nonzero(sign[:, None] * det > tolerance * size)
-    u, v, det = u[cell, at], v[cell, at], det[cell, at][:, None]
-    one = along[0, at][:, None] * np.stack([v[:, 1], -v[:, 0]], axis=1) / det
-    two = along[1, at][:, None] * np.stack([-u[:, 1], u[:, 0]], axis=1) / det
-    return node[cell, at], np.stack([-one - two, one, two], axis=1), cell
