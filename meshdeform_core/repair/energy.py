@@ -369,8 +369,10 @@ def _cofactors(a: FloatArray) -> FloatArray:
 
 def _regular(det: FloatArray, eps: float) -> tuple[FloatArray, FloatArray]:
     """chi and sqrt(eps^2 + D^2), computed without cancellation."""
+    if eps == 0.0:
+        return np.maximum(det, 0.0), np.abs(det)
     root = np.sqrt(eps * eps + det * det)
-    less = np.where(det > 0.0, 1.0, np.maximum(root - det, 1e-300))
+    less = np.where(det > 0.0, 1.0, root - det)
     return np.where(det > 0.0, 0.5 * (det + root), 0.5 * eps * eps / less), root
 
 
