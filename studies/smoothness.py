@@ -30,7 +30,7 @@ from meshdeform_core.repair.onset import unhealthy_cells
 from meshdeform_core.repair.tuned import HEALTHY
 from meshdeform_core.series import Level, Schedule, deform_series
 from meshdeform_core.smoothness import shortest_edges
-from meshdeform_core.stepping import course as courses
+from meshdeform_core.stepping import steps as stepping
 from meshdeform_formats.case import read_case
 from meshdeform_formats.grids import read_grid
 from meshdeform_samples import load
@@ -148,7 +148,7 @@ def onset_at(f: float) -> Iterator[None]:
     with (
         patch.multiple(energy, HEALTHY=f, FULL=full, BETWEEN=between, ALONG=(between / full) ** energy.POWER),
         patch.object(unhealthy_cells, "__defaults__", (f,)),
-        patch.object(courses, "AS_PLANE", 2.0 + 0.6 * (f - 2.0)),
+        patch.object(stepping, "AS_PLANE", 2.0 + 0.6 * (f - 2.0)),
     ):
         yield
 

@@ -11,7 +11,7 @@ from meshdeform.grid import wrapped
 from meshdeform_core.grid.parts import FileFormat
 from meshdeform_core.repair import energy, onset, untangle
 from meshdeform_core.repair.derivative import derivative_of_repair
-from meshdeform_core.stepping import course
+from meshdeform_core.stepping import steps as stepping
 
 BODY = {"where": "abs(x) < 0.51 and abs(y) < 0.51", "select": ["*.i*", "*.j*"], "kind": "moving", "name": "body"}
 STILL = [{"displace": ["0", "0", "0"]}]
@@ -80,7 +80,7 @@ def early(monkeypatch):
     for name, value in values.items():
         monkeypatch.setattr(energy, name, value)
     monkeypatch.setattr(onset.unhealthy_cells, "__defaults__", (healthy,))
-    monkeypatch.setattr(course, "AS_PLANE", 2.0)
+    monkeypatch.setattr(stepping, "AS_PLANE", 2.0)
 
 
 @pytest.fixture
