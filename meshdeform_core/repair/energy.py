@@ -27,7 +27,7 @@ from ..numerics.cell.foldover.hexahedra import Unknowns, add_derivatives, energy
 from ..numerics.cell.foldover.jacobian import growth, slopes_of_triangle
 from ..numerics.cell.foldover.plane import add_triangles
 from ..numerics.cell.foldover.samples import Samples, shortest_edges
-from .tuned import ALONG, BETWEEN, COLLAPSED, FULL, HEALTHY, NORM, POWER, SLOWLY, SOFT
+from .tuned import ALONG, BETWEEN, COLLAPSED, FULL, HEALTHY, HELD, NORM, POWER, SLOWLY, SOFT
 
 _CORNERS = (1 << 8) - 1
 _SQUEEZED = 0.03
@@ -161,7 +161,7 @@ class Hexahedra:
 
     @cached_property
     def _loops(self) -> tuple[Any, ...]:
-        weights = np.stack([self.weight, self.between], axis=1)
+        weights = np.stack([self.weight, self.between, self.weight**HELD], axis=1)
         return self.nodes, self.start, self.own, self.mask, self.samples, weights
 
     @property
@@ -223,14 +223,14 @@ class Triangles:
             energy = penalty.share * (self.weight[some] * f + penalty.cubic * growth.py_func(f)[0])
         if penalty.elastic > 0.0:
             change = a - self._maps(reference, some)[0]
-            energy += 0.5 * penalty.elastic * _inner(change, change)
+            energy += 0.5 * penalty.elastic * self._weights[some, 1] * _inner(change, change)
         return float(energy.sum()), float(det.min(initial=np.inf)), float(f.max(initial=0.0))
 
     def add(
         self, x: FloatArray, reference: FloatArray, penalty: Penalty, which: IntArray, unknowns: Unknowns, rows: Rows
     ) -> None:
         rest = tuple(penalty), which, unknowns, rows.pattern, rows.matrix, rows.gradient
-        add_triangles(x, self.nodes, self.slope, self.weight, reference, *rest)
+        add_triangles(x, self.nodes, self.slope, self._weights, reference, *rest)
 
     def excess(self, x: FloatArray) -> FloatArray:
         f = self._slopes(*self._maps(x), SOFT)[0]
@@ -254,7 +254,7 @@ class Triangles:
         of_f = along_g * of_g + along_det * of_det
         u = penalty.share * (two * of_f * along_g + one * mixed * of_det) + share * one * along_g
         v = penalty.share * (two * of_f * along_det + one * (mixed * of_g + second * of_det)) + share * one * along_det
-        force = 2.0 * (penalty.share * one * along_g * t + u * a) + penalty.elastic * t
+        force = 2.0 * (penalty.share * one * along_g * t + u * a) + penalty.elastic * self._weights[:, 1] * t
         force += penalty.share * one * along_det * _cofactors(t) + v * k
         return self._on_nodes(force, len(x)), float((one * of_f).sum()), np.zeros(len(self.nodes))
 
@@ -266,6 +266,11 @@ class Triangles:
 
     def stretched(self, stretch: FloatArray) -> Triangles:
         return dataclasses.replace(self, slope=np.einsum("mnk,mkj->mnj", self.slope, np.linalg.inv(stretch)))
+
+    @cached_property
+    def _weights(self) -> FloatArray:
+        """The weights of the cells, and the factors of their elastic energy (m, 2)."""
+        return np.stack([self.weight, self.weight**HELD], axis=1)
 
     @cached_property
     def _columns(self) -> tuple[IntArray, FloatArray]:

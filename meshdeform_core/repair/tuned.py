@@ -11,10 +11,10 @@ COLLAPSED = 1e-10
 """A corner whose undeformed Jacobian is below this fraction of the product of its edges is collapsed."""
 HEALTHY, SOFT, NORM = 2.5, 0.5, 24.0
 """An element is healthy while its f, regularised by SOFT, is below HEALTHY: in the plane sheared by less than 45
-degrees, or stretched or shortened by less than a factor of 2. With it, the nodes of the nozzle are accelerated by about
-a tenth of the wall's step, with a later onset by more (studies/smoothness.py, closing, a quarter of the interval:
-2.15: .069, 2.3: .080, 2.5: .104, 3: .179). The excess log(f / HEALTHY) of corners is combined into that of a cell, and
-that of cells into that of the grid, by the p-norm with p = NORM."""
+degrees, or stretched or shortened by less than a factor of 2. With it, the nodes of the nozzle are accelerated by .097
+of the wall's step, with 2.75 by .124 and with 3 by .19 (studies/smoothness.py, closing, a quarter of the interval). The
+excess log(f / HEALTHY) of corners is combined into that of a cell, and that of cells into that of the grid, by the
+p-norm with p = NORM."""
 AS_PLANE = 2.0 + 0.6 * (HEALTHY - 2.0)
 """Of an extruded grid f is that of its plane grid, where it is larger for the same map. If it is 2.5 there, it is at
 least 2.32 in space: (5 D - D^2) / (3 D^(2/3)) + (D^2 + 1) / (2 D) for a determinant D."""
@@ -32,6 +32,10 @@ SOFTENED = 0.5
 """Power of the weights of cells while they are untangled."""
 CUBIC = 2.0
 """Factor of the cubic term of the energy that is minimised: the larger it is, the more the worst cells count."""
+HELD = 0.25
+"""The elastic energy of a cell has its weight to this power as a factor: where a repair sets in, cells at walls yield
+less suddenly. With 0, nodes of the nozzle are accelerated by .104 of the wall's step and those of the flap by .39
+instead of .32 (studies/smoothness.py), with .5 walls that a method tilts stay tilted (studies/default_method.py)."""
 POLISHED = 0.25
 """Power of the weights of cells when a healthy grid is polished, as cells at walls are good already."""
 REACH = 32

@@ -46,7 +46,7 @@ def definition(start, x, reference, cell, mask, weight, penalty):
         part = share if s < 8 else share * weight[1]
         total += part * (weight[0] * f + cubic * (f - 2.0) ** 3 / (1.0 + 0.25 * (f - 2.0)))
         if s < 8:
-            total += 0.5 * elastic * ((a - held @ np.linalg.inv(undeformed)) ** 2).sum()
+            total += 0.5 * elastic * weight[2] * ((a - held @ np.linalg.inv(undeformed)) ** 2).sum()
         lowest, highest = min(lowest, det), max(highest, f)
     return total, lowest, highest
 
@@ -55,7 +55,7 @@ def definition(start, x, reference, cell, mask, weight, penalty):
 @pytest.mark.parametrize("n", [1, 8, 13])
 def test_the_energy_is_that_of_its_definition(n, penalty):
     (start, x, reference), corners = cells(n, 1.0)
-    mask, weight = masks(n), np.random.default_rng(4).random((n, 2)) + 0.5
+    mask, weight = masks(n), np.random.default_rng(4).random((n, 3)) + 0.5
     found = energy_of_cells(x, corners, start, corners, mask, SAMPLES, weight, reference, penalty, 0, n)
     expected = [definition(start, x, reference, corners[c], mask[c], weight[c], penalty) for c in range(n)]
     totals, lowest, highest = zip(*expected, strict=True)
@@ -65,7 +65,7 @@ def test_the_energy_is_that_of_its_definition(n, penalty):
 def test_an_inverted_cell_has_no_energy_without_regularisation():
     (start, x, reference), corners = cells(9, 1.0)
     x[corners[4, 7]] = x[corners[4, 0]] - 1.0
-    arguments = corners, start, corners, masks(9), SAMPLES, np.ones((9, 2)), reference
+    arguments = corners, start, corners, masks(9), SAMPLES, np.ones((9, 3)), reference
     energy, lowest, highest = energy_of_cells(x, *arguments, MINIMISING, 0, 9)
     assert not np.isfinite(energy)
     assert lowest < 0.0
@@ -76,7 +76,7 @@ def test_an_inverted_cell_has_no_energy_without_regularisation():
 @pytest.mark.parametrize("thin", [1.0, 1e5])
 def test_derivatives_are_those_of_the_energy_whatever_the_frames_and_rows(thin):
     (start, x, reference), corners = cells(13, thin)
-    mask, weight = masks(13), np.random.default_rng(4).random((13, 2)) + 0.5
+    mask, weight = masks(13), np.random.default_rng(4).random((13, 3)) + 0.5
     random, n = np.random.default_rng(5), len(x)
     frame, plain = np.tile(np.eye(3), (n, 1, 1)), random.random(n) < 0.7
     frame[~plain] = np.linalg.qr(random.standard_normal((n, 3, 3)))[0][~plain]

@@ -425,7 +425,7 @@ def test_plane_second_derivatives_are_those_of_differences_without_their_negativ
         rows = 0, 2, np.array([0, 2, 4]), np.array([0, 1, 0, 1], np.int32)
         x = np.array([[0.0, 0.0], a[:, 0], a[:, 1]])
         penalty = tuple(Penalty(eps, 1.0, cubic, elastic))
-        add_triangles(x, nodes, slope, np.ones(1), x, penalty, np.array([0]), unknowns, rows, matrix, gradient)
+        add_triangles(x, nodes, slope, np.ones((1, 2)), x, penalty, np.array([0]), unknowns, rows, matrix, gradient)
         found = matrix.reshape(2, 2, 2, 2).transpose(2, 0, 3, 1).reshape(4, 4)
         values, vectors = np.linalg.eigh(hessian(lambda b: density(b, eps, cubic), a))
         expected = vectors * np.maximum(values + elastic, 0.0) @ vectors.T

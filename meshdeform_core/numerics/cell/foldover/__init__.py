@@ -7,13 +7,13 @@ matrix of the map from the undeformed cell to the deformed one, D = det A, and
 
 (Garanzha, Kaporin, Kudryavtseva, Protais, Ray, Sokolov: Foldover-free maps in 50 lines of code, ACM TOG 40(4), 2021,
 eqs. 3 and 4 with lambda = 1). A cell in rigid motion attains the minimum, f = 2, whatever its aspect ratio. With the
-weight w of its cell (:mod:`meshdeform_core.repair.neighbourhood.walls`), a sample has the energy
+weight w of its cell (:mod:`meshdeform_core.repair.region`), a sample has the energy
 
-    share (w f + cubic p^3 / (1 + p / 4)) + elastic / 2 |A - A_reference|^2,    p = f - 2
+    share (w f + cubic p^3 / (1 + p / 4)) + elastic w^q / 2 |A - A_reference|^2,    p = f - 2
 
 where A_reference is the matrix of the same cell in another grid. The cubic term emphasises the largest f; it grows only
 like p^2 where f is very large, lest it flatten the first cells at walls. The elastic term ties the grid to the
-reference.
+reference, at walls more than elsewhere, as w f pulls more there.
 
 Plane grids: :mod:`.plane`, and ``Triangles`` in :mod:`meshdeform_core.repair.energy`. Products with the second
 derivatives, for derivatives of the minimum: :mod:`.tangents`.

@@ -37,9 +37,9 @@ from .nodes import (
 
 DEFORMED, UNDEFORMED, REFERENCE, GRIDS = 0, 1, 2, 3
 """Rows of ``points`` (GRIDS, 8, 3, WIDTH): coordinates of the corners of eight cells in three grids."""
-WEIGHT, BETWEEN, TERMS = 27, 28, 29
-"""Rows of ``terms`` (TERMS, WIDTH): 1 where the sample point 0 to 26 counts, else 0; w of the cells, and the share of
-their sample points between corners."""
+WEIGHT, BETWEEN, HELD, TERMS = 27, 28, 29, 30
+"""Rows of ``terms`` (TERMS, WIDTH): 1 where the sample point 0 to 26 counts, else 0; w of the cells, the share of their
+sample points between corners, and the factor of their elastic energy."""
 ENERGY, LOWEST, HIGHEST, SUMS = 0, 1, 2, 3
 """Rows of ``sums`` (SUMS, WIDTH): the energy, the smallest D, the largest f."""
 
@@ -69,7 +69,7 @@ def add_corner_energy(
 ) -> None:
     """Add the energy at the corner ``node`` of all cells to ``sums``."""
     found = _map(terms, node, _edges(points, UNDEFORMED, node), _edges(points, DEFORMED, node))
-    stiff = 0.5 * elastic * _square(_strain(points, node, found))
+    stiff = 0.5 * elastic * load(terms, HELD) * _square(_strain(points, node, found))
     _add_energy(terms, sums, found, eps, share, cubic, stiff)
 
 
@@ -107,7 +107,7 @@ def add_corner_derivatives(
 ) -> None:
     """Add the derivatives of the energy at the corner ``node`` of all cells to ``result``."""
     found = _map(terms, node, _edges(points, UNDEFORMED, node), _edges(points, DEFORMED, node))
-    stiff, strain = found.counts.choose(elastic, 0.0), _strain(points, node, found)
+    stiff, strain = found.counts.choose(elastic * load(terms, HELD), 0.0), _strain(points, node, found)
     pull, second = _derivatives(terms, found, eps, share, cubic, stiff, exact)
     for k in range(3):
         pull[k] = [pull[k][d] + stiff * dot(strain[d], found.dual[k]) for d in range(3)]

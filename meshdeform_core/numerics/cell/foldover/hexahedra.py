@@ -13,6 +13,7 @@ from .corners import (
     DEFORMED,
     ENERGY,
     GRIDS,
+    HELD,
     HIGHEST,
     LOWEST,
     REFERENCE,
@@ -53,7 +54,7 @@ def energy_of_cells(x, cells, start, own, mask, samples, weight, reference, pena
     start, own : (k, 3) undeformed coordinates; (m, 8) rows of ``start`` at the corners of the cells
     mask : (m,) int64, bit s set where sample point s counts
     samples : see :class:`.samples.Samples`
-    weight : (m, 2) w of the cells, and the share of their samples between corners
+    weight : (m, 3) w of the cells, the share of their samples between corners, the factor of their elastic energy
     reference : (n, 3) coordinates of the reference grid
     penalty : eps, share, cubic and elastic of the energy, and the share of its indefinite second derivatives; with
         eps = 0 the energy is infinite where D <= 0
@@ -107,7 +108,7 @@ def _weigh(mask, weight, c, terms, lane):
     """Which sample points of a cell count, and its weights; returns the mask."""
     for s in range(27):
         terms[s, lane] = float(mask >> s & 1)
-    terms[WEIGHT, lane], terms[BETWEEN, lane] = weight[c, 0], weight[c, 1]
+    terms[WEIGHT, lane], terms[BETWEEN, lane], terms[HELD, lane] = weight[c, 0], weight[c, 1], weight[c, 2]
     return mask
 
 

@@ -26,9 +26,9 @@ from .hexahedra import Unknowns, add_element
 from .jacobian import growth, slopes_of_triangle
 from .nodes import load, regular, store, transpose
 
-DEFORMED, REFERENCE, SLOPE, WEIGHT, GIVEN = 0, 6, 12, 18, 19
+DEFORMED, REFERENCE, SLOPE, WEIGHT, HELD, GIVEN = 0, 6, 12, 18, 19, 20
 """Rows of ``given`` (GIVEN, WIDTH): coordinates (3, 2) of the nodes in two grids, gradients (3, 2) of their shape
-functions, and w."""
+functions, w, and the factor of the elastic energy."""
 FORCE, ROWS = 24, 32
 """Rows of ``result`` (ROWS, WIDTH): second derivatives (6, 2, 2) for pairs of nodes in ascending order, from FORCE on
 the first ones (3, 2)."""
@@ -44,7 +44,7 @@ def triangle_derivatives(
     slope = [[load(given, SLOPE + 2 * n + k) for k in range(2)] for n in range(3)]
     (a, b), (c, d) = matrix = _matrix(given, DEFORMED, slope)
     held = _matrix(given, REFERENCE, slope)
-    det = a * d - b * c
+    det, elastic = a * d - b * c, elastic * load(given, HELD)
     chi, root = regular(det, eps)
     f, dg, dd, gd, ddd = slopes_of_triangle.py_func(a * a + b * b + c * c + d * d, det, chi, root)
     one, two = growth.py_func(f)[1:]
@@ -125,14 +125,15 @@ def _matrix(given: Array, grid: int, slope: list[list[Lanes]]) -> list[list[Lane
 
 
 @kernel(
-    "f8[:, ::1], i8[:, ::1], f8[:, :, ::1], f8[::1], f8[:, ::1], UniTuple(f8, 5), i8[::1], Unknowns, Tuple((i8, "
+    "f8[:, ::1], i8[:, ::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1], UniTuple(f8, 5), i8[::1], Unknowns, Tuple((i8, "
     "i8, i8[::1], i4[::1],)), f8[:, :, ::1], f8[:, ::1]",
     Unknowns,
 )
 def add_triangles(x, node, slope, weight, reference, penalty, which, unknowns, rows, matrix, gradient):
     """Add the derivatives of the energy of the triangles ``which`` to rows of the gradient and of the Hessian.
 
-    As :func:`.hexahedra.add_derivatives`, in two dimensions.
+    As :func:`.hexahedra.add_derivatives`, in two dimensions; ``weight`` (m, 2) has w and the factor of the elastic
+    energy.
     """
     given, result, found = np.empty((GIVEN, WIDTH)), np.empty((ROWS, WIDTH)), np.empty((WIDTH, ROWS))
     work, (eps, share, cubic, elastic, exact) = np.empty((3, 3)), penalty
@@ -141,7 +142,7 @@ def add_triangles(x, node, slope, weight, reference, penalty, which, unknowns, r
         used = min(WIDTH, len(which) - first)
         for lane in range(WIDTH):
             m = which[first + min(lane, used - 1)]
-            given[WEIGHT, lane] = weight[m]
+            given[WEIGHT, lane], given[HELD, lane] = weight[m, 0], weight[m, 1]
             for n in range(3):
                 for d in range(2):
                     given[DEFORMED + 2 * n + d, lane] = x[node[m, n], d]

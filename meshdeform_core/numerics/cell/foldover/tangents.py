@@ -44,7 +44,7 @@ def products_of_cells(x, cells, start, own, mask, samples, weight, penalty, chan
             part = d_share * between + (0.0 if s < 8 else share * d_between[c])
             ta, tk = inner(t, a), inner(t, k)
             _turned_cofactors(a, t, turned)
-            stiff = elastic if s < 8 else 0.0
+            stiff = elastic * weight[c, 2] if s < 8 else 0.0
             for d in range(3):
                 for e in range(3):
                     force[d, e] = (
