@@ -140,7 +140,23 @@ def _invoke(args: Sequence[str] | None) -> int:
     from meshdeform_core.errors import MeshDeformError
 
     try:
-        _check_environment()
+        # Check and set environment variables, and check the current folder, on which imports of libraries may fail.
+        from meshdeform_core.errors import CaseError
+
+        try:
+            os.getcwd()
+        except FileNotFoundError:
+            raise CaseError("the current folder does not exist any more; change to another one") from None
+
+        # Pictures are drawn into files, whatever backend the user has set for matplotlib.
+        os.environ["MPLBACKEND"] = "agg"
+        # The HDF5 library crashes on an unknown driver, and only the default one is of use here.
+        os.environ.pop("HDF5_DRIVER", None)
+        threads = os.environ.get("NUMBA_NUM_THREADS")
+        if threads is not None and not (threads.isdecimal() and int(threads) > 0):
+            raise CaseError(
+                f"NUMBA_NUM_THREADS={threads}: expected a whole number >= 1; correct or unset this variable"
+            )
         arguments = list(sys.argv[1:] if args is None else args)
         # Reports quote the command line: the context object holds the arguments.
         result = cli.main(args=arguments, prog_name="meshdeform", standalone_mode=False, obj=tuple(arguments))
@@ -171,24 +187,6 @@ def _invoke(args: Sequence[str] | None) -> int:
         return _fail(f"{where}: {error.strerror}" if where else str(error))
     except MemoryError as error:
         return _fail(f"out of memory ({error}); see --max-memory, or use a smaller grid or method")
-
-
-def _check_environment() -> None:
-    """Check and set environment variables, and check the current folder, on which imports of libraries may fail."""
-    from meshdeform_core.errors import CaseError
-
-    try:
-        os.getcwd()
-    except FileNotFoundError:
-        raise CaseError("the current folder does not exist any more; change to another one") from None
-
-    # Pictures are drawn into files, whatever backend the user has set for matplotlib.
-    os.environ["MPLBACKEND"] = "agg"
-    # The HDF5 library crashes on an unknown driver, and only the default one is of use here.
-    os.environ.pop("HDF5_DRIVER", None)
-    threads = os.environ.get("NUMBA_NUM_THREADS")
-    if threads is not None and not (threads.isdecimal() and int(threads) > 0):
-        raise CaseError(f"NUMBA_NUM_THREADS={threads}: expected a whole number >= 1; correct or unset this variable")
 
 
 def _fail(message: str) -> int:

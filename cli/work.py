@@ -95,7 +95,16 @@ def load(
     start = clock.perf_counter()
     grid = with_components(source.read(what.boundary_file), what.case.components)
     seconds = clock.perf_counter() - start
-    demand = Demand.of("deforming", work, grid, data=_other_bytes(grid, what))
+    # Size of the data in the grid file other than coordinates, and of the tables of the case; with several ranks, the
+    # most that one of them holds.
+    steps = [step for spec in what.case.boundaries if spec.motion for step in spec.motion.steps]
+    tables = [step.data for step in steps if isinstance(step, Follow)]
+    arrays = [array for table in tables if isinstance(table, SurfaceData) for array in vars(table).values()]
+    grids = [table for table in tables if isinstance(table, Grid)]
+    arrays += [table.nodes.rows for table in grids]
+    arrays += [field.own for each in (grid, *grids) for field in each.fields]
+    size = sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
+    demand = Demand.of("deforming", work, grid, data=max(grid.nodes.ranks.gather([size])))
     return Job(grid, what, seconds, demand, demand.left_of(memory))
 
 
@@ -127,19 +136,6 @@ def in_parts(action: Callable[[], T], verbose: bool) -> T:
             if verbose:
                 tell(f"the first rank alone holds the whole grid: {reason}")
     return ranks.on_first(action)
-
-
-def _other_bytes(grid: Grid, case: CaseFile) -> int:
-    """Size of the data in the grid file other than coordinates, and of the tables of the case; with several ranks, the
-    most that one of them holds."""
-    steps = [step for spec in case.case.boundaries if spec.motion for step in spec.motion.steps]
-    tables = [step.data for step in steps if isinstance(step, Follow)]
-    arrays = [array for table in tables if isinstance(table, SurfaceData) for array in vars(table).values()]
-    grids = [table for table in tables if isinstance(table, Grid)]
-    arrays += [table.nodes.rows for table in grids]
-    arrays += [field.own for each in (grid, *grids) for field in each.fields]
-    size = sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
-    return max(grid.nodes.ranks.gather([size]))
 
 
 @dataclass(frozen=True)

@@ -237,10 +237,7 @@ def format_at(path: Path) -> str:
         if not is_case(path):
             raise FormatError(f"{path} is a folder; expected a grid file, or an OpenFOAM case")
         return "openfoam"
-    return _recognise(read_head(path), path)
-
-
-def _recognise(head: bytes, path: Path) -> str:
+    head = read_head(path)
     if head.startswith(_HDF5) or b"ADF Database Version" in head[:64]:
         return "cgns"
     if head.startswith(b"# vtk DataFile") or b"<VTKFile" in head:

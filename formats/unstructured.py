@@ -74,7 +74,26 @@ def write(grid: Grid, path: Path, variant: FileFormat) -> None:
         if kind == "msh":
             _write_msh(grid, mesh, partial, options)
         elif kind == "su2":
-            _write_su2(grid, mesh, partial)
+            points, cells = mesh.points, mesh.cells
+            if grid.dimension == 2:
+                extent = np.ptp(points, axis=0)
+                normal = int(np.argmin(extent))
+                if extent[normal] > 1e-9 * extent.max():
+                    raise FormatError(
+                        f"a 2-D SU2 grid must be plane; this one extends over {extent.tolist()} along x, y, z"
+                    )
+                # Counter-clockwise in the two remaining coordinates: in the x-z plane the normal y points backwards.
+                points, cells = np.delete(points, normal, axis=1), cells[:, ::-1] if normal == 1 else cells
+            with partial.open("wb") as stream:
+                stream.write(f"NDIME= {grid.dimension}\nNELEM= {len(cells)}\n".encode())
+                _write_elements(stream, cells)
+                stream.write(f"NPOIN= {len(points)}\n".encode())
+                _write_rows(stream, points, "%.17g")
+                stream.write(f"NMARK= {len(mesh.names)}\n".encode())
+                for number, name in enumerate(mesh.names):
+                    faces = mesh.faces[mesh.patch == number]
+                    stream.write(f"MARKER_TAG= {_word(name)}\nMARKER_ELEMS= {len(faces)}\n".encode())
+                    _write_elements(stream, faces)
         elif kind == "med":
             # Families of cells have negative numbers in MED.
             tags = [-(mesh.block + 1 + len(mesh.names)), -(mesh.patch + 1)]
@@ -206,27 +225,6 @@ def _write_msh(grid: Grid, mesh: _Unstructured, path: Path, options: Mapping[str
 def _cells_and_faces(mesh: _Unstructured) -> list[tuple[str, IntArray]]:
     cells, faces = mesh.kinds
     return [(cells, mesh.cells), (faces, mesh.faces)]
-
-
-def _write_su2(grid: Grid, mesh: _Unstructured, path: Path) -> None:
-    points, cells = mesh.points, mesh.cells
-    if grid.dimension == 2:
-        extent = np.ptp(points, axis=0)
-        normal = int(np.argmin(extent))
-        if extent[normal] > 1e-9 * extent.max():
-            raise FormatError(f"a 2-D SU2 grid must be plane; this one extends over {extent.tolist()} along x, y, z")
-        # Counter-clockwise in the two remaining coordinates: in the x-z plane the normal y points backwards.
-        points, cells = np.delete(points, normal, axis=1), cells[:, ::-1] if normal == 1 else cells
-    with path.open("wb") as stream:
-        stream.write(f"NDIME= {grid.dimension}\nNELEM= {len(cells)}\n".encode())
-        _write_elements(stream, cells)
-        stream.write(f"NPOIN= {len(points)}\n".encode())
-        _write_rows(stream, points, "%.17g")
-        stream.write(f"NMARK= {len(mesh.names)}\n".encode())
-        for number, name in enumerate(mesh.names):
-            faces = mesh.faces[mesh.patch == number]
-            stream.write(f"MARKER_TAG= {_word(name)}\nMARKER_ELEMS= {len(faces)}\n".encode())
-            _write_elements(stream, faces)
 
 
 def _word(name: str) -> str:

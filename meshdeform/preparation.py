@@ -134,7 +134,13 @@ def _case(
     if Kind.MOVING.label not in given:
         raise CaseError('nothing moves; expected moving = ["patch", ...], or a case')
     own = case_of({"grid": {"components": components or ""}}).case.components
-    return CaseFile(Case(tuple(_specs(selections)), components=own))
+    specs: list[BoundarySpec] = []
+    for kind, selection in selections.items():
+        for name, patterns in _entries(kind, selection).items():
+            if name in (spec.name for spec in specs):
+                raise CaseError(f"{kind.label}: {name!r} is selected twice; expected each patch once")
+            specs.append(BoundarySpec(name, patterns, kind, motion=GIVEN if kind is Kind.MOVING else None))
+    return CaseFile(Case(tuple(specs), components=own))
 
 
 def parsed_case(case: CaseLike) -> CaseFile:
@@ -154,16 +160,6 @@ def parsed_case(case: CaseLike) -> CaseFile:
         parsed = case_of({key: value for key, value in case.items() if key != "method"})
         return dataclasses.replace(parsed, case=dataclasses.replace(parsed.case, method=options_of(method)))
     raise CaseError(f"case is a {type(case).__name__}; expected the name of a case file, or a mapping with its content")
-
-
-def _specs(selections: Mapping[Kind, Selection | None]) -> list[BoundarySpec]:
-    specs: list[BoundarySpec] = []
-    for kind, selection in selections.items():
-        for name, patterns in _entries(kind, selection).items():
-            if name in (spec.name for spec in specs):
-                raise CaseError(f"{kind.label}: {name!r} is selected twice; expected each patch once")
-            specs.append(BoundarySpec(name, patterns, kind, motion=GIVEN if kind is Kind.MOVING else None))
-    return specs
 
 
 def _entries(kind: Kind, selection: Selection | None) -> dict[str, tuple[str, ...]]:

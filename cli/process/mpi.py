@@ -56,7 +56,11 @@ def run_on_ranks(run: Callable[[], int], here: Place) -> int:
         return _refuse(here, f"mpi4py uses {library}, which sees {MPI.COMM_WORLD.size}; use the mpiexec of that MPI")
     from meshdeform_core.parallel.mpi import MPIRanks
 
-    _return_freed_memory()
+    # Let the C library return freed arrays of 16 MiB and more to the system, and the end of its heap. By default it
+    # keeps up to 64 MiB for later. With 1 MiB instead of 16, a quarter of the time of a rank went into pages that the
+    # system cleared.
+    with contextlib.suppress(OSError, AttributeError, TypeError):
+        ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, 1 << 24)
     ranks = MPIRanks(MPI.COMM_WORLD)
     set_ranks(ranks)
     with _voice(ranks.number) as messages:
@@ -66,16 +70,6 @@ def run_on_ranks(run: Callable[[], int], here: Place) -> int:
             # A signal: see meshdeform_cli.main.
             code = stop.code if isinstance(stop.code, int) else 1
     return ranks.conclude(code, messages.getvalue(), complete=code in (0, EXIT_INVALID))
-
-
-def _return_freed_memory() -> None:
-    """Let the C library return freed arrays of 16 MiB and more to the system, and the end of its heap.
-
-    By default it keeps up to 64 MiB for later. With 1 MiB instead of 16, a quarter of the time of a rank went into
-    pages that the system cleared.
-    """
-    with contextlib.suppress(OSError, AttributeError, TypeError):
-        ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, 1 << 24)
 
 
 def _refuse(here: Place, reason: str) -> int:

@@ -16,7 +16,7 @@ from meshdeform_core.wording import counted
 from .messages import tell
 
 if TYPE_CHECKING:
-    from rich.progress import Progress, TaskID
+    from rich.progress import TaskID
 
     from meshdeform_core.numerics.jit import Compiled
 
@@ -100,7 +100,21 @@ class ProgressBar:
         """Draw on a terminal; in a thread, because long stages do not call back."""
         if self._over.wait(PATIENCE):
             return
-        with _bar() as bar:
+        from rich.console import Console
+        from rich.progress import (
+            BarColumn,
+            Progress,
+            TaskProgressColumn,
+            TextColumn,
+            TimeElapsedColumn,
+            TimeRemainingColumn,
+        )
+
+        columns = (
+            TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(),
+            TextColumn("remaining"), TimeRemainingColumn(),
+        )  # fmt: skip
+        with Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=False) as bar:
             tasks: dict[str, TaskID] = {}
             while not self._over.wait(_TICK):
                 lines = self._under_way()
@@ -136,21 +150,3 @@ def stage(name: str) -> Iterator[None]:
         bar = ProgressBar.active or stack.enter_context(ProgressBar(compiles=False))
         stack.enter_context(bar.stage(name))
         yield
-
-
-def _bar() -> Progress:
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        Progress,
-        TaskProgressColumn,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    columns = (
-        TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(),
-        TextColumn("remaining"), TimeRemainingColumn(),
-    )  # fmt: skip
-    return Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=False)

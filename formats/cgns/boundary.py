@@ -68,7 +68,14 @@ def condition_windows(condition: Node, zone: Zone, block: int, notes: Notes) -> 
     elif location in _FACE_LOCATIONS:
         axis = _FACE_LOCATIONS[location]
         if axis is None:
-            axis = _normal_axis(points, is_range, zone)
+            # The axis at whose ends the faces lie; ``None`` if there is none or the indices allow several.
+            ends = np.array(zone.shape) - 1
+            constant = (points == points[0]).all(axis=0) if is_range else True
+            at_end = ((points == 0) | (points == ends)).all(axis=0) & constant & (ends > 0)
+            axes = np.flatnonzero(at_end)
+            if len(axes) > 1:  # across a single layer of cells every face has the index 1
+                axes = axes[ends[axes] > 1]
+            axis = int(axes[0]) if len(axes) == 1 else None
         windows, unused = _of_faces(points, is_range, zone, block, axis, sets[0].path)
     else:
         notes.add(f"boundary conditions located at {location} are not used", place)
@@ -131,17 +138,6 @@ def _of_faces(
         windows += windows_of_quads(zone.shape, block, side, quads)
         used += int(on_side.sum())
     return windows, len(points) - used
-
-
-def _normal_axis(points: IntArray, is_range: bool, zone: Zone) -> int | None:
-    """The axis at whose ends the faces lie; ``None`` if there is none or the indices allow several."""
-    ends = np.array(zone.shape) - 1
-    constant = (points == points[0]).all(axis=0) if is_range else True
-    at_end = ((points == 0) | (points == ends)).all(axis=0) & constant & (ends > 0)
-    axes = np.flatnonzero(at_end)
-    if len(axes) > 1:  # across a single layer of cells every face has the index 1
-        axes = axes[ends[axes] > 1]
-    return int(axes[0]) if len(axes) == 1 else None
 
 
 def window_of_range(shape: Shape, block: int, low: Sequence[int], high: Sequence[int]) -> Window | None:

@@ -108,7 +108,15 @@ def _write(parent: h5g.GroupID, node: Node, home: Path, depth: int) -> None:
     _describe(group, node.name, content.label, content.data_type)
     h5a.create(group, b"flags", h5t.NATIVE_INT32, _ONE).write(_FLAGS, h5t.NATIVE_INT32)
     if keep:
-        _write_link(group, node)
+        assert node.link is not None
+        file, path = node.link.file, node.link.path
+        if file:
+            group.links.create_external(LINK.encode(), file.encode(), path.encode())
+        else:
+            group.links.create_soft(LINK.encode(), b"/" + path.lstrip("/").encode())
+        write_dataset(group, LINK_PATH, characters(path))
+        if file:
+            write_dataset(group, LINK_FILE, characters(file))
     else:
         _fill(group, content, home, depth)
 
@@ -120,18 +128,6 @@ def _fill(group: h5g.GroupID, node: Node, home: Path, depth: int) -> None:
         write_dataset(group, DATA, np.ascontiguousarray(node.data().T, dtype=DTYPES.get(node.data_type)))
     for child in node.children:
         _write(group, child, home, depth + 1)
-
-
-def _write_link(group: h5g.GroupID, node: Node) -> None:
-    assert node.link is not None
-    file, path = node.link.file, node.link.path
-    if file:
-        group.links.create_external(LINK.encode(), file.encode(), path.encode())
-    else:
-        group.links.create_soft(LINK.encode(), b"/" + path.lstrip("/").encode())
-    write_dataset(group, LINK_PATH, characters(path))
-    if file:
-        write_dataset(group, LINK_FILE, characters(file))
 
 
 def write_dataset(group: h5g.GroupID, name: str, values: NDArray[Any]) -> None:

@@ -64,8 +64,47 @@ def _prepared_copy(grid: Grid, source: Path, path: Path, partial: Path, precisio
                 _adapt_links(file, source.parent, path.parent)
                 group = own_group(file, base.node)
                 owns = [own_group(group, zone.node) for zone in zones]
-                places = _replace_coordinates(owns, zones, grid, partial, precision, boxes)
-                _add_fields(owns, zones, grid, places)
+                # Prepare the coordinate arrays and fill compressed ones; returns the places of the others.
+                places = Places(partial)
+                for block, (parent, zone) in enumerate(zip(owns, zones, strict=True)):
+                    group = own_group(parent, zone.grid)
+                    datasets = [
+                        _writable_dataset(own_group(group, node), precision, zone.counts) for node in zone.coordinates
+                    ]
+                    starts = [place_of(each.id, each.dtype) for each in datasets]
+                    found = [
+                        Stored.within_rind(
+                            partial, each.dtype, each.shape[::-1], start, zone.core, each.id.get_storage_size()
+                        )
+                        for start, each in zip(starts, datasets, strict=True)
+                        if start is not None
+                    ]
+                    if len(found) == len(datasets):
+                        places.coordinates[block] = found
+                    else:
+                        for dataset, values in zip(
+                            datasets, split(grid.block(block), np.dtype(float), len(datasets)), strict=True
+                        ):
+                            dataset[zone.core[::-1]] = values.reshape(zone.counts[::-1]).astype(
+                                dataset.dtype, copy=False
+                            )
+                    if zone.grid.target.dims == (len(datasets), 2):
+                        # GridCoordinates_t may hold the lowest and highest coordinates (SIDS 7.1).
+                        box = np.array([end[block] for end in boxes()])
+                        group[DATA][...] = box[:, : len(datasets)]
+                # Make room for fields as flow solutions. One with the same arrays, from an earlier run, is replaced.
+                numbers = fields_by_place(grid)
+                for block, (parent, zone) in enumerate(zip(owns, zones, strict=True)):
+                    for solution in solution_nodes(grid, block, zone.counts, numbers, places):
+                        arrays = {child.name for child in solution.children}
+                        others = [
+                            old.name
+                            for old in zone.node.target.children
+                            if old.target.label != solution.label
+                            or {child.name for child in old.target.children} != arrays
+                        ]
+                        (name,) = unique_names([solution.name], solution.name, others)
+                        put_node(parent, dataclasses.replace(solution, name=name))
     return places
 
 
@@ -83,47 +122,6 @@ def _same_zones(root: Node, grid: Grid, source: Path, boxes: Boxes) -> tuple[Bas
             f"{source} stores only x and y (physical dimension 2), but nodes have moved out of the plane z = 0"
         )
     return base, zones
-
-
-def _replace_coordinates(
-    parents: list[h5py.Group], zones: list[Zone], grid: Grid, path: Path, precision: str | None, boxes: Boxes
-) -> Places:
-    """Prepare the coordinate arrays and fill compressed ones; returns the places of the others."""
-    places = Places(path)
-    for block, (parent, zone) in enumerate(zip(parents, zones, strict=True)):
-        group = own_group(parent, zone.grid)
-        datasets = [_writable_dataset(own_group(group, node), precision, zone.counts) for node in zone.coordinates]
-        starts = [place_of(each.id, each.dtype) for each in datasets]
-        found = [
-            Stored.within_rind(path, each.dtype, each.shape[::-1], start, zone.core, each.id.get_storage_size())
-            for start, each in zip(starts, datasets, strict=True)
-            if start is not None
-        ]
-        if len(found) == len(datasets):
-            places.coordinates[block] = found
-        else:
-            for dataset, values in zip(datasets, split(grid.block(block), np.dtype(float), len(datasets)), strict=True):
-                dataset[zone.core[::-1]] = values.reshape(zone.counts[::-1]).astype(dataset.dtype, copy=False)
-        if zone.grid.target.dims == (len(datasets), 2):
-            # GridCoordinates_t may hold the lowest and highest coordinates (SIDS 7.1).
-            box = np.array([end[block] for end in boxes()])
-            group[DATA][...] = box[:, : len(datasets)]
-    return places
-
-
-def _add_fields(parents: list[h5py.Group], zones: list[Zone], grid: Grid, places: Places) -> None:
-    """Make room for fields as flow solutions. One with the same arrays, from an earlier run, is replaced."""
-    numbers = fields_by_place(grid)
-    for block, (parent, zone) in enumerate(zip(parents, zones, strict=True)):
-        for solution in solution_nodes(grid, block, zone.counts, numbers, places):
-            arrays = {child.name for child in solution.children}
-            others = [
-                old.name
-                for old in zone.node.target.children
-                if old.target.label != solution.label or {child.name for child in old.target.children} != arrays
-            ]
-            (name,) = unique_names([solution.name], solution.name, others)
-            put_node(parent, dataclasses.replace(solution, name=name))
 
 
 def _writable_dataset(group: h5py.Group, precision: str | None, counts: tuple[int, ...]) -> h5py.Dataset:

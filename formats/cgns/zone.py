@@ -112,15 +112,7 @@ def structured_zones(base: Base, notes: Notes) -> list[Zone]:
         )
     _note_dangling(base.node, notes)
     zones = [_zone(node, base, notes) for node in nodes]
-    _require_volumes(base, zones)
-    return zones
-
-
-_FLAT = {1: "a surface", 2: "a curve", 3: "a point"}
-
-
-def _require_volumes(base: Base, zones: list[Zone]) -> None:
-    """Refuse curves, and surfaces together with volumes; a base with only surfaces is a plane grid."""
+    # Refuse curves, and surfaces together with volumes; a base with only surfaces is a plane grid.
     flat = [base.cell_dimension - sum(count > 1 for count in zone.counts) for zone in zones]
     for zone, missing in zip(zones, flat, strict=True):
         if missing and (base.cell_dimension - missing != 2 or not all(flat)):
@@ -131,6 +123,10 @@ def _require_volumes(base: Base, zones: list[Zone]) -> None:
                 f"{base.node.name}, whose zones are {kind} (cell dimension {base.cell_dimension}); expected at least 2 "
                 f"nodes along each index, and curves and surfaces in a base of their own"
             )
+    return zones
+
+
+_FLAT = {1: "a surface", 2: "a curve", 3: "a point"}
 
 
 def _note_dangling(node: Node, notes: Notes) -> None:

@@ -129,7 +129,25 @@ def _read_blocks(path: Path, lines: _Lines) -> dict[str, DisplacementTable]:
         raise ValueError("it does not end with 9999")
     if not len(numbers):
         raise FormatError(f"{path} has no nodes")
-    return _at_surface(path, numbers, points, faces, found)
+    # Displacements at the nodes of the ``faces`` (m, 3) or (m, 4), node numbers of their corners.
+    if not found:
+        raise FormatError(f"{path} has no displacements of nodes")
+    corners = np.concatenate([NO_TRIANGLES, *(split_cells(face, face.shape[1]) for face in faces)])
+    used = np.unique(corners) if len(corners) else np.unique(numbers)
+    # This also covers nodes without coordinates, or with two of them.
+    _rows_of(path, numbers, used)
+    for each in found:
+        missing = used[~np.isin(used, each.numbers)]
+        if missing.size and len(corners):
+            raise FormatError(
+                f"{path}: {each.label} has no displacement at {missing.size} nodes of the surface, first {missing[0]}"
+            )
+        used = used[np.isin(used, each.numbers)]
+    place, triangles = points[_rows_of(path, numbers, used)], np.searchsorted(used, corners)
+    return {
+        each.label: DisplacementTable(place, each.values[_rows_of(path, each.numbers, used)], triangles, row_place)
+        for each in found
+    }
 
 
 def _width(words: list[str]) -> int:
@@ -204,30 +222,6 @@ def _step(path: Path, lines: _Lines, head: str, number: int) -> _Displacements |
     width = _width([head[73:75].strip()]) if head[73:75].strip() else 10
     numbers, values = _rows_of_block([line for line in block if not line.startswith(" -5")], width, int(head[24:36]))
     return _Displacements(f"shape {number} ({value:g}{' Hz' if frequency else ''})", numbers, values)
-
-
-def _at_surface(
-    path: Path, numbers: IntArray, points: FloatArray, faces: Sequence[IntArray], found: Sequence[_Displacements]
-) -> dict[str, DisplacementTable]:
-    """Displacements at the nodes of the ``faces`` (m, 3) or (m, 4), node numbers of their corners."""
-    if not found:
-        raise FormatError(f"{path} has no displacements of nodes")
-    corners = np.concatenate([NO_TRIANGLES, *(split_cells(face, face.shape[1]) for face in faces)])
-    used = np.unique(corners) if len(corners) else np.unique(numbers)
-    # This also covers nodes without coordinates, or with two of them.
-    _rows_of(path, numbers, used)
-    for each in found:
-        missing = used[~np.isin(used, each.numbers)]
-        if missing.size and len(corners):
-            raise FormatError(
-                f"{path}: {each.label} has no displacement at {missing.size} nodes of the surface, first {missing[0]}"
-            )
-        used = used[np.isin(used, each.numbers)]
-    place, triangles = points[_rows_of(path, numbers, used)], np.searchsorted(used, corners)
-    return {
-        each.label: DisplacementTable(place, each.values[_rows_of(path, each.numbers, used)], triangles, row_place)
-        for each in found
-    }
 
 
 def _rows_of(path: Path, numbers: IntArray, wanted: IntArray) -> IntArray:

@@ -74,7 +74,18 @@ def _table_or_grid(path: Path, head: bytes) -> DisplacementTable | Grid:
             return _module("meshio").read(path, "med")
         return _read_structured(path) if "CGNSLibraryVersion" in entries else _module("arrays").read_hdf5(path)
     if head.startswith(b"# vtk DataFile") or b"<VTKFile" in head:
-        return _read_vtk(path, head)
+        from ..vtk.legacy import dataset_kind
+        from ..vtk.xml_tags import file_kind
+
+        if head.startswith(b"# vtk DataFile"):
+            kind = dataset_kind(path)
+            if kind == "UNSTRUCTURED_GRID":
+                return _module("meshio").read(path, "vtk")
+            return _module("vtk").read_vtk_legacy(path) if kind == "POLYDATA" else _read_structured(path)
+        kind = file_kind(path)
+        if kind in ("PPolyData", "PUnstructuredGrid"):
+            raise FormatError(f"{path} is the index of a parallel data set; expected its pieces merged into one file")
+        return _module("vtk").read_vtk_xml(path) if kind in ("PolyData", "UnstructuredGrid") else _read_structured(path)
     if suffix in _TEXT_SUFFIXES and not (b"variables" in words and b"zone" in words):
         # With both words it is Tecplot's.
         return _module("text").read(path)
@@ -95,21 +106,6 @@ def _table_or_grid(path: Path, head: bytes) -> DisplacementTable | Grid:
 def _module(name: str) -> ModuleType:
     """A reader, imported when first needed: importing h5py and meshio is slow."""
     return importlib.import_module(f"{__package__}.{name}")
-
-
-def _read_vtk(path: Path, head: bytes) -> DisplacementTable | Grid:
-    from ..vtk.legacy import dataset_kind
-    from ..vtk.xml_tags import file_kind
-
-    if head.startswith(b"# vtk DataFile"):
-        kind = dataset_kind(path)
-        if kind == "UNSTRUCTURED_GRID":
-            return _module("meshio").read(path, "vtk")
-        return _module("vtk").read_vtk_legacy(path) if kind == "POLYDATA" else _read_structured(path)
-    kind = file_kind(path)
-    if kind in ("PPolyData", "PUnstructuredGrid"):
-        raise FormatError(f"{path} is the index of a parallel data set; expected its pieces merged into one file")
-    return _module("vtk").read_vtk_xml(path) if kind in ("PolyData", "UnstructuredGrid") else _read_structured(path)
 
 
 def _read_structured(path: Path) -> DisplacementTable | Grid:

@@ -131,7 +131,19 @@ def checked_surface(table: DisplacementTable, path: Path) -> SurfaceData:
                 f"{path}, {table.place(int(bad[0]))}: the {what} {vector(values[bad[0]])} is not finite "
                 f"({counted(bad.size, 'such row')})"
             )
-    _check_duplicates(points, displacement, table.place, path)
+    largest = float(np.abs(points).max())
+    places = np.round(points / largest / _TOGETHER) if largest else points
+    order = np.lexsort(places.T)
+    same = (places[order[1:]] == places[order[:-1]]).all(axis=1)
+    first, second = order[:-1][same], order[1:][same]
+    apart = np.abs(displacement[first] - displacement[second]).max(axis=1, initial=0)
+    conflict = np.flatnonzero(apart > _ALIKE * np.abs(displacement).max())
+    if conflict.size:
+        one, other = sorted((int(first[conflict[0]]), int(second[conflict[0]])))
+        raise FormatError(
+            f"{path}: the point {vector(points[one])} has two displacements, {vector(displacement[one])} in "
+            f"{table.place(one)} and {vector(displacement[other])} in {table.place(other)}; keep one of them"
+        )
     if not (table.triangles == np.floor(table.triangles)).all():
         raise FormatError(f"{path} has triangles whose corners are not whole numbers; expected row numbers of points")
     triangles = np.ascontiguousarray(table.triangles, dtype=np.int64)
@@ -145,22 +157,6 @@ def checked_surface(table: DisplacementTable, path: Path) -> SurfaceData:
 def _three_columns(values: NDArray[Any]) -> FloatArray:
     padding = np.zeros((len(values), 3 - values.shape[1]))
     return np.ascontiguousarray(np.hstack([values, padding]), dtype=np.float64)
-
-
-def _check_duplicates(points: FloatArray, displacement: FloatArray, place: Callable[[int], str], path: Path) -> None:
-    largest = float(np.abs(points).max())
-    places = np.round(points / largest / _TOGETHER) if largest else points
-    order = np.lexsort(places.T)
-    same = (places[order[1:]] == places[order[:-1]]).all(axis=1)
-    first, second = order[:-1][same], order[1:][same]
-    apart = np.abs(displacement[first] - displacement[second]).max(axis=1, initial=0)
-    conflict = np.flatnonzero(apart > _ALIKE * np.abs(displacement).max())
-    if conflict.size:
-        one, other = sorted((int(first[conflict[0]]), int(second[conflict[0]])))
-        raise FormatError(
-            f"{path}: the point {vector(points[one])} has two displacements, {vector(displacement[one])} in "
-            f"{place(one)} and {vector(displacement[other])} in {place(other)}; keep one of them"
-        )
 
 
 def fans(connectivity: NDArray[Any], first: NDArray[Any], corners: NDArray[Any], strip: bool = False) -> IntArray:

@@ -97,7 +97,17 @@ def read_block_mesh_dict(top: Dictionary) -> BlockMeshDict:
         for side in Side:
             sides.setdefault(_side_key(block, side), []).append((number, side))
     joined = tuple((two[0][0], two[1][0]) for key, two in sides.items() if len(two) == 2 < len(key))
-    curves, patches = _curves(top, known), _read_patches(top, known, blocks, sides)
+    items, found = top.list("edges"), dict[tuple[int, int], Curve]()
+    while items.more:
+        kind = items.word("the kind of an edge")
+        if kind not in _CURVES:
+            items.fail(f"edges of kind {kind!r} are not supported; known are {', '.join(_CURVES)}")
+        first, last = known.take(items), known.take(items)
+        curve = _curve(items, kind, known.points[first], known.points[last])
+        # As in blockMesh, the first of several definitions counts.
+        if (last, first) not in found:
+            found.setdefault((first, last), curve)
+    curves, patches = found, _read_patches(top, known, blocks, sides)
     return BlockMeshDict(top.path, known.points, _scale(top), blocks, curves, patches, joined)
 
 
@@ -221,20 +231,6 @@ def _positive_ratio(items: Reading, ratio: float) -> float:
     if ratio == 0:
         items.fail("an expansion ratio of 0; expected the ratio of the last to the first cell")
     return -1.0 / ratio if ratio < 0 else ratio
-
-
-def _curves(top: Dictionary, vertices: _Vertices) -> dict[tuple[int, int], Curve]:
-    items, found = top.list("edges"), dict[tuple[int, int], Curve]()
-    while items.more:
-        kind = items.word("the kind of an edge")
-        if kind not in _CURVES:
-            items.fail(f"edges of kind {kind!r} are not supported; known are {', '.join(_CURVES)}")
-        first, last = vertices.take(items), vertices.take(items)
-        curve = _curve(items, kind, vertices.points[first], vertices.points[last])
-        # As in blockMesh, the first of several definitions counts.
-        if (last, first) not in found:
-            found.setdefault((first, last), curve)
-    return found
 
 
 def _curve(items: Reading, kind: str, first: FloatArray, last: FloatArray) -> Curve:

@@ -121,7 +121,18 @@ def _internal_faces(grid: Grid, topology: Topology, number: NDArray[Any]) -> Fac
         for b in range(grid.n_blocks)
         for axis in range(3)
     ]
-    parts.append(_between_blocks(grid, topology))
+    # The faces between blocks; the corners of the owner's quad turn about the outward normal.
+    quads = np.flatnonzero(topology.partner >= 0)
+    here, there = (cells_behind(grid, topology, own) for own in (quads, topology.partner[quads]))
+    if (here == there).any():
+        quad = int(quads[int(np.argmax(here == there))])
+        block, side = divmod(int(topology.quads.block_side[quad]), 6)
+        raise FormatError(
+            f"{grid.names[block]}.{Side(side).label}: a cell is its own neighbour; OpenFOAM has no such mesh, use two "
+            "cells"
+        )
+    own = here < there
+    parts.append((topology.quads.corners[quads[own]], here[own], there[own]))
     corners, owner, neighbour = (np.concatenate(each) for each in zip(*parts, strict=True))
     order = np.argsort(owner * int(first[-1]) + neighbour, kind="stable")
     # Some are collapsed to lines or points.
@@ -143,21 +154,6 @@ def _within_block(number: NDArray[Any], first: int, axis: int, handedness: int) 
     corners = corners.reshape(-1, 4)
     low, high = (np.moveaxis(cells, axis, 0)[part].ravel() for part in (slice(None, -1), slice(1, None)))
     return corners if handedness > 0 else corners[:, ::-1], low, high
-
-
-def _between_blocks(grid: Grid, topology: Topology) -> Faces:
-    """The faces between blocks; the corners of the owner's quad turn about the outward normal."""
-    quads = np.flatnonzero(topology.partner >= 0)
-    here, there = (cells_behind(grid, topology, own) for own in (quads, topology.partner[quads]))
-    if (here == there).any():
-        quad = int(quads[int(np.argmax(here == there))])
-        block, side = divmod(int(topology.quads.block_side[quad]), 6)
-        raise FormatError(
-            f"{grid.names[block]}.{Side(side).label}: a cell is its own neighbour; OpenFOAM has no such mesh, use two "
-            "cells"
-        )
-    own = here < there
-    return topology.quads.corners[quads[own]], here[own], there[own]
 
 
 def extruded(grid: Grid, thickness: float) -> Grid:

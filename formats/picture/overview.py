@@ -29,7 +29,7 @@ from .scene import (
     whole_scene,
 )
 from .subject import Subject, quads_of_surfaces
-from .view import View, Window, facing, iso
+from .view import Window, facing, iso
 
 _SMALL = 0.3
 """Details smaller than this fraction of the picture along its larger side get a close-up."""
@@ -187,17 +187,8 @@ def worst_cells(pair: Pair, block: int, cell: Shape, choice: Choice | None = Non
     if len(found) < 2:
         axis, normal = telling_plane(pair, block, cell)
         found = [_through(subject, block, axis, cell, normal, choice.metric) for subject in (pair.old, pair.new)]
-    return _twins(found, _surroundings(pair, block, cell, found[0].view), choice)
-
-
-def _nodes_around(grid: Grid, block: int, cell: Shape, more: int = 0) -> FloatArray:
-    """Nodes (n, 3) of a cell and of ``more`` cells around it."""
-    window = tuple(slice(max(at - more, 0), at + 2 + more) for at in cell)
-    return grid.few(block, window).reshape(-1, 3)
-
-
-def _surroundings(pair: Pair, block: int, cell: Shape, view: View) -> list[Window]:
-    """Windows of the same size around a cell before and after."""
+    # Windows of the same size around a cell before and after.
+    view = found[0].view
     centers, reach = [], 0.0
     for grid in (pair.before, pair.after):
         center = view.project(_nodes_around(grid, block, cell).mean(axis=0))[:2]
@@ -208,7 +199,13 @@ def _surroundings(pair: Pair, block: int, cell: Shape, view: View) -> list[Windo
         # Where cells grow quickly, the window is limited so that the worst cell remains visible.
         reach = max(reach, min(float(np.quantile(near, 0.7)), 8.0 * float(close.max())))
         centers.append(center.tolist())
-    return [Window(x - reach, x + reach, y - 0.8 * reach, y + 0.8 * reach) for x, y in centers]
+    return _twins(found, [Window(x - reach, x + reach, y - 0.8 * reach, y + 0.8 * reach) for x, y in centers], choice)
+
+
+def _nodes_around(grid: Grid, block: int, cell: Shape, more: int = 0) -> FloatArray:
+    """Nodes (n, 3) of a cell and of ``more`` cells around it."""
+    window = tuple(slice(max(at - more, 0), at + 2 + more) for at in cell)
+    return grid.few(block, window).reshape(-1, 3)
 
 
 def telling_plane(pair: Pair, block: int, cell: Shape) -> tuple[int, FloatArray]:

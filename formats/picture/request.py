@@ -153,7 +153,16 @@ def _scene(subject: Subject, options: PlotOptions) -> Scene:
         quads = select_quads(subject.reference or subject.grid, subject.topology, options.select, "plot")
         scene = surface_scene(subject, quads, metric)
     elif options.space_plane is not None:
-        scene = cut_scene(subject, _space_plane(subject, options), metric)
+        assert options.space_plane is not None
+        axis, at = options.space_plane
+        if subject.grid.dimension == 2:
+            raise CaseError(f"a 2-D grid cannot be cut; leave {options.lead}plane out to draw the whole grid")
+        normal = np.eye(3)["xyz".index(axis)]
+        low, high = (float(end @ normal) for end in extent(subject.grid.points))
+        tiny = 1e-9 * subject.size
+        if not low - tiny <= at <= high + tiny:
+            raise CaseError(f"no part of the grid lies at {axis} = {at:g}; it spans {axis} = {low:.6g} to {high:.6g}")
+        scene = cut_scene(subject, Plane(at * normal, normal), metric)
     elif options.index_plane is not None:
         scene = index_scene(subject, *options.index_plane, metric)
     else:
@@ -163,19 +172,6 @@ def _scene(subject: Subject, options: PlotOptions) -> Scene:
             None if walls else iso(),
         )  # fmt: skip
     return dataclasses.replace(scene, view=options.direction or scene.view)
-
-
-def _space_plane(subject: Subject, options: PlotOptions) -> Plane:
-    assert options.space_plane is not None
-    axis, at = options.space_plane
-    if subject.grid.dimension == 2:
-        raise CaseError(f"a 2-D grid cannot be cut; leave {options.lead}plane out to draw the whole grid")
-    normal = np.eye(3)["xyz".index(axis)]
-    low, high = (float(end @ normal) for end in extent(subject.grid.points))
-    tiny = 1e-9 * subject.size
-    if not low - tiny <= at <= high + tiny:
-        raise CaseError(f"no part of the grid lies at {axis} = {at:g}; it spans {axis} = {low:.6g} to {high:.6g}")
-    return Plane(at * normal, normal)
 
 
 def _window(subject: Subject, options: PlotOptions, scene: Scene) -> Window:

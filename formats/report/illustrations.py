@@ -40,21 +40,20 @@ def deformation_figures(result: Result) -> Illustrations:
             caption = "The moving walls before and after, coloured by their displacement."
             figures.insert(0, Figure("The moving walls", caption, _png(after, page)))
     if result.plain is not None:
-        figures.append(_repaired_region(setup, setup.grid.moved(result.plain), after))
+        # Around the worst cell that the method alone gives, without and with the repair.
+        plain = setup.grid.moved(result.plain)
+        pair = Pair(plain, after, setup.topology, setup.grid)
+        block, cell = worst_cell(pair.old, "f_skew")
+        where = setup.grid.label(block, cell)
+        caption = f"Around cell {where}, the worst that the method alone gives: without the repair and with it."
+        page = worst_cells(pair, block, cell)
+        # The same position, not the same cell, which the repair has moved.
+        panels = tuple(dataclasses.replace(panel, window=page.panels[0].window) for panel in page.panels)
+        plain_png, after_png = (_png(after, each) for each in separate_pages(dataclasses.replace(page, panels=panels)))
+        figures.append(
+            Figure("What the repair changed", caption, after_png, plain_png, names=("the method alone", "repaired"))
+        )
     return Illustrations(tuple(figures))
-
-
-def _repaired_region(setup: Setup, plain: Grid, after: Grid) -> Figure:
-    """Around the worst cell that the method alone gives, without and with the repair."""
-    pair = Pair(plain, after, setup.topology, setup.grid)
-    block, cell = worst_cell(pair.old, "f_skew")
-    where = setup.grid.label(block, cell)
-    caption = f"Around cell {where}, the worst that the method alone gives: without the repair and with it."
-    page = worst_cells(pair, block, cell)
-    # The same position, not the same cell, which the repair has moved.
-    panels = tuple(dataclasses.replace(panel, window=page.panels[0].window) for panel in page.panels)
-    plain_png, after_png = (_png(after, each) for each in separate_pages(dataclasses.replace(page, panels=panels)))
-    return Figure("What the repair changed", caption, after_png, plain_png, names=("the method alone", "repaired"))
 
 
 def _png(grid: Grid, page: Page, **size: Any) -> bytes:

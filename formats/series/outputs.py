@@ -323,23 +323,23 @@ def write_index(path: Path, levels: Sequence[tuple[float, str]], variant: FileFo
         text = ElementTree.tostring(root, encoding="unicode", xml_declaration=True)
     elif path.suffix == ".p3d":
         names = [{"time": time, "xyz": name} for time, name in levels]
-        text = json.dumps({**_plot3d_switches(variant), "filenames": names}, indent=1)
+        plot3d = Variant.of(variant)
+        text = json.dumps(
+            {
+                "auto-detect-format": False,
+                "format": "ascii" if plot3d.encoding == "ascii" else "binary",
+                "byte-order": plot3d.byte_order or "little",
+                "precision": 32 if plot3d.precision == "float32" else 64,
+                "multi-grid": plot3d.multiblock,
+                "language": "fortran" if plot3d.encoding == "fortran" else "C",
+                "blanking": plot3d.iblank,
+                "2D": plot3d.dimension == 2,
+                "filenames": names,
+            },
+            indent=1,
+        )
     else:
         files = [{"name": name, "time": time} for time, name in levels]
         text = json.dumps({"file-series-version": "1.0", "files": files}, indent=1)
     with replacing(path) as partial:
         partial.write_text(text + "\n", encoding="utf-8")
-
-
-def _plot3d_switches(variant: FileFormat) -> dict[str, object]:
-    plot3d = Variant.of(variant)
-    return {
-        "auto-detect-format": False,
-        "format": "ascii" if plot3d.encoding == "ascii" else "binary",
-        "byte-order": plot3d.byte_order or "little",
-        "precision": 32 if plot3d.precision == "float32" else 64,
-        "multi-grid": plot3d.multiblock,
-        "language": "fortran" if plot3d.encoding == "fortran" else "C",
-        "blanking": plot3d.iblank,
-        "2D": plot3d.dimension == 2,
-    }

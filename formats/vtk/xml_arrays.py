@@ -195,21 +195,18 @@ class ArrayReader:
             raise self.error(array, "continues after its last value")
         content = data.segment(place, count)
         if self._compressed:
-            return self._unpacked(array, content, sizes, size)
+            values, filled, begin = np.empty(size, np.uint8), 0, 0
+            blocks, block, last, *packed = sizes
+            for number, length in enumerate(packed, start=1):
+                part = min(last if number == blocks and last else block, size - filled)
+                try:
+                    unpacked = unpack(self.file.compression, content[begin : begin + length], part)
+                except ValueError as error:
+                    raise self.error(array, f"is damaged in block {number} of {blocks}: {error}") from error
+                values[filled : filled + part] = np.frombuffer(unpacked, np.uint8)
+                filled, begin = filled + part, begin + length
+            return values
         return np.frombuffer(content, np.uint8)[count - size : count]
-
-    def _unpacked(self, array: Element, content: bytes, sizes: list[int], size: int) -> NDArray[np.uint8]:
-        values, filled, begin = np.empty(size, np.uint8), 0, 0
-        blocks, block, last, *packed = sizes
-        for number, length in enumerate(packed, start=1):
-            part = min(last if number == blocks and last else block, size - filled)
-            try:
-                unpacked = unpack(self.file.compression, content[begin : begin + length], part)
-            except ValueError as error:
-                raise self.error(array, f"is damaged in block {number} of {blocks}: {error}") from error
-            values[filled : filled + part] = np.frombuffer(unpacked, np.uint8)
-            filled, begin = filled + part, begin + length
-        return values
 
     def _encoded(self, array: Element) -> Encoded:
         if array.get("format") == "binary":

@@ -123,7 +123,21 @@ def read_tags(path: Path) -> XmlFile:
         tags = _Tags(path, stream)
         root, appended, encoding = tags.root, (0, 0), ""
         if tags.appended is not None:
-            appended = _appended_data(path, stream, tags.appended.start, size)
+            # The bytes between the ``_`` that opens the appended data and the tag that closes them.
+            start = tags.appended.start
+            stream.seek(start)
+            head = stream.read(4096)
+            opening = TAG.match(head)
+            rest = head[opening.end() :].lstrip() if opening else b""
+            if not rest.startswith(b"_"):
+                raise FormatError(f"cannot read {path}: no '_' follows the AppendedData tag at byte {start}")
+            begin = start + len(head) - len(rest) + 1
+            tail = max(start, size - 1024)
+            stream.seek(tail)
+            closing = stream.read(1024).rfind(b"</AppendedData")
+            if closing < 0 or tail + closing < begin:
+                raise FormatError(f"cannot read {path}: the appended data do not end with </AppendedData>")
+            appended = begin, tail + closing
             encoding = _known(path, tags.appended, "encoding", _APPENDED_ENCODINGS)
     compression = _known(path, root, "compressor", _COMPRESSORS)
     first = next((array.get("format") for array in root.below() if array.tag in _ARRAYS), "") or "ascii"
@@ -153,23 +167,6 @@ def _known(path: Path, element: Element, key: str, words: Mapping[str, str]) -> 
     if word not in words:
         raise FormatError(f"{path} has {key} {word!r}; known are {' '.join(filter(None, words))}")
     return words[word]
-
-
-def _appended_data(path: Path, stream: BinaryIO, start: int, size: int) -> tuple[int, int]:
-    """The bytes between the ``_`` that opens the appended data and the tag that closes them."""
-    stream.seek(start)
-    head = stream.read(4096)
-    opening = TAG.match(head)
-    rest = head[opening.end() :].lstrip() if opening else b""
-    if not rest.startswith(b"_"):
-        raise FormatError(f"cannot read {path}: no '_' follows the AppendedData tag at byte {start}")
-    begin = start + len(head) - len(rest) + 1
-    tail = max(start, size - 1024)
-    stream.seek(tail)
-    closing = stream.read(1024).rfind(b"</AppendedData")
-    if closing < 0 or tail + closing < begin:
-        raise FormatError(f"cannot read {path}: the appended data do not end with </AppendedData>")
-    return begin, tail + closing
 
 
 class _Complete(Exception):

@@ -155,7 +155,17 @@ def coincident_topology(grid: Grid, tolerance: float = RELATIVE_TOLERANCE) -> To
     """
     handedness, sides = block_handedness(grid), np.flatnonzero(grid.sides.has_quads)
     nodes, places = _face_nodes(grid, sides)
-    edge, part = _shortest_edges(grid, sides, nodes, places), grid.component_numbers
+    # Shortest edge at all face ``nodes``, ignoring edges within the round-off of the file's precision.
+    shortest = np.full(len(nodes), np.inf)
+    epsilon = 4 * float(np.finfo(grid.precision).eps)
+    done = 0
+    for lo, hi in batches(grid.sides.nodes[sides].prod(axis=1), _TOGETHER):
+        square = _edges_of_sides(grid, sides[lo:hi], epsilon)
+        np.minimum.at(shortest, places[done : done + len(square)], square)
+        done += len(square)
+    endless = np.flatnonzero(np.isinf(shortest))
+    shortest[endless] = (epsilon * np.abs(grid.points[nodes[endless]]).max(axis=1, initial=0.0)) ** 2
+    edge, part = np.asarray(np.sqrt(shortest)), grid.component_numbers
     first = np.empty(len(nodes), integers(len(nodes)))
     for component in range(int(part.max()) + 1):
         own = np.flatnonzero(np.repeat(part == component, np.diff(np.searchsorted(nodes, grid.offsets))))
@@ -196,20 +206,6 @@ def _face_nodes(grid: Grid, sides: IntArray) -> tuple[IntArray, IntArray]:
         found.append(nodes)
         count += len(nodes)
     return np.concatenate(found), places
-
-
-def _shortest_edges(grid: Grid, sides: IntArray, nodes: IntArray, places: IntArray) -> FloatArray:
-    """Shortest edge at all face ``nodes``, ignoring edges within the round-off of the file's precision."""
-    shortest = np.full(len(nodes), np.inf)
-    epsilon = 4 * float(np.finfo(grid.precision).eps)
-    done = 0
-    for lo, hi in batches(grid.sides.nodes[sides].prod(axis=1), _TOGETHER):
-        square = _edges_of_sides(grid, sides[lo:hi], epsilon)
-        np.minimum.at(shortest, places[done : done + len(square)], square)
-        done += len(square)
-    endless = np.flatnonzero(np.isinf(shortest))
-    shortest[endless] = (epsilon * np.abs(grid.points[nodes[endless]]).max(axis=1, initial=0.0)) ** 2
-    return np.asarray(np.sqrt(shortest))
 
 
 def _edges_of_sides(grid: Grid, sides: IntArray, epsilon: float) -> FloatArray:
@@ -329,20 +325,7 @@ def _handedness(grid: Grid, blocks: IntArray) -> IntArray:
     """Handedness of ``blocks`` with the same number of sampled cells and, in 2-D, the same axis of one node."""
     shapes = np.array([grid.shapes[block] for block in blocks])
     axes = [axis for axis in range(3) if shapes[0, axis] > 1]
-    edges = _mean_edges(grid, blocks, shapes, axes)
-    if len(axes) == 3:
-        volume = np.einsum("...i,...i->...", edges[0], np.cross(edges[1], edges[2]))
-        return np.where(np.sign(volume).sum(axis=1) < 0, -1, 1)
-    # A 2-D block is treated as one layer of cells extruded along +x, +y or +z, whichever is normal to its plane.
-    normal = np.cross(edges[0], edges[1])
-    main = np.argmax(np.abs(normal).sum(axis=1), axis=1)
-    total = np.sign(np.take_along_axis(normal, main[:, None, None], axis=2)).sum(axis=(1, 2))
-    # Index order (a, b) is cyclic for a flat i or k axis and reversed for a flat j axis.
-    return np.where((total < 0) != (axes[1] - axes[0] == 2), -1, 1)
-
-
-def _mean_edges(grid: Grid, blocks: IntArray, shapes: IntArray, axes: list[int]) -> list[FloatArray]:
-    """Mean edge vectors (n_blocks, n_cells, 3) of every sampled cell along each of the ``axes``."""
+    # Mean edge vectors (n_blocks, n_cells, 3) of every sampled cell along each of the ``axes``.
     strides = strides_of(shapes)
     first = grid.offsets[blocks][:, None]
     for axis in range(3):
@@ -353,7 +336,16 @@ def _mean_edges(grid: Grid, blocks: IntArray, shapes: IntArray, axes: list[int])
         corners[corner] = grid.nodes.at(first + (strides[:, axes] @ np.array(corner))[:, None])
     others = [tuple(a for a in range(len(axes)) if a != own) for own in range(len(axes))]
     means = [corners.mean(axis=other) for other in others]
-    return [mean[1] - mean[0] for mean in means]
+    edges = [mean[1] - mean[0] for mean in means]
+    if len(axes) == 3:
+        volume = np.einsum("...i,...i->...", edges[0], np.cross(edges[1], edges[2]))
+        return np.where(np.sign(volume).sum(axis=1) < 0, -1, 1)
+    # A 2-D block is treated as one layer of cells extruded along +x, +y or +z, whichever is normal to its plane.
+    normal = np.cross(edges[0], edges[1])
+    main = np.argmax(np.abs(normal).sum(axis=1), axis=1)
+    total = np.sign(np.take_along_axis(normal, main[:, None, None], axis=2)).sum(axis=(1, 2))
+    # Index order (a, b) is cyclic for a flat i or k axis and reversed for a flat j axis.
+    return np.where((total < 0) != (axes[1] - axes[0] == 2), -1, 1)
 
 
 def index_order(grid: Grid, handedness: IntArray) -> BoolArray:

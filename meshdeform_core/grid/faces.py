@@ -14,7 +14,7 @@ from enum import Enum
 
 import numpy as np
 
-from ..numerics.arrays import BoolArray, batches, medians, runs, spans, spread
+from ..numerics.arrays import batches, medians, runs, spans, spread
 from ..numerics.geometry.coincidence import connected_rows
 from ..numerics.geometry.vectors import doubled_areas, unit
 from ..parallel import empty
@@ -131,7 +131,14 @@ def _mean_first_edges(grid: Grid, faces: FaceQuads, quads: IntArray) -> FloatArr
 def find_faces(grid: Grid, topology: Topology, geometry: QuadGeometry | None = None) -> list[Face]:
     """All block sides divided into pieces: patches, interfaces and unnamed outside faces; without collapsed quads."""
     geometry = geometry or quad_geometry(grid, topology)
-    pieces = _pieces(grid, topology)
+    # The pieces; their label is twice the number of the patch (from 1), plus one where blocks share the quads.
+    label = np.zeros(len(topology.partner), dtype=np.int64)
+    quads, patch = quads_of_patches(topology.quads, grid.patches)
+    label[quads] = 2 * (patch + 1)
+    shared = topology.partner >= 0
+    label[shared] += 1
+    label[~(shared | topology.external)] = -1
+    pieces = rectangles(grid, topology.quads, label)
     if len(pieces) == 0:
         return []
     owner, shared = np.divmod(pieces.label, 2)
@@ -152,17 +159,6 @@ def find_faces(grid: Grid, topology: Topology, geometry: QuadGeometry | None = N
         strict=True,
     )
     return [Face(*row) for row in rows]
-
-
-def _pieces(grid: Grid, topology: Topology) -> Rectangles:
-    """The pieces; their label is twice the number of the patch (from 1), plus one where blocks share the quads."""
-    label = np.zeros(len(topology.partner), dtype=np.int64)
-    quads, patch = quads_of_patches(topology.quads, grid.patches)
-    label[quads] = 2 * (patch + 1)
-    shared = topology.partner >= 0
-    label[shared] += 1
-    label[~(shared | topology.external)] = -1
-    return rectangles(grid, topology.quads, label)
 
 
 def _boxes(grid: Grid, faces: FaceQuads, pieces: Rectangles) -> FloatArray:
@@ -292,7 +288,19 @@ class _Guess:
         self.extent, self.size = high - low, float((high - low).max())
         self.ends = _end_sides(grid, topology, faces)
         self.outward = [self._bounding(face) for face in faces]
-        self.body = self._bodies()
+        # (n_quads,) whether a quad belongs to a surface inside the grid, closed but for the bounding planes.
+        inner, body = np.zeros((2, len(self.topology.partner)), dtype=bool)
+        for face, outward in zip(self.faces, self.outward, strict=True):
+            if face.outside and outward is None:
+                inner[face.quads] = True
+        quads = np.flatnonzero(inner)
+        if quads.size:
+            part = connected_rows(self.topology.quads.corners[quads], self.topology.n_unique)
+            order = np.argsort(part, kind="stable")
+            for lo, hi in zip(*runs(part[order]), strict=True):
+                mine = quads[order[lo:hi]]
+                body[mine] = self._encloses(mine) and self._closed(mine)
+        self.body = body
         self.has_bodies = bool(self.body.any())
 
     def roles(self) -> list[Role]:
@@ -345,21 +353,6 @@ class _Guess:
         normal = face.plane.normal * (1.0 if outward @ face.plane.normal >= 0 else -1.0)
         level = float(face.plane.point @ normal) + 10 * FLATNESS * self.size
         return normal if self.bounds.within(normal, level) else None
-
-    def _bodies(self) -> BoolArray:
-        """(n_quads,) whether a quad belongs to a surface inside the grid, closed but for the bounding planes."""
-        inner, body = np.zeros((2, len(self.topology.partner)), dtype=bool)
-        for face, outward in zip(self.faces, self.outward, strict=True):
-            if face.outside and outward is None:
-                inner[face.quads] = True
-        quads = np.flatnonzero(inner)
-        if quads.size:
-            part = connected_rows(self.topology.quads.corners[quads], self.topology.n_unique)
-            order = np.argsort(part, kind="stable")
-            for lo, hi in zip(*runs(part[order]), strict=True):
-                mine = quads[order[lo:hi]]
-                body[mine] = self._encloses(mine) and self._closed(mine)
-        return body
 
     def _encloses(self, quads: IntArray) -> bool:
         area = self.geometry.area[quads]

@@ -139,19 +139,16 @@ class Bounds:
             highest = np.maximum(self.low * normal, self.high * normal).sum(axis=1)
             reach = self._reach[key] = _Reach(float((self._corners @ normal).max()), float(highest.max()))
         if reach.most > level >= reach.least:
-            reach.least = reach.most = self._support(normal)
+            # Largest x . ``normal``; blocks whose bounding box cannot contain it are skipped.
+            highest = np.maximum(self.low * normal, self.high * normal).sum(axis=1)
+            found = -np.inf
+            for block in np.argsort(-highest):
+                if highest[block] <= found:
+                    break
+                rows = self._grid.in_planes(block)
+                found = max(found, *self._grid.nodes.gather(float((rows @ normal).max(initial=-np.inf))))
+            reach.least = reach.most = found
         return reach.most <= level
-
-    def _support(self, normal: FloatArray) -> float:
-        """Largest x . ``normal``; blocks whose bounding box cannot contain it are skipped."""
-        highest = np.maximum(self.low * normal, self.high * normal).sum(axis=1)
-        found = -np.inf
-        for block in np.argsort(-highest):
-            if highest[block] <= found:
-                break
-            rows = self._grid.in_planes(block)
-            found = max(found, *self._grid.nodes.gather(float((rows @ normal).max(initial=-np.inf))))
-        return found
 
 
 def require_extent(grid: Grid) -> None:

@@ -57,7 +57,23 @@ def continuous(vectors: FloatArray, pairs: IntArray) -> FloatArray:
     found = vectors.copy()
     ordered = rows[np.argsort(angle[rows], kind="stable")]
     # From the node of each surface that turns least.
-    _along_surfaces(found, ordered[np.unique(label[ordered], return_index=True)[1]], pairs)
+    # Every node takes the rotation vector nearest to that of the node from which it is reached first, in place;
+    # ``seeds`` are the nodes at which surfaces are entered, one each.
+    seeds = ordered[np.unique(label[ordered], return_index=True)[1]]
+    graph = scipy.sparse.csr_matrix((np.ones(len(pairs), dtype=bool), pairs.T), shape=(len(found),) * 2)
+    reached, here = np.zeros(len(found), dtype=bool), seeds
+    while len(here):
+        reached[here] = True
+        start = graph.indptr[here]
+        run, place = spans(graph.indptr[here + 1] - start)
+        there, before = graph.indices[start[run] + place], here[run]
+        new = ~reached[there]
+        # In the order in which they are reached.
+        first = np.sort(np.unique(there[new], return_index=True)[1])
+        there, before = there[new][first], before[new][first]
+        turns = lengths(found[there]) > 0.0
+        found[there[turns]] = nearest_branch(found[there[turns]], found[before[turns]])
+        here = there
     too_far = np.unique(label[lengths(found) > _LARGEST])
     found[np.isin(label, too_far)] = vectors[np.isin(label, too_far)]
     rows = rows[np.argsort(label[rows], kind="stable")]
@@ -85,22 +101,3 @@ def _turn_alike(vectors: FloatArray, surfaces: list[IntArray]) -> None:
 def _cost(mean: FloatArray, lead: FloatArray) -> float:
     apart = mean - lead
     return float(mean @ mean + _AGREEMENT * (apart @ apart))
-
-
-def _along_surfaces(vectors: FloatArray, seeds: IntArray, pairs: IntArray) -> None:
-    """Every node takes the rotation vector nearest to that of the node from which it is reached first, in place;
-    ``seeds`` are the nodes at which surfaces are entered, one each."""
-    graph = scipy.sparse.csr_matrix((np.ones(len(pairs), dtype=bool), pairs.T), shape=(len(vectors),) * 2)
-    reached, here = np.zeros(len(vectors), dtype=bool), seeds
-    while len(here):
-        reached[here] = True
-        start = graph.indptr[here]
-        run, place = spans(graph.indptr[here + 1] - start)
-        there, before = graph.indices[start[run] + place], here[run]
-        new = ~reached[there]
-        # In the order in which they are reached.
-        first = np.sort(np.unique(there[new], return_index=True)[1])
-        there, before = there[new][first], before[new][first]
-        turns = lengths(vectors[there]) > 0.0
-        vectors[there[turns]] = nearest_branch(vectors[there[turns]], vectors[before[turns]])
-        here = there

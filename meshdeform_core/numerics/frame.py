@@ -93,31 +93,27 @@ class Frame:
 def _nearest_rotation(moment: FloatArray) -> FloatArray:
     """The rotation (3, 3) nearest to a matrix."""
     if isinstance(moment, Tracked):
-        return _differentiated_rotation(moment)
+        # :func:`_nearest_rotation` with its derivative U (B - B^T) / (s_i + s_j) V^T, where B = U^T dM V and s are the
+        # singular values.
+        left, size, right = np.linalg.svd(moment.value)
+        sign = np.linalg.det(left) * np.linalg.det(right)
+        left[:, 2] *= sign
+        size[2] *= sign
+        sums = size[:, None] + size
+        share = np.divide(1.0, sums, out=np.zeros((3, 3)), where=np.abs(sums) > 1e-12 * size[0])
+
+        def push(t: FloatArray) -> FloatArray:
+            inner = left.T @ t @ right.T
+            return np.asarray(left @ (share * (inner - inner.T)) @ right)
+
+        def pull(g: FloatArray) -> FloatArray:
+            inner = share * (left.T @ g @ right.T)
+            return np.asarray(left @ (inner - inner.T) @ right)
+
+        return moment.tape.result(left @ right, [(moment, push, pull)])
     left, _, right = np.linalg.svd(moment)
     left[:, 2] *= np.linalg.det(left) * np.linalg.det(right)
     return np.asarray(left @ right)
-
-
-def _differentiated_rotation(moment: Tracked) -> Tracked:
-    """:func:`_nearest_rotation` with its derivative U (B - B^T) / (s_i + s_j) V^T, where B = U^T dM V and s are the
-    singular values."""
-    left, size, right = np.linalg.svd(moment.value)
-    sign = np.linalg.det(left) * np.linalg.det(right)
-    left[:, 2] *= sign
-    size[2] *= sign
-    sums = size[:, None] + size
-    share = np.divide(1.0, sums, out=np.zeros((3, 3)), where=np.abs(sums) > 1e-12 * size[0])
-
-    def push(t: FloatArray) -> FloatArray:
-        inner = left.T @ t @ right.T
-        return np.asarray(left @ (share * (inner - inner.T)) @ right)
-
-    def pull(g: FloatArray) -> FloatArray:
-        inner = share * (left.T @ g @ right.T)
-        return np.asarray(left @ (inner - inner.T) @ right)
-
-    return moment.tape.result(left @ right, [(moment, push, pull)])
 
 
 AT_REST = Frame(np.zeros(3))

@@ -98,7 +98,21 @@ class SurfaceRotations:
 
     def _fitted(self, after: FloatArray) -> FloatArray:
         before, edges, normals = self._points, self._edges, _node_normals(after, self._corners, self._plane_normal)
-        first = _aligning(self._normals, normals, self._plane_normal)
+        # Shortest rotation that carries unit vectors onto others; for opposite vectors, half a turn about a
+        # perpendicular axis.
+        start = self._normals
+        axis = np.cross(start, normals)
+        sine = lengths(axis)
+        cosine = dot(start, normals)
+        opposite = (sine < 1e-12) & (cosine < 0)
+        if opposite.any():
+            axis[opposite] = (
+                _half_turn_axes(plain(start)[opposite]) if self._plane_normal is None else self._plane_normal
+            )
+        # Up to a right angle, the half-angle formula, which is smooth at zero angle.
+        half = np.sqrt(0.5 * (1.0 + np.maximum(cosine, 0.0)))[:, None]
+        near = np.concatenate([half, axis / (2.0 * half)], axis=1)
+        first = np.where((cosine > 0.0)[:, None], near, _quaternion(_unit(axis), np.arctan2(sine, cosine)))
         if self._plane_normal is not None:
             return first
 
@@ -226,21 +240,6 @@ def _sum_of_normals(x: FloatArray, corners: IntArray, plane_normal: FloatArray |
 def _corner_normals(x: FloatArray, corners: IntArray) -> FloatArray:
     node, following, previous = corners.T
     return _unit(np.cross(_unit(x[following] - x[node]), _unit(x[previous] - x[node])))
-
-
-def _aligning(start: FloatArray, end: FloatArray, plane_normal: FloatArray | None = None) -> FloatArray:
-    """Shortest rotation that carries unit vectors onto others; for opposite vectors, half a turn about a perpendicular
-    axis."""
-    axis = np.cross(start, end)
-    sine = lengths(axis)
-    cosine = dot(start, end)
-    opposite = (sine < 1e-12) & (cosine < 0)
-    if opposite.any():
-        axis[opposite] = _half_turn_axes(plain(start)[opposite]) if plane_normal is None else plane_normal
-    # Up to a right angle, the half-angle formula, which is smooth at zero angle.
-    half = np.sqrt(0.5 * (1.0 + np.maximum(cosine, 0.0)))[:, None]
-    near = np.concatenate([half, axis / (2.0 * half)], axis=1)
-    return np.where((cosine > 0.0)[:, None], near, _quaternion(_unit(axis), np.arctan2(sine, cosine)))
 
 
 def _half_turn_axes(normals: FloatArray) -> FloatArray:

@@ -170,7 +170,11 @@ def block_volumes(grid: Grid, points: FloatArray, sign: IntArray) -> FloatArray:
     """
     center = 0.5 * Nodes.of(points).at(np.stack([grid.offsets[:-1], grid.offsets[1:] - 1])).sum(axis=0)
     flux = np.empty(6 * grid.n_blocks)
-    for alike in _alike(grid.sides.nodes):
+    # For every distinct row of ``shapes`` (n, 2), the ascending numbers of the rows equal to it.
+    shapes = grid.sides.nodes
+    order = np.lexsort(shapes.T)
+    new = np.append(True, (shapes[order[1:]] != shapes[order[:-1]]).any(axis=1))
+    for alike in np.split(order, np.flatnonzero(new)[1:]):
         for lo, hi in batches(grid.sides.nodes[alike].prod(axis=1), _SLAB_CELLS):
             some = alike[lo:hi]
             na, nb = grid.sides.nodes[some[0]]
@@ -186,10 +190,3 @@ def block_volumes(grid: Grid, points: FloatArray, sign: IntArray) -> FloatArray:
     for side, outward in enumerate((-1, 1, 1, -1, -1, 1)):
         total = total + outward * flux[side::6]
     return np.asarray(sign * total / 24.0)
-
-
-def _alike(shapes: IntArray) -> list[IntArray]:
-    """For every distinct row of ``shapes`` (n, 2), the ascending numbers of the rows equal to it."""
-    order = np.lexsort(shapes.T)
-    new = np.append(True, (shapes[order[1:]] != shapes[order[:-1]]).any(axis=1))
-    return np.split(order, np.flatnonzero(new)[1:])

@@ -113,19 +113,20 @@ class CellFields:
         """Context for :meth:`values` of a measure and :meth:`bad` of cells of this rank, without other ranks; all ranks
         must enter it."""
         if self.grid.nodes.divided:
-            self._fetch(measure)
+            # Find what a measure takes from other ranks, which all do the same.
+            shared = CELL_MEASURES[measure].shared if measure in CELL_MEASURES else "_normal"
+            known = [getattr(self, name) for name in ("_normal", "_thickness", shared)]
+            low, high = self._behind
+            for values in (
+                self.verdict.failed,
+                self.verdict.ratio,
+                *(known[-1] if isinstance(known[-1], tuple) else ()),
+            ):
+                values.widen(low, high)
+            for grid in (self.grid, self.reference):
+                if grid is not None:
+                    grid.hold_neighbours(after=2)
         yield
-
-    def _fetch(self, measure: str) -> None:
-        """Find what a measure takes from other ranks, which all do the same."""
-        shared = CELL_MEASURES[measure].shared if measure in CELL_MEASURES else "_normal"
-        known = [getattr(self, name) for name in ("_normal", "_thickness", shared)]
-        low, high = self._behind
-        for values in (self.verdict.failed, self.verdict.ratio, *(known[-1] if isinstance(known[-1], tuple) else ())):
-            values.widen(low, high)
-        for grid in (self.grid, self.reference):
-            if grid is not None:
-                grid.hold_neighbours(after=2)
 
     @property
     def _behind(self) -> tuple[int, int]:

@@ -67,7 +67,14 @@ class Constraints:
             if root[node] != node:
                 removed[root[node]] += rotation.T @ removed[node] @ rotation
         several = np.flatnonzero(np.einsum("nii->n", removed) > 1.5)
-        removed[several] = _spans(removed[several])
+        # Projectors (n, 3, 3) onto the ranges of sums of projectors; exact if these are along coordinate axes.
+        sums = removed[several]
+        values, vectors = np.linalg.eigh(sums)
+        kept = np.where(values[:, None, :] > 1e-9, vectors, 0.0)
+        exact = np.abs(sums - np.round(sums)).max(axis=(1, 2), initial=0.0) < 1e-12
+        spans = np.asarray(kept @ kept.transpose(0, 2, 1))
+        spans[exact] = np.round(spans[exact])
+        removed[several] = spans
         quads = original.moving_wall_quads(boundary) | original.fixed_wall_quads(boundary)
         walls = np.zeros(topology.n_unique, dtype=bool)
         walls[topology.quads.corners[quads]] = True
@@ -84,13 +91,3 @@ def _on_one_surface(topology: Topology, boundary: Boundary) -> BoolArray:
     if boundary.periodic.one.size:
         count[boundary.periodic.frames(topology.n_unique)[0]] += 2
     return count < 2
-
-
-def _spans(sums: FloatArray) -> FloatArray:
-    """Projectors (n, 3, 3) onto the ranges of sums of projectors; exact if these are along coordinate axes."""
-    values, vectors = np.linalg.eigh(sums)
-    kept = np.where(values[:, None, :] > 1e-9, vectors, 0.0)
-    exact = np.abs(sums - np.round(sums)).max(axis=(1, 2), initial=0.0) < 1e-12
-    spans = np.asarray(kept @ kept.transpose(0, 2, 1))
-    spans[exact] = np.round(spans[exact])
-    return spans

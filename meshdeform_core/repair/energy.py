@@ -433,12 +433,10 @@ def _share_between(excess: FloatArray) -> FloatArray:
 def among_others(energy: Energy, x: FloatArray) -> Energy | None:
     """The energy relative to elements stretched like the average of their surroundings in the grid ``x`` (n, d);
     ``None`` if no element is squeezed."""
-    stretch = _stretch(energy.matrices(x), energy.nodes, len(x))
-    return energy.stretched(stretch) if np.linalg.det(stretch).min(initial=np.inf) < _SQUEEZED else None
-
-
-def _stretch(matrix: FloatArray, nodes: IntArray, n: int) -> FloatArray:
-    """The square root (m, d, d) of the mean metric around elements (m, k), from their Jacobian matrices (m, d, d)."""
+    # The square root (m, d, d) of the mean metric around elements (m, k), from their Jacobian matrices (m, d, d).
+    matrix = energy.matrices(x)
+    nodes = energy.nodes
+    n = len(x)
     metric = np.einsum("mji,mjk->mik", matrix, matrix)
     shape, corners = metric.shape, nodes.shape[1]
     at = nodes.ravel()
@@ -450,4 +448,5 @@ def _stretch(matrix: FloatArray, nodes: IntArray, n: int) -> FloatArray:
     squares, axes = np.linalg.eigh(metric.reshape(shape))
     # A small extent remains where all surrounding cells are flat.
     lengths = np.sqrt(np.maximum(squares, 1e-12))
-    return np.einsum("mij,mj,mkj->mik", axes, lengths, axes)
+    stretch = np.einsum("mij,mj,mkj->mik", axes, lengths, axes)
+    return energy.stretched(stretch) if np.linalg.det(stretch).min(initial=np.inf) < _SQUEEZED else None

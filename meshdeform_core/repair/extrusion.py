@@ -154,25 +154,21 @@ def _axis(grid: Grid, block: int, height: FloatArray, scale: float) -> tuple[int
         sign = 1.0 if whole[0] @ height > 0.0 else -1.0
         if np.abs(whole - sign * height).max() > _STRAIGHT * scale:
             continue
-        if _roughness(grid, block, axis, first, unit) <= _STRAIGHT * scale:
+        # Largest deviation of the layers of a block along ``axis`` from copies of the ``first`` one moved along
+        # ``unit``.
+        own, count = grid.planes(block), grid.shapes[block][axis]
+        steps = grid.in_planes(block) - np.expand_dims(first if axis == 0 else first[own], axis)
+        along = steps @ unit
+        across = np.abs(steps - along[..., None] * unit).max(initial=0.0)
+        others = tuple(other for other in range(3) if other != axis)
+        low, high = np.full(count, np.inf), np.full(count, -np.inf)
+        layers = own if axis == 0 else slice(None)
+        low[layers] = along.min(axis=others, initial=np.inf)
+        high[layers] = along.max(axis=others, initial=-np.inf)
+        lows, highs, acrosses = zip(*grid.nodes.gather((low, high, across)), strict=True)
+        if float(max(*acrosses, (np.max(highs, axis=0) - np.min(lows, axis=0)).max())) <= _STRAIGHT * scale:
             return axis, 0 if sign > 0.0 else 1
     return None
-
-
-def _roughness(grid: Grid, block: int, axis: int, first: FloatArray, unit: FloatArray) -> float:
-    """Largest deviation of the layers of a block along ``axis`` from copies of the ``first`` one moved along
-    ``unit``."""
-    own, count = grid.planes(block), grid.shapes[block][axis]
-    steps = grid.in_planes(block) - np.expand_dims(first if axis == 0 else first[own], axis)
-    along = steps @ unit
-    across = np.abs(steps - along[..., None] * unit).max(initial=0.0)
-    others = tuple(other for other in range(3) if other != axis)
-    low, high = np.full(count, np.inf), np.full(count, -np.inf)
-    layers = own if axis == 0 else slice(None)
-    low[layers] = along.min(axis=others, initial=np.inf)
-    high[layers] = along.max(axis=others, initial=-np.inf)
-    lows, highs, acrosses = zip(*grid.nodes.gather((low, high, across)), strict=True)
-    return float(max(*acrosses, (np.max(highs, axis=0) - np.min(lows, axis=0)).max()))
 
 
 def _extruded(

@@ -188,7 +188,14 @@ class Neighbourhood:
         start = components(self.grid.nodes.at(nodes) - origin, self.axes)
         cell_nodes = local.reshape(corners.shape)
         weight = np.ones(len(cells)) if even else self._weights(nodes, start, cell_nodes)
-        energy = self._energy(start, cell_nodes, self._signs(cells), weight, unknowns.number >= 0)
+        # Sign (m,) of the determinants of sound cells, with edges in the order of their index axes.
+        block = np.searchsorted(self.grid.cell_offsets, cells, side="right") - 1
+        sign = self.topology.handedness.astype(np.float64)
+        if self.grid.dimension == 2:
+            flat = np.array([shape.index(1) for shape in self.grid.shapes])
+            # As in quality.cells: the normal is positive for axes (i, j) and (j, k), negative for (i, k).
+            sign *= np.where(flat == 1, -1.0, 1.0) * np.sign(self.normal[np.argmax(np.abs(self.normal))])
+        energy = self._energy(start, cell_nodes, sign[block], weight, unknowns.number >= 0)
         region = Region(energy, unknowns, freedom, tuple(self._slides(nodes, unknowns, origin)))
         return Plot(region, moved, np.searchsorted(nodes, owners), nodes, self.axes, origin, near is None)
 
@@ -292,16 +299,6 @@ class Neighbourhood:
         mask &= samples_with_any(moves[cells], samples)
         return Hexahedra(start, cells, cells, mask, samples, weight, np.ones(len(cells)))
 
-    def _signs(self, cells: IntArray) -> FloatArray:
-        """Sign (m,) of the determinants of sound cells, with edges in the order of their index axes."""
-        block = np.searchsorted(self.grid.cell_offsets, cells, side="right") - 1
-        sign = self.topology.handedness.astype(np.float64)
-        if self.grid.dimension == 2:
-            flat = np.array([shape.index(1) for shape in self.grid.shapes])
-            # As in quality.cells: the normal is positive for axes (i, j) and (j, k), negative for (i, k).
-            sign *= np.where(flat == 1, -1.0, 1.0) * np.sign(self.normal[np.argmax(np.abs(self.normal))])
-        return sign[block]
-
     def _unknowns(self, nodes: IntArray, moves: BoolArray) -> tuple[Unknowns, FloatArray]:
         """The dependence of a region's ``nodes`` on its unknowns, and the directions of these; see :class:`Region`."""
         constraints, axes = self.constraints, self.axes
@@ -373,15 +370,7 @@ def weigh(share: FloatArray, first: float, start: FloatArray, cells: IntArray) -
     """Weights (m,) of ``cells`` (m, k) with undeformed node coordinates ``start`` (n, d); ``share`` (m, k) is the
     :func:`nearness` of their nodes, ``first`` that of nodes on walls."""
     near = share.min(axis=1)
-    thin = np.clip((_aspect_ratio(start, cells) / THIN) ** GROWTH, 1.0, HEAVIEST)
-    # The layer, from 1 at walls.
-    layer, reach = np.where(near < 1.0, near / first, np.inf), 1.0 / first
-    rigid = FIRST * reach * min(1.0, reach / ROOM) ** CRAMPED
-    return np.asarray(np.maximum.reduce([near**-FALL, rigid / layer**STEEP, thin]))
-
-
-def _aspect_ratio(start: FloatArray, cells: IntArray) -> FloatArray:
-    """Longest over shortest edge of cells (m,); collapsed edges do not count."""
+    # Longest over shortest edge of cells (m,); collapsed edges do not count.
     shortest, longest = np.full(len(cells), np.inf), np.zeros(len(cells))
     corners = cells.shape[1]
     for one, step in itertools.product(range(corners), (1, 2, 4)):
@@ -390,4 +379,8 @@ def _aspect_ratio(start: FloatArray, cells: IntArray) -> FloatArray:
         length = np.linalg.norm(start[cells[:, one | step]] - start[cells[:, one]], axis=1)
         np.maximum(longest, length, out=longest)
         np.minimum(shortest, length, out=shortest, where=length > 0.0)
-    return longest / shortest
+    thin = np.clip(((longest / shortest) / THIN) ** GROWTH, 1.0, HEAVIEST)
+    # The layer, from 1 at walls.
+    layer, reach = np.where(near < 1.0, near / first, np.inf), 1.0 / first
+    rigid = FIRST * reach * min(1.0, reach / ROOM) ** CRAMPED
+    return np.asarray(np.maximum.reduce([near**-FALL, rigid / layer**STEEP, thin]))

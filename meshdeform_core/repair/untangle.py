@@ -136,7 +136,13 @@ class Untangler:
             self._tell(step, way.steps)
             after, _ = self._step(now, Penalty(eps), _ROUGH)
             self.x = after.x
-            eps = _next_eps(eps, after.lowest, max(way.slowest, 1.0 - after.energy / now.energy))
+            # The regularisation with which chi of the smallest determinant is ``1 - change`` times what it is now.
+            lowest = after.lowest
+            change = max(way.slowest, 1.0 - after.energy / now.energy)
+            root = np.sqrt(eps * eps + lowest * lowest)
+            chi = 0.5 * (lowest + root) if lowest > 0 else 0.5 * eps * eps / (root - lowest)
+            goal = (1.0 - change) * chi
+            eps = 2.0 * float(np.sqrt(goal * (goal - lowest))) if lowest < goal else 1e-10
         return False
 
     def minimise(self, share: float, most: int, edges: FloatArray) -> bool:
@@ -235,14 +241,6 @@ class Untangler:
         found = self.system.direction(tolerance, min(most, self.limit.affords(self.system.work)))
         self.limit.spend(self.system.work * self.system.iterations)
         return found
-
-
-def _next_eps(eps: float, lowest: float, change: float) -> float:
-    """The regularisation with which chi of the smallest determinant is ``1 - change`` times what it is now."""
-    root = np.sqrt(eps * eps + lowest * lowest)
-    chi = 0.5 * (lowest + root) if lowest > 0 else 0.5 * eps * eps / (root - lowest)
-    goal = (1.0 - change) * chi
-    return 2.0 * float(np.sqrt(goal * (goal - lowest))) if lowest < goal else 1e-10
 
 
 # A regularisation that starts large and falls slowly finds valid grids where a fast one fails.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -209,7 +208,19 @@ def _draw(figure: Figure, slices: dict[str, Slice], folder: Path) -> str:
             squeeze=False,
         )
         for place, panel, letter in zip(axes.flat, panels, "abcdefghi", strict=False):
-            collection = _draw_panel(place, slices[panel.key], panel, figure)
+            part = slices[panel.key]
+            from matplotlib.collections import LineCollection
+
+            view = along(part.view)
+            lines = [view.project(line)[:, :2] for line in part.lines]
+            window = Window(*panel.zoom) if panel.zoom else None
+            collection = draw(place, part.facets, view=view, window=window, limits=(figure.low, 1.0), lines=False)
+            place.add_collection(LineCollection(lines, colors="black", linewidths=0.18))
+            if panel.zoom:
+                place.set_xlim(*panel.zoom[:2])
+                place.set_ylim(*panel.zoom[2:])
+            place.set_xlabel(f"{view.labels[0]} [{figure.unit}]", labelpad=1)
+            place.set_ylabel(f"{view.labels[1]} [{figure.unit}]", labelpad=1)
             place.set_title(f"({letter}) {panel.title}", fontsize=9)
         for place in axes.flat[len(panels) :]:
             place.set_axis_off()
@@ -219,19 +230,3 @@ def _draw(figure: Figure, slices: dict[str, Slice], folder: Path) -> str:
             whole.savefig(partial, format="png", dpi=_DOTS)
         plt.close(whole)
     return f"{figure.name}{_SUFFIX}"
-
-
-def _draw_panel(axes: Any, part: Slice, panel: Panel, figure: Figure) -> Any:
-    from matplotlib.collections import LineCollection
-
-    view = along(part.view)
-    lines = [view.project(line)[:, :2] for line in part.lines]
-    window = Window(*panel.zoom) if panel.zoom else None
-    collection = draw(axes, part.facets, view=view, window=window, limits=(figure.low, 1.0), lines=False)
-    axes.add_collection(LineCollection(lines, colors="black", linewidths=0.18))
-    if panel.zoom:
-        axes.set_xlim(*panel.zoom[:2])
-        axes.set_ylim(*panel.zoom[2:])
-    axes.set_xlabel(f"{view.labels[0]} [{figure.unit}]", labelpad=1)
-    axes.set_ylabel(f"{view.labels[1]} [{figure.unit}]", labelpad=1)
-    return collection

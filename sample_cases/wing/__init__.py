@@ -27,7 +27,10 @@ def generate(size: int = DEFAULT_SIZE) -> Grid:
     """
     if size < 8 or size % 4:
         raise ValueError(f"size = {size} cells along the chord; expected a multiple of 4, at least 8")
-    chord, span = _chordwise(size), _spanwise(size)
+    # Positions in chords: finer at both edges of the wing, stretched to the far field.
+    inside = 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, size + 1)))
+    away = geometric(float(inside[1]), size // 2, _FAR)
+    chord, span = np.concatenate([-away[:0:-1], inside, 1.0 + away[1:]]), _spanwise(size)
     height = geometric(_WALL_CELL, size, _FAR)
     y = span[None, :]
     x = _leading_edge(y) + chord[:, None] * _chord(y)
@@ -70,13 +73,6 @@ def _motion(points: FloatArray) -> FloatArray:
     displacement[:, 0] = np.cos(angle) * x + np.sin(angle) * z - x
     displacement[:, 2] = np.cos(angle) * z - np.sin(angle) * x - z + _BENDING * _SPAN * (points[:, 1] / _SPAN) ** 2
     return displacement
-
-
-def _chordwise(size: int) -> FloatArray:
-    """Positions in chords: finer at both edges of the wing, stretched to the far field."""
-    inside = 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, size + 1)))
-    away = geometric(float(inside[1]), size // 2, _FAR)
-    return np.concatenate([-away[:0:-1], inside, 1.0 + away[1:]])
 
 
 def _spanwise(size: int) -> FloatArray:

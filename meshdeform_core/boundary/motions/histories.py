@@ -199,7 +199,16 @@ class Beam(Step, PreparedStep):
         for n in range(1, len(stations)):
             seen[:, n, :3] = frames.inv().apply(arms[n] + moved[:, n] - moved[:, 0]) - arms[n]
             own = scipy.spatial.transform.Rotation.from_rotvec(turns[:, n])
-            seen[:, n, 3:] = _nearest_turn((frames.inv() * own).as_rotvec(), seen[:, n - 1, 3:])
+            # Rotation vectors (t, 3) of the rotations ``turn``, up to half a turn, nearest to those in ``before``.
+            turn = (frames.inv() * own).as_rotvec()
+            before = seen[:, n - 1, 3:]
+            angle = np.linalg.norm(turn, axis=1, keepdims=True)
+            size = np.linalg.norm(before, axis=1, keepdims=True)
+            # A whole number of turns has no axis: that of the station before.
+            clear = angle > 1e-9
+            axis = np.where(clear, turn / np.where(clear, angle, 1.0), before / np.where(size > 0, size, 1.0))
+            ahead = (before * axis).sum(axis=1, keepdims=True)
+            seen[:, n, 3:] = np.asarray(axis * (angle + 2 * np.pi * np.round((ahead - angle) / (2 * np.pi))))
         angles = np.degrees(np.linalg.norm(np.diff(seen[..., 3:], axis=1), axis=2))
         if angles.max() > _LARGEST_TURN:
             level, n = map(int, np.unravel_index(int(angles.argmax()), angles.shape))
@@ -251,14 +260,3 @@ def _along(points: FloatArray, stations: FloatArray) -> FloatArray:
     line = stations[-1] - stations[0]
     size = float(np.linalg.norm(line))
     return np.asarray((points - stations[0]) @ (line / size if size > 0 else line))
-
-
-def _nearest_turn(turn: FloatArray, before: FloatArray) -> FloatArray:
-    """Rotation vectors (t, 3) of the rotations ``turn``, up to half a turn, nearest to those in ``before``."""
-    angle = np.linalg.norm(turn, axis=1, keepdims=True)
-    size = np.linalg.norm(before, axis=1, keepdims=True)
-    # A whole number of turns has no axis: that of the station before.
-    clear = angle > 1e-9
-    axis = np.where(clear, turn / np.where(clear, angle, 1.0), before / np.where(size > 0, size, 1.0))
-    ahead = (before * axis).sum(axis=1, keepdims=True)
-    return np.asarray(axis * (angle + 2 * np.pi * np.round((ahead - angle) / (2 * np.pi))))

@@ -8,7 +8,6 @@ import numpy as np
 
 from ...boundary import Kind
 from ...grid import BoolArray, FloatArray, IntArray
-from ...grid.planes import Plane
 from ...grid.topology import RELATIVE_TOLERANCE
 from ...numerics.arrays import distinct_pairs
 from ..base import Problem
@@ -51,27 +50,23 @@ def mirror_images(problem: Problem) -> Images:
         problem.source_points, surface.area, np.arange(n), reflection, moving, surface.corners, surface.edges
     )
     for plane in problem.boundary.mirrors:
-        images = _reflected(images, plane, problem)
+        # The images at one plane; a node on the plane is its own image, with the area of both sides.
+        height = (images.points - plane.point) @ plane.normal
+        edge = problem.topology.edge[problem.source_numbers][images.owner]
+        on_plane = np.abs(height) <= RELATIVE_TOLERANCE * edge
+        off = ~on_plane
+        area = np.where(on_plane, 2 * images.area, images.area)
+        mirror = np.eye(3) - 2 * np.outer(plane.normal, plane.normal)
+        image_of = np.where(on_plane, np.arange(len(off)), len(off) + np.cumsum(off) - 1)
+        # A mirrored face has the opposite orientation: next and previous node are exchanged.
+        order = [0, 2, 1] if images.corners.shape[1] == 3 else [1, 0]
+        images = Images(
+            np.concatenate([images.points, images.points[off] - 2 * height[off, None] * plane.normal]),
+            np.concatenate([area, area[off]]),
+            np.concatenate([images.owner, images.owner[off]]),
+            np.concatenate([images.reflection, mirror @ images.reflection[off]]),
+            np.concatenate([images.moving, images.moving[off]]),
+            np.concatenate([images.corners, image_of[images.corners][:, order]]),
+            distinct_pairs(np.concatenate([images.edges, image_of[images.edges]])),
+        )
     return images
-
-
-def _reflected(images: Images, plane: Plane, problem: Problem) -> Images:
-    """The images at one plane; a node on the plane is its own image, with the area of both sides."""
-    height = (images.points - plane.point) @ plane.normal
-    edge = problem.topology.edge[problem.source_numbers][images.owner]
-    on_plane = np.abs(height) <= RELATIVE_TOLERANCE * edge
-    off = ~on_plane
-    area = np.where(on_plane, 2 * images.area, images.area)
-    mirror = np.eye(3) - 2 * np.outer(plane.normal, plane.normal)
-    image_of = np.where(on_plane, np.arange(len(off)), len(off) + np.cumsum(off) - 1)
-    # A mirrored face has the opposite orientation: next and previous node are exchanged.
-    order = [0, 2, 1] if images.corners.shape[1] == 3 else [1, 0]
-    return Images(
-        np.concatenate([images.points, images.points[off] - 2 * height[off, None] * plane.normal]),
-        np.concatenate([area, area[off]]),
-        np.concatenate([images.owner, images.owner[off]]),
-        np.concatenate([images.reflection, mirror @ images.reflection[off]]),
-        np.concatenate([images.moving, images.moving[off]]),
-        np.concatenate([images.corners, image_of[images.corners][:, order]]),
-        distinct_pairs(np.concatenate([images.edges, image_of[images.edges]])),
-    )

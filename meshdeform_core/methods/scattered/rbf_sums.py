@@ -60,7 +60,23 @@ class RadialSums:
         report = of_stage(progress, "rbf")
         self.prepare(len(fit.centres))
         if self._is_fast:
-            self._fast(fit, out, report)
+            assert self.targets is not None
+            targets = self.targets
+            if self._tree is None or not np.array_equal(self._tree[0], fit.centres):
+                self._tree = fit.centres, FastRadial(BASES[self._options.basis], fit.centres)
+
+            def use(flat: IntArray, sums: FloatArray) -> None:
+                x = targets.points[flat]
+                rows[flat] = sums + self._centres.drift(x, fit.polynomial)
+
+            sums, rows = self._tree[1], Nodes.of(out).rows
+
+            def once() -> float:
+                sums.prepare(fit.coefficients, targets, self._options.summation_tolerance)
+                risk = sums.apply(use, progress=report)
+                return largest_error(self._grid, targets, risk, rows, partial(self._displacement, fit))
+
+            sum_accurately("rbf", sums, once, self._options.summation_tolerance, self._account)
         else:
             self._exact(fit, Nodes.of(out).rows, report)
         if self._options.greedy_correct and fit.reach > 0:
@@ -83,25 +99,6 @@ class RadialSums:
             out[flat] = self._displacement(fit, flat)
 
         for_chunks(work, len(self.flat), _CHUNK, report)
-
-    def _fast(self, fit: Coefficients, out: FloatArray, report: Report | None) -> None:
-        assert self.targets is not None
-        targets = self.targets
-        if self._tree is None or not np.array_equal(self._tree[0], fit.centres):
-            self._tree = fit.centres, FastRadial(BASES[self._options.basis], fit.centres)
-
-        def use(flat: IntArray, sums: FloatArray) -> None:
-            x = targets.points[flat]
-            rows[flat] = sums + self._centres.drift(x, fit.polynomial)
-
-        sums, rows = self._tree[1], Nodes.of(out).rows
-
-        def once() -> float:
-            sums.prepare(fit.coefficients, targets, self._options.summation_tolerance)
-            risk = sums.apply(use, progress=report)
-            return largest_error(self._grid, targets, risk, rows, partial(self._displacement, fit))
-
-        sum_accurately("rbf", sums, once, self._options.summation_tolerance, self._account)
 
     def _add_residual(self, fit: Coefficients, out: FloatArray) -> None:
         """Add the residual of the nearest source, which fades out with the distance from it (Wendland C2)."""

@@ -22,7 +22,6 @@ from ..limits import TFI_ROTATION, warn_of_rotation
 from .groups import Faces
 
 if TYPE_CHECKING:
-    from scipy.sparse import csc_array
     from scipy.sparse.linalg import SuperLU
 
     from ...boundary.slip import Slip
@@ -222,7 +221,15 @@ class _Graph:
         sliding = [(index[nodes], span) for nodes, span in slip.groups]
         removed = tuple((rows[rows >= 0], span) for rows, span in sliding if (rows >= 0).any())
         if removed:
-            laplacian = _within_planes(laplacian, removed)
+            # The Laplacian (3 n, 3 n) of all components, row 3 m + c for component c of vertex m, restricted to motions
+            # along the planes; for the removed directions it is the identity.
+            n = laplacian.shape[0]
+            blocks = np.zeros((n, 3, 3))
+            for rows, span in removed:
+                blocks[rows] = span
+            off = scipy.sparse.bsr_array((blocks, np.arange(n), np.arange(n + 1)), shape=(3 * n, 3 * n))
+            along = scipy.sparse.eye_array(3 * n) - off
+            laplacian = scipy.sparse.csc_array(along @ scipy.sparse.kron(laplacian, np.eye(3)) @ along + off)
         return cls(scipy.sparse.linalg.splu(laplacian), one[outer], two[outer], weight[outer], removed)
 
     def solve(self, d: FloatArray) -> FloatArray:
@@ -239,18 +246,6 @@ class _Graph:
         for rows, span in self.removed:
             along[rows] -= along[rows] @ span
         return np.asarray(self.factor.solve(along.ravel())).reshape(right.shape)
-
-
-def _within_planes(laplacian: csc_array, removed: tuple[tuple[IntArray, FloatArray], ...]) -> csc_array:
-    """The Laplacian (3 n, 3 n) of all components, row 3 m + c for component c of vertex m, restricted to motions along
-    the planes; for the removed directions it is the identity."""
-    n = laplacian.shape[0]
-    blocks = np.zeros((n, 3, 3))
-    for rows, span in removed:
-        blocks[rows] = span
-    off = scipy.sparse.bsr_array((blocks, np.arange(n), np.arange(n + 1)), shape=(3 * n, 3 * n))
-    along = scipy.sparse.eye_array(3 * n) - off
-    return scipy.sparse.csc_array(along @ scipy.sparse.kron(laplacian, np.eye(3)) @ along + off)
 
 
 def _face_parts(grid: Grid, topology: Topology, reached: BoolArray) -> tuple[_Rows, IntArray, BoolArray]:

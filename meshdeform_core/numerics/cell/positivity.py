@@ -82,14 +82,10 @@ def _positive(b: FloatArray, zero: BoolArray) -> BoolArray:
         owner, parts = owner[left], parts[left]
         if len(parts):
             for axis in (1, 2, 3):
-                parts = _halves(parts, axis)
+                # Coefficients on both halves along an axis, by de Casteljau's algorithm.
+                first, middle, last = np.moveaxis(parts, axis, 0)
+                center = 0.25 * (first + 2.0 * middle + last)
+                low = np.stack([first, 0.5 * (first + middle), center], axis=axis)
+                parts = np.concatenate([low, np.stack([center, 0.5 * (middle + last), last], axis=axis)])
             waiting.append((level + 1, np.tile(owner, 8), parts))
     return proved
-
-
-def _halves(b: FloatArray, axis: int) -> FloatArray:
-    """Coefficients on both halves along an axis, by de Casteljau's algorithm."""
-    first, middle, last = np.moveaxis(b, axis, 0)
-    center = 0.25 * (first + 2.0 * middle + last)
-    low = np.stack([first, 0.5 * (first + middle), center], axis=axis)
-    return np.concatenate([low, np.stack([center, 0.5 * (middle + last), last], axis=axis)])

@@ -109,10 +109,7 @@ class NestedSums:
         self._bases = find_bases(kind, self._tree, radius, acting, tolerance)
         self._leaves = np.flatnonzero(self._tree.child < 0)
         self._leaves = self._leaves[np.argsort(self._tree.span[self._leaves, 0])]
-        self._set_rows(rows)
-
-    def _set_rows(self, rows: IntArray | None) -> None:
-        """Set the tree positions at which sums are evaluated, the range of them in each leaf, and that of each row."""
+        # Set the tree positions at which sums are evaluated, the range of them in each leaf, and that of each row.
         wanted = np.full(len(self._tree.order), rows is None)
         place = np.empty(len(wanted), dtype=np.int64)
         place[self._tree.order] = np.arange(len(wanted))

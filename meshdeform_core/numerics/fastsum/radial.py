@@ -153,7 +153,20 @@ class FastRadial:
         permitted = tolerance * targets.permitted(self._kind)
         every = np.ones(len(permitted), dtype=bool)
         for _ in range(TRIALS):
-            clusters = self._clusters(coefficients)
+            # :class:`Clusters` with these charges (n, 3).
+            tree = self._tree
+            bases = self._bases.get(self._tolerance)
+            if bases is None:
+                acting = np.ones(len(self._radius), dtype=bool)
+                bases = self._bases[self._tolerance] = find_bases(
+                    self._kind, tree, self._radius, acting, self._tolerance
+                )
+            charges, upper = coefficients[tree.order], np.empty((len(bases.place), 3))
+            gather_up(tree.span, tree.child, bases, charges, upper)
+            squares = np.append(0.0, np.cumsum((upper**2).sum(axis=1)))
+            strength = np.sqrt(np.diff(squares[bases.start]))
+            where = tree.boxes.center, self._radius, tree.child, tree.span, tree.points
+            clusters = Clusters(self._kind != BASES["tps"], *where, bases, charges, upper, strength)
             boxes = Boxes(targets.tree, *targets.spaces, self.share * permitted, every)
             found = self._on_leaves(chosen, targets, boxes, clusters)
             found = (np.linalg.norm(found - exact, axis=2) / targets.sizes[chosen]).max(initial=0.0)
@@ -178,20 +191,6 @@ class FastRadial:
 
         for_chunks(work, len(targets.tree.region) - 1, _CHUNK, progress)
         return risk[targets.leaves]
-
-    def _clusters(self, coefficients: FloatArray) -> Clusters:
-        """:class:`Clusters` with these charges (n, 3)."""
-        tree = self._tree
-        bases = self._bases.get(self._tolerance)
-        if bases is None:
-            acting = np.ones(len(self._radius), dtype=bool)
-            bases = self._bases[self._tolerance] = find_bases(self._kind, tree, self._radius, acting, self._tolerance)
-        charges, upper = coefficients[tree.order], np.empty((len(bases.place), 3))
-        gather_up(tree.span, tree.child, bases, charges, upper)
-        squares = np.append(0.0, np.cumsum((upper**2).sum(axis=1)))
-        strength = np.sqrt(np.diff(squares[bases.start]))
-        where = tree.boxes.center, self._radius, tree.child, tree.span, tree.points
-        return Clusters(self._kind != BASES["tps"], *where, bases, charges, upper, strength)
 
     def _on_leaves(self, chosen: IntArray, targets: RadialTargets, boxes: Boxes, clusters: Clusters) -> FloatArray:
         """Sums at the samples of some leaves, computed in the same way as for all targets."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import BoolArray, FloatArray, IntArray, KeyArray
+from ..arrays import BoolArray, FloatArray, IntArray
 
 Boxes = tuple[FloatArray, FloatArray]
 """Smallest and largest coordinates, (n, 3) each."""
@@ -99,7 +99,22 @@ def curve(places: FloatArray) -> IntArray:
     most = max(float(key.max()), 1e-300)
     key *= (1 << 21) - 1
     key /= most
-    return np.argsort(_morton(key.astype(np.uint64)))
+    # Bits of three numbers (n, 3) below 2^21 interleaved.
+    index = key.astype(np.uint64)
+    spread = (
+        (32, 0x1F00000000FFFF),
+        (16, 0x1F0000FF0000FF),
+        (8, 0x100F00F00F00F00F),
+        (4, 0x10C30C30C30C30C3),
+        (2, 0x1249249249249249),
+    )
+    parts = []
+    for axis in range(3):
+        x = index[:, axis]
+        for shift, mask in spread:
+            x = (x | x << np.uint64(shift)) & np.uint64(mask)
+        parts.append(x << np.uint64(axis))
+    return np.argsort(reduce(np.bitwise_or, parts))
 
 
 def halves(places: FloatArray, leaf: int) -> IntArray:
@@ -118,21 +133,3 @@ def halves(places: FloatArray, leaf: int) -> IntArray:
         order = order[np.argsort(box + 0.5 * along)]
         size //= 2
     return order
-
-
-def _morton(index: KeyArray) -> KeyArray:
-    """Bits of three numbers (n, 3) below 2^21 interleaved."""
-    spread = (
-        (32, 0x1F00000000FFFF),
-        (16, 0x1F0000FF0000FF),
-        (8, 0x100F00F00F00F00F),
-        (4, 0x10C30C30C30C30C3),
-        (2, 0x1249249249249249),
-    )
-    parts = []
-    for axis in range(3):
-        x = index[:, axis]
-        for shift, mask in spread:
-            x = (x | x << np.uint64(shift)) & np.uint64(mask)
-        parts.append(x << np.uint64(axis))
-    return reduce(np.bitwise_or, parts)

@@ -46,23 +46,17 @@ def close_pairs(points: FloatArray, tolerance: FloatArray) -> IntArray:
     take part, few lie within that tolerance of any plane, however strongly the grid is clustered.
     """
     if len(points) > _MANY:
-        chosen = _with_close_neighbour(points, tolerance)
+        # Points whose nearest neighbour is within their tolerance, which holds for both points of any close pair. The
+        # keys of many points are dense: sweeping all of them would compare each with hundreds of others.
+        # Imported late: the format readers import this module and must start fast.
+        import scipy
+
+        tree = scipy.spatial.cKDTree(points, balanced_tree=False, compact_nodes=False)
+        bound = float(tolerance.max(initial=0.0)) * (1.0 + 1e-9)
+        distance, _ = tree.query(points, k=2, distance_upper_bound=bound, workers=thread_count())
+        chosen = np.flatnonzero(distance[:, 1] <= tolerance * (1.0 + 1e-9))
         return chosen[_sweep_in_order(points[chosen], tolerance[chosen])]
     return _sweep_in_order(points, tolerance)
-
-
-def _with_close_neighbour(points: FloatArray, tolerance: FloatArray) -> IntArray:
-    """Points whose nearest neighbour is within their tolerance, which holds for both points of any close pair.
-
-    The keys of many points are dense: sweeping all of them would compare each with hundreds of others.
-    """
-    # Imported late: the format readers import this module and must start fast.
-    import scipy
-
-    tree = scipy.spatial.cKDTree(points, balanced_tree=False, compact_nodes=False)
-    bound = float(tolerance.max(initial=0.0)) * (1.0 + 1e-9)
-    distance, _ = tree.query(points, k=2, distance_upper_bound=bound, workers=thread_count())
-    return np.flatnonzero(distance[:, 1] <= tolerance * (1.0 + 1e-9))
 
 
 def _sweep_in_order(points: FloatArray, tolerance: FloatArray) -> IntArray:

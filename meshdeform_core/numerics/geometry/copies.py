@@ -54,7 +54,13 @@ def coincident_copies(points: FloatArray, edge: FloatArray, relative: float = 1.
     key = generic_key(points)
     order = np.argsort(key).astype(integers(len(points)))
     keys = key[order]
-    new = _new_points(keys, order, points)
+    # Which points, in the ``order`` of their ``key``, differ from the one before.
+    new = np.append(True, keys[1:] != keys[:-1])[: len(keys)]
+    # Few keys are equal, and those of different points hardly ever.
+    same = np.flatnonzero(~new)
+    for lo in range(0, len(same), _WINDOW):
+        some = same[lo : lo + _WINDOW]
+        new[some[(points[order[some]] != points[order[some - 1]]).any(axis=1)]] = True
     group: IntArray = np.cumsum(new, dtype=order.dtype)
     group -= 1
     count = int(group[-1]) + 1 if len(key) else 0
@@ -91,14 +97,3 @@ def _close_groups(
         found.append(pairs[pairs[:, 0] <= group[own - 1]])
         lo = own
     return np.concatenate(found)
-
-
-def _new_points(key: FloatArray, order: IntArray, points: FloatArray) -> BoolArray:
-    """Which points, in the ``order`` of their ``key``, differ from the one before."""
-    new = np.append(True, key[1:] != key[:-1])[: len(key)]
-    # Few keys are equal, and those of different points hardly ever.
-    same = np.flatnonzero(~new)
-    for lo in range(0, len(same), _WINDOW):
-        some = same[lo : lo + _WINDOW]
-        new[some[(points[order[some]] != points[order[some - 1]]).any(axis=1)]] = True
-    return new

@@ -203,29 +203,26 @@ def _decided(points: FloatArray, faces: IntArray, pairs: IntArray) -> tuple[Sign
     verdict, places = np.full(len(pairs), _NO, dtype=np.int8), np.zeros((len(pairs), 3))
     for lo in range(0, len(pairs), _TOGETHER):
         some = np.arange(lo, min(lo + _TOGETHER, len(pairs)))
-        some = some[_may_cross(points[faces[pairs[some]]])]
+        # Numbers of the pairs of faces (n, 2, 4, 3) that no plane separates: normal to one of them, or along an edge.
+        x = points[faces[pairs[some]]]
+        left = np.arange(len(x))
+        x = np.ascontiguousarray(np.moveaxis(x - x[:, :1, :1], 0, -1))
+        normals = [cross(each[2] - each[0], each[3] - each[1]) for each in (x[0], x[1])]
+        for number in range(10):
+            which, corner = divmod(number, 5)
+            axis = normals[which]
+            if corner < 4:
+                axis = cross(axis, x[which, (corner + 1) % 4] - x[which, corner])
+            at = (x * axis).sum(axis=2)
+            reach = _APART * np.abs(x).max(axis=(0, 1, 2)) * np.abs(axis).sum(axis=0)
+            low, high = at.min(axis=1), at.max(axis=1)
+            open_ = (low[0] <= high[1] + reach) & (low[1] <= high[0] + reach)
+            left, x, normals = left[open_], x[..., open_], [normal[:, open_] for normal in normals]
+        some = some[left]
         if some.size:
             corners = faces[pairs[some]]
             verdict[some], places[some] = _Signs(points[corners], corners).verdict()
     return verdict, places
-
-
-def _may_cross(x: FloatArray) -> IntArray:
-    """Numbers of the pairs of faces (n, 2, 4, 3) that no plane separates: normal to one of them, or along an edge."""
-    left = np.arange(len(x))
-    x = np.ascontiguousarray(np.moveaxis(x - x[:, :1, :1], 0, -1))
-    normals = [cross(each[2] - each[0], each[3] - each[1]) for each in (x[0], x[1])]
-    for number in range(10):
-        which, corner = divmod(number, 5)
-        axis = normals[which]
-        if corner < 4:
-            axis = cross(axis, x[which, (corner + 1) % 4] - x[which, corner])
-        at = (x * axis).sum(axis=2)
-        reach = _APART * np.abs(x).max(axis=(0, 1, 2)) * np.abs(axis).sum(axis=0)
-        low, high = at.min(axis=1), at.max(axis=1)
-        open_ = (low[0] <= high[1] + reach) & (low[1] <= high[0] + reach)
-        left, x, normals = left[open_], x[..., open_], [normal[:, open_] for normal in normals]
-    return left
 
 
 class _Signs:

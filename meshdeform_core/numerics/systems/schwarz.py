@@ -58,7 +58,24 @@ class SchwarzPreconditioner:
     ) -> None:
         self._side = np.linalg.qr(polynomial)[0]
         self._own = bisect(points, -(-len(points) // (OWN * widening)))
-        self._near = _with_overlap(points, self._own, OVERLAP * widening)
+        # Each box with the points nearest to it, ``size`` in all, its own points last. Distance is measured relative to
+        # the local spacing of the box's points; otherwise the coarse end of a box in a graded grid would get no
+        # neighbours.
+        boxes = self._own
+        size = OVERLAP * widening
+        tree = scipy.spatial.cKDTree(points)
+        candidates = np.arange(1, min(len(points), size // 3) + 1)
+
+        def widened(box: IntArray) -> IntArray:
+            distance, around = tree.query(points[box], candidates, workers=thread_count())
+            spacing = distance[:, min(len(candidates) - 1, _SPACING)][:, None]
+            around = around.ravel()[np.argsort((distance / np.where(spacing > 0, spacing, 1.0)).ravel(), kind="stable")]
+            once, rank = np.unique(around, return_index=True)
+            outside = ~np.isin(once, box)
+            nearest = once[outside][np.argsort(rank[outside])]
+            return np.concatenate([nearest[: size - len(box)], box])
+
+        self._near = [widened(box) for box in boxes]
         self._rows = _restricted_inverses(kind, points, self._own, self._near)
         self._coarse = _coarse(points, polynomial)
         self._at_coarse = product.roughly_at(self._coarse)
@@ -119,27 +136,6 @@ def _coarse(points: FloatArray, polynomial: FloatArray) -> IntArray:
     return chosen[np.unique(points[chosen], axis=0, return_index=True)[1]]
 
 
-def _with_overlap(points: FloatArray, boxes: list[IntArray], size: int) -> list[IntArray]:
-    """Each box with the points nearest to it, ``size`` in all, its own points last.
-
-    Distance is measured relative to the local spacing of the box's points; otherwise the coarse end of a box in a
-    graded grid would get no neighbours.
-    """
-    tree = scipy.spatial.cKDTree(points)
-    candidates = np.arange(1, min(len(points), size // 3) + 1)
-
-    def widened(box: IntArray) -> IntArray:
-        distance, around = tree.query(points[box], candidates, workers=thread_count())
-        spacing = distance[:, min(len(candidates) - 1, _SPACING)][:, None]
-        around = around.ravel()[np.argsort((distance / np.where(spacing > 0, spacing, 1.0)).ravel(), kind="stable")]
-        once, rank = np.unique(around, return_index=True)
-        outside = ~np.isin(once, box)
-        nearest = once[outside][np.argsort(rank[outside])]
-        return np.concatenate([nearest[: size - len(box)], box])
-
-    return [widened(box) for box in boxes]
-
-
 def _restricted_inverses(kind: int, points: FloatArray, own: list[IntArray], near: list[IntArray]) -> list[FloatArray]:
     """For each box, the matrix (own, near) that maps values at its points to the coefficients of its own centres."""
     rows = [np.empty((0, 0))] * len(own)
@@ -147,7 +143,13 @@ def _restricted_inverses(kind: int, points: FloatArray, own: list[IntArray], nea
     def work(lo: int, hi: int) -> None:
         for box in range(lo, hi):
             x = points[near[box]]
-            rows[box] = _last_rows(kind, x, _polynomial_basis(x), len(own[box]))
+            # Orthonormal linear polynomials (n, q) on points, without the directions in which the points do not extend.
+            arms = x - x.mean(axis=0)
+            left, size, _ = np.linalg.svd(arms, full_matrices=False)
+            spread = left[:, size > 1e-6 * size[0]] if size[0] > 0 else left[:, :0]
+            rows[box] = _last_rows(
+                kind, x, np.concatenate([np.full((len(x), 1), len(x) ** -0.5), spread], axis=1), len(own[box])
+            )
 
     for_chunks(work, len(own), _BOXES)
     return rows
@@ -175,11 +177,3 @@ def _last_rows(kind: int, points: FloatArray, basis: FloatArray, count: int) -> 
     unit[n - count :] = np.eye(count)
     columns, _ = scipy.linalg.lapack.dpotrs(factor, unit, lower=1, overwrite_b=1)
     return np.ascontiguousarray(columns.T) - basis[n - count :] @ basis.T / t
-
-
-def _polynomial_basis(points: FloatArray) -> FloatArray:
-    """Orthonormal linear polynomials (n, q) on points, without the directions in which the points do not extend."""
-    arms = points - points.mean(axis=0)
-    left, size, _ = np.linalg.svd(arms, full_matrices=False)
-    spread = left[:, size > 1e-6 * size[0]] if size[0] > 0 else left[:, :0]
-    return np.concatenate([np.full((len(points), 1), len(points) ** -0.5), spread], axis=1)
