@@ -22,7 +22,6 @@ from tables import Row, run
 import meshdeform as md
 from meshdeform_core.grid import FloatArray
 from meshdeform_samples import folder
-from meshdeform_samples.reproduce.figures import save_small
 
 SAMPLE = "workshop-cylinder"
 METHODS, SIZES, STRIDES = ("idw-tfi", "idw", "rbf", "tfi"), (8, 16, 32), (4, 2, 1)
@@ -155,7 +154,7 @@ def draw(path: Path) -> None:
                 _lines(grids[method == "tfi"], x[-1], f"case 1, t = 2: {method}")
     curve.set(xlabel="t", title="distance from the exact affine map")
     curve.legend(fontsize=6, loc="center right")
-    save_small(figure, path, 120)
+    figure.savefig(path, dpi=120)
 
 
 def _lines(axes, x: FloatArray, title: str) -> None:  # type: ignore[no-untyped-def]
