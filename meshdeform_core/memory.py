@@ -167,7 +167,7 @@ def deforming(method: str, fields: bool = False, beside: float | None = None) ->
     ``fields``: whether any are written; ``beside``: bytes per node for the velocities of a series, ``None`` of a single
     grid.
     """
-    moving = _RADIAL if "rbf" in method else _MOVING.get(method) or _MOVING[method.split("-")[0]]
+    moving = _RADIAL if "rbf" in method else _MOVING.get(method, _MOVING.get(method.split("-")[0], _RADIAL))
     return Work((moving, _JUDGING, *([_FIELDS] if fields else [])), 0.0 if beside is None else _LEVELS + beside)
 
 

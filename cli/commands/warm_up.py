@@ -10,6 +10,7 @@ import time as clock
 import click
 
 from meshdeform_core.errors import CaseError
+from meshdeform_core.wording import counted
 
 
 @click.command("warm-up")
@@ -41,5 +42,6 @@ def command(cpu: str | None, quiet: bool) -> int:
             importlib.import_module(module.name)
     loops = compile_all()
     if not quiet:
-        click.echo(f"{loops} loops compiled, the others were already compiled; {clock.perf_counter() - start:.1f} s")
+        taken = clock.perf_counter() - start
+        click.echo(f"{counted(loops, 'loop')} compiled, the others were already compiled; {taken:.1f} s")
     return 0

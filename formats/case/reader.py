@@ -23,7 +23,7 @@ from meshdeform_core.deform import Case
 from meshdeform_core.errors import CaseError, MethodError, suggestion
 from meshdeform_core.grid.selection import BY_PREFIX, Components
 from meshdeform_core.grid.topology import RELATIVE_TOLERANCE
-from meshdeform_core.methods import ALIASES, CATALOGUE, IDW, RBF, TFI, MethodOptions, Options, declared, entry_of
+from meshdeform_core.methods import ALIASES, CATALOGUE, PARTS, MethodOptions, Options, declared, entry_of
 from meshdeform_core.repair import MODES, RepairOptions
 from meshdeform_core.wording import literal
 
@@ -35,7 +35,6 @@ from .sequences import files_over_time, named_files
 from .toml import load, override, parsed_override
 
 KINDS = {kind.label: kind for kind in reversed(Kind) if kind is not Kind.INTERFACE}
-PARTS = {"idw": IDW, "rbf": RBF, "tfi": TFI}
 _COMPONENTS = f'expected "{BY_PREFIX}", or names with block patterns, like {{ wing = ["wing*"], flap = ["flap*"] }}'
 _Names = Annotated[tuple[str, ...], Meta(min_length=1)]
 
@@ -323,7 +322,7 @@ def _unread(data: Table, specs: Sequence[BoundarySpec], options: Options, overri
 
 def _idle_option(path: Sequence[str], options: Options) -> str:
     """Reason why the chosen method does not use an option; empty if it does."""
-    if path[0] != "method" or len(path) < 2 or path[1] not in ("idw", "rbf", "tfi"):
+    if path[0] != "method" or len(path) < 2 or path[1] not in PARTS:
         return ""
     own: MethodOptions = getattr(options, path[1])
     used = entry_of(options.name).parts

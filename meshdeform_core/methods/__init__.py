@@ -32,6 +32,7 @@ __all__ = [
     "ALIASES",
     "CATALOGUE",
     "IDW",
+    "PARTS",
     "RBF",
     "TFI",
     "Account",
@@ -51,6 +52,8 @@ __all__ = [
 
 ALIASES = {"tfi": "tfi-tfi", "rbf": "rbf-rbf", "idw": "idw-idw"}
 DEFAULT = "idw-tfi"
+PARTS = {"idw": IDW, "rbf": RBF, "tfi": TFI}
+"""Tables of options in a case file, ``[method.idw]`` and so on; fields of :class:`Options`."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +67,7 @@ class Options:
 
     def __post_init__(self) -> None:
         used = entry_of(self.name).parts
-        for part in (self.idw, self.rbf, self.tfi):
+        for part in (getattr(self, name) for name in PARTS):
             if not isinstance(part, used) and part != type(part)():
                 known = " and ".join(kind.__name__ for kind in used) or "no options"
                 raise MethodError(
