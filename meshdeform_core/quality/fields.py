@@ -115,7 +115,7 @@ class CellFields:
         if self.grid.nodes.divided:
             # Find what a measure takes from other ranks, which all do the same.
             shared = CELL_MEASURES[measure].shared if measure in CELL_MEASURES else "_normal"
-            known = [getattr(self, name) for name in ("_normal", "_thickness", shared)]
+            known = [getattr(self, name) for name in ("_normal", "thickness", shared)]
             low, high = self._behind
             for values in (
                 self.verdict.failed,
@@ -153,7 +153,7 @@ class CellFields:
         """Invalid cells: those that became invalid or, without an undeformed grid, those with a negative Jacobian."""
         if self.reference is None:
             return np.asarray(self.measure(block, cells).scaled < -_ROUND_OFF)
-        return np.asarray(self._box(self.verdict.failed, block, cells) != 0)
+        return np.asarray(self.values_in(self.verdict.failed, block, cells) != 0)
 
     def nodes(self, block: int, cells: Cells, grid: Grid | None = None) -> FloatArray:
         """The nodes (ni, nj, nk, 3) of a box of cells."""
@@ -194,15 +194,15 @@ class CellFields:
         return plane_normal(self.grid)
 
     @cached_property
-    def _thickness(self) -> FloatArray | None:
+    def thickness(self) -> FloatArray | None:
         return thickness_of(self.grid)
 
     @cached_property
-    def _wall_tree(self) -> scipy.spatial.cKDTree:
+    def wall_tree(self) -> scipy.spatial.cKDTree:
         nodes = np.unique(self.topology.quads.corners[self.walls])
         return scipy.spatial.cKDTree(self.grid.nodes.at(self.topology.first[nodes]))
 
-    def _box(self, values: np.ndarray, block: int, cells: Cells) -> np.ndarray:
+    def values_in(self, values: np.ndarray, block: int, cells: Cells) -> np.ndarray:
         """A box of cells of an array with one row per cell of the grid."""
         (i, j, k), (_, cj, ck) = cells, self.grid.cell_shapes[block]
         first, last = (int(self.grid.cell_offsets[block]) + end * cj * ck for end in (i.start, i.stop))
@@ -230,13 +230,13 @@ def _corner(name: str) -> Callable[[CellFields, int, Cells], FloatArray]:
 def _shape(number: int) -> Callable[[CellFields, int, Cells], FloatArray]:
     def values(fields: CellFields, block: int, cells: Cells) -> FloatArray:
         sign = float(fields.topology.handedness[block])
-        return shape_of_cells(fields.grid, block, cells, fields._thickness, sign)[..., number]
+        return shape_of_cells(fields.grid, block, cells, fields.thickness, sign)[..., number]
 
     return values
 
 
 def _beside(name: str, number: int) -> Callable[[CellFields, int, Cells], FloatArray]:
-    return lambda fields, block, cells: fields._box(getattr(fields, name)[number], block, cells)
+    return lambda fields, block, cells: fields.values_in(getattr(fields, name)[number], block, cells)
 
 
 CELL_MEASURES = {
@@ -245,7 +245,7 @@ CELL_MEASURES = {
     "jacobian": CellMeasure("smallest corner Jacobian", _corner("jacobian")),
     "relative_jacobian": CellMeasure(
         "smallest corner Jacobian over the undeformed one",
-        lambda fields, block, cells: fields._box(fields.verdict.ratio, block, cells).astype(np.float64),
+        lambda fields, block, cells: fields.values_in(fields.verdict.ratio, block, cells).astype(np.float64),
         from_reference=True,
     ),
     "volume": CellMeasure("cell volume", _corner("volume")),
@@ -268,9 +268,9 @@ CELL_MEASURES = {
     ),
     "wall_distance": CellMeasure(
         "distance to the nearest wall node",
-        lambda fields, block, cells: fields._wall_tree.query(cell_means(fields.nodes(block, cells)))[0],
+        lambda fields, block, cells: fields.wall_tree.query(cell_means(fields.nodes(block, cells)))[0],
         of_walls=True,
-        shared="_wall_tree",
+        shared="wall_tree",
     ),
     "displacement": CellMeasure(
         "displacement",
