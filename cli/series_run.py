@@ -242,9 +242,12 @@ class Recorder:
     def record(self, level: Level) -> None:
         """Write a level, or start to write it, after finishing the previous one."""
         if self._alone(level):
-            _record(self._run, level)
+            _record_level(self._run, level)
         else:
-            self._level, self._writing = level, self._thread.submit(carried(_record), self._run, level, beside=True)
+            self._level, self._writing = (
+                level,
+                self._thread.submit(carried(_record_level), self._run, level, beside=True),
+            )
 
     def _alone(self, level: Level) -> bool:
         """Whether a level must be written before the next one is computed."""
@@ -283,7 +286,7 @@ class Recorder:
             self.finish()
 
 
-def _record(run: Run, level: Level, beside: bool = False) -> None:
+def _record_level(run: Run, level: Level, beside: bool = False) -> None:
     """Write a level, then record it as finished, in this order, so that every recorded level exists.
 
     ``beside`` other work, no progress is shown.

@@ -82,13 +82,13 @@ def _fields(cells: CellFields, name: str) -> Iterator[Field]:
     found = empty([ends[-1]], np.int32 if name == INVALID else np.float32)
     with cells.ready(name):
         for block, shape in enumerate(shapes):
-            _fill(cells, name, block, found[ends[block] : ends[block + 1]].reshape(shape))
+            _fill_measure(cells, name, block, found[ends[block] : ends[block + 1]].reshape(shape))
     for block, shape in enumerate(shapes):
         values = found[ends[block] : ends[block + 1]].reshape(shape)
         yield Field(name, "cell", block, grid.spread(values, grid.cell_shapes[block][0]))
 
 
-def _fill(cells: CellFields, name: str, block: int, values: FloatArray) -> None:
+def _fill_measure(cells: CellFields, name: str, block: int, values: FloatArray) -> None:
     """Fill the values of a measure in the cells of a block that this rank has."""
     grid, shape, start = cells.grid, values.shape, cells.grid.planes(block).start
     # A few layers at a time, as intermediate arrays take several times the memory of the result.

@@ -315,7 +315,7 @@ def neutral_map_text(grid: Grid) -> str:
 def _patch_lines(patch: Patch) -> list[str]:
     word = re.sub(r"[\s#'\"\\]+", "_", patch.bc_type or patch.family or patch.name)
     ranges = [
-        _range(w.block, w.side, dict(zip(w.side.tangential, zip(w.low, w.high, strict=True), strict=True)))
+        _index_range(w.block, w.side, dict(zip(w.side.tangential, zip(w.low, w.high, strict=True), strict=True)))
         for w in patch.windows
     ]
     # A patched interface is one entry with both its faces.
@@ -327,12 +327,12 @@ def _patch_lines(patch: Patch) -> list[str]:
 def _connection_lines(grid: Grid) -> Iterator[str]:
     written = set()
     for connection in grid.connections:
-        faces = _faces(connection, grid.shapes[connection.block])
+        faces = _sides_of_connection(connection, grid.shapes[connection.block])
         ends = frozenset((block, *(tuple(sorted(span)) for span in spans.values())) for block, _, spans in faces)
         if ends in written:
             continue
         written.add(ends)
-        here, there = (_range(*face) for face in faces)
+        here, there = (_index_range(*face) for face in faces)
         if connection.periodic is None:
             (primary, _), (_, donor_secondary) = (_NUMBERED[side][1] for _, side, _ in faces)
             swap = abs(connection.transform[primary]) - 1 == donor_secondary
@@ -341,7 +341,9 @@ def _connection_lines(grid: Grid) -> Iterator[str]:
             yield from (f"{'periodic':20s}{here}", f"{'periodic':20s}{there}")
 
 
-def _faces(connection: Connection, shape: Shape) -> tuple[tuple[int, Side, Spans], tuple[int, Side, Spans]]:
+def _sides_of_connection(
+    connection: Connection, shape: Shape
+) -> tuple[tuple[int, Side, Spans], tuple[int, Side, Spans]]:
     """Block, side and range of both sides of a connection."""
     begin, end, donor_begin = connection.begin, connection.end, connection.donor_begin
     axis = next(a for a in range(3) if begin[a] == end[a] and shape[a] > 1 and begin[a] in (0, shape[a] - 1))
@@ -354,7 +356,7 @@ def _faces(connection: Connection, shape: Shape) -> tuple[tuple[int, Side, Spans
     )
 
 
-def _range(block: int, side: Side, spans: Spans) -> str:
+def _index_range(block: int, side: Side, spans: Spans) -> str:
     number, (primary, secondary) = _NUMBERED[side]
     limits = (*spans[primary], *spans[secondary])
     return f" {block + 1:3d} {number:3d}" + "".join(f" {limit + 1:6d}" for limit in limits)

@@ -189,23 +189,23 @@ class Output:
         """Coordinates, component by component."""
         kind = common_type(places)
 
-        def take(first: int, last: int) -> Iterable[NDArray[Any]]:
+        def take_component(first: int, last: int) -> Iterable[NDArray[Any]]:
             return split(grid.in_planes(block)[:, :, first:last], kind, len(places))
 
-        return cls(block, grid.shapes[block], places, take)
+        return cls(block, grid.shapes[block], places, take_component)
 
     @classmethod
     def of_values(cls, block: int, shape: Shape, own: NDArray[Any], places: Sequence[Stored]) -> Output:
         """Values ``own`` (ni, nj, nk, ...) that this rank holds: into one array, or component by component."""
 
-        def take(first: int, last: int) -> Iterable[NDArray[Any]]:
+        def take_component(first: int, last: int) -> Iterable[NDArray[Any]]:
             planes = own[:, :, first:last].swapaxes(0, 2)
             if len(places) == 1:
                 return [planes.reshape(*planes.shape[:3], *places[0].plane[2:])]
             flat = planes.reshape(*planes.shape[:3], len(places))
             return (flat[..., component] for component in range(len(places)))
 
-        return cls(block, shape, places, take)
+        return cls(block, shape, places, take_component)
 
 
 def common_type(stored: Iterable[Any]) -> np.dtype[Any]:

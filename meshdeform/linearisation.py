@@ -171,7 +171,7 @@ def differentiated(result: Result, method: PreparedMethod, displacement: FloatAr
     if result.steps > 1 and result.reached == 1.0:
         return derivative, f"the motion was imposed in {result.steps} steps; the derivative is that of one step"
     points = result.setup.grid.nodes.combined(np.add, method.apply(displacement))
-    if _largest(Nodes.of(points).combined(np.subtract, result.grid.points)) <= _rounding(result):
+    if _largest_magnitude(Nodes.of(points).combined(np.subtract, result.grid.points)) <= _rounding(result):
         return derivative, ""
     if result.reached < 1.0:
         part = f"only {result.reached:.1%} of the motion was imposed"
@@ -200,10 +200,10 @@ def _of_repair(result: Result, plain: FloatArray) -> tuple[RepairDerivative | No
 
 def _rounding(result: Result) -> float:
     """Largest difference between the coordinates of the result and those before rounding."""
-    return 4.0 * float(np.finfo(result.setup.grid.precision).eps) * _largest(result.setup.grid.points)
+    return 4.0 * float(np.finfo(result.setup.grid.precision).eps) * _largest_magnitude(result.setup.grid.points)
 
 
-def _largest(values: FloatArray) -> float:
+def _largest_magnitude(values: FloatArray) -> float:
     """Largest magnitude of ``values`` (n_nodes, 3), of all ranks if they are in parts."""
     nodes = Nodes.of(values)
     return max(nodes.gather(max(float(nodes.own.max(initial=0.0)), -float(nodes.own.min(initial=0.0)))))

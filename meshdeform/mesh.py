@@ -145,7 +145,7 @@ class Mesh:
             raise CaseError('steps = True; expected a whole number >= 1 or "auto"')
         with self.session.at_work():
             if displacement is not None:
-                return self._deformed(self._values(displacement, moment), steps, repair, progress)
+                return self._deformed(self._displacement_values(displacement, moment), steps, repair, progress)
             setup = self.session.setup
             if not any(motion.steps for _, motion in setup.boundary.movers):
                 raise MotionError("no displacement is given, and no case prescribes one; expected deform(displacement)")
@@ -175,7 +175,7 @@ class Mesh:
             When the grid is in parts, and the derivative of the method takes the whole of it.
         """
         with self.session.at_work():
-            at = np.zeros_like(self.points) if displacement is None else self._values(displacement, 0.0)
+            at = np.zeros_like(self.points) if displacement is None else self._displacement_values(displacement, 0.0)
             steps, last = whole_number(steps), self._last
             step = last[3]() if last and last[1:3] == (steps, repair) and np.array_equal(last[0], at) else None
             step = step or self._deformed(at, steps, repair, None)
@@ -206,7 +206,7 @@ class Mesh:
                 self._prepared = self.session.setup.prepare()
         return self._prepared
 
-    def _values(self, displacement: Displacement, time: float) -> FloatArray:
+    def _displacement_values(self, displacement: Displacement, time: float) -> FloatArray:
         """The displacement (n_moving, 3) of the moving nodes."""
         if isinstance(displacement, Mapping):
             values = self._from_patches(displacement)

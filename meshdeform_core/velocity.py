@@ -112,7 +112,7 @@ def _swept(before: FloatArray, after: FloatArray, axes: Sequence[int], side: Any
     The nodes of a face before and after span a trilinear hexahedron, whose volume is computed exactly (Grandy 1997).
     """
 
-    def corners(x: FloatArray) -> list[FloatArray]:
+    def corners_of_faces(x: FloatArray) -> list[FloatArray]:
         found = [x]
         for axis in axes:
             ends = [(*[slice(None)] * (axis + 1), end) for end in (slice(-1), slice(1, None))]
@@ -120,9 +120,9 @@ def _swept(before: FloatArray, after: FloatArray, axes: Sequence[int], side: Any
         return found
 
     if len(axes) == 1:
-        (a0, b0), (a1, b1) = corners(before), corners(after)
+        (a0, b0), (a1, b1) = corners_of_faces(before), corners_of_faces(after)
         return 0.5 * dot(side, cross(b1 - a0, a1 - b0))
-    (a0, b0, c0, d0), (a1, b1, c1, d1) = corners(before), corners(after)
+    (a0, b0, c0, d0), (a1, b1, c1, d1) = corners_of_faces(before), corners_of_faces(after)
     # Diagonals of the hexahedron and of its faces, towards its last corner and from its first one.
     a, b, c, d, e, f = d1 - c0, d1 - b0, d1 - a1, b1 - a0, c1 - a0, d0 - a0
     return np.asarray(side / 12.0 * (dot(cross(a + d, b), f) + dot(cross(d, b + e), c) + dot(cross(a, e), c + f)))

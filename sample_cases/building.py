@@ -52,12 +52,12 @@ def even(span: tuple[float, float], size: int) -> FloatArray:
 def geometric(first: float, cells: int, length: float) -> FloatArray:
     """``cells`` + 1 nodes from 0 to ``length`` in geometric progression, the first cell of size ``first``."""
 
-    def excess(log_ratio: float) -> float:
+    def length_beyond(log_ratio: float) -> float:
         # At the far end of the bracket the sum may be infinite, which counts as too long.
         with np.errstate(over="ignore"):
             return float(first * np.exp(log_ratio * np.arange(cells)).sum() - length)
 
-    ratio = brentq(excess, -5.0, 5.0)
+    ratio = brentq(length_beyond, -5.0, 5.0)
     nodes = np.concatenate([[0.0], np.cumsum(first * np.exp(ratio * np.arange(cells)))])
     return np.asarray(nodes * (length / nodes[-1]))
 

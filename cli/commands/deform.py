@@ -71,7 +71,7 @@ def command(
 
     def deform() -> int:
         with ProgressBar(not run.quiet) as progress:
-            job = _load(source, case, output, run)
+            job = _load_inputs(source, case, output, run)
             report, illustrate = work.run(job, output, imposed, run, progress)
         files = [*source.roles, *case.roles(job.case), ("output", Path(report["output"]))]
         return work.conclude(report, run, work.Delivery(start, files, illustrate, job.ranks))
@@ -89,12 +89,12 @@ def _dry_run(source: GridInput, case: CaseInput, output: Path | None, imposed: w
         planned = plan_by_sizes(layout, doing, output, run.variant_options, run.memory)
         return work.print_plan(planned, False, run)
     with ProgressBar(not run.quiet):
-        job = _load(source, case, output, run)
+        job = _load_inputs(source, case, output, run)
         planned, impossible = plan(job, output, imposed, run.variant_options, run.memory)
     return work.print_plan(planned, impossible, run)
 
 
-def _load(source: GridInput, case: CaseInput, output: Path | None, run: RunInput) -> work.Job:
+def _load_inputs(source: GridInput, case: CaseInput, output: Path | None, run: RunInput) -> work.Job:
     """The case and the grid; no output may replace a file that they name, or anything but an earlier invalid grid."""
     from meshdeform_formats.files import invalid_path
 

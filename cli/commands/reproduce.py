@@ -37,11 +37,11 @@ def command(what: str, output: Path, quick: bool, force: bool, quiet: bool) -> i
     make_folder(output)
     check_output(output / _RESULT, force)
 
-    def tell(label: str, done: int, total: int) -> None:
+    def tell_progress(label: str, done: int, total: int) -> None:
         if not quiet:
             click.echo(f"meshdeform: {label} ({done} of {total})", err=True)
 
-    results = reproduce(what, output, quick, tell)
+    results = reproduce(what, output, quick, tell_progress)
     if not quiet:
         click.echo(as_markdown(results), nl=False)
     return 0

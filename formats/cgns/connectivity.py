@@ -75,8 +75,8 @@ def _kind(node: Node) -> str:
 
 def _declared_connection(node: Node, block: int, donor: int, zones: Sequence[Zone]) -> Connection | None:
     axes = len(zones[block].core)
-    begin, end = _range(node, "PointRange", axes)
-    donor_begin, donor_end = _range(node, "PointRangeDonor", axes)
+    begin, end = _node_range(node, "PointRange", axes)
+    donor_begin, donor_end = _node_range(node, "PointRangeDonor", axes)
     signed = node.child("Transform")
     # Without one the axes correspond in order (SIDS 8.2).
     transform = _three(signed.integers(axes).tolist(), 3) if signed else (1, 2, 3)
@@ -94,7 +94,7 @@ def _declared_connection(node: Node, block: int, donor: int, zones: Sequence[Zon
     return Connection(node.name, block, begin, end, donor, donor_begin, donor_end, transform)
 
 
-def _range(node: Node, name: str, axes: int) -> tuple[Shape, Shape]:
+def _node_range(node: Node, name: str, axes: int) -> tuple[Shape, Shape]:
     """First and last node, 0-based."""
     child = node.child(name)
     if child is None:

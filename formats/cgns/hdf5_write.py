@@ -80,7 +80,7 @@ def own_group(parent: h5py.Group, node: Node) -> h5py.Group:
             del group[name]
         for key, text in (("label", node.target.label), ("type", node.target.data_type)):
             group.attrs.modify(key, np.bytes_(text))
-        _fill(group.id, node.target, Path(), 0)
+        _fill_group(group.id, node.target, Path(), 0)
     return group
 
 
@@ -118,10 +118,10 @@ def _write(parent: h5g.GroupID, node: Node, home: Path, depth: int) -> None:
         if file:
             write_dataset(group, LINK_FILE, characters(file))
     else:
-        _fill(group, content, home, depth)
+        _fill_group(group, content, home, depth)
 
 
-def _fill(group: h5g.GroupID, node: Node, home: Path, depth: int) -> None:
+def _fill_group(group: h5g.GroupID, node: Node, home: Path, depth: int) -> None:
     if isinstance(node, NewNode) and node.placed:
         node.placed(*reserve_dataset(group, DATA, node.dims[::-1], DTYPES[node.data_type]))
     elif node.dims:

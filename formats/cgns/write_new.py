@@ -75,7 +75,7 @@ def write_new(grid: Grid, path: Path, precision: str) -> None:
     def begin(partial: Path) -> Places:
         places = Places(partial)
         with hdf5_errors(path, "write"):
-            write_hdf5(_tree(grid, dimension, np.dtype(precision), places), partial)
+            write_hdf5(_new_tree(grid, dimension, np.dtype(precision), places), partial)
         return places
 
     write_completed(grid, path, begin)
@@ -98,7 +98,7 @@ def outputs_of(grid: Grid, places: Places) -> list[Output]:
     return found
 
 
-def _tree(grid: Grid, dimension: int, kind: np.dtype[Any], places: Places) -> Node:
+def _new_tree(grid: Grid, dimension: int, kind: np.dtype[Any], places: Places) -> Node:
     names = unique_names(grid.names, "Zone")
     families = family_names(grid, names)
     conditions, connectivity = boundary_nodes(grid, families), connectivity_nodes(grid, names)

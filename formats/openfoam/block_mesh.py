@@ -50,7 +50,7 @@ def block_mesh(layout: BlockMeshDict) -> Grid:
             f"{layout.path} describes {nodes:,} nodes, which take about {readable(nodes * _NODE_BYTES)}; "
             f"{available.source} {readable(available.size)}. Check the numbers of cells"
         )
-    edges = [_edges(layout, block) for block in layout.blocks]
+    edges = [_block_edges(layout, block) for block in layout.blocks]
     _require_matching(layout, edges)
     names = [block.name for block in layout.blocks]
     # Patches have their names as families, too; some have no faces.
@@ -85,7 +85,7 @@ def _regions(layout: BlockMeshDict) -> tuple[str, ...]:
     return tuple(names[own] for own in region)
 
 
-def _edges(layout: BlockMeshDict, block: HexBlock) -> list[Edge]:
+def _block_edges(layout: BlockMeshDict, block: HexBlock) -> list[Edge]:
     found = []
     for number, (a, b) in enumerate(_EDGES):
         first, last = block.vertices[a], block.vertices[b]

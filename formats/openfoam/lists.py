@@ -31,14 +31,14 @@ def write_points(path: Path, points: FloatArray, place: str, binary: bool) -> No
     """A ``vectorField`` of points (n, 3); ``place`` is the folder that the header names."""
     with path.open("wb") as stream:
         _head(stream, "vectorField", "points", binary, place=place)
-        _rows(stream, np.ascontiguousarray(points, dtype="<f8"), "(%.17g %.17g %.17g)\n", binary)
+        _rows_in_list(stream, np.ascontiguousarray(points, dtype="<f8"), "(%.17g %.17g %.17g)\n", binary)
 
 
 def write_labels(path: Path, labels: IntArray, binary: bool, note: str) -> None:
     """A ``labelList``; ``note`` holds the sizes of the mesh."""
     with path.open("wb") as stream:
         _head(stream, "labelList", path.name, binary, note)
-        _rows(stream, labels.astype(_LABEL)[:, None], "%d\n", binary)
+        _rows_in_list(stream, labels.astype(_LABEL)[:, None], "%d\n", binary)
 
 
 def write_faces(path: Path, corners: IntArray, kept: NDArray[np.bool_], binary: bool) -> None:
@@ -48,8 +48,8 @@ def write_faces(path: Path, corners: IntArray, kept: NDArray[np.bool_], binary: 
         _head(stream, "faceCompactList" if binary else "faceList", "faces", binary)
         if binary:
             starts = np.concatenate([[0], np.cumsum(sizes)]).astype(_LABEL)
-            _rows(stream, starts[:, None], "", True)
-            _rows(stream, corners[kept].astype(_LABEL)[:, None], "", True)
+            _rows_in_list(stream, starts[:, None], "", True)
+            _rows_in_list(stream, corners[kept].astype(_LABEL)[:, None], "", True)
             return
         stream.write(b"%d\n(\n" % len(corners))
         for begin in range(0, len(corners), _ROWS_AT_ONCE):
@@ -74,7 +74,7 @@ def _head(
     stream.write((_BANNER + "FoamFile\n{\n" + "".join(f"    {line}\n" for line in lines) + "}\n\n").encode())
 
 
-def _rows(stream: BinaryIO, rows: NDArray, line: str, binary: bool) -> None:
+def _rows_in_list(stream: BinaryIO, rows: NDArray, line: str, binary: bool) -> None:
     """A list of rows (n, m): its length, and the values in parentheses."""
     stream.write(b"%d\n(" % len(rows))
     stream.writelines([np.ascontiguousarray(rows).data] if binary else [b"\n", *text_rows(rows, line)])

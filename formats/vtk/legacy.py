@@ -216,7 +216,7 @@ class Attributes:
             values: Any = self.file.values(components * self.length, self._colour_type, f"colours {unquote(name)!r}")
             if not self.file.binary:
                 values = np.rint(255 * np.clip(values, 0, 1)).astype(np.uint8)
-            self._add(name, values if components == 1 else values.reshape(self.length, components))
+            self._add_array(name, values if components == 1 else values.reshape(self.length, components))
         elif keyword == "TEXTURE_COORDINATES":
             self._array(words[1], number(words[2]), words[3])
         else:
@@ -226,13 +226,13 @@ class Attributes:
         length = self.length if length is None else length
         later = self._later and bool(self.location)
         values = self.file.values(components * length, type_name, f"array {unquote(name)!r}", later)
-        self._add(name, values if components == 1 else values.reshape(length, components))
+        self._add_array(name, values if components == 1 else values.reshape(length, components))
 
     @property
     def _colour_type(self) -> str:
         return "unsigned_char" if self.file.binary else "float"
 
-    def _add(self, name: str, values: Values) -> None:
+    def _add_array(self, name: str, values: Values) -> None:
         self.file.skip_metadata()
         self.arrays.append(DataArray(unquote(name), self.location, values))
 

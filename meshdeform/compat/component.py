@@ -45,7 +45,7 @@ class Zones:
             grid.points if whole else grid.points[self.rows],
             tuple(grid.shapes[z] for z in zones),
             tuple(grid.names[z] for z in zones),
-            patches=tuple(filter(None, (_within(patch, place) for patch in grid.patches))),
+            patches=tuple(filter(None, (_part_within(patch, place) for patch in grid.patches))),
         )
         self.topology: Topology = find_topology(self.grid)
 
@@ -210,7 +210,7 @@ def _mesh(zones: Zones, quads: IntArray) -> Mesh:
     return Mesh(Session(dataclasses.replace(setup, case=case), False, mesh.session.ranks, None))
 
 
-def _within(patch: Patch, place: dict[int, int]) -> Patch | None:
+def _part_within(patch: Patch, place: dict[int, int]) -> Patch | None:
     """The part of a patch that lies in some zones, with the zones renumbered by ``place``."""
     windows = tuple(dataclasses.replace(w, block=place[w.block]) for w in patch.windows if w.block in place)
     return dataclasses.replace(patch, windows=windows) if windows else None

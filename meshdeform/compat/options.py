@@ -44,12 +44,12 @@ def _corner_angle(name: str, value: Any) -> float:
 
 
 def _one_of(*known: str) -> Callable[[str, Any], str]:
-    def check(name: str, value: Any) -> str:
+    def checked_choice(name: str, value: Any) -> str:
         if str(value).lower() not in known:
             raise CaseError(f"{name} = {value!r}; expected one of {', '.join(known)}")
         return str(value).lower()
 
-    return check
+    return checked_choice
 
 
 def _file_type(name: str, value: Any) -> str:

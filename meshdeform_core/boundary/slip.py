@@ -209,7 +209,7 @@ def find_sliding(
     parts = [
         np.concatenate([part for (_, part), w in zip(sides, which, strict=True) if w == n]) for n in range(len(normals))
     ]
-    slip = Slip(tuple(planes), _groups(planes, free), tuple(zip(normals, parts, strict=True)), tuple(curved))
+    slip = Slip(tuple(planes), _slip_groups(planes, free), tuple(zip(normals, parts, strict=True)), tuple(curved))
     kept: list[Plane] = []
     for mirror in mirrors:
         near = 1e-6 * max(float(np.abs(mirror.point).max()), 1e-300)
@@ -277,7 +277,7 @@ def triangles_of(quads: IntArray) -> IntArray:
     return np.concatenate([quads[:, which] for which in split])
 
 
-def _groups(planes: list[tuple[Plane, IntArray]], free: BoolArray) -> tuple[tuple[IntArray, FloatArray], ...]:
+def _slip_groups(planes: list[tuple[Plane, IntArray]], free: BoolArray) -> tuple[tuple[IntArray, FloatArray], ...]:
     """Free nodes grouped by the set of slip directions that meet at them."""
     normals, which = _directions([plane for plane, _ in planes])
     on = np.zeros((len(free), len(normals)), dtype=bool)

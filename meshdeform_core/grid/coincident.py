@@ -87,7 +87,7 @@ class FaceQuads:
     def block_side(self) -> IntArray:
         """``6 * block + side`` of every quad, (n_quads,)."""
         sizes = self.counts.prod(axis=2).ravel()
-        return _kept(np.repeat(np.arange(sizes.size, dtype=integers(sizes.size)), sizes))
+        return _kept_in_file(np.repeat(np.arange(sizes.size, dtype=integers(sizes.size)), sizes))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -176,11 +176,11 @@ def coincident_topology(grid: Grid, tolerance: float = RELATIVE_TOLERANCE) -> To
     shared[number[~leads]] = True
     quads = _face_quads(grid, handedness, sides, number[places])
     partner, crowded = partners(quads.corners, shared)
-    nodes, number, lead, edge, partner = map(_kept, (nodes, number, nodes[leads], edge[leads], partner))
+    nodes, number, lead, edge, partner = map(_kept_in_file, (nodes, number, nodes[leads], edge[leads], partner))
     return Topology(nodes, number, lead, edge, quads, partner, handedness, crowded)
 
 
-def _kept(array: np.ndarray) -> np.ndarray:
+def _kept_in_file(array: np.ndarray) -> np.ndarray:
     """The array, in a file where large arrays are stored in files."""
     scratch = current_scratch()
     if not (scratch and scratch.takes(array.nbytes)):
@@ -213,9 +213,9 @@ def _edges_of_sides(grid: Grid, sides: IntArray, epsilon: float) -> FloatArray:
     lattice = grid.sides
     side, u, v, flat = lattice.all_nodes(sides)
     here = grid.points[flat].T.copy()
-    size = _largest(here)
+    size = _largest_coordinate(here)
     inside = grid.points[flat + lattice.inward[side]].T.copy()
-    shortest = _sound_square(here - inside, epsilon, size, _largest(inside))
+    shortest = _sound_square(here - inside, epsilon, size, _largest_coordinate(inside))
     for step, number in ((lattice.nodes[side, 1], u), (np.ones_like(v), v)):
         two = np.flatnonzero(number)
         one = two - step[two]
@@ -225,7 +225,7 @@ def _edges_of_sides(grid: Grid, sides: IntArray, epsilon: float) -> FloatArray:
     return shortest
 
 
-def _largest(x: FloatArray) -> FloatArray:
+def _largest_coordinate(x: FloatArray) -> FloatArray:
     """Largest absolute coordinate of points (3, ...)."""
     return np.asarray(np.maximum(np.maximum(np.abs(x[0]), np.abs(x[1])), np.abs(x[2])))
 

@@ -155,7 +155,7 @@ def find_faces(grid: Grid, topology: Topology, geometry: QuadGeometry | None = N
         np.minimum.reduceat(height, pieces.start[:-1]).tolist(),
         medians(height, run, len(pieces), np.nan).tolist(),
         *(ratio.tolist() for ratio in _spacing(grid, pieces)),
-        _planes(grid, pieces),
+        _planes_of_pieces(grid, pieces),
         strict=True,
     )
     return [Face(*row) for row in rows]
@@ -202,7 +202,7 @@ def _spacing(grid: Grid, pieces: Rectangles) -> tuple[FloatArray, FloatArray]:
     return next(found), next(found)
 
 
-def _planes(grid: Grid, pieces: Rectangles) -> list[Plane | None]:
+def _planes_of_pieces(grid: Grid, pieces: Rectangles) -> list[Plane | None]:
     """The plane (in 2-D the line) that contains each piece, if there is one."""
     flat, sizes = plane_normal(grid), pieces.high - pieces.low + 1
     numbers = sizes.prod(axis=1)

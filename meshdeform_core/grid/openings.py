@@ -82,7 +82,7 @@ class Opening:
                 f"{where} nearly coincide: the gap is up to {self.gap:.3g}, {self.relative:.2g} of the local edge; "
                 f"grid.tolerance = {self.tolerance:g} closes it"
             )
-        return f"{where} touch{_apart([self])}, but their nodes do not match (patched blocks)"
+        return f"{where} touch{_distance_phrase([self])}, but their nodes do not match (patched blocks)"
 
     @property
     def sides(self) -> tuple[tuple[int, Side], tuple[int, Side]]:
@@ -144,12 +144,12 @@ def describe_group(grid: Grid, group: Sequence[Opening | Overlap]) -> str:
         return first.describe(grid)
     names = listed(f"{grid.names[block]}.{side.label}" for block, side in sides)
     return (
-        f"{len(sides)} faces touch each other{_apart(patched)}, but their nodes do not match (patched blocks, for "
-        f"example a rotor and a stator): {names}"
+        f"{len(sides)} faces touch each other{_distance_phrase(patched)}, but their nodes do not match (patched "
+        f"blocks, for example a rotor and a stator): {names}"
     )
 
 
-def _apart(openings: Sequence[Opening]) -> str:
+def _distance_phrase(openings: Sequence[Opening]) -> str:
     """A phrase with the distance of the faces if it exceeds round-off, else empty."""
     gap = max(opening.gap for opening in openings)
     return f", at most {gap:.3g} apart" if max(opening.relative for opening in openings) > _ROUND_OFF else ""
@@ -238,7 +238,7 @@ def _abutting(grid: Grid, topology: Topology, paired: IntArray) -> list[Opening]
     first, last = runs(side)
     low, high = np.empty((2, len(first), 3))
     for lo, hi in batches(last - first, _TOGETHER):
-        corners = _corners(grid, topology, rest[first[lo] : last[hi - 1]])
+        corners = _corner_points(grid, topology, rest[first[lo] : last[hi - 1]])
         low[lo:hi] = np.minimum.reduceat(corners.min(axis=1), first[lo:hi] - first[lo])
         high[lo:hi] = np.maximum.reduceat(corners.max(axis=1), first[lo:hi] - first[lo])
     some, start = _samples(grid, topology, rest, first, last, _SAMPLES)
@@ -248,16 +248,16 @@ def _abutting(grid: Grid, topology: Topology, paired: IntArray) -> list[Opening]
     pairs = overlapping_boxes((low - slack, high + slack), (low, high))
     pairs = pairs[(pairs[:, 0] != pairs[:, 1]) & _same_component(grid, *(side[first] // 6)[pairs].T)]
 
-    def inside(sample: IntArray, other: IntArray) -> BoolArray:
+    def inside_other(sample: IntArray, other: IntArray) -> BoolArray:
         x, reach = middle[sample], _ABUTTING * edge[sample, None]
         return np.asarray(((x >= low[other] - reach) & (x <= high[other] + reach)).all(axis=1))
 
     pieces: dict[int, tuple[Window, IntArray]] = {}
     found = []
-    for own, other, within in _candidates(pairs, start, inside, lambda counts: np.full(len(counts), _FEWEST)):
+    for own, other, within in _candidates(pairs, start, inside_other, lambda counts: np.full(len(counts), _FEWEST)):
         sample = slice(start[own], start[own + 1])
         distance = np.full(len(within), np.inf)
-        faces = _corners(grid, topology, rest[first[other] : last[other]])
+        faces = _corner_points(grid, topology, rest[first[other] : last[other]])
         distance[within] = distance_to_faces(middle[sample][within], faces)
         hit, relative = distance < _ABUTTING * edge[sample], distance / edge[sample]
         # Two walls that meet at a sharp edge are close to each other at a few quads only.
@@ -269,7 +269,7 @@ def _abutting(grid: Grid, topology: Topology, paired: IntArray) -> list[Opening]
     return found
 
 
-def _corners(grid: Grid, topology: Topology, quads: IntArray) -> FloatArray:
+def _corner_points(grid: Grid, topology: Topology, quads: IntArray) -> FloatArray:
     """Coordinates (n, 4, 3), in 2-D (n, 2, 3), of the corners of face quads (n,)."""
     return np.asarray(grid.nodes.at(topology.first[topology.quads.corners[quads]]))
 
@@ -281,7 +281,7 @@ def _samples(
     number of the first sample of each side."""
     run, place = spread(last - first, most)
     start = np.append(0, np.cumsum(np.bincount(run, minlength=len(first))))
-    return _corners(grid, topology, quads[first[run] + place]), start
+    return _corner_points(grid, topology, quads[first[run] + place]), start
 
 
 def _same_component(grid: Grid, one: IntArray, two: IntArray) -> BoolArray:
@@ -323,7 +323,7 @@ def find_overlaps(grid: Grid, topology: Topology) -> list[Overlap]:
     pairs = overlapping_boxes(own_box, (low - slack, high + slack))
     pairs = pairs[(block[pairs[:, 0]] != pairs[:, 1]) & _same_component(grid, block[pairs[:, 0]], pairs[:, 1])]
 
-    def inside(sample: IntArray, other: IntArray) -> BoolArray:
+    def inside_other(sample: IntArray, other: IntArray) -> BoolArray:
         x = middle[sample]
         return np.asarray(((x > low[other]) & (x < high[other]) | (low[other] == high[other])).all(axis=1))
 
@@ -333,7 +333,7 @@ def find_overlaps(grid: Grid, topology: Topology) -> list[Overlap]:
     pieces: dict[int, tuple[Window, IntArray]] = {}
     surfaces: dict[int, _Surface] = {}
     normal, found = plane_normal(grid), []
-    for own, other, within in _candidates(pairs, start, inside, least):
+    for own, other, within in _candidates(pairs, start, inside_other, least):
         sample = slice(start[own], start[own + 1])
         if other not in surfaces:
             surfaces[other] = _Surface(grid, other, normal)
@@ -384,7 +384,7 @@ class _Surface:
 
     def __init__(self, grid: Grid, block: int, normal: FloatArray | None):
         self._grid, self._block, self._normal = grid, block, normal
-        # The sides of this axis are wound the other way round; see _turned.
+        # The sides of this axis are wound the other way round; see _wound_outwards.
         shape = grid.shapes[block]
         self._second = 1 if self._normal is None else max(axis for axis in range(3) if shape[axis] > 1)
         self._coarse = self._faces(_COARSE)
@@ -423,11 +423,11 @@ class _Surface:
                 n = nodes.shape[axis]
                 if cells is not None and n > cells + 1:
                     nodes = np.take(nodes, np.unique(np.linspace(0, n - 1, cells + 1).round().astype(int)), axis=axis)
-            found.append(_turned(grid.points[nodes], side, self._second))
+            found.append(_wound_outwards(grid.points[nodes], side, self._second))
         return np.concatenate(found)
 
 
-def _turned(x: FloatArray, side: Side, second: int) -> FloatArray:
+def _wound_outwards(x: FloatArray, side: Side, second: int) -> FloatArray:
     """Corners of the quads of a side (na, nb, 3), wound so that all sides have outward normals, or all inward ones.
 
     The tangential axes ascend: (j, k), (i, k), (i, j); the second pair is not cyclic. In 2-D the sides of the first

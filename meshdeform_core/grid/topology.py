@@ -130,7 +130,7 @@ def separated(grid: Grid, topology: Topology) -> Topology:
     quads = np.flatnonzero(between[corners].any(axis=1))
     number, flat = corners[quads].astype(np.int64), _corner_nodes(grid, topology.quads, quads)
     row = np.where(between[number], np.searchsorted(topology.face_nodes[rows], flat), -1)
-    label = connected_components(len(rows), _joined(topology, quads, number, row))
+    label = connected_components(len(rows), _joined_pairs(topology, quads, number, row))
     declared = np.zeros(len(corners), dtype=bool)
     declared[quads_of_patches(topology.quads, grid.patches)[0]] = True
     plate = external[quads] & between[number].all(axis=1)
@@ -146,7 +146,7 @@ def separated(grid: Grid, topology: Topology) -> Topology:
     return _numbered(topology, first, quads, np.where(row >= 0, rows[row], -1))
 
 
-def _joined(topology: Topology, quads: IntArray, number: IntArray, row: IntArray) -> IntArray:
+def _joined_pairs(topology: Topology, quads: IntArray, number: IntArray, row: IntArray) -> IntArray:
     """Pairs (n, 2) of ``row`` (m, c), the corners of ``quads`` (m,) with these unique ``number``, that are one node: of
     quads that two blocks share, and of edges without length."""
     pairs, count = [], number.shape[1]

@@ -101,11 +101,11 @@ class PreparedInGaps:
             return out
         share, lines = self.spread(closing.share), self.transfinite.apply(displacement)
 
-        def blend(rows: slice) -> None:
+        def blend_rows(rows: slice) -> None:
             moved = out[rows]
             moved += share[rows] * (lines[rows] - moved)
 
-        Nodes.of(out).each(blend)
+        Nodes.of(out).each(blend_rows)
         if self.problem.boundary.slip.curved:
             self.method.constrain_again(out)
         return out

@@ -116,7 +116,7 @@ class SurfaceRotations:
         if self._plane_normal is not None:
             return first
 
-        def turned(some: IntArray) -> FloatArray:
+        def turned_edges(some: IntArray) -> FloatArray:
             here, there = some.T
             arm, target, normal = (
                 rotate(first[here], before[there] - before[here]),
@@ -125,15 +125,15 @@ class SurfaceRotations:
             )
             size = dot(arm, arm) * dot(target, target)
             arm, target = (v - normal * dot(normal, v)[:, None] for v in (arm, target))
-            weight = _weights(dot(arm, arm) * dot(target, target), size)
+            weight = _edge_weights(dot(arm, arm) * dot(target, target), size)
             return np.stack([np.arctan2(dot(normal, np.cross(arm, target)), dot(arm, target)), weight], axis=1)
 
-        angle = _in_turns(turned, edges, after)
+        angle = _in_turns(turned_edges, edges, after)
         mean = _mean_angles(angle[:, 0], angle[:, 1], edges[:, 0], len(before))
         return multiply(_quaternion(normals, mean), first)
 
 
-def _weights(within: FloatArray, size: FloatArray) -> FloatArray:
+def _edge_weights(within: FloatArray, size: FloatArray) -> FloatArray:
     """Weights of edges by their squared lengths, before times after, ``within`` the tangent plane and as a whole.
 
     1 up to 45 degrees from the plane, falling to 0 at the normal: across thin trailing edges, small shears turn the

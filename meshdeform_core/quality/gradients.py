@@ -88,7 +88,10 @@ def quality_gradient(
     grid.hold_neighbours(points)
     chosen, rows = MEASURES[measure], Nodes.of(points).rows
     with np.errstate(all="ignore"):
-        found = Found(points, [chosen.values(rows[nodes], side) for nodes, side in _cells(grid, topology, some, False)])
+        found = Found(
+            points,
+            [chosen.values(rows[nodes], side) for nodes, side in _cells_behind_planes(grid, topology, some, False)],
+        )
     invalid = sum(Nodes.of(points).gather(sum(np.count_nonzero(~np.isfinite(part)) for part in found.parts)))
     if invalid:
         raise GridError(
@@ -98,7 +101,7 @@ def quality_gradient(
     value, slope = chosen.combine(found, sharpness)
     gradient = Nodes.of(points).like(3)
     Nodes.of(gradient).each(lambda own: gradient[own].fill(0.0))
-    for nodes, side in _cells(grid, topology, some, True):
+    for nodes, side in _cells_behind_planes(grid, topology, some, True):
         tape = Tape()
         corners = tape.variable(rows[nodes])
         result = chosen.values(corners, side)
@@ -106,7 +109,9 @@ def quality_gradient(
     return value, gradient
 
 
-def _cells(grid: Grid, topology: Topology, blocks: Iterable[int], around: bool) -> Iterator[tuple[IntArray, Any]]:
+def _cells_behind_planes(
+    grid: Grid, topology: Topology, blocks: Iterable[int], around: bool
+) -> Iterator[tuple[IntArray, Any]]:
     """Corner nodes (n, 8 or 4) and side of the cells of blocks behind the planes i of this rank, a limited number of
     them at a time, in the order of pieces; with ``around``, also of those before its first plane, which come first."""
     normal = plane_normal(grid)

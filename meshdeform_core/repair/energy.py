@@ -149,10 +149,10 @@ class Hexahedra:
 
     def matrices(self, x: FloatArray) -> FloatArray:
         """Jacobian matrices (m, d, d) of the maps from undeformed elements, averaged over each hexahedron."""
-        before = _edges(self.start, self.own)
+        before = _mean_edges(self.start, self.own)
         # Undeformed cells without volume have no shape to compare with.
         before[np.linalg.det(before) == 0.0] = np.eye(3)
-        return np.asarray(_edges(x, self.nodes) @ np.linalg.inv(before))
+        return np.asarray(_mean_edges(x, self.nodes) @ np.linalg.inv(before))
 
     def stretched(self, stretch: FloatArray) -> Hexahedra:
         """The energy relative to undeformed elements to each of which a linear map ``stretch`` (m, d, d) is applied."""
@@ -381,7 +381,7 @@ def _regular(det: FloatArray, eps: float) -> tuple[FloatArray, FloatArray]:
     return np.where(det > 0.0, 0.5 * (det + root), 0.5 * eps * eps / less), root
 
 
-def _edges(x: FloatArray, nodes: IntArray) -> FloatArray:
+def _mean_edges(x: FloatArray, nodes: IntArray) -> FloatArray:
     """Mean edge vectors of hexahedra along their index axes, as columns of matrices (m, 3, 3)."""
     corners = x[nodes].reshape(-1, 2, 2, 2, 3)
     means = [np.diff(corners, axis=axis).mean(axis=(1, 2, 3)) for axis in (1, 2, 3)]

@@ -117,11 +117,11 @@ class Reach:
         nearest = np.full(len(self._nodes), most + 1, dtype=np.int16)
         at = np.minimum(np.searchsorted(self._nodes, seeds), len(self._nodes) - 1)
         nearest[self._classes[at[self._nodes[at] == seeds]]] = 0
-        self._spread(found, nearest, most)
+        self._spread_distances(found, nearest, most)
         largest = int(own[own <= most].max(initial=0))
         return found, max(nodes.gather(largest))
 
-    def _spread(self, found: Any, nearest: np.ndarray, most: int) -> None:
+    def _spread_distances(self, found: Any, nearest: np.ndarray, most: int) -> None:
         """Lower the distances of this rank's nodes until no rank finds any that is too large."""
         grid, nodes = self._grid, Nodes.of(found)
         own = [grid.planes(block) for block in range(grid.n_blocks)]
@@ -268,14 +268,14 @@ class Neighbourhood:
     def _slides(self, nodes: IntArray, unknowns: Unknowns, origin: FloatArray) -> Iterator[Slide]:
         """The slides of the region's nodes, see :class:`Region`."""
 
-        def outside(x: FloatArray) -> FloatArray:
+        def in_space(x: FloatArray) -> FloatArray:
             return components(x, self.axes.T) + origin
 
         def inside(points: FloatArray) -> FloatArray:
             return components(points - origin, self.axes)
 
-        def slopes(sliding: CurvedSurface, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-            onto, normals = sliding.slopes(outside(x))
+        def slopes_at(sliding: CurvedSurface, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+            onto, normals = sliding.slopes(in_space(x))
             return self.axes @ onto @ self.axes.T, self.axes @ normals @ self.axes.T
 
         for each in self.constraints.sliding:
@@ -283,9 +283,9 @@ class Neighbourhood:
             if local.size:
                 yield Slide(
                     local,
-                    lambda x, each=each: components(each.normals(outside(x)), self.axes),  # type: ignore[misc]
-                    lambda x, each=each: inside(each.project(outside(x))),  # type: ignore[misc]
-                    partial(slopes, each),
+                    lambda x, each=each: components(each.normals(in_space(x)), self.axes),  # type: ignore[misc]
+                    lambda x, each=each: inside(each.project(in_space(x))),  # type: ignore[misc]
+                    partial(slopes_at, each),
                 )
 
     def _energy(

@@ -93,7 +93,7 @@ class Repairer:
         limit = self.limit.for_valid(self.original.grid.n_nodes) if valid else self.limit.for_invalid()
         try:
             if flat is not None:
-                found = self._in_plane(start, flat, basis, polish, effort, limit)
+                found = self._repaired_in_plane(start, flat, basis, polish, effort, limit)
             else:
                 found = self._found(start, bad, polish, effort, limit)
         except MethodError as error:
@@ -106,7 +106,7 @@ class Repairer:
                 found = _Found(start, left_out=text)
             found = replace(found, grid=self._kept(start, found.grid))
         count = found.weak or len(np.setdiff1d(weak, start.verdict.invalid))
-        record = replace(self._record(start, found, clock.perf_counter() - begin), weak=count)
+        record = replace(self._record_repair(start, found, clock.perf_counter() - begin), weak=count)
         return Outcome(found.grid.points, found.grid.verdict, record)
 
     def _found(self, start: Judged, bad: IntArray, polish: bool, effort: Effort, limit: Limit) -> _Found | None:
@@ -289,7 +289,7 @@ class Repairer:
         change = extrusion.flattened(Nodes.of(points).combined(np.subtract, self.original.grid.points))
         return (None if change is None else extrusion.plane.points + change), basis
 
-    def _in_plane(
+    def _repaired_in_plane(
         self,
         start: Judged,
         flat: FloatArray,
@@ -329,7 +329,7 @@ class Repairer:
         Nodes.of(points).rows[plot.moved[own]] += shift[own]
         return Judged(points, judge(self.original, self.rounded(points)))
 
-    def _record(self, start: Judged, found: _Found, seconds: float) -> Repair:
+    def _record_repair(self, start: Judged, found: _Found, seconds: float) -> Repair:
         low, high = Nodes.of(start.points).ends
         distance = lengths(found.grid.points[low:high] - start.points[low:high])
         own = int((distance > 0).sum()), float(distance.max(initial=0.0))

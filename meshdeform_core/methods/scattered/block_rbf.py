@@ -114,7 +114,7 @@ class PreparedBlockRBF:
         def work(tile: int, _: int) -> None:
             number = tiles[tile][0]
             some = coefficients[self._first[number] : self._first[number + 1]]
-            out[targets(tile)] = self._moved(self._blocks[number].centres, targets(tile), some)
+            out[targets(tile)] = self._displacement_in(self._blocks[number].centres, targets(tile), some)
 
         for_chunks(work, len(tiles), 1, of_stage(progress, "rbf"))
 
@@ -164,7 +164,7 @@ class PreparedBlockRBF:
             self.account.include(max(accounts, key=lambda a: (bool(a.notices), np.max(a.settings["residual"].value))))
         return coefficients
 
-    def _moved(self, centres: Centres, flat: IntArray, coefficients: FloatArray) -> FloatArray:
+    def _displacement_in(self, centres: Centres, flat: IntArray, coefficients: FloatArray) -> FloatArray:
         """Displacement (n, 3) of some nodes of a block."""
         n, x = len(centres.points), centres.normalised(self._problem.grid.nodes.rows[flat])
         sums = radial_sums(BASES[self._options.basis], x, centres.points, coefficients[:n])

@@ -50,13 +50,13 @@ class FastEvaluator:
         scaled = Scaled.of(fit.values, fit.still, sums.strength)
         moving, lasting = scaled.moving, 1 if fit.transition.width else 0
 
-        def use(_: slice, flat: IntArray, values: FloatArray) -> None:
+        def use_sums(_: slice, flat: IntArray, values: FloatArray) -> None:
             rows[flat] = bound.displacement(fit, flat, np.ascontiguousarray(values.T))
 
         def once() -> float:
             accuracy = Accuracy(self._tolerance * self._share, True, self._single)
             sums.prepare(fit.weights, fit.shift, fit.turn, moving, accuracy, lasting)
-            sums.apply(scaled, use, progress=of_stage(progress, "idw"))
+            sums.apply(scaled, use_sums, progress=of_stage(progress, "idw"))
             return largest_error(bound.grid, sums.targets, sums.risk, rows, lambda flat: bound.exact(fit, flat))
 
         sum_accurately("idw", self, once, self._tolerance, self._account)

@@ -248,7 +248,9 @@ class PreparedIDW:
         transition, shift = NO_TRANSITION, np.linalg.norm(rest, axis=1)
         if self._share and (divided := self._share.applied(values)):
             (values, transition), shift, still = divided, STEEPER * shift, np.zeros(len(values) + 1)
-        return SourceValues(values, self._weights(plain(inside)), shift, turn, origin, frame, still, transition)
+        return SourceValues(
+            values, self._weight_functions(plain(inside)), shift, turn, origin, frame, still, transition
+        )
 
     def reduced(self, acting: BoolArray) -> PreparedIDW:
         """The same with only the ``acting`` (n,) images of sources, in order, followed by the first of the others, with
@@ -314,7 +316,7 @@ class PreparedIDW:
             return Frame.fitted(self.images.points, d, self.area, normal, self._stretches)
         return Frame(weighted_total(self.area / self.area.sum(), d))
 
-    def _weights(self, d: FloatArray) -> tuple[tuple[float, float, float], ...]:
+    def _weight_functions(self, d: FloatArray) -> tuple[tuple[float, float, float], ...]:
         """Weight function (a, b, kappa) of each group: r^-a + kappa r^-b.
 
         Only ratios of weights matter; division by L_def^a keeps the numbers near one.

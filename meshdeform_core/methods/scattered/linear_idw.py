@@ -90,7 +90,7 @@ class LinearIDW:
         found, moved = dict(zip(self._tracked, given, strict=True)), Nodes.of(out).rows
         values, at_rest = _apart(found["values"], self._sums.acting)
 
-        def use(rows: slice, flat: IntArray, changes: FloatArray) -> None:
+        def use_tangents(rows: slice, flat: IntArray, changes: FloatArray) -> None:
             sums = self._base.rows(rows)
             changes[:, 1:] += sums[:, :1] * at_rest
             if self._near:
@@ -103,7 +103,7 @@ class LinearIDW:
                 told |= {each.number: found[name] for name, each in common.items()}
                 moved[flat[some]] = result.tape.push(told, [result.number])[0]
 
-        self._sums.apply(values, use, weigh=False)
+        self._sums.apply(values, use_tangents, weigh=False)
 
     def pull(self, gradient: FloatArray) -> FloatArray:
         """Gradient (n_sources, 3) from that of the nodes, rows of ``gradient`` (n_nodes, 3)."""
@@ -186,12 +186,12 @@ class _AtNodes:
         )
         self._k = 1 + len(values)
 
-        def keep(rows: slice, flat: IntArray, found: FloatArray) -> None:
+        def keep_gradients(rows: slice, flat: IntArray, found: FloatArray) -> None:
             found[:, 1:] += found[:, :1] * common
             self._weight[rows, 0], self._weight[rows, -1] = found[:, 0], found[:, -1] if transition else found[:, 0]
             self._means[rows] = found[:, 1 : self._k - lasting] / found[:, :1]
 
-        sums.apply(values, keep)
+        sums.apply(values, keep_gradients)
 
     def error(self, bound: Bound, sums: FastSums, weights: Weights, values: FloatArray) -> float:
         """Largest error of a sum of unit values relative to the total weight, at the nodes with the largest error

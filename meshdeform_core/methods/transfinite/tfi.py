@@ -103,7 +103,7 @@ class PreparedTFI:
         """Keep the sub-blocks with nodes of this rank ``inside`` them or anywhere, if the grid is in parts."""
         nodes = self.problem.grid.nodes
         if nodes.divided:
-            self._subs, self.rows = _within(self._subs, *nodes.ends, inside)
+            self._subs, self.rows = _subs_within(self._subs, *nodes.ends, inside)
             nodes.widen(*self.rows)
         self._groups = batches(box_numbers(self._subs), _TOGETHER)
         # The bent sub-blocks of each group, once it has been examined.
@@ -159,7 +159,7 @@ class PreparedTFI:
         return group, curved if len(curved.bent.rows) else None
 
 
-def _within(subs: IntArray, low: int, high: int, inside: bool) -> tuple[IntArray, tuple[int, int]]:
+def _subs_within(subs: IntArray, low: int, high: int, inside: bool) -> tuple[IntArray, tuple[int, int]]:
     """The sub-blocks with nodes ``inside`` them, or any nodes, among the rows low <= n < high, and the rows of all of
     their nodes.
 

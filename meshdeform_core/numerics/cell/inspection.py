@@ -278,7 +278,9 @@ def inspect_hexahedra(before, x, compare, both, sign, scale, i0, i1, out, is_ope
                         for m in range(0, 3 * width, WIDTH):
                             move(nodes, start + m, points, new + 3 * j * width + m, 3 * width - m)
                     for kind in range(0 if i > i0 else 1, 3):
-                        _edges(points, old, new, e, to, here, kind, rows, width, signed if kind == 0 else single)
+                        _edges_from_plane(
+                            points, old, new, e, to, here, kind, rows, width, signed if kind == 0 else single
+                        )
                 if i > i0:
                     for m in range(0, (rows - 1) * width - 1, WIDTH):
                         for g in range(left + 1):
@@ -298,7 +300,7 @@ def inspect_hexahedra(before, x, compare, both, sign, scale, i0, i1, out, is_ope
 
 
 @inlined
-def _edges(points, old, new, e, to, here, kind, rows, width, scale):
+def _edges_from_plane(points, old, new, e, to, here, kind, rows, width, scale):
     """Edges along i from the plane of points at ``old`` to that at ``new``; along j or k within the latter."""
     one, other, row, count = old, new, ALONG_I * N, rows * width
     if kind > 0:

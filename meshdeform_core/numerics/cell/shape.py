@@ -25,7 +25,7 @@ def measure_shape(x: FloatArray, resolved: IntArray, sign: float) -> Iterator[tu
     sizes = [_mean(np.linalg.norm(np.diff(x, axis=a), axis=-1), [b for b in range(3) if b != a]) for a in range(3)]
     used = [size for size, some in zip(sizes, resolved, strict=True) if some]
     yield ASPECT, -1, _ratio(np.maximum.reduce(used), np.minimum.reduce(used))
-    faces = [_faces(x, axis, sign) for axis in range(3)]
+    faces = [_face_centres(x, axis, sign) for axis in range(3)]
     # Centre and outward area of each of the six faces of every cell.
     around = [
         (center, out * area)
@@ -49,7 +49,7 @@ def measure_shape(x: FloatArray, resolved: IntArray, sign: float) -> Iterator[tu
         yield from _across(a, *_ends(centers, a), *inner)
 
 
-def _faces(x: FloatArray, axis: int, sign: float) -> tuple[FloatArray, FloatArray]:
+def _face_centres(x: FloatArray, axis: int, sign: float) -> tuple[FloatArray, FloatArray]:
     """Centres and areas along the index axis of the quads across it: means of four triangles about the mean corner."""
     b, c = (axis + 1) % 3, (axis + 2) % 3
     (p00, p01), (p10, p11) = (_ends(part, c) for part in _ends(x, b))

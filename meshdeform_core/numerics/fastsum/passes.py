@@ -85,7 +85,7 @@ def _space(a: int, b: int, c: int, accuracy: float) -> tuple[IntArray, FloatArra
     sides = [np.cos(np.pi * np.arange(n + 1) / n) if n else np.zeros(1) for n in degree.max(axis=0) + 1]
     sides = [side if h > 0 else np.zeros(1) for side, h in zip(sides, half, strict=True)]
     candidates = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
-    values = _values(degree, candidates)
+    values = _polynomial_values(degree, candidates)
     chosen = scipy.linalg.qr(values.T, mode="r", pivoting=True)[1][: len(degree)]
     points, matrix = candidates[chosen], np.linalg.inv(values[chosen])
     return degree, points, matrix, _errors(half, degree, points, matrix)
@@ -104,7 +104,7 @@ def _terms(half: FloatArray, accuracy: float) -> IntArray:
     return degree[(size >= math.log(accuracy)) | (total <= 2)]
 
 
-def _values(degree: IntArray, points: FloatArray) -> FloatArray:
+def _polynomial_values(degree: IntArray, points: FloatArray) -> FloatArray:
     """Values (n, m) of the polynomials at points (n, 3) of [-1, 1]^3."""
     values = np.ones((len(points), len(degree)))
     for d in range(3):
@@ -116,7 +116,7 @@ def _errors(half: FloatArray, degree: IntArray, points: FloatArray, matrix: Floa
     """Largest error (d,) at each distance, over random sources and random points of the box."""
     random = np.random.default_rng(0)
     places = random.uniform(-1.0, 1.0, (_PLACES, 3))
-    shares = _values(degree, places) @ matrix
+    shares = _polynomial_values(degree, places) @ matrix
     away = random.standard_normal((_SOURCES, 3))
     away /= np.linalg.norm(away, axis=1)[:, None]
     errors = []
@@ -266,13 +266,13 @@ def sum_regions(kind, lo, hi, points, boxes, clusters, out, risk):
             if known[level]:
                 if not known[level - 1]:
                     parent = -1
-                _fill(kind, n, boxes, far, n_far, parent, polynomial[level - 1], polynomial[level])
+                _fill_polynomial(kind, n, boxes, far, n_far, parent, polynomial[level - 1], polynomial[level])
             if tree.child[n, 0] < 0:
                 x = points[tree.targets[tree.span[n, 0] : tree.span[n, 1]]]
                 sums = out[tree.span[n, 0] - origin : tree.span[n, 1] - origin]
                 radial_block(kind, x, near, n_near, sums)
                 if known[level]:
-                    _add(n, boxes, polynomial[level], x, sums)
+                    _add_polynomial(n, boxes, polynomial[level], x, sums)
                 continue
             for c in range(2):
                 stack[depth, 0], stack[depth, 1], stack[depth, 2] = tree.child[n, 1 - c], level + 1, n
@@ -280,7 +280,7 @@ def sum_regions(kind, lo, hi, points, boxes, clusters, out, risk):
 
 
 @kernel
-def _fill(kind, n, boxes, far, n_far, parent, inherited, polynomial):
+def _fill_polynomial(kind, n, boxes, far, n_far, parent, inherited, polynomial):
     """Coefficients of the polynomial of a target tree node: what it inherits, if anything, plus its far clusters."""
     tree, spaces, s = boxes.tree, boxes.spaces, boxes.space[n]
     first, last = spaces.start[s], spaces.start[s + 1]
@@ -288,12 +288,12 @@ def _fill(kind, n, boxes, far, n_far, parent, inherited, polynomial):
     place_points(tree.center[n], tree.axes[n], tree.half[n], spaces.points[first:last], place)
     radial_block(kind, place, far, n_far, value)
     if parent >= 0:
-        _add(parent, boxes, inherited, place, value)
+        _add_polynomial(parent, boxes, inherited, place, value)
     to_coefficients(spaces.matrix, spaces.begin[s], value, polynomial)
 
 
 @kernel
-def _add(n, boxes, polynomial, x, out):
+def _add_polynomial(n, boxes, polynomial, x, out):
     """Add the values of the polynomial of a target tree node at points (k, 3)."""
     tree, spaces, s = boxes.tree, boxes.spaces, boxes.space[n]
     degree = spaces.degree[spaces.start[s] : spaces.start[s + 1]]

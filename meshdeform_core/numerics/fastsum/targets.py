@@ -177,7 +177,7 @@ def build_target_tree(
         one, two = child[parents].T
         # A child without targets has no box.
         one, two = np.where(filled[one], one, two), np.where(filled[two], two, one)
-        corners = np.concatenate([_corners(center[n], axes[n], half[n]) for n in (one, two)], axis=1)
+        corners = np.concatenate([_box_corners(center[n], axes[n], half[n]) for n in (one, two)], axis=1)
         starts = 16 * np.arange(len(parents))
         places = np.arange(16 * len(parents))
         boxes = fit_boxes(corners.reshape(-1, 3), places, np.stack([starts, starts + 16], axis=1))
@@ -197,7 +197,7 @@ def _levels(child: IntArray) -> list[IntArray]:
     return levels
 
 
-def _corners(center: FloatArray, axes: FloatArray, half: FloatArray) -> FloatArray:
+def _box_corners(center: FloatArray, axes: FloatArray, half: FloatArray) -> FloatArray:
     """The eight corners (m, 8, 3) of boxes."""
     signs = 2.0 * (np.arange(8)[:, None] >> np.arange(3) & 1) - 1.0
     return center[:, None] + (signs * half[:, None]) @ axes

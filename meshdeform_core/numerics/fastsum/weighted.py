@@ -248,7 +248,7 @@ class FastSums:
                 for chunk in range(cut[portion], cut[portion + 1]):
                     first, last = chunk * self._chunk, min((chunk + 1) * self._chunk, targets.n_regions)
                     gradient = make(targets.places(first, last), targets.flat(first, last), portion)
-                    self._spread(plan, first, last, gradient, points, totals[portion], ends)
+                    self._spread_gradients(plan, first, last, gradient, points, totals[portion], ends)
 
         for_chunks(work, portions, 1)
         found = np.zeros((k, len(self.strength)))
@@ -263,7 +263,7 @@ class FastSums:
                     found[some, members] = self.strength[members] * source.T
         return np.where(plan.key.moving, found, 0.0)
 
-    def _spread(
+    def _spread_gradients(
         self, plan: Plan, first: int, last: int, gradient: FloatArray, points: list[FloatArray], total: FloatArray,
         ends: IntArray,
     ) -> None:  # fmt: skip

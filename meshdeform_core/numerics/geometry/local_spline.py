@@ -127,7 +127,7 @@ def _splines(points: FloatArray, values: FloatArray, targets: FloatArray) -> Flo
     left_out = np.pad(~kept, ((0, 0), (1, 0)))
     system[:, count + np.arange(q), count + np.arange(q)] = left_out
     right = np.pad(values, ((0, 0), (0, q), (0, 0)))
-    coefficients = _solved(system, right)
+    coefficients = _least_squares(system, right)
     basis = np.concatenate([_thin_plate(target, arm), _terms(target, axes, kept)], axis=2)
     return (basis @ coefficients)[:, 0]
 
@@ -143,7 +143,7 @@ def _thin_plate(a: FloatArray, b: FloatArray) -> FloatArray:
     return 0.5 * r2 * np.log(np.where(r2 > 0, r2, 1.0))
 
 
-def _solved(system: FloatArray, right: FloatArray) -> FloatArray:
+def _least_squares(system: FloatArray, right: FloatArray) -> FloatArray:
     """Solutions of small systems, by least squares where the neighbours do not determine all terms."""
     try:
         solution: FloatArray = np.asarray(np.linalg.solve(system, right), dtype=np.float64)

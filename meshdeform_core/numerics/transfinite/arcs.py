@@ -153,7 +153,7 @@ def arc_coordinates(points, subs, parts, arc):
                                 arc[to + k] = (k0 + k + 1) / (nk + 1)
 
 
-def _edges(points: Array, one: ir.Value, other: ir.Value, count: ir.Value) -> Lanes:
+def _edge_lengths(points: Array, one: ir.Value, other: ir.Value, count: ir.Value) -> Lanes:
     """Distances between sixteen pairs of points; only ``count`` coordinates are read, the others count as zero."""
     here, there = (points.load_some_points(at, count) for at in (one, other))
     x, y, z = components([b - a for a, b in zip(here, there, strict=True)])
@@ -166,7 +166,7 @@ def lengthen(
     width: ir.Value,
 ) -> None:  # fmt: skip
     """Add an edge to each of sixteen lines."""
-    length = work.load(ir.Constant(to.type, _LENGTH)) + _edges(points, one, other, count)
+    length = work.load(ir.Constant(to.type, _LENGTH)) + _edge_lengths(points, one, other, count)
     work.store(ir.Constant(to.type, _LENGTH), length)
     arc.store_some(to, length, width)
 
@@ -177,7 +177,7 @@ def add_up(
     width: ir.Value,
 ) -> None:  # fmt: skip
     """Running lengths over sixteen consecutive edges of a line; ``work`` holds the length so far, sixteen times."""
-    length = work.load(ir.Constant(to.type, _LENGTH)) + _edges(points, one, other, count).running_sum()
+    length = work.load(ir.Constant(to.type, _LENGTH)) + _edge_lengths(points, one, other, count).running_sum()
     work.store(ir.Constant(to.type, _LENGTH), length.last())
     arc.store_some(to, length, width)
 

@@ -86,7 +86,7 @@ def blend_slabs(d, arc, subs, slabs):
                             out[k, 0], out[k, 1], out[k, 2] = filled[k], filled[TILE + k], filled[2 * TILE + k]
 
 
-def _points(d: Array, at: ir.Value, count: ir.Value) -> list[Lanes]:
+def _components_of(d: Array, at: ir.Value, count: ir.Value) -> list[Lanes]:
     """Components of at most sixteen displacements, ``count`` numbers; the others are zero."""
     return components(d.load_some_points(at, count))
 
@@ -98,9 +98,9 @@ def start_line(
 ) -> None:  # fmt: skip
     """Coefficients along a line minus those at its low end; arguments as of the loops, in numbers instead of nodes."""
     add = d.builder.add
-    here, there = _points(d, node, count), _points(d, add(node, up), count)
-    first, last = (_points(d, add(corner, step), count) for step in (up.type(0), end))
-    above, beyond = (_points(d, add(corner, step), count) for step in (up, add(end, up)))
+    here, there = _components_of(d, node, count), _components_of(d, add(node, up), count)
+    first, last = (_components_of(d, add(corner, step), count) for step in (up.type(0), end))
+    above, beyond = (_components_of(d, add(corner, step), count) for step in (up, add(end, up)))
     zero = node.type(0)
     for c in range(3):
         one, other = here[c] - first[c], there[c] - above[c]
@@ -113,8 +113,8 @@ def start_line(
 def start_sides(d: Array, plane: ir.Value, at: ir.Value, end: ir.Value, count: ir.Value, sides: Array) -> None:
     """Contributions of the two j sides of an i plane to the coefficients of 1 and y."""
     add, zero = d.builder.add, at.type(0)
-    low = _points(d, add(plane, at), count)
-    high = _points(d, add(add(plane, at), end), count)
+    low = _components_of(d, add(plane, at), count)
+    high = _components_of(d, add(add(plane, at), end), count)
     for c in range(3):
         edge = d.every(plane, c) - d.every(add(plane, end), c)
         sides.store(zero, low[c], (_ONE + c) * TILE)
@@ -157,11 +157,11 @@ def blend_transposed(g, arc, subs):
                     for k in range(k0, min(k0 + TILE, nk)):
                         x[0], x[1], x[2] = arc[at + k - k0], arc[at + width + k - k0], arc[at + 2 * width + k - k0]
                         index[0], index[1], index[2] = (i + 1) * si, (j + 1) * sj, k + 1
-                        _spread(g, corner, index, high, x)
+                        _spread_to_faces(g, corner, index, high, x)
 
 
 @inlined
-def _spread(g, corner, index, high, x):
+def _spread_to_faces(g, corner, index, high, x):
     """Pass the gradient of one node on to 26 nodes on the faces."""
     node = corner + index[0] + index[1] + index[2]
     a, b, c = g[node, 0], g[node, 1], g[node, 2]

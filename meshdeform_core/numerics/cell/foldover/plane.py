@@ -59,7 +59,7 @@ def triangle_derivatives(
         [u * matrix[i][k] + v * cofactors[i][k] + elastic * (matrix[i][k] - held[i][k]) for k in range(2)]
         for i in range(2)
     ]
-    turned = [[_turned(vector, s) for vector in vectors] for s in slope]
+    turned = [[_change_of_map(vector, s) for vector in vectors] for s in slope]
     row = 0
     for n in range(3):
         for i in range(2):
@@ -73,7 +73,7 @@ def triangle_derivatives(
                     row += 1
 
 
-def _turned(vector: list[Lanes], slope: list[Lanes]) -> list[Lanes]:
+def _change_of_map(vector: list[Lanes], slope: list[Lanes]) -> list[Lanes]:
     """The change of A along an eigenvector per displacement of a node."""
     e, (p, q) = vector, slope
     return [_HALF * ((e[0] + e[2]) * p + (e[3] - e[1]) * q), _HALF * ((e[1] + e[3]) * p + (e[0] - e[2]) * q)]
