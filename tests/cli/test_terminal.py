@@ -91,19 +91,16 @@ def on_a_terminal(code: str, **environment: str) -> tuple[str, int]:
 
 DRAWN = """
 import os, threading
+import rich.progress
 from meshdeform_cli.process import progress
 
-drawn, make = threading.Event(), progress._bar
+drawn = threading.Event()
 
-def watched():
-    bar = make()
-    update = bar.update
-    def updated(*args, **more):
-        update(*args, **more)
-        bar.refresh()
+class Watched(rich.progress.Progress):
+    def update(self, *args, **more):
+        super().update(*args, **more)
+        self.refresh()
         drawn.set()
-    bar.update = updated
-    return bar
 
 def shown():
     # What is under way may have begun with the stage before.
@@ -111,7 +108,7 @@ def shown():
         drawn.clear()
         assert drawn.wait(60)
 
-progress._bar, progress.PATIENCE, progress._TICK = watched, 0.0, 0.001
+rich.progress.Progress, progress.PATIENCE, progress._TICK = Watched, 0.0, 0.001
 for colour in ({}, {"NO_COLOR": "1"}):
     os.environ |= colour
     with progress.ProgressBar(compiles=False) as bar:
