@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .boundary import Boundary, Kind, classify
-from .boundary.classification import ClassifiedPatch, with_plates
+from .boundary.classification import UNSELECTED, ClassifiedPatch, with_plates
 from .boundary.crossing import find_pinned
 from .boundary.motions.motion import GIVEN
 from .boundary.tables import BoundaryNodes
@@ -216,7 +216,7 @@ def _reasons(original: Grid, topology: Topology, boundary: Boundary, points: Flo
     found = []
     for crossing in undeformed_of(original, topology, boundary).crossing_test.crossings(change)[:1]:
         place = ", ".join(f"{x:.6g}" for x in crossing.point)
-        names = " and ".join(dict.fromkeys(crossing.patches))
+        names = " and ".join(name for name in dict.fromkeys(crossing.patches) if name != UNSELECTED) or "a part"
         found.append(f"the boundary crosses itself, so no valid grid exists: {names} near ({place})")
     pinned = find_pinned(original, topology, boundary, change)
     found += [pinned] if pinned else []

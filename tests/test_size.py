@@ -10,10 +10,10 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent
 PRODUCT = ("meshdeform", "cli", "formats", "sample_cases", "meshdeform_core")
 BUDGETS = {
-    "cli": 3354,
+    "cli": 3359,
     "meshdeform": 3204,
     "sample_cases": 1726,
-    "formats/case": 1515,
+    "formats/case": 1555,
     "formats/cgns": 2292,
     "formats/displacement": 1267,
     "formats/openfoam": 2058,
@@ -22,16 +22,16 @@ BUDGETS = {
     "formats/report": 1685,
     "formats/series": 504,
     "formats/vtk": 1771,
-    "formats": 2130,
-    "meshdeform_core/boundary": 3548,
+    "formats": 2132,
+    "meshdeform_core/boundary": 3551,
     "meshdeform_core/grid": 3197,
-    "meshdeform_core/methods": 4478,
-    "meshdeform_core/numerics": 9646,
+    "meshdeform_core/methods": 4483,
+    "meshdeform_core/numerics": 9648,
     "meshdeform_core/parallel": 918,
-    "meshdeform_core/quality": 2118,
+    "meshdeform_core/quality": 2124,
     "meshdeform_core/repair": 2838,
     "meshdeform_core": 3099,
-    "tests": 28876,
+    "tests": 28920,
 }
 """Lines of Python and of data files per package; a package's row excludes the rows below it."""
 LONGEST_FUNCTION, NINE_IN_TEN, LONGEST_FILE = 60, 25, 500

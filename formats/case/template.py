@@ -177,17 +177,58 @@ def _in_one_plane(grid: Grid, surface: Surface) -> bool:
     )
 
 
-def _motion(grid: Grid, outside: Outside, entry: _Entry) -> list[str]:
-    """A motion to fill in, with examples that keep the wall in the plane of a plane or extruded grid, or on a symmetry
-    plane."""
-    found = {role: face.plane.normal for face, role in zip(outside.faces, outside.roles, strict=True) if face.plane}
-    normals = found.get(Role.END), thin_direction(grid), found.get(Role.SYMMETRY), np.array([0.0, 0.0, 1.0])
-    axis = int(np.argmax(np.abs(next(normal for normal in normals if normal is not None))))
+def _motion(grid: Grid, outside: Outside, entry: _Entry) -> Iterator[str]:
+    """A motion to fill in, with examples of a size that suits the wall.
+
+    The examples keep the wall in the plane of a plane or extruded grid, or on its symmetry plane: rotations about the
+    normal, and bending that begins at the plane.
+    """
+    low, high = entry.box
+    normal, place = _out_of_plane(grid, outside), None
+    if normal is None:
+        normal, place = _symmetry(outside, entry.box)
+    axis = 2 if normal is None else int(np.argmax(np.abs(normal)))
+    if place is not None:
+        name = "xyz"[axis]
+        yield f"# The wall ends at the symmetry plane {name} = {place:.4g}; a motion along {name} leaves it."
+    in_plane = sorted({0, 1, 2} - {axis}, key=lambda number: high[number] - low[number])
     parts = ["0", "0", "0"]
-    parts[axis - 1] = f"0.1*sin(pi*{'xyz'[axis - 2]})"
+    parts[in_plane[0]] = _bending(low, high, in_plane[1] if place is None else axis, place)
     text = _MOTION.replace("AXIS", str([int(number == axis) for number in range(3)]))
-    text = text.replace("CENTER", str([float(f"{x:.3g}") for x in entry.box.mean(axis=0)]))
-    return text.replace("DISPLACE", json.dumps(parts)).splitlines()
+    text = text.replace("CENTER", str([float(f"{x:.3g}") for x in (low + high) / 2]))
+    yield from text.replace("DISPLACE", json.dumps(parts)).splitlines()
+
+
+def _bending(low: FloatArray, high: FloatArray, along: int, place: float | None) -> str:
+    """A displacement of a twentieth of the wall's length, largest at its middle or away from the symmetry plane.
+
+    It has all digits of the ends, where it is zero: they may belong to faces that do not move.
+    """
+    name, length = "xyz"[along], float(high[along] - low[along])
+    begin = float(low[along]) if place is None else place
+    part = name if begin == 0.0 else f"({name} {'-' if begin > 0 else '+'} {abs(begin)!r})"
+    part = f"{part}/{length!r}"
+    return f"{length / 20:.2g}*sin(pi*{part})" if place is None else f"{length / 20:.2g}*({part})**2"
+
+
+def _symmetry(outside: Outside, box: FloatArray) -> tuple[FloatArray | None, float | None]:
+    """Normal and coordinate of the only symmetry plane, if a wall within ``box`` ends at it."""
+    planes = [face.plane for face, role in zip(outside.faces, outside.roles, strict=True)
+              if role is Role.SYMMETRY and face.plane]  # fmt: skip
+    axes = {int(np.argmax(np.abs(plane.normal))) for plane in planes}
+    if len(axes) != 1:
+        return None, None
+    axis = axes.pop()
+    place, size = float(planes[0].point[axis]), float((box[1] - box[0]).max())
+    if np.abs(box[:, axis] - place).min() > FLATNESS * size:
+        return None, None
+    return planes[0].normal, place if abs(place) > FLATNESS * size else 0.0
+
+
+def _out_of_plane(grid: Grid, outside: Outside) -> FloatArray | None:
+    """The normal of a plane grid or of the end planes of an extruded one."""
+    ends = [face for face, role in zip(outside.faces, outside.roles, strict=True) if role is Role.END and face.plane]
+    return ends[0].plane.normal if ends and ends[0].plane else thin_direction(grid)
 
 
 def _entry_lines(grid: Grid, outside: Outside, entry: _Entry, table: FittedTable | None) -> Iterator[str]:

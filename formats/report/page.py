@@ -262,7 +262,7 @@ def _blocks(blocks: Sequence[Report]) -> Iterator[Any]:
     ]  # fmt: skip
     rest = len(blocks) - _LISTED
     more = f"; {counted(rest, 'more is', 'more are')} in the report as JSON" if rest > 0 else ""
-    caption = f"{len(blocks):,} blocks, the one with the worst cell first{more}"
+    caption = f"{counted(len(blocks), 'block')}, the one with the worst cell first{more}"
     yield Table(caption, heads, rows, flagged=[n for n, row in enumerate(rows) if row[2]], sortable=True)
 
 

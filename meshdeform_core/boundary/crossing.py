@@ -135,6 +135,9 @@ class CrossingTest:
         if len(pairs):
             new = surface.were_apart(pairs, gap)
             pairs, places = pairs[new], places[new]
+        if self._normal is not None:
+            # The boundary of a plane grid is tested as a strip beside its plane.
+            places = places - ((places - surface.points[0]) @ self._normal)[:, None] * self._normal
         return _grouped(self._names(surface, moved)[pairs], places) if len(pairs) else ()
 
     def contact(self, path: Callable[[float], FloatArray]) -> Contact | None:

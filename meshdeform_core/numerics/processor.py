@@ -30,7 +30,7 @@ def choose_processor() -> None:
     from llvmlite.binding import get_host_cpu_features
 
     if level not in LEVELS:
-        raise CaseError(f"{VARIABLE} is {level!r}; expected one of {', '.join(LEVELS)}")
+        raise CaseError(f"{VARIABLE} (or --cpu) is {level!r}; expected one of {', '.join(LEVELS)}")
     if not get_host_cpu_features().get(LEVELS[level]):
         raise CaseError(f"{VARIABLE} is {level!r}, but this processor lacks {LEVELS[level]}; use a lower level")
     if "numba" in sys.modules and os.environ.get("NUMBA_CPU_NAME") != level:

@@ -9,6 +9,7 @@ import numpy as np
 from ..errors import GridError
 from ..grid import FloatArray, Grid
 from ..parallel import Nodes, empty
+from ..wording import counted
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,7 @@ def require_same_blocks(a: Grid, b: Grid) -> None:
     """
     first, second = (str(grid.path or name) for grid, name in ((a, "the first grid"), (b, "the second grid")))
     if a.n_blocks != b.n_blocks:
-        difference = f"{first} has {a.n_blocks} blocks, {second} has {b.n_blocks}"
+        difference = f"{first} has {counted(a.n_blocks, 'block')}, {second} has {b.n_blocks}"
     elif a.shapes != b.shapes:
         n = next(n for n, shapes in enumerate(zip(a.shapes, b.shapes, strict=True)) if shapes[0] != shapes[1])
         one, two = (" x ".join(map(str, grid.shapes[n])) for grid in (a, b))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import re
 import tomllib
 from pathlib import Path
 
@@ -13,11 +14,12 @@ import pytest
 from grids import frame_2d
 
 from meshdeform_core.boundary import Kind
+from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.deform import set_up
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.surfaces import find_outside
 from meshdeform_core.grid.topology import find_topology
-from meshdeform_formats import read_grid
+from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.case import read_case
 from meshdeform_formats.case.template import case_template
 
@@ -76,6 +78,12 @@ def test_init_overwrites_only_by_force_and_keeps_the_grid(bench, call):
     assert call("init", "grid.xyz", "-o", "case.toml", "--force").code == 0
 
 
+def test_deform_without_a_case_says_where_to_go_on(bench, call):
+    result = call("deform", "grid.xyz", "-o", "out.xyz")
+    assert result.code == 2
+    assert "meshdeform init grid.xyz -o case.toml" in " ".join(result.err.split())
+
+
 @pytest.mark.parametrize(("name", "boundaries"), REAL)
 def test_cases_for_real_grids_run(name, boundaries, tmp_path, monkeypatch, call):
     if not (GRIDS / name).exists():
@@ -89,6 +97,17 @@ def test_cases_for_real_grids_run(name, boundaries, tmp_path, monkeypatch, call)
         return
     assert result.code == 0, result.err
     assert "not selected" not in result.out
+
+
+def test_round_off_in_the_place_of_a_boundary_counts_as_zero(bench, call):
+    grid = read_grid(bench / "grid.cgns")
+    points = grid.points.copy()
+    points[:, 2] += np.where(points[:, 2] == 0, 3e-16, 0.0)
+    write_grid(grid.moved(points), bench / "near.cgns")
+    text = call("init", "near.cgns").out + call("init", "near.cgns", "-o", "near.toml").out
+    text += (bench / "near.toml").read_text()
+    assert "z 0..1" in text
+    assert "e-16" not in text
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -107,9 +126,37 @@ def test_the_motion_to_fill_in_turns_a_plane_grid_in_its_plane(axis):
     assert "xyz"[axis] not in "".join(parts).replace("sin", "")
 
 
-def test_without_a_wall_nothing_moves():
+def test_the_motions_proposed_keep_the_wall_on_the_symmetry_plane(tmp_path, monkeypatch, call):
+    """Each example of the template is tried; nothing is said about nodes that leave the plane."""
+    monkeypatch.chdir(tmp_path)
+    assert call("sample", "wing", "-o", ".", "--size", "8").code == 0
+    text = call("init", "grid.cgns").out
+    assert "# The wall ends at the symmetry plane y = 0" in text
+    examples = re.findall(r"^#   (\{ (?:rotate|displace).*)$", text, re.MULTILINE)
+    assert len(examples) == 2
+    for example in examples:
+        Path("case.toml").write_text(text.replace("{ translate = [0.0, 0.0, 0.0] }", example))
+        result = call("deform", "grid.cgns", "-c", "case.toml", "-o", "out.cgns", "-q", "--force")
+        assert (result.code, result.err) == (0, "")
+        wall = read_grid("out.cgns").block(0)[:, 0, 0]
+        assert np.abs(wall[:, 1]).max() < 1e-12
+
+
+def test_without_a_wall_nothing_moves_and_ends_are_given_with_all_digits():
     axes = [np.array([0.1, 1 / 3, 2 / 3]), np.array([0.0, 0.5, 1.1]), np.array([0.0, 1.0, 2.0])]
     cube = Grid.from_blocks([np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)])
     text = case_template(cube, find_outside(cube, find_topology(cube)), "a.xyz")
     assert [entry["kind"] for entry in tomllib.loads(text)["boundary"]] == ["fixed"]
     assert "# No wall was found." in text
+    plane = frame_2d()
+    plane = plane.moved(plane.points / 3.0 + [0.1, 0.7, 0.0])
+    text = case_template(plane, find_outside(plane, find_topology(plane)), "a.xyz")
+    (line,) = [line for line in text.splitlines() if "displace = " in line]
+    (formula,) = [part for part in json.loads(line.split("displace = ")[1].removesuffix(" }")) if part != "0"]
+    body = np.abs(plane.points[:, :2] - [0.1, 0.7]).max(axis=1) < 0.51 / 3
+    values = {name: plane.points[body, n] for n, name in enumerate("xyz")}
+    found = expression(formula, ("x", "y", "z"))(values)
+    along = values[re.search(r"pi\*\(*([xyz])", formula)[1]]
+    for end in (along.min(), along.max()):
+        assert np.abs(found[along == end]).max() < 1e-15
+    assert np.abs(found).max() > 0.01
