@@ -19,7 +19,7 @@ BUDGETS = {
     "formats/openfoam": 2058,
     "formats/picture": 1683,
     "formats/plot3d": 1118,
-    "formats/report": 1685,
+    "formats/report": 1749,
     "formats/series": 504,
     "formats/vtk": 1771,
     "formats": 2132,
@@ -31,7 +31,7 @@ BUDGETS = {
     "meshdeform_core/quality": 2124,
     "meshdeform_core/repair": 2838,
     "meshdeform_core": 3099,
-    "tests": 28920,
+    "tests": 28932,
 }
 """Lines of Python and of data files per package; a package's row excludes the rows below it."""
 LONGEST_FUNCTION, NINE_IN_TEN, LONGEST_FILE = 60, 25, 500

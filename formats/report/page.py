@@ -62,6 +62,47 @@ _OF_PAGE = {
 }  # fmt: skip
 _LEAST = 0.3
 
+REMEDIES = (
+    (
+        "not selected by any boundary entry; they are fixed",
+        "If some of them are planes on which nodes should slide, add a boundary entry for them with "
+        'kind = "slip" or "symmetry"; if they are the far field, no action is needed.',
+    ),
+    (
+        "the grid is one cell thick",
+        "No action is needed if this is a two-dimensional case; otherwise add a boundary entry for the end planes.",
+    ),
+    (
+        "nothing moves",
+        "Check the motion in the case: a formula that is zero at this time (--time), a table with zero "
+        "displacements, or an angle of 0.",
+    ),
+    (
+        "of the motion was imposed; a further step",
+        "The report's invalid cells are those of the next step. Another method, a slip plane instead of a fixed one, "
+        "or more space beside the wall allows a larger motion.",
+    ),
+    (
+        "out of a slip or symmetry plane",
+        "Give the plane itself a motion, or check the axis and the components of the motion.",
+    ),
+    (
+        "face quads are shared by more than two blocks",
+        "Such faces cannot be interfaces; check the grid generator's export for duplicate blocks.",
+    ),
+    (
+        "node pairs do not coincide",
+        "If the gap is round-off of the file, raise grid.tolerance (a fraction of the local edge); otherwise the "
+        "connection in the file is wrong.",
+    ),
+    (
+        "but no connection declares them",
+        "No action is needed if the blocks belong together. For a thin plate whose two sides coincide, name one "
+        "side in the case: [grid] plates.",
+    ),
+)
+"""Words of warnings that do not say what to do, and what to do."""
+
 
 @dataclass(frozen=True)
 class Section:
@@ -119,8 +160,8 @@ def as_html(
 
 
 def _verdict_banner(report: Report) -> dict[str, Any]:
-    """Whether the grid is usable; if not, where and why not."""
-    found: dict[str, Any] = {"how": "", "places": [], "blocks": ""}
+    """Whether the grid is usable; if not, where and why not, and what to do (advice is HTML)."""
+    found: dict[str, Any] = {"how": "", "places": [], "blocks": "", "advice": []}
     if report["valid"]:
         headline = f"All {len(report['levels'])} levels are valid." if "levels" in report else "The grid is valid."
         if "levels" not in report and (old := report["quality"]["after"]["inherited_invalid_cells"]):
@@ -132,6 +173,7 @@ def _verdict_banner(report: Report) -> dict[str, Any]:
         return found | {
             "headline": f"{len(bad)} of {len(report['levels'])} levels are not valid.",
             "places": [*map(_bad_level, bad[:_SHOWN]), *more],
+            "advice": ["<code>--steps auto</code>, <code>--from last</code>, or another method."],
         }
     groups, reached = report["invalid_groups"], report.get("reached", 1.0)
     count = report["quality"]["after"]["invalid_cells"]
@@ -145,6 +187,7 @@ def _verdict_banner(report: Report) -> dict[str, Any]:
         "headline": headline,
         "places": [*map(_group, groups[:_SHOWN]), *more],
         "blocks": blocks + (" and more" if len(hit) > _SHOWN else "") if len(hit) > 1 and reached == 1.0 else "",
+        "advice": _advice(report),
     }
 
 
@@ -162,6 +205,25 @@ def _group(group: Report) -> str:
     return (
         f"{counted(group['cells'], 'cell')}{near} in {blocks}, around x, y, z = {at}; the worst is {place_text(group)}"
     )
+
+
+def _advice(report: Report) -> list[str]:
+    """Advice, in order of effort."""
+    if "method" not in report:
+        return [
+            "Deform the original again with <code>--repair auto</code>, or with another method "
+            "(<code>meshdeform methods</code>)."
+        ]
+    advice = []
+    repaired = any(attempt["repair"] for attempt in report.get("attempts") or ())
+    if not repaired:
+        advice.append("Repair invalid cells and halve the motion as needed: <code>--repair auto</code>.")
+    if not repaired and report["steps"] == 1 and report.get("reached", 1.0) == 1.0:
+        advice.append("Impose the motion in as many steps as a valid grid requires: <code>--steps auto</code>.")
+    holds = "" if report["method"]["name"] == "idw-tfi" else "<code>-m idw-tfi</code> keeps walls under rotation; "
+    advice.append(f"Try another method: {holds}<code>meshdeform methods</code> lists the limits of each.")
+    advice.append("Let nodes slide on nearby planes that need not be fixed: <code>kind = &quot;slip&quot;</code>.")
+    return advice
 
 
 def _levels_section(report: Report, thumbnails: Sequence[tuple[Figure, str]], folder: str) -> Iterator[Section]:
@@ -210,7 +272,9 @@ def _common_sections(report: Report) -> Iterator[Section]:
     yield Section("shape", "Shape of cells", [shape_table(report)] if report.get("shape") else [])
     yield Section("attempts", "Attempts", list(_attempts(report)))
     yield Section("blocks", "Blocks", list(_blocks(report.get("blocks") or ())))
-    yield Section("warnings", "Warnings", [{"warnings": report["warnings"]}] if report["warnings"] else [])
+    remedies = [next((advice for words, advice in REMEDIES if words in each), "") for each in report["warnings"]]
+    warnings = list(zip(report["warnings"], remedies, strict=True))
+    yield Section("warnings", "Warnings", [{"warnings": warnings}] if warnings else [])
     yield Section("boundary", "Boundary and motion", list(_boundary_tables(report)))
     if "method" in report:
         rows = [

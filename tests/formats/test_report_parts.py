@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import ast
 import re
+from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
+import meshdeform_core
 from meshdeform_formats.report.measures import change_of
-from meshdeform_formats.report.page import curve, histogram
+from meshdeform_formats.report.page import REMEDIES, curve, histogram
 from meshdeform_formats.report.tables import repair_sentence
 
 DONE = {
@@ -41,6 +44,15 @@ def test_it_says_what_was_done_and_what_the_method_alone_gives():
 def test_round_off_is_no_change():
     assert change_of(76.875, 76.875 - 1.4e-14) == 0.0
     assert change_of(76.875, 76.874) == 76.874 - 76.875
+
+
+def test_advice_is_for_warnings_that_there_are():
+    texts = []
+    for path in Path(meshdeform_core.__file__).parent.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            parts = node.values if isinstance(node, ast.JoinedStr) else [node]
+            texts.append("".join(p.value for p in parts if isinstance(p, ast.Constant) and isinstance(p.value, str)))
+    assert [words for words, _ in REMEDIES if not any(words in text for text in texts)] == []
 
 
 @pytest.mark.parametrize(
