@@ -97,4 +97,4 @@ def test_it_counts_what_was_missing(call, monkeypatch):
 def test_an_unknown_processor_is_refused_before_anything_is_compiled(tmp_path):
     done = _started("-m", "meshdeform_cli", "warm-up", "--cpu", "x86-64-v9", cache=tmp_path)
     assert (done.returncode, done.stdout) == (2, "")
-    assert "MESHDEFORM_CPU is 'x86-64-v9'; expected one of x86-64, x86-64-v2" in done.stderr
+    assert "MESHDEFORM_CPU (or --cpu) is 'x86-64-v9'; expected one of x86-64, x86-64-v2" in done.stderr
