@@ -64,7 +64,7 @@ def _prepared_copy(grid: Grid, source: Path, path: Path, partial: Path, precisio
                 _adapt_links(file, source.parent, path.parent)
                 group = own_group(file, base.node)
                 owns = [own_group(group, zone.node) for zone in zones]
-                # Prepare the coordinate arrays and fill compressed ones; returns the places of the others.
+                # Coordinate arrays: compressed ones are filled, of the others the places are noted.
                 places = Places(partial)
                 for block, (parent, zone) in enumerate(zip(owns, zones, strict=True)):
                     group = own_group(parent, zone.grid)

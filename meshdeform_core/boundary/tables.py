@@ -437,7 +437,8 @@ def by_place(data: SurfaceData, grid: Grid, topology: Topology) -> SurfaceData:
     whole = bool((first == np.round(first)).all())
     if data.numbered and not (whole and grid.dimension == 2):
         raise MotionError(
-            f"{data.label} has three columns: for a plane grid the number of a point, x and y; expected "
+            f"{data.label} has three columns without names, which are SU2's point number, x and y of a plane grid, but "
+            f"{'this grid is in space' if grid.dimension == 3 else 'not all in the first are whole numbers'}; expected "
             "x y z dx dy dz (or x y dx dy), or the number of each point and all its new coordinates"
         )
     distinct = whole and len(first) > COUNTED and len(np.unique(first)) == len(first)

@@ -139,7 +139,7 @@ class Bounds:
             highest = np.maximum(self.low * normal, self.high * normal).sum(axis=1)
             reach = self._reach[key] = _Reach(float((self._corners @ normal).max()), float(highest.max()))
         if reach.most > level >= reach.least:
-            # Largest x . ``normal``; blocks whose bounding box cannot contain it are skipped.
+            # The largest coordinate along the normal; blocks whose bounding box cannot contain it are skipped.
             highest = np.maximum(self.low * normal, self.high * normal).sum(axis=1)
             found = -np.inf
             for block in np.argsort(-highest):

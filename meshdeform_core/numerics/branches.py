@@ -56,9 +56,8 @@ def continuous(vectors: FloatArray, pairs: IntArray) -> FloatArray:
     rows = np.flatnonzero(np.isin(label, turning))
     found = vectors.copy()
     ordered = rows[np.argsort(angle[rows], kind="stable")]
-    # From the node of each surface that turns least.
-    # Every node takes the rotation vector nearest to that of the node from which it is reached first, in place;
-    # ``seeds`` are the nodes at which surfaces are entered, one each.
+    # From the node of each surface that turns least, every node takes the rotation vector nearest to that of the node
+    # from which it is reached first.
     seeds = ordered[np.unique(label[ordered], return_index=True)[1]]
     graph = scipy.sparse.csr_matrix((np.ones(len(pairs), dtype=bool), pairs.T), shape=(len(found),) * 2)
     reached, here = np.zeros(len(found), dtype=bool), seeds

@@ -93,8 +93,7 @@ class Frame:
 def _nearest_rotation(moment: FloatArray) -> FloatArray:
     """The rotation (3, 3) nearest to a matrix."""
     if isinstance(moment, Tracked):
-        # :func:`_nearest_rotation` with its derivative U (B - B^T) / (s_i + s_j) V^T, where B = U^T dM V and s are the
-        # singular values.
+        # The derivative is U (B - B^T) / (s_i + s_j) V^T, where B = U^T dM V and s are the singular values.
         left, size, right = np.linalg.svd(moment.value)
         sign = np.linalg.det(left) * np.linalg.det(right)
         left[:, 2] *= sign

@@ -170,7 +170,7 @@ def block_volumes(grid: Grid, points: FloatArray, sign: IntArray) -> FloatArray:
     """
     center = 0.5 * Nodes.of(points).at(np.stack([grid.offsets[:-1], grid.offsets[1:] - 1])).sum(axis=0)
     flux = np.empty(6 * grid.n_blocks)
-    # For every distinct row of ``shapes`` (n, 2), the ascending numbers of the rows equal to it.
+    # Sides with equal numbers of nodes together.
     shapes = grid.sides.nodes
     order = np.lexsort(shapes.T)
     new = np.append(True, (shapes[order[1:]] != shapes[order[:-1]]).any(axis=1))

@@ -199,7 +199,7 @@ class Beam(Step, PreparedStep):
         for n in range(1, len(stations)):
             seen[:, n, :3] = frames.inv().apply(arms[n] + moved[:, n] - moved[:, 0]) - arms[n]
             own = scipy.spatial.transform.Rotation.from_rotvec(turns[:, n])
-            # Rotation vectors (t, 3) of the rotations ``turn``, up to half a turn, nearest to those in ``before``.
+            # Rotation vectors are up to half a turn: of those of the same rotation, the nearest to the station before.
             turn = (frames.inv() * own).as_rotvec()
             before = seen[:, n - 1, 3:]
             angle = np.linalg.norm(turn, axis=1, keepdims=True)

@@ -153,7 +153,6 @@ class FastRadial:
         permitted = tolerance * targets.permitted(self._kind)
         every = np.ones(len(permitted), dtype=bool)
         for _ in range(TRIALS):
-            # :class:`Clusters` with these charges (n, 3).
             tree = self._tree
             bases = self._bases.get(self._tolerance)
             if bases is None:
