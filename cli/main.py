@@ -137,12 +137,10 @@ def run(args: Sequence[str] | None = None) -> int:
 
 def _invoke(args: Sequence[str] | None) -> int:
     """Call the command; errors in the input or from the system become a message and exit code 2."""
-    from meshdeform_core.errors import MeshDeformError
+    from meshdeform_core.errors import CaseError, MeshDeformError
 
     try:
         # Check and set environment variables, and check the current folder, on which imports of libraries may fail.
-        from meshdeform_core.errors import CaseError
-
         try:
             os.getcwd()
         except FileNotFoundError:

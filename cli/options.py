@@ -127,7 +127,7 @@ variant_option = click.option(
     "--variant", metavar="KEY=VALUE", multiple=True,
     help="How to write the output. plot3d: encoding=ascii|binary|fortran byte_order=little|big "
     "precision=float32|float64 markers=4|8 records=block|array|plane multiblock=true|false iblank=true|false "
-    "dimension=2|3; vtk: encoding=ascii|binary|appended; cgns: precision; "
+    "dimension=2|3; vtk: encoding=ascii, or binary (.vtk), appended (.vts, .vtm); cgns: precision; "
     "openfoam: encoding=binary|ascii thickness=LENGTH (2-D grids); .msh: encoding=binary|ascii; .vtu and .xdmf: "
     "boundary=true|false (repeatable).",
 )  # fmt: skip

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from meshdeform_formats.grids import Layout
 
 _NODES = 4
-"""Bytes of a file in which at least one node is held: compressed, in single precision."""
+"""Bytes of a file that hold one node at most: compressed, in single precision."""
 
 _COORDINATES = 24
 _SMALL = 1 << 20
@@ -43,7 +43,7 @@ def make_room(limit: MemoryLimit, doing: str, work: Work, sources: Sequence[Grid
     """
     there = [source for source in sources if source.path.is_file()]
     size = sum(_bytes_of(source.path) for source in there)
-    if Demand("", work, size // _NODES).in_memory <= limit.size:
+    if _at_most(work, size).in_memory <= limit.size:
         set_scratch(None)
         return
     layouts = [layout_at(source) for source in there]
@@ -59,10 +59,16 @@ def make_room(limit: MemoryLimit, doing: str, work: Work, sources: Sequence[Grid
 def too_large(limit: MemoryLimit, work: Work, source: GridInput) -> Layout | None:
     """The blocks of a grid that cannot be deformed in memory; ``None`` for others, and where its header does not
     tell."""
-    if not source.path.is_file() or Demand("", work, _bytes_of(source.path) // _NODES).in_memory <= limit.size:
+    if not source.path.is_file() or _at_most(work, _bytes_of(source.path)).in_memory <= limit.size:
         return None
     layout = layout_at(source)
     return layout if layout and Demand.of("deforming", work, layout).in_memory > limit.size else None
+
+
+def _at_most(work: Work, size: int) -> Demand:
+    """What the grid in a file of this size takes at most: every node may be on a face outside."""
+    nodes = size // _NODES
+    return Demand("", work, nodes, nodes, nodes, nodes)
 
 
 def _bytes_of(path: Path) -> int:

@@ -21,7 +21,7 @@ from meshdeform_core.memory import WRITING_ARRAYS, peak_memory
 from meshdeform_core.notices import Notice, first_of_each_kind, kind_of
 from meshdeform_core.parallel import carried, thread_count
 from meshdeform_core.series import Level, Schedule, deform_series
-from meshdeform_core.wording import counted
+from meshdeform_core.wording import counted, listed
 from meshdeform_formats.case import CaseFile
 from meshdeform_formats.case.sequences import parse_times
 from meshdeform_formats.fields import check_fields, with_fields
@@ -133,6 +133,7 @@ def open_manifest(run: Run, resume: bool, force: bool) -> Manifest:
         hint = "use --resume to continue it, or --force to start again" if old else "use --force to overwrite it"
         raise FormatError(f"{present[0]} exists; {hint}")
     _require_space(run, 0)
+    _tell_of_strangers(run)
     new.path.parent.mkdir(parents=True, exist_ok=True)
     run.files.clean()
     new.save()
@@ -142,6 +143,20 @@ def open_manifest(run: Run, resume: bool, force: bool) -> Manifest:
 def _require_space(run: Run, first: int) -> None:
     if missing := run.shortage(first):
         raise FormatError(f"cannot write {run.manifest.path.parent}: {missing}")
+
+
+def _tell_of_strangers(run: Run) -> None:
+    """Warn of levels of an earlier series in the folder that this one does not replace."""
+    folder = run.manifest.path.parent
+    try:
+        levels = Manifest.load(run.manifest.path).levels
+    except (FormatError, OSError):
+        return
+    replaced = {part for path in run.files.replaced for part in path.relative_to(folder).parts}
+    names = dict.fromkeys(str(level.get("file")) for level in levels if isinstance(level, dict))
+    left = [name for name in names if name not in replaced and (folder / name).exists()]
+    if left:
+        run.warnings.tell([f"levels of an earlier series remain in {folder}, not part of this one: {listed(left)}"])
 
 
 def _keep_what_exists(run: Run, manifest: Manifest) -> None:

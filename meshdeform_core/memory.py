@@ -13,7 +13,7 @@ import re
 import shutil
 import sys
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -235,7 +235,7 @@ class Demand:
             other += len(grid.shapes) * (_ZONE if in_zones else _BLOCK) + _CGNS * in_zones
         # How much of the block faces lies outside is known only from coordinates: as if equal cubes formed a cube.
         outside = sum(grid.n_face_nodes / len(grid.shapes) ** (1 / 3) for grid in grids)
-        largest = max(math.prod(shape) for grid in grids for shape in grid.shapes)
+        largest = max((math.prod(shape) for grid in grids for shape in grid.shapes), default=0)
         return cls(f"{doing} {whole:,} nodes", work, nodes, faces, outside, largest, sources, other)
 
     @property
@@ -270,9 +270,11 @@ class Demand:
         MethodError
             When the memory does not suffice even with large arrays in files.
         """
-        if self.in_memory <= limit.size:
-            return self.in_memory, 0
-        limit.require(self.beside_files(limit), self.what, _INSTEAD)
+        # A run decides before it knows its sources; what these take beyond the limit is refused later.
+        without = replace(self, sources=0)
+        if without.in_memory <= limit.size:
+            return min(self.in_memory, limit.size), 0
+        limit.require(min(without.in_memory, self.beside_files(limit)), self.what, _INSTEAD)
         pages = max(limit.size // _PAGES, RESERVE)
         return min(int(MARGIN * self._bytes_of(_BESIDE_FILES)) + pages, limit.size), self.file_bytes
 

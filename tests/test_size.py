@@ -10,28 +10,28 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent
 PRODUCT = ("meshdeform", "cli", "formats", "sample_cases", "meshdeform_core")
 BUDGETS = {
-    "cli": 3359,
+    "cli": 3378,
     "meshdeform": 3204,
-    "sample_cases": 1726,
-    "formats/case": 1555,
+    "sample_cases": 1725,
+    "formats/case": 1556,
     "formats/cgns": 2292,
-    "formats/displacement": 1267,
+    "formats/displacement": 1271,
     "formats/openfoam": 2058,
-    "formats/picture": 1683,
+    "formats/picture": 1682,
     "formats/plot3d": 1118,
     "formats/report": 1749,
     "formats/series": 504,
     "formats/vtk": 1771,
     "formats": 2132,
-    "meshdeform_core/boundary": 3551,
+    "meshdeform_core/boundary": 3561,
     "meshdeform_core/grid": 3197,
     "meshdeform_core/methods": 4483,
-    "meshdeform_core/numerics": 9648,
+    "meshdeform_core/numerics": 9638,
     "meshdeform_core/parallel": 918,
     "meshdeform_core/quality": 2124,
-    "meshdeform_core/repair": 2838,
-    "meshdeform_core": 3099,
-    "tests": 28932,
+    "meshdeform_core/repair": 2836,
+    "meshdeform_core": 3101,
+    "tests": 28963,
 }
 """Lines of Python and of data files per package; a package's row excludes the rows below it."""
 LONGEST_FUNCTION, NINE_IN_TEN, LONGEST_FILE = 60, 25, 500

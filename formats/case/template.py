@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from meshdeform_core.boundary.fitting import fit_table
-from meshdeform_core.boundary.tables import AUTOMATIC, BoundaryNodes, Matching, SurfaceData, transfer
+from meshdeform_core.boundary.tables import AUTOMATIC, BoundaryNodes, Matching, SurfaceData, by_place, transfer
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import FloatArray, Grid
 from meshdeform_core.grid.faces import Role
@@ -76,6 +76,7 @@ def fitted_table(grid: Grid, topology: Topology, path: Path, name: str) -> Fitte
             f"{path} is a grid with deformed positions, which needs no matching; expected a displacement table. Use it "
             f'in a case: motion = [{{ file = "{name}" }}]'
         )
+    data = by_place(data, grid, topology)
     fit = fit_table(grid, topology, data, Matching(AUTOMATIC, partial=True))
     quads = np.concatenate([surface.quads for surface in fit.surfaces])
     nodes = BoundaryNodes.of_quads(grid, topology, quads)

@@ -37,12 +37,14 @@ class DisplacementTable:
     points, displacement : (n, 2) or (n, 3)
     triangles : (m, 3) indices into ``points``
     place : text for the position of row ``i`` in the file, such as ``line 7``
+    named : whether the file says what its columns are
     """
 
     points: NDArray[Any]
     displacement: NDArray[Any]
     triangles: IntArray
     place: Callable[[int], str]
+    named: bool = True
 
 
 def row_place(row: int) -> str:
@@ -151,7 +153,8 @@ def checked_surface(table: DisplacementTable, path: Path) -> SurfaceData:
         raise FormatError(f"{path}: triangles refer to points {triangles.min()} to {triangles.max()} of {len(points)}")
     width = table.displacement.shape[1]
     distinct = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
-    return SurfaceData(points, displacement, triangles[distinct], path.name, plane=width == 2, numbered=width == 1)
+    numbered = not table.named and width < 3
+    return SurfaceData(points, displacement, triangles[distinct], path.name, width == 2, numbered)
 
 
 def _three_columns(values: NDArray[Any]) -> FloatArray:

@@ -23,7 +23,7 @@ class _Layout:
     """Layout of the numbers.
 
     ``first`` is the first line with numbers (1-based); ``separator`` is ``None`` for blanks and tabs; ``width`` is the
-    number of columns; ``points`` and ``displacement`` are the columns (0-based) to take.
+    number of columns; ``points`` and ``displacement`` are the columns (0-based) to take, which ``named`` columns tell.
     """
 
     first: int
@@ -31,14 +31,15 @@ class _Layout:
     width: int
     points: tuple[int, ...]
     displacement: tuple[int, ...]
+    named: bool
 
 
 def read(path: Path) -> DisplacementTable:
     """Read a text table.
 
     Without a header the columns are ``x y z dx dy dz``, or ``x y dx dy`` in 2-D, or the number and the new position of
-    each point, as in SU2's surface_positions.dat. A header, possibly in a comment, names
-    any number of columns in any order (see :func:`vector_names`). ``#`` begins a comment.
+    each point, as in SU2's surface_positions.dat. A header, possibly in a comment, names any number of columns in any
+    order (see :func:`vector_names`). ``#`` begins a comment.
 
     Raises FormatError when the columns are unknown or a line is not a row of numbers; with the line.
     """
@@ -68,7 +69,7 @@ def read(path: Path) -> DisplacementTable:
             f"line {next(number for index, (number, _) in enumerate(_rows_of_numbers(path, layout)) if index == row)}"
         )
 
-    return DisplacementTable(values[:, :split], values[:, split:], NO_TRIANGLES, place)
+    return DisplacementTable(values[:, :split], values[:, split:], NO_TRIANGLES, place, layout.named)
 
 
 def _contents(path: Path) -> Iterator[tuple[int, str, str]]:
@@ -105,8 +106,8 @@ def _layout(path: Path) -> _Layout:
 
 def _columns(
     path: Path, number: int, separator: str | None, width: int, header: str, comment: str
-) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """The columns of points and displacement in the rows that begin at line ``number``."""
+) -> tuple[tuple[int, ...], tuple[int, ...], bool]:
+    """The columns of points and displacement in the rows that begin at line ``number``, and whether names tell them."""
     names = _words(header or comment, separator)
     if len(names) != width:
         names = _words(header or comment, None)
@@ -122,7 +123,7 @@ def _columns(
                 f"{path}: its columns have lengths in {', '.join(sorted(units))}; expected all in the grid's unit"
             )
         points, displacement = (tuple(map(names.index, columns)) for columns in found if columns)
-        return points, displacement
+        return points, displacement, True
     if header:
         raise FormatError(
             f"{path}: expected a name for each of {width} columns, x y z (or x y) and dx dy dz (or dx dy) among them; "
@@ -132,7 +133,7 @@ def _columns(
         expected = " or ".join(f"{number} ({names})" for number, names in _BY_ORDER.items())
         raise FormatError(f"{path}, line {number}: found {width} columns without names; expected {expected}")
     half = (width + 1) // 2
-    return tuple(range(half)), tuple(range(half, width))
+    return tuple(range(half)), tuple(range(half, width)), False
 
 
 def _words(text: str, separator: str | None) -> list[str]:

@@ -153,7 +153,6 @@ def _scene(subject: Subject, options: PlotOptions) -> Scene:
         quads = select_quads(subject.reference or subject.grid, subject.topology, options.select, "plot")
         scene = surface_scene(subject, quads, metric)
     elif options.space_plane is not None:
-        assert options.space_plane is not None
         axis, at = options.space_plane
         if subject.grid.dimension == 2:
             raise CaseError(f"a 2-D grid cannot be cut; leave {options.lead}plane out to draw the whole grid")

@@ -73,7 +73,7 @@ class XmlFile:
     Attributes
     ----------
     kind : type of the VTKFile tag, e.g. ``StructuredGrid``
-    options : ``encoding`` (of the first array), ``compression``, ``byte_order``, ``header_type`` in the writer's words
+    options : ``encoding`` (of the first array), ``compression``, ``byte_order``, ``header_type`` in our words
     compression : of binary arrays, even if the first array is text
     appended : first and last byte (exclusive) of the appended data
     """

@@ -195,10 +195,10 @@ class _Interface:
     def _differentiated(self, product: Callable[[], FloatArray]) -> FloatArray:
         """A product with the derivative, taken by the first rank; where it is not that of the grid, all say so."""
 
-        def rows_taken() -> tuple[FloatArray, list[str]]:
+        def product_and_reasons() -> tuple[FloatArray, list[str]]:
             return product(), [reason for each in self._components if (reason := each.derivative().reason)]
 
-        found, reasons = self._ranks.on_first(rows_taken)
+        found, reasons = self._ranks.on_first(product_and_reasons)
         for reason in reasons:
             warnings.warn(f"the derivative is not that of the warped grid: {reason}", stacklevel=4)
         return found

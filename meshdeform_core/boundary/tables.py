@@ -13,7 +13,7 @@ from ..errors import CaseError, MotionError
 from ..grid import BoolArray, FloatArray, Grid, IntArray, Side
 from ..grid.planes import plane_normal
 from ..grid.topology import RELATIVE_TOLERANCE, Topology, side_nodes
-from ..numerics.arrays import places_among
+from ..numerics.arrays import extent, places_among
 from ..numerics.geometry.coincidence import distinct
 from ..numerics.geometry.vectors import doubled_areas, unit
 from ..parallel import Nodes
@@ -48,7 +48,8 @@ class SurfaceData:
     triangles : (m, 3) int64, indices into ``points``; (0, 3) when the file has points only
     label : name for messages, usually the file name
     plane : whether the file has two components of the displacement only; the third one is zero
-    numbered : whether the file has three columns only, the number and position of each point; read as x, y and dx
+    numbered : whether the file has three or four columns without names, which may be the number and position of each
+        point; read as x, y, dx and, if ``plane``, dy
     """
 
     points: FloatArray
@@ -407,7 +408,8 @@ def positions_by_number(
         )
     points = grid.nodes.at(topology.first[numbers])
     moved = points.copy()
-    kept = np.sort(np.argsort(np.ptp(grid.points, axis=0))[3 - positions.shape[1] :])
+    low, high = extent(grid.points)
+    kept = np.sort(np.argsort(high - low)[3 - positions.shape[1] :])
     moved[:, kept] = positions
     row = np.full(topology.n_unique, -1, dtype=np.int64)
     row[numbers] = np.arange(len(numbers))
@@ -426,23 +428,30 @@ def positions_by_number(
 def by_place(data: SurfaceData, grid: Grid, topology: Topology) -> SurfaceData:
     """The table itself; or what it means, if its first column numbers the points and positions follow.
 
-    These are three columns, or four for a grid in space, which without names are read as x, y, dx and dy of a plane.
+    These are three columns without names, or four for a grid in space, which are read as x, y, dx and dy of a plane.
+    Four stay what they are if most of these points lie at nodes of the boundary.
 
     Raises
     ------
     MotionError
         As above, and for three columns that are not a number, x and y in a plane grid.
     """
+    if not data.numbered:
+        return data
     first = data.points[:, 0]
     whole = bool((first == np.round(first)).all())
-    if data.numbered and not (whole and grid.dimension == 2):
+    if not data.plane and not (whole and grid.dimension == 2):
         raise MotionError(
             f"{data.label} has three columns without names, which are SU2's point number, x and y of a plane grid, but "
             f"{'this grid is in space' if grid.dimension == 3 else 'not all in the first are whole numbers'}; expected "
             "x y z dx dy dz (or x y dx dy), or the number of each point and all its new coordinates"
         )
-    distinct = whole and len(first) > COUNTED and len(np.unique(first)) == len(first)
-    if not data.numbered and not (data.plane and distinct and grid.dimension == 3):
-        return data
+    if data.plane:
+        numbering = whole and len(first) > COUNTED and len(np.unique(first)) == len(first)
+        if not numbering or grid.dimension == 2:
+            return data
+        distance, near = scipy.spatial.cKDTree(grid.nodes.at(topology.first)).query(data.points)
+        if np.median(distance - topology.edge[near]) <= 0.0:
+            return data
     positions = np.column_stack([data.points[:, 1], data.displacement])[:, : grid.dimension]
     return positions_by_number(first.astype(np.int64), positions, data.label, grid, topology)

@@ -433,10 +433,8 @@ def _share_between(excess: FloatArray) -> FloatArray:
 def among_others(energy: Energy, x: FloatArray) -> Energy | None:
     """The energy relative to elements stretched like the average of their surroundings in the grid ``x`` (n, d);
     ``None`` if no element is squeezed."""
-    # The square root (m, d, d) of the mean metric around elements (m, k), from their Jacobian matrices (m, d, d).
-    matrix = energy.matrices(x)
-    nodes = energy.nodes
-    n = len(x)
+    # The stretch is the square root of the mean metric around every element.
+    matrix, nodes, n = energy.matrices(x), energy.nodes, len(x)
     metric = np.einsum("mji,mjk->mik", matrix, matrix)
     shape, corners = metric.shape, nodes.shape[1]
     at = nodes.ravel()

@@ -196,6 +196,7 @@ def _draw(figure: Figure, slices: dict[str, Slice], folder: Path) -> str:
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
+    from matplotlib.collections import LineCollection
 
     panels = [panel for panel in figure.panels if panel.key in slices]
     rows = -(-len(panels) // figure.columns)
@@ -209,8 +210,6 @@ def _draw(figure: Figure, slices: dict[str, Slice], folder: Path) -> str:
         )
         for place, panel, letter in zip(axes.flat, panels, "abcdefghi", strict=False):
             part = slices[panel.key]
-            from matplotlib.collections import LineCollection
-
             view = along(part.view)
             lines = [view.project(line)[:, :2] for line in part.lines]
             window = Window(*panel.zoom) if panel.zoom else None

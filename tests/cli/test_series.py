@@ -394,3 +394,17 @@ def test_a_series_begun_by_a_program_with_other_results_is_refused(key, old, wor
     assert "cannot continue the series in out, its inputs have changed: " in result.err
     assert words in result.err
     assert snapshot(Path()) == before
+
+
+@pytest.mark.parametrize("suffix", [".xyz", ".foam"])
+def test_levels_of_an_earlier_series_that_remain_are_told(suffix, swing, call):
+    words = (*RUN, "--suffix", suffix)
+    assert call(*words, "-q").code == 0
+    again = call(*words, "-q", "--force")
+    assert not any("earlier series" in text for text in again.warnings)
+    shorter = call(*words[:-3], "0:0.5:0.25", "--suffix", suffix, "-q", "--force")
+    assert shorter.code == 0
+    (told,) = (text for text in shorter.warnings if "earlier series" in text)
+    names = ("0.75", "1") if suffix == ".foam" else (f"grid_0003{suffix}", f"grid_0004{suffix}")
+    assert told == f"levels of an earlier series remain in out, not part of this one: {', '.join(names)}"
+    assert all(Path("out", name).exists() for name in names)

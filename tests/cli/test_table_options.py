@@ -69,3 +69,20 @@ def test_positions_by_number_move_the_points_that_have_them(nk, tmp_path, monkey
     np.savetxt("surface_positions.dat", np.column_stack([numbers, moved]), ["%d", *moved.shape[1] * ["%.17g"]])
     done = call("deform", "grid.xyz", "-d", "surface_positions.dat", "-o", "again.xyz")
     assert (done.code, "of another mesh" in done.err) == (2, True)
+
+
+@pytest.mark.parametrize("header", ["", "x,y,dx,dy"])
+def test_whole_coordinates_are_no_numbers_of_points(header, tmp_path, monkeypatch, call):
+    """A table in the plane of a grid one cell thick; the first coordinates of its points are 0 to 30."""
+    monkeypatch.chdir(tmp_path)
+    along = np.arange(31.0)
+    x = block_around(along, np.linspace(0, 8, 9), np.array([0.0, 1.0]))
+    write_grid(Grid.from_blocks([x]), tmp_path / "grid.xyz")
+    rise = 0.01 * np.sin(np.pi * along / 30)
+    rows = np.column_stack([along, 0 * along, 0 * along, rise])
+    np.savetxt("table.csv", rows, "%.17g", delimiter=",", header=header, comments="")
+    done = call("deform", "grid.xyz", "-d", "table.csv", "--match", "nearest", "--tolerance", "1.1", "-o", "out.xyz")
+    assert done.code == 0, done.err
+    after = read_grid(tmp_path / "out.xyz").block(0)
+    np.testing.assert_allclose(after[:, 0, 0, 1], rise, atol=1e-15)
+    np.testing.assert_array_equal(after[:, -1], x[:, -1])

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...grid import BoolArray, FloatArray, Grid, IntArray
+from ...grid import BoolArray, FloatArray, IntArray
 from ...numerics.fastsum.weighted import FastSums
 from ...numerics.tape import Tape, Tracked, plain
 from ...parallel import Nodes, agreed, empty
@@ -158,7 +158,7 @@ def _accurate(
     share = _FIRST_SHARE
     for _ in range(1 + MAX_RETRIES if fast else 0):
         sums = fast_sums(bound, weights, acting, share)
-        found = _AtNodes(bound.grid, sums, values, transition)
+        found = _AtNodes(sums, values, transition)
         # All ranks must decide alike, also those whose processors round otherwise.
         error = agreed(bound.grid.nodes.ranks, found.error(bound, sums, weights, values))
         if error <= DERIVATIVE_TOLERANCE:
@@ -167,7 +167,7 @@ def _accurate(
             break
         share *= 0.9 * DERIVATIVE_TOLERANCE / error
     exact = ExactSums(bound, weights, acting)
-    return exact, _AtNodes(bound.grid, exact, values, transition)
+    return exact, _AtNodes(exact, values, transition)
 
 
 class _AtNodes:
@@ -177,7 +177,7 @@ class _AtNodes:
     means of fast sums single precision suffices.
     """
 
-    def __init__(self, grid: Grid, sums: Sums, values: FloatArray, transition: bool) -> None:
+    def __init__(self, sums: Sums, values: FloatArray, transition: bool) -> None:
         values, common = _apart(values, sums.acting)
         lasting = 1 if transition else 0
         self._weight = empty((len(sums.flat), 1 + lasting))
@@ -186,12 +186,12 @@ class _AtNodes:
         )
         self._k = 1 + len(values)
 
-        def keep_gradients(rows: slice, flat: IntArray, found: FloatArray) -> None:
+        def keep_sums(rows: slice, flat: IntArray, found: FloatArray) -> None:
             found[:, 1:] += found[:, :1] * common
             self._weight[rows, 0], self._weight[rows, -1] = found[:, 0], found[:, -1] if transition else found[:, 0]
             self._means[rows] = found[:, 1 : self._k - lasting] / found[:, :1]
 
-        sums.apply(values, keep_gradients)
+        sums.apply(values, keep_sums)
 
     def error(self, bound: Bound, sums: FastSums, weights: Weights, values: FloatArray) -> float:
         """Largest error of a sum of unit values relative to the total weight, at the nodes with the largest error

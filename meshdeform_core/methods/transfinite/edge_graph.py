@@ -189,9 +189,9 @@ class _Graph:
     """Harmonic extension to the free vertices.
 
     ``row``, ``known``, ``weight`` (m,) list the edges from free vertices to known nodes; ``factor`` is the factorised
-    Laplacian of the free vertices. Vertices on slip planes remain in them: ``removed``
-    lists sets of such vertices with the projector (3, 3) onto the directions that are removed from their motion; the
-    Laplacian then covers all three components.
+    Laplacian of the free vertices. Vertices on slip planes remain in them: ``removed`` lists sets of such vertices with
+    the projector (3, 3) onto the directions that are removed from their motion; the Laplacian then covers all three
+    components.
     """
 
     factor: SuperLU

@@ -56,8 +56,8 @@ COUNTS = BIN_ROW * WIDTH
 # only from overflow or not-a-number.
 _FLAT, _IMPOSSIBLE = 0.01, 1.001
 _TINY, _SPREAD = 1e-33, 1e-6
-# Rounding of a twist relative to the edges; of corners and products relative to the smallest corner: see "Rounding" in
-# :mod:`.inspection`.
+# Rounding of a twist relative to the edges; of corners and products relative to the smallest corner: see "Rounding"
+# above.
 _ROUNDING, _MARGIN = 3e-7, 0.999
 # The power -1/3: a third of the exponent and mantissa bits, then one step of sixth order.
 _GUESS, _SERIES = 1419967116.0, (1 / 3, 2 / 9, 14 / 81, 35 / 243, 91 / 729)

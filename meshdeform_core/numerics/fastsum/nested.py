@@ -2,16 +2,14 @@
 
 Clusters far from each other interact by their skeletons: charges are passed up the tree, from each cluster's children
 to its skeleton, and potentials down again. Neighbouring leaves interact with all their centres. The structure is that
-of the fast multipole method (Greengard & Rokhlin 1987) with skeletons instead of multipoles,
-which works for any function, and for centres on surfaces or unevenly distributed ones.
+of the fast multipole method (Greengard & Rokhlin 1987) with skeletons instead of multipoles, which works for any
+function, and for centres on surfaces or unevenly distributed ones.
 
-Skeletons: a few sources of a cluster that represent all of them for distant targets.
-
-They result from an interpolative decomposition (Cheng, Gimbutas, Martinsson & Rokhlin, SIAM J. Sci. Comput. 26, 2005)
-of the basis values between the cluster's sources and proxy points around it: the charges of the other sources are
-distributed among those of the skeleton. The proxy points lie on several spheres (Huang, Xing & Chow, H2Pack, ACM TOMS
-47, 2020); one is not enough, as the functions are not harmonic. Skeletons of large clusters are chosen among those of
-their children.
+A skeleton is a few sources of a cluster that represent all of them for distant targets. It results from an
+interpolative decomposition (Cheng, Gimbutas, Martinsson & Rokhlin, SIAM J. Sci. Comput. 26, 2005) of the basis values
+between the cluster's sources and proxy points around it: the charges of the other sources are distributed among those
+of the skeleton. The proxy points lie on several spheres (Huang, Xing & Chow, H2Pack, ACM TOMS 47, 2020); one is not
+enough, as the functions are not harmonic. Skeletons of large clusters are chosen among those of their children.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Loops over target trees: sums of clusters at targets.
 
-Clusters of centres act by their skeletons. For a group of targets far from a cluster, the cluster's
-effect is a polynomial on the box of the group, which the group's parts inherit. Clusters that are
-too near for that act on the targets directly.
+Clusters of centres act by their skeletons. For a group of targets far from a cluster, the cluster's effect is a
+polynomial on the box of the group, which the group's parts inherit. Clusters that are too near for that act on the
+targets directly.
 
 The basis of the polynomials consists of products of Chebyshev polynomials T_i(x) T_j(y) T_k(z) of limited total degree;
 only those are used that matter in the Taylor series of a distant source, which are fewer along the short sides of a

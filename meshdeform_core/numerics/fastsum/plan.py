@@ -171,9 +171,7 @@ class Places(NamedTuple):
         of_bricks = np.column_stack([self.brick, self.span[self.item, 0], self.span[self.item + 1]])[inside]
         return of_regions, of_bricks
 
-    def add(
-        self, tree: SourceTree, charges: Charges, lists: Lists, function: Kernel, acting: BoolArray, out: FloatArray
-    ) -> BoolArray:
+    def add(self, charges: Charges, lists: Lists, function: Kernel, acting: BoolArray, out: FloatArray) -> BoolArray:
         """Add weighted sums over the ``acting`` (m,) clusters of a tree at all places to ``out`` (n, 8).
 
         Returns which lists (items,) hold any cluster.
@@ -296,12 +294,10 @@ class Plan:
         places = places_of(first, last, targets)
         for number, charges in enumerate(passes):
             total, filled = np.zeros((len(places.points), CHARGES)), np.zeros(len(places.span), dtype=bool)
-            for tree, charge, kind, each, moving in zip(
-                self._trees, charges, self.key.kinds, lists, self.moving, strict=True
-            ):
-                filled |= places.add(tree, charge, each, kind, moving, total)
+            for charge, kind, each, moving in zip(charges, self.key.kinds, lists, self.moving, strict=True):
+                filled |= places.add(charge, each, kind, moving, total)
                 if weighing and number == 0:
-                    filled |= places.add(tree, charge, each, kind, ~moving, total)
+                    filled |= places.add(charge, each, kind, ~moving, total)
             columns = (0, CHARGES) if any(charge.all for charge in charges) else (1, CHARGES - 1)
             of_regions, of_bricks = places.tasks(filled)
             for boxes, tasks in ((targets.regions, of_regions), (targets.bricks, of_bricks)):

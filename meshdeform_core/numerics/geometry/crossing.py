@@ -203,7 +203,7 @@ def _decided(points: FloatArray, faces: IntArray, pairs: IntArray) -> tuple[Sign
     verdict, places = np.full(len(pairs), _NO, dtype=np.int8), np.zeros((len(pairs), 3))
     for lo in range(0, len(pairs), _TOGETHER):
         some = np.arange(lo, min(lo + _TOGETHER, len(pairs)))
-        # Numbers of the pairs of faces (n, 2, 4, 3) that no plane separates: normal to one of them, or along an edge.
+        # Those pairs are left that no plane separates, normal to one of the faces or along an edge.
         x = points[faces[pairs[some]]]
         left = np.arange(len(x))
         x = np.ascontiguousarray(np.moveaxis(x - x[:, :1, :1], 0, -1))

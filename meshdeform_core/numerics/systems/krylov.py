@@ -46,7 +46,7 @@ class KrylovSolver:
 
     Parameters
     ----------
-    kind : basis number, see :data:`.basis.BASES`
+    kind : basis number, see :data:`..exact.basis.BASES`
     points : (n, 3) centres in units of the support radius
     polynomial : (n, q), full column rank
     product : A times (n, 3), see :class:`.products.Product`

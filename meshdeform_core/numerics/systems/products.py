@@ -159,7 +159,7 @@ def sparse_radial_matrix(kind: int, points: FloatArray, require: Callable[[int],
 
     Parameters
     ----------
-    kind : basis number, see :data:`.basis.BASES`
+    kind : basis number, see :data:`..exact.basis.BASES`
     points : (n, 3) centres in units of the support radius
     """
     if kind == BASES["tps"]:

@@ -41,7 +41,7 @@ class SchwarzPreconditioner:
 
     Parameters
     ----------
-    kind : basis number, see :data:`.basis.BASES`
+    kind : basis number, see :data:`..exact.basis.BASES`
     points : (n, 3) centres in units of the support radius
     polynomial : (n, q) polynomial terms at the centres, full column rank
     product : A times coefficients (n, 3), see :class:`.products.Product`
@@ -61,7 +61,6 @@ class SchwarzPreconditioner:
         # Each box with the points nearest to it, ``size`` in all, its own points last. Distance is measured relative to
         # the local spacing of the box's points; otherwise the coarse end of a box in a graded grid would get no
         # neighbours.
-        boxes = self._own
         size = OVERLAP * widening
         tree = scipy.spatial.cKDTree(points)
         candidates = np.arange(1, min(len(points), size // 3) + 1)
@@ -75,7 +74,7 @@ class SchwarzPreconditioner:
             nearest = once[outside][np.argsort(rank[outside])]
             return np.concatenate([nearest[: size - len(box)], box])
 
-        self._near = [widened(box) for box in boxes]
+        self._near = [widened(box) for box in self._own]
         self._rows = _restricted_inverses(kind, points, self._own, self._near)
         self._coarse = _coarse(points, polynomial)
         self._at_coarse = product.roughly_at(self._coarse)
