@@ -152,7 +152,7 @@ def _keys(definition: dict[str, Any]) -> str:
 def _type(value: dict[str, Any]) -> str:
     if "$ref" in value:
         name = value["$ref"].rsplit("/", 1)[1]
-        return f"[{name}](#{name})"
+        return f"[{name}](#{name.lower()})"
     if "anyOf" in value:
         return " or ".join(_type(each) for each in value["anyOf"])
     if "enum" in value:
