@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import time as clock
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from types import TracebackType
 
 from meshdeform_core import interruption
 from meshdeform_core.boundary.motions.motion import Follow
 from meshdeform_core.deform import Setup, Timing, set_up
-from meshdeform_core.errors import CaseError, FormatError, MeshDeformError
+from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.grid import FileFormat
-from meshdeform_core.memory import WRITING_ARRAYS, peak_memory
+from meshdeform_core.memory import peak_memory
 from meshdeform_core.notices import Notice, first_of_each_kind, kind_of
-from meshdeform_core.parallel import carried, thread_count
 from meshdeform_core.series import Level, Schedule, deform_series
 from meshdeform_core.wording import counted, listed
 from meshdeform_formats.case import CaseFile
@@ -54,7 +50,6 @@ class Run:
     timing: Timing
     warnings: Warnings
     allow_invalid: bool
-    fields: tuple[str, ...] = ()
 
     def shortage(self, first: int) -> str:
         """A message on the space that the levels from number ``first`` on lack on the disk; empty if they fit."""
@@ -83,7 +78,7 @@ def prepare(job: Job, source: GridInput, wanted: SeriesInput, options: RunInput)
         case = replace(case, notes=(*case.notes, "the motion does not depend on t: all levels are alike"))
     setup = set_up(grid, case, timing, job.memory)
     files.dress = lambda level: with_fields(cells_of(setup, level), options.fields)
-    return Run(job, setup, schedule, files, manifest, timing, options.warnings, options.allow_invalid, options.fields)
+    return Run(job, setup, schedule, files, manifest, timing, options.warnings, options.allow_invalid)
 
 
 def name_of(source: Path, wanted: SeriesInput, form: FileFormat | None) -> str:
@@ -188,12 +183,10 @@ def carry_out(run: Run, progress: ProgressBar) -> Report:
         made = tuple(run.manifest.made) if run.files.readable else ()
         precision, finished = run.files.variant.precision, run.files.read
         levels = deform_series(run.setup, run.schedule, precision, progress, first, finished, made)
-        with Recorder(run) as recorder:
-            for level in levels:
-                recorder.finish()
-                run.warnings.tell(_warnings_of(level))
-                recorder.record(level)
-                progress("levels", level.number + 1, count)
+        for level in levels:
+            run.warnings.tell(_warnings_of(level))
+            _record_level(run, level)
+            progress("levels", level.number + 1, count)
         if not run.manifest.complete:
             with run.timing.stage("publish"):
                 run.files.publish(count)
@@ -241,75 +234,12 @@ def _complete(run: Run, peak: int) -> Report:
     return series_report(manifest.head, manifest.levels, schedule, places, seconds, peak)
 
 
-class Recorder:
-    """Writes and records levels; if memory allows, each while the next one is computed.
-
-    The order of events is the same in both cases: a level whose file cannot be written ends the series before anything
-    about the next one is printed or written.
-    """
-
-    def __init__(self, run: Run):
-        self._run = run
-        self._thread = ThreadPoolExecutor(1, "recorder")
-        self._level: Level | None = None
-        self._writing: Future[None] | None = None
-
-    def record(self, level: Level) -> None:
-        """Write a level, or start to write it, after finishing the previous one."""
-        if self._alone(level):
-            _record_level(self._run, level)
-        else:
-            self._level, self._writing = (
-                level,
-                self._thread.submit(carried(_record_level), self._run, level, beside=True),
-            )
-
-    def _alone(self, level: Level) -> bool:
-        """Whether a level must be written before the next one is computed."""
-        run, size = self._run, level.result.grid.points.nbytes
-        # The memory forecast for fields and unstructured formats assumes that nothing is computed meanwhile.
-        plain = run.files.readable and not run.fields
-        last = level.number + 1 == len(run.schedule.times)
-        if run.job.ranks.count > 1 or thread_count() == 1 or last or not plain:
-            return True
-        return WRITING_ARRAYS * size > run.setup.memory.spare
-
-    def finish(self) -> None:
-        """Wait until the last level is written and recorded.
-
-        Raises
-        ------
-        MeshDeformError
-            When it cannot be written.
-        """
-        if self._level is not None and self._writing is not None:
-            if not self._writing.done():
-                with stage("write"):
-                    wait([self._writing])
-            done, self._writing, self._level = self._writing, None, None
-            done.result()
-
-    def __enter__(self) -> Recorder:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._thread.shutdown(wait=True)
-        if error is None or isinstance(error, MeshDeformError):
-            # First the level before the one that failed.
-            self.finish()
-
-
-def _record_level(run: Run, level: Level, beside: bool = False) -> None:
-    """Write a level, then record it as finished, in this order, so that every recorded level exists.
-
-    ``beside`` other work, no progress is shown.
-    """
+def _record_level(run: Run, level: Level) -> None:
+    """Write a level, then record it as finished, in this order, so that every recorded level exists."""
     files, before = run.files, clock.perf_counter()
     if not level.result.valid and not run.allow_invalid:
         files.invalid.add(level.number)
-    with contextlib.nullcontext() if beside else stage("write"):
+    with stage("write"):
         files.write(level.number, level.result.grid, level.velocity, level.faces)
     run.job.ranks.on_first(lambda: _note(run, level, clock.perf_counter() - before))
     if level.number + 1 < len(run.schedule.times):

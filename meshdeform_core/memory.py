@@ -25,8 +25,6 @@ _UNITS = ("B", "KiB", "MiB", "GiB", "TiB")
 VELOCITY_BYTES, SWEPT_BYTES = 48, 96
 """Bytes per node of a series for velocities of nodes and the levels of which they are differences; for what faces
 sweep: in two intervals, their combination, and what is written."""
-WRITING_ARRAYS = 2
-"""Coordinate arrays for writing a level while the next one is computed."""
 PICTURE_BYTES = 280 * 2**20
 """Bytes for drawing the pictures of a report: up to 273 MiB were measured."""
 SMALL = 2**28
@@ -84,17 +82,6 @@ class MemoryLimit:
         """The limit that remains for methods after ``what`` has taken its share."""
         source = f"{self.source}, after {readable(taken)} for {what},"
         return MemoryLimit(max(self.size - taken, 0), source, self.taken + taken)
-
-    @property
-    def spare(self) -> int:
-        """Bytes for data that only save time, once a first grid has been made: a quarter, if still available."""
-        share = self.size // 4
-        return min(share, self.left - share)
-
-    @property
-    def left(self) -> int:
-        """Bytes that the process may still take beyond its peak so far; everything if nothing has been set apart."""
-        return self.size + self.taken - max(self.taken, peak_memory()) if self.taken else self.size
 
 
 UNLIMITED = MemoryLimit(2**62, "the machine has")
