@@ -1,8 +1,8 @@
 """Formulas in case files: arithmetic on coordinates and time, and nothing else.
 
-The text is parsed into Python's syntax tree, which is evaluated by this module. Only the operators, functions and names
-listed here exist; attributes, indexing, strings, comprehensions, lambdas and assignments are refused when the case is
-read, so that a case file remains pure data.
+The text is parsed into Python's syntax tree, from which this module makes the function that evaluates it. Only the
+operators, functions and names listed here exist; attributes, indexing, strings, comprehensions, lambdas and assignments
+are refused when the case is read, so that a case file remains pure data.
 """
 
 from __future__ import annotations
@@ -10,10 +10,10 @@ from __future__ import annotations
 import ast
 import operator
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from functools import cached_property, partial, reduce
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -21,44 +21,41 @@ from ...errors import CaseError, suggestion
 from ...wording import literal
 
 MAX_LENGTH = 1000
-_DEEPEST = 400
-"""Operations within each other, each of which is a call when the formula is evaluated."""
+_DEEPEST = 300
+"""Operations within each other, each of which is two calls when the formula is evaluated."""
 
 
-def _truth(value: Any) -> tuple[Any, Any]:
-    """Where a value is true, and where it is undefined (NaN)."""
-    unknown = np.isnan(value)
-    return np.not_equal(value, 0) & ~unknown, unknown
+def _truth(value: Any) -> Any:
+    """1.0 for true, 0.0 for false, NaN for neither: numbers, since numpy adds two of its truth values to one."""
+    return np.where(np.isnan(value), np.nan, np.not_equal(value, 0))
 
 
-def _with_unknown(true: Any, unknown: Any) -> Any:
-    """1.0 and 0.0 for true and false, NaN for neither: numbers, since numpy adds two of its truth values to one."""
-    return np.where(unknown, np.nan, true)
+def _and(*terms: Any) -> Any:
+    """Three-valued: false if any is false, else NaN if any is."""
+    return reduce(lambda one, two: np.where((one == 0) | (two == 0), 0.0, one * two), map(_truth, terms))
 
 
-def _and(one: Any, two: Any) -> Any:
-    """Three-valued: false if either is false, else NaN if either is."""
-    (a, unknown_a), (b, unknown_b) = _truth(one), _truth(two)
-    return _with_unknown(a & b, (unknown_a & (b | unknown_b)) | (unknown_b & (a | unknown_a)))
+def _or(*terms: Any) -> Any:
+    return _not(_and(*map(_not, terms)))
 
 
-def _not(one: Any) -> Any:
-    true, unknown = _truth(one)
-    return _with_unknown(~true, unknown)
+def _not(term: Any) -> Any:
+    return 1.0 - _truth(term)
 
 
-def _or(one: Any, two: Any) -> Any:
-    return _not(_and(_not(one), _not(two)))
+def _chain(comparisons: Sequence[Callable[[Any, Any], Any]], *terms: Any) -> Any:
+    """``a < b <= c``, for example."""
+    return _and(*(compare(one, two) for compare, one, two in zip(comparisons, terms, terms[1:], strict=False)))
 
 
 def _where(condition: Any, one: Any, two: Any) -> Any:
-    true, unknown = _truth(condition)
-    return np.where(unknown, np.nan, np.where(true, one, two))
+    true = _truth(condition)
+    return np.where(np.isnan(true), np.nan, np.where(true == 1, one, two))
 
 
 def _comparison(compare: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
     """The comparison, NaN where either side is: numpy's is false, as if the condition did not hold."""
-    return lambda one, two: _with_unknown(compare(one, two), np.isnan(one) | np.isnan(two))
+    return lambda one, two: np.where(np.isnan(one) | np.isnan(two), np.nan, compare(one, two))
 
 
 _BINARY: dict[type[ast.AST], Callable[[Any, Any], Any]] = {
@@ -79,6 +76,7 @@ _COMPARE: dict[type[ast.AST], Callable[[Any, Any], Any]] = {
     ast.NotEq: _comparison(operator.ne),
 }
 _UNARY: dict[type[ast.AST], Callable[[Any], Any]] = {ast.USub: operator.neg, ast.UAdd: operator.pos, ast.Not: _not}
+_BOOLEAN: dict[type[ast.AST], Callable[..., Any]] = {ast.And: _and, ast.Or: _or}
 _FUNCTIONS: dict[str, tuple[int, Callable[..., Any]]] = {
     "where": (3, _where),
     "min": (2, np.minimum),
@@ -97,6 +95,7 @@ _FUNCTIONS: dict[str, tuple[int, Callable[..., Any]]] = {
     },
 }  # fmt: skip
 _CONSTANTS = {"pi": np.pi}
+_Formula = Callable[[Mapping[str, Any]], Any]
 
 
 @dataclass(frozen=True)
@@ -118,7 +117,8 @@ class Expression:
     variables: frozenset[str]
 
     def __post_init__(self) -> None:
-        _check(self._tree, self)
+        # Checked when the case is read.
+        self._evaluate  # noqa: B018
 
     @cached_property
     def _tree(self) -> ast.expr:
@@ -128,6 +128,10 @@ class Expression:
             return ast.parse(self.text.strip(), mode="eval").body
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
             raise CaseError(f"expression {self.text!r} is not a formula: {getattr(error, 'msg', error)}") from None
+
+    @cached_property
+    def _evaluate(self) -> _Formula:
+        return _evaluation(self._tree, self)
 
     @cached_property
     def names(self) -> frozenset[str]:
@@ -143,7 +147,7 @@ class Expression:
     def __call__(self, values: Mapping[str, Any]) -> Any:
         """Value of the formula; arrays in ``values`` broadcast. May contain NaN or inf, which the caller reports."""
         with np.errstate(all="ignore"):
-            return _value(self._tree, values)
+            return self._evaluate(values)
 
 
 def expression(source: str | float | int, variables: Iterable[str]) -> Expression:
@@ -165,75 +169,49 @@ def _is_condition(node: ast.AST) -> bool:
     return False
 
 
-def _check(node: ast.AST, owner: Expression, depth: int = 0) -> None:
+def _evaluation(node: ast.AST, owner: Expression, depth: int = 0) -> _Formula:
+    """The function that evaluates a part of a formula; refused is whatever is not listed here."""
     if depth > _DEEPEST:
         raise CaseError(f"expression {owner.text[:40]!r}... is nested too deeply")
-    parts = list[ast.expr]()
+    function: Callable[..., Any]
     match node:
-        case ast.Constant(value=bool()):
-            _refuse(node, owner)
-        case ast.Constant(value=int() | float() as number):
+        case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
             if abs(number) > sys.float_info.max:
                 raise CaseError(f"expression {owner.text[:40]!r}... holds a number beyond the range of float64")
+            # Float arithmetic only: with integers 9**9**9 would never finish.
+            constant = np.float64(number)
+            return lambda values: constant
         case ast.Name(id=name):
             known = [*owner.variables, *_CONSTANTS]
             if name not in known:
                 hint = suggestion(name, [*known, *_FUNCTIONS]) or f"; known are {', '.join(sorted(known))}"
                 raise CaseError(f"expression {owner.text!r} uses the unknown name {name!r}{hint}")
+            return lambda values: values[name] if name in values else _CONSTANTS[name]
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
-            parts = [left, right]
+            function, parts = _BINARY[type(op)], [left, right]
         case ast.UnaryOp(op=op, operand=operand) if type(op) in _UNARY:
-            parts = [operand]
-        case ast.BoolOp(values=values):
-            parts = values
+            function, parts = _UNARY[type(op)], [operand]
+        case ast.BoolOp(op=op, values=parts):
+            function = _BOOLEAN[type(op)]
         case ast.Compare(left=left, ops=ops, comparators=others) if all(type(op) in _COMPARE for op in ops):
-            parts = [left, *others]
+            function, parts = partial(_chain, [_COMPARE[type(op)] for op in ops]), [left, *others]
         case ast.Call(func=ast.Name(id=name), args=args, keywords=[]):
             if name not in _FUNCTIONS:
                 hint = suggestion(name, _FUNCTIONS) or f"; known are {', '.join(sorted(_FUNCTIONS))}"
                 raise CaseError(f"expression {owner.text!r} calls the unknown function {name!r}{hint}")
-            expected = _FUNCTIONS[name][0]
+            (expected, function), parts = _FUNCTIONS[name], args
             if len(args) != expected:
                 raise CaseError(f"expression {owner.text!r}: {name} takes {expected} arguments, found {len(args)}")
-            parts = args
         case _:
             _refuse(node, owner)
-    for part in parts:
-        _check(part, owner, depth + 1)
+    terms = [_evaluation(part, owner, depth + 1) for part in parts]
+    return lambda values: function(*(term(values) for term in terms))
 
 
-def _refuse(node: ast.AST, owner: Expression) -> None:
+def _refuse(node: ast.AST, owner: Expression) -> NoReturn:
     piece = ast.get_source_segment(owner.text.strip(), node) if isinstance(node, ast.expr) else None
     hint = "; powers are written **" if isinstance(node, ast.BinOp) and isinstance(node.op, ast.BitXor) else ""
     raise CaseError(
         f"expression {owner.text!r}: {piece or type(node).__name__!r} is not allowed; "
         f"only arithmetic, comparison, and/or/not, the elementary functions and pi are{hint}"
     )
-
-
-def _value(node: ast.AST, values: Mapping[str, Any]) -> Any:
-    match node:
-        case ast.Constant(value=int() | float() as value):
-            # Float arithmetic only: with integers 9**9**9 would never finish.
-            return np.float64(value)
-        case ast.Name(id=name):
-            return values[name] if name in values else _CONSTANTS[name]
-        case ast.BinOp(left=left, op=op, right=right):
-            return _BINARY[type(op)](_value(left, values), _value(right, values))
-        case ast.UnaryOp(op=op, operand=operand):
-            return _UNARY[type(op)](_value(operand, values))
-        case ast.BoolOp(op=op, values=parts):
-            combine = _and if isinstance(op, ast.And) else _or
-            result = _value(parts[0], values)
-            for part in parts[1:]:
-                result = combine(result, _value(part, values))
-            return result
-        case ast.Compare(left=left, ops=ops, comparators=others):
-            terms = [_value(term, values) for term in (left, *others)]
-            result = _COMPARE[type(ops[0])](terms[0], terms[1])
-            for compare, one, two in zip(ops[1:], terms[1:], terms[2:], strict=False):
-                result = _and(result, _COMPARE[type(compare)](one, two))
-            return result
-        case ast.Call(func=ast.Name(id=name), args=args):
-            return _FUNCTIONS[name][1](*(_value(arg, values) for arg in args))
-    raise AssertionError(f"unchecked node {node!r}")
