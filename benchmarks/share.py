@@ -27,7 +27,6 @@ from tables import MarkdownTable
 from meshdeform_core import setup
 from meshdeform_core.deform import deform
 from meshdeform_core.grid import Grid
-from meshdeform_core.grid.lattice import NearNodes
 from meshdeform_core.memory import peak_memory
 from meshdeform_core.parallel import Nodes, Ranks, sharing
 from meshdeform_formats.case import case_of
@@ -140,7 +139,7 @@ def share(nodes: int, count: int, number: int, method: str, blocks: int) -> Mark
             )
         points = Box(grid.points, m, n)
         grid = grid.moved(points)
-        points.keep(NearNodes.of(grid.shapes, grid.offsets))
+        grid.keep_near()
         with topology_known(grid) as of_all_faces:
             start = time.process_time()
             result = deform(grid, case, steps=1)

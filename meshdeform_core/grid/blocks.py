@@ -21,7 +21,7 @@ from ..errors import GridError
 from ..numerics.arrays import FloatArray, IntArray, total
 from ..numerics.pieces import bounds_of, pieces
 from ..parallel import Nodes, Ranks, current_ranks, for_items
-from .lattice import NearNodes, SideLattice
+from .lattice import SideLattice, near_sides
 from .parts import BlockSizes, Connection, Field, FileFormat, OwnPlanes, Patch, Planes, Shape, Window
 
 
@@ -212,7 +212,8 @@ class Grid(BlockSizes):
 
     def keep_near(self) -> None:
         """Keep a copy of the nodes near block faces on every rank, if the grid is in parts."""
-        self.nodes.keep(NearNodes.of(self.shapes, self.offsets))
+        if self.nodes.divided:
+            self.nodes.keep(near_sides(self.shapes, self.offsets))
 
     def divided(self, ranks: Ranks) -> Grid:
         """The grid in parts, which several ranks that hold the whole of it take; otherwise the grid itself."""

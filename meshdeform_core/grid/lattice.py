@@ -7,14 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..numerics.arrays import BoolArray, FloatArray, IntArray, Shapes, spans
-from ..parallel import empty
+from ..numerics.arrays import BoolArray, IntArray, Shapes, spans
 from .parts import strides_of
 
 _LAYERS = 2
-_TOGETHER = 100_000
-"""Rows whose places are computed at a time, which bounds the memory."""
-
 _AXES = np.repeat(np.arange(3), 2)
 _TANGENTIAL = np.array([[1, 2], [1, 2], [0, 2], [0, 2], [0, 1], [0, 1]])
 
@@ -82,69 +78,16 @@ class SideLattice:
         return side, u, v, self.at(side, u, v)
 
 
-@dataclass(frozen=True, repr=False)
-class NearNodes:
-    """The nodes of all block sides that have quads, and their neighbours inside, in the order of their flat indices.
+def near_sides(shapes: Shapes, offsets: IntArray) -> IntArray:
+    """Flat indices (n,), ascending, of the nodes of all block sides that have quads, and of their neighbours inside.
 
-    Their places in this order follow from the block shapes, so that no table of them is kept.
-
-    Attributes
-    ----------
-    shapes : (n_blocks, 3) of the blocks
-    offsets : (n_blocks + 1,) flat index of the first node of each
-    inside : (n_blocks, 3, 2) first and one past the last index, along each direction, of the nodes that are not near
-    start : (n_blocks + 1,) number of near nodes of the blocks before
+    The first nodes of the blocks have the flat indices ``offsets``.
     """
-
-    shapes: IntArray
-    offsets: IntArray
-    inside: IntArray
-    start: IntArray
-
-    @classmethod
-    def of(cls, shapes: Shapes, offsets: IntArray) -> NearNodes:
-        """Near nodes of blocks of these shapes whose first nodes have the flat indices ``offsets`` (n_blocks + 1,)."""
-        size = np.array(shapes, dtype=np.int64)
+    found = []
+    for shape, offset in zip(np.asarray(shapes).tolist(), np.asarray(offsets).tolist(), strict=False):
         # Across the plane of a 2-D block there are no sides.
-        low, high = np.where(size > 1, _LAYERS, 0), np.where(size > 1, size - _LAYERS, size)
-        thin = (high <= low).any(axis=1)
-        low[thin] = high[thin] = 0
-        near = size.prod(axis=1) - (high - low).prod(axis=1)
-        return cls(size, offsets, np.stack([low, high], axis=2), np.append(0, np.cumsum(near)))
-
-    @property
-    def rows(self) -> IntArray:
-        """Flat indices (n,) of the near nodes, ascending."""
-        found, at = empty([int(self.start[-1])], np.int64), 0
-        for (ni, nj, nk), offset, ((i0, i1), (j0, j1), (k0, k1)) in zip(
-            self.shapes.tolist(), self.offsets.tolist(), self.inside.tolist(), strict=False
-        ):
-            every, across = np.arange(nj * nk), np.ones((nj, nk), dtype=bool)
-            across[j0:j1, k0:k1] = False
-            for first, last, near in ((0, i0, every), (i0, i1, np.flatnonzero(across)), (i1, ni, every)):
-                part = offset + nj * nk * np.arange(first, last)[:, None] + near
-                found[at : at + part.size] = part.ravel()
-                at += part.size
-        return np.asarray(found)
-
-    def taken(self, values: FloatArray, rows: IntArray) -> FloatArray | None:
-        """The ``values`` (m, 3), one row per near node, of flat indices (n,); ``None`` if any is not near."""
-        found = empty((len(rows), 3))
-        for lo in range(0, len(rows), _TOGETHER):
-            place = self._places(np.asarray(rows[lo : lo + _TOGETHER], dtype=np.int64))
-            if (place < 0).any():
-                return None
-            found[lo : lo + _TOGETHER] = values[place]
-        return np.asarray(found)
-
-    def _places(self, rows: IntArray) -> IntArray:
-        """Position (n,) of each flat index among the near nodes, -1 if it is not near."""
-        block = np.searchsorted(self.offsets, rows, side="right") - 1
-        local, (_, nj, nk) = rows - self.offsets[block], self.shapes[block].T
-        low, high = self.inside[block].transpose(2, 1, 0)
-        at = np.stack([local // (nj * nk), local // nk % nj, local % nk])
-        within, before, width = (at >= low) & (at < high), np.clip(at, low, high) - low, high - low
-        # The nodes inside that come before: of whole planes, of lines in the same plane, and in the same line.
-        inside = before[0] * width[1] * width[2]
-        inside += within[0] * (before[1] * width[2] + within[1] * before[2])
-        return np.where(within.all(axis=0), -1, self.start[block] + local - inside)
+        steps = [np.arange(n) for n in shape]
+        i, j, k = (np.minimum(step, step[::-1]) < _LAYERS * (len(step) > 1) for step in steps)
+        whole, rim = np.arange(len(j) * len(k)), np.flatnonzero(j[:, None] | k)
+        found += [offset + plane * len(whole) + (whole if near else rim) for plane, near in enumerate(i)]
+    return np.concatenate(found)

@@ -12,7 +12,7 @@ import mmap
 import threading
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from .loops import current_ranks, empty, for_chunks
 from .ranks import Ranks
@@ -33,19 +33,6 @@ _STRETCH, _STRETCHES, _FAR_APART = 21, 96, 1 << 16
 
 class WholeGridNeeded(Exception):
     """The request requires the whole grid on every rank; raised on all ranks alike, with the reason."""
-
-
-class Chosen(Protocol):
-    """Some rows of an array."""
-
-    @property
-    def rows(self) -> np.ndarray:
-        """Numbers (n,) of the rows, ascending."""
-        ...
-
-    def taken(self, values: np.ndarray, rows: np.ndarray) -> np.ndarray | None:
-        """The ``values`` (m, 3), one for each of these rows, of row numbers (n,); ``None`` if any is another row."""
-        ...
 
 
 class Nodes:
@@ -72,7 +59,7 @@ class Nodes:
         self.ranks, self.bounds, self.rows, self._file = ranks, np.asarray(bounds), rows, file
         self.low, self.high = self.bounds[ranks.number : ranks.number + 2].tolist()
         self._held = self.low, self.high
-        self._known: tuple[Chosen, np.ndarray] | None = None
+        self._kept: tuple[np.ndarray, Any] | None = None
         self._thread = threading.get_ident()
 
     @classmethod
@@ -146,8 +133,23 @@ class Nodes:
         if numbers.dtype.kind not in "iu":
             raise TypeError(f"rows of an array in parts by {numbers.dtype}; expected numbers of rows")
         flat = numbers.ravel()
-        found = self._known and self._known[0].taken(self._known[1], flat)
+        found = self._copied(flat)
         return (self._sent(flat) if found is None else found).reshape(numbers.shape + self.shape[1:])
+
+    def _copied(self, rows: np.ndarray) -> Any:
+        """Rows by number from the copies that every rank keeps; ``None`` if some are not kept."""
+        import numpy as np
+
+        if self._kept is None:
+            return None
+        (kept, values), found = self._kept, empty((len(rows), *self.shape[1:]), self.dtype)
+        for lo in range(0, len(rows), _FAR_APART):
+            some = rows[lo : lo + _FAR_APART]
+            place = np.minimum(np.searchsorted(kept, some), len(kept) - 1)
+            if (kept[place] != some).any():
+                return None
+            found[lo : lo + _FAR_APART] = values[place]
+        return found
 
     def at(self, numbers: Any) -> Any:
         """Rows by number, in any order, from the ranks that hold them."""
@@ -157,16 +159,16 @@ class Nodes:
         """Refuse numpy operations on the whole array, which is nowhere in memory."""
         raise WholeGridNeeded("an operation on all nodes")
 
-    def keep(self, chosen: Chosen) -> None:
-        """Keep a copy of some rows on every rank, so that they need not be sent again."""
+    def keep(self, rows: np.ndarray) -> None:
+        """Keep a copy of the ascending ``rows`` (n,) on every rank, so that they need not be sent again."""
         if self.divided:
-            self._known = chosen, self._sent(chosen.rows)
+            self._kept = rows, self._sent(rows)
 
     def keep_like(self, other: Any) -> None:
         """Keep the same rows as another array, unless some are kept."""
-        known = Nodes.of(other)._known
-        if known and not self._known:
-            self.keep(known[0])
+        kept = Nodes.of(other)._kept
+        if kept and not self._kept:
+            self.keep(kept[0])
 
     def _sent(self, rows: np.ndarray) -> Any:
         """The rows, sent by their owners."""

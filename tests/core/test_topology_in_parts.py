@@ -14,14 +14,10 @@ from hypothesis import strategies as st
 from random_grids import block_grids
 
 from meshdeform_core.grid import Grid
-from meshdeform_core.grid.lattice import NearNodes
 from meshdeform_core.grid.selection import BY_PREFIX, with_components
 from meshdeform_core.grid.topology import find_topology
 
 LINE = np.linspace(0.0, 1.0, 5)
-# Compiled loops are loaded once, before ranks are forked.
-_NEAR = NearNodes.of([(2, 2, 2)], np.array([0, 8]))
-assert _NEAR.taken(np.zeros((8, 3)), _NEAR.rows) is not None
 
 
 @pytest.fixture(autouse=True)
@@ -37,7 +33,7 @@ def in_parts(grid):
     part = Grid.allocate(grid.shapes, grid.names, components=grid.components)
     points = part.points
     points.own[...] = grid.points[points.low : points.high]
-    points.keep(NearNodes.of(part.shapes, part.offsets))
+    part.keep_near()
     return part
 
 
