@@ -4,6 +4,7 @@ centres, and differentiated."""
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 import scipy
@@ -22,7 +23,6 @@ from ..kinks import CHOSEN, Kinks
 from ..limits import warn_of_coarse_tolerance, warn_of_radius
 from .mirror import mirror_images
 from .radial_system import Centres, Coefficients, RadialSystem, accurate
-from .rbf import RBF
 from .summation import fast_pays, largest_error, sum_accurately
 
 # Nodes per chunk of exact sums, and in derivatives.
@@ -33,9 +33,9 @@ residual; large enough that the correction cannot fold cells."""
 
 
 class PreparedRBF:
-    """RBF bound to the sources of one undeformed grid."""
+    """RBF bound to the sources of one undeformed grid; ``options`` are those of :class:`.rbf.RBF`."""
 
-    def __init__(self, options: RBF, problem: Problem):
+    def __init__(self, options: Any, problem: Problem):
         self.options, self.kind = options, BASES[options.basis]
         self.account = Account()
         self.problem = problem

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from ...numerics.systems.products import ExactProduct, nested_bytes, product_of
 from ...numerics.systems.saddle import DirectSolver
 from ...parallel import Ranks
 from ..base import Account, Progress, Setting, of_stage
-from .rbf import DIRECT_CENTRES, RBF
+from .tuned import DIRECT_CENTRES
 
 _TOLERANCE = 1e-6
 ROUND_OFF = 1e-13
@@ -89,8 +90,8 @@ class Coefficients:
     reach: float = 0.0
 
 
-def accurate(options: RBF) -> RBF:
-    """Options for derivatives: a direct solution, or an iterative one to round-off."""
+def accurate(options: Any) -> Any:
+    """The options, those of :class:`.rbf.RBF`, for derivatives: a direct solution, or an iterative one to round-off."""
     return dataclasses.replace(options, solver="auto", tolerance=ROUND_OFF)
 
 
@@ -100,7 +101,7 @@ class RadialSystem:
     Of several ``ranks`` the first solves it, on all cores of its machine, and the others get the solution.
     """
 
-    def __init__(self, options: RBF, centres: Centres, limit: MemoryLimit = UNLIMITED, ranks: Ranks | None = None):
+    def __init__(self, options: Any, centres: Centres, limit: MemoryLimit = UNLIMITED, ranks: Ranks | None = None):
         self._ranks = ranks or Ranks()
         self.options, self.centres = options, centres
         self.kind = BASES[options.basis]
