@@ -205,20 +205,20 @@ class Account:
         self.notices |= other.notices
 
 
-@dataclass(frozen=True)
-class Linearised:
-    """Derivative of the displacement of all block nodes with respect to that of the sources.
-
-    Attributes
-    ----------
-    push : the change (n_nodes, 3) for a change (n_sources, 3) of the sources
-    pull : the gradient (n_sources, 3) from that (n_nodes, 3) of all block nodes, which is overwritten
-    kinks : why it is not the derivative of the displacement field, see :mod:`.kinks`
+class Linearised(Protocol):
+    """Derivative of the displacement (n_nodes, 3) of all block nodes with respect to that (n_sources, 3) of the
+    sources; ``kinks``: why it is not that of the displacement field, see :mod:`.kinks`.
     """
 
-    push: Callable[..., Any]
-    pull: Callable[..., FloatArray]
-    kinks: Kinks = field(default_factory=Kinks)
+    kinks: Kinks
+
+    def push(self, change: FloatArray) -> FloatArray:
+        """Change (n_nodes, 3) for a ``change`` (n_sources, 3) of the sources."""
+        ...
+
+    def pull(self, gradient: FloatArray) -> FloatArray:
+        """Gradient (n_sources, 3) from that (n_nodes, 3) of all block nodes, which is overwritten."""
+        ...
 
 
 class PreparedMethod(Protocol):
@@ -246,12 +246,13 @@ class PreparedMethod(Protocol):
 
 
 class Mover(Protocol):
-    """The first step of a method, bound to the nodes that it moves; ``account`` and ``warnings_for`` as
-    :class:`PreparedMethod`."""
+    """The first step of a method, bound to the nodes that it moves."""
 
     account: Account
 
-    def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]: ...
+    def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
+        """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
+        ...
 
     def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> FloatArray:
         """Compute the displacement of the mover's nodes from that of the sources (n_sources, 3).
@@ -261,8 +262,8 @@ class Mover(Protocol):
         """
         ...
 
-    def linearised(self, displacement: FloatArray) -> Linearised:
-        """The derivative at a displacement (n_sources, 3).
+    def linearised(self, displacement: FloatArray) -> Any:
+        """The derivative at a displacement (n_sources, 3), with ``kinks`` as :class:`Linearised`.
 
         ``push(change, out)`` is as :meth:`move` for a ``change`` of the displacement; ``pull(face, gradient)`` returns
         the gradient (n_sources, 3) from those of the nodes on block faces (n_unique, 3) and, rows of ``gradient``
@@ -272,12 +273,9 @@ class Mover(Protocol):
 
 
 class PreparedInterpolation(Protocol):
-    """A scattered-data method (IDW, RBF) bound to its sources; ``account`` and ``warnings_for`` as
-    :class:`PreparedMethod`."""
+    """A scattered-data method (IDW, RBF) bound to its sources."""
 
     account: Account
-
-    def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]: ...
 
     def at(self, flat: IntArray) -> Any:
         """Bind to the target nodes ``flat`` of the grid.
@@ -287,15 +285,19 @@ class PreparedInterpolation(Protocol):
         """
         ...
 
+    def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
+        """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
+        ...
+
     def fit(self, displacement: FloatArray, progress: Progress | None = None) -> Any:
         """Fit the displacement (n_sources, 3) of the sources; returns the coefficients for the evaluation."""
         ...
 
-    def linearised(self, evaluator: Any, displacement: FloatArray) -> Linearised:
+    def linearised(self, evaluator: Any, displacement: FloatArray) -> Any:
         """The derivative of the displacement of an evaluator's nodes at a displacement (n_sources, 3).
 
-        ``push(change, out)`` writes the change of the nodes into their rows of ``out`` (n_nodes, 3), and
-        ``pull(gradient)`` returns the gradient (n_sources, 3) from these rows.
+        It has ``kinks`` as :class:`Linearised`; ``push(change, out)`` writes the change of the nodes into their rows of
+        ``out`` (n_nodes, 3), and ``pull(gradient)`` returns the gradient (n_sources, 3) from these rows.
         """
         ...
 

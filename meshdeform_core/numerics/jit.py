@@ -40,6 +40,7 @@ from numba.core.caching import (  # noqa: E402
     UserProvidedCacheLocator,
     UserWideCacheLocator,
 )
+from numba.core.runtime import rtsys  # noqa: E402
 
 # numba tries the typing rules of an operation in the order in which they were imported. Without this import, the rules
 # for characters, lists and dictionaries would precede those for arrays, which costs a tenth of the compile time.
@@ -157,7 +158,8 @@ class _Cache(FunctionCache):
         return found
 
     def _load(self, sig: Any, target_context: Any) -> Any:
-        target_context.refresh()
+        # What numba's refresh() also does, importing how to compile each of its functions, takes longer than all loads.
+        rtsys.initialize(target_context)
         key = self._index_key(sig, target_context.codegen())
         for file in self._places():
             try:
@@ -189,7 +191,6 @@ class _Cache(FunctionCache):
 
     def holds(self, sig: Any, target_context: Any) -> bool:
         """Whether the loop is in the cache."""
-        target_context.refresh()
         key = self._index_key(sig, target_context.codegen())
         try:
             return any(file.load(key) is not None for file in self._places())

@@ -102,6 +102,7 @@ def inspect_slab(original: Original, after: FloatArray, slab: Slab, both: bool) 
         rows.inspect_hexahedra(
             before, x, after is not grid.points, both, float(original.topology.handedness[slab.block]),
             _scale(before, slab), slab.first, slab.last, out.reshape(6, *shape), is_open.reshape(shape), totals,
+            rows.Scratch.new(),
         )  # fmt: skip
     figures = SlabMeasures(*[*out, *totals, np.zeros(count, np.int8)])
     left = np.flatnonzero(is_open)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.topology import find_topology
-from meshdeform_core.numerics.cell.inspection import inspect_hexahedra
+from meshdeform_core.numerics.cell.inspection import Scratch, inspect_hexahedra
 from meshdeform_core.numerics.cell.measures import measure_cells
 from meshdeform_core.parallel import Ranks
 from meshdeform_core.quality import Original, assess
@@ -79,7 +79,9 @@ def smallest_coefficient(x, sign, parts=12):
 def inspect(before, x, sign=1.0, both=True, scale=1.0):
     shape = tuple(n - 1 for n in x.shape[:3])
     out, is_open = np.empty((6, *shape), np.float32), np.empty(shape, dtype=bool)
-    inspect_hexahedra(before, x, before is not x, both, sign, scale, 0, shape[0], out, is_open, np.zeros((2, TOTALS)))
+    inspect_hexahedra(
+        before, x, before is not x, both, sign, scale, 0, shape[0], out, is_open, np.zeros((2, TOTALS)), Scratch.new()
+    )
     return out.reshape(6, -1), is_open.ravel()
 
 

@@ -11,6 +11,7 @@ from ...grid import BoolArray, FloatArray, IntArray
 from ...numerics.fastsum.weighted import FastSums
 from ...numerics.tape import Tape, Tracked, plain
 from ...parallel import Nodes, agreed, empty
+from ..kinks import Kinks
 from .fast_idw_sums import FastEvaluator, fast_sums
 from .idw_sums import Bound, ExactSums, SourceValues, Weights
 from .summation import DERIVATIVE_TOLERANCE, MAX_RETRIES, doubtful
@@ -39,10 +40,10 @@ class LinearIDW:
 
     def __init__(
         self, evaluator: Bound | FastEvaluator, variable: Tracked, fit: SourceValues, acting: BoolArray,
-        alpha: Tracked | None, slope: float,
+        alpha: Tracked | None, slope: float, kinks: Kinks,
     ) -> None:  # fmt: skip
         self._bound = evaluator if isinstance(evaluator, Bound) else evaluator.bound
-        self._variable, self._slope = variable, slope
+        self._variable, self._slope, self.kinks = variable, slope, kinks
         frame, rest = fit.frame, fit.transition.rest
         # What every node depends on beside its own sums.
         common: dict[str, Any] = {"shift": frame.shift, "turn": frame.turn, "rest": rest}

@@ -25,7 +25,7 @@ from ...numerics.transfinite.arcs import (
     box_numbers,
     inner_numbers,
 )
-from ...numerics.transfinite.blend import blend_slabs, blend_transposed
+from ...numerics.transfinite.blend import blend_slabs
 from ...numerics.transfinite.faces import blend_faces, face_coordinates
 from ...parallel import for_chunks
 
@@ -131,6 +131,8 @@ class Group:
         if self.faces:
             self.faces.pull(gradient)
         else:
+            from ...numerics.transfinite.transposed import blend_transposed
+
             blend_transposed(gradient, self.arc, self.subs)
 
     @property

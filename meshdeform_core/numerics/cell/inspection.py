@@ -27,12 +27,13 @@ decided in double precision. The measures that are only reported (f_skew, ratios
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from llvmlite import ir
+from numpy.typing import NDArray
 
-from ..jit import inlined, kernel
+from ..jit import inlined, kernel, record
 from ..lanes import WIDTH, Array, Lanes, Mask, components, lanes
 
 # Numbers in a row: the nodes of a window of a plane, flat along j and k, and room for vectors that extend beyond. The
@@ -232,10 +233,36 @@ def collect(
     bins.count(start, clear.choose((skew * BINS).min(BINS - 1.0), BINS), BIN_ROW)
 
 
+@record("f8[::1], f4[::1], f4[::1], f4[::1], f4[::1], f8[::1], i4[::1]")
+class Scratch(NamedTuple):
+    """Room for a window of a block; every array is plain, as numba counts references to views with atomic operations.
+
+    Made by Python: each kind of array that a loop makes takes as long to compile as a short loop.
+    """
+
+    points: NDArray[np.float64]
+    edges: NDArray[np.float32]
+    figures: NDArray[np.float32]
+    results: NDArray[np.float32]
+    inside: NDArray[np.float32]
+    total: NDArray[np.float64]
+    bins: NDArray[np.int32]
+
+    @classmethod
+    def new(cls) -> Scratch:
+        """Fresh arrays, for one call of :func:`inspect_hexahedra`."""
+        edges, figures, results, inside = (
+            np.ones(count, np.float32) for count in (2 * GRID, 2 * CELLS, (RESULTS + 1) * N, N)
+        )
+        total, bins = np.zeros(4 * WIDTH), np.zeros(2 * COUNTS, np.int32)
+        return cls(np.zeros(4 * POINTS), edges, figures, results, inside, total, bins)
+
+
 @kernel(
-    "f8[:, :, :, ::1], f8[:, :, :, ::1], b1, b1, f8, f8, i8, i8, f4[:, :, :, ::1], b1[:, :, ::1], f8[:, ::1]",
+    "f8[:, :, :, ::1], f8[:, :, :, ::1], b1, b1, f8, f8, i8, i8, f4[:, :, :, ::1], b1[:, :, ::1], f8[:, ::1], Scratch",
+    Scratch,
 )
-def inspect_hexahedra(before, x, compare, both, sign, scale, i0, i1, out, is_open, totals):
+def inspect_hexahedra(before, x, compare, both, sign, scale, i0, i1, out, is_open, totals, scratch):
     """Measures of the cells i0 <= i < i1 of a block.
 
     Parameters
@@ -251,11 +278,9 @@ def inspect_hexahedra(before, x, compare, both, sign, scale, i0, i1, out, is_ope
     is_open : (i1 - i0, cj, ck) bool, out: cells neither proved sound nor measured, left to the double-precision pass
     totals : (2, n), added to, of the cells that are not open, after and before: sums of 1 / f_skew and of f_skew; in
         the last 20 columns a histogram of f_skew, equal bins of [0, 1]
+    scratch : overwritten
     """
-    # One-dimensional arrays without views: numba counts references to views with atomic operations.
-    points, e = np.zeros(4 * POINTS), np.ones(2 * GRID, np.float32)
-    t, r = np.empty(2 * CELLS, np.float32), np.empty((RESULTS + 1) * N, np.float32)
-    inside, total, bins = np.empty(N, np.float32), np.zeros(4 * WIDTH), np.zeros(2 * COUNTS, np.int32)
+    points, e, t, r, inside, total, bins = scratch
     single, signed = np.float32(scale), np.float32(sign * scale)
     cj, ck = x.shape[1] - 1, x.shape[2] - 1
     left = 1 if compare else 0

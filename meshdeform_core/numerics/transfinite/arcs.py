@@ -105,7 +105,7 @@ def arc_coordinates(points, subs, parts, arc):
     parts : rows of :func:`arc_parts`
     arc : filled with the coordinates, see :func:`arc_numbers`
     """
-    work = np.zeros(2 * WIDTH)
+    work = np.empty(2 * WIDTH)
     for part in range(parts.shape[0]):
         n = parts[part, 0]
         si, sj = subs[n, 2] * subs[n, 3], subs[n, 3]
