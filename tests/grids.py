@@ -74,22 +74,19 @@ def polar(n_around: int = 24, n_radial: int = 8, n_span: int = 4) -> Grid:
     return Grid.from_blocks([x[:, :, ::-1].copy()])
 
 
+def turn_block(x: np.ndarray, axes: tuple[int, ...], flips: tuple[bool, ...]) -> np.ndarray:
+    """A block (ni, nj, nk, 3) with permuted, then flipped indices."""
+    return np.ascontiguousarray(np.flip(np.transpose(x, (*axes, 3)), [a for a in range(3) if flips[a]]))
+
+
+def turn_back(x: np.ndarray, axes: tuple[int, ...], flips: tuple[bool, ...]) -> np.ndarray:
+    """Undo :func:`turn_block`."""
+    return np.transpose(np.flip(x, [a for a in range(3) if flips[a]]), (*np.argsort(axes), 3))
+
+
 def permuted(grid: Grid, axes: tuple[int, int, int], flips: tuple[bool, bool, bool]) -> Grid:
     """Every block with its index axes permuted and flipped."""
-    blocks = []
-    for b in range(grid.n_blocks):
-        x = np.transpose(grid.block(b), (*axes, 3))
-        for axis, flip in enumerate(flips):
-            x = np.flip(x, axis) if flip else x
-        blocks.append(np.ascontiguousarray(x))
-    return Grid.from_blocks(blocks, grid.names)
-
-
-def back(values: np.ndarray, axes: tuple[int, int, int], flips: tuple[bool, bool, bool]) -> np.ndarray:
-    """Undo :func:`permuted` on one block array (ni, nj, nk, 3)."""
-    for axis, flip in enumerate(flips):
-        values = np.flip(values, axis) if flip else values
-    return np.transpose(values, (*np.argsort(axes), 3))
+    return Grid.from_blocks([turn_block(grid.block(b), axes, flips) for b in range(grid.n_blocks)], grid.names)
 
 
 def whole_face(shape: Shape, block: int, side: Side) -> Window:

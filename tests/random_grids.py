@@ -6,6 +6,7 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
+from grids import turn_back, turn_block
 from hypothesis import strategies as st
 
 from meshdeform_core.grid import Grid
@@ -45,17 +46,6 @@ class BlockGrid:
         for block, (part, turn) in enumerate(zip(self.order, self.turns, strict=True)):
             parts[part] = turn_back(grid.block(block, values), *turn).reshape(-1, 3)
         return np.concatenate(parts)
-
-
-def turn_block(x: np.ndarray, axes: tuple[int, ...], flips: tuple[bool, ...]) -> np.ndarray:
-    """A block (ni, nj, nk, 3) with permuted, then flipped indices."""
-    turned = np.flip(np.transpose(x, (*axes, 3)), [a for a in range(3) if flips[a]])
-    return np.ascontiguousarray(turned)
-
-
-def turn_back(x: np.ndarray, axes: tuple[int, ...], flips: tuple[bool, ...]) -> np.ndarray:
-    """Undo :func:`turn_block`."""
-    return np.transpose(np.flip(x, [a for a in range(3) if flips[a]]), (*np.argsort(axes), 3))
 
 
 def bend(x: np.ndarray, strength: float) -> np.ndarray:

@@ -77,26 +77,6 @@ def test_the_workshops_cylinder_keeps_its_affine_map_and_a_uniform_flow(study, m
     assert max(map(float, told["density, orders 1 / 2 / 3"].split(" / "))) < 1e-12
 
 
-@pytest.mark.slow
-def test_flows_are_counted_and_put_on_the_page(study, tmp_path):
-    page, record = tmp_path / "page.md", tmp_path / "flows.json"
-    page.write_text("before\n<!-- random_flows.py begin -->\nold\n<!-- random_flows.py end -->\nafter\n")
-    table = study("random_flows", "--count", 1, "--grid", "square", "--write", page, "--json", record)
-    assert rows(table)[0] == ["grid", "flows", "defaults", "defaults: 0.8 of the flow"]
-    assert rows(table)[2][:3] == ["square", "1", "1"]
-    assert rows(table)[2][3] in ("0", "1")
-    assert page.read_text().splitlines()[2:-2] == table.splitlines()
-    assert '"valid": true' in record.read_text()
-
-
-def test_a_page_without_marks_is_refused(study, tmp_path):
-    page = tmp_path / "page.md"
-    page.write_text("no marks\n")
-    with pytest.raises(SystemExit, match=r"has no lines <!-- which_method.py begin -->"):
-        study("which_method", "--only", "square", "--method", "tfi", "--write", page)
-    assert page.read_text() == "no marks\n"
-
-
 def test_a_table_is_put_on_its_page_row_by_row(study, tmp_path):
     """A run cut off, or of some motions only, leaves the other rows as they were."""
     page = tmp_path / "page.md"

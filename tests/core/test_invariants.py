@@ -6,7 +6,7 @@ import functools
 import numpy as np
 import pytest
 from cases import ALL_METHODS, INNER, apply, body_specs, every, problem_of, turning
-from grids import back, frame, frame_2d, permuted, polar
+from grids import frame, frame_2d, permuted, polar, turn_back
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.expression import expression
@@ -193,7 +193,7 @@ def test_index_order_does_not_matter(name, axes, flips):
     one, two = reordered((0, 1, 2), (False, False, False)), reordered(axes, flips)
     moved, other = (apply(ALL_METHODS[name], problem, bend) for problem in (one, two))
     for b in range(one.grid.n_blocks):
-        assert np.abs(back(two.grid.block(b, other), axes, flips) - one.grid.block(b, moved)).max() < 1e-10
+        assert np.abs(turn_back(two.grid.block(b, other), axes, flips) - one.grid.block(b, moved)).max() < 1e-10
 
 
 @EVERY

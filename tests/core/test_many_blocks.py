@@ -10,9 +10,9 @@ import grids
 import numpy as np
 import pytest
 from cases import problem_of
+from grids import turn_block
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from random_grids import turn_block
 
 from meshdeform_core.grid import Grid, IntArray, Side
 from meshdeform_core.grid.coincident import block_handedness

@@ -6,8 +6,6 @@ import re
 from collections.abc import Callable
 from random import Random
 
-NUMBERS = tuple(b"0 -1 1e400 nan inf 1e-320 99999999999 0x1p3 1.5.2 3*0.0 1e200".split()) + (b"",)
-
 
 def _flip(data: bytes, rng: Random) -> bytes:
     at = rng.randrange(len(data))
@@ -39,21 +37,24 @@ def _blank(data: bytes, rng: Random) -> bytes:
     return data[:first] + bytes([rng.choice((0, 255, 32, 10))]) * count + data[first + count :]
 
 
-def _number(data: bytes, rng: Random) -> bytes:
-    found = list(re.finditer(rb"[-+.\d][-+.\deE]*", data))
-    if not found:
-        return _flip(data, rng)
-    match = rng.choice(found)
-    return data[: match.start()] + rng.choice(NUMBERS) + data[match.end() :]
+def _replaced(pattern: bytes, *values: bytes) -> Callable[[bytes, Random], bytes]:
+    """A mutation that puts one of ``values`` in place of something that has the pattern."""
+
+    def mutation(data: bytes, rng: Random) -> bytes:
+        found = list(re.finditer(pattern, data))
+        if not found:
+            return _flip(data, rng)
+        match = rng.choice(found)
+        return data[: match.start()] + rng.choice(values) + data[match.end() :]
+
+    return mutation
 
 
-def _digit(data: bytes, rng: Random) -> bytes:
-    """One digit or sign is another: the likeliest change to go unnoticed."""
-    found = list(re.finditer(rb"[-+\d]", data))
-    if not found:
-        return _flip(data, rng)
-    at = rng.choice(found).start()
-    return data[:at] + rng.choice((b"0", b"1", b"5", b"9", b"-", b"+", b" ")) + data[at + 1 :]
+_number = _replaced(
+    rb"[-+.\d][-+.\deE]*", *b"0 -1 1e400 nan inf 1e-320 99999999999 0x1p3 1.5.2 3*0.0 1e200".split(), b""
+)
+# The likeliest change to go unnoticed.
+_digit = _replaced(rb"[-+\d]", b"0", b"1", b"5", b"9", b"-", b"+", b" ")
 
 
 def _lines(data: bytes, rng: Random) -> bytes:
@@ -84,32 +85,22 @@ def _again(data: bytes, rng: Random) -> bytes:
 
 def _editor(data: bytes, rng: Random) -> bytes:
     """What editors do to a whole file: ends of lines, a byte order mark, another encoding, no last end of line."""
-    kind = rng.randrange(6)
-    if kind == 0:
-        return data.replace(b"\n", b"\r\n")
-    if kind == 1:
-        return data.replace(b"\n", b"\r")
-    if kind == 2:
-        return b"\xef\xbb\xbf" + data
-    if kind == 3:
-        return data.decode("latin-1").encode("utf-16")
-    if kind == 4:
-        return data.rstrip()
-    return data.replace(b" ", rng.choice((b"\t", b"\xc2\xa0", b"\x0b", b"  ")))
+    blank = rng.choice((b"\t", b"\xc2\xa0", b"\x0b", b"  "))
+    return rng.choice((
+        data.replace(b"\n", b"\r\n"), data.replace(b"\n", b"\r"), b"\xef\xbb\xbf" + data,
+        data.decode("latin-1").encode("utf-16"), data.rstrip(), data.replace(b" ", blank),
+    ))  # fmt: skip
 
 
 def _letters(data: bytes, rng: Random) -> bytes:
     """Digits of another script, signs that look alike, a decimal comma, case of letters."""
-    found = list(re.finditer(rb"[-.\da-zA-Z]", data))
-    if not found:
-        return _flip(data, rng)
-    match = rng.choice(found)
-    old = match[0]
+    old = bytes([rng.choice(re.findall(rb"[-.\da-zA-Z]", data) or [b"x"])[0]])
+    new = {b"-": "\u2212".encode(), b".": b","}.get(old, old.swapcase())
     if old.isdigit():
         new = chr(rng.choice((0xFF10, 0x660)) + int(old)).encode()
-    else:
-        new = {b"-": "\u2212".encode(), b".": b","}.get(old, old.swapcase())
-    return data[: match.start()] + new + data[match.end() :]
+    at = rng.randrange(data.count(old) or 1)
+    parts = data.split(old)
+    return old.join(parts[: at + 1]) + new + old.join(parts[at + 1 :])
 
 
 BINARY: tuple[Callable[[bytes, Random], bytes], ...] = (_flip, _truncate, _extend, _repeat, _drop, _blank)

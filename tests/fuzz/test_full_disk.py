@@ -21,7 +21,6 @@ from meshdeform_formats import read_grid, write_grid
 pytest.importorskip("resource")
 PARTS = (0.0, 0.3, 1.0)
 """Of the size of the largest file that the command writes."""
-ONE_BLOCK = (".vts", ".vtk")
 MANY_BLOCKS = (".xyz", ".p3dfmt", ".cgns", ".vtm", ".vtu", ".xdmf", ".msh", ".med", ".su2", ".inp")
 
 
@@ -68,21 +67,17 @@ def fills_up(folder: Path, capfd, *arguments: str, parts: tuple[float, ...] = PA
         assert state(folder) == old, part
 
 
-# From CGNS there are boundaries, which some formats write into the same file.
+# From CGNS there are boundaries, which some formats write into the same file, from VTK fields.
 @pytest.mark.parametrize(
     ("suffix", "source"),
     [
         *((suffix, "grid.xyz") for suffix in MANY_BLOCKS),
         *((suffix, "grid.cgns") for suffix in (".cgns", ".xyz", ".msh")),
+        *((suffix, "one.vts") for suffix in (".vts", ".vtk", ".cgns", ".xyz")),
     ],
 )  # fmt: skip
 def test_converted(suffix, source, folder, capfd):
     fills_up(folder, capfd, "convert", source, f"out{suffix}", "-q")
-
-
-@pytest.mark.parametrize("suffix", [*ONE_BLOCK, ".cgns", ".xyz"])
-def test_converted_with_fields(suffix, folder, capfd):
-    fills_up(folder, capfd, "convert", "one.vts", f"out{suffix}", "-q")
 
 
 @pytest.mark.parametrize("suffix", [".cgns", ".xyz", ".vtm"])
@@ -107,28 +102,6 @@ def test_reports_pictures_and_cases(name, folder, capfd):
     command = {"report": "quality", "picture": "plot", "new": "init"}[Path(name).stem]
     option = "--report" if command == "quality" else "-o"
     fills_up(folder, capfd, command, "grid.xyz", option, name, *["-q"] * (command == "quality"), parts=(0.5,))
-
-
-@pytest.mark.parametrize("suffix", [".cgns", ".vtm"])
-def test_a_series_goes_on_once_there_is_room(suffix, folder, capfd):
-    moving = Path("case.toml").read_text().replace('angle = "turn"', 'angle = "turn * t"')
-    Path("case.toml").write_text(moving)
-    arguments = ("series", "grid.xyz", "-c", "case.toml", "-m", "tfi", "--times", "0:1:0.5", "--suffix", suffix, "-q")
-    assert called(*arguments, "-o", "whole")[0] == 0
-    capfd.readouterr()
-    for size in (100, 20000):
-        with full_after(size):
-            code, told = called(*arguments, "-o", "part", "--resume")
-        assert code in (0, 2), told
-        assert told.count("meshdeform: error: ") == (code == 2), told
-        assert capfd.readouterr() == ("", "")
-        assert not list(Path("part").rglob("*.partial*"))
-    assert called(*arguments, "-o", "part", "--resume")[0] == 0
-    whole, part = ({p.name for p in Path(name).rglob("*") if p.is_file()} for name in ("whole", "part"))
-    assert {name for name in whole if not name.endswith(".vts")} == {n for n in part if not n.endswith(".vts")}
-    for name in whole:
-        if name.endswith(suffix):
-            np.testing.assert_array_equal(read_grid(f"part/{name}").points, read_grid(f"whole/{name}").points)
 
 
 def test_the_process_ends_quietly(folder):
