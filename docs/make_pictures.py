@@ -20,9 +20,8 @@ from PIL import Image
 from meshdeform_cli.main import run
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_formats import read_grid
-from meshdeform_formats.picture.page import STYLE, draw
-from meshdeform_formats.picture.scene import plane_facets
-from meshdeform_formats.picture.subject import Subject
+from meshdeform_formats.picture.page import STYLE
+from meshdeform_samples.reproduce.figures import draw_planes, planes_of
 
 IMAGES = Path(__file__).resolve().parent / "images"
 Panel = tuple[str, str, tuple[str, ...]]
@@ -44,7 +43,7 @@ def picture(name: str, sample: str, size: int, panels: list[Panel], window: tupl
             call("deform", case / "grid.cgns", "-c", case / "case.toml", "-m", method, *options, "-o", output,
                  "--repair", "off", "--allow-invalid", "-q")  # fmt: skip
             grid = read_grid(output)
-            collection = draw(ax, plane_facets(Subject(grid, find_topology(grid)), 2, 0, "f_skew"), limits=(0.0, 1.0))
+            collection = draw_planes(ax, planes_of(grid, find_topology(grid), grid), 0.0)
             ax.set(xlim=window[:2], ylim=window[2:], title=title, ylabel="" if number else "y")
         figure.colorbar(collection, ax=axes, label="f_skew", shrink=0.8, pad=0.02)
         figure.savefig(case / "picture.png", dpi=100)

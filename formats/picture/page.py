@@ -15,13 +15,12 @@ from meshdeform_core.errors import FormatError
 from ..files import replacing
 from .colours import INVALID_COLOUR, NO_VALUE, Choice, Scale, colours_of
 from .raster import FINE, render
-from .scene import Facets, Scene
+from .scene import Scene
 from .subject import METRICS
-from .view import View, Window, spread
+from .view import View, Window
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.cm import ScalarMappable
     from matplotlib.figure import Figure
 
 SUFFIXES = (".png", ".svg", ".pdf")
@@ -209,7 +208,7 @@ def _fill_axes(ax: Axes, panel: Panel, page: Page, fine: int) -> None:
     scene, view = panel.scene, panel.scene.view
     width = max(64, round(ax.get_window_extent().width))
     image = render(scene, colours_of(scene, page.scale), panel.window, width, fine)
-    ax.imshow(image.pixels, extent=panel.window, interpolation="nearest", aspect="equal", zorder=1)
+    ax.imshow(image, extent=panel.window, interpolation="nearest", aspect="equal", zorder=1)
     if not scene.lit and scene.facets.bad.any():
         # Edges of invalid cells of a plane, which would otherwise be too thin to be seen.
         thin = list(view.project(scene.facets.corners[scene.facets.bad])[..., :2])
@@ -224,22 +223,6 @@ def _fill_axes(ax: Axes, panel: Panel, page: Page, fine: int) -> None:
     for frame in panel.frames:
         ax.add_patch(Rectangle((frame.left, frame.bottom), frame.width, frame.height, fill=False, linewidth=1.0,
                                edgecolor="#c03000", zorder=3))  # fmt: skip
-
-
-def draw(
-    axes: Axes, facets: Facets, *, view: View | None = None, window: Window | None = None,
-    limits: tuple[float, float] | None = None, lines: bool = True,
-) -> ScalarMappable:  # fmt: skip
-    """Draw polygons, coloured by f_skew, into axes of a figure assembled by the caller; what a colour bar needs.
-
-    ``limits`` of the colours default to those of the values, ``window`` to all polygons.
-    """
-    scene = Scene(facets, view or spread(facets.corners))
-    window, scale = window or scene.view.window(facets.corners), Choice(limits=limits).scale(facets.values)
-    image = render(scene, scale.colours(facets), window, 1000, 2, lines)
-    axes.imshow(image.pixels, extent=window, interpolation="antialiased", aspect="equal")
-    axes.set(xlabel=scene.view.labels[0], ylabel=scene.view.labels[1])
-    return scale.mappable
 
 
 def _triad(ax: Axes, view: View) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,26 +26,11 @@ _WIDTH, _THINNEST, _THICKEST = 0.06, 0.9, 2.2
 _VANISH, _FULL = 2.5, 9.0
 
 
-@dataclass(frozen=True)
-class Image:
-    """Opaque RGBA pixels (height, width, 4) of 0 to 255, and the polygon (height, width) seen in the middle of each:
-    its number in the scene, -1 for none, beyond the last one for the backdrop and for lines."""
+def render(scene: Scene, colours: FloatArray, window: Window, width: int, fine: int = FINE) -> np.ndarray:
+    """The image of a scene on white, ``width`` pixels wide, as high as the window asks for: opaque RGBA (height, width,
+    4), 0 to 255.
 
-    pixels: np.ndarray
-    item: np.ndarray
-
-
-def render(
-    scene: Scene,
-    colours: FloatArray,
-    window: Window,
-    width: int,
-    fine: int = FINE,
-    lines: bool = True,
-) -> Image:
-    """The image of a scene, ``width`` pixels wide, as high as the window asks for.
-
-    ``colours`` (n, 3) RGB, 0 to 1, of the polygons, on white.
+    ``colours`` (n, 3) RGB, 0 to 1, of the polygons.
     """
     scale = fine * width / window.width
     height = max(1, round(width * window.height / window.width))
@@ -66,7 +50,7 @@ def render(
     shades = np.empty((len(corners), 3), dtype=np.float32)
     shades[: len(light)], shades[len(light) : count], shades[count:] = colours * light[:, None], _PALE, _LINE_COLOUR
     low, high = corners[..., :2].min(axis=1), corners[..., :2].max(axis=1)
-    image = Image(np.full((height, width, 4), 255, np.uint8), np.empty((height, width), np.int32))
+    pixels = np.full((height, width, 4), 255, np.uint8)
     rows = max(1, _BAND // (width * fine**2))
     for start in range(0, height, rows):
         band = slice(start, min(start + rows, height))
@@ -74,23 +58,19 @@ def render(
         touching = (high >= (0, reach[0])) & (low <= (width * fine, reach[1]))
         number = np.flatnonzero(touching.all(axis=1))
         some = np.ascontiguousarray(corners[number] - (0.0, float(reach[0]), 0.0))
-        lined = int(np.searchsorted(number, count)) if lines else 0
-        mean, item = _drawn(some, shades[number], lined, reach[1] - reach[0], fine * width, fine)
-        # The last number stands for pixels without a polygon.
-        image.item[band] = np.append(number, -1)[item]
-        image.pixels[band, :, :3] = np.rint(255 * (mean[..., :3] + 1 - mean[..., 3:]))
-    return image
+        lined = int(np.searchsorted(number, count))
+        mean = _drawn(some, shades[number], lined, (reach[1] - reach[0], fine * width), fine)
+        pixels[band, :, :3] = np.rint(255 * (mean[..., :3] + 1 - mean[..., 3:]))
+    return pixels
 
 
-def _drawn(
-    corners: FloatArray, shades: np.ndarray, lined: int, height: int, width: int, fine: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Mean colours (rows, columns, 4), RGB times opacity and opacity, of a band; the polygon amid each pixel.
+def _drawn(corners: FloatArray, shades: np.ndarray, lined: int, size: tuple[int, int], fine: int) -> np.ndarray:
+    """Mean colours (rows, columns, 4) of a band: RGB times opacity, and opacity.
 
     ``shades`` (n, 3) are the colours of the polygons ``corners`` (n, m, 3), of which the first ``lined`` have edges;
-    ``height`` and ``width`` are enlarged pixels, ``fine`` of them in each direction make one.
+    ``size`` are its rows and columns of enlarged pixels, ``fine`` of them in each direction make one.
     """
-    depth, item = np.full((height, width), -np.inf), np.full((height, width), -1, dtype=np.int32)
+    depth, item = np.full(size, -np.inf), np.full(size, -1, dtype=np.int32)
     draw_polygons(corners, depth, item)
     colour = np.append(np.pad(shades, ((0, 0), (0, 1)), constant_values=1), np.zeros((1, 4), np.float32), axis=0)[item]
     pixels = np.nonzero((item >= 0) & (item < lined))
@@ -98,8 +78,8 @@ def _drawn(
     under = colour[pixels]
     under[:, :3] += dark[:, None] * (_LINE_COLOUR - under[:, :3])
     colour[pixels] = under
-    mean = np.mean([colour[row::fine, column::fine] for row, column in np.ndindex(fine, fine)], axis=0)
-    return mean, item[fine // 2 :: fine, fine // 2 :: fine]
+    mean: np.ndarray = np.mean([colour[row::fine, column::fine] for row, column in np.ndindex(fine, fine)], axis=0)
+    return mean
 
 
 def strokes_of(ends: FloatArray, half: float, bias: float) -> FloatArray:

@@ -15,8 +15,7 @@ from meshdeform_core.parallel import thread_count
 from meshdeform_formats.files import replacing
 
 from .figures import Gallery
-from .report import as_markdown
-from .rows import Tell, reproduce_table
+from .report import Tell, as_markdown, reproduce_table
 from .tables import TABLES
 
 __all__ = ["WHAT", "check", "reproduce"]

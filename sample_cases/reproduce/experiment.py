@@ -7,8 +7,6 @@ import functools
 import time as clock
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -19,10 +17,9 @@ from meshdeform_core.methods import Account, Options, make_method
 from meshdeform_core.methods.gaps import InGaps
 from meshdeform_core.quality import Assessment, assess
 from meshdeform_core.repair import RepairOptions
-from meshdeform_formats.case import read_case
-from meshdeform_formats.displacement import write_displacement
+from meshdeform_formats.case import case_of
 
-from .. import folder, load
+from .. import case_content, load
 from .operations import count_operations, count_pairs
 
 _ENOUGH_SECONDS = 1.0
@@ -47,13 +44,12 @@ class Sample:
 
 @dataclass(frozen=True)
 class Trial:
-    """A row: ``key`` joins it to the paper's values; ``steps`` > 1 marches; ``starts`` are greedy start nodes."""
+    """A row: ``key`` joins it to the paper's values; ``steps`` > 1 marches."""
 
     key: str
     sample: Sample
     method: Options
     steps: int = 1
-    starts: int = 1
 
 
 @dataclass(frozen=True)
@@ -80,13 +76,9 @@ def prepare_sample(sample: Sample) -> Setup:
     """Grid, topology and boundary of a sample; the last two are kept."""
     module = load(sample.name)
     grid = module.generate(sample.size, **dict(sample.options))
-    overrides = [f"constants.{name}={value!r}" for name, value in sample.constants]
-    with TemporaryDirectory() as where:
-        for name, table in (module.tables(sample.size) if hasattr(module, "tables") else {}).items():
-            write_displacement(Path(where) / name, table)
-        case = Path(where) / "case.toml"
-        case.write_text((folder(sample.name) / "case.toml").read_text(encoding="utf-8"), encoding="utf-8")
-        return set_up(grid, read_case(case, overrides).case)
+    content = case_content(sample.name, module.tables(sample.size) if hasattr(module, "tables") else {})
+    content["constants"] = content.get("constants", {}) | dict(sample.constants)
+    return set_up(grid, case_of(content).case)
 
 
 def run(trial: Trial) -> Outcome:
@@ -142,20 +134,6 @@ def _march(setup: Setup, trial: Trial) -> Outcome:
     wall = timing.seconds["prepare"] + timing.seconds["apply"]
     cpu = (clock.process_time() - start_cpu) * wall / sum(timing.seconds.values())
     return Outcome(setup, result.grid.points, result.assessment, result.account, cpu, cpu, wall, None)
-
-
-def greedy_range(trial: Trial) -> list[int]:
-    """Fewest and most points that the greedy reduction keeps, over ``starts`` start nodes spread over the sources."""
-    setup = prepare_sample(trial.sample)
-    problem = setup.problem
-    displacement = setup.displacement(trial.sample.time)[problem.source_numbers]
-    counts = []
-    for start in np.linspace(0, len(displacement), trial.starts, endpoint=False).astype(int).tolist():
-        rbf = dataclasses.replace(trial.method.rbf, greedy_start=start)
-        bound = rbf.bind(problem)
-        bound.fit(displacement)
-        counts.append(int(bound.account.settings["greedy_points"].value))
-    return [min(counts), max(counts)]
 
 
 def quality_without_walls(trial: Trial) -> float:

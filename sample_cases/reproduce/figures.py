@@ -4,22 +4,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from meshdeform_core.deform import Setup
 from meshdeform_core.grid import FloatArray, Grid
+from meshdeform_core.grid.topology import Topology
+from meshdeform_core.quality.fields import CellFields
 from meshdeform_formats.files import replacing
-from meshdeform_formats.picture.page import STYLE, draw
-from meshdeform_formats.picture.scene import Facets, block_facets, joined
-from meshdeform_formats.picture.subject import Subject
-from meshdeform_formats.picture.view import Window, along
+from meshdeform_formats.picture.colours import INVALID_COLOUR, SEQUENTIAL
+from meshdeform_formats.picture.page import STYLE
 
 from .experiment import Outcome, Trial
 
-_SUFFIX = ".png"
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.collections import QuadMesh
+
 _LINES = 30
-_DOTS = 110
 Zoom = tuple[float, float, float, float]
 
 
@@ -121,111 +123,79 @@ class Gallery:
         self._figures, self._folder = FIGURES.get(table, ()), folder
         self._wanted = {panel.key for figure in self._figures for panel in figure.panels}
         self._middle = any(figure.middle for figure in self._figures)
-        self._slices: dict[str, Slice] = {}
+        self._planes: dict[str, list[Plane]] = {}
 
     def keep(self, trial: Trial, outcome: Outcome) -> None:
-        """Remember the plane of a deformed grid, and of the first undeformed one."""
-        setup = outcome.setup
+        """Remember the planes of a deformed grid, and of the first undeformed one."""
+        grid, topology = outcome.setup.grid, outcome.setup.topology
         if trial.key in self._wanted:
-            self._slices[trial.key] = Slice.of(setup, outcome.points, self._middle)
-        if "undeformed" in self._wanted and "undeformed" not in self._slices:
-            self._slices["undeformed"] = Slice.of(setup, setup.grid.points, self._middle)
+            self._planes[trial.key] = planes_of(grid.moved(outcome.points), topology, grid, self._middle)
+        if "undeformed" in self._wanted - self._planes.keys():
+            self._planes["undeformed"] = planes_of(grid, topology, grid, self._middle)
 
     def draw(self) -> list[str]:
         """Write the figures; returns their file names."""
-        return [_draw(figure, self._slices, self._folder) for figure in self._figures]
+        return [_draw(figure, self._planes, self._folder) for figure in self._figures]
 
 
-@dataclass(frozen=True)
-class Slice:
-    """The cells of a plane with their values, the grid lines to draw, and the direction of view."""
-
-    facets: Facets
-    lines: tuple[FloatArray, ...]
-    view: str
-
-    @classmethod
-    def of(cls, setup: Setup, points: FloatArray, middle: bool) -> Slice:
-        """The whole of a deformed 2-D grid; the first k plane of a 3-D grid, or its ``middle`` plane y = 0."""
-        grid = setup.grid.moved(points)
-        planes = _planes(setup.grid, middle)
-        subject = Subject(grid, setup.topology)
-        facets = [block_facets(subject, *plane, "f_skew") for plane in planes]
-        nodes = [np.take(grid.block(block), index, axis).squeeze() for block, axis, index in planes]
-        every = -(-max(max(plane.shape[:2]) for plane in nodes) // _LINES)
-        lines = [line for plane in nodes for line in _lines(plane, every)]
-        return cls(joined(facets), tuple(lines), "y" if middle else "z")
+Plane = tuple[FloatArray, FloatArray]
+"""Nodes (na, nb, 2) of a plane of a block, and f_skew of its cells, NaN where they are invalid."""
 
 
-Plane = tuple[int, int, int]
-"""Block, index axis and node index."""
+def planes_of(grid: Grid, topology: Topology, undeformed: Grid, middle: bool = False) -> list[Plane]:
+    """The whole of a 2-D grid; the first k plane of a 3-D grid, or its ``middle`` plane, y = 0 before it moved."""
+    cells, tiny, planes = CellFields(grid, topology), 1e-12 * float(np.abs(undeformed.points).max()), []
+    for block, shape in enumerate(grid.shapes):
+        found = [(shape.index(1) if grid.dimension == 2 else 2, 0)]
+        if middle:
+            y = np.abs(undeformed.block(block)[..., 1])
+            found = [(axis, int(n)) for axis in (0, 1) for n in np.flatnonzero(y.max(axis=(1 - axis, 2)) < tiny)]
+        for axis, index in found:
+            layer = min(index, grid.cell_shapes[block][axis] - 1)
+            i, j, k = (slice(layer, layer + 1) if a == axis else all_ for a, all_ in enumerate(cells.whole(block)))
+            skew = np.where(cells.bad(block, (i, j, k)), np.nan, cells.values("f_skew", block, (i, j, k)))
+            nodes = np.take(grid.block(block), index, axis)[..., [0, 2 if middle else 1]]
+            planes.append((nodes, skew.squeeze(axis)))
+    return planes
 
 
-def _planes(grid: Grid, middle: bool) -> list[Plane]:
-    if middle:
-        return [plane for block in range(grid.n_blocks) for plane in _flat_in_y(grid, block)]
-    return [(block, shape.index(1) if grid.dimension == 2 else 2, 0) for block, shape in enumerate(grid.shapes)]
+def draw_planes(axes: Axes, planes: list[Plane], low: float, every: int = 1) -> QuadMesh:
+    """Draw cells coloured by f_skew from ``low`` to 1, and every n-th grid line, n = ``every``, with the last ones."""
+    import matplotlib as mpl
+
+    colours = mpl.colormaps[SEQUENTIAL].with_extremes(bad=INVALID_COLOUR)
+    for nodes, skew in planes:
+        cells = axes.pcolormesh(nodes[..., 0], nodes[..., 1], skew, cmap=colours, vmin=low, vmax=1.0)
+        for lines in (nodes, nodes.swapaxes(0, 1)):
+            some = lines[[*range(0, len(lines) - 1, every), -1]]
+            axes.plot(some[..., 0].T, some[..., 1].T, color="black", linewidth=0.18)
+    axes.set_aspect("equal")
+    return cells
 
 
-def _flat_in_y(grid: Grid, block: int) -> list[Plane]:
-    """Node planes of a block in y = 0."""
-    y = np.abs(grid.block(block)[..., 1])
-    tiny = 1e-12 * float(np.abs(grid.points).max())
-    found = []
-    for axis in (0, 1):
-        others = tuple(a for a in range(3) if a != axis)
-        found += [(block, axis, int(index)) for index in np.flatnonzero(y.max(axis=others) < tiny)]
-    return found
+def _draw(figure: Figure, planes: dict[str, list[Plane]], folder: Path) -> str:
+    from matplotlib import pyplot as plt
 
-
-def _lines(plane: FloatArray, every: int) -> list[FloatArray]:
-    """Every n-th grid line in either direction of a plane (na, nb, 3), with n = ``every``, and the last ones.
-
-    Between two crossings a line has one additional node, enough for a smooth curve.
-    """
-    along = max(1, every // 2)
-    lines = []
-    for nodes in (plane, plane.swapaxes(0, 1)):
-        thinned = np.concatenate([nodes[:, :-1:along], nodes[:, -1:]], axis=1)
-        lines += [*thinned[:-1:every], thinned[-1]]
-    return lines
-
-
-def _draw(figure: Figure, slices: dict[str, Slice], folder: Path) -> str:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-    from matplotlib.collections import LineCollection
-
-    panels = [panel for panel in figure.panels if panel.key in slices]
+    plt.switch_backend("Agg")
+    panels = [panel for panel in figure.panels if panel.key in planes]
     rows = -(-len(panels) // figure.columns)
+    size = 3.3 * figure.columns + 0.6, (2.9 * figure.height + 0.55) * rows
     with plt.rc_context(STYLE):
-        whole, axes = plt.subplots(
-            rows,
-            figure.columns,
-            figsize=(3.3 * figure.columns + 0.6, (2.9 * figure.height + 0.55) * rows),
-            layout="constrained",
-            squeeze=False,
-        )
+        whole, axes = plt.subplots(rows, figure.columns, figsize=size, layout="constrained", squeeze=False)
         for place, panel, letter in zip(axes.flat, panels, "abcdefghi", strict=False):
-            part = slices[panel.key]
-            view = along(part.view)
-            lines = [view.project(line)[:, :2] for line in part.lines]
-            window = Window(*panel.zoom) if panel.zoom else None
-            collection = draw(place, part.facets, view=view, window=window, limits=(figure.low, 1.0), lines=False)
-            place.add_collection(LineCollection(lines, colors="black", linewidths=0.18))
+            part = planes[panel.key]
+            every = -(-max(max(skew.shape) + 1 for _, skew in part) // _LINES)
+            cells = draw_planes(place, part, figure.low, every)
             if panel.zoom:
-                place.set_xlim(*panel.zoom[:2])
-                place.set_ylim(*panel.zoom[2:])
-            place.set_xlabel(f"{view.labels[0]} [{figure.unit}]", labelpad=1)
-            place.set_ylabel(f"{view.labels[1]} [{figure.unit}]", labelpad=1)
+                place.set(xlim=panel.zoom[:2], ylim=panel.zoom[2:])
+            place.set_xlabel(f"x [{figure.unit}]", labelpad=1)
+            place.set_ylabel(f"{'z' if figure.middle else 'y'} [{figure.unit}]", labelpad=1)
             place.set_title(f"({letter}) {panel.title}", fontsize=9)
         for place in axes.flat[len(panels) :]:
             place.set_axis_off()
-        bar = whole.colorbar(collection, ax=axes, label="$f_{skew}$ [-]", shrink=0.8, aspect=30, pad=0.015)
+        bar = whole.colorbar(cells, ax=axes, label="$f_{skew}$ [-]", shrink=0.8, aspect=30, pad=0.015)
         bar.outline.set_linewidth(0.5)
-        with replacing(folder / f"{figure.name}{_SUFFIX}") as partial:
-            whole.savefig(partial, format="png", dpi=_DOTS)
+        with replacing(folder / f"{figure.name}.png") as partial:
+            whole.savefig(partial, format="png", dpi=110)
         plt.close(whole)
-    return f"{figure.name}{_SUFFIX}"
+    return f"{figure.name}.png"
