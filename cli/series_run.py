@@ -19,7 +19,7 @@ from meshdeform_core.notices import Notice, first_of_each_kind, kind_of
 from meshdeform_core.series import Level, Schedule, deform_series
 from meshdeform_core.wording import counted, listed
 from meshdeform_formats.case import CaseFile
-from meshdeform_formats.case.sequences import parse_times
+from meshdeform_formats.case.tables import parse_times
 from meshdeform_formats.fields import check_fields, with_fields
 from meshdeform_formats.grids import FORMATS, complete_for_export
 from meshdeform_formats.inputs import digest

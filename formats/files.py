@@ -190,19 +190,18 @@ def read_head(path: Path) -> bytes:
     return head
 
 
-def checked_options(path: Path, options: Mapping[str, Any], known: Mapping[str, Sequence[str]]) -> dict[str, str]:
-    """The options unchanged, each a known key with one of its values.
+def checked_options(where: str, options: Mapping[str, Any], known: Mapping[str, Sequence[Any]]) -> dict[str, Any]:
+    """The options, each a known key with one of its values, which may be given as text.
 
-    Raises FormatError for anything else; the message names the nearest known key or value and all known ones.
+    Raises FormatError for anything else; the message begins with ``where`` and names the nearest known key or value and
+    all known ones.
     """
+    found = {}
     for key, value in options.items():
-        _require_known(path, "option", str(key), list(known))
-        _require_known(path, f"{key} =", str(value), known[key])
-    return {str(key): str(value) for key, value in options.items()}
-
-
-def _require_known(path: Path, what: str, word: str, known: Sequence[str]) -> None:
-    if word in known:
-        return
-    hint = suggestion(word, known)
-    raise FormatError(f"cannot write {path}: unknown {what} {word!r}{hint}; known are: {' '.join(known) or 'none'}")
+        words = {str(choice).lower(): choice for choice in known.get(key, ())}
+        for what, word, names in (("option", str(key), list(known)), (f"{key} =", str(value).lower(), list(words))):
+            if word not in names:
+                hint = suggestion(word, names)
+                raise FormatError(f"{where}: unknown {what} {word!r}{hint}; known are: {' '.join(names) or 'none'}")
+        found[key] = words[str(value).lower()]
+    return found

@@ -60,7 +60,8 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
     suffix = Path(path).suffix.lower()
     known = _OPTIONS.get(suffix, {})
     defaults = {key: values[0] for key, values in known.items()}
-    return FileFormat("meshio", options={"kind": suffix[1:], **defaults, **checked_options(path, options, known)})
+    chosen = defaults | checked_options(f"cannot write {path}", options, known)
+    return FileFormat("meshio", options={"kind": suffix[1:], **chosen})
 
 
 def write(grid: Grid, path: Path, variant: FileFormat) -> None:

@@ -26,8 +26,7 @@ from meshdeform_core.wording import literal
 from ..displacement import read_displacement
 from ..displacement.frd import read_shapes
 from .forms import File, Form, Formula, Three, ThreeNumbers, about, fail, formula_of
-from .sequences import files_over_time, sequence_files
-from .tables import columns, read_airfoil, read_beam, read_history, read_positions
+from .tables import columns, files_over_time, read_airfoil, read_beam, read_history, read_positions, sequence_files
 
 _MOST_CONTROLS = 10_000
 _TURNS = ("rx", "ry", "rz")

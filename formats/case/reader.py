@@ -9,9 +9,9 @@ from __future__ import annotations
 import keyword
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
@@ -21,22 +21,21 @@ from meshdeform_core.boundary.motions.motion import VARIABLES, Follow, Motion
 from meshdeform_core.boundary.tables import AUTOMATIC, Matching
 from meshdeform_core.deform import Case
 from meshdeform_core.errors import CaseError, MethodError, suggestion
-from meshdeform_core.grid.selection import BY_PREFIX, Components
+from meshdeform_core.grid.selection import Components
 from meshdeform_core.grid.topology import RELATIVE_TOLERANCE
 from meshdeform_core.methods import ALIASES, CATALOGUE, PARTS, MethodOptions, Options, declared, entry_of
-from meshdeform_core.repair import MODES, RepairOptions
+from meshdeform_core.repair import RepairOptions
+from meshdeform_core.repair.options import Mode
 from meshdeform_core.wording import literal
 
 from ..displacement import read_displacement
-from .forms import File, Form, Table, about, fail, filled, formula_of, plain, schema_of
+from .forms import File, Form, Table, about, fail, filled, formula_of, load, override, parsed_override, plain, schema_of
 from .motions import KINDS as MOTIONS
 from .motions import MotionStep
-from .sequences import files_over_time, named_files
-from .toml import load, override, parsed_override
+from .tables import files_over_time, named_files
 
-KINDS = {kind.label: kind for kind in reversed(Kind) if kind is not Kind.INTERFACE}
-_COMPONENTS = f'expected "{BY_PREFIX}", or names with block patterns, like {{ wing = ["wing*"], flap = ["flap*"] }}'
 _Names = Annotated[tuple[str, ...], Meta(min_length=1)]
+_KINDS = ", ".join(kind.label for kind in reversed(Kind) if kind is not Kind.INTERFACE)
 
 
 class GridForm(Form):
@@ -54,7 +53,10 @@ class GridForm(Form):
     plates: Annotated[
         tuple[str, ...], about('faces like ["block1.kmax[10:20,*]"] between blocks that are walls on both sides')
     ] = ()
-    components: Annotated[Any, about("Components of an overset grid: patterns of block names.")] = None
+    components: Annotated[
+        Literal["", "zone prefix"] | Annotated[dict[str, str | _Names], Meta(min_length=1)],
+        about('"zone prefix", or names with block patterns, like { wing = ["wing*"], flap = ["flap*"] }'),
+    ] = ""
 
 
 class BoundaryForm(Form):
@@ -64,8 +66,13 @@ class BoundaryForm(Form):
     select: Annotated[
         str | _Names, about('a list of names, like ["wing", "block2.jmin[1:65,*]"]; default: all outside faces')
     ] = ("*",)
-    where: Annotated[Any, about("a condition, like x > 0.5 and y < 1, for all corners of a face", type="string")] = None
-    kind: Annotated[Any, about("kind of its nodes; default: moving if it has a motion", enum=[*KINDS])] = None
+    where: Annotated[
+        str | None, about("a formula that is a condition, like x > 0.5 and y < 1, for all corners of a face")
+    ] = None
+    kind: Annotated[
+        Literal["moving", "fixed", "symmetry", "slip", "periodic", "free"] | None,
+        about(f"one of {_KINDS}; default: moving if it has a motion"),
+    ] = None
     motion: Annotated[
         MotionStep | tuple[MotionStep, ...], about("a list of tables, like [{ translate = [0, 0.1, 0] }]")
     ] = ()
@@ -74,13 +81,42 @@ class BoundaryForm(Form):
 class RepairForm(Form):
     """Treatment of cells that become invalid."""
 
-    mode: Annotated[str, about("auto: repair them; off: never; polish: improve others, too", enum=list(MODES))] = "auto"
+    mode: Annotated[Mode, about("auto: repair them; off: never; polish: improve others, too")] = "auto"
     min_jacobian: Annotated[
         float, about("a finite number: cells with a corner below this share of its original are invalid")
     ] = RepairOptions.min_jacobian
     time_limit: Annotated[
         float, about("a finite number: no further repair or attempt begins after so many seconds")
     ] = RepairOptions.time_limit
+
+
+def _form_of_options(kind: type[MethodOptions]) -> type[msgspec.Struct]:
+    """The form of a table of options, whose values the options check themselves."""
+    entries = []
+    for name, option in declared(kind).items():
+        values: list[Table] = [{"enum": list(option.choices)}] if option.choices else []
+        if option.number is not None:
+            number: Table = {"type": "integer" if option.number is int else "number"}
+            number["exclusiveMinimum" if option.open_low else "minimum"] = option.low
+            if option.high < float("inf"):
+                number["maximum"] = option.high
+            values.append(number)
+        entries.append((name, Annotated[Any, about(option.meaning, anyOf=values)], option.default))
+    return msgspec.defstruct(f"{kind.__name__}Form", entries, bases=(Form,), namespace={"__doc__": "Its options."})
+
+
+_NAME = Annotated[str, about("a name, see `meshdeform methods`", enum=[*CATALOGUE, *ALIASES])]
+_PARTS = ((part, _form_of_options(kind)) for part, kind in PARTS.items())
+MethodForm = msgspec.defstruct(
+    "MethodForm",
+    [("name", _NAME, Options().name)]
+    + [
+        (part, Annotated[own, about(f"a table [method.{part}]")], msgspec.field(default_factory=own))
+        for part, own in _PARTS
+    ],
+    bases=(Form,),
+    namespace={"__doc__": "The method and its options."},
+)
 
 
 class CaseForm(Form):
@@ -91,7 +127,9 @@ class CaseForm(Form):
         dict[str, Any], about("a table [constants] of names for numbers", additionalProperties={"type": "number"})
     ] = msgspec.field(default_factory=dict)
     boundary: Annotated[tuple[BoundaryForm, ...], about("[[boundary]] entries (double brackets)")] = ()
-    method: Annotated[dict[str, Any], about("a table [method]")] = msgspec.field(default_factory=dict)
+    method: Annotated[MethodForm, about("a table [method]")] = msgspec.field(  # type: ignore[valid-type]
+        default_factory=MethodForm
+    )
     repair: Annotated[RepairForm, about("a table [repair]")] = msgspec.field(default_factory=RepairForm)
 
 
@@ -192,12 +230,17 @@ def _parse(data: Table, folder: Path, overrides: Sequence[str] = ()) -> CaseFile
     names = [spec.name for spec in specs]
     if len(set(names)) < len(names):
         raise fail("boundary", f"names must differ, found {names}")
-    options = _method_options(form.method)
+    method: Any = form.method
+    parts = {part: kind(**msgspec.structs.asdict(getattr(method, part))) for part, kind in PARTS.items()}
+    options = Options.relevant(method.name, **parts)
     try:
-        repair = RepairOptions(form.repair.mode, form.repair.min_jacobian, form.repair.time_limit)  # type: ignore[arg-type]
+        repair = RepairOptions(**msgspec.structs.asdict(form.repair))
     except CaseError as error:
         raise fail("repair", str(error)) from None
     grid = form.grid
+    components: Components = grid.components
+    if not isinstance(components, str):
+        components = {name: (each,) if isinstance(each, str) else each for name, each in components.items()}
     case = Case(
         specs,
         constants,
@@ -207,7 +250,7 @@ def _parse(data: Table, folder: Path, overrides: Sequence[str] = ()) -> CaseFile
         grid.open,
         repair,
         grid.plates,
-        _components(grid.components),
+        components,
     )
     boundary_file = None if grid.boundary_file is None else folder / grid.boundary_file
     return CaseFile(case, boundary_file, tuple(named_files(data, folder)), data)
@@ -224,30 +267,13 @@ def _constants(table: Table) -> dict[str, float]:
     return {name: float(value) for name, value in table.items()}
 
 
-def _components(value: Any) -> Components:
-    """Block patterns of the components."""
-    if value in (None, "", BY_PREFIX):
-        return value or ""
-    if not isinstance(value, dict) or not value:
-        raise fail("grid.components", f"found {literal(value)}; {_COMPONENTS}")
-    found = {name: [entry] if isinstance(entry, str) else entry for name, entry in value.items()}
-    for name, patterns in found.items():
-        if not isinstance(patterns, list) or not patterns or not all(isinstance(each, str) for each in patterns):
-            raise fail(f"grid.components.{name}", f"found {literal(value[name])}; {_COMPONENTS}")
-    return {name: tuple(patterns) for name, patterns in found.items()}
-
-
 def _boundary_spec(entry: BoundaryForm, number: int, constants: Mapping[str, float], folder: Path) -> BoundarySpec:
     name = f"boundary {number}" if entry.name is None else entry.name
     where = f"boundary {literal(name)}"
     steps = [entry.motion] if isinstance(entry.motion, MotionStep) else entry.motion
-    known = f"expected one of {', '.join(KINDS)}"
     if entry.kind is None and not steps:
-        raise fail(where, f"has no kind; {known}")
-    label = "moving" if entry.kind is None else entry.kind
-    if not isinstance(label, str) or label not in KINDS:
-        raise fail(where, f"kind = {literal(label)}; {known}{suggestion(label, KINDS)}")
-    kind = KINDS[label]
+        raise fail(where, f"has no kind; expected one of {_KINDS}")
+    kind = Kind[(entry.kind or "moving").upper()]
     if (kind is Kind.MOVING) != bool(steps):
         missing = "moves but has no motion" if kind is Kind.MOVING else f"is {kind.label} but has a motion"
         raise fail(where, f'{missing}; expected motion = [...] for kind = "moving", and only for this kind')
@@ -262,33 +288,6 @@ def _boundary_spec(entry: BoundaryForm, number: int, constants: Mapping[str, flo
     motion = Motion(built, dict(constants)) if built else None
     select = (entry.select,) if isinstance(entry.select, str) else entry.select
     return BoundarySpec(name, select, kind, condition, motion)
-
-
-def _method_options(table: Table) -> Options:
-    for key in table:
-        if owners := [part for part, kind in PARTS.items() if key in declared(kind)]:
-            names = " or ".join(f"'method.{part}.{key}'" for part in owners)
-            raise fail("[method]", f"unknown key {key!r}; did you mean {names}?")
-    check_keys(table, [each.name for each in fields(Options)], "[method]")
-    name = table.get("name", Options().name)
-    if not isinstance(name, str):
-        raise fail("method.name", f"expected a name, found {literal(name)}")
-    parts = {}
-    for part, kind in PARTS.items():
-        own = table.get(part, {})
-        if not isinstance(own, dict):
-            raise fail(f"method.{part}", f"expected a table [method.{part}], found {literal(own)}")
-        check_keys(own, [each.name for each in fields(kind)], f"[method.{part}]")
-        parts[part] = kind(**own)
-    return Options.relevant(name, **parts)
-
-
-def check_keys(table: Table, known: Sequence[str], where: str) -> None:
-    """Refuse an unknown key, with the nearest known one."""
-    for key in table:
-        if key not in known:
-            hint = suggestion(key, known) or f"; known are {', '.join(known)}"
-            raise fail(where, f"unknown key {key!r}{hint}")
 
 
 def _unread(data: Table, specs: Sequence[BoundarySpec], options: Options, overrides: Iterable[str]) -> tuple[str, ...]:
@@ -337,39 +336,9 @@ def case_schema() -> Table:
     schema = schema_of(CaseForm)
     definitions = schema["$defs"]
     definitions["MotionStep"]["oneOf"] = [{"required": [name]} for name in MOTIONS]
-    patterns = {"type": "array", "items": {"type": "string"}, "minItems": 1}
-    own = {"anyOf": [{"type": "string"}, patterns]}
-    definitions["GridForm"]["properties"]["components"]["anyOf"] = [
-        {"const": BY_PREFIX},
-        {"type": "object", "additionalProperties": own, "minProperties": 1},
-    ]
-    parts = {name: _table_schema(f"Options of {kind.__name__}.", _options_schema(kind)) for name, kind in PARTS.items()}
-    names = {"enum": [*CATALOGUE, *ALIASES], "default": Options().name, "description": "See `meshdeform methods`."}
-    method = _table_schema("The method and its options.", {"name": names, **parts})
-    definitions["CaseForm"]["properties"]["method"] = method
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$id": "urn:meshdeform:case:1",
         "$ref": schema["$ref"],
         "$defs": definitions,
     }
-
-
-def _table_schema(description: str, properties: Table) -> Table:
-    return {
-        "type": "object", "description": description, "properties": properties, "additionalProperties": False,
-    }  # fmt: skip
-
-
-def _options_schema(kind: type) -> Table:
-    found = {}
-    for name, option in declared(kind).items():
-        value: Table = {"enum": list(option.choices)}
-        if option.number is not None:
-            number: Table = {"type": "integer" if option.number is int else "number"}
-            number["exclusiveMinimum" if option.open_low else "minimum"] = option.low
-            if option.high < float("inf"):
-                number["maximum"] = option.high
-            value = {"anyOf": [number, value]} if option.choices else number
-        found[name] = {**value, "default": option.default, "description": option.meaning}
-    return found

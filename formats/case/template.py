@@ -185,7 +185,9 @@ def _motion(grid: Grid, outside: Outside, entry: _Entry) -> Iterator[str]:
     normal, and bending that begins at the plane.
     """
     low, high = entry.box
-    normal, place = _out_of_plane(grid, outside), None
+    # The normal of a plane grid or of the end planes of an extruded one.
+    ends = [face for face, role in zip(outside.faces, outside.roles, strict=True) if role is Role.END and face.plane]
+    normal, place = (ends[0].plane.normal if ends and ends[0].plane else thin_direction(grid)), None
     if normal is None:
         normal, place = _symmetry(outside, entry.box)
     axis = 2 if normal is None else int(np.argmax(np.abs(normal)))
@@ -224,12 +226,6 @@ def _symmetry(outside: Outside, box: FloatArray) -> tuple[FloatArray | None, flo
     if np.abs(box[:, axis] - place).min() > FLATNESS * size:
         return None, None
     return planes[0].normal, place if abs(place) > FLATNESS * size else 0.0
-
-
-def _out_of_plane(grid: Grid, outside: Outside) -> FloatArray | None:
-    """The normal of a plane grid or of the end planes of an extruded one."""
-    ends = [face for face, role in zip(outside.faces, outside.roles, strict=True) if role is Role.END and face.plane]
-    return ends[0].plane.normal if ends and ends[0].plane else thin_direction(grid)
 
 
 def _entry_lines(grid: Grid, outside: Outside, entry: _Entry, table: FittedTable | None) -> Iterator[str]:

@@ -12,10 +12,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from meshdeform_core.errors import FormatError, suggestion
+from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FileFormat, Grid, Planes, Shape
 from meshdeform_core.parallel import require_undivided
 
+from ..files import checked_options
 from ..planes import ranges_of, read_planes
 from .adf import is_adf
 from .boundary import family_conditions, zone_patches
@@ -23,7 +24,6 @@ from .connectivity import overset_only, zone_connections
 from .file import Notes, naming, opened_cgns
 from .zone import Zone, base_and_zones
 
-_PRECISIONS = ("float32", "float64")
 _MIXED = "mixed"
 
 
@@ -84,17 +84,11 @@ def solutions(path: Path) -> list[str]:
 
 def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
     """How ``grid`` will be written to ``path``: HDF5, in the precision of ``options`` or else of the grid's file."""
-    for key in options:
-        if key != "precision":
-            hint = suggestion(key, ["precision"])
-            raise FormatError(f"CGNS has no option {key!r}; the only one is precision=float32|float64{hint}")
+    chosen = checked_options(f"cannot write {path}", options, {"precision": ("float32", "float64")})
     if path.suffix.lower() == ".adf":
         raise FormatError(f"cannot write {path}: ADF can only be read; use the suffix .cgns, which is written as HDF5")
-    precision = options.get("precision", grid.precision)
-    if precision not in _PRECISIONS:
-        raise FormatError(f"the precision of CGNS coordinates is float32 or float64, not {precision!r}")
-    mixed = "precision" not in options and grid.format is not None and _is_mixed(grid.format)
-    return FileFormat("cgns", precision, _options("HDF5", mixed))
+    mixed = not chosen and grid.format is not None and _is_mixed(grid.format)
+    return FileFormat("cgns", chosen.get("precision", grid.precision), _options("HDF5", mixed))
 
 
 def write(grid: Grid, path: Path, variant: FileFormat) -> None:
@@ -103,8 +97,7 @@ def write(grid: Grid, path: Path, variant: FileFormat) -> None:
     Raises FormatError when the grid's original file is missing or has changed, or the new one cannot be written.
     """
     # Imported here because reading ADF needs no HDF5.
-    from .write_copy import write_copy
-    from .write_new import write_new
+    from .output import write_copy, write_new
 
     if grid.path is not None and grid.format is not None and grid.format.name == "cgns":
         write_copy(grid, path, None if _is_mixed(variant) else variant.precision)

@@ -23,8 +23,7 @@ from .block_mesh import block_mesh
 from .block_mesh_dict import read_block_mesh_dict
 from .case import POLY_MESH, case_folder, dictionary_of, is_case, mesh_files, replaced_mesh
 from .dictionary import read_dictionary, written_entry
-from .existing import with_points_of
-from .lists import read_points, write_points
+from .foam_files import read_points, with_points_of, write_points
 from .poly_mesh import PolyMesh, extruded, poly_mesh
 
 _OPTIONS = {"encoding": ("binary", "ascii")}
@@ -79,7 +78,7 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
     """
     rest = {key: value for key, value in options.items() if key != "thickness"}
     known = {**_OPTIONS, **({"thickness": ("a length",)} if grid.dimension == 2 else {})}
-    chosen = {key: values[0] for key, values in _OPTIONS.items()} | checked_options(path, rest, known)
+    chosen = {key: values[0] for key, values in _OPTIONS.items()} | checked_options(f"cannot write {path}", rest, known)
     if grid.dimension == 2:
         given = options.get("thickness", 1.0)
         try:

@@ -28,7 +28,7 @@ from meshdeform_core.grid.windows import end_planes
 
 from ..markers import Marker, find_markers, point_numbers
 from ..text import distinct
-from .lists import write_boundary, write_faces, write_labels
+from .foam_files import write_boundary, write_faces, write_labels
 
 _LARGEST_LABEL = 2**31 - 1
 # Characters that a word of a dictionary may not have.

@@ -27,8 +27,7 @@ from meshdeform_core.grid import FloatArray, Grid
 from .. import text
 from ..planes import merge, split
 from .binary import allocate, iblank_of
-from .detect import LONGEST_HEADER, Reading, UnknownFile, Writing, choose, header_variants, stream_readings
-from .variant import Variant
+from .variant import LONGEST_HEADER, Reading, UnknownFile, Variant, choose, header_variants, stream_readings
 
 # Bytes of text read at a time.
 _PIECE = 1 << 23
@@ -222,11 +221,14 @@ def read_ascii(path: Path, options: Mapping[str, Any]) -> Grid:
     """Read a Plot3D text of any variant that ``options`` allow."""
     with path.open("rb") as stream:
         numbers = read_numbers(stream, path)
-        with_integer = ends_with_integer(stream)
 
-    def integers_in_text() -> int:
+    def shown(readings: list[Reading]) -> list[Reading]:
+        """The readings that the notation of the numbers proves: none if real numbers are written as integers."""
         with path.open("rb") as stream:
-            return count_integers(stream)
+            if not ends_with_integer(stream):
+                return [reading for reading in readings if not reading.variant.iblank]
+            count = count_integers(stream)
+        return [r for r in readings if r.variant.iblank and r.segments[0][0] + sum(map(math.prod, r.shapes)) == count]
 
     def load(reading: Reading) -> Grid:
         return _assemble(reading, path, numbers)
@@ -235,8 +237,7 @@ def read_ascii(path: Path, options: Mapping[str, Any]) -> Grid:
     integers = np.where((head == np.rint(head)) & (np.abs(head) < 2**31), head, 0).astype(np.int64)
     variants = header_variants(encoding="ascii", precision=options.get("precision", "float64"))
     readings = stream_readings(variants, integers, numbers.size)
-    writing = Writing(with_integer, integers_in_text)
-    return choose(readings, UnknownFile(path, numbers.size, "numbers", options, load, writing))
+    return choose(readings, UnknownFile(path, numbers.size, "numbers", options, load, shown))
 
 
 def write_ascii(grid: Grid, stream: BinaryIO, variant: Variant) -> None:

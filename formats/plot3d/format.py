@@ -17,9 +17,9 @@ from meshdeform_core.grid import FileFormat, Grid, Shape
 from meshdeform_core.grid.planes import block_extents
 from meshdeform_core.numerics.arrays import extent
 
-from ..files import replacing_by_all
+from ..files import checked_options, replacing_by_all
 from .binary import binary_layout, iblank_of, read_binary, write_binary
-from .variant import Variant, parse_options
+from .variant import CHOICES, Variant
 
 _TEXT_SUFFIXES = (".fmt", ".p2dfmt", ".p3dfmt")
 _BINARY_SUFFIXES = (".p2dbin", ".p3dbin", ".bin")
@@ -43,7 +43,7 @@ def read(path: Path, **options: Any) -> Grid:
     choose), or when a text contains something other than numbers.
     """
     path = Path(path)
-    wanted = parse_options(options)
+    wanted = checked_options("Plot3D", options, CHOICES)
     with path.open("rb") as stream:
         # Every binary header has small integers with zero bytes, which no text has.
         if b"\0" in stream.read(1024):
@@ -59,7 +59,7 @@ def layout(path: Path, **options: Any) -> tuple[tuple[Shape, ...], FileFormat] |
     with path.open("rb") as stream:
         if b"\0" not in stream.read(1024):
             return None
-    found = binary_layout(path, parse_options(options))
+    found = binary_layout(path, checked_options("Plot3D", options, CHOICES))
     return None if found is None else (found.shapes, found.variant.file_format())
 
 
@@ -72,7 +72,7 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
 
     Raises FormatError for unknown options and values, and for options that cannot hold the grid.
     """
-    chosen = _usual_variant(grid, Path(path)).changed(parse_options(options))
+    chosen = _usual_variant(grid, Path(path)).changed(checked_options("Plot3D", options, CHOICES))
     _require_writable(grid, Path(path), chosen)
     return chosen.file_format()
 

@@ -68,7 +68,7 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
         raise FormatError(f"cannot write {path}: it holds one block, the grid has {grid.n_blocks}; write a .vtm")
     if kind == "vtm":
         require_replaceable(path)
-    known, chosen = _OPTIONS[kind], checked_options(path, options, _OPTIONS[kind])
+    known, chosen = _OPTIONS[kind], checked_options(f"cannot write {path}", options, _OPTIONS[kind])
     inherited = grid.format.options if grid.format is not None and grid.format.options.get("kind") == kind else {}
     switches = {key: word if (word := inherited.get(key)) in words else words[0] for key, words in known.items()}
     switches |= {"precision": grid.precision, **chosen}

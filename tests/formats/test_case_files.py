@@ -16,7 +16,7 @@ from meshdeform_core.deform import set_up
 from meshdeform_core.errors import CaseError, MotionError
 from meshdeform_core.series import Schedule, deform_series
 from meshdeform_formats.case import motions, read_case
-from meshdeform_formats.case.sequences import parse_times
+from meshdeform_formats.case.tables import parse_times
 
 CASE = """\
 [[boundary]]

@@ -170,13 +170,13 @@ def test_a_missing_array_is_named(tmp_path):
     [
         (
             {"encodin": "ascii"},
-            r"unknown Plot3D option 'encodin'; did you mean 'encoding'\?; known are encoding, byte_order",
+            r"Plot3D: unknown option 'encodin'; did you mean 'encoding'\?; known are: encoding byte_order",
         ),
-        ({"byte_order": "bigg"}, r"byte_order=bigg is not known; did you mean 'big'\?; known are little, big"),
-        ({"markers": 5}, "markers=5 is not known"),
-        ({"dimension": "three"}, "dimension=three is not known.*; known are 3, 2"),
-        ({"iblank": "yes"}, "iblank=yes is not known.*; known are false, true"),
-        ({"precision": "single"}, "precision=single is not known"),
+        ({"byte_order": "bigg"}, r"unknown byte_order = 'bigg'; did you mean 'big'\?; known are: little big"),
+        ({"markers": 5}, "unknown markers = '5'"),
+        ({"dimension": "three"}, "unknown dimension = 'three'.*; known are: 3 2"),
+        ({"iblank": "yes"}, "unknown iblank = 'yes'.*; known are: false true"),
+        ({"precision": "single"}, "unknown precision = 'single'"),
         ({"encoding": "ascii"}, r"with encoding=ascii; without these options it is big-endian Fortran"),
     ],
 )

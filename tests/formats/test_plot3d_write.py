@@ -9,7 +9,7 @@ from plot3d_witness import binary_file, sample_blocks, sample_iblank
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Field, FileFormat, Grid
 from meshdeform_formats import plot3d, write_grid
-from meshdeform_formats.plot3d import records as plot3d_records
+from meshdeform_formats.plot3d import binary as plot3d_binary
 
 
 def make_grid(blocks: list[np.ndarray], iblank: list[np.ndarray] | None = None, **rest) -> Grid:
@@ -103,8 +103,8 @@ def test_iblank_is_written_when_carried_or_asked_for(tmp_path):
         ((3, 4, 5), {"multiblock": "false"}, "without block count: the grid has 2 blocks; use multiblock=true"),
         ((3, 4, 5), {"encoding": "ascii", "byte_order": "big"}, "byte_order does not apply to encoding=ascii.*binary"),
         ((3, 4, 5), {"encoding": "binary", "markers": 8}, "markers does not apply to encoding=binary.*fortran"),
-        ((3, 4, 5), {"bytorder": "big"}, "unknown Plot3D option 'bytorder'; did you mean 'byte_order'"),
-        ((3, 4, 5), {"encoding": "asci"}, "encoding=asci is not known; did you mean 'ascii'"),
+        ((3, 4, 5), {"bytorder": "big"}, "Plot3D: unknown option 'bytorder'; did you mean 'byte_order'"),
+        ((3, 4, 5), {"encoding": "asci"}, "unknown encoding = 'asci'; did you mean 'ascii'"),
     ],
 )
 def test_what_cannot_be_written(shape, options, message):
@@ -139,7 +139,7 @@ def test_iblank_of_another_shape(tmp_path):
 
 @pytest.mark.parametrize("longest", [1, 7, 100, 1439, 1440])
 def test_long_records_become_subrecords(tmp_path, monkeypatch, longest):
-    monkeypatch.setattr(plot3d_records, "LONGEST_SUBRECORD", longest)
+    monkeypatch.setattr(plot3d_binary, "LONGEST_SUBRECORD", longest)
     blocks = sample_blocks([(3, 4, 5), (2, 3, 2)])
     write(make_grid(blocks), tmp_path / "a.x")
     content = (tmp_path / "a.x").read_bytes()

@@ -20,7 +20,7 @@ from meshdeform_core.grid.surfaces import thin_direction
 from meshdeform_core.numerics.arrays import extent
 from meshdeform_core.quality.cells import block_volumes
 from meshdeform_formats import read_grid, write_grid
-from meshdeform_formats.openfoam.lists import write_points
+from meshdeform_formats.openfoam.foam_files import write_points
 
 ROOT = Path(__file__).parents[2]
 THIRD_PARTY = (
