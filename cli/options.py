@@ -1,4 +1,4 @@
-"""Options that several commands share, packed into records, with the checks that need no grid."""
+"""Options as fields of records, of which commands take all or some, with the checks that need no grid."""
 
 from __future__ import annotations
 
@@ -29,28 +29,37 @@ from .process.messages import Warnings
 if TYPE_CHECKING:
     from meshdeform_core.grid import Grid
     from meshdeform_formats.case import CaseFile
+    from meshdeform_formats.grids import Layout
 
 Command = Callable[..., Any]
-Option = Callable[[Command], Command]
 
 PATH = click.Path(path_type=Path)
 # Environment variables that the linear algebra libraries of numpy and scipy read once, when they are loaded.
 LIBRARIES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 
-def packed(record: type, name: str, *options: Option) -> Option:
-    """A decorator that adds options to a command, which gets those that are fields of a record as one argument."""
-    own = [field.name for field in dataclasses.fields(record)]
+def given(*names: str, **settings: Any) -> Any:
+    """A field of a record that :func:`packed` makes an option, or an argument without ``names``, of commands."""
+    default = () if settings.get("multiple") else False if settings.get("is_flag") else settings.get("default")
+    return dataclasses.field(default=default, metadata={"names": names, "settings": settings})
+
+
+def packed(record: type, name: str, *chosen: str) -> Callable[[Command], Command]:
+    """A decorator that adds the fields of a record, all or those ``chosen``, to a command, which gets the record."""
+    fields = [
+        field for field in dataclasses.fields(record) if field.metadata and field.name in (chosen or (field.name,))
+    ]
 
     def decorate(command: Command) -> Command:
         @functools.wraps(command)
-        def call(**given: Any) -> Any:
-            found = {key: given.pop(key) for key in own if key in given}
-            return command(**{name: record(**found)}, **given)
+        def call(**values: Any) -> Any:
+            found = {field.name: values.pop(field.name) for field in fields}
+            return command(**{name: record(**found)}, **values)
 
         decorated: Command = call
-        for option in reversed(options):
-            decorated = option(decorated)
+        for field in reversed(fields):
+            names, settings = field.metadata["names"], field.metadata["settings"]
+            decorated = (click.option if names else click.argument)(*names, field.name, **settings)(decorated)
         return decorated
 
     return decorate
@@ -83,7 +92,7 @@ class FiniteNumber(click.FloatRange):
         return number
 
 
-def _use_threads(context: click.Context, _: click.Parameter, count: int | None) -> None:
+def _use_threads(context: click.Context, _: click.Parameter, count: int | None) -> int | None:
     """Apply ``--threads`` to our loops, and run linear algebra in one thread, before numpy is imported.
 
     Our loops call it from all threads, mostly with small matrices; additional threads of the libraries would busy-wait.
@@ -91,6 +100,7 @@ def _use_threads(context: click.Context, _: click.Parameter, count: int | None) 
     if not context.resilient_parsing:
         set_threads(count)
         os.environ.update(dict.fromkeys(LIBRARIES, "1"))
+    return count
 
 
 def _steps(context: click.Context, option: click.Parameter, text: str | None) -> int | str | None:
@@ -112,52 +122,18 @@ def parse_pairs(pairs: tuple[str, ...], option: str) -> dict[str, str]:
     return options
 
 
-force_option = click.option("--force", is_flag=True, help="Overwrite an existing output (never the input).")
-json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-quiet_option = click.option("-q", "--quiet", is_flag=True, help="Print errors and warnings only.")
-threads_option = click.option(
-    "--threads", type=click.IntRange(min=1), callback=_use_threads, expose_value=False,
-    help="Use at most this many threads.",
-)  # fmt: skip
-memory_option = click.option(
-    "--max-memory", metavar="SIZE",
-    help="Memory limit, like 2GiB. Larger grids are kept in temporary files; what does not fit even so is refused.",
-)  # fmt: skip
-variant_option = click.option(
-    "--variant", metavar="KEY=VALUE", multiple=True,
-    help="How to write the output. plot3d: encoding=ascii|binary|fortran byte_order=little|big "
-    "precision=float32|float64 markers=4|8 records=block|array|plane multiblock=true|false iblank=true|false "
-    "dimension=2|3; vtk: encoding=ascii, or binary (.vtk), appended (.vts, .vtm); cgns: precision; "
-    "openfoam: encoding=binary|ascii thickness=LENGTH (2-D grids); .msh: encoding=binary|ascii; .vtu and .xdmf: "
-    "boundary=true|false (repeatable).",
-)  # fmt: skip
-field_option = click.option(
-    "--field", "fields", metavar="NAME", multiple=True,
-    help="Write this into VTK and CGNS files too: displacement, invalid, a measure of `meshdeform plot`, or all "
-    "(repeatable).",
-)  # fmt: skip
-report_option = click.option(
-    "--report", "reports", type=PATH, multiple=True,
-    help="Report file; the suffix selects .json .txt or .html, - is JSON to stdout (repeatable).",
-)  # fmt: skip
-min_jacobian_option = click.option(
-    "--min-jacobian", type=float, metavar="R", help="Count a cell as invalid below R times its undeformed Jacobian."
-)
-
-
-def steps_option(what: str) -> Option:
-    """``--steps`` of a command that imposes ``what``."""
-    text = f"Impose {what} in N steps; by default in as many as needed."
-    return click.option("--steps", metavar="N|auto", callback=_steps, help=text)
-
-
 @dataclass(frozen=True)
 class GridInput:
     """A grid file with the options for reading it."""
 
-    path: Path
-    boundary_file: Path | None = None
-    read_as: tuple[str, ...] = ()
+    path: Path = given(metavar="GRID", type=PATH)
+    boundary_file: Path | None = given(
+        "--boundary-file", type=PATH, help="Neutral map file (.nmf) with the boundaries."
+    )
+    read_as: tuple[str, ...] = given(
+        "--read-as", metavar="KEY=VALUE", multiple=True,
+        help="How to read an ambiguous Plot3D file; keys as for --variant (repeatable).",
+    )  # fmt: skip
 
     def read(self, boundary_file: Path | None = None) -> Grid:
         """The grid; ``boundary_file`` is that of the case, used if the command line names none."""
@@ -172,6 +148,12 @@ class GridInput:
         with stage("read"):
             return read_grid_with_boundaries(self.path, self.boundary_file or boundary_file, options)
 
+    def layout(self) -> Layout | None:
+        """The blocks of the grid from the header of its file, if that tells."""
+        from meshdeform_formats.grids import layout_of
+
+        return layout_of(self.path, parse_pairs(self.read_as, "--read-as"))
+
     @property
     def files(self) -> tuple[Path | None, ...]:
         """Files that no output may overwrite."""
@@ -183,30 +165,35 @@ class GridInput:
         return [("grid", self.path), ("boundary file", self.boundary_file)]
 
 
-grid_options = packed(
-    GridInput,
-    "source",
-    click.argument("path", metavar="GRID", type=PATH),
-    click.option("--boundary-file", type=PATH, help="Neutral map file (.nmf) with the boundaries."),
-    click.option(
-        "--read-as", metavar="KEY=VALUE", multiple=True,
-        help="How to read an ambiguous Plot3D file; keys as for --variant (repeatable).",
-    ),
-)  # fmt: skip
+grid_options = packed(GridInput, "source")
 
 
 @dataclass(frozen=True)
 class CaseInput:
-    """The case as given on the command line."""
+    """The case as given on the command line; ``times`` are those of a series."""
 
-    file: Path | None
-    displacement: Path | None = None
-    match: str | None = None
-    tolerance: float | None = None
-    overrides: tuple[str, ...] = ()
-    min_jacobian: float | None = None
-    method: str | None = None
-    repair: str | None = None
+    file: Path | None = given("-c", "--case", type=PATH, help="Case file (TOML).")
+    displacement: Path | None = given("-d", "--displacement", type=PATH, help="Surface displacement table.")
+    match: str | None = given(
+        "--match", metavar="HOW", help="For -d: exact, nearest or interpolate (default: what fits the table)."
+    )
+    tolerance: float | None = given(
+        "--tolerance", type=FiniteNumber(), metavar="T", help="For -d: largest distance of a match."
+    )
+    overrides: tuple[str, ...] = given(
+        "-s", "--set", metavar="KEY=VALUE", multiple=True,
+        help="Override a key of the case, like method.idw.alpha=0.3 (repeatable).",
+    )  # fmt: skip
+    min_jacobian: float | None = given(
+        "--min-jacobian", type=float, metavar="R", help="Count a cell as invalid below R times its undeformed Jacobian."
+    )
+    method: str | None = given(
+        "-m", "--method", metavar="NAME", help="tfi, idw, rbf or a hybrid like idw-tfi (the default)."
+    )
+    repair: str | None = given(
+        "--repair", type=click.Choice(["auto", "off", "polish"]),
+        help="auto (default): repair invalid and weak cells; off: never; polish: improve the worst cells of any grid.",
+    )  # fmt: skip
     times: str | None = None
 
     def read(self) -> CaseFile:
@@ -233,8 +220,8 @@ class CaseInput:
     @property
     def empty(self) -> bool:
         """Whether it says nothing about a motion."""
-        given = self.file, self.displacement, self.repair, self.min_jacobian
-        return all(each is None for each in given) and not self.overrides
+        others = self.file, self.displacement, self.repair, self.min_jacobian
+        return all(each is None for each in others) and not self.overrides
 
     @property
     def files(self) -> tuple[Path | None, ...]:
@@ -242,52 +229,43 @@ class CaseInput:
         return self.file, self.displacement
 
 
-case_option = click.option("-c", "--case", "file", type=PATH, help="Case file (TOML).")
-_WALL_OPTIONS = (
-    case_option,
-    click.option("-d", "--displacement", type=PATH, help="Surface displacement table."),
-    click.option(
-        "--match", metavar="HOW", help="For -d: exact, nearest or interpolate (default: what fits the table)."
-    ),
-    click.option("--tolerance", type=FiniteNumber(), metavar="T", help="For -d: largest distance of a match."),
-    click.option(
-        "-s", "--set", "overrides", metavar="KEY=VALUE", multiple=True,
-        help="Override a key of the case, like method.idw.alpha=0.3 (repeatable).",
-    ),
-    min_jacobian_option,
-)  # fmt: skip
-judged_case_options = packed(CaseInput, "case", *_WALL_OPTIONS)
-"""Of commands that judge but do not deform: which walls move, and which cells count as invalid."""
-case_options = packed(
-    CaseInput,
-    "case",
-    *_WALL_OPTIONS,
-    click.option(
-        "-m", "--method", metavar="NAME",
-        help="tfi, idw, rbf or a hybrid like idw-tfi (the default).",
-    ),
-    click.option(
-        "--repair", type=click.Choice(["auto", "off", "polish"]),
-        help="auto (default): repair invalid and weak cells; off: never; polish: improve the worst cells of any grid.",
-    ),
-)  # fmt: skip
-
-
 @dataclass(frozen=True)
 class RunInput:
-    """Limits, outputs and verbosity of a command that makes grids."""
+    """Limits, outputs and verbosity of a command."""
 
-    reports: tuple[Path, ...]
-    as_json: bool
-    max_memory: str | None
-    variant: tuple[str, ...]
-    fields: tuple[str, ...]
-    dry_run: bool
-    force: bool
-    allow_invalid: bool
-    strict: bool
-    quiet: bool
-    verbose: bool
+    reports: tuple[Path, ...] = given(
+        "--report", type=PATH, multiple=True,
+        help="Report file; the suffix selects .json .txt or .html, - is JSON to stdout (repeatable).",
+    )  # fmt: skip
+    as_json: bool = given("--json", is_flag=True, help="Print JSON on stdout, everything else on stderr.")
+    threads: int | None = given(
+        "--threads", type=click.IntRange(min=1), callback=_use_threads, help="Use at most this many threads."
+    )
+    max_memory: str | None = given(
+        "--max-memory", metavar="SIZE",
+        help="Memory limit, like 2GiB. Larger grids are kept in temporary files; what does not fit even so is refused.",
+    )  # fmt: skip
+    variant: tuple[str, ...] = given(
+        "--variant", metavar="KEY=VALUE", multiple=True,
+        help="How to write the output. plot3d: encoding=ascii|binary|fortran byte_order=little|big "
+        "precision=float32|float64 markers=4|8 records=block|array|plane multiblock=true|false iblank=true|false "
+        "dimension=2|3; vtk: encoding=ascii, or binary (.vtk), appended (.vts, .vtm); cgns: precision; "
+        "openfoam: encoding=binary|ascii thickness=LENGTH (2-D grids); .msh: encoding=binary|ascii; .vtu and .xdmf: "
+        "boundary=true|false (repeatable).",
+    )  # fmt: skip
+    fields: tuple[str, ...] = given(
+        "--field", metavar="NAME", multiple=True,
+        help="Write this into VTK and CGNS files too: displacement, invalid, a measure of `meshdeform plot`, or all "
+        "(repeatable).",
+    )  # fmt: skip
+    dry_run: bool = given("--dry-run", is_flag=True, help="Show what would be done; write nothing.")
+    force: bool = given("--force", is_flag=True, help="Overwrite an existing output (never the input).")
+    allow_invalid: bool = given(
+        "--allow-invalid", is_flag=True, help="Write the grid and exit 0 even if cells became invalid."
+    )
+    strict: bool = given("--strict", is_flag=True, help="Treat warnings as errors: exit code 2, no grid is written.")
+    quiet: bool = given("-q", "--quiet", is_flag=True, help="Print errors and warnings only.")
+    verbose: bool = given("-v", "--verbose", is_flag=True, help="Show stages and their times on stderr.")
 
     @functools.cached_property
     def warnings(self) -> Warnings:
@@ -295,11 +273,15 @@ class RunInput:
         return Warnings(self.strict)
 
     @property
+    def limit(self) -> MemoryLimit:
+        """The limit of memory."""
+        return machine_memory() if self.max_memory is None else parse_memory(self.max_memory, "--max-memory")
+
+    @property
     def memory(self) -> MemoryLimit:
         """The limit of memory, less what pictures of a report take."""
-        limit = machine_memory() if self.max_memory is None else parse_memory(self.max_memory, "--max-memory")
         drawn = any(path.suffix.lower() == ".html" for path in self.reports)
-        return limit.after(PICTURE_BYTES, "pictures of the report") if drawn else limit
+        return self.limit.after(PICTURE_BYTES, "pictures of the report") if drawn else self.limit
 
     @property
     def variant_options(self) -> dict[str, str]:
@@ -307,35 +289,52 @@ class RunInput:
         return parse_pairs(self.variant, "--variant")
 
 
-run_options = packed(
-    RunInput,
-    "run",
-    report_option,
-    click.option("--json", "as_json", is_flag=True, help="Print the report as JSON; everything else goes to stderr."),
-    threads_option,
-    memory_option,
-    variant_option,
-    field_option,
-    click.option("--dry-run", is_flag=True, help="Show what would be done; write nothing."),
-    force_option,
-    click.option("--allow-invalid", is_flag=True, help="Write the grid and exit 0 even if cells became invalid."),
-    click.option("--strict", is_flag=True, help="Treat warnings as errors: exit code 2, no grid is written."),
-    quiet_option,
-    click.option("-v", "--verbose", is_flag=True, help="Show stages and their times on stderr."),
-)
+@dataclass(frozen=True)
+class Imposed:
+    """How a motion is imposed: number of steps (``None``: as needed), time (``None``: not given)."""
+
+    steps: int | str | None = given(
+        "--steps",
+        metavar="N|auto",
+        callback=_steps,
+        help="Impose the motion in N steps; by default in as many as needed.",
+    )
+    at_time: float | None = given(
+        "--time", type=FiniteNumber(), metavar="T", help="Evaluate the motion at this time (default 0)."
+    )
+
+    @property
+    def time(self) -> float:
+        """The time at which the motion is evaluated."""
+        return 0.0 if self.at_time is None else self.at_time
 
 
 @dataclass(frozen=True)
 class SeriesInput:
     """Output folder, times, mode and format of the levels."""
 
-    output: Path
-    times: str | None
-    origin: str
-    steps: int | str | None
-    velocity: str
-    suffix: str | None
-    resume: bool
+    output: Path = given("-o", "--output", type=PATH, required=True, help="Folder for the levels; created if missing.")
+    times: str | None = given(
+        "--times", metavar="START:STOP:STEP",
+        help="Time levels, or a list a,b,c; by default those of the case's sequence of displacement files.",
+    )  # fmt: skip
+    origin: str = given(
+        "--from", type=click.Choice(("reference", "last")), default="reference", show_default=True,
+        help="Make each level from the undeformed grid, or from the previous level (marching).",
+    )  # fmt: skip
+    steps: int | str | None = given(
+        "--steps",
+        metavar="N|auto",
+        callback=_steps,
+        help="Impose each level in N steps; by default in as many as needed.",
+    )
+    velocity: str = given(
+        "--velocity", type=click.Choice(("none", "first", "second", "swept")), default="none", show_default=True,
+        help="Write the grid velocity, by backward differences of this order, or the volumes swept by the cell faces "
+        "as well (VTK and CGNS).",
+    )  # fmt: skip
+    suffix: str | None = given("--suffix", help="Format of the levels, by suffix (default: that of GRID).")
+    resume: bool = given("--resume", is_flag=True, help="Continue an interrupted run of the same series.")
 
     @property
     def velocity_bytes(self) -> int:

@@ -29,8 +29,8 @@ from meshdeform_formats.report.tables import Illustrations
 from meshdeform_formats.series.manifest import NAME, Manifest, ingredients_of
 from meshdeform_formats.series.outputs import FoamFiles, LevelFiles, SeriesFiles
 
+from .checks import keep_inputs
 from .options import GridInput, RunInput, SeriesInput
-from .outputs import keep_inputs
 from .process.messages import Warnings
 from .process.progress import ProgressBar, stage
 from .work import Job, cells_of

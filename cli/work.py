@@ -1,12 +1,13 @@
-"""Implementation of the deforming commands after their options are parsed."""
+"""From options to a run: inputs are read, a grid is deformed and written, its report delivered."""
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
 import time as clock
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,7 +17,7 @@ import numpy as np
 from meshdeform_core.boundary import Kind
 from meshdeform_core.boundary.motions.motion import Follow
 from meshdeform_core.boundary.tables import SurfaceData
-from meshdeform_core.deform import Case, Setup, deform
+from meshdeform_core.deform import Setup, deform
 from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.selection import with_components
@@ -31,20 +32,20 @@ from meshdeform_formats.files import invalid_path
 from meshdeform_formats.grids import FORMATS, complete_for_export, require_earlier_grid, variant_of, write_grid
 from meshdeform_formats.inputs import digest, existing_outputs
 from meshdeform_formats.placing import existing, require_space
-from meshdeform_formats.report.records import Report, deformation_report
+from meshdeform_formats.report.records import Report, deformation_report, with_other
 from meshdeform_formats.report.tables import Illustrate, Illustrations
 from meshdeform_formats.report.text import as_text
-from meshdeform_formats.report.write import as_json
+from meshdeform_formats.report.write import as_json, run_part, write_report
 
+from .checks import keep_inputs, make_room
 from .exit_codes import EXIT_INVALID
-from .options import CaseInput, GridInput, RunInput
-from .outputs import keep_inputs
+from .options import CaseInput, GridInput, Imposed, RunInput
 from .process.messages import tell
 from .process.progress import ProgressBar, stage
-from .reporting import STDOUT, Delivery, deliver
-from .room import make_room
 
 T = TypeVar("T")
+STDOUT = Path("-")
+_GROUPS_TOLD = 3
 
 
 @dataclass(frozen=True)
@@ -138,26 +139,15 @@ def in_parts(action: Callable[[], T], verbose: bool) -> T:
     return ranks.on_first(action)
 
 
-@dataclass(frozen=True)
-class Imposed:
-    """How a motion is imposed: number of steps (``None``: as needed) and time (``--time``, if given)."""
-
-    steps: int | str | None
-    at_time: float | None
-
-    @property
-    def time(self) -> float:
-        return 0.0 if self.at_time is None else self.at_time
-
-    def case(self, case: Case) -> Case:
-        """The case, with a note if ``--time`` and motion do not agree."""
-        if case.depends_on_time == (self.at_time is not None):
-            return case
-        if case.depends_on_time:
-            note = "the motion depends on t and was evaluated at t = 0; choose another time with --time"
-        else:
-            note = f"the motion does not depend on t: --time {self.at_time:g} has no effect"
-        return dataclasses.replace(case, notes=(*case.notes, note))
+def timed(case: CaseFile, at_time: float | None) -> CaseFile:
+    """The case, with a note if ``--time`` and motion do not agree."""
+    if case.case.depends_on_time == (at_time is not None):
+        return case
+    if case.case.depends_on_time:
+        note = "the motion depends on t and was evaluated at t = 0; choose another time with --time"
+    else:
+        note = f"the motion does not depend on t: --time {at_time:g} has no effect"
+    return dataclasses.replace(case, case=dataclasses.replace(case.case, notes=(*case.case.notes, note)))
 
 
 def print_plan(report: Report, impossible: bool, run: RunInput, more: str = "") -> int:
@@ -210,7 +200,7 @@ def run(
     require_space(job.grid, output, chosen)
     result = deform(
         complete_for_export(job.grid, output),
-        imposed.case(job.case.case),
+        job.case.case,
         time=imposed.time,
         steps=imposed.steps,
         precision=chosen.precision,
@@ -238,20 +228,52 @@ def cells_of(setup: Setup, after: Grid) -> CellFields:
     return CellFields(after, setup.topology, setup.grid, moving, setup.original)
 
 
-def conclude(report: Report, run: RunInput, delivery: Delivery) -> int:
-    """Write the reports, print the verdict; returns the exit code."""
-    deliver(report, run.reports, run.as_json, run.quiet, delivery, run.verbose)
+def deliver(
+    report: Report, run: RunInput, start: float, files: Iterable[tuple[str, Path | None]],
+    illustrate: Illustrate = Illustrations, ranks: Ranks | None = None,
+) -> None:  # fmt: skip
+    """Write the reports; if JSON is requested on stdout, the text goes to stderr.
+
+    Parameters
+    ----------
+    start : of the command, a value of ``time.perf_counter``
+    files : pairs of role and path
+    illustrate : draws the pictures of a page
+    ranks : that shared the work; this process alone by default
+    """
+    ranks = ranks or Ranks()
+    paths, to_stdout = [path for path in run.reports if path != STDOUT], run.as_json or STDOUT in run.reports
+    if paths or to_stdout:
+        # The command line as it was given, see main.py; the checksums of files take time.
+        arguments: Sequence[str] = click.get_current_context().find_root().obj
+        report["run"] = ranks.on_first(lambda: run_part(arguments, files, ranks.count))
+    if "timing" in report:
+        report["timing"] = with_other(report["timing"], clock.perf_counter() - start)
+    # If there are several ranks, drawing takes all of them.
+    pictures = illustrate() if ranks.count > 1 and any(path.suffix == ".html" for path in paths) else None
+    for path in paths:
+        ranks.on_first(partial(write_report, report, path, (lambda: pictures) if pictures else illustrate))
+    if to_stdout:
+        click.echo(as_json(report), nl=False)
+    if not run.quiet:
+        # Warnings are already on stderr.
+        click.echo(as_text({**report, "warnings": []}, run.verbose), nl=False, err=to_stdout)
+
+
+def conclude(
+    report: Report, run: RunInput, start: float, files: Iterable[tuple[str, Path | None]], illustrate: Illustrate,
+    ranks: Ranks,
+) -> int:  # fmt: skip
+    """Deliver the report, print the verdict; returns the exit code."""
+    deliver(report, run, start, files, illustrate, ranks)
     if not report["valid"]:
         tell(_verdict(report))
     if run.verbose:
-        if delivery.ranks.count > 1:
-            tell(f"{delivery.ranks.count} ranks, the first with {thread_count()} threads")
+        if ranks.count > 1:
+            tell(f"{ranks.count} ranks, the first with {thread_count()} threads")
         for stage, seconds in report["timing"].items():
             tell(f"{stage} {seconds:.3f} s")
     return 0 if report["valid"] or run.allow_invalid else EXIT_INVALID
-
-
-_GROUPS_TOLD = 3
 
 
 def _verdict(report: dict[str, Any]) -> str:

@@ -10,8 +10,8 @@ import click
 
 from meshdeform_core.memory import passing
 
-from ..options import PATH, FiniteNumber, GridInput, json_option, memory_option
-from ..room import limit_of, make_room, temporary_folder
+from ..checks import make_room, temporary_folder
+from ..options import PATH, FiniteNumber, GridInput, RunInput, packed
 
 EXIT_DIFFERENT = 1
 # Memory in units of the coordinates of both grids: these, the distances, and buffers of reading.
@@ -22,9 +22,8 @@ _ARRAYS = 1.5
 @click.argument("first", metavar="A", type=PATH)
 @click.argument("second", metavar="B", type=PATH)
 @click.option("--tolerance", type=FiniteNumber(min=0.0), help="Exit 1 if any coordinate differs by more.")
-@memory_option
-@json_option
-def command(first: Path, second: Path, tolerance: float | None, max_memory: str | None, as_json: bool) -> int:
+@packed(RunInput, "run", "max_memory", "as_json")
+def command(first: Path, second: Path, tolerance: float | None, run: RunInput) -> int:
     """Compare the coordinates of two grids with the same blocks, in any formats.
 
     \b
@@ -39,9 +38,9 @@ def command(first: Path, second: Path, tolerance: float | None, max_memory: str 
     from meshdeform_formats import read_grid
 
     sources = [GridInput(path) for path in (first, second)]
-    make_room(limit_of(max_memory), "comparing", passing(_ARRAYS), sources, temporary_folder())
+    make_room(run.limit, "comparing", passing(_ARRAYS), sources, temporary_folder())
     difference = compare_points(read_grid(first), read_grid(second))
-    if as_json:
+    if run.as_json:
         click.echo(json.dumps(dataclasses.asdict(difference), indent=2))
     else:
         click.echo(f"largest {difference.largest:.6e} at {difference.where}")

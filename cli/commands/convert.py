@@ -14,22 +14,10 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.memory import passing
 from meshdeform_core.wording import counted
 
-from ..options import (
-    OUTPUT,
-    PATH,
-    GridInput,
-    field_option,
-    force_option,
-    grid_options,
-    memory_option,
-    parse_pairs,
-    quiet_option,
-    variant_option,
-)
-from ..outputs import check_output
+from ..checks import check_output, make_room
+from ..options import OUTPUT, PATH, GridInput, RunInput, grid_options, packed
 from ..process.messages import tell
 from ..process.progress import ProgressBar, stage
-from ..room import limit_of, make_room
 
 if TYPE_CHECKING:
     from meshdeform_core.grid import Grid
@@ -42,16 +30,9 @@ _ARRAYS, _FIELD_ARRAYS = 2, 5
 @click.command("convert")
 @grid_options
 @click.argument("target", metavar="OUT", type=OUTPUT)
-@field_option
 @click.option("--reference", type=PATH, help="The undeformed grid, for fields that compare with it.")
-@variant_option
-@memory_option
-@force_option
-@quiet_option
-def command(
-    source: GridInput, target: Path, fields: tuple[str, ...], reference: Path | None, variant: tuple[str, ...],
-    max_memory: str | None, force: bool, quiet: bool,
-) -> int:  # fmt: skip
+@packed(RunInput, "run", "max_memory", "variant", "fields", "force", "quiet")
+def command(source: GridInput, target: Path, reference: Path | None, run: RunInput) -> int:
     """Convert GRID to the format given by the suffix of OUT.
 
     \b
@@ -69,14 +50,13 @@ def command(
     from meshdeform_formats.grids import complete_for_export, format_of, read_grid, write_grid
     from meshdeform_formats.placing import existing
 
-    kind = format_of(target)
-    options = parse_pairs(variant, "--variant")
-    check_output(target, force, *source.files, reference)
+    kind, options, fields = format_of(target), run.variant_options, run.fields
+    check_output(target, run.force, *source.files, reference)
     check_fields(fields, target, reference is not None)
     sources = [source, *([GridInput(reference)] if reference else [])]
     arrays = _ARRAYS + (_FIELD_ARRAYS if fields else 0)
-    make_room(limit_of(max_memory), "converting", passing(arrays), sources, existing(target.absolute().parent))
-    with ProgressBar(not quiet, compiles=bool(fields)) as progress:
+    make_room(run.limit, "converting", passing(arrays), sources, existing(target.absolute().parent))
+    with ProgressBar(not run.quiet, compiles=bool(fields)) as progress:
         grid = complete_for_export(source.read(), target)
         if fields:
             from meshdeform_core.quality.fields import CellFields
@@ -85,7 +65,7 @@ def command(
             grid = with_fields(CellFields.of(grid, None if reference is None else read_grid(reference)), fields)
         boundaries, write_boundaries = target.with_suffix(".nmf"), None
         if kind in ("plot3d", "vtk") and (grid.patches or grid.connections):
-            write_boundaries = _write_boundaries(grid, boundaries, target, force, *source.files)
+            write_boundaries = _write_boundaries(grid, boundaries, target, run.force, *source.files)
         with stage("write"):
             written = write_grid(grid, target, options)
         if write_boundaries:
@@ -97,7 +77,7 @@ def command(
             f"warning: {target.suffix} files cannot hold the {len(grid.patches)} patches of the grid; add the outside "
             "faces with their families by --variant boundary=true"
         )
-    if not quiet:
+    if not run.quiet:
         beside = f"; boundaries in {boundaries}" if write_boundaries else ""
         click.echo(f"{target}: {written.label}, {counted(grid.n_blocks, 'block')}, {grid.n_nodes:,} nodes{beside}")
     return 0

@@ -2,26 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time as clock
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from ..options import (
-    OUTPUT,
-    CaseInput,
-    FiniteNumber,
-    GridInput,
-    RunInput,
-    case_options,
-    grid_options,
-    run_options,
-    steps_option,
-)
-from ..outputs import check_order, check_reports, check_target
+from ..checks import check_order, check_reports, check_target, too_large
+from ..options import OUTPUT, CaseInput, GridInput, Imposed, RunInput, grid_options, packed
 from ..process.progress import ProgressBar
-from ..room import too_large
 
 if TYPE_CHECKING:
     from .. import work
@@ -30,16 +20,10 @@ if TYPE_CHECKING:
 @click.command("deform")
 @grid_options
 @click.option("-o", "--output", type=OUTPUT, help="Deformed grid; the suffix selects the format.")
-@case_options
-@steps_option("the motion")
-@click.option(
-    "--time", "at_time", type=FiniteNumber(), metavar="T", help="Evaluate the motion at this time (default 0)."
-)
-@run_options
-def command(
-    source: GridInput, output: Path | None, case: CaseInput, steps: int | str | None, at_time: float | None,
-    run: RunInput,
-) -> int:  # fmt: skip
+@packed(CaseInput, "case")
+@packed(Imposed, "imposed")
+@packed(RunInput, "run")
+def command(source: GridInput, output: Path | None, case: CaseInput, imposed: Imposed, run: RunInput) -> int:
     """Deform GRID, judge the result and write it.
 
     \b
@@ -65,36 +49,44 @@ def command(
 
     from .. import work
 
-    imposed = work.Imposed(steps, at_time)
     if output is None or run.dry_run:
         return work.in_parts(lambda: _dry_run(source, case, output, imposed, run), run.verbose)
 
     def deform() -> int:
         with ProgressBar(not run.quiet) as progress:
-            job = _load_inputs(source, case, output, run)
+            job = _load_inputs(source, case, output, imposed, run)
             report, illustrate = work.run(job, output, imposed, run, progress)
         files = [*source.roles, *case.roles(job.case), ("output", Path(report["output"]))]
-        return work.conclude(report, run, work.Delivery(start, files, illustrate, job.ranks))
+        return work.conclude(report, run, start, files, illustrate, job.ranks)
 
     return work.in_parts(deform, run.verbose)
 
 
-def _dry_run(source: GridInput, case: CaseInput, output: Path | None, imposed: work.Imposed, run: RunInput) -> int:
+def _dry_run(source: GridInput, case: CaseInput, output: Path | None, imposed: Imposed, run: RunInput) -> int:
     """Print what the run would do and take; returns the exit code."""
+    from meshdeform_core.deform import set_up
+    from meshdeform_formats.grids import variant_of
+    from meshdeform_formats.placing import shortage
+
     from .. import work
-    from ..dry_run import plan, plan_by_sizes
+    from ..dry_run import Outputs, plan, plan_by_sizes
 
     doing = work.work_of(case.read(), run, output.suffix if output else "")
     if layout := too_large(run.memory, doing, source):
-        planned = plan_by_sizes(layout, doing, output, run.variant_options, run.memory)
-        return work.print_plan(planned, False, run)
+        outputs = Outputs(output, run.variant_options.get("precision", layout.precision))
+        return work.print_plan(plan_by_sizes(layout, doing, outputs, run.memory), False, run)
     with ProgressBar(not run.quiet):
-        job = _load_inputs(source, case, output, run)
-        planned, impossible = plan(job, output, imposed, run.variant_options, run.memory)
-    return work.print_plan(planned, impossible, run)
+        job = _load_inputs(source, case, output, imposed, run)
+        setup = set_up(job.grid, job.case.case, memory=job.memory)
+        outputs, missing = Outputs(output, job.grid.precision), ""
+        if output is not None:
+            variant = variant_of(job.grid, output, run.variant_options)
+            outputs, missing = Outputs(output, variant.precision), shortage(job.grid, output, variant)
+        planned = plan(setup, [imposed.time], imposed.steps, outputs, missing, job.demand, run.memory)
+    return work.print_plan(*planned, run)
 
 
-def _load_inputs(source: GridInput, case: CaseInput, output: Path | None, run: RunInput) -> work.Job:
+def _load_inputs(source: GridInput, case: CaseInput, output: Path | None, imposed: Imposed, run: RunInput) -> work.Job:
     """The case and the grid; no output may replace a file that they name, or anything but an earlier invalid grid."""
     from meshdeform_formats.files import invalid_path
 
@@ -105,4 +97,4 @@ def _load_inputs(source: GridInput, case: CaseInput, output: Path | None, run: R
     named = [path for path in outputs if path is not None]
     job = work.load(source, case, run, named, output.suffix if output else "", workplace)
     work.require_room_for_invalid(output, job.grid, run)
-    return job
+    return dataclasses.replace(job, case=work.timed(job.case, imposed.at_time))

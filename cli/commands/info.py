@@ -6,8 +6,8 @@ import click
 
 from meshdeform_core.memory import passing
 
-from ..options import GridInput, grid_options, json_option, memory_option
-from ..room import limit_of, make_room, temporary_folder
+from ..checks import make_room, temporary_folder
+from ..options import GridInput, RunInput, grid_options, packed
 
 # Memory in units of the coordinates: these, and buffers of reading.
 _ARRAYS = 1.5
@@ -16,9 +16,8 @@ _ARRAYS = 1.5
 @click.command("info")
 @grid_options
 @click.option("-v", "--verbose", is_flag=True, help="List every patch and face on its own line.")
-@memory_option
-@json_option
-def command(source: GridInput, verbose: bool, max_memory: str | None, as_json: bool) -> int:
+@packed(RunInput, "run", "max_memory", "as_json")
+def command(source: GridInput, verbose: bool, run: RunInput) -> int:
     """Show the contents of GRID: blocks, walls and other boundaries, interfaces, anomalies.
 
     \b
@@ -30,7 +29,7 @@ def command(source: GridInput, verbose: bool, max_memory: str | None, as_json: b
     The role of a boundary is the one that the file declares. Otherwise it is guessed from the shape of the grid (cells
     cluster towards walls and grow towards the far field) and marked with a question mark.
     """
-    make_room(limit_of(max_memory), "describing", passing(_ARRAYS), [source], temporary_folder())
+    make_room(run.limit, "describing", passing(_ARRAYS), [source], temporary_folder())
     grid = source.read()
 
     from meshdeform_formats.text import json_text
@@ -38,5 +37,5 @@ def command(source: GridInput, verbose: bool, max_memory: str | None, as_json: b
     from ..facts import as_text, gather
 
     facts = gather(grid, str(source.path))
-    click.echo(json_text(facts) if as_json else as_text(facts, verbose))
+    click.echo(json_text(facts) if run.as_json else as_text(facts, verbose))
     return 0

@@ -9,16 +9,16 @@ import click
 
 from meshdeform_core.errors import CaseError
 
-from ..options import PATH, GridInput, force_option, grid_options
-from ..outputs import check_output
+from ..checks import check_output
+from ..options import PATH, GridInput, RunInput, grid_options, packed
 
 
 @click.command("init")
 @grid_options
 @click.option("-o", "--output", type=PATH, help="Case file to write (default: print it).")
 @click.option("--table", type=PATH, help="Displacement table for the wall that it fits.")
-@force_option
-def command(source: GridInput, output: Path | None, table: Path | None, force: bool) -> int:
+@packed(RunInput, "run", "force")
+def command(source: GridInput, output: Path | None, table: Path | None, run: RunInput) -> int:
     """Create a case file for GRID: every boundary with its position and likely role.
 
     \b
@@ -38,7 +38,7 @@ def command(source: GridInput, output: Path | None, table: Path | None, force: b
     from meshdeform_formats.files import replacing, shown
 
     if output is not None:
-        check_output(output, force, *source.files, table)
+        check_output(output, run.force, *source.files, table)
     grid = source.read()
     map_file = _from(source.boundary_file, output) if source.boundary_file else None
     if map_file is not None and shown(Path(map_file)) != map_file:

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import click
 
+from ..checks import check_output
 from ..measures import MEASURES
-from ..options import PATH, GridInput, force_option, grid_options, quiet_option
-from ..outputs import check_output
+from ..options import PATH, GridInput, RunInput, grid_options, packed
 from ..process.progress import ProgressBar
 
 
@@ -27,12 +27,10 @@ from ..process.progress import ProgressBar
 @click.option("--range", "limits", metavar="LOW,HIGH", help="Ends of the colours (default: of the values).")
 @click.option("--log", is_flag=True, help="Logarithmic colours.")
 @click.option("--title", default=None, help="Default: the file's name.")
-@force_option
-@quiet_option
+@packed(RunInput, "run", "force", "quiet")
 def command(
-    source: GridInput, output: Path, reference: Path | None, title: str | None, force: bool, quiet: bool,
-    **options: object,
-) -> int:  # fmt: skip
+    source: GridInput, output: Path, reference: Path | None, title: str | None, run: RunInput, **options: object
+) -> int:
     """Draw GRID coloured by a measure of its cells.
 
     \b
@@ -55,9 +53,9 @@ def command(
 
     request = PlotOptions(**options, lead="--")  # type: ignore[arg-type]
     check_picture_path(output)
-    check_output(output, force, *source.files, reference)
+    check_output(output, run.force, *source.files, reference)
     name = shown(Path(source.path.name)) if title is None else title
-    with ProgressBar(not quiet):
+    with ProgressBar(not run.quiet):
         subject = Subject.of(source.read(), None if reference is None else read_grid(reference))
         save_page(picture(subject, request, name), output)
     return 0

@@ -2,32 +2,30 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time as clock
 from pathlib import Path
 from typing import Any
 
 import click
 
+from ..checks import check_reports, check_target, keep_inputs, make_room
 from ..exit_codes import EXIT_INVALID
-from ..options import OUTPUT, PATH, CaseInput, GridInput, RunInput, grid_options, min_jacobian_option, run_options
-from ..outputs import check_reports, check_target, keep_inputs
+from ..options import OUTPUT, PATH, CaseInput, GridInput, RunInput, grid_options, packed
 from ..process.messages import tell
 from ..process.progress import ProgressBar
-from ..room import make_room
 
 
 @click.command("repair")
 @grid_options
 @click.option("--reference", type=PATH, required=True, help="The original grid, whose cells are sound.")
 @click.option("-o", "--output", type=OUTPUT, help="Repaired grid; the suffix selects the format.")
-@click.option("-c", "--case", "case_file", type=PATH, help="Case file: which faces move, slide or repeat.")
+@packed(CaseInput, "case", "file", "min_jacobian")
 @click.option("--polish", is_flag=True, help="Improve the worst cells of a valid grid, too.")
-@min_jacobian_option
-@run_options
+@packed(RunInput, "run")
 def command(
-    source: GridInput, reference: Path, output: Path | None, case_file: Path | None, polish: bool,
-    min_jacobian: float | None, run: RunInput,
-) -> int:  # fmt: skip
+    source: GridInput, reference: Path, output: Path | None, case: CaseInput, polish: bool, run: RunInput
+) -> int:
     """Make GRID, which another program deformed, valid; its boundary stays in place.
 
     \b
@@ -42,18 +40,18 @@ def command(
     the suffix (exit code 3).
     """
     start = clock.perf_counter()
-    inputs = (reference, case_file, *source.files)
+    inputs = (reference, case.file, *source.files)
     check_target(output, run, *inputs)
     check_reports(run.reports, run.force, output, *inputs)
-    mode = "polish" if polish else "off" if run.dry_run else "auto"
-    case = CaseInput(case_file, repair=mode, min_jacobian=min_jacobian)
-    from ..reporting import Delivery, deliver
+    case = dataclasses.replace(case, repair="polish" if polish else "off" if run.dry_run else "auto")
+
+    from ..work import deliver
 
     with ProgressBar(not run.quiet) as progress:
         report = repaired(source, reference, output, case, run, progress)
     run.warnings.tell(report["warnings"])
-    files = [*source.roles, ("reference", reference), ("case", case_file), ("output", output)]
-    deliver(report, run.reports, run.as_json, run.quiet, Delivery(start, files), run.verbose)
+    files = [*source.roles, ("reference", reference), ("case", case.file), ("output", output)]
+    deliver(report, run, start, files)
     if run.dry_run or not report["valid"]:
         where = "; dry run, nothing written" if run.dry_run else f". The grid is in {report['output']}"
         tell(f"{report['quality']['after']['invalid_cells']} cells are invalid{where}")

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
-from ..options import PATH, force_option, quiet_option, threads_option
-from ..outputs import check_output, make_folder
+from ..checks import check_output, make_folder
+from ..options import PATH, RunInput, packed
 
 _RESULT = "results.json"
 
@@ -16,10 +16,8 @@ _RESULT = "results.json"
 @click.argument("what")
 @click.option("-o", "--output", type=PATH, required=True, help="Folder for data, tables, figures; created if missing.")
 @click.option("--quick", is_flag=True, help="Small sizes: minutes instead of an hour.")
-@threads_option
-@force_option
-@quiet_option
-def command(what: str, output: Path, quick: bool, force: bool, quiet: bool) -> int:
+@packed(RunInput, "run", "threads", "force", "quiet")
+def command(what: str, output: Path, quick: bool, run: RunInput) -> int:
     """Rerun the evaluation of Sen, De Nayer, Breuer (2017): WHAT is table2, table3, table4, table5, figB or all.
 
     \b
@@ -35,13 +33,13 @@ def command(what: str, output: Path, quick: bool, force: bool, quiet: bool) -> i
 
     check(what)
     make_folder(output)
-    check_output(output / _RESULT, force)
+    check_output(output / _RESULT, run.force)
 
     def tell_progress(label: str, done: int, total: int) -> None:
-        if not quiet:
+        if not run.quiet:
             click.echo(f"meshdeform: {label} ({done} of {total})", err=True)
 
     results = reproduce(what, output, quick, tell_progress)
-    if not quiet:
+    if not run.quiet:
         click.echo(as_markdown(results), nl=False)
     return 0

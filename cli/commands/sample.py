@@ -10,8 +10,8 @@ import click
 from meshdeform_core.errors import CaseError
 from meshdeform_core.wording import counted
 
-from ..options import PATH, force_option, parse_pairs, quiet_option, variant_option
-from ..outputs import check_output, make_folder
+from ..checks import check_output, make_folder
+from ..options import PATH, RunInput, packed
 
 _BOUNDARY_FILE = "grid.nmf"
 
@@ -26,13 +26,8 @@ _BOUNDARY_FILE = "grid.nmf"
     show_default=True,
     help="Format of the grid, by suffix; for formats that cannot hold boundaries, these are written to grid.nmf.",
 )
-@variant_option
-@force_option
-@quiet_option
-def command(
-    name: str | None, output: Path | None, size: str | None, suffix: str, variant: tuple[str, ...], force: bool,
-    quiet: bool,
-) -> int:  # fmt: skip
+@packed(RunInput, "run", "variant", "force", "quiet")
+def command(name: str | None, output: Path | None, size: str | None, suffix: str, run: RunInput) -> int:
     """Write the sample case NAME into a folder; without NAME, list all samples.
 
     \b
@@ -62,17 +57,16 @@ def command(
     kind = format_of(target)
     if kind == "meshio":
         raise CaseError(f"--suffix {suffix}: unstructured grids cannot be deformed; expected Plot3D, VTK or .cgns")
-    options = parse_pairs(variant, "--variant")
     grid, tables = generate(name, size)
-    variant_of(grid, target, options)
+    variant_of(grid, target, run.variant_options)
     boundary_file = None if kind == "cgns" else _BOUNDARY_FILE
     head = f'[grid]\nboundary_file = "{boundary_file}"\n\n' if boundary_file else ""
     written = [file for file in folder(name).iterdir() if file.name.endswith((".toml", ".md"))]
     texts = {file.name: head * file.name.endswith(".toml") + file.read_text(encoding="utf-8") for file in written}
     make_folder(output)
     for file in (target.name, boundary_file or target.name, *tables, *texts):
-        check_output(output / file, force)
-    write_grid(grid, target, options)
+        check_output(output / file, run.force)
+    write_grid(grid, target, run.variant_options)
     if boundary_file:
         # Types are the names that the case selects.
         named = tuple(dataclasses.replace(patch, bc_type="", family=patch.name) for patch in grid.patches)
@@ -82,7 +76,7 @@ def command(
     for file, text in texts.items():
         with replacing(output / file) as partial:
             partial.write_text(text, encoding="utf-8")
-    if not quiet:
+    if not run.quiet:
         blocks = counted(grid.n_blocks, "block")
         click.echo(f"{target}: {blocks}, {grid.n_nodes:,} nodes; case in {output / 'case.toml'}")
     return 0

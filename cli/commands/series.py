@@ -10,54 +10,19 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ..options import (
-    PATH,
-    CaseInput,
-    GridInput,
-    RunInput,
-    SeriesInput,
-    case_options,
-    grid_options,
-    packed,
-    run_options,
-    steps_option,
-)
-from ..outputs import check_order, check_reports
+from ..checks import check_order, check_reports, too_large
+from ..options import CaseInput, GridInput, RunInput, SeriesInput, grid_options, packed
 from ..process.progress import ProgressBar
-from ..room import too_large
 
 if TYPE_CHECKING:
     from .. import series_run
 
 
-series_options = packed(
-    SeriesInput,
-    "wanted",
-    click.option("-o", "--output", type=PATH, required=True, help="Folder for the levels; created if missing."),
-    click.option(
-        "--times", metavar="START:STOP:STEP",
-        help="Time levels, or a list a,b,c; by default those of the case's sequence of displacement files.",
-    ),
-    click.option(
-        "--from", "origin", type=click.Choice(("reference", "last")), default="reference", show_default=True,
-        help="Make each level from the undeformed grid, or from the previous level (marching).",
-    ),
-    steps_option("each level"),
-    click.option(
-        "--velocity", type=click.Choice(("none", "first", "second", "swept")), default="none", show_default=True,
-        help="Write the grid velocity, by backward differences of this order, or the volumes swept by the cell faces "
-        "as well (VTK and CGNS).",
-    ),
-    click.option("--suffix", help="Format of the levels, by suffix (default: that of GRID)."),
-    click.option("--resume", is_flag=True, help="Continue an interrupted run of the same series."),
-)  # fmt: skip
-
-
 @click.command("series")
 @grid_options
-@series_options
-@case_options
-@run_options
+@packed(SeriesInput, "wanted")
+@packed(CaseInput, "case")
+@packed(RunInput, "run")
 def command(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunInput) -> int:
     """Deform GRID at every time level and write one grid per level, with an index for ParaView.
 
@@ -101,8 +66,7 @@ def command(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunInp
             begun = True
             report = series_run.carry_out(plan, progress)
         files = [*source.roles, *case.roles(plan.job.case), ("index", plan.files.view)]
-        delivery = work.Delivery(start, files, partial(series_run.illustrate, plan), plan.job.ranks)
-        return work.conclude(report, run, delivery)
+        return work.conclude(report, run, start, files, partial(series_run.illustrate, plan), plan.job.ranks)
 
     return work.in_parts(deform, run.verbose)
 
@@ -121,17 +85,20 @@ def _planned(
 def _dry_run(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunInput) -> int:
     """Print what the series would do and take; returns the exit code."""
     from .. import series_run, work
-    from ..dry_run import Levels, plan_by_sizes, plan_series
+    from ..dry_run import Outputs, plan, plan_by_sizes
 
     what = case.read()
     doing = work.work_of(what, run, wanted.suffix or "", wanted.velocity_bytes)
     if layout := too_large(run.memory, doing, source):
-        levels = Levels(len(series_run.times_of(what, wanted)), wanted.velocity)
         output = wanted.output / series_run.name_of(source.path, wanted, layout.format)
-        planned = plan_by_sizes(layout, doing, output, run.variant_options, run.memory, levels)
-        return work.print_plan(planned, False, run)
+        precision = run.variant_options.get("precision", layout.precision)
+        outputs = Outputs(output, precision, len(series_run.times_of(what, wanted)), wanted.velocity)
+        return work.print_plan(plan_by_sizes(layout, doing, outputs, run.memory), False, run)
     with ProgressBar(not run.quiet):
-        plan = _planned(source, case, wanted, run, None)
-        levels = Levels(len(plan.schedule.times), wanted.velocity)
-        planned, impossible, text = plan_series(plan, levels, run.memory)
-    return work.print_plan(planned, impossible, run, text)
+        ready = _planned(source, case, wanted, run, None)
+        times, files = ready.schedule.times, ready.files
+        outputs = Outputs(files.path(0), files.variant.precision, len(times), wanted.velocity)
+        planned = plan(ready.setup, times, wanted.steps, outputs, ready.shortage(0), ready.job.demand, run.memory)
+        paths = f"{files.path(0)} ... {files.path(len(times) - 1)}"
+        text = f"series    {len(times)} levels from t = {times[0]:g} to {times[-1]:g}: {paths}\n"
+    return work.print_plan(*planned, run, text)

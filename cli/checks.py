@@ -1,0 +1,163 @@
+"""Checks before anything is computed: outputs replace no file by accident, and grids fit into the memory."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from meshdeform_core.errors import CaseError, FormatError
+from meshdeform_core.memory import Demand, MemoryLimit, Work
+from meshdeform_core.parallel.scratch import set_scratch
+
+from .options import CaseInput, GridInput, RunInput
+
+if TYPE_CHECKING:
+    from meshdeform_formats.grids import Layout
+
+_NODES = 4
+"""Bytes of a file that hold one node at most: compressed, in single precision."""
+_COORDINATES = 24
+_SMALL = 1 << 20
+
+
+def check_order(source: GridInput, case: CaseInput) -> None:
+    """Refuse a case file in the place of the grid."""
+    if source.path.suffix.lower() == ".toml":
+        grid = case.file if case.file and case.file.suffix.lower() != ".toml" else "GRID"
+        raise click.UsageError(f"{source.path} is a case file; expected the grid first: {grid} -c {source.path}")
+
+
+def keep_inputs(path: Path, *inputs: Path | None) -> None:
+    """Refuse an output that would replace a file that the run reads, under any name."""
+    from meshdeform_formats.inputs import existing_outputs, require_no_input
+
+    # A new file replaces nothing, so that the inputs need not be searched.
+    if existing_outputs(path):
+        require_no_input(path, inputs)
+
+
+def check_output(path: Path, force: bool, *inputs: Path | None) -> None:
+    """Refuse, before anything is computed, to overwrite a file or to write where that is impossible.
+
+    Raises
+    ------
+    FormatError
+        When the output exists and ``force`` is not given, is one of the inputs, or its folder is missing.
+    """
+    from meshdeform_formats.files import require_replaceable
+    from meshdeform_formats.inputs import existing_outputs
+
+    # First, as reading the pieces of an existing .vtm would block if it were a pipe.
+    require_replaceable(path)
+    keep_inputs(path, *inputs)
+    there = existing_outputs(path)
+    if there and not force:
+        raise FormatError(f"{there[0]} exists; use --force to overwrite it")
+    # The folder of an OpenFOAM case is created.
+    folder = path.parent.absolute().parent if path.suffix.lower() == ".foam" else path.parent
+    if not folder.is_dir():
+        reason = "is a file" if folder.exists() else "does not exist; create it first"
+        raise FormatError(f"cannot write {path}: the folder {folder} {reason}")
+
+
+def check_target(output: Path | None, run: RunInput, *inputs: Path | None) -> None:
+    """Refuse the output of a command that makes a grid if it cannot be written, before anything is computed."""
+    from meshdeform_formats.fields import check_fields
+    from meshdeform_formats.files import invalid_path
+    from meshdeform_formats.grids import format_of
+
+    if run.dry_run:
+        return
+    if output is None:
+        raise click.UsageError("Missing option '-o' / '--output' (or --dry-run).")
+    format_of(output)
+    check_fields(run.fields, output, True)
+    check_output(output, run.force, *inputs)
+    if not run.allow_invalid:
+        # The invalid grid of an earlier run may be replaced, an input never.
+        check_output(invalid_path(output), True, *inputs)
+
+
+def check_reports(reports: tuple[Path, ...], force: bool, *inputs: Path | None) -> None:
+    """:func:`check_output` for reports, whose suffix must be known."""
+    from meshdeform_formats.report.write import check_report_path
+
+    for path in reports:
+        # A single dash is stdout.
+        if str(path) != "-":
+            check_report_path(path)
+            check_output(path, force, *inputs)
+
+
+def make_folder(output: Path) -> None:
+    """Make the folder for several outputs, unless it exists.
+
+    Raises
+    ------
+    CaseError
+        When there is a file in its place.
+    """
+    if output.exists() and not output.is_dir():
+        raise CaseError(f"{output} is a file; expected a folder")
+    output.mkdir(parents=True, exist_ok=True)
+
+
+def make_room(limit: MemoryLimit, doing: str, work: Work, sources: Sequence[GridInput], folder: Path | None) -> None:
+    """Refuse grids that do not fit, from the headers of their files; large arrays are put into files if that helps.
+
+    Parameters
+    ----------
+    doing : like ``deforming``
+    folder : for these files
+
+    Raises
+    ------
+    MethodError
+        Stating the required size.
+    """
+    there = [source for source in sources if source.path.is_file()]
+    size = sum(_bytes_of(source.path) for source in there)
+    if _at_most(work, size).in_memory <= limit.size:
+        set_scratch(None)
+        return
+    layouts = [source.layout() for source in there]
+    known = [layout for layout in layouts if layout is not None]
+    if len(known) < len(layouts):
+        names = " and ".join(str(source.path) for source in there)
+        whole = work._replace(more=work.more + _COORDINATES)
+        Demand(f"{doing} {names} (read as a whole)", whole, size // _COORDINATES).place(limit, None)
+    else:
+        Demand.of(doing, work, *known).place(limit, folder)
+
+
+def too_large(limit: MemoryLimit, work: Work, source: GridInput) -> Layout | None:
+    """The blocks of a grid that cannot be deformed in memory; ``None`` for others, and where its header does not
+    tell."""
+    if not source.path.is_file() or _at_most(work, _bytes_of(source.path)).in_memory <= limit.size:
+        return None
+    layout = source.layout()
+    return layout if layout and Demand.of("deforming", work, layout).in_memory > limit.size else None
+
+
+def _at_most(work: Work, size: int) -> Demand:
+    """What the grid in a file of this size takes at most: every node may be on a face outside."""
+    nodes = size // _NODES
+    return Demand("", work, nodes, nodes, nodes, nodes)
+
+
+def _bytes_of(path: Path) -> int:
+    """Size of a file; for small ones, including the files that they may refer to."""
+    from meshdeform_formats.inputs import files_behind
+
+    size = os.path.getsize(path)
+    return size if size > _SMALL else sum(os.path.getsize(each) for each in files_behind(path) if each.is_file())
+
+
+def temporary_folder() -> Path:
+    """Folder for temporary files of commands that write no grid: ``TMPDIR``, or the system's default."""
+    return Path(tempfile.gettempdir())
