@@ -24,12 +24,10 @@ if TYPE_CHECKING:
     from meshdeform_core.errors import CaseError, FormatError, GridError, MeshDeformError, MethodError, MotionError
     from meshdeform_core.methods import IDW, RBF, TFI
 
-    from .choice import Hybrid
     from .grid import Grid, read, write
     from .mesh import Mesh
-    from .preparation import prepare
     from .step import Step
-    from .tasks import Difference, Sample, compare, deform, quality, sample
+    from .tasks import Difference, Hybrid, Sample, compare, deform, prepare, quality, sample
 
     __version__: str
 
@@ -41,11 +39,9 @@ __all__ = [
 
 _NAMES = {
     ".grid": ("Grid", "read", "write"),
-    ".preparation": ("prepare",),
     ".mesh": ("Mesh",),
     ".step": ("Step",),
-    ".tasks": ("Difference", "Sample", "compare", "deform", "quality", "sample"),
-    ".choice": ("Hybrid",),
+    ".tasks": ("Difference", "Hybrid", "Sample", "compare", "deform", "prepare", "quality", "sample"),
     "meshdeform_core.methods": ("TFI", "RBF", "IDW"),
     "meshdeform_core.errors": (
         "MeshDeformError", "GridError", "FormatError", "CaseError", "MotionError", "MethodError",

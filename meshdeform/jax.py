@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Literal
 
 import jax
@@ -23,8 +24,8 @@ from meshdeform_core.grid import FloatArray
 from meshdeform_core.repair.options import Mode
 
 from .linearisation import Linearisation
-from .mesh import Mesh
-from .step import Step, unusable
+from .mesh import Mesh, Repeated
+from .step import unusable
 
 __all__ = ["deform_function"]
 
@@ -59,7 +60,7 @@ def deform_function(
     """
     if mode not in ("reverse", "forward"):
         raise MethodError(f"mode = {mode!r}; expected 'reverse' or 'forward'")
-    host = _Host(mesh, steps, repair)
+    repeated = Repeated(mesh, steps, repair)
     blocks = [jax.ShapeDtypeStruct(block.shape, np.float64) for block in mesh.grid.blocks]
 
     def called(displacement: Any) -> Blocks:
@@ -71,21 +72,37 @@ def deform_function(
         expected = [mesh.points.shape, *([(len(mesh.points), 2)] if mesh.session.plane else [])]
         if given.shape not in expected:
             raise MethodError(f"displacement is {given.shape}; expected {expected[-1]}, like mesh.points")
-        return _outside(host.deform, blocks, given)
+        return _outside(deformed, blocks, given)
+
+    def deformed(displacement: Any) -> list[FloatArray]:
+        step = repeated.step(np.asarray(displacement))
+        if not step.valid:
+            raise GridError(unusable(step))
+        return [np.array(block) for block in step.grid.blocks]
+
+    def linearised(displacement: Any) -> Linearisation:
+        return repeated.derivative(np.asarray(displacement), partial(warnings.warn, stacklevel=2))
 
     if mode == "forward":
         onward = jax.custom_jvp(called)
 
+        def pushed(displacement: Any, change: Any) -> list[FloatArray]:
+            return linearised(displacement).jvp(np.asarray(change))
+
         @onward.defjvp
         def push(at: tuple[Any], change: tuple[Any]) -> tuple[Blocks, Blocks]:
-            return called(*at), _outside(host.push, blocks, *at, *change)
+            return called(*at), _outside(pushed, blocks, *at, *change)
 
         return onward
     backward = jax.custom_vjp(called)
 
+    def pulled(displacement: Any, gradient: list[Any]) -> FloatArray:
+        found = linearised(displacement).vjp([np.asarray(block) for block in gradient])
+        return found[:, : np.shape(displacement)[1]]
+
     def end(displacement: Any, gradient: Blocks) -> tuple[Any]:
         like = jax.ShapeDtypeStruct(displacement.shape, np.float64)
-        return (_outside(host.pull, like, displacement, gradient),)
+        return (_outside(pulled, like, displacement, gradient),)
 
     backward.defvjp(lambda displacement: (called(displacement), displacement), end)
     return backward
@@ -93,36 +110,3 @@ def deform_function(
 
 def _outside(function: Callable[..., Any], shape: Any, *arguments: Any) -> Any:
     return jax.pure_callback(function, shape, *arguments, vmap_method="sequential")
-
-
-class _Host:
-    """What is called outside of JAX, with the last step and its derivative."""
-
-    def __init__(self, mesh: Mesh, steps: int, repair: Mode):
-        self._mesh, self._steps, self._repair = mesh, steps, repair
-        self._step: Step | None = None
-        self._at: FloatArray = np.empty((0, 3))
-        self._derivative: Linearisation | None = None
-
-    def deform(self, displacement: Any) -> list[FloatArray]:
-        # As long as the step is kept, its derivative does not deform the grid again.
-        self._step = self._mesh.deform(np.asarray(displacement), steps=self._steps, repair=self._repair)
-        if not self._step.valid:
-            raise GridError(unusable(self._step))
-        return [np.array(block) for block in self._step.grid.blocks]
-
-    def push(self, displacement: Any, change: Any) -> list[FloatArray]:
-        return self._linearised(displacement).jvp(np.asarray(change))
-
-    def pull(self, displacement: Any, gradient: list[Any]) -> FloatArray:
-        found = self._linearised(displacement).vjp([np.asarray(block) for block in gradient])
-        return found[:, : np.shape(displacement)[1]]
-
-    def _linearised(self, displacement: Any) -> Linearisation:
-        at = np.asarray(displacement)
-        if self._derivative is None or not np.array_equal(at, self._at):
-            found = self._mesh.linearise(at, steps=self._steps, repair=self._repair)
-            if not found.exact:
-                warnings.warn(f"the derivative is not that of the grid: {found.reason}", stacklevel=2)
-            self._at, self._derivative = at.copy(), found
-        return self._derivative

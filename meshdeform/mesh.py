@@ -248,3 +248,28 @@ class Mesh:
     def __repr__(self) -> str:
         patches = ", ".join(self.patches)
         return f"Mesh({self.method}, {len(self.points):,} moving nodes of {patches}; {self.grid!r})"
+
+
+class Repeated:
+    """Steps of a mesh that are all imposed in one way; the last one is kept, and so is its derivative."""
+
+    def __init__(self, mesh: Mesh, steps: int | Literal["auto"], repair: Mode):
+        self.mesh, self._steps, self._repair = mesh, steps, repair
+        self._step: Step | None = None
+        self._at: FloatArray = np.empty((0, 3))
+        self._derivative: Linearisation | None = None
+
+    def step(self, displacement: FloatArray) -> Step:
+        """The step for a displacement (n_moving, 3)."""
+        # As long as it is kept, its derivative does not deform the grid again.
+        self._step = self.mesh.deform(displacement, steps=self._steps, repair=self._repair)
+        return self._step
+
+    def derivative(self, displacement: FloatArray, warn: Callable[[str], object]) -> Linearisation:
+        """The derivative there; ``warn`` is called once if it is not that of the step."""
+        if self._derivative is None or not np.array_equal(displacement, self._at):
+            found = self.mesh.linearise(displacement, steps=self._steps, repair=self._repair)
+            self._at, self._derivative = displacement.copy(), found
+            if not found.exact:
+                warn(f"the derivative is not that of the grid: {found.reason}")
+        return self._derivative

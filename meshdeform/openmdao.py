@@ -13,6 +13,7 @@ block.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,11 +28,10 @@ from meshdeform_core.parallel import Nodes
 from meshdeform_core.quality.gradients import quality_gradient
 
 from .grid import Grid
-from .linearisation import Linearisation
-from .mesh import Mesh
-from .pieces import gathered, share_of
-from .preparation import prepare
-from .step import Step, unusable
+from .mesh import Mesh, Repeated
+from .session import gathered, share_of
+from .step import unusable
+from .tasks import prepare
 
 if TYPE_CHECKING:
     from mpi4py.MPI import Comm
@@ -100,13 +100,11 @@ class MeshDeformComp(_OnMesh):
         self.options.declare("steps", default=1, desc="as of Mesh.deform")
         self.options.declare("repair", default="off", values=["off", "auto", "polish"], desc="as of Mesh.deform")
         self.options.declare("on_invalid", default="raise", values=["raise", "keep"], desc="what an invalid grid is")
-        self._step: Step | None = None
-        self._derivative: Linearisation | None = None
-        self._at: FloatArray = np.empty((0, 3))
 
     def setup(self) -> None:
         super().setup()
         o, mesh = self.options, self.mesh
+        self._repeated = Repeated(mesh, o["steps"], o["repair"])
         points, nodes = mesh.points[self.own_points], mesh.session.setup.grid.points[self.own_nodes]
         for name in filter(None, (o["surface"], o["initial"])):
             self.add_input(name, points.ravel(), distributed=self.divided, tags=["mphys_coordinates"])
@@ -114,37 +112,23 @@ class MeshDeformComp(_OnMesh):
 
     def compute(self, inputs: Any, outputs: Any) -> None:
         """Deform the grid; all ranks reach the same verdict."""
-        displacement = self.whole(inputs[self.options["surface"]]) - self.mesh.points
-        # As long as the step is kept, its derivative does not deform the grid again.
-        self._step = self.mesh.deform(displacement, steps=self.options["steps"], repair=self.options["repair"])
-        if not self._step.valid and self.options["on_invalid"] == "raise":
-            raise om.AnalysisError(f"{self.pathname}: {unusable(self._step)}")
-        outputs[self.options["volume"]] = self._step.result.grid.points[self.own_nodes].ravel()
+        step = self._repeated.step(self.whole(inputs[self.options["surface"]]) - self.mesh.points)
+        if not step.valid and self.options["on_invalid"] == "raise":
+            raise om.AnalysisError(f"{self.pathname}: {unusable(step)}")
+        outputs[self.options["volume"]] = step.result.grid.points[self.own_nodes].ravel()
 
     def compute_jacvec_product(self, inputs: Any, d_inputs: Any, d_outputs: Any, mode: str) -> None:
         """Products with the derivative at ``inputs``, which is computed once per set of inputs."""
         surface, volume = self.options["surface"], self.options["volume"]
         if surface not in d_inputs or volume not in d_outputs:
             return
-        operator = self._linearised(inputs).operator
+        warn = partial(om.issue_warning, prefix=self.pathname, category=om.DerivativesWarning)
+        operator = self._repeated.derivative(self.whole(inputs[surface]) - self.mesh.points, warn).operator
         if mode == "fwd":
             d_outputs[volume] += operator.matvec(self.whole(d_inputs[surface]).ravel())
         else:
             found = operator.rmatvec(d_outputs[volume]).reshape(-1, 3)
             d_inputs[surface] += found[self.own_points].ravel()
-
-    def _linearised(self, inputs: Any) -> Linearisation:
-        at = self.whole(inputs[self.options["surface"]]) - self.mesh.points
-        if self._derivative is None or not np.array_equal(at, self._at):
-            self._at = at
-            self._derivative = self.mesh.linearise(at, steps=self.options["steps"], repair=self.options["repair"])
-            if not self._derivative.exact:
-                om.issue_warning(
-                    f"the derivative is not that of the grid: {self._derivative.reason}",
-                    prefix=self.pathname,
-                    category=om.DerivativesWarning,
-                )
-        return self._derivative
 
 
 class MeshQualityComp(_OnMesh):

@@ -1,21 +1,263 @@
-"""One function per task: deform once, judge, compare, sample."""
+"""One function per task: prepare a grid for many deformations, deform it once, judge, compare, sample; and methods."""
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from meshdeform_core.errors import CaseError
+from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary.motions.motion import GIVEN
+from meshdeform_core.deform import Case, set_up
+from meshdeform_core.errors import CaseError, MethodError
+from meshdeform_core.grid.selection import Components
+from meshdeform_core.memory import Demand, MemoryLimit, deforming, machine_memory, parse_memory
 from meshdeform_core.mending import judge_grid
+from meshdeform_core.methods import IDW, RBF, TFI, Options
+from meshdeform_core.parallel import Ranks, WholeGridNeeded, sharing
 from meshdeform_core.quality.difference import Difference, compare_points
 from meshdeform_core.repair.options import Mode
+from meshdeform_formats.case import CaseFile, case_of, read_case
 
-from .choice import Method
+from .gate import in_parts, whole_number
 from .grid import Grid, user_grid, whole, wrapped
-from .preparation import CaseLike, parsed_case, prepare
+from .mesh import Mesh
+from .session import Session, one_at_a_time, ranks_of_comm
 from .step import Step
 
-__all__ = ["Difference", "Sample", "compare", "deform", "quality", "sample"]
+if TYPE_CHECKING:
+    from mpi4py.MPI import Comm
+
+__all__ = ["Difference", "Hybrid", "Sample", "compare", "deform", "prepare", "quality", "sample"]
+
+Elementary = IDW | RBF | TFI
+Selection = str | Sequence[str] | Mapping[str, str | Sequence[str]]
+CaseLike = str | Path | Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Hybrid:
+    """``mover`` moves block interfaces and the faces of virtual sub-blocks, ``filler`` the interiors (Sen et al.).
+
+    Attributes
+    ----------
+    mover : :class:`IDW`, :class:`RBF` or :class:`TFI`
+    filler : :class:`TFI` or :class:`RBF`
+    """
+
+    mover: Elementary
+    filler: Elementary
+
+    def __post_init__(self) -> None:
+        for role, part in (("mover", self.mover), ("filler", self.filler)):
+            if not isinstance(part, IDW | RBF | TFI):
+                raise MethodError(f"{role} = {part!r}; expected IDW(...), RBF(...) or TFI(...)")
+        if type(self.mover) is type(self.filler) and self.mover != self.filler:
+            raise MethodError(f"mover and filler differ: {self.mover} and {self.filler}; expected the same options")
+        self.options  # noqa: B018  (refuses combinations that are not offered)
+
+    @property
+    def options(self) -> Options:
+        """The equivalent options of a case."""
+        return _options(f"{_name(self.mover)}-{_name(self.filler)}", self.mover, self.filler)
+
+
+Method = str | IDW | RBF | TFI | Hybrid
+
+
+def options_of(method: Method) -> Options:
+    """Convert the user's choice of method to the options of a case.
+
+    Raises
+    ------
+    MethodError
+        For an unknown name, a combination that is not offered, or an object that is not a method.
+    """
+    if isinstance(method, str):
+        return Options(method)
+    if isinstance(method, Hybrid):
+        return method.options
+    if isinstance(method, IDW | RBF | TFI):
+        return _options(_name(method), method)
+    raise MethodError(
+        f"method = {method!r} is a {type(method).__name__}; expected a name like 'idw-tfi', IDW(...), RBF(...), "
+        f"TFI(...) or Hybrid(mover, filler)"
+    )
+
+
+def _name(part: Elementary) -> str:
+    return type(part).__name__.lower()
+
+
+def _options(name: str, *parts: Elementary) -> Options:
+    return Options(name, **{_name(part): part for part in parts})  # type: ignore[arg-type]
+
+
+def prepare(
+    grid: Grid | str | Path,
+    case: CaseLike | None = None,
+    *,
+    moving: Selection | None = None,
+    fixed: Selection | None = None,
+    slip: Selection | None = None,
+    symmetry: Selection | None = None,
+    periodic: Selection | None = None,
+    free: Selection | None = None,
+    components: Components | None = None,
+    method: Method | None = None,
+    comm: Comm | None = None,
+    threads: int | None = None,
+    max_memory: int | str | None = None,
+) -> Mesh:
+    """Compute everything that does not depend on the displacement.
+
+    Parameters
+    ----------
+    grid : a grid, or the name of a grid file
+    case : a case file, or its content as a mapping; replaces selections and ``components``
+    moving, fixed, slip, symmetry, periodic, free : patch names of the grid or block faces, like ``"wing"``,
+        ``["wing", "block2.jmin[1:65,*]"]`` (each a separate patch) or ``{"body": ["wing", "tail"]}``. Outside faces
+        that are not selected are fixed; ``free`` faces move along like the interior
+    components : of an overset grid, each of which moves by its own boundary: ``"zone prefix"``, or patterns of block
+        names like ``{"wing": ["wing*"], "flap": ["flap*"]}``
+    method : a name like ``"idw-tfi"``, :class:`IDW`, :class:`RBF`, :class:`TFI` or :class:`Hybrid`; by default the
+        case's method, ``"idw-tfi"`` if it has none
+    comm : mpi4py communicator; each of its ranks holds and deforms its part of the grid, ``mesh.grid.part`` and
+        ``step.grid.part``, as with ``mpiexec meshdeform deform``; every rank must make the same calls in the same order
+    threads : largest number of threads; by default all cores available to the process
+    max_memory : bytes, or a size like ``"2GiB"``; by default the available memory of the machine
+
+    Raises
+    ------
+    MeshDeformError
+        When a selection matches nothing, no node would move, options do not belong to the method, the grid does not
+        fit into memory.
+    """
+    ranks, threads = ranks_of_comm(comm), whole_number(threads)
+    if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
+        raise CaseError(f"threads = {threads!r}; expected a whole number >= 1")
+    selections = {
+        Kind.MOVING: moving,
+        Kind.FIXED: fixed,
+        Kind.SLIP: slip,
+        Kind.SYMMETRY: symmetry,
+        Kind.PERIODIC: periodic,
+        Kind.FREE: free,
+    }
+    with in_parts(), one_at_a_time(), sharing(ranks, threads):
+        what = _case(case, selections, components)
+        held = _grid_of(grid, what, ranks)
+        chosen = what.case if method is None else dataclasses.replace(what.case, method=options_of(method))
+        memory = Demand.of("deforming", deforming(chosen.method.name), held.core).left_of(_memory(max_memory))
+        setup = set_up(held.core, chosen, memory=memory)
+        return Mesh(Session(setup, held.plane, ranks, threads))
+
+
+def _grid_of(source: Grid | str | Path, what: CaseFile, ranks: Ranks) -> Grid:
+    """The grid with the patches and components that the case names files for; in parts if there are several ranks."""
+    try:
+        found = _read(source, what, ranks)
+    except WholeGridNeeded:
+        if ranks.count == 1:
+            raise
+        # Some files can only be read as a whole: each rank does, and keeps its part.
+        with sharing(Ranks(ranks.cores), None):
+            found = _read(source, what, ranks)
+    return wrapped(found.core.divided(ranks), found.plane)
+
+
+def _read(source: Grid | str | Path, what: CaseFile, ranks: Ranks) -> Grid:
+    grid = user_grid(source)
+    if ranks.count == 1:
+        whole(grid, "preparing it without comm=")
+    if what.boundary_file is not None:
+        from meshdeform_formats.neutral_map import read_neutral_map
+
+        grid = wrapped(read_neutral_map(what.boundary_file, grid.core), grid.plane)
+    return grid
+
+
+def _memory(size: int | str | None) -> MemoryLimit:
+    if size is None:
+        return machine_memory()
+    size = whole_number(size)
+    if isinstance(size, bool) or not isinstance(size, int | str) or (isinstance(size, int) and size <= 0):
+        raise CaseError(f'max_memory = {size!r}; expected bytes, or a size like "2GiB"')
+    return parse_memory(str(size), "max_memory")
+
+
+def _case(
+    case: CaseLike | None, selections: Mapping[Kind, Selection | None], components: Components | None
+) -> CaseFile:
+    given = [kind.label for kind, selection in selections.items() if selection is not None]
+    if case is not None:
+        given += ["components"] * (components is not None)
+        if given:
+            raise CaseError(f"found a case and {', '.join(given)}; expected only one of them: the case says what moves")
+        return parsed_case(case)
+    if Kind.MOVING.label not in given:
+        raise CaseError('nothing moves; expected moving = ["patch", ...], or a case')
+    own = case_of({"grid": {"components": components or ""}}).case.components
+    specs: list[BoundarySpec] = []
+    for kind, selection in selections.items():
+        for name, patterns in _entries(kind, selection).items():
+            if name in (spec.name for spec in specs):
+                raise CaseError(f"{kind.label}: {name!r} is selected twice; expected each patch once")
+            specs.append(BoundarySpec(name, patterns, kind, motion=GIVEN if kind is Kind.MOVING else None))
+    return CaseFile(Case(tuple(specs), components=own))
+
+
+def parsed_case(case: CaseLike) -> CaseFile:
+    """The case from a file or from a mapping with the same content.
+
+    Raises
+    ------
+    CaseError
+        For an unknown key (naming the nearest known one) or an invalid value.
+    """
+    if isinstance(case, str | Path):
+        return read_case(case)
+    if isinstance(case, Mapping):
+        method = case.get("method")
+        if method is None or isinstance(method, Mapping):
+            return case_of(case)
+        parsed = case_of({key: value for key, value in case.items() if key != "method"})
+        return dataclasses.replace(parsed, case=dataclasses.replace(parsed.case, method=options_of(method)))
+    raise CaseError(f"case is a {type(case).__name__}; expected the name of a case file, or a mapping with its content")
+
+
+def _entries(kind: Kind, selection: Selection | None) -> dict[str, tuple[str, ...]]:
+    """Selection patterns by patch name."""
+    if selection is None:
+        return {}
+    if isinstance(selection, str):
+        return {selection: (selection,)}
+    if isinstance(selection, Mapping):
+        if not all(isinstance(name, str) and _is_patterns(one) and one for name, one in selection.items()):
+            raise _not_a_selection(kind, selection)
+        return {name: (one,) if isinstance(one, str) else tuple(one) for name, one in selection.items()}
+    if not _is_patterns(selection):
+        raise _not_a_selection(kind, selection)
+    # Both sides of a periodic pair belong in one entry.
+    if kind is Kind.PERIODIC:
+        return {" and ".join(selection): tuple(selection)}
+    if len(set(selection)) < len(selection):
+        raise CaseError(f"{kind.label} = {list(selection)} names a patch twice; expected each once")
+    return {pattern: (pattern,) for pattern in selection}
+
+
+def _is_patterns(value: object) -> bool:
+    """Whether ``value`` is a string or a sequence of strings."""
+    return isinstance(value, str) or (isinstance(value, Sequence) and all(isinstance(one, str) for one in value))
+
+
+def _not_a_selection(kind: Kind, selection: object) -> CaseError:
+    return CaseError(
+        f"{kind.label} = {selection!r}; expected patch names or block faces, like 'wing', ['wing', 'block2.jmin'] "
+        f"or {{'body': ['wing', 'tail']}}"
+    )
 
 
 class Sample(NamedTuple):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,17 +12,13 @@ from meshdeform_core.grid.topology import Topology, find_topology, quads_of_patc
 from meshdeform_core.grid.windows import rectangles
 from meshdeform_core.wording import vector
 
-from ..choice import options_of
 from ..grid import wrapped
 from ..linearisation import Linearisation
-from ..mesh import Mesh
-from ..preparation import prepare
+from ..mesh import Mesh, Repeated
 from ..session import Session
 from ..step import Step
+from ..tasks import options_of, prepare
 from .options import Options
-
-if TYPE_CHECKING:
-    pass
 
 SURFACE = "surface"
 _AGREE, _DISAGREE = 1e-6, 0.1
@@ -108,7 +103,8 @@ class Component:
 
     def __init__(self, zones: Zones, quads: IntArray, pairs: tuple[IntArray, IntArray]):
         self.rows = zones.rows
-        self._mesh, self._repair = _mesh(zones, quads), zones.options["repair"]
+        self._mesh = _mesh(zones, quads)
+        self._repeated = Repeated(self._mesh, 1, zones.options["repair"])
         numbers, topology = self._mesh.session.numbers, self._mesh.session.setup.topology
         self.point, node = pairs
         self._row = np.searchsorted(numbers, node)
@@ -123,7 +119,6 @@ class Component:
         self._wall, self._wall_row = wall if isinstance(self.rows, slice) else self.rows[wall], every[at]
         self._positions = self._mesh.points
         self._step: Step | None = None
-        self._derivative: Linearisation | None = None
 
     @property
     def points(self) -> FloatArray:
@@ -136,8 +131,7 @@ class Component:
         Returns the step, and the largest distance between copies of a point relative to the local edge.
         """
         positions, apart = self._positions_of(surface)
-        self._step = self._mesh.deform(positions - self.points, steps=1, repair=self._repair)
-        self._positions, self._derivative = positions, None
+        self._positions, self._step = positions, self._repeated.step(positions - self.points)
         return self._step, apart
 
     def put(self, whole: FloatArray) -> None:
@@ -149,10 +143,7 @@ class Component:
 
     def derivative(self) -> Linearisation:
         """The derivative at the last displacement."""
-        if self._derivative is None:
-            at = self._positions - self.points
-            self._derivative = self._mesh.linearise(at, steps=1, repair=self._repair)
-        return self._derivative
+        return self._repeated.derivative(self._positions - self.points, lambda _: None)
 
     def forward(self, change: FloatArray) -> FloatArray:
         """Change (n, 3) of the nodes of these zones for a ``change`` of all points."""

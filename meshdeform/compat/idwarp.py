@@ -26,8 +26,7 @@ from meshdeform_core.parallel import Ranks, sharing
 from meshdeform_core.wording import vector
 
 from ..grid import read, wrapped, write
-from ..pieces import gathered, share_of, summed
-from ..session import one_at_a_time, ranks_of_comm
+from ..session import gathered, one_at_a_time, ranks_of_comm, share_of, summed
 from .component import Component, Zones
 from .options import Options
 from .surface import Definition, match, require_found, rows_of_file, rows_of_freedoms

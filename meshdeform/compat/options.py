@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from meshdeform_core.errors import CaseError, suggestion
 from meshdeform_core.methods import IDW, RBF, TFI
 
-from ..choice import Hybrid, Method, options_of
+from ..tasks import Hybrid, Method, options_of
 
 _PART = 1e-3
 """Tolerance of fast sums (relative to the cell) as a fraction of ``errTol`` (relative to the displacement).
