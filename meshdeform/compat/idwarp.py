@@ -202,48 +202,6 @@ class _Interface:
             warnings.warn(f"the derivative is not that of the warped grid: {reason}", stacklevel=4)
         return found
 
-    def verifyWarpDeriv(
-        self, dXv: ArrayLike | None = None, solverVec: bool = True, dofStart: int = 0, dofEnd: int = 10,
-        h: float = 1e-6, randomSeed: int = 314,
-    ) -> None:  # fmt: skip
-        """Compare the gradient with central differences of :meth:`warpMesh` for some coordinates of the first rank.
-
-        Parameters
-        ----------
-        dXv : gradient of the nodes (3 n,); random numbers by default
-        dofStart, dofEnd : first coordinate of the surface to compare, and one past the last
-        h : step (grid length unit)
-
-        Raises
-        ------
-        AssertionError
-            When any component differs by more than 1e-4 of the largest one.
-        """
-        rows = self._rows(solverVec)
-        if dXv is None:
-            dXv = np.random.default_rng(randomSeed).random(3 * len(rows))
-        weights, at = np.asarray(dXv, dtype=np.float64).ravel(), self.getSurfaceCoordinates()
-        self.warpMesh()
-        found = self._reverse(weights, rows).ravel()[dofStart:dofEnd]
-        found = found if self._comm is None else self._comm.bcast(found)
-        expected = np.zeros_like(found)
-        for number in range(len(found)):
-            ends = []
-            for step in (h, -h):
-                moved = at.ravel().copy()
-                if self._ranks.number == 0:
-                    moved[dofStart + number] += step
-                self.setSurfaceCoordinates(moved)
-                self.warpMesh()
-                value = float(weights @ self._points[rows].ravel())
-                ends.append(value if self._comm is None else self._comm.allreduce(value))
-            expected[number] = (ends[0] - ends[1]) / (2 * h)
-        self.setSurfaceCoordinates(at)
-        self.warpMesh()
-        error = np.abs(found - expected).max(initial=0.0)
-        if error > 1e-4 * np.abs(expected).max(initial=0.0):
-            raise AssertionError(f"gradients {found.tolist()}; differences with h = {h:g}: {expected.tolist()}")
-
     def writeGrid(self, fileName: str | None = None) -> None:
         """The grid as a copy of its file, by default beside it with ``_warped`` in its name."""
         source, moved = Path(self._file), wrapped(self._grid.moved(self._points))

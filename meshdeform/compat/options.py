@@ -20,68 +20,32 @@ times the time that ``errTol`` itself would take.
 _WITH_IDW = {"idw": None, "idw-tfi": TFI, "idw-rbf": RBF}
 
 
-def _any(name: str, value: Any) -> Any:
-    return value
-
-
-def _positive(name: str, value: Any) -> float:
+def _positive(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < float("inf"):
-        raise CaseError(f"{name} = {value!r}; expected a positive number")
+        raise ValueError
     return float(value)
 
 
-def _switch(name: str, value: Any) -> bool:
+def _switch(value: Any) -> bool:
     if not isinstance(value, bool):
-        raise CaseError(f"{name} = {value!r}; expected True or False")
+        raise ValueError
     return value
 
 
-def _corner_angle(name: str, value: Any) -> float:
-    angle = _positive(name, value)
-    if angle != OPTIONS[name].default:
-        warnings.warn(f"{name} = {value!r} has no effect: {OPTIONS[name].note}", stacklevel=6)
-    return angle
+def _families(value: Any) -> list[str] | None:
+    if isinstance(value, str) or not all(isinstance(each, str) for each in value or ()):
+        raise ValueError
+    return None if value is None else list(value)
 
 
-def _one_of(*known: str) -> Callable[[str, Any], str]:
-    def checked_choice(name: str, value: Any) -> str:
-        if str(value).lower() not in known:
-            raise CaseError(f"{name} = {value!r}; expected one of {', '.join(known)}")
-        return str(value).lower()
-
-    return checked_choice
+def _planes(value: Any) -> list[tuple[tuple[float, ...], ...]] | None:
+    planes = [tuple(tuple(float(x) for x in vector) for vector in plane) for plane in value or ()]
+    if not all(len(plane) == 2 and all(len(vector) == 3 for vector in plane) and any(plane[1]) for plane in planes):
+        raise ValueError
+    return None if value is None else planes
 
 
-def _file_type(name: str, value: Any) -> str:
-    if str(value).lower() == "openfoam":
-        raise CaseError(
-            "fileType = 'OpenFOAM': its meshes are unstructured; expected CGNS or PLOT3D, the structured grid from "
-            "which the mesh was made"
-        )
-    return _one_of("cgns", "plot3d")(name, value).upper()
-
-
-def _families(name: str, value: Any) -> list[str] | None:
-    if value is None:
-        return None
-    if isinstance(value, str) or not all(isinstance(each, str) for each in value):
-        raise CaseError(f"{name} = {value!r}; expected a list of family names")
-    return list(value)
-
-
-def _planes(name: str, value: Any) -> list[tuple[tuple[float, ...], ...]] | None:
-    if value is None:
-        return None
-    try:
-        planes = [tuple(tuple(float(x) for x in vector) for vector in plane) for plane in value]
-        if all(len(plane) == 2 and all(len(vector) == 3 for vector in plane) and any(plane[1]) for plane in planes):
-            return planes
-    except (TypeError, ValueError):
-        pass
-    raise CaseError(f"{name} = {value!r}; expected [[[x, y, z], [nx, ny, nz]], ...], or [] for none")
-
-
-def _method(name: str, value: Any) -> Any:
+def _method(value: Any) -> Any:
     # Names and objects alike: unknown ones are refused here, not at the first warp.
     if not _has_idw(value):
         options_of(value)
@@ -93,43 +57,60 @@ def _has_idw(method: object) -> bool:
 
 
 class Option(NamedTuple):
-    """Default, a check that returns the value to use, and the meaning here where that differs from IDWarp's."""
+    """Default, a function that returns the value to use or raises ValueError, what it expects, and the meaning here
+    where that differs from IDWarp's."""
 
     default: Any
-    check: Callable[[str, Any], Any] = _any
+    checked: Callable[[Any], Any] = lambda value: value
+    expected: str = ""
     note: str = ""
+
+
+def _number(default: float, note: str = "") -> Option:
+    return Option(default, _positive, "a positive number", note)
+
+
+def _one_of(default: str, known: tuple[str, ...], note: str = "", hint: str = "") -> Option:
+    same = {each.lower(): each for each in known}
+
+    def checked(value: Any) -> str:
+        if str(value).lower() not in same:
+            raise ValueError
+        return same[str(value).lower()]
+
+    return Option(default, checked, f"one of {', '.join(known)}{hint}", note)
 
 
 OPTIONS = {
     "gridFile": Option(None),
-    "fileType": Option("CGNS", _file_type),
-    "specifiedSurfaces": Option(None, _families),
-    "symmetrySurfaces": Option(None, _families),
-    "symmetryPlanes": Option(None, _planes),
-    "aExp": Option(3.0, _positive),
-    "bExp": Option(5.0, _positive),
-    "LdefFact": Option(1.0, _positive),
-    "alpha": Option(0.25, _positive),
-    "errTol": Option(
-        0.0005, _positive,
-        "fast sums err by at most a thousandth of it, relative to the shortest cell edge at a node",
+    "fileType": _one_of("CGNS", ("CGNS", "PLOT3D"), hint="; unstructured meshes, as those of OpenFOAM, are not read"),
+    "specifiedSurfaces": Option(None, _families, "a list of family names"),
+    "symmetrySurfaces": Option(None, _families, "a list of family names"),
+    "symmetryPlanes": Option(None, _planes, "[[[x, y, z], [nx, ny, nz]], ...], or [] for none"),
+    "aExp": _number(3.0),
+    "bExp": _number(5.0),
+    "LdefFact": _number(1.0),
+    "alpha": _number(0.25),
+    "errTol": _number(
+        0.0005, "fast sums err by at most a thousandth of it, relative to the shortest cell edge at a node"
     ),
-    "evalMode": Option(
-        "fast", _one_of("fast", "exact"), "'fast' uses fast sums where they pay, exact ones for smaller grids"
+    "evalMode": _one_of(
+        "fast", ("fast", "exact"), "'fast' uses fast sums where they pay, exact ones for smaller grids"
     ),
-    "symmTol": Option(1e-6, _positive),
+    "symmTol": _number(1e-6),
     "useRotations": Option(
-        True, _switch, "rotations are averaged as twists (rotation = 'lie'), independent of the frame"
+        True, _switch, "True or False", "rotations are averaged as twists (rotation = 'lie'), independent of the frame"
     ),
     "zeroCornerRotations": Option(
-        True, _switch, "rotations near sharp edges are averaged with those around them instead of being zeroed"
+        True, _switch, "True or False",
+        "rotations near sharp edges are averaged with those around them instead of being zeroed",
     ),
-    "cornerAngle": Option(30.0, _corner_angle, "edges are sharp from about 50 degrees on"),
-    "restartFile": Option(None, _any, "nothing is read or written: preparing takes less time than reading it would"),
-    "bucketSize": Option(8, _any, "has no effect: clusters are chosen by the tolerance"),
+    "cornerAngle": _number(30.0, "edges are sharp from about 50 degrees on"),
+    "restartFile": Option(None, note="nothing is read or written: preparing takes less time than reading it would"),
+    "bucketSize": Option(8, note="has no effect: clusters are chosen by the tolerance"),
     # Additions to IDWarp's options.
     "method": Option("idw", _method),
-    "repair": Option("off", _one_of("off", "auto", "polish")),
+    "repair": _one_of("off", ("off", "auto", "polish")),
 }  # fmt: skip
 _LOWER = {name.lower(): name for name in OPTIONS}
 
@@ -166,7 +147,13 @@ class Options:
     def set(self, name: str, value: Any) -> None:
         """Change an option."""
         known = self._known(name)
-        self._values[known] = OPTIONS[known].check(known, value)
+        option = OPTIONS[known]
+        try:
+            self._values[known] = option.checked(value)
+        except (TypeError, ValueError):
+            raise CaseError(f"{known} = {value!r}; expected {option.expected}") from None
+        if known == "cornerAngle" and value != option.default:
+            warnings.warn(f"{known} = {value!r} has no effect: {option.note}", stacklevel=4)
 
     def items(self) -> list[tuple[str, Any, str]]:
         """Every option with its value and its note, which may be empty."""
