@@ -17,7 +17,8 @@ help:
 	@echo "make bench      speed and memory tables (see docs/performance.md)"
 	@echo "make reproduce  the paper's tables and figures (QUICK=1 for the small sizes)"
 
-PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+# Bytecode is written where a module is first imported; most of what these packages contain never is.
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
 
 # What runs the program; `installed` adds what tests and checks it.
 $(VENV)/program: pyproject.toml
