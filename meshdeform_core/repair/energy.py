@@ -14,22 +14,33 @@ walls rotating against each other gain nothing from that metric and are compared
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..grid import BoolArray, FloatArray, IntArray
-from ..numerics.cell.foldover.hexahedra import Unknowns, add_derivatives, energy_of_cells, excess_of_cells
-from ..numerics.cell.foldover.jacobian import growth, slopes_of_triangle
+from ..numerics.cell.foldover.hexahedra import Unknowns, add_derivatives, energy_of_cells
+from ..numerics.cell.foldover.jacobian import combined, growth, slopes, slopes_of_triangle
 from ..numerics.cell.foldover.plane import add_triangles
-from ..numerics.cell.foldover.samples import Samples, shortest_edges
+from ..numerics.cell.foldover.samples import (
+    CORNERS,
+    SAMPLES,
+    Maps,
+    cofactors,
+    inner,
+    maps_at_sample,
+    shortest_edges,
+    turned_cofactors,
+)
 from .tuned import ALONG, BETWEEN, COLLAPSED, FULL, HEALTHY, HELD, NORM, POWER, SLOWLY, SOFT
 
-_CORNERS = (1 << 8) - 1
+_CORNERS = (1 << CORNERS) - 1
+_TOGETHER = 1 << 15
+"""Hexahedra whose maps are found at a time, which bounds the memory."""
 _SQUEEZED = 0.03
 """Cells count as squeezed if the mean volume around them is below this fraction of the undeformed volume."""
 _ROUNDS = 4
@@ -70,25 +81,95 @@ class Rows(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Hexahedra:
-    """The energy of hexahedra.
+class _Elements:
+    """What the two kinds of elements have in common: their excess, and products with derivatives, from their maps.
 
     Attributes
     ----------
-    start, own : (k, 3) undeformed coordinates, and the rows (m, 8) of each cell's corners
-    nodes : (m, 8) nodes of each cell, in the order of :func:`..numerics.cell.foldover.samples.cell_samples`
-    mask : (m,) int64, bit s set where sample point s counts
-    samples : the sample points
+    start : undeformed coordinates
+    nodes : (m, c) nodes of each element
     weight : (m,) of the cells
-    between : (m,) share of the samples between corners
     """
 
     start: FloatArray
-    own: IntArray
     nodes: IntArray
-    mask: IntArray
-    samples: Samples
     weight: FloatArray
+
+    def maps(self, between: bool = True) -> Iterator[Maps]:
+        """The maps at all samples, some at a time; those between corners only on request."""
+        raise NotImplementedError
+
+    def part(self, maps: Maps) -> FloatArray | float:
+        """The share of the maps, beside that of all samples."""
+        return 1.0
+
+    def softened(self, power: float) -> Self:
+        """The energy with all weights raised to ``power``."""
+        return dataclasses.replace(self, weight=self.weight**power)
+
+    def excess(self, x: FloatArray) -> FloatArray:
+        """Excess (m,) of the elements, with corners as samples."""
+        total = np.zeros(len(self.nodes))
+        for maps in self.maps(between=False):
+            f = _slopes(maps.matrices(x), SOFT)[0]
+            total[maps.element] += np.log(np.maximum(f / HEALTHY, 1.0)) ** NORM
+        return np.asarray(total ** (1.0 / NORM))
+
+    def excess_products(self, x: FloatArray, change: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Change (m,) of the excess for a ``change`` (n, d) of ``x``, and the transpose for a ``gradient`` (m,)."""
+        excess, along, found = self.excess(x), np.zeros(len(self.nodes)), np.zeros_like(change)
+        for maps in self.maps(between=False):
+            a, of = maps.matrices(x), maps.element
+            f, u, v, *_ = _slopes(a, SOFT)
+            beyond = np.log(np.maximum(f / HEALTHY, 1.0))
+            share = np.divide(beyond, excess[of], out=np.zeros_like(f), where=beyond > 0.0) ** (NORM - 1.0)
+            force = share / f * (u * a + v * cofactors(a))
+            along[of] += inner(force, maps.matrices(change))
+            found += maps.on_nodes(gradient[of] * force, len(x))
+        return along, found
+
+    def products(
+        self, x: FloatArray, penalty: Penalty, change: FloatArray, share: float, between: FloatArray
+    ) -> tuple[FloatArray, float, FloatArray]:
+        """Change (n, d) of the gradient for changes of ``x`` (n, d), of the share, and of the shares ``between`` (m,)
+        of samples between corners; and the transposes with respect to the two kinds of shares."""
+        found, total, gradient = np.zeros_like(change), 0.0, np.zeros(len(self.nodes))
+        for maps in self.maps():
+            a, t, of = maps.matrices(x), maps.matrices(change), maps.element
+            f, *first = _slopes(a, penalty.eps)
+            _, one, two = growth(f)
+            u, v, w, p, q, r = combined(first, self.weight[of] + penalty.cubic * one, penalty.cubic * two)
+            k, part = cofactors(a), self.part(maps)
+            ta, tk = inner(t, a), inner(t, k)
+            along = u * ta + v * tk
+            total += float((part * along).sum())
+            force = w * t + v * turned_cofactors(a, t) + (p * ta + q * tk) * a + (q * ta + r * tk) * k
+            own = share * part
+            if maps.at_corners:
+                force = penalty.share * part * force + penalty.elastic * self.weight[of] ** HELD * t
+            else:
+                force, own = penalty.share * part * force, own + penalty.share * between[of]
+                gradient[of] += penalty.share * along
+            found += maps.on_nodes(force + own * (u * a + v * k), len(x))
+        return found, total, gradient
+
+
+@dataclass(frozen=True)
+class Hexahedra(_Elements):
+    """The energy of hexahedra, with ``nodes`` (m, 8) in the order of
+    :func:`..numerics.cell.foldover.samples.sample_slopes`.
+
+    Attributes
+    ----------
+    own : (m, 8) rows of each cell's corners in ``start`` (k, 3)
+    mask : (m,) int64, bit s set where sample point s counts
+    slope : (27, 8, 3) of the shape functions
+    between : (m,) share of the samples between corners
+    """
+
+    own: IntArray
+    mask: IntArray
+    slope: FloatArray
     between: FloatArray
 
     @property
@@ -101,17 +182,19 @@ class Hexahedra:
         pairs = [(a, a | bit) for a in range(8) for bit in (1, 2, 4) if not a & bit]
         return shortest_edges(self.start, self.nodes, np.array(pairs))
 
-    def softened(self, power: float) -> Hexahedra:
-        """The energy with all weights raised to ``power``."""
-        return dataclasses.replace(self, weight=self.weight**power)
-
-    def excess(self, x: FloatArray) -> FloatArray:
-        """Excess (m,) of the elements, with corners as samples."""
-        return np.asarray(excess_of_cells(x, *self._corners, HEALTHY, NORM, SOFT))
-
     def with_between(self, share: FloatArray) -> Hexahedra:
         """The energy with shares (m,) of the samples between corners; samples with a share of 0 are left out."""
         return dataclasses.replace(self, mask=np.where(share > 0.0, self.mask, self.mask & _CORNERS), between=share)
+
+    def maps(self, between: bool = True) -> Iterator[Maps]:
+        for low in range(0, len(self.nodes), _TOGETHER):
+            for sample in range(SAMPLES if between else CORNERS):
+                some = low + np.flatnonzero(self.mask[low : low + _TOGETHER] >> sample & 1)
+                if some.size:
+                    yield maps_at_sample(self.start, self.own, self.nodes, self.slope, sample, some)
+
+    def part(self, maps: Maps) -> FloatArray | float:
+        return 1.0 if maps.at_corners else self.between[maps.element]
 
     def sum(
         self, x: FloatArray, reference: FloatArray, penalty: Penalty, low: int, high: int
@@ -125,27 +208,6 @@ class Hexahedra:
         """See :func:`..numerics.cell.foldover.hexahedra.add_derivatives`."""
         rest = tuple(penalty), which, unknowns, rows.pattern, rows.matrix, rows.gradient
         add_derivatives(x, *self._loops, reference, *rest)
-
-    def products(
-        self, x: FloatArray, penalty: Penalty, change: FloatArray, share: float, between: FloatArray
-    ) -> tuple[FloatArray, float, FloatArray]:
-        """Change (n, d) of the gradient for changes of ``x`` (n, d), of the share, and of the shares ``between`` (m,)
-        of samples between corners; and the transposes with respect to the two kinds of shares.
-
-        See :func:`..numerics.cell.foldover.tangents.products_of_cells`."""
-        from ..numerics.cell.foldover.tangents import products_of_cells
-
-        found, gradient = np.zeros_like(change), np.zeros(len(self.nodes))
-        total = products_of_cells(x, *self._loops, tuple(penalty), change, share, between, found, gradient)
-        return found, total, gradient
-
-    def excess_products(self, x: FloatArray, change: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Change (m,) of the excess for a ``change`` (n, d) of ``x``, and the transpose for a ``gradient`` (m,)."""
-        from ..numerics.cell.foldover.tangents import slopes_of_cells
-
-        excess, found = np.zeros(len(self.nodes)), np.zeros_like(change)
-        slopes_of_cells(x, *self._corners, HEALTHY, NORM, SOFT, change, gradient, excess, found)
-        return excess, found
 
     def matrices(self, x: FloatArray) -> FloatArray:
         """Jacobian matrices (m, d, d) of the maps from undeformed elements, averaged over each hexahedron."""
@@ -162,25 +224,17 @@ class Hexahedra:
     @cached_property
     def _loops(self) -> tuple[Any, ...]:
         weights = np.stack([self.weight, self.between, self.weight**HELD], axis=1)
-        return self.nodes, self.start, self.own, self.mask, self.samples, weights
-
-    @property
-    def _corners(self) -> tuple[Any, ...]:
-        return self.nodes, self.start, self.own, self.mask & _CORNERS, self.samples
+        return self.nodes, self.start, self.own, self.mask, self.slope, weights
 
 
 @dataclass(frozen=True)
-class Triangles:
+class Triangles(_Elements):
     """The energy of the corners of quadrilaterals, as triangles of ``nodes`` (m, 3).
 
-    ``slope`` (m, 3, 2) are the gradients of the shape functions in the undeformed grid, ``start`` (n, 2) undeformed
-    coordinates, ``weight`` (m,) the weights of the cells.
+    ``slope`` (m, 3, 2) are the gradients of the shape functions in the undeformed grid.
     """
 
-    nodes: IntArray
     slope: FloatArray
-    start: FloatArray
-    weight: FloatArray
 
     @property
     def work(self) -> float:
@@ -188,9 +242,6 @@ class Triangles:
 
     def edges(self) -> FloatArray:
         return shortest_edges(self.start, self.nodes, np.array([(0, 1), (0, 2)]))
-
-    def softened(self, power: float) -> Triangles:
-        return dataclasses.replace(self, weight=self.weight**power)
 
     @classmethod
     def at_corners(
@@ -210,20 +261,24 @@ class Triangles:
         dual = np.stack([vy, -vx, -uy, ux], axis=-1)[kept].reshape(-1, 2, 2) / det[kept, None, None]
         slope = np.broadcast_to(ends, (*kept.shape, 2))[kept][:, :, None] * dual
         slope = np.concatenate([-slope.sum(axis=1, keepdims=True), slope], axis=1)
-        return cls(nodes[kept], slope, start, np.repeat(weight, kept.sum(axis=1)))
+        return cls(start, nodes[kept], np.repeat(weight, kept.sum(axis=1)), slope)
+
+    def maps(self, between: bool = True) -> Iterator[Maps]:
+        yield self._maps
 
     def sum(
         self, x: FloatArray, reference: FloatArray, penalty: Penalty, low: int, high: int
     ) -> tuple[float, float, float]:
-        some = slice(low, high)
-        a, det = self._maps(x, some)
+        maps = Maps(self._maps.nodes[:, low:high], self._maps.slope[..., low:high], self._maps.element[low:high])
+        a = maps.matrices(x)
+        g, det = inner(a, a), a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
         chi, _ = _regular(det, penalty.eps)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            f = np.where(chi > 0.0, 0.5 * (_inner(a, a) + det * det + 1.0) / chi, np.inf)
-            energy = penalty.share * (self.weight[some] * f + penalty.cubic * growth.py_func(f)[0])
+            f = np.where(chi > 0.0, 0.5 * (g + det * det + 1.0) / chi, np.inf)
+            energy = penalty.share * (self.weight[low:high] * f + penalty.cubic * growth(f)[0])
         if penalty.elastic > 0.0:
-            change = a - self._maps(reference, some)[0]
-            energy += 0.5 * penalty.elastic * self._weights[some, 1] * _inner(change, change)
+            change = a - maps.matrices(reference)
+            energy += 0.5 * penalty.elastic * self._weights[low:high, 1] * inner(change, change)
         return float(energy.sum()), float(det.min(initial=np.inf)), float(f.max(initial=0.0))
 
     def add(
@@ -232,37 +287,11 @@ class Triangles:
         rest = tuple(penalty), which, unknowns, rows.pattern, rows.matrix, rows.gradient
         add_triangles(x, self.nodes, self.slope, self._weights, reference, *rest)
 
-    def excess(self, x: FloatArray) -> FloatArray:
-        f = self._slopes(*self._maps(x), SOFT)[0]
-        return np.asarray(np.log(np.maximum(f / HEALTHY, 1.0)))
-
-    def excess_products(self, x: FloatArray, change: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
-        a, det = self._maps(x)
-        f, along_g, along_det, _, _ = self._slopes(a, det, SOFT)
-        force = (2.0 * along_g * a + along_det * _cofactors(a)) * np.where(f > HEALTHY, 1.0 / f, 0.0)
-        return _inner(force, self._maps(change)[0]), self._on_nodes(gradient * force, len(x))
-
-    def products(
-        self, x: FloatArray, penalty: Penalty, change: FloatArray, share: float, between: FloatArray
-    ) -> tuple[FloatArray, float, FloatArray]:
-        (a, det), t = self._maps(x), self._maps(change)[0]
-        f, along_g, along_det, mixed, second = self._slopes(a, det, penalty.eps)
-        _, one, two = growth.py_func(f)
-        one, two, k = self.weight + penalty.cubic * one, penalty.cubic * two, _cofactors(a)
-        # Changes of g = |A|^2 and D, and of the derivatives of the energy along them.
-        of_g, of_det = 2.0 * _inner(a, t), _inner(k, t)
-        of_f = along_g * of_g + along_det * of_det
-        u = penalty.share * (two * of_f * along_g + one * mixed * of_det) + share * one * along_g
-        v = penalty.share * (two * of_f * along_det + one * (mixed * of_g + second * of_det)) + share * one * along_det
-        force = 2.0 * (penalty.share * one * along_g * t + u * a) + penalty.elastic * self._weights[:, 1] * t
-        force += penalty.share * one * along_det * _cofactors(t) + v * k
-        return self._on_nodes(force, len(x)), float((one * of_f).sum()), np.zeros(len(self.nodes))
-
     def with_between(self, share: FloatArray) -> Triangles:
         return self
 
     def matrices(self, x: FloatArray) -> FloatArray:
-        return np.asarray(np.einsum("mni,mnk->mik", x[self.nodes], self.slope))
+        return np.asarray(self._maps.matrices(x).transpose(2, 0, 1))
 
     def stretched(self, stretch: FloatArray) -> Triangles:
         return dataclasses.replace(self, slope=np.einsum("mnk,mkj->mnj", self.slope, np.linalg.inv(stretch)))
@@ -273,29 +302,19 @@ class Triangles:
         return np.stack([self.weight, self.weight**HELD], axis=1)
 
     @cached_property
-    def _columns(self) -> tuple[IntArray, FloatArray]:
-        """Nodes (3, m) and gradients (3, 2, m)."""
-        return np.ascontiguousarray(self.nodes.T), np.ascontiguousarray(self.slope.transpose(1, 2, 0))
+    def _maps(self) -> Maps:
+        slope = np.ascontiguousarray(self.slope.transpose(1, 2, 0))
+        return Maps(np.ascontiguousarray(self.nodes.T), slope, np.arange(len(self.nodes)))
 
-    def _maps(self, x: FloatArray, some: slice = slice(None)) -> tuple[FloatArray, FloatArray]:
-        """Jacobian matrices (2, 2, m) of the maps from undeformed triangles, and their determinants (m,)."""
-        nodes, slope = (columns[..., some] for columns in self._columns)
-        # Indexing with arrays takes seven times as long as np.take.
-        a = np.take(x, nodes[0], axis=0).T[:, None] * slope[0]
-        for node, along in zip(nodes[1:], slope[1:], strict=True):
-            a += np.take(x, node, axis=0).T[:, None] * along
-        return a, a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
 
-    @staticmethod
-    def _slopes(a: FloatArray, det: FloatArray, eps: float) -> Any:
-        """See :func:`..numerics.cell.foldover.jacobian.slopes_of_triangle`."""
-        return slopes_of_triangle.py_func(_inner(a, a), det, *_regular(det, eps))
-
-    def _on_nodes(self, force: FloatArray, n: int) -> FloatArray:
-        """Forces (n, 2) on the nodes for those on the matrices (2, 2, m)."""
-        nodes, slope = self._columns
-        parts = ((row * slope).sum(axis=1) for row in force)
-        return np.stack([np.bincount(nodes.ravel(), part.ravel(), n) for part in parts], axis=1)
+def _slopes(a: FloatArray, eps: float) -> tuple[FloatArray, ...]:
+    """f of maps (d, d, m) and its derivatives: f, u, v, w, q, r as in :mod:`..numerics.cell.foldover.jacobian`."""
+    k = cofactors(a)
+    g, det = inner(a, a), (a[0] * k[0]).sum(axis=0)
+    chi, root = _regular(det, eps)
+    if len(a) == 2:
+        return slopes_of_triangle(g, det, chi, root)
+    return slopes(g, det, chi, root, chi ** (-2.0 / 3.0))[:6]
 
 
 Energy = Hexahedra | Triangles
@@ -360,16 +379,6 @@ class Region:
         for slide in self.slides:
             result[slide.nodes] = slide.back(result[slide.nodes])
         return result
-
-
-def _inner(a: FloatArray, b: FloatArray) -> FloatArray:
-    """The sums (m,) of the products of the entries of matrices (2, 2, m)."""
-    return np.asarray((a * b).sum(axis=(0, 1)))
-
-
-def _cofactors(a: FloatArray) -> FloatArray:
-    """The cofactors of matrices (2, 2, m)."""
-    return np.array([[a[1, 1], -a[1, 0]], [-a[0, 1], a[0, 0]]])
 
 
 def _regular(det: FloatArray, eps: float) -> tuple[FloatArray, FloatArray]:

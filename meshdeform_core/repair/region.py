@@ -23,7 +23,7 @@ from ..boundary.slip import CurvedSurface
 from ..grid import BoolArray, FloatArray, IntArray
 from ..grid.planes import plane_axes, plane_normal
 from ..numerics.cell.foldover.hexahedra import Unknowns
-from ..numerics.cell.foldover.samples import cell_samples, samples_with_any, sound_samples
+from ..numerics.cell.foldover.samples import sample_slopes, samples_with_any, sound_samples
 from ..numerics.cell.layers import spread_layers
 from ..parallel import Nodes
 from ..quality import Original
@@ -294,10 +294,9 @@ class Neighbourhood:
         """The energy of the samples that depend on a node that ``moves`` (n,), as all others are constant."""
         if self.grid.dimension == 2:
             return Triangles.at_corners(start, cells, sign, weight, moves)
-        samples = cell_samples()
-        mask = sound_samples(start, cells, samples, sign, COLLAPSED)
-        mask &= samples_with_any(moves[cells], samples)
-        return Hexahedra(start, cells, cells, mask, samples, weight, np.ones(len(cells)))
+        slope = sample_slopes()
+        mask = sound_samples(start, cells, slope, sign, COLLAPSED) & samples_with_any(moves[cells], slope)
+        return Hexahedra(start, cells, weight, cells, mask, slope, np.ones(len(cells)))
 
     def _unknowns(self, nodes: IntArray, moves: BoolArray) -> tuple[Unknowns, FloatArray]:
         """The dependence of a region's ``nodes`` on its unknowns, and the directions of these; see :class:`Region`."""

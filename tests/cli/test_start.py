@@ -40,7 +40,7 @@ from meshdeform_cli.main import run
 code = run(sys.argv[1:])
 lazy = {
     "scipy.sparse", "scipy.spatial", "scipy.io", "matplotlib", "meshio",
-    "meshdeform_core.numerics.cell.foldover.tangents", "meshdeform_core.numerics.fastsum.radial",
+    "meshdeform_core.repair.derivative", "meshdeform_core.numerics.fastsum.radial",
     "meshdeform_core.numerics.fastsum.weighted", "meshdeform_core.numerics.systems.krylov",
     "meshdeform_formats.picture", "meshdeform_formats.vtk", "meshdeform_formats.report.page",
 }

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from meshdeform_core.numerics.cell.foldover.hexahedra import Unknowns, add_derivatives, energy_of_cells
-from meshdeform_core.numerics.cell.foldover.samples import cell_samples
+from meshdeform_core.numerics.cell.foldover.samples import sample_slopes
 
-SAMPLES = cell_samples()
+SLOPES = sample_slopes()
 CORNERS, ALL = (1 << 8) - 1, (1 << 27) - 1
 # eps, share, cubic, elastic, exact
 UNTANGLING, MINIMISING = (0.7, 1.0, 0.0, 0.0, 0.0), (0.0, 0.3, 2.0, 0.7, 1.0)
@@ -35,10 +35,10 @@ def definition(start, x, reference, cell, mask, weight, penalty):
     """The energy of one cell, as in the docstring of the package ``foldover``; its smallest D and largest f."""
     eps, share, cubic, elastic, _ = penalty
     total, lowest, highest = 0.0, np.inf, 0.0
-    for s, (used, node, slope) in enumerate(zip(*SAMPLES, strict=True)):
+    for s, slope in enumerate(SLOPES):
         if not mask >> s & 1:
             continue
-        undeformed, deformed, held = (points[cell[node[:used]]].T @ slope[:used] for points in (start, x, reference))
+        undeformed, deformed, held = (points[cell].T @ slope for points in (start, x, reference))
         a = deformed @ np.linalg.inv(undeformed)
         det = np.linalg.det(a)
         chi = 0.5 * (det + np.hypot(eps, det))
@@ -56,7 +56,7 @@ def definition(start, x, reference, cell, mask, weight, penalty):
 def test_the_energy_is_that_of_its_definition(n, penalty):
     (start, x, reference), corners = cells(n, 1.0)
     mask, weight = masks(n), np.random.default_rng(4).random((n, 3)) + 0.5
-    found = energy_of_cells(x, corners, start, corners, mask, SAMPLES, weight, reference, penalty, 0, n)
+    found = energy_of_cells(x, corners, start, corners, mask, SLOPES, weight, reference, penalty, 0, n)
     expected = [definition(start, x, reference, corners[c], mask[c], weight[c], penalty) for c in range(n)]
     totals, lowest, highest = zip(*expected, strict=True)
     assert found == pytest.approx((sum(totals), min(lowest), max(highest)), rel=1e-12)
@@ -65,7 +65,7 @@ def test_the_energy_is_that_of_its_definition(n, penalty):
 def test_an_inverted_cell_has_no_energy_without_regularisation():
     (start, x, reference), corners = cells(9, 1.0)
     x[corners[4, 7]] = x[corners[4, 0]] - 1.0
-    arguments = corners, start, corners, masks(9), SAMPLES, np.ones((9, 3)), reference
+    arguments = corners, start, corners, masks(9), SLOPES, np.ones((9, 3)), reference
     energy, lowest, highest = energy_of_cells(x, *arguments, MINIMISING, 0, 9)
     assert not np.isfinite(energy)
     assert lowest < 0.0
@@ -81,7 +81,7 @@ def test_derivatives_are_those_of_the_energy_whatever_the_frames_and_rows(thin):
     frame, plain = np.tile(np.eye(3), (n, 1, 1)), random.random(n) < 0.7
     frame[~plain] = np.linalg.qr(random.standard_normal((n, 3, 3)))[0][~plain]
     number = np.where(random.random(n) < 0.8, np.arange(n), -1)
-    unknowns, arguments = Unknowns(number, frame, plain), (corners, start, corners, mask, SAMPLES, weight, reference)
+    unknowns, arguments = Unknowns(number, frame, plain), (corners, start, corners, mask, SLOPES, weight, reference)
 
     def derivatives(at, ranges):
         gradient, hessian = np.zeros((n, 3)), np.zeros((n, n, 3, 3))
@@ -111,7 +111,7 @@ def derivatives_of(x, corners, start, reference, mask, which, penalty=MINIMISING
     unknowns = Unknowns(np.arange(n), np.tile(np.eye(3), (n, 1, 1)), np.ones(n, bool))
     rows = (0, n, np.arange(n + 1) * n, np.tile(np.arange(n, dtype=np.int32), n))
     gradient, blocks, weight = np.zeros((n, 3)), np.zeros((n * n, 3, 3)), np.full((len(corners), 2), 0.8)
-    given = corners, start, corners, mask, SAMPLES, weight, reference, penalty
+    given = corners, start, corners, mask, SLOPES, weight, reference, penalty
     add_derivatives(x, *given, np.asarray(which), unknowns, rows, blocks, gradient)
     return gradient, blocks.reshape(n, n, 3, 3)
 

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..jit import kernel
-from .foldover.jacobian import cofactors, determinant, regular
+from ..jit import inlined, kernel
 
 # f within round-off of the limit counts as unhealthy; the repair then decides.
 _BELOW = 1.0 - 1e-9
@@ -44,7 +43,7 @@ def mark_unhealthy(x, start, normal, healthy, eps, tolerance, marks):
                         base[0, d] = start[i + si, b, c, d] - start[i, b, c, d] + (1 - si) * normal[d]
                         base[1, d] = start[a, j + sj, c, d] - start[a, j, c, d] + (1 - sj) * normal[d]
                         base[2, d] = start[a, b, k + sk, d] - start[a, b, k, d] + (1 - sk) * normal[d]
-                    cofactors(base, dual)
+                    _cofactors(base, dual)
                     before, size, norm = 0.0, 1.0, 0.0
                     for d in range(3):
                         before += base[0, d] * dual[0, d]
@@ -56,8 +55,10 @@ def mark_unhealthy(x, start, normal, healthy, eps, tolerance, marks):
                             entry = edge[0, d] * dual[0, p] + edge[1, d] * dual[1, p] + edge[2, d] * dual[2, p]
                             norm += entry * entry
                     norm /= before * before
-                    det = determinant(edge) / before
-                    chi, _ = regular(det, eps)
+                    _cofactors(edge, dual)
+                    det = (edge[0, 0] * dual[0, 0] + edge[0, 1] * dual[0, 1] + edge[0, 2] * dual[0, 2]) / before
+                    root = np.sqrt(eps * eps + det * det)
+                    chi = 0.5 * (det + root) if det > 0.0 else 0.5 * eps * eps / (root - det)
                     if flat:
                         # The normal, which remains, adds one to the square of the norm.
                         sound = 0.5 * (norm + det * det) <= healthy * _BELOW * chi
@@ -69,3 +70,13 @@ def mark_unhealthy(x, start, normal, healthy, eps, tolerance, marks):
                     if not sound:
                         marks[i, j, k] = True
                         break
+
+
+@inlined
+def _cofactors(a, k):
+    """Cofactors ``k`` (3, 3) of ``a``."""
+    for i in range(3):
+        m, n = (i + 1) % 3, (i + 2) % 3
+        for j in range(3):
+            p, q = (j + 1) % 3, (j + 2) % 3
+            k[i, j] = a[m, p] * a[n, q] - a[m, q] * a[n, p]

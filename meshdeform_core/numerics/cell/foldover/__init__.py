@@ -15,6 +15,6 @@ where A_reference is the matrix of the same cell in another grid. The cubic term
 like p^2 where f is very large, lest it flatten the first cells at walls. The elastic term ties the grid to the
 reference, at walls more than elsewhere, as w f pulls more there.
 
-Plane grids: :mod:`.plane`, and ``Triangles`` in :mod:`meshdeform_core.repair.energy`. Products with the second
-derivatives, for derivatives of the minimum: :mod:`.tangents`.
+Plane grids: :mod:`.plane`. Products with the second derivatives, for derivatives of the minimum:
+:mod:`meshdeform_core.repair.energy`.
 """

@@ -87,7 +87,7 @@ def _add_energy(terms: Array, sums: Array, found: _Map, eps: Lanes, share: Lanes
     root, infinite = _inverse_root(chi), found.det * 0.0 + float("inf")
     f = found.square * (1 / 3) * root * root + (found.det * found.det + 1.0) * 0.5 / chi
     f = (chi * 0.0).below(chi).choose(f, infinite)
-    total = share * (load(terms, WEIGHT) * f + cubic * growth.py_func(f)[0]) + stiff
+    total = share * (load(terms, WEIGHT) * f + cubic * growth(f)[0]) + stiff
     store(sums, ENERGY, load(sums, ENERGY) + found.counts.choose(total, 0.0))
     store(sums, LOWEST, load(sums, LOWEST).min(found.counts.choose(found.det, infinite)))
     store(sums, HIGHEST, load(sums, HIGHEST).max(found.counts.choose(f, 0.0)))
@@ -146,11 +146,11 @@ def _derivatives(
     elastic energy, whose stiffness is ``stiff``."""
     chi, root = regular(found.det, eps)
     third = _inverse_root(chi)
-    f, u, v, w, q, r, least = slopes.py_func(found.square, found.det, chi, root, third * third)
+    f, u, v, w, q, r, least = slopes(found.square, found.det, chi, root, third * third)
     r = r.max(r * exact + least * (exact * -1.0 + 1.0))
-    one, two = growth.py_func(f)[1:]
+    one, two = growth(f)[1:]
     part = found.counts.choose(share, 0.0)
-    u, v, w, p, q, r = combined.py_func(u, v, w, q, r, part * (load(terms, WEIGHT) + cubic * one), part * cubic * two)
+    u, v, w, p, q, r = combined((u, v, w, q, r), part * (load(terms, WEIGHT) + cubic * one), part * cubic * two)
     along = [[dot(row, dual) for row in found.matrix] for dual in found.dual]
     pull = [[u * a + v * c for a, c in zip(*pair, strict=True)] for pair in zip(along, found.across, strict=True)]
     return pull, _second(found, along, w + stiff, v * exact * found.inverse, p, q, r)

@@ -26,9 +26,7 @@ from .corners import (
     add_energy_between,
     derivatives_between,
 )
-from .jacobian import combined, distortion, growth, mapping, regular, slopes
 from .nodes import FORCE, PARTS, ROWS, add_to_pair, transpose, turn_to_node
-from .samples import Samples
 
 
 @record("i8[::1], f8[:, :, ::1], b1[::1]")
@@ -42,10 +40,10 @@ class Unknowns(NamedTuple):
 
 
 @kernel(
-    "f8[:, ::1], i8[:, ::1], f8[:, ::1], i8[:, ::1], i8[::1], Samples, f8[:, ::1], f8[:, ::1], UniTuple(f8, 5), i8, i8",
-    Samples,
+    "f8[:, ::1], i8[:, ::1], f8[:, ::1], i8[:, ::1], i8[::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1], UniTuple(f8, 5), "
+    "i8, i8"
 )
-def energy_of_cells(x, cells, start, own, mask, samples, weight, reference, penalty, low, high):
+def energy_of_cells(x, cells, start, own, mask, slope, weight, reference, penalty, low, high):
     """Sum of the energy over the cells low <= c < high, their smallest D and largest f.
 
     Parameters
@@ -53,14 +51,14 @@ def energy_of_cells(x, cells, start, own, mask, samples, weight, reference, pena
     x, cells : (n, 3) deformed coordinates; (m, 8) rows of ``x`` at the corners of the cells
     start, own : (k, 3) undeformed coordinates; (m, 8) rows of ``start`` at the corners of the cells
     mask : (m,) int64, bit s set where sample point s counts
-    samples : see :class:`.samples.Samples`
+    slope : (27, 8, 3) see :func:`.samples.sample_slopes`
     weight : (m, 3) w of the cells, the share of their samples between corners, the factor of their elastic energy
     reference : (n, 3) coordinates of the reference grid
     penalty : eps, share, cubic and elastic of the energy, and the share of its indefinite second derivatives; with
         eps = 0 the energy is infinite where D <= 0
     """
     points, terms, sums = np.empty((GRIDS, 8, 3, WIDTH)), np.empty((TERMS, WIDTH)), np.empty((SUMS, WIDTH))
-    slope, (eps, share, cubic, elastic, _) = _all_slopes(samples), penalty
+    eps, share, cubic, elastic, _ = penalty
     for lane in range(WIDTH):
         sums[ENERGY, lane], sums[LOWEST, lane], sums[HIGHEST, lane] = 0.0, np.inf, 0.0
     for first in range(low, high, WIDTH):
@@ -82,18 +80,6 @@ def energy_of_cells(x, cells, start, own, mask, samples, weight, reference, pena
 
 
 @inlined
-def _all_slopes(samples):
-    """Slopes (27, 8, 3) of the shape functions of all nodes."""
-    count, node, slope = samples
-    found = np.zeros((count.size, 8, 3))
-    for s in range(count.size):
-        for n in range(count[s]):
-            for k in range(3):
-                found[s, node[s, n], k] = slope[s, n, k]
-    return found
-
-
-@inlined
 def _gather(x, cell, start, own, reference, points, lane):
     """The corners of a cell in three grids."""
     for n in range(8):
@@ -112,30 +98,13 @@ def _weigh(mask, weight, c, terms, lane):
     return mask
 
 
-@inlined
-def coefficients(g, det, eps, weight, cubic, exact):
-    """Derivatives of the energy of one sample without its elastic term; g = |A|^2, K are the cofactors of A.
-
-    The gradient is u A + v K, the Hessian w I + p A A^T + q (A K^T + K A^T) + r K K^T plus v times the derivative of K.
-    The Hessian is the convex part and the share ``exact`` of the rest. In the convex part the derivative of K is left
-    out, and the entry of D in the 2 x 2 matrix of second derivatives along A and D is raised until no eigenvalue is
-    negative.
-    """
-    chi, root = regular(det, eps)
-    f, u, v, w, q, r, least = slopes(g, det, chi, root, chi ** (-2.0 / 3.0))
-    r = max(r, exact * r + (1.0 - exact) * least)
-    _, one, two = growth(f)
-    return combined(u, v, w, q, r, weight + cubic * one, cubic * two)
-
-
 @kernel(
-    "f8[:, ::1], i8[:, ::1], f8[:, ::1], i8[:, ::1], i8[::1], Samples, f8[:, ::1], f8[:, ::1], UniTuple(f8, 5), "
+    "f8[:, ::1], i8[:, ::1], f8[:, ::1], i8[:, ::1], i8[::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1], UniTuple(f8, 5), "
     "i8[::1], Unknowns, Tuple((i8, i8, i8[::1], i4[::1],)), f8[:, :, ::1], f8[:, ::1]",
-    Samples,
     Unknowns,
 )
 def add_derivatives(
-    x, cells, start, own, mask, samples, weight, reference, penalty, which, unknowns, rows, matrix, gradient
+    x, cells, start, own, mask, slope, weight, reference, penalty, which, unknowns, rows, matrix, gradient
 ):
     """Add the derivatives of the energy of the cells ``which`` to rows of the gradient and of the Hessian.
 
@@ -149,7 +118,7 @@ def add_derivatives(
     """
     points, terms, parts = np.empty((GRIDS, 8, 3, WIDTH)), np.empty((TERMS, WIDTH)), np.empty((PARTS, WIDTH))
     result, cell, work = np.empty((ROWS, WIDTH)), np.empty((WIDTH, ROWS)), np.empty((3, 3))
-    slope, (eps, share, cubic, elastic, exact) = _all_slopes(samples), penalty
+    eps, share, cubic, elastic, exact = penalty
     for first in range(0, len(which), WIDTH):
         used, some = min(WIDTH, len(which) - first), 0
         for lane in range(WIDTH):
@@ -162,7 +131,12 @@ def add_derivatives(
         for s in range(8, len(slope)):
             if some >> s & 1:
                 derivatives_between(points, terms, slope, parts, s, eps, share, cubic, exact)
-                _add_between(samples, slope, parts, result, s)
+                for n in range(8):
+                    if _enters(slope, s, n):
+                        turn_to_node(slope, parts, result, s, n)
+                        for o in range(n, 8):
+                            if _enters(slope, s, o):
+                                add_to_pair(slope, parts, result, s, n, o)
         for row in range(0, ROWS, WIDTH):
             transpose(result, row, cell, ROWS)
         for lane in range(used):
@@ -170,13 +144,9 @@ def add_derivatives(
 
 
 @inlined
-def _add_between(samples, slope, parts, result, s):
-    """Add the derivatives at a sample point to those of its nodes."""
-    count, node, _ = samples
-    for n in range(count[s]):
-        turn_to_node(slope, parts, result, s, node[s, n])
-        for o in range(n, count[s]):
-            add_to_pair(slope, parts, result, s, node[s, n], node[s, o])
+def _enters(slope, s, n):
+    """Whether the map at a sample point depends on a node."""
+    return slope[s, n, 0] != 0.0 or slope[s, n, 1] != 0.0 or slope[s, n, 2] != 0.0
 
 
 @inlined
@@ -244,22 +214,3 @@ def _place_of(row, column, rows):
         else:
             high = middle
     return low - starts[first]
-
-
-@kernel("f8[:, ::1], i8[:, ::1], f8[:, ::1], i8[:, ::1], i8[::1], Samples, f8, f8, f8", Samples)
-def excess_of_cells(x, cells, start, own, mask, samples, healthy, norm, eps):
-    """``norm``-norm of max(0, log(f / healthy)) over the sample points of each cell (m,)."""
-    count, node, slope = samples
-    inverse, b, a = np.empty((3, 3)), np.empty((8, 3)), np.empty((3, 3))
-    result = np.empty(len(cells))
-    for c in range(len(cells)):
-        total = 0.0
-        for s in range(count.size):
-            if mask[c] >> s & 1:
-                det = mapping(x, cells[c], start, own[c], count[s], node[s], slope[s], inverse, b, a)
-                chi, _ = regular(det, eps)
-                f = distortion(a, det, chi)
-                if f > healthy:
-                    total += np.log(f / healthy) ** norm
-        result[c] = total ** (1.0 / norm)
-    return result

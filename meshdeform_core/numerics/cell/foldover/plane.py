@@ -23,7 +23,7 @@ from ...jit import kernel
 from ...lanes import NARROW as WIDTH
 from ...lanes import Array, Lanes, narrow
 from .hexahedra import Unknowns, add_element
-from .jacobian import growth, slopes_of_triangle
+from .jacobian import combined, growth, slopes_of_triangle
 from .nodes import load, regular, store, transpose
 
 DEFORMED, REFERENCE, SLOPE, WEIGHT, HELD, GIVEN = 0, 6, 12, 18, 19, 20
@@ -46,11 +46,9 @@ def triangle_derivatives(
     held = _matrix(given, REFERENCE, slope)
     det, elastic = a * d - b * c, elastic * load(given, HELD)
     chi, root = regular(det, eps)
-    f, dg, dd, gd, ddd = slopes_of_triangle.py_func(a * a + b * b + c * c + d * d, det, chi, root)
-    one, two = growth.py_func(f)[1:]
-    one, two = share * (load(given, WEIGHT) + cubic * one), share * cubic * two
-    u, v = 2.0 * dg * one, dd * one
-    second = two * dg * dg, one * gd + two * dg * dd, one * ddd + two * dd * dd
+    f, *found = slopes_of_triangle(a * a + b * b + c * c + d * d, det, chi, root)
+    one, two = growth(f)[1:]
+    u, v, _, *second = combined(found, share * (load(given, WEIGHT) + cubic * one), share * cubic * two)
     same, mirrored = [_HALF * (a + d), _HALF * (c - b)], [_HALF * (a - d), _HALF * (b + c)]
     values, vectors = _spectrum(same, mirrored, u, v, second)
     values = [(value + elastic).max(exact * (value + elastic)) for value in values]
@@ -80,24 +78,24 @@ def _change_of_map(vector: list[Lanes], slope: list[Lanes]) -> list[Lanes]:
 
 
 def _spectrum(
-    c: list[Lanes], m: list[Lanes], u: Lanes, v: Lanes, second: tuple[Lanes, Lanes, Lanes]
+    c: list[Lanes], m: list[Lanes], u: Lanes, v: Lanes, second: list[Lanes]
 ) -> tuple[list[Lanes], list[list[Lanes]]]:
     """Eigenvalues (4,) and eigenvectors (4, 4) of the second derivatives.
 
-    ``c`` (2,) and ``m`` (2,) are coordinates of the two parts of A; ``u`` is twice the derivative along g = |A|^2,
-    ``v`` the one along D; ``second``: those along g, along g and D, and along D.
+    ``c`` (2,) and ``m`` (2,) are coordinates of the two parts of A; u, v and the ``second`` p, q, r are those of
+    :func:`.jacobian.combined`.
     """
-    gg, gd, dd = second
+    of_square, mixed, of_det = second
     zero = u * 0.0
     (cc, c0, c1), (mm, m0, m1) = _unit(*c), _unit(*m)
-    one = u + v + cc * cc * (4.0 * gg + 4.0 * gd + dd)
-    two = u - v + mm * mm * (4.0 * gg - 4.0 * gd + dd)
-    mixed = cc * mm * (4.0 * gg - dd)
+    one = u + v + cc * cc * (of_square + 2.0 * mixed + of_det)
+    two = u - v + mm * mm * (of_square - 2.0 * mixed + of_det)
+    beside = cc * mm * (of_square - of_det)
     half, middle = 0.5 * (one - two), 0.5 * (one + two)
-    radius = (half * half + mixed * mixed).sqrt()
+    radius = (half * half + beside * beside).sqrt()
     # The eigenvector of the larger eigenvalue in the plane spanned by the unit vectors along C and M.
     less = half.below(0.0)
-    _, p, q = _unit(less.choose(mixed, half + radius), less.choose(radius - half, mixed))
+    _, p, q = _unit(less.choose(beside, half + radius), less.choose(radius - half, beside))
     values = [u + v, u - v, middle + radius, middle - radius]
     vectors = [
         [c1 * -1.0, c0, zero, zero],
