@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,12 +10,13 @@ import numpy as np
 
 from ..grid import FloatArray
 from ..numerics.cell.measures import CellMeasures, measure_cells
-from ..parallel import Ranks
-from .cells import Slab, block_volumes, corners_of, for_slabs, hold_cells, places, slabs
+from ..parallel import Nodes, Ranks
+from .cells import Slab, block_volumes, cells_alike, corners_of, for_slabs, hold_cells, places, slabs
 from .original import Original
 from .validity import (
     BAD,
     HISTOGRAM,
+    INHERITED,
     INVERSE,
     NEGATIVE,
     SKEW,
@@ -26,9 +27,6 @@ from .validity import (
     inspect_slab,
     relative_jacobian,
 )
-
-# A lock of the module, as the objects that it guards are copied and locks cannot be.
-_adding = threading.Lock()
 
 
 @dataclass(frozen=True)
@@ -64,60 +62,41 @@ class Skew:
     histogram: tuple[int, ...]
 
 
-class Lowest:
-    """The ``count`` smallest of at least as many values; they are added in parts, on any rank, in any order."""
-
-    def __init__(self, count: int):
-        self._count, self._limit = count, np.float32(np.inf)
-        self._parts: list[np.ndarray] = []
-
-    def add(self, values: np.ndarray) -> None:
-        """Add values (n,) float32; may be called by several threads."""
-        found = values[values < self._limit]
-        with _adding:
-            self._parts.append(found)
-            if sum(part.size for part in self._parts) > 2 * self._count:
-                self._parts = [self._smallest()]
-                self._limit = self._parts[0].max()
-
-    def _smallest(self) -> np.ndarray:
-        values = np.concatenate([np.empty(0, np.float32), *self._parts])
-        return values if values.size <= self._count else np.partition(values, self._count - 1)[: self._count]
-
-    def largest(self, ranks: Ranks) -> float:
-        """The largest of the ``count`` smallest values of all ranks, which must all call this."""
-        return float(np.sort(np.concatenate(ranks.gather([self._smallest()])))[self._count - 1])
-
-
 class Tally:
-    """Totals over the cells of one grid, a row per slab, added in the order of the grid.
+    """Totals over the cells with coordinates ``points`` (n_nodes, 3), added in the order of the grid.
 
     ``totals`` (n_slabs, TOTALS), see :data:`.validity.TOTALS`; ``lows``, ``low_cells`` (n_slabs, 2): smallest f_skew
     and scaled Jacobian of every slab, and their cells; ``p01``: the quantile of f_skew; ``volume``: of all cells, in
-    2-D the area.
+    2-D the area. ``also`` is called with every slab and its measures, and may fill arrays ``per_slab``.
     """
 
-    def __init__(self, n_cells: int, n_slabs: int):
-        self.n_cells, self._lowest = n_cells, Lowest(-(-n_cells // 100))
-        self.totals, self.lows = np.empty((n_slabs, TOTALS)), np.empty((n_slabs, 2))
+    def __init__(
+        self,
+        original: Original,
+        points: FloatArray,
+        also: Callable[[int, Slab, SlabMeasures], None] = lambda *_: None,
+        per_slab: tuple[np.ndarray, ...] = (),
+    ):
+        grid, n_slabs = original.grid, len(slabs(original.grid))
+        self.n_cells, self.totals = grid.n_cells, np.empty((n_slabs, TOTALS))
         self.low_cells = np.empty((n_slabs, 2), dtype=np.int64)
-        self.p01 = self.volume = 0.0
-
-    def put(self, number: int, slab: Slab, skew: FloatArray, scaled: FloatArray, totals: FloatArray) -> None:
-        """Record one slab of cells with these values (n,)."""
         # Single precision is enough for the quantile.
-        self._lowest.add(skew.astype(np.float32, copy=False))
-        self.totals[number] = totals
-        self.low_cells[number] = slab.start + int(skew.argmin()), slab.start + int(scaled.argmin())
+        skew = cells_alike(grid, np.float32)
 
-    def complete(self, original: Original, points: FloatArray) -> None:
-        """Find what follows from all rows: the quantile, the volume, in double precision the smallest values."""
-        self.p01 = self._lowest.largest(original.grid.nodes.ranks)
+        def put(number: int, slab: Slab) -> None:
+            found = inspect_slab(original, points, slab)
+            Nodes.of(skew).rows[slab.cells], self.totals[number] = found.skew, found.totals
+            self.low_cells[number] = slab.start + int(found.skew.argmin()), slab.start + int(found.scaled.argmin())
+            also(number, slab, found)
+
+        hold_cells(grid, grid.points, points)
+        for_slabs(grid, put, [self.totals, self.low_cells, *per_slab])
+        self.p01 = kth_smallest(grid.nodes.ranks, Nodes.of(skew).own, -(-grid.n_cells // 100))
         measured = measure_again(original, points, self.low_cells.ravel())
-        self.lows[:, 0], self.lows[:, 1] = measured.skew[0::2], measured.scaled[1::2]
+        self.lows = np.stack([measured.skew[0::2], measured.scaled[1::2]], axis=1)
         self.volume = float(self.totals[:, VOLUME].sum())
-        if original.grid.dimension == 3:
-            self.volume = sum(block_volumes(original.grid, points, original.topology.handedness).tolist())
+        if grid.dimension == 3:
+            self.volume = sum(block_volumes(grid, points, original.topology.handedness).tolist())
 
     @property
     def negative(self) -> int:
@@ -128,6 +107,11 @@ class Tally:
     def bad(self) -> int:
         """Number of cells with a corner Jacobian that is not positive."""
         return int(self.totals[:, BAD].sum())
+
+    @property
+    def inherited(self) -> int:
+        """Number of cells that were bad in the undeformed grid, too, and are no worse."""
+        return int(self.totals[:, INHERITED].sum())
 
     @property
     def worst(self) -> tuple[int, float]:
@@ -148,6 +132,13 @@ class Tally:
         return Skew(harmonic, float(total) / self.n_cells, float(self.lows[:, 0].min()), self.p01, counts)
 
 
+def kth_smallest(ranks: Ranks, values: np.ndarray, k: int) -> float:
+    """The k-th smallest, k >= 1, of the values of all ranks, which must all call this; reorders this rank's (n,)."""
+    if values.size > k:
+        values.partition(k - 1)
+    return float(np.sort(np.concatenate(ranks.gather([values[:k]])))[k - 1])
+
+
 def _extreme(cells: np.ndarray, values: FloatArray, sign: float = 1.0) -> tuple[int, float]:
     """The cell with the smallest of the values (n,), or with ``sign`` -1 the largest, and that value."""
     slab = int((sign * values).argmin())
@@ -160,42 +151,25 @@ def measure_again(original: Original, points: FloatArray, cells: np.ndarray) -> 
 
 
 class Comparison:
-    """The cells with coordinates ``after`` (n_nodes, 3), measured, and the verdict on them.
-
-    The first comparison with an original measures the original as well. ``inherited``: number of cells that were bad
-    before and are no worse.
-    """
+    """The cells with coordinates ``after`` (n_nodes, 3), measured, and the verdict on them."""
 
     def __init__(self, original: Original, after: FloatArray):
-        grid, n_slabs = original.grid, len(slabs(original.grid))
-        self.after, self.verdict = Tally(grid.n_cells, n_slabs), Verdict.blank(grid)
-        alone = after is grid.points
-        self._before = None if alone or original.measured else Tally(grid.n_cells, n_slabs)
+        n_slabs = len(slabs(original.grid))
+        self.verdict = Verdict.blank(original.grid)
         # Smallest and largest volume ratio and smallest relative Jacobian, and their cells.
         self._extremes, self._cells = np.empty((n_slabs, 3)), np.empty((n_slabs, 3), dtype=np.int64)
-        inherited = np.empty(n_slabs)
 
-        def put(number: int, slab: Slab) -> None:
-            figures = inspect_slab(original, after, slab, self._before is not None)
-            self.after.put(number, slab, figures.skew, figures.scaled, figures.after)
-            if self._before:
-                self._before.put(number, slab, figures.skew_before, figures.scaled_before, figures.before)
+        def put(number: int, slab: Slab, figures: SlabMeasures) -> None:
             self.verdict.put(slab, figures)
-            inherited[number] = figures.inherited
             self._extremes[number], self._cells[number] = _extremes(slab, figures)
 
-        tallies = [self.after, *([self._before] if self._before else [])]
-        per_slab = [array for t in tallies for array in (t.totals, t.low_cells)]
-        hold_cells(grid, grid.points, after)
-        for_slabs(grid, put, [*per_slab, inherited, self._extremes, self._cells])
-        self.inherited = int(inherited.sum())
-        for tally, points in zip(tallies, (after, grid.points), strict=False):
-            tally.complete(original, points)
-        original.measured = original.measured or self._before or self.after
-        if not alone:
+        self.after = Tally(original, after, put, (self._extremes, self._cells))
+        if after is original.grid.points:
+            original.measured = self.after
+        else:
             # In double precision, as they were found in single precision.
             cells, shape = self._cells.ravel(), self._cells.shape
-            old, new = (measure_again(original, points, cells) for points in (grid.points, after))
+            old, new = (measure_again(original, points, cells) for points in (original.grid.points, after))
             blank = np.full(cells.size, np.nan)
             change = np.divide(new.volume, old.volume, out=blank, where=old.volume > 0).reshape(shape)
             solid = np.isfinite(change[:, :2])

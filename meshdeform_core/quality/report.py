@@ -153,7 +153,7 @@ def assess(
         ),
         _quality(
             cells.after,
-            (len(broken), cells.inherited, worst_cell(grid, after, *cells.smallest_ratio).value),
+            (len(broken), cells.after.inherited, worst_cell(grid, after, *cells.smallest_ratio).value),
             walls[1],
             interfaces[1],
             Range(ratios[0][1], ratios[1][1]) if ratios else Range(1.0, 1.0),

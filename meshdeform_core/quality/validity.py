@@ -13,6 +13,7 @@ from __future__ import annotations
 import threading
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,10 +28,11 @@ from .original import Original
 _TOGETHER = 1 << 13
 """Cells measured at a time in double precision, which keeps them in the cache."""
 HISTOGRAM_BINS = 20
-INVERSE, SKEW, VOLUME, NEGATIVE, BAD, HISTOGRAM = 0, 1, 2, 3, 4, 5
+INVERSE, SKEW, VOLUME, NEGATIVE, BAD, INHERITED, HISTOGRAM = 0, 1, 2, 3, 4, 5, 6
 TOTALS = HISTOGRAM + HISTOGRAM_BINS
-"""Totals of cells: sums of 1 / f_skew, of f_skew and, in 2-D, of areas; numbers of cells with negative volume and with
-a corner Jacobian <= 0; from ``HISTOGRAM`` on, histogram of f_skew."""
+"""Totals of cells: sums of 1 / f_skew, of f_skew and, in 2-D, of areas; numbers of cells with negative volume, with a
+corner Jacobian <= 0, and of those that had one before, too, and failed no test; from ``HISTOGRAM`` on, histogram of
+f_skew."""
 
 
 class Failure(IntEnum):
@@ -51,8 +53,7 @@ class Failure(IntEnum):
         return self.name.lower()
 
 
-@dataclass
-class SlabMeasures:
+class SlabMeasures(NamedTuple):
     """Measures of a slab of n cells: arrays (n,), in 3-D float32, unless said otherwise.
 
     Those of a 3-D grid are views of a per-thread buffer, overwritten by the next call in the same thread.
@@ -62,52 +63,41 @@ class SlabMeasures:
     skew, scaled : f_skew and smallest scaled corner Jacobian, deformed
     ratio : smallest corner Jacobian relative to the undeformed one, infinite where that has no sound corner
     change : volume relative to the undeformed one, NaN where that has none
-    skew_before, scaled_before : of the undeformed cells, only on request
-    after, before : (TOTALS,); ``before`` only on request
     failed : int8, :class:`Failure`
-    inherited : cells with a bad corner before and after that failed no test
+    totals : (TOTALS,)
     """
 
     skew: FloatArray
     scaled: FloatArray
     ratio: FloatArray
     change: FloatArray
-    skew_before: FloatArray
-    scaled_before: FloatArray
-    after: FloatArray
-    before: FloatArray
     failed: np.ndarray
-    inherited: int = 0
+    totals: FloatArray
 
 
 _memory = threading.local()
 
 
-def _scratch(cells: int) -> tuple[FloatArray, BoolArray]:
-    """Arrays for the results of a slab, reused by all slabs of a thread."""
-    if getattr(_memory, "size", 0) < cells:
-        _memory.size, _memory.out, _memory.open = cells, np.empty(6 * cells, np.float32), np.empty(cells, dtype=bool)
-    return _memory.out[: 6 * cells].reshape(6, cells), _memory.open[:cells]
-
-
-def inspect_slab(original: Original, after: FloatArray, slab: Slab, both: bool) -> SlabMeasures:
-    """Measures of one slab with coordinates ``after`` (n_nodes, 3); with ``both``, of the undeformed cells, too."""
-    grid, count, totals = original.grid, slab.stop - slab.start, np.zeros((2, TOTALS))
+def inspect_slab(original: Original, after: FloatArray, slab: Slab) -> SlabMeasures:
+    """Measures of one slab with coordinates ``after`` (n_nodes, 3)."""
+    grid, count, totals = original.grid, slab.stop - slab.start, np.zeros(TOTALS)
     if grid.dimension == 2:
-        out, is_open = np.empty((6, count)), np.ones(count, dtype=bool)
+        out, is_open = np.empty((4, count)), np.ones(count, dtype=bool)
     else:
-        out, is_open = _scratch(count)
+        # Reused by all slabs of a thread.
+        if getattr(_memory, "size", 0) < count:
+            _memory.size, _memory.out, _memory.open = count, np.empty(4 * count, np.float32), np.empty(count, bool)
+        out, is_open = _memory.out[: 4 * count].reshape(4, count), _memory.open[:count]
         before, x = (grid.block(slab.block, Nodes.of(points).rows) for points in (grid.points, after))
-        shape = (slab.last - slab.first, *grid.cell_shapes[slab.block][1:])
+        shape, sign = (slab.last - slab.first, *grid.cell_shapes[slab.block][1:]), original.topology.handedness
         rows.inspect_hexahedra(
-            before, x, after is not grid.points, both, float(original.topology.handedness[slab.block]),
-            _scale(before, slab), slab.first, slab.last, out.reshape(6, *shape), is_open.reshape(shape), totals,
-            rows.Scratch.new(),
+            before, x, after is not grid.points, float(sign[slab.block]), _scale(before, slab), slab.first, slab.last,
+            out.reshape(4, *shape), is_open.reshape(shape), totals, rows.Scratch.new(),
         )  # fmt: skip
-    figures = SlabMeasures(*[*out, *totals, np.zeros(count, np.int8)])
+    figures = SlabMeasures(out[0], out[1], out[2], out[3], np.zeros(count, np.int8), totals)
     left = np.flatnonzero(is_open)
     for lo in range(0, left.size, _TOGETHER):
-        _measure_open(original, after, slab, left[lo : lo + _TOGETHER], figures, both)
+        _measure_open(original, after, slab, left[lo : lo + _TOGETHER], figures)
     if original.min_jacobian > 0.0:
         near = np.abs(figures.ratio - original.min_jacobian) <= 1e-3 * original.min_jacobian
         cells = slab.start + np.flatnonzero(near & ~is_open)
@@ -115,9 +105,13 @@ def inspect_slab(original: Original, after: FloatArray, slab: Slab, both: bool) 
             measure_cells(corners_of(grid, Nodes.of(points).rows, cells), original.sides(slab.block)).jacobian
             for points in (grid.points, after)
         ))  # fmt: skip
-    low = (figures.ratio <= 0.0) | (figures.ratio < original.min_jacobian)
-    figures.failed[low] = Failure.CORNER
+    figures.failed[_low(original, figures.ratio)] = Failure.CORNER
     return figures
+
+
+def _low(original: Original, ratio: FloatArray) -> BoolArray:
+    """Which smallest relative Jacobians (n,) make a cell invalid."""
+    return np.asarray((ratio <= 0.0) | (ratio < original.min_jacobian))
 
 
 def _scale(x: FloatArray, slab: Slab) -> float:
@@ -127,9 +121,7 @@ def _scale(x: FloatArray, slab: Slab) -> float:
     return 2.0 ** -round(np.log2(size)) if 0.0 < size < np.inf else 1.0
 
 
-def _measure_open(
-    original: Original, after: FloatArray, slab: Slab, cells: IntArray, f: SlabMeasures, both: bool
-) -> None:
+def _measure_open(original: Original, after: FloatArray, slab: Slab, cells: IntArray, f: SlabMeasures) -> None:
     """Measure and judge ``cells`` of a slab, numbered from its first one, in double precision."""
     grid, side = original.grid, original.sides(slab.block)
     x0, x = (corners_of(grid, Nodes.of(points).rows, slab.start + cells) for points in (grid.points, after))
@@ -140,21 +132,12 @@ def _measure_open(
         reason = decide(x0, x, np.full(cells.size, side))
         f.failed[cells] = np.array([Failure.NONE, Failure.INSIDE, Failure.VOLUME])[reason]
     bad, was_bad = (np.asarray((each.jacobian <= 0).any(axis=1)) for each in (new, old))
-    kept = (f.failed[cells] == 0) & ~((f.ratio[cells] <= 0.0) | (f.ratio[cells] < original.min_jacobian))
-    f.inherited += int((bad & was_bad & kept).sum())
-    f.after += _totals(new.skew, new.volume, bad)
-    if both:
-        f.skew_before[cells], f.scaled_before[cells] = old.skew, old.scaled
-        f.before += _totals(old.skew, old.volume, was_bad)
-
-
-def _totals(skew: FloatArray, volume: FloatArray, bad: BoolArray) -> FloatArray:
-    """Totals (TOTALS,) of cells (m,)."""
+    kept = (f.failed[cells] == 0) & ~_low(original, f.ratio[cells])
     with np.errstate(divide="ignore"):
-        inverse = (1.0 / skew).sum()
-    bins = np.minimum((skew.astype(np.float32) * HISTOGRAM_BINS).astype(np.uint8), HISTOGRAM_BINS - 1)
-    counts = np.bincount(bins, minlength=HISTOGRAM_BINS)
-    return np.array([inverse, skew.sum(), volume.sum(), (volume <= 0).sum(), bad.sum(), *counts])
+        inverse = (1.0 / new.skew).sum()
+    sums = new.volume.sum(), (new.volume <= 0).sum(), bad.sum(), (bad & was_bad & kept).sum()
+    bins = np.minimum((new.skew.astype(np.float32) * HISTOGRAM_BINS).astype(np.uint8), HISTOGRAM_BINS - 1)
+    f.totals[:] += [inverse, new.skew.sum(), *sums, *np.bincount(bins, minlength=HISTOGRAM_BINS)]
 
 
 def relative_jacobian(old: FloatArray, new: FloatArray) -> FloatArray:
@@ -209,7 +192,7 @@ def judge(original: Original, after: FloatArray) -> Verdict:
     """Judge coordinates ``after`` (n_nodes, 3)."""
     verdict = Verdict.blank(original.grid)
     hold_cells(original.grid, original.grid.points, after)
-    for_slabs(original.grid, lambda _, slab: verdict.put(slab, inspect_slab(original, after, slab, both=False)))
+    for_slabs(original.grid, lambda _, slab: verdict.put(slab, inspect_slab(original, after, slab)))
     return verdict
 
 

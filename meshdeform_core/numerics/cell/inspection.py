@@ -42,8 +42,7 @@ N = 1024
 NODES, LONGEST = N - 2 * WIDTH, 160
 # Rows of edges, each x, y, z, 1 / length: along i from one plane to the next, along j and k in both planes.
 ALONG_I, ALONG_J, ALONG_K, PLANE, ROWS = 0, 4, 8, 8, 20
-SKEW, SCALED, RATIO, CHANGE, SKEW_BEFORE, SCALED_BEFORE = 0, 1, 2, 3, 4, 5
-OPEN, RESULTS = 6, 7
+SKEW, SCALED, RATIO, CHANGE, OPEN, RESULTS = 0, 1, 2, 3, 4, 5
 # Vectors of measures of sixteen cells: eight corner Jacobians, these divided by the edge lengths, the smallest of each
 # kind, volume, f_skew.
 _JACOBIAN, _UNIT, _LEAST, _LEAST_UNIT, _VOLUME, _SKEW, _FIGURES = 0, 8, 16, 17, 18, 19, 20
@@ -210,27 +209,16 @@ def _above(value: Lanes, bound: float) -> Mask:
 
 
 @lanes
-def collect(
-    t: Array,
-    g: ir.Value,
-    r: Array,
-    m: ir.Value,
-    first: ir.Value,
-    inside: Array,
-    total: Array,
-    at: ir.Value,
-    bins: Array,
-    start: ir.Value,
-) -> None:
+def collect(t: Array, r: Array, m: ir.Value, inside: Array, total: Array, bins: Array) -> None:
     """Store f_skew and scaled Jacobians; of cells that are not open, add up f_skew, its inverse and its histogram."""
-    skew = t.load(g, _SKEW * WIDTH)
-    to = r.builder.add(m, first)
-    r.store(to, skew, SKEW * N)
-    r.store(to, t.load(g, _LEAST_UNIT * WIDTH), SCALED * N)
+    zero = m.type(0)
+    skew = t.load(zero, _SKEW * WIDTH)
+    r.store(m, skew, SKEW * N)
+    r.store(m, t.load(zero, _LEAST_UNIT * WIDTH), SCALED * N)
     clear = r.load(m, OPEN * N).below(inside.load(m))
-    total.add(at, clear.choose(1.0 / skew, 0.0).double())
-    total.add(at, clear.choose(skew, 0.0).double(), WIDTH)
-    bins.count(start, clear.choose((skew * BINS).min(BINS - 1.0), BINS), BIN_ROW)
+    total.add(zero, clear.choose(1.0 / skew, 0.0).double())
+    total.add(zero, clear.choose(skew, 0.0).double(), WIDTH)
+    bins.count(zero, clear.choose((skew * BINS).min(BINS - 1.0), BINS), BIN_ROW)
 
 
 @record("f8[::1], f4[::1], f4[::1], f4[::1], f4[::1], f8[::1], i4[::1]")
@@ -254,30 +242,28 @@ class Scratch(NamedTuple):
         edges, figures, results, inside = (
             np.ones(count, np.float32) for count in (2 * GRID, 2 * CELLS, (RESULTS + 1) * N, N)
         )
-        total, bins = np.zeros(4 * WIDTH), np.zeros(2 * COUNTS, np.int32)
+        total, bins = np.zeros(2 * WIDTH), np.zeros(COUNTS, np.int32)
         return cls(np.zeros(4 * POINTS), edges, figures, results, inside, total, bins)
 
 
 @kernel(
-    "f8[:, :, :, ::1], f8[:, :, :, ::1], b1, b1, f8, f8, i8, i8, f4[:, :, :, ::1], b1[:, :, ::1], f8[:, ::1], Scratch",
+    "f8[:, :, :, ::1], f8[:, :, :, ::1], b1, f8, f8, i8, i8, f4[:, :, :, ::1], b1[:, :, ::1], f8[::1], Scratch",
     Scratch,
 )
-def inspect_hexahedra(before, x, compare, both, sign, scale, i0, i1, out, is_open, totals, scratch):
+def inspect_hexahedra(before, x, compare, sign, scale, i0, i1, out, is_open, totals, scratch):
     """Measures of the cells i0 <= i < i1 of a block.
 
     Parameters
     ----------
     before, x : (ni, nj, nk, 3) nodes undeformed and deformed
     compare : whether ``before`` is another grid; otherwise RATIO and CHANGE are one
-    both : whether SKEW and SCALED are wanted of ``before`` too, if it is another grid
     sign : handedness of the block
     scale : one over the size of a cell (1 / length); cells of 1e-10 to 1e10 times that size are judged at once
-    out : (4 or with both 6, i1 - i0, cj, ck) float32, out: SKEW f_skew (see :mod:`.measures`), SCALED smallest scaled
-        corner Jacobian, RATIO smallest corner Jacobian relative to the undeformed one, CHANGE volume relative to the
-        undeformed one; SKEW_BEFORE, SCALED_BEFORE
+    out : (4, i1 - i0, cj, ck) float32, out: SKEW f_skew (see :mod:`.measures`), SCALED smallest scaled corner Jacobian,
+        RATIO smallest corner Jacobian relative to the undeformed one, CHANGE volume relative to the undeformed one
     is_open : (i1 - i0, cj, ck) bool, out: cells neither proved sound nor measured, left to the double-precision pass
-    totals : (2, n), added to, of the cells that are not open, after and before: sums of 1 / f_skew and of f_skew; in
-        the last 20 columns a histogram of f_skew, equal bins of [0, 1]
+    totals : (n,), added to, of the cells that are not open: sums of 1 / f_skew and of f_skew; in the last 20 places a
+        histogram of f_skew, equal bins of [0, 1]
     scratch : overwritten
     """
     points, e, t, r, inside, total, bins = scratch
@@ -312,16 +298,14 @@ def inspect_hexahedra(before, x, compare, both, sign, scale, i0, i1, out, is_ope
                             at = m + g * GRID
                             measure(e, at, at + last, at + here, width, t, g * CELLS)
                         compare_cells(e, m, m + last, m + here, width, t, left * CELLS, r)
-                        for g in range(left + 1 if both else 1):
-                            skewness(t, g * CELLS)
-                            collect(t, g * CELLS, r, m, 4 * g * N, inside, total, 2 * g * WIDTH, bins, g * COUNTS)
-                    _copy(r, i - 1 - i0, j0, k0, rows - 1, width, out, is_open, 6 if both and compare else 4)
-    for g in range(2):
-        for n in range(WIDTH):
-            totals[g, 0] += total[2 * g * WIDTH + n]
-            totals[g, 1] += total[2 * g * WIDTH + WIDTH + n]
-            for b in range(BINS):
-                totals[g, totals.shape[1] - BINS + b] += bins[g * COUNTS + n * BIN_ROW + b]
+                        skewness(t, 0)
+                        collect(t, r, m, inside, total, bins)
+                    _copy(r, i - 1 - i0, j0, k0, rows - 1, width, out, is_open)
+    for n in range(WIDTH):
+        totals[0] += total[n]
+        totals[1] += total[WIDTH + n]
+        for b in range(BINS):
+            totals[len(totals) - BINS + b] += bins[n * BIN_ROW + b]
 
 
 @inlined
@@ -337,12 +321,12 @@ def _edges_from_plane(points, old, new, e, to, here, kind, rows, width, scale):
 
 
 @inlined
-def _copy(r, i, j0, k0, rows, width, out, is_open, kinds):
+def _copy(r, i, j0, k0, rows, width, out, is_open):
     """Results of a window's cells."""
     for j in range(rows):
         at, start = j * width, (i * out.shape[2] + j0 + j) * out.shape[3] + k0
         for k in range(0, width - 1, WIDTH):
-            for kind in range(kinds):
+            for kind in range(out.shape[0]):
                 to = kind * out.shape[1] * out.shape[2] * out.shape[3] + start + k
                 move(r, kind * N + at + k, out, to, width - 1 - k)
             answer(r, OPEN * N + at + k, is_open, start + k, width - 1 - k)
