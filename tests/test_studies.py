@@ -44,6 +44,7 @@ def test_methods_are_compared(study):
     assert "**" in row[1] + row[2]
 
 
+@pytest.mark.slow
 def test_repaired_levels_are_smooth_and_those_of_single_runs(study):
     head, _, row = rows(study("smoothness", "--only", "airfoil"))
     told = dict(zip(head, row, strict=True))

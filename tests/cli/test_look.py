@@ -150,15 +150,13 @@ def test_plot_formats(suffix, magic, bench, call):
 @pytest.mark.parametrize(
     "options",
     [
-        ("--plane", "j=mid", "--metric", "volume"),
+        ("--plane", "j=mid", "--metric", "volume", "--zoom", "worst"),
         ("--select", "body", "--view", "iso", "--title", "The body"),
         ("--select", "block1.imin", "--select", "block*.kmax[1:2,*]", "--view", "x"),
         ("--zoom=-1,1,-0.5,0.5", "--title", "x < y & z"),
         ("--plane", "z=0.4", "--zoom", "walls", "--range", "0.5,1", "--metric", "wall_distance"),
         ("--reference", "grid.xyz", "--metric", "volume_ratio", "--log", "--plane", "k=2"),
-        ("--reference", "grid.xyz", "--select", "body", "--metric", "displacement"),
-        ("--reference", "grid.xyz", "--view", "1,1,0.5"),
-        ("--zoom", "worst"),
+        ("--reference", "grid.xyz", "--select", "body", "--metric", "displacement", "--view", "1,1,0.5"),
     ],
 )
 def test_plot_options(options, bench, call):

@@ -76,6 +76,7 @@ caching._CacheLocator.ensure_cache_path = refuse
     assert run(tmp_path, sealed + CALLS) == ["0", "0", "0"]
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(240)
 def test_a_process_that_dies_changes_nothing(tmp_path):
     broken = """

@@ -55,8 +55,14 @@ def test_central_differences_and_transposes(name, state):
     check(method, at, rough)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("slip", "curved slip")])
-@pytest.mark.parametrize("name", FEW)
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        (kind, name)
+        for n, kind in enumerate(kind for kind in KINDS if kind not in ("slip", "curved slip"))
+        for name in FEW[n % 3 :: 3]
+    ],
+)
 def test_every_kind_of_boundary(name, kind):
     where = KINDS[kind]()
     smooth, rough = directions(where)
@@ -101,8 +107,9 @@ def test_sliding_where_a_gap_closes():
     check(method, at, 1e-3 * rough)
 
 
-@pytest.mark.parametrize("angle", [130.0, 179.0])
-@pytest.mark.parametrize("name", ["idw-lie", "idw-quaternion", "idw-blend", "idw-division"])
+@pytest.mark.parametrize(
+    ("name", "angle"), [("idw-lie", 179.0), ("idw-quaternion", 130.0), ("idw-blend", 179.0), ("idw-division", 130.0)]
+)
 def test_large_rotations(name, angle):
     where = problem_of(frame(), body_specs(turning(angle)))
     at = prescribed_displacement(where.grid, where.topology, where.boundary)[where.source_numbers]
@@ -116,7 +123,6 @@ FAST = {
     "twelve values": IDW(rotation="blend"),
     "two exponents": IDW(weights="shepard", p_moving=4.0),
     "alpha": IDW(rotation="none", alpha="auto", eta=4.0),
-    "coarse": IDW(summation_tolerance=0.1),
 }
 
 
@@ -184,14 +190,13 @@ def test_threads_change_no_bit_of_a_derivative():
     ways = [Options("idw-tfi", idw=IDW(summation=kind)) for kind in ("exact", "fast")]
     for options in [*ways, Options("rbf", rbf=RBF(summation="fast"))]:
         method = make_method(options).prepare(where)
-        for threads in (1, 2, 3):
+        for threads in (1, 3):
             with sharing(Ranks(), threads):
                 derivative = method.linearised(smooth)
                 found.append((derivative.push(rough), derivative.pull(weight.copy())))
-    for one, two, three in (found[:3], found[3:6], found[6:]):
+    for one, two in (found[:2], found[2:4], found[4:]):
         for part in range(2):
             np.testing.assert_array_equal(one[part], two[part])
-            np.testing.assert_array_equal(one[part], three[part])
 
 
 @pytest.mark.slow

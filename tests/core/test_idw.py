@@ -47,7 +47,7 @@ def told(problem):
 
 
 # Others are in space as in the plane.
-IN_SPACE = ("none", "quaternion", "division reweighted", "division", "blend", "lie", "quaternion smoothed", "shepard")
+IN_SPACE = ("none", "quaternion", "division", "blend", "lie")
 
 
 @pytest.mark.parametrize(

@@ -25,8 +25,17 @@ def system(points: np.ndarray, basis: str, radius: float | None) -> tuple[Krylov
     return KrylovSolver(kind, x, centres.polynomial(x), ExactProduct(kind, x)), centres, kind
 
 
-@pytest.mark.parametrize("name", SETS)
-@pytest.mark.parametrize(("basis", "reach"), [("tps", None), ("wendland-c2", 2.0), ("wendland-c0", 0.2)])
+@pytest.mark.parametrize(
+    ("name", "basis", "reach"),
+    [
+        *((name, "tps", None) for name in SETS),
+        *(
+            (name, *basis)
+            for name in ("graded-plane", "two-scales")
+            for basis in (("wendland-c2", 2.0), ("wendland-c0", 0.2))
+        ),
+    ],
+)  # fmt: skip
 def test_solution_is_that_of_the_factorised_system(name, basis, reach):
     points = SETS[name]
     extent = np.linalg.norm(points - points.mean(axis=0), axis=1).max()

@@ -77,6 +77,7 @@ def test_freed_memory_below_a_lasting_block_returns_to_the_system(monkeypatch):
     assert before - resident_memory() > 0.8 * 3000 * lasting.nbytes
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="the system tells where a library lies on Linux only")
 def test_code_of_the_compiler_leaves_the_memory_and_works_again():
     code = (

@@ -13,7 +13,6 @@ from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid
 from meshdeform_core.repair import RepairOptions
 
-EVERY = every(ALL_METHODS)
 XYZ = {"x", "y", "z"}
 SPAN = BoundarySpec("span", ("*.kmin", "*.kmax"), Kind.SLIP)
 WALL = ("block2.imax", "block4.jmax", "block5.jmin", "block7.imin")
@@ -31,7 +30,7 @@ def displaced(grid: Grid, name: str, motion: Motion, wall: tuple[str, ...] = WAL
     return result.grid.points - grid.points
 
 
-@EVERY
+@pytest.mark.parametrize("name", ["tfi", "rbf-tps", "rbf-krylov", "idw-rbf", "idw-quaternion", "idw-tfi"])
 def test_offset_costs_the_round_off_of_the_coordinates(name):
     """A grid far from the origin: the result is that of the grid at the origin, rounded to its coordinates once."""
     grid = frame()
@@ -42,7 +41,7 @@ def test_offset_costs_the_round_off_of_the_coordinates(name):
         assert np.abs(displaced(away, name, motion) - here).max() < np.spacing(distance)
 
 
-@pytest.mark.parametrize("name", ["tfi", "rbf-tps", "rbf-tfi", "idw-rbf", "idw-lie", "idw-blend", "idw-tfi"])
+@pytest.mark.parametrize("name", ["rbf-tps", "rbf-tfi", "idw-lie", "idw-blend"])
 def test_offset_of_a_rotating_body(name):
     """The position of its axis is rounded too, and the angle is found from rounded nodes."""
     grid = frame()
@@ -111,9 +110,9 @@ def test_split_blocks_do_not_matter(name):
 
 
 @pytest.mark.parametrize("name", ["tfi", "idw-lie", "idw-tfi", "rbf-tps", "rbf-tfi", "idw-rbf"])
-@pytest.mark.parametrize("ratio", [1e3, 1e5])
-def test_thin_wall_cells_far_away(name, ratio):
-    """A boundary layer of 1e-6 of its distance to the origin keeps its first cells."""
+def test_thin_wall_cells_far_away(name):
+    """A boundary layer of 1e-8 of its distance to the origin keeps its first cells."""
+    ratio = 1e5
     z = np.linspace(0.0, 1.0, 3)
     height = np.concatenate([[0.0], np.geomspace(1e-3, 1.0, 12)])
     block = block_around(stretched((0.0, 2.0), 6), height, z) + ratio * AWAY

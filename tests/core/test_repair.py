@@ -446,6 +446,7 @@ def test_extruded_grids_are_repaired_as_plane_ones_whatever_their_indices():
         np.testing.assert_allclose(np.ptp(inner[..., :2], axis=2), 0.0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_repairs_of_extruded_grids_set_in_without_a_jump():
     """The method's grid differs along lines; where its repair sets in, the repaired grid must still be that one."""
     grid = frame(7, 5)

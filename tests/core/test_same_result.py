@@ -44,8 +44,9 @@ EVERY = every(
     METHODS,
     REPEATED
     | {
-        "idw-none", "idw-quaternion", "idw-division", "idw-shepard", "fast none", "fast quaternion",
-        "fast two exponents", "fast no transition",
+        "idw-none", "idw-quaternion", "idw-division", "idw-shepard", "idw-blend", "idw-tfi", "idw-rbf", "rbf-krylov",
+        "rbf-wendland-c2", "fast none", "fast quaternion", "fast blend", "fast two exponents", "fast no transition",
+        "fast idw-tfi",
     },
 )  # fmt: skip
 

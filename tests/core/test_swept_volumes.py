@@ -143,7 +143,7 @@ def turned_to_and_fro(steps: int) -> list[np.ndarray]:
     return [grid.points, *(result.grid.points for result in results)]
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_free_stream_stays_uniform_through_a_cycle_with_repairs(order):
     """A finite volume loop for d/dt (V r) + sum of (c . A - w) r = 0, implicit in time, round a bar that turns."""
     grid, stream, steps, h = frame(), np.array([0.7, -0.4, 0.2]), 12, 0.1

@@ -124,7 +124,7 @@ def test_a_sample_of_all_ranks_decides_between_several_readings(blanked, tmp_pat
     assert read_grid(folder / "out.bin").shapes == (shape,)
 
 
-@pytest.mark.parametrize("make", [frame, frame_2d])
+@pytest.mark.parametrize("make", [frame, pytest.param(frame_2d, marks=pytest.mark.slow)])
 def test_fields_at_cells_and_nodes(make, tmp_path):
     """All measures, also of cells at walls, beside interfaces and beside cuts; some cells are invalid."""
     write_grid(make(9), tmp_path / "grid.cgns")
@@ -152,10 +152,8 @@ def tapered():
     return grid.moved(grid.points * (1.0 - 0.2 * grid.points[:, 2:]) ** np.array([1.0, 1.0, 0.0]))
 
 
-@pytest.mark.parametrize("make", [
-    pytest.param(tapered, marks=pytest.mark.slow, id="space"),
-    pytest.param(lambda: frame_2d(7), id="plane"),
-])  # fmt: skip
+@pytest.mark.slow
+@pytest.mark.parametrize("make", [tapered, lambda: frame_2d(7)], ids=["space", "plane"])
 def test_pictures_of_reports(make, tmp_path):
     """Cuts, surfaces, the worst cells, the region of a repair; levels of a series."""
     write_grid(make(), tmp_path / "grid.cgns")

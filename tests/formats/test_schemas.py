@@ -107,7 +107,7 @@ def test_program_and_schema_refuse_the_same_mistake(spoil, tmp_path):
 
 def test_every_kind_of_report_fits(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert run(["sample", "beam", "-o", "."]) == 0
+    assert run(["sample", "beam", "-o", ".", "--size", "small"]) == 0
     deform = ["deform", "grid.cgns", "-c", "case.toml"]
     commands = [
         [*deform, "-o", "a.cgns"],

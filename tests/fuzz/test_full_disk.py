@@ -95,8 +95,8 @@ def test_an_old_output_stays(suffix, folder, capfd):
 
 
 @pytest.mark.parametrize("name", [
-    "report.json", "report.html", "picture.png", "new.toml",
-    *(pytest.param(name, marks=pytest.mark.slow) for name in ("report.txt", "picture.svg", "picture.pdf")),
+    "report.json", "picture.png", "new.toml",
+    *(pytest.param(name, marks=pytest.mark.slow) for name in ("report.html", "report.txt", "picture.pdf")),
 ])  # fmt: skip
 def test_reports_pictures_and_cases(name, folder, capfd):
     command = {"report": "quality", "picture": "plot", "new": "init"}[Path(name).stem]
@@ -111,13 +111,8 @@ def test_the_process_ends_quietly(folder):
         "import resource, sys; sys.dont_write_bytecode = True; from meshdeform_cli.main import main; "
         "resource.setrlimit(resource.RLIMIT_FSIZE, (5000, resource.RLIM_INFINITY)); main(sys.argv[1:])"
     )
-    for suffix in (".cgns", ".med"):
-        done = subprocess.run(
-            [sys.executable, "-c", code, "convert", "grid.xyz", f"out{suffix}"],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert done.returncode == 2
-        assert done.stderr == f"meshdeform: error: cannot write out{suffix}: File too large\n"
-        assert not list(folder.glob("*out*"))
+    command = [sys.executable, "-c", code, "convert", "grid.xyz", "out.med"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr == "meshdeform: error: cannot write out.med: File too large\n"
+    assert not list(folder.glob("*out*"))
