@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import CaseError
 from ..grid import Grid, IntArray, Patch
-from ..grid.openings import Opening, Overlap, describe_group, patched_groups
+from ..grid.openings import Opening, describe_group, patched_groups
 from ..grid.planes import Plane, plane_normal, plane_of
 from ..grid.selection import quads_of_pattern, select_quads
 from ..grid.topology import Topology, quads_of_patches, quads_of_windows
@@ -320,7 +320,7 @@ def unselected_notes(grid: Grid, topology: Topology, quads: IntArray, moving: In
 def opening_notes(
     grid: Grid,
     topology: Topology,
-    openings: Sequence[Opening | Overlap],
+    openings: Sequence[Opening],
     unselected: IntArray,
     moving: IntArray,
     declared: bool | Sequence[str],
@@ -345,7 +345,7 @@ def opening_notes(
         if any(np.isin(opening.quads, known).all() for known in (meant, moving)):
             continue
         text = opening.describe(grid)
-        apart = overlap_advice(grid) if isinstance(opening, Overlap) else ""
+        apart = overlap_advice(grid) if opening.inside else ""
         if np.isin(opening.quads, unselected).any():
             count = f" ({len(openings)} such places, see `meshdeform info`)" if len(openings) > 1 else ""
             close = "Close the gap with that tolerance, or say" if opening.matching else "Say"
@@ -356,7 +356,7 @@ def opening_notes(
             )
         told.append(opening)
     groups = ((describe_group(grid, group), group[0]) for group in patched_groups(told))
-    return [text + (overlap_advice(grid) if isinstance(first, Overlap) else "") for text, first in groups]
+    return [text + (overlap_advice(grid) if first.inside else "") for text, first in groups]
 
 
 def overlap_advice(grid: Grid) -> str:

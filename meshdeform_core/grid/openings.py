@@ -8,8 +8,11 @@ blocks apart, unless they belong to different components.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache, cached_property, partial
+from itertools import pairwise
 
 import numpy as np
 
@@ -22,7 +25,7 @@ from .blocks import FloatArray, Grid, IntArray
 from .faces import Role, role_of_patch
 from .parts import Side, Window
 from .planes import FLATNESS, block_extents, plane_normal
-from .topology import Topology, quads_of_patches, side_nodes
+from .topology import Topology, quads_of_patches
 from .windows import largest_rectangles, rectangles
 
 NEAR = 0.25
@@ -46,27 +49,30 @@ _TOGETHER = 300_000
 
 @dataclass(frozen=True)
 class Opening:
-    """Outside quads of one block side that nearly coincide with those of another, or touch them.
+    """Outside quads of one block side that nearly coincide with those of another, touch them, or lie in another block.
 
     Attributes
     ----------
     quads : (n,) face quads of the side
     window : their nodes
-    block, side, other, other_side : the two block sides
-    gap : largest distance (grid length unit)
-    relative : the same relative to the local edge
+    other, other_side : the other block and its side; no side if the quads lie inside the block
+    gap : largest distance from the other side, or depth in the other block (grid length unit)
+    relative : the same relative to the local edge; of quads inside the other block, their fraction of those sampled
     matching : whether the nodes match one to one, so that a tolerance closes the gap
     """
 
     quads: IntArray
     window: Window
-    block: int
-    side: Side
     other: int
-    other_side: Side
+    other_side: Side | None
     gap: float
     relative: float
     matching: bool
+
+    @property
+    def inside(self) -> bool:
+        """Whether the quads lie inside the other block."""
+        return self.other_side is None
 
     @property
     def tolerance(self) -> float | None:
@@ -75,8 +81,14 @@ class Opening:
 
     def describe(self, grid: Grid) -> str:
         """One line: position, gap, and the tolerance that closes it."""
-        one, two = f"{grid.names[self.block]}.{self.side.label}", f"{grid.names[self.other]}.{self.other_side.label}"
-        where = f"{one}[{self.window.ranges}] ({counted(len(self.quads), 'quad')}) and {two}"
+        side, other = f"{grid.names[self.window.block]}.{self.window.side.label}", grid.names[self.other]
+        where = f"{side}[{self.window.ranges}] ({counted(len(self.quads), 'quad')})"
+        if self.other_side is None:
+            return (
+                f"{where} lies inside {other}, {self.relative:.0%} of it up to {self.gap:.3g} deep "
+                f"(overset or overlapping blocks)"
+            )
+        where += f" and {other}.{self.other_side.label}"
         if self.matching:
             return (
                 f"{where} nearly coincide: the gap is up to {self.gap:.3g}, {self.relative:.2g} of the local edge; "
@@ -85,66 +97,35 @@ class Opening:
         return f"{where} touch{_distance_phrase([self])}, but their nodes do not match (patched blocks)"
 
     @property
-    def sides(self) -> tuple[tuple[int, Side], tuple[int, Side]]:
-        """The two block sides."""
-        return (self.block, self.side), (self.other, self.other_side)
+    def patched_sides(self) -> tuple[tuple[int, Side], ...]:
+        """The two block sides if they touch each other but their nodes do not match."""
+        if self.matching or self.other_side is None:
+            return ()
+        return (self.window.block, self.window.side), (self.other, self.other_side)
 
 
-@dataclass(frozen=True)
-class Overlap:
-    """Outside faces of one block side that lie inside another block.
-
-    Attributes
-    ----------
-    quads : (n,) face quads of the side that are outside
-    window : their nodes
-    block, side, other : which side lies in which block
-    share : fraction of the sampled quads that lies inside
-    depth : largest distance of these from the surface of the other block (grid length unit)
-    """
-
-    quads: IntArray
-    window: Window
-    block: int
-    side: Side
-    other: int
-    share: float
-    depth: float
-    matching: bool = False
-
-    def describe(self, grid: Grid) -> str:
-        """One line: where, how much of it, how deep."""
-        face = f"{grid.names[self.block]}.{self.side.label}[{self.window.ranges}] ({counted(len(self.quads), 'quad')})"
-        return (
-            f"{face} lies inside {grid.names[self.other]}, {self.share:.0%} of it up to {self.depth:.3g} deep "
-            f"(overset or overlapping blocks)"
-        )
-
-
-def patched_groups(openings: Sequence[Opening | Overlap]) -> list[list[Opening | Overlap]]:
+def patched_groups(openings: Sequence[Opening]) -> list[list[Opening]]:
     """Groups of openings: the patched faces of one surface, such as the plane between a rotor and a stator, form a
     group; each other opening is one by itself."""
-    patched = [opening for opening in openings if isinstance(opening, Opening) and not opening.matching]
-    number = {side: n for n, side in enumerate(dict.fromkeys(side for opening in patched for side in opening.sides))}
-    pairs = [[number[side] for side in opening.sides] for opening in patched]
+    patched = [opening.patched_sides for opening in openings if opening.patched_sides]
+    number = {side: n for n, side in enumerate(dict.fromkeys(side for sides in patched for side in sides))}
+    pairs = [[number[side] for side in sides] for sides in patched]
     label = connected_components(len(number), np.array(pairs, dtype=np.int64).reshape(-1, 2))
-    groups: dict[int, list[Opening | Overlap]] = {}
+    groups: dict[int, list[Opening]] = {}
     for n, opening in enumerate(openings):
-        first = isinstance(opening, Opening) and not opening.matching
-        key = int(label[number[opening.sides[0]]]) if first and isinstance(opening, Opening) else len(number) + n
-        groups.setdefault(key, []).append(opening)
+        sides = opening.patched_sides
+        groups.setdefault(int(label[number[sides[0]]]) if sides else len(number) + n, []).append(opening)
     return list(groups.values())
 
 
-def describe_group(grid: Grid, group: Sequence[Opening | Overlap]) -> str:
+def describe_group(grid: Grid, group: Sequence[Opening]) -> str:
     """One line for openings that belong together."""
-    first, patched = group[0], [opening for opening in group if isinstance(opening, Opening)]
-    sides = list(dict.fromkeys(side for opening in patched for side in opening.sides))
+    sides = list(dict.fromkeys(side for opening in group for side in opening.patched_sides))
     if len(sides) <= 2:
-        return first.describe(grid)
+        return group[0].describe(grid)
     names = listed(f"{grid.names[block]}.{side.label}" for block, side in sides)
     return (
-        f"{len(sides)} faces touch each other{_distance_phrase(patched)}, but their nodes do not match (patched "
+        f"{len(sides)} faces touch each other{_distance_phrase(group)}, but their nodes do not match (patched "
         f"blocks, for example a rotor and a stator): {names}"
     )
 
@@ -155,7 +136,7 @@ def _distance_phrase(openings: Sequence[Opening]) -> str:
     return f", at most {gap:.3g} apart" if max(opening.relative for opening in openings) > _ROUND_OFF else ""
 
 
-def find_openings(grid: Grid, topology: Topology) -> tuple[Opening | Overlap, ...]:
+def find_openings(grid: Grid, topology: Topology) -> tuple[Opening, ...]:
     """Outside faces that nearly coincide with others or lie inside other blocks, largest first.
 
     A pair of sides with matching nodes is listed once. Faces that the file declares as walls are left out, as the two
@@ -166,18 +147,11 @@ def find_openings(grid: Grid, topology: Topology) -> tuple[Opening | Overlap, ..
         return ()
     paired, gap, relative = _near_partners(grid, topology, outside)
     near = [*_matching(grid, topology, paired, gap, relative), *_abutting(grid, topology, paired)]
-    wall = declared_walls(grid, topology)
-    found: list[Opening | Overlap] = [opening for opening in near if not wall[opening.quads].all()]
-    found += find_overlaps(grid, topology)
-    return tuple(sorted(found, key=lambda opening: -len(opening.quads)))
-
-
-def declared_walls(grid: Grid, topology: Topology) -> BoolArray:
-    """(n_quads,) whether a face quad belongs to a patch that the file declares as a wall."""
     wall = np.zeros(len(topology.partner), dtype=bool)
     walls = [patch for patch in grid.patches if role_of_patch(patch) is Role.WALL]
     wall[quads_of_patches(topology.quads, walls)[0]] = True
-    return wall
+    found = [opening for opening in near if not wall[opening.quads].all()] + find_overlaps(grid, topology)
+    return tuple(sorted(found, key=lambda opening: -len(opening.quads)))
 
 
 def _near_partners(grid: Grid, topology: Topology, outside: IntArray) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -224,9 +198,58 @@ def _matching(grid: Grid, topology: Topology, paired: IntArray, gap: FloatArray,
         quads = pieces.quads_of(number)
         corners = topology.quads.corners[quads]
         worst = float(gap[corners].max()), float(relative[corners].max())
-        partner = divmod(int(pieces.label[number]), 6)
-        found.append(Opening(quads, window, window.block, window.side, partner[0], Side(partner[1]), *worst, True))
+        block, side = divmod(int(pieces.label[number]), 6)
+        found.append(Opening(quads, window, block, Side(side), *worst, True))
     return found
+
+
+class _Samples:
+    """Some of the outside ``quads`` of every block side, at most ``most`` of each.
+
+    Attributes
+    ----------
+    side : (s,) ``6 * block + side``
+    first, last : (s,) ends of the quads of each side among ``quads``
+    start : (s + 1,) number of the first sample of each side
+    corners, middle : (n, 4, 3), in 2-D (n, 2, 3), and (n, 3) coordinates of the samples
+    """
+
+    def __init__(self, grid: Grid, topology: Topology, quads: IntArray, most: int):
+        self._grid, self._topology, self.quads = grid, topology, quads
+        side = topology.quads.block_side[quads]
+        self.first, self.last = runs(side)
+        self.side = side[self.first]
+        run, place = spread(self.last - self.first, most)
+        self.start = np.append(0, np.cumsum(np.bincount(run, minlength=len(self.side))))
+        self.corners = self.points_of(quads[self.first[run] + place])
+        self.middle = self.corners.mean(axis=1)
+
+    def points_of(self, quads: IntArray) -> FloatArray:
+        """Coordinates of the corners of face quads, as above."""
+        return np.asarray(self._grid.nodes.at(self._topology.first[self._topology.quads.corners[quads]]))
+
+    @cached_property
+    def largest(self) -> dict[int, tuple[IntArray, Window]]:
+        """The largest rectangle of quads on every side, and its nodes."""
+        pieces = largest_rectangles(self._grid, self._topology.quads, self.quads)
+        return {side: (quads, window) for side, (window, quads) in pieces.items()}
+
+    def candidates(
+        self,
+        pairs: IntArray,
+        inside: Callable[[IntArray, IntArray], BoolArray],
+        least: Callable[[IntArray], FloatArray | IntArray],
+    ) -> Iterator[tuple[int, int, BoolArray]]:
+        """Those of the ``pairs`` (p, 2) of which enough samples of the first are ``inside`` the box of the second, and
+        which samples; ``least`` is how many of so many are enough."""
+        counts = np.diff(self.start)[pairs[:, 0]]
+        for lo, hi in batches(counts, _TOGETHER):
+            some, (run, place) = pairs[lo:hi], spans(counts[lo:hi])
+            within = inside(self.start[some[run, 0]] + place, some[run, 1])
+            ends = np.append(0, np.cumsum(counts[lo:hi]))
+            enough = np.bincount(run, weights=within, minlength=len(some)) >= least(counts[lo:hi])
+            for number in np.flatnonzero(enough):
+                yield int(some[number, 0]), int(some[number, 1]), within[ends[number] : ends[number + 1]]
 
 
 def _abutting(grid: Grid, topology: Topology, paired: IntArray) -> list[Opening]:
@@ -234,94 +257,51 @@ def _abutting(grid: Grid, topology: Topology, paired: IntArray) -> list[Opening]
     rest = np.flatnonzero(topology.external & (paired < 0))
     if rest.size == 0:
         return []
-    side = topology.quads.block_side[rest]
-    first, last = runs(side)
+    samples = _Samples(grid, topology, rest, _SAMPLES)
+    first, last, middle = samples.first, samples.last, samples.middle
     low, high = np.empty((2, len(first), 3))
     for lo, hi in batches(last - first, _TOGETHER):
-        corners = _corner_points(grid, topology, rest[first[lo] : last[hi - 1]])
+        corners = samples.points_of(rest[first[lo] : last[hi - 1]])
         low[lo:hi] = np.minimum.reduceat(corners.min(axis=1), first[lo:hi] - first[lo])
         high[lo:hi] = np.maximum.reduceat(corners.max(axis=1), first[lo:hi] - first[lo])
-    some, start = _samples(grid, topology, rest, first, last, _SAMPLES)
-    edges, middle = np.linalg.norm(some - np.roll(some, 1, axis=1), axis=2), some.mean(axis=1)
+    edges = np.linalg.norm(samples.corners - np.roll(samples.corners, 1, axis=1), axis=2)
     edge = np.where(edges > 0, edges, np.inf).min(axis=1)
     slack = 1e-6 * np.linalg.norm(high - low, axis=1)[:, None]
-    pairs = overlapping_boxes((low - slack, high + slack), (low, high))
-    pairs = pairs[(pairs[:, 0] != pairs[:, 1]) & _same_component(grid, *(side[first] // 6)[pairs].T)]
+    pairs, part = overlapping_boxes((low - slack, high + slack), (low, high)), grid.component_numbers[samples.side // 6]
+    pairs = pairs[(pairs[:, 0] != pairs[:, 1]) & (part[pairs[:, 0]] == part[pairs[:, 1]])]
 
     def inside_other(sample: IntArray, other: IntArray) -> BoolArray:
         x, reach = middle[sample], _ABUTTING * edge[sample, None]
         return np.asarray(((x >= low[other] - reach) & (x <= high[other] + reach)).all(axis=1))
 
-    pieces: dict[int, tuple[Window, IntArray]] = {}
     found = []
-    for own, other, within in _candidates(pairs, start, inside_other, lambda counts: np.full(len(counts), _FEWEST)):
-        sample = slice(start[own], start[own + 1])
+    for own, other, within in samples.candidates(pairs, inside_other, lambda counts: np.full(len(counts), _FEWEST)):
+        sample = slice(samples.start[own], samples.start[own + 1])
         distance = np.full(len(within), np.inf)
-        faces = _corner_points(grid, topology, rest[first[other] : last[other]])
+        faces = samples.points_of(rest[first[other] : last[other]])
         distance[within] = distance_to_faces(middle[sample][within], faces)
         hit, relative = distance < _ABUTTING * edge[sample], distance / edge[sample]
         # Two walls that meet at a sharp edge are close to each other at a few quads only.
         if hit.sum() >= max(_FEWEST, 0.1 * len(within)):
-            pieces = pieces or largest_rectangles(grid, topology.quads, rest)
-            window, quads = pieces[int(side[first[own]])]
-            two, gap = divmod(int(side[first[other]]), 6), (float(distance[hit].max()), float(relative[hit].max()))
-            found.append(Opening(quads, window, window.block, window.side, two[0], Side(two[1]), *gap, False))
+            (block, side), gap = divmod(int(samples.side[other]), 6), float(distance[hit].max())
+            largest = samples.largest[int(samples.side[own])]
+            found.append(Opening(*largest, block, Side(side), gap, float(relative[hit].max()), False))
     return found
 
 
-def _corner_points(grid: Grid, topology: Topology, quads: IntArray) -> FloatArray:
-    """Coordinates (n, 4, 3), in 2-D (n, 2, 3), of the corners of face quads (n,)."""
-    return np.asarray(grid.nodes.at(topology.first[topology.quads.corners[quads]]))
-
-
-def _samples(
-    grid: Grid, topology: Topology, quads: IntArray, first: IntArray, last: IntArray, most: int
-) -> tuple[FloatArray, IntArray]:
-    """Corners of up to ``most`` of the ``quads`` of each side, which begin at ``first`` and end at ``last``, and the
-    number of the first sample of each side."""
-    run, place = spread(last - first, most)
-    start = np.append(0, np.cumsum(np.bincount(run, minlength=len(first))))
-    return _corner_points(grid, topology, quads[first[run] + place]), start
-
-
-def _same_component(grid: Grid, one: IntArray, two: IntArray) -> BoolArray:
-    """Whether pairs of blocks belong to one component."""
-    return np.asarray(grid.component_numbers[one] == grid.component_numbers[two])
-
-
-def _candidates(
-    pairs: IntArray,
-    start: IntArray,
-    inside: Callable[[IntArray, IntArray], BoolArray],
-    least: Callable[[IntArray], FloatArray | IntArray],
-) -> Iterator[tuple[int, int, BoolArray]]:
-    """Those of the ``pairs`` (p, 2) of which enough samples of the first are ``inside`` the box of the second, and
-    which samples; ``start`` is the first sample of each, ``least`` how many of so many are enough."""
-    counts = np.diff(start)[pairs[:, 0]]
-    for lo, hi in batches(counts, _TOGETHER):
-        some, (run, place) = pairs[lo:hi], spans(counts[lo:hi])
-        within = inside(start[some[run, 0]] + place, some[run, 1])
-        ends = np.append(0, np.cumsum(counts[lo:hi]))
-        enough = np.bincount(run, weights=within, minlength=len(some)) >= least(counts[lo:hi])
-        for number in np.flatnonzero(enough):
-            yield int(some[number, 0]), int(some[number, 1]), within[ends[number] : ends[number + 1]]
-
-
-def find_overlaps(grid: Grid, topology: Topology) -> list[Overlap]:
+def find_overlaps(grid: Grid, topology: Topology) -> list[Opening]:
     """Outside faces inside other blocks, found from samples of the quads of each block side."""
     outside = np.flatnonzero(topology.external)
     if outside.size == 0:
         return []
-    side = topology.quads.block_side[outside]
-    first, last = runs(side)
-    corners, start = _samples(grid, topology, outside, first, last, _SAMPLES // 2)
-    middle, block = corners.mean(axis=1), side[first] // 6
+    samples = _Samples(grid, topology, outside, _SAMPLES // 2)
+    corners, middle, block = samples.corners, samples.middle, samples.side // 6
     low, high = block_extents(grid)
     # A 2-D grid is plane only up to the precision of its file.
     slack = FLATNESS * float((high.max(axis=0) - low.min(axis=0)).max())
-    own_box = np.minimum.reduceat(middle, start[:-1]), np.maximum.reduceat(middle, start[:-1])
-    pairs = overlapping_boxes(own_box, (low - slack, high + slack))
-    pairs = pairs[(block[pairs[:, 0]] != pairs[:, 1]) & _same_component(grid, block[pairs[:, 0]], pairs[:, 1])]
+    own_box = np.minimum.reduceat(middle, samples.start[:-1]), np.maximum.reduceat(middle, samples.start[:-1])
+    pairs, part = overlapping_boxes(own_box, (low - slack, high + slack)), grid.component_numbers
+    pairs = pairs[(block[pairs[:, 0]] != pairs[:, 1]) & (part[block[pairs[:, 0]]] == part[pairs[:, 1]])]
 
     def inside_other(sample: IntArray, other: IntArray) -> BoolArray:
         x = middle[sample]
@@ -330,113 +310,63 @@ def find_overlaps(grid: Grid, topology: Topology) -> list[Overlap]:
     def least(counts: IntArray) -> FloatArray:
         return np.maximum(_FEWEST, _PART * counts)
 
-    pieces: dict[int, tuple[Window, IntArray]] = {}
-    surfaces: dict[int, _Surface] = {}
+    surface = cache(partial(_surface, grid, topology))
     normal, found = plane_normal(grid), []
-    for own, other, within in _candidates(pairs, start, inside_other, least):
-        sample = slice(start[own], start[own + 1])
-        if other not in surfaces:
-            surfaces[other] = _Surface(grid, other, normal)
-        depth = surfaces[other].depth(corners[sample][within], middle[sample][within])
-        deep = int((depth > 0).sum())
-        if deep >= least(np.array(len(within))):
-            pieces = pieces or largest_rectangles(grid, topology.quads, outside)
-            window, quads = pieces[int(side[first[own]])]
-            share = float(deep / len(within))
-            found.append(Overlap(quads, window, window.block, window.side, other, share, float(depth.max())))
+    for own, other, within in samples.candidates(pairs, inside_other, least):
+        sample = slice(samples.start[own], samples.start[own + 1])
+        x, quads = middle[sample][within], corners[sample][within]
+        # Inside the coarse surface of the block, then inside the exact one.
+        some = np.flatnonzero(_winding(surface(other, _COARSE), normal, x) > _SOME)
+        if some.size == 0:
+            continue
+        some = some[_winding(surface(other, None), normal, x[some]) > _SURE]
+        distance = distance_to_faces(x[some], surface(other, None))
+        longest = np.linalg.norm(quads[some] - np.roll(quads[some], 1, axis=1), axis=2).max(axis=1)
+        deep = distance[distance > _DEEP * longest]
+        if len(deep) >= least(np.array(len(within))):
+            share = len(deep) / len(within)
+            largest = samples.largest[int(samples.side[own])]
+            found.append(Opening(*largest, other, None, float(deep.max()), share, False))
     return found
+
+
+def _surface(grid: Grid, topology: Topology, block: int, cells: int | None) -> FloatArray:
+    """Corners (m, 4, 3), in 2-D (m, 2, 3), of a block's faces, all wound alike; at most ``cells`` per direction."""
+    found = []
+    for side in range(6 * block, 6 * block + 6):
+        if grid.sides.has_quads[side]:
+            sizes = grid.sides.nodes[side]
+            u, v = (np.unique(np.linspace(0, n - 1, min(n, (cells or n) + 1)).round().astype(int)) for n in sizes)
+            x = grid.points[grid.sides.at(side, u[:, None], v)]
+            line = x.reshape(-1, 3)
+            faces = (
+                np.stack([line[:-1], line[1:]], axis=1)
+                if 1 in sizes
+                else np.stack([x[:-1, :-1], x[1:, :-1], x[1:, 1:], x[:-1, 1:]], axis=2).reshape(-1, 4, 3)
+            )
+            found.append(faces if topology.quads.in_order.ravel()[side] else faces[:, ::-1])
+    return np.concatenate(found)
+
+
+def _winding(faces: FloatArray, normal: FloatArray | None, places: FloatArray) -> FloatArray:
+    """Absolute winding number (k,) of a closed surface about ``places`` (k, 3)."""
+    if normal is not None:
+        return np.abs(plane_winding(faces[:, 0], faces[:, 1], normal, places))
+    at = np.arange(0, 4 * len(faces), 4)[:, None]
+    return np.abs(winding(faces.reshape(-1, 3), np.concatenate([at + [0, 1, 2], at + [2, 3, 0]]), places))
 
 
 def coincident_blocks(grid: Grid, topology: Topology) -> list[str]:
     """A message for each block all of whose face nodes are those of an earlier one: both lie in the same place."""
     if grid.n_blocks == 1:
         return []
-    corners, first = topology.quads.corners, topology.quads.start[:, 0]
-    # Equal sums and sums of squares of their unique numbers rule out nearly all other pairs.
-    sums = np.zeros((2, grid.n_blocks), dtype=np.int64)
-    for column in corners.T:
-        sums[0] += np.add.reduceat(column, first, dtype=np.int64)
-        sums[1] += np.add.reduceat(np.multiply(column, column, dtype=np.int64), first)
-    _, group = np.unique(sums.T, axis=0, return_inverse=True)
-    earlier: dict[int, list[int]] = {}
-    pairs = []
-    for block in np.flatnonzero(np.bincount(group.ravel())[group.ravel()] > 1).tolist():
-        nodes = _face_numbers(topology, block)
-        candidates = earlier.setdefault(int(group.ravel()[block]), [])
-        pairs += [(one, block) for one in candidates if np.array_equal(_face_numbers(topology, one), nodes)][:1]
-        candidates.append(block)
+    ends, earlier, pairs = [*topology.quads.start[:, 0].tolist(), None], dict[bytes, int](), []
+    for block, (first, last) in enumerate(pairwise(ends)):
+        nodes = distinct(topology.quads.corners[first:last], topology.n_unique)
+        one = earlier.setdefault(hashlib.blake2b(nodes.tobytes()).digest(), block)
+        pairs += [(one, block)] if one != block else []
     return [
         f"blocks {grid.names[one]!r} and {grid.names[two]!r} lie in the same place: all their faces coincide, so that "
         f"none of them is an outside face; remove one of the blocks, or assign them to components ([grid] components)"
         for one, two in pairs
     ]
-
-
-def _face_numbers(topology: Topology, block: int) -> IntArray:
-    """Unique numbers of the nodes on the faces of a block, ascending."""
-    first = topology.quads.start[block, 0]
-    count = int(topology.quads.counts[block].prod(axis=1).sum())
-    return np.unique(topology.quads.corners[first : first + count])
-
-
-class _Surface:
-    """The closed surface of a block: a coarse one for a first test, and the exact one."""
-
-    def __init__(self, grid: Grid, block: int, normal: FloatArray | None):
-        self._grid, self._block, self._normal = grid, block, normal
-        # The sides of this axis are wound the other way round; see _wound_outwards.
-        shape = grid.shapes[block]
-        self._second = 1 if self._normal is None else max(axis for axis in range(3) if shape[axis] > 1)
-        self._coarse = self._faces(_COARSE)
-        self._fine: FloatArray | None = None
-
-    def depth(self, corners: FloatArray, middle: FloatArray) -> FloatArray:
-        """Depth (k,) of the centres of quads below the block's surface; 0 outside and close to it."""
-        depth = np.zeros(len(middle))
-        some = np.flatnonzero(self._winding(self._coarse, middle) > _SOME)
-        if some.size == 0:
-            return depth
-        if self._fine is None:
-            self._fine = self._faces(None)
-        sure = some[self._winding(self._fine, middle[some]) > _SURE]
-        if sure.size:
-            distance = distance_to_faces(middle[sure], self._fine)
-            longest = np.linalg.norm(corners[sure] - np.roll(corners[sure], 1, axis=1), axis=2).max(axis=1)
-            depth[sure] = np.where(distance > _DEEP * longest, distance, 0.0)
-        return depth
-
-    def _winding(self, faces: FloatArray, places: FloatArray) -> FloatArray:
-        if self._normal is not None:
-            return np.abs(plane_winding(faces[:, 0], faces[:, 1], self._normal, places))
-        points = faces.reshape(-1, 3)
-        at = np.arange(0, len(points), 4)[:, None]
-        return np.abs(winding(points, np.concatenate([at + [0, 1, 2], at + [2, 3, 0]]), places))
-
-    def _faces(self, cells: int | None) -> FloatArray:
-        """Corners (m, 4, 3) of the faces, in 2-D (m, 2, 3), all wound alike; at most ``cells`` per direction."""
-        grid, found = self._grid, []
-        for side in Side:
-            if grid.shapes[self._block][side.axis] == 1:
-                continue
-            nodes = side_nodes(grid, self._block, side)
-            for axis in (0, 1):
-                n = nodes.shape[axis]
-                if cells is not None and n > cells + 1:
-                    nodes = np.take(nodes, np.unique(np.linspace(0, n - 1, cells + 1).round().astype(int)), axis=axis)
-            found.append(_wound_outwards(grid.points[nodes], side, self._second))
-        return np.concatenate(found)
-
-
-def _wound_outwards(x: FloatArray, side: Side, second: int) -> FloatArray:
-    """Corners of the quads of a side (na, nb, 3), wound so that all sides have outward normals, or all inward ones.
-
-    The tangential axes ascend: (j, k), (i, k), (i, j); the second pair is not cyclic. In 2-D the sides of the first
-    axis and those of the second are wound differently.
-    """
-    if 1 in x.shape[:2]:
-        line = x.reshape(-1, 3)
-        faces = np.stack([line[:-1], line[1:]], axis=1)
-    else:
-        faces = np.stack([x[:-1, :-1], x[1:, :-1], x[1:, 1:], x[:-1, 1:]], axis=2).reshape(-1, 4, 3)
-    reverse = (side % 2 == 0) != (side.axis == second)
-    return faces[:, ::-1] if reverse else faces

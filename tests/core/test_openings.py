@@ -13,7 +13,7 @@ from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, deform, set_up
 from meshdeform_core.errors import CaseError, MethodError
 from meshdeform_core.grid import Grid, Patch, Side
-from meshdeform_core.grid.openings import Overlap, coincident_blocks, describe_group, find_openings, patched_groups
+from meshdeform_core.grid.openings import coincident_blocks, describe_group, find_openings, patched_groups
 from meshdeform_core.grid.topology import find_topology
 
 MOVE = formulas("0", "0.01*x", "0")
@@ -43,7 +43,7 @@ def test_closed_grids_have_none(grid):
 def test_a_gap_is_found_with_its_size_and_what_closes_it(part, flat):
     grid = pair(0.25 * part, flat=flat)
     (found,) = openings(grid)
-    assert (found.block, found.side.label, found.other, found.other_side.label) == (0, "imax", 1, "imin")
+    assert (found.window.block, found.window.side.label, found.other, found.other_side.label) == (0, "imax", 1, "imin")
     assert found.matching
     assert found.gap == pytest.approx(0.25 * part)
     assert found.relative == pytest.approx(part)
@@ -66,13 +66,13 @@ def test_a_seam_of_one_block_may_be_open_too():
     points = grid.points.copy()
     grid.block(0, points)[-1, :, :, 1] += 1e-3
     (found,) = openings(grid.moved(points))
-    assert (found.side.label, found.other_side.label) == ("imin", "imax")
+    assert (found.window.side.label, found.other_side.label) == ("imin", "imax")
 
 
 @pytest.mark.parametrize("flat", [False, True], ids=["3-D", "2-D"])
 def test_faces_that_touch_with_other_nodes_are_found(flat):
     found = openings(pair(0.0, 4, 8, flat))
-    assert {(each.block, each.side.label) for each in found} >= {(1, "imin")}
+    assert {(each.window.block, each.window.side.label) for each in found} >= {(1, "imin")}
     assert not any(each.matching for each in found)
     assert "do not match" in found[0].describe(pair(0.0, 4, 8, flat))
 
@@ -127,25 +127,25 @@ def overset(flat: int | None, turn=(0, 1, 2)) -> Grid:
 @pytest.mark.parametrize("turn", [(0, 1, 2), (1, 0, 2), (2, 0, 1), (0, 2, 1)], ids=str)
 def test_faces_inside_another_block_are_found(turn):
     grid = overset(None, turn)
-    found = [each for each in openings(grid) if isinstance(each, Overlap)]
+    found = [each for each in openings(grid) if each.inside]
     # The ring is closed in itself: its inner and outer side and its two ends lie in the box.
-    assert {(each.block, each.other) for each in found} == {(0, 1)}
+    assert {(each.window.block, each.other) for each in found} == {(0, 1)}
     assert len(found) == 4
-    assert all(each.share == 1.0 for each in found)
+    assert all(each.relative == 1.0 for each in found)
     assert "lies inside block2, 100% of it up to" in found[0].describe(grid)
 
 
 @pytest.mark.parametrize("flat", [0, 1, 2])
 def test_the_same_in_a_plane(flat):
     found = openings(overset(flat))
-    assert [(each.block, each.other, each.share) for each in found] == [(0, 1, 1.0)] * 2
+    assert [(each.window.block, each.other, each.relative) for each in found] == [(0, 1, 1.0)] * 2
 
 
 def test_an_overlap_by_mistake_is_found_with_its_depth():
     grid = pair(-0.1)
-    found = {(each.block, each.side.label): each for each in openings(grid) if isinstance(each, Overlap)}
+    found = {(each.window.block, each.window.side.label): each for each in openings(grid) if each.inside}
     assert set(found) == {(0, "imax"), (1, "imin")}
-    assert all(each.depth == pytest.approx(0.1) for each in found.values())
+    assert all(each.gap == pytest.approx(0.1) for each in found.values())
 
 
 @pytest.mark.parametrize("cells", [8, 16, 36])
@@ -160,7 +160,7 @@ def test_curved_interfaces_that_do_not_match_do_not_overlap(cells):
         return x
 
     grid = Grid.from_blocks([ring(cells, 1.0, 2.0), ring(3 * cells // 2, 2.0, 3.0)])
-    assert not [each for each in openings(grid) if isinstance(each, Overlap)]
+    assert not [each for each in openings(grid) if each.inside]
 
 
 def test_overset_faces_are_refused_unless_the_case_says_so():
