@@ -260,14 +260,11 @@ def _index_maps(grid: Grid, topology: Topology, quads: IntArray, pair: IntArray)
 
 def _orientation(grid: Grid, topology: Topology, quads: IntArray, partner: IntArray) -> IntArray:
     """The first orientation (n,) that maps the nodes of quads (n,) to those of their partners, or -1."""
-    corners = []
-    for some in (quads, partner):
-        # Unique numbers (n, 2, 2) along u and v; in 2-D equal along one of them.
-        side, u, v = topology.quads.places(some)
-        du, dv = grid.sides.corner_steps[side].T
-        flat = [[grid.sides.at(side, u + a, v + b) for b in (0 * dv, dv)] for a in (0 * du, du)]
-        corners.append(topology.numbers_of(np.moveaxis(np.array(flat), 2, 0)))
-    own, donor = corners
+    # Unique numbers (n, 2, 2) along u and v; in 2-D equal along one of them.
+    own, donor = (
+        topology.numbers_of(grid.sides.corners(*topology.quads.places(some)))[:, [[0, 3], [1, 2]]]
+        for some in (quads, partner)
+    )
     found = np.full(len(quads), -1)
     for turn in reversed(range(len(_ORIENTATIONS))):
         matrix = _ORIENTATIONS[turn]

@@ -106,26 +106,16 @@ def quad_geometry(grid: Grid, topology: Topology) -> QuadGeometry:
         # In a plane, the outside lies to the right of the corner order, looking against its positive normal.
         sides = corners[:, 1] - corners[:, 0]
         outward = 0.5 * doubled_areas(corners) if normal is None else np.cross(sides, normal)
-        arm = _mean_first_edges(grid, topology.quads, np.arange(some.start, some.stop))
+        side, u, v = topology.quads.places(np.arange(some.start, some.stop))
+        nodes = grid.sides.corners(side, u, v)
+        # Mean of the first edges into the block.
+        arm = (grid.points[nodes + grid.sides.inward[side, None]] - grid.points[nodes]).mean(axis=1)
         found.area[some] = np.linalg.norm(outward, axis=1)
         found.height[some] = -np.einsum("ni,ni->n", unit(outward), arm)
         few = slice(*np.searchsorted(outside, [some.start, some.stop]).tolist())
         own = outside[few] - lo
         found.centers[few], found.outwards[few] = corners[own].mean(axis=1), outward[own]
     return found
-
-
-def _mean_first_edges(grid: Grid, faces: FaceQuads, quads: IntArray) -> FloatArray:
-    """Mean over the corners of face quads (n,) of the first edges into the block (n, 3)."""
-    side, u, v = faces.places(quads)
-    du, dv = grid.sides.corner_steps[side].T
-    inward = grid.sides.inward[side]
-    ends = []
-    for more in (0 * dv, dv):
-        corners = (grid.sides.at(side, at, v + more) for at in (u, u + du))
-        low, high = (grid.points[nodes + inward] - grid.points[nodes] for nodes in corners)
-        ends.append(0.5 * (low + high))
-    return np.asarray(0.5 * (ends[0] + ends[1]))
 
 
 def find_faces(grid: Grid, topology: Topology, geometry: QuadGeometry | None = None) -> list[Face]:
@@ -142,7 +132,7 @@ def find_faces(grid: Grid, topology: Topology, geometry: QuadGeometry | None = N
     if len(pieces) == 0:
         return []
     owner, shared = np.divmod(pieces.label, 2)
-    run = np.repeat(np.arange(len(pieces)), np.diff(pieces.start))
+    run = np.repeat(np.arange(len(pieces)), pieces.sizes)
     height, area = geometry.height[pieces.quads], geometry.area[pieces.quads]
     bounds = list(zip(pieces.start[:-1].tolist(), pieces.start[1:].tolist(), strict=True))
     rows = zip(
@@ -164,16 +154,11 @@ def find_faces(grid: Grid, topology: Topology, geometry: QuadGeometry | None = N
 def _boxes(grid: Grid, faces: FaceQuads, pieces: Rectangles) -> FloatArray:
     """Lowest and highest coordinates (n, 2, 3) of the nodes of every piece."""
     found = np.empty((len(pieces), 2, 3))
-    for lo, hi in batches(np.diff(pieces.start), _TOGETHER):
+    for lo, hi in batches(pieces.sizes, _TOGETHER):
         start = pieces.start[lo : hi + 1]
-        side, u, v = faces.places(pieces.quads[start[0] : start[-1]])
-        du, dv = grid.sides.corner_steps[side].T
-        corners = [(u, v), (u + du, v), (u, v + dv), (u + du, v + dv)]
-        for which, extreme in enumerate((np.minimum, np.maximum)):
-            whole = grid.points[grid.sides.at(side, *corners[0])]
-            for corner in corners[1:]:
-                extreme(whole, grid.points[grid.sides.at(side, *corner)], out=whole)
-            found[lo:hi, which] = extreme.reduceat(whole, start[:-1] - start[0], axis=0)
+        corners = grid.points[grid.sides.corners(*faces.places(pieces.quads[start[0] : start[-1]]))]
+        found[lo:hi, 0] = np.minimum.reduceat(corners.min(axis=1), start[:-1] - start[0], axis=0)
+        found[lo:hi, 1] = np.maximum.reduceat(corners.max(axis=1), start[:-1] - start[0], axis=0)
     return found
 
 

@@ -70,6 +70,11 @@ class SideLattice:
         """Flat indices of nodes (u, v) of sides, arrays of any common shape."""
         return np.asarray(self.origin[side] + u * self.stride[side, 0] + v * self.stride[side, 1])
 
+    def corners(self, side: IntArray, u: IntArray, v: IntArray) -> IntArray:
+        """Flat indices (n, 4) of the corners of quads (u, v) of sides (n,), around each; in 2-D each end twice."""
+        du, dv = self.corner_steps[side].T
+        return np.stack([self.at(side, *at) for at in ((u, v), (u + du, v), (u + du, v + dv), (u, v + dv))], axis=1)
+
     def all_nodes(self, sides: IntArray) -> tuple[IntArray, IntArray, IntArray, IntArray]:
         """All nodes of ``sides``, side after side: the side, u, v and flat index of each."""
         side, local = spans(self.nodes[sides].prod(axis=1))

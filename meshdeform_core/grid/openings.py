@@ -231,8 +231,7 @@ class _Samples:
     @cached_property
     def largest(self) -> dict[int, tuple[IntArray, Window]]:
         """The largest rectangle of quads on every side, and its nodes."""
-        pieces = largest_rectangles(self._grid, self._topology.quads, self.quads)
-        return {side: (quads, window) for side, (window, quads) in pieces.items()}
+        return largest_rectangles(self._grid, self._topology.quads, self.quads)
 
     def candidates(
         self,

@@ -166,11 +166,7 @@ def _joined_pairs(topology: Topology, quads: IntArray, number: IntArray, row: In
 def _corner_nodes(grid: Grid, faces: FaceQuads, quads: IntArray) -> IntArray:
     """Flat indices (n, 2 or 4) of the corners of face quads, in the order of ``faces.corners``."""
     side, u, v = faces.places(quads)
-    lattice, plane = grid.sides, faces.corners.shape[1] == 2
-    along = np.array([[0, 0], [1, 1]] if plane else [[0, 0], [1, 0], [1, 1], [0, 1]])
-    steps = along * np.minimum(lattice.nodes[side] - 1, 1)[:, None]
-    places = np.stack([u, v], axis=1)[:, None] + steps
-    flat = lattice.origin[side][:, None] + (places * lattice.stride[side][:, None]).sum(axis=2)
+    flat = grid.sides.corners(side, u, v)[:, :: 4 // faces.corners.shape[1]]
     return np.where(faces.in_order.ravel()[side][:, None], flat, flat[:, ::-1])
 
 

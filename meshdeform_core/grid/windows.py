@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +25,10 @@ def windows_of_quads(shape: Shape, block: int, side: Side, quads: NDArray[np.boo
     quads : bool, the face's cells along ``side.tangential`` (one cell across the plane of a 2-D grid)
     """
     u, v = np.nonzero(quads)
-    found = _divided(u * quads.shape[1] + v, np.full(len(u), 6 * block + side), u, v, np.zeros(len(u), dtype=np.int64))
+    row, label = u * quads.shape[1] + v, np.zeros(len(u), dtype=np.int64)
+    found = Rectangles(*_divided(row, np.full(len(u), 6 * block + side), u, v, label))
     # In a 2-D grid a face has one node, not two, across the single plane.
-    return found.reaching(np.array([int(shape[axis] > 1) for axis in side.tangential])).windows()
+    return replace(found, high=found.high + np.array([int(shape[axis] > 1) for axis in side.tangential])).windows()
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Rectangles:
     label : (n,) the common label of its quads
     low, high : (n, 2) first and last node along ``side.tangential``
     quads : the face quads, rectangle after rectangle, ascending in each
-    start : (n + 1,) offset of each rectangle in ``quads``
+    sizes : (n,) number of quads of each rectangle
     """
 
     side: IntArray
@@ -48,27 +49,15 @@ class Rectangles:
     low: IntArray
     high: IntArray
     quads: IntArray
-    start: IntArray
+    sizes: IntArray
 
-    @classmethod
-    def joined(cls, parts: Sequence[Rectangles]) -> Rectangles:
-        """The rectangles of all ``parts``, one part after another."""
-        sizes = np.concatenate([np.diff(part.start) for part in parts])
-        return cls(
-            np.concatenate([part.side for part in parts]),
-            np.concatenate([part.label for part in parts]),
-            np.concatenate([part.low for part in parts]),
-            np.concatenate([part.high for part in parts]),
-            np.concatenate([part.quads for part in parts]),
-            np.append(0, np.cumsum(sizes)),
-        )
+    @cached_property
+    def start(self) -> IntArray:
+        """Offset of each rectangle in ``quads`` (n + 1,)."""
+        return np.append(0, np.cumsum(self.sizes))
 
     def __len__(self) -> int:
         return len(self.side)
-
-    def reaching(self, more: IntArray) -> Rectangles:
-        """The rectangles with their last nodes moved by ``more`` (n, 2)."""
-        return replace(self, high=self.high + more)
 
     def windows(self) -> list[Window]:
         """The rectangles as windows of nodes."""
@@ -81,11 +70,10 @@ class Rectangles:
 
     def chosen(self, some: IntArray) -> Rectangles:
         """The rectangles with the numbers ``some``, in this order."""
-        sizes = np.diff(self.start)[some]
-        run, place = spans(sizes)
+        run, place = spans(self.sizes[some])
         quads = self.quads[self.start[some][run] + place]
-        side, label, low, high = (values[some] for values in (self.side, self.label, self.low, self.high))
-        return Rectangles(side, label, low, high, quads, np.append(0, np.cumsum(sizes)))
+        side, label, low, high, sizes = (a[some] for a in (self.side, self.label, self.low, self.high, self.sizes))
+        return Rectangles(side, label, low, high, quads, sizes)
 
 
 _SIDES = tuple(Side)
@@ -110,12 +98,13 @@ def rectangles(grid: Grid, faces: FaceQuads, label: IntArray) -> Rectangles:
         _divided(part, *faces.places(part), label[part])
         for part in (some[ends[lo] : ends[hi]] for lo, hi in batches(np.diff(ends), _TOGETHER))
     ]
-    whole = Rectangles.joined(found)
-    return whole.reaching(grid.sides.corner_steps[whole.side])
+    whole = Rectangles(*map(np.concatenate, zip(*found, strict=True)))
+    return replace(whole, high=whole.high + grid.sides.corner_steps[whole.side])
 
 
-def _divided(some: IntArray, side: IntArray, u: IntArray, v: IntArray, label: IntArray) -> Rectangles:
-    """Rectangles of the face quads ``some`` (n,), ascending, at (u, v) on their sides; ``high`` are the last quads."""
+def _divided(some: IntArray, side: IntArray, u: IntArray, v: IntArray, label: IntArray) -> tuple[IntArray, ...]:
+    """The arrays of :class:`Rectangles` of the face quads ``some`` (n,), ascending, at (u, v) on their sides; ``high``
+    are the last quads."""
     # First runs of quads within one row of a side, then equal runs of successive rows.
     new = np.ones(len(some), dtype=bool)
     new[1:] = (np.diff(some) != 1) | (v[1:] == 0) | (label[1:] != label[:-1])
@@ -131,25 +120,25 @@ def _divided(some: IntArray, side: IntArray, u: IntArray, v: IntArray, label: In
     number = np.empty(len(first), dtype=np.int64)
     number[order] = np.cumsum(begins) - 1
     number = number[np.cumsum(new) - 1]
-    return Rectangles(
+    return (
         keys[0][top],
         keys[1][top],
         np.stack([keys[4][top], keys[2][top]], axis=1),
         np.stack([keys[4][bottom], keys[3][top]], axis=1),
         some[np.argsort(number, kind="stable")],
-        np.append(0, np.cumsum(np.bincount(number, minlength=len(top)))),
+        np.bincount(number, minlength=len(top)),
     )
 
 
-def largest_rectangles(grid: Grid, faces: FaceQuads, quads: IntArray) -> dict[int, tuple[Window, IntArray]]:
-    """The largest rectangle of ``quads`` on every block side (``6 * block + side``), and the quads in it."""
+def largest_rectangles(grid: Grid, faces: FaceQuads, quads: IntArray) -> dict[int, tuple[IntArray, Window]]:
+    """The quads in the largest rectangle of ``quads`` on every block side (``6 * block + side``), and its nodes."""
     label = np.full(len(faces.corners), -1)
     label[quads] = 0
     every = rectangles(grid, faces, label)
-    order = np.lexsort((np.arange(len(every)), -np.diff(every.start), every.side))
+    order = np.lexsort((np.arange(len(every)), -every.sizes, every.side))
     largest = every.chosen(order[runs(every.side[order])[0]])
     return {
-        int(side): (window, largest.quads_of(number))
+        int(side): (largest.quads_of(number), window)
         for number, (side, window) in enumerate(zip(largest.side, largest.windows(), strict=True))
     }
 
