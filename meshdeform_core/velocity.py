@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from .grid import Field, FloatArray, Grid
-from .grid.planes import plane_normal
-from .grid.topology import block_handedness
+from .grid.planes import block_handedness, plane_normal
 from .numerics.geometry.vectors import cross, dot
 from .parallel import Nodes, empty, for_chunks
 from .quality.cells import positive_side

@@ -87,35 +87,27 @@ def periodic_pairs(grid: Grid, topology: Topology, one: IntArray, two: IntArray,
         When no translation, and no rotation about a coordinate axis, maps one side onto the other.
     """
     p, q = grid.nodes.at(topology.first[one]), grid.nodes.at(topology.first[two])
-    gap = np.inf
-    if len(one) == len(two):
-        for rotation in [np.eye(3), *_axis_rotations(p, q)]:
-            image = p @ rotation.T
-            shift = q.mean(axis=0) - image.mean(axis=0) if np.array_equal(rotation, np.eye(3)) else np.zeros(3)
-            tolerance = np.r_[topology.edge[one], topology.edge[two]] * RELATIVE_TOLERANCE
-            pairs = np.sort(close_pairs(np.concatenate([image + shift, q]), tolerance), axis=1)
-            pairs = pairs[(pairs[:, 0] < len(one)) & (pairs[:, 1] >= len(one))]
-            if len(pairs) == len(one):
-                matched = two[pairs[:, 1] - len(one)]
-                return Periodic(one[pairs[:, 0]], matched, np.tile(rotation, (len(one), 1, 1)))
-            gap = min(gap, len(one) - len(pairs))
+    centers = p.mean(axis=0), q.mean(axis=0)
+    changes = [(np.eye(3), centers[1] - centers[0])]
+    for axis in range(3):
+        # Rotation about this axis through the origin that maps one centroid onto the other.
+        a, b = (axis + 1) % 3, (axis + 2) % 3
+        before, after = (np.arctan2(center[b], center[a]) for center in centers)
+        cos, sin = np.cos(after - before), np.sin(after - before)
+        rotation = np.eye(3)
+        rotation[[a, a, b, b], [a, b, a, b]] = [cos, -sin, sin, cos]
+        changes.append((rotation, np.zeros(3)))
+    tolerance = np.r_[topology.edge[one], topology.edge[two]] * RELATIVE_TOLERANCE
+    for rotation, shift in changes if len(one) == len(two) else []:
+        pairs = np.sort(close_pairs(np.concatenate([p @ rotation.T + shift, q]), tolerance), axis=1)
+        pairs = pairs[(pairs[:, 0] < len(one)) & (pairs[:, 1] >= len(one))]
+        if len(pairs) == len(one):
+            matched = two[pairs[:, 1] - len(one)]
+            return Periodic(one[pairs[:, 0]], matched, np.tile(rotation, (len(one), 1, 1)))
     raise CaseError(
         f"boundary {owner!r}: its two periodic sides ({len(one)} and {len(two)} nodes) do not match by a translation "
         f"or by a rotation about a coordinate axis; expected select = [one side, other side] with equal node layouts"
     )
-
-
-def _axis_rotations(p: FloatArray, q: FloatArray) -> list[FloatArray]:
-    """Rotations about x, y and z through the origin that map the centroid of ``p`` onto that of ``q``."""
-    rotations = []
-    for axis in range(3):
-        a, b = (axis + 1) % 3, (axis + 2) % 3
-        angles = [np.arctan2(c[b], c[a]) for c in (p.mean(axis=0), q.mean(axis=0))]
-        cos, sin = np.cos(angles[1] - angles[0]), np.sin(angles[1] - angles[0])
-        rotation = np.eye(3)
-        rotation[[a, a, b, b], [a, b, a, b]] = [cos, -sin, sin, cos]
-        rotations.append(rotation)
-    return rotations
 
 
 def find_periodicity(grid: Grid, topology: Topology, name: str, quads: IntArray, sides: Sequence[IntArray]) -> Periodic:

@@ -1,4 +1,4 @@
-"""Planes of 2-D grids and of slip and symmetry boundaries; the extent of a grid in any direction."""
+"""Planes of 2-D grids and of slip and symmetry boundaries; the extent of a grid in any direction; handedness."""
 
 from __future__ import annotations
 
@@ -7,13 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import GridError
-from ..numerics.arrays import batches, extent
+from ..numerics.arrays import batches, extent, spread
+from ..numerics.geometry.coincidence import ascending
 from ..parallel import for_items
 from ..wording import vector
-from .blocks import FloatArray, Grid
+from .blocks import FloatArray, Grid, IntArray
+from .parts import strides_of
 
 _SMALLEST, _FLAT = 1e-100, 1e-14
 _SAMPLE, _TOGETHER = 100_000, 100_000
+_SAMPLED_CELLS = 8
 FLATNESS = 1e-6
 """Nodes that deviate from their mean plane by less than this fraction of their extent lie in a plane."""
 
@@ -149,6 +152,47 @@ class Bounds:
                 found = max(found, *self._grid.nodes.gather(float((rows @ normal).max(initial=-np.inf))))
             reach.least = reach.most = found
         return reach.most <= level
+
+
+def block_handedness(grid: Grid) -> IntArray:
+    """+1 or -1 per block, from the majority of a regular sample of at most 8 cells per direction."""
+    shapes = np.array(grid.shapes, dtype=np.int64)
+    taken = np.clip(shapes - 1, 1, _SAMPLED_CELLS)
+    # Blocks of the same kind together.
+    kind = np.ravel_multi_index((*taken.T, *(shapes == 1).T.astype(int)), (_SAMPLED_CELLS + 1,) * 3 + (2,) * 3)
+    sign = np.empty(grid.n_blocks, dtype=np.int64)
+    for one in ascending(kind):
+        alike = np.flatnonzero(kind == one)
+        for lo, hi in batches(np.full(len(alike), 8 * taken[alike[0]].prod()), _TOGETHER):
+            sign[alike[lo:hi]] = _handedness(grid, alike[lo:hi])
+    return sign
+
+
+def _handedness(grid: Grid, blocks: IntArray) -> IntArray:
+    """Handedness of ``blocks`` with the same number of sampled cells and, in 2-D, the same axis of one node."""
+    shapes = np.array([grid.shapes[block] for block in blocks])
+    axes = [axis for axis in range(3) if shapes[0, axis] > 1]
+    # Mean edge vectors (n_blocks, n_cells, 3) of every sampled cell along each of the ``axes``.
+    strides = strides_of(shapes)
+    first = grid.offsets[blocks][:, None]
+    for axis in range(3):
+        picks = spread(np.maximum(shapes[:, axis] - 1, 1), _SAMPLED_CELLS)[1].reshape(len(blocks), -1)
+        first = (first[..., None] + (picks * strides[:, axis, None])[:, None]).reshape(len(blocks), -1)
+    corners = np.empty((*(2,) * len(axes), *first.shape, 3))
+    for corner in np.ndindex(*(2,) * len(axes)):
+        corners[corner] = grid.nodes.at(first + (strides[:, axes] @ np.array(corner))[:, None])
+    others = [tuple(a for a in range(len(axes)) if a != own) for own in range(len(axes))]
+    means = [corners.mean(axis=other) for other in others]
+    edges = [mean[1] - mean[0] for mean in means]
+    if len(axes) == 3:
+        volume = np.einsum("...i,...i->...", edges[0], np.cross(edges[1], edges[2]))
+        return np.where(np.sign(volume).sum(axis=1) < 0, -1, 1)
+    # A 2-D block is treated as one layer of cells extruded along +x, +y or +z, whichever is normal to its plane.
+    normal = np.cross(edges[0], edges[1])
+    main = np.argmax(np.abs(normal).sum(axis=1), axis=1)
+    total = np.sign(np.take_along_axis(normal, main[:, None, None], axis=2)).sum(axis=(1, 2))
+    # Index order (a, b) is cyclic for a flat i or k axis and reversed for a flat j axis.
+    return np.where((total < 0) != (axes[1] - axes[0] == 2), -1, 1)
 
 
 def require_extent(grid: Grid) -> None:

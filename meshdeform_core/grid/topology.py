@@ -1,47 +1,150 @@
 """The topology of a grid: which block nodes coincide, which face quads are shared, and which are outside faces.
 
-Thin plates are walls on both sides of one place; other examples are the two sides of a sliding interface. Where patches
-are declared on both sides, the faces are outside faces. Their nodes move together, as a plate has no thickness, unless
-they belong to different components; in a file, they are nodes of their own on each side (:func:`separated`).
+Everything follows from the coordinates of the nodes on block faces, of which every rank has copies if a grid is in
+parts, and from declared patches: thin plates are walls on both sides of one place; other examples are the two sides of
+a sliding interface. Where patches are declared on both sides, the faces are outside faces. Their nodes move together,
+as a plate has no thickness, unless they belong to different components; in a file, they are nodes of their own on each
+side (:func:`separated`). The 1-to-1 connections declared in the file are checked against the topology in
+:mod:`meshdeform_core.grid.connections`.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from ..numerics.arrays import spans
-from ..numerics.geometry.coincidence import connected_components, equal_rows
-from ..numerics.geometry.copies import numbered_by_first
-from .blocks import Grid, IntArray
-from .coincident import (
-    RELATIVE_TOLERANCE,
-    FaceQuads,
-    Topology,
-    block_handedness,
-    cells_behind,
-    coincident_topology,
-    inward_step,
-    side_nodes,
-)
-from .parts import Patch, Side, Window
+from ..numerics.arrays import BoolArray, batches, runs, spans
+from ..numerics.geometry.coincidence import ascending, connected_components, equal_rows, integers
+from ..numerics.geometry.copies import coincident_copies, numbered_by_first
+from ..parallel import empty
+from ..parallel.scratch import current_scratch
+from .blocks import FloatArray, Grid, IntArray
+from .parts import Patch, Shape, Side, Window
+from .planes import block_handedness
 
-__all__ = [
-    "RELATIVE_TOLERANCE",
-    "FaceQuads",
-    "Topology",
-    "block_handedness",
-    "cells_behind",
-    "find_topology",
-    "inward_step",
-    "is_wall",
-    "quads_of_patches",
-    "quads_of_windows",
-    "separated",
-    "side_nodes",
-]
+RELATIVE_TOLERANCE = 1e-3
+"""Coincident means closer than this fraction of the shortest edge at either node."""
+COLLAPSED, EXTERNAL = -2, -1
+"""Partners of face quads without an area, and of those that no other block shares."""
+_TOGETHER = 100_000
+"""Nodes processed at a time: few enough for the processor's cache."""
+_MATCHED, _PASSES = 1_000_000, 16
+"""Unique nodes whose quads are compared at a time, which bounds the memory; more of them in large grids, so that all
+quads are searched for those to be compared at most so often."""
+
+
+@dataclass(frozen=True)
+class FaceQuads:
+    """All cell faces on all block faces; in a 2-D grid the cell edges on all block edges.
+
+    Arrays with a row per quad have 32-bit integers below 2^31 rows: cast them before multiplying.
+
+    Attributes
+    ----------
+    start : (n_blocks, 6) first quad of each block side; quads of a side are C-ordered in ``counts``
+    counts : (n_blocks, 6, 2) quads along ``side.tangential``
+    corners : (n_quads, 4) unique node numbers, counter-clockwise as seen from outside the block; (n_quads, 2) in 2-D
+    in_order : (n_blocks, 6) whether the corners are wound in the index order of the side, not in the opposite one
+    """
+
+    start: IntArray
+    counts: IntArray
+    corners: IntArray
+    in_order: BoolArray
+
+    def places(self, quads: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+        """Block side (n,) of face quads (n,), and their position along both axes of the side."""
+        side = self.block_side[quads]
+        u, v = np.divmod(quads - self.start.ravel()[side], self.counts[..., 1].ravel()[side])
+        return side, u, v
+
+    def numbers_at(self, side: IntArray, u: IntArray, v: IntArray) -> IntArray:
+        """Unique numbers of nodes (u, v) of sides ``6 * block + side``, arrays of any common shape.
+
+        They are taken from the corners of the quads, which is much faster than searching for every node.
+        """
+        counts = self.counts.reshape(-1, 2)[side]
+        a, b = np.minimum(u, counts[..., 0] - 1), np.minimum(v, counts[..., 1] - 1)
+        quad = self.start.ravel()[side] + a * counts[..., 1] + b
+        last = self.corners.shape[1] - 1
+        corner = np.where(u > a, 1 + (v > b), last * (v > b))
+        found = self.corners[quad, np.where(self.in_order.ravel()[side], corner, last - corner)]
+        return np.asarray(found, dtype=np.int64)
+
+    def by_side(self, quads: IntArray) -> list[tuple[int, IntArray]]:
+        """Quads grouped by block side: ``6 * block + side`` and the quads on it, in their order."""
+        side = self.block_side[quads]
+        if np.any(side[1:] < side[:-1]):
+            order = np.argsort(side, kind="stable")
+            side, quads = side[order], quads[order]
+        return [(int(side[lo]), quads[lo:hi]) for lo, hi in zip(*runs(side), strict=True)]
+
+    def of_side(self, block: int, side: Side) -> slice:
+        """The quads of one block side."""
+        first = int(self.start[block, side])
+        return slice(first, first + int(np.prod(self.counts[block, side])))
+
+    @cached_property
+    def block_side(self) -> IntArray:
+        """``6 * block + side`` of every quad, (n_quads,)."""
+        sizes = self.counts.prod(axis=2).ravel()
+        return _kept_in_file(np.repeat(np.arange(sizes.size, dtype=integers(sizes.size)), sizes))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Topology:
+    """Nodes and faces of a grid with coincident nodes identified.
+
+    Only nodes on block faces can coincide with others. They carry *unique node numbers* ``0 ... n_unique - 1``, in
+    ``number``, ``partner`` and the corners of ``quads`` with 32 bits where these suffice: cast them before multiplying.
+
+    Attributes
+    ----------
+    face_nodes : (n_face,) flat indices of all block nodes on block faces, ascending
+    number : (n_face,) unique node number of each
+    first : (n_unique,) flat index of the first block node with that number
+    edge : (n_unique,) shortest non-zero edge at the node (grid length unit)
+    quads : the cell faces on block faces
+    partner : (n_quads,) the quad on the other side of an interface, ``EXTERNAL`` or ``COLLAPSED``
+    handedness : (n_blocks,) +1 for right-handed blocks, -1 for left-handed ones
+    crowded : number of quads that more than two blocks share (their partners form a ring)
+    """
+
+    face_nodes: IntArray
+    number: IntArray
+    first: IntArray
+    edge: FloatArray
+    quads: FaceQuads
+    partner: IntArray
+    handedness: IntArray
+    crowded: int
+
+    def __repr__(self) -> str:
+        return f"Topology({len(self.face_nodes)} face nodes, {self.n_unique} unique)"
+
+    @property
+    def n_unique(self) -> int:
+        return len(self.first)
+
+    @property
+    def external(self) -> np.ndarray:
+        """(n_quads,) bool: faces that no other block shares."""
+        return self.partner == EXTERNAL
+
+    def numbers_of(self, flat: IntArray) -> IntArray:
+        """Unique node numbers of flat indices, which must lie on block faces."""
+        return self.number[np.searchsorted(self.face_nodes, flat)].astype(np.int64)
+
+    def opened(self, quads: IntArray) -> Topology:
+        """The topology with shared ``quads`` and their partners declared external (two-sided walls)."""
+        partner = self.partner.copy()
+        partner[self.partner[quads]] = EXTERNAL
+        partner[quads] = EXTERNAL
+        return dataclasses.replace(self, partner=partner)
 
 
 def find_topology(grid: Grid, tolerance: float = RELATIVE_TOLERANCE) -> Topology:
@@ -66,6 +169,208 @@ def find_topology(grid: Grid, tolerance: float = RELATIVE_TOLERANCE) -> Topology
         connected[quads_of_windows(topology.quads, list(_connected_windows(grid)))[0]] = True
         own = own[walls | ~connected[own]]
     return topology.opened(own) if own.size else topology
+
+
+def coincident_topology(grid: Grid, tolerance: float = RELATIVE_TOLERANCE) -> Topology:
+    """Identify coincident nodes and shared faces of ``grid``.
+
+    Full and partial faces, O-grid seams, C-grid cuts, collapsed edges, poles and all relative orientations need no
+    special treatment: quads are shared when they have the same unique corner nodes. Nodes of different components are
+    never identified.
+
+    Parameters
+    ----------
+    tolerance : largest distance between coincident nodes relative to the shortest edge at either of them
+    """
+    handedness, sides = block_handedness(grid), np.flatnonzero(grid.sides.has_quads)
+    nodes, places = _face_nodes(grid, sides)
+    # Shortest edge at all face ``nodes``, ignoring edges within the round-off of the file's precision.
+    shortest = np.full(len(nodes), np.inf)
+    epsilon = 4 * float(np.finfo(grid.precision).eps)
+    done = 0
+    for lo, hi in batches(grid.sides.nodes[sides].prod(axis=1), _TOGETHER):
+        square = _edges_of_sides(grid, sides[lo:hi], epsilon)
+        np.minimum.at(shortest, places[done : done + len(square)], square)
+        done += len(square)
+    endless = np.flatnonzero(np.isinf(shortest))
+    shortest[endless] = (epsilon * np.abs(grid.points[nodes[endless]]).max(axis=1, initial=0.0)) ** 2
+    edge, part = np.asarray(np.sqrt(shortest)), grid.component_numbers
+    first = np.empty(len(nodes), integers(len(nodes)))
+    for component in range(int(part.max()) + 1):
+        own = np.flatnonzero(np.repeat(part == component, np.diff(np.searchsorted(nodes, grid.offsets))))
+        found, edge[own] = coincident_copies(grid.nodes.at(nodes[own]), edge[own], tolerance)
+        first[own] = own[found]
+    number, leads = numbered_by_first(first)
+    shared = np.zeros(int(leads.sum()), dtype=bool)
+    shared[number[~leads]] = True
+    quads = _face_quads(grid, handedness, sides, number[places])
+    partner, crowded = partners(quads.corners, shared)
+    nodes, number, lead, edge, partner = map(_kept_in_file, (nodes, number, nodes[leads], edge[leads], partner))
+    return Topology(nodes, number, lead, edge, quads, partner, handedness, crowded)
+
+
+def _kept_in_file(array: np.ndarray) -> np.ndarray:
+    """The array, in a file where large arrays are stored in files."""
+    scratch = current_scratch()
+    if not (scratch and scratch.takes(array.nbytes)):
+        return array
+    found = empty(array.shape, array.dtype)
+    found[...] = array
+    return np.asarray(found)
+
+
+def _face_nodes(grid: Grid, sides: IntArray) -> tuple[IntArray, IntArray]:
+    """Flat indices of all nodes of ``sides``, ascending, and the place among them of every node of each side.
+
+    A few blocks at a time, as their nodes follow each other in the grid.
+    """
+    blocks = np.searchsorted(sides, 6 * np.arange(grid.n_blocks + 1))
+    ends = np.append(0, np.cumsum(grid.sides.nodes[sides].prod(axis=1)))[blocks]
+    places = np.empty(int(ends[-1]), integers(int(ends[-1])))
+    found, count = [np.empty(0, dtype=np.int64)], 0
+    for lo, hi in batches(np.diff(ends), _TOGETHER):
+        flat = grid.sides.all_nodes(sides[blocks[lo] : blocks[hi]])[3]
+        nodes = ascending(flat)
+        places[ends[lo] : ends[hi]] = count + np.searchsorted(nodes, flat)
+        found.append(nodes)
+        count += len(nodes)
+    return np.concatenate(found), places
+
+
+def _edges_of_sides(grid: Grid, sides: IntArray, epsilon: float) -> FloatArray:
+    """Square of the shortest edge at every node of ``sides``, along the side or into the block."""
+    lattice = grid.sides
+    side, u, v, flat = lattice.all_nodes(sides)
+    here = grid.points[flat].T.copy()
+    size = np.abs(here).max(axis=0)
+    inside = grid.points[flat + lattice.inward[side]].T.copy()
+    shortest = _sound_square(here - inside, epsilon, size, np.abs(inside).max(axis=0))
+    for step, number in ((lattice.nodes[side, 1], u), (np.ones_like(v), v)):
+        two = np.flatnonzero(number)
+        one = two - step[two]
+        square = _sound_square(here[:, two] - here[:, one], epsilon, size[two], size[one])
+        for end in (one, two):
+            shortest[end] = np.minimum(shortest[end], square)
+    return shortest
+
+
+def _sound_square(edge: FloatArray, epsilon: float, one: FloatArray, two: FloatArray) -> FloatArray:
+    """Squared length of edges (3, n); infinite where it is within the round-off of coordinates of this size."""
+    square = edge[0] * edge[0] + edge[1] * edge[1] + edge[2] * edge[2]
+    square[square <= (epsilon * np.maximum(one, two)) ** 2] = np.inf
+    return np.asarray(square)
+
+
+def _face_quads(grid: Grid, handedness: IntArray, sides: IntArray, number: IntArray) -> FaceQuads:
+    """The quads of all sides; ``number`` are the unique numbers of the nodes of ``sides``, side after side."""
+    lattice = grid.sides
+    counts = np.where(lattice.has_quads[:, None], lattice.cells, 0)
+    sizes = counts.prod(axis=1)
+    start = np.cumsum(sizes) - sizes
+    in_order = index_order(grid, handedness)
+    corners = empty((int(sizes.sum()), 2 if grid.dimension == 2 else 4), number.dtype)
+    base = lattice.nodes[sides].prod(axis=1)
+    base = np.cumsum(base) - base
+    for lo, hi in batches(sizes[sides], _TOGETHER):
+        run, local = spans(sizes[sides[lo:hi]])
+        side = sides[lo + run]
+        u, v = np.divmod(local, counts[side, 1])
+        width = lattice.nodes[side, 1]
+        at = base[lo + run] + u * width + v
+        if corners.shape[1] == 2:
+            ends = [at, at + np.where(lattice.nodes[side, 0] > 1, width, 1)]
+        else:
+            ends = [at, at + width, at + width + 1, at + 1]
+        ordered, first = in_order.ravel()[side], int(start[sides[lo]])
+        for column, (one, other) in enumerate(zip(ends, reversed(ends), strict=True)):
+            corners[first : first + len(at), column] = number[np.where(ordered, one, other)]
+    return FaceQuads(start.reshape(-1, 6), counts.reshape(-1, 6, 2), corners, in_order)
+
+
+def partners(corners: IntArray, shared: BoolArray) -> tuple[IntArray, int]:
+    """Partner of every quad, ``EXTERNAL`` or ``COLLAPSED``, and the number of quads that more than two blocks share.
+
+    Parameters
+    ----------
+    corners : (n_quads, 2 or 4) unique nodes
+    shared : (n_unique,) nodes that several blocks have in common; only quads whose corners are shared, all but one for
+        collapsed ones, need to be compared, and only with those that have the same smallest corner
+    """
+    smallest = np.full(len(corners), len(shared), dtype=corners.dtype)
+    count = np.zeros(len(corners), dtype=np.int8)
+    for column in corners.T:
+        count += shared[column]
+        np.minimum(smallest, column, out=smallest)
+    quads = np.flatnonzero(count >= (3 if corners.shape[1] == 4 else 2)).astype(integers(len(corners)))
+    partner, crowded, smallest = np.full(len(corners), EXTERNAL, dtype=quads.dtype), 0, smallest[quads]
+    first, last = int(smallest.min(initial=len(shared))), int(smallest.max(initial=-1)) + 1
+    step = max(_MATCHED, -(-(last - first) // _PASSES))
+    for low in range(first, last, step):
+        some = quads[(smallest >= low) & (smallest < low + step)]
+        found, more = _partners_of(corners[some])
+        partner[some] = np.where(found >= 0, some[np.maximum(found, 0)], found)
+        crowded += more
+    return partner, crowded
+
+
+def _partners_of(corners: IntArray) -> tuple[IntArray, int]:
+    rows = np.sort(corners, axis=1)
+    distinct = 1 + np.count_nonzero(np.diff(rows, axis=1), axis=1)
+    collapsed = distinct < (3 if rows.shape[1] == 4 else 2)
+    triangles = (distinct == 3) & (rows.shape[1] == 4)
+    if triangles.any():
+        # On the other side, the same triangle may repeat another corner: keep three corners and pad.
+        repeated = np.argmax(np.diff(rows[triangles], axis=1) == 0, axis=1)
+        some = rows[triangles]
+        some[np.arange(len(some)), repeated] = rows.max() + 1
+        rows[triangles] = np.sort(some, axis=1)
+    live = np.flatnonzero(~collapsed)
+    partner = np.full(len(rows), COLLAPSED, dtype=np.int64)
+    matched, count = equal_rows(rows[live])
+    partner[live] = np.where(matched >= 0, live[matched], EXTERNAL)
+    return partner, int(np.count_nonzero(count > 2))
+
+
+def index_order(grid: Grid, handedness: IntArray) -> BoolArray:
+    """(n_blocks, 6) whether the index order of a side winds its quads counter-clockwise as seen from outside the block.
+
+    In 2-D the outside of the block lies to the right, looking against the plane's positive normal.
+    """
+    axis, far = np.divmod(np.arange(6), 2)
+    outward = (np.where(far == 1, 1, -1) * handedness[:, None]) > 0
+    if grid.dimension == 2:
+        # (i, j), (j, k) planes are cyclic, the (i, k) plane is not: the same rule as for the normals in 3-D.
+        flat = np.argmin(grid.shapes, axis=1)[:, None]
+        first_axis = axis < 3 - axis - flat
+        return np.where(first_axis, outward, ~outward)
+    # e_b x e_c points along +a for a = i and k, along -a for a = j.
+    return np.where(axis != 1, outward, ~outward)
+
+
+def cells_behind(grid: Grid, topology: Topology, quads: IntArray) -> IntArray:
+    """Numbers (n,) in the whole grid of the cells behind face quads (n,)."""
+    side, u, v = topology.quads.places(quads)
+    block, shapes = side // 6, np.array(grid.cell_shapes)[side // 6]
+    axis, far = side % 6 // 2, side % 2
+    # Indices along the side's axes; the first or the last layer along the third.
+    row = np.arange(len(quads))
+    at = np.stack([np.where(axis == 0, 0, u), np.where(axis == 0, u, v), v], axis=1)
+    at[axis == 1, 1] = 0
+    at[row, axis] = far * (shapes[row, axis] - 1)
+    return np.asarray(grid.cell_offsets[block] + (at[:, 0] * shapes[:, 1] + at[:, 1]) * shapes[:, 2] + at[:, 2])
+
+
+def side_nodes(grid: Grid, block: int, side: Side) -> IntArray:
+    """Flat indices of the nodes of one block face, shaped along ``side.tangential``."""
+    number = 6 * block + side
+    na, nb = grid.sides.nodes[number]
+    return grid.sides.at(number, np.arange(na)[:, None], np.arange(nb))
+
+
+def inward_step(shape: Shape, side: Side) -> int:
+    """Difference in flat index from a node of the face to the next node inside the block."""
+    stride = (shape[1] * shape[2], shape[2], 1)[side.axis]
+    return -stride if side % 2 else stride
 
 
 def is_wall(patch: Patch) -> bool:
@@ -128,7 +433,9 @@ def separated(grid: Grid, topology: Topology) -> Topology:
     # Several nodes of blocks lie at these places: which of them are one node?
     rows = np.flatnonzero(between[topology.number])
     quads = np.flatnonzero(between[corners].any(axis=1))
-    number, flat = corners[quads].astype(np.int64), _corner_nodes(grid, topology.quads, quads)
+    number, (side, u, v) = corners[quads].astype(np.int64), topology.quads.places(quads)
+    flat = grid.sides.corners(side, u, v)[:, :: 4 // corners.shape[1]]
+    flat = np.where(topology.quads.in_order.ravel()[side][:, None], flat, flat[:, ::-1])
     row = np.where(between[number], np.searchsorted(topology.face_nodes[rows], flat), -1)
     label = connected_components(len(rows), _joined_pairs(topology, quads, number, row))
     declared = np.zeros(len(corners), dtype=bool)
@@ -161,13 +468,6 @@ def _joined_pairs(topology: Topology, quads: IntArray, number: IntArray, row: In
             same = np.flatnonzero((number[own, a] == number[other, b]) & (row[own, a] >= 0))
             pairs.append(np.stack([row[own[same], a], row[other[same], b]], axis=1))
     return np.concatenate(pairs)
-
-
-def _corner_nodes(grid: Grid, faces: FaceQuads, quads: IntArray) -> IntArray:
-    """Flat indices (n, 2 or 4) of the corners of face quads, in the order of ``faces.corners``."""
-    side, u, v = faces.places(quads)
-    flat = grid.sides.corners(side, u, v)[:, :: 4 // faces.corners.shape[1]]
-    return np.where(faces.in_order.ravel()[side][:, None], flat, flat[:, ::-1])
 
 
 def _numbered(topology: Topology, first: IntArray, quads: IntArray, rows: IntArray) -> Topology:

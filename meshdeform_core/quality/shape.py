@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..grid import FloatArray, Grid, IntArray
-from ..grid.planes import plane_normal
-from ..grid.topology import block_handedness
+from ..grid.planes import block_handedness, plane_normal
 from ..numerics.arrays import extent
 from ..numerics.cell.shape import FLATTEST_PYRAMID, WRONG_PYRAMIDS, measure_shape
 from .cells import slabs

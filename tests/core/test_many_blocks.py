@@ -15,10 +15,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from meshdeform_core.grid import Grid, IntArray, Side
-from meshdeform_core.grid.coincident import block_handedness
 from meshdeform_core.grid.connections import check_connections, connected_nodes, find_interfaces
 from meshdeform_core.grid.faces import find_faces
 from meshdeform_core.grid.openings import find_openings
+from meshdeform_core.grid.planes import block_handedness
 from meshdeform_core.grid.selection import select_quads
 from meshdeform_core.grid.surfaces import find_outside
 from meshdeform_core.grid.topology import find_topology

@@ -13,8 +13,7 @@ from grids import frame, frame_2d, permuted, polar
 import meshdeform as md
 from meshdeform_core.deform import Case, deform
 from meshdeform_core.grid import Grid
-from meshdeform_core.grid.planes import plane_normal
-from meshdeform_core.grid.topology import block_handedness
+from meshdeform_core.grid.planes import block_handedness, plane_normal
 from meshdeform_core.quality.cells import measure_block
 from meshdeform_core.velocity import at_faces, face_fields, grid_velocity, swept_volumes, volume_flux
 

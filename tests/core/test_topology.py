@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from grids import block_around, frame, frame_2d, permuted, polar
 
-from meshdeform_core.grid import Connection, Grid, Side, coincident
-from meshdeform_core.grid.coincident import COLLAPSED
+from meshdeform_core.grid import Connection, Grid, Side
+from meshdeform_core.grid import topology as grid_topology
 from meshdeform_core.grid.connections import check_connections, connected_nodes, find_interfaces
 from meshdeform_core.grid.openings import find_openings
-from meshdeform_core.grid.topology import find_topology
+from meshdeform_core.grid.topology import COLLAPSED, find_topology
 from meshdeform_core.numerics.geometry import copies
 
 LINE = np.linspace(0.0, 1.0, 5)
@@ -174,8 +174,8 @@ def test_topology_does_not_depend_on_how_much_is_done_at_a_time(make, window, mo
     grid = make()
     whole = find_topology(grid)
     monkeypatch.setattr(copies, "_WINDOW", window)
-    monkeypatch.setattr(coincident, "_MATCHED", window)
-    monkeypatch.setattr(coincident, "_TOGETHER", window)
+    monkeypatch.setattr(grid_topology, "_MATCHED", window)
+    monkeypatch.setattr(grid_topology, "_TOGETHER", window)
     found = find_topology(grid)
     for name in ("face_nodes", "number", "first", "edge", "partner", "handedness"):
         np.testing.assert_array_equal(getattr(found, name), getattr(whole, name))
