@@ -15,8 +15,7 @@ from msgspec import Meta
 
 from meshdeform_core.boundary.motions.expression import Expression
 from meshdeform_core.boundary.motions.histories import History, Modes, RigidHistory
-from meshdeform_core.boundary.motions.lattice import ControlMove, Lattice
-from meshdeform_core.boundary.motions.motion import Displace, Follow, Rotate, Step
+from meshdeform_core.boundary.motions.motion import ControlMove, Displace, Follow, Lattice, Rotate, Step
 from meshdeform_core.boundary.motions.section import Airfoil
 from meshdeform_core.boundary.tables import Matching, SurfaceData
 from meshdeform_core.errors import CaseError, FormatError

@@ -46,7 +46,7 @@ from numba.core.runtime import rtsys  # noqa: E402
 # for characters, lists and dictionaries would precede those for arrays, which costs a tenth of the compile time.
 from numba.core.typing import arraydecl as _arrays_first  # noqa: E402, F401
 
-from ..parallel.ranks import usable_cores  # noqa: E402
+from ..parallel.loops import usable_cores  # noqa: E402
 from .compiling import Compilers  # noqa: E402
 
 T = TypeVar("T")

@@ -1,6 +1,7 @@
 """Threads of a process, MPI ranks, and arrays of which every rank holds a part."""
 
 from .loops import (
+    Ranks,
     agreed,
     alone,
     carried,
@@ -14,7 +15,6 @@ from .loops import (
     thread_count,
 )
 from .nodes import Nodes, WholeGridNeeded, require_undivided
-from .ranks import Ranks
 
 __all__ = [
     "Nodes",

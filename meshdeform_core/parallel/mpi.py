@@ -10,8 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, TypeVar
 
 from ..errors import MeshDeformError
-from .loops import alone, empty
-from .ranks import Ranks, usable_cores
+from .loops import Ranks, alone, empty, usable_cores
 
 if TYPE_CHECKING:
     import numpy as np

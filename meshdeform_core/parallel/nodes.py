@@ -14,8 +14,7 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from .loops import current_ranks, empty, for_chunks
-from .ranks import Ranks
+from .loops import Ranks, current_ranks, empty, for_chunks
 from .scratch import ScratchFile, current_scratch
 
 if TYPE_CHECKING:

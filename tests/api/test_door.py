@@ -22,7 +22,7 @@ import meshdeform as md
 from meshdeform.grid import wrapped
 from meshdeform_cli.main import run
 from meshdeform_core.parallel import thread_count
-from meshdeform_core.parallel.ranks import usable_cores
+from meshdeform_core.parallel.loops import usable_cores
 
 ROOT = Path(__file__).parents[2]
 

@@ -14,7 +14,7 @@ from ...grid import FloatArray, Grid
 from ...wording import vector
 from ..tables import BoundaryNodes, Matching, SurfaceData, Transfer, transfer
 from .expression import Expression
-from .motion import PreparedStep, Step, at_time, turned
+from .motion import Step, at_time, turned
 
 _LARGEST_TURN = 170.0
 """Degrees between neighbouring stations: at 180 the shorter way is not the one meant."""
@@ -51,7 +51,7 @@ class History:
 
 
 @dataclass(frozen=True)
-class RigidHistory(Step, PreparedStep):
+class RigidHistory(Step):
     """A rigid body: rotation about a point that is fixed in the body, then translation, both from a table.
 
     Attributes
@@ -129,7 +129,7 @@ class Modes(Step):
 
 
 @dataclass(frozen=True)
-class ImposedModes(PreparedStep):
+class ImposedModes(Step):
     """Shapes (m, n, 3) that have been transferred to the nodes; ``match`` is the transfer of the first one."""
 
     modes: Modes
@@ -142,7 +142,7 @@ class ImposedModes(PreparedStep):
 
 
 @dataclass(frozen=True)
-class Beam(Step, PreparedStep):
+class Beam(Step):
     """A beam whose sections move rigidly.
 
     A node X belongs to the section at s, its distance from the first station X_0 along the straight line to the last
@@ -229,7 +229,7 @@ class Beam(Step, PreparedStep):
         if self.timed:
             self.shape.require(time)
 
-    def prepare(self, nodes: BoundaryNodes) -> PreparedStep:
+    def prepare(self, nodes: BoundaryNodes) -> Step:
         length = float(_along(self.stations[-1:], self.stations)[0])
         place = _along(nodes.points, self.stations)
         low, high = float(place.min()), float(place.max())

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy
 
 from ...errors import MotionError
 from ...grid import BoolArray, FloatArray, Grid, IntArray
@@ -27,28 +29,21 @@ _FAR = 10.0
 """Sizes of the grid beyond which a displacement is hardly in its length unit."""
 _SMALL_ANGLE = 0.2
 """Constant rotations by fewer degrees may be meant in radians (up to 11 degrees)."""
+_ROWS_AT_ONCE = 20_000
 SMALLEST = 1e-30
 """Smaller displacements are set to zero, as their products with weights would be subnormal numbers."""
 LARGEST = 1e30
 """Largest displacement, as for coordinates (``formats.plausible``): its square is finite."""
 
 
-class PreparedStep:
-    """A step bound to its nodes; ``notes`` are for the report, ``match`` is that of a table."""
+class Step:
+    """One entry of ``motion = [...]``, before and after it is bound to its nodes; many do not depend on them.
+
+    ``notes`` of a bound one are for the report, ``match`` is that of a table.
+    """
 
     notes: tuple[str, ...] = ()
     match: Transfer | None = None
-
-    def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
-        """Displacement (n, 3) from the ``current`` positions; ``values`` are the variables at the undeformed nodes."""
-        raise NotImplementedError
-
-
-class Step:
-    """One entry of ``motion = [...]``.
-
-    A step that does not depend on its nodes is its own prepared one, and inherits from :class:`PreparedStep` too.
-    """
 
     @property
     def names(self) -> frozenset[str]:
@@ -58,14 +53,17 @@ class Step:
     def require(self, time: float, constants: Mapping[str, float]) -> None:
         """Refuse a time at which it is not defined."""
 
-    def prepare(self, nodes: BoundaryNodes) -> PreparedStep:
+    def prepare(self, nodes: BoundaryNodes) -> Step:
         """Compute everything that depends only on the undeformed nodes."""
-        assert isinstance(self, PreparedStep)
         return self
+
+    def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
+        """Displacement (n, 3) from the ``current`` positions; ``values`` are the variables at the undeformed nodes."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
-class Rotate(Step, PreparedStep):
+class Rotate(Step):
     """Rotation by ``angle`` (degrees, right-handed) about ``axis`` through ``center``; all may be formulas."""
 
     angle: Expression
@@ -86,7 +84,7 @@ class Rotate(Step, PreparedStep):
 
 
 @dataclass(frozen=True)
-class Displace(Step, PreparedStep):
+class Displace(Step):
     """Displacement by three formulas of the undeformed x, y, z and t; a translation if they are constant."""
 
     vector: tuple[Expression, Expression, Expression]
@@ -97,6 +95,76 @@ class Displace(Step, PreparedStep):
 
     def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
         return fraction * _vector(self.vector, values, len(current))
+
+
+@dataclass(frozen=True)
+class ControlMove:
+    """A displacement of some control points: three formulas of t and constants, in the unit of the grid.
+
+    ``points`` (m, 3) are indices from 0.
+    """
+
+    points: IntArray
+    vector: tuple[Expression, Expression, Expression]
+
+
+@dataclass(frozen=True)
+class Lattice(Step):
+    """Free-form deformation: a box of control points, products of Bernstein polynomials along its three edges.
+
+    Nodes on and inside the box move, others do not. The box refers to positions after the motion's preceding steps.
+
+    Attributes
+    ----------
+    origin : a corner (3,); edges : (3, 3), a row for each of the three edges from there
+    counts : control points along each edge, at least 2
+
+    Source: T. W. Sederberg, S. R. Parry, "Free-form deformation of solid geometric models", SIGGRAPH 1986.
+    """
+
+    origin: FloatArray
+    edges: FloatArray
+    counts: tuple[int, int, int]
+    moves: tuple[ControlMove, ...]
+
+    @property
+    def names(self) -> frozenset[str]:
+        return frozenset().union(*(part.names for move in self.moves for part in move.vector))
+
+    @cached_property
+    def _to_box(self) -> FloatArray:
+        return np.asarray(np.linalg.inv(self.edges))
+
+    def require(self, time: float, constants: Mapping[str, float]) -> None:
+        self._controls(time, constants)
+
+    def _controls(self, time: float, constants: Mapping[str, float]) -> FloatArray:
+        """Displacements (counts, 3) of the control points."""
+        found = np.zeros((*self.counts, 3))
+        for move in self.moves:
+            i, j, k = move.points.T
+            found[i, j, k] += [at_time(part, time, constants, "displacement of control points") for part in move.vector]
+        return found
+
+    def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
+        place = (current - self.origin) @ self._to_box
+        inside = np.flatnonzero(((place >= 0) & (place <= 1)).all(axis=1))
+        if inside.size == 0:
+            low, high = current.min(axis=0), current.max(axis=0)
+            raise MotionError(
+                f"no node of the boundary is in the box at {vector(self.origin)} with edges "
+                f"{', '.join(map(vector, self.edges))}; the nodes extend from {vector(low)} to {vector(high)}"
+            )
+        control = self._controls(float(values["t"]), values)
+        displacement = np.zeros_like(current)
+        for begin in range(0, len(inside), _ROWS_AT_ONCE):
+            rows = inside[begin : begin + _ROWS_AT_ONCE]
+            basis = []
+            for count, along in zip(self.counts, place[rows].T, strict=True):
+                power, x = np.arange(count), along[:, None]
+                basis.append(scipy.special.comb(count - 1, power) * x**power * (1.0 - x) ** (count - 1 - power))
+            displacement[rows] = np.einsum("ni,nj,nk,ijkd->nd", *basis, control, optimize=True)
+        return fraction * displacement
 
 
 @dataclass(frozen=True)
@@ -155,11 +223,11 @@ class Follow(Step):
         if self.times:
             level_at(self.times, time)
 
-    def prepare(self, nodes: BoundaryNodes) -> PreparedStep:
+    def prepare(self, nodes: BoundaryNodes) -> Step:
         return Imposed(self, nodes)
 
 
-class Imposed(PreparedStep):
+class Imposed(Step):
     """A displacement transferred to the nodes, of several tables one at a time; ``match`` is that of the last one."""
 
     def __init__(self, follow: Follow, nodes: BoundaryNodes):
@@ -233,7 +301,7 @@ GIVEN = Motion((), {})
 class PreparedMotion:
     """A motion bound to its nodes."""
 
-    steps: tuple[PreparedStep, ...]
+    steps: tuple[Step, ...]
     constants: Mapping[str, float]
     nodes: BoundaryNodes
 

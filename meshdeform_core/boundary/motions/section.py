@@ -13,7 +13,7 @@ from ...errors import MotionError
 from ...grid import FloatArray, IntArray
 from ...wording import vector
 from ..tables import BoundaryNodes
-from .motion import PreparedStep, Step
+from .motion import Step
 
 _SAME = 1e-9
 """Points of a section closer than this fraction of the chord are one point."""
@@ -86,7 +86,7 @@ class Airfoil(Step):
 
 
 @dataclass(frozen=True)
-class ImposedOutline(PreparedStep):
+class ImposedOutline(Step):
     """Displacements (n, 3) onto the new shape."""
 
     displacement: FloatArray
