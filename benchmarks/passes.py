@@ -21,7 +21,7 @@ from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.methods import Options, PreparedMethod, make_method
 from meshdeform_core.parallel import Nodes, thread_count
 from meshdeform_core.quality import Original, assess
-from meshdeform_core.quality.validity import newly_invalid
+from meshdeform_core.quality.validity import judge
 from meshdeform_formats import write_grid
 
 CASES = {"splitter-plate": (16, 32), "hemisphere": (48, 92)}
@@ -95,7 +95,7 @@ def _works(case: Motion, file: Path) -> dict[str, tuple[Callable[[], object]] | 
         "a level by TFI: apply, quality, writing": (lambda: _levels(prepared, case, known, file), _LEVELS),
         "quality, further level": (lambda: assess(known, after, setup.boundary),),
         "quality, before and after": (lambda: assess(Original(grid, setup.topology), after, setup.boundary),),
-        "valid or not": (lambda: newly_invalid(known, after),),
+        "valid or not": (lambda: judge(known, after).invalid,),
         "topology": (lambda: find_topology(grid),),
     }
 

@@ -120,14 +120,17 @@ def _result(reached: Reached, start: Start | None) -> Result:
     if start is None:
         setup.problem.forget()
     final = course.rounded(state.points)
+
+    def step_of(cell: int) -> int:
+        return state.first_bad.get(cell, state.steps + (failed is not None))
+
     with course.timing.stage("quality"):
-        assessment = assess(setup.original, final, setup.boundary, last.cells if last else None)
+        assessment = assess(setup.original, final, setup.boundary, last.cells if last else None, step_of)
         if failed is not None:
             # The grid kept is valid; users need to know which cells the next step would break.
             points, cells = course.rounded(failed.found.points), failed.found.cells
-            broken = assess(setup.original, points, setup.boundary, cells)
+            broken = assess(setup.original, points, setup.boundary, cells, step_of)
             assessment = dataclasses.replace(assessment, invalid=broken.invalid, groups=broken.groups)
-        assessment = assessment.with_steps(setup.grid, state.first_bad, state.steps + (failed is not None))
     repair = sum(state.repairs[1:], state.repairs[0]) if state.repairs else None
     if repair and state.plain:
         with course.timing.stage("quality"):

@@ -26,7 +26,7 @@ from meshdeform_core.grid.topology import Topology, find_topology, side_nodes
 from meshdeform_core.methods import Options
 from meshdeform_core.numerics.jit import kernel
 from meshdeform_core.quality import Original
-from meshdeform_core.quality.validity import newly_invalid
+from meshdeform_core.quality.validity import judge
 from meshdeform_formats.grids import read_grid
 from meshdeform_samples import load
 
@@ -221,7 +221,7 @@ def flowed(place: Terrain, seed: int) -> tuple[FloatArray, float]:
     gentleness = 1.0
     for _ in range(_TRIALS):
         points = random_flow(place, seed, gentleness).carry(place.grid.points)
-        if not newly_invalid(place.original, points).size:
+        if not judge(place.original, points).invalid.size:
             return points, gentleness
         gentleness *= _GENTLER
     raise RuntimeError(f"{place.name}, flow {seed}: even {gentleness:.1%} of it makes cells invalid")

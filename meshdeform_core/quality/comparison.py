@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 
@@ -92,8 +93,8 @@ class Tally:
         hold_cells(grid, grid.points, points)
         for_slabs(grid, put, [self.totals, self.low_cells, *per_slab])
         self.p01 = kth_smallest(grid.nodes.ranks, Nodes.of(skew).own, -(-grid.n_cells // 100))
-        measured = measure_again(original, points, self.low_cells.ravel())
-        self.lows = np.stack([measured.skew[0::2], measured.scaled[1::2]], axis=1)
+        exact = measure_again(original, points, self.low_cells.ravel())
+        self.lows = np.stack([exact.skew[0::2], exact.scaled[1::2]], axis=1)
         self.volume = float(self.totals[:, VOLUME].sum())
         if grid.dimension == 3:
             self.volume = sum(block_volumes(grid, points, original.topology.handedness).tolist())
@@ -130,6 +131,13 @@ class Tally:
         harmonic = self.n_cells / float(inverse) if np.isfinite(inverse) else 0.0
         counts = tuple(int(count) for count in self.totals[:, HISTOGRAM:].sum(axis=0))
         return Skew(harmonic, float(total) / self.n_cells, float(self.lows[:, 0].min()), self.p01, counts)
+
+
+def measured(original: Original) -> Tally:
+    """Totals over the cells of the undeformed grid, found once."""
+    if original.measured is None:
+        original.measured = Tally(original, original.grid.points)
+    return cast("Tally", original.measured)
 
 
 def kth_smallest(ranks: Ranks, values: np.ndarray, k: int) -> float:

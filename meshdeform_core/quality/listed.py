@@ -3,6 +3,7 @@ form a group, also across blocks."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,10 +58,15 @@ def worst_cell(grid: Grid, points: FloatArray, cell: int, value: float) -> Worst
 
 
 def list_cells(
-    original: Original, boundary: Boundary | None, points: FloatArray, cells: IntArray, verdict: Verdict
+    original: Original,
+    boundary: Boundary | None,
+    points: FloatArray,
+    cells: IntArray,
+    verdict: Verdict,
+    step_of: Callable[[int], int],
 ) -> tuple[InvalidCell, ...]:
     """Entries for ``cells`` (numbers of invalid cells) at coordinates ``points`` (n_nodes, 3), with the boundary
-    nearest to each in the undeformed grid, see :func:`nearest_patches`."""
+    nearest to each in the undeformed grid, see :func:`nearest_patches`, and the step."""
     if not cells.size:
         return ()
     grid, (block, ijk) = original.grid, places(original.grid, cells)
@@ -70,7 +76,8 @@ def list_cells(
         (grid.names[b] for b in block), map(tuple, (ijk + 1).tolist()), found.skew.tolist(),
         found.jacobian.min(axis=1).tolist(), map(tuple, x.mean(axis=1).tolist()),
         (Failure(failed).label for failed in verdict.failed[cells]),
-        nearest_patches(grid, original.topology, boundary, before.mean(axis=1)), strict=True,
+        nearest_patches(grid, original.topology, boundary, before.mean(axis=1)), map(step_of, cells.tolist()),
+        strict=True,
     )  # fmt: skip
     return tuple(InvalidCell(*row) for row in rows)
 

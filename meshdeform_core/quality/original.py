@@ -26,13 +26,15 @@ Walls = tuple[WallLines, WallMeasures]
 class Original:
     """An undeformed grid with the data that the judgement needs.
 
-    ``min_jacobian``: cells with a corner below this share of its undeformed Jacobian count as invalid; ``normal``: of
-    the plane of a 2-D grid.
+    ``min_jacobian``: cells with a corner below this share of its undeformed Jacobian count as invalid; ``measured``:
+    totals over its cells, see :func:`.comparison.measured`, once they are known; ``normal``: of the plane of a 2-D
+    grid.
     """
 
     grid: Grid
     topology: Topology
     min_jacobian: float = 0.0
+    measured: Any = field(default=None, init=False)
     normal: FloatArray | None = field(init=False)
     _walls: tuple[Boundary, dict[str, Walls]] | None = field(default=None, init=False)
 
@@ -42,13 +44,6 @@ class Original:
     def sides(self, block: Any) -> Any:
         """Which Jacobians of cells of blocks, by number (...), are positive, see :func:`.cells.sides_of`."""
         return sides_of(self.grid, self.topology.handedness, self.normal, block)
-
-    @cached_property
-    def measured(self) -> Any:
-        """Totals over its cells, a :class:`.comparison.Tally`."""
-        from .comparison import Tally
-
-        return Tally(self, self.grid.points)
 
     @cached_property
     def interfaces(self) -> tuple[InterfaceLines, tuple[FloatArray, FloatArray]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 from ..boundary import Boundary
 from ..grid import FloatArray, Grid
 from .cells import slabs
-from .comparison import Comparison, Range, Skew, Spread, Tally
+from .comparison import Comparison, Range, Skew, Spread, Tally, measured
 from .lines import kink_and_jump
 from .listed import InvalidCell, InvalidGroup, Worst, group_cells, list_cells, worst_cell
 from .original import Original
@@ -92,17 +92,6 @@ class Assessment:
             del part["worst"]
         return change
 
-    def with_steps(self, grid: Grid, first_bad: Mapping[int, int], otherwise: int) -> Assessment:
-        """The assessment with the first step after which each listed cell was invalid, by cell number."""
-
-        def number(cell: InvalidCell) -> int:
-            block = grid.names.index(cell.block)
-            place = [n - 1 for n in cell.ijk]
-            return int(grid.cell_offsets[block] + np.ravel_multi_index(place, grid.cell_shapes[block]))
-
-        cells = (dataclasses.replace(c, step=first_bad.get(number(c), otherwise)) for c in self.invalid)
-        return dataclasses.replace(self, invalid=tuple(cells))
-
 
 def _difference(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
     change: dict[str, Any] = {}
@@ -116,7 +105,11 @@ def _difference(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]
 
 
 def assess(
-    original: Original, after: FloatArray, boundary: Boundary | None, cells: Comparison | None = None
+    original: Original,
+    after: FloatArray,
+    boundary: Boundary | None,
+    cells: Comparison | None = None,
+    step_of: Callable[[int], int] = lambda _: 1,
 ) -> Assessment:
     """Judge coordinates ``after`` (n_nodes, 3) against the original grid.
 
@@ -127,6 +120,7 @@ def assess(
     ----------
     boundary : for the walls and the nearest patch; without it the wall measures are ``None``
     cells : the comparison of these coordinates, if there is one already
+    step_of : the first step after which a cell, by number, was invalid
     """
     grid, topology = original.grid, original.topology
     start, cells = grid.points, cells or Comparison(original, after)
@@ -141,11 +135,12 @@ def assess(
     }
     moving_walls = walls[1]["moving"]
     at_walls = moving_walls.worst if moving_walls else {}
-    worst_before = {"f_skew": original.measured.worst, "min_scaled_jacobian": original.measured.smallest_scaled}
+    old = measured(original)
+    worst_before = {"f_skew": old.worst, "min_scaled_jacobian": old.smallest_scaled}
     return Assessment(
         _quality(
-            original.measured,
-            (0, original.measured.bad, 1.0),
+            old,
+            (0, old.bad, 1.0),
             walls[0],
             interfaces[0],
             Range(1.0, 1.0),
@@ -161,7 +156,7 @@ def assess(
             # The grid as a whole also lists those at moving walls.
             | {name: found for name, found in at_walls.items() if not name.startswith("layer")},
         ),
-        list_cells(original, boundary, after, broken[:MAX_LISTED], cells.verdict),
+        list_cells(original, boundary, after, broken[:MAX_LISTED], cells.verdict, step_of),
         per_block(original, cells),
         group_cells(grid, topology, boundary, after, broken, cells.verdict.ratio),
     )
@@ -208,7 +203,7 @@ def per_block(original: Original, cells: Comparison) -> tuple[BlockQuality, ...]
     grid = original.grid
     counts = np.diff(grid.cell_offsets).tolist()
     invalid = np.diff(np.searchsorted(cells.verdict.invalid, grid.cell_offsets)).tolist()
-    rows = zip(grid.names, counts, invalid, _skews(grid, original.measured), _skews(grid, cells.after), strict=True)
+    rows = zip(grid.names, counts, invalid, _skews(grid, measured(original)), _skews(grid, cells.after), strict=True)
     return tuple(BlockQuality(*row) for row in rows)
 
 

@@ -194,8 +194,3 @@ def judge(original: Original, after: FloatArray) -> Verdict:
     hold_cells(original.grid, original.grid.points, after)
     for_slabs(original.grid, lambda _, slab: verdict.put(slab, inspect_slab(original, after, slab)))
     return verdict
-
-
-def newly_invalid(original: Original, after: FloatArray) -> IntArray:
-    """Numbers of the cells that coordinates ``after`` (n_nodes, 3) make invalid."""
-    return judge(original, after).invalid

@@ -12,7 +12,7 @@ from grids import frame
 from meshdeform_core.deform import Case, deform, set_up
 from meshdeform_core.errors import GridError
 from meshdeform_core.mending import mend
-from meshdeform_core.quality.validity import newly_invalid
+from meshdeform_core.quality.validity import judge
 from meshdeform_core.repair import RepairOptions
 
 
@@ -30,7 +30,7 @@ def test_the_boundary_of_a_grid_from_elsewhere_stays_and_its_cells_become_valid(
     mended = mend(bad.grid, grid, case)
     setup = bad.setup
     assert mended.assessment.valid
-    assert not newly_invalid(setup.original, mended.grid.points).size
+    assert not judge(setup.original, mended.grid.points).invalid.size
     assert mended.repair is not None
     known = setup.topology.first[setup.boundary.known]
     np.testing.assert_array_equal(mended.grid.points[known], bad.grid.points[known])
@@ -64,7 +64,7 @@ def test_without_boundary_entries_all_outside_nodes_stay():
     setup = set_up(grid, Case(tuple(body_specs(turning("0.1")))))
     inner = np.setdiff1d(np.arange(grid.n_nodes), setup.topology.face_nodes)[7]
     points[inner] += [0.5, 0.4, 0.0]
-    assert newly_invalid(setup.original, points).size
+    assert judge(setup.original, points).invalid.size
     mended = mend(grid.moved(points), grid, Case(()))
     assert mended.assessment.valid
     outside = np.unique(setup.topology.quads.corners[setup.topology.external])

@@ -16,7 +16,7 @@ from meshdeform_core.deform import Case, Timing, impose, set_up
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import IDW, Options
-from meshdeform_core.quality.validity import newly_invalid
+from meshdeform_core.quality.validity import judge
 from meshdeform_core.repair import RepairOptions
 from meshdeform_core.series import Schedule, deform_series, grid_velocity
 from meshdeform_core.smoothness import Moment, smoothness
@@ -94,7 +94,7 @@ def test_marching_goes_on_from_what_automatic_steps_reached():
     setup = setup_of(turning("90*sin(pi*t)"), repair="off")
     levels = levels_of(setup, Schedule((0.5, 1.0), "last", steps="auto"))
     assert levels[0].result.reached < 1.0
-    assert not newly_invalid(setup.original, levels[0].result.grid.points).size
+    assert not judge(setup.original, levels[0].result.grid.points).invalid.size
     assert levels[1].result.reached == 1.0
     wall = setup.topology.first[setup.boundary.known]
     np.testing.assert_allclose(levels[1].result.grid.points[wall], setup.grid.points[wall], rtol=0, atol=1e-13)
