@@ -49,17 +49,23 @@ class Constraints:
         """The constraints of a classified boundary."""
         grid, topology = original.grid, original.topology
         held = boundary.kind >= Kind.FIXED
-        single = _on_one_surface(topology, boundary)
-        sliding = []
-        for surface in boundary.slip.curved:
-            held[surface.nodes] |= ~single[surface.nodes]
-            held[surface.corners[surface.creased]] = True
-            sliding.append(replace(surface, nodes=surface.nodes[~held[surface.nodes]]))
         root, turn = np.arange(topology.n_unique), {}
+        # A node may slide if it is on a single curved surface and on no plane or periodic boundary.
+        count = np.zeros(topology.n_unique, dtype=np.int64)
+        for surface in boundary.slip.curved:
+            count[surface.nodes] += 1
+        for nodes, _ in boundary.slip.groups:
+            count[nodes] += 2
         if boundary.periodic.one.size:
             nodes, roots, turns = boundary.periodic.frames(topology.n_unique)
             root[nodes] = roots
             turn = dict(zip(nodes.tolist(), turns, strict=True))
+            count[nodes] += 2
+        sliding = []
+        for surface in boundary.slip.curved:
+            held[surface.nodes] |= count[surface.nodes] > 1
+            held[surface.corners[surface.creased]] = True
+            sliding.append(replace(surface, nodes=surface.nodes[~held[surface.nodes]]))
         removed = np.zeros((topology.n_unique, 3, 3))
         for nodes, projector in boundary.slip.groups:
             removed[nodes] += projector
@@ -79,15 +85,3 @@ class Constraints:
         walls = np.zeros(topology.n_unique, dtype=bool)
         walls[topology.quads.corners[quads]] = True
         return cls(grid, topology, held, walls, removed, root, turn, tuple(sliding))
-
-
-def _on_one_surface(topology: Topology, boundary: Boundary) -> BoolArray:
-    """(n_unique,) whether a node is on at most one curved slip surface and on no plane or periodic boundary."""
-    count = np.zeros(topology.n_unique, dtype=np.int64)
-    for surface in boundary.slip.curved:
-        count[surface.nodes] += 1
-    for nodes, _ in boundary.slip.groups:
-        count[nodes] += 2
-    if boundary.periodic.one.size:
-        count[boundary.periodic.frames(topology.n_unique)[0]] += 2
-    return count < 2

@@ -86,15 +86,18 @@ class _AtMinimum:
     """
 
     def __init__(self, plot: Plot, start: FloatArray, end: FloatArray, polish: bool) -> None:
-        self._plot = plot
-        self._start, self._x = self._plot.inside(start), self._plot.inside(end)
-        self.share, energy = share_of(self._plot.region.energy, self._start)
+        self._plot, self._start, self._x = plot, plot.inside(start), plot.inside(end)
+        self.share, energy = share_of(plot.region.energy, self._start)
         of_share, of_between = share_slopes(energy, self._start)
         if polish and self.share <= 1.0:
             self.share, of_share = 1.0, np.zeros_like(of_share)
         self._slopes = of_share, of_between
-        self._region = replace(self._plot.region, energy=energy.softened(POLISHED) if polish else energy)
-        self._regular = True
+        self._energy = energy.softened(POLISHED) if polish else energy
+        self._region, self._penalty = (
+            replace(plot.region, energy=self._energy),
+            Penalty(0.0, self.share, CUBIC, 1.0, 1.0),
+        )
+        self._none, self._regular = np.zeros(len(energy.nodes)), True
         self._place()
 
     def _place(self) -> None:
@@ -103,7 +106,7 @@ class _AtMinimum:
         self._frame = region.directions(self._x)[0].frame
         if region.slides:
             system = self._plot.system
-            system.fill(replace(region, slides=()), self._x, self._start, self._penalty(1.0))
+            system.fill(replace(region, slides=()), self._x, self._start, self._penalty)
             self._surfaces = _Surfaces(region, self._x, system.gradient)
 
     def push(self, change: FloatArray) -> FloatArray:
@@ -112,9 +115,9 @@ class _AtMinimum:
         given = plot.vectors(change)
 
         def make() -> FloatArray:
-            excess, _ = self._of_excess(given, np.zeros(self._cells))
+            excess, _ = self._energy.excess_products(self._start, given, self._none)
             shares = float(self._slopes[0] @ excess), self._slopes[1] * excess
-            force, _, _ = self._products(given, 0.0, *shares)
+            force, _, _ = self._energy.products(self._x, self._penalty._replace(elastic=0.0), given, *shares)
             surfaces = self._surfaces
             if surfaces:
                 force -= self._hessian(surfaces.kept(given))
@@ -134,8 +137,10 @@ class _AtMinimum:
             surfaces = self._surfaces
             within = surfaces.project(own) if surfaces else own
             step = self._turned(self._solved(-self._gathered(within), transposed=True))
-            found, share, between = self._products(step, 0.0, 0.0, np.zeros(self._cells))
-            _, rest = self._of_excess(step, share * self._slopes[0] + between * self._slopes[1])
+            free = self._penalty._replace(elastic=0.0)
+            found, share, between = self._energy.products(self._x, free, step, 0.0, self._none)
+            of_excess = share * self._slopes[0] + between * self._slopes[1]
+            _, rest = self._energy.excess_products(self._start, step, of_excess)
             if surfaces:
                 found -= surfaces.kept(self._hessian(step) + own)
             return np.asarray((found + rest) @ plot.axes)
@@ -170,7 +175,7 @@ class _AtMinimum:
         """Change of the share for a change (n_nodes, 3) of the method's grid."""
         given = self._plot.vectors(change)
         return Nodes.of(change).on_first(
-            lambda: float(self._slopes[0] @ self._of_excess(given, np.zeros(self._cells))[0])
+            lambda: float(self._slopes[0] @ self._energy.excess_products(self._start, given, self._none)[0])
         )
 
     def gradient_of_share(self, size: int) -> FloatArray:
@@ -178,20 +183,14 @@ class _AtMinimum:
         found = np.zeros((size, 3))
 
         def make() -> FloatArray:
-            return np.asarray(self._of_excess(np.zeros_like(self._x), self._slopes[0])[1] @ self._plot.axes)
+            _, gradient = self._energy.excess_products(self._start, np.zeros_like(self._x), self._slopes[0])
+            return np.asarray(gradient @ self._plot.axes)
 
         found[self._plot.nodes] += Nodes.of(found).on_first(make)
         return found
 
-    @property
-    def _cells(self) -> int:
-        return len(self._region.energy.nodes)
-
-    def _penalty(self, elastic: float) -> Penalty:
-        return Penalty(0.0, self.share, CUBIC, elastic, 1.0)
-
     def _fill(self) -> None:
-        self._plot.system.fill(self._region, self._x, self._start, self._penalty(1.0))
+        self._plot.system.fill(self._region, self._x, self._start, self._penalty)
 
     def _solved(self, right: FloatArray, transposed: bool = False) -> FloatArray:
         """Solution (n_unknowns, d) of the linear system with the Hessian and the ``right``-hand side.
@@ -232,7 +231,7 @@ class _AtMinimum:
 
     def _hessian(self, change: FloatArray) -> FloatArray:
         """Change (n, d) of the gradient for a change (n, d) of the coordinates."""
-        return self._products(change, 1.0, 0.0, np.zeros(self._cells))[0]
+        return self._energy.products(self._x, self._penalty, change, 0.0, self._none)[0]
 
     def _spread(self, unknowns: FloatArray) -> FloatArray:
         """The change (n, d) of the nodes: F u, or B F u."""
@@ -253,16 +252,6 @@ class _AtMinimum:
         turned = np.einsum("nji,nj->ni", frame[free], force[free])
         n = self._region.n_unknowns
         return np.stack([np.bincount(number[free], column, n) for column in turned.T], axis=1)
-
-    def _products(
-        self, change: FloatArray, elastic: float, share: float, between: FloatArray
-    ) -> tuple[FloatArray, float, FloatArray]:
-        """See :meth:`.energy.Hexahedra.products`."""
-        return self._region.energy.products(self._x, self._penalty(elastic), change, share, between)
-
-    def _of_excess(self, change: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See :meth:`.energy.Hexahedra.excess_products`, at the method's grid."""
-        return self._region.energy.excess_products(self._start, change, gradient)
 
 
 class _Extruded:

@@ -27,6 +27,7 @@ from ..numerics.cell.foldover.samples import sample_slopes, samples_with_any, so
 from ..numerics.cell.layers import spread_layers
 from ..parallel import Nodes
 from ..quality import Original
+from ..quality.cells import corner_nodes, places, sides_of
 from .constraints import Constraints
 from .energy import Energy, Hexahedra, Region, Slide, Triangles
 from .extrusion import Extrusion, find_extrusion
@@ -146,9 +147,8 @@ class Neighbourhood:
 
     def __init__(self, constraints: Constraints):
         self.constraints, self.grid, self.topology = constraints, constraints.grid, constraints.topology
-        normal = plane_normal(self.grid)
-        self.normal = np.zeros(3) if normal is None else normal
-        self.axes = np.eye(3) if normal is None else plane_axes(normal)
+        self.normal = plane_normal(self.grid)
+        self.axes = np.eye(3) if self.normal is None else plane_axes(self.normal)
 
     @property
     def n_unknowns(self) -> int:
@@ -187,15 +187,12 @@ class Neighbourhood:
         origin = self.grid.nodes.at(np.array([0]))[0]
         start = components(self.grid.nodes.at(nodes) - origin, self.axes)
         cell_nodes = local.reshape(corners.shape)
-        weight = np.ones(len(cells)) if even else self._weights(nodes, start, cell_nodes)
-        # Sign (m,) of the determinants of sound cells, with edges in the order of their index axes.
-        block = np.searchsorted(self.grid.cell_offsets, cells, side="right") - 1
-        sign = self.topology.handedness.astype(np.float64)
-        if self.grid.dimension == 2:
-            flat = np.array([shape.index(1) for shape in self.grid.shapes])
-            # As in quality.cells: the normal is positive for axes (i, j) and (j, k), negative for (i, k).
-            sign *= np.where(flat == 1, -1.0, 1.0) * np.sign(self.normal[np.argmax(np.abs(self.normal))])
-        energy = self._energy(start, cell_nodes, sign[block], weight, unknowns.number >= 0)
+        weight = np.ones(len(cells))
+        if not even:
+            layers, most = self._from_walls
+            share, first = nearness(Nodes.of(layers).at(nodes), most)
+            weight = weigh(share[cell_nodes], first, start, cell_nodes)
+        energy = self._energy(start, cells, cell_nodes, weight, unknowns.number >= 0)
         region = Region(energy, unknowns, freedom, tuple(self._slides(nodes, unknowns, origin)))
         return Plot(region, moved, np.searchsorted(nodes, owners), nodes, self.axes, origin, near is None)
 
@@ -232,17 +229,8 @@ class Neighbourhood:
             yield rows.start + np.flatnonzero(moves[:size]), first + np.flatnonzero(touched)
 
     def corners(self, cells: IntArray) -> IntArray:
-        """Block nodes (m, 8), in 2-D (m, 4), at the corners of cells, ascending."""
-        grid = self.grid
-        found = np.empty((len(cells), 2**grid.dimension), dtype=np.int64)
-        ends = np.searchsorted(cells, grid.cell_offsets)
-        for block in np.flatnonzero(np.diff(ends)).tolist():
-            shape, mine = grid.shapes[block], slice(ends[block], ends[block + 1])
-            ijk = np.unravel_index(cells[mine] - grid.cell_offsets[block], grid.cell_shapes[block])
-            strides = [step for step, n in zip((shape[1] * shape[2], shape[2], 1), shape, strict=True) if n > 1]
-            low = np.ravel_multi_index(ijk, shape) + grid.offsets[block]
-            found[mine] = low[:, None] + np.array([sum(c) for c in itertools.product(*((0, s) for s in strides))])
-        return found
+        """Block nodes (m, 8), in 2-D (m, 4), at the corners of cells."""
+        return corner_nodes(self.grid, *places(self.grid, cells))
 
     def _numbers(self, nodes: IntArray) -> IntArray:
         """Unique numbers of block nodes, -1 inside blocks."""
@@ -259,11 +247,6 @@ class Neighbourhood:
         """The block node that represents each of ``nodes``."""
         number = self._numbers(nodes)
         return np.where(number >= 0, self.topology.first[number], nodes)
-
-    def _weights(self, nodes: IntArray, start: FloatArray, cells: IntArray) -> FloatArray:
-        layers, most = self._from_walls
-        share, first = nearness(Nodes.of(layers).at(nodes), most)
-        return weigh(share[cells], first, start, cells)
 
     def _slides(self, nodes: IntArray, unknowns: Unknowns, origin: FloatArray) -> Iterator[Slide]:
         """The slides of the region's nodes, see :class:`Region`."""
@@ -289,14 +272,15 @@ class Neighbourhood:
                 )
 
     def _energy(
-        self, start: FloatArray, cells: IntArray, sign: FloatArray, weight: FloatArray, moves: BoolArray
+        self, start: FloatArray, cells: IntArray, corners: IntArray, weight: FloatArray, moves: BoolArray
     ) -> Energy:
         """The energy of the samples that depend on a node that ``moves`` (n,), as all others are constant."""
-        if self.grid.dimension == 2:
-            return Triangles.at_corners(start, cells, sign, weight, moves)
+        side = sides_of(self.grid, self.topology.handedness, self.normal, places(self.grid, cells)[0])
+        if self.normal is not None:
+            return Triangles.at_corners(start, corners, side @ self.normal, weight, moves)
         slope = sample_slopes()
-        mask = sound_samples(start, cells, slope, sign, COLLAPSED) & samples_with_any(moves[cells], slope)
-        return Hexahedra(start, cells, weight, cells, mask, slope, np.ones(len(cells)))
+        mask = sound_samples(start, corners, slope, side, COLLAPSED) & samples_with_any(moves[corners], slope)
+        return Hexahedra(start, corners, weight, corners, mask, slope, np.ones(len(cells)))
 
     def _unknowns(self, nodes: IntArray, moves: BoolArray) -> tuple[Unknowns, FloatArray]:
         """The dependence of a region's ``nodes`` on its unknowns, and the directions of these; see :class:`Region`."""

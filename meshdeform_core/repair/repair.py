@@ -11,6 +11,8 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 import scipy
@@ -20,7 +22,7 @@ from ..grid import FloatArray, IntArray
 from ..memory import UNLIMITED, MemoryLimit
 from ..numerics.arrays import lengths
 from ..parallel import Nodes
-from ..quality.comparison import Comparison
+from ..quality.comparison import Tally
 from ..quality.validity import judge
 from .energy import kept_along_lines
 from .extrusion import Extrusion
@@ -31,7 +33,7 @@ from .options import Effort
 from .outcome import Judged, Outcome, Repair
 from .region import Basis, Plot
 from .tuned import FEW, KEPT, LARGE, LAYERS, PER_NODE, REGIONS
-from .untangle import WAYS, Progress, Search, Searcher, Way
+from .untangle import WAYS, Progress, Search, Untangler, Way, search_minimum, search_untangled
 
 WEAK = 0.35
 """Cells with a corner below this fraction of its undeformed Jacobian are the centres of regions."""
@@ -106,7 +108,13 @@ class Repairer:
                 found = _Found(start, left_out=text)
             found = replace(found, grid=self._kept(start, found.grid))
         count = found.weak or len(np.setdiff1d(weak, start.verdict.invalid))
-        record = replace(self._record_repair(start, found, clock.perf_counter() - begin), weak=count)
+        low, high = Nodes.of(start.points).ends
+        distance = lengths(found.grid.points[low:high] - start.points[low:high])
+        own = int((distance > 0).sum()), float(distance.max(initial=0.0))
+        nodes, farthest = zip(*Nodes.of(start.points).gather(own), strict=True)
+        moved = sum(nodes), max(farthest), found.steps, clock.perf_counter() - begin
+        converged = found.converged and found.grid.verdict.valid
+        record = Repair(start.count, count, *moved, converged, left_out=found.left_out)
         return Outcome(found.grid.points, found.grid.verdict, record)
 
     def _found(self, start: Judged, bad: IntArray, polish: bool, effort: Effort, limit: Limit) -> _Found | None:
@@ -146,13 +154,14 @@ class Repairer:
         self.memory.require(needed, f"a repair of {nodes:,} nodes", "allow more, or take --repair off")
 
     def _searched(
-        self, start: Judged, plot: Plot, limit: Limit, search: Callable[[Searcher], Search | None]
+        self, start: Judged, plot: Plot, limit: Limit, search: Callable[[Plot, Untangler], Search | None]
     ) -> Search | None:
         """A search in one process; of ranks, by the first one."""
         reference, before = plot.inside(start.points), limit.spent
 
         def searched() -> tuple[Search | None, float]:
-            found = search(Searcher(plot, reference, self.farthest, self.progress, limit))
+            parts = plot.region, reference, reference, plot.system, self.farthest
+            found = search(plot, Untangler(*parts, progress=self.progress, limit=limit))
             return found, limit.spent - before
 
         found, spent = Nodes.of(start.points).on_first(searched)
@@ -164,7 +173,7 @@ class Repairer:
         """The grid at, or on the way to, the minimum of the energy, searched for from ``near``, by default from the
         ``start``; ``None`` if no cell is weak."""
         shift = None if near is None else plot.vectors(Nodes.of(near.points).combined(np.subtract, start.points))
-        found = self._searched(start, plot, limit, lambda searcher: searcher.minimum(polish, shift))
+        found = self._searched(start, plot, limit, partial(search_minimum, polish=polish, shift=shift))
         if found is None:
             return None if start.verdict.valid else _Found(start)
         end = self._moved(start, plot, found.shift)
@@ -204,17 +213,22 @@ class Repairer:
         First the nodes within a few layers move, then more, until the worst cell is close enough to its undeformed
         shape or more nodes do not help; a patient strategy moves all nodes at once.
         """
-        best = now = start
+        best, now, neighbourhood = start, start, self.basis.neighbourhood
         steps, density, done = 0, np.inf, 0
         for layers in REGIONS[self.original.grid.dimension][-1 if way.patient else 0 : 1 if way.hasty else None]:
             if limit.reached:
                 break
             found, rounds = None, 0
             while rounds < (_ROUNDS if layers else _LAST_ROUNDS):
-                plot = self._around(now, layers, way.even)
+                if layers is None:
+                    self._require(neighbourhood.n_unknowns)
+                    plot = neighbourhood.plot(even=way.even)
+                else:
+                    weak = Nodes.of(now.points).gather(now.verdict.weak(WEAK))
+                    plot = neighbourhood.plot(neighbourhood.near(np.concatenate(weak), layers), way.even)
                 if plot is None or len(plot.moved) == done:
                     break
-                other = self._searched(now, plot, limit, lambda searcher: searcher.untangled(way))
+                other = self._searched(now, plot, limit, partial(search_untangled, way=way))
                 assert other is not None
                 found, steps, rounds, now = other, steps + other.steps, rounds + 1, self._moved(now, plot, other.shift)
                 size, helped = len(plot.moved), _ENOUGH < found.after < _GAIN * found.before
@@ -229,54 +243,46 @@ class Repairer:
             done = size if now.verdict.valid else 0
         return best, steps
 
-    def _around(self, now: Judged, layers: int | None, even: bool) -> Plot | None:
-        """The nodes within ``layers`` layers of weak cells, or all; ``None`` if there are none."""
-        neighbourhood = self.basis.neighbourhood
-        if layers is None:
-            self._require(neighbourhood.n_unknowns)
-            return neighbourhood.plot(even=even)
-        near = neighbourhood.near(np.concatenate(Nodes.of(now.points).gather(now.verdict.weak(WEAK))), layers)
-        return neighbourhood.plot(near, even)
-
     def _kept(self, start: Judged, end: Judged) -> Judged:
         """The grid ``end``, or as much of the way to it as keeps the share KEPT of the ``start``'s smallest scaled
         Jacobian: what the energy gives to walls it may not take from the worst cell without limit."""
-
-        def between(part: float) -> Judged:
-            points = Nodes.of(end.points).like(3)
-
-            def fill(rows: slice) -> None:
-                points[rows] = start.points[rows] + part * (end.points[rows] - start.points[rows])
-
-            Nodes.of(points).each(fill)
-            self.basis.neighbourhood.back_to_surfaces(points)
-            return Judged(points, judge(self.original, self.rounded(points)))
-
         least = KEPT * self._smallest_scaled(start)
         if end is start or least <= 0.0 or self._smallest_scaled(end) >= least:
             return end
+
+        def between(part: float) -> Judged:
+            return self._blended(start, end, lambda rows: part)
+
         # As exact as the minimum: a coarser part would make moving grids jump.
         part = scipy.optimize.brentq(lambda part: self._smallest_scaled(between(part)) - least, 0.0, 1.0, xtol=1e-7)
         found = between(part)
         return found if found.verdict.valid else start
 
+    def _blended(self, start: Judged, end: Judged, part: Callable[[slice], Any]) -> Judged:
+        """The grid at a ``part`` of the way of every node of some rows from the ``start`` to the ``end``."""
+        points = Nodes.of(end.points).like(3)
+
+        def fill(rows: slice) -> None:
+            points[rows][:] = start.points[rows] + part(rows) * (end.points[rows] - start.points[rows])
+
+        Nodes.of(points).each(fill)
+        self.basis.neighbourhood.back_to_surfaces(points)
+        return Judged(points, judge(self.original, self.rounded(points)))
+
     def _smallest_scaled(self, grid: Judged) -> float:
         """The smallest scaled Jacobian."""
-        return Comparison(self.original, self.rounded(grid.points)).after.smallest_scaled[1]
+        return Tally(self.original, self.rounded(grid.points)).smallest_scaled[1]
 
     def _undone(self, start: Judged, end: Judged) -> Judged:
         """The grid ``end`` near cells that are invalid in it or at the ``start``, and the ``start`` far from them."""
         cells, neighbourhood = np.union1d(start.verdict.invalid, end.verdict.invalid), self.basis.neighbourhood
+
+        def near(distance: Any, layers: int, rows: slice) -> FloatArray:
+            part = (2.0 * layers - Nodes.of(distance).rows[rows]) / layers
+            return np.clip(part, 0.0, 1.0)[:, None]
+
         for layers in LAYERS[2:]:
-            distance, points = neighbourhood.near(cells, 2 * layers).layers, Nodes.of(end.points).like(3)
-
-            def fill(rows: slice) -> None:
-                part = np.clip((2.0 * layers - Nodes.of(distance).rows[rows]) / layers, 0.0, 1.0)[:, None]  # noqa: B023
-                points[rows][:] = start.points[rows] + part * (end.points[rows] - start.points[rows])  # noqa: B023
-
-            Nodes.of(points).each(fill)
-            neighbourhood.back_to_surfaces(points)
-            found = Judged(points, judge(self.original, self.rounded(points)))
+            found = self._blended(start, end, partial(near, neighbourhood.near(cells, 2 * layers).layers, layers))
             if found.count <= end.count:
                 return found
         return end
@@ -328,12 +334,3 @@ class Repairer:
         own = slice(*np.searchsorted(plot.moved, Nodes.of(points).ends).tolist())
         Nodes.of(points).rows[plot.moved[own]] += shift[own]
         return Judged(points, judge(self.original, self.rounded(points)))
-
-    def _record_repair(self, start: Judged, found: _Found, seconds: float) -> Repair:
-        low, high = Nodes.of(start.points).ends
-        distance = lengths(found.grid.points[low:high] - start.points[low:high])
-        own = int((distance > 0).sum()), float(distance.max(initial=0.0))
-        nodes, farthest = zip(*Nodes.of(start.points).gather(own), strict=True)
-        converged = found.converged and found.grid.verdict.valid
-        moved = sum(nodes), max(farthest), found.steps, seconds, converged
-        return Repair(start.count, found.weak, *moved, left_out=found.left_out)

@@ -41,6 +41,9 @@ _LEAST = 0.0625
 _DECREASE, _ROUND_OFF = 1e-4, 1e-13
 
 
+Progress = Callable[[str, int, int], None]
+
+
 @dataclass(frozen=True)
 class State:
     """Coordinates, with the energy, the smallest determinant and the largest f there."""
@@ -72,8 +75,8 @@ class Untangler:
     """Moves the unknowns of a region from coordinates ``x`` (n, d), within a limit.
 
     ``reference`` (n, d) are the coordinates of zero elastic energy, from which no node moves more than ``farthest``.
-    ``damping``: the part of the indefinite second
-    derivatives that the next step leaves out first, ``damped`` that which the last one left out; see :meth:`_exact`.
+    ``damping``: the part of the indefinite second derivatives that the next step leaves out first, ``damped`` that
+    which the last one left out; see :meth:`_exact`.
     """
 
     region: Region
@@ -82,10 +85,15 @@ class Untangler:
     system: NewtonSystem
     farthest: float = np.inf
     steps: int = 0
-    progress: Callable[[str, int, int], None] | None = None
+    progress: Progress | None = None
     limit: Limit = field(default_factory=Limit)
     damping: float = 0.0
     damped: float = 1.0
+
+    @property
+    def most(self) -> int:
+        """The largest number of Newton steps."""
+        return max(_FEWEST, _WORK // self.region.n_unknowns)
 
     def state(self, x: FloatArray, penalty: Penalty) -> State:
         energy, size = self.region.energy, len(self.region.energy.nodes)
@@ -120,20 +128,15 @@ class Untangler:
         The regularisation falls as in Garanzha et al. 2021 (section 2.3), but by at least ``way.slowest`` once the
         energy hardly changes: a few extra steps at the end cost less than many before.
         """
-        other = replace(self, region=replace(self.region, energy=energy))
-        untangled = other._descend(way)
-        self.x, self.steps = other.x, other.steps
-        return untangled
-
-    def _descend(self, way: Way) -> bool:
-        eps = way.first
+        whole, self.region = self.region, replace(self.region, energy=energy)
+        eps, untangled = way.first, False
         for step in range(way.steps + 1):
             now = self.state(self.x, Penalty(eps))
-            if now.lowest > 0.0:
-                return True
-            if step == way.steps or now.lowest < -_LOCKED * eps or self.limit.reached:
+            untangled = now.lowest > 0.0
+            if untangled or step == way.steps or now.lowest < -_LOCKED * eps or self.limit.reached:
                 break
-            self._tell(step, way.steps)
+            if self.progress:
+                self.progress("repair", step, way.steps)
             after, _ = self._step(now, Penalty(eps), _ROUGH)
             self.x = after.x
             # The regularisation with which chi of the smallest determinant is ``1 - change`` times what it is now.
@@ -143,7 +146,8 @@ class Untangler:
             chi = 0.5 * (lowest + root) if lowest > 0 else 0.5 * eps * eps / (root - lowest)
             goal = (1.0 - change) * chi
             eps = 2.0 * float(np.sqrt(goal * (goal - lowest))) if lowest < goal else 1e-10
-        return False
+        self.region = whole
+        return untangled
 
     def minimise(self, share: float, most: int, edges: FloatArray) -> bool:
         """At most ``most`` Newton steps to the minimum from a valid start; returns whether it was reached.
@@ -156,7 +160,8 @@ class Untangler:
             earlier.append(now)
             if self.limit.reached or (step >= _PATIENCE and not self._gained(earlier[-1 - _PATIENCE], now, edges)):
                 break
-            self._tell(step, most)
+            if self.progress:
+                self.progress("repair", step, most)
             tolerance = min(_ROUGH, max(_FINE, _FORCING * length))
             after, part = self._step(now, penalty, tolerance)
             before, length = length, float((np.abs(after.x - now.x).max(axis=1) / edges).max(initial=0.0))
@@ -183,10 +188,6 @@ class Untangler:
         if any(abs(new - old) > _GAIN * abs(old) for old, new in pairs):
             return True
         return bool((np.abs(now.x - before.x).max(axis=1) > _GAIN * edges).any())
-
-    def _tell(self, done: int, most: int) -> None:
-        if self.progress:
-            self.progress("repair", done, most)
 
     def _step(self, now: State, penalty: Penalty, tolerance: float) -> tuple[State, float]:
         """One step, and how much of it was taken, 0 if nothing lowers the energy; by the convex part of the second
@@ -251,9 +252,6 @@ _CONVERGING, _IMPROVING = 60, 20
 # A region of n nodes takes at most _WORK / n Newton steps, so that time is bounded on large grids.
 _WORK, _FEWEST = 20_000_000, 6
 
-Progress = Callable[[str, int, int], None]
-
-
 _PATIENTLY = PATIENT, replace(PATIENT, even=True)
 WAYS: dict[Effort, tuple[Way, ...]] = {
     "hasty": (HASTY,),
@@ -282,53 +280,33 @@ class Search:
     share: float = 0.0
 
 
-@dataclass(frozen=True)
-class Searcher:
-    """Searches from the method's coordinates ``reference`` (n, d) of the nodes of a plot.
+def search_minimum(plot: Plot, untangler: Untangler, polish: bool, shift: FloatArray | None) -> Search | None:
+    """The minimum, from coordinates moved by ``shift`` (n, d); ``None`` if no cell is weak.
 
-    ``farthest``: no node moves farther than this.
+    ``polish``: the energy always has its full share, and cells at walls have little more weight than others.
     """
+    share, energy = share_of(plot.region.energy, untangler.reference)
+    if polish:
+        share, energy = max(share, 1.0), energy.softened(POLISHED)
+    if share == 0.0:
+        return None
+    untangler.region = replace(plot.region, energy=energy)
+    untangler.x = untangler.reference if shift is None else untangler.reference + shift
+    untangled = untangler.untangle(replace(QUICK, steps=min(QUICK.steps, untangler.most)))
+    first = untangler.x
+    converged = untangled and untangler.minimise(share, min(_CONVERGING, untangler.most), plot.edges)
+    moved, on_the_way = (plot.shift(x - untangler.reference) for x in (untangler.x, first))
+    kept = on_the_way if untangled and not converged else None
+    return Search(moved, converged, untangler.steps, untangled=kept, share=share)
 
-    plot: Plot
-    reference: FloatArray
-    farthest: float
-    progress: Progress | None
-    limit: Limit
 
-    def _untangler(self, region: Region, start: FloatArray) -> tuple[Untangler, int]:
-        most = max(_FEWEST, _WORK // region.n_unknowns)
-        untangler = Untangler(region, start, self.reference, self.plot.system, self.farthest)
-        untangler.progress, untangler.limit = self.progress, self.limit
-        return untangler, most
-
-    def minimum(self, polish: bool, shift: FloatArray | None) -> Search | None:
-        """The minimum, from coordinates moved by ``shift`` (n, d); ``None`` if no cell is weak.
-
-        ``polish``: the energy always has its full share, and cells at walls have little more weight than others.
-        """
-        share, energy = share_of(self.plot.region.energy, self.reference)
-        if polish:
-            share, energy = max(share, 1.0), energy.softened(POLISHED)
-        if share == 0.0:
-            return None
-        start = self.reference if shift is None else self.reference + shift
-        untangler, most = self._untangler(replace(self.plot.region, energy=energy), start)
-        untangled = untangler.untangle(replace(QUICK, steps=min(QUICK.steps, most)))
-        first = self._shift(untangler) if untangled else None
-        converged = untangled and untangler.minimise(share, min(_CONVERGING, most), self.plot.edges)
-        untangled_at = None if converged else first
-        return Search(self._shift(untangler), converged, untangler.steps, untangled=untangled_at, share=share)
-
-    def untangled(self, way: Way) -> Search:
-        """A grid without inverted samples, improved unless in haste."""
-        share, energy = share_of(self.plot.region.energy, self.reference)
-        untangler, most = self._untangler(replace(self.plot.region, energy=energy), self.reference)
-        before = untangler.state(self.reference, Penalty()).highest
-        done = untangler.untangle(replace(way, steps=min(way.steps, most)))
-        if done and not way.hasty:
-            untangler.minimise(max(share, 1.0), min(_IMPROVING, most), self.plot.edges)
-        after = untangler.state(untangler.x, Penalty()).highest
-        return Search(self._shift(untangler), done, untangler.steps, before, after)
-
-    def _shift(self, untangler: Untangler) -> FloatArray:
-        return self.plot.shift(untangler.x - self.reference)
+def search_untangled(plot: Plot, untangler: Untangler, way: Way) -> Search:
+    """A grid without inverted samples, improved unless in haste."""
+    share, energy = share_of(plot.region.energy, untangler.reference)
+    untangler.region = replace(plot.region, energy=energy)
+    before = untangler.state(untangler.reference, Penalty()).highest
+    done = untangler.untangle(replace(way, steps=min(way.steps, untangler.most)))
+    if done and not way.hasty:
+        untangler.minimise(max(share, 1.0), min(_IMPROVING, untangler.most), plot.edges)
+    after = untangler.state(untangler.x, Penalty()).highest
+    return Search(plot.shift(untangler.x - untangler.reference), done, untangler.steps, before, after)

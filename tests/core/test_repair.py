@@ -19,7 +19,7 @@ from meshdeform_core.grid import Grid
 from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.numerics.cell.foldover.plane import add_triangles
 from meshdeform_core.parallel import set_threads
-from meshdeform_core.quality.validity import judge, newly_invalid
+from meshdeform_core.quality.validity import judge
 from meshdeform_core.repair import RepairOptions, newton, untangle
 from meshdeform_core.repair.constraints import Constraints
 from meshdeform_core.repair.energy import Penalty
@@ -231,7 +231,7 @@ def test_a_node_thrown_out_of_its_cells_comes_back(dimension):
     assert not verdict.valid
     outcome = Repairer(Basis(setup.original, setup.boundary)).repair(Judged(points, verdict))
     assert outcome.verdict.valid
-    assert not newly_invalid(setup.original, outcome.points).size
+    assert not judge(setup.original, outcome.points).invalid.size
     assert outcome.repair.invalid == verdict.invalid.size
     assert outcome.repair.converged
     assert 0 < outcome.repair.nodes < setup.grid.n_nodes
