@@ -181,7 +181,11 @@ def differentiated(result: Result, method: PreparedMethod, displacement: FloatAr
     repair, why = _of_repair(result, points)
     if repair is None:
         return derivative, f"the grid was repaired, {why}; the derivative is that of the method before the repair"
-    return _Repaired(derivative, repair), ""
+    return Linearised(
+        lambda change: repair.push(derivative.push(change)),
+        lambda gradient: derivative.pull(repair.pull(gradient)),
+        derivative.kinks,
+    ), ""
 
 
 def _of_repair(result: Result, plain: FloatArray) -> tuple[RepairDerivative | None, str]:
@@ -207,16 +211,3 @@ def _largest_magnitude(values: FloatArray) -> float:
     """Largest magnitude of ``values`` (n_nodes, 3), of all ranks if they are in parts."""
     nodes = Nodes.of(values)
     return max(nodes.gather(max(float(nodes.own.max(initial=0.0)), -float(nodes.own.min(initial=0.0)))))
-
-
-class _Repaired:
-    """Derivative of a method followed by a repair."""
-
-    def __init__(self, method: Linearised, repair: RepairDerivative) -> None:
-        self._method, self._repair, self.kinks = method, repair, method.kinks
-
-    def push(self, change: FloatArray) -> FloatArray:
-        return self._repair.push(self._method.push(change))
-
-    def pull(self, gradient: FloatArray) -> FloatArray:
-        return self._method.pull(self._repair.pull(gradient))

@@ -27,6 +27,7 @@ from .grid.topology import RELATIVE_TOLERANCE, FaceQuads, Topology, quads_of_pat
 from .memory import UNLIMITED, MemoryLimit
 from .methods import Account, Options, PreparedMethod, Problem, Progress
 from .methods.base import Linearised
+from .methods.composite import filled
 from .methods.kinks import Kinks
 from .methods.limits import patch_motions
 from .notices import Notice, kind_of
@@ -290,7 +291,7 @@ class ComponentCrossings:
 Differentiated = Callable[[Result, PreparedMethod, FloatArray], tuple[Linearised, str]]
 
 
-class PreparedComponents:
+class PreparedComponents(PreparedMethod):
     """A method prepared on every component; ``None`` for one without moving boundaries, which remains at rest."""
 
     def __init__(self, whole: Overset, options: Options):
@@ -300,77 +301,60 @@ class PreparedComponents:
 
     @property
     def account(self) -> Account:
-        """Settings and warnings of all components."""
-        return _account_of({each.name: method.account for each, method, _ in self.parts() if method})
+        return _account_of({each.name: method.account for each, method, _ in self._parts() if method})
 
     def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
-        """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
         return [
             _named(each.name, text)
-            for each, method, rows in self.parts()
+            for each, method, rows in self._parts()
             if method
             for text in method.warnings_for(motion[rows], step[rows])
         ]
 
     def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
-        """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""
         moved = (
-            (each, method.apply(displacement[rows], progress) if method else _still(each.undeformed.grid))
-            for each, method, rows in self.parts()
+            method.apply(displacement[rows], progress) if method else filled(each.undeformed.problem, 0.0)
+            for each, method, rows in self._parts()
         )
-        return _joined(self._grid, list(moved))
+        return _joined(self._grid, list(zip(self.components, moved, strict=True)))
 
-    def parts(self) -> Iterator[tuple[Component, PreparedMethod | None, IntArray]]:
+    def _parts(self) -> Iterator[tuple[Component, PreparedMethod | None, IntArray]]:
         """Each component with its method, and the rows of its sources among those of the whole grid."""
         for each, method in zip(self.components, self.methods, strict=True):
             own: Problem = each.undeformed.problem
             yield each, method, np.searchsorted(self._sources, each.numbers[own.source_numbers])
 
-    def linearised(self, displacement: FloatArray) -> ComponentsDerivative:
-        """The derivative at a displacement (n_sources, 3)."""
-        parts = [
-            (each, rows, method.linearised(displacement[rows]) if method else None)
-            for each, method, rows in self.parts()
-        ]
-        return ComponentsDerivative(self._grid, len(self._sources), parts)
+    def linearised(self, displacement: FloatArray) -> Linearised:
+        found = [method.linearised(displacement[rows]) if method else None for _, method, rows in self._parts()]
+        return self._together(found)
 
     def differentiated(self, result: Result, displacement: FloatArray, one: Differentiated) -> tuple[Linearised, str]:
         """The derivative of a result, and the reason why it does not hold for it, from those of ``one`` component."""
-        parts, reasons = [], []
-        for (each, method, rows), (name, own) in zip(self.parts(), result.components, strict=True):
+        found, reasons = [], []
+        for (_, method, rows), (name, own) in zip(self._parts(), result.components, strict=True):
             derivative, reason = one(own, method, displacement[rows]) if method else (None, "")
-            parts.append((each, rows, derivative))
+            found.append(derivative)
             reasons += [_named(name, reason)] if reason else []
-        return ComponentsDerivative(self._grid, len(self._sources), parts), "; ".join(reasons)
+        return self._together(found), "; ".join(reasons)
 
+    def _together(self, found: Sequence[Linearised | None]) -> Linearised:
+        """The derivative from those of all components."""
 
-def _still(grid: Grid) -> FloatArray:
-    found: FloatArray = grid.nodes.like(3)
-    Nodes.of(found).each(lambda rows: found[rows].fill(0.0))
-    return found
+        def push(change: FloatArray) -> FloatArray:
+            moved = (
+                own.push(change[rows]) if own else filled(each.undeformed.problem, 0.0)
+                for (each, _, rows), own in zip(self._parts(), found, strict=True)
+            )
+            return _joined(self._grid, list(zip(self.components, moved, strict=True)))
 
+        def pull(gradient: FloatArray) -> FloatArray:
+            total = np.zeros((len(self._sources), 3))
+            for (each, _, rows), own in zip(self._parts(), found, strict=True):
+                if own:
+                    total[rows] = own.pull(each.rows(self._grid, gradient))
+            return total
 
-class ComponentsDerivative:
-    """Derivative of every component with respect to the displacement of its own sources, the rows in ``parts``."""
-
-    def __init__(self, grid: Grid, n_sources: int, parts: Sequence[tuple[Component, IntArray, Linearised | None]]):
-        self._grid, self._n_sources, self._parts = grid, n_sources, parts
-        self.kinks = sum((own.kinks for _, _, own in parts if own), Kinks())
-
-    def push(self, change: FloatArray) -> FloatArray:
-        """Change (n_nodes, 3) for a ``change`` (n_sources, 3) of the sources."""
-        moved = (
-            (each, own.push(change[rows]) if own else _still(each.undeformed.grid)) for each, rows, own in self._parts
-        )
-        return _joined(self._grid, list(moved))
-
-    def pull(self, gradient: FloatArray) -> FloatArray:
-        """Gradient (n_sources, 3) from that (n_nodes, 3) of all block nodes, which may be overwritten."""
-        found = np.zeros((self._n_sources, 3))
-        for each, rows, own in self._parts:
-            if own:
-                found[rows] = own.pull(each.rows(self._grid, gradient))
-        return found
+        return Linearised(push, pull, sum((own.kinks for own in found if own), Kinks()))
 
 
 def impose_on_components(whole: Course, undeformed: Overset, one: Callable[[Course], Result]) -> Result:

@@ -21,7 +21,7 @@ from ..boundary.layer import find_layer
 from ..errors import MethodError, suggestion
 from .base import Account, PreparedMethod, Problem, Progress, Setting
 from .composite import Composite
-from .gaps import InGaps
+from .gaps import in_gaps
 from .layer import PreparedLayer
 from .options import MethodOptions, declared, description
 from .scattered.idw import IDW
@@ -89,13 +89,13 @@ class MethodEntry:
     summary: str
     advice: str
     parts: tuple[type, ...]
-    make: Callable[[Options], Composite | InGaps]
+    make: Callable[[Options], Composite]
 
 
-def _default(options: Options) -> Composite | InGaps:
-    method = Composite(options.idw, options.tfi)
+def _default(options: Options) -> Composite:
     # With the paper's kinds of rotation, or blocks that are never cut, methods are exactly as published.
-    return InGaps(method) if options.idw.rotation == "lie" and options.tfi.max_cells != 0 else method
+    published = options.idw.rotation != "lie" or options.tfi.max_cells == 0
+    return Composite(options.idw, options.tfi, None if published else in_gaps)
 
 
 def _idw_rbf(options: Options) -> Composite:
@@ -172,7 +172,7 @@ def entry_of(name: str) -> MethodEntry:
     return CATALOGUE[full]
 
 
-def make_method(options: Options) -> Composite | InGaps:
+def make_method(options: Options) -> Composite:
     """The method that ``options`` describe."""
     return entry_of(options.name).make(options)
 

@@ -205,20 +205,20 @@ class Account:
         self.notices |= other.notices
 
 
-class Linearised(Protocol):
-    """Derivative of the displacement (n_nodes, 3) of all block nodes with respect to that (n_sources, 3) of the
-    sources; ``kinks``: why it is not that of the displacement field, see :mod:`.kinks`.
+@dataclass(frozen=True)
+class Linearised:
+    """Derivative of the displacement of all block nodes with respect to that of the sources.
+
+    Attributes
+    ----------
+    push : the change (n_nodes, 3) for a change (n_sources, 3) of the sources
+    pull : the gradient (n_sources, 3) from that (n_nodes, 3) of all block nodes, which is overwritten
+    kinks : why it is not the derivative of the displacement field, see :mod:`.kinks`
     """
 
-    kinks: Kinks
-
-    def push(self, change: FloatArray) -> FloatArray:
-        """Change (n_nodes, 3) for a ``change`` (n_sources, 3) of the sources."""
-        ...
-
-    def pull(self, gradient: FloatArray) -> FloatArray:
-        """Gradient (n_sources, 3) from that (n_nodes, 3) of all block nodes, which is overwritten."""
-        ...
+    push: Callable[..., Any]
+    pull: Callable[..., FloatArray]
+    kinks: Kinks = field(default_factory=Kinks)
 
 
 class PreparedMethod(Protocol):
@@ -246,13 +246,12 @@ class PreparedMethod(Protocol):
 
 
 class Mover(Protocol):
-    """The first step of a method, bound to the nodes that it moves."""
+    """The first step of a method, bound to the nodes that it moves; ``account`` and ``warnings_for`` as
+    :class:`PreparedMethod`."""
 
     account: Account
 
-    def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
-        """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
-        ...
+    def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]: ...
 
     def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> FloatArray:
         """Compute the displacement of the mover's nodes from that of the sources (n_sources, 3).
@@ -262,8 +261,8 @@ class Mover(Protocol):
         """
         ...
 
-    def linearised(self, displacement: FloatArray) -> Any:
-        """The derivative at a displacement (n_sources, 3), with ``kinks`` as :class:`Linearised`.
+    def linearised(self, displacement: FloatArray) -> Linearised:
+        """The derivative at a displacement (n_sources, 3).
 
         ``push(change, out)`` is as :meth:`move` for a ``change`` of the displacement; ``pull(face, gradient)`` returns
         the gradient (n_sources, 3) from those of the nodes on block faces (n_unique, 3) and, rows of ``gradient``
@@ -273,9 +272,12 @@ class Mover(Protocol):
 
 
 class PreparedInterpolation(Protocol):
-    """A scattered-data method (IDW, RBF) bound to its sources."""
+    """A scattered-data method (IDW, RBF) bound to its sources; ``account`` and ``warnings_for`` as
+    :class:`PreparedMethod`."""
 
     account: Account
+
+    def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]: ...
 
     def at(self, flat: IntArray) -> Any:
         """Bind to the target nodes ``flat`` of the grid.
@@ -285,19 +287,15 @@ class PreparedInterpolation(Protocol):
         """
         ...
 
-    def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
-        """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
-        ...
-
     def fit(self, displacement: FloatArray, progress: Progress | None = None) -> Any:
         """Fit the displacement (n_sources, 3) of the sources; returns the coefficients for the evaluation."""
         ...
 
-    def linearised(self, evaluator: Any, displacement: FloatArray) -> Any:
+    def linearised(self, evaluator: Any, displacement: FloatArray) -> Linearised:
         """The derivative of the displacement of an evaluator's nodes at a displacement (n_sources, 3).
 
-        It has ``kinks`` as :class:`Linearised`; ``push(change, out)`` writes the change of the nodes into their rows of
-        ``out`` (n_nodes, 3), and ``pull(gradient)`` returns the gradient (n_sources, 3) from these rows.
+        ``push(change, out)`` writes the change of the nodes into their rows of ``out`` (n_nodes, 3), and
+        ``pull(gradient)`` returns the gradient (n_sources, 3) from these rows.
         """
         ...
 

@@ -21,7 +21,7 @@ from .base import Problem, Progress, of_stage
 WIDTH = 0.3
 """Length of the parabolic end at the walls relative to the distance from wall to slip side (studies/slip_sides.py)."""
 _CHUNK = 4096
-# Round-off in the normal component of a motion along the planes, relative to the extent of the sources.
+# Relative to the extent of the sources.
 _ROUND_OFF = 1e-13
 # Data are kept between displacements only if they take at most one part in this many of the memory limit.
 _KEPT = 8
@@ -45,49 +45,42 @@ class BesideSlip:
         self._problem, self._flat = problem, flat
         sides = problem.boundary.slip.sides
         self.normals: FloatArray = np.array([normal for normal, _ in sides]).reshape(-1, 3)
-        self._keeps = self.normals.shape[0] * 8 * len(flat) * _KEPT <= problem.memory.size
-        self._parts: dict[int, FloatArray] | None = None
+        # Stored from the second displacement on, as a single one needs no store.
+        self._parts: dict[int, FloatArray] = {}
+        self._stores = False
 
     def apply(self, out: FloatArray, progress: Progress | None = None) -> None:
         """Damp the rows of ``out`` (n_nodes, 3) of these nodes, in place."""
+        # Round-off in a motion along the planes is left as it is.
+        self.damp(out, _ROUND_OFF * float(np.ptp(self._problem.source_points, axis=0).max()), progress)
+
+    def damp(self, out: FloatArray, least: float = 0.0, progress: Progress | None = None) -> None:
+        """As :meth:`apply`, where a normal component is larger than ``least``; by default for changes or gradients of
+        any magnitude."""
         if not len(self.normals):
             return
-        rows, least = Nodes.of(out).rows, _ROUND_OFF * float(np.ptp(self._problem.source_points, axis=0).max())
+        rows = Nodes.of(out).rows
 
         def work(lo: int, hi: int) -> None:
             flat = self._flat[lo:hi]
             if np.abs(rows[flat] @ self.normals.T).max() > least:
-                _damp(rows, flat, self.normals, self._kept(lo, hi), least)
+                _damp(rows, flat, self.normals, self._part(lo, flat), least)
 
         for_chunks(work, len(self._flat), _CHUNK, of_stage(progress, "beside slip sides"))
-        self._done()
-
-    def damp(self, values: FloatArray) -> None:
-        """As :meth:`apply`, for ``values`` (n_nodes, 3) of any magnitude, such as changes or gradients."""
-        for lo in range(0, len(self._flat) if len(self.normals) else 0, _CHUNK):
-            hi = min(lo + _CHUNK, len(self._flat))
-            _damp(values, self._flat[lo:hi], self.normals, self._kept(lo, hi), 0.0)
-        self._done()
-
-    def _done(self) -> None:
-        """Drop the search trees; results are stored from the second displacement on, as a single one needs no store."""
         self.__dict__.pop("trees", None)
-        if self._keeps and self._parts is None:
-            self._parts = {}
+        self._stores = self.normals.shape[0] * 8 * len(self._flat) * _KEPT <= self._problem.memory.size
 
-    def _kept(self, lo: int, hi: int) -> FloatArray:
-        """:meth:`_part` of the nodes lo <= n < hi, stored from the second displacement on if memory permits."""
-        if self._parts is None:
-            return self._part(self._flat[lo:hi])
-        if lo not in self._parts:
-            self._parts[lo] = self._part(self._flat[lo:hi])
-        return self._parts[lo]
-
-    def _part(self, flat: IntArray) -> FloatArray:
-        """The part 1 - f (n, k) of its normal components that the displacement of each node loses."""
-        x = self._problem.grid.nodes.rows[flat]
-        to_wall, *to_sides = (tree.closest(x)[2] for tree in self.trees)
-        return np.stack([lost(place(to_wall, to_side)) for to_side in to_sides], axis=1)
+    def _part(self, first: int, flat: IntArray) -> FloatArray:
+        """The part 1 - f (n, k) of its normal components that the displacement of each node loses; ``first`` is the
+        number of the first of these nodes."""
+        found = self._parts.get(first)
+        if found is None:
+            x = self._problem.grid.nodes.rows[flat]
+            to_wall, *to_sides = (tree.closest(x)[2] for tree in self.trees)
+            found = np.stack([lost(place(to_wall, to_side)) for to_side in to_sides], axis=1)
+            if self._stores:
+                self._parts[first] = found
+        return found
 
     @cached_property
     def trees(self) -> Sequence[TriangleTree]:

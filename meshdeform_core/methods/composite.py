@@ -7,25 +7,21 @@ method alone moves all nodes in the first step and has no second one.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 
 from ..boundary import Kind
-from ..errors import MotionError
 from ..grid import FloatArray, IntArray
 from ..memory import release_freed
 from ..parallel import Nodes
-from ..wording import vector
-from .base import Account, Interpolation, Mover, PreparedMethod, Problem, Progress
+from .base import Account, Interpolation, Linearised, Mover, PreparedMethod, Problem, Progress
 from .beside_slip import BesideSlip
 from .constraints import Constraints, add_to_faces, impose
 from .transfinite.edge_graph import PreparedEdgeGraph
 from .transfinite.skeleton import Skeleton
-
-# Face nodes per chunk: large enough to outweigh the cost of starting a thread.
-_NODES = 100_000
 
 
 class PreparedFiller(Protocol):
@@ -62,28 +58,28 @@ class Filler(Protocol):
 class Composite:
     """``mover`` for the interfaces (``None``: TFI on the edge graph), then ``filler`` for the interiors.
 
-    Without a filler the mover moves every node.
+    Without a filler the mover moves every node. ``around`` makes another method of the prepared one, see :mod:`.gaps`.
     """
 
     mover: Interpolation | None
     filler: Filler | None
+    around: Callable[[PreparedComposite], PreparedMethod] | None = None
 
     def prepare(self, problem: Problem) -> PreparedMethod:
         """Bind both steps to the undeformed grid."""
         periodic = free_periodic(problem)
         if periodic.size == 0:
-            return PreparedComposite(self, problem)
+            prepared = PreparedComposite(self, problem)
+            return self.around(prepared) if self.around else prepared
         nodes, (low, high) = np.sort(problem.topology.first[periodic]), problem.grid.nodes.ends
         first = _mover(self.mover, problem, nodes[(nodes >= low) & (nodes < high)])
-        guided = with_known_periodic(problem)
+        guided = with_known_periodic(problem, periodic)
         return PreparedPeriodic(problem, first, PreparedComposite(self, guided), guided)
 
 
 def _mover(interpolation: Interpolation | None, problem: Problem, flat: IntArray) -> Mover:
     """An interpolation for the nodes ``flat``, or TFI on the edge graph, which moves all face nodes."""
-    if interpolation is None:
-        return PreparedEdgeGraph(problem)
-    return Scattered(interpolation, problem, flat)
+    return PreparedEdgeGraph(problem) if interpolation is None else Scattered(interpolation, problem, flat)
 
 
 @dataclass
@@ -99,10 +95,7 @@ class Scattered:
         self.bound = self.interpolation.bind(self.problem)
         self.evaluator = self.bound.at(self.flat)
         self.beside_slip = BesideSlip(self.problem, self.flat)
-        self.account = self.bound.account
-
-    def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
-        return self.bound.warnings_for(motion, step)
+        self.account, self.warnings_for = self.bound.account, self.bound.warnings_for
 
     def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> FloatArray:
         values = self.bound.fit(displacement, progress)
@@ -110,38 +103,33 @@ class Scattered:
         self.evaluator.evaluate(values, out, progress)
         release_freed()
         self.beside_slip.apply(out, progress)
+        return self._with_sources(out, displacement)
+
+    def _with_sources(self, out: FloatArray, displacement: FloatArray) -> FloatArray:
+        """Values (n_unique, 3) on block faces, those of sources as prescribed."""
         face = on_faces(out, self.problem)
         face[self.problem.source_numbers] = displacement
         return face
 
-    def linearised(self, displacement: FloatArray) -> _LinearScattered:
-        return _LinearScattered(self, displacement)
+    def linearised(self, displacement: FloatArray) -> Linearised:
+        problem, inside = self.problem, self.bound.linearised(self.evaluator, displacement)
+
+        def push(change: FloatArray, out: FloatArray) -> FloatArray:
+            inside.push(change, out)
+            self.beside_slip.damp(out)
+            return self._with_sources(out, change)
+
+        def pull(face: FloatArray, gradient: FloatArray) -> FloatArray:
+            own = face[problem.source_numbers].copy()
+            face[problem.source_numbers] = 0.0
+            add_to_faces(face, problem.topology, gradient)
+            self.beside_slip.damp(gradient)
+            return np.asarray(own + inside.pull(gradient))
+
+        return Linearised(push, pull, inside.kinks)
 
 
-class _LinearScattered:
-    """Derivative of an interpolation as the first step; sources on faces take the change prescribed for them."""
-
-    def __init__(self, mover: Scattered, displacement: FloatArray) -> None:
-        self._problem, self._beside_slip = mover.problem, mover.beside_slip
-        self.inside = mover.bound.linearised(mover.evaluator, displacement)
-        self.kinks = self.inside.kinks
-
-    def push(self, change: FloatArray, out: FloatArray) -> FloatArray:
-        self.inside.push(change, out)
-        self._beside_slip.damp(Nodes.of(out).rows)
-        face = on_faces(out, self._problem)
-        face[self._problem.source_numbers] = change
-        return face
-
-    def pull(self, face: FloatArray, gradient: FloatArray) -> FloatArray:
-        own = face[self._problem.source_numbers].copy()
-        face[self._problem.source_numbers] = 0.0
-        add_to_faces(face, self._problem.topology, gradient)
-        self._beside_slip.damp(Nodes.of(gradient).rows)
-        return np.asarray(own + self.inside.pull(gradient))
-
-
-class PreparedComposite:
+class PreparedComposite(PreparedMethod):
     """Two prepared steps and the constraints between them."""
 
     def __init__(self, method: Composite, problem: Problem):
@@ -153,7 +141,6 @@ class PreparedComposite:
 
     @property
     def account(self) -> Account:
-        """Settings and warnings of both steps."""
         merged = Account()
         for part in (self.mover, self.filler):
             if part:
@@ -161,16 +148,12 @@ class PreparedComposite:
         return merged
 
     def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
-        """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
         return self.mover.warnings_for(motion, step)
 
     def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
-        """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""
-        problem = self.problem
-        check_displacement(displacement, len(problem.source_numbers))
         # Every row is set: each node lies on a block face, in the skeleton, or inside a block or sub-block.
-        out = _blank(problem) if self.left_out else problem.grid.nodes.like(3)
-        impose(problem, self.mover.move(displacement, out, progress), out)
+        out = self._blank() if self.left_out else self.problem.grid.nodes.like(3)
+        impose(self.problem, self.mover.move(displacement, out, progress), out)
         if self.filler:
             self.filler.fill(out, progress)
             if self.left_out:
@@ -181,46 +164,42 @@ class PreparedComposite:
         """Impose the constraints again, in place, on displacements (n_nodes, 3) that were changed since."""
         impose(self.problem, on_faces(out, self.problem), out)
 
-    def linearised(self, displacement: FloatArray) -> _LinearComposite:
-        """The derivative at a displacement (n_sources, 3)."""
-        return _LinearComposite(self, displacement)
+    def _blank(self) -> FloatArray:
+        """An array (n_nodes, 3) in which nodes that no step has reached are no numbers."""
+        return filled(self.problem, np.nan)
 
-
-class _LinearComposite:
-    """Derivative of a composite, from those of its two steps and of the constraints between them."""
-
-    def __init__(self, method: PreparedComposite, displacement: FloatArray) -> None:
-        problem = self._problem = method.problem
-        self.mover = method.mover.linearised(displacement)
-        self._filler = method.filler.differentiable() if method.filler else None
-        out = _blank(problem)
-        face = method.mover.move(displacement, out)
-        self._first = Constraints(problem, face.copy())
-        self.kinks = self.mover.kinks + self._first.kinks
-        # Constraints on the sides that the second step fills.
-        self._second = None
-        if method.left_out and self._filler:
+    def linearised(self, displacement: FloatArray) -> Linearised:
+        problem, mover = self.problem, self.mover.linearised(displacement)
+        filler = self.filler.differentiable() if self.filler else None
+        out = self._blank()
+        face = self.mover.move(displacement, out)
+        first, second = Constraints(problem, face.copy()), None
+        kinks = mover.kinks + first.kinks
+        if self.left_out and filler:
+            # Constraints on the sides that the second step fills.
             impose(problem, face, out)
-            self._filler.fill(out)
-            self._second = Constraints(problem, on_faces(out, problem))
-            self.kinks += self._second.kinks
+            filler.fill(out)
+            second = Constraints(problem, on_faces(out, problem))
+            kinks += second.kinks
+        del out, face
 
-    def push(self, change: FloatArray) -> FloatArray:
-        problem = self._problem
-        out = _blank(problem) if self._second else problem.grid.nodes.like(3)
-        self._first.impose(self.mover.push(change, out), out)
-        if self._filler:
-            self._filler.fill(out)
-        if self._second:
-            self._second.impose(on_faces(out, problem), out)
-        return out
+        def push(change: FloatArray) -> FloatArray:
+            out = self._blank() if second else problem.grid.nodes.like(3)
+            first.impose(mover.push(change, out), out)
+            if filler:
+                filler.fill(out)
+            if second:
+                second.impose(on_faces(out, problem), out)
+            return out
 
-    def pull(self, gradient: FloatArray) -> FloatArray:
-        if self._second:
-            add_to_faces(self._second.gathered(gradient), self._problem.topology, gradient)
-        if self._filler:
-            self._filler.pull(gradient)
-        return self.mover.pull(self._first.gathered(gradient), gradient)
+        def pull(gradient: FloatArray) -> FloatArray:
+            if second:
+                add_to_faces(second.gathered(gradient), problem.topology, gradient)
+            if filler:
+                filler.pull(gradient)
+            return mover.pull(first.gathered(gradient), gradient)
+
+        return Linearised(push, pull, kinks)
 
 
 def free_periodic(problem: Problem) -> IntArray:
@@ -230,11 +209,10 @@ def free_periodic(problem: Problem) -> IntArray:
     return np.asarray(nodes[~problem.boundary.known[nodes]])
 
 
-def with_known_periodic(problem: Problem) -> Problem:
-    """The problem with its free periodic nodes as sources."""
+def with_known_periodic(problem: Problem, periodic: IntArray) -> Problem:
+    """The problem with its free ``periodic`` nodes as sources."""
     boundary = problem.boundary
     kind, quad_kind = boundary.kind.copy(), boundary.quad_kind.copy()
-    periodic = free_periodic(problem)
     kind[periodic] = Kind.MOVING
     quad_kind[quad_kind == Kind.PERIODIC] = Kind.MOVING
     # Images on curved surfaces, whose facets may differ, slide before their mean is taken, not after.
@@ -247,7 +225,7 @@ def with_known_periodic(problem: Problem) -> Problem:
 
 
 @dataclass(frozen=True)
-class PreparedPeriodic:
+class PreparedPeriodic(PreparedMethod):
     """A method that moves free periodic nodes before all others, in pairs; then these are sources, too.
 
     Averaging the pairs afterwards would leave a jump next to the boundary, because the interpolation ignores the
@@ -261,83 +239,43 @@ class PreparedPeriodic:
 
     @property
     def account(self) -> Account:
-        """Settings and warnings of the method itself."""
         return self.rest.account
 
     def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
-        """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
         return self.first.warnings_for(motion, step)
 
     def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
-        """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""
-        face = self.first.move(displacement, _filled(self.problem, 0.0), progress)
+        face = self.first.move(displacement, filled(self.problem, 0.0), progress)
         impose(self.problem, face)
         return self.rest.apply(face[self.guided.source_numbers], progress)
 
-    def linearised(self, displacement: FloatArray) -> _LinearPeriodic:
-        """The derivative at a displacement (n_sources, 3)."""
-        return _LinearPeriodic(self, displacement)
-
-
-class _LinearPeriodic:
-    """Derivative of a method that moves periodic nodes first, and all others with these as additional sources."""
-
-    def __init__(self, method: PreparedPeriodic, displacement: FloatArray) -> None:
-        problem = self._problem = method.problem
-        self._sources, self._mover = method.guided.source_numbers, method.first.linearised(displacement)
-        face = method.first.move(displacement, _filled(problem, 0.0))
-        self._constraints = Constraints(problem, face.copy())
+    def linearised(self, displacement: FloatArray) -> Linearised:
+        problem, sources = self.problem, self.guided.source_numbers
+        mover, face = self.first.linearised(displacement), self.first.move(displacement, filled(problem, 0.0))
+        constraints = Constraints(problem, face.copy())
         impose(problem, face)
-        self._rest = method.rest.linearised(face[self._sources])
-        self.kinks = self._mover.kinks + self._constraints.kinks + self._rest.kinks
+        rest = self.rest.linearised(face[sources])
 
-    def push(self, change: FloatArray) -> FloatArray:
-        face = self._mover.push(change, self._problem.grid.nodes.like(3))
-        self._constraints.push(face)
-        return self._rest.push(face[self._sources])
+        def push(change: FloatArray) -> FloatArray:
+            face = mover.push(change, problem.grid.nodes.like(3))
+            constraints.push(face)
+            return rest.push(face[sources])
 
-    def pull(self, gradient: FloatArray) -> FloatArray:
-        face = np.zeros((self._problem.topology.n_unique, 3))
-        face[self._sources] = self._rest.pull(gradient)
-        self._constraints.pull(face)
-        Nodes.of(gradient).each(lambda rows: gradient[rows].fill(0.0))
-        return self._mover.pull(face, gradient)
+        def pull(gradient: FloatArray) -> FloatArray:
+            face = np.zeros((problem.topology.n_unique, 3))
+            face[sources] = rest.pull(gradient)
+            constraints.pull(face)
+            Nodes.of(gradient).each(lambda rows: gradient[rows].fill(0.0))
+            return mover.pull(face, gradient)
+
+        return Linearised(push, pull, mover.kinks + constraints.kinks + rest.kinks)
 
 
-def _filled(problem: Problem, value: float) -> FloatArray:
+def filled(problem: Problem, value: float) -> FloatArray:
     """An array (n_nodes, 3) of equal numbers."""
     out = problem.grid.nodes.like(3)
     Nodes.of(out).each(lambda rows: out[rows].fill(value))
     return out
-
-
-def _blank(problem: Problem) -> FloatArray:
-    """An array (n_nodes, 3) in which nodes that no step has reached are no numbers."""
-    return _filled(problem, np.nan)
-
-
-def check_displacement(displacement: FloatArray, n_sources: int) -> None:
-    """Refuse arrays that compiled loops would read out of bounds, and non-finite values.
-
-    Raises
-    ------
-    MotionError
-        Unless it is a finite float64 array (n_sources, 3).
-    """
-    expected = (
-        f"expected a finite float64 array ({n_sources}, 3): one row per source, ascending (problem.source_numbers)"
-    )
-    if not isinstance(displacement, np.ndarray):
-        raise MotionError(f"displacement is a {type(displacement).__name__}; {expected}")
-    if displacement.shape != (n_sources, 3) or displacement.dtype != np.float64:
-        raise MotionError(f"displacement is {displacement.shape} {displacement.dtype}; {expected}")
-    bad = ~np.isfinite(displacement).all(axis=1)
-    if bad.any():
-        first = int(bad.argmax())
-        raise MotionError(
-            f"displacement has {int(bad.sum())} rows that are not finite, the first is row {first} = "
-            f"{vector(displacement[first])}; {expected}"
-        )
 
 
 def on_faces(displacement: FloatArray, problem: Problem) -> FloatArray:

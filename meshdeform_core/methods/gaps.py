@@ -19,9 +19,9 @@ from ..grid import BoolArray, FloatArray, IntArray
 from ..numerics.arrays import lengths
 from ..numerics.geometry.surface import TriangleTree
 from ..parallel import Nodes
-from .base import Account, Interpolation, Linearised, PreparedMethod, Problem, Progress, Setting
-from .composite import Composite, Filler, PreparedComposite, on_faces
-from .constraints import Constraints
+from .base import Account, Linearised, PreparedMethod, Progress, Setting
+from .composite import Composite, PreparedComposite, on_faces
+from .constraints import Constraints, add_to_faces
 from .kinks import BETWEEN, kinks_of
 from .transfinite.tfi import TFI
 
@@ -32,30 +32,13 @@ _EQUAL = 1e-8
 _TRANSFINITE = Composite(None, TFI(max_cells=0))
 
 
-@dataclass(frozen=True)
-class InGaps:
-    """A composite that TFI gradually replaces where the gap between a moving wall and another boundary closes."""
-
-    method: Composite
-
-    @property
-    def mover(self) -> Interpolation | None:
-        """The first step of the method."""
-        return self.method.mover
-
-    @property
-    def filler(self) -> Filler | None:
-        """The second step of the method."""
-        return self.method.filler
-
-    def prepare(self, problem: Problem) -> PreparedMethod:
-        """Bind to the undeformed grid; gaps are ignored with periodic boundaries, and if the whole boundary moves."""
-        prepared = self.method.prepare(problem)
-        moving = problem.boundary.kind[problem.source_numbers] == Kind.MOVING
-        if moving.all() or not moving.any() or problem.boundary.periodic.one.size:
-            return prepared
-        assert isinstance(prepared, PreparedComposite)
-        return PreparedInGaps(prepared, problem, np.asarray(moving))
+def in_gaps(method: PreparedComposite) -> PreparedMethod:
+    """The method with TFI for closing gaps; itself with periodic boundaries, and if the whole boundary moves."""
+    problem = method.problem
+    moving = problem.boundary.kind[problem.source_numbers] == Kind.MOVING
+    if moving.all() or not moving.any() or problem.boundary.periodic.one.size:
+        return method
+    return PreparedInGaps(method, np.asarray(moving))
 
 
 @dataclass(frozen=True)
@@ -72,29 +55,24 @@ class Closing:
     slope: FloatArray
 
 
-class PreparedInGaps:
-    """A prepared composite, with TFI for closing gaps."""
+class PreparedInGaps(PreparedMethod):
+    """A prepared composite that TFI gradually replaces where the gap between a moving wall and another boundary closes;
+    ``moving`` (n_sources,) are the sources on moving walls."""
 
-    def __init__(self, method: PreparedComposite, problem: Problem, moving: BoolArray):
-        self.method, self.problem, self._moving = method, problem, moving
-        self._account = Account()
-        why = "share of its thickness that a gap to a moving wall keeps before its cells follow both walls as TFI does"
-        self._account.settings["open_gap"] = Setting(OPEN, why)
+    def __init__(self, method: PreparedComposite, moving: BoolArray):
+        self.method, self.problem, self._moving = method, method.problem, moving
 
     @property
     def account(self) -> Account:
-        """Settings and warnings of the method, and of the gaps."""
-        merged = Account()
-        merged.include(self.method.account)
-        merged.include(self._account)
+        why = "share of its thickness that a gap to a moving wall keeps before its cells follow both walls as TFI does"
+        merged = self.method.account
+        merged.settings["open_gap"] = Setting(OPEN, why)
         return merged
 
     def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
-        """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
         return self.method.warnings_for(motion, step)
 
     def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
-        """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""
         out = self.method.apply(displacement, progress)
         closing = self.closing(displacement)
         if closing is None:
@@ -111,14 +89,62 @@ class PreparedInGaps:
         return out
 
     def linearised(self, displacement: FloatArray) -> Linearised:
-        """The derivative at a displacement (n_sources, 3)."""
-        closing = self.closing(displacement)
+        """The derivative of the blend of the method with TFI, including that of the share of TFI."""
+        problem, closing = self.problem, self.closing(displacement)
+        own_derivative = self.method.linearised(displacement)
         if closing is None:
-            return self.method.linearised(displacement)
-        self.problem.grid.nodes.require_whole("a derivative of a motion that closes a gap")
-        return _LinearInGaps(self, closing, displacement)
+            return own_derivative
+        problem.grid.nodes.require_whole("a derivative of a motion that closes a gap")
+        share = self.spread(closing.share)
+        own = self.method.apply(displacement)
+        apart = self.transfinite.apply(displacement) - own
+        lines, scalar = (each.linearised(displacement) for each in (self.transfinite, self.scalar))
+        kinks = own_derivative.kinks + lines.kinks
+        kinks += kinks_of([(BETWEEN, self._equally_far(displacement, closing.rows))])
+        again = None
+        if problem.boundary.slip.curved:
+            # Blended nodes are projected back onto curved slip surfaces.
+            again = Constraints(problem, on_faces(own + share * apart, problem))
+            kinks += again.kinks
+        apart *= (share > 0.0) & (share < 1.0)
+        del own
 
-    def equally_far(self, displacement: FloatArray, rows: IntArray) -> int:
+        def push(change: FloatArray) -> FloatArray:
+            out = own_derivative.push(change)
+            # In place, so that only one array is needed besides the result.
+            more = lines.push(change)
+            more -= out
+            more *= share
+            out += more
+            del more
+            of_share = np.zeros_like(change)
+            rows, other = closing.rows, closing.other
+            of_share[rows, 0] = np.einsum("ni,ni->n", closing.slope, change[rows] - change[other])
+            more = scalar.push(of_share)
+            np.multiply(apart, more[:, :1].copy(), out=more)
+            out += more
+            if again:
+                again.impose(on_faces(out, problem), out)
+            return out
+
+        def pull(gradient: FloatArray) -> FloatArray:
+            if again:
+                add_to_faces(again.gathered(gradient), problem.topology, gradient)
+            part = np.zeros_like(gradient)
+            part[:, 0] = np.einsum("ni,ni->n", gradient, apart)
+            of_share = scalar.pull(part)[closing.rows, :1] * closing.slope
+            np.multiply(gradient, share, out=part)
+            gradient -= part
+            found = lines.pull(part)
+            del part
+            found += own_derivative.pull(gradient)
+            np.add.at(found, closing.rows, of_share)
+            np.subtract.at(found, closing.other, of_share)
+            return np.asarray(found)
+
+        return Linearised(push, pull, kinks)
+
+    def _equally_far(self, displacement: FloatArray, rows: IntArray) -> int:
         """Number of sources among ``rows`` that two nodes across the gap are nearest to, after a displacement."""
         points, count = self.problem.source_points + displacement, 0
         for side in (self._moving, ~self._moving):
@@ -180,57 +206,3 @@ class PreparedInGaps:
         away = np.divide(arm, distance[rows, None], out=np.zeros_like(arm), where=distance[rows, None] > 0.0)
         slope = (-6.0 * t * (1.0 - t) / (OPEN * self._gap[rows]))[:, None] * away
         return Closing(share, rows, other[rows], slope)
-
-
-class _LinearInGaps:
-    """Derivative of the blend of the method with TFI, including that of the share of TFI."""
-
-    def __init__(self, method: PreparedInGaps, closing: Closing, displacement: FloatArray) -> None:
-        self._closing, self._share = closing, method.spread(closing.share)
-        inside = (self._share > 0.0) & (self._share < 1.0)
-        own = method.method.apply(displacement)
-        apart = method.transfinite.apply(displacement) - own
-        self._apart = inside * apart
-        self._own = method.method.linearised(displacement)
-        self._lines, self._scalar = (each.linearised(displacement) for each in (method.transfinite, method.scalar))
-        self.kinks = self._own.kinks + self._lines.kinks
-        self.kinks += kinks_of([(BETWEEN, method.equally_far(displacement, closing.rows))])
-        # Blended nodes are projected back onto curved slip surfaces.
-        self._problem, self._again = method.problem, None
-        if self._problem.boundary.slip.curved:
-            blend = own + self._share * apart
-            self._again = Constraints(self._problem, on_faces(blend, self._problem))
-            self.kinks += self._again.kinks
-
-    def push(self, change: FloatArray) -> FloatArray:
-        closing, out = self._closing, self._own.push(change)
-        # In place, so that only one array is needed besides the result.
-        more = self._lines.push(change)
-        more -= out
-        more *= self._share
-        out += more
-        del more
-        share = np.zeros_like(change)
-        share[closing.rows, 0] = np.einsum("ni,ni->n", closing.slope, change[closing.rows] - change[closing.other])
-        more = self._scalar.push(share)
-        np.multiply(self._apart, more[:, :1].copy(), out=more)
-        out += more
-        if self._again:
-            self._again.impose(on_faces(out, self._problem), out)
-        return out
-
-    def pull(self, gradient: FloatArray) -> FloatArray:
-        if self._again:
-            face = self._again.gathered(gradient)
-            gradient[self._problem.topology.first] += face
-        closing, part = self._closing, np.zeros_like(gradient)
-        part[:, 0] = np.einsum("ni,ni->n", gradient, self._apart)
-        share = self._scalar.pull(part)[closing.rows, :1] * closing.slope
-        np.multiply(gradient, self._share, out=part)
-        gradient -= part
-        found = self._lines.pull(part)
-        del part
-        found += self._own.pull(gradient)
-        np.add.at(found, closing.rows, share)
-        np.subtract.at(found, closing.other, share)
-        return np.asarray(found)

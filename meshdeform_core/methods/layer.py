@@ -12,13 +12,12 @@ from ..grid import FloatArray
 from .base import Account, Linearised, PreparedMethod, Problem, Progress
 from .composite import Composite, on_faces
 from .constraints import put_on_faces
-from .gaps import InGaps
 
 
-class PreparedLayer:
+class PreparedLayer(PreparedMethod):
     """A method prepared on one of two planes that mirror each other; for other motions, on both."""
 
-    def __init__(self, method: Composite | InGaps, problem: Problem, layer: Layer):
+    def __init__(self, method: Composite, problem: Problem, layer: Layer):
         self._method, self._problem, self._layer = method, problem, layer
         self._half = method.prepare(dataclasses.replace(problem, layer=layer))
 
@@ -29,15 +28,12 @@ class PreparedLayer:
 
     @property
     def account(self) -> Account:
-        """Settings and warnings of the method."""
         return self._half.account
 
     def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
-        """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
         return self._half.warnings_for(motion, step)
 
     def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
-        """Displacement (n_nodes, 3) of all block nodes from that of the sources (n_sources, 3)."""
         problem = self._problem
         known = np.zeros((problem.topology.n_unique, 3))
         if displacement.shape == (len(problem.source_numbers), 3):
@@ -51,6 +47,5 @@ class PreparedLayer:
         return out
 
     def linearised(self, displacement: FloatArray) -> Linearised:
-        """The derivative at a displacement (n_sources, 3), on both planes, as changes of single sources are not
-        mirrored."""
+        # On both planes, as changes of single sources are not mirrored.
         return self.whole.linearised(displacement)

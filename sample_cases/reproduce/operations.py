@@ -11,7 +11,6 @@ from collections.abc import Mapping
 
 from meshdeform_core.methods.base import Account, Problem
 from meshdeform_core.methods.composite import Composite, first_step_nodes
-from meshdeform_core.methods.gaps import InGaps
 from meshdeform_core.methods.scattered.block_rbf import BlockRBF
 from meshdeform_core.methods.scattered.idw import IDW
 from meshdeform_core.methods.scattered.rbf import RBF
@@ -35,7 +34,7 @@ _LUKE_PAIR = 15
 _FINISH = 40
 
 
-def count_operations(method: Composite | InGaps, problem: Problem, account: Account) -> float:
+def count_operations(method: Composite, problem: Problem, account: Account) -> float:
     """Operations of ``prepare`` and one ``apply``, after which the account is ``account``."""
     skeleton = method.filler.skeleton(problem) if method.filler else None
     targets = len(first_step_nodes(problem, skeleton))
@@ -51,7 +50,7 @@ def count_operations(method: Composite | InGaps, problem: Problem, account: Acco
     return total
 
 
-def count_pairs(method: Composite | InGaps, problem: Problem) -> tuple[int, int]:
+def count_pairs(method: Composite, problem: Problem) -> tuple[int, int]:
     """Target-source pairs of the first step: with every node once, and with each block summing for its own faces."""
     skeleton = method.filler.skeleton(problem) if method.filler else None
     sources = len(problem.source_numbers)

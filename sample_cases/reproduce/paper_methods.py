@@ -13,7 +13,7 @@ from meshdeform_core.methods import IDW, RBF
 from meshdeform_core.methods.base import Account, Problem, Progress, Setting, of_stage
 from meshdeform_core.methods.scattered.idw import PreparedIDW
 from meshdeform_core.methods.scattered.idw_sums import SourceValues
-from meshdeform_core.methods.scattered.rbf import PreparedRBF
+from meshdeform_core.methods.scattered.prepared_rbf import PreparedRBF
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.exact.direct import weighted_sums
 from meshdeform_core.numerics.exact.radial import radial_matrix

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import argparse
 import faulthandler
+import itertools
 import json
 import os
-import signal
 import subprocess
 import sys
 import tempfile
@@ -18,67 +18,57 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from random import Random
 
-LIMIT = 30.0
-"""Seconds that a file of a few kB may take."""
+from . import case_files, grid_files, runs, tables, walls
+from .bench import Bench, called
+
+LIMIT = 100.0
+"""Seconds that a file of a few kB may take, on a machine that does much else."""
 _SLICE = 1000
 RIGHT = ("ok", "refused")
+KINDS: dict[str, Callable[[Bench, Random], str]] = {
+    **grid_files.KINDS,
+    **tables.KINDS,
+    **case_files.KINDS,
+    **walls.KINDS,
+    **runs.KINDS,
+}
 
 Sample = tuple[int, str, str]
-"""Number, class, and result: ``ok``, ``refused``, or what is wrong."""
-
-
-class TooLong(BaseException):
-    """The limit of time; no OSError like TimeoutError, which the program would take for the system's refusal."""
+"""Number, class, and result: ``ok`` (accepted, right), ``refused``, or what is wrong."""
 
 
 def work(first: int, last: int, seed: int) -> None:
-    """Run samples and print one JSON line each, and one before each; ends after one that met the limit of time."""
-    from .samples import Worker
-
-    worker = Worker(seed)
+    """Run samples in the current folder; prints one JSON line before each, and one with its result."""
     # Loops are compiled here, where no limit of time applies.
-    worker.warm_up()
+    code, told = called("warm-up", "-q")
+    assert code == 0, told
+    bench = Bench()
+    for module in (grid_files, tables, runs):
+        module.prepare(bench)
+    bench.keep()
     for number in range(first, last):
         print(json.dumps([number]), flush=True)
-        entry = [number, *limited(worker.sample, number)]
-        print(json.dumps(entry), flush=True)
-        # What was broken off may have left anything behind: the next sample gets a process of its own.
-        if entry[2].startswith(TooLong.__name__):
-            return
-
-
-def limited(sample: Callable[[int], tuple[str, str]], number: int, limit: float = LIMIT) -> tuple[str, str]:
-    """Class and result of a sample that may take so many seconds of processor time."""
-
-    def too_long(number: int, frame: object) -> None:
-        raise TooLong(f"more than {limit} s")
-
-    # Processor time, which does not depend on what else the machine does; and for what waits, ten times that. Both
-    # clocks strike again, for what swallows an exception; what never returns to Python is ended with its process.
-    for clock in (signal.SIGPROF, signal.SIGALRM):
-        signal.signal(clock, too_long)
-    signal.setitimer(signal.ITIMER_PROF, limit, min(limit, 1.0))
-    signal.setitimer(signal.ITIMER_REAL, 10 * limit, min(limit, 1.0))
-    faulthandler.dump_traceback_later(20 * limit, exit=True)
-    try:
-        return sample(number)
-    except (Exception, TooLong) as error:
-        return "judge", f"{type(error).__name__}: {error}"
-    finally:
-        signal.setitimer(signal.ITIMER_PROF, 0)
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        faulthandler.cancel_dump_traceback_later()
+        # A hang ends the process: an exception might be taken for an error of the system, or be swallowed.
+        faulthandler.dump_traceback_later(LIMIT, exit=True)
+        name = [*KINDS][number % len(KINDS)]
+        try:
+            result = KINDS[name](bench, Random(f"{seed}/{number}"))
+        except Exception as error:
+            result = f"the judge fails: {type(error).__name__}: {error}"
+        print(json.dumps([number, name, result]), flush=True)
+    faulthandler.cancel_dump_traceback_later()
 
 
 def campaign(count: int, seed: int, first: int = 0) -> Iterator[Sample]:
     """Number, class and result of every sample; a worker that dies is a result too."""
     end = first + count
+    paths = [str(Path(__file__).parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])]
+    environment = {**os.environ, "PYTHONSAFEPATH": "1", "PYTHONPATH": os.pathsep.join(paths)}
     while first < end:
         with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryFile("w+") as said:
             command = [sys.executable, "-m", "fuzz.campaign", "--work", str(first), str(end), str(seed)]
-            environment = {**os.environ, "PYTHONSAFEPATH": "1"}
-            environment["PYTHONPATH"] = os.pathsep.join([str(Path(__file__).parents[1]), *_own_path()])
             with subprocess.Popen(
                 command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=said, text=True
             ) as process:
@@ -91,35 +81,15 @@ def campaign(count: int, seed: int, first: int = 0) -> Iterator[Sample]:
                 ended = process.wait()
             if ended != 0:
                 said.seek(0)
-                yield first, "worker", f"ended with {ended}: {' | '.join(said.read().splitlines()[-3:])[:300]}"
+                yield first, "worker", f"ended with {ended}: {' | '.join(said.read().splitlines())[:300]}"
                 first += 1
-
-
-def _own_path() -> list[str]:
-    return [path for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path]
-
-
-def run(count: int, seed: int, jobs: int) -> list[Sample]:
-    """All samples of a campaign, by several workers; what is wrong is printed at once."""
-
-    def one(first: int) -> list[Sample]:
-        samples = []
-        for sample in campaign(min(_SLICE, count - first), seed, first):
-            samples.append(sample)
-            if sample[2] not in RIGHT:
-                print(f"sample {sample[0]} of seed {seed} ({sample[1]}): {sample[2]}", flush=True)
-        return samples
-
-    with ThreadPoolExecutor(jobs) as pool:
-        return [sample for part in pool.map(one, range(0, count, _SLICE)) for sample in part]
 
 
 def table(samples: list[Sample], seed: int) -> str:
     """Counts of each class, as a table in Markdown."""
     totals = Counter((kind, result if result in RIGHT else "wrong") for _, kind, result in samples)
     words = [*RIGHT, "wrong"]
-    heads = ["right" if word == "ok" else word for word in words]
-    lines = [f"| class (seed {seed}) | samples | {' | '.join(heads)} |", "|---" * (2 + len(words)) + "|"]
+    lines = [f"| class (seed {seed}) | samples | right | refused | wrong |", "|---" * 5 + "|"]
     for kind in [*sorted({kind for kind, _ in totals}), None]:
         counts = [sum(n for (k, r), n in totals.items() if r == word and kind in (None, k)) for word in words]
         lines.append(f"| {kind or 'all'} | {sum(counts)} | {' | '.join(map(str, counts))} |")
@@ -127,7 +97,7 @@ def table(samples: list[Sample], seed: int) -> str:
 
 
 def main() -> int:
-    """Run a campaign from the command line and print its table."""
+    """Run a campaign from the command line, print what is wrong, and its table."""
     if sys.argv[1:2] == ["--work"]:
         work(*(int(word) for word in sys.argv[2:5]))
         return 0
@@ -136,9 +106,17 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=int(time.time()))
     parser.add_argument("--jobs", type=int, default=1)
     options = parser.parse_args()
-    samples = run(options.count, options.seed, options.jobs)
+
+    def part(first: int) -> list[Sample]:
+        return list(campaign(min(_SLICE, options.count - first), options.seed, first))
+
+    with ThreadPoolExecutor(options.jobs) as pool:
+        samples = list(itertools.chain(*pool.map(part, range(0, options.count, _SLICE))))
+    wrong = [sample for sample in samples if sample[2] not in RIGHT]
+    for number, kind, result in wrong:
+        print(f"sample {number} of seed {options.seed} ({kind}): {result}")
     print(table(samples, options.seed))
-    return int(any(result not in RIGHT for _, _, result in samples))
+    return int(bool(wrong))
 
 
 if __name__ == "__main__":

@@ -1,77 +1,18 @@
-"""Changes that keep to the structure of a format: records, nodes and tags are wrong, missing, swapped or twice."""
+"""Changes that keep to the structure of a format: nodes and tags are wrong, missing, swapped or twice."""
 
 from __future__ import annotations
 
 import copy
 import re
-import struct
 from collections.abc import Iterator
 from random import Random
 from typing import Any
 
 import numpy as np
 from cgns_witness import N
-from plot3d_witness import data_records
 
 ODD = (0.0, -0.0, 1.0, -1.0, np.nan, np.inf, -np.inf, 1e-310, 5e-324, 1e29, 1e31, 1e300, 2.0**31, -(2.0**63))
 _COUNTS = (0, 1, -1, 2, 3, 7, 2**16, 2**31 - 1, -(2**31))
-
-
-# --- Plot3D ---------------------------------------------------------------------------------------------------------
-
-
-def plot3d(blocks: list[np.ndarray], flags: list[np.ndarray] | None, variant: dict[str, Any], rng: Random) -> bytes:
-    """A binary file of records, one or two of which are not what they should be."""
-    order = ">" if variant["byte_order"] == "big" else "<"
-    sizes = [n for block in blocks for n in block.shape[: variant["dimension"]]]
-    head = [[len(blocks)]] if variant["multiblock"] else []
-    records = [np.array(numbers, order + "i4") for numbers in [*head, sizes]]
-    letter = order + ("f4" if variant["precision"] == "float32" else "f8")
-    for number, block in enumerate(blocks):
-        own = flags[number] if flags else None
-        for record in data_records(block, own, order, variant["dimension"], variant):
-            records.append(
-                np.frombuffer(record, letter if len(record) % 8 == 0 or letter[1:] == "f4" else order + "i4")
-            )
-    lengths: dict[int, int] = {}
-    for _ in range(rng.choice((1, 1, 2))):
-        _damage_record(records, lengths, rng)
-    if variant["encoding"] == "binary":
-        return b"".join(record.tobytes() for record in records)
-    marker = order + ("i" if variant["markers"] == 4 else "q")
-    parts = []
-    for number, record in enumerate(records):
-        data = record.tobytes()
-        ends = [len(data), len(data)]
-        if number in lengths:
-            ends[lengths[number] % 2] += lengths[number]
-        parts.append(struct.pack(marker, ends[0]) + data + struct.pack(marker, ends[1]))
-    return b"".join(parts)
-
-
-def _damage_record(records: list[np.ndarray], lengths: dict[int, int], rng: Random) -> None:
-    at = rng.randrange(len(records))
-    record, kind = records[at], rng.randrange(9)
-    if kind == 0:
-        other = rng.randrange(len(records))
-        records[at], records[other] = records[other], records[at]
-    elif kind == 1:
-        records.insert(at, record)
-    elif kind == 2 and len(records) > 1:
-        del records[at]
-    elif kind == 3:
-        lengths[at] = rng.choice((-8, -4, -1, 1, 4, 8, 2**20, -len(record.tobytes())))
-    elif kind == 4:
-        records[at] = record.byteswap()
-    elif kind == 5 and record.dtype.kind == "f":
-        with np.errstate(all="ignore"):
-            records[at] = record.astype(record.dtype.str.replace("f8", "f4") if rng.random() < 0.5 else "f8")
-    elif kind == 6:
-        records[at] = record[: rng.randrange(len(record) + 1)]
-    elif len(record):
-        record = records[at] = record.copy()
-        with np.errstate(all="ignore"):
-            record[rng.randrange(len(record))] = rng.choice(_COUNTS if record.dtype.kind == "i" else ODD)
 
 
 # --- CGNS -----------------------------------------------------------------------------------------------------------

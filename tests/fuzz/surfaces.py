@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import re
 from pathlib import Path
 
 import meshio
@@ -13,38 +14,21 @@ Surface = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Points (n, 3), displacements (n, 3), triangles (m, 3)."""
 
 
-# --- writing --------------------------------------------------------------------------------------------------------
-
-
 def write(path: Path, surface: Surface, kind: str) -> None:
     """Write a surface; ``kind`` tells which variant of the format."""
     if path.suffix in (".vtu", ".vtp", ".vtk"):
-        _write_vtk(path, surface, kind)
-    elif path.suffix == ".avs":
-        points, moves, triangles = surface
-        mesh = meshio.Mesh(points, [("triangle", triangles)], point_data={"displacement": moves})
-        # It says on stdout what it adds of its own.
-        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        return _write_vtk(path, surface, kind)
+    points, moves, triangles = surface
+    mesh = meshio.Mesh(points, [("triangle", triangles)], point_data={"displacement": moves})
+    # It says on stdout what it adds of its own.
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        if path.suffix == ".avs":
             meshio.avsucd.write(str(path), mesh)
-    else:
-        _write_msh(path, surface)
-
-
-def _write_msh(path: Path, surface: Surface) -> None:
-    """Gmsh's version 2.2 as text."""
-    points, moves, triangles = (values.tolist() for values in surface)
-    nodes = [f"{n + 1} " + " ".join(map(repr, row)) for n, row in enumerate(points)]
-    cells = [f"{n + 1} 2 2 0 1 " + " ".join(str(node + 1) for node in row) for n, row in enumerate(triangles)]
-    cells = cells or ["1 15 2 0 1 1"]
-    data = [f"{n + 1} " + " ".join(map(repr, row)) for n, row in enumerate(moves)]
-    head = ["1", '"displacement"', "1", "0.0", "3", "0", "3", str(len(data))]
-    sections = {
-        "MeshFormat": ["2.2 0 8"],
-        "Nodes": [str(len(nodes)), *nodes],
-        "Elements": [str(len(cells)), *cells],
-        "NodeData": [*head, *data],
-    }
-    path.write_text("".join("\n".join([f"${k}", *lines, f"$End{k}\n"]) for k, lines in sections.items()))
+        else:
+            meshio.gmsh.write(str(path), mesh, "2.2", binary=False)
+            # As numpy 2 shows numbers to its users.
+            path.write_text(re.sub(r"np\.float64\((.*?)\)", r"\1", path.read_text()))
+    return None
 
 
 def _write_vtk(path: Path, surface: Surface, kind: str) -> None:
@@ -85,15 +69,8 @@ def _write_vtk(path: Path, surface: Surface, kind: str) -> None:
     assert writer.Write()
 
 
-# --- reading --------------------------------------------------------------------------------------------------------
-
-
 def read(path: Path) -> Surface | None:
-    """The surface as something else than the program reads it; none if that finds no surface."""
-    return _msh(path) if path.suffix == ".msh" else _vtk(path)
-
-
-def _vtk(path: Path) -> Surface | None:
+    """The surface as vtk reads it; none if it finds no surface."""
     from vtkmodules.util.numpy_support import vtk_to_numpy
     from vtkmodules.vtkIOLegacy import vtkDataSetReader
     from vtkmodules.vtkIOXML import vtkXMLGenericDataObjectReader
@@ -120,29 +97,3 @@ def _vtk(path: Path) -> Surface | None:
     moves = vectors[0]
     points = vtk_to_numpy(mesh.GetPoints().GetData())
     return points.astype(float), moves.astype(float), np.array(triangles, dtype=int).reshape(-1, 3)
-
-
-def _section(words: list[str], name: str) -> list[str]:
-    return words[words.index(f"${name}") + 1 : words.index(f"$End{name}")]
-
-
-def _msh(path: Path) -> Surface:
-    """Version 2.2 as text."""
-    text = path.read_text("utf-8", "replace")
-    nodes = np.array(_section(text.split(), "Nodes")[1:], dtype=float).reshape(-1, 4)
-    lines = text.partition("$NodeData")[2].partition("$EndNodeData")[0].split("\n")
-    data = [line for line in lines if line.strip()]
-    at = 1 + int(data[0])
-    at += 1 + int(data[at])
-    at += 1 + int(data[at])
-    # Values count, wherever lines end.
-    moves = np.array(" ".join(data[at:]).split(), dtype=float).reshape(int(data[at - 1]), -1)
-    number = {identity: row for row, identity in enumerate(nodes[:, 0].tolist())}
-    by_node = {row[0]: row[1:] for row in moves.tolist()}
-    triangles = []
-    for line in text.partition("$Elements")[2].partition("$EndElements")[0].split("\n")[2:]:
-        words = [int(word) for word in line.split()]
-        if len(words) > 3 and words[1] == 2:
-            triangles.append([number[node] for node in words[-3:]])
-    displacement = np.array([by_node[identity] for identity in nodes[:, 0].tolist()])
-    return nodes[:, 1:], displacement, np.array(triangles, dtype=int).reshape(-1, 3)

@@ -23,7 +23,6 @@ VARIANTS = {
     ".vtu": ("ascii", "binary", "appended", "base64"),
     ".vtp": ("ascii", "binary", "appended", "base64"),
     ".vtk": ("ascii", "binary", "poly ascii", "poly binary", "old ascii", "poly old binary"),
-    ".msh": ("ascii",),
 }
 _NEAR = 1e-9
 

@@ -14,53 +14,23 @@ import numpy as np
 from meshdeform_core.grid import Grid
 
 SIDES = ("imin", "imax", "jmin", "jmax", "kmin", "kmax")
-_COMPARISONS = {"Lt": np.less, "LtE": np.less_equal, "Gt": np.greater, "GtE": np.greater_equal, "Eq": np.equal}
+_NAMES = [
+    "sin", "cos", "tan", "exp", "sinh", "cosh", "tanh", "abs", "floor", "hypot", "sqrt", "log", "log2", "log10", "ceil",
+    "sign", "mod", "arcsin", "arccos", "arctan", "arcsinh", "arccosh", "arctanh", "arctan2", "maximum", "minimum",
+]  # fmt: skip
 _FUNCTIONS = {
-    **{
-        name: getattr(np, name)
-        for name in (
-            "sin", "cos", "tan", "exp", "sinh", "cosh", "tanh", "abs", "floor", "hypot", "sqrt", "log", "log2", "log10",
-            "ceil", "sign", "mod",
-        )
-    },
-    "max": np.maximum, "min": np.minimum, "atan2": np.arctan2, "asin": np.arcsin, "acos": np.arccos,
-    "atan": np.arctan, "asinh": np.arcsinh, "acosh": np.arccosh, "atanh": np.arctanh, "pi": np.float64(np.pi),
-    "where": lambda condition, one, two: np.float64(np.nan if np.isnan(condition) else one if condition else two),
+    **{name.replace("arc", "a").removesuffix("imum"): getattr(np, name) for name in _NAMES},
+    "pi": np.float64(np.pi),
+    "where": lambda condition, one, two: one if condition else two,
     "number": np.float64,
-    "truth": lambda *values: np.float64(np.nan if np.isnan(values[1:]).any() else values[0](*values[1:])),
-    "both": lambda *values: np.float64(0.0 if 0 in values else np.nan if np.isnan(values).any() else 1.0),
-    "opposite": lambda value: np.float64(np.nan if np.isnan(value) else not value),
-    **_COMPARISONS,
-    "NotEq": np.not_equal,
-}  # fmt: skip
+}
 
 
-class _Plain(ast.NodeTransformer):
-    """Numbers as float64, so that 9**9**9 ends, and logic of three values as calls: NaN is neither true nor false."""
+class _Numbers(ast.NodeTransformer):
+    """Numbers as float64, so that 9**9**9 ends."""
 
     def visit_Constant(self, node: ast.Constant) -> ast.expr:
-        return ast.parse(f"number({node.value!r})".replace("(inf)", "('inf')"), mode="eval").body
-
-    def visit_Compare(self, node: ast.Compare) -> ast.expr:
-        terms = [self.visit(term) for term in (node.left, *node.comparators)]
-        parts = [
-            ast.Call(ast.Name("truth", ast.Load()), [ast.Name(type(op).__name__, ast.Load()), one, two], [])
-            for op, one, two in zip(node.ops, terms, terms[1:], strict=False)
-        ]
-        return ast.Call(ast.Name("both", ast.Load()), parts, []) if len(parts) > 1 else parts[0]
-
-    def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.expr:
-        operand = self.visit(node.operand)
-        if isinstance(node.op, ast.Not):
-            return ast.Call(ast.Name("opposite", ast.Load()), [operand], [])
-        return ast.UnaryOp(node.op, operand)
-
-    def visit_BoolOp(self, node: ast.BoolOp) -> ast.expr:
-        values: list[ast.expr] = [self.visit(value) for value in node.values]
-        if isinstance(node.op, ast.And):
-            return ast.Call(ast.Name("both", ast.Load()), values, [])
-        turned: list[ast.expr] = [ast.Call(ast.Name("opposite", ast.Load()), [value], []) for value in values]
-        return ast.Call(ast.Name("opposite", ast.Load()), [ast.Call(ast.Name("both", ast.Load()), turned, [])], [])
+        return ast.Call(ast.Name("number", ast.Load()), [ast.Constant(str(node.value))], [])
 
 
 Quad = frozenset[tuple[float, ...]]
@@ -83,11 +53,17 @@ def outside_quads(grid: Grid) -> dict[tuple[int, str], list[Quad]]:
 
 
 def formula_value(formula: Any, points: np.ndarray, constants: dict[str, float]) -> np.ndarray:
-    """Values of a formula (or number) that the program has accepted, computed by Python at one point after another."""
+    """Values of a formula (or number) that the program has accepted, computed by Python at one point after another.
+
+    Raises
+    ------
+    FloatingPointError
+        Where a part of it is no number; which value the whole has then, tests of formulas know.
+    """
     text = formula.strip() if isinstance(formula, str) else repr(float(formula))
-    code = compile(ast.fix_missing_locations(_Plain().visit(ast.parse(text, mode="eval"))), "formula", "eval")
+    code = compile(ast.fix_missing_locations(_Numbers().visit(ast.parse(text, mode="eval"))), "formula", "eval")
     names = {"__builtins__": {}, **_FUNCTIONS, **{k: np.float64(v) for k, v in constants.items()}, "t": np.float64(0)}
-    with np.errstate(all="ignore"):
+    with np.errstate(all="raise", under="ignore"):
         return np.array([float(eval(code, {**names, **dict(zip("xyz", point, strict=True))})) for point in points])
 
 

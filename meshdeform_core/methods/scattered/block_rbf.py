@@ -11,12 +11,10 @@ from ...boundary import Kind
 from ...grid import FloatArray, IntArray, Side
 from ...grid.topology import side_nodes
 from ...numerics.exact.basis import BASES
-from ...numerics.exact.radial import radial_sums
 from ...parallel import Nodes, for_chunks, for_items
 from ..base import Account, Problem, Progress, Setting, of_stage
 from ..transfinite.skeleton import Skeleton, make_skeleton
-from .centres import Centres
-from .radial_system import ROUND_OFF, RadialSystem
+from .radial_system import Centres, Coefficients, RadialSystem, accurate
 from .rbf import RBF
 
 _TARGETS, _TERMS = 1024, 4
@@ -105,34 +103,30 @@ class PreparedBlockRBF:
     def fill(self, displacement: FloatArray, progress: Progress | None = None) -> None:
         """Interior of every block and its slip planes from its other faces, in place in ``displacement``."""
         coefficients, out = self._solved(displacement, progress), Nodes.of(displacement).rows
+        points, kind = self._problem.grid.nodes.rows, BASES[self._options.basis]
         tiles = [(n, lo) for n, block in enumerate(self._blocks) for lo in range(0, len(block.targets), _TARGETS)]
 
-        def targets(tile: int) -> IntArray:
-            number, lo = tiles[tile]
-            return self._blocks[number].targets[lo : lo + _TARGETS]
-
         def work(tile: int, _: int) -> None:
-            number = tiles[tile][0]
-            some = coefficients[self._first[number] : self._first[number + 1]]
-            out[targets(tile)] = self._displacement_in(self._blocks[number].centres, targets(tile), some)
+            number, lo = tiles[tile]
+            block, (first, last) = self._blocks[number], self._first[number : number + 2]
+            n, flat = first + len(block.known), block.targets[lo : lo + _TARGETS]
+            fit = Coefficients(block.centres.points, coefficients[first:n], coefficients[n:last])
+            out[flat] = block.centres.displacement(kind, points[flat], fit)
 
         for_chunks(work, len(tiles), 1, of_stage(progress, "rbf"))
 
     def differentiable(self) -> PreparedBlockRBF:
         """The same with accurate solutions, so that :meth:`fill` and :meth:`pull` are transposes of each other."""
         self._problem.grid.nodes.require_whole("a derivative with radial basis functions inside blocks")
-        options = dataclasses.replace(self._options, solver="auto", tolerance=ROUND_OFF)
-        return PreparedBlockRBF(options, self._problem, self._skeleton)
+        return PreparedBlockRBF(accurate(self._options), self._problem, self._skeleton)
 
     def pull(self, gradient: FloatArray) -> None:
         """Transpose of :meth:`fill`: pass gradients (n_nodes, 3) from inside blocks on to their faces, in place."""
         for block in self._blocks:
-            system, centres = self._system(block), block.centres
-            x, inside = centres.normalised(self._problem.grid.points[block.targets]), gradient[block.targets]
-            upper = radial_sums(BASES[self._options.basis], centres.points, x, inside)
-            lower = centres.polynomial(x)[:, : system.terms.shape[1]].T @ inside
+            system = self._system(block)
+            given = system.transposed_sums(self._problem.grid.points[block.targets], gradient[block.targets])
             gradient[block.targets] = 0.0
-            gradient[block.known] += system.solve_transposed(upper, lower)
+            gradient[block.known] += system.solve_transposed(*given)
 
     def _system(self, block: _Block) -> RadialSystem:
         system = block.system or RadialSystem(self._options, block.centres, self._problem.memory)
@@ -163,9 +157,3 @@ class PreparedBlockRBF:
             self.account.notices.clear()
             self.account.include(max(accounts, key=lambda a: (bool(a.notices), np.max(a.settings["residual"].value))))
         return coefficients
-
-    def _displacement_in(self, centres: Centres, flat: IntArray, coefficients: FloatArray) -> FloatArray:
-        """Displacement (n, 3) of some nodes of a block."""
-        n, x = len(centres.points), centres.normalised(self._problem.grid.nodes.rows[flat])
-        sums = radial_sums(BASES[self._options.basis], x, centres.points, coefficients[:n])
-        return np.asarray(sums + centres.drift(x, coefficients[n:]))

@@ -17,7 +17,7 @@ from ...numerics.arrays import lengths, places_among, weighted_total
 from ...numerics.frame import AT_REST, Frame
 from ...numerics.rigid import NO_TRANSITION
 from ...numerics.tape import Tape, Tracked, plain
-from ..base import Account, Problem, Progress, Setting
+from ..base import Account, Linearised, Problem, Progress, Setting
 from ..kinks import FOLDED, HALF_TURNS, LARGEST, half_turns, kinks_of, tied
 from ..limits import LARGEST_ROTATION, PLAIN_ROTATION, warn_of_alpha, warn_of_rotation
 from ..options import MethodOptions, option
@@ -29,7 +29,6 @@ from .tuned import ALPHA_CAP, FAR, FAR_IN_PLANES, FAR_OF_ONE_BODY, ROUNDS, STEEP
 
 if TYPE_CHECKING:
     from .fast_idw_sums import FastEvaluator
-    from .linear_idw import LinearIDW
 
 # Fraction of the remaining memory for data kept between displacements.
 _KEPT = 2
@@ -277,7 +276,7 @@ class PreparedIDW:
             found._share = dataclasses.replace(self._share, moving=self._share.moving[kept])
         return found
 
-    def linearised(self, evaluator: Bound | FastEvaluator, displacement: FloatArray) -> LinearIDW:
+    def linearised(self, evaluator: Bound | FastEvaluator, displacement: FloatArray) -> Linearised:
         """The derivative of the displacement of the nodes of ``evaluator`` at a displacement (n_sources, 3).
 
         Rotations, their smoothing and the mean motion are recorded operation by operation.
@@ -299,7 +298,8 @@ class PreparedIDW:
                 # The derivative of the factor of r^-b.
                 alpha, slope = found, o.b * float(plain(found)) ** (o.b - 1.0) * method.length ** (o.b - method.far)
                 counts.append((LARGEST, tied(lengths(plain(arms)), images.owner)))
-        return LinearIDW(evaluator, variable, fit, acting, alpha, slope, kinks_of(counts))
+        found_derivative = LinearIDW(evaluator, variable, fit, acting, alpha, slope)
+        return Linearised(found_derivative.push, found_derivative.pull, kinks_of(counts))
 
     def _seen_inside(self, d: FloatArray) -> tuple[Frame, FloatArray]:
         """The mean motion of the images, and their displacements (n, 3) as seen from there if it turns: half a turn of

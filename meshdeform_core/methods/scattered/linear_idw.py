@@ -11,7 +11,6 @@ from ...grid import BoolArray, FloatArray, IntArray
 from ...numerics.fastsum.weighted import FastSums
 from ...numerics.tape import Tape, Tracked, plain
 from ...parallel import Nodes, agreed, empty
-from ..kinks import Kinks
 from .fast_idw_sums import FastEvaluator, fast_sums
 from .idw_sums import Bound, ExactSums, SourceValues, Weights
 from .summation import DERIVATIVE_TOLERANCE, MAX_RETRIES, doubtful
@@ -40,10 +39,10 @@ class LinearIDW:
 
     def __init__(
         self, evaluator: Bound | FastEvaluator, variable: Tracked, fit: SourceValues, acting: BoolArray,
-        alpha: Tracked | None, slope: float, kinks: Kinks,
+        alpha: Tracked | None, slope: float,
     ) -> None:  # fmt: skip
         self._bound = evaluator if isinstance(evaluator, Bound) else evaluator.bound
-        self._variable, self._slope, self.kinks = variable, slope, kinks
+        self._variable, self._slope = variable, slope
         frame, rest = fit.frame, fit.transition.rest
         # What every node depends on beside its own sums.
         common: dict[str, Any] = {"shift": frame.shift, "turn": frame.turn, "rest": rest}

@@ -1,8 +1,9 @@
-"""The linear system of radial basis functions: choice of solver, solution, report."""
+"""Radial basis functions with given values at centres: normalised coordinates, the linear system, sums at points."""
 
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,25 +11,94 @@ import numpy as np
 from ...grid import FloatArray
 from ...memory import UNLIMITED, MemoryLimit
 from ...numerics.exact.basis import BASES
-from ...numerics.exact.radial import radial_matrix
+from ...numerics.exact.radial import radial_matrix, radial_sums
 from ...numerics.systems.greedy import independent
 from ...numerics.systems.krylov import KrylovSolver
 from ...numerics.systems.products import ExactProduct, nested_bytes, product_of
 from ...numerics.systems.saddle import DirectSolver
 from ...parallel import Ranks
 from ..base import Account, Progress, Setting, of_stage
-from .centres import DIRECT_CENTRES, Centres
+from .tuned import DIRECT_CENTRES
 
 _TOLERANCE = 1e-6
 ROUND_OFF = 1e-13
 """Tolerance of iterative solutions to which forward and transposed derivatives agree."""
 
 
+@dataclass(frozen=True)
+class Centres:
+    """Centres in normalised coordinates with the polynomial terms that they determine.
+
+    Thin plate splines with a linear polynomial do not depend on the unit of length, and compact functions take
+    distances in radii; both are best conditioned with distances near one. If all centres lie in a plane, its normal
+    direction has no polynomial term, so that 2-D grids and planar patches have a solution.
+    """
+
+    points: FloatArray
+    origin: FloatArray
+    scale: float
+    axes: FloatArray
+
+    @classmethod
+    def of(cls, points: FloatArray, radius: float | None) -> Centres:
+        origin = points.mean(axis=0)
+        arms = points - origin
+        extent = float(np.linalg.norm(arms, axis=1).max()) or 1.0
+        _, sizes, axes = np.linalg.svd(arms, full_matrices=False)
+        spread = axes[sizes > 1e-8 * extent * np.sqrt(len(points))]
+        scale = extent if radius is None else radius
+        return cls(np.ascontiguousarray(arms / scale), origin, scale, spread)
+
+    def normalised(self, points: FloatArray) -> FloatArray:
+        """Points in the normalised coordinates."""
+        return (points - self.origin) / self.scale
+
+    def polynomial(self, normalised: FloatArray) -> FloatArray:
+        """Polynomial terms (n, q) at normalised points: the constant and the directions in which the centres extend."""
+        return np.column_stack([np.ones(len(normalised)), *(self._along(axis, normalised) for axis in self.axes)])
+
+    def drift(self, normalised: FloatArray, polynomial: FloatArray) -> FloatArray:
+        """Values (n, 3) at normalised points of a ``polynomial`` (q, 3), which may lack the last terms; of each point
+        the same to the last bit for any n, unlike ``@``."""
+        found = np.tile(polynomial[0], (len(normalised), 1)) if len(polynomial) else np.zeros((len(normalised), 3))
+        for axis, slope in zip(self.axes, polynomial[1:], strict=False):
+            found += self._along(axis, normalised)[:, None] * slope
+        return found
+
+    def displacement(self, kind: int, points: FloatArray, fit: Coefficients) -> FloatArray:
+        """Values (n, 3) at ``points`` (n, 3), which are not normalised, by exact sums of a ``kind`` of basis."""
+        x = self.normalised(points)
+        return np.asarray(radial_sums(kind, x, fit.centres, fit.coefficients) + self.drift(x, fit.polynomial))
+
+    @staticmethod
+    def _along(axis: FloatArray, points: FloatArray) -> FloatArray:
+        return np.asarray(points[:, 0] * axis[0] + points[:, 1] * axis[1] + points[:, 2] * axis[2])
+
+
+@dataclass(frozen=True)
+class Coefficients:
+    """Solved coefficients: ``centres`` (k, 3) normalised, ``coefficients`` (k, 3), ``polynomial`` (q, 3).
+
+    ``residual`` (n, 3) is the error that a greedy reduction left at the sources (else ``None``), ``reach`` the length
+    over which it is spread.
+    """
+
+    centres: FloatArray
+    coefficients: FloatArray
+    polynomial: FloatArray
+    residual: FloatArray | None = None
+    reach: float = 0.0
+
+
+def accurate(options: Any) -> Any:
+    """The options, those of :class:`.rbf.RBF`, for derivatives: a direct solution, or an iterative one to round-off."""
+    return dataclasses.replace(options, solver="auto", tolerance=ROUND_OFF)
+
+
 class RadialSystem:
     """The linear system of one set of centres; its factorisation or preconditioner is made on first use and stored.
 
-    ``options`` are those of :class:`.rbf.RBF`. Of several ``ranks`` the first solves it, on all cores of its machine,
-    and the others get the solution.
+    Of several ``ranks`` the first solves it, on all cores of its machine, and the others get the solution.
     """
 
     def __init__(self, options: Any, centres: Centres, limit: MemoryLimit = UNLIMITED, ranks: Ranks | None = None):
@@ -75,13 +145,12 @@ class RadialSystem:
         account.include(found)
         return coefficients, polynomial
 
-    @classmethod
-    def accurate(cls, options: Any, centres: Centres, limit: MemoryLimit, ranks: Ranks | None = None) -> RadialSystem:
-        """The system for derivatives: with a direct solution, or an iterative one to round-off; it is factorised here,
-        once."""
-        system = cls(dataclasses.replace(options, solver="auto", tolerance=ROUND_OFF), centres, limit, ranks)
-        system.solve(np.zeros_like(centres.points), Account(), None)
-        return system
+    def transposed_sums(self, points: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Gradients of the coefficients (n, 3) and of the polynomial (q, 3) from those (m, 3) of the values at
+        ``points`` (m, 3), which are not normalised."""
+        x = self.centres.normalised(points)
+        terms = self.centres.polynomial(x)[:, : self.terms.shape[1]]
+        return radial_sums(self.kind, self.centres.points, x, gradient), np.asarray(terms.T @ gradient)
 
     def solve_transposed(self, upper: FloatArray, lower: FloatArray) -> FloatArray:
         """Transpose of :meth:`solve`: gradient (n, 3) of the values from those of the coefficients (n, 3) and of the

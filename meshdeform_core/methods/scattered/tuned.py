@@ -23,3 +23,7 @@ ROUNDS = 8
 STEEPER = 1.5
 """With a transition, fast sums are made accurate for displacements larger by this factor, as the share may vary faster
 than the weights."""
+
+DIRECT_CENTRES = 4000
+"""Of RBF, the largest number of centres that ``auto`` solves directly; beyond it, GMRES with its set-up is faster
+(``benchmarks/rbf.py``)."""

@@ -16,8 +16,7 @@ from ...grid import BoolArray, FloatArray, Grid, IntArray
 from ...grid.topology import Topology
 from ...grid.windows import rectangles
 from ...numerics.arrays import distinct_rows, spans
-from ..base import Account, Problem, Progress
-from ..kinks import Kinks
+from ..base import Account, Linearised, Problem, Progress
 from ..limits import TFI_ROTATION, warn_of_rotation
 from .groups import Faces
 
@@ -68,7 +67,7 @@ class PreparedEdgeGraph:
     account: Account
 
     def __init__(self, problem: Problem):
-        self.account, self.kinks = Account(), Kinks()
+        self.account = Account()
         self._problem = problem
         grid, topology = problem.grid, problem.topology
         known = problem.boundary.known
@@ -117,14 +116,12 @@ class PreparedEdgeGraph:
         self._faces.blend(face)
         return face
 
-    def linearised(self, displacement: FloatArray) -> PreparedEdgeGraph:
+    def linearised(self, displacement: FloatArray) -> Linearised:
         """The derivative, which is the same at all displacements."""
-        return self
-
-    push = move
+        return Linearised(self.move, self.pull)
 
     def pull(self, face: FloatArray, gradient: FloatArray) -> FloatArray:
-        """Transpose of :meth:`push`: gradient (n_sources, 3) from that of the face nodes (n_unique, 3), which is
+        """Transpose of :meth:`move`: gradient (n_sources, 3) from that of the face nodes (n_unique, 3), which is
         overwritten; no other node is moved here."""
         self._faces.pull(face)
         if self._graph:
