@@ -61,7 +61,7 @@ def run(folder, code, **environment):
 
 @pytest.mark.timeout(240)
 def test_several_processes_compile_what_is_missing_and_later_runs_find_it(tmp_path):
-    two_cores = "from meshdeform_core.parallel import ranks; ranks.usable_cores = lambda: 2\n"
+    two_cores = "from meshdeform_core.parallel import loops; loops.usable_cores = lambda: 2\n"
     own, expected, processes = map(int, run(tmp_path, two_cores + CALLS))
     assert 1 <= own <= expected == 6
     assert processes == 2
@@ -80,7 +80,7 @@ caching._CacheLocator.ensure_cache_path = refuse
 @pytest.mark.timeout(240)
 def test_a_process_that_dies_changes_nothing(tmp_path):
     broken = """
-from meshdeform_core.parallel import ranks; ranks.usable_cores = lambda: 3
+from meshdeform_core.parallel import loops; loops.usable_cores = lambda: 3
 import subprocess
 from meshdeform_core.numerics import compiling
 class Broken(subprocess.Popen):
