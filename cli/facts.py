@@ -9,9 +9,9 @@ import numpy as np
 
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.connections import check_connections, find_interfaces
-from meshdeform_core.grid.faces import Role, declared_role
+from meshdeform_core.grid.faces import Face, Role, declared_role
 from meshdeform_core.grid.openings import coincident_blocks, describe_group, find_openings, patched_groups
-from meshdeform_core.grid.surfaces import Outside, clustered_interfaces, find_outside, thin_direction
+from meshdeform_core.grid.surfaces import Outside, Surface, clustered_interfaces, find_outside, thin_direction
 from meshdeform_core.grid.topology import Topology, find_topology
 from meshdeform_core.numerics.arrays import extent
 from meshdeform_core.wording import counted, listed, vector
@@ -20,8 +20,6 @@ Facts = dict[str, Any]
 
 _MAX_LISTED = 24
 """Largest number of blocks, interfaces or unnamed faces that are listed one by one."""
-# In metres: bodies are rarely larger, and first cells of boundary layers rarely thicker.
-_LARGEST_BODY, _THICKEST_LAYER = 150.0, 0.02
 
 
 def gather(grid: Grid, file: str) -> Facts:
@@ -84,19 +82,16 @@ def _from_one(index: Sequence[int]) -> list[int]:
 
 def _outside_facts(grid: Grid, outside: Outside, sides: list[str]) -> Facts:
     """Boundaries by name, all pieces of faces, and the patches of the file."""
+
+    def shape(part: Surface | Face, role: Role, declared: bool) -> Facts:
+        height = {"min": part.first_height, "median": part.median_height}
+        known = {"role": role.value, "declared": declared, "quads": len(part.quads), "area": part.area}
+        return known | {"bbox": part.box.tolist(), "first_cell_height": height}
+
     surfaces = [
-        {
-            "name": surface.name,
-            "named": surface.named,
-            "role": surface.role.value,
-            "declared": surface.declared,
-            "patches": list(surface.patches),
-            "faces": [face.label(grid) for face in surface.faces],
-            "quads": len(surface.quads),
-            "area": surface.area,
-            "bbox": surface.box.tolist(),
-            "first_cell_height": {"min": surface.first_height, "median": surface.median_height},
-        }
+        {"name": surface.name, "named": surface.named, "patches": list(surface.patches)}
+        | {"faces": [face.label(grid) for face in surface.faces]}
+        | shape(surface, surface.role, surface.declared)
         for surface in outside.surfaces
     ]
     faces = [
@@ -107,14 +102,9 @@ def _outside_facts(grid: Grid, outside: Outside, sides: list[str]) -> Facts:
             "patch": face.patch.name if face.patch else None,
             "family": (face.patch.family or None) if face.patch else None,
             "outside": face.outside,
-            "quads": len(face.quads),
-            "bbox": face.box.tolist(),
-            "area": face.area,
-            "first_cell_height": {"min": face.first_height, "median": face.median_height},
             "stretching": face.stretching,
             "normal": None if face.plane is None else face.plane.normal.tolist(),
-            "role": role.value,
-            "declared": declared_role(face) is role,
+            **shape(face, role, declared_role(face) is role),
         }
         for face, role in zip(outside.faces, outside.roles, strict=True)
     ]
@@ -146,33 +136,21 @@ def _collapsed(topology: Topology, sides: list[str]) -> list[Facts]:
 
 
 def _remarks(grid: Grid, topology: Topology, outside: Outside) -> list[str]:
-    """Remarks that follow from the shape of the grid but not from the file: thin plates, and units of length."""
-    walls = outside.of_role(Role.WALL)
+    """Remarks on plates, which follow from the shape of the grid but not from the file."""
     if outside.plates:
         from meshdeform_formats.case.template import plates_line
 
-        remarks = [
+        return [
             f"{listed([plate.name for plate in outside.plates])}: likely a thin plate (a wall without thickness "
             f"between blocks): cells cluster from both sides, and it does not reach the far field; if it "
             f"is a wall, the case needs: [grid] {plates_line(outside.plates)}"
         ]
-    elif not walls and (names := [face.label(grid) for face in clustered_interfaces(topology, outside)]):
-        remarks = [
-            f"no wall was found, but cells cluster from both sides towards {listed(names)}: a wake, or in part a thin "
-            f'plate, whose nodes the case can name: [grid] plates = ["{names[0]}[1:9,*]"]'
-        ]
-    else:
-        remarks = []
-    if walls:
-        size = max(float(np.ptp(wall.box, axis=0).max()) for wall in walls)
-        height = min(wall.median_height for wall in walls)
-        # Large bodies with first cells too thick for layers in metres.
-        if size >= _LARGEST_BODY and height >= _THICKEST_LAYER / 10:
-            remarks.append(
-                f"the walls extend over {size:.4g} and their first cells are {height:.3g} high: the length unit may "
-                f"be millimetres or inches rather than metres; tables and motions must use the same unit"
-            )
-    return remarks
+    if outside.of_role(Role.WALL) or not (names := [f.label(grid) for f in clustered_interfaces(topology, outside)]):
+        return []
+    return [
+        f"no wall was found, but cells cluster from both sides towards {listed(names)}: a wake, or in part a thin "
+        f'plate, whose nodes the case can name: [grid] plates = ["{names[0]}[1:9,*]"]'
+    ]
 
 
 def as_text(facts: Facts, verbose: bool = False) -> str:
@@ -182,40 +160,28 @@ def as_text(facts: Facts, verbose: bool = False) -> str:
         along = [name for name, c in zip("xyz", normal, strict=True) if abs(c) > 1 - 1e-6]
         layer = f", one cell thick along {along[0] if along else vector(normal)}"
     blocks, found = facts["blocks"], facts["interfaces"]
-    width = max(len(b["name"]) for b in blocks)
     sizes = [" x ".join(map(str, b["nodes"])) for b in blocks]
-    wide = max(map(len, sizes))
-    lines = [
+    width, wide = max(len(b["name"]) for b in blocks), max(map(len, sizes))
+    rows = [
+        f"  {b['name']:{width}s}  {size:{wide}s}  {b['handedness']}-handed  {_box(b['bbox'])}"
+        for b, size in zip(blocks, sizes, strict=True)
+    ]
+    pairs = [f"  {f['name']}  {_node(f['first'])}..{_node(f['last'])}  transform {f['transform']}" for f in found]
+    patches = [_patch_line(patch) for patch in facts["patches"]] if verbose else []
+    return "\n".join([
         f"{facts['file']}: {facts['format']}",
         f"{facts['dimension']}-D{layer}, {counted(len(blocks), 'block')}, {facts['nodes']:,} nodes "
         f"({facts['unique_nodes']:,} unique), {counted(facts['cells'], 'cell')}",
         f"extent {_box(facts['bounding_box'])}, shortest edge on a block face {facts['shortest_face_edge']:.3g}",
-        "",
-        "blocks",
-        *_first(
-            verbose,
-            [
-                f"  {b['name']:{width}s}  {size:{wide}s}  {b['handedness']}-handed  {_box(b['bbox'])}"
-                for b, size in zip(blocks, sizes, strict=True)
-            ],
-        ),
-        "",
-        *_surface_lines(facts["surfaces"], verbose),
-    ]
-    if verbose and facts["patches"]:
-        lines += ["", f"patches ({len(facts['patches'])})", *map(_patch_line, facts["patches"])]
-    lines += [
-        "",
-        f"interfaces ({len(found)} found, {facts['declared_connections']} declared in the file)",
-        *_first(
-            verbose,
-            [f"  {f['name']}  {_node(f['first'])}..{_node(f['last'])}  transform {f['transform']}" for f in found],
-        ),
+        "", "blocks", *_first(verbose, rows),
+        "", *_surface_lines(facts["surfaces"], verbose),
+        *(["", f"patches ({len(patches)})", *patches] if patches else []),
+        "", f"interfaces ({len(found)} found, {facts['declared_connections']} declared in the file)",
+        *_first(verbose, pairs),
         *(f"collapsed  {each['face']}: {each['quads']:,} quads with {each['what']}" for each in facts["collapsed"]),
-    ]
-    if facts["fields"]:
-        lines.append(f"fields     {', '.join(facts['fields'])}")
-    return "\n".join([*lines, *(f"note       {note}" for note in facts["notes"])])
+        *([f"fields     {', '.join(facts['fields'])}"] if facts["fields"] else []),
+        *(f"note       {note}" for note in facts["notes"]),
+    ])  # fmt: skip
 
 
 def _first(verbose: bool, lines: list[str]) -> list[str]:

@@ -98,28 +98,12 @@ class Grid:
                 found.append(BlockPart(number, planes.start, planes.stop, points))
         return found
 
-    def gathered(self, *, first_only: bool = False) -> Grid:
-        """The whole grid from the parts of all ranks, which must all call this; the grid itself if it is not in parts.
-
-        Parameters
-        ----------
-        first_only : only the first rank gets the whole grid, the others this one
-        """
+    def gathered(self) -> Grid:
+        """The whole grid from the parts of all ranks, which all call this; the grid itself if it is not in parts."""
         points = self.core.nodes
         if not points.divided:
             return self
-        if not first_only:
-            every = points.ranks.collect(points.own, np.diff(points.bounds).tolist())
-        else:
-            first = points.ranks.number == 0
-            every = np.empty(points.shape) if first else points.own
-            sources = range(1, points.ranks.count) if first else ()
-            bounds = points.bounds.tolist()
-            points.ranks.swap({} if first else {0: points.own}, {n: every[bounds[n] : bounds[n + 1]] for n in sources})
-            if not first:
-                return self
-            every[: bounds[1]] = points.own
-        return wrapped(self.core.moved(every), self.plane)
+        return wrapped(self.core.moved(points.ranks.collect(points.own, np.diff(points.bounds).tolist())), self.plane)
 
     @property
     def names(self) -> tuple[str, ...]:

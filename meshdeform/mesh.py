@@ -80,16 +80,12 @@ class Mesh:
             nodes[rows, 1:] = np.stack(np.unravel_index(first[rows] - grid.offsets[b], grid.shapes[b]), axis=1)
         return nodes
 
-    @property
+    @cached_property
     def patches(self) -> Mapping[str, IntArray]:
         """Rows of :attr:`points` of each moving patch; nodes shared by two patches belong to both."""
-        return MappingProxyType(self._patches)
-
-    @cached_property
-    def _patches(self) -> dict[str, IntArray]:
         row_of = places_among(self.session.numbers, self.session.setup.topology.n_unique)
         moving = [patch for patch in self.session.setup.boundary.patches if patch.kind is Kind.MOVING]
-        return {patch.name: rows[rows >= 0] for patch in moving for rows in [row_of[patch.nodes]]}
+        return MappingProxyType({each.name: rows[rows >= 0] for each in moving for rows in [row_of[each.nodes]]})
 
     def mask(self, patch: str) -> BoolArray:
         """Mask (n_moving,) bool of the rows of :attr:`points` that belong to a moving patch."""
@@ -243,7 +239,8 @@ class Mesh:
         """The state of a copy, without the prepared method: the copy prepares it again."""
         if self.session.ranks.count > 1:
             raise TypeError("a Mesh of several MPI ranks cannot be copied or pickled; prepare it where it is needed")
-        return {**self.__dict__, "_prepared": None, "_last": None}
+        lasting = {name: value for name, value in self.__dict__.items() if name != "patches"}
+        return {**lasting, "_prepared": None, "_last": None}
 
     def __repr__(self) -> str:
         patches = ", ".join(self.patches)

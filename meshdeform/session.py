@@ -130,5 +130,6 @@ def gathered(ranks: Ranks, piece: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
 
 def summed(ranks: Ranks, count: int, rows: IntArray, values: FloatArray) -> FloatArray:
     """Sum (count, 3) of the ``values`` (n, 3) of all ranks for ``rows`` (n,), which may repeat."""
-    every, what = gathered(ranks, rows), gathered(ranks, values)
-    return np.stack([np.bincount(every, what[:, axis], minlength=count) for axis in range(3)], axis=1)
+    total = np.zeros((count, 3))
+    np.add.at(total, gathered(ranks, rows), gathered(ranks, values))
+    return total

@@ -8,12 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
+import msgspec
+
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.motion import GIVEN
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.errors import CaseError, MethodError
 from meshdeform_core.grid.selection import Components
-from meshdeform_core.memory import Demand, MemoryLimit, deforming, machine_memory, parse_memory
+from meshdeform_core.memory import Demand, deforming, machine_memory, parse_memory
 from meshdeform_core.mending import judge_grid
 from meshdeform_core.methods import IDW, RBF, TFI, Options
 from meshdeform_core.parallel import Ranks, WholeGridNeeded, sharing
@@ -150,7 +152,8 @@ def prepare(
         what = _case(case, selections, components)
         held = _grid_of(grid, what, ranks)
         chosen = what.case if method is None else dataclasses.replace(what.case, method=options_of(method))
-        memory = Demand.of("deforming", deforming(chosen.method.name), held.core).left_of(_memory(max_memory))
+        limit = machine_memory() if max_memory is None else parse_memory(str(max_memory), "max_memory")
+        memory = Demand.of("deforming", deforming(chosen.method.name), held.core).left_of(limit)
         setup = set_up(held.core, chosen, memory=memory)
         return Mesh(Session(setup, held.plane, ranks, threads))
 
@@ -177,15 +180,6 @@ def _read(source: Grid | str | Path, what: CaseFile, ranks: Ranks) -> Grid:
 
         grid = wrapped(read_neutral_map(what.boundary_file, grid.core), grid.plane)
     return grid
-
-
-def _memory(size: int | str | None) -> MemoryLimit:
-    if size is None:
-        return machine_memory()
-    size = whole_number(size)
-    if isinstance(size, bool) or not isinstance(size, int | str) or (isinstance(size, int) and size <= 0):
-        raise CaseError(f'max_memory = {size!r}; expected bytes, or a size like "2GiB"')
-    return parse_memory(str(size), "max_memory")
 
 
 def _case(
@@ -230,34 +224,25 @@ def parsed_case(case: CaseLike) -> CaseFile:
 
 def _entries(kind: Kind, selection: Selection | None) -> dict[str, tuple[str, ...]]:
     """Selection patterns by patch name."""
-    if selection is None:
-        return {}
-    if isinstance(selection, str):
-        return {selection: (selection,)}
-    if isinstance(selection, Mapping):
-        if not all(isinstance(name, str) and _is_patterns(one) and one for name, one in selection.items()):
-            raise _not_a_selection(kind, selection)
-        return {name: (one,) if isinstance(one, str) else tuple(one) for name, one in selection.items()}
-    if not _is_patterns(selection):
-        raise _not_a_selection(kind, selection)
-    # Both sides of a periodic pair belong in one entry.
-    if kind is Kind.PERIODIC:
-        return {" and ".join(selection): tuple(selection)}
-    if len(set(selection)) < len(selection):
-        raise CaseError(f"{kind.label} = {list(selection)} names a patch twice; expected each once")
-    return {pattern: (pattern,) for pattern in selection}
-
-
-def _is_patterns(value: object) -> bool:
-    """Whether ``value`` is a string or a sequence of strings."""
-    return isinstance(value, str) or (isinstance(value, Sequence) and all(isinstance(one, str) for one in value))
-
-
-def _not_a_selection(kind: Kind, selection: object) -> CaseError:
-    return CaseError(
+    wrong = CaseError(
         f"{kind.label} = {selection!r}; expected patch names or block faces, like 'wing', ['wing', 'block2.jmin'] "
         f"or {{'body': ['wing', 'tail']}}"
     )
+    try:
+        found = msgspec.convert(
+            {} if selection is None else selection, str | tuple[str, ...] | dict[str, str | tuple[str, ...]]
+        )
+    except msgspec.ValidationError:
+        raise wrong from None
+    if isinstance(found, tuple):
+        if len(set(found)) < len(found):
+            raise CaseError(f"{kind.label} = {list(found)} names a patch twice; expected each once")
+        # Both sides of a periodic pair belong in one entry.
+        found = {" and ".join(found): found} if kind is Kind.PERIODIC else dict(zip(found, found, strict=True))
+    named = {found: found} if isinstance(found, str) else found
+    if not all(named.values()):
+        raise wrong
+    return {name: (one,) if isinstance(one, str) else one for name, one in named.items()}
 
 
 class Sample(NamedTuple):

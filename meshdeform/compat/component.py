@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import replace
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from meshdeform_core.errors import CaseError, GridError, MotionError
 from meshdeform_core.grid import FloatArray, Grid, IntArray, Patch
@@ -35,12 +36,16 @@ class Zones:
         rows = [np.arange(grid.offsets[z], grid.offsets[z + 1]) for z in zones]
         self.rows = slice(None) if whole else np.concatenate(rows)
         place = {int(zone): number for number, zone in enumerate(zones)}
+        windows = [
+            tuple(replace(each, block=place[each.block]) for each in patch.windows if each.block in place)
+            for patch in grid.patches
+        ]
         # Always double precision, even if the file is in single precision, as derivatives are checked with small steps.
         self.grid = Grid(
             grid.points if whole else grid.points[self.rows],
             tuple(grid.shapes[z] for z in zones),
             tuple(grid.names[z] for z in zones),
-            patches=tuple(filter(None, (_part_within(patch, place) for patch in grid.patches))),
+            patches=tuple(replace(patch, windows=own) for patch, own in zip(grid.patches, windows, strict=True) if own),
         )
         self.topology: Topology = find_topology(self.grid)
 
@@ -110,7 +115,8 @@ class Component:
         self._row = np.searchsorted(numbers, node)
         if not np.array_equal(numbers[self._row], node):
             raise GridError("points of the surface lie on no face of it; expected every point in a face")
-        self._copies = np.bincount(self._row, minlength=len(numbers))
+        copies, count = np.bincount(self._row, minlength=len(numbers)), len(self._row)
+        self._mean = csr_array((1.0 / copies[self._row], (self._row, np.arange(count))), (len(numbers), count))
         self._first = np.full(len(numbers), -1, dtype=np.int64)
         self._first[self._row[::-1]] = self.point[::-1]
         every = np.searchsorted(numbers, topology.number)
@@ -130,9 +136,21 @@ class Component:
 
         Returns the step, and the largest distance between copies of a point relative to the local edge.
         """
-        positions, apart = self._positions_of(surface)
-        self._positions, self._step = positions, self._repeated.step(positions - self.points)
-        return self._step, apart
+        start = surface[self._first]
+        apart = surface[self.point] - start[self._row]
+        edge = self._mesh.session.setup.topology.edge[self._mesh.session.numbers]
+        gap = np.linalg.norm(apart, axis=1) / edge[self._row]
+        worst = int(np.argmax(gap))
+        if gap[worst] > _DISAGREE:
+            raise MotionError(
+                f"copies of the surface point {vector(self.points[self._row[worst]])} are {gap[worst]:.3g} edges "
+                f"apart: {vector(start[self._row[worst]])} and {vector(surface[self.point[worst]])}; "
+                f"expected the same"
+            )
+        # Exactly where they were set, if copies agree.
+        self._positions = start + self._mean @ apart
+        self._step = self._repeated.step(self._positions - self.points)
+        return self._step, float(gap[worst]) if gap[worst] > _AGREE else 0.0
 
     def put(self, whole: FloatArray) -> None:
         """Write the deformed nodes into an array (n_nodes, 3) of all zones; wall nodes are exactly where they were
@@ -147,44 +165,21 @@ class Component:
 
     def forward(self, change: FloatArray) -> FloatArray:
         """Change (n, 3) of the nodes of these zones for a ``change`` of all points."""
-        moved = self._sum(change[self.point]) / self._copies[:, None]
+        moved = self._mean @ change[self.point]
         return np.asarray(self.derivative().operator.matvec(moved.ravel())).reshape(-1, 3)
 
     def reverse(self, gradient: FloatArray, total: FloatArray) -> None:
         """Transpose of :meth:`forward`: add to ``total`` the gradient of all points from that (n_nodes, 3) of all
         nodes."""
         found = np.asarray(self.derivative().operator.rmatvec(gradient[self.rows].ravel())).reshape(-1, 3)
-        np.add.at(total, self.point, (found / self._copies[:, None])[self._row])
-
-    def _sum(self, values: FloatArray) -> FloatArray:
-        """Sums (n_moving, 3) over the copies of each node."""
-        count = len(self._copies)
-        return np.stack([np.bincount(self._row, each, minlength=count) for each in values.T], axis=1)
-
-    def _positions_of(self, surface: FloatArray) -> tuple[FloatArray, float]:
-        """New positions (n_moving, 3) of the nodes: those of their points if copies agree, otherwise their mean.
-
-        Also returns the largest distance between copies relative to the local edge.
-        """
-        start = surface[self._first]
-        apart = surface[self.point] - start[self._row]
-        edge = self._mesh.session.setup.topology.edge[self._mesh.session.numbers]
-        gap = np.linalg.norm(apart, axis=1) / edge[self._row]
-        worst = int(np.argmax(gap))
-        if gap[worst] > _DISAGREE:
-            raise MotionError(
-                f"copies of the surface point {vector(self.points[self._row[worst]])} are {gap[worst]:.3g} edges "
-                f"apart: {vector(start[self._row[worst]])} and {vector(surface[self.point[worst]])}; "
-                f"expected the same"
-            )
-        return start + self._sum(apart) / self._copies[:, None], float(gap[worst]) if gap[worst] > _AGREE else 0.0
+        np.add.at(total, self.point, self._mean.T @ found)
 
 
 def _mesh(zones: Zones, quads: IntArray) -> Mesh:
     """The mesh whose surface ``quads`` move: symmetry planes mirror them, all other outside nodes are free."""
     mirrors = [zones.patch(f"symmetry{n}", each, "BCSymmetryPlane") for n, each in enumerate(zones.symmetry(), 1)]
     patches = (zones.patch(SURFACE, quads, "BCWall"), *mirrors)
-    held = wrapped(dataclasses.replace(zones.grid, patches=patches))
+    held = wrapped(replace(zones.grid, patches=patches))
     rest = zones.topology.external.copy()
     rest[np.concatenate([quads, quads_of_patches(zones.topology.quads, mirrors)[0]])] = False
     mesh = prepare(
@@ -197,14 +192,8 @@ def _mesh(zones: Zones, quads: IntArray) -> Mesh:
     # The method's L_def depends on the sources, which are known only after the set-up.
     setup = mesh.session.setup
     length = float(np.linalg.norm(setup.problem.source_points - setup.problem.centroid, axis=1).max())
-    case = dataclasses.replace(setup.case, method=options_of(zones.options.method(length)))
-    return Mesh(Session(dataclasses.replace(setup, case=case), False, mesh.session.ranks, None))
-
-
-def _part_within(patch: Patch, place: dict[int, int]) -> Patch | None:
-    """The part of a patch that lies in some zones, with the zones renumbered by ``place``."""
-    windows = tuple(dataclasses.replace(w, block=place[w.block]) for w in patch.windows if w.block in place)
-    return dataclasses.replace(patch, windows=windows) if windows else None
+    case = replace(setup.case, method=options_of(zones.options.method(length)))
+    return Mesh(Session(replace(setup, case=case), False, mesh.session.ranks, None))
 
 
 def _of_families(grid: Grid, names: list[str], option: str) -> list[Patch]:

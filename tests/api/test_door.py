@@ -165,7 +165,7 @@ def test_components_move_each_by_its_own_boundary(components):
 def test_components_are_part_of_a_case_or_an_argument():
     with pytest.raises(md.MeshDeformError, match="found a case and components"):
         md.prepare(overlapping(), {"boundary": []}, components="zone prefix")
-    with pytest.raises(md.MeshDeformError, match="found 'zones'"):
+    with pytest.raises(md.MeshDeformError, match=r"grid\.components = 'zones'"):
         md.prepare(overlapping(), moving="front.1.jmin", components="zones")
 
 

@@ -224,13 +224,3 @@ def test_sample_overwrites_only_by_force(bench, call, snapshot):
     assert "new/folder/grid.nmf exists" in call(*arguments).err
     assert call(*arguments, "--force").code == 0
     assert snapshot(bench) == before
-
-
-# help
-
-
-def test_info_guesses_that_lengths_are_no_metres(bench, call):
-    assert "length unit" not in call("info", "grid.cgns").out
-    grid = read_grid(bench / "grid.cgns")
-    write_grid(grid.moved(1000 * grid.points), bench / "large.cgns")
-    assert "the length unit may be millimetres or inches" in call("info", "large.cgns").out
