@@ -98,7 +98,7 @@ MISTAKES = {
     ),
     "a where that is no condition": (
         edited("case.toml", 'where = "abs(x) < 0.51 and abs(y) < 0.51"', "where = 5"), DEFORM,
-        "where = 5 is neither true nor false; expected a condition",
+        "where = 5; expected a formula that is a condition",
     ),
     "decimal commas": (
         lambda: Path("wrong.csv").write_text("x;y;z;dx;dy;dz\n0,5;0;0;0;0;0\n"),
