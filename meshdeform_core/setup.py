@@ -236,7 +236,8 @@ def set_up_whole(
         topology = find_topology(grid, case.tolerance)
         warnings = [*grid.notes, *case.notes, *check_connections(grid, topology), *coincident_blocks(grid, topology)]
         if topology.crowded:
-            warnings.append(f"{topology.crowded} face quads are shared by more than two blocks")
+            crowd = f"{topology.crowded} face quads are shared by more than two blocks, which no interface can be; "
+            warnings.append(f"{crowd}check the grid for blocks that exist twice")
         openings = find_openings(grid, topology)
         if check:
             check(grid, topology)

@@ -10,7 +10,7 @@ import numpy as np
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import FloatArray
 
-from .scene import Facets, Scene
+from .scene import Facets
 from .subject import METRICS, Metric
 
 if TYPE_CHECKING:
@@ -104,10 +104,3 @@ def _ends_of_colours(finite: FloatArray, known: Metric, logarithmic: bool) -> tu
         pad = 0.5 * abs(low) or 0.5
         return (0.5 * low, 2 * low) if logarithmic else (low - pad, high + pad)
     return low, high
-
-
-def colours_of(scene: Scene, scale: Scale) -> FloatArray:
-    """RGB (n, 3) of the polygons of a scene: its own colour, else by value."""
-    if scene.colour is not None:
-        return np.tile(scene.colour, (len(scene.facets), 1))
-    return scale.colours(scene.facets)

@@ -23,7 +23,6 @@ from .scene import (
     cut_scene,
     joined,
     onto_walls,
-    surface_facets,
     surface_scene,
     wall_edges,
     whole_scene,
@@ -34,7 +33,6 @@ from .view import Window, facing, iso
 _SMALL = 0.3
 """Details smaller than this fraction of the picture along its larger side get a close-up."""
 _TALL, _FLAT = 1.15, 0.05
-_GREY = (0.72, 0.74, 0.78)
 _AROUND = 7
 """Number of cells that a close-up shows on either side of the worst one."""
 
@@ -86,7 +84,7 @@ def _walls_and_cut(subject: Subject, metric: str) -> list[Panel]:
     walls = surface_scene(subject, quads_of_surfaces(bodies), metric, onto_walls(subject))
     backdrop = [each for each in subject.outside.of_role(Role.SYMMETRY, Role.WALL) if each not in bodies]
     if backdrop:
-        walls = dataclasses.replace(walls, backdrop=surface_facets(subject, quads_of_surfaces(backdrop)))
+        walls = dataclasses.replace(walls, backdrop=subject.corners(backdrop))
     plane = subject.middle_plane()
     cut = cut_scene(subject, plane, metric)
     edges = wall_edges(subject, plane, bodies)
@@ -141,20 +139,16 @@ def _twins(scenes: Sequence[Scene], windows: Sequence[Window], choice: Choice) -
 
 
 def moved_walls(pair: Pair, quads: IntArray) -> Page | None:
-    """Moving face quads before and after in the same view, coloured by displacement; ``None`` for flat grids."""
+    """Moving face quads where they have gone, coloured by displacement; ``None`` for flat grids."""
     if pair.old.grid.dimension == 2 or pair.old.end_plane is not None:
         return None
-    view = onto_walls(pair.old)
-    before, after = (surface_scene(subject, quads, "", view) for subject in (pair.old, pair.new))
-    moved = np.linalg.norm(after.facets.corners - before.facets.corners, axis=2).mean(axis=1)
-    after = dataclasses.replace(after, facets=dataclasses.replace(after.facets, values=moved))
-    both = np.concatenate([before.facets.corners, after.facets.corners])
-    window = view.window(both, 0.06).shaped(0.6, 1.0)
-    return _twins([dataclasses.replace(before, colour=_GREY), after], (window, window), Choice("displacement"))
+    walls = surface_scene(pair.new, quads, "displacement", onto_walls(pair.old))
+    window = walls.view.window(walls.facets.corners, 0.06).shaped(0.6, 1.0)
+    return Page.of([Panel(walls, window)], Choice("displacement"))
 
 
 def quality_planes(pair: Pair) -> tuple[Page, Page]:
-    """A plane through the grid around its walls, before and after, in the same frame and colours (for a slider)."""
+    """A plane through the grid around its walls, before and after, in the same frame and colours."""
     scenes = [_plane(subject, Choice()) for subject in (pair.old, pair.new)]
     points = np.concatenate([subject.corners(pair.old.bodies) for subject in (pair.old, pair.new)])
     window = _window_around(scenes[0], points)
@@ -180,13 +174,23 @@ def _window_around(scene: Scene, points: FloatArray) -> Window:
 
 
 def worst_cells(pair: Pair, block: int, cell: Shape, choice: Choice | None = None) -> Page:
-    """The surroundings of a cell (0-based ``cell`` of ``block``) before and after, on the same scale."""
+    """The surroundings of a cell (0-based ``cell`` of ``block``) before and after, on the same scale.
+
+    In space it is the index plane of the block through the cell, and where its plane cuts the other blocks.
+    """
     choice = choice or Choice()
     scenes = [whole_scene(subject, choice.metric) for subject in (pair.old, pair.new)]
     found = [scene for scene in scenes if scene is not None]
     if len(found) < 2:
         axis, normal = telling_plane(pair, block, cell)
-        found = [_through(subject, block, axis, cell, normal, choice.metric) for subject in (pair.old, pair.new)]
+        found, view = [], facing(normal)
+        for subject in (pair.old, pair.new):
+            own = block_facets(subject, block, axis, cell[axis], choice.metric)
+            plane = Plane(_nodes_around(subject.grid, block, cell).mean(axis=0), normal)
+            cut = cut_facets(subject, plane, choice.metric)
+            # Drawn behind the index plane, which may deviate from the plane in space but stays in front everywhere.
+            behind = dataclasses.replace(cut, corners=cut.corners - subject.size * view.towards)
+            found.append(Scene(joined([own, behind]), view))
     # Windows of the same size around a cell before and after.
     view = found[0].view
     centers, reach = [], 0.0
@@ -225,12 +229,3 @@ def telling_plane(pair: Pair, block: int, cell: Shape) -> tuple[int, FloatArray]
         found.append((float((area / np.maximum(size, 1e-300)).min()), axis, normal / length))
     _, axis, normal = min(found, key=lambda each: each[0])
     return axis, normal
-
-
-def _through(subject: Subject, block: int, axis: int, cell: Shape, normal: FloatArray, metric: str) -> Scene:
-    """The index plane of a block through a cell, and where its plane in space cuts the other blocks."""
-    own, view = block_facets(subject, block, axis, cell[axis], metric), facing(normal)
-    cut = cut_facets(subject, Plane(_nodes_around(subject.grid, block, cell).mean(axis=0), normal), metric)
-    # Drawn behind the index plane, which may deviate from the plane in space but stays in front everywhere.
-    behind = dataclasses.replace(cut, corners=cut.corners - subject.size * view.towards)
-    return Scene(joined([own, behind]), view)

@@ -13,7 +13,7 @@ import numpy as np
 from meshdeform_core.errors import FormatError
 
 from ..files import replacing
-from .colours import INVALID_COLOUR, NO_VALUE, Choice, Scale, colours_of
+from .colours import INVALID_COLOUR, NO_VALUE, Choice, Scale
 from .raster import FINE, render
 from .scene import Scene
 from .subject import METRICS
@@ -91,7 +91,7 @@ class Page:
         """Kinds of cells that the legend explains."""
         scenes = [panel.scene for panel in self.panels]
         invalid = {"invalid"} if any(scene.facets.bad.any() for scene in scenes) else set()
-        absent = {"absent"} if any(scene.absent for scene in scenes) else set()
+        absent = {"absent"} if any(not np.isfinite(scene.facets.values).all() for scene in scenes) else set()
         return self.marks | invalid | absent
 
 
@@ -135,7 +135,15 @@ def page_figure(page: Page, width: float = _WIDTH, dpi: int = 150, fine: int = F
     with mpl.rc_context(STYLE | {"figure.dpi": dpi, "savefig.dpi": dpi}):
         # Ticks may change when panels get their final shape, so that their labels need some room.
         layout = ConstrainedLayoutEngine(w_pad=0.08)
-        figure = Figure(figsize=_size(page, width), layout=layout)
+        aspects, side = [panel.aspect for panel in page.panels], 1.05
+        if _stacked(page):
+            height = sum((width - side - 0.5) * min(aspect, 0.8) + 0.6 for aspect in aspects)
+        else:
+            shares = _shares(page)
+            each = (width - side - 0.55 * len(aspects)) / sum(shares)
+            height = max(each * share * aspect for share, aspect in zip(shares, aspects, strict=True)) + 0.8
+        height = min(max(height, 2.2), 1.4 * width) + (0.3 if page.title else 0.0) + (0.35 if page.explained else 0.0)
+        figure = Figure(figsize=(width, height), layout=layout)
         FigureCanvasAgg(figure)
         axes = _frames(figure, page)
         # The layout alone, without drawing; `None` also keeps `savefig` from laying out once more.
@@ -153,20 +161,6 @@ def _stacked(page: Page) -> bool:
 def _shares(page: Page) -> list[float]:
     """Relative widths of panels side by side, so that they are equally high."""
     return [1 / max(panel.aspect, 0.4) for panel in page.panels]
-
-
-def _size(page: Page, width: float) -> tuple[float, float]:
-    """Width and height of the page in inches."""
-    aspects = [panel.aspect for panel in page.panels]
-    side = 1.05
-    if _stacked(page):
-        height = sum((width - side - 0.5) * min(aspect, 0.8) + 0.6 for aspect in aspects)
-    else:
-        shares = _shares(page)
-        each = (width - side - 0.55 * len(aspects)) / sum(shares)
-        height = max(each * share * aspect for share, aspect in zip(shares, aspects, strict=True)) + 0.8
-    below = 0.35 if page.explained else 0.0
-    return width, min(max(height, 2.2), 1.4 * width) + (0.3 if page.title else 0.0) + below
 
 
 def _frames(figure: Figure, page: Page) -> list[Axes]:
@@ -207,7 +201,7 @@ def _fill_axes(ax: Axes, panel: Panel, page: Page, fine: int) -> None:
 
     scene, view = panel.scene, panel.scene.view
     width = max(64, round(ax.get_window_extent().width))
-    image = render(scene, colours_of(scene, page.scale), panel.window, width, fine)
+    image = render(scene, page.scale.colours(scene.facets), panel.window, width, fine)
     ax.imshow(image, extent=panel.window, interpolation="nearest", aspect="equal", zorder=1)
     if not scene.lit and scene.facets.bad.any():
         # Edges of invalid cells of a plane, which would otherwise be too thin to be seen.

@@ -39,14 +39,21 @@ def render(scene: Scene, colours: FloatArray, window: Window, width: int, fine: 
         at = scene.view.project(points)
         return np.stack([at[..., 0] - window.left, window.top - at[..., 1], at[..., 2]], axis=-1) * scale
 
-    polygons = [placed(each.corners) for each in (scene.facets, scene.backdrop) if each is not None]
+    polygons = [placed(each) for each in (scene.facets.corners, scene.backdrop) if each is not None]
     if not scene.lit:
         # Inverted cells overlap their neighbours and are drawn in front of them.
         polygons[0][scene.facets.bad, :, 2] += fine
     widths = ((scene.outlines, 0.55), (scene.walls, 1.1))
     strokes = [strokes_of(placed(edges), half * fine, 2.0 * fine) for edges, half in widths]
     corners, count = stacked([*polygons, *strokes]), sum(map(len, polygons))
-    light = _light(scene) if scene.lit else np.ones(len(scene.facets))
+    light = np.ones(len(scene.facets))
+    if scene.lit:
+        # On both sides, by a lamp next to the viewer.
+        facets, view = scene.facets.corners, scene.view
+        normal = np.cross(facets[:, 2] - facets[:, 0], facets[:, -1] - facets[:, 1])
+        length, lamp = np.linalg.norm(normal, axis=1), view.towards + 0.45 * view.up - 0.25 * view.right
+        cosine = np.abs(normal @ (lamp / np.linalg.norm(lamp)))
+        light = _AMBIENT + (1 - _AMBIENT) * np.divide(cosine, length, out=light, where=length > 0)
     shades = np.empty((len(corners), 3), dtype=np.float32)
     shades[: len(light)], shades[len(light) : count], shades[count:] = colours * light[:, None], _PALE, _LINE_COLOUR
     low, high = corners[..., :2].min(axis=1), corners[..., :2].max(axis=1)
@@ -98,18 +105,6 @@ def strokes_of(ends: FloatArray, half: float, bias: float) -> FloatArray:
     corners[..., :2] += np.stack([-along - across, across - along, along + across, along - across], axis=1)
     corners[..., 2] += bias
     return corners
-
-
-def _light(scene: Scene) -> FloatArray:
-    """Brightness (n,) of every polygon, lit on both sides by a lamp next to the viewer."""
-    corners, view = scene.facets.corners, scene.view
-    normal = np.cross(corners[:, 2] - corners[:, 0], corners[:, -1] - corners[:, 1])
-    length = np.linalg.norm(normal, axis=1)
-    lamp = view.towards + 0.45 * view.up - 0.25 * view.right
-    cosine = np.abs(normal @ (lamp / np.linalg.norm(lamp)))
-    return np.asarray(
-        _AMBIENT + (1 - _AMBIENT) * np.divide(cosine, length, out=np.ones(len(corners)), where=length > 0)
-    )
 
 
 def lines_over(corners: FloatArray, item: np.ndarray, pixels: tuple[np.ndarray, ...], fine: int) -> np.ndarray:

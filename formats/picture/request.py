@@ -141,7 +141,15 @@ def picture(subject: Subject, options: PlotOptions, title: str = "") -> Page:
         panels = (after,) if subject.reference is None else (before, after)
         return dataclasses.replace(page, panels=panels, title=title)
     scene = _scene(subject, options)
-    return Page.of([Panel(scene, _window(subject, options, scene))], choice, title)
+    if options.window:
+        window = options.window
+    elif options.close == "walls":
+        if not subject.wall_surfaces:
+            raise CaseError(f"{options.lead}zoom walls: no wall is known; see `meshdeform info`")
+        window = scene.view.window(subject.corners(subject.wall_surfaces), 0.3).shaped(0.4, 1.2)
+    else:
+        window = scene.view.window(scene.facets.corners, 0.03).shaped(0.05, 1.4)
+    return Page.of([Panel(scene, window)], choice, title)
 
 
 def _scene(subject: Subject, options: PlotOptions) -> Scene:
@@ -171,13 +179,3 @@ def _scene(subject: Subject, options: PlotOptions) -> Scene:
             None if walls else iso(),
         )  # fmt: skip
     return dataclasses.replace(scene, view=options.direction or scene.view)
-
-
-def _window(subject: Subject, options: PlotOptions, scene: Scene) -> Window:
-    if options.window:
-        return options.window
-    if options.close == "walls":
-        if not subject.wall_surfaces:
-            raise CaseError(f"{options.lead}zoom walls: no wall is known; see `meshdeform info`")
-        return scene.view.window(subject.corners(subject.wall_surfaces), 0.3).shaped(0.4, 1.2)
-    return scene.view.window(scene.facets.corners, 0.03).shaped(0.05, 1.4)

@@ -30,11 +30,6 @@ class Facets:
     values: FloatArray
     bad: BoolArray
 
-    @classmethod
-    def plain(cls, corners: FloatArray) -> Facets:
-        """Polygons without values."""
-        return cls(corners, np.full(len(corners), np.nan), np.zeros(len(corners), dtype=bool))
-
     def where(self, mask: BoolArray) -> Facets:
         """Some of them."""
         return Facets(self.corners[mask], self.values[mask], self.bad[mask])
@@ -108,24 +103,20 @@ def _facets(subject: Subject, block: int, axis: int, layer: int, quads: FloatArr
     i, j, k = (slice(layer, layer + 1) if a == axis else whole for a, whole in enumerate(subject.whole(block)))
     cells = i, j, k
     with subject.ready(metric):
-        look = subject.of_all(lambda own: subject.shown(metric, block, own), block, cells) if metric else None
+        values = subject.of_all(lambda own: subject.shown(metric, block, own), block, cells)
         bad = subject.of_all(lambda own: subject.bad(block, own), block, cells)
-    values = np.full(len(quads), np.nan) if look is None else look.ravel()
-    return Facets(quads, values, bad.ravel())
+    return Facets(quads, values.ravel(), bad.ravel())
 
 
-def surface_facets(subject: Subject, quads: IntArray, metric: str = "") -> Facets:
-    """Face quads of a 3-D grid, with the value of the cell behind each; without ``metric`` only their shape."""
+def surface_facets(subject: Subject, quads: IntArray, metric: str) -> Facets:
+    """Face quads of a 3-D grid, with the value of the cell behind each."""
     topology, parts = subject.topology, []
     for block_side, some in topology.quads.by_side(quads):
         block, side = block_side // 6, Side(block_side % 6)
         local = some - topology.quads.start[block, side]
         corners = quads_of_layer(subject.grid.points[side_nodes(subject.grid, block, side)])
-        if metric:
-            layer = side.layer(subject.grid.cell_shapes[block])
-            parts.append(_facets(subject, block, side.axis, layer, corners, metric).where(local))
-        else:
-            parts.append(Facets.plain(corners[local]))
+        layer = side.layer(subject.grid.cell_shapes[block])
+        parts.append(_facets(subject, block, side.axis, layer, corners, metric).where(local))
     return joined(parts)
 
 
@@ -135,7 +126,23 @@ def cut_facets(subject: Subject, plane: Plane, metric: str) -> Facets:
     Raises CaseError when the plane misses the grid.
     """
     grid = subject.grid
-    level, lows, highs = _distances_from(grid, plane)
+    level = grid.nodes.like(1)
+    own = Nodes.of(level)
+
+    def fill(rows: slice) -> None:
+        away = grid.points[rows] - plane.point
+        distance = away[:, 0] * plane.normal[0] + away[:, 1] * plane.normal[1] + away[:, 2] * plane.normal[2]
+        own.rows[rows, 0] = distance
+
+    own.each(fill)
+    grid.hold_neighbours(level)
+    ends = np.full((2, grid.n_blocks), [[np.inf], [-np.inf]])
+    for block in range(grid.n_blocks):
+        values = grid.in_planes(block, level)
+        if values.size:
+            ends[:, block] = values.min(), values.max()
+    found = np.array(grid.nodes.gather(ends))
+    lows, highs = found[:, 0].min(axis=0), found[:, 1].max(axis=0)
     low, high = float(lows.min()), float(highs.max())
     tiny = 1e-9 * subject.size
     if low > tiny or high < -tiny:
@@ -144,50 +151,27 @@ def cut_facets(subject: Subject, plane: Plane, metric: str) -> Facets:
     shift = -tiny if high <= 2 * tiny else tiny
     touched = np.flatnonzero((lows - shift <= 0) & (highs - shift > 0))
     with subject.ready(metric):
-        own = [_cut_block(subject, block, level, shift, metric) for block in touched.tolist()]
-    return joined([Facets.plain(np.empty((0, 6, 3))), *(part for found in grid.nodes.gather(own) for part in found)])
-
-
-def _distances_from(grid: Grid, plane: Plane) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Distances (n_nodes, 1) from a plane, as far as this rank holds cells; the smallest and largest of each block."""
-    level = grid.nodes.like(1)
-    own = Nodes.of(level).rows
-
-    def fill(rows: slice) -> None:
-        away = grid.points[rows] - plane.point
-        own[rows, 0] = away[:, 0] * plane.normal[0] + away[:, 1] * plane.normal[1] + away[:, 2] * plane.normal[2]
-
-    Nodes.of(level).each(fill)
-    grid.hold_neighbours(level)
-    ends = np.full((2, grid.n_blocks), [[np.inf], [-np.inf]])
-    for block in range(grid.n_blocks):
-        values = grid.in_planes(block, level)
-        if values.size:
-            ends[:, block] = values.min(), values.max()
-    lows, highs = zip(*grid.nodes.gather(ends), strict=True)
-    return level, np.min(lows, axis=0), np.max(highs, axis=0)
+        # A plane between blocks touches none of them.
+        parts = [_cut_block(subject, block, level, shift, metric) for block in touched.tolist() or [0]]
+    return joined([part for some in grid.nodes.gather(parts) for part in some])
 
 
 def _cut_block(subject: Subject, block: int, level: FloatArray, shift: float, metric: str) -> Facets:
     """The cells of this rank."""
+    nothing = Facets(np.empty((0, 6, 3)), np.empty(0), np.empty(0, dtype=bool))
     cells = subject.own(block, subject.whole(block))
     if cells[0].start == cells[0].stop:
-        return Facets.plain(np.empty((0, 6, 3)))
+        return nothing
     nodes = [slice(each.start, each.stop + 1) for each in cells]
     x, value = subject.grid.box(block, nodes), subject.grid.box(block, nodes, level)[..., 0] - shift
     corner = [np.s_[a : a - 1 or None, b : b - 1 or None, c : c - 1 or None] for a, b, c in np.ndindex(2, 2, 2)]
     above = np.sum([value[each] > 0 for each in corner], axis=0)
     at = np.nonzero((above > 0) & (above < 8))
     if at[0].size == 0:
-        return Facets.plain(np.empty((0, 6, 3)))
+        return nothing
     values = np.stack([value[each][at] for each in corner], axis=1)
     points = np.stack([x[each][at] for each in corner], axis=1)
-    polygons = _polygons(points, values)
-    return Facets(
-        polygons,
-        subject.shown(metric, block, cells)[at] if metric else np.full(len(polygons), np.nan),
-        subject.bad(block, cells)[at],
-    )
+    return Facets(_polygons(points, values), subject.shown(metric, block, cells)[at], subject.bad(block, cells)[at])
 
 
 # The twelve edges of a cell, between corners 4 a + 2 b + c.
@@ -249,8 +233,7 @@ class Scene:
     outlines : (k, 2, 3) edges drawn stronger than those of the polygons, where they are not hidden
     walls : (l, 2, 3) edges drawn stronger still
     lit : shade the polygons by their angle to the viewer
-    backdrop : further polygons, for orientation: pale, not shaded
-    colour : RGB of all polygons; without it they have the colours of their values
+    backdrop : corners (m, 4, 3) of further polygons, for orientation: pale, not shaded
     """
 
     facets: Facets
@@ -258,13 +241,7 @@ class Scene:
     outlines: FloatArray = field(default_factory=no_edges)
     walls: FloatArray = field(default_factory=no_edges)
     lit: bool = False
-    backdrop: Facets | None = None
-    colour: tuple[float, float, float] | None = None
-
-    @property
-    def absent(self) -> bool:
-        """Some polygons that have the colours of values have no value."""
-        return self.colour is None and not np.isfinite(self.facets.values).all()
+    backdrop: FloatArray | None = None
 
 
 def whole_scene(subject: Subject, metric: str) -> Scene | None:

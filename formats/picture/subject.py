@@ -187,30 +187,24 @@ def worst_cell(subject: Subject, metric: str) -> tuple[int, Shape]:
 
     Worst is the smallest value, for rising measures the largest, for ratios the one farthest from 1.
     """
+    known = METRICS[metric]
+    # Badness (smallest is worst), block and place among the cells that this rank holds.
+    best = (np.inf, 0, (0, 0, 0))
     with subject.ready(metric):
-        best = _worst_of_rank(subject, metric)
+        for block in range(subject.grid.n_blocks):
+            cells = subject.own(block, subject.whole(block))
+            if cells[0].start == cells[0].stop:
+                continue
+            values, bad = subject.shown(metric, block, cells), subject.bad(block, cells)
+            rank = -values if known.rising else values
+            if known.diverging:
+                rank = -np.abs(np.log(np.maximum(values, 1e-300)))
+            rank = np.where(np.isfinite(values), rank, np.inf)
+            if bad.any():
+                # Invalid cells rank below all valid ones, by the size of their negative corner Jacobian.
+                scaled = subject.measure(block, cells).scaled
+                rank = np.where(bad, -1e300 * (1.0 - 0.5 * scaled) / 1.5, rank)
+            i, j, k = (int(n) for n in np.unravel_index(np.argmin(rank), rank.shape))
+            best = min(best, (float(rank[i, j, k]), block, (cells[0].start + i, j, k)), key=lambda each: each[0])
     _, block, cell = min(subject.grid.nodes.gather(best), key=lambda each: each[0])
     return block, cell
-
-
-def _worst_of_rank(subject: Subject, metric: str) -> tuple[float, int, Shape]:
-    """Badness (smallest is worst), block and place of the worst cell that this rank holds."""
-    known = METRICS[metric]
-    best = (np.inf, 0, (0, 0, 0))
-    for block in range(subject.grid.n_blocks):
-        cells = subject.own(block, subject.whole(block))
-        if cells[0].start == cells[0].stop:
-            continue
-        values = subject.shown(metric, block, cells)
-        rank = -np.abs(np.log(np.maximum(values, 1e-300))) if known.diverging else -values if known.rising else values
-        rank = np.where(np.isfinite(values), rank, np.inf)
-        bad = subject.bad(block, cells)
-        if bad.any():
-            # Invalid cells rank below all valid ones, by the size of their negative corner Jacobian.
-            scaled = subject.measure(block, cells).scaled
-            rank = np.where(bad, -1e300 * (1.0 - 0.5 * scaled) / 1.5, rank)
-        at = int(np.argmin(rank))
-        if rank.ravel()[at] < best[0]:
-            i, j, k = (int(n) for n in np.unravel_index(at, rank.shape))
-            best = (float(rank.ravel()[at]), block, (cells[0].start + i, j, k))
-    return best

@@ -86,12 +86,12 @@ class View:
         return window.grown(margin * (window.larger_side or 1.0))
 
 
-def along(axis: str, mirrored: bool = False) -> View:
+def along(axis: str) -> View:
     """The view against a coordinate axis, ``x``, ``y`` or ``z``, with the other two in their order."""
     unit = np.eye(3)
     right, up = {"x": (1, 2), "y": (0, 2), "z": (0, 1)}[axis]
     towards = unit["xyz".index(axis)] * (-1.0 if axis == "y" else 1.0)
-    return View(unit[right], unit[up], -towards if mirrored else towards, ("xyz"[right], "xyz"[up]))
+    return View(unit[right], unit[up], towards, ("xyz"[right], "xyz"[up]))
 
 
 def towards(direction: FloatArray) -> View:

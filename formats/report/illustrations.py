@@ -31,13 +31,12 @@ def deformation_figures(result: Result) -> Illustrations:
         f"A close-up of cell {where}, where f_skew is smallest{', and of other invalid cells' if invalid else ''}."
     )
     old, new = (_png(after, page) for page in separate_pages(worst_cells(pair, block, cell)))
-    # The windows follow the cell.
-    figures.append(Figure("The worst cells", caption, new, old, slider=False))
+    figures.append(Figure("The worst cells", caption, new, old))
     moving = np.flatnonzero(setup.boundary.quad_kind == Kind.MOVING)
     if after.dimension == 3 and moving.size:
         page = moved_walls(pair, moving)
         if page is not None:
-            caption = "The moving walls before and after, coloured by their displacement."
+            caption = "The moving walls, coloured by their displacement."
             figures.insert(0, Figure("The moving walls", caption, _png(after, page)))
     if result.plain is not None:
         # Around the worst cell that the method alone gives, without and with the repair.

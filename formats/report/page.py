@@ -5,10 +5,11 @@ from __future__ import annotations
 import base64
 import io
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
 from importlib.resources import files
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 import jinja2
 
@@ -16,26 +17,26 @@ from meshdeform_core.memory import readable
 from meshdeform_core.wording import counted
 
 from ..picture.page import STYLE
-from .measures import place_text
 from .records import Report
 from .tables import (
     ACCELERATION,
     Figure,
     Table,
     acceleration_of,
+    boundary_table,
     components_table,
     is_alone,
-    level_link,
     levels_table,
     measures_table,
+    node_counts,
     number,
+    place_text,
     repair_lines,
-    repair_sentence,
+    settings_table,
     shape_table,
 )
 
 if TYPE_CHECKING:
-    from matplotlib import figure as drawing
     from matplotlib.axes import Axes
 
 _STAGES = {
@@ -55,62 +56,13 @@ _SHOWN = 12
 _LISTED = 200
 """Blocks that are listed."""
 
-# Colours of the page's style sheet, which stand for these in the drawing.
-_INK, _LINE, _BEFORE, _AFTER, _BAD = "#010101", "#020202", "#030303", "#040404", "#050505"
-_OF_PAGE = {
-    _INK: "currentColor", _LINE: "var(--line)", _BEFORE: "var(--before)", _AFTER: "var(--after)", _BAD: "var(--bad)",
-}  # fmt: skip
+# Seen on light and on dark pages; the style sheet has the first two for its keys.
+_BEFORE, _AFTER, _BAD, _INK = "#8a94a0", "#3d82d6", "#d1242f", "#7d8590"
+_COLOURS = dict.fromkeys(("axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color", "grid.color"), _INK)
 _LEAST = 0.3
 
-REMEDIES = (
-    (
-        "not selected by any boundary entry; they are fixed",
-        "If some of them are planes on which nodes should slide, add a boundary entry for them with "
-        'kind = "slip" or "symmetry"; if they are the far field, no action is needed.',
-    ),
-    (
-        "the grid is one cell thick",
-        "No action is needed if this is a two-dimensional case; otherwise add a boundary entry for the end planes.",
-    ),
-    (
-        "nothing moves",
-        "Check the motion in the case: a formula that is zero at this time (--time), a table with zero "
-        "displacements, or an angle of 0.",
-    ),
-    (
-        "of the motion was imposed; a further step",
-        "The report's invalid cells are those of the next step. Another method, a slip plane instead of a fixed one, "
-        "or more space beside the wall allows a larger motion.",
-    ),
-    (
-        "out of a slip or symmetry plane",
-        "Give the plane itself a motion, or check the axis and the components of the motion.",
-    ),
-    (
-        "face quads are shared by more than two blocks",
-        "Such faces cannot be interfaces; check the grid generator's export for duplicate blocks.",
-    ),
-    (
-        "node pairs do not coincide",
-        "If the gap is round-off of the file, raise grid.tolerance (a fraction of the local edge); otherwise the "
-        "connection in the file is wrong.",
-    ),
-    (
-        "but no connection declares them",
-        "No action is needed if the blocks belong together. For a thin plate whose two sides coincide, name one "
-        "side in the case: [grid] plates.",
-    ),
-)
-"""Words of warnings that do not say what to do, and what to do."""
-
-
-@dataclass(frozen=True)
-class Section:
-    """Part of a page: texts, tables, figures and dictionaries of what else the template shows."""
-
-    anchor: str
-    heading: str
-    parts: Sequence[Any]
+Sections = Iterator[tuple[str, Sequence[Any]]]
+"""Heading and parts: texts, tables, figures and dictionaries of what else the template shows."""
 
 
 def as_html(
@@ -127,106 +79,88 @@ def as_html(
     thumbnails : of levels of a series, each with the name of its file
     folder : of the levels, relative to the page
     """
-    here = files(__package__)
-    template, style, script = (
-        here.joinpath(file).read_text(encoding="utf-8") for file in ("page.html.jinja", "style.css", "script.js")
+    template, style = (
+        files(__package__).joinpath(file).read_text(encoding="utf-8") for file in ("page.html.jinja", "style.css")
     )
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
-    environment.globals["zip"] = zip
-    environment.filters |= {
-        "number": number,
-        "base64": lambda png: base64.b64encode(png).decode("ascii"),
-        "png_width": lambda png: int.from_bytes(png[16:20], "big"),
-        "png_height": lambda png: int.from_bytes(png[20:24], "big"),
-    }
+    environment.filters |= {"number": number, "base64": lambda png: base64.b64encode(png).decode("ascii")}
     series, grid = "levels" in report, report["grid"]
     name, kind = str(grid["file"] or "grid"), f"{grid['format']}, " if grid["format"] else ""
     blocks, cells = counted(grid["blocks"], "block"), counted(grid["cells"], "cell")
     title = f"{'Deformation' if 'method' in report else 'Quality'} of {name}"
     sections = [
-        Section("pictures", "Pictures", figures),
-        *(_levels_section(report, thumbnails, folder) if series else _judged(report)),
+        ("Pictures", figures),
+        *(_levels(report, thumbnails) if series else _judged(report)),
         *_common_sections(report),
     ]
     return environment.from_string(template).render(
         report=report,
         title=f"Series of {len(report['levels'])} levels: {name}" if series else title,
         about=f"{kind}{grid['dimension']}-D, {blocks}, {grid['nodes']:,} nodes, {cells}",
-        verdict=_verdict_banner(report),
-        sections=[section for section in sections if section.parts],
+        verdict=_verdict_of_levels(report) if series else _verdict(report),
+        sections=[section for section in sections if section[1]],
         style=style,
-        script=script,
+        links={level["file"]: quote(PurePath(folder, level["file"]).as_posix()) for level in report.get("levels", ())},
     )
 
 
-def _verdict_banner(report: Report) -> dict[str, Any]:
-    """Whether the grid is usable; if not, where and why not, and what to do (advice is HTML)."""
-    found: dict[str, Any] = {"how": "", "places": [], "blocks": "", "advice": []}
-    if report["valid"]:
-        headline = f"All {len(report['levels'])} levels are valid." if "levels" in report else "The grid is valid."
-        if "levels" not in report and (old := report["quality"]["after"]["inherited_invalid_cells"]):
-            headline = f"No cell became invalid; {old:,} cells were invalid before."
-        return found | {"headline": headline, "how": repair_sentence(report)}
-    if "levels" in report:
-        bad = [level for level in report["levels"] if not level["valid"]]
-        more = [f"and {len(bad) - _SHOWN} more"] if len(bad) > _SHOWN else []
-        return found | {
-            "headline": f"{len(bad)} of {len(report['levels'])} levels are not valid.",
-            "places": [*map(_bad_level, bad[:_SHOWN]), *more],
-            "advice": ["<code>--steps auto</code>, <code>--from last</code>, or another method."],
-        }
-    groups, reached = report["invalid_groups"], report.get("reached", 1.0)
-    count = report["quality"]["after"]["invalid_cells"]
-    headline = f"{count:,} of {report['grid']['cells']:,} cells became invalid."
-    if reached < 1.0:
-        headline = f"Only {reached:.1%} of the motion was imposed; the next step would have made cells invalid."
-    more = [f"and {len(groups) - _SHOWN} smaller groups"] if len(groups) > _SHOWN else []
-    hit = [block for block in report.get("blocks", ()) if block["invalid_cells"]]
-    blocks = ", ".join(f"{block['name']} ({block['invalid_cells']:,})" for block in hit[:_SHOWN])
-    return found | {
-        "headline": headline,
-        "places": [*map(_group, groups[:_SHOWN]), *more],
-        "blocks": blocks + (" and more" if len(hit) > _SHOWN else "") if len(hit) > 1 and reached == 1.0 else "",
-        "advice": _advice(report),
+def _verdict_of_levels(report: Report) -> dict[str, Any]:
+    """Headline, repair, places and advice of a series."""
+    bad = [level for level in report["levels"] if not level["valid"]]
+    if not bad:
+        return {"headline": f"All {len(report['levels'])} levels are valid."}
+    places = []
+    for level in bad[:_SHOWN]:
+        what = f"{level['quality']['invalid_cells']:,} cells became invalid"
+        if level["reached"] < 1.0:
+            what = f"only {level['reached']:.1%} of the motion imposed"
+        places.append(f"level {level['number']} (t = {level['time']:g}): {what}")
+    return {
+        "headline": f"{len(bad)} of {len(report['levels'])} levels are not valid.",
+        "places": places + ([f"and {len(bad) - _SHOWN} more"] if len(bad) > _SHOWN else []),
+        "advice": ["--steps auto, --from last, or another method."],
     }
 
 
-def _bad_level(level: Report) -> str:
-    what = f"{level['quality']['invalid_cells']:,} cells became invalid"
-    if level["reached"] < 1.0:
-        what = f"only {level['reached']:.1%} of the motion imposed"
-    return f"level {level['number']} (t = {level['time']:g}): {what}"
-
-
-def _group(group: Report) -> str:
-    near = f" near {group['nearest_patch']!r}" if group["nearest_patch"] else ""
-    at = ", ".join(f"{x:.4g}" for x in group["center"])
-    blocks = ", ".join(group["blocks"][:4]) + (" and more" if len(group["blocks"]) > 4 else "")
-    return (
-        f"{counted(group['cells'], 'cell')}{near} in {blocks}, around x, y, z = {at}; the worst is {place_text(group)}"
-    )
+def _verdict(report: Report) -> dict[str, Any]:
+    """Whether the grid is usable, and its repair; if not, where and why not, and what to do."""
+    after = report["quality"]["after"]
+    if report["valid"]:
+        headline = "The grid is valid."
+        if old := after["inherited_invalid_cells"]:
+            headline = f"No cell became invalid; {old:,} cells were invalid before."
+        return {"headline": headline, "how": "; ".join(repair_lines(report))}
+    groups, reached, places = report["invalid_groups"], report.get("reached", 1.0), []
+    for group in groups[:_SHOWN]:
+        near = f" near {group['nearest_patch']!r}" if group["nearest_patch"] else ""
+        at = ", ".join(f"{x:.4g}" for x in group["center"])
+        blocks = ", ".join(group["blocks"][:4]) + (" and more" if len(group["blocks"]) > 4 else "")
+        where = f"{counted(group['cells'], 'cell')}{near} in {blocks}, around x, y, z = {at}"
+        places.append(f"{where}; the worst is {place_text(group)}")
+    places += [f"and {len(groups) - _SHOWN} smaller groups"] if len(groups) > _SHOWN else []
+    headline = f"{after['invalid_cells']:,} of {report['grid']['cells']:,} cells became invalid."
+    if reached < 1.0:
+        headline = f"Only {reached:.1%} of the motion was imposed; the next step would have made cells invalid."
+    return {"headline": headline, "places": places, "advice": _advice(report)}
 
 
 def _advice(report: Report) -> list[str]:
     """Advice, in order of effort."""
     if "method" not in report:
-        return [
-            "Deform the original again with <code>--repair auto</code>, or with another method "
-            "(<code>meshdeform methods</code>)."
-        ]
+        return ["Deform the original again with --repair auto, or with another method (meshdeform methods)."]
     advice = []
     repaired = any(attempt["repair"] for attempt in report.get("attempts") or ())
     if not repaired:
-        advice.append("Repair invalid cells and halve the motion as needed: <code>--repair auto</code>.")
+        advice.append("Repair invalid cells and halve the motion as needed: --repair auto.")
     if not repaired and report["steps"] == 1 and report.get("reached", 1.0) == 1.0:
-        advice.append("Impose the motion in as many steps as a valid grid requires: <code>--steps auto</code>.")
-    holds = "" if report["method"]["name"] == "idw-tfi" else "<code>-m idw-tfi</code> keeps walls under rotation; "
-    advice.append(f"Try another method: {holds}<code>meshdeform methods</code> lists the limits of each.")
-    advice.append("Let nodes slide on nearby planes that need not be fixed: <code>kind = &quot;slip&quot;</code>.")
+        advice.append("Impose the motion in as many steps as a valid grid requires: --steps auto.")
+    holds = "" if report["method"]["name"] == "idw-tfi" else "-m idw-tfi keeps walls under rotation; "
+    advice.append(f"Try another method: {holds}meshdeform methods lists the limits of each.")
+    advice.append('Let nodes slide on nearby planes that need not be fixed: kind = "slip".')
     return advice
 
 
-def _levels_section(report: Report, thumbnails: Sequence[tuple[Figure, str]], folder: str) -> Iterator[Section]:
+def _levels(report: Report, thumbnails: Sequence[tuple[Figure, str]]) -> Sections:
     """Curves, pictures, table."""
     levels = report["levels"]
     values = {
@@ -242,13 +176,11 @@ def _levels_section(report: Report, thumbnails: Sequence[tuple[Figure, str]], fo
         if len(known) > 1 and any(value for _, value in known):
             times, wrong = ([level["time"] for level, _ in known], [not level["valid"] for level, _ in known])
             charts.append((name, curve(times, [value for _, value in known], "time", name, wrong)))
-    parts: list[Any] = [{"charts": charts, "compared": False}]
-    if thumbnails:
-        parts.append({"thumbnails": [(figure, level_link(folder, name)) for figure, name in thumbnails]})
-    yield Section("levels", "Levels", [*parts, levels_table(report, folder), f"Acceleration: {ACCELERATION}."])
+    pictures = [{"charts": charts, "compared": False}, *([{"thumbnails": thumbnails}] if thumbnails else [])]
+    yield "Levels", [*pictures, levels_table(report), f"Acceleration: {ACCELERATION}."]
 
 
-def _judged(report: Report) -> Iterator[Section]:
+def _judged(report: Report) -> Sections:
     """Invalid cells, and quality with the distribution of f_skew."""
     worst = sorted(report["invalid_cells"], key=lambda cell: cell["min_jacobian"])[:_SHOWN]
     rows = [
@@ -257,39 +189,31 @@ def _judged(report: Report) -> Iterator[Section]:
         for cell in worst
     ]  # fmt: skip
     heads = ("block", "i, j, k", "x, y, z", "smallest Jacobian", "in step", "nearest boundary")
-    cells = Table("The worst invalid cells", heads, rows, (0, 1, 2, 5))
-    yield Section("cells", "Invalid cells", [cells] if rows else [])
+    yield "Invalid cells", [Table("The worst invalid cells", heads, rows, (0, 1, 2, 5))] if rows else []
     before, after = (report["quality"][when]["f_skew"]["histogram"] for when in ("before", "after"))
     before = None if is_alone(report) else before
-    chart = histogram(before, after, "f_skew")
-    shown = {"charts": [("Distribution of f_skew", chart)], "compared": before is not None}
-    yield Section("quality", "Quality", [measures_table(report, change=True), shown])
+    charts = [("Distribution of f_skew", histogram(before, after, "f_skew"))]
+    yield "Quality", [measures_table(report, change=True), {"charts": charts, "compared": before is not None}]
 
 
-def _common_sections(report: Report) -> Iterator[Section]:
-    components = [components_table(report)] if report.get("components") else []
-    yield Section("components", "Components", components)
-    yield Section("shape", "Shape of cells", [shape_table(report)] if report.get("shape") else [])
-    yield Section("attempts", "Attempts", list(_attempts(report)))
-    yield Section("blocks", "Blocks", list(_blocks(report.get("blocks") or ())))
-    remedies = [next((advice for words, advice in REMEDIES if words in each), "") for each in report["warnings"]]
-    warnings = list(zip(report["warnings"], remedies, strict=True))
-    yield Section("warnings", "Warnings", [{"warnings": warnings}] if warnings else [])
-    yield Section("boundary", "Boundary and motion", list(_boundary_tables(report)))
+def _common_sections(report: Report) -> Sections:
+    yield "Components", [components_table(report)] if report.get("components") else []
+    yield "Shape of cells", [shape_table(report)] if report.get("shape") else []
+    yield "Attempts", list(_attempts(report))
+    yield "Blocks", list(_blocks(report.get("blocks") or ()))
+    yield "Warnings", [{"warnings": report["warnings"]}] if report["warnings"] else []
+    yield "Boundary and motion", list(_boundary_tables(report))
     if "method" in report:
-        rows = [
-            (name, number(setting["value"]), setting.get("reason", "given or default"))
-            for name, setting in report["method"].items()
-            if name != "name"
-        ]
-        parameters = Table("Parameters as used", ("parameter", "value", "why"), rows, (0, 1, 2))
-        yield Section("method", "Method", [f"Method: {report['method']['name']}", parameters])
+        yield "Method", [f"Method: {report['method']['name']}", settings_table(report)]
     if "timing" in report:
-        timing, memory = report["timing"], f"Memory: {readable(report['peak_memory_bytes'])} at most."
-        each = 100 / (timing["total"] or 1.0)
-        stages = [(_STAGES.get(stage, stage), s, each * s) for stage, s in timing.items() if stage != "total"]
-        yield Section("time", "Time and memory", [{"stages": stages, "total": timing["total"]}, memory])
-    yield Section("run", "Run", list(_run(report.get("run"))))
+        total = report["timing"]["total"] or 1.0
+        rows = [
+            (_STAGES.get(stage, stage), f"{seconds:.2f}", f"{100 * seconds / total:.1f}")
+            for stage, seconds in report["timing"].items()
+        ]
+        memory = f"Memory: {readable(report['peak_memory_bytes'])} at most."
+        yield "Time and memory", [Table("Seconds", ("stage", "seconds", "share [%]"), rows), memory]
+    yield "Run", list(_run(report.get("run")))
 
 
 def _attempts(report: Report) -> Iterator[Any]:
@@ -327,7 +251,7 @@ def _blocks(blocks: Sequence[Report]) -> Iterator[Any]:
     rest = len(blocks) - _LISTED
     more = f"; {counted(rest, 'more is', 'more are')} in the report as JSON" if rest > 0 else ""
     caption = f"{counted(len(blocks), 'block')}, the one with the worst cell first{more}"
-    yield Table(caption, heads, rows, flagged=[n for n, row in enumerate(rows) if row[2]], sortable=True)
+    yield Table(caption, heads, rows, flagged=[n for n, row in enumerate(rows) if row[2]])
 
 
 def _boundary_tables(report: Report) -> Iterator[Any]:
@@ -335,10 +259,8 @@ def _boundary_tables(report: Report) -> Iterator[Any]:
     boundary = report.get("boundary")
     if boundary is None:
         return
-    rows = [(patch["name"], patch["kind"], patch["nodes"]) for patch in boundary["patches"]]
-    yield Table("Boundary entries", ("name", "kind", "nodes"), rows, (0, 1))
-    counts = ", ".join(f"{boundary[key]:,} {key.removesuffix('_nodes')}" for key in boundary if key.endswith("_nodes"))
-    yield f"Nodes: {counts}."
+    yield boundary_table(boundary)
+    yield f"Nodes: {node_counts(boundary)}."
     if report.get("motion"):
         moved = [(m["boundary"], m["max_displacement"], m.get("max_rotation_deg")) for m in report["motion"]]
         yield Table("Motion", ("boundary", "largest displacement", "largest rotation [deg]"), moved)
@@ -364,61 +286,50 @@ def _run(run: Report | None) -> Iterator[Any]:
 
 def histogram(before: Sequence[int] | None, after: Sequence[int], label: str) -> str:
     """Cells per bin of [0, 1] on a logarithmic scale, which shows a few bad cells among millions of good ones."""
-    figure, axes = _axes()
-    width = 1 / len(after)
-    sets = (
-        [(after, _AFTER, 0.5, 0.72)] if before is None else [(before, _BEFORE, 0.29, 0.41), (after, _AFTER, 0.71, 0.41)]
-    )
-    for counts, colour, middle, thick in sets:
-        there = [n for n, count in enumerate(counts) if count]
-        # Half a decade below 1, so that a single cell has a visible bar.
-        heights = [counts[n] - _LEAST for n in there]
-        places = [(n + middle) * width for n in there]
-        axes.bar(places, heights, thick * width, bottom=_LEAST, color=colour)
-    axes.set(yscale="log", xlim=(0, 1), xlabel=label, ylabel="cells")
-    axes.set_ylim(bottom=_LEAST, top=max(10.0, *after, *(before or ())) * 1.3)
-    return _svg(figure, f"cells over {label}")
+    width, both = 1 / len(after), before is not None
+    bars = [(after, _AFTER, 0.71, 0.41)] if both else [(after, _AFTER, 0.5, 0.72)]
+    bars += [(before, _BEFORE, 0.29, 0.41)] if before is not None else []
+
+    def draw(axes: Axes) -> None:
+        for counts, colour, middle, thick in bars:
+            there = [n for n, count in enumerate(counts) if count]
+            # Half a decade below 1, so that a single cell has a visible bar.
+            heights, places = [counts[n] - _LEAST for n in there], [(n + middle) * width for n in there]
+            axes.bar(places, heights, thick * width, bottom=_LEAST, color=colour)
+        axes.set(yscale="log", xlim=(0, 1), xlabel=label, ylabel="cells")
+        axes.set_ylim(bottom=_LEAST, top=max(10.0, *after, *(before or ())) * 1.3)
+
+    return _svg(draw, f"cells over {label}")
 
 
 def curve(x: Sequence[float], y: Sequence[float], x_label: str, y_label: str, wrong: Sequence[bool]) -> str:
     """One quantity over another, one dot per point; ``wrong`` marks points in the colour of errors."""
-    figure, axes = _axes()
-    axes.plot(x, y, color=_AFTER, linewidth=1.5)
-    if len(x) <= 60:
-        axes.plot(x, y, "o", color=_AFTER, markersize=4)
-    bad = [n for n, each in enumerate(wrong) if each]
-    axes.plot([x[n] for n in bad], [y[n] for n in bad], "o", color=_BAD, markersize=5)
-    axes.set(xlabel=x_label, ylabel=y_label)
-    return _svg(figure, f"{y_label} over {x_label}")
+
+    def draw(axes: Axes) -> None:
+        axes.plot(x, y, "o-" if len(x) <= 60 else "-", color=_AFTER, linewidth=1.5, markersize=4)
+        bad = [n for n, each in enumerate(wrong) if each]
+        axes.plot([x[n] for n in bad], [y[n] for n in bad], "o", color=_BAD, markersize=5)
+        axes.set(xlabel=x_label, ylabel=y_label)
+
+    return _svg(draw, f"{y_label} over {x_label}")
 
 
-def _axes() -> tuple[drawing.Figure, Axes]:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6.4, 2.8), layout="constrained")
-    axes = figure.add_subplot()
-    axes.grid(axis="y", color=_LINE)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
-    return figure, axes
-
-
-def _svg(figure: drawing.Figure, label: str) -> str:
-    """The drawing as an element of the page."""
+def _svg(draw: Callable[[Axes], None], label: str) -> str:
+    """A chart as an element of the page."""
     import matplotlib as mpl
+    from matplotlib.figure import Figure as Drawing
 
-    (axes,), buffer = figure.axes, io.BytesIO()
-    axes.tick_params(colors=_INK, which="both")
-    for each in (axes.xaxis.label, axes.yaxis.label):
-        each.set_color(_INK)
-    for spine in axes.spines.values():
-        spine.set_color(_INK)
-    with mpl.rc_context(STYLE):
+    buffer = io.BytesIO()
+    with mpl.rc_context(STYLE | _COLOURS):
+        figure = Drawing(figsize=(6.4, 2.8), layout="constrained")
+        axes = figure.add_subplot()
+        axes.grid(axis="y", alpha=0.4)
+        axes.set_axisbelow(True)
+        axes.spines[["top", "right"]].set_visible(False)
+        draw(axes)
         nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
         figure.savefig(buffer, format="svg", metadata=nothing, transparent=True)
     text = buffer.getvalue().decode()
     # Several drawings on a page have no use for the names of groups, and none of them is clipped.
     text = re.sub(r' (clip-path|xmlns(:\w+)?)="[^"]*"|(?<=<g) id="[^"]*"', "", text[text.index("<svg") :])
-    for colour, name in _OF_PAGE.items():
-        text = text.replace(colour, name)
     return text.replace("<svg", f'<svg class="chart" role="img" aria-label="{label}"', 1)

@@ -135,6 +135,11 @@ def deformation_report(result: Result, timing: Mapping[str, float], peak_memory:
     boundary = boundary_part(setup) | {"max_displacement": result.max_displacement}
     components = [component_part(name, own) for name, own in result.components]
     seconds = dict.fromkeys(("read", "topology", "prepare", "apply", "quality", "write"), 0.0)
+    layers: Report | None = None
+    if result.plain is not None:
+        # Changes by the repair in the layers at the walls.
+        found = layer_changes(setup.original, setup.boundary, result.plain, result.grid.points)
+        layers = {name: None if change is None else dataclasses.asdict(change) for name, change in found.items()}
     return {
         **head_part(setup.grid),
         "method": method_part(setup.case.method.name, result.account),
@@ -144,21 +149,12 @@ def deformation_report(result: Result, timing: Mapping[str, float], peak_memory:
         "blocks": blocks_part(setup.grid, result.assessment.blocks),
         **_outcome_part(result),
         **_invalid_part(result.assessment),
-        "repaired_layers": _repaired_layers(result),
+        "repaired_layers": layers,
         **({"components": components} if components else {}),
         "timing": seconds | result.timing.seconds | dict(timing),
         "peak_memory_bytes": peak_memory,
         "warnings": list(result.warnings),
     }
-
-
-def _repaired_layers(result: Result) -> Report | None:
-    """Changes by a repair in the layers at the walls, if the grid before the repair is known."""
-    if result.plain is None:
-        return None
-    setup = result.setup
-    found = layer_changes(setup.original, setup.boundary, result.plain, result.grid.points)
-    return {name: None if change is None else dataclasses.asdict(change) for name, change in found.items()}
 
 
 def quality_report(

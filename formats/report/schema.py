@@ -17,7 +17,7 @@ from meshdeform_core.repair.outcome import Repair
 from meshdeform_core.series import Drift
 from meshdeform_core.stepping.steps import Attempt
 
-from .measures import DEFINITIONS
+from .tables import DEFINITIONS
 
 _MISSING = object()
 Count = Annotated[int, Meta(ge=0)]

@@ -1,16 +1,14 @@
-"""What reports in several forms have in common: tables, sentences on repairs, pictures."""
+"""What reports in several forms have in common: the quality measures, tables, sentences on repairs, pictures."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import functools
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import PurePath
 from typing import Any
-from urllib.parse import quote
 
 from meshdeform_core.wording import counted
 
-from .measures import change_of, measure_values, place_text
 from .records import Report
 
 ACCELERATION = "largest acceleration of a node, in the largest step of the walls; 2 where they turn back"
@@ -18,23 +16,88 @@ _LAYERS = (("first cell", "first_cell_height_ratio"), ("first cells together", "
 _WEAK = "weak: sheared by more than 45 degrees, or twice or half as long in one direction"
 
 
-@dataclass(frozen=True)
-class Link:
-    """A name with the file that it stands for."""
+_MEASURES: tuple[tuple[str, tuple[str, ...], bool], ...] = (
+    ("f_skew harmonic mean", ("f_skew", "harmonic_mean"), False),
+    ("f_skew mean", ("f_skew", "mean"), False),
+    ("f_skew 1% quantile", ("f_skew", "p01"), False),
+    ("f_skew minimum", ("f_skew", "min"), False),
+    ("smallest scaled Jacobian", ("min_scaled_jacobian",), False),
+    ("smallest relative Jacobian", ("min_relative_jacobian",), True),
+    ("invalid cells", ("invalid_cells",), False),
+    ("inherited invalid cells", ("inherited_invalid_cells",), False),
+    ("negative volumes", ("negative_volumes",), False),
+    ("wall-normal deviation rms [deg]", ("wall_normal_deviation_deg", "rms"), False),
+    ("wall-normal deviation max [deg]", ("wall_normal_deviation_deg", "max"), False),
+    ("first cell height ratio min", ("first_cell_height_ratio", "min"), True),
+    ("first cell height ratio max", ("first_cell_height_ratio", "max"), True),
+    ("layer thickness ratio min", ("walls", "moving", "layer_thickness_ratio", "min"), True),
+    ("layer thickness ratio max", ("walls", "moving", "layer_thickness_ratio", "max"), True),
+    ("fixed walls: normal deviation rms [deg]", ("walls", "fixed", "wall_normal_deviation_deg", "rms"), False),
+    ("fixed walls: normal deviation max [deg]", ("walls", "fixed", "wall_normal_deviation_deg", "max"), False),
+    ("fixed walls: first cell ratio min", ("walls", "fixed", "first_cell_height_ratio", "min"), True),
+    ("fixed walls: first cell ratio max", ("walls", "fixed", "first_cell_height_ratio", "max"), True),
+    ("fixed walls: layer ratio min", ("walls", "fixed", "layer_thickness_ratio", "min"), True),
+    ("fixed walls: layer ratio max", ("walls", "fixed", "layer_thickness_ratio", "max"), True),
+    ("interface kink rms [deg]", ("interface_kink_deg", "rms"), False),
+    ("interface kink max [deg]", ("interface_kink_deg", "max"), False),
+    ("interface spacing jump rms", ("interface_spacing_jump", "rms"), False),
+    ("interface spacing jump max", ("interface_spacing_jump", "max"), False),
+    ("volume ratio min", ("volume_ratio", "min"), True),
+    ("volume ratio max", ("volume_ratio", "max"), True),
+    ("total volume", ("total_volume",), False),
+)
+"""Name, keys in the report, and whether it compares with another grid."""
+DEFINITIONS = {
+    "invalid_cells": "a corner Jacobian that was positive became zero or negative",
+    "inherited_invalid_cells": "were invalid in the input",
+    "min_scaled_jacobian": "smallest corner Jacobian over its edge lengths",
+    "min_relative_jacobian": "smallest corner Jacobian over that of the input",
+    "wall_normal_deviation_deg": "angle between the first grid line and the wall normal at moving walls",
+    "first_cell_height_ratio": "height of the first cell at moving walls over that of the input",
+    "layer_thickness_ratio": "thickness of the first layers of cells over that of the input",
+    "interface_kink_deg": "angle of grid lines at block interfaces; after: its change",
+    "interface_spacing_jump": "logarithm of the spacing ratio at block interfaces; after: its change",
+    "volume_ratio": "cell volume over that of the input",
+}
+# Measures to which all cells contribute, so that they have no worst cell.
+_OF_ALL = ("harmonic_mean", "mean", "p01", "rms")
 
-    name: str
-    file: str
 
-    def __str__(self) -> str:
-        return self.name
+def measure_values(quality: Mapping[str, Any]) -> Iterator[tuple[str, bool, Any, Any, str]]:
+    """Every measure that the ``quality`` of a report has: its name, whether it compares with another grid, its values
+    before (``None`` if there is none) and after, and the position of the worst cell as text."""
+    for name, keys, compared in _MEASURES:
+        before, after = (
+            functools.reduce(lambda found, key: None if found is None else found.get(key), keys, quality[when])
+            for when in ("before", "after")
+        )
+        if after is None:
+            continue
+        part, own = quality["after"], keys
+        if keys[0] == "walls":
+            part, own = part["walls"][keys[1]], keys[2:]
+        places = part.get("worst") or {}
+        worst = None if own[-1] in _OF_ALL else places.get("_".join(own)) or places.get(own[0])
+        yield name, compared, before, after, place_text(worst) if worst else ""
+
+
+def change_of(before: float | None, after: float) -> float | None:
+    """Difference from the value before, ``None`` without one; round-off counts as no change."""
+    if before is None:
+        return None
+    return after - before if abs(after - before) > 1e-13 * abs(before) else 0.0
+
+
+def place_text(worst: Mapping[str, Any]) -> str:
+    """Block and indices of a cell."""
+    return f"{worst['block']} ({', '.join(map(str, worst['ijk']))})"
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of texts, numbers (``None``: no value) and links.
+    """Rows of texts and numbers (``None``: no value).
 
-    ``texts`` are numbers of columns of texts, all others hold numbers; ``flagged`` numbers of the rows to highlight;
-    ``sortable``: by every column, where scripts run.
+    ``texts`` are numbers of columns of texts, all others hold numbers; ``flagged`` numbers of the rows to highlight.
     """
 
     caption: str
@@ -42,7 +105,6 @@ class Table:
     rows: Sequence[Sequence[Any]]
     texts: Sequence[int] = (0,)
     flagged: Sequence[int] = ()
-    sortable: bool = False
 
 
 def number(value: Any) -> str:
@@ -84,6 +146,24 @@ def shape_table(report: Report) -> Table:
     return Table("Measures that matter to flow solvers", heads, rows, (0, 4))
 
 
+def boundary_table(boundary: Report) -> Table:
+    """The entries of the boundary."""
+    rows = [(patch["name"], patch["kind"], patch["nodes"]) for patch in boundary["patches"]]
+    return Table("Boundary entries", ("name", "kind", "nodes"), rows, (0, 1))
+
+
+def node_counts(boundary: Report) -> str:
+    """Numbers of nodes by kind."""
+    return ", ".join(f"{boundary[key]:,} {key.removesuffix('_nodes')}" for key in boundary if key.endswith("_nodes"))
+
+
+def settings_table(report: Report) -> Table:
+    """The parameters of the method."""
+    settings = ((name, setting) for name, setting in report["method"].items() if name != "name")
+    rows = [(name, number(each["value"]), each.get("reason", "given or default")) for name, each in settings]
+    return Table("Parameters as used", ("parameter", "value", "why"), rows, (0, 1, 2))
+
+
 def components_table(report: Report) -> Table:
     """The components of an overset grid: each has a verdict of its own."""
     parts = report.get("components", ())
@@ -108,8 +188,8 @@ def component_verdict(part: Report) -> str:
     return f"valid, {how}" if part["valid"] else f"INVALID, {bad:,} cell{'s' if bad != 1 else ''}, {how}"
 
 
-def levels_table(report: Report, folder: str = "") -> Table:
-    """The levels of a series, with links to their files in ``folder``."""
+def levels_table(report: Report) -> Table:
+    """The levels of a series."""
     heads = (
         "level", "time", "file", "moved", "rotated [deg]", "f_skew mean", "f_skew min", "invalid", "acceleration",
         "repaired", "steps", "seconds",
@@ -118,19 +198,14 @@ def levels_table(report: Report, folder: str = "") -> Table:
     for level in report["levels"]:
         skew, acceleration = level["quality"]["f_skew"], acceleration_of(level)
         rows.append((
-            f"{level['number']}", f"{level['time']:.6g}", Link(level["file"], level_link(folder, level["file"])),
+            f"{level['number']}", f"{level['time']:.6g}", level["file"],
             f"{level['max_displacement']:.4g}", f"{level['max_rotation_deg']:.2f}", f"{skew['mean']:.4f}",
             f"{skew['min']:.4f}", f"{level['quality']['invalid_cells']}",
             "" if acceleration is None else f"{acceleration:.3f}", repaired(level), f"{level['steps']}",
             f"{level['timing']['total']:.2f}",
         ))  # fmt: skip
     flagged = [n for n, level in enumerate(report["levels"]) if not level["valid"]]
-    return Table("All levels", heads, rows, (2, 9), flagged, sortable=True)
-
-
-def level_link(folder: str, name: str) -> str:
-    """A file in ``folder`` as the address of a link."""
-    return quote(PurePath(folder, name).as_posix())
+    return Table("All levels", heads, rows, (2, 9), flagged)
 
 
 def acceleration_of(level: Report) -> float | None:
@@ -147,11 +222,6 @@ def repaired(level: Report) -> str:
     if repair["left_out"]:
         return "no"
     return "yes" if repair["converged"] else "other"
-
-
-def repair_sentence(report: Report) -> str:
-    """All of :func:`repair_lines` in one sentence."""
-    return "; ".join(repair_lines(report))
 
 
 def repair_lines(report: Report) -> list[str]:
@@ -173,24 +243,19 @@ def repair_lines(report: Report) -> list[str]:
         f"{what}, {counted(done['nodes'], 'node')} moved by up to {done['max_movement']:.4g}{part}, "
         f"{counted(done['newton_steps'], 'Newton step')}"
     )
-    found = [moved, *_compared(report), *([_WEAK] if done["weak"] else [])]
+    found, before, after = [moved], done["before"], report.get("quality", {}).get("after")
+    if before and after:
+        both = [f"smallest scaled Jacobian {before['min_scaled_jacobian']:.3g} -> {after['min_scaled_jacobian']:.3g}"]
+        both.append(f"smallest f_skew {before['f_skew']['min']:.3g} -> {after['f_skew']['min']:.3g}")
+        key = "wall_normal_deviation_deg"
+        if before[key] and after[key]:
+            both.append(f"angle at walls {before[key]['rms']:.3g} -> {after[key]['rms']:.3g} degrees rms")
+        if before["invalid_cells"]:
+            both.append(f"invalid cells {before['invalid_cells']:,} -> {after['invalid_cells']:,}")
+        found.append(f"the method alone -> repaired: {', '.join(both)}")
+    found += [_WEAK] if done["weak"] else []
     changes = report.get("repaired_layers") or {}
     return [*found, *(_layer_text(name, change) for name, change in changes.items() if change)]
-
-
-def _compared(report: Report) -> list[str]:
-    """Measures of the method's grid and of the repaired one."""
-    before, after = report["repair"]["before"], report.get("quality", {}).get("after")
-    if not before or not after:
-        return []
-    found = [f"smallest scaled Jacobian {before['min_scaled_jacobian']:.3g} -> {after['min_scaled_jacobian']:.3g}"]
-    found.append(f"smallest f_skew {before['f_skew']['min']:.3g} -> {after['f_skew']['min']:.3g}")
-    key = "wall_normal_deviation_deg"
-    if before[key] and after[key]:
-        found.append(f"angle at walls {before[key]['rms']:.3g} -> {after[key]['rms']:.3g} degrees rms")
-    if before["invalid_cells"]:
-        found.append(f"invalid cells {before['invalid_cells']:,} -> {after['invalid_cells']:,}")
-    return [f"the method alone -> repaired: {', '.join(found)}"]
 
 
 def _layer_text(name: str, change: Report) -> str:
@@ -208,15 +273,13 @@ def _layer_text(name: str, change: Report) -> str:
 class Figure:
     """A picture, or the same view before and after (both PNG, of one size).
 
-    ``names`` label the two; ``caption`` describes the picture, also for readers who cannot see it. Only a pair in the
-    same window can have a ``slider``; others are shown side by side.
+    ``names`` label the two; ``caption`` describes the picture, also for readers who cannot see it.
     """
 
     title: str
     caption: str
     after: bytes
     before: bytes | None = None
-    slider: bool = True
     names: tuple[str, str] = ("before", "after")
 
 

@@ -31,23 +31,20 @@ def write_report(report: Report, path: Path, illustrate: Illustrate = Illustrati
     Raises FormatError for another suffix, or when the file cannot be written.
     """
     check_report_path(path)
-    text = _render(report, path, illustrate)
-    with replacing(path) as partial:
-        partial.write_text(text, encoding="utf-8", errors="surrogateescape")
-
-
-def _render(report: Report, path: Path, illustrate: Illustrate) -> str:
     if path.suffix == ".json":
-        return as_json(report)
-    if path.suffix == ".txt":
+        text = as_json(report)
+    elif path.suffix == ".txt":
         from .text import as_text
 
-        return as_text(report)
-    from .page import as_html
+        text = as_text(report)
+    else:
+        from .page import as_html
 
-    pictures = illustrate()
-    folder = os.path.relpath(report["series"]["folder"], path.parent) if "series" in report else ""
-    return as_html(report, pictures.figures, pictures.thumbnails, folder)
+        pictures = illustrate()
+        folder = os.path.relpath(report["series"]["folder"], path.parent) if "series" in report else ""
+        text = as_html(report, pictures.figures, pictures.thumbnails, folder)
+    with replacing(path) as partial:
+        partial.write_text(text, encoding="utf-8", errors="surrogateescape")
 
 
 def as_json(report: Report) -> str:

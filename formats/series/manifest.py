@@ -11,7 +11,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from meshdeform_core.deform import Case
 from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.methods import entry_of
 from meshdeform_core.series import REVISION, Made, Schedule
@@ -105,6 +104,11 @@ def ingredients_of(
     defaults. What an option ``auto`` stands for depends on the grid and on ``algorithms``. ``output`` defines how
     levels are written.
     """
+    # The options of the method and of repairs by the names of their keys in a case.
+    method, used = case.case.method, entry_of(case.case.method.name).parts
+    tables = {part: getattr(method, part) for part in ("idw", "rbf", "tfi") if type(getattr(method, part)) in used}
+    options = {"method": {part: dataclasses.asdict(table) for part, table in tables.items()}}
+    resolved = _flattened(options | {"repair": dataclasses.asdict(case.case.repair)}, "")
     files = [path for path in (boundary_file or case.boundary_file, *case.files) if path is not None]
     return {
         "program": f"meshdeform {version('meshdeform')}",
@@ -112,21 +116,13 @@ def ingredients_of(
         "grid": digest(grid),
         **{f"file {path}": digest(path) for path in files},
         **{f"case {key}": value for key, value in _flattened(case.content, "") if not key.startswith(_RESOLVED)},
-        **_resolved_options(case.case),
+        "method.name": method.name,
+        # JSON has no infinity.
+        **{key: str(v) if isinstance(v, float) and not math.isfinite(v) else v for key, v in resolved},
+        "tolerance": case.case.tolerance,
         **dataclasses.asdict(schedule),
         **output,
     }
-
-
-def _resolved_options(case: Case) -> dict[str, Any]:
-    """The options of the method and of repairs by the names of their keys in a case, and the tolerance."""
-    method, used = case.method, entry_of(case.method.name).parts
-    tables = {part: getattr(method, part) for part in ("idw", "rbf", "tfi") if type(getattr(method, part)) in used}
-    options = {"method": {part: dataclasses.asdict(table) for part, table in tables.items()}}
-    options |= {"repair": dataclasses.asdict(case.repair)}
-    # JSON has no infinity.
-    values = {key: str(v) if isinstance(v, float) and not math.isfinite(v) else v for key, v in _flattened(options, "")}
-    return {"method.name": method.name, **values, "tolerance": case.tolerance}
 
 
 def _flattened(value: Any, name: str) -> Iterator[tuple[str, Any]]:

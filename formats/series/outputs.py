@@ -52,10 +52,7 @@ class SeriesFiles(abc.ABC):
     ----------
     dress : adds fields to a level before it is written
     invalid : numbers of the levels that are kept under the name of an invalid grid
-    view : the file to open in ParaView
     """
-
-    view: Path | None
 
     def __init__(
         self, grid: Grid, folder: Path, name: str, times: tuple[float, ...], options: Mapping[str, Any], velocity: str
@@ -64,7 +61,17 @@ class SeriesFiles(abc.ABC):
         self.plain, self.options, self.velocity = folder / name, options, velocity
         self.dress: Callable[[Grid], Grid] = lambda level: level
         self.invalid: set[int] = set()
+        self.require_possible()
         self.variant = variant_of(grid, self.plain, options)
+
+    @abc.abstractmethod
+    def require_possible(self) -> None:
+        """Refuse velocities and times that such files cannot hold. Raises FormatError."""
+
+    @property
+    @abc.abstractmethod
+    def view(self) -> Path | None:
+        """The file to open in ParaView."""
 
     @abc.abstractmethod
     def names(self, number: int) -> tuple[Path, Path]:
@@ -147,20 +154,28 @@ class LevelFiles(SeriesFiles):
     grid.
     """
 
-    def __init__(
-        self, grid: Grid, folder: Path, name: str, times: tuple[float, ...], options: Mapping[str, Any], velocity: str
-    ):
-        self.suffix = Path(name).suffix.lower()
-        format_of(Path(name))
-        able = _WITH_FACES if velocity == "swept" else WITH_FIELDS
-        if velocity != "none" and self.suffix not in able:
-            what = "values at cell faces" if velocity == "swept" else "the grid velocity"
+    @property
+    def suffix(self) -> str:
+        """Suffix of all levels, in small letters."""
+        return self.plain.suffix.lower()
+
+    def require_possible(self) -> None:
+        format_of(self.plain)
+        swept = self.velocity == "swept"
+        able = _WITH_FACES if swept else WITH_FIELDS
+        if self.velocity != "none" and self.suffix not in able:
             raise FormatError(
-                f"{self.suffix} files cannot hold {what}; choose one of {' '.join(dict.fromkeys(able))}, or omit the "
-                f"velocity"
+                f"{self.suffix} files cannot hold {'values at cell faces' if swept else 'the grid velocity'}; choose "
+                f"one of {' '.join(dict.fromkeys(able))}, or omit the velocity"
             )
-        super().__init__(grid, folder, name, times, options, velocity)
-        self.view = index_path(folder, self.plain.stem, self.suffix)
+
+    @property
+    def view(self) -> Path | None:
+        if self.suffix in _COLLECTION:
+            return self.plain.with_suffix(".pvd")
+        if self.suffix in _SERIES:
+            return self.plain.with_suffix(f"{self.suffix}.series")
+        return self.plain.with_suffix(".series.p3d") if self.suffix in FORMATS["plot3d"].suffixes else None
 
     def names(self, number: int) -> tuple[Path, Path]:
         digits = max(4, len(str(len(self.times) - 1)))
@@ -237,15 +252,23 @@ class FoamFiles(SeriesFiles):
     Raises FormatError when velocities are requested, or two times cannot be told apart by their names.
     """
 
-    def __init__(
-        self, grid: Grid, folder: Path, name: str, times: tuple[float, ...], options: Mapping[str, Any], velocity: str
-    ):
-        if velocity != "none":
+    _begun = False
+
+    def require_possible(self) -> None:
+        if self.velocity != "none":
             raise FormatError("OpenFOAM finds the grid velocity from the points; omit --velocity")
-        self.time_names = _time_names(times)
-        super().__init__(grid, folder, name, times, options, velocity)
-        self.view = self.plain
-        self._begun = False
+        if not self.time_names:
+            raise FormatError("two times of the series are equal; expected different ones")
+
+    @property
+    def view(self) -> Path:
+        return self.plain
+
+    @cached_property
+    def time_names(self) -> list[str]:
+        """Distinct names of the times with as few digits as possible, at least the six that OpenFOAM writes."""
+        found = ([f"{time:.{digits}g}" for time in self.times] for digits in range(6, _LONGEST + 1))
+        return next((names for names in found if len(set(names)) == len(names)), [])
 
     @cached_property
     def _writer(self) -> MeshWriter:
@@ -287,26 +310,6 @@ class FoamFiles(SeriesFiles):
         for number in range(len(self.time_names)):
             for folder in self.names(number):
                 remove_partial(folder / "polyMesh")
-
-
-def _time_names(times: Sequence[float]) -> list[str]:
-    """Distinct names of the times with as few digits as possible, at least the six that OpenFOAM writes."""
-    for digits in range(6, _LONGEST + 1):
-        names = [f"{time:.{digits}g}" for time in times]
-        if len(set(names)) == len(names):
-            return names
-    raise FormatError("two times of the series are equal; expected different ones")
-
-
-def index_path(folder: Path, stem: str, suffix: str) -> Path | None:
-    """Path of the index of levels with this suffix; ``None`` for formats without one."""
-    if suffix in _COLLECTION:
-        return folder / f"{stem}.pvd"
-    if suffix in _SERIES:
-        return folder / f"{stem}{suffix}.series"
-    if suffix in FORMATS["plot3d"].suffixes:
-        return folder / f"{stem}.series.p3d"
-    return None
 
 
 def write_index(path: Path, levels: Sequence[tuple[float, str]], variant: FileFormat) -> None:

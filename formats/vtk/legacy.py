@@ -374,13 +374,9 @@ class _Output(BlockOutput):
             self.line(f"FIELD FieldData {len(arrays)}")
         for array in arrays:
             size = f"{array.components} {array.tuples}"
-            self.line(f"{_encoded(array.name)} {size} {_type_name(array)}")
+            self.line(f"{quote(array.name, safe=_PLAIN)} {size} {_type_name(array)}")
             self.values(array)
 
 
 def _type_name(array: StoredArray) -> str:
     return _TYPE_NAMES[array.precision.str[1:]]
-
-
-def _encoded(name: str) -> str:
-    return quote(name, safe=_PLAIN)

@@ -366,7 +366,18 @@ def read(path: Path) -> DataSet:
     with path.open("rb") as stream:
         reader = ArrayReader(file, stream)
         _, (ni, nj, nk) = whole = _extent(reader, data_set, "WholeExtent")
-        piece = _piece(reader, data_set, whole)
+        found = [(piece, _extent(reader, piece, "Extent")) for piece in data_set.all("Piece")]
+        # Further pieces may only be empty.
+        found = [(piece, extent) for piece, extent in found if min(extent[1]) > 0]
+        if min(ni, nj, nk) < 1 or not found:
+            raise FormatError(f"{path} is an empty grid: it has no nodes")
+        piece, extent = found[0]
+        if extent != whole or len(found) > 1:
+            raise reader.error(
+                piece,
+                f"has Extent {piece.get('Extent')}; expected one Piece with all nodes of the WholeExtent "
+                f"{data_set.get('WholeExtent')}: merge the pieces",
+            )
         if file.options["encoding"] != "appended" or file.compression != "none":
             require_undivided(f"{path} is text or compressed")
         (array,) = reader.arrays_of(piece, "Points", 1)
@@ -393,19 +404,3 @@ def _extent(reader: ArrayReader, element: Element, name: str) -> Extent:
             f"{count} entries"
         )
     return (i, j, k), shape
-
-
-def _piece(reader: ArrayReader, data_set: Element, whole: Extent) -> Element:
-    """The Piece with all nodes; further ones may only be empty."""
-    found = [(piece, _extent(reader, piece, "Extent")) for piece in data_set.all("Piece")]
-    found = [(piece, extent) for piece, extent in found if min(extent[1]) > 0]
-    if min(whole[1]) < 1 or not found:
-        raise FormatError(f"{reader.file.path} is an empty grid: it has no nodes")
-    for piece, extent in found:
-        if extent != whole or len(found) > 1:
-            raise reader.error(
-                piece,
-                f"has Extent {piece.get('Extent')}; expected one Piece with all nodes of the WholeExtent "
-                f"{data_set.get('WholeExtent')}: merge the pieces",
-            )
-    return found[0][0]

@@ -295,7 +295,8 @@ def unselected_notes(grid: Grid, topology: Topology, quads: IntArray, moving: In
     if not expected:
         ranges = listed((f"{grid.window_label(window)} ({len(found):,})" for window, found in places), noun="ranges")
         notes.append(
-            f"{quads.size:,} external face quads are not selected by any boundary entry; they are fixed: {ranges}"
+            f"{quads.size:,} external face quads are not selected by any boundary entry; they are fixed (where nodes "
+            f'should slide, select them with kind = "slip" or "symmetry"): {ranges}'
         )
     moves = np.zeros(topology.n_unique, dtype=bool)
     moves[moving] = True

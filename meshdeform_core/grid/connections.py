@@ -98,7 +98,8 @@ def _remark(grid: Grid, topology: Topology, connection: Connection, declared: Bo
     gap = np.linalg.norm(grid.points[own] - grid.points[donor], axis=1)[apart]
     return [
         f"{where}: {int(apart.sum())} of {len(own)} node pairs do not coincide (largest gap {gap.max():.3g}, "
-        f"{(gap / edge[apart]).max():.3g} of the local edge); the coordinates decide, the faces count as outside"
+        f"{(gap / edge[apart]).max():.3g} of the local edge); the coordinates decide, the faces count as outside; "
+        f"if the gaps are round-off, raise grid.tolerance"
     ]
 
 
@@ -109,7 +110,10 @@ def _undeclared(grid: Grid, topology: Topology, declared: np.ndarray) -> list[st
     if sides.size == 0:
         return []
     names = listed(dict.fromkeys(grid.names[side // 6] for side in sides))
-    return [f"{int(quads.sum())} face quads coincide but no connection declares them (blocks {names}); they are joined"]
+    return [
+        f"{int(quads.sum())} face quads coincide but no connection declares them (blocks {names}); they are joined; "
+        f"name one side of a thin plate between them in [grid] plates"
+    ]
 
 
 def find_interfaces(grid: Grid, topology: Topology) -> tuple[Connection, ...]:

@@ -73,7 +73,7 @@ def adaptively(course: Course) -> Reached:
         else:
             text = (
                 f"only {state.fraction:.1%} of the motion was imposed; a further step of {increment:.2%} makes cells "
-                f"invalid. The grid reached so far is kept"
+                f"invalid. The grid reached so far is kept; another method, or planes that slide, may allow more"
             )
             course.log.warn(Notice(text, "a part of the motion"))
             return Reached(state, trial)

@@ -175,7 +175,7 @@ def doubts(course: Course, one_of_many: bool) -> Sequence[str]:
     # Tables of a sequence are read only when their time is reached.
     found = first_of_each_kind(boundary.tables.warnings(), map(kind_of, course.setup.warnings))
     if not one_of_many and largest == 0.0:
-        found.append("nothing moves: the displacement is zero everywhere")
+        found.append("nothing moves: the displacement is zero everywhere; check --time, formulas, angles and tables")
     elif not one_of_many:
         found += _coarsely_rounded(course)
     moving = np.flatnonzero(boundary.kind == Kind.MOVING)
@@ -190,7 +190,7 @@ def doubts(course: Course, one_of_many: bool) -> Sequence[str]:
     if departure > 1e-6 * largest and departure > course.setup.undeformed.round_off:
         text = (
             f"the motion carries nodes out of a slip or symmetry plane by up to {departure:.3g}; "
-            f"the plane follows there; its other nodes stay in it"
+            f"the plane follows there, its other nodes stay in it; if not meant, check the axis or move the plane"
         )
         found.append(Notice(text, "motion out of a sliding plane"))
     return found

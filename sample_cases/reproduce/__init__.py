@@ -43,8 +43,15 @@ def reproduce(what: str, folder: Path, quick: bool, tell: Tell) -> dict[str, Any
         For an unknown name.
     """
     check(what)
+    info = Path("/proc/cpuinfo")
+    named = re.search(r"model name\s*: (.*)", info.read_text("utf-8", "replace")) if info.exists() else None
+    processor = named[1] if named else platform.processor() or platform.machine()
+    machine = {
+        "processor": processor, "cores": os.cpu_count(), "threads": thread_count(),
+        "python": platform.python_version(), "system": platform.system(),
+    }  # fmt: skip
     results: dict[str, Any] = {
-        "schema": 1, "meshdeform": version("meshdeform"), "quick": quick, "machine": _machine(), "tables": {},
+        "schema": 1, "meshdeform": version("meshdeform"), "quick": quick, "machine": machine, "tables": {},
     }  # fmt: skip
     for name in TABLES if what == "all" else (what,):
         gallery = Gallery(name, folder)
@@ -67,13 +74,3 @@ def _write(stem: Path, results: dict[str, Any]) -> None:
 def _write_text(path: Path, text: str) -> None:
     with replacing(path) as partial:
         partial.write_text(text, encoding="utf-8")
-
-
-def _machine() -> dict[str, Any]:
-    info = Path("/proc/cpuinfo")
-    named = re.search(r"model name\s*: (.*)", info.read_text("utf-8", "replace")) if info.exists() else None
-    processor = named[1] if named else platform.processor() or platform.machine()
-    return {
-        "processor": processor, "cores": os.cpu_count(), "threads": thread_count(),
-        "python": platform.python_version(), "system": platform.system(),
-    }  # fmt: skip

@@ -19,7 +19,7 @@ from meshdeform_core.repair import RepairOptions
 from meshdeform_formats.case import case_of
 
 from .. import case_content, load
-from .operations import count_operations, count_pairs
+from .operations import count_operations
 
 _ENOUGH_SECONDS = 1.0
 _REPEATS = 4
@@ -55,7 +55,6 @@ class Trial:
 class Outcome:
     """The result of a trial: the deformed nodes, their quality, the method's account, its costs.
 
-    ``pairs`` are numbers of target-source pairs, in all and block by block, 0 where there are none (TFI, marching);
     ``cpu`` and ``wall`` are seconds of set-up and deformation, ``cpu_apply`` CPU seconds of the deformation alone.
     """
 
@@ -67,7 +66,6 @@ class Outcome:
     cpu_apply: float
     wall: float
     gflop: float | None
-    pairs: tuple[int, int] = (0, 0)
 
 
 @lru_cache(maxsize=2)
@@ -85,7 +83,13 @@ def run(trial: Trial) -> Outcome:
     setup = prepare_sample(trial.sample)
     case = dataclasses.replace(setup.case, method=trial.method, repair=RepairOptions("off"))
     setup = dataclasses.replace(setup, case=case)
-    return _once(setup, trial) if trial.steps == 1 else _march(setup, trial)
+    if trial.steps == 1:
+        return _once(setup, trial)
+    timing, start = Timing(), clock.process_time()
+    result = impose(setup, setup.motion(trial.sample.time), trial.steps, setup.grid.precision, timing)
+    wall = timing.seconds["prepare"] + timing.seconds["apply"]
+    cpu = (clock.process_time() - start) * wall / sum(timing.seconds.values())
+    return Outcome(setup, result.grid.points, result.assessment, result.account, cpu, cpu, wall, None)
 
 
 def _once(setup: Setup, trial: Trial) -> Outcome:
@@ -110,8 +114,7 @@ def _once(setup: Setup, trial: Trial) -> Outcome:
     summation = prepared.account.settings.get("summation")
     counted = summation is None or summation.value == "exact"
     gflop = count_operations(method, problem, prepared.account) / 1e9 if counted else None
-    pairs = count_pairs(method, problem) if method.mover else (0, 0)
-    return Outcome(setup, points, assessment, prepared.account, cpu, cpu_apply, wall, gflop, pairs)
+    return Outcome(setup, points, assessment, prepared.account, cpu, cpu_apply, wall, gflop)
 
 
 @functools.cache
@@ -122,15 +125,6 @@ def _compile(options: Options, dimension: int) -> None:
     relevant = Options.relevant(options.name, idw=idw, rbf=options.rbf, tfi=options.tfi)
     prepared = make_method(relevant).prepare(setup.problem)
     prepared.apply(setup.displacement(0.0)[setup.problem.source_numbers])
-
-
-def _march(setup: Setup, trial: Trial) -> Outcome:
-    timing = Timing()
-    start_cpu = clock.process_time()
-    result = impose(setup, setup.motion(trial.sample.time), trial.steps, setup.grid.precision, timing)
-    wall = timing.seconds["prepare"] + timing.seconds["apply"]
-    cpu = (clock.process_time() - start_cpu) * wall / sum(timing.seconds.values())
-    return Outcome(setup, result.grid.points, result.assessment, result.account, cpu, cpu, wall, None)
 
 
 def quality_without_walls(trial: Trial) -> float:

@@ -50,15 +50,6 @@ def count_operations(method: Composite, problem: Problem, account: Account) -> f
     return total
 
 
-def count_pairs(method: Composite, problem: Problem) -> tuple[int, int]:
-    """Target-source pairs of the first step: with every node once, and with each block summing for its own faces."""
-    skeleton = method.filler.skeleton(problem) if method.filler else None
-    sources = len(problem.source_numbers)
-    every = problem.grid.n_nodes if skeleton is None else len(skeleton.nodes())
-    copies = int(problem.boundary.known[problem.topology.number].sum())
-    return len(first_step_nodes(problem, skeleton)) * sources, (every - copies) * sources
-
-
 def tfi_operations(nodes: int, dimension: int) -> float:
     """Arc lengths (eq. 10) and blending (eqs. 1-9; in 2-D eq. 2) of every node."""
     return float(nodes) * (dimension * _ARC + (_TFI_BLOCK if dimension == 3 else _TFI_PLANE))

@@ -68,8 +68,6 @@ def _row(trial: Trial, outcome: Outcome, printed: dict[str, Any]) -> Row:
         "cpu_apply_seconds": outcome.cpu_apply,
         "seconds": outcome.wall,
         "gflop": outcome.gflop,
-        "pairs": outcome.pairs[0],
-        "pairs_by_block": outcome.pairs[1],
         "paper_gflop": printed.get("gflop"),
         "quality": dataclasses.asdict(after),
         "reason": printed.get("reason", ""),
@@ -96,8 +94,6 @@ def _remark(trial: Trial, outcome: Outcome) -> str:
         parts.append("MINRES did not converge")
     if trial.sample.name == "hemisphere":
         parts.append(f"{outcome.setup.grid.n_nodes:,} nodes, {outcome.setup.grid.n_blocks} blocks")
-        if outcome.pairs[0]:
-            parts.append(f"{outcome.pairs[0]:.2e} pairs, {outcome.pairs[1]:.2e} if each block sums for its own faces")
     return "; ".join(parts)
 
 
@@ -145,11 +141,14 @@ def _table(table: dict[str, Any]) -> str:
         gflop = _number(row["gflop"], ".3g")
         if row["paper_gflop"] is not None:
             gflop = f"{gflop} ({row['paper_gflop']:.4g})".strip()
+        points = str(row["greedy_points"] or "")
+        if points and row["paper_greedy_points"]:
+            points = f"{points} ({row['paper_greedy_points']})"
         body.append([
             row["method"], f"{row['f_skew']:.4f}", _number(row["paper_f_skew"], ".2f"), _number(off, "+.3f"),
             _number(row["measured_f_skew"], ".4g"), f"{row['f_skew_min']:.3f}", str(row["invalid_cells"]),
             _number(row["relative_cost"], ".3g"), _number(row["relative_apply_cost"], ".3g"),
-            _number(row["paper_relative_cost"], ".4g"), gflop, _points(row),
+            _number(row["paper_relative_cost"], ".4g"), gflop, points,
             *([f"{row['asymmetry']:.1e}"] if extra else []),
         ])  # fmt: skip
         free = row["f_skew_without_walls"]
@@ -172,12 +171,6 @@ def _table(table: dict[str, Any]) -> str:
 
 def _number(value: float | None, style: str) -> str:
     return "" if value is None else format(value, style)
-
-
-def _points(row: Row) -> str:
-    """Greedy points: ours, and the paper's."""
-    found = str(row["greedy_points"] or "")
-    return f"{found} ({row['paper_greedy_points']})" if found and row["paper_greedy_points"] else found
 
 
 def grid(head: list[str], body: list[list[str]]) -> str:

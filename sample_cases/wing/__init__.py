@@ -30,7 +30,10 @@ def generate(size: int = DEFAULT_SIZE) -> Grid:
     # Positions in chords: finer at both edges of the wing, stretched to the far field.
     inside = 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, size + 1)))
     away = geometric(float(inside[1]), size // 2, _FAR)
-    chord, span = np.concatenate([-away[:0:-1], inside, 1.0 + away[1:]]), _spanwise(size)
+    chord = np.concatenate([-away[:0:-1], inside, 1.0 + away[1:]])
+    along = np.sin(np.linspace(0.0, np.pi / 2, size + 1))
+    beyond = geometric(float(1.0 - along[-2]), size // 2, 2.0)[1:]
+    span = _SPAN * np.concatenate([along, 1.0 + beyond])
     height = geometric(_WALL_CELL, size, _FAR)
     y = span[None, :]
     x = _leading_edge(y) + chord[:, None] * _chord(y)
@@ -73,11 +76,6 @@ def _motion(points: FloatArray) -> FloatArray:
     displacement[:, 0] = np.cos(angle) * x + np.sin(angle) * z - x
     displacement[:, 2] = np.cos(angle) * z - np.sin(angle) * x - z + _BENDING * _SPAN * (points[:, 1] / _SPAN) ** 2
     return displacement
-
-
-def _spanwise(size: int) -> FloatArray:
-    inside = np.sin(np.linspace(0.0, np.pi / 2, size + 1))
-    return _SPAN * np.concatenate([inside, 1.0 + geometric(float(1.0 - inside[-2]), size // 2, 2.0)[1:]])
 
 
 def _leading_edge(y: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""The report as a page: complete without anything else, true to the report in json, readable without scripts."""
+"""The report as a page: complete without anything else, true to the report in json, without scripts."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Page(html.parser.HTMLParser):
         assert self.open.pop() == tag
 
     def handle_data(self, data):
-        if self.open[-1:] not in (["style"], ["script"]):
+        if self.open[-1:] != ["style"]:
             self.text += data + " "
 
     def of(self, tag: str) -> list[dict[str, str | None]]:
@@ -90,10 +90,10 @@ def test_page_needs_nothing_but_itself(far):
         assert attributes["alt"]
     assert not far[1].of("link")
     assert not re.search(r"https?://|@import|url\(", text)
-    assert not any("src" in script for script in far[1].of("script"))
+    assert not far[1].of("script")
 
 
-def test_pairs_of_pictures_are_two_pictures_without_scripts(far):
+def test_pairs_of_pictures_are_of_one_size(far):
     labelled = {image["alt"]: picture for image, picture in zip(far[1].of("img"), far[1].pictures, strict=True)}
     pairs = [
         (labelled[f"{name}, before"], labelled[f"{name}, after"]) for name in ("Around the walls", "The worst cells")
@@ -102,10 +102,6 @@ def test_pairs_of_pictures_are_two_pictures_without_scripts(far):
         assert before.size == after.size
         assert np.asarray(before).std() > 10
         assert (np.asarray(before) != np.asarray(after)).any()
-    # What hides one of the two under the other is the class that the script sets.
-    style = Path("r.html").read_text().split("</style>")[0]
-    assert ".js .slider" in style
-    assert not re.search(r"^\.slider", style, re.MULTILINE)
 
 
 def test_verdict_says_how_many_and_where(far):

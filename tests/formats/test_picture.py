@@ -201,7 +201,7 @@ def test_ranges_follow_the_data():
 def test_an_image_shows_the_near_side_of_a_cube():
     grid = Grid.from_blocks([block_around(*(np.linspace(0.0, 1.0, 3),) * 3)])
     s = subject(grid)
-    facets = surface_facets(s, np.arange(24))
+    facets = surface_facets(s, np.arange(24), "volume")
     for each in (along("x"), along("y"), along("z"), iso()):
         np.testing.assert_allclose(np.cross(each.right, each.up), each.towards, atol=1e-15)
     view = towards(np.array([1.0, -2.0, 1.5]))
@@ -258,8 +258,7 @@ def test_moved_walls_are_coloured_by_their_motion():
     walls = np.concatenate([w.quads for w in pair.old.outside.of_role(Role.WALL)])
     page = moved_walls(pair, walls)
     assert page.scale is not None
-    np.testing.assert_allclose(page.panels[1].scene.facets.values, 0.25)
-    assert page.panels[0].window == page.panels[1].window
+    np.testing.assert_allclose(page.panels[0].scene.facets.values, 0.25)
 
 
 def test_invalid_cells_are_seen_over_their_neighbours():

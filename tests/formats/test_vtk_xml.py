@@ -19,27 +19,6 @@ CUBE = np.stack(np.meshgrid([0.0, 1.0], [0.0, 1.0], [0.0, 1.0], indexing="ij"), 
 VARIANTS = [{"encoding": "ascii"}, {"encoding": "appended"}]
 
 
-@pytest.mark.parametrize("options", VARIANTS, ids=lambda o: "-".join(o.values()))
-def test_vtk_reads_every_variant_of_ours(tmp_path, options):
-    shape = (33, 17, 9)
-    rng = np.random.default_rng(0)
-    fields = (
-        Field("p", "node", 0, rng.normal(size=shape)),
-        Field("flag", "node", 0, rng.integers(0, 2, shape).astype(np.int8)),
-        Field("v", "cell", 0, rng.normal(size=(32, 16, 8, 3)).astype(np.float32)),
-    )
-    grid = Grid.from_blocks([rng.normal(size=(*shape, 3))], fields=fields)
-    write_grid(grid, tmp_path / "a.vts", options)
-    points, arrays, _ = vtk_witness.read(tmp_path / "a.vts")
-    np.testing.assert_array_equal(points, grid.block(0))
-    again = read_grid(tmp_path / "a.vts")
-    np.testing.assert_array_equal(again.points, grid.points)
-    for field, own in zip(fields, again.fields, strict=True):
-        np.testing.assert_array_equal(arrays[field.location, field.name], field.values)
-        np.testing.assert_array_equal(own.values, field.values)
-        assert own.values.dtype == field.values.dtype
-
-
 def test_slabs_and_blocks_of_every_length(tmp_path, monkeypatch):
     monkeypatch.setattr("meshdeform_formats.vtk.dataset._SLAB", 100)
     monkeypatch.setattr("meshdeform_formats.vtk.dataset._PLANES", 1)
@@ -103,9 +82,6 @@ GOOD = {
     "blanks around base64": vts(
         piece("0 2 0 1 0 0", array([], text=f"\n  {base64_array(PLANE)}\t\r\n ", format="binary"))
     ),
-    "wider sizes": vts(
-        piece("0 2 0 1 0 0", array([], text=base64_array(PLANE, "<u8"), format="binary")), root=' header_type="UInt64"'
-    ),
     "blank lines behind the end": vts(piece("0 2 0 1 0 0", array(PLANE))) + "\n\r\n",
 }  # fmt: skip
 
@@ -128,13 +104,8 @@ BAD = {
         vts(piece("0 1 0 1 0 0", array(LEFT)), piece("1 2 0 1 0 0", array(RIGHT))), "Piece has Extent 0 1 0 1 0 0"
     ),
     "another data set": (vts(ONE).replace('type="StructuredGrid"', 'type="PolyData"'), "is a polygon surface"),
-    "an image": (vts(ONE).replace('type="StructuredGrid"', 'type="ImageData"'), "save it as a structured grid"),
-    "a parallel index": (vts(ONE).replace('type="StructuredGrid"', 'type="PStructuredGrid"'), "index of a parallel"),
-    "a table": (vts(ONE).replace('type="StructuredGrid"', 'type="Table"'), "another kind of data set"),
     "another byte order": (vts(ONE).replace("LittleEndian", "Middle"), "has byte_order 'Middle'; known are Little"),
     "another compressor": (vts(ONE, root=' compressor="gz"'), "has compressor 'gz'; known are"),
-    "lz4": (vts(ONE, root=' compressor="vtkLZ4DataCompressor"'), "has compressor 'vtkLZ4DataCompressor'; known are"),
-    "another header": (vts(ONE, root=' header_type="UInt16"'), "has header_type 'UInt16'"),
     "a truncated file": (vts(ONE).replace("</VTKFile>", ""), "does not end with </VTKFile>; the file is truncated"),
     "another end tag": (vts(ONE).replace("</Points>", "</Point>"), "Error parsing XML"),
     "no size": (vts(piece("0 2 0 1 0 0", array([], text="?", format="binary"))), "the size of array Points, at byte"),
@@ -143,14 +114,12 @@ BAD = {
     "too many values": (
         vts(piece("0 2 0 1 0 0", array([*PLANE.ravel(), 1]))), r"Points has 19 values, expected 18 values \(6 x 3\)"
     ),
-    "too few values": (vts(piece("0 2 0 1 0 0", array(PLANE[:5]))), "Points has 15 values, expected 18"),
     "values behind an element": (
         vts(piece("0 2 0 1 0 0", array([], text="0 <InformationKey/> 1 2"))),
         "Points continues after an element inside it: '1 2'",
     ),
     "values behind a comment": (vts(piece("0 2 0 1 0 0", array([], text="0 <!-- x --> 1"))), "holds '<!--'"),
     "a character reference": (vts(piece("0 2 0 1 0 0", array([], text="&#48; 1"))), "holds '&#48;'"),
-    "a number that is cut": (vts(piece("0 2 0 1 0 0", array([], text="1.5e"))), "holds '1.5e', expected float64"),
     "a number out of range": (vts(piece("0 2 0 1 0 0", array([], text="1e999"))), "a number out of range"),
     "an integer that does not fit": (
         vts(piece("0 2 0 1 0 0", array(PLANE), scalar([0, 0, 0, 0, 0, 256], kind="UInt8"))),
@@ -164,7 +133,6 @@ BAD = {
         vts(piece("0 2 0 1 0 0", array(PLANE), scalar([0, 0, 0, 0, 0, 0.5], kind="Int32"))), "p holds '0.0'"
     ),
     "two components of points": (vts(piece("0 2 0 1 0 0", array(PLANE, components=2))), "has 2 components, expected 3"),
-    "no count of components": (vts(piece("0 2 0 1 0 0", array(PLANE, components=-3))), "NumberOfComponents '-3'"),
     "very many components": (
         vts(piece("0 2 0 1 0 0", array(PLANE), array([], "q", components=10**17))), "q has 0 values, expected 6000"
     ),
@@ -186,7 +154,6 @@ BAD = {
         vts(piece("0 2 0 1 0 0", array([], text=base64_array(PLANE)[:-4] + "?==A", format="binary"))), "not base64"
     ),
     "five numbers in an extent": (vts(piece("0 2 0 1 0", array(PLANE))), "has Extent '0 2 0 1 0', expected six whole"),
-    "no numbers in an extent": (vts(ONE, whole="0 2 0 1 0 x"), "has WholeExtent '0 2 0 1 0 x'"),
     "a long extent": (vts(ONE, whole="0 2 0 1 0 99999999"), "cannot hold 600000000 entries"),
     "no data set": ('<VTKFile type="StructuredGrid"></VTKFile>', "has no StructuredGrid element"),
     "time steps": (vts(ONE).replace("WholeExtent", 'TimeValues="0 1" WholeExtent'), "contains 2 time steps"),
@@ -194,12 +161,9 @@ BAD = {
         f'<!DOCTYPE VTKFile [<!ENTITY l0 "lol">{LAUGHS}]>' + vts(piece("0 2 0 1 0 0", array([], text="&l9;"))),
         "a VTK file has no DOCTYPE",
     ),
-    "a file from elsewhere": ('<!DOCTYPE VTKFile SYSTEM "file:///etc/passwd">' + vts(ONE), "a VTK file has no DOCTYPE"),
     "another encoding": ('<?xml version="1.0" encoding="EBCDIC-CP-US"?>' + vts(ONE), "encoded as EBCDIC-CP-US"),
     "deep": (vts("<a>" * 5000 + "</a>" * 5000), "elements are nested more than 100 deep"),
     "another root": ("<a>" + vts(ONE) + "</a><!-- </VTKFile>", "its first element is not VTKFile"),
-    "a comment for a root": ("<a/><!-- " + vts(ONE), "its first element is not VTKFile"),
-    "text behind the end": (vts(ONE) + "<V", "does not end with </VTKFile>"),
 }  # fmt: skip
 
 
@@ -260,16 +224,13 @@ BAD_APPENDED = {
     "zlib that is cut": (
         appended(packed(PLANE.tobytes(), pack=lambda b: zlib.compress(b)[:-4]), root=ZLIB), "decompresses to 144 bytes"
     ),
-    "zlib of more": (appended(packed(PLANE.tobytes() + b"x"), root=ZLIB), "decompresses to more than 144 bytes"),
     "zlib of less": (appended(packed(PLANE.tobytes()[:-1]), root=ZLIB), "decompresses to 143 bytes, expected 144"),
-    "other sizes of blocks": (appended(packed(PLANE.tobytes(), sizes=(144, 7)), root=ZLIB), "decompresses to 7 bytes"),
     "more blocks than bytes": (
         appended(np.array([2**30, 144, 0], "<u4").tobytes() + b"x" * 99, root=ZLIB), "the size of array Points"
     ),
     "a line that exists twice": (appended(RAW[:40] + RAW[20:]), "go on after the last array, from byte"),
     "bytes after the last array": (appended(RAW + b"\n</VTKFile>x"), "go on after the last array, from byte"),
     "base64 after the last array": (appended(base64.b64encode(RAW) + b"AAAA", "base64"), "go on after the last array"),
-    "blocks after the last array": (appended(packed(PLANE.tobytes()) + b"x", root=ZLIB), "go on after the last array"),
     "lzma that needs memory": (
         appended(
             packed(

@@ -9,7 +9,7 @@ from meshdeform_cli.main import run as command
 from meshdeform_core.methods import IDW, RBF, TFI, Options, make_method
 from meshdeform_samples.reproduce import WHAT
 from meshdeform_samples.reproduce.experiment import Sample, Trial, asymmetry, prepare_sample, run
-from meshdeform_samples.reproduce.operations import count_operations, count_pairs, idw_operations, tfi_operations
+from meshdeform_samples.reproduce.operations import count_operations, idw_operations, tfi_operations
 from meshdeform_samples.reproduce.paper_methods import MinresRBF, ReweightedIDW
 from meshdeform_samples.reproduce.report import paper
 from meshdeform_samples.reproduce.tables import TABLES
@@ -149,23 +149,6 @@ def test_command_refuses_what_is_unknown(tmp_path, capsys):
     message = capsys.readouterr().err
     assert all(name in message for name in WHAT)
     assert not (tmp_path / "out").exists()
-
-
-def test_pairs_of_the_split_hemisphere_are_those_of_its_faces():
-    """Counted anew from coordinates: nodes of block faces by position, once and as often as blocks have them."""
-    setup = prepare_sample(Sample("hemisphere", 12, (("max_cells", 6),)))
-    problem, grid = setup.problem, setup.grid
-    whole, hybrid = (make_method(Options.relevant(name, tfi=TFI(max_cells=0))) for name in ("idw", "idw-tfi"))
-    faces = []
-    for block in range(grid.n_blocks):
-        x = np.round(grid.block(block), 10)
-        inside = np.zeros(x.shape[:3], dtype=bool)
-        inside[1:-1, 1:-1, 1:-1] = True
-        faces.append(x[~inside])
-    known = {tuple(p) for p in np.round(problem.source_points, 10)}
-    every = [tuple(p) for p in np.concatenate(faces) if tuple(p) not in known]
-    assert count_pairs(hybrid, problem) == (len(set(every)) * len(known), len(every) * len(known))
-    assert count_pairs(whole, problem)[0] == (problem.n_unique_nodes - len(known)) * len(known)
 
 
 def test_sub_blocks_keep_walls_orthogonal_on_large_blocks():
