@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from meshdeform_core.errors import CaseError, FormatError, suggestion
-from meshdeform_core.grid import Field, FloatArray, Grid
+from meshdeform_core.grid import Field, Grid
 from meshdeform_core.parallel import empty
 from meshdeform_core.quality.fields import CELL_MEASURES, CellFields
 
@@ -82,18 +82,13 @@ def _fields(cells: CellFields, name: str) -> Iterator[Field]:
     found = empty([ends[-1]], np.int32 if name == INVALID else np.float32)
     with cells.ready(name):
         for block, shape in enumerate(shapes):
-            _fill_measure(cells, name, block, found[ends[block] : ends[block + 1]].reshape(shape))
+            values, start = found[ends[block] : ends[block + 1]].reshape(shape), grid.planes(block).start
+            # A few layers at a time, as intermediate arrays take several times the memory of the result.
+            layers = max(1, _CELLS // (shape[1] * shape[2])) if grid.dimension == 3 else max(1, shape[0])
+            for first in range(0, shape[0], layers):
+                last = min(first + layers, shape[0])
+                some = slice(start + first, start + last), slice(0, shape[1]), slice(0, shape[2])
+                values[first:last] = cells.bad(block, some) if name == INVALID else cells.values(name, block, some)
     for block, shape in enumerate(shapes):
         values = found[ends[block] : ends[block + 1]].reshape(shape)
         yield Field(name, "cell", block, grid.spread(values, grid.cell_shapes[block][0]))
-
-
-def _fill_measure(cells: CellFields, name: str, block: int, values: FloatArray) -> None:
-    """Fill the values of a measure in the cells of a block that this rank has."""
-    grid, shape, start = cells.grid, values.shape, cells.grid.planes(block).start
-    # A few layers at a time, as intermediate arrays take several times the memory of the result.
-    layers = max(1, _CELLS // (shape[1] * shape[2])) if grid.dimension == 3 else max(1, shape[0])
-    for first in range(0, shape[0], layers):
-        last = min(first + layers, shape[0])
-        some = slice(start + first, start + last), slice(0, shape[1]), slice(0, shape[2])
-        values[first:last] = cells.bad(block, some) if name == INVALID else cells.values(name, block, some)

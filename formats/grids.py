@@ -137,39 +137,31 @@ def read_grid_with_boundaries(path: Path, boundary_file: Path | None, options: M
 
 def complete_for_export(grid: Grid, path: Path) -> Grid:
     """The grid, ready to be written to ``path``: with interfaces found from the coordinates if the format holds
-    connections and the grid declares none, and with a note of the data that the format cannot hold."""
-    kind = format_of(path)
-    grid = dataclasses.replace(grid, notes=(*grid.notes, *losses(grid, path, kind)))
-    own = grid.format is not None and grid.format.name == "cgns"
+    connections and the grid declares none, and with a note of the data that the format cannot hold: fields, IBLANK and
+    solutions, but for fields computed for the file itself (``--field``)."""
+    kind, own = format_of(path), grid.format is not None and grid.format.name == "cgns"
+    blocks = Counter((field.location, field.name) for field in grid.fields)
+    lost = []
+    for field in grid.fields:
+        kept = kind in ("vtk", "cgns") or (kind == "plot3d" and field.blanks)
+        if path.suffix.lower() in (".vtu", ".xdmf"):
+            kept = field.location in ("node", "cell") and blocks[field.location, field.name] == grid.n_blocks
+        if not kept:
+            lost.append(field.name.upper() if field.blanks else field.name)
+    names = list(dict.fromkeys(lost))
+    if own and kind != "cgns" and grid.path is not None:
+        from .cgns.format import solutions
+
+        names += solutions(grid.path)
+    if names:
+        note = f"{path.suffix} files cannot hold these data of the grid, which are not written: {listed(names)}"
+        grid = dataclasses.replace(grid, notes=(*grid.notes, note))
     if kind != "cgns" or grid.connections or own:
         return grid
     from meshdeform_core.grid.connections import find_interfaces
     from meshdeform_core.grid.topology import find_topology
 
     return dataclasses.replace(grid, connections=find_interfaces(grid, find_topology(grid)))
-
-
-def losses(grid: Grid, target: Path, kind: str) -> list[str]:
-    """Warnings about fields, IBLANK and solutions that are not written to a file ``target`` of the format ``kind``.
-
-    Fields computed for the file itself (``--field``) do not count.
-    """
-    blocks = Counter((field.location, field.name) for field in grid.fields)
-    lost = []
-    for field in grid.fields:
-        kept = kind in ("vtk", "cgns") or (kind == "plot3d" and field.blanks)
-        if target.suffix.lower() in (".vtu", ".xdmf"):
-            kept = field.location in ("node", "cell") and blocks[field.location, field.name] == grid.n_blocks
-        if not kept:
-            lost.append(field.name.upper() if field.blanks else field.name)
-    names = list(dict.fromkeys(lost))
-    if grid.format is not None and grid.format.name == "cgns" and kind != "cgns" and grid.path is not None:
-        from .cgns.format import solutions
-
-        names += solutions(grid.path)
-    if not names:
-        return []
-    return [f"{target.suffix} files cannot hold these data of the grid, which are not written: {listed(names)}"]
 
 
 def write_grid(

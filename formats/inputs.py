@@ -70,24 +70,21 @@ def files_behind(path: Path) -> tuple[Path, ...]:
 @functools.lru_cache(maxsize=64)
 def _files_behind(path: Path, state: tuple[int, ...]) -> tuple[Path, ...]:
     """Cached while the file is unchanged, as the outputs of a series are compared with its inputs one by one."""
-    return tuple(_related(path))
-
-
-def _related(path: Path) -> Iterator[Path]:
-    yield path
+    found = [path]
     # Errors in the file are reported when it is read.
     with contextlib.suppress(FormatError):
         kind = format_at(path)
         if kind == "openfoam":
-            yield from files_of(path)
+            found += files_of(path)
         elif kind == "cgns":
-            yield from _linked_files(path)
+            found += _linked_files(path)
         elif kind == "vtk":
             from .vtk.multiblock import referenced_files
             from .vtk.xml_tags import file_kind
 
             if file_kind(path) == "vtkMultiBlockDataSet":
-                yield from referenced_files(path)
+                found += referenced_files(path)
+    return tuple(found)
 
 
 def _replaced(output: Path) -> Iterable[Path]:

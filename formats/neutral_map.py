@@ -5,6 +5,7 @@ Source: "The Neutral Map File", W. T. Jones, GEOLAB, NASA Langley; kept with the
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -34,21 +35,6 @@ FACES: dict[int, Face] = {
 _COMMENT = re.compile(r"#.*|\\\s*$")
 _WORD = re.compile(r"'[^']*'|\"[^\"]*\"|\S+")
 _LOGICAL = {".true.": True, "true": True, "t": True, ".false.": False, "false": False, "f": False}
-
-
-@dataclass(frozen=True)
-class Line:
-    """The words of a line, without comments, and its position."""
-
-    place: str
-    words: tuple[str, ...]
-
-    def whole_numbers(self, first: int, meaning: str) -> tuple[int, ...]:
-        """All words starting at ``first`` as integers."""
-        try:
-            return tuple(int(word) for word in self.words[first:])
-        except ValueError:
-            raise FormatError(f"{self.place}: expected {meaning}, found {' '.join(self.words)!r}") from None
 
 
 @dataclass(frozen=True)
@@ -85,46 +71,46 @@ def parse_neutral_map(path: Path) -> NeutralMap:
         raise FormatError(f"cannot read {path}: {error.strerror or error}") from error
     lines = []
     for number, line in enumerate(text.splitlines(), 1):
-        words = tuple(word.strip("'\"").strip() for word in _WORD.findall(_COMMENT.sub("", line)))
+        words = [word.strip("'\"").strip() for word in _WORD.findall(_COMMENT.sub("", line))]
         if words:
-            lines.append(Line(f"{path}, line {number}", words))
+            lines.append((f"{path}, line {number}", words))
     if not lines:
         raise FormatError(f"{path} is not a neutral map: it has only comments and empty lines")
-    sizes, notes = _block_sizes(lines, path)
-    return sizes, tuple(_entry_of(line) for line in lines[1 + len(sizes) :]), notes
-
-
-def _block_sizes(lines: list[Line], path: Path) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
-    count = lines[0].whole_numbers(0, "the number of blocks")
-    if len(count) != 1 or count[0] < 1:
-        raise FormatError(f"{lines[0].place}: expected the number of blocks, found {' '.join(lines[0].words)!r}")
-    rows = []
-    for line in lines[1 : 1 + count[0]]:
-        meaning = f"block number, IDIM, JDIM, KDIM for {count[0]} blocks"
-        row = line.whole_numbers(0, meaning)
-        if len(row) != 4 or min(row[1:]) < 1:
-            raise FormatError(f"{line.place}: expected {meaning}, found {' '.join(line.words)!r}")
-        rows.append(row)
-    if len(rows) < count[0]:
-        raise FormatError(f"{path} declares {count[0]} blocks but ends after the sizes of {len(rows)}")
+    (count,) = _whole_numbers(*lines[0], "the number of blocks", 1)
+    meaning = f"block number, IDIM, JDIM, KDIM for {count} blocks"
+    rows = [_whole_numbers(place, words, meaning, 4) for place, words in lines[1 : 1 + count]]
+    if len(rows) < count:
+        raise FormatError(f"{path} declares {count} blocks but ends after the sizes of {len(rows)}")
     notes: tuple[str, ...] = ()
-    if sorted(row[0] for row in rows) == list(range(1, len(rows) + 1)):
+    if sorted(row[0] for row in rows) == list(range(1, count + 1)):
         rows.sort()
     else:
-        notes = (f"{path}: the block numbers {[row[0] for row in rows]} are not 1 to {len(rows)}; taken in file order",)
-    return tuple((ni, nj, nk) for _, ni, nj, nk in rows), notes
+        notes = (f"{path}: the block numbers {[row[0] for row in rows]} are not 1 to {count}; taken in file order",)
+    entries = tuple(_entry_of(place, *words) for place, words in lines[1 + count :])
+    return tuple((ni, nj, nk) for _, ni, nj, nk in rows), entries, notes
 
 
-def _entry_of(line: Line) -> Entry:
-    flag = _LOGICAL.get(line.words[-1].lower())
-    numbers = (line if flag is None else Line(line.place, line.words[:-1])).whole_numbers(
-        1, "a type, B1 F1 S1 E1 S2 E2, and for connections B2 F2 S1 E1 S2 E2 Swap"
-    )
-    entry = Entry(line.place, line.words[0], tuple(numbers[i : i + 6] for i in range(0, len(numbers), 6)), flag)
+def _whole_numbers(place: str, words: Sequence[str], meaning: str, sizes: int = 0) -> list[int]:
+    """The words of a line as integers; if it has block sizes, these are its last three and positive.
+
+    ``sizes`` is the number of words of such a line, 0 for other lines.
+    """
+    with contextlib.suppress(ValueError):
+        found = [int(word) for word in words]
+        if not sizes or (len(found) == sizes and min(found[-3:]) > 0):
+            return found
+    raise FormatError(f"{place}: expected {meaning}, found {' '.join(words)!r}")
+
+
+def _entry_of(place: str, kind: str, *words: str) -> Entry:
+    flag = _LOGICAL.get(words[-1].lower()) if words else None
+    meaning = f"after the type {kind} B1 F1 S1 E1 S2 E2, and for connections B2 F2 S1 E1 S2 E2 Swap"
+    numbers = _whole_numbers(place, words if flag is None else words[:-1], meaning)
+    entry = Entry(place, kind, tuple(tuple(numbers[i : i + 6]) for i in range(0, len(numbers), 6)), flag)
     if len(numbers) not in (6, 12):
-        raise FormatError(f"{line.place}: {entry.type} has {len(numbers)} numbers; a face range has 6, a connection 12")
+        raise FormatError(f"{place}: {kind} has {len(numbers)} numbers; a face range has 6, a connection 12")
     if entry.is_one_to_one and (len(numbers) != 12 or flag is None):
-        raise FormatError(f"{line.place}: {entry.type} needs two face ranges and Swap (true or false)")
+        raise FormatError(f"{place}: {kind} needs two face ranges and Swap (true or false)")
     return entry
 
 

@@ -25,26 +25,6 @@ def require_plausible(grid: Grid, path: Path) -> None:
 
     Raises GridError naming the first such node.
     """
-    _require_bounded(grid, path)
-    sample = grid.sample(_SAMPLE)
-    size = np.abs(sample)
-    share = float(((size > 0) & (size < np.finfo(np.float64).tiny)).mean())
-    if share > _MOST_DENORMAL:
-        raise GridError(
-            f"{path}: {share:.0%} of the coordinates are smaller than any normal number ({size[size > 0].min():g}); "
-            "they are bits of something else, or in the other byte order"
-        )
-    if not _on_one_line(sample):
-        return
-    # A sample is not enough, as it may happen to lie on a grid line.
-    grid.nodes.require_whole("a sample of its nodes lies on one line")
-    if _on_one_line(grid.points):
-        first, (low, high) = grid.points[0], extent(grid.points)
-        what = "on one line" if (low < high).any() else f"at one point, {vector(first)}"
-        raise GridError(f"{path}: all {grid.n_nodes} nodes lie {what}; a grid needs at least a surface")
-
-
-def _require_bounded(grid: Grid, path: Path) -> None:
     bad: list[IntArray] = []
 
     def judge(rows: slice) -> None:
@@ -63,6 +43,22 @@ def _require_bounded(grid: Grid, path: Path) -> None:
             f"{path} has {count} nodes whose coordinates are {what}; the first is "
             f"{grid.node_label(first)} = {vector(point)}"
         )
+    sample = grid.sample(_SAMPLE)
+    size = np.abs(sample)
+    share = float(((size > 0) & (size < np.finfo(np.float64).tiny)).mean())
+    if share > _MOST_DENORMAL:
+        raise GridError(
+            f"{path}: {share:.0%} of the coordinates are smaller than any normal number ({size[size > 0].min():g}); "
+            "they are bits of something else, or in the other byte order"
+        )
+    if not _on_one_line(sample):
+        return
+    # A sample is not enough, as it may happen to lie on a grid line.
+    grid.nodes.require_whole("a sample of its nodes lies on one line")
+    if _on_one_line(grid.points):
+        first, (low, high) = grid.points[0], extent(grid.points)
+        what = "on one line" if (low < high).any() else f"at one point, {vector(first)}"
+        raise GridError(f"{path}: all {grid.n_nodes} nodes lie {what}; a grid needs at least a surface")
 
 
 def _on_one_line(points: FloatArray) -> bool:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import ctypes
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -86,16 +86,16 @@ def filled(form: type[Of], value: Any, where: str = "") -> Of:
     Raises CaseError with the place, what was found and expected, and for unknown keys the nearest known one.
     """
     if (path := _not_finite(value)) is not None:
-        place = _Place(form, value, where, path)
+        number = value
         for key in path:
-            value = value[key]
-        raise place.error(f"expected a finite number, found {literal(value)}")
+            number = number[key]
+        raise _explained(form, value, where, path, f"expected a finite number, found {literal(number)}")
     try:
         return msgspec.convert(value, form)
     except msgspec.ValidationError as error:
         message, _, path_text = str(error).partition(" - at `$")
         names = [name or int(number) for name, number in re.findall(r"\.([\w-]+)|\[(\d+)\]", path_text)]
-        raise _Place(form, value, where, names).explained(message) from None
+        raise _explained(form, value, where, names, message) from None
 
 
 def schema_of(form: type[Form]) -> Table:
@@ -113,75 +113,61 @@ def _not_finite(value: Any) -> list[str | int] | None:
     return [] if isinstance(value, float) and not abs(value) < float("inf") else None
 
 
-class _Place:
-    """A place in the content of a form, in words: ``boundary 'body', motion step 1, rotate``, and a key there."""
+def _explained(form: type[Form], value: Any, where: str, path: Sequence[str | int], message: str) -> CaseError:
+    """The error for a message about the content at a path, which it says in words: ``boundary 'body', motion step 1``.
 
-    def __init__(self, form: type[Form], value: Any, where: str, path: list[str | int]):
-        self._definitions = schema_of(form)["$defs"]
-        self.tables, self.key, self.found = ([where] if where else []), "", value
-        self.node, self._dotted = self._dereferenced(schema_of(form)), True
-        for step in path:
-            if isinstance(step, str):
-                self._enter()
-                self.key, self.found = step, self.found[step]
-                self.node = self._dereferenced(self._alternative("properties")["properties"].get(step, {}))
-            elif isinstance(self.found[step], dict):
-                own = self.found[step]
-                name = f"boundary {literal(own.get('name', f'boundary {step + 1}'))}"
-                labels = {"boundary": name, "motion": f"motion step {step + 1}"}
-                self.tables.append(labels.get(self.key, f"{self.key} {step + 1}"))
-                self.key, self.found, self._dotted = "", own, False
-                self.node = self._dereferenced(self._alternative("items")["items"])
-            else:
+    ``message`` is msgspec's, or complete.
+    """
+    schema = schema_of(form)
+
+    def part(node: Table, what: str) -> Any:
+        """An entry of a node of the schema, of one of its alternatives, or of what these refer to."""
+        nodes = [node, *node.get("anyOf", ())]
+        nodes += [schema["$defs"][each["$ref"].rpartition("/")[2]] for each in nodes if "$ref" in each]
+        return next((each[what] for each in nodes if what in each), {})
+
+    tables, key, dotted, node = [where] if where else [], "", True, schema
+    unknown = re.match(r"Object contains unknown field `(.*)`", message)
+    missing = re.match(r"Object missing required field `(.*)`", message)
+    # What is wrong with a table concerns no key of the table around it.
+    about_table = unknown or missing or not re.match("[Ee]xpected |Invalid ", message)
+    for step in [*path, ""] if about_table else path:
+        if isinstance(step, int):
+            if not isinstance(value[step], dict):
                 # A list of numbers or names is shown as a whole.
                 break
-
-    def _enter(self) -> None:
-        if self.key:
+            node, value = part(node, "items"), value[step]
+            name = f"boundary {literal(value.get('name', f'boundary {step + 1}'))}"
+            labels = {"boundary": name, "motion": f"motion step {step + 1}"}
+            tables.append(labels.get(key, f"{key} {step + 1}"))
+            key, dotted = "", False
+            continue
+        if key:
             # A single motion may stand without its list.
-            motion = self.key == "motion"
-            self.tables.append("motion step 1" if motion else self.key)
-            self.key, self._dotted = "", self._dotted and not motion
-
-    def _dereferenced(self, node: Table) -> Table:
-        own = self._definitions[node["$ref"].rpartition("/")[2]] if "$ref" in node else {}
-        return {**own, **node}
-
-    def _alternative(self, what: str) -> Table:
-        """The table, or the list, that the place may hold."""
-        nodes = [self.node, *map(self._dereferenced, self.node.get("anyOf", ()))]
-        return next((node for node in nodes if what in node), {"properties": {}, "items": {}})
-
-    def error(self, message: str) -> CaseError:
-        """The error with a message about the key."""
-        if self._dotted:
-            return fail(".".join([*self.tables, self.key]), message)
-        return fail(", ".join(self.tables), f"{self.key}: {message}" if self.key else message)
-
-    def explained(self, message: str) -> CaseError:
-        """The error for a message of msgspec."""
-        if found := re.match(r"Object contains unknown field `(.*)`", message):
-            self._enter()
-            known = self._alternative("properties")["properties"]
-            below = [".".join([*self.tables, name, found[1]]) for name, node in known.items()
-                     if found[1] in self._dereferenced(node).get("properties", ())]  # fmt: skip
-            hint = f"; did you mean {' or '.join(map(repr, below))}?" if below else suggestion(found[1], known)
-            hint = hint or f"; known are {', '.join(known)}"
-            top = f"[{'.'.join(self.tables)}]" if self.tables else "case"
-            return fail(top if self._dotted else ", ".join(self.tables), f"unknown key {found[1]!r}{hint}")
-        if found := re.match(r"Object missing required field `(.*)`", message):
-            self._enter()
-            node = self._dereferenced(self._alternative("properties")["properties"][found[1]])
-            return self.error(f"there is no {found[1]}; expected {node.get('description', 'it')}")
-        if not re.match("Expected |Invalid ", message):
-            self._enter()
-            return self.error(message)
-        expected = self.node.get("description", message.lower().removeprefix("expected ").replace("`", ""))
-        choices = self._alternative("enum").get("enum", ())
-        value = f"{literal(self.found)}; expected {expected}{suggestion(self.found, choices)}"
-        if self._dotted:
-            return CaseError(f"{'.'.join([*self.tables, self.key])} = {value}")
-        return fail(", ".join(self.tables), f"{self.key} = {value}" if self.key else f"found {value}")
+            tables.append("motion step 1" if key == "motion" else key)
+            dotted = dotted and key != "motion"
+        key = step
+        if key:
+            node, value = part(node, "properties").get(key, {}), value[key]
+    place = ".".join([*tables, key] if key else tables) if dotted else ", ".join(tables)
+    label = "" if dotted or not key else f"{key}: "
+    if unknown:
+        known = part(node, "properties")
+        below = [".".join([*tables, name, unknown[1]]) for name, each in known.items()
+                 if unknown[1] in part(each, "properties")]  # fmt: skip
+        hint = f"; did you mean {' or '.join(map(repr, below))}?" if below else suggestion(unknown[1], known)
+        table = (f"[{place}]" if place else "case") if dotted else place
+        return fail(table, f"unknown key {unknown[1]!r}{hint or '; known are ' + ', '.join(known)}")
+    if missing:
+        described = part(part(node, "properties")[missing[1]], "description") or "it"
+        return fail(place, f"{label}there is no {missing[1]}; expected {described}")
+    if about_table or message.startswith("expected"):
+        return fail(place, label + message)
+    expected = part(node, "description") or message.lower().removeprefix("expected ").replace("`", "")
+    found = f"{literal(value)}; expected {expected}{suggestion(value, part(node, 'enum'))}"
+    if dotted:
+        return CaseError(f"{place} = {found}")
+    return fail(place, f"{key} = {found}" if key else f"found {found}")
 
 
 _PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
@@ -245,7 +231,10 @@ def parsed_override(text: str) -> tuple[list[str], Any]:
     try:
         (parsed,) = _toml(f"value = {value}").values()
     except ValueError:
-        parsed = _number_or_text(value.strip())
+        parsed = value.strip()
+        # Numbers, although not in TOML: .1 and 1.
+        if re.fullmatch(r"[+-]?(\d+\.|\.\d+)(e[+-]?\d+)?", parsed, re.IGNORECASE):
+            parsed = float(parsed)
     return key.strip().split("."), parsed
 
 
@@ -269,11 +258,6 @@ def override(data: Table, text: str) -> None:
             f'boundary.wing.kind="fixed", or give the list as a whole'
         )
     target[last] = parsed
-
-
-def _number_or_text(value: str) -> float | str:
-    """A number or text; ``.1`` and ``1.`` are numbers, although not in TOML."""
-    return float(value) if re.fullmatch(r"[+-]?(\d+\.|\.\d+)(e[+-]?\d+)?", value, re.IGNORECASE) else value
 
 
 def _entry(entries: list[Any], name: str, text: str) -> Any:

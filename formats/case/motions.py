@@ -286,7 +286,11 @@ class MotionStep(Form):
         if beside := [name for name in given if name not in (*kinds, *_ALSO.get(kinds[0], ()))]:
             raise fail(where, f"{kinds[0]} takes no {beside[0]}")
         value = getattr(self, kinds[0])
-        context = Context(names, folder, where, self._matching(where))
+        try:
+            matching = Matching(self.match or "nearest", self.tolerance)
+        except CaseError as error:
+            raise fail(where, str(error)) from None
+        context = Context(names, folder, where, matching)
         if isinstance(value, Form):
             return value.step(replace(context, where=f"{where}, {kinds[0]}"))  # type: ignore[attr-defined]
         if kinds[0] == "beam":
@@ -300,12 +304,6 @@ class MotionStep(Form):
             data = value if isinstance(value, SurfaceData) else read_displacement(folder / value)
             return Follow(data, context.matching)
         return Displace(context.three(value))
-
-    def _matching(self, where: str) -> Matching:
-        try:
-            return Matching(self.match or "nearest", self.tolerance)
-        except CaseError as error:
-            raise fail(where, str(error)) from None
 
 
 KINDS = tuple(name for name in MotionStep.__struct_fields__ if name not in ("times", "match", "tolerance"))

@@ -76,17 +76,15 @@ def sequence_files(value: str | list[str], folder: Path, where: str) -> list[Pat
         found = glob.glob(os.path.join(glob.escape(str(folder)), value))
         if not found:
             raise CaseError(f"{where}: no file matches {literal(value)} in {folder.absolute()}")
-        return [Path(name) for name in sorted(found, key=_numerically)]
+        # step9 before step10
+        parts = {name: re.split(r"(\d+)", name) for name in found}
+        numbers = {name: [(int(p), "") if p.isdigit() else (-1, p) for p in own] for name, own in parts.items()}
+        return [Path(name) for name in sorted(found, key=numbers.__getitem__)]
     if not value or "\0" in "".join(value):
         raise CaseError(
             f'{where}: files = {literal(value)}; expected a pattern like "surface_*.csv" or a list of file names'
         )
     return [folder / name for name in value]
-
-
-def _numerically(name: str) -> list[tuple[int, str]]:
-    """``step9`` before ``step10``."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
 
 
 def files_over_time(

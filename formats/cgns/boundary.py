@@ -62,7 +62,14 @@ def condition_windows(condition: Node, zone: Zone, block: int, notes: Notes) -> 
     location = "FaceCenter"
     if not sets[0].name.startswith("Element"):
         location = next((node.text() for node in condition.labelled("GridLocation_t")), "Vertex")
-    points, is_range = _point_set(sets[0], zone), sets[0].name.endswith("Range")
+    axes, is_range = len(zone.core), sets[0].name.endswith("Range")
+    if sets[0].target.dims == (axes,):  # a single point, stored without the second dimension
+        indices = sets[0].integers(axes).reshape(axes, 1)
+    else:
+        indices = sets[0].integers(axes, 2 if is_range else -1)
+    points = np.zeros((indices.shape[1], 3), np.int64)
+    points[:, :axes] = indices.T - 1
+    _require_inside(points, zone, np.array(zone.shape), sets[0].path)
     if location == "Vertex":
         windows, unused = _of_nodes(points, is_range, zone.shape, block)
     elif location in _FACE_LOCATIONS:
@@ -72,10 +79,10 @@ def condition_windows(condition: Node, zone: Zone, block: int, notes: Notes) -> 
             ends = np.array(zone.shape) - 1
             constant = (points == points[0]).all(axis=0) if is_range else True
             at_end = ((points == 0) | (points == ends)).all(axis=0) & constant & (ends > 0)
-            axes = np.flatnonzero(at_end)
-            if len(axes) > 1:  # across a single layer of cells every face has the index 1
-                axes = axes[ends[axes] > 1]
-            axis = int(axes[0]) if len(axes) == 1 else None
+            normal = np.flatnonzero(at_end)
+            if len(normal) > 1:  # across a single layer of cells every face has the index 1
+                normal = normal[ends[normal] > 1]
+            axis = int(normal[0]) if len(normal) == 1 else None
         windows, unused = _of_faces(points, is_range, zone, block, axis, sets[0].path)
     else:
         notes.add(f"boundary conditions located at {location} are not used", place)
@@ -85,19 +92,6 @@ def condition_windows(condition: Node, zone: Zone, block: int, notes: Notes) -> 
     elif unused:
         notes.add("listed points that belong to no part of a block face are not used", f"{place} ({unused})")
     return windows
-
-
-def _point_set(node: Node, zone: Zone) -> IntArray:
-    """0-based indices ``(n, 3)`` of a point set, all inside the zone."""
-    axes = len(zone.core)
-    if node.target.dims == (axes,):  # a single point, stored without the second dimension
-        indices = node.integers(axes).reshape(axes, 1)
-    else:
-        indices = node.integers(axes, 2 if node.name.endswith("Range") else -1)
-    points = np.zeros((indices.shape[1], 3), np.int64)
-    points[:, :axes] = indices.T - 1
-    _require_inside(points, zone, np.array(zone.shape), node.path)
-    return points
 
 
 def _require_inside(points: IntArray, zone: Zone, sizes: IntArray, place: str) -> None:

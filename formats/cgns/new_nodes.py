@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from meshdeform_core.grid import Connection, Grid, Patch, Periodicity, Shape, Window
+from meshdeform_core.grid import Connection, Grid, Patch, Shape, Window
 
 from .connectivity import inverse_motion
 from .tree import Node, make, name_list, unique_names
@@ -165,17 +165,15 @@ def _connection_node(name: str, connection: Connection, grid: Grid, zones: tuple
         make("PointRangeDonor", "IndexRange_t", donor),
     ]
     if connection.periodic:
-        periodic = make("Periodic", "Periodic_t", None, _periodic_nodes(connection.periodic))
+        # Angles are in radians, declared explicitly because readers' defaults differ.
+        units = make("DimensionalUnits", "DimensionalUnits_t", name_list(["Null"] * 4 + ["Radian"]))
+        motion = connection.periodic
+        angle = np.radians(motion.rotation_angle).astype(np.float32)
+        members = [
+            make("RotationCenter", "DataArray_t", np.array(motion.rotation_center, np.float32)),
+            make("RotationAngle", "DataArray_t", angle, [units]),
+            make("Translation", "DataArray_t", np.array(motion.translation, np.float32)),
+        ]
+        periodic = make("Periodic", "Periodic_t", None, members)
         children.append(make("GridConnectivityProperty", "GridConnectivityProperty_t", None, [periodic]))
     return make(name, "GridConnectivity1to1_t", zones[connection.donor_block], children)
-
-
-def _periodic_nodes(periodic: Periodicity) -> list[Node]:
-    """Periodic_t nodes of a motion; angles are in radians, declared explicitly because readers' defaults differ."""
-    units = make("DimensionalUnits", "DimensionalUnits_t", name_list(["Null", "Null", "Null", "Null", "Radian"]))
-    angle = np.radians(periodic.rotation_angle).astype(np.float32)
-    return [
-        make("RotationCenter", "DataArray_t", np.array(periodic.rotation_center, np.float32)),
-        make("RotationAngle", "DataArray_t", angle, [units]),
-        make("Translation", "DataArray_t", np.array(periodic.translation, np.float32)),
-    ]

@@ -68,13 +68,6 @@ class Places:
 
         return room(name, dims, kind, placed)
 
-    def coordinate_arrays(
-        self, grid: Grid, block: int, names: Sequence[str], dims: Sequence[int], kind: np.dtype[Any]
-    ) -> list[Node]:
-        """Coordinate arrays of a block, without values."""
-        found = self.coordinates.setdefault(block, [])
-        return [self.room(found, name, dims, kind, grid.shapes[block]) for name in names]
-
 
 # The version of the standard that defines everything written here.
 _LIBRARY_VERSION = 3.2
@@ -110,17 +103,12 @@ def write_completed(grid: Grid, path: Path, begin: Callable[[Path], Places]) -> 
     """Write a file with ``begin``, on the first rank, and then, on all of them, the values for which it leaves room."""
     with replacing_by_all(path, grid.points) as partial:
         places = grid.nodes.on_first(lambda: begin(partial))
-        write_outputs(grid, outputs_of(grid, places))
-
-
-def outputs_of(grid: Grid, places: Places) -> list[Output]:
-    """The values of a grid on their way to their places."""
-    found = [Output.of_coordinates(grid, block, arrays) for block, arrays in places.coordinates.items()]
-    for number, arrays in places.fields.items():
-        field = grid.fields[number]
-        ni, nj, nk = field.values.shape[:3]
-        found.append(Output.of_values(field.block, (ni, nj, nk), field.own, arrays))
-    return found
+        outputs = [Output.of_coordinates(grid, block, arrays) for block, arrays in places.coordinates.items()]
+        for number, arrays in places.fields.items():
+            field = grid.fields[number]
+            ni, nj, nk = field.values.shape[:3]
+            outputs.append(Output.of_values(field.block, (ni, nj, nk), field.own, arrays))
+        write_outputs(grid, outputs)
 
 
 def _new_tree(grid: Grid, dimension: int, kind: np.dtype[Any], places: Places) -> Node:
@@ -131,8 +119,9 @@ def _new_tree(grid: Grid, dimension: int, kind: np.dtype[Any], places: Places) -
     zones = []
     for block, name in enumerate(names):
         shape = np.array([n for n in grid.shapes[block] if n > 1], np.int32)
-        letters = [f"Coordinate{letter}" for letter in "XYZ"[:dimension]]
-        arrays = places.coordinate_arrays(grid, block, letters, shape.tolist(), kind)
+        found = places.coordinates.setdefault(block, [])
+        arrays = [places.room(found, f"Coordinate{letter}", shape.tolist(), kind, grid.shapes[block])
+                  for letter in "XYZ"[:dimension]]  # fmt: skip
         children = [
             make("ZoneType", "ZoneType_t", "Structured"),
             make("GridCoordinates", "GridCoordinates_t", None, arrays),

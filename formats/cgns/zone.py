@@ -68,15 +68,18 @@ class Zone:
         block[..., count:] = 0.0
 
 
-def find_base(root: Node, notes: Notes) -> Base:
-    """The first base that has zones; the others are noted."""
+def base_and_zones(root: Node, notes: Notes | None = None) -> tuple[Base, list[Zone]]:
+    """The first base that has zones, and these in file order; other bases are noted.
+
+    Raises FormatError when a zone is unstructured, has no Cartesian coordinates, or its sizes and arrays disagree.
+    """
+    notes = notes or Notes()
     bases = root.labelled("CGNSBase_t")
     if not bases:
         raise FormatError("there is no CGNSBase_t node; expected a CGNS file with one base that contains the zones")
-    with_zones = [node for node in bases if node.labelled("Zone_t")]
-    if not with_zones:
-        raise FormatError(f"the base {bases[0].name} has no zones; expected at least one structured Zone_t")
-    chosen = with_zones[0]
+    chosen, nodes = next(((base, found) for base in bases if (found := base.labelled("Zone_t"))), (bases[0], []))
+    if not nodes:
+        raise FormatError(f"the base {chosen.name} has no zones; expected at least one structured Zone_t")
     for node in bases:
         if node is not chosen:
             notes.add(f"the grid is the base {chosen.name}; other bases are kept as they are", node.name)
@@ -86,22 +89,7 @@ def find_base(root: Node, notes: Notes) -> Base:
             f"the base {chosen.name} has cell dimension {cell_dimension} and physical dimension {dimension}; "
             f"a block-structured grid has 2 or 3 of each, and at least as many coordinates as index axes"
         )
-    return Base(chosen, cell_dimension, dimension)
-
-
-def base_and_zones(root: Node, notes: Notes | None = None) -> tuple[Base, list[Zone]]:
-    """The base with the grid and its zones in file order, as by :func:`find_base` and :func:`structured_zones`."""
-    notes = notes or Notes()
-    base = find_base(root, notes)
-    return base, structured_zones(base, notes)
-
-
-def structured_zones(base: Base, notes: Notes) -> list[Zone]:
-    """All zones of the base in file order.
-
-    Raises FormatError when a zone is unstructured, has no Cartesian coordinates, or its sizes and arrays disagree.
-    """
-    nodes = base.node.labelled("Zone_t")
+    base = Base(chosen, cell_dimension, dimension)
     # Files older than ZoneType_t contain only structured zones.
     types = [next((kind.text() for kind in node.labelled("ZoneType_t")), "Structured") for node in nodes]
     others = [(node.name, kind) for node, kind in zip(nodes, types, strict=True) if kind != "Structured"]
@@ -123,7 +111,7 @@ def structured_zones(base: Base, notes: Notes) -> list[Zone]:
                 f"{base.node.name}, whose zones are {kind} (cell dimension {base.cell_dimension}); expected at least 2 "
                 f"nodes along each index, and curves and surfaces in a base of their own"
             )
-    return zones
+    return base, zones
 
 
 _FLAT = {1: "a surface", 2: "a curve", 3: "a point"}

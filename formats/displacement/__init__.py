@@ -1,5 +1,5 @@
 """Displacement tables."""
 
-from .reader import read_displacement, write_displacement
+from .table import read_displacement, write_displacement
 
 __all__ = ["read_displacement", "write_displacement"]

@@ -62,7 +62,8 @@ def read_hdf5(path: Path) -> DisplacementTable:
     found.
     """
     with _reading(path, " as HDF5"), h5py.File(path, "r") as file:
-        groups = {name: _arrays(group) for name, group in _root_and_groups(file)}
+        below = {f"/{name}": entry for name, entry in _readable_members(file) if isinstance(entry, h5py.Group)}
+        groups = {name: _arrays(group) for name, group in ({"/": file} | below).items()}
     tables = {name: table for name, arrays in groups.items() if (table := _table_of_arrays(arrays))}
     if len(tables) == 1:
         return next(iter(tables.values()))
@@ -89,13 +90,6 @@ def _reading(path: Path, kind: str = "") -> Iterator[None]:
         raise FormatError(f"cannot read {path}{kind}: {reason_of(error)}") from error
 
 
-def _root_and_groups(file: h5py.File) -> Iterator[tuple[str, h5py.Group]]:
-    yield "/", file
-    for name, entry in _readable_members(file):
-        if isinstance(entry, h5py.Group):
-            yield f"/{name}", entry
-
-
 def _readable_members(group: h5py.Group) -> Iterator[tuple[str, Any]]:
     """Members of a group, except those whose name is not text and broken or circular links."""
     for name in group:
@@ -110,15 +104,13 @@ def _readable_members(group: h5py.Group) -> Iterator[tuple[str, Any]]:
 def _arrays(group: h5py.Group) -> dict[str, NDArray[Any]]:
     sets = {name: entry for name, entry in _readable_members(group) if isinstance(entry, h5py.Dataset)}
     numbers = {name: entry for name, entry in sets.items() if entry.dtype.kind in "iuf" and entry.ndim in (1, 2)}
-    return {name: _values_of_dataset(entry) for name, entry in numbers.items()}
-
-
-def _values_of_dataset(entry: h5py.Dataset) -> NDArray[Any]:
-    stored = entry.id.get_storage_size()
-    if entry.size * entry.dtype.itemsize > stored * _MAXIMUM_COMPRESSION:
-        raise FormatError(f"{entry.name} declares {entry.shape} {entry.dtype} values; only {stored} bytes are stored")
-    values: NDArray[Any] = entry[()]
-    return values
+    for entry in numbers.values():
+        stored = entry.id.get_storage_size()
+        if entry.size * entry.dtype.itemsize > stored * _MAXIMUM_COMPRESSION:
+            raise FormatError(
+                f"{entry.name} declares {entry.shape} {entry.dtype} values; only {stored} bytes are stored"
+            )
+    return {name: entry[()] for name, entry in numbers.items()}
 
 
 def _table_of_arrays(arrays: Mapping[str, NDArray[Any]]) -> DisplacementTable | None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import csv
 import re
+from array import array
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,22 +18,6 @@ _UNITS = {"m", "dm", "cm", "mm", "um", "µm", "nm", "km", "in", "inch", "inches"
 _BY_ORDER = {6: "x y z dx dy dz", 4: "x y dx dy", 3: "number x y, as of SU2"}
 
 
-@dataclass(frozen=True)
-class _Layout:
-    """Layout of the numbers.
-
-    ``first`` is the first line with numbers (1-based); ``separator`` is ``None`` for blanks and tabs; ``width`` is the
-    number of columns; ``points`` and ``displacement`` are the columns (0-based) to take, which ``named`` columns tell.
-    """
-
-    first: int
-    separator: str | None
-    width: int
-    points: tuple[int, ...]
-    displacement: tuple[int, ...]
-    named: bool
-
-
 def read(path: Path) -> DisplacementTable:
     """Read a text table.
 
@@ -43,33 +27,44 @@ def read(path: Path) -> DisplacementTable:
 
     Raises FormatError when the columns are unknown or a line is not a row of numbers; with the line.
     """
-    layout = _layout(path)
-    try:
-        columns = layout.points + layout.displacement
-        every = len(columns) == layout.width
-        with path.open(encoding="utf-8-sig") as stream:
-            values = np.loadtxt(
-                # numpy takes a line of blanks, or of blanks and a comment, for a row.
-                (line if line.partition("#")[0].strip() else "\n" for line in stream),
-                quotechar='"',
-                delimiter=layout.separator,
-                skiprows=layout.first - 1,
-                # When all columns are requested, numpy also checks that there are no more.
-                usecols=None if every else columns,
-                ndmin=2,
-            )
-    except ValueError as error:
-        raise _explained(path, layout, error) from error
-    if every:
-        values = values[:, columns]
-    split = len(layout.points)
-
-    def place(row: int) -> str:
-        return (
-            f"line {next(number for index, (number, _) in enumerate(_rows_of_numbers(path, layout)) if index == row)}"
-        )
-
-    return DisplacementTable(values[:, :split], values[:, split:], NO_TRIANGLES, place, layout.named)
+    header, remark, separator, width = "", "", None, 0
+    points: tuple[int, ...] = ()
+    moves: tuple[int, ...] = ()
+    lines, values, named = array("q"), array("d"), False
+    for number, text, comment in _contents(path):
+        if not text:
+            remark = remark if width else comment
+            continue
+        if not width:
+            separator = next((mark for mark in ";," if mark in text), None)
+        words = _words(text, separator)
+        if not width:
+            wrong = [word for word in words if not _is_number(word)]
+            if not header and len(wrong) == len(words):
+                header = text
+                continue
+            if not header and wrong:
+                raise FormatError(f"{path}, line {number}: {_no_number(wrong[0])}")
+            width = len(words)
+            points, moves, named = _columns(path, number, separator, width, header, remark)
+        if len(words) != width:
+            raise FormatError(f"{path}, line {number}: found {len(words)} columns; expected {width} as before")
+        own = [words[column] for column in points + moves]
+        # Python also reads 1_000 and the digits of other scripts.
+        strange = "_" in text or not text.isascii()
+        try:
+            values.extend(map(float, own))
+        except ValueError:
+            strange = True
+        if strange and (wrong := [word for word in own if not _is_number(word)]):
+            raise FormatError(f"{path}, line {number}: {_no_number(wrong[0])}")
+        lines.append(number)
+    if not lines:
+        below = f" below the header {header[:60]!r}" if header else ""
+        raise FormatError(f"{path} has no rows of numbers{below}")
+    rows = np.frombuffer(values).reshape(len(lines), -1)
+    split = len(points)
+    return DisplacementTable(rows[:, :split], rows[:, split:], NO_TRIANGLES, lambda row: f"line {lines[row]}", named)
 
 
 def _contents(path: Path) -> Iterator[tuple[int, str, str]]:
@@ -82,26 +77,6 @@ def _contents(path: Path) -> Iterator[tuple[int, str, str]]:
                     yield number, text.strip(), comment.strip()
     except UnicodeDecodeError as error:
         raise FormatError(f"{path} is not UTF-8 text: {error}") from error
-
-
-def _layout(path: Path) -> _Layout:
-    header, comment = "", ""
-    for number, text, remark in _contents(path):
-        if not text:
-            comment = remark
-            continue
-        separator = next((mark for mark in ";," if mark in text), None)
-        words = _words(text, separator)
-        if header or all(map(_is_number, words)):
-            return _Layout(
-                number, separator, len(words), *_columns(path, number, separator, len(words), header, comment)
-            )
-        if any(map(_is_number, words)):
-            wrong = next(word for word in words if not _is_number(word))
-            raise FormatError(f"{path}, line {number}: {_no_number(wrong)}")
-        header = text
-    below = f" below the header {header[:60]!r}" if header else ""
-    raise FormatError(f"{path} has no rows of numbers{below}")
 
 
 def _columns(
@@ -139,11 +114,13 @@ def _columns(
 def _words(text: str, separator: str | None) -> list[str]:
     if separator is None:
         return [word.strip('"') for word in text.split()]
+    if '"' not in text or len(text) > csv.field_size_limit():
+        return [word.strip() for word in text.split(separator)]
     return [word.strip() for word in next(csv.reader([text], delimiter=separator, skipinitialspace=True))]
 
 
 def _is_number(word: str) -> bool:
-    """Whether numpy reads it as a number too: without underscores and in plain digits."""
+    """Whether it is a number without underscores and in plain digits."""
     try:
         float(word)
     except ValueError:
@@ -151,24 +128,6 @@ def _is_number(word: str) -> bool:
     return word.isascii() and "_" not in word
 
 
-def _rows_of_numbers(path: Path, layout: _Layout) -> Iterator[tuple[int, list[str]]]:
-    """Line number and words of each row of numbers."""
-    for number, text, _ in _contents(path):
-        if text and number >= layout.first:
-            yield number, _words(text, layout.separator)
-
-
 def _no_number(word: str) -> str:
     comma = "; decimal commas are not read: write points" if _is_number(word.replace(",", ".", 1)) else ""
     return f"{word!r} is not a number{comma}"
-
-
-def _explained(path: Path, layout: _Layout, error: ValueError) -> FormatError:
-    """The line and word that numpy could not read."""
-    for number, words in _rows_of_numbers(path, layout):
-        if len(words) != layout.width:
-            return FormatError(f"{path}, line {number}: found {len(words)} columns; expected {layout.width} as before")
-        wrong = [words[column] for column in layout.points + layout.displacement if not _is_number(words[column])]
-        if wrong:
-            return FormatError(f"{path}, line {number}: {_no_number(wrong[0])}")
-    return FormatError(f"{path}: {error}")

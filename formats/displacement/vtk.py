@@ -14,7 +14,7 @@ from meshdeform_core.grid import IntArray
 from ..vtk.legacy import Attributes, LegacyFile
 from ..vtk.xml_arrays import ArrayReader, read_section
 from ..vtk.xml_tags import Element, read_tags
-from .table import NO_TRIANGLES, DisplacementTable, fans, starts_of_list, surface_table
+from .table import NO_TRIANGLES, DisplacementTable, fans, surface_table
 
 # Corners of VTK's two-dimensional cells, by type; nodes on edges and inside follow them.
 _CORNERS = {5: 3, 22: 3, 34: 3, 9: 4, 23: 4, 28: 4}
@@ -39,15 +39,15 @@ def read_vtk_xml(path: Path) -> DisplacementTable:
         size = reader.number(piece, "NumberOfPoints")
         points = reader.values(reader.arrays_of(piece, "Points", 1)[0], size, 3)
         arrays = {array.name: array.values for array in read_section(reader, piece, "PointData", size, [])}
-        triangles = _polygons(reader, piece) if file.kind == "PolyData" else _cells(reader, piece)
+        if file.kind == "PolyData":
+            kinds = [
+                _cell_lists(reader, piece, tag, _count(reader, piece, f"NumberOf{tag}")) for tag in ("Polys", "Strips")
+            ]
+            triangles = np.concatenate([fans(*kinds[0]), fans(*kinds[1], strip=True)])
+        else:
+            triangles = _cells(reader, piece)
         reader.require_no_rest()
     return surface_table(path, points, arrays, triangles)
-
-
-def _polygons(reader: ArrayReader, piece: Element) -> IntArray:
-    polygons = _cell_lists(reader, piece, "Polys", _count(reader, piece, "NumberOfPolys"))
-    strips = _cell_lists(reader, piece, "Strips", _count(reader, piece, "NumberOfStrips"))
-    return np.concatenate([fans(*polygons), fans(*strips, strip=True)])
 
 
 def _cells(reader: ArrayReader, piece: Element) -> IntArray:
@@ -144,7 +144,11 @@ def _legacy_cells(file: LegacyFile, keyword: str, n: int, size: int) -> tuple[ND
         return connectivity, offsets[:-1], np.diff(offsets)
     file.stream.seek(position)
     entries = file.values(size, "int", keyword).astype(np.int64)
-    starts = starts_of_list(entries)
+    sizes, found, at = entries.tolist(), list[int](), 0
+    while at < size:
+        found.append(at)
+        at += 1 + max(sizes[at], 0)
+    starts = np.array(found, dtype=np.int64)
     if len(starts) != n or (n and starts[-1] + 1 + entries[starts[-1]] != size):
         raise file.error(f"{keyword}: the {size} entries are not {n} cells, each preceded by its number of corners")
     return entries, starts + 1, entries[starts]

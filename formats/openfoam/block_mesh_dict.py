@@ -91,13 +91,21 @@ def read_block_mesh_dict(top: Dictionary) -> BlockMeshDict:
         if entry.more and (isinstance(top.entries[key], Dictionary) or entry.list(key).more or entry.more):
             raise FormatError(f"{top.place(key)}: {key} is not supported: {reason}")
     known = _Vertices(top)
-    blocks = _read_blocks(top, known)
+    items, found = top.list("blocks"), list[HexBlock]()
+    while items.more:
+        found.append(_block(items, known, len(found) + 1))
+    if not found:
+        items.fail("blocks is empty")
+    names = [block.name for block in found]
+    if len(set(names)) < len(names):
+        items.fail(f"two blocks are called {next(n for n in names if names.count(n) > 1)!r}")
+    blocks = tuple(found)
     sides: dict[tuple[int, ...], list[BlockSide]] = {}
     for number, block in enumerate(blocks):
         for side in Side:
             sides.setdefault(_side_key(block, side), []).append((number, side))
     joined = tuple((two[0][0], two[1][0]) for key, two in sides.items() if len(two) == 2 < len(key))
-    items, found = top.list("edges"), dict[tuple[int, int], Curve]()
+    items, curves = top.list("edges"), dict[tuple[int, int], Curve]()
     while items.more:
         kind = items.word("the kind of an edge")
         if kind not in _CURVES:
@@ -105,9 +113,9 @@ def read_block_mesh_dict(top: Dictionary) -> BlockMeshDict:
         first, last = known.take(items), known.take(items)
         curve = _curve(items, kind, known.points[first], known.points[last])
         # As in blockMesh, the first of several definitions counts.
-        if (last, first) not in found:
-            found.setdefault((first, last), curve)
-    curves, patches = found, _read_patches(top, known, blocks, sides)
+        if (last, first) not in curves:
+            curves.setdefault((first, last), curve)
+    patches = _read_patches(top, known, blocks, sides)
     return BlockMeshDict(top.path, known.points, _scale(top), blocks, curves, patches, joined)
 
 
@@ -148,19 +156,6 @@ def _scale(top: Dictionary) -> FloatArray:
     if not (scale > 0).all():
         raise FormatError(f"{top.place(key)}: {key} is {vector(scale)}; expected positive factors")
     return scale
-
-
-def _read_blocks(top: Dictionary, vertices: _Vertices) -> tuple[HexBlock, ...]:
-    items = top.list("blocks")
-    found: list[HexBlock] = []
-    while items.more:
-        found.append(_block(items, vertices, len(found) + 1))
-    if not found:
-        items.fail("blocks is empty")
-    names = [block.name for block in found]
-    if len(set(names)) < len(names):
-        items.fail(f"two blocks are called {next(n for n in names if names.count(n) > 1)!r}")
-    return tuple(found)
 
 
 def _block(items: Reading, known: _Vertices, number: int) -> HexBlock:

@@ -1,24 +1,18 @@
-"""Plot3D as text: Fortran's list-directed input, and exact shortest numbers on output.
-
-Plain numbers go through scipy's Matrix Market reader and writer, where a column is one number per line: exact, and
-several times faster than ``numpy.fromstring`` and ``repr``. The reader silently stops at the first character that
-cannot belong to a number, so a piece of text is first checked to consist of plain numbers.
-"""
+"""Plot3D as text: Fortran's list-directed input, and exact shortest numbers on output."""
 
 from __future__ import annotations
 
 import codecs
-import io
+import contextlib
 import math
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
@@ -37,26 +31,7 @@ _LONGEST_NUMBER = 64
 # Numbers written per call.
 _LINES = 1 << 20
 
-_GAP, _DIGIT, _SIGN, _DOT, _EXPONENT, _STAR, _OTHER = range(7)
-_CHARACTERS = {
-    _GAP: b" ,\t\r\n",
-    _DIGIT: b"0123456789",
-    _SIGN: b"+-",
-    _DOT: b".",
-    _EXPONENT: b"DEQdeq",
-    _STAR: b"*",
-}
-_KIND = bytes(next((kind for kind, members in _CHARACTERS.items() if c in members), _OTHER) for c in range(256))
-_FOLLOWERS = {
-    _GAP: (_GAP, _DIGIT, _SIGN, _DOT),
-    _DIGIT: (_GAP, _DIGIT, _DOT, _EXPONENT, _STAR),
-    _SIGN: (_DIGIT, _DOT),
-    _DOT: (_GAP, _DIGIT, _EXPONENT),
-    _EXPONENT: (_DIGIT, _SIGN),
-    _STAR: (_DIGIT, _SIGN, _DOT),
-}
-_NEIGHBOURS = bytes(7 * kind + follower for kind, followers in _FOLLOWERS.items() for follower in followers)
-_ONE_PER_LINE = bytes.maketrans(b" ,\t\r*DQdqe", b"\n\n\n\n\nEEEEE")
+_SPELLED = bytes.maketrans(b",DQdq", b" EEEE")
 
 _WORD = re.compile(rb"[^\s,]+")
 _WHOLE_LINE = re.compile(rb"^(-?\d+)$", re.MULTILINE)
@@ -71,14 +46,23 @@ _NUMBER = re.compile(
 
 
 def read_numbers(stream: BinaryIO, path: Path) -> FloatArray:
-    """All numbers of a text, in order; exact except for the sign of zero.
+    """All numbers of a text, in order.
 
     Accepts blanks, tabs, commas and line ends between numbers, repeat counts (``3*0.0``), and exponents with E, D, Q or
     no letter (``1.5-101``).
 
     Raises FormatError with the line number, for null values, comments and anything else that is not a number.
     """
-    return np.concatenate([np.empty(0), *_read_pieces(stream, path)])
+    skip_mark(stream)
+    line, rest, found = 1, b"", [np.empty(0)]
+    while chunk := stream.read(_PIECE):
+        text = rest + chunk
+        # Pieces begin with a number; the last number, and a comma after it, are held back for the next piece.
+        cut = _end_of_numbers(text.rstrip(b" ,\t\r\n"))
+        text, rest = text[:cut], text[cut:]
+        found.append(_numbers_of_piece(text, line, path))
+        line += text.count(b"\n")
+    return np.concatenate([*found, _numbers_of_piece(rest, line, path)])
 
 
 def skip_mark(stream: BinaryIO) -> None:
@@ -130,67 +114,20 @@ def number_lines(values: NDArray[Any], dotted: bool = False) -> bytes | memoryvi
     return bytes(lines[:-1]) + b".\n" if values.dtype.kind == "f" and _INTEGER.fullmatch(last) else lines
 
 
-def _read_pieces(stream: BinaryIO, path: Path) -> Iterator[FloatArray]:
-    """Numbers in pieces of text that begin with a number."""
-    skip_mark(stream)
-    line, rest = 1, b""
-    while chunk := stream.read(_PIECE):
-        text = rest + chunk
-        # The last number, and a comma after it, are held back for the next piece.
-        cut = _end_of_numbers(text.rstrip(b" ,\t\r\n"))
-        text, rest = text[:cut], text[cut:]
-        yield _numbers_of_piece(text, line, path)
-        line += text.count(b"\n")
-    yield _numbers_of_piece(rest, line, path)
-
-
 def _numbers_of_piece(text: bytes, line: int, path: Path) -> FloatArray:
     """The numbers in a piece of text that begins on line ``line``."""
     if b"," in text and (null := _NULL_VALUE.search(text)):
         place = _place(path, line, text[: null.end()])
         raise FormatError(f"{place}: no number before a comma; null values leave numbers undefined; write them out")
-    values = _plain_numbers(text)
-    return _spelled_numbers(text, line, path) if values is None else values
-
-
-def _plain_numbers(text: bytes) -> FloatArray | None:
-    """Numbers like -1, 1.5, 1.5E-3 or 3*1.5; ``None`` if there is anything else in the text."""
-    kinds = np.frombuffer(b"\0%b\0" % text.translate(_KIND), np.uint8)
-    between = (kinds == _GAP) | (kinds == _STAR)
-    starts = np.flatnonzero(between[:-1] & ~between[1:])
-    if not starts.size or not _all_plain(kinds):
-        return None
-    column = b"%%%%MatrixMarket matrix array real general\n%d 1\n%b" % (starts.size, text.translate(_ONE_PER_LINE))
-    try:
-        values = scipy.io.mmread(io.BytesIO(column))[:, 0]
-    except ValueError:
-        # A number out of range, or a sign or dot without digits.
-        return None
-    stars = np.flatnonzero(kinds == _STAR)
-    return _repeated(values, np.searchsorted(starts, stars) - 1) if stars.size else values
-
-
-def _all_plain(kinds: NDArray[np.uint8]) -> bool:
-    """Whether all words are plain, by valid pairs of neighbours: a count before a star, one dot, then one exponent."""
-    if (7 * kinds[:-1] + kinds[1:]).tobytes().translate(None, _NEIGHBOURS):
-        return False
-    marks = kinds[(kinds == _GAP) | (kinds >= _DOT)]
-    before, after = marks[:-1], marks[1:]
-    late_dot = (after == _DOT) & ((before == _DOT) | (before == _EXPONENT))
-    return not np.any(late_dot | ((after == _EXPONENT) & (before == _EXPONENT)) | ((after == _STAR) & (before != _GAP)))
-
-
-def _repeated(values: FloatArray, where: NDArray[np.int64]) -> FloatArray | None:
-    """Expand values in which those at ``where`` are repeat counts of the next ones; ``None`` if a count is invalid."""
-    counts = np.ones(values.size - where.size)
-    counts[where - np.arange(where.size)] = values[where]
-    if counts.min() < 1 or counts.sum() > _MOST_REPEATED:
-        return None
-    return np.repeat(np.delete(values, where), counts.astype(np.int64))
+    if b"*" not in text and b"_" not in text:
+        # Python also reads 1_000. What it does not read may be an exponent without a letter, or no number.
+        with contextlib.suppress(ValueError):
+            return np.array(list(map(float, text.translate(_SPELLED).split())), np.float64)
+    return _spelled_numbers(text, line, path)
 
 
 def _spelled_numbers(text: bytes, line: int, path: Path) -> FloatArray:
-    """The numbers read word by word, for exponents without a letter and NaN, and to locate invalid words."""
+    """The numbers read word by word, for repeat counts and exponents without a letter, and to locate invalid words."""
     counts, values = [], []
     for word in _WORD.finditer(text):
         number = _NUMBER.fullmatch(word[0])

@@ -44,7 +44,17 @@ def read_binary(path: Path, options: Mapping[str, Any]) -> Grid:
     """Read a binary Plot3D file of any variant that ``options`` allow."""
 
     def load(reading: Reading) -> Grid:
-        return _load(reading, path)
+        grid, flags = allocate(reading, path)
+        places, flag_places = places_of(reading.variant, grid.shapes, path, Stretches(reading.segments))
+
+        def put(part: Planes) -> None:
+            read_planes(grid, part, places[part.block])
+            for array in flags[part.block : part.block + 1]:
+                values = flag_places[part.block].read(part.first, part.last)[:, :, grid.planes(part.block)]
+                array[:, :, part.first : part.last] = values.T
+
+        grid.fill_planes(put, ranges_of(list(enumerate(grid.shapes))))
+        return grid
 
     with path.open("rb") as stream:
         return choose(_readings(stream), UnknownFile(path, path.stat().st_size, "bytes", options, load))
@@ -68,20 +78,6 @@ def allocate(reading: Reading, path: Path) -> tuple[Grid, list[NDArray[Any]]]:
     values = (grid.spread(own, shape[0]) for own, shape in zip(flags, grid.shapes, strict=True))
     fields = tuple(Field("iblank", "node", block, each) for block, each in enumerate(values))
     return replace(grid, fields=fields), flags
-
-
-def _load(reading: Reading, path: Path) -> Grid:
-    grid, flags = allocate(reading, path)
-    places, flag_places = places_of(reading.variant, grid.shapes, path, Stretches(reading.segments))
-
-    def put(part: Planes) -> None:
-        read_planes(grid, part, places[part.block])
-        for array in flags[part.block : part.block + 1]:
-            values = flag_places[part.block].read(part.first, part.last)[:, :, grid.planes(part.block)]
-            array[:, :, part.first : part.last] = values.T
-
-    grid.fill_planes(put, ranges_of(list(enumerate(grid.shapes))))
-    return grid
 
 
 def places_of(
@@ -150,16 +146,15 @@ def iblank_of(grid: Grid, index: int) -> Field | None:
 def _readings(stream: BinaryIO) -> list[Reading]:
     readings = list(fortran_readings(stream))
     # A header in proper records cannot be a coincidence, but a stream of matching size can.
-    return readings if any(reading.evidence >= (1, 2) for reading in readings) else [*readings, *_c_readings(stream)]
-
-
-def _c_readings(stream: BinaryIO) -> Iterator[Reading]:
+    if any(reading.evidence >= (1, 2) for reading in readings):
+        return readings
     for byte_order, precision in product(("little", "big"), ("float64", "float32")):
         variants = list(header_variants(encoding="binary", byte_order=byte_order, precision=precision))
         stream.seek(0)
         head = stream.read(4 * LONGEST_HEADER)
         integers = np.frombuffer(head, variants[0].integer, count=len(head) // 4).astype(np.int64)
-        yield from stream_readings(variants, integers, os.fstat(stream.fileno()).st_size)
+        readings += stream_readings(variants, integers, os.fstat(stream.fileno()).st_size)
+    return readings
 
 
 # Bytes in the largest subrecord that gfortran and Intel Fortran write.
@@ -219,42 +214,35 @@ def fortran_readings(stream: BinaryIO) -> Iterator[Reading]:
     for byte_order, markers in product(("little", "big"), (4, 8)):
         base = Variant(byte_order=byte_order, markers=markers)
         walk = walk_records(stream, base)
-        if not walk.records or sum(length for _, length in walk.records[0]) not in (4, 8, 12):
+        if not walk.records or walk.lengths[0] not in (4, 8, 12):
             continue
         content = bytearray()
         for offset, length in chain.from_iterable(walk.records[: 1 + MOST_BLOCKS]):
             stream.seek(offset)
             content += stream.read(min(length, 4 * LONGEST_HEADER - len(content)))
         integers = np.frombuffer(content, base.integer, count=len(content) // 4).astype(np.int64)
-        headers = list(_headers(base, walk, integers))
-        for variant, shapes, used in headers:
-            yield from _data_readings(variant, shapes, walk, used)
-        if not headers:
+        ends, fits = list(accumulate(walk.lengths[: 1 + MOST_BLOCKS])), False
+        for header in header_variants(encoding="fortran", byte_order=byte_order, markers=markers):
+            shapes = header_shapes(integers, header.multiblock, header.dimension, walk.size)
+            length = 4 * (int(header.multiblock) + header.dimension * len(shapes or ()))
+            # The block sizes may be in one record or in several.
+            if shapes and ends[0] == (4 if header.multiblock else length) and length in ends:
+                fits = True
+                yield from _data_readings(header, shapes, walk, ends.index(length) + 1)
+        if not fits:
             defect = f"its header {integers[:9].tolist()} is not a block count with sizes that fill whole records"
             yield Reading(base, (), walk.size, (), (1, 0), defect)
-
-
-def _headers(
-    base: Variant, walk: Walk, integers: NDArray[np.int64]
-) -> Iterator[tuple[Variant, tuple[Shape, ...], int]]:
-    """Variant, block shapes and number of header records; the block sizes may be in one record or in several."""
-    ends = list(accumulate(walk.lengths[: 1 + MOST_BLOCKS]))
-    for multiblock, dimension in product((True, False), (3, 2)):
-        shapes = header_shapes(integers, multiblock, dimension, walk.size)
-        length = 4 * (int(multiblock) + dimension * len(shapes or ()))
-        if shapes and ends[0] == (4 if multiblock else length) and length in ends:
-            yield replace(base, multiblock=multiblock, dimension=dimension), shapes, ends.index(length) + 1
 
 
 def _data_readings(header: Variant, shapes: tuple[Shape, ...], walk: Walk, used: int) -> Iterator[Reading]:
     """All possible readings of the records after the ``used`` records of the header."""
     found, segments = walk.lengths, tuple(chain.from_iterable(walk.records[used:]))
     planes = sum(nk for _, _, nk in shapes)
-    for precision, iblank, per in product(("float64", "float32"), (False, True), ("block", "array", "plane")):
+    for precision, per in product(("float64", "float32"), ("block", "array", "plane")):
         # Blocks of one plane have the same records in both forms.
         if per == "plane" and not len(shapes) < planes <= ABSURD * len(found):
             continue
-        variant = replace(header, precision=precision, iblank=iblank, records=per)
+        variant = replace(header, precision=precision, records=per)
         expected = found[:used] + [length for shape in shapes for length in record_lengths(variant, shape)]
         good = len(list(takewhile(lambda pair: pair[0] == pair[1], zip(found, expected, strict=False))))
         defect = _defect(found, expected, good, walk.problem)

@@ -18,6 +18,7 @@ from meshdeform_core.grid.planes import block_extents
 from meshdeform_core.numerics.arrays import extent
 
 from ..files import checked_options, replacing_by_all
+from .ascii import read_ascii, write_ascii
 from .binary import binary_layout, iblank_of, read_binary, write_binary
 from .variant import CHOICES, Variant
 
@@ -48,8 +49,6 @@ def read(path: Path, **options: Any) -> Grid:
         # Every binary header has small integers with zero bytes, which no text has.
         if b"\0" in stream.read(1024):
             return read_binary(path, wanted)
-    from .ascii import read_ascii  # scipy takes longer to import than a binary grid to read
-
     return read_ascii(path, wanted)
 
 
@@ -86,8 +85,6 @@ def write(grid: Grid, path: Path, variant: FileFormat) -> None:
     _require_writable(grid, Path(path), chosen)
     with replacing_by_all(Path(path), grid.points) as partial:
         if chosen.encoding == "ascii":
-            from .ascii import write_ascii
-
             with partial.open("wb") as stream:
                 write_ascii(grid, stream, chosen)
         else:

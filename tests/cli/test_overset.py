@@ -78,16 +78,7 @@ def test_reports_have_a_verdict_for_every_component(folder, call):
     assert [part["valid"] for part in report["levels"][1]["components"]] == [True] * 3
 
 
-@pytest.mark.parametrize(
-    ("entry", "message"),
-    [
-        ("zones", "found 'zones'; expected"),
-        ({}, "found {}; expected"),
-        ({"a": 3}, "grid.components.a: found 3"),
-        ({"a": []}, "grid.components.a: found"),
-        ({"a": {"file": "x.cgns"}}, "grid.components.a: found"),
-    ],
-)
-def test_entries_that_are_no_components_are_refused(entry, message):
-    with pytest.raises(CaseError, match=message):
+@pytest.mark.parametrize("entry", ["zones", {}, {"a": 3}, {"a": []}, {"a": {"file": "x.cgns"}}])
+def test_entries_that_are_no_components_are_refused(entry):
+    with pytest.raises(CaseError, match=r"grid\.components = .*; expected .zone prefix., or names with block patterns"):
         case_of({"grid": {"components": entry}})

@@ -1,7 +1,6 @@
 """Reading CGNS: third-party grids against their oracle, everything else against files of an independent writer."""
 
 import itertools
-from dataclasses import replace
 
 import h5py
 import numpy as np
@@ -250,33 +249,6 @@ def test_what_else_a_file_holds_is_noted(tmp_path):
     assert any("DataConversion" in note and "z/CoordinateY" in note for note in notes)
     assert any("additional grids" in note and "z/GridCoordinates#2" in note for note in notes)
     assert any("the grid is the base Base" in note and "Second" in note for note in notes)
-
-
-@pytest.mark.parametrize("direct", [False, True])
-def test_links_in_hdf5(tmp_path, direct):
-    """Links as the CGNS library writes them, and plain HDF5 links as other tools do."""
-    (tmp_path / "mesh").mkdir()
-    points = box(3, 3, 3)
-    write_hdf5(tmp_path / "mesh" / "other.cgns", tree(zone("far", points)))
-    whole = zone("here", points)
-    inner = N("GridCoordinates", "", link=("", "/Base/here/GridCoordinates"))
-    outer = N("GridCoordinates", "", link=("mesh/other.cgns", "/Base/far/GridCoordinates"))
-    linked = [
-        replace(whole, name=name, children=[whole["ZoneType"], node]) for name, node in (("a", inner), ("b", outer))
-    ]
-    path = write_hdf5(tmp_path / "main.cgns", tree(whole, *linked))
-    if direct:
-        with h5py.File(path, "r+") as file:
-            for name, target in (
-                ("a", h5py.SoftLink("/Base/here/GridCoordinates")),
-                ("b", h5py.ExternalLink("mesh/other.cgns", "/Base/far/GridCoordinates")),
-            ):
-                del file[f"Base/{name}/GridCoordinates"]
-                file[f"Base/{name}/GridCoordinates"] = target
-    grid = read_grid(path)
-    for block in range(3):
-        np.testing.assert_array_equal(grid.block(block), points)
-    assert any("linked from another file" in note for note in grid.notes)
 
 
 @pytest.mark.parametrize("kind", ["variable length", "characters", "blank padded"])

@@ -201,6 +201,8 @@ def linked_case(folder: Path) -> Path:
 def test_links_survive_and_linked_coordinates_become_local(tmp_path):
     source = linked_case(tmp_path)
     grid = read_grid(source)
+    np.testing.assert_array_equal(grid.points, np.tile(box(3, 3, 3).reshape(-1, 3), (3, 1)))
+    assert any("linked from another file" in note for note in grid.notes)
     points = grid.points + np.repeat([1.0, 2.0, 3.0], 27)[:, None]  # zones that shared coordinates part
     untouched = listing(source), listing(tmp_path / "mesh" / "other.cgns")
     (tmp_path / "results" / "deep").mkdir(parents=True)
@@ -241,7 +243,9 @@ def test_plain_hdf5_links_to_coordinates(tmp_path):
         del file["Base/left/GridCoordinates"]
         file["Base/left/GridCoordinates"] = h5py.ExternalLink("other.cgns", "/Base/left/GridCoordinates")
     untouched = listing(tmp_path / "other.cgns")
-    grid = moved(read_grid(source))
+    grid = read_grid(source)
+    np.testing.assert_array_equal(grid.block(0), box(4, 3, 5))
+    grid = moved(grid)
     write_grid(grid, tmp_path / "out.cgns")
     assert listing(tmp_path / "other.cgns") == untouched
     (tmp_path / "other.cgns").unlink()
@@ -320,9 +324,6 @@ def test_adf_variants_become_what_adf2hdf_makes_of_them(tmp_path, version, order
     run("adf2hdf", source, tmp_path / "reference.cgns")
     write_grid(read_grid(source), tmp_path / "out.cgns")
     assert differences(tmp_path / "reference.cgns", tmp_path / "out.cgns", is_version) == []
-
-
-# --- other readers ------------------------------------------------------------------------------------------------
 
 
 # --- refusals -----------------------------------------------------------------------------------------------------

@@ -153,53 +153,6 @@ def test_components_as_scalars(tmp_path):
     check(read_displacement(tmp_path / "a.dat"), TRIANGLES[:2])
 
 
-PRECICE = """<?xml version="1.0"?>
-<VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian">
-   <UnstructuredGrid>
-      <Piece NumberOfPoints="3" NumberOfCells="4"> 
-         <Points> 
-            <DataArray type="Float64" Name="Position" NumberOfComponents="3" format="ascii">
-0 0 0
-1 0 0
-0 1 0
-            </DataArray>
-         </Points> 
-         <Cells>
-            <DataArray type="Int32" Name="connectivity" NumberOfComponents="1" format="ascii">
-0 1 2 0 1 1 2 0
-            </DataArray>
-            <DataArray type="Int32" Name="offsets" NumberOfComponents="1" format="ascii">
-3 5 7 8
-            </DataArray>
-            <DataArray type="UInt8" Name="types" NumberOfComponents="1" format="ascii">
-5 3 3 1
-            </DataArray>
-         </Cells>
-         <PointData Scalars="Rank Force " Vectors="Displacement ">
-            <DataArray type="UInt32" Name="Rank" NumberOfComponents="1" format="ascii">
-0 0 0
-            </DataArray>
-            <DataArray type="Float64" Name="Displacement" NumberOfComponents="3" format="ascii">
-0.5 0 0
-0.5 1e-3 0
-0.5 0 -2
-            </DataArray>
-            <DataArray type="Float64" Name="Force" NumberOfComponents="3" format="ascii">
-1 1 1 1 1 1 1 1 1
-            </DataArray>
-         </PointData>
-      </Piece> 
-   </UnstructuredGrid>
-</VTKFile>
-"""  # noqa: W291
-
-
-def test_an_export_of_precice(tmp_path):
-    (tmp_path / "a.vtu").write_text(PRECICE)
-    points, moves = [[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0.5, 0, 0], [0.5, 1e-3, 0], [0.5, 0, -2]]
-    check(read_displacement(tmp_path / "a.vtu"), [(0, 1, 2)], points, moves)
-
-
 def cell_array(*cells):
     array = vtkCellArray()
     for cell in cells:
@@ -327,10 +280,3 @@ def test_tables_tell_whether_they_have_two_components(tmp_path, columns, plane):
     data = read_displacement(tmp_path / "a.csv")
     assert data.plane == plane
     assert data.displacement.shape == (1, 3)
-
-
-def test_equal_points_that_move_alike_are_kept(tmp_path):
-    rows = np.vstack([ROWS, ROWS[3] * (1 + 1e-14)])
-    rows[-1, :3] = ROWS[3, :3]
-    np.save(tmp_path / "a.npy", rows)
-    assert len(read_displacement(tmp_path / "a.npy").points) == 9

@@ -211,7 +211,7 @@ BAD = {
     "too many numbers": (["1", "1 3 4 5", "wall 1 1 1 3 1 4 7"], "line 4: wall has 7 numbers"),
     "a word among the numbers": (
         ["1", "1 3 4 5", "wall 1 kmin 1 3 1 4"],
-        "line 4: expected a type, B1.*'wall 1 kmin",
+        "line 4: expected after the type wall B1.*'1 kmin",
     ),
     "unknown block": (
         ["1", "1 3 4 5", "wall 2 1 1 3 1 4"],

@@ -55,13 +55,6 @@ def test_every_binary_variant_is_recognised_and_written_alike(tmp_path, encoding
         assert again_path.read_bytes() == path.read_bytes()
 
 
-def test_2d_files_have_one_plane_at_z_0(tmp_path):
-    blocks = sample_blocks(SHAPES_2D)
-    grid = plot3d.read(put(tmp_path, binary_file(blocks, encoding="binary", dimension=2)))
-    assert grid.dimension == 2
-    assert not grid.points[:, 2].any()
-
-
 @pytest.mark.parametrize("order", ["<", ">"])
 def test_block_sizes_may_stand_in_one_record_each(tmp_path, order):
     blocks = sample_blocks([(3, 4, 5), (2, 3, 4), (4, 3, 2)])
@@ -84,39 +77,22 @@ def test_records_split_into_subrecords_are_joined(tmp_path, longest):
     assert grid.format.options["markers"] == 4
 
 
-# [1, ni, nj] begins a 2-D file of one block as well as a 3-D file of the shape (1, ni, nj); the sizes can agree.
-
-
-@pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_iblank_tells_2d_from_flat_3d(tmp_path, precision):
-    shape = (5, 4, 1)
-    blocks, iblank = sample_blocks([shape], precision), sample_iblank([shape])
-    variant = {"encoding": "binary", "precision": precision, "dimension": 2}
-    grid = plot3d.read(put(tmp_path, binary_file(blocks, iblank, **variant)))
-    check(grid, blocks, iblank)
-
-
-def test_coordinates_tell_flat_3d_from_2d_with_iblank(tmp_path):
-    blocks = sample_blocks([(1, 5, 4)], "float32")
-    path = put(tmp_path, binary_file(blocks, encoding="binary", precision="float32", multiblock=False))
-    grid = plot3d.read(path)
-    check(grid, blocks)
-    assert grid.format.options["dimension"] == 3
-
-
-def test_z_zero_is_not_taken_for_iblank(tmp_path):
-    blocks = sample_blocks([(1, 5, 4)], "float32")
-    blocks[0][..., 2] = 0.0
-    path = put(tmp_path, binary_file(blocks, encoding="binary", precision="float32", multiblock=False))
-    check(plot3d.read(path), blocks)
-
-
-def test_float64_2d_or_float32_3d_with_iblank(tmp_path):
-    blocks = sample_blocks([(5, 4, 1)])
-    check(plot3d.read(put(tmp_path, binary_file(blocks, encoding="binary", dimension=2))), blocks)
-    blocks, iblank = sample_blocks([(1, 5, 4)], "float32"), sample_iblank([(1, 5, 4)])
-    variant = {"encoding": "binary", "precision": "float32", "multiblock": False}
-    check(plot3d.read(put(tmp_path, binary_file(blocks, iblank, **variant))), blocks, iblank)
+@pytest.mark.parametrize(
+    ("shape", "with_iblank", "z", "variant"),
+    [
+        ((5, 4, 1), True, 1, {"precision": "float32", "dimension": 2}),
+        ((5, 4, 1), True, 1, {"precision": "float64", "dimension": 2}),
+        ((5, 4, 1), False, 1, {"precision": "float64", "dimension": 2}),
+        ((1, 5, 4), False, 1, {"precision": "float32", "multiblock": False}),
+        ((1, 5, 4), False, 0, {"precision": "float32", "multiblock": False}),
+        ((1, 5, 4), True, 1, {"precision": "float32", "multiblock": False}),
+    ],
+)
+def test_the_values_tell_plane_grids_from_flat_blocks(tmp_path, shape, with_iblank, z, variant):
+    """[1, ni, nj] begins a 2-D file of one block as well as a 3-D file of (1, ni, nj); the sizes can agree."""
+    blocks, iblank = sample_blocks([shape], variant["precision"]), sample_iblank([shape]) if with_iblank else None
+    blocks[0][..., 2] *= z
+    check(plot3d.read(put(tmp_path, binary_file(blocks, iblank, encoding="binary", **variant))), blocks, iblank)
 
 
 def test_three_arrays_or_three_planes_must_be_chosen(tmp_path):
