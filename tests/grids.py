@@ -136,16 +136,6 @@ def plenum() -> Grid:
     return Grid.from_blocks([block_around(np.linspace(-10, 0, 11), duct, duct), *room])
 
 
-def thin_layers() -> Grid:
-    """An ellipse of chord 1 in a circle of radius 30, first cells 3e-5 high: one plane O-grid."""
-    angle = np.linspace(0.0, 2 * np.pi, 65)
-    inner, outer = (np.stack([a * np.cos(angle), b * np.sin(angle)], axis=1) for a, b in ((0.5, 0.06), (30.0, 30.0)))
-    share = clustered(0, 1, 60, 11.0)[:, None]
-    x = inner[:, None] + share * (outer - inner)[:, None]
-    x[-1] = x[0]
-    return Grid.from_blocks([np.concatenate([x, np.zeros((*x.shape[:2], 1))], axis=2)[:, :, None]])
-
-
 def with_walls(grid: Grid) -> Grid:
     """``frame`` with the patches ``body``, ``outer`` and ``span``."""
     topology = find_topology(grid)

@@ -17,7 +17,6 @@ pytestmark = pytest.mark.slow
 sys.path.insert(0, str(Path(__file__).parent.parent / "studies"))
 witnesses = pytest.importorskip("witnesses", reason="the studies are not part of the source distribution")
 
-SIZE = load("splitter-plate").SIZES["small"]
 mfem = pytest.mark.skipif(not witnesses.has_mfem(), reason="MFEM is not installed")
 check_mesh = pytest.mark.skipif(not witnesses.has_check_mesh(), reason="OpenFOAM is not installed")
 

@@ -80,14 +80,6 @@ def test_several_steps_have_the_derivative_of_one(mesh):
         np.testing.assert_array_equal(a, b)
 
 
-def test_centres_chosen_greedily_are_named(mesh):
-    rbf = {"basis": "wendland-c2", "radius": 6.0, "greedy": "hybrid"}
-    greedy = md.prepare(md.Grid([block.copy() for block in mesh.grid.blocks]), case(name="rbf", rbf=rbf))
-    found = greedy.linearise(bend(greedy), steps=1, repair="off")
-    assert not found.exact
-    assert "with all centres" in found.reason
-
-
 def test_a_part_of_the_motion_is_told(mesh):
     found = mesh.linearise(bend(mesh, 3.0), steps="auto", repair="off")
     assert found.step.result.reached < 1.0

@@ -40,21 +40,6 @@ SERIES = {
     "plane": ("-m", "idw-tfi"),
     "plane, rbf": ("-m", "rbf-tfi", "--suffix", ".vtm"),
 }
-FORMATS = {
-    "cgns": ("out.cgns",),
-    "cgns float32": ("out.cgns", "--variant", "precision=float32"),
-    "plot3d records": ("out.xyz",),
-    "plot3d stream": ("out.xyz", *("--variant", "encoding=binary"), *("--variant", "byte_order=big")),
-    "plot3d float32": ("out.p3dbin", "--variant", "precision=float32"),
-    "plot3d text": ("out.p3dfmt",),
-    "vtk": ("out.vtm", "--field", "all"),
-    "vtk text": ("out.vtm", "--variant", "encoding=ascii"),
-    "unstructured": ("out.vtu",),
-    "gmsh": ("out.msh",),
-    "su2": ("out.su2",),
-    "abaqus": ("out.inp",),
-    "openfoam": ("out.foam",),
-}
 _OWN = ("timing", "seconds", "peak_memory_bytes", "run", "output")
 """Of a run, not of its result."""
 
@@ -132,22 +117,3 @@ def test_levels_do_not_depend_on_the_way_they_were_run(name, run, in_files, benc
         assert made("threads") == expected
     run(*words, "-o", "files", *in_files())
     assert made("files") == expected
-
-
-@pytest.mark.parametrize(
-    "name",
-    [name if name in ("cgns float32", "vtk") else pytest.param(name, marks=pytest.mark.slow) for name in FORMATS],
-)
-def test_a_file_does_not_depend_on_where_its_arrays_lay(name, run, in_files, bench):
-    output, *more = FORMATS[name]
-    words = ("deform", "grid.cgns", "-c", "case.toml", "-m", "idw-tfi", *more)
-
-    def deformed(folder: str, *way: str) -> dict[str, bytes | object]:
-        Path(folder).mkdir()
-        run(*words, "-o", f"{folder}/{output}", "--report", f"{folder}/report.json", *way)
-        return made(folder)
-
-    expected = deformed("whole", "--threads", "1")
-    assert len(expected) > 1
-    assert deformed("threads", "--threads", "2") == expected
-    assert deformed("files", *in_files()) == expected

@@ -6,7 +6,6 @@ import contextlib
 import dataclasses
 import functools
 import json
-import os
 import re
 import shutil
 import signal
@@ -173,7 +172,7 @@ def files_in(folder: str) -> list[str]:
 
 
 @pytest.mark.parametrize("options", [
-    ("--suffix", ".vtm"), ("--suffix", ".cgns"), ("--from", "last", "--suffix", ".xyz"),
+    ("--suffix", ".vtm"), ("--from", "last", "--suffix", ".cgns"),
 ])  # fmt: skip
 def test_a_series_with_a_broken_level_goes_on(options, swing, call):
     """The names of broken levels are known again, and levels are made from them."""
@@ -255,38 +254,6 @@ def test_a_signal_says_how_to_continue(swing, call):
     advice = "1 of 5 levels are done: the same command with --resume (without --force) continues"
     assert stopped.stderr.endswith(f"meshdeform: interrupted; no output was left half-written; {advice}\n")
     assert call(*options, "--resume").code == 0
-
-
-# Renames come in the order: manifest; index of level 0; manifest; ParaView's index; and so on.
-@pytest.mark.slow
-@pytest.mark.parametrize(("at", "extra"), [
-    (2, ("--suffix", ".vtm")), (13, ("--suffix", ".vtm", "--from", "last", "--velocity", "second")),
-])  # fmt: skip
-def test_killed_at_any_point_it_goes_on_and_ends_the_same(at, extra, swing, call):
-    options = ("grid.xyz", "-c", "swing.toml", "--times", "0:1:0.25", *extra)
-    command = [sys.executable, "-c", KILLED, str(at), "series", *options, "-o", "killed"]
-    stopped = subprocess.run(command, capture_output=True, timeout=60, check=False)
-    assert stopped.returncode == -signal.SIGKILL, stopped.stderr.decode()
-    manifest = Path("killed/series.json")
-    done = json.loads(manifest.read_text())["levels"] if manifest.exists() else []
-    assert (done == []) == (at <= 3)
-    times = {
-        level["file"]: Path("killed", level["file"]).stat().st_mtime_ns for level in done if "vtm" in level["file"]
-    }
-    assert call("series", *options, "-o", "killed", "--resume").code == 0
-    assert {name: Path("killed", name).stat().st_mtime_ns for name in times} == times
-    assert call("series", *options, "-o", "whole").code == 0
-    # A level that was written a second time has pieces of other names, like grid_0000_0.1.vts.
-    again = re.compile(rb"(_\d+)\.1(\.vts)")
-    killed, whole = (
-        {again.sub(rb"\1\2", os.fsencode(p.relative_to(folder))): p for p in Path(folder).rglob("*")}
-        for folder in ("killed", "whole")
-    )
-    assert killed.keys() == whole.keys()
-    for name, path in killed.items():
-        # HDF5 stores when things were made, the manifest how long they took.
-        if path.is_file() and path.suffix not in (".json", ".cgns"):
-            assert again.sub(rb"\1\2", path.read_bytes()) == whole[name].read_bytes(), name
 
 
 def test_a_finished_series_is_left_alone(done, call, snapshot):

@@ -11,7 +11,6 @@ from grids import frame, frame_2d, permuted, polar, turn_back
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.boundary.prescribed import prescribed_displacement
-from meshdeform_core.grid import Grid
 from meshdeform_core.methods import Problem, make_method
 from meshdeform_core.parallel.scratch import scratch_in
 
@@ -194,17 +193,6 @@ def test_index_order_does_not_matter(name, axes, flips):
     moved, other = (apply(ALL_METHODS[name], problem, bend) for problem in (one, two))
     for b in range(one.grid.n_blocks):
         assert np.abs(turn_back(two.grid.block(b, other), axes, flips) - one.grid.block(b, moved)).max() < 1e-10
-
-
-@EVERY
-def test_block_order_does_not_matter(name):
-    grid = frame()
-    order = [5, 2, 7, 0, 3, 6, 1, 4]
-    shuffled = Grid.from_blocks([grid.block(b) for b in order], [grid.names[b] for b in order])
-    one = apply(ALL_METHODS[name], bar(), bend)
-    two = apply(ALL_METHODS[name], problem_of(shuffled, body_specs(turning(10))), bend)
-    for new, old in enumerate(order):
-        assert np.abs(shuffled.block(new, two) - grid.block(old, one)).max() < 1e-10
 
 
 def test_extrema_are_kept_without_rotation():

@@ -56,19 +56,13 @@ class Bench:
 
 def called(*arguments: str) -> tuple[int, str]:
     """Exit code and messages of a command in this process; Python's own warnings count as bugs."""
-    code, out, told = spoken(*arguments)
-    return code, out + told
-
-
-def spoken(*arguments: str) -> tuple[int, str, str]:
-    """Exit code, stdout and stderr of a command."""
     from meshdeform_cli.main import run
 
     out, told = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(told), warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
         code = run(list(arguments))
-    return code, out.getvalue(), told.getvalue()
+    return code, out.getvalue() + told.getvalue()
 
 
 def refusal(code: int, told: str) -> str:

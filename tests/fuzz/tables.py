@@ -20,9 +20,9 @@ from .bench import Bench, called, refusal, seeded
 from .mutations import mutated
 
 VARIANTS = {
-    ".vtu": ("ascii", "binary", "appended", "base64"),
-    ".vtp": ("ascii", "binary", "appended", "base64"),
-    ".vtk": ("ascii", "binary", "poly ascii", "poly binary", "old ascii", "poly old binary"),
+    ".vtu": ("ascii", "binary"),
+    ".vtp": ("ascii", "binary"),
+    ".vtk": ("ascii", "binary", "poly ascii", "poly binary"),
 }
 _NEAR = 1e-9
 

@@ -144,14 +144,11 @@ class Series(RuleBasedStateMachine):
         assert names <= self.names
 
 
-class SetSeries(Series):
-    suffix = ".vtm"
-
-
-@pytest.mark.parametrize("machine", [Series, SetSeries])
-def test_series_in_all_states(machine):
+@pytest.mark.parametrize("suffix", [".xyz", ".vtm"])
+def test_series_in_all_states(suffix, monkeypatch):
+    monkeypatch.setattr(Series, "suffix", suffix)
     run_state_machine_as_test(
-        machine,
+        Series,
         settings=settings(
             max_examples=6,
             stateful_step_count=6,

@@ -1,4 +1,4 @@
-"""Classes of grids with all kinds of boundaries: walls, slip planes, symmetry, periodic pairs."""
+"""The class of grids with all kinds of boundaries: walls, slip planes, symmetry, periodic pairs."""
 
 from __future__ import annotations
 
@@ -11,51 +11,9 @@ from grids import frame
 from meshdeform_core.grid import Grid
 from meshdeform_formats import read_grid, write_grid
 
-from .bench import METHODS, Bench, seeded
+from .bench import METHODS, Bench
 
 Entry = dict[str, str]
-
-
-def nasty(rng: Random) -> Grid:
-    """A small grid of one or two blocks with irregular, collapsed or folded cells."""
-    random = seeded(rng)
-    lines = [np.cumsum(np.r_[0.0, random.uniform(0.05, 1.0, rng.randrange(1, 5))]) for _ in range(3)]
-    block = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1)
-    block += rng.choice((0.0, 0.02, 0.2)) * random.uniform(-1, 1, block.shape)
-    what = rng.randrange(5)
-    if what == 1:
-        block[0] = block[0].mean(axis=0)
-    elif what == 2:
-        block[:, :, 0] = block[0, :, 0]
-    elif what == 3:
-        block = block[::-1]
-    blocks = [block]
-    if rng.random() < 0.5:
-        blocks.append(np.concatenate([block[-1:], block[-1:] + [1.0, 0.0, 0.0]]))
-    return Grid.from_blocks([np.ascontiguousarray(b) for b in blocks])
-
-
-def nasty_grid(bench: Bench, rng: Random) -> str:
-    """Any grid with one moving wall, by any method."""
-    grid, shift = nasty(rng), rng.choice((0.01, 0.1, 1.0))
-    write_grid(grid, "nasty.xyz")
-    grid = read_grid("nasty.xyz")
-    case = (
-        "[grid]\nopen = true\n[[boundary]]\nname = 'w'\nselect = ['*.jmin']\n"
-        f"motion = [{{ displace = ['{shift}*y', '{shift}*x', '0'] }}]\n"
-    )
-    Path("nasty.toml").write_text(case)
-    arguments = ("nasty.xyz", "-c", "nasty.toml", "-m", rng.choice(METHODS), "--steps", rng.choice(("1", "2", "auto")))
-    Path("out.xyz").unlink(missing_ok=True)
-    result = bench.deformed(grid, None, *arguments)
-    if result != "ok" or not Path("out.xyz").exists():
-        return result
-    after = read_grid("out.xyz")
-    wall = grid.block(0)[:, 0].reshape(-1, 3)
-    expected = wall + shift * np.stack([wall[:, 1], wall[:, 0], 0 * wall[:, 0]], axis=1)
-    if np.abs(after.block(0)[:, 0].reshape(-1, 3) - expected).max() > 1e-9:
-        return "the wall is not where it was told"
-    return "ok"
 
 
 def constrained(bench: Bench, rng: Random) -> str:
@@ -143,4 +101,4 @@ def _constraints(entries: list[Entry], pairs: list[int], before: Grid, after: Gr
     return ""
 
 
-KINDS = {"grid": nasty_grid, "slip, symmetry, periodic": constrained}
+KINDS = {"slip, symmetry, periodic": constrained}
