@@ -16,10 +16,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property, partial
 
 import numpy as np
-import scipy
 
 from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
@@ -28,7 +27,7 @@ from ..memory import release_freed
 from ..notices import Notice
 from ..numerics.arrays import places_among
 from ..numerics.cell.measures import cell_corners, corner_steps, corners_and_edges, scaled_jacobians
-from ..numerics.geometry.coincidence import distinct
+from ..numerics.geometry.coincidence import connected_rows, distinct
 from ..numerics.geometry.crossing import BESIDE, ORDINARY, SLIDING, FaceTree, crossing_faces, near_faces
 from ..numerics.geometry.vectors import plane_winding, winding
 from ..wording import counted, vector
@@ -105,6 +104,7 @@ class CrossingTest:
 
     def __init__(self, grid: Grid, topology: Topology, boundary: Boundary):
         self._grid, self._topology, self._boundary = grid, topology, boundary
+        self._surface = cache(partial(_Surface, grid, topology, boundary))
         self._normal = plane_normal(grid)
         self._size = float(np.ptp(grid.nodes.at(topology.first), axis=0).max())
         self._outside_faces = topology.quads.corners[topology.external]
@@ -117,7 +117,7 @@ class CrossingTest:
         """
         # Faces of a slip plane that nodes leave are left out, as their position is unknown.
         departs = self._boundary.slip.departure(displacement) > 1e-9 * self._size
-        surface = self._open if departs else self._whole
+        surface = self._surface(with_sliding=not departs)
         change = np.tile(displacement[surface.nodes], (len(surface.points) // len(surface.nodes), 1))
         moved: BoolArray = np.asarray(change.any(axis=1))
         carried: BoolArray = np.asarray(moved[surface.faces].any(axis=1))
@@ -163,14 +163,6 @@ class CrossingTest:
         at = path(high)
         gap = 2.0 * float(np.abs(at - path(low)).max())
         return Contact(low, self.crossings(at, gap) or found)
-
-    @cached_property
-    def _whole(self) -> _Surface:
-        return _Surface(self._grid, self._topology, self._boundary, with_sliding=True)
-
-    @cached_property
-    def _open(self) -> _Surface:
-        return _Surface(self._grid, self._topology, self._boundary, with_sliding=False)
 
     def _names(self, surface: _Surface, moved: BoolArray) -> np.ndarray:
         """Name of the patch (m,) of every face; fixed faces that moving patches drag along belong to these."""
@@ -298,9 +290,7 @@ def _drawn(count: int, rows: IntArray) -> FloatArray:
 
 def _samples(faces: IntArray, n_nodes: int) -> IntArray:
     """Some faces (indices) of each of the largest connected parts of ``faces`` (m, c)."""
-    a, b = faces[:, :-1].ravel(), faces[:, 1:].ravel()
-    links = scipy.sparse.coo_array((np.ones(len(a), dtype=np.int8), (a, b)), shape=(n_nodes, n_nodes))
-    part = scipy.sparse.csgraph.connected_components(links, directed=False)[1][faces[:, 0]]
+    part = connected_rows(faces, n_nodes)
     size = np.bincount(part)
     chosen = []
     for largest in np.argsort(-size)[: min(_PARTS, np.count_nonzero(size))]:

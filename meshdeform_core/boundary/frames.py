@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 
 from ..grid import FloatArray
+
+if TYPE_CHECKING:
+    from .tables import BoundaryNodes
 
 # In which other frame a table would fit (thresholds that were tuned together, tests/core/test_table_frames.py):
 FRAME_SAMPLE = 2000
@@ -39,18 +42,7 @@ _UNITS = (
 """Factors between length units, and the mistake that each of them indicates."""
 
 
-class Places(Protocol):
-    """Points (n, 3) of a boundary, with the shortest and the longest edge (n,) of its faces at each."""
-
-    @property
-    def points(self) -> FloatArray: ...
-    @property
-    def edge(self) -> FloatArray: ...
-    @property
-    def longest(self) -> FloatArray: ...
-
-
-def other_frame(points: FloatArray, nodes: Places) -> str:
+def other_frame(points: FloatArray, nodes: BoundaryNodes) -> str:
     """A hint on what would make table points match the nodes, with the share of points that would then lie on them.
 
     Tried are length units and shifts. Of those that fit, the one with the smallest distances is named.
@@ -76,7 +68,7 @@ def other_frame(points: FloatArray, nodes: Places) -> str:
     return ""
 
 
-def _fit(points: FloatArray, nodes: Places, tree: scipy.spatial.cKDTree) -> tuple[float, float]:
+def _fit(points: FloatArray, nodes: BoundaryNodes, tree: scipy.spatial.cKDTree) -> tuple[float, float]:
     """Share of points that lie on the nodes, 0 if they do not spread over them, and their mean distance in edges."""
     distance, nearest = tree.query(points)
     near = distance <= nodes.longest[nearest]
@@ -94,7 +86,7 @@ def _fit(points: FloatArray, nodes: Places, tree: scipy.spatial.cKDTree) -> tupl
 
 
 def _candidates(
-    points: FloatArray, nodes: Places, tree: scipy.spatial.cKDTree
+    points: FloatArray, nodes: BoundaryNodes, tree: scipy.spatial.cKDTree
 ) -> Iterator[tuple[tuple[str, str], FloatArray]]:
     """Changes with the likely reason, and the changed points."""
     for factor, mistake in _UNITS:

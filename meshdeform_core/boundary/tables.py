@@ -3,7 +3,6 @@ nearest or interpolated; tables that name points by number, like SU2's surface_p
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -194,22 +193,11 @@ def transfer(data: SurfaceData | Grid, matching: Matching, nodes: BoundaryNodes)
     MotionError
         When no node matches, or when some do not and ``matching.partial`` is false.
     """
-    if not isinstance(data, Grid):
-        data = by_place(data, nodes.grid, nodes.topology)
     if isinstance(data, Grid):
         result = _from_deformed_grid(data, matching, nodes)
-    elif matching.how == "interpolate":
-        result = _interpolate(data, matching, nodes)
     else:
-        reach = nodes.edge * (RELATIVE_TOLERANCE if matching.how == "exact" else 0.5)
-        if matching.tolerance is not None:
-            reach = np.full(len(nodes.points), matching.tolerance)
-        tree = scipy.spatial.cKDTree(data.points)
-        distance, nearest = tree.query(nodes.points)
-        matched = distance <= reach
-        _require_one_displacement(data, nodes, tree)
-        used = len(np.unique(nearest[matched]))
-        result = _of_table(data, matching, data.displacement[nearest], matched, distance, used, np.zeros(len(distance)))
+        data = by_place(data, nodes.grid, nodes.topology)
+        result = _from_table(data, matching, nodes)
     missing = np.flatnonzero(~result.matched)
     if len(missing) and not (matching.partial and result.matched.any()):
         worst = missing[np.argmax(result.distance[missing])]
@@ -221,17 +209,36 @@ def transfer(data: SurfaceData | Grid, matching: Matching, nodes: BoundaryNodes)
             f"Set a larger tolerance{'' if result.how == 'interpolate' else _INTERPOLATE}, or a selection that the "
             f"table covers"
         )
-    return dataclasses.replace(result, walls=matching.walls)
+    return result
 
 
-def _of_table(
-    data: SurfaceData, matching: Matching, displacement: FloatArray, matched: BoolArray, distance: FloatArray,
-    used: int, beyond: FloatArray,
-) -> Transfer:  # fmt: skip
-    n = len(data.points)
+def _from_table(data: SurfaceData, matching: Matching, nodes: BoundaryNodes) -> Transfer:
+    used, beyond = len(data.points), np.zeros(len(nodes.points))
+    reach: FloatArray | float = 0.5 * nodes.edge
+    if matching.how != "interpolate":
+        tree = scipy.spatial.cKDTree(data.points)
+        distance, nearest = tree.query(nodes.points)
+        displacement = data.displacement[nearest]
+        _require_one_displacement(data, nodes, tree)
+        if matching.how == "exact":
+            reach = nodes.edge * RELATIVE_TOLERANCE
+        reach = matching.tolerance or reach
+        used = len(np.unique(nearest[distance <= reach]))
+    else:
+        if len(data.triangles):
+            displacement, distance, beyond = _on_triangles(data, nodes.points)
+        else:
+            _require_continuous(data)
+            displacement, distance, beyond = _between_points(data, nodes)
+        if not matching.partial:
+            # Otherwise the table alone selects the nodes, from the whole boundary: those that are not on it must not
+            # match.
+            reach = 0.1 * min(float(np.linalg.norm(np.ptp(x, axis=0))) for x in (data.points, nodes.points))
+        reach = matching.tolerance or reach
+    matched = np.asarray(distance <= reach)
     return Transfer(
-        np.where(matched[:, None], displacement, 0.0), matched, distance, data.label, matching.how, (used, n),
-        data.points, beyond, matching.partial, data.plane,
+        np.where(matched[:, None], displacement, 0.0), matched, distance, data.label, matching.how,
+        (used, len(data.points)), data.points, beyond, matching.partial, data.plane, matching.walls,
     )  # fmt: skip
 
 
@@ -271,23 +278,6 @@ def _require_continuous(data: SurfaceData) -> None:
             f"{vector(displacement[one])} and {vector(displacement[other])} "
             f"({counted(int(conflict.sum()), 'such point')}); expected one displacement at one place"
         )
-
-
-def _interpolate(data: SurfaceData, matching: Matching, nodes: BoundaryNodes) -> Transfer:
-    if len(data.triangles):
-        displacement, distance, beyond = _on_triangles(data, nodes.points)
-    else:
-        _require_continuous(data)
-        displacement, distance, beyond = _between_points(data, nodes)
-    reach: FloatArray | float
-    if matching.tolerance is not None:
-        reach = matching.tolerance
-    elif matching.partial:
-        # The table alone selects the nodes, from the whole boundary: those that are not on it must not match.
-        reach = 0.5 * nodes.edge
-    else:
-        reach = 0.1 * min(float(np.linalg.norm(np.ptp(points, axis=0))) for points in (data.points, nodes.points))
-    return _of_table(data, matching, displacement, np.asarray(distance <= reach), distance, len(data.points), beyond)
 
 
 def _on_triangles(data: SurfaceData, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -348,7 +338,10 @@ def _from_deformed_grid(deformed: Grid, matching: Matching, nodes: BoundaryNodes
         displacement = np.where(matched[:, None], found, 0.0)
     used = int(matched.sum()), deformed.n_nodes
     zero = np.zeros(len(displacement))
-    return Transfer(displacement, matched, zero, label, "same nodes", used, np.empty((0, 3)), zero, matching.partial)
+    return Transfer(
+        displacement, matched, zero, label, "same nodes", used, np.empty((0, 3)), zero, matching.partial,
+        walls=matching.walls,
+    )  # fmt: skip
 
 
 def _closest_face(new: FloatArray, name: str, nodes: BoundaryNodes, taken: set[tuple[int, Side]]) -> IntArray:

@@ -284,7 +284,7 @@ class _Guess:
             order = np.argsort(part, kind="stable")
             for lo, hi in zip(*runs(part[order]), strict=True):
                 mine = quads[order[lo:hi]]
-                body[mine] = self._encloses(mine) and self._closed(mine)
+                body[mine] = self._is_body(mine)
         self.body = body
         self.has_bodies = bool(self.body.any())
 
@@ -339,22 +339,19 @@ class _Guess:
         level = float(face.plane.point @ normal) + 10 * FLATNESS * self.size
         return normal if self.bounds.within(normal, level) else None
 
-    def _encloses(self, quads: IntArray) -> bool:
-        area = self.geometry.area[quads]
+    def _is_body(self, quads: IntArray) -> bool:
+        """Whether quads enclose a body: in each bounding plane, smaller than the grid in at least one direction."""
+        area, center = self.geometry.area[quads], self.geometry.center(quads)
         if area.sum() == 0.0:
             return False
-        center = self.geometry.center(quads)
         arm = center - np.average(center, axis=0, weights=area)
         flux = np.einsum("ni,ni->", arm, self.geometry.outward(quads))
-        return bool(flux < -_ENCLOSED * float(area @ np.linalg.norm(arm, axis=1)))
-
-    def _closed(self, quads: IntArray) -> bool:
-        """Whether quads form a body: in each bounding plane, smaller than the grid in at least one direction."""
-        corners = self.topology.first[self.topology.quads.corners[quads]]
-        own = np.ptp(self.grid.points[corners].reshape(-1, 3), axis=0)
+        own = np.ptp(self.grid.points[self.topology.first[self.topology.quads.corners[quads]]].reshape(-1, 3), axis=0)
         varying = self.extent > FLATNESS * self.size
         # A surface that extends across the whole grid in two directions is a floor or a ceiling, not a body.
-        return int((own[varying] > 0.999 * self.extent[varying]).sum()) <= int(varying.sum()) - 2
+        across = int((own[varying] > 0.999 * self.extent[varying]).sum())
+        encloses = flux < -_ENCLOSED * float(area @ np.linalg.norm(arm, axis=1))
+        return bool(encloses and across <= int(varying.sum()) - 2)
 
 
 def _end_sides(grid: Grid, topology: Topology, faces: Sequence[Face]) -> set[tuple[int, Side]]:
