@@ -92,6 +92,14 @@ def test_strongest_kind_wins():
     assert any("not selected by any boundary entry" in note for note in problem.boundary.notes)
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_face_of_several_entries_has_the_strongest_kind(order):
+    entries = ("still", "block2.imax", Kind.FIXED, None), ("bar", "block2.imax", Kind.MOVING, MOVE)
+    boundary = problem_of(FRAME, specs_of(*entries[::order])).boundary
+    quads = boundary.quads_of(lambda patch: patch.name == "still")
+    assert set(boundary.quad_kind[quads].tolist()) == {Kind.MOVING}
+
+
 def test_where_takes_faces_with_all_corners_inside():
     spec = [BoundarySpec("left", ("*",), Kind.MOVING, expression("x < -1.99 and z < 0.5", XYZ), MOVE)]
     problem = problem_of(FRAME, spec)

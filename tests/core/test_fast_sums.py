@@ -1,6 +1,7 @@
 """Fast IDW sums against exact ones: every rotation kind and weight, the tolerance kept, nothing common disturbed."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from meshdeform_core.errors import MethodError
 from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.methods import IDW, RBF, Options, make_method
 from meshdeform_core.methods.scattered import fast_idw_sums
+from meshdeform_core.methods.scattered.summation import doubtful
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.exact.radial import radial_sums
 from meshdeform_core.numerics.fastsum.clusters import build_tree
@@ -114,6 +116,13 @@ def test_error_that_is_too_large_is_found_and_mended(problem, monkeypatch):
     prepared = make_method(options).prepare(problem)
     prepared.apply(told(problem))
     assert "fast sums" in prepared.account.warnings[0]
+
+
+def test_errors_are_searched_where_their_bounds_are_largest():
+    """At the samples of 64 of 200 bricks, and at random nodes."""
+    risk, samples = np.random.default_rng(0).random(200), np.arange(1800).reshape(200, 9)
+    found = doubtful(np.zeros((2000, 3)), SimpleNamespace(samples=samples, every=np.array([1900])), risk)
+    assert set(found) == {*samples[np.argsort(-risk)[:64]].ravel(), 1900}
 
 
 def test_small_cases_are_summed_exactly(problem):

@@ -12,7 +12,7 @@ from grids import block_around, frame, polar, whole_face
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, deform, set_up
 from meshdeform_core.errors import CaseError, MethodError
-from meshdeform_core.grid import Grid, Patch, Side
+from meshdeform_core.grid import Grid, Patch, Side, Window
 from meshdeform_core.grid.openings import coincident_blocks, describe_group, find_openings, patched_groups
 from meshdeform_core.grid.topology import find_topology
 
@@ -59,6 +59,14 @@ def test_a_single_node_out_of_place_opens_the_quads_around_it():
     found = openings(grid.moved(points))
     assert sum(len(each.quads) for each in found) == 4
     assert {each.describe(grid).split("[")[0] for each in found} == {"block1.imax"}
+
+
+def test_a_gap_whose_side_is_a_wall_in_part_is_found():
+    def walled(window: Window) -> Grid:
+        return dataclasses.replace(pair(0.001), patches=(Patch("wall", (window,), "", "BCWall"),))
+
+    assert openings(walled(whole_face((5, 5, 4), 0, Side.IMAX))) == ()
+    assert len(openings(walled(Window(0, Side.IMAX, (0, 0), (2, 3))))) == 1
 
 
 def test_a_seam_of_one_block_may_be_open_too():
