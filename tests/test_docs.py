@@ -22,6 +22,8 @@ from meshdeform_formats.report.schema import report_schema
 OWN_URL = re.compile(r"https://github\.com/meshdeform/meshdeform/blob/main/")
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
+LONG = ("tutorial.md", "series.md", "structural_table.md", "derivatives.md")
+"""Pages whose commands take as long as those of all others together."""
 EACH_PAGE = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 
 
@@ -46,8 +48,7 @@ def missing_extras(code: str) -> list[str]:
 
 @pytest.mark.parametrize(
     "page",
-    # The wing of the tutorial takes as long as all other pages together.
-    [pytest.param(page, marks=pytest.mark.slow) if page.name == "tutorial.md" else page for page in PAGES],
+    [pytest.param(page, marks=pytest.mark.slow) if page.name in LONG else page for page in PAGES],
     ids=[page.name for page in PAGES],
 )
 @pytest.mark.timeout(240)
