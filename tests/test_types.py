@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-KERNELS = {"kernel", "fast_kernel", "summing_kernel", "contracted_kernel", "inlined", "intrinsic", "overload"}
+KERNELS = {"kernel", "fast_kernel", "contracted_kernel", "inlined", "intrinsic", "overload"}
 FILES = sorted(
     [*(ROOT / "meshdeform_core" / "numerics").rglob("*.py"), *(ROOT / "meshdeform_core" / "repair").rglob("*.py")]
 )

@@ -325,9 +325,6 @@ kernel = _compiled(no_cfunc_wrapper=True)
 fast_kernel = _compiled(no_cfunc_wrapper=True, fastmath=True)
 """Decorator for sums: additions may be reordered, so that loops are vectorised."""
 
-summing_kernel = _compiled(no_cfunc_wrapper=True, fastmath={"reassoc", "contract"})
-"""As :data:`fast_kernel`, where infinite values and NaN must keep their meaning, as decisions depend on them."""
-
 contracted_kernel = _compiled(no_cfunc_wrapper=True, fastmath={"contract"}, forceinline=True)
 """Decorator for functions that may fuse multiplications with additions but must not reorder operations."""
 

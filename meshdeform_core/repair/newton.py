@@ -18,14 +18,13 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
 from ..numerics.arrays import FloatArray, IntArray
-from ..numerics.jit import inlined, kernel, summing_kernel
+from ..numerics.jit import inlined, kernel
 from ..numerics.systems.block_rows import multiply_row, solve_row, with_room
 from ..parallel import for_chunks
 from .energy import Penalty, Region, Rows
@@ -46,44 +45,35 @@ Matrix = tuple[NDArray[np.float32], IntArray, NDArray[np.int32]]
 """Blocks, where the rows start, and columns."""
 
 
-class Plain:
-    """Products of the matrix itself, with 3 x 3 blocks, with vectors (n, d)."""
-
-    def __init__(self, matrix: Matrix) -> None:
-        self._matrix = matrix
-
-    def begin(self, b: FloatArray) -> FloatArray:
-        """The right-hand side of the preconditioned system."""
-        return b
-
-    def multiply(self, p: FloatArray, image: FloatArray) -> float:
-        """Fill ``image`` with the product of the matrix and ``p``; return ``p . image``."""
-        return sum_over_rows(partial(multiply_rows, *self._matrix, p, image), len(image))
-
-    def end(self, y: FloatArray) -> FloatArray:
-        """The solution from that of the preconditioned system."""
-        return y
-
-
-class Swept:
-    """Products of the matrix between triangular factors, with 2 x 2 blocks."""
+class Products:
+    """Products of the matrix, with 3 x 3 blocks, or of the matrix between triangular factors, with 2 x 2 blocks, with
+    vectors (n, d)."""
 
     def __init__(self, matrix: Matrix) -> None:
         n = len(matrix[1]) - 1
-        self._matrix, self._t = matrix, np.zeros((n, 2))
+        self._matrix, self._swept, self._t = matrix, matrix[0].shape[1] == 2, np.zeros((n, 2))
         self._relaxation = 2.0 / (1.0 + _SLACK / np.sqrt(max(n, 1)))
 
     def begin(self, b: FloatArray) -> FloatArray:
+        """The right-hand side of the preconditioned system."""
+        if not self._swept:
+            return b
         self._t[...] = 0.0
         image = np.zeros_like(b)
         self._on(b, image)
         return image
 
     def multiply(self, p: FloatArray, image: FloatArray) -> float:
+        """Fill ``image`` with the product of the matrix and ``p``; return ``p . image``."""
+        if not self._swept:
+            return sum_over_rows(partial(multiply_rows, *self._matrix, p, image), len(image))
         self._back(p)
         return self._on(p, image)
 
     def end(self, y: FloatArray) -> FloatArray:
+        """The solution from that of the preconditioned system."""
+        if not self._swept:
+            return y
         self._back(y)
         return self._t.copy()
 
@@ -105,6 +95,35 @@ def sum_over_rows(work: Callable[[int, int], float], n: int, chunk: int | None =
 
     for_chunks(add, n, chunk)
     return float(parts.sum())
+
+
+def scalar_product(a: FloatArray, b: FloatArray) -> float:
+    """The sum of the products of the entries of ``a`` and ``b``, always in the same order."""
+    # The libraries behind numpy's scalar product divide long vectors among threads.
+    return float(np.einsum("i,i", a.ravel(), b.ravel()))
+
+
+def inverse_factors(blocks: FloatArray) -> tuple[FloatArray, bool]:
+    """The inverse Cholesky factors of symmetric matrices (n, d, d), and whether any of these had a negative pivot.
+
+    An unknown that no sample depends on, whose matrix is zero, does not move.
+    """
+    trace, factor, negative = np.trace(blocks, axis1=1, axis2=2), np.zeros_like(blocks), False
+    small = 1e-14 * np.abs(trace) + 1e-300
+    for d in range(blocks.shape[1]):
+        for e in range(d):
+            total = blocks[:, d, e] - (factor[:, d, :e] * factor[:, e, :e]).sum(axis=1)
+            factor[:, d, e] = total / factor[:, e, e]
+        pivot = blocks[:, d, d] - (factor[:, d, :d] ** 2).sum(axis=1)
+        negative |= bool((pivot < -small).any())
+        factor[:, d, d] = np.sqrt(np.maximum(pivot, small))
+    inverse = np.zeros_like(factor)
+    for d in range(blocks.shape[1]):
+        inverse[:, d, d] = 1.0 / factor[:, d, d]
+        for e in range(d):
+            total = (factor[:, d, e:d] * inverse[:, e:d, e]).sum(axis=1)
+            inverse[:, d, e] = -total / factor[:, d, d]
+    return inverse, negative
 
 
 class NewtonSystem:
@@ -142,8 +161,8 @@ class NewtonSystem:
         )
         self._matrix = with_room((len(self._columns), d, d), np.float32)
         self._factor = np.zeros((n, d, d))
-        matrix = self._matrix, self._starts, self._columns
-        self._products: Plain | Swept = Plain(matrix) if d == 3 else Swept(matrix)
+        self._diagonal = np.flatnonzero(self._columns == np.repeat(np.arange(n), np.diff(self._starts)))
+        self._products = Products((self._matrix, self._starts, self._columns))
         self.work, self.iterations = _BLOCK * len(self._columns), 0
         self.solved = False
         self.gradient = np.empty((n, d))
@@ -163,7 +182,7 @@ class NewtonSystem:
         starts, columns, n = self._starts, self._columns, len(self.gradient)
         self.unknowns, freedom = region.directions(x)
         self.gradient[...] = 0.0
-        bad = np.zeros(len(self._elements), dtype=np.int64)
+        bad = np.zeros(len(self._elements), dtype=bool)
         # Fresh memory for every call would cost a tenth of the time.
         spare: list[FloatArray] = []
 
@@ -176,7 +195,11 @@ class NewtonSystem:
             blocks[...] = 0.0
             rows, number = Rows(low, high, starts, columns, blocks, self.gradient), low // _ROWS
             region.energy.add(x, reference, penalty, self._elements[number], self.unknowns, rows)
-            bad[number] = factor_diagonal(blocks, rows.pattern, freedom, self._factor)
+            own = self._diagonal[low:high] - starts[low]
+            # In directions in which an unknown must not move, the trace of its block serves as stiffness.
+            trace = np.trace(blocks[own], axis1=1, axis2=2)[:, None, None]
+            blocks[own] += (np.eye(blocks.shape[1]) - freedom[low:high]) * trace
+            self._factor[low:high], bad[number] = inverse_factors(blocks[own])
             scale_left(blocks, rows.pattern, self._factor, self._matrix)
             spare.append(kept)
 
@@ -186,12 +209,7 @@ class NewtonSystem:
 
     def slope(self, step: FloatArray) -> float:
         """The product of the gradient with a step (n_unknowns, d)."""
-        return self._summed(dot_rows, self.gradient, step)
-
-    def _summed(self, work: Callable[..., float], *values: Any) -> float:
-        """Sum of ``work(*values, low, high)`` over the rows of vectors (n_unknowns, d), which are passed flat."""
-        d, flat = self.gradient.shape[1], [v.ravel() if isinstance(v, np.ndarray) else v for v in values]
-        return sum_over_rows(lambda low, high: work(*flat, low * d, high * d), len(self.gradient))
+        return scalar_product(self.gradient, step)
 
     def direction(self, tolerance: float, most: int) -> tuple[FloatArray, bool]:
         """The Newton step (n_unknowns, d), and whether the Hessian was convex along all directions searched.
@@ -204,7 +222,7 @@ class NewtonSystem:
         r = products.begin(-np.einsum("nij,nj->ni", factor, self.gradient))
         y, p, image = np.zeros_like(r), with_room(r.shape), np.zeros_like(r)
         p[...] = r
-        rho = self._summed(dot_rows, r, r)
+        rho = scalar_product(r, r)
         goal, convex = tolerance * tolerance * rho, True
         self.iterations = 0
         for _ in range(most):
@@ -216,7 +234,9 @@ class NewtonSystem:
                 convex = False
                 break
             length, before = rho / curvature, rho
-            rho = self._summed(advance_rows, y, r, p, image, length)
+            y += length * p
+            r -= length * image
+            rho = scalar_product(r, r)
             p *= rho / before
             p += r
         self.solved = rho <= goal
@@ -296,53 +316,10 @@ def _add_product(blocks, at, t, column, image, row):
     image[row, 1] += blocks[at, 1, 0] * t[column, 0] + blocks[at, 1, 1] * t[column, 1]
 
 
-@kernel("f8[:, :, ::1], Tuple((i8, i8, i8[::1], i4[::1],)), f8[:, :, ::1], f8[:, :, ::1]")
-def factor_diagonal(blocks, rows, freedom, factor):
-    """Fill ``factor`` with the inverse Cholesky factors of diagonal blocks; return the number of negative pivots.
-
-    ``rows`` as in :func:`..numerics.cell.foldover.hexahedra.add_derivatives`. ``freedom`` (n, d, d) projects onto the
-    directions in which an unknown may move; in all others, the trace of its block serves as stiffness.
-    """
-    first, last, starts, columns = rows
-    size, bad = freedom.shape[1], 0
-    for row in range(first, last):
-        at = starts[row]
-        while columns[at] != row:
-            at += 1
-        a, f = blocks[at - starts[first]], factor[row]
-        trace = 0.0
-        for d in range(size):
-            trace += a[d, d]
-        # An unknown that no sample depends on does not move.
-        small = 1e-14 * abs(trace) + 1e-300
-        for d in range(size):
-            for e in range(d + 1):
-                a[d, e] += ((1.0 if d == e else 0.0) - freedom[row, d, e]) * trace
-        # First the factor, in the lower triangle of f, then its inverse, column by column.
-        for d in range(size):
-            for e in range(d + 1):
-                total = a[d, e]
-                for o in range(e):
-                    total -= f[d, o] * f[e, o]
-                if d == e and total < -small:
-                    bad += 1
-                f[d, e] = np.sqrt(max(total, small)) if d == e else total / f[e, e]
-            for e in range(d + 1, size):
-                a[d, e] = a[d, e] - freedom[row, d, e] * trace
-                f[d, e] = 0.0
-        for e in range(size):
-            f[e, e] = 1.0 / f[e, e]
-            for d in range(e + 1, size):
-                total = 0.0
-                for o in range(e, d):
-                    total += f[d, o] * f[o, e]
-                f[d, e] = -total / f[d, d]
-    return bad
-
-
 @kernel("f8[:, :, ::1], Tuple((i8, i8, i8[::1], i4[::1],)), f8[:, :, ::1], f4[:, :, ::1]")
 def scale_left(blocks, rows, factor, matrix):
-    """``matrix_ij = F_i H_ij`` for the block rows i of ``rows``, whose H are ``blocks``."""
+    """``matrix_ij = F_i H_ij`` for the block rows i of ``rows``, whose H are ``blocks``; ``rows`` as in
+    :func:`..numerics.cell.foldover.hexahedra.add_derivatives`."""
     first, last, starts, _ = rows
     size = factor.shape[1]
     for row in range(first, last):
@@ -374,23 +351,3 @@ def scale_right(matrix, starts, columns, factor, low, high):
         for d in range(size):
             x, y = matrix[at, d, 0], matrix[at, d, 1]
             matrix[at, d, 0], matrix[at, d, 1] = a * x, b * x + c * y
-
-
-@summing_kernel("f8[::1], f8[::1], f8[::1], f8[::1], f8, i8, i8")
-def advance_rows(y, r, p, image, length, low, high):
-    """Update entries low <= i < high of ``y`` and ``r`` in a conjugate gradient step; return their part of r . r."""
-    total = 0.0
-    for i in range(low, high):
-        y[i] += length * p[i]
-        r[i] -= length * image[i]
-        total += r[i] * r[i]
-    return total
-
-
-@summing_kernel("f8[::1], f8[::1], i8, i8")
-def dot_rows(a, b, low, high):
-    """The part of ``a . b`` from entries low <= i < high."""
-    total = 0.0
-    for i in range(low, high):
-        total += a[i] * b[i]
-    return total

@@ -179,27 +179,6 @@ def test_as_much_of_the_second_derivatives_as_possible_is_tried_and_all_of_them_
     assert shares[-1] == 1.0
 
 
-@pytest.mark.parametrize("dimension", [2, 3])
-def test_an_undeformed_cell_that_only_turns_has_the_smallest_energy(dimension):
-    setup = fixed_setup(cube(4, dimension))
-    plot = whole_region(setup)
-    angle = 0.8
-    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
-    start = plot.inside(setup.grid.points)
-    state = untangler_of(plot.region, start).state(start @ turn[:dimension, :dimension].T, Penalty())
-    assert state.lowest == pytest.approx(1.0)
-    assert state.highest == pytest.approx(2.0)
-
-
-def test_the_less_a_cell_keeps_of_its_height_the_less_its_shear_counts():
-    setup, height, lean = fixed_setup(cube(4, 2)), 0.1, 3.0
-    plot = whole_region(setup)
-    start = plot.inside(setup.grid.points)
-    squeezed = start @ np.array([[1.0, 0.0], [lean * height, height]])
-    state = untangler_of(plot.region, start).state(squeezed, Penalty())
-    assert state.highest == pytest.approx(1 / height + height + height * lean**2 / 2)
-
-
 @pytest.mark.parametrize("refused", [0, 10, 20])
 def test_where_steps_are_shortened_or_refused_the_minimum_is_not_called_reached(refused, monkeypatch):
     """So many trials of every step are made to look bad: then 2^-10 of it is taken, or, of 14 trials, none."""
@@ -289,13 +268,6 @@ def test_a_polished_grid_with_a_smaller_scaled_jacobian_is_not_taken(monkeypatch
     np.testing.assert_array_equal(polished.grid.points, plain.grid.points)
     assert polished.repair is None
     assert "not polished" in polished.way
-
-
-def test_2d_grids_and_grids_one_cell_thick_are_repaired_alike():
-    flat = turned(frame_2d(6), 110, steps=1)
-    assert flat.valid
-    assert not turned(frame_2d(6), 110, mode="off").valid
-    assert not flat.grid.points[:, 2].any()
 
 
 def test_a_grid_in_an_inclined_plane_stays_in_it():

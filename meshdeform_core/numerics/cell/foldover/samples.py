@@ -128,8 +128,11 @@ def turned_cofactors(a: FloatArray, change: FloatArray) -> FloatArray:
 
 def _cross_products(a: FloatArray, b: FloatArray) -> FloatArray:
     """The cross products of the rows (2, 3), (3, 1) and (1, 2) of ``a`` and ``b`` (3, 3, m), as rows."""
-    one, two = np.array([1, 2, 0]), np.array([2, 0, 1])
-    return np.asarray(a[one][:, one] * b[two][:, two] - a[one][:, two] * b[two][:, one])
+    found = np.empty_like(a)
+    for i, m, n in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        for j, p, q in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            np.subtract(a[m, p] * b[n, q], a[m, q] * b[n, p], out=found[i, j])
+    return found
 
 
 def shortest_edges(start: FloatArray, cells: IntArray, pairs: IntArray) -> FloatArray:
