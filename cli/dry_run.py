@@ -17,7 +17,6 @@ from meshdeform_core.memory import Demand, MemoryLimit, Work, readable
 from meshdeform_core.methods.limits import patch_motions
 from meshdeform_core.parallel import current_ranks
 from meshdeform_core.repair.limit import Limit
-from meshdeform_core.setup import Start
 from meshdeform_core.stepping.steps import Course, doubts
 from meshdeform_core.wording import counted
 from meshdeform_formats.grids import Layout, format_of
@@ -93,7 +92,7 @@ def plan(
     report = plan_report(setup, prepared.account, largest, patch_motions(setup.problem, motion) if alone else ())
     # The warnings that a run gives before its first step. Adaptive steps are halved until they succeed, so none is too
     # large.
-    course = Course(setup, setup.motion(time), outputs.precision, Timing(), None, Start(setup.grid.points), Limit())
+    course = Course(setup, setup.motion(time), outputs.precision, Timing(), None, Limit())
     first, sources = (
         setup.displacement(time, 1 / steps if isinstance(steps, int) else 0.0),
         setup.problem.source_numbers,

@@ -318,10 +318,6 @@ class SeriesInput:
         "--times", metavar="START:STOP:STEP",
         help="Time levels, or a list a,b,c; by default those of the case's sequence of displacement files.",
     )  # fmt: skip
-    origin: str = given(
-        "--from", type=click.Choice(("reference", "last")), default="reference", show_default=True,
-        help="Make each level from the undeformed grid, or from the previous level (marching).",
-    )  # fmt: skip
     steps: int | str | None = given(
         "--steps",
         metavar="N|auto",

@@ -60,7 +60,7 @@ class Run:
 def prepare(job: Job, source: GridInput, wanted: SeriesInput, options: RunInput) -> Run:
     """Determine times and files, topology and boundary; nothing is written."""
     times = times_of(job.case, wanted)
-    schedule = Schedule(times, wanted.origin, wanted.velocity, wanted.steps)
+    schedule = Schedule(times, wanted.velocity, wanted.steps)
     name = name_of(source.path, wanted, job.grid.format)
     check_fields(options.fields, Path(name), True)
     grid = complete_for_export(job.grid, Path(name))
@@ -180,9 +180,9 @@ def carry_out(run: Run, progress: ProgressBar) -> Report:
         count, first, ranks = len(run.schedule.times), len(run.manifest.levels), run.job.ranks
         progress("levels", first, count)
         # The state of earlier levels is known only from files that can be read back.
-        made = tuple(run.manifest.made) if run.files.readable else ()
+        plain = tuple(run.manifest.plain) if run.files.readable else ()
         precision, finished = run.files.variant.precision, run.files.read
-        levels = deform_series(run.setup, run.schedule, precision, progress, first, finished, made)
+        levels = deform_series(run.setup, run.schedule, precision, progress, first, finished, plain)
         for level in levels:
             run.warnings.tell(_warnings_of(level))
             _record_level(run, level)
@@ -207,8 +207,7 @@ def _warnings_of(level: Level) -> Iterator[str]:
 def _how_to_continue(run: Run) -> str:
     """Advice for an interrupted series; empty if no level is finished, or the last one is needed but cannot be read."""
     done, count = len(run.manifest.levels), len(run.schedule.times)
-    reads = run.schedule.origin != "reference" or run.schedule.velocity != "none"
-    if not done or (reads and not run.files.readable):
+    if not done or (run.schedule.velocity != "none" and not run.files.readable):
         return ""
     return f"{done} of {count} levels are done: the same command with --resume (without --force) continues"
 
@@ -256,7 +255,7 @@ def _note(run: Run, level: Level, seconds: float) -> None:
     record = level_record(level, files.path(level.number).name, seconds, manifest.head, warnings)
     manifest.levels.append(record)
     manifest.kinds.append([kind_of(text) for text in warnings])
-    manifest.made.append(level.made)
+    manifest.plain.append(level.plain)
     manifest.digests.append(digest(files.file(level.number)))
     try:
         manifest.save()

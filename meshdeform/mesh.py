@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from meshdeform_core.boundary import Kind
 from meshdeform_core.boundary.motions.motion import SMALLEST
-from meshdeform_core.deform import BoundaryMotion, Start, Timing, impose
+from meshdeform_core.deform import BoundaryMotion, Timing, impose
 from meshdeform_core.errors import CaseError, MotionError
 from meshdeform_core.grid import BoolArray, FloatArray, IntArray
 from meshdeform_core.methods import PreparedMethod, Progress
@@ -192,8 +192,7 @@ class Mesh:
     ) -> Step:
         timing, setup = Timing(), self.session.setup
         setup = setup if repair is None else setup.with_repair(repair)
-        start = Start(setup.grid.points, self._method(timing))
-        result = impose(setup, motion, steps, setup.grid.precision, timing, progress, start)
+        result = impose(setup, motion, steps, setup.grid.precision, timing, progress, self._method(timing))
         return Step(result, self.session.plane)
 
     def _method(self, timing: Timing) -> PreparedMethod:

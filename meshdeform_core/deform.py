@@ -11,7 +11,7 @@ from .boundary import Kind
 from .errors import CaseError
 from .grid import Grid
 from .memory import UNLIMITED, MemoryLimit
-from .methods import Account, Progress
+from .methods import Account, PreparedMethod, Progress
 from .methods.limits import patch_motions
 from .notices import Notice
 from .overset import Overset, impose_on_components, set_up
@@ -20,7 +20,7 @@ from .repair.limit import Limit
 from .repair.outcome import Repair
 from .repair.tuned import COLLAPSING
 from .result import Result
-from .setup import BoundaryMotion, Case, Setup, Start, Timing
+from .setup import BoundaryMotion, Case, Setup, Timing
 from .stepping.attempts import adaptively, in_equal_steps, until_valid
 from .stepping.steps import Attempt, Course, Reached, State, beginning, doubts
 from .wording import counted
@@ -35,7 +35,6 @@ __all__ = [
     "Repair",
     "Result",
     "Setup",
-    "Start",
     "Timing",
     "deform",
     "impose",
@@ -85,39 +84,43 @@ def impose(
     precision: str,
     timing: Timing,
     progress: Progress | None = None,
-    start: Start | None = None,
+    prepared: PreparedMethod | None = None,
 ) -> Result:
-    """Impose a motion of the boundary, from the undeformed grid or from ``start``; see :func:`deform`."""
+    """Impose a motion of the boundary; see :func:`deform`. The method of the case, ``prepared`` on the undeformed grid,
+    is given where the motion is one of many."""
     limit = Limit.of(setup.grid.n_nodes, setup.case.repair.time_limit)
-    begin = start or Start(setup.grid.points)
-    course = Course(setup, motion, precision, timing, progress, begin, limit)
-    course.latest.put(begin.points, setup.case.method, begin.prepared)
-    course.log.warn(*setup.warnings, *doubts(course, one_of_many=start is not None))
+    course = Course(setup, motion, precision, timing, progress, limit)
+    one_of_many = prepared is not None
+    course.warnings.extend([*setup.warnings, *doubts(course, one_of_many)])
     if steps is None:
         steps = "auto" if course.repairing else 1
     if steps != "auto" and not (isinstance(steps, int) and steps > 0):
         raise CaseError(f'steps = {steps!r}; expected a whole number >= 1 or "auto"')
 
-    def result(of: Course) -> Result:
+    def result(of: Course, prepared: PreparedMethod | None) -> Result:
+        if prepared:
+            of.latest.append((of.setup.grid.points, of.setup.case.method, prepared))
         if not of.setup.boundary.count(Kind.MOVING):
             # A component in which nothing moves.
             still = dataclasses.replace(beginning(of, of.setup.case.method), fraction=1.0, steps=1)
-            return _result(Reached(still), start)
+            return _result(Reached(still), one_of_many)
         if isinstance(steps, int):
-            return _result(in_equal_steps(of, steps), start)
-        return _result(until_valid(of) if of.repairing else adaptively(of), start)
+            return _result(in_equal_steps(of, steps), one_of_many)
+        return _result(until_valid(of) if of.repairing else adaptively(of), one_of_many)
 
     undeformed = setup.undeformed
-    return impose_on_components(course, undeformed, result) if isinstance(undeformed, Overset) else result(course)
+    if isinstance(undeformed, Overset):
+        return impose_on_components(course, undeformed, prepared, result)
+    return result(course, prepared)
 
 
-def _result(reached: Reached, start: Start | None) -> Result:
+def _result(reached: Reached, one_of_many: bool) -> Result:
     state, failed = reached
     course, setup, last = state.course, state.course.setup, state.last
     motion = patch_motions(setup.problem, course.total)
     # The motion is complete: free what the method has prepared, to make room for the assessment.
-    course.latest.put(state.points, state.options, None)
-    if start is None:
+    course.latest.clear()
+    if not one_of_many:
         setup.problem.forget()
     final = course.rounded(state.points)
 
@@ -148,7 +151,7 @@ def _result(reached: Reached, start: Start | None) -> Result:
         timing=course.timing,
         warnings=tuple(
             itertools.chain(
-                course.log.warnings,
+                course.warnings,
                 state.notices.values(),
                 _of_another_method(state),
                 repair_notices(repair, assessment),
@@ -157,9 +160,8 @@ def _result(reached: Reached, start: Start | None) -> Result:
             )
         ),
         motion=motion,
-        attempts=tuple(course.log.attempts),
+        attempts=tuple(course.attempts),
         repair=repair,
-        way=state.way,
         plain=state.plain.points if state.plain else None,
     )
 

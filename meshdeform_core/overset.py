@@ -41,7 +41,7 @@ from .quality.report import MAX_LISTED
 from .repair.limit import Limit
 from .repair.outcome import Repair
 from .result import Result
-from .setup import Case, Setup, Start, Timing, Undeformed, set_up_whole
+from .setup import Case, Setup, Timing, Undeformed, set_up_whole
 from .stepping.steps import Course
 
 
@@ -357,21 +357,21 @@ class PreparedComponents(PreparedMethod):
         return Linearised(push, pull, sum((own.kinks for own in found if own), Kinks()))
 
 
-def impose_on_components(whole: Course, undeformed: Overset, one: Callable[[Course], Result]) -> Result:
-    """The result of a motion from those of ``one`` for the motion of each component."""
-    prepared = whole.start.prepared
+def impose_on_components(
+    whole: Course,
+    undeformed: Overset,
+    prepared: PreparedMethod | None,
+    one: Callable[[Course, PreparedMethod | None], Result],
+) -> Result:
+    """The result of a motion from those of ``one`` for the motion of each component, and its method if it is
+    ``prepared``."""
     known = prepared.methods if isinstance(prepared, PreparedComponents) else [None] * len(undeformed.components)
     found, case = [], whole.setup.case
     for each, method in zip(undeformed.components, known, strict=True):
-        own, points = each.undeformed, whole.start.points
-        points = own.grid.points if points is whole.setup.grid.points else each.rows(whole.setup.grid, points)
-        limit = Limit.of(own.grid.n_nodes, case.repair.time_limit)
-        path = partial(each.motion, lambda fraction: whole.total if fraction == 1.0 else whole.path(fraction))
-        course = Course(
-            Setup(own, case, ()), path, whole.precision, whole.timing, whole.progress, Start(points, method), limit
-        )
-        course.latest.put(points, case.method, method)
-        found.append((each, one(course)))
+        own = each.undeformed
+        limit, path = Limit.of(own.grid.n_nodes, case.repair.time_limit), partial(each.motion, whole.prescribed)
+        course = Course(Setup(own, case, ()), path, whole.precision, whole.timing, whole.progress, limit)
+        found.append((each, one(course, method)))
     return _result(whole, found)
 
 
@@ -395,12 +395,11 @@ def _result(course: Course, found: Sequence[tuple[Component, Result]]) -> Result
         reached=min(result.reached for result in results),
         displacement=course.total,
         timing=course.timing,
-        warnings=(*course.log.warnings, *warnings),
+        warnings=(*course.warnings, *warnings),
         motion=patch_motions(setup.problem, course.total),
         attempts=tuple(attempt for result in results for attempt in result.attempts),
         repair=functools.reduce(Repair.beside, repairs) if repairs else None,
         components=tuple((component.name, result) for component, result in found),
-        way="; ".join(f"{component.name}: {result.way}" for component, result in found),
     )
 
 

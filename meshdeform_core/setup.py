@@ -143,36 +143,23 @@ class Undeformed:
         return prepare_method(options, self.problem)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(eq=False, repr=False)
 class Setup:
-    """A grid with everything that is known before the boundary moves; ``--dry-run`` shows it."""
+    """A grid with everything that is known before the boundary moves; ``--dry-run`` shows it.
+
+    ``grid``, ``topology``, ``boundary`` and ``memory`` are those of the ``undeformed`` grid.
+    """
 
     undeformed: Undeformed
     case: Case
     warnings: tuple[str, ...]
 
+    def __post_init__(self) -> None:
+        self.grid, self.topology = self.undeformed.grid, self.undeformed.topology
+        self.boundary, self.memory = self.undeformed.boundary, self.undeformed.memory
+
     def __repr__(self) -> str:
         return f"Setup({self.grid!r}, {self.case.method.name})"
-
-    @property
-    def grid(self) -> Grid:
-        """The undeformed grid."""
-        return self.undeformed.grid
-
-    @property
-    def topology(self) -> Topology:
-        """Coincident nodes and outside faces of the grid."""
-        return self.undeformed.topology
-
-    @property
-    def boundary(self) -> Boundary:
-        """The classified boundary: which nodes move, are fixed or slide."""
-        return self.undeformed.boundary
-
-    @property
-    def memory(self) -> MemoryLimit:
-        """The memory limit of methods and repairs, in addition to the grid."""
-        return self.undeformed.memory
 
     @property
     def problem(self) -> Problem:
@@ -200,18 +187,6 @@ class Setup:
     def motion(self, time: float) -> BoundaryMotion:
         """The case's motion at ``time``."""
         return partial(self.displacement, time)
-
-
-@dataclass(frozen=True)
-class Start:
-    """Starting point of a motion that is one level of a series.
-
-    ``points`` (n_nodes, 3) are the undeformed coordinates or those of an earlier level; ``prepared`` is the method
-    prepared on them, if available.
-    """
-
-    points: FloatArray
-    prepared: PreparedMethod | None = None
 
 
 def set_up_whole(

@@ -32,7 +32,6 @@ class Smoothness:
     wall : largest acceleration of the walls, in the same unit as ``acceleration``
     reach : largest ratio of a node's movement to that of the walls
     plain : whether the levels are those of the method alone
-    ways : how the preceding level and this one were made, if that differs
     """
 
     velocity: float | None
@@ -41,7 +40,6 @@ class Smoothness:
     wall: float | None = None
     reach: float = 1.0
     plain: bool = True
-    ways: tuple[str, str] | None = None
 
     @property
     def beyond(self) -> float:
@@ -56,11 +54,7 @@ class Smoothness:
 
     @property
     def warning(self) -> str | None:
-        """A warning if the grid jumps although the walls do not, or was made in another way than before."""
-        if self.ways:
-            return (
-                f"the grid is made in another way from this level on: {self.ways[1]}, before {self.ways[0]}{self._jump}"
-            )
+        """A warning if the grid jumps although the walls do not."""
         slight = self.beyond < _JUMP or (self.acceleration_in_edges or 0.0) < _JUMP_IN_EDGES
         if self.acceleration is None or self.plain or slight:
             return None
@@ -68,15 +62,6 @@ class Smoothness:
             f"the grid jumps although its walls do not: a node is accelerated by {_steps(self.acceleration)} of the "
             f"walls ({self.acceleration_in_edges:.3g} local edges) at this level, the walls by {self.wall:.3g}"
         )
-
-    @property
-    def _jump(self) -> str:
-        if self.acceleration is not None and self.wall is not None and self.acceleration_in_edges is not None:
-            return (
-                f". Its nodes are accelerated by up to {_steps(self.acceleration)} of the walls "
-                f"({self.acceleration_in_edges:.3g} local edges), the walls by {self.wall:.3g}"
-            )
-        return "" if self.velocity is None else f". Its nodes move by up to {_steps(self.velocity)} of the walls"
 
 
 def _steps(count: float) -> str:
@@ -86,12 +71,11 @@ def _steps(count: float) -> str:
 
 class Moment(NamedTuple):
     """A level: its time and coordinates (n_nodes, 3); ``plain``: whether it was made in one step without a repair, and
-    so is as smooth as its walls; ``way``: how it was made."""
+    so is as smooth as its walls."""
 
     time: float
     points: FloatArray
     plain: bool
-    way: str = ""
 
 
 def shortest_edges(grid: Grid) -> FloatArray:
@@ -124,20 +108,19 @@ def smoothness(levels: list[Moment], walls: IntArray, edges: FloatArray) -> Smoo
     """Smoothness of the last of up to three consecutive levels; ``walls`` are block nodes on moving walls."""
     if len(levels) < 2:
         return Smoothness(None, None, None)
-    ways = (levels[-2].way, levels[-1].way) if levels[-2].way != levels[-1].way else None
     at_walls = [float(length.max(initial=0.0)) for length in _movements(levels, walls)]
     step = max(at_walls[:2])
     if step == 0.0:
-        return Smoothness(None, None, None, ways=ways)
+        return Smoothness(None, None, None)
     largest, in_edges = _largest(levels, edges)
     speed = float(largest[0]) / step
     if len(levels) == 2:
-        return Smoothness(speed, None, None, ways=ways)
+        return Smoothness(speed, None, None)
     # A jump may lie in either of the last two movements.
     movements = zip(largest[:2].tolist(), at_walls[:2], strict=True)
     reach = min(moved / walled for moved, walled in movements if walled > _AT_REST * step)
     plain = all(level.plain for level in levels)
-    return Smoothness(speed, float(largest[2]) / step, in_edges, at_walls[2] / step, reach, plain, ways)
+    return Smoothness(speed, float(largest[2]) / step, in_edges, at_walls[2] / step, reach, plain)
 
 
 def _largest(levels: list[Moment], edges: FloatArray) -> tuple[FloatArray, float]:

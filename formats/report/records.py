@@ -286,7 +286,6 @@ def level_record(level: Level, file: str, write_seconds: float, head: Report, wa
         "max_displacement": result.max_displacement,
         "max_rotation_deg": level.rotation,
         "motion": [dataclasses.asdict(patch) for patch in result.motion],
-        "drift": dataclasses.asdict(level.drift) if level.drift else None,
         "smoothness": {name: getattr(level.smoothness, name) for name in _SMOOTHNESS},
         **({"components": [_component_outcome(*each) for each in result.components]} if result.components else {}),
         "quality": dataclasses.asdict(result.assessment.after),
@@ -322,13 +321,7 @@ def series_report(
     return {
         **head,
         "boundary": {**head["boundary"], "max_displacement": moved},
-        "series": {
-            "levels": len(levels),
-            "origin": schedule.origin,
-            "velocity": schedule.velocity,
-            **places,
-            "drift": levels[-1]["drift"],
-        },
+        "series": {"levels": len(levels), "velocity": schedule.velocity, **places},
         "levels": list(levels),
         "valid": all(level["valid"] for level in levels),
         "timing": {**timing, **spent},

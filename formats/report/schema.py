@@ -14,7 +14,6 @@ from meshdeform_core.quality.report import BlockSkew, Quality
 from meshdeform_core.quality.shape import FacePyramids, ShapeMeasure
 from meshdeform_core.quality.walls import LayerChange
 from meshdeform_core.repair.outcome import Repair
-from meshdeform_core.series import Drift
 from meshdeform_core.stepping.steps import Attempt
 
 from .tables import DEFINITIONS
@@ -157,7 +156,6 @@ class LevelPart(OutcomePart):
     max_displacement: float
     max_rotation_deg: float
     motion: list[PatchMotion]
-    drift: Annotated[Drift | None, _told("only when marching")]
     smoothness: LevelSmoothness
     components: NotRequired[list[ComponentOutcome]]
     quality: Quality
@@ -172,11 +170,9 @@ class SeriesPart(TypedDict):
     """A series"""
 
     levels: Count
-    origin: Literal["reference", "last"]
     velocity: Literal["none", "first", "second", "swept"]
     folder: str
     view: Annotated[str | None, _told("to open in ParaView")]
-    drift: Annotated[Drift | None, _told("of the last level")]
 
 
 class ShapeMeasures(TypedDict, total=False):

@@ -27,7 +27,6 @@ from .tables import (
 
 _LISTED = 20
 _ALONG = 0.9994
-_ORIGINS = {"reference": "undeformed grid", "last": "previous level (marching)"}
 
 
 def as_text(report: Report, parameters: bool = True) -> str:
@@ -153,12 +152,9 @@ def axis_text(axis: list[float]) -> str:
 def _series(report: Report) -> Iterator[tuple[str, Iterable[str]]]:
     """The levels of a series."""
     series, before = report["series"], report["quality"]["before"]["f_skew"]
-    lines = [f"{series['levels']} levels, each from the {_ORIGINS[series['origin']]}"]
+    lines = [f"{series['levels']} levels, each from the undeformed grid"]
     lines += [f"open {series['view']} in ParaView"] if series["view"] else []
     yield "series", [*lines, f"f_skew before: harmonic mean {before['harmonic_mean']:.4f}, minimum {before['min']:.4f}"]
     yield "levels", _columns(levels_table(report))
     if any(acceleration_of(level) is not None for level in report["levels"]):
         yield "accel.", [ACCELERATION]
-    if drift := series["drift"]:
-        sizes = f"{drift['max']:.3g} at most, {drift['rms']:.3g} rms"
-        yield "drift", [f"{sizes}: distance of the last level from the grid made from the undeformed one"]

@@ -13,7 +13,7 @@ from typing import Any
 
 from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.methods import entry_of
-from meshdeform_core.series import REVISION, Made, Schedule
+from meshdeform_core.series import REVISION, Schedule
 from meshdeform_core.wording import listed
 
 from ..case import CaseFile
@@ -36,7 +36,7 @@ class Manifest:
     head : the part of the report common to all levels; empty before the first level
     levels : a record of each finished level, in order
     kinds : for each finished level, the kinds of warnings that occurred there first
-    made : for each finished level, the data on it that later levels need
+    plain : for each finished level, whether it was made in one step without a repair
     digests : for each finished level, that of the file that holds it
     complete : whether all outputs are in their final place
     """
@@ -46,7 +46,7 @@ class Manifest:
     head: dict[str, Any] = field(default_factory=dict)
     levels: list[dict[str, Any]] = field(default_factory=list)
     kinds: list[list[str]] = field(default_factory=list)
-    made: list[Made] = field(default_factory=list)
+    plain: list[bool] = field(default_factory=list)
     digests: list[str] = field(default_factory=list)
     complete: bool = False
 
@@ -64,7 +64,7 @@ class Manifest:
         """Read the file. Raises FormatError when it is not a manifest."""
         try:
             content = json.loads(path.read_text(encoding="utf-8"), parse_float=_finite, parse_constant=_finite)
-            return cls(path, **content | {"made": [Made(*each) for each in content["made"]]})
+            return cls(path, **content)
         except (ValueError, TypeError, KeyError) as error:
             raise FormatError(
                 f"{path} is not the state of a series ({error}); restart the series with --force"
@@ -73,7 +73,7 @@ class Manifest:
     @property
     def per_level(self) -> tuple[list[Any], ...]:
         """What is recorded of each finished level."""
-        return self.levels, self.kinds, self.made, self.digests
+        return self.levels, self.kinds, self.plain, self.digests
 
     def require_same(self, ingredients: Mapping[str, Any]) -> None:
         """Refuse to continue a series whose inputs have changed. Raises CaseError listing the changes."""

@@ -48,7 +48,7 @@ SQUEEZED = ("tfi", RESCUE)
 def in_equal_steps(course: Course, count: int) -> Reached:
     """Impose the motion in as many steps as the user asked for, valid or not."""
     state = beginning(course, course.setup.case.method)
-    course.log.warn(*warnings_ahead(state, 1 / count))
+    course.warnings.extend(warnings_ahead(state, 1 / count))
     for number in range(1, count + 1):
         state = accept(patient_step(state, number / count))
     return Reached(state)
@@ -62,7 +62,7 @@ def adaptively(course: Course) -> Reached:
     """
     state = beginning(course, course.setup.case.method)
     # Steps that are halved until they succeed are never too large.
-    course.log.warn(*warnings_ahead(state, 0.0))
+    course.warnings.extend(warnings_ahead(state, 0.0))
     increment, smallest = 1.0, 0.5**MAX_HALVINGS
     while state.fraction < 1.0:
         trial = step(state, min(1.0, state.fraction + increment))
@@ -75,7 +75,7 @@ def adaptively(course: Course) -> Reached:
                 f"only {state.fraction:.1%} of the motion was imposed; a further step of {increment:.2%} makes cells "
                 f"invalid. The grid reached so far is kept; another method, or planes that slide, may allow more"
             )
-            course.log.warn(Notice(text, "a part of the motion"))
+            course.warnings.append(Notice(text, "a part of the motion"))
             return Reached(state, trial)
     return Reached(state)
 
@@ -90,7 +90,7 @@ def until_valid(course: Course) -> Reached:
     part of the motion a valid grid was found.
     """
     state = beginning(course, course.setup.case.method)
-    course.log.warn(*warnings_ahead(state, 0.0))
+    course.warnings.extend(warnings_ahead(state, 0.0))
     plain = plain_step(state, 1.0)
     # Reasons visible in the boundary alone why no valid grid exists, and the part of the motion up to which there are
     # none.
@@ -102,7 +102,7 @@ def until_valid(course: Course) -> Reached:
         fraction = contact.fraction if contact else 1.0
     best = repaired(plain, "hasty" if reasons else "quick")
     if reasons and not best.valid:
-        course.log.warn(*reasons)
+        course.warnings.extend(reasons)
         step(state, BEFORE * fraction, "hasty")
     elif not best.valid:
         found = _persistently(best)
@@ -153,7 +153,7 @@ def _without_repairs(course: Course) -> State | None:
             try:
                 trial = plain_step(state, number / count)
             except MethodError as error:
-                course.log.warn(Notice(f"{RESCUE} was not tried: {error}", f"{RESCUE} not tried"))
+                course.warnings.append(Notice(f"{RESCUE} was not tried: {error}", f"{RESCUE} not tried"))
                 return None
             if not trial.valid:
                 break
@@ -181,7 +181,7 @@ def _in_smaller_steps(course: Course, options: Options) -> State | None:
 
 
 def _enough(course: Course) -> bool:
-    return len(course.log.attempts) >= MAX_ATTEMPTS or course.limit.reached
+    return len(course.attempts) >= MAX_ATTEMPTS or course.limit.reached
 
 
 def _with_other_methods(course: Course, names: tuple[str, ...], chosen: Options) -> Iterator[Trial]:
@@ -192,21 +192,21 @@ def _with_other_methods(course: Course, names: tuple[str, ...], chosen: Options)
         try:
             yield step(beginning(course, Options(name)), 1.0)
         except MethodError as error:
-            course.log.warn(Notice(f"{name} was not tried: {error}", f"{name} not tried"))
+            course.warnings.append(Notice(f"{name} was not tried: {error}", f"{name} not tried"))
 
 
 def _give_up(course: Course) -> None:
-    attempts = course.log.attempts
+    attempts = course.attempts
     reached = max((a.reached for a in attempts if not a.invalid_cells), default=0.0)
     if course.limit.exhausted:
         nodes = course.setup.grid.n_nodes
         text = f"the motion was given up after as much work as is done for {nodes:,} nodes (docs/validity.md)"
-        course.log.warn(Notice(text, "the limit on work"))
+        course.warnings.append(Notice(text, "the limit on work"))
     elif course.limit.late:
-        course.log.warn(f"the time limit of {course.limit.seconds:g} s was reached ([repair] time_limit)")
+        course.warnings.append(f"the time limit of {course.limit.seconds:g} s was reached ([repair] time_limit)")
     part = f"only for {reached:.1%} of it" if reached else "nor for any part of it that was tried"
     text = (
         f"no valid grid was found for the whole motion, {part}. The grid kept has the whole "
         f"motion and the fewest invalid cells of {len(attempts)} attempts"
     )
-    course.log.warn(Notice(text, "no valid grid"))
+    course.warnings.append(Notice(text, "no valid grid"))

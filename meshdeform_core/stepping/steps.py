@@ -29,7 +29,7 @@ from ..repair.onset import unhealthy_cells
 from ..repair.options import Effort
 from ..repair.outcome import Judged, Outcome, Repair
 from ..repair.tuned import AS_PLANE, FARTHEST
-from ..setup import BoundaryMotion, Setup, Start, Timing
+from ..setup import BoundaryMotion, Setup, Timing
 from ..wording import vector
 
 if TYPE_CHECKING:
@@ -53,37 +53,6 @@ class Attempt:
     reached: float
 
 
-@dataclass
-class Log:
-    """Attempts and warnings, in the order in which they were made."""
-
-    attempts: list[Attempt] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
-
-    def warn(self, *warnings: str) -> None:
-        """Add warnings."""
-        self.warnings += warnings
-
-
-class LastPrepared:
-    """The method prepared last and the grid that it was prepared on.
-
-    Steps from the same grid share it. Only one is kept, as two dense systems may not fit into memory.
-    """
-
-    def __init__(self) -> None:
-        self._last: tuple[FloatArray, Options, PreparedMethod] | None = None
-
-    def get(self, points: FloatArray, options: Options) -> PreparedMethod | None:
-        """The method prepared with these options on these coordinates, if it is the last one."""
-        last = self._last
-        return last[2] if last and last[0] is points and last[1] is options else None
-
-    def put(self, points: FloatArray, options: Options, prepared: PreparedMethod | None) -> None:
-        """Replace the method kept; ``None`` keeps none."""
-        self._last = None if prepared is None else (points, options, prepared)
-
-
 @dataclass(frozen=True, eq=False)
 class Course:
     """A motion to impose on a set-up.
@@ -92,9 +61,10 @@ class Course:
     ----------
     path : displacement of the boundary at a fraction of the motion
     precision : of the coordinates that will be written, to which verdicts apply
-    start : the grid from which the motion is imposed
     limit : limit on the time and work of repairs and further attempts
-    log : attempts and warnings
+    attempts, warnings : in the order in which they were made
+    latest : the method prepared last, with the coordinates and options for which it was; steps from the same grid share
+        it. There is one at most, as two dense systems may not fit into memory
     """
 
     setup: Setup
@@ -102,10 +72,10 @@ class Course:
     precision: str
     timing: Timing
     progress: Progress | None
-    start: Start
     limit: Limit
-    log: Log = field(default_factory=Log)
-    latest: LastPrepared = field(default_factory=LastPrepared)
+    attempts: list[Attempt] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    latest: list[tuple[FloatArray, Options, PreparedMethod]] = field(default_factory=list)
 
     @cached_property
     def total(self) -> FloatArray:
@@ -117,22 +87,9 @@ class Course:
         """Largest displacement of the boundary at the end of the motion."""
         return largest_displacement(self.total)
 
-    @cached_property
-    def begin(self) -> FloatArray:
-        """Displacement (n_unique, 3) of the boundary in the starting grid, exactly zero if it is undeformed."""
-        first, undeformed, points = self.setup.topology.first, self.setup.grid.points, self.start.points
-        if points is undeformed:
-            return np.broadcast_to(np.zeros(3), (len(first), 3))
-        return np.asarray(Nodes.of(points).at(first) - Nodes.of(undeformed).at(first))
-
     def prescribed(self, fraction: float) -> FloatArray:
-        """Boundary displacement (n_unique, 3) at a fraction of the motion: along the motion's path if it starts from
-        the undeformed grid, otherwise linear."""
-        if fraction == 1.0:
-            return self.total
-        if not self.begin.any():
-            return self.path(fraction)
-        return self.begin + fraction * (self.total - self.begin)
+        """Boundary displacement (n_unique, 3) at a fraction of the motion."""
+        return self.total if fraction == 1.0 else self.path(fraction)
 
     def rounded(self, points: FloatArray) -> FloatArray:
         """Coordinates as they will be written."""
@@ -252,17 +209,6 @@ class State:
     first_bad: Mapping[int, int] = field(default_factory=dict)
     plain: Coordinates | None = None
 
-    @property
-    def way(self) -> str:
-        """How the grid was made. Grids made in the same way are a continuous function of the displacement."""
-        if self.fraction < 1.0:
-            return f"{self.options.name} with a part of the motion"
-        way = f"{self.options.name} in {'one step' if self.steps == 1 else f'{self.steps} steps'}"
-        if not all(repair.converged for repair in self.repairs):
-            return f"{way}, cells untangled in regions"
-        polished = self.repairs or not self.course.polishing
-        return way if polished else f"{way}, not polished, which would lower the smallest scaled Jacobian"
-
 
 class Reached(NamedTuple):
     """The state kept in the end, and the failed step if it is not the whole motion."""
@@ -304,7 +250,8 @@ class Trial:
 
 def beginning(course: Course, options: Options) -> State:
     """The state before the first step, with a method."""
-    return State(course, options, course.start.points, course.begin)
+    undeformed = course.setup.undeformed
+    return State(course, options, undeformed.grid.points, np.zeros((undeformed.topology.n_unique, 3)))
 
 
 def warnings_ahead(state: State, first: float) -> list[str]:
@@ -398,15 +345,16 @@ def accept(trial: Trial) -> State:
 def prepared_on(state: State) -> PreparedMethod:
     """The method of a state, prepared on its grid."""
     course, setup = state.course, state.course.setup
-    found = course.latest.get(state.points, state.options)
-    if found is None:
-        course.latest.put(state.points, state.options, None)
-        problem: Problem = setup.problem
-        if state.points is not setup.grid.points:
-            problem = dataclasses.replace(problem, grid=setup.grid.moved(state.points))
-        with course.timing.stage("prepare"):
-            found = prepare_method(state.options, problem)
-        course.latest.put(state.points, state.options, found)
+    for points, options, prepared in course.latest:
+        if points is state.points and options is state.options:
+            return prepared
+    course.latest.clear()
+    problem: Problem = setup.problem
+    if state.points is not setup.grid.points:
+        problem = dataclasses.replace(problem, grid=setup.grid.moved(state.points))
+    with course.timing.stage("prepare"):
+        found = prepare_method(state.options, problem)
+    course.latest.append((state.points, state.options, found))
     return found
 
 
@@ -448,5 +396,5 @@ def _repaired(trial: Trial, effort: Effort, polish: bool = False) -> Trial:
 def _noted(trial: Trial, repair: bool) -> Trial:
     state = trial.state
     attempt = Attempt(state.options.name, state.steps + 1, repair, trial.invalid_cells, trial.fraction)
-    state.course.log.attempts.append(attempt)
+    state.course.attempts.append(attempt)
     return trial

@@ -45,7 +45,7 @@ def test_a_series_looks_for_room_for_all_levels(bench, call, disk, monkeypatch):
     assert call(*words).code == 0
     size = sum(path.stat().st_size for path in Path("out").rglob("*") if path.is_file())
     with monkeypatch.context() as patch:
-        patch.setattr(series, "_Series", None)
+        patch.setattr(series, "impose", None)
         disk(size // 2)
         refused = call(*words, "-o", "other")
         assert refused.code == 2

@@ -157,7 +157,7 @@ def test_a_repair_gives_the_same_grid(bench, compiled):
 
 @needs_mpi
 def test_series_is_the_same_and_can_be_continued(bench, compiled):
-    args = ("series", "grid.xyz", "-c", "case.toml", "-s", "constants.turn=20", "-m", "idw-tfi", "--from", "last")
+    args = ("series", "grid.xyz", "-c", "case.toml", "-s", "constants.turn=20", "-m", "idw-tfi")
     assert by_itself(*args, "--times", "0:2:1", "-o", "alone") == 0
     for resumed in ((), ("--resume",)):
         done = on_ranks(2, *args, "--times", "0:2:1", "-o", "shared", *resumed)

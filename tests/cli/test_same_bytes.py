@@ -34,7 +34,7 @@ SERIES = {
     "polished": ("-m", "tfi", "--repair", "polish", "-s", "constants.turn=30"),
     "steps": ("-m", "idw-tfi", "--steps", "2"),
     "as many steps as needed": ("-m", "tfi", *FOLDED, "--steps", "auto", "--repair", "off"),
-    "from the last level": ("-m", "idw", "--from", "last", "--velocity", "swept"),
+    "swept volumes": ("-m", "idw", "--velocity", "swept"),
     "single precision": ("-m", "idw-tfi", "--variant", "precision=float32", "--velocity", "second"),
     "VTK": ("-m", "rbf", "--suffix", ".vtm", "--velocity", "first", "--field", "all"),
     "plane": ("-m", "idw-tfi"),

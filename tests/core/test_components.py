@@ -144,10 +144,9 @@ def test_openings_and_overlaps_are_sought_within_components():
     assert not find_openings(named, find_topology(named))
 
 
-@pytest.mark.parametrize("origin", ["reference", "last"])
-def test_levels_of_a_series_are_those_of_each_component(origin):
+def test_levels_of_a_series_are_those_of_each_component():
     moving = tuple(dataclasses.replace(s, motion=turning("12*t")) if s.name == "bar" else s for s in BAR)
-    schedule = Schedule((0.5, 1.0), origin=origin, velocity="first")
+    schedule = Schedule((0.5, 1.0), velocity="first")
     levels = list(deform_series(set_up(GRID, case(moving + RING + FIXED, components=BY_PREFIX)), schedule, "float64"))
     single = list(deform_series(set_up(alone(GRID, "bar"), case(moving)), schedule, "float64"))
     for whole, own in zip(levels, single, strict=True):

@@ -16,7 +16,7 @@ from grids import frame, frame_2d
 from plot3d_witness import binary_file, sample_blocks, sample_iblank
 
 from meshdeform_core.boundary import Kind
-from meshdeform_core.deform import Case, Start, Timing, deform, impose, set_up
+from meshdeform_core.deform import Case, Timing, deform, impose, set_up
 from meshdeform_core.grid import Field, Grid
 from meshdeform_core.methods import Options
 from meshdeform_core.parallel import Nodes, WholeGridNeeded
@@ -134,7 +134,7 @@ def test_fields_at_cells_and_nodes(make, tmp_path):
 
     def act(folder):
         setup = set_up(read_grid(tmp_path / "grid.cgns"), case)
-        result = impose(setup, setup.motion(0.0), 1, "float64", Timing(), None, Start(setup.grid.points))
+        result = impose(setup, setup.motion(0.0), 1, "float64", Timing())
         moving = np.flatnonzero(setup.boundary.quad_kind == Kind.MOVING)
         cells = CellFields(result.grid, setup.topology, setup.grid, moving, setup.original)
         write_grid(result.grid, folder / "out.cgns", None, lambda _: with_fields(cells, ("all", "displacement")))

@@ -114,7 +114,7 @@ def test_every_kind_of_report_fits(tmp_path, monkeypatch, capsys):
         [*deform, "-m", "tfi", "-o", "b.cgns", "--allow-invalid"],
         [*deform, "-m", "rbf", "--steps", "auto", "-o", "c.cgns"],
         [*deform, "--dry-run"],
-        ["series", "grid.cgns", "-c", "case.toml", "--times", "0,1", "--from", "last", "-o", "levels"],
+        ["series", "grid.cgns", "-c", "case.toml", "--times", "0,1", "-o", "levels"],
         ["quality", "a.cgns", "--reference", "grid.cgns", "-c", "case.toml"],
         ["quality", "grid.cgns"],
     ]

@@ -41,8 +41,8 @@ class Series(RuleBasedStateMachine):
 
     suffix = ".xyz"
 
-    @initialize(folding=st.booleans(), marching=st.booleans())
-    def begin(self, folding, marching):
+    @initialize(folding=st.booleans())
+    def begin(self, folding):
         self.home, self.folder = os.getcwd(), Path(tempfile.mkdtemp())
         os.chdir(self.folder)
         Path("case.toml").write_text(FOLDING if folding else MOVING)
@@ -50,7 +50,7 @@ class Series(RuleBasedStateMachine):
         self.folding = folding
         command = ["series", "grid.xyz", "-c", "case.toml", "-m", "tfi", "--times", "0:3:1"]
         self.command = [*command, "--repair", "off", "-q"]
-        self.command += ["--suffix", self.suffix, *(["--from", "last"] if marching else [])]
+        self.command += ["--suffix", self.suffix]
         code, told = called(*self.command, "-o", "whole")
         assert code == (3 if self.invalid_levels("whole") else 0), told
         self.expected = [level.points for level in map(read_grid, self.files("whole"))]
