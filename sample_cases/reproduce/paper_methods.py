@@ -50,7 +50,7 @@ class _Marching:
     def evaluate(self, fit: SourceValues, out: FloatArray, progress: Progress | None) -> None:
         """Write the displacement of the target nodes into their rows of ``out`` (n_nodes, 3)."""
         method, x = self._method, self._points - fit.origin
-        sources = method.points - fit.origin
+        sources = method.images.points - fit.origin
         part, translation = fit.values[:4].T.copy(), fit.values[4:].T
         for _ in range(method.options.divisions):
             sums = np.zeros((len(x), 1 + len(fit.values)))

@@ -24,7 +24,7 @@ from ..options import MethodOptions, option
 from .idw_sums import Bound, SourceValues
 from .mirror import mirror_images
 from .summation import Summation, fast_pays, summation_tolerance
-from .transition import MovingShare, bodies, motion_values, with_motion
+from .transition import bodies, motion_values, transition_of, with_motion
 from .tuned import ALPHA_CAP, FAR, FAR_IN_PLANES, FAR_OF_ONE_BODY, ROUNDS, STEEPER, WIDTH, WIDTH_IN_PLANES
 
 if TYPE_CHECKING:
@@ -120,16 +120,13 @@ class PreparedIDW:
         self.account = Account()
         self.problem = problem
         self.images = mirror_images(problem)
-        self.area, self.points = self.images.area, self.images.points
         self.rotations = problem.rotations
         if problem.boundary.mirrors:
-            surface = self.points, self.images.corners, self.images.edges
+            surface = self.images.points, self.images.corners, self.images.edges
             self.rotations = rot.SurfaceRotations(*surface, problem.plane_normal)
-        if options.length == "auto":
-            # Eq. 17.
-            self.length = float(np.linalg.norm(problem.source_points - problem.centroid, axis=1).max())
-        else:
-            self.length = float(options.length)
+        farthest = np.linalg.norm(problem.source_points - problem.centroid, axis=1).max()
+        # Eq. 17, or as given.
+        self.length = float(farthest if options.length == "auto" else options.length)
         width = self._width()
         if options.a != "auto":
             self.far = float(options.a)
@@ -137,7 +134,7 @@ class PreparedIDW:
             self.far = FAR_OF_ONE_BODY
         else:
             self.far = FAR_IN_PLANES if problem.plane and options.rotation == "lie" else FAR
-        self._share = MovingShare.of(self.images, problem, self.far, width) if width else None
+        self._transition = transition_of(self.images, problem, self.far, width) if width else NO_TRANSITION
         self._blunt = self._near_edges()
         self.groups, self.strength = self._grouped()
         auto = options.remove_mean == "auto"
@@ -178,7 +175,7 @@ class PreparedIDW:
         everything = (np.arange(len(moving)),)
         if o.weights == "luke":
             # Relative to the largest area, as in fast sums: the transition needs total weights in known units.
-            return everything, self.area / self.area.max()
+            return everything, self.images.area / self.images.area.max()
         if o.p_moving == o.p_fixed or moving.all() or not moving.any():
             return everything, np.ones(len(moving))
         # (L_def / r)^p: with two exponents the result depends on the reference length, so it has to be the grid's.
@@ -192,7 +189,7 @@ class PreparedIDW:
             of = {FAR_OF_ONE_BODY: "one moving body", FAR_IN_PLANES: "lie in a plane grid"}
             a = Setting(self.far, of.get(self.far, "Luke et al.: the far field") if o.a == "auto" else "given")
             settings |= o.used("alpha") | {"a": a} | o.used("b")
-            width = self._share.width if self._share else 0.0
+            width = self._transition.width
             why_width = "lie" if width else "only for lie between moving and fixed boundaries"
             settings["transition"] = Setting(width, why_width if o.transition == "auto" else "given")
         else:
@@ -210,8 +207,8 @@ class PreparedIDW:
         exact = "a translation of the whole boundary is then reproduced exactly"
         reason = exact if self.remove_mean else 'auto: only rotation = "lie" does'
         settings["remove_mean"] = Setting(self.remove_mean, reason if mean_is_auto else "given")
-        if len(self.area) > len(self.problem.source_points):
-            settings["mirrored_sources"] = Setting(len(self.area), "images at symmetry planes take part")
+        if len(moving := self.images.moving) > len(self.problem.source_points):
+            settings["mirrored_sources"] = Setting(len(moving), "images at symmetry planes take part")
 
     def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
         """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
@@ -245,8 +242,12 @@ class PreparedIDW:
         at_rest = np.flatnonzero((turn == 0.0) & ~d.any(axis=1))
         still = values[:, at_rest[0]] if at_rest.size else None
         transition, shift = NO_TRANSITION, np.linalg.norm(rest, axis=1)
-        if self._share and (divided := self._share.applied(values)):
-            (values, transition), shift, still = divided, STEEPER * shift, np.zeros(len(values) + 1)
+        moving = with_motion(images)
+        # Where sources outside the moving faces have different motions, the weights determine the share.
+        if self._transition.width and not ((others := values[:, ~moving]) != others[:, :1]).any():
+            values = np.concatenate([values - others[:, :1], moving[None]])
+            transition = self._transition._replace(rest=others[:, 0].copy())
+            shift, still = STEEPER * shift, np.zeros(len(values))
         return SourceValues(
             values, self._weight_functions(plain(inside)), shift, turn, origin, frame, still, transition
         )
@@ -268,12 +269,9 @@ class PreparedIDW:
             images, points=images.points[kept], area=area, owner=images.owner[kept], reflection=images.reflection[kept],
             moving=images.moving[kept], corners=number[images.corners], edges=number[images.edges],
         )  # fmt: skip
-        found.area, found.points = found.images.area, found.images.points
-        normal = self.problem.plane_normal
-        found.rotations = rot.SurfaceRotations(found.points, found.images.corners, found.images.edges, normal)
+        surface = found.images.points, found.images.corners, found.images.edges
+        found.rotations = rot.SurfaceRotations(*surface, self.problem.plane_normal)
         found._blunt = number[self._blunt]
-        if self._share:
-            found._share = dataclasses.replace(self._share, moving=self._share.moving[kept])
         return found
 
     def linearised(self, evaluator: Bound | FastEvaluator, displacement: FloatArray) -> Linearised:
@@ -298,8 +296,8 @@ class PreparedIDW:
                 # The derivative of the factor of r^-b.
                 alpha, slope = found, o.b * float(plain(found)) ** (o.b - 1.0) * method.length ** (o.b - method.far)
                 counts.append((LARGEST, tied(lengths(plain(arms)), images.owner)))
-        found_derivative = LinearIDW(evaluator, variable, fit, acting, alpha, slope)
-        return Linearised(found_derivative.push, found_derivative.pull, kinks_of(counts))
+        derivative = LinearIDW(evaluator, variable, fit, acting, alpha, slope)
+        return Linearised(derivative.push, derivative.pull, kinks_of(counts))
 
     def _seen_inside(self, d: FloatArray) -> tuple[Frame, FloatArray]:
         """The mean motion of the images, and their displacements (n, 3) as seen from there if it turns: half a turn of
@@ -313,8 +311,8 @@ class PreparedIDW:
             return AT_REST
         if self.options.rotation == "lie" and with_motion(self.images).all():
             normal = self.problem.plane_normal
-            return Frame.fitted(self.images.points, d, self.area, normal, self._stretches)
-        return Frame(weighted_total(self.area / self.area.sum(), d))
+            return Frame.fitted(self.images.points, d, self.images.area, normal, self._stretches)
+        return Frame(self._mean(d))
 
     def _weight_functions(self, d: FloatArray) -> tuple[tuple[float, float, float], ...]:
         """Weight function (a, b, kappa) of each group: r^-a + kappa r^-b.
@@ -337,8 +335,11 @@ class PreparedIDW:
 
     def _arms(self, d: FloatArray) -> FloatArray:
         """Displacements (n, 3) of the images relative to their mean."""
-        arms: FloatArray = d - weighted_total(self.area / self.area.sum(), d)
-        return arms
+        return d - self._mean(d)
+
+    def _mean(self, d: FloatArray) -> FloatArray:
+        """Mean (3,) of displacements (n, 3) of the images, weighted with their areas."""
+        return weighted_total(self.images.area / self.images.area.sum(), d)
 
     def _eq_18(self, arms: FloatArray) -> FloatArray:
         """Alpha by eq. 18, without its limits, for displacements (n, 3) relative to their mean."""
@@ -356,9 +357,9 @@ class PreparedIDW:
     def at(self, flat: IntArray) -> Bound | FastEvaluator:
         """Bind to the target nodes ``flat``."""
         o, grid, room = self.options, self.problem.grid, self.problem.memory.size // _KEPT
-        bound = Bound(grid, flat, self.points, self.strength, self.groups, o.rotation, o.divisions, room)
+        bound = Bound(grid, flat, self.images.points, self.strength, self.groups, o.rotation, o.divisions, room)
         n_targets = sum(grid.nodes.gather(len(flat)))
-        fast, self.account.settings["summation"] = fast_pays(o.summation, n_targets, len(self.points))
+        fast, self.account.settings["summation"] = fast_pays(o.summation, n_targets, len(self.images.points))
         if not fast:
             return bound
         self.account.settings |= o.used("summation_tolerance")

@@ -8,8 +8,6 @@ gap, except near both ends, where cells follow their wall.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ...boundary import Kind
@@ -62,43 +60,20 @@ def breadth(images: Images) -> float:
     return found
 
 
-@dataclass(frozen=True)
-class MovingShare:
-    """Which sources (n,) move, and the shape of their share: see :class:`.rigid.Transition`."""
+def transition_of(images: Images, problem: Problem, far: float, width: float) -> Transition:
+    """The transition for sources with the exponent ``far`` of eq. 16 and weights relative to the largest nodal area.
 
-    moving: BoolArray
-    power: float
-    near: float
-    crossing: float
-    width: float
-
-    @classmethod
-    def of(cls, images: Images, problem: Problem, far: float, width: float) -> MovingShare:
-        """Share for sources with the exponent ``far`` of eq. 16 and weights relative to the largest nodal area.
-
-        Close to a body that moves as a whole, weights decay as near a surface: with the law of curves, walls on the
-        other side of the body would contribute to the motion of its first cells. Where moving and fixed faces meet,
-        both weights must decay alike.
-        """
-        power = max(far - _CURVE, 1.0)
-        if problem.plane or far <= _SURFACE or attached(problem):
-            return cls(with_motion(images), power, power, 1.0, width)
-        near = far - _SURFACE
-        # The integral of r^-a over a plane at the distance of the breadth.
-        crossing = 2.0 * np.pi / near * breadth(images) ** -near / images.area.max()
-        return cls(with_motion(images), power, near, crossing, width)
-
-    def applied(self, values: FloatArray) -> tuple[FloatArray, Transition] | None:
-        """Twists (6, n) relative to those at rest with an additional row, 1 for moving sources; and the transition.
-
-        ``None`` if sources outside the moving faces have different motions; then the weights determine the share.
-        """
-        rest = values[:, ~self.moving]
-        if (rest != rest[:, :1]).any():
-            return None
-        relative = values - rest[:, :1]
-        transition = Transition(rest[:, 0].copy(), self.power, self.near, self.crossing, self.width)
-        return np.concatenate([relative, self.moving[None]]), transition
+    Close to a body that moves as a whole, weights decay as near a surface: with the law of curves, walls on the
+    other side of the body would contribute to the motion of its first cells. Where moving and fixed faces meet,
+    both weights must decay alike.
+    """
+    power = max(far - _CURVE, 1.0)
+    if problem.plane or far <= _SURFACE or attached(problem):
+        return Transition(np.zeros(6), power, power, 1.0, width)
+    near = far - _SURFACE
+    # The integral of r^-a over a plane at the distance of the breadth.
+    crossing = 2.0 * np.pi / near * breadth(images) ** -near / images.area.max()
+    return Transition(np.zeros(6), power, near, crossing, width)
 
 
 def motion_values(
