@@ -98,48 +98,37 @@ class Near(NamedTuple):
         return next((layers for layers in sorted(choices, reverse=True) if total[layers] <= count), None)
 
 
-class Reach:
-    """Distances in cells between nodes of a grid; coincident nodes and periodic images count as one node."""
+def distances_in_cells(constraints: Constraints, seeds: IntArray, most: int) -> tuple[Any, int]:
+    """Distance (n_nodes,) int16, in cells, of every block node from the block nodes ``seeds``, ``most + 1`` where it
+    exceeds ``most``, in parts if the grid is; and the largest distance up to ``most``.
 
-    def __init__(self, constraints: Constraints) -> None:
-        self._grid, topology = constraints.grid, constraints.topology
-        self._nodes, self._classes = topology.face_nodes, constraints.root[topology.number]
-        self._ends = np.searchsorted(self._nodes, self._grid.offsets)
-        self._shapes = np.array(self._grid.shapes, dtype=np.int64)
-
-    def layers(self, seeds: IntArray, most: int) -> tuple[Any, int]:
-        """Distance (n_nodes,) int16, in cells, of every block node from the block nodes ``seeds``, ``most + 1`` where
-        it exceeds ``most``, in parts if the grid is; and the largest distance up to ``most``."""
-        nodes = self._grid.nodes
-        (low, high), found = nodes.ends, nodes.like(dtype=np.int16)
-        own = Nodes.of(found).own
-        own[...] = most + 1
-        own[seeds[(seeds >= low) & (seeds < high)] - low] = 0
-        nearest = np.full(len(self._nodes), most + 1, dtype=np.int16)
-        at = np.minimum(np.searchsorted(self._nodes, seeds), len(self._nodes) - 1)
-        nearest[self._classes[at[self._nodes[at] == seeds]]] = 0
-        self._spread_distances(found, nearest, most)
-        largest = int(own[own <= most].max(initial=0))
-        return found, max(nodes.gather(largest))
-
-    def _spread_distances(self, found: Any, nearest: np.ndarray, most: int) -> None:
-        """Lower the distances of this rank's nodes until no rank finds any that is too large."""
-        grid, nodes = self._grid, Nodes.of(found)
-        own = [grid.planes(block) for block in range(grid.n_blocks)]
-        planes = np.array([
-            (max(each.start - 1, 0), min(each.stop + 1, ni)) if each.stop > each.start else (0, 0)
-            for each, ni in zip(own, self._shapes[:, 0].tolist(), strict=True)
-        ])  # fmt: skip
-        again = True
-        while again:
-            grid.hold_neighbours(found)
-            before = nearest.copy()
-            arrays = self._shapes, grid.offsets, self._nodes, self._ends, self._classes, nearest
-            lowered = int(spread_layers(nodes.rows, most, planes, *arrays))
-            changed = np.flatnonzero(nearest < before)
-            for numbers, values in nodes.gather((changed, nearest[changed])):
-                nearest[numbers] = np.minimum(nearest[numbers], values)
-            again = nodes.divided and any(nodes.gather(lowered > 0))
+    Coincident nodes and periodic images count as one node. All ranks that hold parts of the grid call this together.
+    """
+    grid, on_faces = constraints.grid, constraints.topology.face_nodes
+    classes, shapes = constraints.root[constraints.topology.number], np.array(grid.shapes, dtype=np.int64)
+    found = grid.nodes.like(dtype=np.int16)
+    nodes = Nodes.of(found)
+    (low, high), own = nodes.ends, nodes.own
+    own[...] = most + 1
+    own[seeds[(seeds >= low) & (seeds < high)] - low] = 0
+    nearest = np.full(len(on_faces), most + 1, dtype=np.int16)
+    nearest[classes[np.isin(on_faces, seeds)]] = 0
+    own_planes = [grid.planes(block) for block in range(grid.n_blocks)]
+    planes = np.array([
+        (max(each.start - 1, 0), min(each.stop + 1, ni)) if each.stop > each.start else (0, 0)
+        for each, ni in zip(own_planes, shapes[:, 0].tolist(), strict=True)
+    ])  # fmt: skip
+    ends, again = np.searchsorted(on_faces, grid.offsets), True
+    # Distances of this rank's nodes are lowered until no rank finds any that is too large.
+    while again:
+        grid.hold_neighbours(found)
+        before = nearest.copy()
+        lowered = spread_layers(nodes.rows, most, planes, shapes, grid.offsets, on_faces, ends, classes, nearest)
+        changed = np.flatnonzero(nearest < before)
+        for numbers, values in nodes.gather((changed, nearest[changed])):
+            nearest[numbers] = np.minimum(nearest[numbers], values)
+        again = nodes.divided and any(nodes.gather(lowered > 0))
+    return found, max(nodes.gather(int(own[own <= most].max(initial=0))))
 
 
 class Neighbourhood:
@@ -157,19 +146,15 @@ class Neighbourhood:
         return self.grid.n_nodes - len(self.topology.face_nodes) + on_faces
 
     @cached_property
-    def _reach(self) -> Reach:
-        return Reach(self.constraints)
-
-    @cached_property
     def _from_walls(self) -> tuple[Any, int]:
         """Distance of every block node (n_nodes,) from walls, in cells, and the largest one."""
         walls = self.topology.face_nodes[self.constraints.walls[self.topology.number]]
-        return self._reach.layers(walls, FARTHEST)
+        return distances_in_cells(self.constraints, walls, FARTHEST)
 
     def near(self, cells: IntArray, layers: int) -> Near:
         """The nodes within ``layers`` cells of ``cells``, of which each rank gives those in its part, ascending."""
         seeds = np.unique(np.concatenate(self.grid.nodes.gather(np.unique(self.corners(cells)))))
-        return Near(self._reach.layers(seeds, layers)[0], layers)
+        return Near(distances_in_cells(self.constraints, seeds, layers)[0], layers)
 
     def plot(self, near: Near | None = None, even: bool = False) -> Plot | None:
         """The region of the nodes that are near, by default of all that may move, or ``None`` if none may; ``even``:
