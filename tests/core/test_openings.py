@@ -52,6 +52,15 @@ def test_a_gap_is_found_with_its_size_and_what_closes_it(part, flat):
     assert f"block1.imax[1:5,1:{1 if flat else 4}]" in found.describe(grid)
 
 
+@pytest.mark.parametrize("finer", [0, 1])
+def test_a_gap_is_relative_to_the_finer_of_its_two_sides(finer):
+    blocks = [pair().block(number).copy() for number in (0, 1)]
+    blocks[finer][..., 0] = 1.0 + 0.4 * (blocks[finer][..., 0] - 1.0)
+    blocks[1][..., 0] += 0.01
+    (found,) = openings(Grid.from_blocks(blocks))
+    assert (found.gap, found.relative) == (pytest.approx(0.01), pytest.approx(0.1))
+
+
 def test_a_single_node_out_of_place_opens_the_quads_around_it():
     grid = pair()
     points = grid.points.copy()
