@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from cases import formulas
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, Timing, impose, set_up
 from meshdeform_core.grid import Grid, Patch, Side, Window
 from meshdeform_core.methods import Options
+from meshdeform_core.repair import RepairOptions
+from meshdeform_core.repair import repair as repairs
 from meshdeform_core.repair.constraints import Constraints
 from meshdeform_core.repair.region import FARTHEST, nearness, weigh
 
@@ -53,17 +56,19 @@ def test_moving_far_field_is_no_wall_unless_nothing_else_moves():
     np.testing.assert_allclose(np.unique(walls("*.jmax").round(9)), both)
 
 
-def test_fixed_walls_are_kept_like_moving_ones():
+def channel(cells, depth, width, method, mode="auto"):
     """A channel whose roof comes down, with clustered cells at both walls; the far ends are no walls."""
-    x, s = np.linspace(-3.0, 3.0, 61), np.linspace(-1.0, 1.0, 25)
+    x, s = np.linspace(-3.0, 3.0, 61), np.linspace(-1.0, 1.0, cells + 1)
     y = np.tile(0.5 + 0.5 * np.tanh(2.2 * s) / np.tanh(2.2), (x.size, 1))
     grid = Grid.from_blocks([np.stack([x[:, None] + 0.0 * y, y, 0.0 * y], axis=-1)[:, :, None]])
-    lowered = formulas("0", "-0.9*exp(-(x/0.6)**2)", "0")
-    specs = (
-        BoundarySpec("roof", ("*.jmax",), Kind.MOVING, None, lowered),
-        BoundarySpec("floor", ("*.jmin",), Kind.FIXED),
-    )
-    setup = set_up(grid, Case(specs, method=Options("idw")))
+    lowered = formulas("0", f"-{depth}*exp(-(x/{width})**2)", "0")
+    roof = BoundarySpec("roof", ("*.jmax",), Kind.MOVING, None, lowered)
+    specs = (roof, BoundarySpec("floor", ("*.jmin",), Kind.FIXED))
+    return set_up(grid, Case(specs, method=Options(method), repair=RepairOptions(mode)))
+
+
+def test_fixed_walls_are_kept_like_moving_ones():
+    setup = channel(24, 0.9, 0.6, "idw")
     constraints = Constraints.of(setup.original, setup.boundary)
     at_wall = setup.grid.points[setup.topology.first[constraints.walls]]
     assert set(np.unique(at_wall[:, 1])) == {0.0, 1.0}
@@ -73,3 +78,13 @@ def test_fixed_walls_are_kept_like_moving_ones():
     walls = result.assessment.after.walls
     assert walls["fixed"].first_cell_height_ratio.min > 0.3
     assert walls["fixed"].wall_normal_deviation_deg.rms < 10.0
+
+
+def test_what_walls_gain_the_worst_cell_of_a_valid_grid_loses_in_part_only(monkeypatch):
+    monkeypatch.setattr(repairs, "KEPT", 0.9)
+    setups = [channel(12, 0.9, 1.0, "tfi", mode) for mode in ("off", "auto")]
+    plain, repaired = (impose(setup, setup.motion(0.0), 1, "float64", Timing()) for setup in setups)
+    assert plain.valid
+    assert repaired.repair is not None
+    worst = [result.assessment.after.min_scaled_jacobian for result in (plain, repaired)]
+    assert worst[1] == pytest.approx(0.9 * worst[0], rel=1e-5)
