@@ -49,6 +49,7 @@ WRONG = (
     ("unknown method", lambda d: d["method"].update(name="idw-tif")),
     ("unknown rotation", lambda d: d["method"]["idw"].update(rotation="lies")),
     ("unknown option", lambda d: d["method"]["idw"].update(alfa=1)),
+    ("zero, which the range excludes", lambda d: d["method"]["idw"].update(alpha=0)),
     ("negative", lambda d: d["method"]["tfi"].update(max_cells=-1)),
 )
 

@@ -24,7 +24,7 @@ from vtkmodules.vtkIOParallel import vtkPlot3DMetaReader
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
 from meshdeform_formats import read_grid, write_grid
-from meshdeform_formats.files import remove_partial, replacing
+from meshdeform_formats.files import partial_path, remove_partial, replacing
 from meshdeform_formats.series.outputs import LevelFiles
 
 TIMES = (0.0, 0.5, 2.0)
@@ -183,7 +183,8 @@ def test_vtk_reads_a_plot3d_series_through_its_index(options, tmp_path):
             np.testing.assert_allclose(points_of(data_set, grid.shapes[block]), expected, rtol=0, atol=1e-6)
 
 
-def test_what_another_program_is_writing_stays(tmp_path):
+@pytest.mark.parametrize("clean", [remove_partial, lambda folder: partial_path(folder / "wing.xyz")])
+def test_what_another_program_is_writing_stays(clean, tmp_path):
     """Only processes that no longer run leave files behind; the name says which process writes."""
     with replacing(tmp_path / "wing.xyz") as partial, subprocess.Popen(["sleep", "60"]) as other:
         partial.write_text("x")
@@ -192,7 +193,7 @@ def test_what_another_program_is_writing_stays(tmp_path):
         )
         for path in (theirs, gone):
             path.write_text("x")
-        remove_partial(tmp_path)
+        clean(tmp_path)
         assert (partial.exists(), theirs.exists(), gone.exists()) == (True, True, False)
         other.kill()
 
