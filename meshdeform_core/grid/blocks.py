@@ -21,8 +21,19 @@ from ..errors import GridError
 from ..numerics.arrays import FloatArray, IntArray, total
 from ..numerics.pieces import bounds_of, pieces
 from ..parallel import Nodes, Ranks, current_ranks, for_items
-from .lattice import SideLattice, near_sides
-from .parts import BlockSizes, Connection, Field, FileFormat, OwnPlanes, Patch, Planes, Shape, Window
+from .parts import (
+    BlockSizes,
+    Connection,
+    Field,
+    FileFormat,
+    OwnPlanes,
+    Patch,
+    Planes,
+    Shape,
+    SideLattice,
+    Window,
+    near_sides,
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

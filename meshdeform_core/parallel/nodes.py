@@ -106,11 +106,6 @@ class Nodes:
     def dtype(self) -> Any:
         return self.rows.dtype
 
-    @property
-    def nbytes(self) -> int:
-        """Size of the whole array in bytes."""
-        return self.rows.nbytes
-
     def __len__(self) -> int:
         return len(self.rows)
 
@@ -212,12 +207,6 @@ class Nodes:
     def any(self) -> bool:
         """Whether any element is nonzero."""
         return any(self.ranks.gather([bool(self.own.any())]))
-
-    def nonzero_rows(self) -> np.ndarray:
-        """Indices of the nonzero elements of a one-dimensional array."""
-        import numpy as np
-
-        return np.concatenate(self.ranks.gather([self.low + np.flatnonzero(self.own)]))
 
     def min(self) -> Any:
         """The smallest element."""

@@ -170,7 +170,8 @@ class Verdict:
     @property
     def invalid(self) -> IntArray:
         """Numbers of the cells that failed a test."""
-        return Nodes.of(self.failed).nonzero_rows()
+        failed = Nodes.of(self.failed)
+        return np.concatenate(failed.gather(failed.low + np.flatnonzero(failed.own)))
 
     def weak(self, limit: float) -> IntArray:
         """Numbers of this rank's cells that failed a test or whose ``ratio`` is below a limit."""

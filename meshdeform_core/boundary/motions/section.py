@@ -53,7 +53,11 @@ class Airfoil(Step):
         MotionError
             When the nodes are not the surface of an airfoil, or the trailing edges differ in kind.
         """
-        points, of_node = _distinct(nodes.points[:, list(self.axes)])
+        places = nodes.points[:, list(self.axes)]
+        # Distinct points of the projection, and that of every node.
+        rounded = np.round(places / (_SAME * float(np.ptp(places, axis=0).max())))
+        _, first, of_node = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+        points, of_node = places[first], of_node.reshape(-1)
         loop = _loop(points, of_node[nodes.faces], self.label)
         start, count, sharp = _trailing_edge(points[loop], self.label)
         loop = np.roll(loop, -start)
@@ -77,9 +81,9 @@ class Airfoil(Step):
             )
         found = np.empty_like(points)
         found[loop[:count]] = target.at(old.parts[:count])
-        share = _lengths(np.concatenate([ring[count - 1 :], ring[:1]]))[1:-1]
-        first, last = target.points[-1], target.points[0]
-        found[loop[count:]] = first + share[:, None] * (last - first)
+        length = np.cumsum(np.linalg.norm(np.diff(np.concatenate([ring[count - 1 :], ring[:1]]), axis=0), axis=1))
+        lower, upper = target.points[-1], target.points[0]
+        found[loop[count:]] = lower + (length[:-1] / length[-1])[:, None] * (upper - lower)
         displacement = np.zeros_like(nodes.points)
         displacement[:, list(self.axes)] = (found - points)[of_node]
         return ImposedOutline(displacement, notes)
@@ -209,19 +213,6 @@ def _arc(spline: scipy.interpolate.CubicSpline, low: FloatArray, high: FloatArra
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     speed = np.linalg.norm(spline(middle[:, None] + half[:, None] * x, 1), axis=2)
     return np.asarray(half * (speed @ w))
-
-
-def _lengths(points: FloatArray) -> FloatArray:
-    """Lengths of the polygon up to each point, relative to its whole length."""
-    found = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    return np.asarray(found / found[-1])
-
-
-def _distinct(places: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Distinct points (m, 2) of a projection, and the index (n,) of the point of every node."""
-    size = float(np.ptp(places, axis=0).max())
-    _, first, of_node = np.unique(np.round(places / (_SAME * size)), axis=0, return_index=True, return_inverse=True)
-    return places[first], of_node.reshape(-1)
 
 
 def _loop(points: FloatArray, faces: IntArray, label: str) -> IntArray:
