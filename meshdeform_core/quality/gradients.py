@@ -52,14 +52,14 @@ class Found:
         """Number of values of all ranks."""
         return sum(Nodes.of(self.points).gather(sum(part.size for part in self.parts)))
 
-    def sum(self, of: Slope) -> float:
+    def sum(self, of: Slope = np.asarray) -> float:
         """Sum of a function of the values, over all ranks."""
         sums = [float(of(part).sum()) for part in self.parts]
         return math.fsum(each for found in Nodes.of(self.points).gather(sums) for each in found)
 
-    def least(self, of: Slope) -> float:
-        """The smallest value of a function of the values, over all ranks."""
-        return min(Nodes.of(self.points).gather(min((float(of(part).min()) for part in self.parts), default=math.inf)))
+    def least(self) -> float:
+        """The smallest value of all ranks."""
+        return min(Nodes.of(self.points).gather(min((float(part.min()) for part in self.parts), default=math.inf)))
 
 
 def quality_gradient(
@@ -134,40 +134,27 @@ def _inverse_skew(x: Any, side: Any) -> Any:
 
 
 def _harmonic(inverse: Found, sharpness: float) -> tuple[float, Slope]:
-    total, count = inverse.sum(_same), inverse.count
+    total, count = inverse.sum(), inverse.count
     return count / total, lambda part: np.full(len(part), -count / total**2)
 
 
-def _smallest(values: Found, sharpness: float, of: Slope | None = None) -> tuple[float, Slope]:
-    """Smooth lower bound of the minimum (Kreisselmeier & Steinhauser 1979), too low by log(n) / sharpness at most.
-
-    ``of`` turns the values into those of which the minimum is taken; the derivatives are with respect to the latter.
-    """
-    of = of or _same
-    least = values.least(of)
+def _smallest(values: Found, sharpness: float) -> tuple[float, Slope]:
+    """Smooth lower bound of the minimum (Kreisselmeier & Steinhauser 1979), too low by log(n) / sharpness at most."""
+    least = values.least()
 
     def share(part: FloatArray) -> FloatArray:
-        return np.exp(-sharpness * (of(part) - least))
+        return np.exp(-sharpness * (part - least))
 
     total = values.sum(share)
     return least - math.log(total) / sharpness, lambda part: share(part) / total
 
 
-def _smallest_skew(inverse: Found, sharpness: float) -> tuple[float, Slope]:
-    value, share = _smallest(inverse, sharpness, lambda part: 1.0 / part)
-    return value, lambda part: -share(part) / part**2
-
-
-def _same(part: FloatArray) -> FloatArray:
-    return part
-
-
 MEASURES = {
     "f_skew": Measure(_inverse_skew, _harmonic),
-    "f_skew_min": Measure(_inverse_skew, _smallest_skew),
+    "f_skew_min": Measure(lambda x, side: 1.0 / _inverse_skew(x, side), _smallest),
     "scaled_jacobian_min": Measure(lambda x, side: scaled_jacobians(corners_and_edges(x, side)), _smallest),
     "volume": Measure(
-        lambda x, side: volume(corners_and_edges(x, side), side), lambda found, _: (found.sum(_same), np.ones_like)
+        lambda x, side: volume(corners_and_edges(x, side), side), lambda found, _: (found.sum(), np.ones_like)
     ),
 }
 """Harmonic mean and smooth minimum of f_skew, smooth minimum of scaled corner Jacobians, total volume."""

@@ -93,10 +93,8 @@ class _AtMinimum:
             self.share, of_share = 1.0, np.zeros_like(of_share)
         self._slopes = of_share, of_between
         self._energy = energy.softened(POLISHED) if polish else energy
-        self._region, self._penalty = (
-            replace(plot.region, energy=self._energy),
-            Penalty(0.0, self.share, CUBIC, 1.0, 1.0),
-        )
+        self._region = replace(plot.region, energy=self._energy)
+        self._penalty = Penalty(0.0, self.share, CUBIC, 1.0, 1.0)
         self._none, self._regular = np.zeros(len(energy.nodes)), True
         self._place()
 
@@ -240,10 +238,7 @@ class _AtMinimum:
 
     def _turned(self, unknowns: FloatArray) -> FloatArray:
         """F u (n, d)."""
-        number, frame = self._region.number, self._frame
-        free, result = number >= 0, np.zeros_like(self._x)
-        result[free] = np.einsum("nij,nj->ni", frame[free], unknowns[number[free]])
-        return result
+        return self._region.on_nodes(self._frame, unknowns)
 
     def _gathered(self, force: FloatArray) -> FloatArray:
         """The transpose of :meth:`_turned`."""

@@ -103,6 +103,11 @@ class _Elements:
         """The share of the maps, beside that of all samples."""
         return 1.0
 
+    def edges(self) -> FloatArray:
+        """Length (n,) of the shortest undeformed edge at every node, ignoring zero lengths; infinite if none."""
+        pairs = [(a, a | bit) for a in range(8) for bit in (1, 2, 4) if not a & bit]
+        return shortest_edges(self.start, self.nodes, np.array(pairs if self.nodes.shape[1] == 8 else [(0, 1), (0, 2)]))
+
     def softened(self, power: float) -> Self:
         """The energy with all weights raised to ``power``."""
         return dataclasses.replace(self, weight=self.weight**power)
@@ -177,11 +182,6 @@ class Hexahedra(_Elements):
         """Work of computing all second derivatives, see :mod:`.limit`."""
         return _SAMPLE * int(np.bitwise_count(self.mask).sum())
 
-    def edges(self) -> FloatArray:
-        """Length (n,) of the shortest undeformed edge at every node, ignoring zero lengths; infinite if none."""
-        pairs = [(a, a | bit) for a in range(8) for bit in (1, 2, 4) if not a & bit]
-        return shortest_edges(self.start, self.nodes, np.array(pairs))
-
     def with_between(self, share: FloatArray) -> Hexahedra:
         """The energy with shares (m,) of the samples between corners; samples with a share of 0 are left out."""
         return dataclasses.replace(self, mask=np.where(share > 0.0, self.mask, self.mask & _CORNERS), between=share)
@@ -239,9 +239,6 @@ class Triangles(_Elements):
     @property
     def work(self) -> float:
         return _TRIANGLE * len(self.nodes)
-
-    def edges(self) -> FloatArray:
-        return shortest_edges(self.start, self.nodes, np.array([(0, 1), (0, 2)]))
 
     @classmethod
     def at_corners(
@@ -367,15 +364,15 @@ class Region:
             frame[slide.nodes], plain[slide.nodes] = freedom[unknown], False
         return Unknowns(self.number, frame, plain), freedom
 
+    def on_nodes(self, frame: FloatArray, step: FloatArray) -> FloatArray:
+        """The changes (n, d) of the nodes, with frames (n, d, d), for a step (n_unknowns, d) of the unknowns."""
+        free, result = self.number >= 0, np.zeros(frame.shape[:2])
+        result[free] = np.einsum("nij,nj->ni", frame[free], step[self.number[free]])
+        return result
+
     def moved(self, x: FloatArray, unknowns: Unknowns, step: FloatArray, length: float) -> FloatArray:
         """Coordinates after ``length`` times the step (n_unknowns, d) of the unknowns."""
-        number, frame, plain = unknowns
-        free = number >= 0
-        move = step[number[free]]
-        turned = ~plain[free]
-        move[turned] = np.einsum("nij,nj->ni", frame[free][turned], move[turned])
-        result = x.copy()
-        result[free] += length * move
+        result = x + length * self.on_nodes(unknowns.frame, step)
         for slide in self.slides:
             result[slide.nodes] = slide.back(result[slide.nodes])
         return result

@@ -207,10 +207,6 @@ class NewtonSystem:
         for_chunks(partial(scale_right, self._matrix, starts, columns, self._factor), n, _ROWS)
         return not (penalty.exact > 0.0 and bad.any())
 
-    def slope(self, step: FloatArray) -> float:
-        """The product of the gradient with a step (n_unknowns, d)."""
-        return scalar_product(self.gradient, step)
-
     def direction(self, tolerance: float, most: int) -> tuple[FloatArray, bool]:
         """The Newton step (n_unknowns, d), and whether the Hessian was convex along all directions searched.
 

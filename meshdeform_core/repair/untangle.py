@@ -12,7 +12,7 @@ from ..grid import FloatArray
 from ..parallel import for_chunks
 from .energy import Energy, Penalty, Region, among_others, share_of
 from .limit import Limit
-from .newton import NewtonSystem
+from .newton import NewtonSystem, scalar_product
 from .options import Effort
 from .region import Plot
 from .tuned import CUBIC, POLISHED, SOFTENED
@@ -196,7 +196,7 @@ class Untangler:
         if step is None:
             self._fill(now.x, penalty)
             step, _ = self._direction(tolerance, _ROUGH_ITERATIONS)
-        slope = self.system.slope(step)
+        slope = scalar_product(self.system.gradient, step)
         self.steps += 1
         length, after = 1.0, self._moved(now, penalty, step, 1.0)
         # The energy of an inverted element is not a number, which no comparison is true for.
