@@ -16,8 +16,10 @@ from ..arrays import BoolArray, FloatArray, IntArray
 Boxes = tuple[FloatArray, FloatArray]
 """Smallest and largest coordinates, (n, 3) each."""
 
-_TOGETHER = 1 << 16
+_TOGETHER = 1 << 14
 """Pairs of boxes compared at a time, which bounds the memory."""
+_LEAF = 8
+"""Boxes at the end of the tree that are compared with each other, one by one."""
 
 
 def levels_of(low: FloatArray, high: FloatArray) -> list[Boxes]:
@@ -44,18 +46,19 @@ def _leaves(values: NDArray[Any], depth: int, rest: float) -> NDArray[Any]:
     return leaves
 
 
-def overlapping(low: FloatArray, high: FloatArray, asked: BoolArray, left_out: int = 0) -> IntArray:
+def overlapping(low: FloatArray, high: FloatArray, asked: BoolArray) -> IntArray:
     """Pairs (2, m) of boxes (n, 3) with a point in common, at least one of them ``asked`` (n,); in no order.
 
-    The boxes are in the order of :func:`curve`, at least nearly. If the last levels of the tree are ``left_out``, pairs
-    are those of the boxes of the last level searched, also with themselves.
+    The boxes are in the order of :func:`curve`, at least nearly.
     """
     if not len(low):
         return np.empty((2, 0), dtype=np.int64)
+    size = min(_LEAF, 1 << depth_of(len(low)))
     levels, active = levels_of(low, high), [_leaves(asked[:, None], depth_of(len(low)), False)[0]]
     for _ in levels[1:]:
         active.append(active[-1][::2] | active[-1][1::2])
-    last = max(len(levels) - 1 - left_out, 0)
+    last, leaves = depth_of(len(low)) - depth_of(size), active[0].reshape(-1, size)
+    least, most = (ends.reshape(3, -1, size) for ends in levels[-1])
     waiting: list[tuple[int, NDArray[np.int64]]] = [(0, np.zeros((2, 1), dtype=np.int64))]
     found = [np.empty((2, 0), dtype=np.int64)]
     while waiting:
@@ -63,18 +66,24 @@ def overlapping(low: FloatArray, high: FloatArray, asked: BoolArray, left_out: i
         if pairs.shape[1] > _TOGETHER:
             waiting.append((level, pairs[:, _TOGETHER:]))
             pairs = pairs[:, :_TOGETHER]
-        some, (least, most) = active[-1 - level], levels[level]
+        some, ends = active[-1 - level], levels[level]
         pairs = pairs[:, some[pairs[0]] | some[pairs[1]]]
         for axis in range(3):
-            (a, b), (c, d) = least[axis][pairs], most[axis][pairs]
+            (a, b), (c, d) = ends[0][axis][pairs], ends[1][axis][pairs]
             pairs = pairs[:, (a <= d) & (b <= c)]
-        both = pairs[0] != pairs[1]
-        if level == last:
-            found.append(pairs if left_out else pairs[:, both])
+        one, two = pairs
+        if level < last:
+            first = 2 * pairs
+            second = first[:, one != two] + [[1], [0]]
+            waiting.append((level + 1, np.concatenate([first, first + [[0], [1]], first + 1, second], axis=1)))
             continue
-        first = 2 * pairs
-        second = first[:, both] + [[1], [0]]
-        waiting.append((level + 1, np.concatenate([first, first + [[0], [1]], first + 1, second], axis=1)))
+        near = leaves[one][:, :, None] | leaves[two][:, None]
+        near[one == two] &= np.triu(np.ones((size, size), dtype=bool), 1)
+        for low, high in zip(least, most, strict=True):
+            near &= low[one][:, :, None] <= high[two][:, None]
+            near &= low[two][:, None] <= high[one][:, :, None]
+        at, place = np.divmod(np.flatnonzero(near), size * size)
+        found.append(size * pairs[:, at] + np.divmod(place, size))
     return np.concatenate(found, axis=1)
 
 

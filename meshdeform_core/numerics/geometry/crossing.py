@@ -15,15 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..jit import kernel
 from .boxes import curve, overlapping
 from .vectors import cross
 
 ORDINARY, BESIDE, SLIDING = 0, 1, 2
 """Roles of faces. Faces beside a sliding face touch it; they are not tested against sliding faces."""
-
-_LEAF = 3
-"""Levels of the tree left out at its end: faces are compared one by one between leaves of eight."""
 
 # Bound of the round-off of a 3 x 3 determinant of differences, relative to its permanent (Shewchuk 1997, table 3).
 _ROUND_OFF = 8e-16
@@ -73,40 +69,10 @@ class FaceTree:
             order = order[(moved | ((self._low <= high) & (self._high >= low)).all(axis=1))[order]]
         low, high = _bounds(points, self._faces[order])
         low, high = low - wider[order], high + wider[order]
-        leaves = overlapping(low, high, asked[order], _LEAF)
-        given = leaves, self._faces[order], self._role[order], asked[order], low, high
-        pairs = np.empty((len(order), 2), dtype=np.int64)
-        if (count := _pairs_in_leaves(*given, pairs)) > len(pairs):
-            pairs = np.empty((count, 2), dtype=np.int64)
-            _pairs_in_leaves(*given, pairs)
-        return np.sort(order[pairs[:count]], axis=1)
-
-
-@kernel("i8[:, ::1], i4[:, ::1], i1[::1], b1[::1], f8[:, ::1], f8[:, ::1], i8[:, ::1]")
-def _pairs_in_leaves(leaves, faces, role, asked, low, high, pairs):
-    """Store as many pairs of faces as fit into ``pairs``, with a box in common and no node, of pairs of ``leaves``
-    (2, n) of the tree; returns their number."""
-    count, size = 0, 1 << _LEAF
-    for n in range(leaves.shape[1]):
-        first, second = size * leaves[0, n], size * leaves[1, n]
-        for i in range(first, min(first + size, faces.shape[0])):
-            for j in range(max(second, i + 1) if first == second else second, min(second + size, faces.shape[0])):
-                if not (asked[i] or asked[j]) or role[i] + role[j] == BESIDE + SLIDING:
-                    continue
-                apart = False
-                for axis in range(3):
-                    apart = apart or low[i, axis] > high[j, axis] or low[j, axis] > high[i, axis]
-                if apart:
-                    continue
-                for a in range(4):
-                    for b in range(4):
-                        apart |= faces[i, a] == faces[j, b]
-                if apart:
-                    continue
-                if count < pairs.shape[0]:
-                    pairs[count, 0], pairs[count, 1] = i, j
-                count += 1
-    return count
+        pairs = np.sort(order[overlapping(low, high, asked[order])], axis=0)
+        pairs = pairs[:, self._role[pairs].sum(axis=0) != BESIDE + SLIDING]
+        one, two = self._faces[pairs]
+        return np.asarray(pairs[:, ~(one[:, :, None] == two[:, None]).any(axis=(1, 2))].T)
 
 
 def _bounds(points: FloatArray, faces: IntArray) -> tuple[FloatArray, FloatArray]:
