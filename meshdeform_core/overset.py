@@ -32,8 +32,7 @@ from .methods.kinks import Kinks
 from .methods.limits import patch_motions
 from .notices import Notice, kind_of
 from .numerics.arrays import places_among
-from .numerics.geometry.coincidence import distinct, equal_rows
-from .numerics.geometry.copies import coincident_groups
+from .numerics.geometry.coincidence import coincident_groups, distinct, equal_rows
 from .parallel import Nodes
 from .quality import assess
 from .quality.listed import MAX_GROUPS

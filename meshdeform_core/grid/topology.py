@@ -18,8 +18,14 @@ from functools import cached_property
 import numpy as np
 
 from ..numerics.arrays import BoolArray, batches, runs, spans
-from ..numerics.geometry.coincidence import ascending, connected_components, equal_rows, integers
-from ..numerics.geometry.copies import coincident_copies, numbered_by_first
+from ..numerics.geometry.coincidence import (
+    ascending,
+    coincident_copies,
+    connected_components,
+    equal_rows,
+    integers,
+    numbered_by_first,
+)
 from ..parallel import empty
 from ..parallel.scratch import current_scratch
 from .blocks import FloatArray, Grid, IntArray

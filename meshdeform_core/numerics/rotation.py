@@ -1,17 +1,23 @@
 """Rotations of surface nodes (Sen et al. appendix A).
 
 Rotation vectors are (n, 3) in radians, unit quaternions (n, 4) scalar first: :mod:`.geometry.quaternions`.
+
+A rotation by 190 degrees equals one by -170 degrees about the same axis. The logarithm of a matrix or quaternion yields
+the smaller angle, node by node, so adjacent nodes of a surface that turns by about 180 degrees may appear to turn in
+opposite directions. Rotation vectors are therefore chosen so that they are continuous along surfaces.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
+import scipy
 
-from .arrays import BoolArray, FloatArray, IntArray, lengths, places_among
-from .branches import continuous, nearest_branch
+from .arrays import BoolArray, FloatArray, IntArray, lengths, places_among, spans
+from .geometry.coincidence import connected_components
 from .geometry.quaternions import dot, multiply, rotate, rotation_vector
 from .tape import Tracked, plain
 
@@ -21,6 +27,14 @@ STEEP = 0.25
 """An edge counts less below this part of its squared length in the tangent plane, before times after: 45 degrees."""
 SHARP = 0.9
 """Length of the mean unit normal at a node below which its faces form a sharp edge."""
+_FULL = 2 * math.pi
+_CERTAIN = 0.5 * math.pi
+"""Nodes that turn by less fix the branch of their surface, which is attached to a resting one or nearly at rest."""
+_LARGEST = 0.9 * _FULL
+"""Near a full turn a translation cannot be told from a rotation about a distant axis."""
+_AGREEMENT = 0.05
+"""Weight of the difference between surfaces against the angle itself: bodies that turn by 179 and 181 degrees in a
+fixed box agree, two that turn against each other by up to about 170 degrees keep doing so."""
 
 
 class SurfaceRotations:
@@ -125,23 +139,16 @@ class SurfaceRotations:
             )
             size = dot(arm, arm) * dot(target, target)
             arm, target = (v - normal * dot(normal, v)[:, None] for v in (arm, target))
-            weight = _edge_weights(dot(arm, arm) * dot(target, target), size)
+            # Weights are 1 up to 45 degrees from the tangent plane, falling to 0 at the normal: across thin trailing
+            # edges, small shears turn the projection of an edge by any angle, and its mean with others would jump.
+            part = dot(arm, arm) * dot(target, target) / np.where(plain(size) > 0.0, size, 1.0) / STEEP
+            # Second derivatives are continuous at 1, where edges of boxes are.
+            weight = np.where(plain(part) < 1.0, part * part * part * (10.0 + part * (6.0 * part - 15.0)), 1.0)
             return np.stack([np.arctan2(dot(normal, np.cross(arm, target)), dot(arm, target)), weight], axis=1)
 
         angle = _in_turns(turned_edges, edges, after)
         mean = _mean_angles(angle[:, 0], angle[:, 1], edges[:, 0], len(before))
         return multiply(_quaternion(normals, mean), first)
-
-
-def _edge_weights(within: FloatArray, size: FloatArray) -> FloatArray:
-    """Weights of edges by their squared lengths, before times after, ``within`` the tangent plane and as a whole.
-
-    1 up to 45 degrees from the plane, falling to 0 at the normal: across thin trailing edges, small shears turn the
-    projection of an edge by any angle, and its mean with others would jump by a part of a turn.
-    """
-    part = within / np.where(plain(size) > 0.0, size, 1.0) / STEEP
-    # Second derivatives are continuous at 1, where edges of boxes are.
-    return np.where(plain(part) < 1.0, part * part * part * (10.0 + part * (6.0 * part - 15.0)), 1.0)
 
 
 def _in_turns(compute: Callable[[IntArray], FloatArray], rows: IntArray, x: FloatArray) -> FloatArray:
@@ -224,7 +231,12 @@ def _node_normals(x: FloatArray, corners: IntArray, plane_normal: FloatArray | N
 def _sum_of_normals(x: FloatArray, corners: IntArray, plane_normal: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     """Sum (n, 3) of the unit normals of the faces at each node, and their number (n,)."""
     if plane_normal is None:
-        normal = _in_turns(lambda some: _corner_normals(x, some), corners, x)
+
+        def corner_normals(some: IntArray) -> FloatArray:
+            here, following, previous = some.T
+            return _unit(np.cross(_unit(x[following] - x[here]), _unit(x[previous] - x[here])))
+
+        normal = _in_turns(corner_normals, corners, x)
         owners = [corners[:, 0]]
     else:
         normal = np.cross(_unit(x[corners[:, 1]] - x[corners[:, 0]]), plane_normal)
@@ -235,11 +247,6 @@ def _sum_of_normals(x: FloatArray, corners: IntArray, plane_normal: FloatArray |
         for axis in range(3):
             total[:, axis] += np.bincount(owner, normal[:, axis], minlength=len(x))
     return total, count
-
-
-def _corner_normals(x: FloatArray, corners: IntArray) -> FloatArray:
-    node, following, previous = corners.T
-    return _unit(np.cross(_unit(x[following] - x[node]), _unit(x[previous] - x[node])))
 
 
 def _half_turn_axes(normals: FloatArray) -> FloatArray:
@@ -264,3 +271,79 @@ def _unit(v: FloatArray) -> FloatArray:
     """Unit vectors; zero where the length is zero (collapsed edges and faces)."""
     length = lengths(v)[:, None]
     return np.divide(v, length, out=np.zeros_like(v), where=length > 1e-100)
+
+
+def nearest_branch(vectors: FloatArray, reference: FloatArray) -> FloatArray:
+    """Rotation vectors (n, 3) of the same rotations, those nearest to ``reference`` (n, 3)."""
+    angle = lengths(vectors)
+    # A rotation by zero has any axis.
+    axis = np.where((angle > 0.0)[:, None], vectors, reference)
+    axis = np.divide(axis, lengths(axis)[:, None], out=np.zeros_like(axis), where=lengths(axis)[:, None] > 0.0)
+    turns = np.rint((np.einsum("ni,ni->n", axis, reference) - angle) / _FULL)
+    return vectors + (_FULL * turns)[:, None] * axis
+
+
+def continuous(vectors: FloatArray, pairs: IntArray) -> FloatArray:
+    """Rotation vectors (n, 3) of the same rotations that are continuous along every connected surface.
+
+    The vectors are returned unchanged, to the bit, unless some node turns by more than a quarter of a turn.
+
+    Parameters
+    ----------
+    vectors : (n, 3) radians, at most pi long
+    pairs : (e, 2) int64 node and neighbour, in both directions
+    """
+    if isinstance(vectors, Tracked):
+        return nearest_branch(vectors, continuous(plain(vectors), pairs))
+    angle = lengths(vectors)
+    if not len(pairs) or not (angle > _CERTAIN).any():
+        return vectors
+    label = connected_components(len(vectors), pairs)
+    turning = np.unique(label[angle > _CERTAIN])
+    rows = np.flatnonzero(np.isin(label, turning))
+    found = vectors.copy()
+    ordered = rows[np.argsort(angle[rows], kind="stable")]
+    # From the node of each surface that turns least, every node takes the rotation vector nearest to that of the node
+    # from which it is reached first.
+    seeds = ordered[np.unique(label[ordered], return_index=True)[1]]
+    graph = scipy.sparse.csr_matrix((np.ones(len(pairs), dtype=bool), pairs.T), shape=(len(found),) * 2)
+    reached, here = np.zeros(len(found), dtype=bool), seeds
+    while len(here):
+        reached[here] = True
+        start = graph.indptr[here]
+        run, place = spans(graph.indptr[here + 1] - start)
+        there, before = graph.indices[start[run] + place], here[run]
+        new = ~reached[there]
+        # In the order in which they are reached.
+        first = np.sort(np.unique(there[new], return_index=True)[1])
+        there, before = there[new][first], before[new][first]
+        turns = lengths(found[there]) > 0.0
+        found[there[turns]] = nearest_branch(found[there[turns]], found[before[turns]])
+        here = there
+    too_far = np.unique(label[lengths(found) > _LARGEST])
+    found[np.isin(label, too_far)] = vectors[np.isin(label, too_far)]
+    rows = rows[np.argsort(label[rows], kind="stable")]
+    _turn_alike(found, np.split(rows, np.flatnonzero(np.diff(label[rows])) + 1))
+    return found
+
+
+def _turn_alike(vectors: FloatArray, surfaces: list[IntArray]) -> None:
+    """Choose the direction in which each surface turns, in place: the shorter way, or where both are about equally long
+    the way in which the other surfaces turn."""
+    means = [vectors[rows].mean(axis=0) for rows in surfaces]
+    total, count = np.zeros(3), 0
+    for index in np.argsort([np.linalg.norm(mean) for mean in means], kind="stable"):
+        rows, mean = surfaces[index], means[index]
+        if lengths(vectors[rows]).min() > _CERTAIN:
+            # At first a small rotation whose largest component is positive: it decides the sense of half a turn.
+            lead = total / count if count else 1e-3 * mean * np.sign(mean[np.argmax(np.abs(mean).round(6))])
+            other = mean - _FULL * mean / max(float(np.linalg.norm(mean)), 1e-100)
+            if _cost(other, lead) < _cost(mean, lead):
+                angle = lengths(vectors[rows])[:, None]
+                vectors[rows] *= 1.0 - _FULL / angle
+        total, count = total + vectors[rows].sum(axis=0), count + len(rows)
+
+
+def _cost(mean: FloatArray, lead: FloatArray) -> float:
+    apart = mean - lead
+    return float(mean @ mean + _AGREEMENT * (apart @ apart))

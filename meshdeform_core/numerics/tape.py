@@ -7,6 +7,7 @@ at zero get a derivative of zero: code that is smooth there must not depend on i
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -288,18 +289,18 @@ def _joined(join: Callable[..., Any], parts: Any, axis: int) -> Tracked:
     links: list[Link] = []
     for n, each in enumerate(parts):
         if isinstance(each, Tracked):
-            zeros = [np.zeros(np.shape(plain(part))) for part in parts]
             # Where the entries of operand n end up in the result.
-            places = join([np.full(np.shape(z), m == n) for m, z in enumerate(zeros)], axis=axis)
-            shape, order = each.shape, join([np.arange(z.size).reshape(z.shape) for z in zeros], axis=axis)[places]
+            shapes = [np.shape(plain(part)) for part in parts]
+            places = join([np.full(shape, m == n) for m, shape in enumerate(shapes)], axis=axis)
+            order = join([np.arange(math.prod(shape)).reshape(shape) for shape in shapes], axis=axis)[places]
 
             def push(t: FloatArray, places: Any = places, order: Any = order) -> FloatArray:
                 total = np.zeros(places.shape)
                 total[places] = np.asarray(t).ravel()[order]
                 return total
 
-            def pull(g: FloatArray, places: Any = places, order: Any = order, shape: Any = shape) -> FloatArray:
-                total = np.empty(int(np.prod(shape)))
+            def pull(g: FloatArray, places: Any = places, order: Any = order, shape: Any = each.shape) -> FloatArray:
+                total = np.empty(math.prod(shape))
                 total[order] = g[places]
                 return total.reshape(shape)
 

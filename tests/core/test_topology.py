@@ -11,7 +11,7 @@ from meshdeform_core.grid import topology as grid_topology
 from meshdeform_core.grid.connections import check_connections, connected_nodes, find_interfaces
 from meshdeform_core.grid.openings import find_openings
 from meshdeform_core.grid.topology import COLLAPSED, find_topology
-from meshdeform_core.numerics.geometry import copies
+from meshdeform_core.numerics.geometry import coincidence
 
 LINE = np.linspace(0.0, 1.0, 5)
 
@@ -173,7 +173,7 @@ def noisy_bricks():
 def test_topology_does_not_depend_on_how_much_is_done_at_a_time(make, window, monkeypatch):
     grid = make()
     whole = find_topology(grid)
-    monkeypatch.setattr(copies, "_WINDOW", window)
+    monkeypatch.setattr(coincidence, "_WINDOW", window)
     monkeypatch.setattr(grid_topology, "_MATCHED", window)
     monkeypatch.setattr(grid_topology, "_TOGETHER", window)
     found = find_topology(grid)

@@ -180,7 +180,7 @@ def sum_whole(targets, target_span, sources, charges, pieces, piece_span, a, kap
                     r = _inverse_root(dx * dx + dy * dy + dz * dz)
                     r2 = r * r
                     # A sum, unlike a minimum, is vectorised.
-                    close = _closer(close, r2)
+                    close += r2 * r2
                     w = r * r2 * (three + r * (four + five * r))
                     weight[s] = w
                     a1 += w * tile[4, s]
@@ -225,22 +225,6 @@ def _inverse_root_of(square):
         return r + r * rest * (0.5 + 0.375 * rest)
 
     return single if square == types.float32 else double
-
-
-def _closer(close, r2):
-    """Sum of fourth powers, which only single precision needs."""
-    raise NotImplementedError
-
-
-@overload(_closer, inline="always")
-def _closer_of(close, r2):
-    def single(close, r2):
-        return close + r2 * r2
-
-    def double(close, r2):
-        return close
-
-    return single if r2 == types.float32 else double
 
 
 def _frame(precision, targets, first, last, sources, source, center):

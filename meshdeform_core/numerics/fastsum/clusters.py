@@ -246,17 +246,9 @@ def build_tree(points: FloatArray, order: int, leaf: int = LEAF) -> SourceTree:
     Clusters of more than ``leaf`` sources are split.
     """
     points = np.ascontiguousarray(points)
-    place, span, child, (center, axes, half) = _split(points, leaf)
-    boxes = make_boxes(center, axes, half, order, fewest=span[:, 1] - span[:, 0])
-    return SourceTree(place, points[place].copy(), span, child, boxes)
-
-
-def _split(points: FloatArray, leaf: int) -> tuple[IntArray, IntArray, IntArray, list[FloatArray]]:
-    """Order, spans, first children and boxes of clusters, which are halved along their longest sides level by level."""
     place: IntArray = np.arange(len(points), dtype=np.int64)
-    spans: list[IntArray] = []
-    children: list[IntArray] = []
-    boxes: list[tuple[FloatArray, FloatArray, FloatArray]] = []
+    spans, children, boxes = list[IntArray](), list[IntArray](), list[tuple[FloatArray, FloatArray, FloatArray]]()
+    # Level by level, clusters are halved along their longest sides.
     level, used = np.array([[0, len(points)]]), 1
     while len(level):
         _, axes, half = box = fit_boxes(points, place, level)
@@ -276,5 +268,6 @@ def _split(points: FloatArray, leaf: int) -> tuple[IntArray, IntArray, IntArray,
         lo, hi = level[large].T
         level = np.stack([lo, (lo + hi) // 2, (lo + hi) // 2, hi], axis=1).reshape(-1, 2)
         used += len(level)
-    together = [np.concatenate(parts) for parts in zip(*boxes, strict=True)]
-    return place, np.concatenate(spans), np.concatenate(children), together
+    span, (center, axes, half) = np.concatenate(spans), (np.concatenate(parts) for parts in zip(*boxes, strict=True))
+    found = make_boxes(center, axes, half, order, fewest=span[:, 1] - span[:, 0])
+    return SourceTree(place, points[place].copy(), span, np.concatenate(children), found)

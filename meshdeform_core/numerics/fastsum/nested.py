@@ -56,27 +56,6 @@ class Bases(NamedTuple):
     share: np.ndarray
 
 
-class Interactions(NamedTuple):
-    """Which clusters act on which: ``far[far_start[t] : far_start[t + 1]]`` on cluster ``t``; likewise ``near``."""
-
-    far_start: np.ndarray
-    far: np.ndarray
-    near_start: np.ndarray
-    near: np.ndarray
-
-
-def find_interactions(tree: SourceTree, radius: FloatArray, compact: bool) -> Interactions:
-    """:class:`Interactions` of all clusters."""
-    none = np.empty(0, dtype=np.int64)
-    counts = np.zeros((2, len(radius)), dtype=np.int64)
-    _meet(tree.boxes.center, radius, tree.child, REACH, compact, counts, False, none, none)
-    starts = [np.append(0, np.cumsum(count)) for count in counts]
-    far, near = (np.empty(start[-1], dtype=np.int64) for start in starts)
-    places = np.stack([start[:-1] for start in starts])
-    _meet(tree.boxes.center, radius, tree.child, REACH, compact, places, True, far, near)
-    return Interactions(starts[0], far, starts[1], near)
-
-
 class NestedSums:
     """The product of the matrix of basis values between centres with coefficients.
 
@@ -101,10 +80,9 @@ class NestedSums:
         self._kind = kind
         self._tree: SourceTree = like._tree if like else build_tree(centres, 1, NESTED_LEAF)
         radius = np.sqrt((self._tree.boxes.half**2).sum(axis=1))
-        compact = kind != BASES["tps"]
-        self._lists: Interactions = like._lists if like else find_interactions(self._tree, radius, compact)
-        acting = np.diff(self._lists.far_start) > 0
-        self._bases = find_bases(kind, self._tree, radius, acting, tolerance)
+        # Clusters far from cluster c and those near it: ``far[start[c] : start[c + 1]]`` with the starts of each kind.
+        self._lists: list[IntArray] = like._lists if like else _partners(self._tree, radius, kind != BASES["tps"])
+        self._bases = find_bases(kind, self._tree, radius, np.diff(self._lists[0]) > 0, tolerance)
         self._leaves = np.flatnonzero(self._tree.child < 0)
         self._leaves = self._leaves[np.argsort(self._tree.span[self._leaves, 0])]
         # Set the tree positions at which sums are evaluated, the range of them in each leaf, and that of each row.
@@ -126,27 +104,29 @@ class NestedSums:
     @property
     def pairs(self) -> int:
         """Number of pairs of points that one product evaluates."""
-        size, span, lists = np.diff(self._bases.start), np.diff(self._tree.span)[:, 0], self._lists
-        far, near = np.repeat(size, np.diff(lists.far_start)), np.repeat(span, np.diff(lists.near_start))
-        return int((far * size[lists.far]).sum() + (near * span[lists.near]).sum())
+        size, span = np.diff(self._bases.start), np.diff(self._tree.span)[:, 0]
+        far_start, far, near_start, near = self._lists
+        of_skeletons = np.repeat(size, np.diff(far_start)) * size[far]
+        return int(of_skeletons.sum() + (np.repeat(span, np.diff(near_start)) * span[near]).sum())
 
     def __call__(self, coefficients: FloatArray) -> FloatArray:
         """Sums (rows, 3) for coefficients (n, 3)."""
-        tree, bases, lists = self._tree, self._bases, self._lists
+        tree, bases = self._tree, self._bases
+        far_start, far_clusters, near_start, near_clusters = self._lists
         charges = coefficients[tree.order]
         upper, sums = np.empty((len(bases.place), 3)), np.empty((len(self._places), 3))
         gather_up(tree.span, tree.child, bases, charges, upper)
         far = np.zeros((len(bases.place), 3))
 
         def act(lo: int, hi: int) -> None:
-            _act_far(self._kind, lo, hi, lists.far_start, lists.far, bases, upper, far)
+            _act_far(self._kind, lo, hi, far_start, far_clusters, bases, upper, far)
 
         for_chunks(act, len(tree.span), _CHUNK)
         scatter_down(tree.child, bases, far)
 
         def finish(lo: int, hi: int) -> None:
             _act_near(self._kind, lo, hi, self._leaves, self._of_leaf, self._places, tree.span, tree.points, charges,
-                      lists.near_start, lists.near, bases, far, sums)  # fmt: skip
+                      near_start, near_clusters, bases, far, sums)  # fmt: skip
 
         for_chunks(finish, len(self._leaves), _CHUNK)
         return sums[self._result]
@@ -160,13 +140,21 @@ def find_bases(kind: int, tree: SourceTree, radius: FloatArray, acting: BoolArra
         if tree.child[c] >= 0:
             both = slice(tree.child[c], tree.child[c] + 2)
             depth[both], wanted[both] = depth[c] + 1, wanted[c] | wanted[both]
-    proxies = proxy_points(REACH)
+    # Proxy points (3, n) around a cluster of radius 1, spread over spheres (golden spirals).
+    proxies = np.ascontiguousarray(np.concatenate([REACH * r * _sphere(n) for r, n in SPHERES]).T)
     found: list = [(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 0)))] * m
 
     def make(c: int) -> None:
         child = tree.child[c]
         places = np.arange(*tree.span[c]) if child < 0 else np.concatenate([found[child][0], found[child + 1][0]])
-        found[c] = _skeleton(kind, tree, places, c, radius[c], proxies, tolerance)
+        n = len(places)
+        # A change of unit adds to thin plate splines only polynomials, which a few points reproduce.
+        unit = radius[c] if kind == BASES["tps"] and radius[c] > 0 else 1.0
+        points = (tree.points[places] - tree.boxes.center[c]) / unit
+        order, share = np.empty(n, dtype=np.int64), np.zeros((n, n))
+        rank = decompose(kind, points, proxies * (radius[c] / unit), tolerance, order, share)
+        # Positions of the skeleton, the order of its candidates, and the shares of those that are not in it.
+        found[c] = places[order[:rank]], order, share[: n - rank, :rank].copy()
 
     for level in range(depth.max(), -1, -1):
         here = np.flatnonzero((depth == level) & wanted)
@@ -181,19 +169,6 @@ def find_bases(kind: int, tree: SourceTree, radius: FloatArray, acting: BoolArra
     places = np.concatenate(place)
     shares = np.concatenate([each.ravel() for each in share])
     return Bases(start, places, tree.points[places], first, np.concatenate(order), begin, shares)
-
-
-def _skeleton(
-    kind: int, tree: SourceTree, places: IntArray, c: int, radius: float, proxies: FloatArray, tolerance: float
-) -> tuple[IntArray, IntArray, FloatArray]:
-    """Positions of the skeleton of a cluster, the order of its candidates ``places``, and the shares of the others."""
-    n = len(places)
-    # A change of unit adds to thin plate splines only polynomials, which a few points reproduce.
-    unit = radius if kind == BASES["tps"] and radius > 0 else 1.0
-    points = (tree.points[places] - tree.boxes.center[c]) / unit
-    order, share = np.empty(n, dtype=np.int64), np.zeros((n, n))
-    rank = decompose(kind, points, proxies * (radius / unit), tolerance, order, share)
-    return places[order[:rank]], order, share[: n - rank, :rank].copy()
 
 
 @kernel("i8[:, ::1], i8[::1], Bases, f8[:, ::1], f8[:, ::1]", Bases)
@@ -295,6 +270,17 @@ def pack(points, charges, first, last, packed, n):
     return n
 
 
+def _partners(tree: SourceTree, radius: FloatArray, compact: bool) -> list[IntArray]:
+    """For the clusters far from each one, and for those near it: start (m + 1,) of its partners, and all partners."""
+    none = np.empty(0, dtype=np.int64)
+    given, counts = (tree.boxes.center, radius, tree.child, REACH, compact), np.zeros((2, len(radius)), dtype=np.int64)
+    _meet(*given, counts, False, none, none)
+    starts = [np.append(0, np.cumsum(count)) for count in counts]
+    far, near = (np.empty(start[-1], dtype=np.int64) for start in starts)
+    _meet(*given, np.stack([start[:-1] for start in starts]), True, far, near)
+    return [starts[0], far, starts[1], near]
+
+
 @kernel("f8[:, ::1], f8[::1], i8[::1], f8, b1, i8[:, ::1], b1, i8[::1], i8[::1]")
 def _meet(center, radius, child, reach, compact, places, fill, far, near):
     """Traverse pairs of clusters from the root; count the partners of each in ``places`` (2, m), or with ``fill`` store
@@ -341,11 +327,6 @@ def _join(which, a, b, places, fill, partners):
         places[which, b] += 1
 
 
-def proxy_points(reach: float) -> FloatArray:
-    """Proxy points (3, n) around a cluster of radius 1 whose skeleton is used from distance ``reach`` on."""
-    return np.ascontiguousarray(np.concatenate([reach * r * _sphere(n) for r, n in SPHERES]).T)
-
-
 def _sphere(n: int) -> FloatArray:
     """Points (n, 3) spread over the unit sphere (golden spiral)."""
     z = 1 - (2 * np.arange(n) + 1) / n
@@ -388,7 +369,13 @@ def decompose(kind, points, proxies, tolerance, order, share):
         order[best], order[rank] = order[rank], order[best]
         if _choose(values, order, rank, factor, norm, limit):
             rank += 1
-    _solve_shares(factor, order, rank, share)
+    # The other rows by those of the skeleton: back substitution with its triangular factor.
+    for i in range(rank, n):
+        for j in range(rank - 1, -1, -1):
+            s = factor[order[i], j]
+            for k in range(j + 1, rank):
+                s -= share[i - rank, k] * factor[order[k], j]
+            share[i - rank, j] = s / factor[order[j], j]
     return rank
 
 
@@ -417,17 +404,6 @@ def _choose(values, order, rank, factor, norm, limit):
         _subtract(other, s, row)
         norm[order[i]] = _dot(other, other)
     return True
-
-
-@fast_kernel
-def _solve_shares(factor, order, rank, share):
-    """Express the other rows by those of the skeleton: back substitution with its triangular factor."""
-    for i in range(rank, order.size):
-        for j in range(rank - 1, -1, -1):
-            s = factor[order[i], j]
-            for k in range(j + 1, rank):
-                s -= share[i - rank, k] * factor[order[k], j]
-            share[i - rank, j] = s / factor[order[j], j]
 
 
 @fast_kernel

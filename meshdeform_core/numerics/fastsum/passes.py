@@ -81,39 +81,23 @@ def _space(a: int, b: int, c: int, accuracy: float) -> tuple[IntArray, FloatArra
     """Degrees (m, 3), points (m, 3), inverse (m, m) of the Vandermonde matrix, and errors, for one shape of box."""
     half = np.array([0.0 if n < 0 else 2.0 ** (-0.5 * n) for n in (a, b, c)])
     half /= np.linalg.norm(half) or 1.0
-    degree = _terms(half, accuracy)
+    most = [HIGHEST if h > 0 else 1 for h in half]
+    degree = np.stack(np.meshgrid(*map(np.arange, most), indexing="ij"), axis=-1).reshape(-1, 3)
+    total = degree.sum(axis=1)
+    # The terms that matter, and all up to degree 2, which r^2 log r has at any distance:
+    # (i + j + k)! / (i! j! k!) prod (h / 2 D)^i, a factor 2 for every direction of degree > 0, and n^-3 for r^2 log r.
+    factorials = np.array([math.lgamma(n + 1) for n in range(3 * HIGHEST)])
+    size = factorials[total] - factorials[degree].sum(axis=1) - 3.0 * np.log(np.maximum(total, 1))
+    size += (degree * np.log(np.where(half > 0, half, 1.0) / (2.0 * REFERENCE))).sum(axis=1)
+    size += np.log(2.0) * (degree > 0).sum(axis=1)
+    degree = degree[(size >= math.log(accuracy)) | (total <= 2)]
     sides = [np.cos(np.pi * np.arange(n + 1) / n) if n else np.zeros(1) for n in degree.max(axis=0) + 1]
     sides = [side if h > 0 else np.zeros(1) for side, h in zip(sides, half, strict=True)]
     candidates = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
     values = _polynomial_values(degree, candidates)
     chosen = scipy.linalg.qr(values.T, mode="r", pivoting=True)[1][: len(degree)]
     points, matrix = candidates[chosen], np.linalg.inv(values[chosen])
-    return degree, points, matrix, _errors(half, degree, points, matrix)
-
-
-def _terms(half: FloatArray, accuracy: float) -> IntArray:
-    """Degrees (m, 3) of the terms that matter, including all up to degree 2, which r^2 log r has at any distance."""
-    most = [HIGHEST if h > 0 else 1 for h in half]
-    degree = np.stack(np.meshgrid(*map(np.arange, most), indexing="ij"), axis=-1).reshape(-1, 3)
-    total = degree.sum(axis=1)
-    factorials = np.array([math.lgamma(n + 1) for n in range(3 * HIGHEST)])
-    # (i + j + k)! / (i! j! k!) prod (h / 2 D)^i, a factor 2 for every direction of degree > 0, and n^-3 for r^2 log r.
-    size = factorials[total] - factorials[degree].sum(axis=1) - 3.0 * np.log(np.maximum(total, 1))
-    size += (degree * np.log(np.where(half > 0, half, 1.0) / (2.0 * REFERENCE))).sum(axis=1)
-    size += np.log(2.0) * (degree > 0).sum(axis=1)
-    return degree[(size >= math.log(accuracy)) | (total <= 2)]
-
-
-def _polynomial_values(degree: IntArray, points: FloatArray) -> FloatArray:
-    """Values (n, m) of the polynomials at points (n, 3) of [-1, 1]^3."""
-    values = np.ones((len(points), len(degree)))
-    for d in range(3):
-        values *= np.cos(degree[:, d] * np.arccos(points[:, d, None]))
-    return values
-
-
-def _errors(half: FloatArray, degree: IntArray, points: FloatArray, matrix: FloatArray) -> FloatArray:
-    """Largest error (d,) at each distance, over random sources and random points of the box."""
+    # The largest error at each distance, over random sources and random points of the box.
     random = np.random.default_rng(0)
     places = random.uniform(-1.0, 1.0, (_PLACES, 3))
     shares = _polynomial_values(degree, places) @ matrix
@@ -125,74 +109,15 @@ def _errors(half: FloatArray, degree: IntArray, points: FloatArray, matrix: Floa
         exact, known = (radial_matrix(BASES["tps"], np.ascontiguousarray(x * half), sources) for x in (places, points))
         errors.append(np.abs(shares @ known - exact).max())
     # Round-off aside, the error never grows with distance.
-    return np.maximum.accumulate(np.array(errors)[::-1])[::-1]
+    return degree, points, matrix, np.maximum.accumulate(np.array(errors)[::-1])[::-1]
 
 
-@fast_kernel
-def place_points(center, axes, half, canonical, out):
-    """Map points ``canonical`` (m, 3) of [-1, 1]^3 into a box with half sides ``half`` along the rows of ``axes``."""
-    for n in range(canonical.shape[0]):
-        for d in range(3):
-            out[n, d] = center[d]
-            for row in range(3):
-                out[n, d] += half[row] * canonical[n, row] * axes[row, d]
-
-
-@fast_kernel
-def to_coefficients(matrix, first, values, out):
-    """Coefficients (m, 3) from values (m, 3) at the interpolation points."""
-    m = values.shape[0]
-    for i in range(m):
-        a = b = c = 0.0
-        for j in range(m):
-            w = matrix[first + i * m + j]
-            a += w * values[j, 0]
-            b += w * values[j, 1]
-            c += w * values[j, 2]
-        out[i, 0], out[i, 1], out[i, 2] = a, b, c
-
-
-@fast_kernel
-def add_polynomial(center, axes, half, degree, coefficients, points, out):
-    """Add the values (n, 3) of a box's polynomial at ``points`` (n, 3)."""
-    n, most = points.shape[0], degree.max() + 1
-    value = np.empty((3, most, n))
+def _polynomial_values(degree: IntArray, points: FloatArray) -> FloatArray:
+    """Values (n, m) of the polynomials at points (n, 3) of [-1, 1]^3."""
+    values = np.ones((len(points), len(degree)))
     for d in range(3):
-        _chebyshev(center, axes, half, d, points, value[d])
-    total, pair, product = np.zeros((3, n)), np.empty(n), np.empty(n)
-    for m in range(degree.shape[0]):
-        i, j, k = degree[m]
-        if k == 0:
-            for t in range(n):
-                pair[t] = value[0, i, t] * value[1, j, t]
-        a, b, c = coefficients[m, 0], coefficients[m, 1], coefficients[m, 2]
-        for t in range(n):
-            product[t] = pair[t] * value[2, k, t]
-            total[0, t] += a * product[t]
-            total[1, t] += b * product[t]
-            total[2, t] += c * product[t]
-    for t in range(n):
-        for c in range(3):
-            out[t, c] += total[c, t]
-
-
-@fast_kernel
-def _chebyshev(center, axes, half, d, points, value):
-    """Values (degrees, n) of Chebyshev polynomials along side ``d`` of a box."""
-    n = points.shape[0]
-    value[0] = 1.0
-    if value.shape[0] == 1:
-        return
-    at = value[1]
-    at[:] = 0.0
-    if half[d] > 0.0:
-        for e in range(3):
-            factor, origin = axes[d, e] / half[d], center[e]
-            for t in range(n):
-                at[t] += factor * (points[t, e] - origin)
-    for i in range(2, value.shape[0]):
-        for t in range(n):
-            value[i, t] = 2.0 * at[t] * value[i - 1, t] - value[i - 2, t]
+        values *= np.cos(degree[:, d] * np.arccos(points[:, d, None]))
+    return values
 
 
 _DEPTH = 32
@@ -279,25 +204,68 @@ def sum_regions(kind, lo, hi, points, boxes, clusters, out, risk):
                 depth += 1
 
 
-@kernel
+@fast_kernel
 def _fill_polynomial(kind, n, boxes, far, n_far, parent, inherited, polynomial):
     """Coefficients of the polynomial of a target tree node: what it inherits, if anything, plus its far clusters."""
     tree, spaces, s = boxes.tree, boxes.spaces, boxes.space[n]
-    first, last = spaces.start[s], spaces.start[s + 1]
-    place, value = np.empty((last - first, 3)), np.zeros((last - first, 3))
-    place_points(tree.center[n], tree.axes[n], tree.half[n], spaces.points[first:last], place)
+    first, begin = spaces.start[s], spaces.begin[s]
+    m = spaces.start[s + 1] - first
+    place, value = np.empty((m, 3)), np.zeros((m, 3))
+    for i in range(m):
+        for d in range(3):
+            place[i, d] = tree.center[n, d]
+            for row in range(3):
+                place[i, d] += tree.half[n, row] * spaces.points[first + i, row] * tree.axes[n, row, d]
     radial_block(kind, place, far, n_far, value)
     if parent >= 0:
         _add_polynomial(parent, boxes, inherited, place, value)
-    to_coefficients(spaces.matrix, spaces.begin[s], value, polynomial)
+    for i in range(m):
+        a = b = c = 0.0
+        for j in range(m):
+            w = spaces.matrix[begin + i * m + j]
+            a += w * value[j, 0]
+            b += w * value[j, 1]
+            c += w * value[j, 2]
+        polynomial[i, 0], polynomial[i, 1], polynomial[i, 2] = a, b, c
 
 
-@kernel
-def _add_polynomial(n, boxes, polynomial, x, out):
-    """Add the values of the polynomial of a target tree node at points (k, 3)."""
-    tree, spaces, s = boxes.tree, boxes.spaces, boxes.space[n]
-    degree = spaces.degree[spaces.start[s] : spaces.start[s + 1]]
-    add_polynomial(tree.center[n], tree.axes[n], tree.half[n], degree, polynomial, x, out)
+@fast_kernel
+def _add_polynomial(box, boxes, coefficients, points, out):
+    """Add the values (n, 3) of the polynomial of a target tree node at ``points`` (n, 3)."""
+    tree, space = boxes.tree, boxes.space[box]
+    center, axes, half = tree.center[box], tree.axes[box], tree.half[box]
+    degree = boxes.spaces.degree[boxes.spaces.start[space] : boxes.spaces.start[space + 1]]
+    n, most = points.shape[0], degree.max() + 1
+    value = np.empty((3, most, n))
+    for d in range(3):
+        # Chebyshev polynomials along this side of the box.
+        value[d, 0] = 1.0
+        if most > 1:
+            at = value[d, 1]
+            at[:] = 0.0
+            if half[d] > 0.0:
+                for e in range(3):
+                    factor, origin = axes[d, e] / half[d], center[e]
+                    for t in range(n):
+                        at[t] += factor * (points[t, e] - origin)
+            for i in range(2, most):
+                for t in range(n):
+                    value[d, i, t] = 2.0 * at[t] * value[d, i - 1, t] - value[d, i - 2, t]
+    total, pair, product = np.zeros((3, n)), np.empty(n), np.empty(n)
+    for m in range(degree.shape[0]):
+        i, j, k = degree[m]
+        if k == 0:
+            for t in range(n):
+                pair[t] = value[0, i, t] * value[1, j, t]
+        a, b, c = coefficients[m, 0], coefficients[m, 1], coefficients[m, 2]
+        for t in range(n):
+            product[t] = pair[t] * value[2, k, t]
+            total[0, t] += a * product[t]
+            total[1, t] += b * product[t]
+            total[2, t] += c * product[t]
+    for t in range(n):
+        for c in range(3):
+            out[t, c] += total[c, t]
 
 
 @kernel

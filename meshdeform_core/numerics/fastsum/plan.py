@@ -307,36 +307,32 @@ class Plan:
 
 
 def _allowance(targets: Targets, trees: Sequence[SourceTree], key: PlanKey) -> tuple[FloatArray, FloatArray]:
-    """Weighted displacement error that one cluster may cause in each brick, and the mean displacement there."""
-    samples = targets.samples
-    total, moved = np.zeros(samples.size), np.zeros(samples.size)
+    """Weighted displacement error that one cluster may cause in each brick, and the mean displacement there.
+
+    Both follow from the total weight at the samples of the brick, and from a bound of the weighted displacement.
+    """
+    shape, flat = targets.samples.shape, targets.samples.ravel()
+    total, moved = np.zeros(flat.size), np.zeros(flat.size)
+    extents = [np.einsum("md,md->m", tree.boxes.half, tree.boxes.half) for tree in trees]
 
     def work(lo: int, hi: int) -> None:
-        at = targets.points[samples.ravel()[lo:hi]]
-        for tree, reach, kind in zip(trees, key.reaches, key.kinds, strict=True):
-            _add_totals(at, tree, reach, kind, total[lo:hi], moved[lo:hi])
+        points = targets.points[flat[lo:hi]]
+        for tree, size, reach, kind in zip(trees, extents, key.reaches, key.kinds, strict=True):
+            sample, cluster = np.arange(hi - lo), np.zeros(hi - lo, dtype=np.int64)
+            while len(sample):
+                arm = points[sample] - tree.boxes.center[cluster]
+                square, extent = np.einsum("nd,nd->n", arm, arm), size[cluster]
+                done = (square > 2.0 * extent) | (tree.child[cluster] < 0)
+                at, c = sample[done], cluster[done]
+                # A leaf that may contain the sample: the weight at its rim is a lower bound.
+                weight = reach.strength[c] * kind.weight(np.sqrt(np.maximum(square[done], 0.25 * extent[done])))
+                total[lo:hi] += np.bincount(at, weight, hi - lo)
+                shift = reach.shift[c] + reach.turn[c] * np.sqrt(square[done])
+                moved[lo:hi] += np.bincount(at, weight * shift, hi - lo)
+                sample = np.repeat(sample[~done], 2)
+                cluster = np.stack([tree.child[cluster[~done]], tree.child[cluster[~done]] + 1], axis=1).ravel()
 
-    for_chunks(work, samples.size, _SAMPLES)
-    sizes = targets.sizes if key.accuracy.local else np.ones(samples.shape)
-    allowed = (total.reshape(samples.shape) * sizes).min(axis=1) * key.accuracy.tolerance
-    return allowed, (moved / total).reshape(samples.shape).max(axis=1)
-
-
-def _add_totals(
-    samples: FloatArray, tree: SourceTree, reach: Reach, function: Kernel, total: FloatArray, moved: FloatArray
-) -> None:
-    """Add to ``total`` (n,) the total weight at ``samples`` (n, 3), to ``moved`` (n,) a bound of the weighted
-    displacement."""
-    extents = np.einsum("md,md->m", tree.boxes.half, tree.boxes.half)
-    sample, cluster = np.arange(len(samples)), np.zeros(len(samples), dtype=np.int64)
-    while len(sample):
-        arm = samples[sample] - tree.boxes.center[cluster]
-        square, extent = np.einsum("nd,nd->n", arm, arm), extents[cluster]
-        done = (square > 2.0 * extent) | (tree.child[cluster] < 0)
-        at, c = sample[done], cluster[done]
-        # A leaf that may contain the sample: the weight at its rim is a lower bound.
-        weight = reach.strength[c] * function.weight(np.sqrt(np.maximum(square[done], 0.25 * extent[done])))
-        total += np.bincount(at, weight, len(total))
-        moved += np.bincount(at, weight * (reach.shift[c] + reach.turn[c] * np.sqrt(square[done])), len(total))
-        sample = np.repeat(sample[~done], 2)
-        cluster = np.stack([tree.child[cluster[~done]], tree.child[cluster[~done]] + 1], axis=1).ravel()
+    for_chunks(work, flat.size, _SAMPLES)
+    sizes = targets.sizes if key.accuracy.local else np.ones(shape)
+    allowed = (total.reshape(shape) * sizes).min(axis=1) * key.accuracy.tolerance
+    return allowed, (moved / total).reshape(shape).max(axis=1)

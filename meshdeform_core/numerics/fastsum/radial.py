@@ -71,10 +71,6 @@ class RadialTargets(NamedTuple):
         roots = self.tree.region[[first, last - 1]]
         return self.tree.targets[self.tree.span[roots[0], 0] : self.tree.span[roots[1], 1]]
 
-    def nodes(self, first: int, last: int) -> range:
-        """Numbers of the tree nodes of the regions first <= g < last."""
-        return range(self.tree.region[first], self.tree.region[last])
-
 
 def make_radial_targets(
     coordinates: Any,
@@ -97,14 +93,6 @@ _FINEST = 1e-13
 _CHUNK = 1
 
 Use = Callable[[IntArray, FloatArray], object]
-
-
-class _Plan(NamedTuple):
-    """Targets, clusters with their charges, and the boxes of the targets with their spaces and allowed errors."""
-
-    targets: RadialTargets
-    clusters: Clusters
-    boxes: Boxes
 
 
 class FastRadial:
@@ -173,7 +161,8 @@ class FastRadial:
             if error <= AIM:
                 break
             self.refine(error)
-        self._plan = _Plan(targets, clusters, boxes)
+        # What the sums are taken of, and the boxes of the targets with their spaces and allowed errors.
+        self._plan = targets, clusters, boxes
 
     def apply(self, use: Use, progress: Report | None = None) -> FloatArray:
         """Call ``use`` with the flat indices (k,) of the targets of each region and the sums (k, 3) there.

@@ -15,6 +15,8 @@ from ..pieces import pieces
 from .clusters import Boxes, extents, fit_boxes, make_boxes
 from .tuned import RADIAL_REGION, REGION
 
+_SAMPLES = 9
+
 
 class Halves(NamedTuple):
     """Parts of blocks as binary trees: index ranges, halved until they hold at most a number of targets.
@@ -172,38 +174,26 @@ def build_target_tree(
     halves = halve(points, shapes, offsets, flat, capacity, RADIAL_REGION)
     child, filled = halves.child, halves.span[:, 1] > halves.span[:, 0]
     center, axes, half = fit_boxes(points, halves.targets, np.where(child[:, :1] < 0, halves.span, 0))
-    for level in reversed(_levels(child)):
+    # Tree nodes by level, the roots first.
+    levels = [np.setdiff1d(np.arange(len(child)), child[child[:, 0] >= 0])]
+    while len(levels[-1]):
+        levels.append(child[levels[-1][child[levels[-1], 0] >= 0]].ravel())
+    for level in reversed(levels[:-1]):
         parents = level[child[level, 0] >= 0]
         one, two = child[parents].T
         # A child without targets has no box.
         one, two = np.where(filled[one], one, two), np.where(filled[two], two, one)
-        corners = np.concatenate([_box_corners(center[n], axes[n], half[n]) for n in (one, two)], axis=1)
+        # The eight corners of both boxes.
+        signs = 2.0 * (np.arange(8)[:, None] >> np.arange(3) & 1) - 1.0
+        corners = [center[n, None] + (signs * half[n, None]) @ axes[n] for n in (one, two)]
         starts = 16 * np.arange(len(parents))
         places = np.arange(16 * len(parents))
-        boxes = fit_boxes(corners.reshape(-1, 3), places, np.stack([starts, starts + 16], axis=1))
+        boxes = fit_boxes(
+            np.concatenate(corners, axis=1).reshape(-1, 3), places, np.stack([starts, starts + 16], axis=1)
+        )
         center[parents], axes[parents], half[parents] = boxes
     center[~filled], half[~filled] = 0.0, 0.0
     return TargetTree(*halves, center, axes, half)
-
-
-def _levels(child: IntArray) -> list[IntArray]:
-    """Tree nodes by level, the roots first."""
-    inner = child[child[:, 0] >= 0]
-    level = np.setdiff1d(np.arange(len(child)), inner)
-    levels = []
-    while len(level):
-        levels.append(level)
-        level = child[level[child[level, 0] >= 0]].ravel()
-    return levels
-
-
-def _box_corners(center: FloatArray, axes: FloatArray, half: FloatArray) -> FloatArray:
-    """The eight corners (m, 8, 3) of boxes."""
-    signs = 2.0 * (np.arange(8)[:, None] >> np.arange(3) & 1) - 1.0
-    return center[:, None] + (signs * half[:, None]) @ axes
-
-
-_SAMPLES = 9
 
 
 def spans(start: IntArray) -> IntArray:

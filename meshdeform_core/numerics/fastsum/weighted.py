@@ -24,7 +24,7 @@ from ..exact.direct import N_VALUES, sum_groups
 from .clusters import CHARGES, SourceTree, interpolate
 from .plan import Charges, Plan, PlanKey, charge_points, cluster_reach, gather, places_of, rounded_up
 from .targets import Targets, spans
-from .walk import Kernel, Lists, Reach
+from .walk import Kernel, Reach
 
 CHUNK = 2
 """Regions per call, if they are no smaller than usual."""
@@ -206,10 +206,10 @@ class FastSums:
                 if scaled.middle.any():
                     some += sums[:, :1] * scaled.middle[columns]
             if known is not None:
-                _copy_lasting(sums, known[here], lasting)
+                sums[:, 1 + end :] = known[here, 1:]
             elif plan.weight is not None and weigh:
                 stored = plan.weight[here]
-                _copy_lasting(stored, sums, lasting)
+                stored[:, 0], stored[:, 1:] = sums[:, 0], sums[:, 1 + k - lasting :]
             use(here, flat, sums)
 
         for_chunks(work, targets.n_regions, self._chunk, progress)
@@ -284,13 +284,22 @@ class FastSums:
             columns = (0, CHARGES) if every else (1, CHARGES - 1)
             for boxes, tasks in ((targets.bricks, of_bricks), (targets.regions, of_regions)):
                 interpolate(boxes, tasks, places.points, here, *columns, True)
+            # The transpose of Places.add: from the places of each list, some of which have no points, to the sources
+            # and interpolation points of its clusters.
             for (_, tree), x, each, kind, moving, lo, hi in zip(
                 self._groups, points, lists, plan.key.kinds, plan.moving, ends[:-1], ends[1:], strict=True
             ):
-                if lo < hi:
-                    _to_clusters(
-                        places.points, here, places.span, tree, x, each, kind, moving, every, total[number, lo:hi]
-                    )
+                active = moving[each.codes >> 1]
+                codes, item = each.codes[active], np.repeat(np.arange(len(each.stop)), np.diff(each.stop, prepend=0))
+                order = np.argsort(codes, kind="stable")
+                found, start = np.unique(codes[order], return_index=True)
+                if len(found):
+                    first_row = len(tree.order) + tree.boxes.proxy
+                    cluster, raw = found >> 1, (found & 1 == 1)[:, None]
+                    rows = np.where(raw, tree.span[cluster], spans(first_row)[cluster])
+                    pieces = places.span[item[active][order]]
+                    sum_groups(x, rows, places.points, here, pieces, spans(np.append(start, len(order))),
+                               kind.a, kind.b, kind.kappa, every, total[number, lo:hi])  # fmt: skip
 
     def _charges(self, scaled: Scaled, which: slice, plan: Plan, weighing: bool) -> list[Charges]:
         """Charges of one pass, per group: of the values ``which``; ``weighing`` includes the strength itself, whose sum
@@ -314,26 +323,6 @@ class FastSums:
         return charges
 
 
-def _to_clusters(
-    points: FloatArray, gradients: FloatArray, place: IntArray, tree: SourceTree, charged: FloatArray, lists: Lists,
-    function: Kernel, acting: BoolArray, all_charges: bool, out: FloatArray,
-) -> None:  # fmt: skip
-    """Transpose of :meth:`.plan.Places.add`: add to ``out`` (n + m, 8) the gradients of sources and interpolation
-    points ``charged`` (n + m, 3) of a tree, from those (p, 8) of places (p, 3), the rows ``place`` of each list."""
-    active = acting[lists.codes >> 1]
-    item = np.repeat(np.arange(len(lists.stop)), np.diff(lists.stop, prepend=0))[active]
-    codes = lists.codes[active]
-    order = np.argsort(codes, kind="stable")
-    found, start = np.unique(codes[order], return_index=True)
-    if len(found):
-        number, raw = found >> 1, found & 1 == 1
-        first = len(tree.order) + np.stack([tree.boxes.proxy[number], tree.boxes.proxy[number + 1]])
-        rows = np.ascontiguousarray(np.where(raw, tree.span[number].T, first).T)
-        pieces, span = place[item[order]], spans(np.append(start, len(order)))
-        # Places without points: bricks of few nodes have no interpolation points.
-        sum_groups(charged, rows, points, gradients, pieces, span, *function[:3], all_charges, out)
-
-
 def _to_sources(tree: SourceTree, points: FloatArray, total: FloatArray) -> None:
     """Transpose of :func:`.plan.gather`: add to the gradients of sources, the first rows of ``total`` (n + m, 8), those
     of the interpolation points of their clusters."""
@@ -347,9 +336,3 @@ def _to_sources(tree: SourceTree, points: FloatArray, total: FloatArray) -> None
         interpolate(tree.boxes, tasks, points, total, 0, CHARGES, False)
 
     for_chunks(work, n, _SOURCES)
-
-
-def _copy_lasting(one: FloatArray, other: FloatArray, lasting: int) -> None:
-    """Copy weights (m, 0) and the last columns, which stay as they are, from ``other`` sums."""
-    one[:, 0] = other[:, 0]
-    one[:, one.shape[1] - lasting :] = other[:, other.shape[1] - lasting :]

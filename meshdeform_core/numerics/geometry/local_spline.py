@@ -72,27 +72,24 @@ def _of_own_side(
     cosine = np.einsum("kmd,kd->km", sides[wide], facing[mixed])
     own, other = _first(wide, cosine > 0.0, count), _first(wide, cosine < _OPPOSITE, count)
     enough = np.minimum((cosine > 0.0).sum(axis=1), (cosine < _OPPOSITE).sum(axis=1)) >= min(_FEWEST, count)
-    apart = np.concatenate(
-        [_apart(points, values, own[n : n + _CHUNK], other[n : n + _CHUNK]) for n in range(0, len(own), _CHUNK)]
-    )
+    apart = np.empty(len(own), dtype=bool)
+    for first in range(0, len(own), _CHUNK):
+        rows = slice(first, first + _CHUNK)
+        # Whether values differ more between the two sides than along each side.
+        slope, spread = 0.0, 0.0
+        for side in (own[rows], other[rows]):
+            distance, change = _between(points, side, side), _between(values, side, side)
+            steepness = np.divide(change, distance, out=np.zeros_like(change), where=distance > 0)
+            slope = np.maximum(slope, steepness.max(axis=(1, 2), keepdims=True))
+            spread = np.maximum(spread, change.max(axis=(1, 2), keepdims=True))
+        allowed = _STRETCH * slope * _between(points, own[rows], other[rows]) + _VARIATION * spread
+        apart[rows] = (_between(values, own[rows], other[rows]) > allowed).any(axis=(1, 2))
     arm = np.linalg.norm(points[own] - targets[mixed, None], axis=2)
     within = arm[:, 0] <= np.linalg.norm(points[own[:, min(4, count - 1)]] - points[own[:, 0]], axis=1)
     chosen = enough & apart & within
     result = near.copy()
     result[mixed[chosen]] = own[chosen]
     return result
-
-
-def _apart(points: FloatArray, values: FloatArray, own: IntArray, other: IntArray) -> BoolArray:
-    """Whether values (n, c) differ more between two sides, rows ``own`` and ``other``, than along each side."""
-    slope, spread = np.zeros((2, len(own), 1, 1))
-    for side in (own, other):
-        distance, change = _between(points, side, side), _between(values, side, side)
-        steepness = np.divide(change, distance, out=np.zeros_like(change), where=distance > 0)
-        slope = np.maximum(slope, steepness.max(axis=(1, 2), keepdims=True))
-        spread = np.maximum(spread, change.max(axis=(1, 2), keepdims=True))
-    allowed = _STRETCH * slope * _between(points, own, other) + _VARIATION * spread
-    return np.asarray((_between(values, own, other) > allowed).any(axis=(1, 2)))
 
 
 def _between(values: FloatArray, one: IntArray, other: IntArray) -> FloatArray:
@@ -127,7 +124,15 @@ def _splines(points: FloatArray, values: FloatArray, targets: FloatArray) -> Flo
     left_out = np.pad(~kept, ((0, 0), (1, 0)))
     system[:, count + np.arange(q), count + np.arange(q)] = left_out
     right = np.pad(values, ((0, 0), (0, q), (0, 0)))
-    coefficients = _least_squares(system, right)
+    try:
+        coefficients = np.asarray(np.linalg.solve(system, right), dtype=np.float64)
+        # By least squares where the neighbours do not determine all terms.
+        residual = np.abs(system @ coefficients - right).max(axis=(1, 2))
+        poor = ~(residual <= 1e-9 * np.abs(right).max(axis=(1, 2)))
+        if poor.any():
+            coefficients[poor] = np.linalg.pinv(system[poor], rcond=1e-12) @ right[poor]
+    except np.linalg.LinAlgError:
+        coefficients = np.linalg.pinv(system) @ right
     basis = np.concatenate([_thin_plate(target, arm), _terms(target, axes, kept)], axis=2)
     return (basis @ coefficients)[:, 0]
 
@@ -141,16 +146,3 @@ def _terms(arm: FloatArray, axes: FloatArray, kept: BoolArray) -> FloatArray:
 def _thin_plate(a: FloatArray, b: FloatArray) -> FloatArray:
     r2 = ((a[:, :, None] - b[:, None]) ** 2).sum(axis=3)
     return 0.5 * r2 * np.log(np.where(r2 > 0, r2, 1.0))
-
-
-def _least_squares(system: FloatArray, right: FloatArray) -> FloatArray:
-    """Solutions of small systems, by least squares where the neighbours do not determine all terms."""
-    try:
-        solution: FloatArray = np.asarray(np.linalg.solve(system, right), dtype=np.float64)
-    except np.linalg.LinAlgError:
-        return np.linalg.pinv(system) @ right
-    residual = np.abs(system @ solution - right).max(axis=(1, 2))
-    poor = ~(residual <= 1e-9 * np.abs(right).max(axis=(1, 2)))
-    if poor.any():
-        solution[poor] = np.linalg.pinv(system[poor], rcond=1e-12) @ right[poor]
-    return solution

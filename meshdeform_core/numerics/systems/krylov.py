@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatArray, Report
-from .products import Product
+from .products import ExactProduct
 from .schwarz import SchwarzPreconditioner
 
 _RESTART = 40
@@ -49,12 +49,12 @@ class KrylovSolver:
     kind : basis number, see :data:`..exact.basis.BASES`
     points : (n, 3) centres in units of the support radius
     polynomial : (n, q), full column rank
-    product : A times (n, 3), see :class:`.products.Product`
+    product : A times (n, 3), see :class:`.products.ExactProduct`
     tolerance : of the solutions for which it is set up; small ones make the boxes of the preconditioner larger
     """
 
     def __init__(
-        self, kind: int, points: FloatArray, polynomial: FloatArray, product: Product, tolerance: float = 1e-6
+        self, kind: int, points: FloatArray, polynomial: FloatArray, product: ExactProduct, tolerance: float = 1e-6
     ) -> None:
         self._polynomial, self.product = polynomial, product
         self.preconditioner = SchwarzPreconditioner(kind, points, polynomial, product, _widening(tolerance))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import scipy
@@ -31,45 +31,20 @@ _MOST_NEIGHBOURS, _LARGEST_SHARE = 500, 0.05
 _BYTES, _MOST_BYTES = 64, 2**32
 
 
-class Product(Protocol):
-    """A times coefficients (n, 3), with an estimate of its error."""
-
-    @property
-    def how(self) -> str:
-        """Name of this kind of product, for reports."""
-        ...
-
-    def __call__(self, coefficients: np.ndarray) -> np.ndarray:
-        """Sums (n, 3)."""
-        ...
-
-    def error(self, coefficients: np.ndarray, found: np.ndarray) -> np.ndarray:
-        """Norm (3,) of the error, without round-off, of the sums ``found`` (n, 3) for these coefficients."""
-        ...
-
-    def restart(self) -> None:
-        """Return to the accuracy with which every solution starts."""
-        ...
-
-    def refine(self) -> None:
-        """Raise the accuracy of all products until :meth:`restart`."""
-        ...
-
-    def roughly_at(self, rows: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-        """A function of coefficients (n, 3) that returns the product at some centres, to a few digits."""
-        ...
-
-
 class ExactProduct:
-    """All pairs of centres, or the nonzero entries of a sparse matrix."""
+    """A times coefficients (n, 3): all pairs of centres, or the nonzero entries of a sparse matrix.
 
-    def __init__(self, kind: int, points: FloatArray, matrix: None = None) -> None:
+    ``how`` is the name of this kind of product, for reports.
+    """
+
+    def __init__(self, kind: int, points: FloatArray, matrix: Any = None) -> None:
         self._kind, self._points, self._matrix = kind, points, matrix
         self.how = "exact sums" if matrix is None else f"sparse matrix of {matrix.nnz:,} values"
 
     def __call__(self, coefficients: FloatArray) -> FloatArray:
+        """Sums (n, 3)."""
         if self._matrix is not None:
-            return self._matrix @ coefficients
+            return np.asarray(self._matrix @ coefficients)
         result = np.empty_like(coefficients)
 
         def work(lo: int, hi: int) -> None:
@@ -79,31 +54,31 @@ class ExactProduct:
         return result
 
     def error(self, coefficients: FloatArray, found: FloatArray) -> FloatArray:
+        """Norm (3,) of the error, without round-off, of the sums ``found`` (n, 3) for these coefficients."""
         return np.zeros(3)
 
     def restart(self) -> None:
-        """Nothing to do, as the sums are exact."""
+        """Return to the accuracy with which every solution starts."""
 
-    refine = restart
+    def refine(self) -> None:
+        """Raise the accuracy of all products until :meth:`restart`."""
 
-    def roughly_at(self, rows: IntArray) -> Callable[[np.ndarray], np.ndarray]:
+    def roughly_at(self, rows: IntArray) -> Callable[[FloatArray], FloatArray]:
+        """A function of coefficients (n, 3) that returns the product at some centres, to a few digits."""
         if self._matrix is not None:
             return self._matrix[rows].dot
         return partial(radial_sums, self._kind, self._points[rows], self._points)
 
 
-class NestedProduct:
+class NestedProduct(ExactProduct):
     """Nested sums, compared with exact ones at centres spread evenly over the tree."""
 
     def __init__(self, kind: int, points: FloatArray, sums: NestedSums, tolerance: float) -> None:
-        self._kind, self._points, self._sums, self._tolerance = kind, points, sums, tolerance
-        self._first = tolerance
+        super().__init__(kind, points)
+        self._first, self._sums = tolerance, sums
         self._made = {tolerance: sums}
         self._rows = sums.order[np.linspace(0, len(points) - 1, min(_SAMPLES, len(points))).astype(np.int64)]
-
-    @property
-    def how(self) -> str:
-        return f"nested sums to {self._tolerance:.0e}"
+        self.restart()
 
     def __call__(self, coefficients: FloatArray) -> FloatArray:
         return self._sums(coefficients)
@@ -122,7 +97,7 @@ class NestedProduct:
     def _use(self, tolerance: float) -> None:
         if tolerance not in self._made:
             self._made[tolerance] = NestedSums(self._kind, self._points, tolerance, like=self._sums)
-        self._tolerance, self._sums = tolerance, self._made[tolerance]
+        self._tolerance, self._sums, self.how = tolerance, self._made[tolerance], f"nested sums to {tolerance:.0e}"
 
     def roughly_at(self, rows: IntArray) -> NestedSums:
         return NestedSums(self._kind, self._points, _ROUGH, rows, self._sums)
@@ -135,7 +110,7 @@ def nested_bytes(n: int) -> int:
 
 def product_of(
     kind: int, points: FloatArray, tolerance: float, require: Callable[[int], object] = lambda size: None
-) -> Product:
+) -> ExactProduct:
     """The cheapest product for centres (n, 3) and a solution with ``tolerance``.
 
     ``require(bytes)`` is called beforehand with the memory needed, and raises an error if there is too little.

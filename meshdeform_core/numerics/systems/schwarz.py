@@ -15,7 +15,7 @@ import scipy
 from ...parallel import for_chunks, thread_count
 from ..arrays import FloatArray, IntArray
 from ..exact.radial import fill_rows, radial_matrix
-from .products import Product
+from .products import ExactProduct
 from .saddle import DirectSolver
 
 OWN = 60
@@ -44,7 +44,7 @@ class SchwarzPreconditioner:
     kind : basis number, see :data:`..exact.basis.BASES`
     points : (n, 3) centres in units of the support radius
     polynomial : (n, q) polynomial terms at the centres, full column rank
-    product : A times coefficients (n, 3), see :class:`.products.Product`
+    product : A times coefficients (n, 3), see :class:`.products.ExactProduct`
     widening : factor by which ``OWN`` and ``OVERLAP`` are multiplied
     """
 
@@ -53,7 +53,7 @@ class SchwarzPreconditioner:
         kind: int,
         points: FloatArray,
         polynomial: FloatArray,
-        product: Product,
+        product: ExactProduct,
         widening: int = 1,
     ) -> None:
         self._side = np.linalg.qr(polynomial)[0]
