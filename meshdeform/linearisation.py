@@ -14,7 +14,7 @@ from meshdeform_core.errors import GridError
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.methods import PreparedMethod
 from meshdeform_core.methods.base import Linearised
-from meshdeform_core.methods.kinks import reason_of
+from meshdeform_core.methods.limits import reason_of
 from meshdeform_core.overset import PreparedComponents
 from meshdeform_core.parallel import Nodes
 from meshdeform_core.repair.derivative import RepairDerivative, derivative_of_repair

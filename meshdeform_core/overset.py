@@ -26,9 +26,8 @@ from .grid.selection import BY_PREFIX, with_components
 from .grid.topology import RELATIVE_TOLERANCE, FaceQuads, Topology, quads_of_patches
 from .memory import UNLIMITED, MemoryLimit
 from .methods import Account, Options, PreparedMethod, Problem, Progress
-from .methods.base import Linearised
+from .methods.base import Kinks, Linearised
 from .methods.composite import filled
-from .methods.kinks import Kinks
 from .methods.limits import patch_motions
 from .notices import Notice, kind_of
 from .numerics.arrays import places_among

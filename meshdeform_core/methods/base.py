@@ -6,6 +6,7 @@ undeformed grid only; ``apply(displacement)`` of the prepared method is the cost
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -25,7 +26,6 @@ from ..numerics.arrays import distinct_pairs, places_among, total
 from ..numerics.geometry.coincidence import distinct, integers
 from ..numerics.geometry.vectors import face_sizes
 from ..numerics.rotation import SurfaceRotations
-from .kinks import Kinks
 
 _FACES = 250_000
 """Faces whose areas are computed at a time, which bounds the memory."""
@@ -205,6 +205,10 @@ class Account:
         self.notices |= other.notices
 
 
+Kinks = Counter[str]
+"""Numbers of places by kind, one of the texts in :mod:`.limits`, in which ``{}`` stands for the number."""
+
+
 @dataclass(frozen=True)
 class Linearised:
     """Derivative of the displacement of all block nodes with respect to that of the sources.
@@ -213,7 +217,7 @@ class Linearised:
     ----------
     push : the change (n_nodes, 3) for a change (n_sources, 3) of the sources
     pull : the gradient (n_sources, 3) from that (n_nodes, 3) of all block nodes, which is overwritten
-    kinks : why it is not the derivative of the displacement field, see :mod:`.kinks`
+    kinks : why it is not the derivative of the displacement field, see :data:`Kinks`
     """
 
     push: Callable[..., Any]

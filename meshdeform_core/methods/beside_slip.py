@@ -77,7 +77,14 @@ class BesideSlip:
         if found is None:
             x = self._problem.grid.nodes.rows[flat]
             to_wall, *to_sides = (tree.closest(x)[2] for tree in self.trees)
-            found = np.stack([lost(place(to_wall, to_side)) for to_side in to_sides], axis=1)
+            lost = []
+            for to_side in to_sides:
+                # Position between the side, 0, and the wall, 1.
+                both = to_wall + to_side
+                at = np.divide(to_side, both, out=np.ones_like(both), where=both > 0.0)
+                linear, end = 1.0 - at / (1.0 - 0.5 * WIDTH), (1.0 - at) ** 2 / (WIDTH * (2.0 - WIDTH))
+                lost.append(np.where(at < 1.0 - WIDTH, linear, end))
+            found = np.stack(lost, axis=1)
             if self._stores:
                 self._parts[first] = found
         return found
@@ -117,14 +124,3 @@ def _damp(values: FloatArray, rows: IntArray, normals: FloatArray, parts: FloatA
         x -= (factor * np.einsum("nd,nd->n", way, given))[:, None] * way
         before.append((way, factor))
     values[rows] = x
-
-
-def place(to_wall: FloatArray, to_side: FloatArray) -> FloatArray:
-    """Position between a slip side (0) and a wall (1), from the distances to both."""
-    both = to_wall + to_side
-    return np.divide(to_side, both, out=np.ones_like(both), where=both > 0.0)
-
-
-def lost(at: FloatArray) -> FloatArray:
-    """Part 1 - f of the normal component that is lost at a position between 0 and 1."""
-    return np.where(at < 1.0 - WIDTH, 1.0 - at / (1.0 - 0.5 * WIDTH), (1.0 - at) ** 2 / (WIDTH * (2.0 - WIDTH)))

@@ -21,7 +21,7 @@ from .base import Account, Interpolation, Linearised, Mover, PreparedMethod, Pro
 from .beside_slip import BesideSlip
 from .constraints import Constraints, add_to_faces, impose
 from .transfinite.edge_graph import PreparedEdgeGraph
-from .transfinite.skeleton import Skeleton
+from .transfinite.tfi import Skeleton
 
 
 class PreparedFiller(Protocol):

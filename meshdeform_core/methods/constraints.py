@@ -8,8 +8,8 @@ from ..boundary.slip import CurvedSurface
 from ..grid import FloatArray, IntArray
 from ..grid.topology import Topology
 from ..parallel import Nodes, for_chunks
-from .base import Problem
-from .kinks import EDGES, Kinks, kinks_of
+from .base import Kinks, Problem
+from .limits import EDGES
 
 # Face nodes per chunk: large enough to outweigh the cost of starting a thread.
 _NODES = 100_000
@@ -65,7 +65,7 @@ class Constraints:
         # Plane curves are represented by triangles of zero width.
         whole = 2 if (surface.triangles[:, 1] == surface.triangles[:, 2]).all() else 3
         edge = (count < whole) & (distance <= 1e-9 * size)
-        self.kinks += kinks_of([(EDGES, int(np.count_nonzero(edge)))])
+        self.kinks += Kinks({EDGES: int(np.count_nonzero(edge))})
         # Free directions: within the triangle, along the edge, or none at a vertex.
         base = np.where(positive | (edge & (count == 1))[:, None], 1.0, 0.0)
         middle = np.einsum("nc,ncd->nd", base, corners) / base.sum(axis=1)[:, None]

@@ -19,10 +19,10 @@ from ..grid import BoolArray, FloatArray, IntArray
 from ..numerics.arrays import lengths
 from ..numerics.geometry.surface import TriangleTree
 from ..parallel import Nodes
-from .base import Account, Linearised, PreparedMethod, Progress, Setting
+from .base import Account, Kinks, Linearised, PreparedMethod, Progress, Setting
 from .composite import Composite, PreparedComposite, on_faces
 from .constraints import Constraints, add_to_faces
-from .kinks import BETWEEN, kinks_of
+from .limits import BETWEEN
 from .transfinite.tfi import TFI
 
 OPEN = 0.8
@@ -100,7 +100,7 @@ class PreparedInGaps(PreparedMethod):
         apart = self.transfinite.apply(displacement) - own
         lines, scalar = (each.linearised(displacement) for each in (self.transfinite, self.scalar))
         kinks = own_derivative.kinks + lines.kinks
-        kinks += kinks_of([(BETWEEN, self._equally_far(displacement, closing.rows))])
+        kinks += Kinks({BETWEEN: self._equally_far(displacement, closing.rows)})
         again = None
         if problem.boundary.slip.curved:
             # Blended nodes are projected back onto curved slip surfaces.

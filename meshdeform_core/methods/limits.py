@@ -1,4 +1,5 @@
-"""Warnings for a displacement before it is applied.
+"""What users are told of a displacement: warnings before it is applied, and why a derivative there is not that of the
+displacement field itself, with what is held fixed.
 
 The limits were measured on the splitter plate (Sen et al. section 4; ``studies/largest_angles.py``), which turns
 by up to 14 degrees more than the body it is attached to: one step is valid up to a rotation of 54 degrees with TFI, and
@@ -13,15 +14,32 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..boundary import Kind
-from ..grid import FloatArray
+from ..grid import FloatArray, IntArray
 from ..notices import Notice
 from ..numerics.arrays import lengths, total
-from .base import Problem
+from ..numerics.tape import largest
+from .base import Kinks, Problem
 
 TFI_ROTATION = 55.0
 PLAIN_ROTATION = 35.0
 LARGEST_ROTATION = 150.0
 """Largest rotation in one step (degrees) with TFI, with IDW of displacements, and with IDW of rigid motions."""
+
+EDGES = "{} nodes that slide on curved surfaces are at edges of their flat faces, where there is no derivative"
+CHOSEN = (
+    "the greedy reduction chooses centres for each displacement; the derivative is that of the interpolation with all "
+    "centres"
+)
+HALF_TURNS = (
+    "{} wall nodes turn by 180 degrees, where the direction of rotation jumps; the derivative is that on one side"
+)
+FOLDED = "{} wall nodes have faces that are folded onto each other, where normals jump"
+LARGEST = "{} sources share the largest displacement, which sets alpha; the mean of their derivatives is taken"
+BETWEEN = (
+    "{} wall nodes are equally far from two nodes across a closing gap, whose direction jumps from one to the other"
+)
+_HALF_TURN = 1e-6
+"""Relative difference from half a turn."""
 
 
 @dataclass(frozen=True)
@@ -129,3 +147,19 @@ def warn_of_coarse_tolerance(tolerance: FloatArray, height: FloatArray, correcte
         f"to {tolerance[worst]:.3g}, the cell is {height[worst]:.3g} high; {rest}): wall cells may invert; use a "
         f'smaller tolerance, or greedy_error = "first-cell"'
     )
+
+
+def tied(size: FloatArray, owner: IntArray) -> int:
+    """Number of sources whose ``size`` (n,) is the largest, zero if it is one; images of an ``owner`` count once."""
+    found = len(np.unique(owner[largest(size)]))
+    return found if found > 1 else 0
+
+
+def half_turns(turn: FloatArray, owner: IntArray) -> int:
+    """Number of sources that turn by 180 degrees; ``turn`` (n,) are the angles of their images, radians."""
+    return len(np.unique(owner[np.abs(turn - np.pi) < _HALF_TURN * np.pi]))
+
+
+def reason_of(kinks: Kinks) -> str:
+    """All of them in words; empty if there are none."""
+    return "; ".join(text.replace("{}", f"{count:,}", 1) for text, count in kinks.items())

@@ -14,8 +14,7 @@ from meshdeform_core.methods.composite import Composite, first_step_nodes
 from meshdeform_core.methods.scattered.block_rbf import BlockRBF
 from meshdeform_core.methods.scattered.idw import IDW
 from meshdeform_core.methods.scattered.rbf import RBF
-from meshdeform_core.methods.transfinite.skeleton import Skeleton
-from meshdeform_core.methods.transfinite.tfi import TFI
+from meshdeform_core.methods.transfinite.tfi import TFI, Skeleton
 from meshdeform_core.numerics.exact.direct import N_VALUES
 from meshdeform_core.numerics.rigid import WIDTHS
 

@@ -13,7 +13,7 @@ import meshdeform as md
 from meshdeform_core.boundary import Kind
 from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.methods import IDW, RBF, Options, make_method
-from meshdeform_core.methods.kinks import CHOSEN, EDGES, FOLDED, HALF_TURNS, LARGEST
+from meshdeform_core.methods.limits import CHOSEN, EDGES, FOLDED, HALF_TURNS, LARGEST
 from meshdeform_core.methods.scattered import linear_idw
 from meshdeform_core.methods.scattered.summation import DERIVATIVE_TOLERANCE
 from meshdeform_core.numerics.frame import Frame

@@ -12,7 +12,7 @@ from meshdeform_core.grid import Grid
 from meshdeform_core.methods import IDW, TFI, Options, make_method
 from meshdeform_core.methods.composite import Composite
 from meshdeform_core.methods.gaps import OPEN, PreparedInGaps
-from meshdeform_core.methods.kinks import BETWEEN
+from meshdeform_core.methods.limits import BETWEEN
 from meshdeform_core.quality import Original, assess
 from meshdeform_core.repair import RepairOptions
 

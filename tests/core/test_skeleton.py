@@ -8,7 +8,7 @@ from grids import frame
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import TFI
-from meshdeform_core.methods.transfinite.skeleton import make_skeleton
+from meshdeform_core.methods.transfinite.tfi import make_skeleton
 
 
 def arc(cells, degrees):

@@ -13,7 +13,7 @@ from ...grid.topology import side_nodes
 from ...numerics.exact.basis import BASES
 from ...parallel import Nodes, for_chunks, for_items
 from ..base import Account, Problem, Progress, Setting, of_stage
-from ..transfinite.skeleton import Skeleton, make_skeleton
+from ..transfinite.tfi import Skeleton, make_skeleton
 from .radial_system import Centres, Coefficients, RadialSystem, accurate
 from .rbf import RBF
 
@@ -29,18 +29,14 @@ class BlockRBF:
 
     def skeleton(self, problem: Problem) -> Skeleton:
         """Skeleton of block faces except slip planes, whose nodes are not centres."""
-        return dataclasses.replace(make_skeleton(problem, 0), left_out=_slip_sides(problem))
+        quads, kind = problem.topology.quads, problem.boundary.quad_kind
+        sides = [(block, side) for block in range(problem.grid.n_blocks) for side in Side]
+        sliding = [key for key in sides if np.isin(kind[quads.of_side(*key)], (Kind.SLIP, Kind.SYMMETRY)).all()]
+        return dataclasses.replace(make_skeleton(problem, 0), left_out=frozenset(sliding))
 
     def prepare(self, problem: Problem, skeleton: Skeleton) -> PreparedBlockRBF:
         """Centres and targets of every block."""
         return PreparedBlockRBF(self.options, problem, skeleton)
-
-
-def _slip_sides(problem: Problem) -> frozenset[tuple[int, Side]]:
-    quads, kind = problem.topology.quads, problem.boundary.quad_kind
-    sides = [(block, side) for block in range(problem.grid.n_blocks) for side in Side]
-    slides = (Kind.SLIP, Kind.SYMMETRY)
-    return frozenset(key for key in sides if np.isin(kind[quads.of_side(*key)], slides).all())
 
 
 @dataclass

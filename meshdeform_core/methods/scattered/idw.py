@@ -17,9 +17,18 @@ from ...numerics.arrays import lengths, places_among, weighted_total
 from ...numerics.frame import AT_REST, Frame
 from ...numerics.rigid import NO_TRANSITION
 from ...numerics.tape import Tape, Tracked, plain
-from ..base import Account, Linearised, Problem, Progress, Setting
-from ..kinks import FOLDED, HALF_TURNS, LARGEST, half_turns, kinks_of, tied
-from ..limits import LARGEST_ROTATION, PLAIN_ROTATION, warn_of_alpha, warn_of_rotation
+from ..base import Account, Kinks, Linearised, Problem, Progress, Setting
+from ..limits import (
+    FOLDED,
+    HALF_TURNS,
+    LARGEST,
+    LARGEST_ROTATION,
+    PLAIN_ROTATION,
+    half_turns,
+    tied,
+    warn_of_alpha,
+    warn_of_rotation,
+)  # fmt: skip
 from ..options import MethodOptions, option
 from .idw_sums import Bound, SourceValues
 from .mirror import mirror_images
@@ -285,19 +294,19 @@ class PreparedIDW:
         acting = with_motion(self.images) | self.images.displaced(displacement).any(axis=1)
         method, variable, o = self.reduced(acting), Tape().variable(displacement), self.options
         images, fit = method.images, method.fit(variable)  # type: ignore[arg-type]
-        alpha, slope, counts = None, 0.0, list[tuple[str, int]]()
+        alpha, slope, kinks = None, 0.0, Kinks()
         if o.rotation != "none":
-            counts.append((HALF_TURNS, half_turns(plain(fit.turn), images.owner)))
-            counts.append((FOLDED, method.rotations.folded(images.displaced(displacement))))
+            kinks[HALF_TURNS] = half_turns(plain(fit.turn), images.owner)
+            kinks[FOLDED] = method.rotations.folded(images.displaced(displacement))
         if o.weights == "luke" and o.alpha == "auto":
             arms = method._arms(method._seen_inside(images.displaced(variable))[1])  # type: ignore[arg-type]
             found: Tracked = method._eq_18(arms)  # type: ignore[assignment]
             if _LEAST_ALPHA < float(plain(found)) < ALPHA_CAP:
                 # The derivative of the factor of r^-b.
                 alpha, slope = found, o.b * float(plain(found)) ** (o.b - 1.0) * method.length ** (o.b - method.far)
-                counts.append((LARGEST, tied(lengths(plain(arms)), images.owner)))
+                kinks[LARGEST] = tied(lengths(plain(arms)), images.owner)
         derivative = LinearIDW(evaluator, variable, fit, acting, alpha, slope)
-        return Linearised(derivative.push, derivative.pull, kinks_of(counts))
+        return Linearised(derivative.push, derivative.pull, +kinks)
 
     def _seen_inside(self, d: FloatArray) -> tuple[Frame, FloatArray]:
         """The mean motion of the images, and their displacements (n, 3) as seen from there if it turns: half a turn of

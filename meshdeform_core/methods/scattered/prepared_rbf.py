@@ -18,9 +18,8 @@ from ...numerics.exact.radial import radial_sums
 from ...numerics.fastsum.radial import FastRadial, RadialTargets, make_radial_targets
 from ...numerics.systems.greedy import Search, Selection, select
 from ...parallel import Nodes, for_chunks, thread_count
-from ..base import Account, Linearised, Problem, Progress, Setting, of_stage
-from ..kinks import CHOSEN, Kinks
-from ..limits import warn_of_coarse_tolerance, warn_of_radius
+from ..base import Account, Kinks, Linearised, Problem, Progress, Setting, of_stage
+from ..limits import CHOSEN, warn_of_coarse_tolerance, warn_of_radius
 from .mirror import mirror_images
 from .radial_system import Centres, Coefficients, RadialSystem, accurate
 from .summation import fast_pays, largest_error, sum_accurately

@@ -42,12 +42,6 @@ def bodies(images: Images) -> int:
     return len(np.unique(label[images.corners[:, 0]]))
 
 
-def attached(problem: Problem) -> bool:
-    """Whether moving faces share nodes with faces at rest, as a membrane clamped in a plate does."""
-    quads, kind = problem.topology.quads.corners, problem.boundary.quad_kind
-    return bool(np.intersect1d(quads[kind == Kind.MOVING], quads[kind == Kind.FIXED]).size)
-
-
 def breadth(images: Images) -> float:
     """Shorter side of the moving surface: its area over the perimeter of its longer section.
 
@@ -68,7 +62,10 @@ def transition_of(images: Images, problem: Problem, far: float, width: float) ->
     both weights must decay alike.
     """
     power = max(far - _CURVE, 1.0)
-    if problem.plane or far <= _SURFACE or attached(problem):
+    # Moving faces share nodes with faces at rest, as those of a membrane clamped in a plate do.
+    quads, kind = problem.topology.quads.corners, problem.boundary.quad_kind
+    attached = np.intersect1d(quads[kind == Kind.MOVING], quads[kind == Kind.FIXED]).size > 0
+    if problem.plane or far <= _SURFACE or attached:
         return Transition(np.zeros(6), power, power, 1.0, width)
     near = far - _SURFACE
     # The integral of r^-a over a plane at the distance of the breadth.
