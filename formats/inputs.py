@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 
 from meshdeform_core.errors import FormatError
@@ -43,7 +43,15 @@ def require_no_input(output: Path, inputs: Iterable[Path | None]) -> None:
 
     Raises FormatError naming both files.
     """
-    replaced = {identity: path for path in _replaced(output) if (identity := _identity(path))}
+    outputs: Iterable[Path] = [output]
+    if output.suffix.lower() == ".foam":
+        outputs = existing_outputs(output)
+    elif output.suffix.lower() == ".vtm":
+        from .vtk.multiblock import replaced_files
+
+        with contextlib.suppress(FormatError):
+            outputs = list(replaced_files(output))
+    replaced = {identity: path for path in outputs if (identity := _identity(path))}
     if not replaced:
         return
     for source in inputs:
@@ -77,7 +85,11 @@ def _files_behind(path: Path, state: tuple[int, ...]) -> tuple[Path, ...]:
         if kind == "openfoam":
             found += files_of(path)
         elif kind == "cgns":
-            found += _linked_files(path)
+            from .cgns.file import linked_files
+
+            # Of these files, too.
+            for file in found:
+                found += [each for each in linked_files(file) if _identity(each) not in map(_identity, found)]
         elif kind == "vtk":
             from .vtk.multiblock import referenced_files
             from .vtk.xml_tags import file_kind
@@ -85,19 +97,6 @@ def _files_behind(path: Path, state: tuple[int, ...]) -> tuple[Path, ...]:
             if file_kind(path) == "vtkMultiBlockDataSet":
                 found += referenced_files(path)
     return tuple(found)
-
-
-def _replaced(output: Path) -> Iterable[Path]:
-    if output.suffix.lower() == ".foam":
-        return existing_outputs(output)
-    if output.suffix.lower() != ".vtm":
-        return [output]
-    from .vtk.multiblock import replaced_files
-
-    try:
-        return replaced_files(output)
-    except FormatError:
-        return [output]
 
 
 def existing_outputs(output: Path) -> list[Path]:
@@ -108,19 +107,6 @@ def existing_outputs(output: Path) -> list[Path]:
 
         found += mesh_files(output)
     return found
-
-
-def _linked_files(path: Path) -> Iterator[Path]:
-    """The targets of links, including the targets of links in these files."""
-    from .cgns.file import linked_files
-
-    found, waiting = {_identity(path)}, [path]
-    while waiting:
-        for target in linked_files(waiting.pop()):
-            if _identity(target) not in found:
-                found.add(_identity(target))
-                waiting.append(target)
-                yield target
 
 
 def _identity(path: Path) -> tuple[int, int] | None:

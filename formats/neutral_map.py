@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -293,24 +293,16 @@ def neutral_map_text(grid: Grid) -> str:
     lines += ["", f"# {_WIDE}"]
     lines += ["# Type                B1  F1     S1     E1     S2     E2  B2  F2     S1     E1     S2     E2  Swap"]
     lines += [f"# {_THIN}"]
-    lines += [line for patch in grid.patches for line in _patch_lines(patch)]
-    lines += _connection_lines(grid)
-    return "\n".join(lines) + "\n"
-
-
-def _patch_lines(patch: Patch) -> list[str]:
-    word = re.sub(r"[\s#'\"\\]+", "_", patch.bc_type or patch.family or patch.name)
-    ranges = [
-        _index_range(w.block, w.side, dict(zip(w.side.tangential, zip(w.low, w.high, strict=True), strict=True)))
-        for w in patch.windows
-    ]
-    # A patched interface is one entry with both its faces.
-    if word.lower() == "patched" and len(ranges) == 2:
-        ranges = ["".join(ranges)]
-    return [f"{word:20s}{text}" for text in ranges]
-
-
-def _connection_lines(grid: Grid) -> Iterator[str]:
+    for patch in grid.patches:
+        word = re.sub(r"[\s#'\"\\]+", "_", patch.bc_type or patch.family or patch.name)
+        ranges = [
+            _index_range(w.block, w.side, dict(zip(w.side.tangential, zip(w.low, w.high, strict=True), strict=True)))
+            for w in patch.windows
+        ]
+        # A patched interface is one entry with both its faces.
+        if word.lower() == "patched" and len(ranges) == 2:
+            ranges = ["".join(ranges)]
+        lines += [f"{word:20s}{text}" for text in ranges]
     written = set()
     for connection in grid.connections:
         faces = _sides_of_connection(connection, grid.shapes[connection.block])
@@ -322,9 +314,10 @@ def _connection_lines(grid: Grid) -> Iterator[str]:
         if connection.periodic is None:
             (primary, _), (_, donor_secondary) = (_NUMBERED[side][1] for _, side, _ in faces)
             swap = abs(connection.transform[primary]) - 1 == donor_secondary
-            yield f"{'one-to-one':20s}{here}{there}  {str(swap).lower()}"
+            lines.append(f"{'one-to-one':20s}{here}{there}  {str(swap).lower()}")
         else:
-            yield from (f"{'periodic':20s}{here}", f"{'periodic':20s}{there}")
+            lines += [f"{'periodic':20s}{here}", f"{'periodic':20s}{there}"]
+    return "\n".join(lines) + "\n"
 
 
 def _sides_of_connection(

@@ -249,7 +249,14 @@ def override(data: Table, text: str) -> None:
         raise CaseError(f"--set {text!r}: unknown key {last!r}; did you mean 'constants.{last}'?")
     target: Any = data
     for name in path:
-        target = target.setdefault(name, {}) if isinstance(target, dict) else _entry(target, name, text)
+        if isinstance(target, list):
+            entries = [(str(e.get("name", n)), str(n), e) for n, e in enumerate(target, 1) if isinstance(e, dict)]
+            target = next((entry for known, number, entry in entries if name in (known, number)), None)
+            if target is None:
+                known = ", ".join(entry[0] for entry in entries) or "none"
+                raise CaseError(f"--set {text!r}: no entry {name!r}; known are {known}")
+        else:
+            target = target.setdefault(name, {})
         if not isinstance(target, (dict, list)):
             raise CaseError(f"--set {text!r}: {name!r} is a value, not a table")
     if isinstance(target, list):
@@ -258,11 +265,3 @@ def override(data: Table, text: str) -> None:
             f'boundary.wing.kind="fixed", or give the list as a whole'
         )
     target[last] = parsed
-
-
-def _entry(entries: list[Any], name: str, text: str) -> Any:
-    for number, entry in enumerate(entries, 1):
-        if isinstance(entry, dict) and (entry.get("name") == name or str(number) == name):
-            return entry
-    known = [str(e.get("name", n)) for n, e in enumerate(entries, 1) if isinstance(e, dict)]
-    raise CaseError(f"--set {text!r}: no entry {name!r}; known are {', '.join(known) or 'none'}")

@@ -32,6 +32,7 @@ _TURNS = ("rx", "ry", "rz")
 _QUATERNION = ("qx", "qy", "qz", "qw")
 _ORDERS = [order for axes in permutations("xyz") for order in ("".join(axes), "".join(axes).upper())]
 _FILE = "a file name: "
+_LETTERS = "abcdefghijklmnopqrstuvwxyz_-"
 _Whole = Annotated[int, Meta(ge=1)]
 _TwoOrMore = Annotated[int, Meta(ge=2)]
 _Index = int | Literal["*"]
@@ -185,7 +186,16 @@ class ModesForm(Form):
             return Modes(shapes, tuple(context.formula(part, True) for part in self.amplitudes), context.matching)
         path = context.folder / self.amplitudes.file
         names, values = read_history(path)
-        order = [_column(path, names, *label, alone=len(labels) == 1) for label in labels]
+        # A column is called like the file of its shape or by its number (q2, mode_2, 2); of one shape it is any.
+        order = [1] if len(names) == 2 and len(labels) == 1 else list[int]()
+        for number, name in labels if not order else ():
+            numbered = [column for column in names[1:] if column.lstrip(_LETTERS) == str(number)]
+            found = [column for column in names[1:] if name and column == name] or numbered
+            if len(found) != 1:
+                which = f"of which {len(found) or 'none'} belong to shape {number}"
+                expected = f"expected one called q{number}{f' or {name}' if name else ''}"
+                raise FormatError(f"{path} has the columns {' '.join(names)}, {which}; {expected}")
+            order.append(names.index(found[0]))
         return Modes(shapes, History(values[:, 0], values[:, order], str(path)), context.matching)
 
     def _shapes(self, context: Context) -> tuple[list[tuple[int, str]], tuple[SurfaceData | Grid, ...]]:
@@ -207,21 +217,6 @@ class ModesForm(Form):
                 f"shapes = {literal(chosen)}; expected numbers from 1 to {len(found)}, which {path} has"
             )
         return [(number, "") for number in chosen], tuple(found[number - 1] for number in chosen)
-
-
-def _column(path: Path, names: list[str], number: int, name: str, alone: bool) -> int:
-    """The column of a shape, called like its file or by its number: ``q2``, ``mode_2``, ``2``; of a single shape the
-    only one."""
-    if len(names) == 2 and alone:
-        return 1
-    numbered = [column for column in names[1:] if column.lstrip("abcdefghijklmnopqrstuvwxyz_-") == str(number)]
-    found = [column for column in names[1:] if name and column == name] or numbered
-    if len(found) != 1:
-        raise FormatError(
-            f"{path} has the columns {' '.join(names)}, of which {len(found) or 'none'} belong to shape {number}; "
-            f"expected one called q{number}{f' or {name}' if name else ''}"
-        )
-    return names.index(found[0])
 
 
 class AirfoilForm(Form):

@@ -184,19 +184,24 @@ def read_case(
             data["method"]["name"] = method
         parsed = _parse(data, folder, overrides)
     except (CaseError, MethodError) as error:
-        raise type(error)(f"{_origin(path, folder, bool(overrides or method))}: {error}") from error
+        # The command line is at fault if there is no file, or it has no error without the changes.
+        origin = str(path or "command line")
+        if path is not None and (overrides or method):
+            with suppress(CaseError, MethodError):
+                _parse(load(path), folder)
+                origin = "command line"
+        raise type(error)(f"{origin}: {error}") from error
     if table is None:
         return parsed
-    return _with_table(parsed, Path(table), times, matching or Matching(AUTOMATIC, partial=True))
-
-
-def _origin(path: Path | None, folder: Path, changed: bool) -> str:
-    """What an error concerns: the command line, if there is no file or it had no error before it was ``changed``."""
-    if path is not None and changed:
-        with suppress(CaseError, MethodError):
-            _parse(load(path), folder)
-            return "command line"
-    return str(path or "command line")
+    table, matching = Path(table), matching or Matching(AUTOMATIC, partial=True)
+    if times is None:
+        step, files = Follow(read_displacement(table), matching), [table]
+    else:
+        files, when = files_over_time(str(table), times, Path(), f"--displacement {table}")
+        step = Follow(lambda number: read_displacement(files[number]), matching, when)
+    spec = BoundarySpec(table.name, ("*",), Kind.MOVING, None, Motion((step,), parsed.case.constants))
+    case = replace(parsed.case, boundaries=(*parsed.case.boundaries, spec))
+    return replace(parsed, case=case, files=(*parsed.files, *files))
 
 
 def case_of(content: Mapping[str, Any], folder: str | Path = ".") -> CaseFile:
@@ -208,19 +213,6 @@ def case_of(content: Mapping[str, Any], folder: str | Path = ".") -> CaseFile:
     Raises CaseError with the key and the nearest known one.
     """
     return _parse(plain(content), Path(folder))
-
-
-def _with_table(parsed: CaseFile, table: Path, times: str | None, matching: Matching) -> CaseFile:
-    """The case with an additional boundary entry: the nodes matched by a table or a sequence of tables."""
-    where = f"--displacement {table}"
-    if times is None:
-        step, files = Follow(read_displacement(table), matching), [table]
-    else:
-        files, when = files_over_time(str(table), times, Path(), where)
-        step = Follow(lambda number: read_displacement(files[number]), matching, when)
-    spec = BoundarySpec(table.name, ("*",), Kind.MOVING, None, Motion((step,), parsed.case.constants))
-    case = replace(parsed.case, boundaries=(*parsed.case.boundaries, spec))
-    return replace(parsed, case=case, files=(*parsed.files, *files))
 
 
 def _parse(data: Table, folder: Path, overrides: Sequence[str] = ()) -> CaseFile:

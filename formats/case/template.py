@@ -41,21 +41,6 @@ _SMALLEST = 1e-9
 
 
 @dataclass(frozen=True)
-class _Entry:
-    """One ``[[boundary]]``; its surfaces are selected by family or patch, or face by face."""
-
-    name: str
-    kind: str
-    surfaces: tuple[Surface, ...]
-
-    @property
-    def box(self) -> FloatArray:
-        """Lowest and highest coordinates (2, 3)."""
-        boxes = np.array([surface.box for surface in self.surfaces])
-        return np.array([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
-
-
-@dataclass(frozen=True)
 class FittedTable:
     """A table, the names of the surfaces that it moves, and a match and tolerance that cover all their nodes."""
 
@@ -119,7 +104,7 @@ def case_template(
                    "# them an entry below that moves them:", f"# {plates_line(outside.plates)}"]  # fmt: skip
     if header:
         lines += ["[grid]", *header, ""]
-    if not any(entry.kind == "moving" for entry in entries):
+    if not any(kind == "moving" for _, kind, _ in entries):
         lines += ['# No wall was found. The boundary that moves has kind = "moving" and a motion, for example:',
                   '#   kind = "moving"', "#   motion = [ { translate = [0.0, 0.0, 0.0] } ]", ""]  # fmt: skip
     for entry in entries:
@@ -130,6 +115,10 @@ def case_template(
 def plates_line(plates: Sequence[Surface]) -> str:
     """The line of ``[grid]`` that declares faces between blocks thin plates."""
     return f"plates = [{', '.join(_text(_pattern(plate.name)) for plate in plates)}]"
+
+
+_Entry = tuple[str, str, Sequence[Surface]]
+"""One ``[[boundary]]``: its name, kind, and surfaces, which are selected by family or patch, or face by face."""
 
 
 def _template_entries(grid: Grid, outside: Outside, table: FittedTable | None) -> Iterator[_Entry]:
@@ -150,7 +139,7 @@ def _template_entries(grid: Grid, outside: Outside, table: FittedTable | None) -
         while unique in taken:
             unique = f"{unique}-{kind}" if unique == name else f"{unique}+"
         taken.add(unique)
-        yield _Entry(unique, kind, tuple(surfaces))
+        yield unique, kind, surfaces
 
 
 def _kind(grid: Grid, surface: Surface) -> str:
@@ -178,18 +167,19 @@ def _in_one_plane(grid: Grid, surface: Surface) -> bool:
     )
 
 
-def _motion(grid: Grid, outside: Outside, entry: _Entry) -> Iterator[str]:
+def _motion(grid: Grid, outside: Outside, surfaces: Sequence[Surface]) -> Iterator[str]:
     """A motion to fill in, with examples of a size that suits the wall.
 
     The examples keep the wall in the plane of a plane or extruded grid, or on its symmetry plane: rotations about the
     normal, and bending that begins at the plane.
     """
-    low, high = entry.box
+    boxes = np.array([surface.box for surface in surfaces])
+    low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
     # The normal of a plane grid or of the end planes of an extruded one.
     ends = [face for face, role in zip(outside.faces, outside.roles, strict=True) if role is Role.END and face.plane]
     normal, place = (ends[0].plane.normal if ends and ends[0].plane else thin_direction(grid)), None
     if normal is None:
-        normal, place = _symmetry(outside, entry.box)
+        normal, place = _symmetry(outside, np.array([low, high]))
     axis = 2 if normal is None else int(np.argmax(np.abs(normal)))
     if place is not None:
         name = "xyz"[axis]
@@ -229,25 +219,26 @@ def _symmetry(outside: Outside, box: FloatArray) -> tuple[FloatArray | None, flo
 
 
 def _entry_lines(grid: Grid, outside: Outside, entry: _Entry, table: FittedTable | None) -> Iterator[str]:
-    first = entry.surfaces[0]
+    name, kind, surfaces = entry
+    first = surfaces[0]
     mark = "" if first.declared or first.role is Role.UNKNOWN else "?"
     yield "[[boundary]]"
-    yield f"name = {_text(entry.name)}   # role: {first.role.value}{mark}"
+    yield f"name = {_text(name)}   # role: {first.role.value}{mark}"
     if first.named:
-        yield from (f"# {_place_of_surface(surface)}" for surface in entry.surfaces)
-        yield f"select = [{', '.join(_text(_pattern(surface.name)) for surface in entry.surfaces)}]"
+        yield from (f"# {_place_of_surface(surface)}" for surface in surfaces)
+        yield f"select = [{', '.join(_text(_pattern(surface.name)) for surface in surfaces)}]"
     else:
         yield "select = ["
-        for surface in entry.surfaces:
+        for surface in surfaces:
             # Brackets in the name of the block become `?`, those of its face stay.
             block = grid.names[surface.faces[0].window.block]
             pattern = _pattern(block) + surface.name.removeprefix(block)
             yield f"    {_text(pattern)},   # {_place_of_surface(surface)}"
         yield "]"
-    yield f'kind = "{entry.kind}"'
-    if entry.kind == "moving" and table is None:
-        yield from _motion(grid, outside, entry)
-    elif entry.kind == "moving" and table is not None:
+    yield f'kind = "{kind}"'
+    if kind == "moving" and table is None:
+        yield from _motion(grid, outside, surfaces)
+    elif kind == "moving" and table is not None:
         match = f'match = "{table.match}", tolerance = {table.tolerance:g}'
         yield f"motion = [ {{ file = {_text(table.file)}, {match} }} ]"
 

@@ -53,10 +53,19 @@ def boundary_nodes(grid: Grid, families: dict[str, str]) -> list[list[Node]]:
     nodes = []
     for block, part in enumerate(parts):
         names = unique_names((patch.name for patch, _ in part), "BC")
-        conditions = [
-            _condition(name, patch, window, grid.shapes[block], families)
-            for name, (patch, window) in zip(names, part, strict=True)
-        ]
+        conditions = []
+        for name, (patch, window) in zip(names, part, strict=True):
+            begin, end = [0, 0, 0], [0, 0, 0]
+            begin[window.side.axis] = end[window.side.axis] = window.side.layer(grid.shapes[block])
+            for axis, low, high in zip(window.side.tangential, window.low, window.high, strict=True):
+                begin[axis], end[axis] = low, high
+            children = [make("PointRange", "IndexRange_t", point_range(grid.shapes[block], begin, end))]
+            if _family(patch):
+                children.append(make("FamilyName", "FamilyName_t", families[_family(patch)]))
+            kind = bc_type(patch.bc_type)
+            if patch.bc_type and kind != patch.bc_type:
+                children.append(make("BoundaryCondition", "Descriptor_t", patch.bc_type))
+            conditions.append(make(name, "BC_t", kind, children))
         nodes.append([make("ZoneBC", "ZoneBC_t", None, conditions)] if conditions else [])
     return nodes
 
@@ -86,20 +95,6 @@ def point_range(shape: Shape, begin: Sequence[int], end: Sequence[int]) -> np.nd
 def _family(patch: Patch) -> str:
     """The family of a patch; a patch that becomes several BC_t can still be selected as one by its family."""
     return patch.family or (patch.name if len(patch.windows) > 1 else "")
-
-
-def _condition(name: str, patch: Patch, window: Window, shape: Shape, families: dict[str, str]) -> Node:
-    begin, end = [0, 0, 0], [0, 0, 0]
-    begin[window.side.axis] = end[window.side.axis] = window.side.layer(shape)
-    for axis, low, high in zip(window.side.tangential, window.low, window.high, strict=True):
-        begin[axis], end[axis] = low, high
-    children = [make("PointRange", "IndexRange_t", point_range(shape, begin, end))]
-    if _family(patch):
-        children.append(make("FamilyName", "FamilyName_t", families[_family(patch)]))
-    kind = bc_type(patch.bc_type)
-    if patch.bc_type and kind != patch.bc_type:
-        children.append(make("BoundaryCondition", "Descriptor_t", patch.bc_type))
-    return make(name, "BC_t", kind, children)
 
 
 def connectivity_nodes(grid: Grid, zones: tuple[str, ...]) -> list[list[Node]]:

@@ -132,8 +132,22 @@ def _zone(node: Node, base: Base, notes: Notes) -> Zone:
             f"zone {node.name} has {sizes.tolist()} nodes but {cells.tolist()} cells; expected one cell less along "
             f"each index, {(sizes - 1).tolist()}: one of the two must be wrong"
         )
-    grid = _grid_coordinates(node, notes)
-    rind = _rind(grid, base.cell_dimension, node.name, notes)
+    grids = node.labelled("GridCoordinates_t")
+    grid = next((each for each in grids if each.name == "GridCoordinates"), grids[0] if len(grids) == 1 else None)
+    if grid is None:
+        found = f"only {', '.join(each.name for each in grids)}" if grids else "no GridCoordinates_t"
+        raise FormatError(f"zone {node.name} has {found}; expected its original grid, GridCoordinates")
+    for each in grids:
+        if each is not grid:
+            notes.add("additional grids of a zone (at other times) are kept as they are", f"{node.name}/{each.name}")
+    # Planes around the zone's own nodes, at the low and high end of each index.
+    rind = np.zeros((base.cell_dimension, 2), np.int64)
+    for planes in grid.labelled("Rind_t")[:1]:
+        rind = planes.integers(2 * base.cell_dimension).reshape(-1, 2)
+    if (rind < 0).any():
+        raise FormatError(f"zone {node.name} has {rind.tolist()} rind planes; expected none or more at each end")
+    if rind.any():
+        notes.add("rind planes are not part of the grid and keep their coordinates in the file", node.name)
     core = tuple(slice(int(low), int(low + n)) for (low, _), n in zip(rind, sizes, strict=True))
     stored = tuple(int(n) for n in sizes + rind.sum(axis=1))
     coordinates = _coordinates(grid, base.dimension, stored, node.name)
@@ -151,31 +165,6 @@ def _zone(node: Node, base: Base, notes: Notes) -> Zone:
             notes.add("coordinates have a DataConversion; they are used as stored", f"{node.name}/{array.name}")
     ni, nj, nk = (*(int(n) for n in sizes), 1)[:3]
     return Zone(node, (ni, nj, nk), grid, coordinates, core)
-
-
-def _grid_coordinates(zone: Node, notes: Notes) -> Node:
-    grids = zone.labelled("GridCoordinates_t")
-    original = [node for node in grids if node.name == "GridCoordinates"] or grids[:1]
-    if not original or (len(grids) > 1 and original[0].name != "GridCoordinates"):
-        found = f"only {', '.join(node.name for node in grids)}" if grids else "no GridCoordinates_t"
-        raise FormatError(f"zone {zone.name} has {found}; expected its original grid, GridCoordinates")
-    for node in grids:
-        if node is not original[0]:
-            notes.add("additional grids of a zone (at other times) are kept as they are", f"{zone.name}/{node.name}")
-    return original[0]
-
-
-def _rind(grid: Node, axes: int, zone: str, notes: Notes) -> np.ndarray:
-    """Rind planes around the zone's own nodes, ``(axes, 2)``: at the low and high end of each index."""
-    nodes = grid.labelled("Rind_t")
-    if not nodes:
-        return np.zeros((axes, 2), np.int64)
-    planes = nodes[0].integers(2 * axes).reshape(axes, 2)
-    if (planes < 0).any():
-        raise FormatError(f"zone {zone} has {planes.tolist()} rind planes; expected none or more at each end")
-    if planes.any():
-        notes.add("rind planes are not part of the grid and keep their coordinates in the file", zone)
-    return planes
 
 
 def _coordinates(grid: Node, dimension: int, stored: tuple[int, ...], zone: str) -> tuple[Node, ...]:

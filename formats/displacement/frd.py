@@ -104,50 +104,45 @@ def _read_displacements(path: Path) -> dict[str, DisplacementTable]:
     except UnicodeDecodeError:
         raise FormatError(f"{path} is binary; write it as text (in CalculiX the default)") from None
     try:
-        return _read_blocks(path, lines)
+        numbers, points = np.empty(0, dtype=np.int64), np.empty((0, 3))
+        faces: list[IntArray] = []
+        found: list[_Displacements] = []
+        ended = False
+        for line in lines:
+            key, values = line[:6].strip(), line.split()
+            if key == "2C":
+                numbers, points = _rows_of_block(lines.block(), _width(values), int(values[1]))
+            elif key == "3C":
+                faces = _faces_of_elements(lines.block(), _width(values), int(values[1]))
+            elif line[2:7] == "100CL":
+                step = _step(path, lines, line, len(found) + 1)
+                found += [step] if step else []
+            elif key == "9999":
+                ended = True
+        if not ended:
+            raise ValueError("it does not end with 9999")
+        if not len(numbers):
+            raise FormatError(f"{path} has no nodes")
+        # Displacements at the nodes of the ``faces`` (m, 3) or (m, 4), node numbers of their corners.
+        if not found:
+            raise FormatError(f"{path} has no displacements of nodes")
+        corners = np.concatenate([NO_TRIANGLES, *(split_cells(face, face.shape[1]) for face in faces)])
+        used = np.unique(corners) if len(corners) else np.unique(numbers)
+        # This also covers nodes without coordinates, or with two of them.
+        _rows_of(path, numbers, used)
+        for each in found:
+            missing = used[~np.isin(used, each.numbers)]
+            if missing.size and len(corners):
+                where = f"{missing.size} nodes of the surface, first {missing[0]}"
+                raise FormatError(f"{path}: {each.label} has no displacement at {where}")
+            used = used[np.isin(used, each.numbers)]
+        place, triangles = points[_rows_of(path, numbers, used)], np.searchsorted(used, corners)
+        return {
+            each.label: DisplacementTable(place, each.values[_rows_of(path, each.numbers, used)], triangles, row_place)
+            for each in found
+        }
     except (ValueError, IndexError) as error:
         raise FormatError(f"cannot read {path} as .frd: {error}, line {lines.number}; the file is damaged") from error
-
-
-def _read_blocks(path: Path, lines: _Lines) -> dict[str, DisplacementTable]:
-    numbers, points = np.empty(0, dtype=np.int64), np.empty((0, 3))
-    faces: list[IntArray] = []
-    found: list[_Displacements] = []
-    ended = False
-    for line in lines:
-        key, values = line[:6].strip(), line.split()
-        if key == "2C":
-            numbers, points = _rows_of_block(lines.block(), _width(values), int(values[1]))
-        elif key == "3C":
-            faces = _faces_of_elements(lines.block(), _width(values), int(values[1]))
-        elif line[2:7] == "100CL":
-            step = _step(path, lines, line, len(found) + 1)
-            found += [step] if step else []
-        elif key == "9999":
-            ended = True
-    if not ended:
-        raise ValueError("it does not end with 9999")
-    if not len(numbers):
-        raise FormatError(f"{path} has no nodes")
-    # Displacements at the nodes of the ``faces`` (m, 3) or (m, 4), node numbers of their corners.
-    if not found:
-        raise FormatError(f"{path} has no displacements of nodes")
-    corners = np.concatenate([NO_TRIANGLES, *(split_cells(face, face.shape[1]) for face in faces)])
-    used = np.unique(corners) if len(corners) else np.unique(numbers)
-    # This also covers nodes without coordinates, or with two of them.
-    _rows_of(path, numbers, used)
-    for each in found:
-        missing = used[~np.isin(used, each.numbers)]
-        if missing.size and len(corners):
-            raise FormatError(
-                f"{path}: {each.label} has no displacement at {missing.size} nodes of the surface, first {missing[0]}"
-            )
-        used = used[np.isin(used, each.numbers)]
-    place, triangles = points[_rows_of(path, numbers, used)], np.searchsorted(used, corners)
-    return {
-        each.label: DisplacementTable(place, each.values[_rows_of(path, each.numbers, used)], triangles, row_place)
-        for each in found
-    }
 
 
 def _width(words: list[str]) -> int:

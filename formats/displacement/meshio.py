@@ -83,8 +83,12 @@ def _gmsh(path: Path) -> str:
         count = int(bodies[b"Nodes"].split(maxsplit=1)[0])
         rows = None if binary else np.array(bodies[b"Nodes"].split()[1:], dtype=np.float64).reshape(count, 4)
         nodes = np.arange(1, count + 1) if rows is None else rows[:, 0]
-        if not binary:
-            _require_elements(bodies.get(b"Elements", b"0"))
+        # Of elements with a wrong number of nodes meshio takes the last ones, and it counts nodes below 1 from the end.
+        elements = [] if binary else bodies.get(b"Elements", b"0").split(b"\n")[1:]
+        for words in ([int(word) for word in line.split()] for line in elements if line.split()):
+            corners = words[3 + words[2] :]
+            if min(corners, default=0) < 1 or len(corners) != _GMSH_NODES.get(words[1], len(corners)):
+                raise ValueError(f"the element {' '.join(map(str, words))} does not have the nodes of its type")
     else:
         nodes = _numbers_in_blocks(bodies[b"Nodes"], binary)
     if len(np.unique(nodes)) != len(nodes) or (nodes != np.floor(nodes)).any() or nodes.min(initial=1) < 1:
@@ -131,18 +135,6 @@ def _numbers_of_data(body: bytes, binary: bool) -> tuple[str, NDArray[Any]]:
     else:
         numbers = np.array(rest.split(), dtype=np.float64).reshape(rows, 1 + components)[:, 0]
     return tags[0][0].decode("utf-8", "replace").strip(), numbers
-
-
-def _require_elements(body: bytes) -> None:
-    """Refuse elements with a wrong number of nodes, of which meshio takes the last ones, or with nodes below 1, which
-    it counts from the end."""
-    for line in body.split(b"\n")[1:]:
-        words = [int(word) for word in line.split()]
-        if not words:
-            continue
-        nodes = words[3 + words[2] :]
-        if min(nodes, default=0) < 1 or len(nodes) != _GMSH_NODES.get(words[1], len(nodes)):
-            raise ValueError(f"the element {' '.join(map(str, words))} does not have the nodes of its type")
 
 
 class _Ply(io.BytesIO):

@@ -50,7 +50,18 @@ def block_mesh(layout: BlockMeshDict) -> Grid:
             f"{layout.path} describes {nodes:,} nodes, which take about {readable(nodes * _NODE_BYTES)}; "
             f"{available.source} {readable(available.size)}. Check the numbers of cells"
         )
-    edges = [_block_edges(layout, block) for block in layout.blocks]
+    edges = [list[Edge]() for _ in layout.blocks]
+    for block, own in zip(layout.blocks, edges, strict=True):
+        for number, (a, b) in enumerate(_EDGES):
+            first, last = block.vertices[a], block.vertices[b]
+            cells, grading = block.cells[number // 4], block.gradings[number]
+            if (last, first) in layout.curves:
+                backwards = divide(cells, reversed_grading(grading))
+                own.append((1.0 - backwards[::-1], layout.curves[last, first](backwards)[::-1]))
+            else:
+                at = divide(cells, grading)
+                curve = layout.curves.get((first, last)) or straight(layout.vertices[first], layout.vertices[last])
+                own.append((at, curve(at)))
     _require_matching(layout, edges)
     names = [block.name for block in layout.blocks]
     # Patches have their names as families, too; some have no faces.
@@ -83,21 +94,6 @@ def _regions(layout: BlockMeshDict) -> tuple[str, ...]:
         for number, (own, found) in enumerate(zones.items(), start=1)
     }
     return tuple(names[own] for own in region)
-
-
-def _block_edges(layout: BlockMeshDict, block: HexBlock) -> list[Edge]:
-    found = []
-    for number, (a, b) in enumerate(_EDGES):
-        first, last = block.vertices[a], block.vertices[b]
-        cells, grading = block.cells[number // 4], block.gradings[number]
-        if (last, first) in layout.curves:
-            backwards = divide(cells, reversed_grading(grading))
-            found.append((1.0 - backwards[::-1], layout.curves[last, first](backwards)[::-1]))
-        else:
-            at = divide(cells, grading)
-            curve = layout.curves.get((first, last)) or straight(layout.vertices[first], layout.vertices[last])
-            found.append((at, curve(at)))
-    return found
 
 
 def _require_matching(layout: BlockMeshDict, edges: Sequence[Sequence[Edge]]) -> None:
@@ -194,8 +190,20 @@ def _cyclic_pairs(layout: BlockMeshDict, one: FoamPatch, two: FoamPatch) -> list
     vertices = layout.vertices * layout.scale
     corners = {(block, side): vertices[[layout.blocks[block].vertices[v] for v in SIDE_VERTICES[side]]]
                for block, side in (*one.sides, *two.sides)}  # fmt: skip
-    means = (np.mean([corners[place] for place in patch.sides], axis=(0, 1)) for patch in (one, two))
-    motion = _cyclic_motion(one, *means)
+    # The rotation about the declared axis, else the translation, that maps one mean point onto the other.
+    mean, image = (np.mean([corners[place] for place in patch.sides], axis=(0, 1)) for patch in (one, two))
+    if one.content.text("transform") != "rotational" and "rotationAxis" not in one.content.entries:
+        motion = Periodicity(translation=tuple((image - mean).tolist()))
+    else:
+        axis, center = (
+            np.array(declared.point(key)) if (declared := one.content.reading(key)).more else np.array(default)
+            for key, default in (("rotationAxis", (0.0, 0.0, 1.0)), ("rotationCentre", (0.0, 0.0, 0.0)))
+        )
+        axis = axis / max(float(np.linalg.norm(axis)), 1e-30)
+        a, b = (x - center - ((x - center) @ axis) * axis for x in (mean, image))
+        turn = scipy.spatial.transform.Rotation.from_rotvec(np.arctan2(np.cross(a, b) @ axis, a @ b) * axis)
+        # Lower case: about the fixed axes x, y, z in turn.
+        motion = Periodicity(*(tuple(values.tolist()) for values in (center, turn.as_euler("xyz", degrees=True))))
     size = float(np.ptp(np.concatenate(list(corners.values())), axis=0).max())
     found = []
     for number, own in enumerate(one.sides):
@@ -206,22 +214,6 @@ def _cyclic_pairs(layout: BlockMeshDict, one: FoamPatch, two: FoamPatch) -> list
                 found.append(_cyclic_connection(layout, f"{one.name}-{number + 1}", own, donor, nearest, motion))
                 break
     return found if len(found) == len(one.sides) else []
-
-
-def _cyclic_motion(patch: FoamPatch, mean: FloatArray, image: FloatArray) -> Periodicity:
-    """The rotation about the declared axis, else the translation, that maps one mean point onto the other."""
-    if patch.content.text("transform") != "rotational" and "rotationAxis" not in patch.content.entries:
-        x, y, z = (image - mean).tolist()
-        return Periodicity(translation=(x, y, z))
-    axis, center = (
-        np.array(found.point(key)) if (found := patch.content.reading(key)).more else np.array(default)
-        for key, default in (("rotationAxis", (0.0, 0.0, 1.0)), ("rotationCentre", (0.0, 0.0, 0.0)))
-    )
-    axis = axis / max(float(np.linalg.norm(axis)), 1e-30)
-    a, b = (x - center - ((x - center) @ axis) * axis for x in (mean, image))
-    turn = scipy.spatial.transform.Rotation.from_rotvec(np.arctan2(np.cross(a, b) @ axis, a @ b) * axis)
-    # Lower case: about the fixed axes x, y, z in turn.
-    return Periodicity(*(tuple(values.tolist()) for values in (center, turn.as_euler("xyz", degrees=True))))
 
 
 def _cyclic_connection(

@@ -180,24 +180,20 @@ def _block(items: Reading, known: _Vertices, number: int) -> HexBlock:
     if any(n < 1 or n != int(n) for n in counts) or math.prod(counts) > _MOST_CELLS:
         items.fail(f"a block of {' x '.join(f'{n:g}' for n in counts)} cells; expected {expected}")
     cells = (int(counts[0]), int(counts[1]), int(counts[2]))
-    return HexBlock(name, tuple(vertices), zone, cells, _gradings(items, cells), line)
-
-
-def _gradings(items: Reading, cells: Shape) -> tuple[Grading, ...]:
-    word = items.next_word()
-    if word not in (None, *_GRADINGS):
-        items.fail(f"found {word!r}, expected simpleGrading or edgeGrading")
+    kind = items.next_word()
+    if kind not in (None, *_GRADINGS):
+        items.fail(f"found {kind!r}, expected simpleGrading or edgeGrading")
     values, found = items.list("expansion ratios"), []
     while values.more:
         found.append(_grading(values))
     if len(found) not in (1, 3, 12):
         items.fail(f"{len(found)} expansion ratios; expected 1, 3 (along i, j, k) or 12 (one for each edge)")
-    edges = [found[number * len(found) // 12] for number in range(12)]
-    for number, grading in enumerate(edges):
-        count = cells[number // 4]
+    edges = tuple(found[edge * len(found) // 12] for edge in range(12))
+    for edge, grading in enumerate(edges):
+        count = cells[edge // 4]
         if count >= len(grading) and section_cells(count, grading).min() < 1:
             items.fail(f"a section has no cells: {count} cells in parts {[p.cells for p in grading]}")
-    return tuple(edges)
+    return HexBlock(name, tuple(vertices), zone, cells, edges, line)
 
 
 def _grading(values: Reading) -> Grading:

@@ -269,25 +269,18 @@ class _Parser:
         # $.x is in this dictionary, $..x in the one around it.
         for _ in range(len(name) - len(name.lstrip(".")) - 1):
             place = place.outer if place is not None else None
+        name = name.lstrip(".")
+        *path, last = re.split(r"[./]", name)
         while place is not None:
-            found = _at(place, name.lstrip("."))
-            if found is not None:
-                return found
+            if name in place.entries:
+                return place.entries[name]
+            inner: Items | Dictionary | None = place
+            for part in path:
+                inner = inner.entries.get(part) if isinstance(inner, Dictionary) else None
+            if isinstance(inner, Dictionary) and last in inner.entries:
+                return inner.entries[last]
             place = place.outer
         return self._fail(f"{token.text} refers to an entry that does not exist before it")
-
-
-def _at(place: Dictionary, name: str) -> Items | Dictionary | None:
-    """An entry by its name or by a path of names."""
-    if name in place.entries:
-        return place.entries[name]
-    *path, last = re.split(r"[./]", name)
-    for part in path:
-        inner = place.entries.get(part)
-        if not isinstance(inner, Dictionary):
-            return None
-        place = inner
-    return place.entries.get(last)
 
 
 class Reading:

@@ -228,7 +228,15 @@ def boundary_patches(
         walls = [marker.quads for marker in markers if marker.patch is not None and is_wall(marker.patch)]
         # Without OpenFOAM's own types, one layer of cells is taken for a plane grid, unless it is between walls.
         ends &= not ends[np.concatenate([np.empty(0, dtype=np.int64), *walls])].any()
-        markers = [part for marker in markers for part in _parted(marker, ends)]
+        # The faces of a family that lie on the two sides of a plane grid are split off.
+        whole, markers = markers, []
+        for marker in whole:
+            own = ends[marker.quads]
+            if marker.partner or own.all() or not own.any():
+                markers.append(marker)
+            else:
+                parts = (marker.name, marker.quads[~own]), (f"{marker.name}_empty", marker.quads[own])
+                markers += [Marker(name, quads, marker.patch) for name, quads in parts]
     own_names = [marker.name for marker in markers]
     words = (_FORBIDDEN.sub("_", n).strip("_") or "patch" if _FORBIDDEN.search(n) else n for n in own_names)
     names = dict(zip(own_names, distinct(words), strict=True))
@@ -251,15 +259,6 @@ def boundary_patches(
             turned = np.take_along_axis(corners, (nearest[:, None] + np.arange(4)) % 4, axis=1)
             found[marker.partner] = dataclasses.replace(found[marker.partner], corners=turned)
     return list(found.values())
-
-
-def _parted(marker: Marker, ends: BoolArray) -> list[Marker]:
-    """Split off the faces of a family that lie on the two sides of a plane grid."""
-    own = ends[marker.quads]
-    if marker.partner or own.all() or not own.any():
-        return [marker]
-    parts = (marker.name, marker.quads[~own]), (f"{marker.name}_empty", marker.quads[own])
-    return [Marker(name, quads, marker.patch) for name, quads in parts]
 
 
 def _type(grid: Grid, topology: Topology, marker: Marker, ends: BoolArray) -> str:

@@ -168,7 +168,29 @@ def read_ascii(path: Path, options: Mapping[str, Any]) -> Grid:
         return [r for r in readings if r.variant.iblank and r.segments[0][0] + sum(map(math.prod, r.shapes)) == count]
 
     def load(reading: Reading) -> Grid:
-        return _assemble(reading, path, numbers)
+        grid, flags = allocate(reading, path)
+        dimension = reading.variant.dimension
+        position = reading.segments[0][0]
+
+        def put(index: int) -> None:
+            nonlocal position
+            block, count = grid.block(index), math.prod(grid.shapes[index])
+            arrays = numbers[position:][: (dimension + reading.variant.iblank) * count].reshape(-1, count)
+            position += arrays.size
+            merge(block, iter(arrays[:dimension]), dimension)
+            block[..., dimension:] = 0.0
+            if flags:
+                values = arrays[dimension]
+                whole = (values == np.rint(values)) & (np.abs(values) < 2**31)
+                if not whole.all():
+                    first = values[np.argmin(whole)]
+                    raise FormatError(
+                        f"{path} has the size for IBLANK values, but one of them is {first:g}, not an integer"
+                    )
+                flags[index][...] = values.reshape(block.shape[2::-1]).T
+
+        grid.fill(put)
+        return grid
 
     head = numbers[:LONGEST_HEADER]
     integers = np.where((head == np.rint(head)) & (np.abs(head) < 2**31), head, 0).astype(np.int64)
@@ -193,30 +215,3 @@ def write_ascii(grid: Grid, stream: BinaryIO, variant: Variant) -> None:
             for start in range(0, flat.size, _LINES):
                 # If integers follow, a number without a dot must be an integer.
                 stream.write(number_lines(flat[start : start + _LINES], dotted=variant.iblank))
-
-
-def _assemble(reading: Reading, path: Path, numbers: FloatArray) -> Grid:
-    """The grid of a reading from all numbers of a text."""
-    grid, flags = allocate(reading, path)
-    dimension = reading.variant.dimension
-    position = reading.segments[0][0]
-
-    def put(index: int) -> None:
-        nonlocal position
-        block, count = grid.block(index), math.prod(grid.shapes[index])
-        arrays = numbers[position:][: (dimension + reading.variant.iblank) * count].reshape(-1, count)
-        position += arrays.size
-        merge(block, iter(arrays[:dimension]), dimension)
-        block[..., dimension:] = 0.0
-        if flags:
-            values = arrays[dimension]
-            whole = (values == np.rint(values)) & (np.abs(values) < 2**31)
-            if not whole.all():
-                first = values[np.argmin(whole)]
-                raise FormatError(
-                    f"{path} has the size for IBLANK values, but one of them is {first:g}, not an integer"
-                )
-            flags[index][...] = values.reshape(block.shape[2::-1]).T
-
-    grid.fill(put)
-    return grid

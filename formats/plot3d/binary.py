@@ -245,21 +245,18 @@ def _data_readings(header: Variant, shapes: tuple[Shape, ...], walk: Walk, used:
         variant = replace(header, precision=precision, records=per)
         expected = found[:used] + [length for shape in shapes for length in record_lengths(variant, shape)]
         good = len(list(takewhile(lambda pair: pair[0] == pair[1], zip(found, expected, strict=False))))
-        defect = _defect(found, expected, good, walk.problem)
+        # The fault of the first record after the good ones.
+        if good < min(len(found), len(expected)):
+            defect = f"record {good + 1} holds {found[good]} bytes where {expected[good]} are expected"
+        elif len(found) > len(expected):
+            defect = f"record {len(expected) + 1} is surplus"
+        else:
+            defect = walk.problem or (f"record {good + 1} is missing" if len(found) < len(expected) else "")
         size = walk.size
         if defect:
             marks = 2 * variant.marker.itemsize
             size = sum(length + marks * math.ceil(length / _longest(variant)) for length in expected)
         yield Reading(variant, shapes, size, segments, (1, good), defect)
-
-
-def _defect(found: list[int], expected: list[int], good: int, problem: str) -> str:
-    """The fault of the first record after the good ones, if any."""
-    if good < min(len(found), len(expected)):
-        return f"record {good + 1} holds {found[good]} bytes where {expected[good]} are expected"
-    if len(found) > len(expected):
-        return f"record {len(expected) + 1} is surplus"
-    return problem or (f"record {good + 1} is missing" if len(found) < len(expected) else "")
 
 
 def record_lengths(variant: Variant, shape: Shape) -> list[int]:

@@ -71,7 +71,18 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
 
     Raises FormatError for unknown options and values, and for options that cannot hold the grid.
     """
-    chosen = _usual_variant(grid, Path(path)).changed(checked_options("Plot3D", options, CHOICES))
+    carries_iblank = any(iblank_of(grid, block) is not None for block in range(grid.n_blocks))
+    suffix = Path(path).suffix.lower()
+    if grid.format is not None and grid.format.name == "plot3d":
+        usual = Variant.of(grid.format)
+        usual = usual.changed({"iblank": usual.iblank or carries_iblank})
+    else:
+        usual = Variant().changed({"dimension": 2 if suffix.startswith(".p2d") else 3, "iblank": carries_iblank})
+    if suffix in _TEXT_SUFFIXES:
+        usual = usual.changed({"encoding": "ascii"})
+    elif suffix in _BINARY_SUFFIXES and usual.encoding == "ascii":
+        usual = usual.changed({"encoding": "fortran"})
+    chosen = usual.changed(checked_options("Plot3D", options, CHOICES))
     _require_writable(grid, Path(path), chosen)
     return chosen.file_format()
 
@@ -89,21 +100,6 @@ def write(grid: Grid, path: Path, variant: FileFormat) -> None:
                 write_ascii(grid, stream, chosen)
         else:
             write_binary(grid, partial, chosen)
-
-
-def _usual_variant(grid: Grid, path: Path) -> Variant:
-    carries_iblank = any(iblank_of(grid, index) is not None for index in range(grid.n_blocks))
-    suffix = path.suffix.lower()
-    if grid.format is not None and grid.format.name == "plot3d":
-        own = Variant.of(grid.format)
-        usual = own.changed({"iblank": own.iblank or carries_iblank})
-    else:
-        usual = Variant().changed({"dimension": 2 if suffix.startswith(".p2d") else 3, "iblank": carries_iblank})
-    if suffix in _TEXT_SUFFIXES:
-        return usual.changed({"encoding": "ascii"})
-    if suffix in _BINARY_SUFFIXES and usual.encoding == "ascii":
-        return usual.changed({"encoding": "fortran"})
-    return usual
 
 
 def _require_writable(grid: Grid, path: Path, chosen: Variant) -> None:
