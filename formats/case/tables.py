@@ -255,13 +255,11 @@ def read_positions(path: Path) -> Positions:
     if (numbers != rows[:, 0]).any():
         at = int(np.argmax(numbers != rows[:, 0]))
         raise FormatError(f"{path}, line {lines[at][0]}: {rows[at, 0]:g} is not the number of a point")
-    order = np.argsort(numbers, kind="stable")
-    numbers, rows = numbers[order], rows[order]
-    twice = np.flatnonzero((np.diff(numbers) == 0) & (np.diff(rows, axis=0) != 0).any(axis=1))
-    if twice.size:
-        raise FormatError(f"{path}: point {numbers[twice[0]]} has two positions")
-    first = np.concatenate([[True], np.diff(numbers) > 0])
-    return Positions(numbers[first], rows[first, 1:], str(path))
+    points, first, which = np.unique(numbers, return_index=True, return_inverse=True)
+    differs = (rows != rows[first[which.ravel()]]).any(axis=1)
+    if differs.any():
+        raise FormatError(f"{path}: point {numbers[np.argmax(differs)]} has two positions")
+    return Positions(points, rows[first, 1:], str(path))
 
 
 def _lines_of_text(path: Path) -> list[tuple[int, str]]:

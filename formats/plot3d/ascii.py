@@ -159,7 +159,7 @@ def read_ascii(path: Path, options: Mapping[str, Any]) -> Grid:
     with path.open("rb") as stream:
         numbers = read_numbers(stream, path)
 
-    def shown(readings: list[Reading]) -> list[Reading]:
+    def proved_by_notation(readings: list[Reading]) -> list[Reading]:
         """The readings that the notation of the numbers proves: none if real numbers are written as integers."""
         with path.open("rb") as stream:
             if not ends_with_integer(stream):
@@ -196,7 +196,7 @@ def read_ascii(path: Path, options: Mapping[str, Any]) -> Grid:
     integers = np.where((head == np.rint(head)) & (np.abs(head) < 2**31), head, 0).astype(np.int64)
     variants = header_variants(encoding="ascii", precision=options.get("precision", "float64"))
     readings = stream_readings(variants, integers, numbers.size)
-    return choose(readings, UnknownFile(path, numbers.size, "numbers", options, load, shown))
+    return choose(readings, UnknownFile(path, numbers.size, "numbers", options, load, proved_by_notation))
 
 
 def write_ascii(grid: Grid, stream: BinaryIO, variant: Variant) -> None:

@@ -1,5 +1,7 @@
 """Reading CGNS: third-party grids against their oracle, everything else against files of an independent writer."""
 
+from __future__ import annotations
+
 import itertools
 
 import h5py
@@ -21,9 +23,16 @@ from cgns_witness import (
     zone_bc,
 )
 from grids import joined_nodes
+from h5py import h5d, h5p, h5s, h5t
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from meshdeform_core.grid import Connection, Side, Window
+from meshdeform_core.grid.windows import windows_of_quads
 from meshdeform_formats import read_grid, write_grid
+from meshdeform_formats.cgns.boundary import windows_of_nodes
+from meshdeform_formats.cgns.file import opened_cgns
 
 WING, WING_HDF5, AIRFOIL = "717_wl_L2.cgns", "717_wl_L2_hdf5.cgns", "nak_a_141.cgns"
 
@@ -286,3 +295,101 @@ def test_the_first_of_several_conditions_of_a_family_counts(tmp_path):
     )
     (patch,) = read_grid(write_hdf5(tmp_path / "grid.cgns", root)).patches
     assert patch.bc_type == "BCWall"
+
+
+def odd_arrays():
+    """Types of numbers and creation properties by which six values are stored."""
+    short, shifted = h5t.STD_I32LE.copy(), h5t.STD_I32LE.copy()
+    short.set_precision(16)
+    shifted.set_precision(16)
+    shifted.set_offset(8)
+    compact, early, pieces = (h5p.create(h5p.DATASET_CREATE) for _ in range(3))
+    compact.set_layout(h5d.COMPACT)
+    early.set_alloc_time(h5d.ALLOC_TIME_EARLY)
+    pieces.set_chunk((1, 3))
+    kinds = (h5t.IEEE_F64BE, None), (short, None), (shifted, None), (h5t.STD_I64LE, None), (h5t.IEEE_F64LE, compact)
+    return *kinds, (h5t.IEEE_F64LE, early), (h5t.IEEE_F64LE, pieces)
+
+
+@pytest.mark.parametrize("oldest", ["earliest", "v108"])
+def test_odd_arrays_have_the_values_that_h5py_finds(tmp_path, oldest):
+    path = tmp_path / "odd.cgns"
+    with h5py.File(path, "w", track_order=True, libver=(oldest, "v108")) as file:
+        for number, (kind, layout) in enumerate(odd_arrays()):
+            group = file.create_group(f"n{number}", track_order=True)
+            group.attrs["label"], group.attrs["type"] = np.array(b"DataArray_t", "S33"), np.array(b"R8", "S3")
+            stored = h5d.create(group.id, b" data", kind, h5s.create_simple((2, 3)), layout)
+            stored.write(h5s.ALL, h5s.ALL, np.arange(6.0).reshape(2, 3))
+    with opened_cgns(path) as root:
+        assert len(root.children) == 7
+        for node in root.children:
+            node.require_stored()
+            np.testing.assert_array_equal(node.data(), np.arange(6).reshape(2, 3).T)
+            if (place := node.place()) is not None:
+                raw = np.fromfile(path, node.dtype, 6, offset=place)
+                np.testing.assert_array_equal(raw, np.arange(6))
+        assert [node.place() is not None for node in root.children] == [True, False, False, True, False, True, False]
+
+
+@pytest.mark.parametrize("size", [512, 4096])
+def test_user_blocks_are_read_and_kept(tmp_path, size):
+    write_hdf5(tmp_path / "plain.cgns", two_zones())
+    with (
+        h5py.File(tmp_path / "a.cgns", "w", userblock_size=size, track_order=True) as file,
+        h5py.File(tmp_path / "plain.cgns") as plain,
+    ):
+        for name in plain:
+            plain.copy(name, file)
+    with (tmp_path / "a.cgns").open("r+b") as stream:
+        stream.write(b"#!notes")
+    grid = read_grid(tmp_path / "a.cgns")
+    np.testing.assert_array_equal(grid.points, read_grid(tmp_path / "plain.cgns").points)
+    grid.points[...] += 1.0
+    for options in ({}, {"precision": "float32"}):
+        write_grid(grid, tmp_path / "b.cgns", options)
+        assert (tmp_path / "b.cgns").read_bytes()[:7] == b"#!notes"
+        np.testing.assert_allclose(read_grid(tmp_path / "b.cgns").points, grid.points, rtol=1e-6)
+
+
+def quads_of(window: Window, shape: tuple[int, int, int]) -> set[tuple[int, int, int]]:
+    """Quads of a window as (side, a, b); across the plane of a 2-D block there is one."""
+    a, b = window.side.tangential
+    spans = [
+        range(low, high) if shape[axis] > 1 else range(1)
+        for axis, low, high in zip((a, b), window.low, window.high, strict=True)
+    ]
+    return {(int(window.side), i, j) for i in spans[0] for j in spans[1]}
+
+
+@settings(max_examples=50)
+@given(quads=st.tuples(st.integers(1, 6), st.integers(1, 6)).flatmap(lambda shape: arrays(bool, shape)))
+def test_rectangles_cover_the_marked_quads_once(quads):
+    shape = (quads.shape[0] + 1, 4, quads.shape[1] + 1)
+    windows = windows_of_quads(shape, 3, Side.JMAX, quads)
+    covered = [quad for window in windows for quad in quads_of(window, shape)]
+    assert len(covered) == len(set(covered))
+    assert {(i, j) for _, i, j in covered} == set(zip(*np.nonzero(quads), strict=True))
+    assert all(window.block == 3 and window.side == Side.JMAX for window in windows)
+
+
+@pytest.mark.parametrize("shape", [(4, 3, 5), (2, 3, 4), (4, 5, 1)])
+@settings(max_examples=25)
+@given(data=st.data())
+def test_nodes_give_the_quads_whose_corners_are_all_listed(shape, data):
+    member = data.draw(arrays(bool, shape))
+    nodes = data.draw(st.permutations(np.argwhere(member).tolist()))
+    windows, unused = windows_of_nodes(shape, 0, np.array(nodes, np.int64).reshape(-1, 3))
+    expected, used = set(), np.zeros(shape, bool)
+    for side in Side:
+        if shape[side.axis] == 1:
+            continue
+        face = np.moveaxis(member, side.axis, 0)[-1 if side % 2 else 0]
+        seen = np.moveaxis(used, side.axis, 0)[-1 if side % 2 else 0]
+        spans = [range(max(n - 1, 1)) for n in face.shape]
+        for i in spans[0]:
+            for j in spans[1]:
+                if face[i : i + 2, j : j + 2].all():
+                    expected.add((int(side), i, j))
+                    seen[i : i + 2, j : j + 2] = True
+    assert {quad for window in windows for quad in quads_of(window, shape)} == expected
+    assert unused == (member & ~used).sum()

@@ -1,4 +1,4 @@
-"""Measures and displacements in files, read back by vtk, h5py and cgnscheck."""
+"""Fields of cells and nodes in files: those computed, and those that the format of an output cannot hold."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality.fields import CELL_MEASURES, CellFields
 from meshdeform_formats import fields
 from meshdeform_formats.fields import WITH_FIELDS, check_fields, with_fields
-from meshdeform_formats.grids import read_grid, write_grid
+from meshdeform_formats.grids import complete_for_export, read_grid, write_grid
 
 
 def moved(grid: Grid) -> CellFields:
@@ -113,3 +113,45 @@ def test_new_nodes_of_cgns_files_hold_no_time(tmp_path):
     for name in ("new.cgns", "copy.cgns"):
         data = (tmp_path / name).read_bytes()
         assert not any(struct.pack("<I", second) in data for second in range(begin, int(time.time()) + 1))
+
+
+ALL = (
+    ".xyz", ".cgns", ".vtm", ".foam", ".su2", ".msh", ".inp", ".vtu", ".xdmf",
+)  # fmt: skip
+KEPT = {
+    "iblank": (".xyz", ".cgns", ".vtm", ".vtu", ".xdmf"),
+    "pressure": (".cgns", ".vtm", ".vtu", ".xdmf"),
+    "some": (".cgns", ".vtm"),
+    "flux": (".cgns", ".vtm"),
+}
+
+
+def of_all_kinds() -> Grid:
+    grid = frame(3, 2)
+    blocks = range(grid.n_blocks)
+    fields = [Field("iblank", "node", b, np.ones(grid.shapes[b], dtype=np.int32)) for b in blocks]
+    fields += [Field("pressure", "cell", b, np.ones(grid.cell_shapes[b])) for b in blocks]
+    fields += [Field("some", "node", 2, np.ones(grid.shapes[2]))]
+    fields += [Field("flux", "iface", b, np.ones((grid.shapes[b][0], *grid.cell_shapes[b][1:]))) for b in blocks]
+    return dataclasses.replace(grid, fields=tuple(fields))
+
+
+@pytest.mark.parametrize("suffix", ALL)
+def test_fields_that_are_lost_are_named(suffix, tmp_path):
+    notes = complete_for_export(of_all_kinds(), tmp_path / f"a{suffix}").notes
+    lost = [name.upper() if name == "iblank" else name for name, kept in KEPT.items() if suffix not in kept]
+    said = f"{suffix} files cannot hold these data of the grid, which are not written: {', '.join(lost)}"
+    assert notes == ((said,) if lost else ())
+
+
+def test_a_grid_without_fields_loses_nothing(tmp_path):
+    for suffix in ALL:
+        assert complete_for_export(frame(3, 2), tmp_path / f"a{suffix}").notes == ()
+
+
+def test_solutions_of_a_cgns_file_are_lost_in_others(tmp_path):
+    write_grid(of_all_kinds(), tmp_path / "a.cgns")
+    grid = read_grid(tmp_path / "a.cgns")
+    (note,) = set(complete_for_export(grid, tmp_path / "b.vtm").notes) - set(grid.notes)
+    assert note.endswith("not written: FlowSolutionVertex, FlowSolutionCellCenter, FlowSolutionIFaceCenter")
+    assert complete_for_export(grid, tmp_path / "b.cgns").notes == grid.notes
