@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..grid import BoolArray, FloatArray
+from ..grid import FloatArray
 from ..parallel import Nodes
 from .energy import Penalty, Region, kept_along_lines, share_of, share_slopes
 from .extrusion import Extrusion
@@ -257,18 +257,11 @@ class _Extruded:
 
     def __init__(self, extrusion: Extrusion, inside: _AtMinimum, before: FloatArray, after: FloatArray) -> None:
         self._extrusion, self._inside, self._apart = extrusion, inside, before
+        self._held = extrusion.held[extrusion.line, None]
         self._kept, self._slope = kept_along_lines(inside.share)
         # Nothing is kept where cells would be invalid.
         if np.abs(after - self._kept * before).max(initial=0.0) > np.abs(after).max(initial=0.0):
             self._kept = self._slope = 0.0
-
-    @property
-    def _held(self) -> BoolArray:
-        """(n_nodes, 1) whether a node is on a line that is held."""
-        extrusion, held = self._extrusion, np.zeros(self._extrusion.plane.n_nodes, dtype=bool)
-        topology = extrusion.constraints.topology
-        held[topology.face_nodes] = extrusion.constraints.held[topology.number]
-        return np.asarray(held[extrusion.line, None])
 
     def push(self, change: FloatArray) -> FloatArray:
         extrusion, mean = self._extrusion, self._extrusion.mean(change)

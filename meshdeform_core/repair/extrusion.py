@@ -47,7 +47,7 @@ class Extrusion:
         return np.repeat(layers, np.diff(self.plane.offsets))
 
     @cached_property
-    def _held(self) -> BoolArray:
+    def held(self) -> BoolArray:
         """Whether the nodes (n_plane,) of the plane grid are held."""
         topology, held = self.constraints.topology, np.zeros(self.plane.n_nodes, dtype=bool)
         held[topology.face_nodes] = self.constraints.held[topology.number]
@@ -83,7 +83,7 @@ class Extrusion:
         ``None`` if held nodes move out of the plane, or differently along a line.
         """
         mean, most = self.mean(change), _STRAIGHT * self.scale
-        own, there = Nodes.of(change).own, self._held[self.line]
+        own, there = Nodes.of(change).own, self.held[self.line]
         normal = np.abs(own @ self.direction).max(initial=0.0)
         apart = np.abs(own[there] - mean[self.line[there]]).max(initial=0.0)
         if max(Nodes.of(change).gather(float(max(normal, apart)))) > most:
@@ -105,14 +105,14 @@ class Extrusion:
             moved = start[rows] + change[line]
             if kept:
                 moved += kept * (points[rows] - start[rows] - mean[line])
-            np.copyto(result[rows], np.where(self._held[line][:, None], points[rows], moved))
+            np.copyto(result[rows], np.where(self.held[line][:, None], points[rows], moved))
 
         Nodes.of(result).each(fill)
         return result
 
     def along_lines(self, change: FloatArray, mean: FloatArray) -> FloatArray:
         """What differs from the ``mean`` (n_plane, 3) along lines in a displacement (n_nodes, 3), 0 on held lines."""
-        return np.where(self._held[self.line][:, None], 0.0, change - mean[self.line])
+        return np.where(self.held[self.line][:, None], 0.0, change - mean[self.line])
 
 
 def find_extrusion(constraints: Constraints) -> Extrusion | None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from ..grid import FloatArray
+from ..quality import Original
+from ..quality.comparison import Comparison, Tally
 from ..quality.validity import Verdict
 
 
@@ -52,23 +55,27 @@ class Repair:
         return replace(self + other, nodes=nodes, converged=converged, left_out=self.left_out or other.left_out)
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """Coordinates (n_nodes, 3) after a repair, their verdict, and what was done."""
-
-    points: FloatArray
-    verdict: Verdict
-    repair: Repair
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Judged:
-    """Coordinates (n_nodes, 3) and the verdict on them."""
+    """Coordinates (n_nodes, 3), the verdict on them, and their quality measures if already computed."""
 
     points: FloatArray
     verdict: Verdict
+    cells: Comparison | None = None
 
     @property
     def count(self) -> int:
         """Number of invalid cells."""
         return len(self.verdict.invalid)
+
+    def smallest_scaled(self, original: Original, rounded: Callable[[FloatArray], FloatArray]) -> float:
+        """The smallest scaled Jacobian, of coordinates ``rounded`` to those that will be written."""
+        tally = self.cells.after if self.cells else Tally(original, rounded(self.points))
+        return tally.smallest_scaled[1]
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome(Judged):
+    """A grid after a repair, and what was done."""
+
+    repair: Repair = field(kw_only=True)

@@ -22,7 +22,6 @@ from ..grid import FloatArray, IntArray
 from ..memory import UNLIMITED, MemoryLimit
 from ..numerics.arrays import lengths
 from ..parallel import Nodes
-from ..quality.comparison import Tally
 from ..quality.validity import judge
 from .energy import kept_along_lines
 from .extrusion import Extrusion
@@ -115,7 +114,7 @@ class Repairer:
         moved = sum(nodes), max(farthest), found.steps, clock.perf_counter() - begin
         converged = found.converged and found.grid.verdict.valid
         record = Repair(start.count, count, *moved, converged, left_out=found.left_out)
-        return Outcome(found.grid.points, found.grid.verdict, record)
+        return Outcome(found.grid.points, found.grid.verdict, repair=record)
 
     def _found(self, start: Judged, bad: IntArray, polish: bool, effort: Effort, limit: Limit) -> _Found | None:
         if not (bad.size or polish):
@@ -271,7 +270,7 @@ class Repairer:
 
     def _smallest_scaled(self, grid: Judged) -> float:
         """The smallest scaled Jacobian."""
-        return Tally(self.original, self.rounded(grid.points)).smallest_scaled[1]
+        return grid.smallest_scaled(self.original, self.rounded)
 
     def _undone(self, start: Judged, end: Judged) -> Judged:
         """The grid ``end`` near cells that are invalid in it or at the ``start``, and the ``start`` far from them."""

@@ -23,7 +23,7 @@ from ..methods import Account, Options, PreparedMethod, Problem, Progress, prepa
 from ..notices import Notice, first_of_each_kind, kind_of
 from ..parallel import Nodes
 from ..quality.comparison import Comparison
-from ..quality.validity import Verdict, judge
+from ..quality.validity import judge
 from ..repair.limit import Limit
 from ..repair.onset import unhealthy_cells
 from ..repair.options import Effort
@@ -171,15 +171,6 @@ def _coarsely_rounded(course: Course) -> list[str]:
 
 
 @dataclass(frozen=True, eq=False)
-class Coordinates:
-    """Coordinates (n_nodes, 3), the verdict on them, and their quality measures if already computed."""
-
-    points: FloatArray
-    verdict: Verdict
-    cells: Comparison | None = None
-
-
-@dataclass(frozen=True, eq=False)
 class State:
     """The grid reached at a fraction of the motion, and the method that continues from it.
 
@@ -202,12 +193,12 @@ class State:
     moved: FloatArray
     fraction: float = 0.0
     steps: int = 0
-    last: Coordinates | None = None
+    last: Judged | None = None
     account: Account | None = None
     notices: Mapping[str, str] = field(default_factory=dict)
     repairs: tuple[Repair, ...] = ()
     first_bad: Mapping[int, int] = field(default_factory=dict)
-    plain: Coordinates | None = None
+    plain: Judged | None = None
 
 
 class Reached(NamedTuple):
@@ -227,8 +218,8 @@ class Trial:
 
     state: State
     fraction: float
-    plain: Coordinates
-    found: Coordinates
+    plain: Judged
+    found: Judged
     account: Account
     repair: Repair | None = None
 
@@ -286,7 +277,7 @@ def plain_step(state: State, fraction: float) -> Trial:
     with course.timing.stage("quality"):
         # At the end of the motion also all quality measures, as the grid is usually the result.
         cells = Comparison(original, final) if fraction >= 1.0 else None
-        found = Coordinates(moved, cells.verdict if cells else judge(original, final), cells)
+        found = Judged(moved, cells.verdict if cells else judge(original, final), cells)
     # A copy, as a prepared method changes its own account with every displacement.
     account = Account(dict(prepared.account.settings), dict(prepared.account.notices))
     return _noted(Trial(state, fraction, found, found, account), repair=False)
@@ -375,20 +366,19 @@ def _require_finite(state: State, points: FloatArray, first: int) -> None:
         )
 
 
-def smallest_scaled(course: Course, found: Coordinates) -> float:
+def smallest_scaled(course: Course, found: Judged) -> float:
     """The smallest scaled Jacobian, which polishing must not reduce although it minimises another measure."""
-    cells = found.cells or Comparison(course.setup.original, course.rounded(found.points))
-    return cells.after.smallest_scaled[1]
+    return found.smallest_scaled(course.setup.original, course.rounded)
 
 
 def _repaired(trial: Trial, effort: Effort, polish: bool = False) -> Trial:
     course, plain = trial.state.course, trial.plain
     with course.timing.stage("repair"):
-        outcome = course.repaired(Judged(plain.points, plain.verdict), effort, polish)
+        outcome = course.repaired(plain, effort, polish)
     if outcome is None:
         return trial
     done = outcome.repair
-    found = Coordinates(outcome.points, outcome.verdict) if done.newton_steps else plain
+    found = outcome if done.newton_steps else plain
     repair = trial.repair + done if trial.repair else done
     return _noted(dataclasses.replace(trial, found=found, repair=repair), repair=True)
 
