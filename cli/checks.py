@@ -125,7 +125,7 @@ def make_room(limit: MemoryLimit, doing: str, work: Work, sources: Sequence[Grid
     if _at_most(work, size).in_memory <= limit.size:
         set_scratch(None)
         return
-    layouts = [source.layout() for source in there]
+    layouts = [source.block_sizes() for source in there]
     known = [layout for layout in layouts if layout is not None]
     if len(known) < len(layouts):
         names = " and ".join(str(source.path) for source in there)
@@ -140,7 +140,7 @@ def too_large(limit: MemoryLimit, work: Work, source: GridInput) -> Layout | Non
     tell."""
     if not source.path.is_file() or _at_most(work, _bytes_of(source.path)).in_memory <= limit.size:
         return None
-    layout = source.layout()
+    layout = source.block_sizes()
     return layout if layout and Demand.of("deforming", work, layout).in_memory > limit.size else None
 
 

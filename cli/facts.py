@@ -83,7 +83,7 @@ def _from_one(index: Sequence[int]) -> list[int]:
 def _outside_facts(grid: Grid, outside: Outside, sides: list[str]) -> Facts:
     """Boundaries by name, all pieces of faces, and the patches of the file."""
 
-    def shape(part: Surface | Face, role: Role, declared: bool) -> Facts:
+    def common(part: Surface | Face, role: Role, declared: bool) -> Facts:
         height = {"min": part.first_height, "median": part.median_height}
         known = {"role": role.value, "declared": declared, "quads": len(part.quads), "area": part.area}
         return known | {"bbox": part.box.tolist(), "first_cell_height": height}
@@ -91,7 +91,7 @@ def _outside_facts(grid: Grid, outside: Outside, sides: list[str]) -> Facts:
     surfaces = [
         {"name": surface.name, "named": surface.named, "patches": list(surface.patches)}
         | {"faces": [face.label(grid) for face in surface.faces]}
-        | shape(surface, surface.role, surface.declared)
+        | common(surface, surface.role, surface.declared)
         for surface in outside.surfaces
     ]
     faces = [
@@ -104,7 +104,7 @@ def _outside_facts(grid: Grid, outside: Outside, sides: list[str]) -> Facts:
             "outside": face.outside,
             "stretching": face.stretching,
             "normal": None if face.plane is None else face.plane.normal.tolist(),
-            **shape(face, role, declared_role(face) is role),
+            **common(face, role, declared_role(face) is role),
         }
         for face, role in zip(outside.faces, outside.roles, strict=True)
     ]

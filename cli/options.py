@@ -148,7 +148,7 @@ class GridInput:
         with stage("read"):
             return read_grid_with_boundaries(self.path, self.boundary_file or boundary_file, options)
 
-    def layout(self) -> Layout | None:
+    def block_sizes(self) -> Layout | None:
         """The blocks of the grid from the header of its file, if that tells."""
         from meshdeform_formats.grids import layout_of
 

@@ -56,6 +56,11 @@ class Run:
         levels = counted(len(self.schedule.times) - first, "level")
         return lack(self.files.least_bytes(first), self.manifest.path, f"{levels} of the series take")
 
+    def require_space(self, first: int) -> None:
+        """Refuse to begin if they lack any."""
+        if missing := self.shortage(first):
+            raise FormatError(f"cannot write {self.manifest.path.parent}: {missing}")
+
 
 def prepare(job: Job, source: GridInput, wanted: SeriesInput, options: RunInput) -> Run:
     """Determine times and files, topology and boundary; nothing is written."""
@@ -120,24 +125,19 @@ def open_manifest(run: Run, resume: bool, force: bool) -> Manifest:
         old.require_same(new.ingredients)
         run.files.recall(old.levels)
         _keep_what_exists(run, old)
-        _require_space(run, len(old.levels))
+        run.require_space(len(old.levels))
         run.files.clean()
         return old
     present = [new.path] if old and old.levels else [path for path in run.files.outputs if path.exists()]
     if present and not force and not (old and resume):
         hint = "use --resume to continue it, or --force to start again" if old else "use --force to overwrite it"
         raise FormatError(f"{present[0]} exists; {hint}")
-    _require_space(run, 0)
+    run.require_space(0)
     _tell_of_strangers(run)
     new.path.parent.mkdir(parents=True, exist_ok=True)
     run.files.clean()
     new.save()
     return new
-
-
-def _require_space(run: Run, first: int) -> None:
-    if missing := run.shortage(first):
-        raise FormatError(f"cannot write {run.manifest.path.parent}: {missing}")
 
 
 def _tell_of_strangers(run: Run) -> None:

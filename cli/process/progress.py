@@ -7,7 +7,6 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from types import TracebackType
 from typing import TYPE_CHECKING
 
 from meshdeform_core import interruption
@@ -16,8 +15,6 @@ from meshdeform_core.wording import counted
 from .messages import tell
 
 if TYPE_CHECKING:
-    from rich.progress import TaskID
-
     from meshdeform_core.numerics.jit import Compiled
 
 PATIENCE = 1.0
@@ -41,13 +38,11 @@ class ProgressBar:
     active: ProgressBar | None = None
 
     def __init__(self, enabled: bool = True, compiles: bool = True):
-        self._wanted, self._loops, self._compiles = enabled, compiles, enabled and compiles
-        self._shown = enabled and sys.stderr.isatty()
+        self._enabled, self._compiles, self._told = enabled, compiles, False
         self._start = time.perf_counter()
         self._levels: tuple[str, int, int] | None = None
-        self._stage: tuple[str, int, int] | None = None
+        self.current: tuple[str, int, int] | None = None
         self._over = threading.Event()
-        self._told = False
         self._display: threading.Thread | None = None
 
     def __call__(self, stage: str, done: int, total: int) -> None:
@@ -55,11 +50,11 @@ class ProgressBar:
         if stage == _OUTER:
             self._levels = stage, min(done, total), total
         else:
-            self._stage = stage, min(done, total), total
+            self.current = stage, min(done, total), total
 
     def _under_way(self) -> list[tuple[str, int, int]]:
         """The levels of a series, if it is one, and the current stage, with the amounts done and in total."""
-        return [line for line in (self._levels, self._stage) if line]
+        return [line for line in (self._levels, self.current) if line]
 
     def _compiling(self, compiled: Compiled) -> None:
         from meshdeform_core.numerics.jit import is_cached
@@ -74,19 +69,18 @@ class ProgressBar:
 
     def __enter__(self) -> ProgressBar:
         ProgressBar.active = self
-        if self._loops:
+        if self._compiles:
             # Imported late, as it loads the compiler, which many commands do not need.
             from meshdeform_core.numerics.jit import on_compile
 
-            on_compile(self._compiling if self._compiles else None)
-        if self._wanted:
-            self._display = threading.Thread(target=self._draw if self._shown else self._log, daemon=True)
+            on_compile(self._compiling if self._enabled else None)
+        if self._enabled:
+            show = self._draw if sys.stderr.isatty() else self._log
+            self._display = threading.Thread(target=show, daemon=True)
             self._display.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         ProgressBar.active = None
         if self._compiles:
             from meshdeform_core.numerics.jit import on_compile
@@ -101,19 +95,9 @@ class ProgressBar:
         if self._over.wait(PATIENCE):
             return
         from rich.console import Console
-        from rich.progress import (
-            BarColumn,
-            Progress,
-            TaskProgressColumn,
-            TextColumn,
-            TimeElapsedColumn,
-            TimeRemainingColumn,
-        )
+        from rich.progress import Progress, TaskID, TextColumn, TimeElapsedColumn
 
-        columns = (
-            TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(),
-            TextColumn("remaining"), TimeRemainingColumn(),
-        )  # fmt: skip
+        columns = (*Progress.get_default_columns(), TextColumn("remaining,"), TimeElapsedColumn(), TextColumn("taken"))
         with Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=False) as bar:
             tasks: dict[str, TaskID] = {}
             while not self._over.wait(_TICK):
@@ -133,20 +117,14 @@ class ProgressBar:
             lines = [f"{name} {done:,} of {total:,}" if total else name for name, done, total in self._under_way()]
             tell(", ".join([f"{elapsed:.0f} s", *lines]))
 
-    @contextlib.contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """A stage whose code does not report progress."""
-        self._stage = name, 0, 0
-        try:
-            yield
-        finally:
-            self._stage = None
-
 
 @contextlib.contextmanager
 def stage(name: str) -> Iterator[None]:
-    """A stage of the current bar, or with a bar of its own."""
+    """A stage whose code does not report progress, of the current bar, or with a bar of its own."""
     with contextlib.ExitStack() as stack:
         bar = ProgressBar.active or stack.enter_context(ProgressBar(compiles=False))
-        stack.enter_context(bar.stage(name))
-        yield
+        bar.current = name, 0, 0
+        try:
+            yield
+        finally:
+            bar.current = None

@@ -27,9 +27,8 @@ from meshdeform_core.wording import vector
 
 from ..grid import read, wrapped, write
 from ..session import gathered, one_at_a_time, ranks_of_comm, share_of, summed
-from .component import Component, Zones
+from .component import Component, Definition, Zones, require_found, rows_of_file, rows_of_freedoms
 from .options import Options
-from .surface import Definition, match, require_found, rows_of_file, rows_of_freedoms
 
 if TYPE_CHECKING:
     from mpi4py.MPI import Comm
@@ -237,8 +236,7 @@ class _Interface:
         whole = Definition(*(gathered(self._ranks, part) for part in parts))
         times, found = np.zeros(len(whole.faces), dtype=np.int64), []
         for zones in self._zones:
-            asked = np.flatnonzero((whole.zone < 0) | np.isin(whole.zone, zones.zones))
-            faces, quads, pairs = match(zones.grid, zones.topology, whole, asked)
+            faces, quads, pairs = zones.match(whole)
             times += faces
             found.append((quads, pairs))
         moving = np.concatenate([zones.zones for zones in self._zones])

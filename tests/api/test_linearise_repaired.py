@@ -10,7 +10,6 @@ import meshdeform as md
 from meshdeform.grid import wrapped
 from meshdeform_core.grid.parts import FileFormat
 from meshdeform_core.repair import energy, onset, untangle
-from meshdeform_core.repair.derivative import derivative_of_repair
 from meshdeform_core.stepping import steps as stepping
 
 BODY = {"where": "abs(x) < 0.51 and abs(y) < 0.51", "select": ["*.i*", "*.j*"], "kind": "moving", "name": "body"}
@@ -150,9 +149,3 @@ def test_coordinates_in_single_precision_are_near_enough_to_the_minimum():
     change = np.cos(3.0 * at)
     one, two = flat(one.jvp(change)), flat(two.jvp(change))
     assert 0.0 < np.abs(one - two).max() < 1e-4 * np.abs(one).max()
-
-
-def test_healthy_grids_have_no_repair_to_differentiate():
-    mesh = prepared(frame(5, 4))
-    points = mesh.session.setup.grid.points
-    assert derivative_of_repair(mesh.session.setup.undeformed.repairs, points, points, polish=False) is None

@@ -8,7 +8,6 @@ om = pytest.importorskip("openmdao.api")
 pytest.importorskip("mphys")
 from mphys.core import (  # noqa: E402
     Builder,
-    MPhysGroup,
     MPhysVariables,
 )
 from mphys.scenarios.aerodynamic import ScenarioAerodynamic  # noqa: E402
@@ -149,18 +148,3 @@ def test_an_aerostructural_scenario(mesh):
     points = problem.get_val(f"scenario.{X.COORDINATES}")
     assert np.abs(points - mesh.points.ravel()).max() > 0.0
     np.testing.assert_allclose(problem.get_val("scenario.x_aero_volume"), grid_at(mesh, points), atol=1e-12)
-
-
-@pytest.mark.parametrize("promotes", [False, True])
-def test_a_group_promotes_what_is_tagged(mesh, promotes):
-    problem = om.Problem()
-    group = problem.model.add_subsystem("group", MPhysGroup())
-    add = group.mphys_add_subsystem if promotes else group.add_subsystem
-    add("deform", MeshDeformComp(mesh=mesh))
-    problem.setup()
-    problem.run_model()
-    places = "inputs", "outputs"
-    names = {name: data["prom_name"] for way in places for name, data in group.get_io_metadata(way[:-1]).items()}
-    assert set(names) == {"deform.x_aero", "deform.x_aero_volume"}
-    for name, promoted in names.items():
-        assert promoted == (name.removeprefix("deform.") if promotes else name)

@@ -6,7 +6,6 @@ import os
 import shutil
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 from cgns_witness import N, box, tree, write_hdf5, zone
@@ -32,9 +31,6 @@ def inputs(bench):
     Path("follow.toml").write_text(
         '[[boundary]]\nname = "b"\nselect = ["left.imin"]\nkind = "moving"\nmotion = [{ file = "table.txt" }]\n'
     )
-    with h5py.File("linked.cgns") as plain, h5py.File("block.cgns", "w", userblock_size=512, track_order=True) as file:
-        for name in plain:
-            plain.copy(name, file)
     os.link("table.txt", "same.txt")
     os.symlink("follow.toml", "case.json")
     os.symlink(bench / "parts" / "second.cgns", "short.cgns")
@@ -46,16 +42,13 @@ def inputs(bench):
     [
         ("convert", "linked.cgns", "parts/second.cgns"),
         ("convert", "linked.cgns", "short.cgns"),
-        ("convert", "block.cgns", "parts/second.cgns"),
         ("convert", "linked.cgns", "linked.cgns"),
         ("convert", "other.vtm", "set.vtm"),
-        ("convert", "set.vtm", "set.vtm"),
         ("convert", "set/set_1.vts", "set.vtm"),
         ("convert", "other.vtm", "set/set_0.vts"),
         ("deform", "linked.cgns", "-c", "follow.toml", "-o", "out.cgns", "--report", "table.txt"),
         ("deform", "linked.cgns", "-c", "follow.toml", "-o", "out.cgns", "--report", "same.txt"),
         ("deform", "linked.cgns", "-c", "follow.toml", "-o", "out.cgns", "--report", "case.json"),
-        ("deform", "linked.cgns", "-c", "follow.toml", "-o", "parts/second.cgns"),
         ("quality", "linked.cgns", "-c", "follow.toml", "--report", "table.txt"),
         ("quality", "linked.cgns", "--reference", "short.cgns", "--report", "report.json"),
         ("plot", "other.vtm", "-o", "picture.png"),
@@ -81,7 +74,7 @@ def test_what_is_no_input_is_replaced(inputs, call):
     np.testing.assert_array_equal(read_grid("set.vtm").points, read_grid("b.vtm").points)
 
 
-@pytest.mark.parametrize("name", ["a.xyz", "a.fmt", "a.vts", "a.vtk", "a.cgns", "a.vtu"])
+@pytest.mark.parametrize("name", ["a.xyz", "a.vts", "a.cgns", "a.vtu"])
 def test_a_link_as_an_output_is_followed(inputs, call, name):
     os.mkdir("store")
     target = Path("store") / f"real{Path(name).suffix}"

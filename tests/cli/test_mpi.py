@@ -125,21 +125,6 @@ def test_ranks_with_different_inputs_are_refused(bench, snapshot):
 
 
 @needs_mpi
-@pytest.mark.parametrize(
-    ("method", "suffix", "reason"),
-    [("idw-tfi", "xyz", ""), ("idw-rbf", "xyz", ""), ("tfi", "p3dfmt", "shared.p3dfmt is written as a whole")],
-)
-def test_a_rank_holds_its_part_or_says_why_not(method, suffix, reason, bench, compiled):
-    args = ("deform", "grid.xyz", "-c", "case.toml", "-m", method, "--repair", "off", "-v")
-    assert by_itself(*args, "-o", f"alone.{suffix}") == 0
-    done = on_ranks(3, *args, "-o", f"shared.{suffix}")
-    assert done.returncode == 0, done.stderr
-    assert Path(f"shared.{suffix}").read_bytes() == Path(f"alone.{suffix}").read_bytes()
-    assert done.stderr.count("holds the whole grid") == bool(reason)
-    assert (f"the first rank alone holds the whole grid: {reason}" in done.stderr) == bool(reason)
-
-
-@needs_mpi
 def test_a_repair_gives_the_same_grid(bench, compiled):
     """In parts, in space: the ends of the span are free."""
     case = Path("case.toml").read_text()

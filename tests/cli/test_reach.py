@@ -14,10 +14,8 @@ RUN = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz")
     ("setting", "words"),
     [
         ("constants.trun=40", ["no formula uses the constant 'trun'", "did you mean 'turn'?"]),
-        ("constants={turn=1,trun=40}", ["no formula uses the constant 'trun'"]),
         ("method.rbf.basis=wendland-c2", ["has no effect", "'idw-tfi' uses only method.idw, method.tfi"]),
         ("method.idw.eta=4", ["has no effect", 'method.idw.alpha = "auto"']),
-        ("method.idw.p_fixed=4", ["has no effect", 'method.idw.weights = "shepard"']),
         ("method.idw.divisions=4", ["has no effect", 'method.idw.rotation = "division"']),
     ],
 )
@@ -32,7 +30,6 @@ def test_set_that_reaches_nothing_is_an_error(setting, words, bench, call):
     ("method", "settings"),
     [
         ("idw", ["method.idw.weights=shepard", "method.idw.p_fixed=4"]),
-        ("idw", ["method.idw.rotation=division", "method.idw.divisions=4"]),
         ("rbf", ["method.rbf.basis=wendland-c2", "method.rbf.radius=4.0"]),
         ("idw-tfi", ["method.tfi.max_cells=0"]),
     ],
@@ -43,14 +40,6 @@ def test_set_that_is_read_is_accepted_and_changes_the_grid(method, settings, ben
     plain = (bench / "out.xyz").read_bytes()
     assert call(*RUN, "-m", method, *options, "--force", "--allow-invalid").code == 0
     assert (bench / "out.xyz").read_bytes() != plain
-
-
-def test_constant_in_the_file_that_no_formula_uses_is_a_warning(bench, call):
-    case = (bench / "case.toml").read_text().replace("turn = 10.0", "turn = 10.0\nturned = 20.0")
-    (bench / "case.toml").write_text(case)
-    result = call(*RUN)
-    assert result.code == 0
-    assert result.warnings == ["no formula uses the constant 'turned'; did you mean 'turn'?"]
 
 
 def test_time_that_the_motion_does_not_depend_on_is_a_warning(bench, call):

@@ -172,25 +172,6 @@ def test_series_page_has_curves_pictures_and_links(bench, call):
     assert len(curves) == 4
 
 
-def test_series_page_shows_accelerations_and_repairs(bench, call):
-    words = list(SERIES)
-    words[words.index("constants.turn=1")] = "constants.turn=60"
-    text = Path("case.toml").read_text().replace('angle = "turn"', 'angle = "turn*t"')
-    Path("case.toml").write_text(text)
-    words[words.index("0:1:0.5")] = "0:1:0.25"
-    report = json.loads(call(*words, "-m", "tfi", "--allow-invalid", "--json").out)
-    html, levels = as_html(report), report["levels"]
-    rows = re.findall(r"<tr><td>\d+</td>.*?</tr>", html.replace(" class=flagged", ""))
-    cells = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in rows]
-    shown = [level["smoothness"]["acceleration"] for level in levels]
-    assert [row[8] for row in cells] == ["" if value is None else f"{value:.3f}" for value in shown]
-    assert [bool(row[9]) for row in cells] == [level["repair"] is not None for level in levels]
-    assert {bool(row[9]) for row in cells} == {True, False}
-    assert "in the largest step of the walls" in html
-    curves = [svg for svg in Page(html).of("svg") if "over time" in (svg["aria-label"] or "")]
-    assert len(curves) == 5
-
-
 def test_json_goes_to_stdout_alone(bench, call):
     for option in (("--json",), ("--report", "-")):
         result = call(*RUN, *option, "--force")

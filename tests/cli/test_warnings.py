@@ -35,20 +35,6 @@ def test_strict_refuses_and_writes_nothing(doubtful, call, snapshot):
     assert snapshot(doubtful) == before
 
 
-def test_strict_counts_warnings_of_the_motion_as_well(bench, call):
-    result = call("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz", "--strict", "-s", "constants.turn=0")
-    assert result.code == 2
-    assert "nothing moves" in result.err
-    assert not (bench / "out.xyz").exists()
-
-
-def test_dry_run_warns_and_is_strict_too(doubtful, call):
-    plain = call("deform", "grid.xyz", "-c", "doubtful.toml", "--dry-run")
-    assert plain.code == 0
-    assert plain.warnings
-    assert call("deform", "grid.xyz", "-c", "doubtful.toml", "--dry-run", "--strict").code == 2
-
-
 def test_strict_series_stops_before_it_writes(doubtful, call, snapshot):
     before = snapshot(doubtful)
     result = call("series", "grid.xyz", "-c", "doubtful.toml", "--times", "0:1:0.5", "-o", "out", "--strict")
