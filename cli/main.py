@@ -18,7 +18,7 @@ from meshdeform_core.errors import suggestion
 from meshdeform_core.parallel import current_ranks
 
 from .exit_codes import EXIT_BUG, EXIT_INPUT, EXIT_INTERRUPTED
-from .process.messages import drop_output, flush_messages, flush_output, open_streams, tell
+from .process.messages import drop, flushed, open_streams, tell
 from .process.mpi import place, run_on_ranks
 from .process.signals import Handler, end_of
 
@@ -107,7 +107,7 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
     code = run(args) if here is None else run_on_ranks(lambda: run(args), here)
     handler.finish()
     stopped = interruption.requested()
-    flush_messages()
+    flushed(sys.stderr)
     # The interpreter would look for cycles in all that was imported once more; the system frees the memory anyway.
     gc.freeze()
     sys.exit(code if stopped is None else 128 + stopped)
@@ -127,7 +127,7 @@ def run(args: Sequence[str] | None = None) -> int:
             code = EXIT_BUG
     finally:
         interruption.clean_up()
-    unwritten = flush_output()
+    unwritten = flushed(sys.stdout)
     if (stopped := interruption.requested()) is not None:
         tell(end_of(stopped))
         return 128 + stopped
@@ -177,7 +177,7 @@ def _invoke(args: Sequence[str] | None) -> int:
         # The reader has closed the pipe (`meshdeform info grid | head`), for which click exits with 1; no error.
         if isinstance(stop, SystemExit) and stop.code != 1:
             raise
-        drop_output()
+        drop(sys.stdout)
         return 0
     except OSError as error:
         # From the operating system: no permission, a name too long, a full disk; without a file it is of stdout.

@@ -19,7 +19,7 @@ from meshdeform_core.boundary.motions.motion import Follow
 from meshdeform_core.boundary.tables import SurfaceData
 from meshdeform_core.deform import Setup, deform
 from meshdeform_core.errors import CaseError, FormatError
-from meshdeform_core.grid import Grid
+from meshdeform_core.grid import FileFormat, Grid
 from meshdeform_core.grid.selection import with_components
 from meshdeform_core.memory import Demand, MemoryLimit, Work, deforming, peak_memory
 from meshdeform_core.methods import make_method
@@ -31,7 +31,7 @@ from meshdeform_formats.fields import with_fields
 from meshdeform_formats.files import invalid_path
 from meshdeform_formats.grids import FORMATS, complete_for_export, require_earlier_grid, variant_of, write_grid
 from meshdeform_formats.inputs import digest, existing_outputs
-from meshdeform_formats.placing import existing, require_space
+from meshdeform_formats.placing import existing, lack, least_bytes
 from meshdeform_formats.report.records import Report, deformation_report, with_other
 from meshdeform_formats.report.tables import Illustrate, Illustrations
 from meshdeform_formats.report.text import as_text
@@ -163,6 +163,16 @@ def print_plan(report: Report, impossible: bool, run: RunInput, more: str = "") 
     return EXIT_INVALID if impossible and not run.allow_invalid else 0
 
 
+def variant_and_shortage(grid: Grid, output: Path, run: RunInput) -> tuple[FileFormat, str]:
+    """How an output is written, and a message on the space that it lacks on the disk, which only a dry run goes on
+    after; empty if it fits."""
+    variant = variant_of(grid, output, run.variant_options)
+    missing = lack(least_bytes(grid, output, variant), output, "the grid takes")
+    if missing and not run.dry_run:
+        raise FormatError(f"cannot write {output}: {missing}")
+    return variant, missing
+
+
 def require_room_for_invalid(output: Path | None, grid: Grid, run: RunInput) -> None:
     """Refuse to replace anything but the invalid grid of an earlier run by that of this run."""
     if output is not None and not (run.force or run.dry_run or run.allow_invalid):
@@ -196,8 +206,7 @@ def run(
     job: Job, output: Path, imposed: Imposed, options: RunInput, progress: ProgressBar
 ) -> tuple[Report, Illustrate]:
     """Deform and write; returns the report and a function that draws its pictures."""
-    chosen = variant_of(job.grid, output, options.variant_options)
-    require_space(job.grid, output, chosen)
+    chosen, _ = variant_and_shortage(job.grid, output, options)
     result = deform(
         complete_for_export(job.grid, output),
         job.case.case,

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FileFormat, Grid
 from meshdeform_core.memory import readable
 
@@ -16,27 +15,11 @@ from .files import followed
 from .grids import Layout, format_of
 
 
-def require_space(grid: Grid, path: Path, variant: FileFormat) -> None:
-    """Refuse an output whose coordinates do not fit on the disk in addition to the file that it replaces.
-
-    An output is completed before it replaces a file. Quotas, and data that others write meanwhile, are not considered.
-
-    Raises FormatError stating the smallest size required, and the free space.
-    """
-    missing = shortage(grid, path, variant)
-    if missing:
-        raise FormatError(f"cannot write {path}: {missing}")
-
-
-def shortage(grid: Grid | Layout, path: Path, variant: FileFormat) -> str:
-    """A message on the space that an output lacks on the disk, see :func:`require_space`; empty if it fits."""
-    return lack(least_bytes(grid, path, variant), path, "the grid takes")
-
-
 def lack(needed: int, path: Path, what: str) -> str:
-    """A message on the space that ``needed`` bytes beside ``path`` lack, see :func:`require_space`; empty if they fit.
+    """A message on the space on the disk that ``needed`` bytes beside ``path`` lack; empty if they fit.
 
-    ``what`` like ``the grid takes``.
+    ``what`` like ``the grid takes``. An output is completed before it replaces a file. Quotas, and data that others
+    write meanwhile, are not considered.
     """
     folder = existing(followed(path).absolute().parent)
     try:

@@ -58,12 +58,8 @@ class Hybrid:
                 raise MethodError(f"{role} = {part!r}; expected IDW(...), RBF(...) or TFI(...)")
         if type(self.mover) is type(self.filler) and self.mover != self.filler:
             raise MethodError(f"mover and filler differ: {self.mover} and {self.filler}; expected the same options")
-        self.options  # noqa: B018  (refuses combinations that are not offered)
-
-    @property
-    def options(self) -> Options:
-        """The equivalent options of a case."""
-        return _options(f"{_name(self.mover)}-{_name(self.filler)}", self.mover, self.filler)
+        # Refuses combinations that are not offered.
+        options_of(self)
 
 
 Method = str | IDW | RBF | TFI | Hybrid
@@ -79,22 +75,14 @@ def options_of(method: Method) -> Options:
     """
     if isinstance(method, str):
         return Options(method)
-    if isinstance(method, Hybrid):
-        return method.options
-    if isinstance(method, IDW | RBF | TFI):
-        return _options(_name(method), method)
-    raise MethodError(
-        f"method = {method!r} is a {type(method).__name__}; expected a name like 'idw-tfi', IDW(...), RBF(...), "
-        f"TFI(...) or Hybrid(mover, filler)"
-    )
-
-
-def _name(part: Elementary) -> str:
-    return type(part).__name__.lower()
-
-
-def _options(name: str, *parts: Elementary) -> Options:
-    return Options(name, **{_name(part): part for part in parts})  # type: ignore[arg-type]
+    if not isinstance(method, IDW | RBF | TFI | Hybrid):
+        raise MethodError(
+            f"method = {method!r} is a {type(method).__name__}; expected a name like 'idw-tfi', IDW(...), RBF(...), "
+            f"TFI(...) or Hybrid(mover, filler)"
+        )
+    parts = (method.mover, method.filler) if isinstance(method, Hybrid) else (method,)
+    names = [type(part).__name__.lower() for part in parts]
+    return Options("-".join(names), **dict(zip(names, parts, strict=True)))  # type: ignore[arg-type]
 
 
 def prepare(
@@ -160,26 +148,26 @@ def prepare(
 
 def _grid_of(source: Grid | str | Path, what: CaseFile, ranks: Ranks) -> Grid:
     """The grid with the patches and components that the case names files for; in parts if there are several ranks."""
+
+    def read() -> Grid:
+        grid = user_grid(source)
+        if ranks.count == 1:
+            whole(grid, "preparing it without comm=")
+        if what.boundary_file is None:
+            return grid
+        from meshdeform_formats.neutral_map import read_neutral_map
+
+        return wrapped(read_neutral_map(what.boundary_file, grid.core), grid.plane)
+
     try:
-        found = _read(source, what, ranks)
+        found = read()
     except WholeGridNeeded:
         if ranks.count == 1:
             raise
         # Some files can only be read as a whole: each rank does, and keeps its part.
         with sharing(Ranks(ranks.cores), None):
-            found = _read(source, what, ranks)
+            found = read()
     return wrapped(found.core.divided(ranks), found.plane)
-
-
-def _read(source: Grid | str | Path, what: CaseFile, ranks: Ranks) -> Grid:
-    grid = user_grid(source)
-    if ranks.count == 1:
-        whole(grid, "preparing it without comm=")
-    if what.boundary_file is not None:
-        from meshdeform_formats.neutral_map import read_neutral_map
-
-        grid = wrapped(read_neutral_map(what.boundary_file, grid.core), grid.plane)
-    return grid
 
 
 def _case(

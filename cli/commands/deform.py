@@ -65,8 +65,6 @@ def command(source: GridInput, output: Path | None, case: CaseInput, imposed: Im
 def _dry_run(source: GridInput, case: CaseInput, output: Path | None, imposed: Imposed, run: RunInput) -> int:
     """Print what the run would do and take; returns the exit code."""
     from meshdeform_core.deform import set_up
-    from meshdeform_formats.grids import variant_of
-    from meshdeform_formats.placing import shortage
 
     from .. import work
     from ..dry_run import Outputs, plan, plan_by_sizes
@@ -80,8 +78,8 @@ def _dry_run(source: GridInput, case: CaseInput, output: Path | None, imposed: I
         setup = set_up(job.grid, job.case.case, memory=job.memory)
         outputs, missing = Outputs(output, job.grid.precision), ""
         if output is not None:
-            variant = variant_of(job.grid, output, run.variant_options)
-            outputs, missing = Outputs(output, variant.precision), shortage(job.grid, output, variant)
+            variant, missing = work.variant_and_shortage(job.grid, output, run)
+            outputs = Outputs(output, variant.precision)
         planned = plan(setup, [imposed.time], imposed.steps, outputs, missing, job.demand, run.memory)
     return work.print_plan(*planned, run)
 

@@ -65,11 +65,11 @@ def repaired(
     from meshdeform_core.memory import REPAIRING, Demand, peak_memory
     from meshdeform_core.mending import mend
     from meshdeform_core.quality.fields import CellFields
-    from meshdeform_formats.grids import complete_for_export, read_grid, variant_of
-    from meshdeform_formats.placing import existing, require_space, shortage
+    from meshdeform_formats.grids import complete_for_export, read_grid
+    from meshdeform_formats.placing import existing
     from meshdeform_formats.report.records import mended_report
 
-    from ..work import require_room_for_invalid, write_judged
+    from ..work import require_room_for_invalid, variant_and_shortage, write_judged
 
     what = case.read()
     for path in (*run.reports, *([output] if output else [])):
@@ -84,12 +84,8 @@ def repaired(
     require_room_for_invalid(output, grid, run)
     precision, whole = None, grid
     if output:
-        chosen = variant_of(grid, output, run.variant_options)
+        chosen, missing = variant_and_shortage(grid, output, run)
         precision, whole = chosen.precision, complete_for_export(grid, output)
-        if run.dry_run:
-            missing = shortage(grid, output, chosen)
-        else:
-            require_space(grid, output, chosen)
     start = clock.perf_counter()
     memory = Demand.of("repairing", REPAIRING, grid, original).left_of(run.memory)
     mended = mend(whole, original, what.case, precision, memory, progress)

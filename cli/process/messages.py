@@ -68,29 +68,17 @@ def open_streams() -> None:
             stream.reconfigure(errors="surrogateescape")
 
 
-def flush_output() -> str | None:
-    """Flush stdout; return the reason of a failure, or ``None``. Output that cannot be written is dropped."""
+def flushed(stream: TextIO) -> str:
+    """Flush stdout or stderr; returns the reason of a failure. Output that cannot be written is dropped."""
     try:
-        sys.stdout.flush()
-    except OSError as error:
-        drop_output()
-        return error.strerror or str(error)
-    return None
+        stream.flush()
+    except (OSError, ValueError) as error:
+        drop(stream)
+        return (isinstance(error, OSError) and error.strerror) or str(error)
+    return ""
 
 
-def flush_messages() -> None:
-    """Flush stderr; messages that cannot be written are dropped."""
-    try:
-        sys.stderr.flush()
-    except (OSError, ValueError):
-        _send_nowhere(sys.stderr)
-
-
-def drop_output() -> None:
-    """Discard what stdout still buffers; otherwise the interpreter complains at exit."""
-    _send_nowhere(sys.stdout)
-
-
-def _send_nowhere(stream: TextIO) -> None:
+def drop(stream: TextIO) -> None:
+    """Discard what a stream still buffers; otherwise the interpreter complains at exit."""
     with contextlib.suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
