@@ -46,7 +46,7 @@ WRONG = {
         ("markers does not apply",),
     ),
     "variant-of-cgns": (
-        ("convert", "grid.xyz", "out.cgns", "--variant", "encoding=ascii"),
+        ("convert", "grid.xyz", "out.cgns", "--variant", "encoding=hex"),
         ("unknown option 'encoding'",),
     ),
     "variant-of-vtu": (("convert", "grid.xyz", "out.vtu", "--variant", "encoding=ascii"), ("out.vtu", "encoding")),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import jsonschema
 import numpy as np
@@ -54,8 +55,8 @@ def folder(tmp_path):
 def test_one_command_moves_all_components(folder, call):
     done = call("deform", folder / "all.cgns", "-c", folder / "case.toml", "-o", folder / "out.cgns")
     assert done.code == 0, done.err
-    assert "ring: 1 block, 255 nodes; moves by up to" in done.out
-    assert "main: 1 block, 243 nodes; rests" in done.out
+    assert re.search(r"^ +ring +1 +255 +48 ", done.out, re.MULTILINE)
+    assert re.search(r"^ +main +1 +243 +0 +0 ", done.out, re.MULTILINE)
     after = read_grid(folder / "out.cgns")
     np.testing.assert_array_equal(after.block(0), BACKGROUND.block(0))
     np.testing.assert_allclose(after.block(2), frame(3, 2).block(0) + [0.1, 0.0, 0.0], atol=1e-14)
@@ -69,7 +70,7 @@ def test_reports_have_a_verdict_for_every_component(folder, call):
     jsonschema.Draft202012Validator(report_schema()).validate(report)
     assert [part["name"] for part in report["components"]] == ["main", "ring", "bar"]
     assert "3 components, each moved by its own boundary" in reports[1].read_text()
-    assert "bar: 8 blocks" in reports[2].read_text()
+    assert re.search(r"^ +bar +8 +600 ", reports[2].read_text(), re.MULTILINE)
     series = ("series", folder / "all.cgns", "-c", folder / "case.toml", "--times", "0,1", "-o", folder / "s")
     done = call(*series, "--suffix", ".vtm", "-q", "--report", folder / "s.json")
     assert done.code == 0, done.err
