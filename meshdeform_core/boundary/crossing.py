@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, cached_property, partial
+from functools import cached_property
 
 import numpy as np
 
@@ -104,7 +104,7 @@ class CrossingTest:
 
     def __init__(self, grid: Grid, topology: Topology, boundary: Boundary):
         self._grid, self._topology, self._boundary = grid, topology, boundary
-        self._surface = cache(partial(_Surface, grid, topology, boundary))
+        self._surfaces: dict[bool, _Surface] = {}
         self._normal = plane_normal(grid)
         self._size = float(np.ptp(grid.nodes.at(topology.first), axis=0).max())
         self._outside_faces = topology.quads.corners[topology.external]
@@ -117,7 +117,10 @@ class CrossingTest:
         """
         # Faces of a slip plane that nodes leave are left out, as their position is unknown.
         departs = self._boundary.slip.departure(displacement) > 1e-9 * self._size
-        surface = self._surface(with_sliding=not departs)
+        if departs not in self._surfaces:
+            made = _Surface(self._grid, self._topology, self._boundary, with_sliding=not departs)
+            self._surfaces[departs] = made
+        surface = self._surfaces[departs]
         change = np.tile(displacement[surface.nodes], (len(surface.points) // len(surface.nodes), 1))
         moved: BoolArray = np.asarray(change.any(axis=1))
         carried: BoolArray = np.asarray(moved[surface.faces].any(axis=1))
