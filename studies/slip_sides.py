@@ -96,7 +96,7 @@ def row(name: str, job: Job) -> Row:
         walls = after.wall_normal_deviation_deg
         return f"{after.min_relative_jacobian:.2f} / {walls.rms if walls else np.nan:.1f}"
 
-    without = patch.object(beside_slip.BesideSlip, "apply", lambda self, out: None)
+    without = patch.object(beside_slip.BesideSlip, "apply", lambda self, out, progress: None)
     ends = {f"{width:g}": measured(patch.object(beside_slip, "WIDTH", width)) for width in WIDTHS}
     return {"motion": name, "not faded": measured(without), **ends}
 
