@@ -25,7 +25,7 @@ from meshdeform_formats.grids import FORMATS, complete_for_export
 from meshdeform_formats.inputs import digest
 from meshdeform_formats.placing import lack
 from meshdeform_formats.report.records import Report, level_record, series_head, series_report
-from meshdeform_formats.report.tables import Illustrations
+from meshdeform_formats.report.tables import Figure
 from meshdeform_formats.series.manifest import NAME, Manifest, ingredients_of
 from meshdeform_formats.series.outputs import FoamFiles, LevelFiles, SeriesFiles
 
@@ -212,7 +212,7 @@ def _how_to_continue(run: Run) -> str:
     return f"{done} of {count} levels are done: the same command with --resume (without --force) continues"
 
 
-def illustrate(run: Run) -> Illustrations:
+def illustrate(run: Run) -> list[Figure]:
     """Small pictures of some evenly spaced levels whose files can be read."""
     from meshdeform_formats.report.illustrations import level_thumbnails
 
@@ -220,7 +220,7 @@ def illustrate(run: Run) -> Illustrations:
     shown = min(count, _PICTURES)
     chosen = [round(n * (count - 1) / max(1, shown - 1)) for n in range(shown)]
     levels = [(n, f"level {n}, t = {run.schedule.times[n]:g}", run.files.path(n).name) for n in chosen]
-    return level_thumbnails(run.setup, levels, run.files.read) if run.files.readable else Illustrations()
+    return level_thumbnails(run.setup, levels, run.files.read) if run.files.readable else []
 
 
 def _complete(run: Run, peak: int) -> Report:

@@ -33,7 +33,7 @@ from meshdeform_formats.grids import FORMATS, complete_for_export, require_earli
 from meshdeform_formats.inputs import digest, existing_outputs
 from meshdeform_formats.placing import existing, lack, least_bytes
 from meshdeform_formats.report.records import Report, deformation_report, with_other
-from meshdeform_formats.report.tables import Illustrate, Illustrations
+from meshdeform_formats.report.tables import Figure, Illustrate
 from meshdeform_formats.report.text import as_text
 from meshdeform_formats.report.write import as_json, run_part, write_report
 
@@ -222,7 +222,7 @@ def run(
     target = write_judged(result.grid, result.valid, output, options, lambda: cells_of(result.setup, result.grid))
     seconds = {"read": job.read_seconds, "write": clock.perf_counter() - before}
 
-    def illustrate() -> Illustrations:
+    def illustrate() -> list[Figure]:
         from meshdeform_formats.report.illustrations import deformation_figures
 
         return deformation_figures(result)
@@ -239,7 +239,7 @@ def cells_of(setup: Setup, after: Grid) -> CellFields:
 
 def deliver(
     report: Report, run: RunInput, start: float, files: Iterable[tuple[str, Path | None]],
-    illustrate: Illustrate = Illustrations, ranks: Ranks | None = None,
+    illustrate: Illustrate = tuple, ranks: Ranks | None = None,
 ) -> None:  # fmt: skip
     """Write the reports; if JSON is requested on stdout, the text goes to stderr.
 
@@ -259,7 +259,7 @@ def deliver(
     if "timing" in report:
         report["timing"] = with_other(report["timing"], clock.perf_counter() - start)
     # If there are several ranks, drawing takes all of them.
-    pictures = illustrate() if ranks.count > 1 and any(path.suffix == ".html" for path in paths) else None
+    pictures = illustrate() if ranks.count > 1 and any(path.suffix == ".html" for path in paths) else ()
     for path in paths:
         ranks.on_first(partial(write_report, report, path, (lambda: pictures) if pictures else illustrate))
     if to_stdout:

@@ -121,13 +121,6 @@ class Pair:
         return Subject(self.after, self.topology, self.undeformed or self.before, original=self.old)
 
 
-def separate_pages(page: Page) -> tuple[Page, Page]:
-    """The two panels of a page as pages of the same size, axes, colour bar and legend, without their titles."""
-    panels = [dataclasses.replace(panel, title="") for panel in page.panels]
-    one, two = (dataclasses.replace(page, panels=(panel,), marks=page.explained) for panel in panels)
-    return one, two
-
-
 def _twins(scenes: Sequence[Scene], windows: Sequence[Window], choice: Choice) -> Page:
     """The same part of two grids side by side in common colours, from the first one's direction."""
     view = scenes[0].view
@@ -147,12 +140,12 @@ def moved_walls(pair: Pair, quads: IntArray) -> Page | None:
     return Page.of([Panel(walls, window)], Choice("displacement"))
 
 
-def quality_planes(pair: Pair) -> tuple[Page, Page]:
+def quality_planes(pair: Pair) -> Page:
     """A plane through the grid around its walls, before and after, in the same frame and colours."""
     scenes = [_plane(subject, Choice()) for subject in (pair.old, pair.new)]
     points = np.concatenate([subject.corners(pair.old.bodies) for subject in (pair.old, pair.new)])
     window = _window_around(scenes[0], points)
-    return separate_pages(_twins(scenes, (window, window), Choice()))
+    return _twins(scenes, (window, window), Choice())
 
 
 def plane_around(subject: Subject, points: FloatArray, choice: Choice) -> Page:

@@ -69,16 +69,11 @@ class Panel:
 
 @dataclass(frozen=True)
 class Page:
-    """Panels side by side, or one below the other if they are flat, with colour bar and legend.
-
-    ``marks`` are the cells that the legend always explains, besides those that the page shows: ``invalid`` ones, those
-    of ``absent`` values.
-    """
+    """Panels side by side, or one below the other if they are flat, with colour bar and legend."""
 
     panels: tuple[Panel, ...]
     title: str
     scale: Scale
-    marks: frozenset[str] = frozenset()
 
     @classmethod
     def of(cls, panels: Sequence[Panel], choice: Choice, title: str = "") -> Page:
@@ -87,12 +82,11 @@ class Page:
         return cls(tuple(panels), title, scale)
 
     @property
-    def explained(self) -> frozenset[str]:
-        """Kinds of cells that the legend explains."""
-        scenes = [panel.scene for panel in self.panels]
-        invalid = {"invalid"} if any(scene.facets.bad.any() for scene in scenes) else set()
-        absent = {"absent"} if any(not np.isfinite(scene.facets.values).all() for scene in scenes) else set()
-        return self.marks | invalid | absent
+    def explained(self) -> set[str]:
+        """Kinds of cells that the legend explains: ``invalid`` ones, those whose values are ``absent``."""
+        facets = [panel.scene.facets for panel in self.panels]
+        invalid = {"invalid"} if any(each.bad.any() for each in facets) else set()
+        return invalid | ({"absent"} if any(not np.isfinite(each.values).all() for each in facets) else set())
 
 
 def check_picture_path(path: Path) -> None:

@@ -13,25 +13,22 @@ from meshdeform_core.deform import Result, Setup
 from meshdeform_core.grid import FloatArray, Grid
 
 from ..picture.colours import Choice
-from ..picture.overview import Pair, moved_walls, plane_around, quality_planes, separate_pages, worst_cells
+from ..picture.overview import Pair, moved_walls, plane_around, quality_planes, worst_cells
 from ..picture.page import Page, page_png
 from ..picture.subject import Subject, worst_cell
-from .tables import Figure, Illustrations
+from .tables import Figure
 
 
-def deformation_figures(result: Result) -> Illustrations:
+def deformation_figures(result: Result) -> list[Figure]:
     """The moving walls, a plane around them, the worst cells and what a repair changed, before and after."""
     setup, after, invalid = result.setup, result.grid, result.assessment.invalid
     pair = Pair(setup.grid, after, setup.topology, original=setup.original)
-    old, new = (_png(after, page) for page in quality_planes(pair))
-    figures = [Figure("Around the walls", "A plane through the grid, coloured by f_skew.", new, old)]
+    caption = "A plane through the grid, coloured by f_skew."
+    figures = [Figure("Around the walls", caption, _png(after, quality_planes(pair)))]
     block, cell = worst_cell(pair.new, "f_skew")
-    where = setup.grid.label(block, cell)
-    caption = (
-        f"A close-up of cell {where}, where f_skew is smallest{', and of other invalid cells' if invalid else ''}."
-    )
-    old, new = (_png(after, page) for page in separate_pages(worst_cells(pair, block, cell)))
-    figures.append(Figure("The worst cells", caption, new, old))
+    more = ", and of other invalid cells" if invalid else ""
+    caption = f"A close-up of cell {setup.grid.label(block, cell)}, where f_skew is smallest{more}."
+    figures.append(Figure("The worst cells", caption, _png(after, worst_cells(pair, block, cell))))
     moving = np.flatnonzero(setup.boundary.quad_kind == Kind.MOVING)
     if after.dimension == 3 and moving.size:
         page = moved_walls(pair, moving)
@@ -47,12 +44,11 @@ def deformation_figures(result: Result) -> Illustrations:
         caption = f"Around cell {where}, the worst that the method alone gives: without the repair and with it."
         page = worst_cells(pair, block, cell)
         # The same position, not the same cell, which the repair has moved.
-        panels = tuple(dataclasses.replace(panel, window=page.panels[0].window) for panel in page.panels)
-        plain_png, after_png = (_png(after, each) for each in separate_pages(dataclasses.replace(page, panels=panels)))
-        figures.append(
-            Figure("What the repair changed", caption, after_png, plain_png, names=("the method alone", "repaired"))
-        )
-    return Illustrations(tuple(figures))
+        named = zip(page.panels, ("the method alone", "repaired"), strict=True)
+        panels = tuple(dataclasses.replace(each, window=page.panels[0].window, title=name) for each, name in named)
+        page = dataclasses.replace(page, panels=panels)
+        figures.append(Figure("What the repair changed", caption, _png(after, page)))
+    return figures
 
 
 def _png(grid: Grid, page: Page, **size: Any) -> bytes:
@@ -62,7 +58,7 @@ def _png(grid: Grid, page: Page, **size: Any) -> bytes:
 
 def level_thumbnails(
     setup: Setup, levels: Sequence[tuple[int, str, str]], read: Callable[[int], FloatArray]
-) -> Illustrations:
+) -> list[Figure]:
     """A small picture around the moving walls for some levels of a series.
 
     Parameters
@@ -77,5 +73,5 @@ def level_thumbnails(
     for number, caption, file in levels:
         subject = Subject(setup.grid.moved(read(number)), setup.topology, setup.grid, original=setup.original)
         page = plane_around(subject, around, Choice(limits=(0.0, 1.0)))
-        shown.append((Figure(caption, caption, _png(subject.grid, page, width=4.2, dpi=90)), file))
-    return Illustrations(thumbnails=tuple(shown))
+        shown.append(Figure(caption, caption, _png(subject.grid, page, width=4.2, dpi=90), file))
+    return shown

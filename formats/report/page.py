@@ -27,7 +27,9 @@ from .tables import (
     components_table,
     is_alone,
     levels_table,
+    match_lines,
     measures_table,
+    motion_lines,
     node_counts,
     number,
     place_text,
@@ -56,7 +58,7 @@ _SHOWN = 12
 _LISTED = 200
 """Blocks that are listed."""
 
-# Seen on light and on dark pages; the style sheet has the first two for its keys.
+# Seen on light and on dark pages.
 _BEFORE, _AFTER, _BAD, _INK = "#8a94a0", "#3d82d6", "#d1242f", "#7d8590"
 _COLOURS = dict.fromkeys(("axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color", "grid.color"), _INK)
 _LEAST = 0.3
@@ -65,18 +67,12 @@ Sections = Iterator[tuple[str, Sequence[Any]]]
 """Heading and parts: texts, tables, figures and dictionaries of what else the template shows."""
 
 
-def as_html(
-    report: Report,
-    figures: Sequence[Figure] = (),
-    thumbnails: Sequence[tuple[Figure, str]] = (),
-    folder: str = "",
-) -> str:
+def as_html(report: Report, figures: Sequence[Figure] = (), folder: str = "") -> str:
     """The report as a self-contained page.
 
     Parameters
     ----------
-    figures : pictures of a deformation, shown after the verdict
-    thumbnails : of levels of a series, each with the name of its file
+    figures : pictures of a deformation, shown after the verdict, or small ones of levels of a series
     folder : of the levels, relative to the page
     """
     template, style = (
@@ -89,8 +85,7 @@ def as_html(
     blocks, cells = counted(grid["blocks"], "block"), counted(grid["cells"], "cell")
     title = f"{'Deformation' if 'method' in report else 'Quality'} of {name}"
     sections = [
-        ("Pictures", figures),
-        *(_levels(report, thumbnails) if series else _judged(report)),
+        *(_levels(report, figures) if series else [("Pictures", figures), *_judged(report)]),
         *_common_sections(report),
     ]
     return environment.from_string(template).render(
@@ -160,7 +155,7 @@ def _advice(report: Report) -> list[str]:
     return advice
 
 
-def _levels(report: Report, thumbnails: Sequence[tuple[Figure, str]]) -> Sections:
+def _levels(report: Report, thumbnails: Sequence[Figure]) -> Sections:
     """Curves, pictures, table."""
     levels = report["levels"]
     values = {
@@ -176,8 +171,8 @@ def _levels(report: Report, thumbnails: Sequence[tuple[Figure, str]]) -> Section
         if len(known) > 1 and any(value for _, value in known):
             times, wrong = ([level["time"] for level, _ in known], [not level["valid"] for level, _ in known])
             charts.append((name, curve(times, [value for _, value in known], "time", name, wrong)))
-    pictures = [{"charts": charts, "compared": False}, *([{"thumbnails": thumbnails}] if thumbnails else [])]
-    yield "Levels", [*pictures, levels_table(report), f"Acceleration: {ACCELERATION}."]
+    pictures = [{"thumbnails": thumbnails}] if thumbnails else []
+    yield "Levels", [{"charts": charts}, *pictures, levels_table(report), f"Acceleration: {ACCELERATION}."]
 
 
 def _judged(report: Report) -> Sections:
@@ -193,7 +188,7 @@ def _judged(report: Report) -> Sections:
     before, after = (report["quality"][when]["f_skew"]["histogram"] for when in ("before", "after"))
     before = None if is_alone(report) else before
     charts = [("Distribution of f_skew", histogram(before, after, "f_skew"))]
-    yield "Quality", [measures_table(report, change=True), {"charts": charts, "compared": before is not None}]
+    yield "Quality", [measures_table(report, change=True), {"charts": charts}]
 
 
 def _common_sections(report: Report) -> Sections:
@@ -202,7 +197,9 @@ def _common_sections(report: Report) -> Sections:
     yield "Attempts", list(_attempts(report))
     yield "Blocks", list(_blocks(report.get("blocks") or ()))
     yield "Warnings", [{"warnings": report["warnings"]}] if report["warnings"] else []
-    yield "Boundary and motion", list(_boundary_tables(report))
+    if boundary := report.get("boundary"):
+        lines = [*match_lines(boundary), *motion_lines(report)]
+        yield "Boundary and motion", [boundary_table(boundary), f"Nodes: {node_counts(boundary)}.", *lines]
     if "method" in report:
         yield "Method", [f"Method: {report['method']['name']}", settings_table(report)]
     if "timing" in report:
@@ -254,24 +251,6 @@ def _blocks(blocks: Sequence[Report]) -> Iterator[Any]:
     yield Table(caption, heads, rows, flagged=[n for n, row in enumerate(rows) if row[2]])
 
 
-def _boundary_tables(report: Report) -> Iterator[Any]:
-    """Boundary entries, motions, and matches of tables."""
-    boundary = report.get("boundary")
-    if boundary is None:
-        return
-    yield boundary_table(boundary)
-    yield f"Nodes: {node_counts(boundary)}."
-    if report.get("motion"):
-        moved = [(m["boundary"], m["max_displacement"], m.get("max_rotation_deg")) for m in report["motion"]]
-        yield Table("Motion", ("boundary", "largest displacement", "largest rotation [deg]"), moved)
-    if matches := boundary.get("matches"):
-        heads = ("table", "match", "nodes matched", "not matched", "points used", "of", "largest distance")
-        keys = (
-            "table", "match", "matched_nodes", "unmatched_nodes", "table_points_used", "table_points", "max_distance"
-        )  # fmt: skip
-        yield Table("Displacement tables", heads, [[match[key] for key in keys] for match in matches], (0, 1))
-
-
 def _run(run: Report | None) -> Iterator[Any]:
     """The command, where and when it was run, and the files with their checksums."""
     if not run:
@@ -287,16 +266,18 @@ def _run(run: Report | None) -> Iterator[Any]:
 def histogram(before: Sequence[int] | None, after: Sequence[int], label: str) -> str:
     """Cells per bin of [0, 1] on a logarithmic scale, which shows a few bad cells among millions of good ones."""
     width, both = 1 / len(after), before is not None
-    bars = [(after, _AFTER, 0.71, 0.41)] if both else [(after, _AFTER, 0.5, 0.72)]
-    bars += [(before, _BEFORE, 0.29, 0.41)] if before is not None else []
+    bars = [("after", after, _AFTER, 0.71, 0.41)] if both else [("", after, _AFTER, 0.5, 0.72)]
+    bars += [("before", before, _BEFORE, 0.29, 0.41)] if before is not None else []
 
     def draw(axes: Axes) -> None:
-        for counts, colour, middle, thick in bars:
+        for name, counts, colour, middle, thick in bars:
             there = [n for n, count in enumerate(counts) if count]
             # Half a decade below 1, so that a single cell has a visible bar.
             heights, places = [counts[n] - _LEAST for n in there], [(n + middle) * width for n in there]
-            axes.bar(places, heights, thick * width, bottom=_LEAST, color=colour)
+            axes.bar(places, heights, thick * width, bottom=_LEAST, color=colour, label=name)
         axes.set(yscale="log", xlim=(0, 1), xlabel=label, ylabel="cells")
+        if both:
+            axes.legend(loc="upper left", frameon=False, labelcolor=_INK, reverse=True)
         axes.set_ylim(bottom=_LEAST, top=max(10.0, *after, *(before or ())) * 1.3)
 
     return _svg(draw, f"cells over {label}")

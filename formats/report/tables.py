@@ -13,6 +13,7 @@ from .records import Report
 
 ACCELERATION = "largest acceleration of a node, in the largest step of the walls; 2 where they turn back"
 _LAYERS = (("first cell", "first_cell_height_ratio"), ("first cells together", "layer_thickness_ratio"))
+_ALONG = 0.9994
 _WEAK = "weak: sheared by more than 45 degrees, or twice or half as long in one direction"
 
 
@@ -157,6 +158,44 @@ def node_counts(boundary: Report) -> str:
     return ", ".join(f"{boundary[key]:,} {key.removesuffix('_nodes')}" for key in boundary if key.endswith("_nodes"))
 
 
+def match_lines(boundary: Report) -> list[str]:
+    """How each displacement table was used."""
+    lines = []
+    for match in boundary.get("matches", ()):
+        fits = f"fits {', '.join(map(repr, match['walls']))}; " if match["walls"] else ""
+        lines.append(
+            f"{match['table']}: {fits}{match['matched_nodes']:,} nodes matched ({match['match']}, "
+            f"at most {match['max_distance']:.3g} away), {match['unmatched_nodes']:,} not; "
+            f"{match['table_points_used']:,} of {match['table_points']:,} table points used"
+        )
+    return lines
+
+
+def motion_lines(report: Report) -> list[str]:
+    """The motion as evaluated, which reveals, for instance, radians given as degrees."""
+    if "max_displacement" not in report["boundary"]:
+        return []
+    lines = [f"largest displacement {report['boundary']['max_displacement']:.6g}"]
+    for patch in report.get("motion", ()):
+        least = 1e-12 * patch["max_displacement"]
+        mean = ", ".join(f"{part if abs(part) > least else 0.0:.4g}" for part in patch["mean_displacement"])
+        lines.append(
+            f"{patch['boundary']}: up to {patch['max_displacement']:.6g}, mean ({mean}), "
+            f"rotated by up to {patch['max_rotation_deg']:.4g} degrees{axis_text(patch['rotation_axis'])}"
+        )
+    return lines
+
+
+def axis_text(axis: list[float]) -> str:
+    """`` about +z``: the axis of a right-handed rotation, as a coordinate axis if it is one within 2 degrees."""
+    if not any(axis):
+        return ""
+    for name, part in zip("xyz", axis, strict=True):
+        if abs(part) > _ALONG:
+            return f" about {'+' if part > 0 else '-'}{name}"
+    return f" about ({', '.join(f'{part:.3g}' for part in axis)})"
+
+
 def settings_table(report: Report) -> Table:
     """The parameters of the method."""
     settings = ((name, setting) for name, setting in report["method"].items() if name != "name")
@@ -271,24 +310,13 @@ def _layer_text(name: str, change: Report) -> str:
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture, or the same view before and after (both PNG, of one size).
-
-    ``names`` label the two; ``caption`` describes the picture, also for readers who cannot see it.
-    """
+    """A picture as PNG; ``caption`` describes it, also for readers who cannot see it; ``file`` of the level shown."""
 
     title: str
     caption: str
-    after: bytes
-    before: bytes | None = None
-    names: tuple[str, str] = ("before", "after")
+    png: bytes
+    file: str = ""
 
 
-@dataclass(frozen=True)
-class Illustrations:
-    """Pictures of one deformation, and thumbnails of the levels of a series with the files that they link to."""
-
-    figures: tuple[Figure, ...] = ()
-    thumbnails: tuple[tuple[Figure, str], ...] = ()
-
-
-Illustrate = Callable[[], Illustrations]
+Illustrate = Callable[[], Sequence[Figure]]
+"""Draws the pictures of a page."""

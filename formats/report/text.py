@@ -15,7 +15,9 @@ from .tables import (
     boundary_table,
     components_table,
     levels_table,
+    match_lines,
     measures_table,
+    motion_lines,
     node_counts,
     number,
     place_text,
@@ -26,7 +28,6 @@ from .tables import (
 )
 
 _LISTED = 20
-_ALONG = 0.9994
 
 
 def as_text(report: Report, parameters: bool = True) -> str:
@@ -40,14 +41,17 @@ def as_text(report: Report, parameters: bool = True) -> str:
 def _sections(report: Report, parameters: bool) -> Iterator[tuple[str, Iterable[str]]]:
     grid, judged = report["grid"], "quality" in report and "levels" not in report
     if "valid" in report:
-        yield from _verdict(report, judged)
+        yield from _verdict_lines(report, judged)
     kind = grid["format"] or ("several files" if grid["file"] else "no file")
     size = f"{grid['dimension']}-D, {counted(grid['blocks'], 'block')}, {grid['nodes']:,} nodes"
     yield "grid", (f"{grid['file'] or '(in memory)'}: {kind}", f"{size}, {counted(grid['cells'], 'cell')}")
     if "method" in report:
         yield "method", [report["method"]["name"] + ("" if parameters else "  (-v shows its parameters)")]
     if "boundary" in report:
-        yield from _boundary(report["boundary"], report.get("motion", []))
+        yield "boundary", _columns(boundary_table(report["boundary"]))
+        yield "nodes", [node_counts(report["boundary"])]
+        yield "table", match_lines(report["boundary"])
+        yield "motion", motion_lines(report)
     if report.get("components"):
         yield "parts", _columns(components_table(report))
     if "levels" in report:
@@ -83,7 +87,7 @@ def _columns(table: Table) -> Iterator[str]:
         yield "  ".join(f"{cell:{'<' if n in table.texts else '>'}{width}s}" for n, (cell, width) in enumerate(cells))
 
 
-def _verdict(report: Report, judged: bool) -> Iterator[tuple[str, Iterable[str]]]:
+def _verdict_lines(report: Report, judged: bool) -> Iterator[tuple[str, Iterable[str]]]:
     """Whether the grid is valid, how it was obtained, its invalid cells, and what a user decides by."""
     cells, lines = report.get("invalid_cells", []), ["valid" if report["valid"] else "INVALID"]
     for cell in cells[:_LISTED]:
@@ -110,43 +114,6 @@ def _verdict(report: Report, judged: bool) -> Iterator[tuple[str, Iterable[str]]
         yield "interior", [f"remade from the reference by {new['method']} in {steps}: {new['reason']}"]
     if "quality" not in report:
         yield "repair", repair_lines(report)
-
-
-def _boundary(boundary: Report, motion: list[Report]) -> Iterator[tuple[str, Iterable[str]]]:
-    """Entries, nodes, tables, and the motion as evaluated, which reveals, for instance, radians given as degrees."""
-    yield "boundary", _columns(boundary_table(boundary))
-    yield "nodes", [node_counts(boundary)]
-    for match in boundary.get("matches", ()):
-        fits = f"fits {', '.join(map(repr, match['walls']))}; " if match["walls"] else ""
-        yield (
-            "table",
-            [
-                f"{match['table']}: {fits}{match['matched_nodes']:,} nodes matched ({match['match']}, "
-                f"at most {match['max_distance']:.3g} away), {match['unmatched_nodes']:,} not; "
-                f"{match['table_points_used']:,} of {match['table_points']:,} table points used"
-            ],
-        )
-    if "max_displacement" not in boundary:
-        return
-    moved = [f"largest displacement {boundary['max_displacement']:.6g}"]
-    for patch in motion:
-        least = 1e-12 * patch["max_displacement"]
-        mean = ", ".join(f"{part if abs(part) > least else 0.0:.4g}" for part in patch["mean_displacement"])
-        moved.append(
-            f"{patch['boundary']}: up to {patch['max_displacement']:.6g}, mean ({mean}), "
-            f"rotated by up to {patch['max_rotation_deg']:.4g} degrees{axis_text(patch['rotation_axis'])}"
-        )
-    yield "motion", moved
-
-
-def axis_text(axis: list[float]) -> str:
-    """`` about +z``: the axis of a right-handed rotation, as a coordinate axis if it is one within 2 degrees."""
-    if not any(axis):
-        return ""
-    for name, part in zip("xyz", axis, strict=True):
-        if abs(part) > _ALONG:
-            return f" about {'+' if part > 0 else '-'}{name}"
-    return f" about ({', '.join(f'{part:.3g}' for part in axis)})"
 
 
 def _series(report: Report) -> Iterator[tuple[str, Iterable[str]]]:

@@ -19,13 +19,13 @@ from ..files import replacing
 from ..inputs import digest, files_of, size
 from ..text import json_text
 from .records import Report
-from .tables import Illustrate, Illustrations
+from .tables import Illustrate
 
 SUFFIXES = (".json", ".txt", ".html")
 _LIBRARIES = ("numpy", "scipy", "numba")
 
 
-def write_report(report: Report, path: Path, illustrate: Illustrate = Illustrations) -> None:
+def write_report(report: Report, path: Path, illustrate: Illustrate = tuple) -> None:
     """Write a report; the suffix selects json, txt or html. Pictures are made only for HTML.
 
     Raises FormatError for another suffix, or when the file cannot be written.
@@ -40,9 +40,8 @@ def write_report(report: Report, path: Path, illustrate: Illustrate = Illustrati
     else:
         from .page import as_html
 
-        pictures = illustrate()
         folder = os.path.relpath(report["series"]["folder"], path.parent) if "series" in report else ""
-        text = as_html(report, pictures.figures, pictures.thumbnails, folder)
+        text = as_html(report, illustrate(), folder)
     with replacing(path) as partial:
         partial.write_text(text, encoding="utf-8", errors="surrogateescape")
 

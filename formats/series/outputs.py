@@ -15,6 +15,7 @@ import abc
 import dataclasses
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -39,39 +40,33 @@ _LONGEST = 17
 _SERIES = (".vtk", *FORMATS["cgns"].suffixes)
 
 
+@dataclass(eq=False)
 class SeriesFiles(abc.ABC):
     """The levels on disk. Every file is complete or absent, whenever the program is stopped.
 
-    Parameters
+    Attributes
     ----------
     name : of the file, or of the files of all levels, in ``folder``
     options : of the variant of the format
     velocity : how grid velocities are computed that the files hold; ``none``
-
-    Attributes
-    ----------
     dress : adds fields to a level before it is written
     invalid : numbers of the levels that are kept under the name of an invalid grid
+    view : the file to open in ParaView
     """
 
-    def __init__(
-        self, grid: Grid, folder: Path, name: str, times: tuple[float, ...], options: Mapping[str, Any], velocity: str
-    ):
-        self.grid, self.folder, self.times = grid, folder, times
-        self.plain, self.options, self.velocity = folder / name, options, velocity
+    grid: Grid
+    folder: Path
+    name: str
+    times: tuple[float, ...]
+    options: Mapping[str, Any]
+    velocity: str
+
+    def __post_init__(self) -> None:
+        self.plain = self.folder / self.name
+        self.view: Path | None = None
         self.dress: Callable[[Grid], Grid] = lambda level: level
         self.invalid: set[int] = set()
-        self.require_possible()
-        self.variant = variant_of(grid, self.plain, options)
-
-    @abc.abstractmethod
-    def require_possible(self) -> None:
-        """Refuse velocities and times that such files cannot hold. Raises FormatError."""
-
-    @property
-    @abc.abstractmethod
-    def view(self) -> Path | None:
-        """The file to open in ParaView."""
+        self.variant = variant_of(self.grid, self.plain, self.options)
 
     @abc.abstractmethod
     def names(self, number: int) -> tuple[Path, Path]:
@@ -154,13 +149,9 @@ class LevelFiles(SeriesFiles):
     grid.
     """
 
-    @property
-    def suffix(self) -> str:
-        """Suffix of all levels, in small letters."""
-        return self.plain.suffix.lower()
-
-    def require_possible(self) -> None:
-        format_of(self.plain)
+    def __post_init__(self) -> None:
+        self.suffix = Path(self.name).suffix.lower()
+        format_of(Path(self.name))
         swept = self.velocity == "swept"
         able = _WITH_FACES if swept else WITH_FIELDS
         if self.velocity != "none" and self.suffix not in able:
@@ -168,14 +159,10 @@ class LevelFiles(SeriesFiles):
                 f"{self.suffix} files cannot hold {'values at cell faces' if swept else 'the grid velocity'}; choose "
                 f"one of {' '.join(dict.fromkeys(able))}, or omit the velocity"
             )
-
-    @property
-    def view(self) -> Path | None:
-        if self.suffix in _COLLECTION:
-            return self.plain.with_suffix(".pvd")
-        if self.suffix in _SERIES:
-            return self.plain.with_suffix(f"{self.suffix}.series")
-        return self.plain.with_suffix(".series.p3d") if self.suffix in FORMATS["plot3d"].suffixes else None
+        super().__post_init__()
+        kinds = {_COLLECTION: ".pvd", _SERIES: f"{self.suffix}.series", FORMATS["plot3d"].suffixes: ".series.p3d"}
+        index = [self.plain.with_suffix(end) for suffixes, end in kinds.items() if self.suffix in suffixes]
+        self.view = index[0] if index else None
 
     def names(self, number: int) -> tuple[Path, Path]:
         digits = max(4, len(str(len(self.times) - 1)))
@@ -252,23 +239,16 @@ class FoamFiles(SeriesFiles):
     Raises FormatError when velocities are requested, or two times cannot be told apart by their names.
     """
 
-    _begun = False
-
-    def require_possible(self) -> None:
+    def __post_init__(self) -> None:
         if self.velocity != "none":
             raise FormatError("OpenFOAM finds the grid velocity from the points; omit --velocity")
+        # Names of the times with as few digits as possible, at least the six that OpenFOAM writes.
+        found = ([f"{time:.{digits}g}" for time in self.times] for digits in range(6, _LONGEST + 1))
+        self.time_names = next((names for names in found if len(set(names)) == len(names)), [])
         if not self.time_names:
             raise FormatError("two times of the series are equal; expected different ones")
-
-    @property
-    def view(self) -> Path:
-        return self.plain
-
-    @cached_property
-    def time_names(self) -> list[str]:
-        """Distinct names of the times with as few digits as possible, at least the six that OpenFOAM writes."""
-        found = ([f"{time:.{digits}g}" for time in self.times] for digits in range(6, _LONGEST + 1))
-        return next((names for names in found if len(set(names)) == len(names)), [])
+        super().__post_init__()
+        self.view, self._begun = self.plain, False
 
     @cached_property
     def _writer(self) -> MeshWriter:

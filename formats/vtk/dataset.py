@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from meshdeform_core.grid import Field, FileFormat, Grid, Planes, Shape
 from meshdeform_core.parallel import empty
 
 from ..planes import Output, Stored, ranges_of, write_outputs
+from ..text import number_lines
 
 
 @dataclass(frozen=True)
@@ -181,10 +182,6 @@ class StoredArray:
         for first in range(0, len(self.values), planes):
             yield self.values[first : first + planes].astype(self.precision, order="C", copy=False).reshape(-1)
 
-    def run(self) -> NDArray[Any]:
-        """All values in the order of VTK, ``(n,)``."""
-        return self.values.astype(self.precision, order="C", copy=False).reshape(-1)
-
 
 Reserved = dict[int, tuple[int, np.dtype[Any]]]
 """First byte and type of arrays for which a file has room, by their number."""
@@ -200,10 +197,25 @@ class BlockOutput:
     def line(self, text: str) -> None:
         self.stream.write(f"{text}\n".encode())
 
-    def reserve(self, array: StoredArray, kind: np.dtype[Any]) -> None:
-        """Leave room for the values of an array in this type."""
-        self._places[id(array)] = self.stream.tell(), kind
-        self.stream.seek(array.nbytes, os.SEEK_CUR)
+    def text(self, array: StoredArray) -> None:
+        """The values, one per line."""
+        for slab in array.slabs():
+            # The writer of numbers knows no integers of 8 or 16 bits.
+            wide = slab.astype(np.int64) if slab.dtype.itemsize < 4 else slab
+            lines = number_lines(wide)
+            if wide.dtype.kind == "f" and not np.isfinite(wide).all():
+                # VTK stumbles over longer words.
+                lines = memoryview(bytes(lines).replace(b"Infinity", b"inf").replace(b"NaN", b"nan"))
+            self.stream.write(lines)
+
+    def binary(self, array: StoredArray, order: Literal["<", ">"]) -> None:
+        """The values in a byte order, or room for them if they have planes, which all ranks write later."""
+        kind = array.precision.newbyteorder(order)
+        if array.in_planes:
+            self._places[id(array)] = self.stream.tell(), kind
+            self.stream.seek(array.nbytes, os.SEEK_CUR)
+        else:
+            self.stream.write(array.values.astype(kind, order="C", copy=False).data)
 
     def reserved(self, contents: Sequence[StoredArray]) -> Reserved:
         """The places of those ``contents`` that have room."""

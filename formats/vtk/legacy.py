@@ -319,9 +319,6 @@ def _shape(file: LegacyFile, keyword: str, words: Sequence[str]) -> Shape:
 # VTK encodes blanks, quotation marks and percent signs in names.
 _PLAIN = "".join(sorted(set(string.punctuation) - set('"%')))
 
-_VALUES_PER_LINE = 9
-_LINES_AT_ONCE = 10_000
-
 
 def begin_block(grid: Grid, block: int, path: Path, variant: FileFormat, contents: Sequence[StoredArray]) -> Reserved:
     """Write one block, in binary without the values that have planes; returns the places of these."""
@@ -348,25 +345,14 @@ class _Output(BlockOutput):
 
     def __init__(self, stream: BinaryIO, encoding: str) -> None:
         super().__init__(stream)
-        self.binary = encoding == "binary"
+        self.as_text = encoding == "ascii"
 
     def values(self, array: StoredArray) -> None:
-        if not self.binary:
-            flat = array.run()
-            number = {"f4": "%.9g", "f8": "%.17g"}.get(flat.dtype.str[1:], "%d")
-            line = " ".join([number] * _VALUES_PER_LINE) + "\n"
-            at_once = _LINES_AT_ONCE * _VALUES_PER_LINE
-            for start in range(0, flat.size, at_once):
-                part = flat[start : start + at_once].tolist()
-                full, rest = divmod(len(part), _VALUES_PER_LINE)
-                self.line((line * full + " ".join([number] * rest)) % tuple(part))
-            return
-        kind = array.precision.newbyteorder(">")
-        if array.in_planes:
-            self.reserve(array, kind)
+        if self.as_text:
+            self.text(array)
         else:
-            self.stream.write(array.run().astype(kind, copy=False).data)
-        self.stream.write(b"\n")
+            self.binary(array, ">")
+            self.stream.write(b"\n")
 
     def fields(self, arrays: Sequence[StoredArray]) -> None:
         """A FIELD of arrays."""

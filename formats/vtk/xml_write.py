@@ -12,7 +12,6 @@ import numpy as np
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FileFormat, Grid
 
-from ..text import number_lines
 from .dataset import BlockOutput, Reserved, StoredArray
 from .xml_arrays import SECTIONS, TYPES
 
@@ -97,16 +96,6 @@ class _Output(BlockOutput):
         self.text(array)
         self.line("        </DataArray>")
 
-    def text(self, array: StoredArray) -> None:
-        for slab in array.slabs():
-            # The writer of numbers knows no integers of 8 or 16 bits.
-            wide = slab.astype(np.int64) if slab.dtype.itemsize < 4 else slab
-            lines = number_lines(wide)
-            if wide.dtype.kind == "f" and not np.isfinite(wide).all():
-                # VTK stumbles over longer words.
-                lines = memoryview(bytes(lines).replace(b"Infinity", b"inf").replace(b"NaN", b"nan"))
-            self.stream.write(lines)
-
     def append(self) -> None:
         """All arrays in sequence, and their offsets in the tags."""
         self.stream.write(b'  <AppendedData encoding="raw">\n   _')
@@ -117,10 +106,5 @@ class _Output(BlockOutput):
             self.stream.write(f'{offset}"'.encode())
             self.stream.seek(start + offset)
             self.stream.write(np.array(array.nbytes, "<u8").tobytes())
-            kind = array.precision.newbyteorder("<")
-            if array.in_planes:
-                # All ranks write these values later.
-                self.reserve(array, kind)
-            else:
-                self.stream.write(array.run().astype(kind, copy=False).data)
+            self.binary(array, "<")
         self.line("\n  </AppendedData>")

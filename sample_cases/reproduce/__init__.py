@@ -56,7 +56,7 @@ def reproduce(what: str, folder: Path, quick: bool, tell: Tell) -> dict[str, Any
     for name in TABLES if what == "all" else (what,):
         gallery = Gallery(name, folder)
         table = reproduce_table(TABLES[name](quick), tell, gallery.keep)
-        results["tables"][name] = table | {"figures": gallery.draw()}
+        results["tables"][name] = table | {"figures": gallery.write()}
         _write(folder / name, results | {"tables": {name: results["tables"][name]}})
     _write(folder / "results", results)
     return results

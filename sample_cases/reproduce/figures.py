@@ -133,7 +133,7 @@ class Gallery:
         if "undeformed" in self._wanted - self._planes.keys():
             self._planes["undeformed"] = planes_of(grid, topology, grid, self._middle)
 
-    def draw(self) -> list[str]:
+    def write(self) -> list[str]:
         """Write the figures; returns their file names."""
         return [_draw(figure, self._planes, self._folder) for figure in self._figures]
 

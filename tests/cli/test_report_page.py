@@ -93,15 +93,9 @@ def test_page_needs_nothing_but_itself(far):
     assert not far[1].of("script")
 
 
-def test_pairs_of_pictures_are_of_one_size(far):
-    labelled = {image["alt"]: picture for image, picture in zip(far[1].of("img"), far[1].pictures, strict=True)}
-    pairs = [
-        (labelled[f"{name}, before"], labelled[f"{name}, after"]) for name in ("Around the walls", "The worst cells")
-    ]
-    for before, after in pairs:
-        assert before.size == after.size
-        assert np.asarray(before).std() > 10
-        assert (np.asarray(before) != np.asarray(after)).any()
+def test_pictures_show_something(far):
+    assert [image["alt"] for image in far[1].of("img")] == ["Around the walls", "The worst cells"]
+    assert all(np.asarray(picture).std() > 10 for picture in far[1].pictures)
 
 
 def test_verdict_says_how_many_and_where(far):

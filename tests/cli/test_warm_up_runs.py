@@ -91,7 +91,7 @@ def _pictures(name: str, size: int, method: Options) -> None:
     result = _deformed(name, size, method)
     with_fields(cells_of(result.setup, result.grid), [ALL])
     setup = result.setup
-    page_png(quality_planes(Pair(setup.grid, result.grid, setup.topology, original=setup.original))[1], dpi=10)
+    page_png(quality_planes(Pair(setup.grid, result.grid, setup.topology, original=setup.original)), dpi=10)
 
 
 def _nested_sums() -> None:

@@ -164,13 +164,13 @@ def test_pictures_of_reports(make, tmp_path):
     def act(folder):
         result = deform(read_grid(tmp_path / "grid.cgns"), case)
         assert result.repair is not None
-        figures = deformation_figures(result).figures
+        figures = deformation_figures(result)
         levels = [(0, "before", "a"), (1, "after", "b")]
         read = (result.setup.grid.points, result.grid.points).__getitem__
-        small = [figure for figure, _ in level_thumbnails(result.setup, levels, read).thumbnails]
+        small = level_thumbnails(result.setup, levels, read)
         assert len(figures) == (4 if make is tapered else 3)
         for number, figure in enumerate([*figures, *small]):
-            (folder / f"{number}.png").write_bytes(figure.after)
+            (folder / f"{number}.png").write_bytes(figure.png)
             (folder / f"{number}.txt").write_text(figure.caption)
 
     same_files(tmp_path, 3, act)

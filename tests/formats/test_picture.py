@@ -240,14 +240,11 @@ def test_pages_before_and_after_have_one_size_and_scale():
     before = frame()
     after = before.moved(before.points + 0.3 * np.sin(before.points[:, [1, 0, 0]]) * [1, 1, 0])
     pair = Pair(before, after, find_topology(before))
-    one, two = quality_planes(pair)
-    assert one.scale == two.scale
-    assert one.panels[0].window == two.panels[0].window
-    pictures = [page_png(page, 4.0, 60) for page in (one, two, worst_cells(pair, 2, (1, 1, 1)))]
+    page = quality_planes(pair)
+    assert page.panels[0].window == page.panels[1].window
+    pictures = [page_png(each, 4.0, 60) for each in (page, worst_cells(pair, 2, (1, 1, 1)))]
     assert all(png.startswith(b"\x89PNG") for png in pictures)
-    assert pictures[0][16:24] == pictures[1][16:24]
-    assert pictures[0] != pictures[1]
-    assert page_png(one, 4.0, 60) == pictures[0]
+    assert page_png(page, 4.0, 60) == pictures[0]
 
 
 def test_moved_walls_are_coloured_by_their_motion():
