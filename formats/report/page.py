@@ -113,7 +113,7 @@ def _verdict_of_levels(report: Report) -> dict[str, Any]:
     return {
         "headline": f"{len(bad)} of {len(report['levels'])} levels are not valid.",
         "places": places + ([f"and {len(bad) - _SHOWN} more"] if len(bad) > _SHOWN else []),
-        "advice": ["--steps auto, --from last, or another method."],
+        "advice": ["--steps auto, or another method."],
     }
 
 
