@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import partial
 
 import numpy as np
@@ -15,6 +16,9 @@ from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.methods import Options
 from meshdeform_core.parallel import Ranks
+from meshdeform_core.repair.limit import Limit
+from meshdeform_core.setup import Timing
+from meshdeform_core.stepping.steps import Course, beginning, prepared_on
 
 
 def mesh_of(options: Options) -> Mesh:
@@ -73,3 +77,18 @@ def test_the_calls_differ_in_what_they_are_to_show():
     assert found["repaired"].repair is not None
     assert found["smaller steps"].steps > 1
     assert found["harmless"].max_displacement == found["through the other side"].max_displacement
+
+
+def test_a_prepared_method_is_used_again_for_its_own_grid_and_options_only():
+    setup = mesh_of(Options("tfi")).session.setup
+    course = Course(setup, setup.motion(0.0), "float64", Timing(), None, Limit())
+    state = beginning(course, setup.case.method)
+    moved, other = (
+        dataclasses.replace(state, **new) for new in ({"points": state.points.copy()}, {"options": Options("idw-tfi")})
+    )
+    first = prepared_on(state)
+    assert prepared_on(state) is first
+    assert prepared_on(moved) is not first
+    again = prepared_on(state)
+    assert again is not first
+    assert prepared_on(other) is not again
