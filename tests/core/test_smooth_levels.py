@@ -16,6 +16,7 @@ from meshdeform_core.deform import Case, set_up
 from meshdeform_core.repair.energy import share_of, share_slopes
 from meshdeform_core.repair.region import Basis
 from meshdeform_core.series import Schedule, deform_series
+from meshdeform_core.smoothness import Smoothness
 
 
 def bar(size):
@@ -65,3 +66,8 @@ def test_samples_between_corners_count_smoothly_from_cells_of_f_4_on():
     step, excess = 1e-6, [whole.excess(sheared(3.0 + s)) for s in (-1e-6, 1e-6)]
     slope = (share_of(whole, sheared(3.0 + step))[1].between - share_of(whole, sheared(3.0 - step))[1].between) / 2e-6
     np.testing.assert_allclose(slope, share_slopes(whole, sheared(3.0))[1] * (excess[1] - excess[0]) / 2e-6, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("reach", "beyond"), [(0.5, 0.2), (1.0, 0.2), (2.0, 0.1)])
+def test_nodes_that_move_farther_than_the_walls_may_be_accelerated_more(reach, beyond):
+    assert Smoothness(1.0, 0.3, 1.0, wall=0.1, reach=reach).beyond == pytest.approx(beyond)
