@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import pytest
 
 from meshdeform_formats.report.page import curve, histogram
-from meshdeform_formats.report.tables import change_of, repair_lines
+from meshdeform_formats.report.tables import change_of, measure_values, repair_lines
 
 DONE = {
     "invalid": 2, "weak": 10, "nodes": 1, "max_movement": 0.5, "newton_steps": 3, "converged": True, "before": None,
@@ -54,3 +54,11 @@ def test_charts_are_elements_of_the_page(svg, label):
     root = ElementTree.fromstring(svg.replace("xlink:href", "href"))
     assert (root.tag, root.get("role"), root.get("aria-label")) == ("svg", "img", label)
     assert not re.search(r"https?:|url\(", svg)
+
+
+def test_only_extremes_have_a_worst_cell():
+    worst = {"f_skew": {"block": "b", "ijk": [1, 2, 3]}}
+    quality = {"f_skew": {"harmonic_mean": 0.8, "mean": 0.9, "p01": 0.6, "min": 0.5}, "worst": worst}
+    places = {name: place for name, *_, place in measure_values({"before": quality, "after": quality})}
+    assert places.pop("f_skew minimum") == "b (1, 2, 3)"
+    assert set(places.values()) == {""}
