@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from meshdeform_core.repair import limit
 from meshdeform_core.repair.energy import Penalty, among_others
 from meshdeform_core.repair.newton import NewtonSystem
 from meshdeform_core.repair.untangle import QUICK, Untangler
+from meshdeform_core.stepping import attempts
 
 
 def butterfly(n=5, layers=4, planes=27):
@@ -93,3 +95,15 @@ def test_work_is_limited_by_counts(monkeypatch):
     assert sum(a.repair for a in short.attempts) == 1
     assert any("as much work as is done for" in text for text in short.warnings)
     np.testing.assert_array_equal(short.grid.points, again.grid.points)
+
+
+@pytest.mark.parametrize(("rescued", "kept"), [(0, 0), (3, 3), (9, 5)])
+def test_of_two_methods_the_grid_with_fewer_invalid_cells_is_kept(rescued, kept, monkeypatch):
+    def trial(cells):
+        return SimpleNamespace(valid=cells == 0, invalid_cells=cells, state=SimpleNamespace(course=None, options=None))
+
+    results = {"_without_repairs": None, "_in_smaller_steps": None, "_with_other_methods": [trial(rescued)]}
+    for name, result in results.items():
+        monkeypatch.setattr(attempts, name, lambda *_, result=result: result)
+    monkeypatch.setattr(attempts, "insist", lambda trial: trial)
+    assert attempts._persistently(trial(5)).invalid_cells == kept
