@@ -98,11 +98,6 @@ def filled(form: type[Of], value: Any, where: str = "") -> Of:
         raise _explained(form, value, where, names, message) from None
 
 
-def schema_of(form: type[Form]) -> Table:
-    """The JSON schema of a form."""
-    return msgspec.json.schema(form)
-
-
 def _not_finite(value: Any) -> list[str | int] | None:
     """Where a number that is not finite is."""
     if isinstance(value, dict | list):
@@ -118,7 +113,7 @@ def _explained(form: type[Form], value: Any, where: str, path: Sequence[str | in
 
     ``message`` is msgspec's, or complete.
     """
-    schema = schema_of(form)
+    schema = msgspec.json.schema(form)
 
     def part(node: Table, what: str) -> Any:
         """An entry of a node of the schema, of one of its alternatives, or of what these refer to."""

@@ -29,7 +29,7 @@ from meshdeform_core.repair.options import Mode
 from meshdeform_core.wording import literal
 
 from ..displacement import read_displacement
-from .forms import File, Form, Table, about, fail, filled, formula_of, load, override, parsed_override, plain, schema_of
+from .forms import File, Form, Table, about, fail, filled, formula_of, load, override, parsed_override, plain
 from .motions import KINDS as MOTIONS
 from .motions import MotionStep
 from .tables import files_over_time, named_files
@@ -325,7 +325,7 @@ def _idle_option(path: Sequence[str], options: Options) -> str:
 
 def case_schema() -> Table:
     """The schema (draft 2020-12) of a case file, as data."""
-    schema = schema_of(CaseForm)
+    schema = msgspec.json.schema(CaseForm)
     definitions = schema["$defs"]
     definitions["MotionStep"]["oneOf"] = [{"required": [name]} for name in MOTIONS]
     return {

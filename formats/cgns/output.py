@@ -44,7 +44,7 @@ from .hdf5 import (
     write_hdf5,
 )
 from .new_nodes import boundary_nodes, connectivity_nodes, family_names, family_nodes
-from .tree import Node, data_type_of, make, room, unique_names
+from .tree import NewNode, Node, data_type_of, make, unique_names
 from .zone import Base, Zone, base_and_zones
 
 
@@ -66,7 +66,7 @@ class Places:
         def placed(start: int, size: int) -> None:
             found.append(Stored.within_rind(self.path, kind, shape, start, size=size))
 
-        return room(name, dims, kind, placed)
+        return NewNode(name, Path(), name, "DataArray_t", data_type_of(kind), tuple(dims), kind, placed=placed)
 
 
 # The version of the standard that defines everything written here.

@@ -245,11 +245,6 @@ def make(name: str, label: str, value: str | NDArray[Any] | None = None, members
     return node
 
 
-def room(name: str, dims: Sequence[int], kind: np.dtype[Any], placed: Callable[[int, int], object]) -> Node:
-    """A DataArray_t whose values will be written later, see :class:`NewNode`."""
-    return NewNode(name, Path(), name, "DataArray_t", data_type_of(kind), tuple(dims), kind, placed=placed)
-
-
 def name_list(names: Sequence[str]) -> NDArray[np.int8]:
     """Names as a CGNS list: characters (32, n), padded with blanks."""
     text = "".join(name.ljust(NAME_LENGTH) for name in names)

@@ -21,7 +21,7 @@ from meshdeform_core.memory import machine_memory, readable
 from meshdeform_core.numerics.geometry.coincidence import connected_components
 
 from .block_mesh_dict import SIDE_VERTICES, BlockMeshDict, BlockSide, FoamPatch, HexBlock
-from .curves import divide, reversed_grading, straight
+from .curves import Section, divide, straight
 
 _CORNERS = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))
 # Local vertices at the ends of the twelve edges: four along i, four along j, four along k.
@@ -56,7 +56,9 @@ def block_mesh(layout: BlockMeshDict) -> Grid:
             first, last = block.vertices[a], block.vertices[b]
             cells, grading = block.cells[number // 4], block.gradings[number]
             if (last, first) in layout.curves:
-                backwards = divide(cells, reversed_grading(grading))
+                # The grading as seen from the other end of the edge.
+                turned = [Section(part.length, part.cells, 1.0 / part.ratio) for part in reversed(grading)]
+                backwards = divide(cells, turned)
                 own.append((1.0 - backwards[::-1], layout.curves[last, first](backwards)[::-1]))
             else:
                 at = divide(cells, grading)

@@ -31,11 +31,6 @@ class Section:
 Grading = tuple[Section, ...]
 
 
-def reversed_grading(grading: Grading) -> Grading:
-    """The grading as seen from the other end of the edge."""
-    return tuple(Section(part.length, part.cells, 1.0 / part.ratio) for part in reversed(grading))
-
-
 def divide(cells: int, grading: Sequence[Section]) -> FloatArray:
     """Parameters (cells + 1,) of the nodes from 0 to 1, as blockMesh places them.
 
