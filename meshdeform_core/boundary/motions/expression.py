@@ -120,6 +120,10 @@ class Expression:
         # Checked when the case is read.
         self._evaluate  # noqa: B018
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # The function that evaluates it cannot be pickled, but be made again.
+        return Expression, (self.text, self.variables)
+
     @cached_property
     def _tree(self) -> ast.expr:
         if len(self.text) > MAX_LENGTH:
