@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -149,32 +148,12 @@ def _result(reached: Reached, one_of_many: bool) -> Result:
         reached=state.fraction,
         displacement=course.total,
         timing=course.timing,
-        warnings=tuple(
-            itertools.chain(
-                course.warnings,
-                state.notices.values(),
-                _of_another_method(state),
-                repair_notices(repair, assessment),
-                _nearly_collapsed(assessment),
-                _overlaps(state, assessment),
-            )
-        ),
+        warnings=(*course.warnings, *state.notices.values(), *_notices(state, repair, assessment)),
         motion=motion,
         attempts=tuple(course.attempts),
         repair=repair,
         plain=state.plain.points if state.plain else None,
     )
-
-
-def _of_another_method(state: State) -> list[Notice]:
-    asked, used = state.course.setup.case.method.name, state.options.name
-    if used == asked:
-        return []
-    text = (
-        f"the grid was made by {used} in {counted(state.steps, 'step')}, as attempts with {asked} left cells invalid "
-        "or nearly collapsed (listed under attempts in the report)"
-    )
-    return [Notice(text, f"made by {used}")]
 
 
 def main_measures(quality: Quality) -> dict[str, Any]:
@@ -211,32 +190,33 @@ def repair_notices(repair: Repair | None, assessment: Assessment) -> list[Notice
     return found
 
 
-def _overlaps(state: State, assessment: Assessment) -> list[str]:
-    """A warning if valid cells overlap others: a wall may pass through itself where no cells lie between its sides.
-
-    Other boundaries cannot meet while all cells are valid.
-    """
-    course = state.course
-    if not assessment.valid or state.fraction < 1.0:
-        return []
-    with course.timing.stage("quality"):
-        crossings = course.setup.undeformed.crossing_test.crossings(course.total)
-    if not crossings:
-        return []
-    text = (
-        f"the moved boundary crosses itself: {crossings[0]}. The cells are valid one by one, but the grid overlaps "
-        f"itself there"
-    )
-    return [Notice(text, f"crossing of {' and '.join(crossings[0].patches)}")]
-
-
-def _nearly_collapsed(assessment: Assessment) -> list[str]:
+def _notices(state: State, repair: Repair | None, assessment: Assessment) -> list[str]:
+    """What users need to know about the grid that is kept."""
+    course, asked, used = state.course, state.course.setup.case.method.name, state.options.name
+    found: list[str] = []
+    if used != asked:
+        text = (
+            f"the grid was made by {used} in {counted(state.steps, 'step')}, as attempts with {asked} left cells "
+            "invalid or nearly collapsed (listed under attempts in the report)"
+        )
+        found.append(Notice(text, f"made by {used}"))
+    found += repair_notices(repair, assessment)
     worst = assessment.after.worst["min_relative_jacobian"]
-    if not assessment.valid or worst.value >= COLLAPSING:
-        return []
-    x, y, z = worst.center
-    text = (
-        f"cell {worst.block} {worst.ijk} at ({x:.6g}, {y:.6g}, {z:.6g}) is valid but nearly collapsed: a Jacobian is "
-        f"{worst.value:.2g} of its original value"
-    )
-    return [Notice(text, "nearly collapsed cell")]
+    if assessment.valid and worst.value < COLLAPSING:
+        x, y, z = worst.center
+        text = (
+            f"cell {worst.block} {worst.ijk} at ({x:.6g}, {y:.6g}, {z:.6g}) is valid but nearly collapsed: a Jacobian "
+            f"is {worst.value:.2g} of its original value"
+        )
+        found.append(Notice(text, "nearly collapsed cell"))
+    if assessment.valid and state.fraction >= 1.0:
+        # A wall may pass through itself where no cells lie between its sides; others cannot meet while cells are valid.
+        with course.timing.stage("quality"):
+            crossings = course.setup.undeformed.crossing_test.crossings(course.total)
+        for crossing in crossings[:1]:
+            text = (
+                f"the moved boundary crosses itself: {crossing}. The cells are valid one by one, but the grid overlaps "
+                f"itself there"
+            )
+            found.append(Notice(text, f"crossing of {' and '.join(crossing.patches)}"))
+    return found

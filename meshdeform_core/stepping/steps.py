@@ -246,10 +246,11 @@ def beginning(course: Course, options: Options) -> State:
 
 
 def warnings_ahead(state: State, first: float) -> list[str]:
-    """The method's warnings for the rest of the motion, whose first step is the fraction ``first`` of it."""
+    """The method's warnings for the motion, whose first step is the fraction ``first`` of it; ``state`` is the
+    beginning."""
     course = state.course
     sources = course.setup.problem.source_numbers
-    motion, step = (course.prescribed(part)[sources] - state.moved[sources] for part in (1.0, first))
+    motion, step = (course.prescribed(part)[sources] for part in (1.0, first))
     return prepared_on(state).warnings_for(motion, step)
 
 
