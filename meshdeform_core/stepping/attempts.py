@@ -22,7 +22,6 @@ from .steps import (
     accept,
     beginning,
     insist,
-    patient_step,
     plain_step,
     repaired,
     smallest_scaled,
@@ -50,7 +49,9 @@ def in_equal_steps(course: Course, count: int) -> Reached:
     state = beginning(course, course.setup.case.method)
     course.warnings.extend(warnings_ahead(state, 1 / count))
     for number in range(1, count + 1):
-        state = accept(patient_step(state, number / count))
+        trial = step(state, number / count)
+        # A repair that fails is repeated with a patient strategy.
+        state = accept(insist(trial) if course.repairing and not trial.valid else trial)
     return Reached(state)
 
 

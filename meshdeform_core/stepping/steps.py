@@ -296,12 +296,6 @@ def repaired(trial: Trial, effort: Effort = "quick") -> Trial:
     return _repaired(trial, effort)
 
 
-def patient_step(state: State, fraction: float) -> Trial:
-    """A step whose repair is repeated with a patient strategy if it fails."""
-    trial = step(state, fraction)
-    return insist(trial) if state.course.repairing and not trial.valid else trial
-
-
 def insist(trial: Trial) -> Trial:
     """Repair the plain grid of a trial again, with a patient strategy; returns the better of the two results."""
     course = trial.state.course
