@@ -59,7 +59,7 @@ class _Surfaces:
         self._onto = np.concatenate([onto for onto, _ in slopes])
         self._turning = along[:, None, None] * np.concatenate([turning for _, turning in slopes])
 
-    def project(self, values: FloatArray) -> FloatArray:
+    def within_triangles(self, values: FloatArray) -> FloatArray:
         """Changes, or gradients, (n, d) of coordinates without those that leave the triangles."""
         found = values.copy()
         found[self.nodes] = np.einsum("nij,nj->ni", self._onto, values[self.nodes])
@@ -133,7 +133,7 @@ class _AtMinimum:
             own = np.zeros_like(self._x)
             np.add.at(own, plot.at, gradient[plot.moved] @ plot.axes.T)
             surfaces = self._surfaces
-            within = surfaces.project(own) if surfaces else own
+            within = surfaces.within_triangles(own) if surfaces else own
             step = self._turned(self._solved(-self._gathered(within), transposed=True))
             free = self._penalty._replace(elastic=0.0)
             found, share, between = self._energy.products(self._x, free, step, 0.0, self._none)
@@ -223,7 +223,7 @@ class _AtMinimum:
             return self._hessian(self._spread(unknowns))
         if transposed:
             turned = self._turned(unknowns)
-            return surfaces.project(self._hessian(turned) - surfaces.turned(turned, transposed=True))
+            return surfaces.within_triangles(self._hessian(turned) - surfaces.turned(turned, transposed=True))
         moved = self._spread(unknowns)
         return np.asarray(self._hessian(moved) - surfaces.turned(moved))
 
@@ -234,7 +234,7 @@ class _AtMinimum:
     def _spread(self, unknowns: FloatArray) -> FloatArray:
         """The change (n, d) of the nodes: F u, or B F u."""
         turned = self._turned(unknowns)
-        return self._surfaces.project(turned) if self._surfaces else turned
+        return self._surfaces.within_triangles(turned) if self._surfaces else turned
 
     def _turned(self, unknowns: FloatArray) -> FloatArray:
         """F u (n, d)."""

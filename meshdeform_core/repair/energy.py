@@ -17,7 +17,7 @@ import dataclasses
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,15 +95,13 @@ class _Elements:
     nodes: IntArray
     weight: FloatArray
 
-    def maps(self, between: bool = True) -> Iterator[Maps]:
-        """The maps at all samples, some at a time; those between corners only on request."""
-        raise NotImplementedError
+    maps: ClassVar[Callable[..., Iterator[Maps]]]
 
     def part(self, maps: Maps) -> FloatArray | float:
         """The share of the maps, beside that of all samples."""
         return 1.0
 
-    def edges(self) -> FloatArray:
+    def edges_at_nodes(self) -> FloatArray:
         """Length (n,) of the shortest undeformed edge at every node, ignoring zero lengths; infinite if none."""
         pairs = [(a, a | bit) for a in range(8) for bit in (1, 2, 4) if not a & bit]
         return shortest_edges(self.start, self.nodes, np.array(pairs if self.nodes.shape[1] == 8 else [(0, 1), (0, 2)]))
@@ -116,7 +114,7 @@ class _Elements:
         """Excess (m,) of the elements, with corners as samples."""
         total = np.zeros(len(self.nodes))
         for maps in self.maps(between=False):
-            f = _slopes(maps.matrices(x), SOFT)[0]
+            f = _slopes(maps.jacobians(x), SOFT)[0]
             total[maps.element] += np.log(np.maximum(f / HEALTHY, 1.0)) ** NORM
         return np.asarray(total ** (1.0 / NORM))
 
@@ -124,12 +122,12 @@ class _Elements:
         """Change (m,) of the excess for a ``change`` (n, d) of ``x``, and the transpose for a ``gradient`` (m,)."""
         excess, along, found = self.excess(x), np.zeros(len(self.nodes)), np.zeros_like(change)
         for maps in self.maps(between=False):
-            a, of = maps.matrices(x), maps.element
+            a, of = maps.jacobians(x), maps.element
             f, u, v, *_ = _slopes(a, SOFT)
             beyond = np.log(np.maximum(f / HEALTHY, 1.0))
             share = np.divide(beyond, excess[of], out=np.zeros_like(f), where=beyond > 0.0) ** (NORM - 1.0)
             force = share / f * (u * a + v * cofactors(a))
-            along[of] += inner(force, maps.matrices(change))
+            along[of] += inner(force, maps.jacobians(change))
             found += maps.on_nodes(gradient[of] * force, len(x))
         return along, found
 
@@ -140,7 +138,7 @@ class _Elements:
         of samples between corners; and the transposes with respect to the two kinds of shares."""
         found, total, gradient = np.zeros_like(change), 0.0, np.zeros(len(self.nodes))
         for maps in self.maps():
-            a, t, of = maps.matrices(x), maps.matrices(change), maps.element
+            a, t, of = maps.jacobians(x), maps.jacobians(change), maps.element
             f, *first = _slopes(a, penalty.eps)
             _, one, two = growth(f)
             u, v, w, p, q, r = combined(first, self.weight[of] + penalty.cubic * one, penalty.cubic * two)
@@ -187,6 +185,7 @@ class Hexahedra(_Elements):
         return dataclasses.replace(self, mask=np.where(share > 0.0, self.mask, self.mask & _CORNERS), between=share)
 
     def maps(self, between: bool = True) -> Iterator[Maps]:
+        """The maps at all samples, some at a time; those between corners only on request."""
         for low in range(0, len(self.nodes), _TOGETHER):
             for sample in range(SAMPLES if between else CORNERS):
                 some = low + np.flatnonzero(self.mask[low : low + _TOGETHER] >> sample & 1)
@@ -267,14 +266,14 @@ class Triangles(_Elements):
         self, x: FloatArray, reference: FloatArray, penalty: Penalty, low: int, high: int
     ) -> tuple[float, float, float]:
         maps = Maps(self._maps.nodes[:, low:high], self._maps.slope[..., low:high], self._maps.element[low:high])
-        a = maps.matrices(x)
+        a = maps.jacobians(x)
         g, det = inner(a, a), a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
         chi, _ = _regular(det, penalty.eps)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             f = np.where(chi > 0.0, 0.5 * (g + det * det + 1.0) / chi, np.inf)
             energy = penalty.share * (self.weight[low:high] * f + penalty.cubic * growth(f)[0])
         if penalty.elastic > 0.0:
-            change = a - maps.matrices(reference)
+            change = a - maps.jacobians(reference)
             energy += 0.5 * penalty.elastic * self._weights[low:high, 1] * inner(change, change)
         return float(energy.sum()), float(det.min(initial=np.inf)), float(f.max(initial=0.0))
 
@@ -288,7 +287,7 @@ class Triangles(_Elements):
         return self
 
     def matrices(self, x: FloatArray) -> FloatArray:
-        return np.asarray(self._maps.matrices(x).transpose(2, 0, 1))
+        return np.asarray(self._maps.jacobians(x).transpose(2, 0, 1))
 
     def stretched(self, stretch: FloatArray) -> Triangles:
         return dataclasses.replace(self, slope=np.einsum("mnk,mkj->mnj", self.slope, np.linalg.inv(stretch)))

@@ -54,7 +54,7 @@ class Products:
         self._matrix, self._swept, self._t = matrix, matrix[0].shape[1] == 2, np.zeros((n, 2))
         self._relaxation = 2.0 / (1.0 + _SLACK / np.sqrt(max(n, 1)))
 
-    def begin(self, b: FloatArray) -> FloatArray:
+    def right_hand_side(self, b: FloatArray) -> FloatArray:
         """The right-hand side of the preconditioned system."""
         if not self._swept:
             return b
@@ -70,7 +70,7 @@ class Products:
         self._back(p)
         return self._on(p, image)
 
-    def end(self, y: FloatArray) -> FloatArray:
+    def solution(self, y: FloatArray) -> FloatArray:
         """The solution from that of the preconditioned system."""
         if not self._swept:
             return y
@@ -215,7 +215,7 @@ class NewtonSystem:
         says whether they met the tolerance.
         """
         factor, products = self._factor, self._products
-        r = products.begin(-np.einsum("nij,nj->ni", factor, self.gradient))
+        r = products.right_hand_side(-np.einsum("nij,nj->ni", factor, self.gradient))
         y, p, image = np.zeros_like(r), with_room(r.shape), np.zeros_like(r)
         p[...] = r
         rho = scalar_product(r, r)
@@ -236,7 +236,7 @@ class NewtonSystem:
             p *= rho / before
             p += r
         self.solved = rho <= goal
-        return np.einsum("nji,nj->ni", factor, products.end(y)), convex
+        return np.einsum("nji,nj->ni", factor, products.solution(y)), convex
 
     def dense(self) -> FloatArray:
         """The scaled Hessian as a dense matrix (d n, d n), for small regions."""

@@ -68,7 +68,7 @@ class Judged:
         """Number of invalid cells."""
         return len(self.verdict.invalid)
 
-    def smallest_scaled(self, original: Original, rounded: Callable[[FloatArray], FloatArray]) -> float:
+    def smallest_scaled_jacobian(self, original: Original, rounded: Callable[[FloatArray], FloatArray]) -> float:
         """The smallest scaled Jacobian, of coordinates ``rounded`` to those that will be written."""
         tally = self.cells.after if self.cells else Tally(original, rounded(self.points))
         return tally.smallest_scaled[1]

@@ -59,7 +59,7 @@ class Plot:
     @cached_property
     def edges(self) -> FloatArray:
         """The shortest undeformed edges (n,) at the nodes."""
-        return self.region.energy.edges()
+        return self.region.energy.edges_at_nodes()
 
     @cached_property
     def system(self) -> NewtonSystem:
@@ -153,7 +153,7 @@ class Neighbourhood:
 
     def near(self, cells: IntArray, layers: int) -> Near:
         """The nodes within ``layers`` cells of ``cells``, of which each rank gives those in its part, ascending."""
-        seeds = np.unique(np.concatenate(self.grid.nodes.gather(np.unique(self.corners(cells)))))
+        seeds = np.unique(np.concatenate(self.grid.nodes.gather(np.unique(self.corners_of_cells(cells)))))
         return Near(distances_in_cells(self.constraints, seeds, layers)[0], layers)
 
     def plot(self, near: Near | None = None, even: bool = False) -> Plot | None:
@@ -163,7 +163,7 @@ class Neighbourhood:
         moved, cells = (np.concatenate(each) for each in zip(*self.grid.nodes.gather(own), strict=True))
         if not moved.size:
             return None
-        corners, owners = self.corners(cells), self._owners(moved)
+        corners, owners = self.corners_of_cells(cells), self._owners(moved)
         nodes, local = np.unique(self._owners(corners.ravel()), return_inverse=True)
         moves = self.may_move(nodes)
         if near:
@@ -213,7 +213,7 @@ class Neighbourhood:
             first = int(grid.cell_offsets[block]) + own.start * cj * ck
             yield rows.start + np.flatnonzero(moves[:size]), first + np.flatnonzero(touched)
 
-    def corners(self, cells: IntArray) -> IntArray:
+    def corners_of_cells(self, cells: IntArray) -> IntArray:
         """Block nodes (m, 8), in 2-D (m, 4), at the corners of cells."""
         return corner_nodes(self.grid, *places(self.grid, cells))
 
@@ -239,7 +239,7 @@ class Neighbourhood:
         def in_space(x: FloatArray) -> FloatArray:
             return components(x, self.axes.T) + origin
 
-        def inside(points: FloatArray) -> FloatArray:
+        def in_axes(points: FloatArray) -> FloatArray:
             return components(points - origin, self.axes)
 
         def slopes_at(sliding: CurvedSurface, x: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -252,7 +252,7 @@ class Neighbourhood:
                 yield Slide(
                     local,
                     lambda x, each=each: components(each.normals(in_space(x)), self.axes),  # type: ignore[misc]
-                    lambda x, each=each: inside(each.project(in_space(x))),  # type: ignore[misc]
+                    lambda x, each=each: in_axes(each.project(in_space(x))),  # type: ignore[misc]
                     partial(slopes_at, each),
                 )
 

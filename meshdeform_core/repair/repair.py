@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -57,27 +57,23 @@ class _Found:
     finished: bool = True
 
 
+@dataclass(frozen=True, eq=False)
 class Repairer:
     """Repairs of deformed states of one grid.
 
-    Parameters
+    Attributes
     ----------
     rounded : function that rounds coordinates to the precision of the output, to which the verdict applies
     memory, limit : memory of each repair; time and work of all repairs together
     farthest : no node moves farther than this (grid length unit)
     """
 
-    def __init__(
-        self,
-        basis: Basis,
-        rounded: Callable[[FloatArray], FloatArray] = lambda points: points,
-        memory: MemoryLimit = UNLIMITED,
-        progress: Progress | None = None,
-        limit: Limit | None = None,
-        farthest: float = np.inf,
-    ):
-        self.basis, self.original, self.rounded = basis, basis.original, rounded
-        self.memory, self.progress, self.limit, self.farthest = memory, progress, limit or Limit(), farthest
+    basis: Basis
+    rounded: Callable[[FloatArray], FloatArray] = lambda points: points
+    memory: MemoryLimit = UNLIMITED
+    progress: Progress | None = None
+    limit: Limit = field(default_factory=Limit)
+    farthest: float = np.inf
 
     def repair(self, start: Judged, polish: bool = False, effort: Effort = "all") -> Outcome | None:
         """Make cells sound; the result may still have invalid cells, but no more than the grid at the ``start``, which
@@ -88,13 +84,18 @@ class Repairer:
         minimum is searched for from there. ``polish``: the weakest cells count as weak however good they are.
         """
         begin, valid = clock.perf_counter(), start.verdict.valid
-        flat, basis = self._flattened(start.points)
-        weak = np.empty(0, dtype=np.int64) if flat is not None else unhealthy_cells(self.original, start.points)
+        # Coordinates of the plane grid that this one is extruded from, if the motion stays in its plane.
+        flat = None
+        if self.basis.extrusion is not None:
+            (extrusion, _), undeformed = self.basis.extrusion, self.basis.original.grid.points
+            change = extrusion.flattened(Nodes.of(start.points).combined(np.subtract, undeformed))
+            flat = None if change is None else extrusion.plane.points + change
+        weak = np.empty(0, dtype=np.int64) if flat is not None else unhealthy_cells(self.basis.original, start.points)
         bad = np.union1d(weak, start.verdict.invalid)
-        limit = self.limit.for_valid(self.original.grid.n_nodes) if valid else self.limit.for_invalid()
+        limit = self.limit.for_valid(self.basis.original.grid.n_nodes) if valid else self.limit.for_invalid()
         try:
             if flat is not None:
-                found = self._repaired_in_plane(start, flat, basis, polish, effort, limit)
+                found = self._repaired_in_plane(start, flat, polish, effort, limit)
             else:
                 found = self._found(start, bad, polish, effort, limit)
         except MethodError as error:
@@ -137,7 +138,7 @@ class Repairer:
         MethodError
             When they do not fit into memory.
         """
-        neighbourhood, grid = self.basis.neighbourhood, self.original.grid
+        neighbourhood, grid = self.basis.neighbourhood, self.basis.original.grid
         nodes = neighbourhood.n_unknowns
         if nodes > LARGE and not polish and bad.size < FEW * grid.n_cells:
             room = min(PER_NODE * grid.n_nodes, self.memory.size) // NewtonSystem.memory(1, grid.dimension)
@@ -149,7 +150,7 @@ class Repairer:
         return self.basis.whole
 
     def _require(self, nodes: int) -> None:
-        needed = NewtonSystem.memory(nodes, self.original.grid.dimension)
+        needed = NewtonSystem.memory(nodes, self.basis.original.grid.dimension)
         self.memory.require(needed, f"a repair of {nodes:,} nodes", "allow more, or take --repair off")
 
     def _searched(
@@ -214,7 +215,7 @@ class Repairer:
         """
         best, now, neighbourhood = start, start, self.basis.neighbourhood
         steps, density, done = 0, np.inf, 0
-        for layers in REGIONS[self.original.grid.dimension][-1 if way.patient else 0 : 1 if way.hasty else None]:
+        for layers in REGIONS[self.basis.original.grid.dimension][-1 if way.patient else 0 : 1 if way.hasty else None]:
             if limit.reached:
                 break
             found, rounds = None, 0
@@ -266,11 +267,11 @@ class Repairer:
 
         Nodes.of(points).each(fill)
         self.basis.neighbourhood.back_to_surfaces(points)
-        return Judged(points, judge(self.original, self.rounded(points)))
+        return Judged(points, judge(self.basis.original, self.rounded(points)))
 
     def _smallest_scaled(self, grid: Judged) -> float:
         """The smallest scaled Jacobian."""
-        return grid.smallest_scaled(self.original, self.rounded)
+        return grid.smallest_scaled_jacobian(self.basis.original, self.rounded)
 
     def _undone(self, start: Judged, end: Judged) -> Judged:
         """The grid ``end`` near cells that are invalid in it or at the ``start``, and the ``start`` far from them."""
@@ -286,26 +287,17 @@ class Repairer:
                 return found
         return end
 
-    def _flattened(self, points: FloatArray) -> tuple[FloatArray | None, Basis]:
-        """Coordinates and basis of the plane grid that this one is extruded from, if the motion stays in its plane."""
-        if self.basis.extrusion is None:
-            return None, self.basis
-        extrusion, basis = self.basis.extrusion
-        change = extrusion.flattened(Nodes.of(points).combined(np.subtract, self.original.grid.points))
-        return (None if change is None else extrusion.plane.points + change), basis
-
     def _repaired_in_plane(
         self,
         start: Judged,
         flat: FloatArray,
-        basis: Basis,
         polish: bool,
         effort: Effort,
         limit: Limit,
     ) -> _Found | None:
         """The repair on the plane grid that this one is extruded from."""
         assert self.basis.extrusion is not None
-        extrusion = self.basis.extrusion[0]
+        extrusion, basis = self.basis.extrusion
         plane = Repairer(basis, self.rounded, self.memory, self.progress, self.limit, self.farthest)
         plain = Judged(flat, judge(basis.original, self.rounded(flat)))
         weak = unhealthy_cells(basis.original, flat)
@@ -314,7 +306,7 @@ class Repairer:
             return found and replace(found, grid=start)
         kept = 0.0 if polish else kept_along_lines(found.share)[0]
         after = self._spread(extrusion, start.points, flat, found.grid.points, kept)
-        layers = self.original.grid.n_cells // extrusion.plane.n_cells
+        layers = self.basis.original.grid.n_cells // extrusion.plane.n_cells
         return replace(found, grid=after, weak=layers * len(np.setdiff1d(weak, plain.verdict.invalid)))
 
     def _spread(
@@ -322,9 +314,9 @@ class Repairer:
     ) -> Judged:
         """The grid for the plane grid ``end`` that was ``flat`` before its repair, with a part ``kept`` of what differs
         along lines in ``points``, or nothing of it where cells would be invalid."""
-        plane, start = extrusion.plane.points, self.original.grid.points
+        plane, start = extrusion.plane.points, self.basis.original.grid.points
         spread = extrusion.spread(start, points, flat - plane, end - plane, kept)
-        after = Judged(spread, judge(self.original, self.rounded(spread)))
+        after = Judged(spread, judge(self.basis.original, self.rounded(spread)))
         return after if after.verdict.valid or not kept else self._spread(extrusion, points, flat, end, 0.0)
 
     def _moved(self, now: Judged, plot: Plot, shift: FloatArray) -> Judged:
@@ -332,4 +324,4 @@ class Repairer:
         Nodes.of(points).each(lambda rows: np.copyto(points[rows], now.points[rows]))
         own = slice(*np.searchsorted(plot.moved, Nodes.of(points).ends).tolist())
         Nodes.of(points).rows[plot.moved[own]] += shift[own]
-        return Judged(points, judge(self.original, self.rounded(points)))
+        return Judged(points, judge(self.basis.original, self.rounded(points)))

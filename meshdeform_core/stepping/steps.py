@@ -363,7 +363,7 @@ def _require_finite(state: State, points: FloatArray, first: int) -> None:
 
 def smallest_scaled(course: Course, found: Judged) -> float:
     """The smallest scaled Jacobian, which polishing must not reduce although it minimises another measure."""
-    return found.smallest_scaled(course.setup.original, course.rounded)
+    return found.smallest_scaled_jacobian(course.setup.original, course.rounded)
 
 
 def _repaired(trial: Trial, effort: Effort, polish: bool = False) -> Trial:

@@ -197,7 +197,7 @@ def test_where_steps_are_shortened_or_refused_the_minimum_is_not_called_reached(
         return dataclasses.replace(found, energy=found.energy + bad)
 
     monkeypatch.setattr(Untangler, "state", state)
-    assert untangler.minimise(1.0, 5, plot.region.energy.edges()) == (refused == 0)
+    assert untangler.minimise(1.0, 5, plot.edges) == (refused == 0)
 
 
 @pytest.mark.parametrize("dimension", [2, 3])

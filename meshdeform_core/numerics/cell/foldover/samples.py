@@ -68,12 +68,12 @@ class Maps(NamedTuple):
     element: IntArray
     at_corners: bool = True
 
-    def matrices(self, x: FloatArray) -> FloatArray:
+    def jacobians(self, x: FloatArray) -> FloatArray:
         """Jacobian matrices (d, d, m) for coordinates ``x`` (n, d)."""
         return sums_of_slopes(x, self.nodes, self.slope)
 
     def on_nodes(self, force: FloatArray, n: int) -> FloatArray:
-        """Forces (n, d) on the nodes for those on the matrices (d, d, m): the transpose of :meth:`matrices`."""
+        """Forces (n, d) on the nodes for those on the matrices (d, d, m): the transpose of :meth:`jacobians`."""
         parts = ((row * self.slope).sum(axis=1) for row in force)
         return np.stack([np.bincount(self.nodes.ravel(), part.ravel(), n) for part in parts], axis=1)
 
