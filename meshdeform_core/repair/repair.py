@@ -31,7 +31,7 @@ from .onset import unhealthy_cells
 from .options import Effort
 from .outcome import Judged, Outcome, Repair
 from .region import Basis, Plot
-from .tuned import FEW, KEPT, LARGE, LAYERS, PER_NODE, REGIONS
+from .tuned import FEW, KEPT, LARGE, LAYERS, PER_NODE, REGIONS, SQUASHED
 from .untangle import WAYS, Progress, Search, Untangler, Way, search_minimum, search_untangled
 
 WEAK = 0.35
@@ -245,8 +245,10 @@ class Repairer:
 
     def _kept(self, start: Judged, end: Judged) -> Judged:
         """The grid ``end``, or as much of the way to it as keeps the share KEPT of the ``start``'s smallest scaled
-        Jacobian: what the energy gives to walls it may not take from the worst cell without limit."""
-        least = KEPT * self._smallest_scaled(start)
+        Jacobian: what the energy gives to walls it may not take from the worst cell without limit. Of a start with
+        squashed cells it keeps less: cells that have lost their size are worse than those that have lost their angles.
+        """
+        least = KEPT * self._smallest_scaled(start) * min(1.0, start.verdict.smallest_ratio / SQUASHED)
         if end is start or least <= 0.0 or self._smallest_scaled(end) >= least:
             return end
 
