@@ -189,17 +189,17 @@ def write_judged(grid: Grid, valid: bool, output: Path, run: RunInput, cells: Ca
     with stage("write"):
         found = cells()
         write_grid(grid, target, run.variant_options, lambda _: with_fields(found, run.fields))
+
+    def remove_earlier() -> None:
+        # Anything but the invalid grid of an earlier run stays.
+        with contextlib.suppress(FormatError):
+            if existing_outputs(beside) == [beside]:
+                require_earlier_grid(beside, grid)
+                beside.unlink()
+
     if valid:
-        grid.nodes.on_first(lambda: _remove_earlier(beside, grid))
+        grid.nodes.on_first(remove_earlier)
     return target
-
-
-def _remove_earlier(path: Path, grid: Grid) -> None:
-    """Remove the file of an invalid grid that an earlier run has left; anything else stays."""
-    with contextlib.suppress(FormatError):
-        if existing_outputs(path) == [path]:
-            require_earlier_grid(path, grid)
-            path.unlink()
 
 
 def run(

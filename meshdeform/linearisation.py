@@ -38,27 +38,22 @@ class Linearisation:
     It is that of the method and of its repair, for a fixed undeformed grid: rotations, their smoothing and mean motions
     are differentiated as they depend on the displacement, the repair as the minimum that it is. Of a motion in several
     steps it is that of the method in one step, and :attr:`exact` is false.
+
+    Attributes
+    ----------
+    step : the deformed grid at this displacement, as :meth:`Mesh.deform` gives it
+    reason : why this is not the derivative of :attr:`step`; empty if it is
     """
 
     def __init__(self, session: Session, method: PreparedMethod, step: Step, of_sources: FloatArray) -> None:
-        self._session, self._setup, self._step = session, step.result.setup, step
+        self._session, self._setup, self.step = session, step.result.setup, step
         self._derivative, why = differentiated(step.result, method, of_sources)
-        self._reason = "; ".join(filter(None, (why, reason_of(self._derivative.kinks))))
-
-    @property
-    def step(self) -> Step:
-        """The deformed grid at this displacement, as :meth:`Mesh.deform` gives it."""
-        return self._step
+        self.reason = "; ".join(filter(None, (why, reason_of(self._derivative.kinks))))
 
     @property
     def exact(self) -> bool:
         """Whether this is the derivative of :attr:`step`; else :attr:`reason` says why not."""
-        return not self._reason
-
-    @property
-    def reason(self) -> str:
-        """Why the derivative is not that of :attr:`step`; empty if it is."""
-        return self._reason
+        return not self.reason
 
     def jvp(self, displacement: ArrayLike) -> list[FloatArray]:
         """Change of the blocks' coordinates, arrays like ``mesh.grid.blocks``, for a change of the displacement.
@@ -77,7 +72,7 @@ class Linearisation:
         """
         with self._session.at_work():
             change = self._session.checked(displacement, "displacement", len(self._session.numbers))
-            return by_part(self._step.grid, self._pushed(change))
+            return by_part(self.step.grid, self._pushed(change))
 
     def vjp(self, gradients: Sequence[ArrayLike]) -> FloatArray:
         """Gradient (n_moving, 3) with respect to the displacement from that with respect to the coordinates.
@@ -134,7 +129,7 @@ class Linearisation:
 
     def _flat(self, gradients: Sequence[Any]) -> FloatArray:
         """Gradients of the parts of the grid as one array (n_nodes, 3), in parts if the grid is."""
-        parts = self._step.grid.part
+        parts = self.step.grid.part
         flat = self._setup.grid.nodes.like(3)
         Nodes.of(flat).each(lambda rows: flat[rows].fill(0.0))
 
@@ -145,7 +140,7 @@ class Linearisation:
             for (block, _, _, points), each in zip(parts, found, strict=True):
                 what, meaning = f"gradient of block {block + 1}", f"expected those of the {len(parts)} blocks"
                 values = checked_array(each, points.shape, what, meaning, GridError)
-                rows_of_block(self._step.grid, block, flat)[...] = values
+                rows_of_block(self.step.grid, block, flat)[...] = values
 
         Nodes.of(flat).on_each(fill)
         return flat
