@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 import scipy
 
 from ..grid import FloatArray
-
-if TYPE_CHECKING:
-    from .tables import BoundaryNodes
 
 # In which other frame a table would fit (thresholds that were tuned together, tests/core/test_table_frames.py):
 FRAME_SAMPLE = 2000
@@ -42,8 +39,9 @@ _UNITS = (
 """Factors between length units, and the mistake that each of them indicates."""
 
 
-def other_frame(points: FloatArray, nodes: BoundaryNodes) -> str:
-    """A hint on what would make table points match the nodes, with the share of points that would then lie on them.
+def other_frame(points: FloatArray, nodes: Any) -> str:
+    """A hint on what would make table points match the nodes (:class:`.tables.BoundaryNodes`), with the share of points
+    that would then lie on them.
 
     Tried are length units and shifts. Of those that fit, the one with the smallest distances is named.
 
@@ -68,7 +66,7 @@ def other_frame(points: FloatArray, nodes: BoundaryNodes) -> str:
     return ""
 
 
-def _fit(points: FloatArray, nodes: BoundaryNodes, tree: scipy.spatial.cKDTree) -> tuple[float, float]:
+def _fit(points: FloatArray, nodes: Any, tree: scipy.spatial.cKDTree) -> tuple[float, float]:
     """Share of points that lie on the nodes, 0 if they do not spread over them, and their mean distance in edges."""
     distance, nearest = tree.query(points)
     near = distance <= nodes.longest[nearest]
@@ -86,7 +84,7 @@ def _fit(points: FloatArray, nodes: BoundaryNodes, tree: scipy.spatial.cKDTree) 
 
 
 def _candidates(
-    points: FloatArray, nodes: BoundaryNodes, tree: scipy.spatial.cKDTree
+    points: FloatArray, nodes: Any, tree: scipy.spatial.cKDTree
 ) -> Iterator[tuple[tuple[str, str], FloatArray]]:
     """Changes with the likely reason, and the changed points."""
     for factor, mistake in _UNITS:
