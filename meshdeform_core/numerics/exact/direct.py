@@ -153,7 +153,13 @@ def sum_whole(targets, target_span, sources, charges, pieces, piece_span, a, kap
             continue
         at = pieces[piece, 0]
         unit = _frame(precision, targets, first, last, sources, at, center)
-        back = _factors(a, kappa, unit, own)
+        # Factors of r^-3, r^-4 and r^-5, with r in units of the extent, and the common factor of the sums.
+        first_power, last_power = 1.0 if a == 3.0 else unit, kappa * unit * unit
+        # Dividing by the larger of the two keeps the weights of all distances that are not close finite.
+        largest = math.ldexp(1.0, math.frexp(max(first_power, last_power))[1])
+        own[3], own[4] = (first_power / largest, 0.0) if a == 3.0 else (0.0, first_power / largest)
+        own[5] = last_power / largest
+        back = unit * unit * unit * largest
         three, four, five, zero = own[3], own[4], own[5], own[6]
         while piece < end:
             m = 0
@@ -254,17 +260,6 @@ def _frame_of(precision, targets, first, last, sources, source, center):
         return math.ldexp(1.0, -math.frexp(largest)[1])
 
     return single if precision.dtype == types.float32 else double
-
-
-@inlined
-def _factors(a, kappa, unit, factors):
-    """Store the factors of r^-3, r^-4 and r^-5, with r in units of the extent; return the common factor of the sums."""
-    first_power, last_power = 1.0 if a == 3.0 else unit, kappa * unit * unit
-    # Dividing by the larger of the two keeps the weights of all distances that are not close finite.
-    largest = math.ldexp(1.0, math.frexp(max(first_power, last_power))[1])
-    factors[3], factors[4] = (first_power / largest, 0.0) if a == 3.0 else (0.0, first_power / largest)
-    factors[5] = last_power / largest
-    return unit * unit * unit * largest
 
 
 @inlined

@@ -141,7 +141,12 @@ def find_bases(kind: int, tree: SourceTree, radius: FloatArray, acting: BoolArra
             both = slice(tree.child[c], tree.child[c] + 2)
             depth[both], wanted[both] = depth[c] + 1, wanted[c] | wanted[both]
     # Proxy points (3, n) around a cluster of radius 1, spread over spheres (golden spirals).
-    proxies = np.ascontiguousarray(np.concatenate([REACH * r * _sphere(n) for r, n in SPHERES]).T)
+    spheres = []
+    for size, count in SPHERES:
+        z = 1 - (2 * np.arange(count) + 1) / count
+        angle, side = math.pi * (1 + math.sqrt(5)) * np.arange(count), np.sqrt(1 - z * z)
+        spheres.append(REACH * size * np.stack([side * np.cos(angle), side * np.sin(angle), z]))
+    proxies = np.concatenate(spheres, axis=1)
     found: list = [(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 0)))] * m
 
     def make(c: int) -> None:
@@ -325,14 +330,6 @@ def _join(which, a, b, places, fill, partners):
         if fill:
             partners[places[which, b]] = a
         places[which, b] += 1
-
-
-def _sphere(n: int) -> FloatArray:
-    """Points (n, 3) spread over the unit sphere (golden spiral)."""
-    z = 1 - (2 * np.arange(n) + 1) / n
-    angle = math.pi * (1 + math.sqrt(5)) * np.arange(n)
-    side = np.sqrt(1 - z * z)
-    return np.stack([side * np.cos(angle), side * np.sin(angle), z], axis=1)
 
 
 @fast_kernel("i8, f8[:, ::1], f8[:, ::1], f8, i8[::1], f8[:, ::1]")

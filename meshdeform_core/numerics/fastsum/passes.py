@@ -269,15 +269,6 @@ def _add_polynomial(box, boxes, coefficients, points, out):
 
 
 @kernel
-def _error(error, distance, radius):
-    """Error of a box's polynomial for a unit charge at a distance from its middle, in the unit of ``Spaces.error``."""
-    if distance <= NEAREST * radius:
-        return np.inf
-    n = int(np.log(distance / (NEAREST * max(radius, 1e-300))) / np.log(GROWTH))
-    return error[min(n, error.size - 1)]
-
-
-@kernel
 def _look(n, boxes, tops, clusters, far, near, left, risk):
     """Sort the clusters that the parent of a target tree node has left: those that act on the node's polynomial (far),
     those that act on its targets (near, in leaves only), and those left to its children."""
@@ -304,8 +295,10 @@ def _look(n, boxes, tops, clusters, far, near, left, risk):
             smooth = not clusters.compact or d + own + radius <= 1.0
             seen = smooth and d - own >= REACH * radius
             pull = np.inf
-            if smooth and not few:
-                pull = clusters.strength[c] * _error(boxes.spaces.error[s], d - radius, own) / boxes.allowed[n]
+            if smooth and not few and d - radius > NEAREST * own:
+                number = int(np.log((d - radius) / (NEAREST * max(own, 1e-300))) / np.log(GROWTH))
+                error = boxes.spaces.error[s, min(number, boxes.spaces.error.shape[1] - 1)]
+                pull = clusters.strength[c] * error / boxes.allowed[n]
             if pull <= 1.0 and (seen or child[c] < 0):
                 risk[n] += pull
                 n_far = _act(c, seen, clusters, far, n_far)

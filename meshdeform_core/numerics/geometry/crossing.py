@@ -142,26 +142,22 @@ def near_faces(points: FloatArray, faces: IntArray, asked: BoolArray, tolerance:
     for one, two in (pairs.T, pairs[:, ::-1].T):
         for triangle in _HALVES[0]:
             corner = points[faces[two][:, triangle]]
+            u, v = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+            normal = np.cross(u, v)
+            square = np.einsum("ki,ki->k", normal, normal)
+            safe = np.where(square > 0.0, square, 1.0)
+            slack = reach / np.sqrt(np.sqrt(safe))
             for at in range(4):
-                touching |= _over(points[faces[one, at]], corner, reach)
+                # Corners within reach of the triangle, above or below it.
+                w = points[faces[one, at]] - corner[:, 0]
+                b = np.einsum("ki,ki->k", np.cross(w, v), normal) / safe
+                c = np.einsum("ki,ki->k", np.cross(u, w), normal) / safe
+                height = np.abs(np.einsum("ki,ki->k", w, normal)) / np.sqrt(safe)
+                inside = (b >= -slack) & (c >= -slack) & (b + c <= 1.0 + slack)
+                touching |= (square > 0.0) & inside & (height <= reach)
     near = np.zeros(len(faces), dtype=np.bool_)
     near[pairs[touching]] = True
     return near & asked
-
-
-def _over(points: FloatArray, corner: FloatArray, reach: FloatArray) -> BoolArray:
-    """Which points (k, 3) lie within ``reach`` (k,) of a triangle (k, 3, 3), above or below it."""
-    u, v, w = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0], points - corner[:, 0]
-    normal = np.cross(u, v)
-    square = np.einsum("ki,ki->k", normal, normal)
-    whole = square > 0.0
-    safe = np.where(whole, square, 1.0)
-    b = np.einsum("ki,ki->k", np.cross(w, v), normal) / safe
-    c = np.einsum("ki,ki->k", np.cross(u, w), normal) / safe
-    height = np.abs(np.einsum("ki,ki->k", w, normal)) / np.sqrt(safe)
-    slack = reach / np.sqrt(np.sqrt(safe))
-    inside = (b >= -slack) & (c >= -slack) & (b + c <= 1.0 + slack)
-    return whole & inside & (height <= reach)
 
 
 def _decided(points: FloatArray, faces: IntArray, pairs: IntArray) -> tuple[Signs, FloatArray]:
@@ -238,11 +234,16 @@ class _Signs:
         for face, edges, triangle in ((0, one, two), (1, two, one)):
             heights = self._heights[1 - face][triangle]
             for p, q in _sides(edges):
-                around = [self._around(face, (p, q), side) for side in _sides(triangle)]
-                outside = np.any([s > 0 for s in around], axis=0) & np.any([s < 0 for s in around], axis=0)
+                around = []
+                for r, s in _sides(triangle):
+                    # On which side of the edge this side of the other face's triangle passes.
+                    edge, side = (min(p, q), max(p, q)), (min(r, s), max(r, s))
+                    passes = self._about[(edge, side) if face == 0 else (side, edge)]
+                    around.append(passes if (p < q) == (r < s) else -passes)
+                outside = np.any([each > 0 for each in around], axis=0) & np.any([each < 0 for each in around], axis=0)
                 at, to = heights[p], heights[q]
                 pierced = possible & ~outside & (np.sign(at) * np.sign(to) <= 0.0)
-                doubtful = (at == 0.0) | (to == 0.0) | np.any([s == 0 for s in around], axis=0)
+                doubtful = (at == 0.0) | (to == 0.0) | np.any([each == 0 for each in around], axis=0)
                 best = np.maximum(best, np.where(pierced, np.where(doubtful, _DOUBTFUL, _YES), _NO)).astype(np.int8)
                 new = pierced & ~doubtful & ~self._placed
                 if new.any():
@@ -250,12 +251,6 @@ class _Signs:
                     self._places[:, new] = start + at[new] / (at[new] - to[new]) * (end - start)
                     self._placed |= new
         return best
-
-    def _around(self, face: int, edge: tuple[int, int], side: tuple[int, int]) -> FloatArray:
-        """On which side of an edge of ``face`` a side of a triangle of the other face passes."""
-        sign = 1 if (edge[0] < edge[1]) == (side[0] < side[1]) else -1
-        one, two = ((min(a, b), max(a, b)) for a, b in ((edge, side) if face == 0 else (side, edge)))
-        return sign * self._about[one, two]
 
 
 def _volumes(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> FloatArray:

@@ -62,18 +62,16 @@ def distance_to_faces(x: FloatArray, faces: FloatArray) -> FloatArray:
     some = faces[nearest]
     point = x[:, None]
     corners = [some[:, :, n] for n in range(some.shape[2])]
-    found = [_to_segments(point, a, b) for a, b in zip(corners, [*corners[1:], corners[0]], strict=True)]
+    found = []
+    for a, b in zip(corners, [*corners[1:], corners[0]], strict=True):
+        along = b - a
+        size = (along**2).sum(axis=-1)
+        part = np.clip(((point - a) * along).sum(axis=-1) / np.where(size > 0, size, 1.0), 0.0, 1.0)
+        found.append(np.linalg.norm(point - a - part[..., None] * along, axis=-1))
     if len(corners) == 4:
         a, b, c, d = corners
         found += [_to_triangles(point, a, b, c), _to_triangles(point, a, c, d)]
     return np.asarray(np.min(found, axis=(0, 2)))
-
-
-def _to_segments(x: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
-    along = b - a
-    size = (along**2).sum(axis=-1)
-    part = np.clip(((x - a) * along).sum(axis=-1) / np.where(size > 0, size, 1.0), 0.0, 1.0)
-    return np.asarray(np.linalg.norm(x - a - part[..., None] * along, axis=-1))
 
 
 def _to_triangles(x: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:

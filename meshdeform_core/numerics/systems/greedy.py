@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import FloatArray, IntArray, Report
+from ..arrays import FloatArray, Report
 from ..exact.radial import fill_rows, radial_matrix
 from .saddle import DirectSolver
 
@@ -74,30 +75,23 @@ def select(
         done = _update(kind, centres, residual.T.copy(), 1.0 / scale, order, search, start)
         rounds, updates = rounds + 1, updates + done
         active = np.array(order, dtype=np.int64)
-        solved, residual = _solve_exactly(kind, centres, polynomial, values, active)
+        points = np.ascontiguousarray(centres[active])
+        solver = DirectSolver(partial(radial_matrix, kind, points, points), independent(polynomial[active]))
+        coefficients, part = solver.solve(values[active])
+        terms = np.zeros((polynomial.shape[1], values.shape[1]))
+        terms[: len(part)] = part
+        # Even for few centres, the matrix between all nodes and them would need more memory than the surface itself.
+        residual = values - polynomial @ terms
+        for first in range(0, len(centres), 4096):
+            rows = slice(first, first + 4096)
+            residual[rows] -= radial_matrix(kind, centres[rows], points) @ coefficients
         error = np.abs(residual).max(axis=1) / scale
         if progress:
             progress(len(order), search.max_points)
         if error.max() <= search.tolerance or len(order) >= search.max_points or done == 0:
             break
     converged = bool(error.max() <= search.tolerance)
-    return Selection(active, *solved, error, rounds, updates, converged)
-
-
-def _solve_exactly(
-    kind: int, centres: FloatArray, polynomial: FloatArray, values: FloatArray, active: IntArray
-) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
-    points = np.ascontiguousarray(centres[active])
-    solver = DirectSolver(lambda: radial_matrix(kind, points, points), independent(polynomial[active]))
-    coefficients, part = solver.solve(values[active])
-    terms = np.zeros((polynomial.shape[1], values.shape[1]))
-    terms[: len(part)] = part
-    # Even for few centres, the matrix between all nodes and them would need more memory than the surface itself.
-    residual = values - polynomial @ terms
-    for first in range(0, len(centres), 4096):
-        rows = slice(first, first + 4096)
-        residual[rows] -= radial_matrix(kind, centres[rows], points) @ coefficients
-    return (coefficients, terms), residual
+    return Selection(active, coefficients, terms, error, rounds, updates, converged)
 
 
 def independent(polynomial: FloatArray) -> FloatArray:

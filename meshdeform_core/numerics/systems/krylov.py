@@ -91,27 +91,19 @@ class KrylovSolver:
 
             more, shift, steps = self._search(rest, wanted, limit, report)
             coefficients, polynomial, iterations = coefficients + more, polynomial + shift, iterations + steps
-            rest, error = self._rest(right, coefficients, polynomial, tolerance)
+            error = np.full_like(error, np.inf)
+            while True:
+                largest, sums = error.max(), self.product(coefficients)
+                error = self.product.error(coefficients, sums)
+                # The product is refined until its error is small compared to the tolerance, or round-off, which finer
+                # sums do not reduce.
+                if error.max() <= _LARGEST_ERROR * tolerance or error.max() > 0.3 * largest:
+                    break
+                self.product.refine()
+            rest = right - sums - self._polynomial @ polynomial
             before, residual = residual, np.linalg.norm(rest, axis=0) + error
             stalled = bool(residual.max() > max(0.5 * before.max(), tolerance))
         return Solution(coefficients * scale, polynomial * scale, iterations, residual, stalled)
-
-    def _rest(
-        self, right: FloatArray, coefficients: FloatArray, polynomial: FloatArray, tolerance: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """Residual (n, 3) of a solution, and the norm (3,) of the error of the residual.
-
-        The product is refined until that error is small compared to the tolerance, or round-off.
-        """
-        part, before = self._polynomial @ polynomial, np.inf
-        while True:
-            sums = self.product(coefficients)
-            error = self.product.error(coefficients, sums)
-            # An error that finer sums do not reduce is round-off.
-            if error.max() <= _LARGEST_ERROR * tolerance or error.max() > 0.3 * before:
-                return right - sums - part, error
-            before = error.max()
-            self.product.refine()
 
     def _search(
         self, rest: FloatArray, tolerance: float, limit: int, report: Callable[[int], None]
