@@ -82,6 +82,7 @@ def test_fixed_walls_are_kept_like_moving_ones():
 
 def test_what_walls_gain_the_worst_cell_of_a_valid_grid_loses_in_part_only(monkeypatch):
     monkeypatch.setattr(repairs, "KEPT", 0.9)
+    monkeypatch.setattr(repairs, "SQUASHED", 1e-3)
     setups = [channel(12, 0.9, 1.0, "tfi", mode) for mode in ("off", "auto")]
     plain, repaired = (impose(setup, setup.motion(0.0), 1, "float64", Timing()) for setup in setups)
     assert plain.valid
