@@ -11,7 +11,7 @@ _PER_NODE, _FEWEST = 600.0, 35_000
 _VALID, _VALID_PER_NODE = 250_000.0, 35.0
 """Work allowed for the repair of a valid grid: 12 times what the default method takes to be prepared and to move its
 nodes, 20 ms and 3 microseconds per node (studies/repairs.py)."""
-_PART = 1.0 / 3.0
+_PART = 1.0 / 2.0
 """The part of the work left that one repair may take: where it fails, smaller steps may do (studies/repairs.py)."""
 
 
