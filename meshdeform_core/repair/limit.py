@@ -47,8 +47,8 @@ class Limit:
             self._whole.spend(work)
 
     def affords(self, work: float) -> int:
-        """How often this work may still be done, at least 1."""
-        return max(1, int(min((self._most - self.spent) / work, 1e9)))
+        """How often this work may still be done."""
+        return int(max(0.0, min((self._most - self.spent) / work, 1e9)))
 
     @property
     def exhausted(self) -> bool:

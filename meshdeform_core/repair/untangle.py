@@ -23,6 +23,8 @@ _CELLS = 4096
 _EVALUATION = 0.15
 _ROUGH, _ROUGH_ITERATIONS = 3e-2, 200
 _FINE, _FINE_ITERATIONS = 1e-5, 5000
+# No step is begun after whose derivatives the limit allows fewer iterations of the linear solver than these.
+_WORTHWHILE = 10
 # A determinant that stays below -_LOCKED eps while eps falls cannot become positive in this region.
 _LOCKED = 100.0
 CLOSE = 1e-6
@@ -154,11 +156,13 @@ class Untangler:
 
         ``edges`` (n,) are the shortest undeformed edges at the nodes, relative to which steps must be below CLOSE.
         """
-        penalty = Penalty(0.0, share, CUBIC, 1.0)
+        penalty, whole = Penalty(0.0, share, CUBIC, 1.0), self.region.energy.work + _WORTHWHILE * self.system.work
         now, length, earlier = self.state(self.x, penalty), np.inf, list[State]()
         for step in range(most):
             earlier.append(now)
-            if self.limit.reached or (step >= _PATIENCE and not self._gained(earlier[-1 - _PATIENCE], now, edges)):
+            if self.limit.reached or not self.limit.affords(whole):
+                break
+            if step >= _PATIENCE and not self._gained(earlier[-1 - _PATIENCE], now, edges):
                 break
             if self.progress:
                 self.progress("repair", step, most)
@@ -239,7 +243,7 @@ class Untangler:
         return self.system.fill(self.region, x, self.reference, penalty)
 
     def _direction(self, tolerance: float, most: int) -> tuple[FloatArray, bool]:
-        found = self.system.direction(tolerance, min(most, self.limit.affords(self.system.work)))
+        found = self.system.direction(tolerance, min(most, max(1, self.limit.affords(self.system.work))))
         self.limit.spend(self.system.work * self.system.iterations)
         return found
 
