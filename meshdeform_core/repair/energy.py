@@ -23,9 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..grid import BoolArray, FloatArray, IntArray
-from ..numerics.cell.foldover.hexahedra import Unknowns, add_derivatives, energy_of_cells
+from ..numerics.cell.foldover.assembly import Unknowns
 from ..numerics.cell.foldover.jacobian import combined, growth, slopes, slopes_of_triangle
-from ..numerics.cell.foldover.plane import add_triangles
 from ..numerics.cell.foldover.samples import (
     CORNERS,
     SAMPLES,
@@ -199,12 +198,16 @@ class Hexahedra(_Elements):
         self, x: FloatArray, reference: FloatArray, penalty: Penalty, low: int, high: int
     ) -> tuple[float, float, float]:
         """Energy, smallest determinant and largest f of the elements low <= m < high."""
+        from ..numerics.cell.foldover.hexahedra import energy_of_cells
+
         return energy_of_cells(x, *self._loops, reference, tuple(penalty), low, high)
 
     def add(
         self, x: FloatArray, reference: FloatArray, penalty: Penalty, which: IntArray, unknowns: Unknowns, rows: Rows
     ) -> None:
         """See :func:`..numerics.cell.foldover.hexahedra.add_derivatives`."""
+        from ..numerics.cell.foldover.hexahedra import add_derivatives
+
         rest = tuple(penalty), which, unknowns, rows.pattern, rows.matrix, rows.gradient
         add_derivatives(x, *self._loops, reference, *rest)
 
@@ -280,6 +283,8 @@ class Triangles(_Elements):
     def add(
         self, x: FloatArray, reference: FloatArray, penalty: Penalty, which: IntArray, unknowns: Unknowns, rows: Rows
     ) -> None:
+        from ..numerics.cell.foldover.plane import add_triangles
+
         rest = tuple(penalty), which, unknowns, rows.pattern, rows.matrix, rows.gradient
         add_triangles(x, self.nodes, self.slope, self._weights, reference, *rest)
 

@@ -22,7 +22,7 @@ import numpy as np
 from ...jit import kernel
 from ...lanes import NARROW as WIDTH
 from ...lanes import Array, Lanes, narrow
-from .hexahedra import Unknowns, add_element
+from .assembly import Unknowns, add_element
 from .jacobian import combined, growth, slopes_of_triangle
 from .nodes import load, regular, store, transpose
 
