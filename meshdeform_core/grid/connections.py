@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
 from ..errors import GridError
 from ..numerics.arrays import BoolArray, runs
@@ -53,6 +52,9 @@ def connected_nodes(grid: Grid, connection: Connection) -> tuple[IntArray, IntAr
 
 def periodic_rotation(periodic: Periodicity) -> FloatArray:
     """Rotation matrix (3, 3) of a periodic connection: about x, then y, then z."""
+    # Imported where it is needed, as `info` rarely needs it.
+    import scipy
+
     return np.asarray(
         scipy.spatial.transform.Rotation.from_euler("xyz", periodic.rotation_angle, degrees=True).as_matrix()
     )
