@@ -11,7 +11,7 @@ from pathlib import Path
 
 from meshdeform_core.boundary.crossing import find_pinned
 from meshdeform_core.boundary.prescribed import largest_displacement
-from meshdeform_core.deform import Result, Setup, Timing, impose
+from meshdeform_core.deform import Setup, Timing, impose
 from meshdeform_core.grid import FileFormat, Grid
 from meshdeform_core.memory import Demand, MemoryLimit, Work, readable
 from meshdeform_core.methods.limits import patch_motions
@@ -124,23 +124,22 @@ def forecast(setup: Setup, time: float, steps: int | str | None, precision: str)
         return [*certain, untried], bool(certain)
     alone = setup.with_repair("off")
     result = impose(alone, alone.motion(time), count, precision, Timing())
-    failures = [] if result.valid else [_failure(setup, result, steps, bool(certain))]
-    return [*certain, *failures], bool(certain)
-
-
-def _failure(setup: Setup, result: Result, steps: int | str | None, certain: bool) -> str:
-    """The result of the trial, and how the run will respond to it."""
-    cells, count = result.assessment.after.invalid_cells, result.steps
+    if result.valid:
+        return certain, bool(certain)
+    # The result of the trial, and how the run will respond to it.
+    cells, mode = result.assessment.after.invalid_cells, setup.case.repair.mode
     groups = [place_of(dataclasses.asdict(group)) for group in result.assessment.groups[:_GROUPS]]
-    found = (
-        f"tried with {setup.case.method.name} in {counted(count, 'step')}: {counted(cells, 'cell')} "
-        f"{'becomes' if cells == 1 else 'become'} invalid {' and '.join(groups)}"
-    )
     if certain:
-        return f"{found}; no repair can mend that"
-    if setup.case.repair.mode == "off" and steps != "auto":
-        return f"{found}; without repair the run is bound to fail: try --repair auto, --steps auto or another method"
-    if setup.case.repair.mode == "off":
-        return f"{found}; the run divides the motion, which may not reach all of it"
-    more = "" if isinstance(steps, int) else ", then smaller steps"
-    return f"{found}; the run will repair them{more}, which takes longer and may fail"
+        response = "no repair can mend that"
+    elif mode == "off" and steps != "auto":
+        response = "without repair the run is bound to fail: try --repair auto, --steps auto or another method"
+    elif mode == "off":
+        response = "the run divides the motion, which may not reach all of it"
+    else:
+        more = "" if isinstance(steps, int) else ", then smaller steps"
+        response = f"the run will repair them{more}, which takes longer and may fail"
+    tried = (
+        f"tried with {setup.case.method.name} in {counted(result.steps, 'step')}: {counted(cells, 'cell')} "
+        f"{'becomes' if cells == 1 else 'become'} invalid {' and '.join(groups)}; {response}"
+    )
+    return [*certain, tried], bool(certain)

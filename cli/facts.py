@@ -167,7 +167,14 @@ def as_text(facts: Facts, verbose: bool = False) -> str:
         for b, size in zip(blocks, sizes, strict=True)
     ]
     pairs = [f"  {f['name']}  {_node(f['first'])}..{_node(f['last'])}  transform {f['transform']}" for f in found]
-    patches = [_patch_line(patch) for patch in facts["patches"]] if verbose else []
+    patches = []
+    for patch in facts["patches"] if verbose else ():
+        places = []
+        for window in patch["windows"]:
+            ranges = ",".join(f"{a}:{b}" for a, b in zip(window["first"], window["last"], strict=True))
+            places.append(f"{window['face']}[{ranges}]")
+        kind = ", ".join(word for word in (patch["family"], patch["type"]) if word)
+        patches.append(f"  {patch['name']}  ({kind or 'no type'})  {', '.join(places)}")
     return "\n".join([
         f"{facts['file']}: {facts['format']}",
         f"{facts['dimension']}-D{layer}, {counted(len(blocks), 'block')}, {facts['nodes']:,} nodes "
@@ -209,15 +216,6 @@ def _surface_lines(surfaces: list[Facts], verbose: bool) -> list[str]:
     a, b, c, d, e, _ = (max(map(len, column)) for column in zip(*rows, strict=True))
     table = [f"  {r[0]:{a}s}  {r[1]:{b}s}  {r[2]:>{c}s}  {r[3]:>{d}s}  {r[4]:{e}s}  {r[5]}".rstrip() for r in rows]
     return ["boundaries ('?': guessed from the shape of the grid)", *_first(verbose, table)]
-
-
-def _patch_line(patch: Facts) -> str:
-    places = []
-    for window in patch["windows"]:
-        ranges = ",".join(f"{a}:{b}" for a, b in zip(window["first"], window["last"], strict=True))
-        places.append(f"{window['face']}[{ranges}]")
-    kind = ", ".join(word for word in (patch["family"], patch["type"]) if word)
-    return f"  {patch['name']}  ({kind or 'no type'})  {', '.join(places)}"
 
 
 def _node(node: list[int]) -> str:

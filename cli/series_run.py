@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import time as clock
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -177,31 +176,36 @@ def _keep_what_exists(run: Run, manifest: Manifest) -> None:
 def carry_out(run: Run, progress: ProgressBar) -> Report:
     """Make, write and record the missing levels, then report on all."""
     with interruption.continued_by(partial(_how_to_continue, run)):
-        count, first, ranks = len(run.schedule.times), len(run.manifest.levels), run.job.ranks
+        files, ranks, count, first = run.files, run.job.ranks, len(run.schedule.times), len(run.manifest.levels)
         progress("levels", first, count)
         # The state of earlier levels is known only from files that can be read back.
-        plain = tuple(run.manifest.plain) if run.files.readable else ()
-        precision, finished = run.files.variant.precision, run.files.read
+        plain = tuple(run.manifest.plain) if files.readable else ()
+        precision, finished = files.variant.precision, files.read
         levels = deform_series(run.setup, run.schedule, precision, progress, first, finished, plain)
         for level in levels:
-            run.warnings.tell(_warnings_of(level))
-            _record_level(run, level)
+            # Warnings that do not concern all levels have the number of theirs.
+            common = set(map(kind_of, level.result.setup.warnings))
+            told = [(text, kind_of(text)) for text in level.result.warnings]
+            place = f"level {level.number}"
+            run.warnings.tell(text if kind in common else Notice(f"{place}: {text}", kind) for text, kind in told)
+            # First written, then recorded as finished, so that every recorded level exists.
+            before = clock.perf_counter()
+            if not level.result.valid and not run.allow_invalid:
+                files.invalid.add(level.number)
+            with stage("write"):
+                files.write(level.number, level.result.grid, level.velocity, level.faces)
+            ranks.on_first(partial(_record, run, level, clock.perf_counter() - before))
+            if level.number + 1 < count:
+                with run.timing.stage("publish"):
+                    files.publish(level.number + 1)
             progress("levels", level.number + 1, count)
         if not run.manifest.complete:
             with run.timing.stage("publish"):
-                run.files.publish(count)
+                files.publish(count)
         peak = max(ranks.gather([peak_memory()]))
         report = ranks.on_first(lambda: _complete(run, peak))
     run.warnings.tell(text for text in report["warnings"] if not text.startswith("level "))
     return report
-
-
-def _warnings_of(level: Level) -> Iterator[str]:
-    """The warnings of a level, those that do not concern all levels with its number."""
-    common = {kind_of(text) for text in level.result.setup.warnings}
-    for text in level.result.warnings:
-        kind = kind_of(text)
-        yield text if kind in common else Notice(f"level {level.number}: {text}", kind)
 
 
 def _how_to_continue(run: Run) -> str:
@@ -233,20 +237,7 @@ def _complete(run: Run, peak: int) -> Report:
     return series_report(manifest.head, manifest.levels, schedule, places, seconds, peak)
 
 
-def _record_level(run: Run, level: Level) -> None:
-    """Write a level, then record it as finished, in this order, so that every recorded level exists."""
-    files, before = run.files, clock.perf_counter()
-    if not level.result.valid and not run.allow_invalid:
-        files.invalid.add(level.number)
-    with stage("write"):
-        files.write(level.number, level.result.grid, level.velocity, level.faces)
-    run.job.ranks.on_first(lambda: _note(run, level, clock.perf_counter() - before))
-    if level.number + 1 < len(run.schedule.times):
-        with run.timing.stage("publish"):
-            files.publish(level.number + 1)
-
-
-def _note(run: Run, level: Level, seconds: float) -> None:
+def _record(run: Run, level: Level, seconds: float) -> None:
     """Record a level that has been written."""
     manifest, files = run.manifest, run.files
     manifest.head = manifest.head or series_head(level)

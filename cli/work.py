@@ -275,25 +275,21 @@ def conclude(
 ) -> int:  # fmt: skip
     """Deliver the report, print the verdict; returns the exit code."""
     deliver(report, run, start, files, illustrate, ranks)
-    if not report["valid"]:
-        tell(_verdict(report))
+    bad = [level for level in report.get("levels", ()) if not level["valid"]]
+    if bad:
+        first = bad[0]
+        tell(
+            f"{len(bad)} of {len(report['levels'])} levels are not valid, first level {first['number']} "
+            f"(t = {first['time']:g}): {_flaw(first, first['quality'])}. It is in {first['file']}"
+        )
+    elif not report["valid"]:
+        tell(f"{_flaw(report, report['quality']['after'])}. The grid is in {report['output']}")
     if run.verbose:
         if ranks.count > 1:
             tell(f"{ranks.count} ranks, the first with {thread_count()} threads")
         for stage, seconds in report["timing"].items():
             tell(f"{stage} {seconds:.3f} s")
     return 0 if report["valid"] or run.allow_invalid else EXIT_INVALID
-
-
-def _verdict(report: dict[str, Any]) -> str:
-    if "levels" not in report:
-        return f"{_flaw(report, report['quality']['after'])}. The grid is in {report['output']}"
-    bad = [level for level in report["levels"] if not level["valid"]]
-    first = bad[0]
-    return (
-        f"{len(bad)} of {len(report['levels'])} levels are not valid, first level {first['number']} "
-        f"(t = {first['time']:g}): {_flaw(first, first['quality'])}. It is in {first['file']}"
-    )
 
 
 def _flaw(result: dict[str, Any], quality: dict[str, Any]) -> str:

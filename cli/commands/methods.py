@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import textwrap
-from collections.abc import Iterator
 
 import click
 
@@ -21,7 +20,7 @@ def command(name: str | None) -> int:
       meshdeform methods
       meshdeform methods idw-tfi
     """
-    from meshdeform_core.methods import ALIASES, CATALOGUE, entry_of
+    from meshdeform_core.methods import ALIASES, CATALOGUE, declared, description, entry_of
 
     if name is None:
         for key, entry in CATALOGUE.items():
@@ -32,23 +31,19 @@ def command(name: str | None) -> int:
     entry = entry_of(name)
     click.echo(f"{ALIASES.get(name, name)}: {entry.summary}\n\n{_prose(entry.advice)}")
     for part in entry.parts:
-        click.echo("\n".join(_part_lines(part)))
+        # Its section of the case file: a description, then every option with default, meaning and reason.
+        lines = [f"\n[method.{part.__name__.lower()}]"]
+        lines += [_prose(paragraph) + "\n" for paragraph in description(part).split("\n\n")]
+        options = list(declared(part).values())
+        for option, before in zip(options, [None, *options[:-1]], strict=True):
+            lines.append(f"  {option.name} = {json.dumps(option.default)}")
+            if before is None or before.meaning != option.meaning:
+                alike = ", ".join(other.name for other in options if other.meaning == option.meaning)
+                meaning = f"{alike}: {option.meaning}" if alike != option.name else option.meaning
+                lines.append(_prose(meaning, "      "))
+            lines.append(_prose(f"default: {option.why}", "      "))
+        click.echo("\n".join(lines))
     return 0
-
-
-def _part_lines(part: type) -> Iterator[str]:
-    """A method's section of the case file: its description, then every option with default, meaning and reason."""
-    from meshdeform_core.methods import declared, description
-
-    yield f"\n[method.{part.__name__.lower()}]"
-    yield from (_prose(paragraph) + "\n" for paragraph in description(part).split("\n\n"))
-    options = list(declared(part).values())
-    for option, before in zip(options, [None, *options[:-1]], strict=True):
-        yield f"  {option.name} = {json.dumps(option.default)}"
-        if before is None or before.meaning != option.meaning:
-            alike = ", ".join(other.name for other in options if other.meaning == option.meaning)
-            yield _prose(f"{alike}: {option.meaning}" if alike != option.name else option.meaning, "      ")
-        yield _prose(f"default: {option.why}", "      ")
 
 
 def _prose(text: str, indent: str = "") -> str:

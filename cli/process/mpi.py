@@ -6,7 +6,7 @@ import contextlib
 import ctypes
 import io
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from meshdeform_core.parallel import set_ranks
@@ -63,7 +63,12 @@ def run_on_ranks(run: Callable[[], int], here: Place) -> int:
         ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, 1 << 24)
     ranks = MPIRanks(MPI.COMM_WORLD)
     set_ranks(ranks)
-    with _voice(ranks.number) as messages:
+    messages = io.StringIO()
+    with contextlib.ExitStack() as silence:
+        if ranks.number:
+            nothing = silence.enter_context(open(os.devnull, "w", encoding="utf-8"))
+            silence.enter_context(contextlib.redirect_stdout(nothing))
+            silence.enter_context(contextlib.redirect_stderr(messages))
         try:
             code = run()
         except SystemExit as stop:
@@ -78,18 +83,3 @@ def _refuse(here: Place, reason: str) -> int:
         return 0
     tell(f"error: started on {here.count} ranks, but {reason}")
     return EXIT_INPUT
-
-
-@contextlib.contextmanager
-def _voice(number: int) -> Iterator[io.StringIO]:
-    """Let the first rank print; collect the messages of the others."""
-    messages = io.StringIO()
-    if number == 0:
-        yield messages
-        return
-    with (
-        open(os.devnull, "w", encoding="utf-8") as nothing,
-        contextlib.redirect_stdout(nothing),
-        contextlib.redirect_stderr(messages),
-    ):
-        yield messages

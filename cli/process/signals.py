@@ -48,7 +48,9 @@ class Handler:
 
     def _stop(self, frame: FrameType | None) -> None:
         """Raise an exception, so that half-written files are removed on the way out; where that is unsafe, soon."""
-        if hasattr(signal, "setitimer") and _fragile(frame):
+        while frame is not None and not str(frame.f_globals.get("__name__")).startswith(_FRAGILE):
+            frame = frame.f_back
+        if frame is not None and hasattr(signal, "setitimer"):
             signal.setitimer(signal.ITIMER_REAL, _AGAIN)
         else:
             interruption.check()
@@ -67,15 +69,6 @@ class Handler:
             # The exit code is already determined.
             for number in self._numbers:
                 signal.signal(number, signal.SIG_IGN)
-
-
-def _fragile(frame: FrameType | None) -> bool:
-    """Whether a function of a fragile module is being executed."""
-    while frame is not None:
-        if str(frame.f_globals.get("__name__")).startswith(_FRAGILE):
-            return True
-        frame = frame.f_back
-    return False
 
 
 def _unraisable(lost: Any) -> None:

@@ -123,11 +123,7 @@ def _numbers_of_piece(text: bytes, line: int, path: Path) -> FloatArray:
         # Python also reads 1_000. What it does not read may be an exponent without a letter, or no number.
         with contextlib.suppress(ValueError):
             return np.array(list(map(float, text.translate(_SPELLED).split())), np.float64)
-    return _spelled_numbers(text, line, path)
-
-
-def _spelled_numbers(text: bytes, line: int, path: Path) -> FloatArray:
-    """The numbers read word by word, for repeat counts and exponents without a letter, and to locate invalid words."""
+    # The numbers read word by word, for repeat counts and exponents without a letter, and to locate invalid words.
     counts, values = [], []
     for word in _WORD.finditer(text):
         number = _NUMBER.fullmatch(word[0])

@@ -195,7 +195,20 @@ def _common_sections(report: Report) -> Sections:
     yield "Components", [components_table(report)] if report.get("components") else []
     yield "Shape of cells", [shape_table(report)] if report.get("shape") else []
     yield "Attempts", list(_attempts(report))
-    yield "Blocks", list(_blocks(report.get("blocks") or ()))
+    if blocks := sorted(report.get("blocks") or (), key=lambda block: block["after"]["f_skew_min"]):
+        heads = ("block", "cells", "invalid", "f_skew min", "before", "f_skew mean", "before", "scaled Jacobian min")
+        rows = [
+            (
+                block["name"], block["cells"], block["invalid_cells"],
+                *(block[when][key] for key in ("f_skew_min", "f_skew_mean") for when in ("after", "before")),
+                block["after"]["min_scaled_jacobian"],
+            )
+            for block in blocks[:_LISTED]
+        ]  # fmt: skip
+        rest = len(blocks) - _LISTED
+        more = f"; {counted(rest, 'more is', 'more are')} in the report as JSON" if rest > 0 else ""
+        caption = f"{counted(len(blocks), 'block')}, the one with the worst cell first{more}"
+        yield "Blocks", [Table(caption, heads, rows, flagged=[n for n, row in enumerate(rows) if row[2]])]
     yield "Warnings", [{"warnings": report["warnings"]}] if report["warnings"] else []
     if boundary := report.get("boundary"):
         lines = [*match_lines(boundary), *motion_lines(report)]
@@ -204,13 +217,21 @@ def _common_sections(report: Report) -> Sections:
         yield "Method", [f"Method: {report['method']['name']}", settings_table(report)]
     if "timing" in report:
         total = report["timing"]["total"] or 1.0
-        rows = [
+        stages = [
             (_STAGES.get(stage, stage), f"{seconds:.2f}", f"{100 * seconds / total:.1f}")
             for stage, seconds in report["timing"].items()
         ]
         memory = f"Memory: {readable(report['peak_memory_bytes'])} at most."
-        yield "Time and memory", [Table("Seconds", ("stage", "seconds", "share [%]"), rows), memory]
-    yield "Run", list(_run(report.get("run")))
+        yield "Time and memory", [Table("Seconds", ("stage", "seconds", "share [%]"), stages), memory]
+    if run := report.get("run"):
+        place = f"{run['directory']} with {counted(run['threads'], 'thread')}"
+        ranks = f" on each of {run['ranks']} ranks" if run["ranks"] > 1 else ""
+        versions = ", ".join(f"{name} {version}" for name, version in run["versions"].items())
+        inputs = [(file["role"], file["path"], file["bytes"], file["sha256"]) for file in run["files"]]
+        yield "Run", [
+            f"Run on {run['date']} in {place}{ranks}. To repeat it:", {"code": run["command"]}, versions,
+            Table("Files", ("role", "file", "bytes", "SHA-256"), inputs, (0, 1, 3)),
+        ]  # fmt: skip
 
 
 def _attempts(report: Report) -> Iterator[Any]:
@@ -229,38 +250,6 @@ def _attempts(report: Report) -> Iterator[Any]:
         yield f"The interior was remade from the reference by {new['method']}: {new['reason']}."
     if lines := repair_lines(report):
         yield f"Repair: {'; '.join(lines)}. Moving and fixed boundary nodes stay where they were put."
-
-
-def _blocks(blocks: Sequence[Report]) -> Iterator[Any]:
-    """The blocks, the worst first."""
-    blocks = sorted(blocks, key=lambda block: block["after"]["f_skew_min"])
-    if not blocks:
-        return
-    heads = ("block", "cells", "invalid", "f_skew min", "before", "f_skew mean", "before", "scaled Jacobian min")
-    rows = [
-        (
-            block["name"], block["cells"], block["invalid_cells"],
-            *(block[when][key] for key in ("f_skew_min", "f_skew_mean") for when in ("after", "before")),
-            block["after"]["min_scaled_jacobian"],
-        )
-        for block in blocks[:_LISTED]
-    ]  # fmt: skip
-    rest = len(blocks) - _LISTED
-    more = f"; {counted(rest, 'more is', 'more are')} in the report as JSON" if rest > 0 else ""
-    caption = f"{counted(len(blocks), 'block')}, the one with the worst cell first{more}"
-    yield Table(caption, heads, rows, flagged=[n for n, row in enumerate(rows) if row[2]])
-
-
-def _run(run: Report | None) -> Iterator[Any]:
-    """The command, where and when it was run, and the files with their checksums."""
-    if not run:
-        return
-    ranks = f" on each of {run['ranks']} ranks" if run["ranks"] > 1 else ""
-    yield f"Run on {run['date']} in {run['directory']} with {counted(run['threads'], 'thread')}{ranks}. To repeat it:"
-    yield {"code": run["command"]}
-    yield ", ".join(f"{name} {version}" for name, version in run["versions"].items())
-    rows = [(file["role"], file["path"], file["bytes"], file["sha256"]) for file in run["files"]]
-    yield Table("Files", ("role", "file", "bytes", "SHA-256"), rows, (0, 1, 3))
 
 
 def histogram(before: Sequence[int] | None, after: Sequence[int], label: str) -> str:

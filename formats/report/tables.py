@@ -293,19 +293,18 @@ def repair_lines(report: Report) -> list[str]:
             both.append(f"invalid cells {before['invalid_cells']:,} -> {after['invalid_cells']:,}")
         found.append(f"the method alone -> repaired: {', '.join(both)}")
     found += [_WEAK] if done["weak"] else []
-    changes = report.get("repaired_layers") or {}
-    return [*found, *(_layer_text(name, change) for name, change in changes.items() if change)]
-
-
-def _layer_text(name: str, change: Report) -> str:
-    walls = f"of the {change['lines']:,} grid lines that begin at {name} walls"
-    if not change["changed"]:
-        return f"none {walls} changed by more than 1% in its first cells"
-    ranges = [(what, change[key]) for what, key in _LAYERS if change[key]]
-    heights = ", ".join(f"{what} {ratio['min']:.3g}..{ratio['max']:.3g}" for what, ratio in ranges)
-    return (
-        f"{change['changed']:,} {walls} changed by more than 1% there (height over that by the method alone: {heights})"
-    )
+    for name, change in (report.get("repaired_layers") or {}).items():
+        if not change:
+            continue
+        walls = f"of the {change['lines']:,} grid lines that begin at {name} walls"
+        if not change["changed"]:
+            found.append(f"none {walls} changed by more than 1% in its first cells")
+            continue
+        ranges = [(measure, change[key]) for measure, key in _LAYERS if change[key]]
+        heights = ", ".join(f"{measure} {ratio['min']:.3g}..{ratio['max']:.3g}" for measure, ratio in ranges)
+        over = f"height over that by the method alone: {heights}"
+        found.append(f"{change['changed']:,} {walls} changed by more than 1% there ({over})")
+    return found
 
 
 @dataclass(frozen=True)

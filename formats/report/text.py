@@ -55,7 +55,14 @@ def _sections(report: Report, parameters: bool) -> Iterator[tuple[str, Iterable[
     if report.get("components"):
         yield "parts", _columns(components_table(report))
     if "levels" in report:
-        yield from _series(report)
+        series, before = report["series"], report["quality"]["before"]["f_skew"]
+        lines = [f"{series['levels']} levels, each from the undeformed grid"]
+        lines += [f"open {series['view']} in ParaView"] if series["view"] else []
+        lines.append(f"f_skew before: harmonic mean {before['harmonic_mean']:.4f}, minimum {before['min']:.4f}")
+        yield "series", lines
+        yield "levels", _columns(levels_table(report))
+        if any(acceleration_of(level) is not None for level in report["levels"]):
+            yield "accel.", [ACCELERATION]
     elif judged:
         yield "quality", _columns(measures_table(report))
         if report.get("shape"):
@@ -114,14 +121,3 @@ def _verdict_lines(report: Report, judged: bool) -> Iterator[tuple[str, Iterable
         yield "interior", [f"remade from the reference by {new['method']} in {steps}: {new['reason']}"]
     if "quality" not in report:
         yield "repair", repair_lines(report)
-
-
-def _series(report: Report) -> Iterator[tuple[str, Iterable[str]]]:
-    """The levels of a series."""
-    series, before = report["series"], report["quality"]["before"]["f_skew"]
-    lines = [f"{series['levels']} levels, each from the undeformed grid"]
-    lines += [f"open {series['view']} in ParaView"] if series["view"] else []
-    yield "series", [*lines, f"f_skew before: harmonic mean {before['harmonic_mean']:.4f}, minimum {before['min']:.4f}"]
-    yield "levels", _columns(levels_table(report))
-    if any(acceleration_of(level) is not None for level in report["levels"]):
-        yield "accel.", [ACCELERATION]

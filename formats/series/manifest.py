@@ -79,7 +79,16 @@ class Manifest:
         """Refuse to continue a series whose inputs have changed. Raises CaseError listing the changes."""
         # Compare as JSON, which has lists instead of tuples.
         now = json.loads(json.dumps(ingredients))
-        changes = list(_changes(self.ingredients, now))
+        old, changes = self.ingredients, []
+        for key in dict.fromkeys([*old, *now]):
+            if key not in now:
+                changes.append(f"{key} was removed (was {_shown(old[key])})")
+            elif key not in old:
+                changes.append(f"{key} is new ({_shown(now[key])})")
+            elif old[key] != now[key] and (key == "grid" or key.startswith("file ")):
+                changes.append(f"{key} has different contents")
+            elif old[key] != now[key]:
+                changes.append(f"{key} was {_shown(old[key])}, is {_shown(now[key])}")
         if changes:
             raise CaseError(
                 f"cannot continue the series in {self.path.parent}, its inputs have changed: "
@@ -135,17 +144,6 @@ def _flattened(value: Any, name: str) -> Iterator[tuple[str, Any]]:
             yield from _flattened(item, f"{name}.{number}")
     else:
         yield name, value
-
-
-def _changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[str]:
-    for key in dict.fromkeys([*old, *new]):
-        if key not in new:
-            yield f"{key} was removed (was {_shown(old[key])})"
-        elif key not in old:
-            yield f"{key} is new ({_shown(new[key])})"
-        elif old[key] != new[key]:
-            digests = key == "grid" or key.startswith("file ")
-            yield f"{key} has different contents" if digests else f"{key} was {_shown(old[key])}, is {_shown(new[key])}"
 
 
 def _shown(value: Any) -> str:
