@@ -41,7 +41,19 @@ def find_markers(grid: Grid, topology: Topology) -> list[Marker]:
     keep the name of their family if it has no other faces; else they come last. Patches that the file declares without
     faces are markers without quads.
     """
-    names, patches, group = _named_faces(grid, topology)
+    # The names of families, patches and block faces, the first patch of each, and the number of every face quad's name.
+    first: dict[str, Patch | None] = {}
+    for patch in grid.patches:
+        first.setdefault(patch.family or patch.name, patch)
+    sides = [f"{name}.{side.label}" for name in grid.names for side in Side]
+    for side_name in sides:
+        first.setdefault(side_name, None)
+    names, patches = list(first), list(first.values())
+    index = {name: number for number, name in enumerate(names)}
+    group = np.array([index[name] for name in sides], dtype=np.int64)[topology.quads.block_side]
+    quads_with_patch, of_patch = quads_of_patches(topology.quads, grid.patches)
+    families = np.array([index[each.family or each.name] for each in grid.patches], dtype=np.int64)
+    group[quads_with_patch] = families[of_patch]
     group[~topology.external] = -1
     pairs = _pairs(grid, topology, np.where([patch is None for patch in patches], -1, np.arange(len(names)))[group])
     taken = set(names)
@@ -63,23 +75,7 @@ def find_markers(grid: Grid, topology: Topology) -> list[Marker]:
         for name, patch, a, b in zip(names, patches, ends[:-1], ends[1:], strict=True)
         if (b > a or (patch is not None and not patch.windows)) and name not in paired
     ]
-    place = {name: number for number, name in enumerate(names)}
-    return sorted(markers, key=lambda marker: place.get(marker.name, len(names)))
-
-
-def _named_faces(grid: Grid, topology: Topology) -> tuple[list[str], list[Patch | None], IntArray]:
-    """Names of families, patches and block faces, the first patch of each, and the name of every face quad."""
-    first: dict[str, Patch | None] = {}
-    for patch in grid.patches:
-        first.setdefault(patch.family or patch.name, patch)
-    sides = [f"{name}.{side.label}" for name in grid.names for side in Side]
-    for side_name in sides:
-        first.setdefault(side_name, None)
-    index = {name: number for number, name in enumerate(first)}
-    group = np.array([index[name] for name in sides], dtype=np.int64)[topology.quads.block_side]
-    quads, of_patch = quads_of_patches(topology.quads, grid.patches)
-    group[quads] = np.array([index[each.family or each.name] for each in grid.patches], dtype=np.int64)[of_patch]
-    return list(first), list(first.values()), group
+    return sorted(markers, key=lambda marker: index.get(marker.name, len(names)))
 
 
 def _label(names: list[str], group: IntArray, quads: IntArray, taken: set[str], part: str) -> str:

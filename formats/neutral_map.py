@@ -86,8 +86,18 @@ def parse_neutral_map(path: Path) -> NeutralMap:
         rows.sort()
     else:
         notes = (f"{path}: the block numbers {[row[0] for row in rows]} are not 1 to {count}; taken in file order",)
-    entries = tuple(_entry_of(place, *words) for place, words in lines[1 + count :])
-    return tuple((ni, nj, nk) for _, ni, nj, nk in rows), entries, notes
+    entries = []
+    for place, (kind, *words) in lines[1 + count :]:
+        flag = _LOGICAL.get(words[-1].lower()) if words else None
+        meaning = f"after the type {kind} B1 F1 S1 E1 S2 E2, and for connections B2 F2 S1 E1 S2 E2 Swap"
+        numbers = _whole_numbers(place, words if flag is None else words[:-1], meaning)
+        entry = Entry(place, kind, tuple(tuple(numbers[i : i + 6]) for i in range(0, len(numbers), 6)), flag)
+        if len(numbers) not in (6, 12):
+            raise FormatError(f"{place}: {kind} has {len(numbers)} numbers; a face range has 6, a connection 12")
+        if entry.is_one_to_one and (len(numbers) != 12 or flag is None):
+            raise FormatError(f"{place}: {kind} needs two face ranges and Swap (true or false)")
+        entries.append(entry)
+    return tuple((ni, nj, nk) for _, ni, nj, nk in rows), tuple(entries), notes
 
 
 def _whole_numbers(place: str, words: Sequence[str], meaning: str, sizes: int = 0) -> list[int]:
@@ -100,18 +110,6 @@ def _whole_numbers(place: str, words: Sequence[str], meaning: str, sizes: int = 
         if not sizes or (len(found) == sizes and min(found[-3:]) > 0):
             return found
     raise FormatError(f"{place}: expected {meaning}, found {' '.join(words)!r}")
-
-
-def _entry_of(place: str, kind: str, *words: str) -> Entry:
-    flag = _LOGICAL.get(words[-1].lower()) if words else None
-    meaning = f"after the type {kind} B1 F1 S1 E1 S2 E2, and for connections B2 F2 S1 E1 S2 E2 Swap"
-    numbers = _whole_numbers(place, words if flag is None else words[:-1], meaning)
-    entry = Entry(place, kind, tuple(tuple(numbers[i : i + 6]) for i in range(0, len(numbers), 6)), flag)
-    if len(numbers) not in (6, 12):
-        raise FormatError(f"{place}: {kind} has {len(numbers)} numbers; a face range has 6, a connection 12")
-    if entry.is_one_to_one and (len(numbers) != 12 or flag is None):
-        raise FormatError(f"{place}: {kind} needs two face ranges and Swap (true or false)")
-    return entry
 
 
 # Construct2D numbers the four edges of its 2-D grids (KDIM = 1) instead.

@@ -18,7 +18,7 @@ first, then those inside blocks.
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -146,7 +146,16 @@ class _Unstructured:
 
 def _unstructured(grid: Grid, topology: Topology) -> _Unstructured:
     number, nodes = point_numbers(grid, topology)
-    cells = [_cell_corners(grid.block(b, number), int(topology.handedness[b])) for b in range(grid.n_blocks)]
+    cells, ends = [], (slice(-1), slice(1, None))
+    for block, handedness in enumerate(topology.handedness):
+        own = grid.block(block, number)
+        corners = _HEXAHEDRON if handedness > 0 else _HEXAHEDRON[4:] + _HEXAHEDRON[:4]
+        if 1 in own.shape:
+            flat = own.shape.index(1)
+            own = own.squeeze(axis=flat)
+            # The indices (i, j) and (j, k) are in cyclic order, (i, k) are not.
+            corners = _QUAD if (handedness > 0) != (flat == 1) else _QUAD[::-1]
+        cells.append(np.stack([own[tuple(ends[c] for c in corner)].ravel() for corner in corners], axis=1))
     markers = [marker for marker in find_markers(grid, topology) if len(marker.quads)]
     return _Unstructured(
         points=grid.points[nodes],
@@ -157,21 +166,6 @@ def _unstructured(grid: Grid, topology: Topology) -> _Unstructured:
         patch=np.repeat(np.arange(len(markers)), [len(marker.quads) for marker in markers]),
         names=tuple(marker.name for marker in markers),
     )
-
-
-def _cell_corners(number: NDArray[Any], handedness: int) -> IntArray:
-    """Corners of the cells of one block, C-ordered, from the node numbers ``(ni, nj, nk)``."""
-    corners: Sequence[tuple[int, ...]]
-    if 1 in number.shape:
-        flat = number.shape.index(1)
-        number = number.squeeze(axis=flat)
-        # The indices (i, j) and (j, k) are in cyclic order, (i, k) are not.
-        right_handed = (handedness > 0) != (flat == 1)
-        corners = _QUAD if right_handed else _QUAD[::-1]
-    else:
-        corners = _HEXAHEDRON if handedness > 0 else _HEXAHEDRON[4:] + _HEXAHEDRON[:4]
-    ends = (slice(-1), slice(1, None))
-    return np.stack([number[tuple(ends[c] for c in corner)].ravel() for corner in corners], axis=1)
 
 
 def _of_variant(grid: Grid, mesh: _Unstructured, options: Mapping[str, Any]) -> meshio.Mesh:

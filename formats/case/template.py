@@ -128,7 +128,14 @@ def _template_entries(grid: Grid, outside: Outside, table: FittedTable | None) -
     taken: set[str] = set()
     groups: dict[tuple[str, str], list[Surface]] = {}
     for surface in sorted(outside.surfaces, key=lambda s: list(Role).index(s.role)):
-        kind = "moving" if surface in moving else _kind(grid, surface)
+        if surface in moving:
+            kind = "moving"
+        elif any(face.patch is not None and face.patch.bc_type == "cyclic" for face in surface.faces):
+            kind = "periodic"
+        elif surface.role is Role.SYMMETRY and _in_one_plane(grid, surface):
+            kind = "symmetry"
+        else:
+            kind = "slip" if surface.role in (Role.END, Role.SYMMETRY) else "fixed"
         name = surface.name if surface.named else surface.role.value
         if kind == "periodic":
             # Both sides of a periodic pair belong to one entry.
@@ -140,16 +147,6 @@ def _template_entries(grid: Grid, outside: Outside, table: FittedTable | None) -
             unique = f"{unique}-{kind}" if unique == name else f"{unique}+"
         taken.add(unique)
         yield unique, kind, surfaces
-
-
-def _kind(grid: Grid, surface: Surface) -> str:
-    if any(face.patch is not None and face.patch.bc_type == "cyclic" for face in surface.faces):
-        return "periodic"
-    if surface.role is Role.END:
-        return "slip"
-    if surface.role is Role.SYMMETRY:
-        return "symmetry" if _in_one_plane(grid, surface) else "slip"
-    return "fixed"
 
 
 def _in_one_plane(grid: Grid, surface: Surface) -> bool:
@@ -185,23 +182,18 @@ def _motion(grid: Grid, outside: Outside, surfaces: Sequence[Surface]) -> Iterat
         name = "xyz"[axis]
         yield f"# The wall ends at the symmetry plane {name} = {place:.4g}; a motion along {name} leaves it."
     in_plane = sorted({0, 1, 2} - {axis}, key=lambda number: high[number] - low[number])
-    parts = ["0", "0", "0"]
-    parts[in_plane[0]] = _bending(low, high, in_plane[1] if place is None else axis, place)
-    text = _MOTION.replace("AXIS", str([int(number == axis) for number in range(3)]))
-    text = text.replace("CENTER", str([float(f"{x:.3g}") for x in (low + high) / 2]))
-    yield from text.replace("DISPLACE", json.dumps(parts)).splitlines()
-
-
-def _bending(low: FloatArray, high: FloatArray, along: int, place: float | None) -> str:
-    """A displacement of a twentieth of the wall's length, largest at its middle or away from the symmetry plane.
-
-    It has all digits of the ends, where it is zero: they may belong to faces that do not move.
-    """
+    # Bending by a twentieth of the wall's length, largest at its middle or away from the symmetry plane. It has all
+    # digits of the ends, where it is zero: they may belong to faces that do not move.
+    along = in_plane[1] if place is None else axis
     name, length = "xyz"[along], float(high[along] - low[along])
     begin = float(low[along]) if place is None else place
     part = name if begin == 0.0 else f"({name} {'-' if begin > 0 else '+'} {abs(begin)!r})"
-    part = f"{part}/{length!r}"
-    return f"{length / 20:.2g}*sin(pi*{part})" if place is None else f"{length / 20:.2g}*({part})**2"
+    shape = f"sin(pi*{part}/{length!r})" if place is None else f"({part}/{length!r})**2"
+    parts = ["0", "0", "0"]
+    parts[in_plane[0]] = f"{length / 20:.2g}*{shape}"
+    text = _MOTION.replace("AXIS", str([int(number == axis) for number in range(3)]))
+    text = text.replace("CENTER", str([float(f"{x:.3g}") for x in (low + high) / 2]))
+    yield from text.replace("DISPLACE", json.dumps(parts)).splitlines()
 
 
 def _symmetry(outside: Outside, box: FloatArray) -> tuple[FloatArray | None, float | None]:

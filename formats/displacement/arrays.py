@@ -63,7 +63,16 @@ def read_hdf5(path: Path) -> DisplacementTable:
     """
     with _reading(path, " as HDF5"), h5py.File(path, "r") as file:
         below = {f"/{name}": entry for name, entry in _readable_members(file) if isinstance(entry, h5py.Group)}
-        groups = {name: _arrays(group) for name, group in ({"/": file} | below).items()}
+        groups: dict[str, dict[str, NDArray[Any]]] = {}
+        for name, group in ({"/": file} | below).items():
+            sets = {key: entry for key, entry in _readable_members(group) if isinstance(entry, h5py.Dataset)}
+            numbers = {key: entry for key, entry in sets.items() if entry.dtype.kind in "iuf" and entry.ndim in (1, 2)}
+            for entry in numbers.values():
+                stored = entry.id.get_storage_size()
+                if entry.size * entry.dtype.itemsize > stored * _MAXIMUM_COMPRESSION:
+                    declared = f"declares {entry.shape} {entry.dtype} values"
+                    raise FormatError(f"{entry.name} {declared}; only {stored} bytes are stored")
+            groups[name] = {key: entry[()] for key, entry in numbers.items()}
     tables = {name: table for name, arrays in groups.items() if (table := _table_of_arrays(arrays))}
     if len(tables) == 1:
         return next(iter(tables.values()))
@@ -99,18 +108,6 @@ def _readable_members(group: h5py.Group) -> Iterator[tuple[str, Any]]:
             continue
         if entry is not None:
             yield name, entry
-
-
-def _arrays(group: h5py.Group) -> dict[str, NDArray[Any]]:
-    sets = {name: entry for name, entry in _readable_members(group) if isinstance(entry, h5py.Dataset)}
-    numbers = {name: entry for name, entry in sets.items() if entry.dtype.kind in "iuf" and entry.ndim in (1, 2)}
-    for entry in numbers.values():
-        stored = entry.id.get_storage_size()
-        if entry.size * entry.dtype.itemsize > stored * _MAXIMUM_COMPRESSION:
-            raise FormatError(
-                f"{entry.name} declares {entry.shape} {entry.dtype} values; only {stored} bytes are stored"
-            )
-    return {name: entry[()] for name, entry in numbers.items()}
 
 
 def _table_of_arrays(arrays: Mapping[str, NDArray[Any]]) -> DisplacementTable | None:

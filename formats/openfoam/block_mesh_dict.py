@@ -14,7 +14,7 @@ from meshdeform_core.errors import FormatError, suggestion
 from meshdeform_core.grid import FloatArray, Shape, Side
 from meshdeform_core.wording import vector
 
-from .curves import Arc, Curve, Grading, Section, Spline, arc_about, arc_by_angle, arc_through, section_cells, straight
+from .curves import Curve, Grading, Section, Spline, arc_about, arc_by_angle, arc_through, section_cells, straight
 from .dictionary import Dictionary, Reading
 
 _MOST_CELLS = 2**40
@@ -116,7 +116,14 @@ def read_block_mesh_dict(top: Dictionary) -> BlockMeshDict:
         if (last, first) not in curves:
             curves.setdefault((first, last), curve)
     patches = _read_patches(top, known, blocks, sides)
-    return BlockMeshDict(top.path, known.points, _scale(top), blocks, curves, patches, joined)
+    key, scale = "scale" if "scale" in top.entries else "convertToMeters", np.ones(3)
+    factors = top.reading(key)
+    if factors.more:
+        factor = factors.next_number()
+        scale = np.full(3, factor) if factor is not None else np.array(factors.point("scale"))
+    if not (scale > 0).all():
+        raise FormatError(f"{top.place(key)}: {key} is {vector(scale)}; expected positive factors")
+    return BlockMeshDict(top.path, known.points, scale, blocks, curves, patches, joined)
 
 
 class _Vertices:
@@ -144,18 +151,6 @@ class _Vertices:
             hint = suggestion(word, self.names) if word else f"; the file has 0 to {len(self.points) - 1}"
             items.fail(f"there is no vertex {word or number!r}{hint}")
         return number
-
-
-def _scale(top: Dictionary) -> FloatArray:
-    key = "scale" if "scale" in top.entries else "convertToMeters"
-    found = top.reading(key)
-    if not found.more:
-        return np.ones(3)
-    factor = found.next_number()
-    scale = np.full(3, factor) if factor is not None else np.array(found.point("scale"))
-    if not (scale > 0).all():
-        raise FormatError(f"{top.place(key)}: {key} is {vector(scale)}; expected positive factors")
-    return scale
 
 
 def _block(items: Reading, known: _Vertices, number: int) -> HexBlock:
@@ -230,7 +225,20 @@ def _curve(items: Reading, kind: str, first: FloatArray, last: FloatArray) -> Cu
     if kind == "line":
         return straight(first, last)
     if kind == "arc":
-        arc = _arc(items, first, last)
+        # (x y z), origin [factor] (x y z) or degrees (axis).
+        degrees = items.next_number()
+        if degrees is not None:
+            axis = np.array(items.point("the axis of an arc"))
+            if not 0 < abs(degrees) < 360 or not axis.any():
+                items.fail(f"an arc of {degrees:g} degrees about {vector(axis)}; expected 0 to 360 about a direction")
+            arc = arc_by_angle(first, last, degrees, axis)
+        elif (word := items.next_word()) == "origin":
+            factor = items.next_number()
+            arc = arc_about(first, last, np.array(items.point("the origin of an arc")), factor or 1.0)
+        elif word is not None:
+            items.fail(f"found {word!r}, expected a point of the arc, origin, or an angle in degrees")
+        else:
+            arc = arc_through(first, np.array(items.point("a point of the arc")), last)
         if arc is None:
             items.fail("the points of the arc lie on one line")
         return arc
@@ -238,23 +246,6 @@ def _curve(items: Reading, kind: str, first: FloatArray, last: FloatArray) -> Cu
     while values.more:
         points.append(np.array(values.point("a point of the edge")))
     return Spline(np.stack([*points, last]), kind)
-
-
-def _arc(items: Reading, first: FloatArray, last: FloatArray) -> Arc | None:
-    """``(x y z)``, ``origin [factor] (x y z)`` or ``degrees (axis)``."""
-    degrees = items.next_number()
-    if degrees is not None:
-        axis = np.array(items.point("the axis of an arc"))
-        if not 0 < abs(degrees) < 360 or not axis.any():
-            items.fail(f"an arc of {degrees:g} degrees about {vector(axis)}; expected 0 to 360 about a direction")
-        return arc_by_angle(first, last, degrees, axis)
-    word = items.next_word()
-    if word == "origin":
-        factor = items.next_number()
-        return arc_about(first, last, np.array(items.point("the origin of an arc")), factor or 1.0)
-    if word is not None:
-        items.fail(f"found {word!r}, expected a point of the arc, origin, or an angle in degrees")
-    return arc_through(first, np.array(items.point("a point of the arc")), last)
 
 
 def _read_patches(

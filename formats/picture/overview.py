@@ -42,29 +42,34 @@ def overview(subject: Subject, choice: Choice, title: str = "") -> Page:
 
     Small details have a close-up.
     """
-    scene = whole_scene(subject, choice.metric)
+    metric, bodies = choice.metric, subject.bodies
+    scene = whole_scene(subject, metric)
     if scene is not None:
-        return Page.of(_with_close_ups(subject, scene), choice, title)
-    if subject.bodies:
-        return Page.of(_walls_and_cut(subject, choice.metric), choice, title)
-    outside = surface_scene(subject, np.flatnonzero(subject.topology.external), choice.metric, iso())
-    window = outside.view.window(outside.facets.corners).shaped(0.5, _TALL)
-    return Page.of([Panel(outside, window, "outside")], choice, title)
+        return Page.of(_with_close_up(subject, scene), choice, title)
+    if not bodies:
+        outside = surface_scene(subject, np.flatnonzero(subject.topology.external), metric, iso())
+        window = outside.view.window(outside.facets.corners).shaped(0.5, _TALL)
+        return Page.of([Panel(outside, window, "outside")], choice, title)
+    walls = surface_scene(subject, quads_of_surfaces(bodies), metric, onto_walls(subject))
+    backdrop = [each for each in subject.outside.of_role(Role.SYMMETRY, Role.WALL) if each not in bodies]
+    if backdrop:
+        walls = dataclasses.replace(walls, backdrop=subject.corners(backdrop))
+    around = walls.view.window(walls.facets.corners, 0.08).shaped(0.7, 0.95)
+    plane = subject.middle_plane()
+    cut = cut_scene(subject, plane, metric)
+    edges = wall_edges(subject, plane, bodies)
+    points = edges if len(edges) else subject.corners(bodies)
+    near = cut.view.window(points, 0.3).shaped(0.6, _TALL).moved_into(cut.view.window(cut.facets.corners, 0.0))
+    axis = int(np.argmax(np.abs(plane.normal)))
+    where = f"cut {'xyz'[axis]} = {plane.point[axis]:.4g}"
+    return Page.of([Panel(walls, around, "walls"), Panel(cut, near, where)], choice, title)
 
 
-def _with_close_ups(subject: Subject, scene: Scene) -> list[Panel]:
-    """A plane, whole, and close up where the walls are if they are small."""
+def _with_close_up(subject: Subject, scene: Scene) -> list[Panel]:
+    """A plane, whole; and close up, where the nodes of walls cluster, else where the cells are smallest, if that is a
+    small part."""
     whole = scene.view.window(scene.facets.corners, 0.0)
     panel = Panel(scene, whole.grown(0.02 * whole.larger_side).shaped(_FLAT, _TALL))
-    detail = _detail(subject, scene, whole)
-    if detail is None:
-        return [panel]
-    near = detail.shaped(max(_FLAT, min(0.5, panel.aspect)), min(_TALL, max(panel.aspect, 0.5))).moved_into(whole)
-    return [dataclasses.replace(panel, title="whole grid", frames=(near,)), Panel(scene, near, "close-up")]
-
-
-def _detail(subject: Subject, scene: Scene, whole: Window) -> Window | None:
-    """A window where the nodes of walls cluster, else where the cells are smallest; ``None`` if it is nearly all."""
     flat = scene.view.project(scene.facets.corners)[..., :2]
     walls = scene.view.project(subject.corners(subject.wall_surfaces).reshape(-1, 3))[:, :2]
     size = np.linalg.norm(flat[:, 2] - flat[:, 0], axis=1)
@@ -73,29 +78,12 @@ def _detail(subject: Subject, scene: Scene, whole: Window) -> Window | None:
     if not len(walls) or np.ptp(points, axis=0).max() > 0.7 * whole.larger_side:
         points = np.quantile(points, [0.2, 0.8], axis=0)
     (left, bottom), (right, top) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
-    near = Window(left, right, bottom, top)
-    if not 0.0 < near.larger_side <= _SMALL * whole.larger_side:
-        return None
-    return near.grown(0.35 * near.larger_side).within(whole)
-
-
-def _walls_and_cut(subject: Subject, metric: str) -> list[Panel]:
-    bodies = subject.bodies
-    walls = surface_scene(subject, quads_of_surfaces(bodies), metric, onto_walls(subject))
-    backdrop = [each for each in subject.outside.of_role(Role.SYMMETRY, Role.WALL) if each not in bodies]
-    if backdrop:
-        walls = dataclasses.replace(walls, backdrop=subject.corners(backdrop))
-    plane = subject.middle_plane()
-    cut = cut_scene(subject, plane, metric)
-    edges = wall_edges(subject, plane, bodies)
-    points = edges if len(edges) else subject.corners(bodies)
-    near = cut.view.window(points, 0.3).shaped(0.6, _TALL).moved_into(cut.view.window(cut.facets.corners, 0.0))
-    axis = int(np.argmax(np.abs(plane.normal)))
-    title = f"cut {'xyz'[axis]} = {plane.point[axis]:.4g}"
-    return [
-        Panel(walls, walls.view.window(walls.facets.corners, 0.08).shaped(0.7, 0.95), "walls"),
-        Panel(cut, near, title),
-    ]
+    detail = Window(left, right, bottom, top)
+    if not 0.0 < detail.larger_side <= _SMALL * whole.larger_side:
+        return [panel]
+    detail = detail.grown(0.35 * detail.larger_side).within(whole)
+    near = detail.shaped(max(_FLAT, min(0.5, panel.aspect)), min(_TALL, max(panel.aspect, 0.5))).moved_into(whole)
+    return [dataclasses.replace(panel, title="whole grid", frames=(near,)), Panel(scene, near, "close-up")]
 
 
 @dataclasses.dataclass(frozen=True)

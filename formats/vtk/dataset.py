@@ -95,10 +95,20 @@ def assemble(path: Path, kind: str, data_sets: Sequence[DataSet], names: Sequenc
         grid = Grid.allocate(shapes, names, format=file_format, path=path, notes=notes)
     except GridError as error:
         raise GridError(f"{path}: {error}") from error
-    fields = [
-        [_field(path, array, block, grid) for array in data_set.arrays if array.location]
-        for block, data_set in enumerate(data_sets)
-    ]
+    # For each block, fields with room for the values of its arrays, and these along k, j, i.
+    fields: list[list[tuple[Field, Any]]] = [[] for _ in shapes]
+    for block, data_set in enumerate(data_sets):
+        for array in (each for each in data_set.arrays if each.location):
+            ni, nj, nk = grid.shapes[block] if array.location == "node" else grid.cell_shapes[block]
+            if len(array.values) != ni * nj * nk:
+                raise FormatError(
+                    f"{path}: {array.location} array {array.name!r} has {len(array.values)} values; "
+                    f"{ni} x {nj} x {nk} {array.location}s are expected"
+                )
+            components, stored = array.values.shape[1:], array.values.dtype.newbyteorder("=")
+            room = empty((*grid.own_shape(block, (ni, nj, nk)), *components), stored)
+            field = Field(array.name, array.location, block, grid.spread(room, ni))
+            fields[block].append((field, array.values.reshape(nk, nj, ni, *components)))
 
     def put(part: Planes) -> None:
         """Fill some planes k of all arrays of a block, as far as this rank holds them, from values along k, j, i."""
@@ -112,20 +122,6 @@ def assemble(path: Path, kind: str, data_sets: Sequence[DataSet], names: Sequenc
 
     grid.fill_planes(put, ranges_of(list(enumerate(shapes))))
     return dataclasses.replace(grid, fields=tuple(field for found in fields for field, _ in found))
-
-
-def _field(path: Path, array: DataArray, block: int, grid: Grid) -> tuple[Field, Any]:
-    """A field with room for the values of an array, and these along k, j, i."""
-    ni, nj, nk = grid.shapes[block] if array.location == "node" else grid.cell_shapes[block]
-    if len(array.values) != ni * nj * nk:
-        raise FormatError(
-            f"{path}: {array.location} array {array.name!r} has {len(array.values)} values; "
-            f"{ni} x {nj} x {nk} {array.location}s are expected"
-        )
-    kind = array.values.dtype.newbyteorder("=")
-    own = empty((*grid.own_shape(block, (ni, nj, nk)), *array.values.shape[1:]), kind)
-    field = Field(array.name, array.location, block, grid.spread(own, ni))
-    return field, array.values.reshape(nk, nj, ni, *array.values.shape[1:])
 
 
 # Values are written in slabs of so many bytes, or of so many planes k = const where a plane is larger.

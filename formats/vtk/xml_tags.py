@@ -187,24 +187,21 @@ class _Tags:
         parser.XmlDeclHandler = self._declaration
         parser.StartElementHandler = self._start
         parser.EndElementHandler = self._end
-        self._parse(stream)
-
-    def _parse(self, stream: BinaryIO) -> None:
         prolog = stream.read(_LONGEST_PROLOG)
         start = prolog.find(b"<VTKFile")
         if start < 0:
-            raise FormatError(f"cannot read {self.path}: it has no VTKFile element")
+            raise FormatError(f"cannot read {path}: it has no VTKFile element")
         try:
             # The prolog first: a DOCTYPE is refused before anything could use its definitions.
-            self._parser.Parse(prolog[:start], False)
-            self._parser.Parse(prolog[start:], False)
+            parser.Parse(prolog[:start], False)
+            parser.Parse(prolog[start:], False)
             while chunk := stream.read(_CHUNK):
-                self._parser.Parse(chunk, False)
-            self._parser.Parse(b"", True)
+                parser.Parse(chunk, False)
+            parser.Parse(b"", True)
         except _Complete:
             pass
         except expat.ExpatError as error:
-            raise FormatError(f"cannot read {self.path}: Error parsing XML: {error}") from error
+            raise FormatError(f"cannot read {path}: Error parsing XML: {error}") from error
 
     def _malformed(self, message: str) -> NoReturn:
         raise FormatError(f"cannot read {self.path}, line {self._parser.CurrentLineNumber}: {message}")
