@@ -45,8 +45,8 @@ _OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {
 
 
 # Corners of a right-handed cell, starting at the lowest indices, in the order of VTK, Gmsh, SU2 and Abaqus.
-_QUAD = ((0, 0), (1, 0), (1, 1), (0, 1))
-_HEXAHEDRON = (*((i, j, 0) for i, j in _QUAD), *((i, j, 1) for i, j in _QUAD))
+_QUAD: tuple[tuple[int, ...], ...] = ((0, 0), (1, 0), (1, 1), (0, 1))
+_HEXAHEDRON: tuple[tuple[int, ...], ...] = (*((i, j, 0) for i, j in _QUAD), *((i, j, 1) for i, j in _QUAD))
 
 
 def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
