@@ -137,14 +137,14 @@ def measures_table(report: Report, change: bool = False) -> Table:
 
 def shape_table(report: Report) -> Table:
     """Measures that matter to flow solvers, with the position of the largest."""
-    rows = []
+    rows, original = [], report["shape"]["before"]
     for name, after in report["shape"]["after"].items():
-        before, place = (report["shape"]["before"] or {}).get(name), after.get("worst")
-        shown = "wrong" if name == "face_pyramids" else "max"
+        place, shown = after.get("worst"), "wrong" if name == "face_pyramids" else "max"
+        before = [] if original is None else [original[name][shown]]
         where = place_text(place) if place and after[shown] else ""
-        rows.append((name, before[shown] if before else None, after[shown], after.get("mean"), where))
-    heads = ("measure", "largest before", "largest", "mean", "largest at")
-    return Table("Measures that matter to flow solvers", heads, rows, (0, 4))
+        rows.append((name, *before, after[shown], after.get("mean"), where))
+    heads = ("measure", *(() if original is None else ("largest before",)), "largest", "mean", "largest at")
+    return Table("Measures that matter to flow solvers", heads, rows, (0, len(heads) - 1))
 
 
 def boundary_table(boundary: Report) -> Table:

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import pytest
 
 from meshdeform_formats.report.page import curve, histogram
-from meshdeform_formats.report.tables import change_of, measure_values, repair_lines
+from meshdeform_formats.report.tables import change_of, measure_values, repair_lines, shape_table
 
 DONE = {
     "invalid": 2, "weak": 10, "nodes": 1, "max_movement": 0.5, "newton_steps": 3, "converged": True, "before": None,
@@ -62,3 +62,13 @@ def test_only_extremes_have_a_worst_cell():
     places = {name: place for name, *_, place in measure_values({"before": quality, "after": quality})}
     assert places.pop("f_skew minimum") == "b (1, 2, 3)"
     assert set(places.values()) == {""}
+
+
+@pytest.mark.parametrize(
+    ("before", "row"),
+    [(None, ("skewness", 2.0, 1.0, "")), ({"skewness": {"max": 1.5}}, ("skewness", 1.5, 2.0, 1.0, ""))],
+)
+def test_shapes_of_a_grid_by_itself_have_no_column_before(before, row):
+    table = shape_table({"shape": {"before": before, "after": {"skewness": {"max": 2.0, "mean": 1.0, "worst": None}}}})
+    assert list(table.rows) == [row]
+    assert ("largest before" in table.heads) == (len(row) == len(table.heads) == 5)
