@@ -135,13 +135,24 @@ class CrossingTest:
         # Two ranks find a pair whose faces belong to different shares.
         pairs, once = np.unique(np.concatenate([pairs for pairs, _ in found]), axis=0, return_index=True)
         places = np.concatenate([places for _, places in found])[once]
-        if len(pairs):
-            new = surface.were_apart(pairs, gap)
-            pairs, places = pairs[new], places[new]
+        if not len(pairs):
+            return ()
+        new = surface.were_apart(pairs, gap)
+        pairs, places = pairs[new], places[new]
         if self._normal is not None:
             # The boundary of a plane grid is tested as a strip beside its plane.
             places = places - ((places - surface.points[0]) @ self._normal)[:, None] * self._normal
-        return _grouped(self._names(surface, moved)[pairs], places) if len(pairs) else ()
+        # One crossing per pair of patches, at the place closest to the mean of all.
+        groups: dict[tuple[str, str], list[int]] = {}
+        for index, pair in enumerate(self._names(surface, moved)[pairs].tolist()):
+            one, two = sorted(pair)
+            groups.setdefault((one, two), []).append(index)
+        crossings = []
+        for patches, members in groups.items():
+            here = places[members]
+            x, y, z = here[np.argmin(np.linalg.norm(here - here.mean(axis=0), axis=1))]
+            crossings.append(Crossing(patches, (float(x), float(y), float(z)), len(members)))
+        return tuple(sorted(crossings, key=lambda crossing: -crossing.count))
 
     def contact(self, path: Callable[[float], FloatArray]) -> Contact | None:
         """First contact of the boundary with itself; ``None`` if there is no crossing at the end of the motion.
@@ -189,7 +200,13 @@ class CrossingTest:
         faces = self._outside_faces[(displacement[self._outside_faces] != 0.0).any(axis=2).all(axis=1)]
         if not len(faces):
             return False
-        samples = faces[_samples(faces, self._topology.n_unique)]
+        # Some faces of each of the largest connected parts.
+        part, chosen = connected_rows(faces, self._topology.n_unique), []
+        for largest in np.argsort(-np.bincount(part))[:_PARTS]:
+            members = np.flatnonzero(part == largest)
+            places = np.linspace(0, len(members) - 1, min(_PLACES + 2, len(members))).astype(np.int64)
+            chosen.append(members[places][1:-1])
+        samples = faces[np.concatenate(chosen)]
         before = self._grid.nodes.at(self._topology.first)
         inside = [self._winding(x, samples) for x in (before, before + displacement)]
         # The winding number is meaningful only where the boundary is closed before and after.
@@ -259,11 +276,19 @@ class _Surface:
         return tree
 
     def shift(self, gap: float) -> FloatArray:
-        """Pseudo-random shift (n, 3) of the points, by which faces that come closer than ``gap`` cross somewhere."""
+        """Pseudo-random shift (n, 3) of the points, by which faces that come closer than ``gap`` cross somewhere.
+
+        A node is shifted alike whichever others are on the surface.
+        """
         amplitude = np.where(np.isfinite(self.edge), self._amplitude(gap), 0.0)
         sides = len(self.points) // len(self.nodes)
         rows = np.concatenate([self.nodes + side * self._n_unique for side in range(sides)])
-        return _drawn(sides * self._n_unique, rows) * amplitude[:, None]
+        count, source, drawn = sides * self._n_unique, np.random.default_rng(0), np.empty((len(rows), 3))
+        for lo in range(0, count, _TOGETHER):
+            part = source.uniform(-1.0, 1.0, (min(_TOGETHER, count - lo), 3))
+            begin, end = np.searchsorted(rows, [lo, lo + len(part)])
+            drawn[begin:end] = part[rows[begin:end] - lo]
+        return drawn * amplitude[:, None]
 
     def _amplitude(self, gap: float) -> FloatArray:
         # The test for lying outside uses points at a small distance from the faces, which is allowed for here.
@@ -276,44 +301,6 @@ class _Surface:
         crossing[pairs] = True
         close = np.maximum(_ABUTTING * self.edge, 4.0 * self._amplitude(gap))[self.faces].min(axis=1)
         return np.asarray(~near_faces(self.points, self.faces, crossing, close)[pairs].all(axis=1))
-
-
-def _drawn(count: int, rows: IntArray) -> FloatArray:
-    """Pseudo-random numbers (n, 3) from -1 to 1: the ascending ``rows`` (n,) of an array (``count``, 3) of them.
-
-    A node is shifted alike whichever others are on the surface.
-    """
-    source, found = np.random.default_rng(0), np.empty((len(rows), 3))
-    for lo in range(0, count, _TOGETHER):
-        part = source.uniform(-1.0, 1.0, (min(_TOGETHER, count - lo), 3))
-        begin, end = np.searchsorted(rows, [lo, lo + len(part)])
-        found[begin:end] = part[rows[begin:end] - lo]
-    return found
-
-
-def _samples(faces: IntArray, n_nodes: int) -> IntArray:
-    """Some faces (indices) of each of the largest connected parts of ``faces`` (m, c)."""
-    part = connected_rows(faces, n_nodes)
-    size = np.bincount(part)
-    chosen = []
-    for largest in np.argsort(-size)[: min(_PARTS, np.count_nonzero(size))]:
-        members = np.flatnonzero(part == largest)
-        chosen.append(members[np.linspace(0, len(members) - 1, min(_PLACES + 2, len(members))).astype(np.int64)][1:-1])
-    return np.concatenate(chosen)
-
-
-def _grouped(names: np.ndarray, places: FloatArray) -> tuple[Crossing, ...]:
-    """One crossing per pair of names (c, 2), at the one of ``places`` (c, 3) closest to their mean."""
-    groups: dict[tuple[str, str], list[int]] = {}
-    for index, pair in enumerate(names.tolist()):
-        one, two = sorted(pair)
-        groups.setdefault((one, two), []).append(index)
-    found = []
-    for patches, members in groups.items():
-        here = places[members]
-        x, y, z = here[np.argmin(np.linalg.norm(here - here.mean(axis=0), axis=1))]
-        found.append(Crossing(patches, (float(x), float(y), float(z)), len(members)))
-    return tuple(sorted(found, key=lambda crossing: -crossing.count))
 
 
 def find_pinned(grid: Grid, topology: Topology, boundary: Boundary, displacement: FloatArray) -> Notice | None:

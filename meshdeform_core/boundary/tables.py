@@ -194,7 +194,24 @@ def transfer(data: SurfaceData | Grid, matching: Matching, nodes: BoundaryNodes)
         When no node matches, or when some do not and ``matching.partial`` is false.
     """
     if isinstance(data, Grid):
-        result = _from_deformed_grid(data, matching, nodes)
+        if data.shapes == nodes.grid.shapes:
+            displacement = Nodes.of(data.points).at(nodes.topology.first[nodes.numbers]) - nodes.points
+            matched = np.ones(len(displacement), dtype=bool)
+        else:
+            # Each block of a surface grid is the closest block face of the same size.
+            moved = np.full((nodes.topology.n_unique, 3), np.nan)
+            taken: set[tuple[int, Side]] = set()
+            for index, shape in enumerate(data.shapes):
+                new = data.block(index).reshape([n for n in shape if n > 1] + [3])
+                moved[_closest_face(new, data.names[index], nodes, taken)] = new
+            found = moved[nodes.numbers] - nodes.points
+            matched = np.asarray(np.isfinite(found).all(axis=1))
+            displacement = np.where(matched[:, None], found, 0.0)
+        label, zero = data.path.name if data.path else "deformed grid", np.zeros(len(displacement))
+        result = Transfer(
+            displacement, matched, zero, label, "same nodes", (int(matched.sum()), data.n_nodes), np.empty((0, 3)),
+            zero, matching.partial, walls=matching.walls,
+        )  # fmt: skip
     else:
         data = by_place(data, nodes.grid, nodes.topology)
         result = _from_table(data, matching, nodes)
@@ -319,29 +336,6 @@ def _between_points(data: SurfaceData, nodes: BoundaryNodes) -> tuple[FloatArray
     tree = scipy.spatial.cKDTree(known)
     nearest = tree.query(nodes.points)[1]
     return displacement, distance, np.maximum(distance - spacings(tree)[nearest], 0.0)
-
-
-def _from_deformed_grid(deformed: Grid, matching: Matching, nodes: BoundaryNodes) -> Transfer:
-    label = deformed.path.name if deformed.path else "deformed grid"
-    if deformed.shapes == nodes.grid.shapes:
-        displacement = Nodes.of(deformed.points).at(nodes.topology.first[nodes.numbers]) - nodes.points
-        matched = np.ones(len(displacement), dtype=bool)
-    else:
-        # Each block of a surface grid is the closest block face of the same size.
-        moved = np.full((nodes.topology.n_unique, 3), np.nan)
-        taken: set[tuple[int, Side]] = set()
-        for index, shape in enumerate(deformed.shapes):
-            new = deformed.block(index).reshape([n for n in shape if n > 1] + [3])
-            moved[_closest_face(new, deformed.names[index], nodes, taken)] = new
-        found = moved[nodes.numbers] - nodes.points
-        matched = np.asarray(np.isfinite(found).all(axis=1))
-        displacement = np.where(matched[:, None], found, 0.0)
-    used = int(matched.sum()), deformed.n_nodes
-    zero = np.zeros(len(displacement))
-    return Transfer(
-        displacement, matched, zero, label, "same nodes", used, np.empty((0, 3)), zero, matching.partial,
-        walls=matching.walls,
-    )  # fmt: skip
 
 
 def _closest_face(new: FloatArray, name: str, nodes: BoundaryNodes, taken: set[tuple[int, Side]]) -> IntArray:

@@ -72,7 +72,14 @@ def check_connections(grid: Grid, topology: Topology) -> list[str]:
     messages = [text for connection in grid.connections for text in _remark(grid, topology, connection, declared)]
     # A file that declares only periodic connections leaves the interfaces to be found from the coordinates.
     if any(connection.periodic is None for connection in grid.connections):
-        messages += _undeclared(grid, topology, declared)
+        quads = (topology.partner >= 0) & ~declared[topology.quads.corners].all(axis=1)
+        sides = distinct(topology.quads.block_side[quads], 6 * grid.n_blocks)
+        if sides.size:
+            names = listed(dict.fromkeys(grid.names[side // 6] for side in sides))
+            messages.append(
+                f"{int(quads.sum())} face quads coincide but no connection declares them (blocks {names}); they are "
+                f"joined; name one side of a thin plate between them in [grid] plates"
+            )
     return messages
 
 
@@ -102,19 +109,6 @@ def _remark(grid: Grid, topology: Topology, connection: Connection, declared: Bo
         f"{where}: {int(apart.sum())} of {len(own)} node pairs do not coincide (largest gap {gap.max():.3g}, "
         f"{(gap / edge[apart]).max():.3g} of the local edge); the coordinates decide, the faces count as outside; "
         f"if the gaps are round-off, raise grid.tolerance"
-    ]
-
-
-def _undeclared(grid: Grid, topology: Topology, declared: np.ndarray) -> list[str]:
-    shared = topology.partner >= 0
-    quads = shared & ~declared[topology.quads.corners].all(axis=1)
-    sides = distinct(topology.quads.block_side[quads], 6 * grid.n_blocks)
-    if sides.size == 0:
-        return []
-    names = listed(dict.fromkeys(grid.names[side // 6] for side in sides))
-    return [
-        f"{int(quads.sum())} face quads coincide but no connection declares them (blocks {names}); they are joined; "
-        f"name one side of a thin plate between them in [grid] plates"
     ]
 
 
@@ -168,7 +162,17 @@ def _index_maps(grid: Grid, topology: Topology, quads: IntArray, pair: IntArray)
     count = 0
     while waiting.size:
         seed = waiting[runs(pair[waiting])[0]]
-        turn = _orientation(grid, topology, quads[seed], partner[seed])
+        # Unique numbers (n, 2, 2) along u and v of the nodes of a quad and of its partner; in 2-D equal along one of
+        # them. The first orientation that maps the ones to the others counts.
+        own, other = (
+            topology.numbers_of(grid.sides.corners(*faces.places(some)))[:, [[0, 3], [1, 2]]]
+            for some in (quads[seed], partner[seed])
+        )
+        turn = np.full(len(seed), -1)
+        for orientation, (rows, columns) in reversed(list(enumerate(_ORIENTATIONS.sum(axis=2).tolist()))):
+            # In the donor's index order.
+            swapped = own.transpose(0, 2, 1) if _ORIENTATIONS[orientation, 0, 0] == 0 else own
+            turn[(swapped[:, ::rows, ::columns] == other).all(axis=(1, 2))] = orientation
         # A quad that determines no transformation may still be mapped by that of another quad.
         hopeless = np.isin(waiting, seed[turn < 0])
         seed, turn = seed[turn >= 0], turn[turn >= 0]
@@ -190,23 +194,6 @@ def _index_maps(grid: Grid, topology: Topology, quads: IntArray, pair: IntArray)
     return fits, _Maps(*map(np.concatenate, parts))
 
 
-def _orientation(grid: Grid, topology: Topology, quads: IntArray, partner: IntArray) -> IntArray:
-    """The first orientation (n,) that maps the nodes of quads (n,) to those of their partners, or -1."""
-    # Unique numbers (n, 2, 2) along u and v; in 2-D equal along one of them.
-    own, donor = (
-        topology.numbers_of(grid.sides.corners(*topology.quads.places(some)))[:, [[0, 3], [1, 2]]]
-        for some in (quads, partner)
-    )
-    found = np.full(len(quads), -1)
-    for turn in reversed(range(len(_ORIENTATIONS))):
-        matrix = _ORIENTATIONS[turn]
-        # In the donor's index order.
-        swapped = own.transpose(0, 2, 1) if matrix[0, 0] == 0 else own
-        rows, columns = matrix.sum(axis=1)
-        found[(swapped[:, :: int(rows), :: int(columns)] == donor).all(axis=(1, 2))] = turn
-    return found
-
-
 # The eight ways to map one rectangle onto another: donor (p, q) = M (u, v) up to an offset.
 _ORIENTATIONS = np.array([
     np.array(m).reshape(2, 2)
@@ -221,7 +208,16 @@ def _described(grid: Grid, pieces: Rectangles, maps: _Maps) -> Iterator[Connecti
     # Quad offsets become node offsets: a reversed axis counts from the quad's far node.
     shift = offset + (matrix.sum(axis=2) < 0)
     ends = [np.einsum("nij,nj->ni", matrix, corner) + shift for corner in (pieces.low, pieces.high)]
-    transforms = _transforms(pieces.side, donors, matrix)
+    # The CGNS short form.
+    tangential = np.array([side.tangential for side in Side])
+    row, transforms = np.arange(len(donors)), np.zeros((len(donors), 3), dtype=np.int64)
+    for axis in (0, 1):
+        along = np.argmax(matrix[:, :, axis] != 0, axis=1)
+        steps = matrix[row, along, axis] * (tangential[donors % 6, along] + 1)
+        transforms[row, tangential[pieces.side % 6, axis]] = steps
+    # A step out of this block is a step into the donor.
+    outward, inward = np.where(pieces.side % 2, 1, -1), np.where(donors % 2, -1, 1)
+    transforms[row, pieces.side % 6 // 2] = outward * inward * (donors % 6 // 2 + 1)
     nodes = (_nodes(grid, side, at) for side, at in
              ((pieces.side, pieces.low), (pieces.side, pieces.high), (donors, ends[0]), (donors, ends[1])))  # fmt: skip
     labels = [side.label for side in Side]
@@ -230,19 +226,6 @@ def _described(grid: Grid, pieces: Rectangles, maps: _Maps) -> Iterator[Connecti
         (block, side), (donor, donor_side) = divmod(own, 6), divmod(other, 6)
         name = f"{grid.names[block]}.{labels[side]}-{grid.names[donor]}.{labels[donor_side]}"
         yield Connection(name, block, begin, end, donor, donor_begin, donor_end, _triple(transform))
-
-
-def _transforms(own: IntArray, donors: IntArray, matrix: IntArray) -> IntArray:
-    """The CGNS short form (n, 3) of connections of sides ``own`` (n,) with ``donors`` (n,)."""
-    tangential = np.array([side.tangential for side in Side])
-    row, transform = np.arange(len(own)), np.zeros((len(own), 3), dtype=np.int64)
-    for axis in (0, 1):
-        along = np.argmax(matrix[:, :, axis] != 0, axis=1)
-        transform[row, tangential[own % 6, axis]] = matrix[row, along, axis] * (tangential[donors % 6, along] + 1)
-    # A step out of this block is a step into the donor.
-    outward, inward = np.where(own % 2, 1, -1), np.where(donors % 2, -1, 1)
-    transform[row, own % 6 // 2] = outward * inward * (donors % 6 // 2 + 1)
-    return transform
 
 
 def _nodes(grid: Grid, side: IntArray, tangential: IntArray) -> list[Shape]:

@@ -21,7 +21,7 @@ from ..parallel import empty
 from .blocks import FloatArray, Grid, IntArray
 from .parts import Patch, Side, Window
 from .planes import FLATNESS, Bounds, Plane, plane_normal, planes_of
-from .topology import FaceQuads, Topology, quads_of_patches, side_nodes
+from .topology import Topology, quads_of_patches, side_nodes
 from .windows import Rectangles, rectangles
 
 _SAMPLED_LINES = 12
@@ -134,13 +134,20 @@ def find_faces(grid: Grid, topology: Topology, geometry: QuadGeometry | None = N
     owner, shared = np.divmod(pieces.label, 2)
     run = np.repeat(np.arange(len(pieces)), pieces.sizes)
     height, area = geometry.height[pieces.quads], geometry.area[pieces.quads]
+    # Lowest and highest coordinates of the nodes of every piece.
+    boxes = np.empty((len(pieces), 2, 3))
+    for lo, hi in batches(pieces.sizes, _TOGETHER):
+        start = pieces.start[lo : hi + 1]
+        corners = grid.points[grid.sides.corners(*topology.quads.places(pieces.quads[start[0] : start[-1]]))]
+        boxes[lo:hi, 0] = np.minimum.reduceat(corners.min(axis=1), start[:-1] - start[0], axis=0)
+        boxes[lo:hi, 1] = np.maximum.reduceat(corners.max(axis=1), start[:-1] - start[0], axis=0)
     bounds = list(zip(pieces.start[:-1].tolist(), pieces.start[1:].tolist(), strict=True))
     rows = zip(
         pieces.windows(),
         [pieces.quads[lo:hi] for lo, hi in bounds],
         [grid.patches[number - 1] if number else None for number in owner.tolist()],
         (shared == 0).tolist(),
-        _boxes(grid, topology.quads, pieces),
+        boxes,
         [float(area[lo:hi].sum()) for lo, hi in bounds],
         np.minimum.reduceat(height, pieces.start[:-1]).tolist(),
         medians(height, run, len(pieces), np.nan).tolist(),
@@ -149,17 +156,6 @@ def find_faces(grid: Grid, topology: Topology, geometry: QuadGeometry | None = N
         strict=True,
     )
     return [Face(*row) for row in rows]
-
-
-def _boxes(grid: Grid, faces: FaceQuads, pieces: Rectangles) -> FloatArray:
-    """Lowest and highest coordinates (n, 2, 3) of the nodes of every piece."""
-    found = np.empty((len(pieces), 2, 3))
-    for lo, hi in batches(pieces.sizes, _TOGETHER):
-        start = pieces.start[lo : hi + 1]
-        corners = grid.points[grid.sides.corners(*faces.places(pieces.quads[start[0] : start[-1]]))]
-        found[lo:hi, 0] = np.minimum.reduceat(corners.min(axis=1), start[:-1] - start[0], axis=0)
-        found[lo:hi, 1] = np.maximum.reduceat(corners.max(axis=1), start[:-1] - start[0], axis=0)
-    return found
 
 
 def _spacing(grid: Grid, pieces: Rectangles) -> tuple[FloatArray, FloatArray]:

@@ -146,7 +146,20 @@ def find_openings(grid: Grid, topology: Topology) -> tuple[Opening, ...]:
     if outside.size == 0:
         return ()
     paired, gap, relative = _near_partners(grid, topology, outside)
-    near = [*_matching(grid, topology, paired, gap, relative), *_abutting(grid, topology, paired)]
+    quads = np.flatnonzero(paired >= 0)
+    own, other = (topology.quads.block_side[some] for some in (quads, paired[quads]))
+    # Each pair of sides once, from the one with the lower number; within one side, each pair of quads once.
+    chosen = (own < other) | ((own == other) & (quads < paired[quads]))
+    label = np.full(len(paired), -1)
+    label[quads[chosen]] = other[chosen]
+    near, pieces = list[Opening](), rectangles(grid, topology.quads, label)
+    for number, window in enumerate(pieces.windows()):
+        quads = pieces.quads_of(number)
+        corners = topology.quads.corners[quads]
+        worst = float(gap[corners].max()), float(relative[corners].max())
+        block, side = divmod(int(pieces.label[number]), 6)
+        near.append(Opening(quads, window, block, Side(side), *worst, True))
+    near += _abutting(grid, topology, paired)
     wall = np.zeros(len(topology.partner), dtype=bool)
     walls = [patch for patch in grid.patches if role_of_patch(patch) is Role.WALL]
     wall[quads_of_patches(topology.quads, walls)[0]] = True
@@ -183,24 +196,6 @@ def _near_partners(grid: Grid, topology: Topology, outside: IntArray) -> tuple[I
     quads = outside[sound]
     paired[quads] = np.where(partner >= 0, quads[partner], -1)
     return paired, gap, relative
-
-
-def _matching(grid: Grid, topology: Topology, paired: IntArray, gap: FloatArray, relative: FloatArray) -> list[Opening]:
-    near = np.flatnonzero(paired >= 0)
-    own, other = (topology.quads.block_side[quads] for quads in (near, paired[near]))
-    # Each pair of sides once, from the one with the lower number; within one side, each pair of quads once.
-    chosen = (own < other) | ((own == other) & (near < paired[near]))
-    label = np.full(len(paired), -1)
-    label[near[chosen]] = other[chosen]
-    found = []
-    pieces = rectangles(grid, topology.quads, label)
-    for number, window in enumerate(pieces.windows()):
-        quads = pieces.quads_of(number)
-        corners = topology.quads.corners[quads]
-        worst = float(gap[corners].max()), float(relative[corners].max())
-        block, side = divmod(int(pieces.label[number]), 6)
-        found.append(Opening(quads, window, block, Side(side), *worst, True))
-    return found
 
 
 class _Samples:

@@ -60,7 +60,12 @@ def quads_of_pattern(grid: Grid, quads: FaceQuads, pattern: str, owner: str) -> 
         return quads_of_windows(quads, named)[0]
     windows = list(_face_windows(grid, pattern, owner))
     if not windows:
-        raise CaseError(f"boundary {owner!r}: {pattern!r} matches no patch, family or block face{_hint(grid, pattern)}")
+        known = sorted({name for patch in grid.patches for name in (patch.name, patch.family) if name})
+        hint = suggestion(pattern, [*known, *(f"{n}.{s.label}" for n in grid.names for s in Side)], 3)
+        if not hint:
+            patches = f"patches are {listed(known)}" if known else "the grid has no named patches"
+            hint = f"; {patches}, block faces are written like {grid.names[0]}.{next(iter(Side)).label}"
+        raise CaseError(f"boundary {owner!r}: {pattern!r} matches no patch, family or block face{hint}")
     found = quads_of_windows(quads, windows)[0]
     if found.size == 0:
         raise CaseError(f"boundary {owner!r}: {pattern!r} contains no cell face (a window needs two nodes each way)")
@@ -102,29 +107,17 @@ def _window_bounds(text: str | None, size: tuple[int, int], where: str) -> tuple
         parts.insert(size.index(1), "*")
     if len(parts) != 2:
         raise CaseError(f"{where}: window [{text}] has {len(parts)} ranges; expected two, like [1:65,*]")
-    bounds = [_range(part, n, where) for part, n in zip(parts, size, strict=True)]
+    bounds = []
+    for part, n in zip(parts, size, strict=True):
+        match = re.fullmatch(r"(\d*|\*)(?::(\d*|\*))?", part)
+        if not match or (part not in ("*", ":") and ":" not in part):
+            raise CaseError(f"{where}: {part!r} is not a range of nodes; expected a:b, a:*, *:b or *")
+        low = int(match[1]) if match[1] not in ("", "*") else 1
+        high = int(match[2]) if match[2] not in (None, "", "*") else n
+        if not 1 <= low <= high <= n:
+            raise CaseError(f"{where}: range {part!r} lies outside the face; expected 1 <= first <= last <= {n}")
+        bounds.append((low - 1, high - 1))
     return (bounds[0][0], bounds[1][0]), (bounds[0][1], bounds[1][1])
-
-
-def _range(text: str, n: int, where: str) -> tuple[int, int]:
-    match = re.fullmatch(r"(\d*|\*)(?::(\d*|\*))?", text)
-    if not match or (text not in ("*", ":") and ":" not in text):
-        raise CaseError(f"{where}: {text!r} is not a range of nodes; expected a:b, a:*, *:b or *")
-    low = int(match[1]) if match[1] not in ("", "*") else 1
-    high = int(match[2]) if match[2] not in (None, "", "*") else n
-    if not 1 <= low <= high <= n:
-        raise CaseError(f"{where}: range {text!r} lies outside the face; expected 1 <= first <= last <= {n}")
-    return low - 1, high - 1
-
-
-def _hint(grid: Grid, pattern: str) -> str:
-    known = sorted({name for patch in grid.patches for name in (patch.name, patch.family) if name})
-    faces = [f"{grid.names[0]}.{side.label}" for side in Side]
-    hint = suggestion(pattern, [*known, *(f"{n}.{s.label}" for n in grid.names for s in Side)], 3)
-    if hint:
-        return hint
-    patches = f"patches are {listed(known)}" if known else "the grid has no named patches"
-    return f"; {patches}, block faces are written like {faces[0]}"
 
 
 def with_components(grid: Grid, components: Components) -> Grid:

@@ -313,28 +313,20 @@ def partners(corners: IntArray, shared: BoolArray) -> tuple[IntArray, int]:
     step = max(_MATCHED, -(-(last - first) // _PASSES))
     for low in range(first, last, step):
         some = quads[(smallest >= low) & (smallest < low + step)]
-        found, more = _partners_of(corners[some])
-        partner[some] = np.where(found >= 0, some[np.maximum(found, 0)], found)
-        crowded += more
+        rows = np.sort(corners[some], axis=1)
+        different = 1 + np.count_nonzero(np.diff(rows, axis=1), axis=1)
+        triangles = np.flatnonzero((different == 3) & (rows.shape[1] == 4))
+        if triangles.size:
+            # On the other side, the same triangle may repeat another corner: keep three corners and pad.
+            repeated = np.argmax(np.diff(rows[triangles], axis=1) == 0, axis=1)
+            rows[triangles, repeated] = rows.max() + 1
+            rows[triangles] = np.sort(rows[triangles], axis=1)
+        live = different >= (3 if rows.shape[1] == 4 else 2)
+        partner[some[~live]], rows, some = COLLAPSED, rows[live], some[live]
+        matched, numbers = equal_rows(rows)
+        partner[some] = np.where(matched >= 0, some[matched], EXTERNAL)
+        crowded += int(np.count_nonzero(numbers > 2))
     return partner, crowded
-
-
-def _partners_of(corners: IntArray) -> tuple[IntArray, int]:
-    rows = np.sort(corners, axis=1)
-    distinct = 1 + np.count_nonzero(np.diff(rows, axis=1), axis=1)
-    collapsed = distinct < (3 if rows.shape[1] == 4 else 2)
-    triangles = (distinct == 3) & (rows.shape[1] == 4)
-    if triangles.any():
-        # On the other side, the same triangle may repeat another corner: keep three corners and pad.
-        repeated = np.argmax(np.diff(rows[triangles], axis=1) == 0, axis=1)
-        some = rows[triangles]
-        some[np.arange(len(some)), repeated] = rows.max() + 1
-        rows[triangles] = np.sort(some, axis=1)
-    live = np.flatnonzero(~collapsed)
-    partner = np.full(len(rows), COLLAPSED, dtype=np.int64)
-    matched, count = equal_rows(rows[live])
-    partner[live] = np.where(matched >= 0, live[matched], EXTERNAL)
-    return partner, int(np.count_nonzero(count > 2))
 
 
 def index_order(grid: Grid, handedness: IntArray) -> BoolArray:
@@ -456,7 +448,18 @@ def separated(grid: Grid, topology: Topology) -> Topology:
     apart = (at_plate | outside & ~undeclared)[label]
     first = np.searchsorted(topology.face_nodes, topology.first)[topology.number].astype(topology.number.dtype)
     first[rows[apart]] = rows[label[apart]]
-    return _numbered(topology, first, quads, np.where(row >= 0, rows[row], -1))
+    number, leads = numbered_by_first(first)
+    lead = np.flatnonzero(leads)
+    # Quads have the numbers of their own nodes, elsewhere those of the places, of which all nodes are still one.
+    renamed = number[np.searchsorted(topology.face_nodes, topology.first)][corners]
+    renamed[quads] = np.where(row >= 0, number[rows[row]], renamed[quads])
+    return dataclasses.replace(
+        topology,
+        number=number,
+        first=topology.face_nodes[lead],
+        edge=topology.edge[topology.number[lead]],
+        quads=dataclasses.replace(topology.quads, corners=renamed),
+    )
 
 
 def _joined_pairs(topology: Topology, quads: IntArray, number: IntArray, row: IntArray) -> IntArray:
@@ -474,24 +477,3 @@ def _joined_pairs(topology: Topology, quads: IntArray, number: IntArray, row: In
             same = np.flatnonzero((number[own, a] == number[other, b]) & (row[own, a] >= 0))
             pairs.append(np.stack([row[own[same], a], row[other[same], b]], axis=1))
     return np.concatenate(pairs)
-
-
-def _numbered(topology: Topology, first: IntArray, quads: IntArray, rows: IntArray) -> Topology:
-    """The topology in which ``first`` (n_face,) is the first of the face nodes that are one with each.
-
-    ``rows`` (n, c) are the face nodes at the corners of ``quads`` (n,), -1 for those whose number is that of all nodes
-    at the place.
-    """
-    number, leads = numbered_by_first(first)
-    lead = np.flatnonzero(leads)
-    # Places of which all nodes are still one.
-    renamed = number[np.searchsorted(topology.face_nodes, topology.first)]
-    corners = renamed[topology.quads.corners]
-    corners[quads] = np.where(rows >= 0, number[rows], corners[quads])
-    return dataclasses.replace(
-        topology,
-        number=number,
-        first=topology.face_nodes[lead],
-        edge=topology.edge[topology.number[lead]],
-        quads=dataclasses.replace(topology.quads, corners=corners),
-    )

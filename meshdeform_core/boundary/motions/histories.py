@@ -83,21 +83,16 @@ class RigidHistory(Step):
         if self.rotation is None:
             return np.broadcast_to(shift, current.shape)
         arm = current - np.array(self.center)
-        return np.asarray(shift + turned(arm, self._turn(self.rotation, time, fraction)))
-
-    def _turn(self, rotation: History, time: float, fraction: float) -> FloatArray:
-        """The rotation vector (3,) of a fraction of the rotation at a time."""
         if self.order:
-            return np.asarray(
-                scipy.spatial.transform.Rotation.from_euler(
-                    self.order, fraction * rotation.at(time), degrees=True
-                ).as_rotvec()
-            )
-        rotation.require(time)
-        turns = scipy.spatial.transform.Rotation.from_quat(rotation.values)
-        within = np.clip(time, rotation.times[0], rotation.times[-1])
-        found = scipy.spatial.transform.Slerp(rotation.times, turns)(within) if len(rotation.times) > 1 else turns[0]
-        return np.asarray(fraction * found.as_rotvec())
+            angles = fraction * self.rotation.at(time)
+            turn = scipy.spatial.transform.Rotation.from_euler(self.order, angles, degrees=True).as_rotvec()
+        else:
+            self.rotation.require(time)
+            times, turns = self.rotation.times, scipy.spatial.transform.Rotation.from_quat(self.rotation.values)
+            within = np.clip(time, times[0], times[-1])
+            found = scipy.spatial.transform.Slerp(times, turns)(within) if len(times) > 1 else turns[0]
+            turn = fraction * found.as_rotvec()
+        return np.asarray(shift + turned(arm, turn))
 
 
 @dataclass(frozen=True)
