@@ -205,10 +205,25 @@ def read_neutral_map(path: Path, grid: Grid) -> Grid:
             continue
         counts[entry.type] += 1
         name = f"{entry.type}-{counts[entry.type]}"
-        if entry.is_one_to_one:
-            connections.append(_connection_of(name, entry, *ranges))
-        else:
+        if not entry.is_one_to_one:
             patches.append(Patch(name, tuple(r.window for r in ranges), entry.type, entry.type))
+            continue
+        # Begin is mapped to begin, the primary index to the primary one or, with Swap, to the secondary one.
+        here, there = ranges
+        transform = [0, 0, 0]
+        for axis, partner in zip(here.axes, there.axes[::-1] if entry.flag else there.axes, strict=True):
+            along, across = here.end[axis] - here.begin[axis], there.end[partner] - there.begin[partner]
+            if abs(along) != abs(across):
+                raise FormatError(
+                    f"{entry.place}: {abs(along) + 1} nodes of block {here.block + 1} along {'ijk'[axis]} meet "
+                    f"{abs(across) + 1} of block {there.block + 1} along {'ijk'[partner]}; check the ranges and Swap"
+                )
+            transform[axis] = (partner + 1) * (-1 if along * across < 0 else 1)
+        # The direction out of one block leads into the other.
+        transform[here.side.axis] = here.side.into(there.side)
+        i, j, k = transform
+        ends = here.block, here.begin, here.end, there.block, there.begin, there.end
+        connections.append(Connection(name, *ends, (i, j, k)))
     if left_out:
         notes = (*notes, f"{path}: {left_out} entries lie on the plane of the 2-D grid itself and are ignored")
     return replace(grid, patches=tuple(patches), connections=tuple(connections), notes=(*grid.notes, *notes))
@@ -243,23 +258,6 @@ def _frame(sizes: tuple[Shape, ...], entries: tuple[Entry, ...], grid: Grid, pat
         f"{path}: block {index + 1} has {size} nodes, {grid.names[index]} of the grid has {shape}; expected "
         f"the map of this grid or, for a 2-D grid, that of the same grid with one layer of cells"
     )
-
-
-def _connection_of(name: str, entry: Entry, here: _Range, there: _Range) -> Connection:
-    """Map one range onto the other: begin to begin, primary to primary index or, with Swap, to secondary."""
-    transform = [0, 0, 0]
-    for axis, partner in zip(here.axes, there.axes[::-1] if entry.flag else there.axes, strict=True):
-        along, across = here.end[axis] - here.begin[axis], there.end[partner] - there.begin[partner]
-        if abs(along) != abs(across):
-            raise FormatError(
-                f"{entry.place}: {abs(along) + 1} nodes of block {here.block + 1} along {'ijk'[axis]} meet "
-                f"{abs(across) + 1} of block {there.block + 1} along {'ijk'[partner]}; check the ranges and Swap"
-            )
-        transform[axis] = (partner + 1) * (-1 if along * across < 0 else 1)
-    # The direction out of one block leads into the other.
-    transform[here.side.axis] = here.side.into(there.side)
-    i, j, k = transform
-    return Connection(name, here.block, here.begin, here.end, there.block, there.begin, there.end, (i, j, k))
 
 
 _NUMBERED = {side: (number, axes) for number, (side, axes) in FACES.items()}

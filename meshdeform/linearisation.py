@@ -17,7 +17,7 @@ from meshdeform_core.methods.base import Linearised
 from meshdeform_core.methods.limits import reason_of
 from meshdeform_core.overset import PreparedComponents
 from meshdeform_core.parallel import Nodes
-from meshdeform_core.repair.derivative import RepairDerivative, derivative_of_repair
+from meshdeform_core.repair.derivative import derivative_of_repair
 
 from .gate import checked_array
 from .grid import by_part, rows_of_block
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
 _CLOSE = 1e-4
 """A repaired grid farther from the minimum than this fraction of the shortest edge, round-off aside, is not at it."""
-_NOT_MINIMAL = "but is not the minimum of the repair's energy"
 
 
 class Linearisation:
@@ -89,8 +88,22 @@ class Linearisation:
         GridError
             When their number or shapes are not those of the blocks, or values are not finite.
         """
+        parts = self.step.grid.part
+        what = f"expected those of the {len(parts)} blocks"
+
+        def fill() -> None:
+            found = list(gradients) if isinstance(gradients, Iterable) else [gradients]
+            if len(found) != len(parts):
+                raise GridError(f"found gradients for {len(found)} blocks; {what}")
+            for (block, _, _, points), each in zip(parts, found, strict=True):
+                values = checked_array(each, points.shape, f"gradient of block {block + 1}", what, GridError)
+                rows_of_block(self.step.grid, block, flat)[...] = values
+
         with self._session.at_work():
-            return self._pulled(self._flat(gradients))
+            flat = self._setup.grid.nodes.like(3)
+            Nodes.of(flat).each(lambda rows: flat[rows].fill(0.0))
+            Nodes.of(flat).on_each(fill)
+            return self._pulled(flat)
 
     @property
     def operator(self) -> LinearOperator:
@@ -127,24 +140,6 @@ class Linearisation:
         total[setup.problem.source_numbers] = self._derivative.pull(gradient)
         return given_gradient(setup.grid, setup.boundary, self._session.numbers, total)
 
-    def _flat(self, gradients: Sequence[Any]) -> FloatArray:
-        """Gradients of the parts of the grid as one array (n_nodes, 3), in parts if the grid is."""
-        parts = self.step.grid.part
-        flat = self._setup.grid.nodes.like(3)
-        Nodes.of(flat).each(lambda rows: flat[rows].fill(0.0))
-
-        def fill() -> None:
-            found = list(gradients) if isinstance(gradients, Iterable) else [gradients]
-            if len(found) != len(parts):
-                raise GridError(f"found gradients for {len(found)} blocks; expected those of the {len(parts)} blocks")
-            for (block, _, _, points), each in zip(parts, found, strict=True):
-                what, meaning = f"gradient of block {block + 1}", f"expected those of the {len(parts)} blocks"
-                values = checked_array(each, points.shape, what, meaning, GridError)
-                rows_of_block(self.step.grid, block, flat)[...] = values
-
-        Nodes.of(flat).on_each(fill)
-        return flat
-
 
 def _real(values: Any) -> FloatArray:
     """The argument of a ``LinearOperator`` as a new real array."""
@@ -173,28 +168,19 @@ def differentiated(result: Result, method: PreparedMethod, displacement: FloatAr
         return derivative, f"{part}; the derivative is that of the method for all of it"
     if result.repair is None:
         return derivative, "another method replaced the chosen one; the derivative is that of the chosen one"
-    repair, why = _of_repair(result, points)
-    if repair is None:
+    setup, repair, why = result.setup, None, "but is not the minimum of the repair's energy"
+    if Nodes.of(points).divided:
+        why = "in parts, and the derivative of that takes the whole grid on every rank"
+    elif result.repair.converged:
+        polish = setup.case.repair.mode == "polish"
+        repair = derivative_of_repair(setup.undeformed.repairs, points, result.grid.points, polish)
+    if repair is None or repair.settle(_rounding(result)) > _CLOSE:
         return derivative, f"the grid was repaired, {why}; the derivative is that of the method before the repair"
     return Linearised(
         lambda change: repair.push(derivative.push(change)),
         lambda gradient: derivative.pull(repair.pull(gradient)),
         derivative.kinks,
     ), ""
-
-
-def _of_repair(result: Result, plain: FloatArray) -> tuple[RepairDerivative | None, str]:
-    """The derivative of the repair of ``plain`` (n_nodes, 3), or the reason why it has none."""
-    setup = result.setup
-    if Nodes.of(plain).divided:
-        return None, "in parts, and the derivative of that takes the whole grid on every rank"
-    if result.repair is None or not result.repair.converged:
-        return None, _NOT_MINIMAL
-    polish = setup.case.repair.mode == "polish"
-    found = derivative_of_repair(setup.undeformed.repairs, plain, result.grid.points, polish)
-    if found is None or found.settle(_rounding(result)) > _CLOSE:
-        return None, _NOT_MINIMAL
-    return found, ""
 
 
 def _rounding(result: Result) -> float:

@@ -204,7 +204,23 @@ class Mesh:
     def _displacement_values(self, displacement: Displacement, time: float) -> FloatArray:
         """The displacement (n_moving, 3) of the moving nodes."""
         if isinstance(displacement, Mapping):
-            values = self._from_patches(displacement)
+            if set(displacement) != set(self.patches):
+                given, known = (", ".join(map(repr, names)) or "none" for names in (displacement, self.patches))
+                raise MotionError(f"displacement is given for the patches {given}; expected all moving ones: {known}")
+            values = np.full((len(self.points), 3), np.nan)
+            for name, rows in self.patches.items():
+                part = self.session.checked(displacement[name], f"displacement[{name!r}]", len(rows))
+                twice = np.isfinite(values[rows, 0])
+                shared, first, second = rows[twice], values[rows[twice]], part[twice]
+                edges = self.session.setup.topology.edge[self.session.numbers[shared]]
+                gap = np.linalg.norm(second - first, axis=1) / edges
+                if gap.max(initial=0.0) > _SAME:
+                    worst = int(np.argmax(gap))
+                    raise MotionError(
+                        f"patch {name!r} gives its shared node {vector(self.points[shared[worst]])} the displacement "
+                        f"{vector(second[worst])}, another patch {vector(first[worst])}; expected the same"
+                    )
+                values[rows] = part
         elif callable(displacement):
             require_arguments(displacement, "displacement", "points", "time")
             own, what = displacement(self.points, time), "displacement(points, time)"
@@ -212,27 +228,6 @@ class Mesh:
         else:
             values = self.session.checked(displacement, "displacement", len(self.points))
         return np.where(np.abs(values) < SMALLEST, 0.0, values)
-
-    def _from_patches(self, displacement: Mapping[str, ArrayLike]) -> FloatArray:
-        if set(displacement) != set(self.patches):
-            names = [", ".join(map(repr, names)) or "none" for names in (displacement, self.patches)]
-            raise MotionError(f"displacement is given for the patches {names[0]}; expected all moving ones: {names[1]}")
-        total = np.full((len(self.points), 3), np.nan)
-        for name, rows in self.patches.items():
-            values = self.session.checked(displacement[name], f"displacement[{name!r}]", len(rows))
-            known = np.isfinite(total[rows, 0])
-            shared, before, given = rows[known], total[rows[known]], values[known]
-            gap = (
-                np.linalg.norm(given - before, axis=1) / self.session.setup.topology.edge[self.session.numbers[shared]]
-            )
-            if gap.max(initial=0.0) > _SAME:
-                worst = int(np.argmax(gap))
-                raise MotionError(
-                    f"patch {name!r} gives its shared node {vector(self.points[shared[worst]])} the displacement "
-                    f"{vector(given[worst])}, another patch {vector(before[worst])}; expected the same"
-                )
-            total[rows] = values
-        return total
 
     def __getstate__(self) -> dict[str, Any]:
         """The state of a copy, without the prepared method: the copy prepares it again."""

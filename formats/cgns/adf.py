@@ -65,27 +65,21 @@ class _AdfFile:
                 self.bytes = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
         except (OSError, ValueError) as error:  # ValueError: an empty file cannot be mapped
             raise FormatError(f"cannot read {path}: {error}") from error
-        # Every node may be reached only once; otherwise there would be a loop.
-        self.visited: set[int] = set()
-        self.root = self.node(self._file_header(), "", 0)
-
-    def _file_header(self) -> bytes:
-        """Check the file header, determine the number format, return the pointer to the root node."""
         if len(self.bytes) < _FILE_HEADER.size:
             raise self.damaged(f"the file has {len(self.bytes)} bytes; its header alone has {_FILE_HEADER.size}")
         fields = _FILE_HEADER.unpack_from(self.bytes)
         what, numeric, widths, root = fields[0], fields[6], fields[9], fields[11]
         if b"ADF Database Version" not in what:
-            raise FormatError(f"{self.path} is not an ADF file: it begins with {what[:24]!r}")
+            raise FormatError(f"{path} is not an ADF file: it begins with {what[:24]!r}")
         tags = (fields[1], fields[3], fields[5], fields[8], fields[10], fields[15])
         if tags != (b"AdF0", b"AdF1", b"AdF2", b"AdF3", b"AdF4", b"AdF5"):
             raise self.damaged(f"the file header has the tags {tags}; expected AdF0 .. AdF5")
         version = what[25:31]
         if version[:1] not in b"AB" or b">" in version:
-            raise FormatError(f"{self.path} is ADF version {decoded(version)}; known are A01xxx to B02xxx")
+            raise FormatError(f"{path} is ADF version {decoded(version)}; known are A01xxx to B02xxx")
         if numeric not in b"LB":
             raise FormatError(
-                f"{self.path} stores numbers in the format {decoded(numeric)!r} (C is Cray, N is unknown); "
+                f"{path} stores numbers in the format {decoded(numeric)!r} (C is Cray, N is unknown); "
                 f"known are L and B, IEEE little and big endian: convert it on the machine that wrote it"
             )
         self.binary = version[:1] == b"B"
@@ -96,12 +90,13 @@ class _AdfFile:
         # A long integer has 4 bytes on 32-bit machines.
         if sizes[:3] != [1, 2, 4] or sizes[3] not in (4, 8) or sizes[4:] != [4, 8]:
             raise FormatError(
-                f"{self.path} has char, short, int, long, float and double of {sizes} bytes; "
-                f"expected 1, 2, 4, 4 or 8, 4, 8"
+                f"{path} has char, short, int, long, float and double of {sizes} bytes; expected 1, 2, 4, 4 or 8, 4, 8"
             )
         for name, kind in (("I8", "i"), ("U8", "u")):
             self.dtypes[name] = np.dtype(f"{self.order}{kind}{sizes[3]}")
-        return bytes(root)
+        # Every node may be reached only once; otherwise there would be a loop.
+        self.visited: set[int] = set()
+        self.root = self.node(bytes(root), "", 0)
 
     def node(self, pointer: bytes, parent: str, depth: int) -> _AdfNode:
         """The node to which a disk pointer leads."""

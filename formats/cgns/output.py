@@ -175,12 +175,16 @@ def solution_nodes(
         expected = tuple(
             n if axis == across or location == "node" else max(n - 1, 1) for axis, n in enumerate(grid.shapes[block])
         )
-        for field in (grid.fields[number] for number in numbers[block, location]):
-            if field.values.shape[:3] != expected:
-                label = f"{location} field {field.name!r} of {grid.names[block]}"
-                found = f"has shape {field.values.shape}; expected {expected}, followed by its components"
-                raise FormatError(f"{label} {found}")
-        arrays = [(n, name) for n in numbers[block, location] for name in _component_names(grid.fields[n])]
+        arrays = []
+        for number in numbers[block, location]:
+            name, shape_of_values = grid.fields[number].name, grid.fields[number].values.shape
+            if shape_of_values[:3] != expected:
+                found = f"has shape {shape_of_values}; expected {expected}, followed by its components"
+                raise FormatError(f"{location} field {name!r} of {grid.names[block]} {found}")
+            count, components = math.prod(shape_of_values[3:]), [""]
+            if len(shape_of_values) > 3:
+                components = list("XYZ"[:count]) if count <= 3 else [str(n) for n in range(1, count + 1)]
+            arrays += [(number, f"{name}{component}") for component in components]
         names = unique_names((name for _, name in arrays), "Field", ["GridLocation"])
         nodes = []
         for name, (number, _) in zip(names, arrays, strict=True):
@@ -212,14 +216,6 @@ def _stored_type(field: Field) -> np.dtype[Any]:
     if kind.kind != "f":
         return np.dtype(np.int64 if kind.itemsize > 4 or kind == np.uint32 else np.int32)
     return kind.newbyteorder("=") if kind.itemsize in (4, 8) else np.dtype(np.float64)
-
-
-def _component_names(field: Field) -> list[str]:
-    """Names of the scalar arrays of a field."""
-    if len(field.values.shape) == 3:
-        return [field.name]
-    count = math.prod(field.values.shape[3:])
-    return [f"{field.name}{suffix}" for suffix in ("XYZ"[:count] if count <= 3 else map(str, range(1, count + 1)))]
 
 
 Boxes = Callable[[], tuple[FloatArray, FloatArray]]

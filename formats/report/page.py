@@ -136,23 +136,19 @@ def _verdict(report: Report) -> dict[str, Any]:
     headline = f"{after['invalid_cells']:,} of {report['grid']['cells']:,} cells became invalid."
     if reached < 1.0:
         headline = f"Only {reached:.1%} of the motion was imposed; the next step would have made cells invalid."
-    return {"headline": headline, "places": places, "advice": _advice(report)}
-
-
-def _advice(report: Report) -> list[str]:
-    """Advice, in order of effort."""
     if "method" not in report:
-        return ["Deform the original again with --repair auto, or with another method (meshdeform methods)."]
-    advice = []
-    repaired = any(attempt["repair"] for attempt in report.get("attempts") or ())
+        advice = ["Deform the original again with --repair auto, or with another method (meshdeform methods)."]
+        return {"headline": headline, "places": places, "advice": advice}
+    # In order of effort.
+    advice, repaired = [], any(attempt["repair"] for attempt in report.get("attempts") or ())
     if not repaired:
         advice.append("Repair invalid cells and halve the motion as needed: --repair auto.")
-    if not repaired and report["steps"] == 1 and report.get("reached", 1.0) == 1.0:
+    if not repaired and report["steps"] == 1 and reached == 1.0:
         advice.append("Impose the motion in as many steps as a valid grid requires: --steps auto.")
     holds = "" if report["method"]["name"] == "idw-tfi" else "-m idw-tfi keeps walls under rotation; "
     advice.append(f"Try another method: {holds}meshdeform methods lists the limits of each.")
     advice.append('Let nodes slide on nearby planes that need not be fixed: kind = "slip".')
-    return advice
+    return {"headline": headline, "places": places, "advice": advice}
 
 
 def _levels(report: Report, thumbnails: Sequence[Figure]) -> Sections:

@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 
 from meshdeform_core.boundary import Kind
-from meshdeform_core.boundary.motions.motion import PreparedMotion
-from meshdeform_core.boundary.tables import Transfer
 from meshdeform_core.deform import Result, Setup
 from meshdeform_core.grid import Grid
 from meshdeform_core.mending import Mended
@@ -69,7 +67,12 @@ def boundary_part(setup: Setup) -> Report:
     }
     matches = [(match, motion) for _, motion in boundary.movers for match in motion.matches]
     if matches:
-        part["matches"] = [
+        part["matches"] = []
+    for m, motion in matches:
+        # Sizes of the table and of the wall that it moves: their ratio is 1000 when their length units differ.
+        both = (m.points, motion.nodes.points[m.matched])
+        table, wall = (float(np.linalg.norm(np.ptp(x, axis=0))) if len(x) else None for x in both)
+        part["matches"].append(
             {
                 "table": m.label,
                 "match": m.how,
@@ -80,20 +83,10 @@ def boundary_part(setup: Setup) -> Report:
                 "max_distance": float(m.distance[m.matched].max(initial=0.0)),
                 "max_extrapolation": float(m.beyond[m.matched].max(initial=0.0)),
                 "walls": list(m.walls),
-                "size_ratio": _size_ratio(m, motion),
+                "size_ratio": table / wall if table is not None and wall else None,
             }
-            for m, motion in matches
-        ]
+        )
     return part
-
-
-def _size_ratio(match: Transfer, motion: PreparedMotion) -> float | None:
-    """Size of a table relative to that of the wall it moves: 1000 when their length units differ."""
-    wall = motion.nodes.points[match.matched]
-    if not len(match.points) or not len(wall):
-        return None
-    table, moved = (float(np.linalg.norm(np.ptp(points, axis=0))) for points in (match.points, wall))
-    return table / moved if moved > 0 else None
 
 
 def quality_part(assessment: Assessment) -> Report:

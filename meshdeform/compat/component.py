@@ -118,24 +118,23 @@ class Zones:
         """Face quads of each symmetry plane."""
         planes, families = self.options["symmetryPlanes"], self.options["symmetrySurfaces"]
         if planes is not None:
-            return [self._on_plane(np.asarray(point), np.asarray(normal)) for point, normal in planes]
+            outside, tolerance = np.flatnonzero(self.topology.external), self.options["symmTol"]
+            found: list[IntArray] = []
+            corners = self.grid.points[self.topology.first[self.topology.quads.corners[outside]]]
+            for point, normal in (map(np.asarray, plane) for plane in planes):
+                height = np.abs((corners - point) @ (normal / np.linalg.norm(normal))).max(axis=1)
+                found.append(np.asarray(outside[height <= tolerance]))
+                if not found[-1].size:
+                    raise CaseError(
+                        f"symmetryPlanes: no outside face lies within symmTol = {tolerance:g} of the plane "
+                        f"through {vector(point)} normal to {vector(normal)}; the nearest is {height.min():.3g} away"
+                    )
+            return found
         if families is not None:
             chosen = _of_families(self.grid, families, "symmetrySurfaces")
         else:
             chosen = [patch for patch in self.grid.patches if patch.bc_type.lower().startswith("bcsymmetry")]
         return [quads_of_patches(self.topology.quads, [patch])[0] for patch in chosen]
-
-    def _on_plane(self, point: FloatArray, normal: FloatArray) -> IntArray:
-        outside = np.flatnonzero(self.topology.external)
-        corners = self.grid.points[self.topology.first[self.topology.quads.corners[outside]]]
-        height = np.abs((corners - point) @ (normal / np.linalg.norm(normal))).max(axis=1)
-        found = np.asarray(outside[height <= self.options["symmTol"]])
-        if not found.size:
-            raise CaseError(
-                f"symmetryPlanes: no outside face lies within symmTol = {self.options['symmTol']:g} of the plane "
-                f"through {vector(point)} normal to {vector(normal)}; the nearest is {height.min():.3g} away"
-            )
-        return found
 
     def match(self, definition: Definition) -> tuple[BoolArray, IntArray, tuple[IntArray, IntArray]]:
         """Find the faces of a definition on these zones, and those without a zone, among the outside faces.

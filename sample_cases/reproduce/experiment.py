@@ -83,16 +83,12 @@ def run(trial: Trial) -> Outcome:
     setup = prepare_sample(trial.sample)
     case = dataclasses.replace(setup.case, method=trial.method, repair=RepairOptions("off"))
     setup = dataclasses.replace(setup, case=case)
-    if trial.steps == 1:
-        return _once(setup, trial)
-    timing, start = Timing(), clock.process_time()
-    result = impose(setup, setup.motion(trial.sample.time), trial.steps, setup.grid.precision, timing)
-    wall = timing.seconds["prepare"] + timing.seconds["apply"]
-    cpu = (clock.process_time() - start) * wall / sum(timing.seconds.values())
-    return Outcome(setup, result.grid.points, result.assessment, result.account, cpu, cpu, wall, None)
-
-
-def _once(setup: Setup, trial: Trial) -> Outcome:
+    if trial.steps > 1:
+        timing, start = Timing(), clock.process_time()
+        result = impose(setup, setup.motion(trial.sample.time), trial.steps, setup.grid.precision, timing)
+        wall = timing.seconds["prepare"] + timing.seconds["apply"]
+        cpu = (clock.process_time() - start) * wall / sum(timing.seconds.values())
+        return Outcome(setup, result.grid.points, result.assessment, result.account, cpu, cpu, wall, None)
     _compile(trial.method, setup.grid.dimension)
     problem, method = setup.problem, make_method(trial.method)
     displacement = setup.displacement(trial.sample.time)[problem.source_numbers]

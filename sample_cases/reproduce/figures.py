@@ -135,7 +135,32 @@ class Gallery:
 
     def write(self) -> list[str]:
         """Write the figures; returns their file names."""
-        return [_draw(figure, self._planes, self._folder) for figure in self._figures]
+        from matplotlib import pyplot as plt
+
+        plt.switch_backend("Agg")
+        for figure in self._figures:
+            panels = [panel for panel in figure.panels if panel.key in self._planes]
+            rows = -(-len(panels) // figure.columns)
+            size = 3.3 * figure.columns + 0.6, (2.9 * figure.height + 0.55) * rows
+            with plt.rc_context(STYLE):
+                whole, axes = plt.subplots(rows, figure.columns, figsize=size, layout="constrained", squeeze=False)
+                for place, panel, letter in zip(axes.flat, panels, "abcdefghi", strict=False):
+                    part = self._planes[panel.key]
+                    every = -(-max(max(skew.shape) + 1 for _, skew in part) // _LINES)
+                    cells = draw_planes(place, part, figure.low, every)
+                    if panel.zoom:
+                        place.set(xlim=panel.zoom[:2], ylim=panel.zoom[2:])
+                    place.set_xlabel(f"x [{figure.unit}]", labelpad=1)
+                    place.set_ylabel(f"{'z' if figure.middle else 'y'} [{figure.unit}]", labelpad=1)
+                    place.set_title(f"({letter}) {panel.title}", fontsize=9)
+                for place in axes.flat[len(panels) :]:
+                    place.set_axis_off()
+                bar = whole.colorbar(cells, ax=axes, label="$f_{skew}$ [-]", shrink=0.8, aspect=30, pad=0.015)
+                bar.outline.set_linewidth(0.5)
+                with replacing(self._folder / f"{figure.name}.png") as partial:
+                    whole.savefig(partial, format="png", dpi=110)
+                plt.close(whole)
+        return [f"{figure.name}.png" for figure in self._figures]
 
 
 Plane = tuple[FloatArray, FloatArray]
@@ -171,31 +196,3 @@ def draw_planes(axes: Axes, planes: list[Plane], low: float, every: int = 1) -> 
             axes.plot(some[..., 0].T, some[..., 1].T, color="black", linewidth=0.18)
     axes.set_aspect("equal")
     return cells
-
-
-def _draw(figure: Figure, planes: dict[str, list[Plane]], folder: Path) -> str:
-    from matplotlib import pyplot as plt
-
-    plt.switch_backend("Agg")
-    panels = [panel for panel in figure.panels if panel.key in planes]
-    rows = -(-len(panels) // figure.columns)
-    size = 3.3 * figure.columns + 0.6, (2.9 * figure.height + 0.55) * rows
-    with plt.rc_context(STYLE):
-        whole, axes = plt.subplots(rows, figure.columns, figsize=size, layout="constrained", squeeze=False)
-        for place, panel, letter in zip(axes.flat, panels, "abcdefghi", strict=False):
-            part = planes[panel.key]
-            every = -(-max(max(skew.shape) + 1 for _, skew in part) // _LINES)
-            cells = draw_planes(place, part, figure.low, every)
-            if panel.zoom:
-                place.set(xlim=panel.zoom[:2], ylim=panel.zoom[2:])
-            place.set_xlabel(f"x [{figure.unit}]", labelpad=1)
-            place.set_ylabel(f"{'z' if figure.middle else 'y'} [{figure.unit}]", labelpad=1)
-            place.set_title(f"({letter}) {panel.title}", fontsize=9)
-        for place in axes.flat[len(panels) :]:
-            place.set_axis_off()
-        bar = whole.colorbar(cells, ax=axes, label="$f_{skew}$ [-]", shrink=0.8, aspect=30, pad=0.015)
-        bar.outline.set_linewidth(0.5)
-        with replacing(folder / f"{figure.name}.png") as partial:
-            whole.savefig(partial, format="png", dpi=110)
-        plt.close(whole)
-    return f"{figure.name}.png"

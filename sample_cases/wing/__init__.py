@@ -63,19 +63,14 @@ def tables(size: int = DEFAULT_SIZE) -> dict[str, SurfaceData]:
     number = np.arange(u.size).reshape(u.shape)
     a, b, c, d = (part.ravel() for part in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
     triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
-    points = np.concatenate(skins)
-    skin = np.concatenate([triangles, triangles + u.size])
-    return {"structure.npz": SurfaceData(points, _motion(points), skin, "structure.npz")}
-
-
-def _motion(points: FloatArray) -> FloatArray:
-    """Pitch, nose up, about the quarter chord of the root, then bending upwards with the square of the span."""
+    points, skin = np.concatenate(skins), np.concatenate([triangles, triangles + u.size])
+    # Pitch, nose up, about the quarter chord of the root, then bending upwards with the square of the span.
     angle = np.deg2rad(_PITCH)
     x, z = points[:, 0] - _QUARTER_CHORD, points[:, 2]
     displacement = np.zeros_like(points)
     displacement[:, 0] = np.cos(angle) * x + np.sin(angle) * z - x
     displacement[:, 2] = np.cos(angle) * z - np.sin(angle) * x - z + _BENDING * _SPAN * (points[:, 1] / _SPAN) ** 2
-    return displacement
+    return {"structure.npz": SurfaceData(points, displacement, skin, "structure.npz")}
 
 
 def _leading_edge(y: FloatArray) -> FloatArray:
