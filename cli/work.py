@@ -86,8 +86,20 @@ def load(
     is given, arrays of a grid larger than the memory are put into files in this folder.
     """
     what = case.read()
-    inputs = [source.path, source.boundary_file, case.file, case.displacement, *what.files]
-    _require_alike(current_ranks(), repr(dataclasses.replace(case, file=None, displacement=None)), inputs)
+    ranks = current_ranks()
+    if ranks.count > 1:
+        # The options of the case and the contents of all files must not differ between ranks.
+        files = [source.path, source.boundary_file, case.file, case.displacement, *what.files]
+        own = [(repr(dataclasses.replace(case, file=None, displacement=None)), "options of the case")]
+        own += [(digest(path), str(path)) for path in files if path and path.is_file()]
+        first, *others = ranks.gather([own])
+        for number, other in enumerate(others, 1):
+            for (mine, name), (its, its_name) in zip(first, other, strict=False):
+                if mine != its:
+                    raise CaseError(
+                        f"rank {number} has other inputs than rank 0: {its_name} differs from {name}; expected the "
+                        "same grid, case and tables on every rank"
+                    )
     for path in outputs:
         keep_inputs(path, *what.files)
     make_method(what.case.method)
@@ -107,24 +119,6 @@ def load(
     size = sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
     demand = Demand.of("deforming", work, grid, data=max(grid.nodes.ranks.gather([size])))
     return Job(grid, what, seconds, demand, demand.left_of(memory))
-
-
-def _require_alike(ranks: Ranks, options: str, files: Sequence[Path | None]) -> None:
-    """Refuse inputs that differ between ranks: other options of the case, or files with other contents."""
-    if ranks.count == 1:
-        return
-    found = [
-        (options, "options of the case"),
-        *((digest(path), str(path)) for path in files if path and path.is_file()),
-    ]
-    first, *others = ranks.gather([found])
-    for number, other in enumerate(others, 1):
-        for (own, name), (its, its_name) in zip(first, other, strict=False):
-            if own != its:
-                raise CaseError(
-                    f"rank {number} has other inputs than rank 0: {its_name} differs from {name}; expected the same "
-                    f"grid, case and tables on every rank"
-                )
 
 
 def in_parts(action: Callable[[], T], verbose: bool) -> T:

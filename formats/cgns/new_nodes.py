@@ -101,9 +101,18 @@ def connectivity_nodes(grid: Grid, zones: tuple[str, ...]) -> list[list[Node]]:
     """For each block its ZoneGridConnectivity_t with all connections that start there, or an empty list."""
     declared = [_ascending(connection) for connection in grid.connections]
     known = {_key(connection) for connection in declared}
-    reverse = [_ascending(_reversed(connection)) for connection in declared]
+    reverse = []
+    for one in declared:
+        # The connection as seen from its donor.
+        inverse = [0, 0, 0]
+        for axis, donor in enumerate(one.transform):
+            inverse[abs(donor) - 1] = int(np.sign(donor)) * (axis + 1)
+        i, j, k = inverse
+        ends = one.donor_block, one.donor_begin, one.donor_end, one.block, one.begin, one.end
+        back = _ascending(Connection(one.name, *ends, (i, j, k), one.periodic and inverse_motion(one.periodic)))
+        reverse += [] if _key(back) in known else [back]
     parts: list[list[Connection]] = [[] for _ in grid.shapes]
-    for connection in declared + [r for r in reverse if _key(r) not in known]:
+    for connection in declared + reverse:
         parts[connection.block].append(connection)
     nodes = []
     for part in parts:
@@ -126,24 +135,6 @@ def _ascending(connection: Connection) -> Connection:
     own[:, turned], donor[:, there] = own[::-1, turned], donor[::-1, there]
     ends: list[Any] = [tuple(index) for index in [*own.tolist(), *donor.tolist()]]
     return replace(connection, begin=ends[0], end=ends[1], donor_begin=ends[2], donor_end=ends[3])
-
-
-def _reversed(connection: Connection) -> Connection:
-    """The connection as seen from its donor."""
-    inverse = [0, 0, 0]
-    for axis, donor in enumerate(connection.transform):
-        inverse[abs(donor) - 1] = int(np.sign(donor)) * (axis + 1)
-    return Connection(
-        connection.name,
-        connection.donor_block,
-        connection.donor_begin,
-        connection.donor_end,
-        connection.block,
-        connection.begin,
-        connection.end,
-        (inverse[0], inverse[1], inverse[2]),
-        connection.periodic and inverse_motion(connection.periodic),
-    )
 
 
 def _connection_node(name: str, connection: Connection, grid: Grid, zones: tuple[str, ...]) -> Node:

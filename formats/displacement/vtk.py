@@ -37,7 +37,7 @@ def read_vtk_xml(path: Path) -> DisplacementTable:
             raise FormatError(f"{path} has {what}")
         (piece,) = pieces
         size = reader.number(piece, "NumberOfPoints")
-        points = reader.values(reader.arrays_of(piece, "Points", 1)[0], size, 3)
+        points = reader.values(reader.array_of_points(piece), size, 3)
         arrays = {array.name: array.values for array in read_section(reader, piece, "PointData", size, [])}
         if file.kind == "PolyData":
             kinds = [

@@ -220,8 +220,12 @@ def with_points_of(grid: Grid, mesh: Path) -> tuple[Grid, IntArray]:
             f"{path}: point {strange[0]} is {vector(points[strange[0]])}; expected finite coordinates up to {LARGEST:g}"
         )
     _require_sound(mesh, len(points), grid.n_cells)
-    own, digits = grid.points[nodes], _digits(points)
-    # Up to half a unit of the last digit.
+    # The number of significant digits with which points were written; their rounding is up to half a unit of the last.
+    sample = points[:: max(len(points) // _SAMPLES, 1)].ravel().tolist()
+    digits = _FEWEST_DIGITS
+    while digits < _ALL_DIGITS and any(float(f"{value:.{digits}g}") != value for value in sample):
+        digits += 1
+    own = grid.points[nodes]
     rounding = 0.51 * 10.0 ** (1 - digits) * np.abs(own)
     allowed = np.maximum(RELATIVE_TOLERANCE * shortest_edges(grid)[nodes, None], rounding)
     found = _numbers_of_block_mesh(grid, number)
@@ -258,14 +262,6 @@ def _numbers_of_block_mesh(grid: Grid, number: IntArray) -> IntArray:
     found = np.empty(len(first), dtype=np.int64)
     found[np.argsort(first)] = np.arange(len(first))
     return found
-
-
-def _digits(points: FloatArray) -> int:
-    """The number of significant digits, six or more, with which points were written."""
-    sample = points[:: max(len(points) // _SAMPLES, 1)].ravel().tolist()
-    texts = (digits for digits in range(_FEWEST_DIGITS, _ALL_DIGITS)
-             if all(float(f"{value:.{digits}g}") == value for value in sample))  # fmt: skip
-    return next(texts, _ALL_DIGITS)
 
 
 def _require_sound(mesh: Path, n_points: int, n_cells: int) -> None:

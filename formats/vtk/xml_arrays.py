@@ -121,12 +121,12 @@ class ArrayReader:
             return Run(self.file.path, dtype, stored, shape)
         return (np.unpackbits(stored)[:count] if kind == "Bit" else stored.view(dtype)).reshape(shape)
 
-    def arrays_of(self, piece: Element, tag: str, number: int) -> list[Element]:
-        """The arrays of all ``tag`` elements in ``piece``, of which there must be ``number``."""
-        arrays = [array for section in piece.all(tag) for array in section.arrays()]
-        if len(arrays) != number:
-            raise self.error(piece, f"has {len(arrays)} arrays of {tag}, expected {number}")
-        return arrays
+    def array_of_points(self, piece: Element) -> Element:
+        """The array of the points of a piece, which must be its only one."""
+        arrays = [array for section in piece.all("Points") for array in section.arrays()]
+        if len(arrays) != 1:
+            raise self.error(piece, f"has {len(arrays)} arrays of Points, expected 1")
+        return arrays[0]
 
     def number(self, element: Element, name: str, otherwise: int | None = None) -> int:
         """A count that an element declares, or ``otherwise``.
@@ -380,7 +380,7 @@ def read(path: Path) -> DataSet:
             )
         if file.options["encoding"] != "appended" or file.compression != "none":
             require_undivided(f"{path} is text or compressed")
-        (array,) = reader.arrays_of(piece, "Points", 1)
+        array = reader.array_of_points(piece)
         points = reader.values(array, ni * nj * nk, 3, later=True).reshape(nk, nj, ni, 3)
         n_cells = math.prod(max(n - 1, 1) for n in (ni, nj, nk))
         arrays = [

@@ -12,7 +12,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO, NoReturn
+from typing import BinaryIO, NoReturn
 from xml.parsers import expat
 
 from meshdeform_core.errors import FormatError
@@ -183,7 +183,9 @@ class _Tags:
         self._open: list[Element] = []
         self._count = 0
         self._parser = parser = expat.ParserCreate()
-        parser.StartDoctypeDeclHandler = self._doctype
+        parser.StartDoctypeDeclHandler = lambda *_: self._malformed(
+            "a VTK file has no DOCTYPE; it is refused because of the entities it may define"
+        )
         parser.XmlDeclHandler = self._declaration
         parser.StartElementHandler = self._start
         parser.EndElementHandler = self._end
@@ -205,9 +207,6 @@ class _Tags:
 
     def _malformed(self, message: str) -> NoReturn:
         raise FormatError(f"cannot read {self.path}, line {self._parser.CurrentLineNumber}: {message}")
-
-    def _doctype(self, *_: Any) -> NoReturn:
-        self._malformed("a VTK file has no DOCTYPE; it is refused because of the entities it may define")
 
     def _declaration(self, version: str, encoding: str | None, standalone: int) -> None:
         if encoding and encoding.lower() not in _ENCODINGS:
