@@ -106,7 +106,8 @@ class Untangler:
 
         for_chunks(work, size, _CELLS)
         self.limit.spend(_EVALUATION * self.region.energy.work)
-        return State(x, parts[:, 0].sum(), parts[:, 1].min(initial=np.inf), parts[:, 2].max(initial=0.0))
+        energies, lowest, highest = parts.T
+        return State(x, float(energies.sum()), float(lowest.min(initial=np.inf)), float(highest.max(initial=0.0)))
 
     def untangle(self, way: Way) -> bool:
         """Newton steps until every determinant is positive; returns whether this succeeded.

@@ -10,7 +10,8 @@ import jsonschema
 import numpy as np
 import pytest
 
-from meshdeform_formats import read_grid
+from meshdeform_core.grid import Grid
+from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.report.schema import report_schema
 
 
@@ -39,6 +40,19 @@ def test_a_spoilt_grid_is_made_valid(spoilt, bench):
     assert again.code == 0
     before, after = (read_grid(bench / name).points for name in ("bad.invalid.xyz", "good.xyz"))
     assert np.abs(before - after).max() > 0.01
+
+
+def test_walls_that_have_passed_through_each_other_are_reported(call, bench):
+    sides = np.linspace(0, 1, 5), np.linspace(0, 1, 5), np.zeros(1)
+    plane = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1)
+    write_grid(Grid.from_blocks([plane]), bench / "apart.xyz")
+    plane[1:4, 0, 0, 1] = 1.5
+    write_grid(Grid.from_blocks([plane]), bench / "through.xyz")
+    done = call("repair", "through.xyz", "--reference", "apart.xyz", "-o", "o.xyz", "--json")
+    assert done.code == 3, done.err
+    report = json.loads(done.out)
+    jsonschema.validate(report, report_schema())
+    assert report["repair"]["converged"] is False
 
 
 def test_nothing_is_written_in_a_dry_run_and_inputs_stay(spoilt, bench):
