@@ -327,15 +327,12 @@ def machine_memory() -> MemoryLimit:
     """
     ranks = current_ranks()
     source = "the machine has" if ranks.on_machine == 1 else f"each of {ranks.on_machine} ranks on the machine has"
-    return MemoryLimit(min(ranks.gather([_available_memory() // ranks.on_machine])), source)
-
-
-def _available_memory() -> int:
     available = _first_number(Path("/proc/meminfo"), "MemAvailable:")
     try:
-        return available * 1024 if available is not None else os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        size = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") if available is None else 1024 * available
     except (OSError, ValueError, AttributeError):
-        return 2**62
+        size = 2**62
+    return MemoryLimit(min(ranks.gather([size // ranks.on_machine])), source)
 
 
 def peak_memory() -> int:

@@ -158,7 +158,15 @@ def _component(whole: Undeformed, name: str, number: int, memory: MemoryLimit) -
     grid, topology, faces = whole.grid, whole.topology, whole.topology.quads
     member = grid.component_numbers == number
     blocks = np.flatnonzero(member)
-    alone = _alone(grid, blocks)
+    # Of a grid in parts, every rank holds what it held before.
+    shapes, block_names = tuple(grid.shapes[b] for b in blocks), tuple(grid.names[b] for b in blocks)
+    nodes_of, nodes = np.prod(shapes, axis=1), grid.nodes
+    bounds = np.clip(nodes.bounds[:, None] - grid.offsets[blocks], 0, nodes_of).sum(axis=1)
+    points = Nodes.new(nodes.ranks, bounds, (int(nodes_of.sum()), 3))
+    alone = Grid(points, shapes, block_names, format=grid.format, path=grid.path)
+    for place, block in enumerate(blocks.tolist()):
+        alone.in_planes(place)[...] = grid.in_planes(block)
+    alone.keep_near()
     quads = np.flatnonzero(member[faces.block_side // 6])
     own = np.flatnonzero(member[_blocks_of(grid, topology.face_nodes)])
     numbers = np.unique(topology.number[own])
@@ -181,20 +189,6 @@ def _component(whole: Undeformed, name: str, number: int, memory: MemoryLimit) -
     )
     boundary = _boundary_of(alone, own_topology, whole.boundary, numbers, quads)
     return Component(name, blocks, numbers, Undeformed(alone, own_topology, boundary, memory, whole.min_jacobian))
-
-
-def _alone(grid: Grid, blocks: IntArray) -> Grid:
-    """Some blocks, ascending, as a grid of their own; of a grid in parts, every rank holds what it held before."""
-    shapes, names = tuple(grid.shapes[b] for b in blocks), tuple(grid.names[b] for b in blocks)
-    sizes, nodes = np.prod(shapes, axis=1), grid.nodes
-    bounds = np.clip(nodes.bounds[:, None] - grid.offsets[blocks], 0, sizes).sum(axis=1)
-    alone = Grid(
-        Nodes.new(nodes.ranks, bounds, (int(sizes.sum()), 3)), shapes, names, format=grid.format, path=grid.path
-    )
-    for number, block in enumerate(blocks.tolist()):
-        alone.in_planes(number)[...] = grid.in_planes(block)
-    alone.keep_near()
-    return alone
 
 
 def _blocks_of(grid: Grid, flat: IntArray) -> IntArray:

@@ -58,15 +58,12 @@ class Smoothness:
         slight = self.beyond < _JUMP or (self.acceleration_in_edges or 0.0) < _JUMP_IN_EDGES
         if self.acceleration is None or self.plain or slight:
             return None
+        steps = f"{self.acceleration:.3g} steps"
+        steps = "1 step" if steps == "1 steps" else steps
         return (
-            f"the grid jumps although its walls do not: a node is accelerated by {_steps(self.acceleration)} of the "
-            f"walls ({self.acceleration_in_edges:.3g} local edges) at this level, the walls by {self.wall:.3g}"
+            f"the grid jumps although its walls do not: a node is accelerated by {steps} of "
+            f"the walls ({self.acceleration_in_edges:.3g} local edges) at this level, the walls by {self.wall:.3g}"
         )
-
-
-def _steps(count: float) -> str:
-    text = f"{count:.3g}"
-    return "1 step" if text == "1" else f"{text} steps"
 
 
 class Moment(NamedTuple):

@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 
 from ..errors import MotionError
-from ..grid import BoolArray, FloatArray, Grid, IntArray
+from ..grid import FloatArray, Grid, IntArray
 from ..grid.faces import Role
 from ..grid.surfaces import Surface, find_outside
 from ..grid.topology import Topology
@@ -253,7 +253,7 @@ def _unused(uses: Sequence[_Use]) -> list[Notice]:
 
 
 def _gaps(topology: Topology, use: _Use) -> list[Notice]:
-    """Moving nodes among others that the table does not move."""
+    """Moving nodes among others that the table does not move; or a motion that ends with a jump on a smooth wall."""
     match, nodes = use.match, use.nodes
     if match.matched.all():
         return []
@@ -278,12 +278,7 @@ def _gaps(topology: Topology, use: _Use) -> list[Notice]:
         if single.size > ASTRAY * count:
             raise MotionError(f"{match.label}{text}")
         return [use.notice("single nodes", text)]
-    return _abrupt_end(use, corners, whole, mixed)
-
-
-def _abrupt_end(use: _Use, corners: IntArray, whole: BoolArray, mixed: BoolArray) -> list[Notice]:
-    """A warning if the motion ends with a jump in the middle of a smooth wall."""
-    nodes, match = use.nodes, use.match
+    # Does the motion end with a jump in the middle of a smooth wall?
     x = nodes.points[corners]
     # Normals of faces; tangents of 2-D edges.
     direction = unit(x[:, 1] - x[:, 0] if x.shape[1] == 2 else doubled_areas(x))

@@ -101,7 +101,13 @@ class Problem:
     def surface(self) -> Surface:
         """Faces between the sources."""
         area = nodal_area(self.source_points, self.source_faces)
-        return Surface(area, *_rings(self._between_sources(self.boundary.quad_kind == Kind.MOVING)))
+        quads = self._between_sources(self.boundary.quad_kind == Kind.MOVING)
+        if quads.shape[1] == 2:
+            return Surface(area, quads, np.empty((0, 2), dtype=np.int64))
+        around = [np.roll(quads, shift, axis=1) for shift in (0, -1, 1)]
+        corners = np.stack([a.ravel() for a in around], axis=1)
+        pairs = np.concatenate([corners[:, :2], corners[:, ::2]])
+        return Surface(area, corners, distinct_pairs(pairs[pairs[:, 0] != pairs[:, 1]]))
 
     @property
     def source_faces(self) -> IntArray:
@@ -161,17 +167,6 @@ def nodal_area(points: FloatArray, quads: IntArray) -> FloatArray:
         share = np.repeat(face_sizes(points[some]) / sides, sides)
         area = area + np.bincount(some.ravel(), share, minlength=len(points))
     return area
-
-
-def _rings(quads: IntArray) -> tuple[IntArray, IntArray]:
-    """Face corners and unique node-neighbour pairs of quads (m, 4), or of 2-D edges (m, 2)."""
-    if quads.shape[1] == 2:
-        return quads, np.empty((0, 2), dtype=np.int64)
-    around = [np.roll(quads, shift, axis=1) for shift in (0, -1, 1)]
-    corners = np.stack([a.ravel() for a in around], axis=1)
-    pairs = np.concatenate([corners[:, :2], corners[:, ::2]])
-    pairs = pairs[pairs[:, 0] != pairs[:, 1]]
-    return corners, distinct_pairs(pairs)
 
 
 @dataclass(frozen=True)

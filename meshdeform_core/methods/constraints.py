@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..boundary.slip import CurvedSurface
 from ..grid import FloatArray, IntArray
 from ..grid.topology import Topology
 from ..parallel import Nodes, for_chunks
@@ -49,29 +48,27 @@ class Constraints:
     def __init__(self, problem: Problem, face: FloatArray) -> None:
         self._problem = problem
         self.kinks = Kinks()
-        self._sliding = [self._tangents(surface, face) for surface in problem.boundary.slip.curved]
-
-    def _tangents(self, surface: CurvedSurface, face: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Sliding nodes, and projectors (n, 3, 3) onto the triangle or the edge on which each of them lies."""
-        problem = self._problem
-        # Nodes on sides that the second step fills have no displacement yet.
-        nodes = surface.nodes[np.isfinite(face[surface.nodes, 0])]
-        target = problem.grid.points[problem.topology.first[nodes]] + face[nodes]
-        triangle, weights, distance = surface.closest(target)
-        corners = surface.points[surface.triangles[triangle]]
-        # Beyond a moving rim the whole plane of a triangle belongs to the surface.
-        positive = (weights > 1e-9) | (weights.min(axis=1, keepdims=True) < -1e-9)
-        count, size = positive.sum(axis=1), np.ptp(corners, axis=1).max(axis=1)
-        # Plane curves are represented by triangles of zero width.
-        whole = 2 if (surface.triangles[:, 1] == surface.triangles[:, 2]).all() else 3
-        edge = (count < whole) & (distance <= 1e-9 * size)
-        self.kinks += Kinks({EDGES: int(np.count_nonzero(edge))})
-        # Free directions: within the triangle, along the edge, or none at a vertex.
-        base = np.where(positive | (edge & (count == 1))[:, None], 1.0, 0.0)
-        middle = np.einsum("nc,ncd->nd", base, corners) / base.sum(axis=1)[:, None]
-        left, length, _ = np.linalg.svd(((corners - middle[:, None]) * base[:, :, None]).transpose(0, 2, 1))
-        kept = left[:, :, :2] * (length[:, None, :2] > 1e-9 * size[:, None, None])
-        return nodes, np.asarray(kept @ kept.transpose(0, 2, 1))
+        # Sliding nodes, and projectors (n, 3, 3) onto the triangle or the edge on which each of them lies.
+        self._sliding = list[tuple[IntArray, FloatArray]]()
+        for surface in problem.boundary.slip.curved:
+            # Nodes on sides that the second step fills have no displacement yet.
+            nodes = surface.nodes[np.isfinite(face[surface.nodes, 0])]
+            target = problem.grid.points[problem.topology.first[nodes]] + face[nodes]
+            triangle, weights, distance = surface.closest(target)
+            corners = surface.points[surface.triangles[triangle]]
+            # Beyond a moving rim the whole plane of a triangle belongs to the surface.
+            positive = (weights > 1e-9) | (weights.min(axis=1, keepdims=True) < -1e-9)
+            count, size = positive.sum(axis=1), np.ptp(corners, axis=1).max(axis=1)
+            # Plane curves are represented by triangles of zero width.
+            whole = 2 if (surface.triangles[:, 1] == surface.triangles[:, 2]).all() else 3
+            edge = (count < whole) & (distance <= 1e-9 * size)
+            self.kinks += Kinks({EDGES: int(np.count_nonzero(edge))})
+            # Free directions: within the triangle, along the edge, or none at a vertex.
+            base = np.where(positive | (edge & (count == 1))[:, None], 1.0, 0.0)
+            middle = np.einsum("nc,ncd->nd", base, corners) / base.sum(axis=1)[:, None]
+            left, length, _ = np.linalg.svd(((corners - middle[:, None]) * base[:, :, None]).transpose(0, 2, 1))
+            kept = left[:, :, :2] * (length[:, None, :2] > 1e-9 * size[:, None, None])
+            self._sliding.append((nodes, np.asarray(kept @ kept.transpose(0, 2, 1))))
 
     def push(self, face: FloatArray) -> None:
         """Impose the constraints on a change ``face`` (n_unique, 3), in place."""

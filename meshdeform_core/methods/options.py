@@ -82,7 +82,11 @@ def declared(kind: type) -> Mapping[str, Option]:
     hints = get_type_hints(kind)
     meanings: dict[str, str] = {}
     for each_class in reversed(kind.__mro__):
-        meanings |= _meanings(inspect.cleandoc(each_class.__doc__ or ""))
+        # The entries of the section ``Attributes``, without markup.
+        text = inspect.cleandoc(each_class.__doc__ or "").partition("Attributes\n----------\n")[2]
+        for entry in re.split(r"\n(?=\w)", text):
+            names, _, meaning = entry.partition(" : ")
+            meanings |= dict.fromkeys(names.split(", "), " ".join(meaning.replace("``", "").split()))
     found = {}
     for each in fields(kind):
         hint = hints[each.name]
@@ -102,16 +106,6 @@ def declared(kind: type) -> Mapping[str, Option]:
 def description(kind: type) -> str:
     """The docstring of a class of options without its attributes."""
     return inspect.cleandoc(kind.__doc__ or "").partition("Attributes\n----------\n")[0].strip()
-
-
-def _meanings(text: str) -> dict[str, str]:
-    """The entries of the section ``Attributes`` of a docstring, by name and without markup."""
-    found = {}
-    for entry in re.split(r"\n(?=\w)", text.partition("Attributes\n----------\n")[2]):
-        names, _, meaning = entry.partition(" : ")
-        for name in names.split(", "):
-            found[name] = " ".join(meaning.replace("``", "").split())
-    return found
 
 
 class MethodOptions:

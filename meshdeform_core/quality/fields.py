@@ -116,7 +116,12 @@ class CellFields:
             # Find what a measure takes from other ranks, which all do the same.
             shared = CELL_MEASURES[measure].shared if measure in CELL_MEASURES else "_normal"
             known = [getattr(self, name) for name in ("_normal", "thickness", shared)]
-            low, high = self._behind
+            # Numbers of the cells behind the planes i of this rank: the first, and one past the last.
+            ends = list[int]()
+            for block, (ci, cj, ck) in enumerate(self.grid.cell_shapes):
+                own, first = self.grid.planes(block), int(self.grid.cell_offsets[block])
+                ends += [first + min(end, ci) * cj * ck for end in (own.start, own.stop) if own.start < own.stop]
+            low, high = (ends[0], ends[-1]) if ends else (self.grid.n_cells, 0)
             for values in (
                 self.verdict.failed,
                 self.verdict.ratio,
@@ -127,15 +132,6 @@ class CellFields:
                 if grid is not None:
                     grid.hold_neighbours(after=2)
         yield
-
-    @property
-    def _behind(self) -> tuple[int, int]:
-        """Numbers of the cells behind the planes i of this rank: the first, and one past the last."""
-        grid, ends = self.grid, []
-        for block, (ci, cj, ck) in enumerate(grid.cell_shapes):
-            own, first = grid.planes(block), int(grid.cell_offsets[block])
-            ends += [first + min(end, ci) * cj * ck for end in (own.start, own.stop) if own.start < own.stop]
-        return (ends[0], ends[-1]) if ends else (grid.n_cells, 0)
 
     def own(self, block: int, cells: Cells) -> Cells:
         """Those cells of a box that belong to this rank."""

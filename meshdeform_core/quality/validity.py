@@ -90,8 +90,12 @@ def inspect_slab(original: Original, after: FloatArray, slab: Slab) -> SlabMeasu
         out, is_open = _memory.out[: 4 * count].reshape(4, count), _memory.open[:count]
         before, x = (grid.block(slab.block, Nodes.of(points).rows) for points in (grid.points, after))
         shape, sign = (slab.last - slab.first, *grid.cell_shapes[slab.block][1:]), original.topology.handedness
+        # The reciprocal of a cell size, correct to within some orders of magnitude.
+        part = before[np.ix_([slab.first, slab.last], [0, -1], [0, before.shape[2] // 2])].reshape(-1, 3)
+        size = float(np.abs(part - part.mean(axis=0)).max()) / max(before.shape[1:3])
+        scale = 2.0 ** -round(np.log2(size)) if 0.0 < size < np.inf else 1.0
         rows.inspect_hexahedra(
-            before, x, after is not grid.points, float(sign[slab.block]), _scale(before, slab), slab.first, slab.last,
+            before, x, after is not grid.points, float(sign[slab.block]), scale, slab.first, slab.last,
             out.reshape(4, *shape), is_open.reshape(shape), totals, rows.Scratch.new(),
         )  # fmt: skip
     figures = SlabMeasures(out[0], out[1], out[2], out[3], np.zeros(count, np.int8), totals)
@@ -112,13 +116,6 @@ def inspect_slab(original: Original, after: FloatArray, slab: Slab) -> SlabMeasu
 def _low(original: Original, ratio: FloatArray) -> BoolArray:
     """Which smallest relative Jacobians (n,) make a cell invalid."""
     return np.asarray((ratio <= 0.0) | (ratio < original.min_jacobian))
-
-
-def _scale(x: FloatArray, slab: Slab) -> float:
-    """The reciprocal of a cell size, correct to within some orders of magnitude."""
-    part = x[np.ix_([slab.first, slab.last], [0, -1], [0, x.shape[2] // 2])].reshape(-1, 3)
-    size = float(np.abs(part - part.mean(axis=0)).max()) / max(x.shape[1:3])
-    return 2.0 ** -round(np.log2(size)) if 0.0 < size < np.inf else 1.0
 
 
 def _measure_open(original: Original, after: FloatArray, slab: Slab, cells: IntArray, f: SlabMeasures) -> None:

@@ -118,7 +118,20 @@ def until_valid(course: Course) -> Reached:
             if trial.valid and trial.smallest_ratio > best.smallest_ratio:
                 best = trial
     if not best.valid:
-        _give_up(course)
+        attempts = course.attempts
+        reached = max((a.reached for a in attempts if not a.invalid_cells), default=0.0)
+        if course.limit.exhausted:
+            nodes = course.setup.grid.n_nodes
+            text = f"the motion was given up after as much work as is done for {nodes:,} nodes (docs/validity.md)"
+            course.warnings.append(Notice(text, "the limit on work"))
+        elif course.limit.late:
+            course.warnings.append(f"the time limit of {course.limit.seconds:g} s was reached ([repair] time_limit)")
+        part = f"only for {reached:.1%} of it" if reached else "nor for any part of it that was tried"
+        text = (
+            f"no valid grid was found for the whole motion, {part}. The grid kept has the whole "
+            f"motion and the fewest invalid cells of {len(attempts)} attempts"
+        )
+        course.warnings.append(Notice(text, "no valid grid"))
     return Reached(accept(best))
 
 
@@ -194,20 +207,3 @@ def _with_other_methods(course: Course, names: tuple[str, ...], chosen: Options)
             yield step(beginning(course, Options(name)), 1.0)
         except MethodError as error:
             course.warnings.append(Notice(f"{name} was not tried: {error}", f"{name} not tried"))
-
-
-def _give_up(course: Course) -> None:
-    attempts = course.attempts
-    reached = max((a.reached for a in attempts if not a.invalid_cells), default=0.0)
-    if course.limit.exhausted:
-        nodes = course.setup.grid.n_nodes
-        text = f"the motion was given up after as much work as is done for {nodes:,} nodes (docs/validity.md)"
-        course.warnings.append(Notice(text, "the limit on work"))
-    elif course.limit.late:
-        course.warnings.append(f"the time limit of {course.limit.seconds:g} s was reached ([repair] time_limit)")
-    part = f"only for {reached:.1%} of it" if reached else "nor for any part of it that was tried"
-    text = (
-        f"no valid grid was found for the whole motion, {part}. The grid kept has the whole "
-        f"motion and the fewest invalid cells of {len(attempts)} attempts"
-    )
-    course.warnings.append(Notice(text, "no valid grid"))

@@ -134,7 +134,15 @@ def doubts(course: Course, one_of_many: bool) -> Sequence[str]:
     if not one_of_many and largest == 0.0:
         found.append("nothing moves: the displacement is zero everywhere; check --time, formulas, angles and tables")
     elif not one_of_many:
-        found += _coarsely_rounded(course)
+        moved = course.setup.topology.first[course.total.any(axis=1)]
+        farthest = float(np.abs(course.setup.grid.points[moved]).max())
+        unit = float(np.spacing(np.dtype(course.precision).type(farthest)))
+        if largest < _FEWEST_UNITS * unit:
+            exact = "--variant precision=float64, or " if course.precision == "float32" else ""
+            found.append(
+                f"coordinates of {farthest:.3g} in {course.precision} are multiples of {unit:.2g}, to which the motion "
+                f"of at most {largest:.3g} is rounded; more accurate: {exact}a grid nearer to the origin"
+            )
     moving = np.flatnonzero(boundary.kind == Kind.MOVING)
     points = course.setup.grid.points[course.setup.topology.first[moving]]
     found += positions_as_displacements(points, course.total[moving])
@@ -151,23 +159,6 @@ def doubts(course: Course, one_of_many: bool) -> Sequence[str]:
         )
         found.append(Notice(text, "motion out of a sliding plane"))
     return found
-
-
-def _coarsely_rounded(course: Course) -> list[str]:
-    """A warning if rounding coordinates to the precision of the output changes a visible part of the motion."""
-    setup = course.setup
-    moving = setup.topology.first[course.total.any(axis=1)]
-    farthest = float(np.abs(setup.grid.points[moving]).max())
-    unit = float(np.spacing(np.dtype(course.precision).type(farthest)))
-    if course.max_displacement >= _FEWEST_UNITS * unit:
-        return []
-    remedy = "a grid nearer to the origin"
-    if course.precision == "float32":
-        remedy = "--variant precision=float64, or " + remedy
-    return [
-        f"coordinates of {farthest:.3g} in {course.precision} are multiples of {unit:.2g}, to which the motion of at "
-        f"most {course.max_displacement:.3g} is rounded; more accurate: {remedy}"
-    ]
 
 
 @dataclass(frozen=True, eq=False)

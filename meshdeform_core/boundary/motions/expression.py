@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial, reduce
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
@@ -207,15 +207,11 @@ def _evaluation(node: ast.AST, owner: Expression, depth: int = 0) -> _Formula:
             if len(args) != expected:
                 raise CaseError(f"expression {owner.text!r}: {name} takes {expected} arguments, found {len(args)}")
         case _:
-            _refuse(node, owner)
+            piece = ast.get_source_segment(owner.text.strip(), node) if isinstance(node, ast.expr) else None
+            hint = "; powers are written **" if isinstance(node, ast.BinOp) and isinstance(node.op, ast.BitXor) else ""
+            raise CaseError(
+                f"expression {owner.text!r}: {piece or type(node).__name__!r} is not allowed; "
+                f"only arithmetic, comparison, and/or/not, the elementary functions and pi are{hint}"
+            )
     terms = [_evaluation(part, owner, depth + 1) for part in parts]
     return lambda values: function(*(term(values) for term in terms))
-
-
-def _refuse(node: ast.AST, owner: Expression) -> NoReturn:
-    piece = ast.get_source_segment(owner.text.strip(), node) if isinstance(node, ast.expr) else None
-    hint = "; powers are written **" if isinstance(node, ast.BinOp) and isinstance(node.op, ast.BitXor) else ""
-    raise CaseError(
-        f"expression {owner.text!r}: {piece or type(node).__name__!r} is not allowed; "
-        f"only arithmetic, comparison, and/or/not, the elementary functions and pi are{hint}"
-    )

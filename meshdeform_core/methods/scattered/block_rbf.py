@@ -79,17 +79,14 @@ class PreparedBlockRBF:
             return None
         # Coincident nodes (seams, collapsed edges) would make the system singular: only one of each is used.
         _, once = np.unique(problem.topology.numbers_of(faces), return_index=True)
-        centres = Centres.of(grid.points[faces[once]], self._radius(faces))
+        radius: float | None = None
+        if self._options.basis != "tps":
+            # Every node of a block depends on all of its faces.
+            whole = float(np.linalg.norm(np.ptp(grid.points[faces], axis=0)))
+            radius = whole if self._options.radius == "auto" else float(self._options.radius)
+        centres = Centres.of(grid.points[faces[once]], radius)
         own = grid.offsets[block] + np.array([grid.planes(block).start, grid.planes(block).stop]) * shape[1] * shape[2]
         return _Block(centres, faces[once], np.setdiff1d(np.arange(*own), faces, assume_unique=True))
-
-    def _radius(self, faces: IntArray) -> float | None:
-        if self._options.basis == "tps":
-            return None
-        if self._options.radius != "auto":
-            return float(self._options.radius)
-        # Every node of a block depends on all of its faces.
-        return float(np.linalg.norm(np.ptp(self._problem.grid.points[faces], axis=0)))
 
     @property
     def sizes(self) -> list[tuple[int, int]]:

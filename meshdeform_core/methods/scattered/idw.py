@@ -136,7 +136,11 @@ class PreparedIDW:
         farthest = np.linalg.norm(problem.source_points - problem.centroid, axis=1).max()
         # Eq. 17, or as given.
         self.length = float(farthest if options.length == "auto" else options.length)
-        width = self._width()
+        # Fraction of the gap at either end of the transition, 0 without a transition.
+        moving, width = with_motion(self.images), 0.0
+        if "transition" not in options.idle and moving.any() and not moving.all():
+            auto_width = WIDTH_IN_PLANES if problem.plane else WIDTH
+            width = auto_width if options.transition == "auto" else float(options.transition)
         if options.a != "auto":
             self.far = float(options.a)
         elif width and bodies(self.images) == 1:
@@ -150,19 +154,11 @@ class PreparedIDW:
         self.remove_mean = options.rotation == "lie" if auto else bool(options.remove_mean)
         # Beyond the moving boundary, stretches would grow with the distance.
         self._stretches = False
-        if with_motion(self.images).all():
+        if moving.all():
             faces = problem.grid.nodes.at(problem.topology.first)
             whole, own = (np.ptp(points, axis=0) for points in (faces, problem.source_points))
             self._stretches = bool((own >= (1.0 - _ENCLOSED) * whole).all())
         self._record(auto)
-
-    def _width(self) -> float:
-        """Fraction of the gap at either end of the transition, see ``transition``; 0 without a transition."""
-        o, moving = self.options, with_motion(self.images)
-        if "transition" in o.idle or moving.all() or not moving.any():
-            return 0.0
-        auto = WIDTH_IN_PLANES if self.problem.plane else WIDTH
-        return auto if o.transition == "auto" else float(o.transition)
 
     @property
     def _rounds(self) -> int:
@@ -309,19 +305,16 @@ class PreparedIDW:
         return Linearised(derivative.push, derivative.pull, +kinks)
 
     def _seen_inside(self, d: FloatArray) -> tuple[Frame, FloatArray]:
-        """The mean motion of the images, and their displacements (n, 3) as seen from there if it turns: half a turn of
-        the whole boundary is no special case then."""
-        frame = self._frame_of(d)
-        return frame, d if frame.turn is None else frame.relative(self.images.points, d)
-
-    def _frame_of(self, d: FloatArray) -> Frame:
-        """The mean motion of the images, which is removed first: rigid or affine for ``lie`` if all of them move."""
-        if not self.remove_mean:
-            return AT_REST
-        if self.options.rotation == "lie" and with_motion(self.images).all():
+        """The mean motion of the images, which is removed first, rigid or affine for ``lie`` if all of them move, and
+        their displacements (n, 3) as seen from there if it turns: half a turn of the whole boundary is no special case
+        then."""
+        frame = AT_REST
+        if self.remove_mean and self.options.rotation == "lie" and with_motion(self.images).all():
             normal = self.problem.plane_normal
-            return Frame.fitted(self.images.points, d, self.images.area, normal, self._stretches)
-        return Frame(self._mean(d))
+            frame = Frame.fitted(self.images.points, d, self.images.area, normal, self._stretches)
+        elif self.remove_mean:
+            frame = Frame(self._mean(d))
+        return frame, d if frame.turn is None else frame.relative(self.images.points, d)
 
     def _weight_functions(self, d: FloatArray) -> tuple[tuple[float, float, float], ...]:
         """Weight function (a, b, kappa) of each group: r^-a + kappa r^-b.
@@ -332,7 +325,13 @@ class PreparedIDW:
         if o.weights == "shepard":
             # With kappa = 0 the second exponent has no effect; 5 selects the fastest loop.
             return tuple((p, 5.0, 0.0) for p in (o.p_moving, o.p_fixed)[: len(self.groups)])
-        alpha = self._alpha(d) if o.alpha == "auto" else float(o.alpha)
+        if o.alpha == "auto":
+            full = float(self._eq_18(self._arms(d)))
+            alpha = min(max(full, _LEAST_ALPHA), ALPHA_CAP)
+            reason = f"eq. 18 gives {full:.3g}" + (f", capped at {ALPHA_CAP} (crossed cells)" if full > alpha else "")
+            self.account.settings["alpha"] = Setting(alpha, reason)
+        else:
+            alpha = float(o.alpha)
         try:
             near = alpha**o.b * self.length ** (o.b - self.far)
         except OverflowError as error:
@@ -354,13 +353,6 @@ class PreparedIDW:
         """Alpha by eq. 18, without its limits, for displacements (n, 3) relative to their mean."""
         size: FloatArray = np.linalg.norm(arms, axis=1)
         alpha: FloatArray = self.options.eta / self.length * size.max()
-        return alpha
-
-    def _alpha(self, d: FloatArray) -> float:
-        full = float(self._eq_18(self._arms(d)))
-        alpha = min(max(full, _LEAST_ALPHA), ALPHA_CAP)
-        reason = f"eq. 18 gives {full:.3g}" + (f", capped at {ALPHA_CAP} (crossed cells)" if full > alpha else "")
-        self.account.settings["alpha"] = Setting(alpha, reason)
         return alpha
 
     def at(self, flat: IntArray) -> Bound | FastEvaluator:

@@ -39,7 +39,16 @@ class PreparedRBF:
         self.account = Account()
         self.problem = problem
         self.images = mirror_images(problem)
-        self.centres = Centres.of(self.images.points, self._radius())
+        radius: float | None = None
+        if options.radius != "auto" and options.basis != "tps":
+            radius = float(options.radius)
+            self.account.settings |= options.used("radius")
+        elif options.basis != "tps":
+            moving = problem.source_points[problem.boundary.kind[problem.source_numbers] == Kind.MOVING]
+            centre, faces = moving.sum(axis=0) / len(moving), problem.grid.nodes.at(problem.topology.first)
+            radius = float(sum(np.linalg.norm(points - centre, axis=1).max() for points in (moving, faces)))
+            self.account.settings["radius"] = Setting(radius, "every node sees the whole moving body")
+        self.centres = Centres.of(self.images.points, radius)
         # Without greedy reduction the size of the system is known: refuse it now if it is too large.
         self.system: RadialSystem | None = None
         if options.greedy == "none":
@@ -59,20 +68,6 @@ class PreparedRBF:
             tolerance = options.greedy_tolerance * unit
             self.account.note("greedy tolerance", warn_of_coarse_tolerance(tolerance, height, options.greedy_correct))
 
-    def _radius(self) -> float | None:
-        o = self.options
-        if o.basis == "tps":
-            return None
-        if o.radius != "auto":
-            self.account.settings |= o.used("radius")
-            return float(o.radius)
-        problem = self.problem
-        moving = problem.source_points[problem.boundary.kind[problem.source_numbers] == Kind.MOVING]
-        centre, faces = moving.sum(axis=0) / len(moving), problem.grid.nodes.at(problem.topology.first)
-        radius = float(sum(np.linalg.norm(points - centre, axis=1).max() for points in (moving, faces)))
-        self.account.settings["radius"] = Setting(radius, "every node sees the whole moving body")
-        return radius
-
     def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
         """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
         if self.options.basis == "tps":
@@ -82,30 +77,24 @@ class PreparedRBF:
 
     def fit(self, displacement: FloatArray, progress: Progress | None = None) -> Coefficients:
         """Solve for one displacement of the sources (n_sources, 3)."""
-        values, here = self.images.displaced(displacement), self.centres.points
-        if self.options.greedy == "none":
+        values, here, o = self.images.displaced(displacement), self.centres.points, self.options
+        if o.greedy == "none":
             assert self.system is not None
             return Coefficients(here, *self.system.solve(values, self.account, progress))
-        found = self._selected(values, progress)
+        n = len(values)
+        if o.greedy_start >= n:
+            raise MethodError(f"method.rbf.greedy_start = {o.greedy_start}; expected 0 to {n - 1}")
+        scale = self.problem.first_cell_height[self.images.owner] if o.greedy_error == "first-cell" else np.ones(n)
+        search = Search(o.greedy_tolerance, o.greedy_start, o.greedy_updates or n, o.greedy_max_points or n)
+        terms, report = self.centres.polynomial(here), of_stage(progress, "greedy")
+        choose = partial(select, self.kind, here, terms, values, scale, search, report)
+        found = self.problem.grid.nodes.on_first(choose)
         self._record(found)
         points = np.ascontiguousarray(here[found.active])
         residual = values - radial_sums(self.kind, here, points, found.coefficients)
-        residual -= self.centres.polynomial(here)[:, : len(found.polynomial)] @ found.polynomial
+        residual -= terms[:, : len(found.polynomial)] @ found.polynomial
         reach = _REACH * float(np.linalg.norm(residual, axis=1).max())
         return Coefficients(points, found.coefficients, found.polynomial, residual, reach)
-
-    def _selected(self, values: FloatArray, progress: Progress | None) -> Selection:
-        """Centres chosen for values (n, 3) at all of them, with their coefficients."""
-        o, n = self.options, len(values)
-        scale = np.ones(n)
-        if o.greedy_error == "first-cell":
-            scale = self.problem.first_cell_height[self.images.owner]
-        if o.greedy_start >= n:
-            raise MethodError(f"method.rbf.greedy_start = {o.greedy_start}; expected 0 to {n - 1}")
-        search = Search(o.greedy_tolerance, o.greedy_start, o.greedy_updates or n, o.greedy_max_points or n)
-        points = self.centres.points, self.centres.polynomial(self.centres.points)
-        report = of_stage(progress, "greedy")
-        return self.problem.grid.nodes.on_first(lambda: select(self.kind, *points, values, scale, search, report))
 
     def _record(self, found: Selection) -> None:
         unit = "first-cell heights" if self.options.greedy_error == "first-cell" else "length unit"

@@ -191,7 +191,11 @@ class CurvedLines:
             # One plane of each sub-block excludes most of those without deviations; measuring all planes costs twice
             # that.
             for one_plane in (True, False):
-                rows = rows[_largest(_measured(group, rows, one_plane)) > _ROUND_OFF * size[rows]]
+                sub, deviation = _measured(group, rows, one_plane)
+                # Of each sub-block, all of which have nodes inside.
+                start = np.flatnonzero(np.diff(sub, prepend=-1))
+                largest = np.maximum.reduceat(np.abs(deviation).max(axis=1), start) if len(start) else np.empty(0)
+                rows = rows[largest > _ROUND_OFF * size[rows]]
             inverse = np.linalg.pinv(arms(group.points, corners[rows]), rcond=THINNEST)
             bent = Bent(rows, corners[rows], np.asarray(inverse, dtype=np.float64))
         sub, deviation = _measured(group, bent.rows)
@@ -223,13 +227,6 @@ def _measured(group: Group, rows: IntArray, one_plane: bool = False) -> tuple[In
     part.blend(blended, np.column_stack([np.arange(len(rows)), subs[:, 4] + 1, subs[:, 7]]) if one_plane else None)
     nodes = box_nodes(subs, inside=True)
     return np.repeat(np.arange(len(rows)), inner_numbers(subs)), part.points[nodes] - blended[nodes]
-
-
-def _largest(measured: tuple[IntArray, FloatArray]) -> FloatArray:
-    """Largest component of the deviations of each sub-block, all of which have nodes inside."""
-    sub, deviation = measured
-    start = np.flatnonzero(np.diff(sub, prepend=-1))
-    return np.maximum.reduceat(np.abs(deviation).max(axis=1), start) if len(start) else np.empty(0)
 
 
 def arms(points: FloatArray, corners: IntArray) -> FloatArray:

@@ -167,18 +167,6 @@ def _pairs(problem: Problem) -> float:
     return float(problem.n_unique_nodes) * len(problem.source_numbers)
 
 
-def _reason(problem: Problem, usual: str) -> str:
-    """The reason for the number of cells per sub-block in this grid."""
-    pairs = _pairs(problem)
-    limit = next(limit for limit, _ in FEW_PAIRS if pairs <= limit)
-    if np.isfinite(limit):
-        return (
-            f"{pairs:.1e} pairs of nodes and sources, up to {limit:.0e}: sub-blocks as small as this cost little "
-            f"and follow a motion that changes within a few cells"
-        )
-    return f"{pairs:.1e} pairs of nodes and sources: smaller sub-blocks would take longer, and this {usual}"
-
-
 class PreparedTFI:
     """The sub-blocks of one undeformed grid, filled group by group.
 
@@ -193,7 +181,16 @@ class PreparedTFI:
         cells = options.cells(problem)
         setting = dataclasses.replace(options.used("max_cells")["max_cells"], value=cells)
         if options.max_cells == "auto":
-            setting = dataclasses.replace(setting, reason=_reason(problem, setting.reason.removeprefix("default: ")))
+            pairs = _pairs(problem)
+            limit = next(limit for limit, _ in FEW_PAIRS if pairs <= limit)
+            reason = f"{pairs:.1e} pairs of nodes and sources"
+            if np.isfinite(limit):
+                reason += f", up to {limit:.0e}: sub-blocks as small as this cost little and follow a motion that "
+                reason += "changes within a few cells"
+            else:
+                usual = setting.reason.removeprefix("default: ")
+                reason += f": smaller sub-blocks would take longer, and this {usual}"
+            setting = dataclasses.replace(setting, reason=reason)
         self.account.settings["max_cells"] = setting
         self.account.settings["sub_blocks"] = Setting(len(self._subs))
         # Rows of the nodes that this rank holds.
@@ -205,8 +202,17 @@ class PreparedTFI:
         """Keep the sub-blocks with nodes of this rank ``inside`` them or anywhere, if the grid is in parts."""
         nodes = self.problem.grid.nodes
         if nodes.divided:
-            self._subs, self.rows = _subs_within(self._subs, *nodes.ends, inside)
-            nodes.widen(*self.rows)
+            # If the parts of two ranks meet inside a sub-block, both fill it.
+            (low, high), subs = nodes.ends, self._subs
+            start, plane = subs[:, 0], subs[:, 2] * subs[:, 3]
+            thick = inside & (subs[:, 7] > subs[:, 4])
+            first, last = start + (subs[:, 4] + thick) * plane, start + (subs[:, 7] + ~thick) * plane
+            own = np.flatnonzero((first < high) & (last > low))
+            # The rows of all nodes of the sub-blocks.
+            low = int((start + subs[:, 4] * plane)[own].min(initial=low))
+            high = int((start + (subs[:, 7] + 1) * plane)[own].max(initial=high))
+            self._subs, self.rows = subs[own], (low, high)
+            nodes.widen(low, high)
         self._groups = batches(box_numbers(self._subs), _TOGETHER)
         # The bent sub-blocks of each group, once it has been examined.
         self._bent: dict[int, Bent] = {}
@@ -259,19 +265,3 @@ class PreparedTFI:
         curved = CurvedLines.of(group, self._bent.get(number))
         self._bent[number] = curved.bent
         return group, curved if len(curved.bent.rows) else None
-
-
-def _subs_within(subs: IntArray, low: int, high: int, inside: bool) -> tuple[IntArray, tuple[int, int]]:
-    """The sub-blocks with nodes ``inside`` them, or any nodes, among the rows low <= n < high, and the rows of all of
-    their nodes.
-
-    If the parts of two ranks meet inside a sub-block, both fill it.
-    """
-    start, plane = subs[:, 0], subs[:, 2] * subs[:, 3]
-    thick = inside & (subs[:, 7] > subs[:, 4])
-    first, last = start + (subs[:, 4] + thick) * plane, start + (subs[:, 7] + ~thick) * plane
-    own = np.flatnonzero((first < high) & (last > low))
-    if not own.size:
-        return subs[own], (low, high)
-    rows = (start + subs[:, 4] * plane)[own].min(), (start + (subs[:, 7] + 1) * plane)[own].max()
-    return subs[own], (min(low, int(rows[0])), max(high, int(rows[1])))

@@ -45,8 +45,18 @@ def measure_shape(x: FloatArray, resolved: IntArray, sign: float) -> Iterator[tu
             continue
         low, high = _ends(sizes[a], a)
         yield GROWTH, a, _ratio(np.maximum(low, high), np.minimum(low, high))
-        inner = (np.take(values, range(1, x.shape[a] - 1), axis=a) for values in faces[a])
-        yield from _across(a, *_ends(centers, a), *inner)
+        face, area = (np.take(values, range(1, x.shape[a] - 1), axis=a) for values in faces[a])
+        center, beyond = _ends(centers, a)
+        step = beyond - center
+        dot, along, square, normal = _dot(step, area), _dot(face - center, area), _dot(step, step), _dot(area, area)
+        sound = (dot != 0.0) & (square != 0.0) & (normal != 0.0)
+        dot, along, square, normal = (np.where(sound, each, 1.0) for each in (dot, along, square, normal))
+        # Angle between the line joining two cell centres and the normal of their common face.
+        cosine = np.clip(dot / np.sqrt(square * normal), -1.0, 1.0)
+        yield NONORTHOGONALITY, a, np.where(sound, np.degrees(np.arccos(cosine)), 0.0)
+        # Distance from where that line meets the face to the centre of the face, relative to the length of the line.
+        miss = face - center - (along / dot)[..., None] * step
+        yield SKEWNESS, a, np.where(sound, np.sqrt(_dot(miss, miss) / square), 0.0)
 
 
 def _face_centres(x: FloatArray, axis: int, sign: float) -> tuple[FloatArray, FloatArray]:
@@ -84,21 +94,3 @@ def _mean(values: FloatArray, axes: list[int]) -> FloatArray:
 def _ratio(high: FloatArray, low: FloatArray) -> FloatArray:
     """Ratio of two lengths; 1, which counts for nothing, where the smaller one is collapsed."""
     return np.divide(high, low, out=np.ones_like(high), where=(low > 0.0) & (low < np.inf))
-
-
-def _across(
-    axis: int, center: FloatArray, beyond: FloatArray, face: FloatArray, area: FloatArray
-) -> Iterator[tuple[int, int, FloatArray]]:
-    """Angle (degrees) between the line joining two cell centres and the normal of their common face; skewness there.
-
-    Skewness: distance between the intersection of that line with the face and the centre of the face, relative to the
-    length of the line.
-    """
-    step = beyond - center
-    dot, along, square, normal = _dot(step, area), _dot(face - center, area), _dot(step, step), _dot(area, area)
-    sound = (dot != 0.0) & (square != 0.0) & (normal != 0.0)
-    dot, along, square, normal = (np.where(sound, each, 1.0) for each in (dot, along, square, normal))
-    cosine = np.clip(dot / np.sqrt(square * normal), -1.0, 1.0)
-    yield NONORTHOGONALITY, axis, np.where(sound, np.degrees(np.arccos(cosine)), 0.0)
-    miss = face - center - (along / dot)[..., None] * step
-    yield SKEWNESS, axis, np.where(sound, np.sqrt(_dot(miss, miss) / square), 0.0)

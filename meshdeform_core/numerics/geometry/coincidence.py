@@ -76,10 +76,7 @@ def pairs_in_order(key: FloatArray, points: FloatArray, tolerance: FloatArray) -
     near[1:] = gap <= 1.01 * tolerance[1:]
     near[:-1] |= gap <= 1.01 * tolerance[:-1]
     chosen = np.flatnonzero(near)
-    return chosen[_sweep_all(key[chosen], points[chosen], tolerance[chosen])]
-
-
-def _sweep_all(key: FloatArray, points: FloatArray, tolerance: FloatArray) -> IntArray:
+    key, points, tolerance = key[chosen], points[chosen], tolerance[chosen]
     level = np.frexp(tolerance)[1]
     found = []
     for current in np.unique(level)[::-1]:
@@ -94,14 +91,14 @@ def _sweep_all(key: FloatArray, points: FloatArray, tolerance: FloatArray) -> In
             a, b = a[here], b[here]
             reached = reached[here]
             # Most candidate pairs are rejected by one coordinate.
-            near = np.abs(points[a, 0] - points[b, 0]) <= reached
-            few = np.flatnonzero(near)
-            near[few] = np.linalg.norm(points[a[few]] - points[b[few]], axis=1) <= reached[few]
-            found.append(np.stack([a[near], b[near]], axis=1))
+            close = np.abs(points[a, 0] - points[b, 0]) <= reached
+            few = np.flatnonzero(close)
+            close[few] = np.linalg.norm(points[a[few]] - points[b[few]], axis=1) <= reached[few]
+            found.append(np.stack([a[close], b[close]], axis=1))
             shift += 1
             active = active[active + shift < len(members)]
             active = active[keys[active + shift] - keys[active] <= reach]
-    return np.concatenate(found) if found else np.empty((0, 2), dtype=np.int64)
+    return chosen[np.concatenate(found)] if found else np.empty((0, 2), dtype=np.int64)
 
 
 def coincident_groups(points: FloatArray, tolerance: FloatArray) -> IntArray:
@@ -154,7 +151,21 @@ def coincident_copies(points: FloatArray, edge: FloatArray, relative: float = 1.
     group: IntArray = np.cumsum(new, dtype=order.dtype)
     group -= 1
     count = int(group[-1]) + 1 if len(key) else 0
-    pairs = _close_groups(keys, order, group, new, points, relative * edge)
+    # Pairs, ascending each, of close groups of equal points. A window at a time; it extends beyond its own groups as
+    # far as their tolerances reach. The smaller tolerance of a pair counts, so that those of the others do not matter.
+    tolerance = relative * edge
+    found, lo = [np.empty((0, 2), dtype=np.int64)], 0
+    while lo < len(keys):
+        end = min(lo + _WINDOW, len(keys))
+        own = int(np.searchsorted(keys, keys[end - 1], side="right"))
+        reach = keys[own - 1] + 1.01 * float(tolerance[order[lo:own]].max(initial=0.0))
+        hi = int(np.searchsorted(keys, reach, side="right"))
+        first, members = np.flatnonzero(new[lo:hi]), order[lo:hi]
+        largest = np.maximum.reduceat(tolerance[members], first)
+        close = int(group[lo]) + pairs_in_order(keys[lo:hi][first], points[members[first]], largest)
+        found.append(close[close[:, 0] <= group[own - 1]])
+        lo = own
+    pairs = np.concatenate(found)
     leader = np.arange(count, dtype=order.dtype)
     some = ascending(pairs)
     leader[some] = some[connected_components(len(some), np.searchsorted(some, pairs))]
@@ -165,28 +176,6 @@ def coincident_copies(points: FloatArray, edge: FloatArray, relative: float = 1.
     first[label[::-1]] = np.arange(len(points))[::-1]
     np.minimum.at(least, label, edge)
     return first[label], least[label]
-
-
-def _close_groups(
-    keys: FloatArray, order: IntArray, group: IntArray, new: BoolArray, points: FloatArray, tolerance: FloatArray
-) -> IntArray:
-    """Pairs (m, 2), ascending each, of close groups of equal points, which ``new`` ones begin, along their ``keys``.
-
-    A window at a time; it extends beyond its own groups as far as their tolerances reach. The smaller tolerance of a
-    pair counts, so that those of the others do not matter.
-    """
-    found, lo = [np.empty((0, 2), dtype=np.int64)], 0
-    while lo < len(keys):
-        end = min(lo + _WINDOW, len(keys))
-        own = int(np.searchsorted(keys, keys[end - 1], side="right"))
-        reach = keys[own - 1] + 1.01 * float(tolerance[order[lo:own]].max(initial=0.0))
-        hi = int(np.searchsorted(keys, reach, side="right"))
-        first, members = np.flatnonzero(new[lo:hi]), order[lo:hi]
-        largest = np.maximum.reduceat(tolerance[members], first)
-        pairs = int(group[lo]) + pairs_in_order(keys[lo:hi][first], points[members[first]], largest)
-        found.append(pairs[pairs[:, 0] <= group[own - 1]])
-        lo = own
-    return np.concatenate(found)
 
 
 def connected_components(n: int, pairs: IntArray) -> IntArray:
