@@ -242,30 +242,26 @@ def renewed(
     moved = np.asarray(change.any(axis=1))
     if not moved.any():
         return None
-    moving = _moving_where(original, topology, boundary, moved)
-    setup = Setup(undeformed_of(original, topology, moving, memory, case.repair.min_jacobian), case, ())
+    known = boundary.quad_kind >= Kind.FIXED
+    moving = known & moved[topology.quads.corners].any(axis=1)
+    quads, rest = np.flatnonzero(moving), np.flatnonzero(known & ~moving)
+    nodes, at_rest = (distinct(topology.quads.corners[some], topology.n_unique) for some in (quads, rest))
+    kind = np.where(boundary.known, Kind.FIXED, boundary.kind).astype(np.int8)
+    kind[nodes] = kind[moved] = Kind.MOVING
+    classified = dataclasses.replace(
+        boundary,
+        kind=kind,
+        quad_kind=np.where(moving, Kind.MOVING, np.where(known, Kind.FIXED, boundary.quad_kind)).astype(np.int8),
+        patches=(
+            ClassifiedPatch("moved", Kind.MOVING, nodes, quads),
+            ClassifiedPatch("at rest", Kind.FIXED, at_rest, rest),
+            *(patch for patch in boundary.patches if patch.kind < Kind.FIXED),
+        ),
+        movers=((nodes, GIVEN.prepare(BoundaryNodes.of_quads(original, topology, quads))),),
+    )
+    setup = Setup(undeformed_of(original, topology, classified, memory, case.repair.min_jacobian), case, ())
     result = impose(setup, lambda fraction: fraction * change, None, precision, Timing(progress=progress), progress)
     points: FloatArray = np.array(result.grid.points)
     held = topology.face_nodes[boundary.known[topology.number]]
     points[held] = grid.points[held]
     return dataclasses.replace(result, grid=original.moved(points))
-
-
-def _moving_where(grid: Grid, topology: Topology, boundary: Boundary, moved: np.ndarray) -> Boundary:
-    """The boundary with faces that have ``moved`` nodes (n_unique,) moving, and other moving or fixed faces fixed."""
-    known = boundary.quad_kind >= Kind.FIXED
-    moving = known & moved[topology.quads.corners].any(axis=1)
-    quad_kind = np.where(moving, Kind.MOVING, np.where(known, Kind.FIXED, boundary.quad_kind)).astype(np.int8)
-    kind = np.where(boundary.known, Kind.FIXED, boundary.kind).astype(np.int8)
-    quads = np.flatnonzero(moving)
-    numbers = distinct(topology.quads.corners[quads], topology.n_unique)
-    kind[numbers] = Kind.MOVING
-    kind[moved] = Kind.MOVING
-    rest = np.flatnonzero(known & ~moving)
-    patches = (
-        ClassifiedPatch("moved", Kind.MOVING, numbers, quads),
-        ClassifiedPatch("at rest", Kind.FIXED, distinct(topology.quads.corners[rest], topology.n_unique), rest),
-        *(patch for patch in boundary.patches if patch.kind < Kind.FIXED),
-    )
-    movers = ((numbers, GIVEN.prepare(BoundaryNodes.of_quads(grid, topology, quads))),)
-    return dataclasses.replace(boundary, kind=kind, quad_kind=quad_kind, patches=patches, movers=movers)

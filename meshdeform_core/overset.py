@@ -364,14 +364,10 @@ def impose_on_components(
         limit, path = Limit.of(own.grid.n_nodes, case.repair.time_limit), partial(each.motion, whole.prescribed)
         course = Course(Setup(own, case, ()), path, whole.precision, whole.timing, whole.progress, limit)
         found.append((each, one(course, method)))
-    return _result(whole, found)
-
-
-def _result(course: Course, found: Sequence[tuple[Component, Result]]) -> Result:
-    setup, results = course.setup, [result for _, result in found]
+    setup, results = whole.setup, [result for _, result in found]
     points = _joined(setup.grid, [(component, result.grid.points) for component, result in found])
-    with course.timing.stage("quality"):
-        whole = assess(setup.original, points, setup.boundary)
+    with whole.timing.stage("quality"):
+        assessment = assess(setup.original, points, setup.boundary)
     listed_cells = [cell for result in results for cell in result.assessment.invalid]
     groups = sorted((g for result in results for g in result.assessment.groups), key=lambda group: -group.cells)
     warnings = [_named(component.name, text) for component, result in found for text in result.warnings]
@@ -380,15 +376,15 @@ def _result(course: Course, found: Sequence[tuple[Component, Result]]) -> Result
         setup=setup,
         grid=setup.grid.moved(points),
         assessment=dataclasses.replace(
-            whole, invalid=tuple(listed_cells[:MAX_LISTED]), groups=tuple(groups[:MAX_GROUPS])
+            assessment, invalid=tuple(listed_cells[:MAX_LISTED]), groups=tuple(groups[:MAX_GROUPS])
         ),
         account=_account_of({component.name: result.account for component, result in found if result.account.settings}),
         steps=max(result.steps for result in results),
         reached=min(result.reached for result in results),
-        displacement=course.total,
-        timing=course.timing,
-        warnings=(*course.warnings, *warnings),
-        motion=patch_motions(setup.problem, course.total),
+        displacement=whole.total,
+        timing=whole.timing,
+        warnings=(*whole.warnings, *warnings),
+        motion=patch_motions(setup.problem, whole.total),
         attempts=tuple(attempt for result in results for attempt in result.attempts),
         repair=functools.reduce(Repair.beside, repairs) if repairs else None,
         components=tuple((component.name, result) for component, result in found),

@@ -109,19 +109,7 @@ def smoothness(levels: list[Moment], walls: IntArray, edges: FloatArray) -> Smoo
     step = max(at_walls[:2])
     if step == 0.0:
         return Smoothness(None, None, None)
-    largest, in_edges = _largest(levels, edges)
-    speed = float(largest[0]) / step
-    if len(levels) == 2:
-        return Smoothness(speed, None, None)
-    # A jump may lie in either of the last two movements.
-    movements = zip(largest[:2].tolist(), at_walls[:2], strict=True)
-    reach = min(moved / walled for moved, walled in movements if walled > _AT_REST * step)
-    plain = all(level.plain for level in levels)
-    return Smoothness(speed, float(largest[2]) / step, in_edges, at_walls[2] / step, reach, plain)
-
-
-def _largest(levels: list[Moment], edges: FloatArray) -> tuple[FloatArray, float]:
-    """The largest movements of any node, see :func:`_movements`, and the largest of the last in local ``edges``."""
+    # Of all nodes; the last movement also in local edges.
     points = levels[-1].points
     low, high = Nodes.of(points).ends
     largest, in_edges = np.zeros(min(2 * len(levels) - 3, 3)), 0.0
@@ -131,7 +119,15 @@ def _largest(levels: list[Moment], edges: FloatArray) -> tuple[FloatArray, float
         largest = np.maximum(largest, [length.max() for length in found])
         in_edges = max(in_edges, float((found[-1] / edges[some.start - low : some.stop - low]).max()))
     every = Nodes.of(points).gather((largest, in_edges))
-    return np.max([each for each, _ in every], axis=0), max(each for _, each in every)
+    largest, in_edges = np.max([each for each, _ in every], axis=0), max(each for _, each in every)
+    speed = float(largest[0]) / step
+    if len(levels) == 2:
+        return Smoothness(speed, None, None)
+    # A jump may lie in either of the last two movements.
+    movements = zip(largest[:2].tolist(), at_walls[:2], strict=True)
+    reach = min(moved / walled for moved, walled in movements if walled > _AT_REST * step)
+    plain = all(level.plain for level in levels)
+    return Smoothness(speed, float(largest[2]) / step, in_edges, at_walls[2] / step, reach, plain)
 
 
 def _movements(levels: list[Moment], nodes: IntArray | slice) -> list[FloatArray]:

@@ -131,24 +131,19 @@ def find_outside(grid: Grid, topology: Topology) -> Outside:
         surfaces.append(Surface(name, named, role, declared, tuple(faces[n] for n in members)))
     low, high = extent(grid.points)
     found = Outside(tuple(faces), tuple(roles), tuple(surfaces), (), high - low)
-    return dataclasses.replace(found, plates=_likely_plates(grid, topology, found))
-
-
-def _likely_plates(grid: Grid, topology: Topology, outside: Outside) -> tuple[Surface, ...]:
-    """Faces between blocks with cells clustered from both sides that, unlike wakes, do not reach the far field.
-
-    They must be larger than the known bodies: beside a wing, such a face is more likely its wake.
-    """
-    far = outside.of_role(Role.FAR)
+    far = found.of_role(Role.FAR)
     if not far:
-        return ()
+        return found
+    # Thin plates may be faces between blocks with cells clustered from both sides that, unlike wakes, do not reach the
+    # far field. They must be larger than the known bodies: beside a wing, such a face is more likely its wake.
     open_end = np.zeros(topology.n_unique, dtype=bool)
     open_end[topology.quads.corners[np.concatenate([surface.quads for surface in far])]] = True
-    shared = clustered_interfaces(topology, outside)
+    shared = clustered_interfaces(topology, found)
     inner = [face for face in shared if not open_end[topology.quads.corners[face.quads]].any()]
-    if 0.5 * sum(face.area for face in inner) <= sum(body.area for body in outside.bodies):
-        return ()
-    return tuple(Surface(face.label(grid), False, Role.WALL, False, (face,)) for face in inner)
+    if 0.5 * sum(face.area for face in inner) <= sum(body.area for body in found.bodies):
+        return found
+    plates = tuple(Surface(face.label(grid), False, Role.WALL, False, (face,)) for face in inner)
+    return dataclasses.replace(found, plates=plates)
 
 
 def clustered_interfaces(topology: Topology, outside: Outside) -> list[Face]:

@@ -131,8 +131,9 @@ class PreparedIDW:
         self.images = mirror_images(problem)
         self.rotations = problem.rotations
         if problem.boundary.mirrors:
-            surface = self.images.points, self.images.corners, self.images.edges
-            self.rotations = rot.SurfaceRotations(*surface, problem.plane_normal)
+            self.rotations = rot.SurfaceRotations(
+                self.images.points, self.images.corners, self.images.edges, problem.plane_normal
+            )
         farthest = np.linalg.norm(problem.source_points - problem.centroid, axis=1).max()
         # Eq. 17, or as given.
         self.length = float(farthest if options.length == "auto" else options.length)
@@ -148,7 +149,12 @@ class PreparedIDW:
         else:
             self.far = FAR_IN_PLANES if problem.plane and options.rotation == "lie" else FAR
         self._transition = transition_of(self.images, problem, self.far, width) if width else NO_TRANSITION
-        self._blunt = self._near_edges()
+        # Pairs (e, 2) of neighbouring sources, the first of which is close to a sharp edge.
+        surface = self.images.corners, self.images.edges, problem.plane_normal
+        self._blunt = rot.neighbours(*surface) if self._rounds else np.empty((0, 2), dtype=np.int64)
+        if len(self._blunt):
+            near = rot.near_sharp_edges(self.images.points, *surface, self._rounds)
+            self._blunt = self._blunt[near[self._blunt[:, 0]]]
         self.groups, self.strength = self._grouped()
         auto = options.remove_mean == "auto"
         self.remove_mean = options.rotation == "lie" if auto else bool(options.remove_mean)
@@ -164,15 +170,6 @@ class PreparedIDW:
     def _rounds(self) -> int:
         auto = ROUNDS if self.options.rotation == "lie" else 0
         return auto if self.options.smoothing == "auto" else int(self.options.smoothing)
-
-    def _near_edges(self) -> IntArray:
-        """Pairs (e, 2) of neighbouring sources, the first of which is close to a sharp edge."""
-        images, normal = self.images, self.problem.plane_normal
-        pairs = rot.neighbours(images.corners, images.edges, normal)
-        if not self._rounds or not len(pairs):
-            return np.empty((0, 2), dtype=np.int64)
-        near = rot.near_sharp_edges(images.points, images.corners, images.edges, normal, self._rounds)
-        return np.asarray(pairs[near[pairs[:, 0]]])
 
     def _grouped(self) -> tuple[tuple[IntArray, ...], FloatArray]:
         """Groups of sources (index arrays) with a common weight function, and the strength (n,) of every source."""

@@ -153,15 +153,14 @@ def coincident_copies(points: FloatArray, edge: FloatArray, relative: float = 1.
     count = int(group[-1]) + 1 if len(key) else 0
     # Pairs, ascending each, of close groups of equal points. A window at a time; it extends beyond its own groups as
     # far as their tolerances reach. The smaller tolerance of a pair counts, so that those of the others do not matter.
-    tolerance = relative * edge
     found, lo = [np.empty((0, 2), dtype=np.int64)], 0
     while lo < len(keys):
         end = min(lo + _WINDOW, len(keys))
         own = int(np.searchsorted(keys, keys[end - 1], side="right"))
-        reach = keys[own - 1] + 1.01 * float(tolerance[order[lo:own]].max(initial=0.0))
+        reach = keys[own - 1] + 1.01 * float((relative * edge[order[lo:own]]).max(initial=0.0))
         hi = int(np.searchsorted(keys, reach, side="right"))
         first, members = np.flatnonzero(new[lo:hi]), order[lo:hi]
-        largest = np.maximum.reduceat(tolerance[members], first)
+        largest = np.maximum.reduceat(relative * edge[members], first)
         close = int(group[lo]) + pairs_in_order(keys[lo:hi][first], points[members[first]], largest)
         found.append(close[close[:, 0] <= group[own - 1]])
         lo = own
