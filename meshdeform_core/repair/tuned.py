@@ -60,7 +60,7 @@ REGIONS: dict[int, tuple[int | None, ...]] = {2: (32, None), 3: (8, 32, None)}
 KEPT = 0.7
 """A repaired grid keeps at least this share of the smallest scaled Jacobian of a valid grid of the method
 (studies/default_method.py)."""
-SQUASHED = 0.1
+SQUASHED = 0.025
 """Smallest relative Jacobian of the method's grid below which proportionally less is kept (studies/jumps.py)."""
 FARTHEST = 5.0
 """No node moves farther than this, times the largest displacement of the boundary."""
