@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 
 from ..errors import MotionError
-from ..grid import FloatArray, Grid, IntArray
+from ..grid import Grid, IntArray
 from ..grid.faces import Role
 from ..grid.surfaces import Surface, find_outside
 from ..grid.topology import Topology
@@ -126,8 +126,16 @@ def fit_table(grid: Grid, topology: Topology, data: SurfaceData, matching: Match
     mine = quads[chosen[owner]]
     found = tuple(surface for surface, taken in zip(surfaces, chosen, strict=True) if taken)
     _require_wall(grid, topology, data, found, surfaces)
-    matching = _resolved(grid, topology, mine, points, matching)
-    if matching.how != "interpolate":
+    how, tolerance = matching.how, matching.tolerance
+    if how == AUTOMATIC:
+        nodes = np.unique(topology.quads.corners[mine])
+        distance, nearest = scipy.spatial.cKDTree(grid.nodes.at(topology.first[nodes])).query(points)
+        own = distance <= (tolerance or SAME_NODE * topology.edge[nodes[nearest]])
+        how = "nearest" if own.mean() >= OWN else "interpolate"
+    if how == "interpolate" and tolerance is None:
+        tolerance = REACH * float(np.linalg.norm(np.ptp(points, axis=0)))
+    matching = replace(matching, how=how, tolerance=tolerance)
+    if how != "interpolate":
         return Fit(found, None, matching)
     return Fit(found, mine, replace(matching, walls=tuple(surface.name for surface in found)))
 
@@ -146,18 +154,6 @@ def _require_wall(
             f"{data.label}: its points lie on {places}{hint}; expected a table of a wall; "
             f"a face that is meant to move is selected in a case file"
         )
-
-
-def _resolved(grid: Grid, topology: Topology, quads: IntArray, points: FloatArray, matching: Matching) -> Matching:
-    how, tolerance = matching.how, matching.tolerance
-    if how == AUTOMATIC:
-        nodes = np.unique(topology.quads.corners[quads])
-        distance, nearest = scipy.spatial.cKDTree(grid.nodes.at(topology.first[nodes])).query(points)
-        own = distance <= (tolerance or SAME_NODE * topology.edge[nodes[nearest]])
-        how = "nearest" if own.mean() >= OWN else "interpolate"
-    if how == "interpolate" and tolerance is None:
-        tolerance = REACH * float(np.linalg.norm(np.ptp(points, axis=0)))
-    return replace(matching, how=how, tolerance=tolerance)
 
 
 @dataclass(frozen=True)

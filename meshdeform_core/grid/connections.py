@@ -218,23 +218,19 @@ def _described(grid: Grid, pieces: Rectangles, maps: _Maps) -> Iterator[Connecti
     # A step out of this block is a step into the donor.
     outward, inward = np.where(pieces.side % 2, 1, -1), np.where(donors % 2, -1, 1)
     transforms[row, pieces.side % 6 // 2] = outward * inward * (donors % 6 // 2 + 1)
-    nodes = (_nodes(grid, side, at) for side, at in
-             ((pieces.side, pieces.low), (pieces.side, pieces.high), (donors, ends[0]), (donors, ends[1])))  # fmt: skip
+    # Block indices of the nodes at these places along ``side.tangential``.
+    order, corners = np.array([[*side.tangential, side.axis] for side in Side]), []
+    for sides, places in zip([pieces.side] * 2 + [donors] * 2, [pieces.low, pieces.high, *ends], strict=True):
+        far = np.where(sides % 2, grid.sides.depth[sides] - 1, 0)
+        nodes = np.empty((len(sides), 3), dtype=np.int64)
+        np.put_along_axis(nodes, order[sides % 6], np.column_stack([places, far]), axis=1)
+        corners.append([_triple(node) for node in nodes.tolist()])
     labels = [side.label for side in Side]
-    rows = zip(pieces.side.tolist(), donors.tolist(), transforms.tolist(), *nodes, strict=True)
+    rows = zip(pieces.side.tolist(), donors.tolist(), transforms.tolist(), *corners, strict=True)
     for own, other, transform, begin, end, donor_begin, donor_end in rows:
         (block, side), (donor, donor_side) = divmod(own, 6), divmod(other, 6)
         name = f"{grid.names[block]}.{labels[side]}-{grid.names[donor]}.{labels[donor_side]}"
         yield Connection(name, block, begin, end, donor, donor_begin, donor_end, _triple(transform))
-
-
-def _nodes(grid: Grid, side: IntArray, tangential: IntArray) -> list[Shape]:
-    """Block indices of nodes of sides, by their places (n, 2) along ``side.tangential``."""
-    axes = np.array([[*each.tangential, each.axis] for each in Side])[side % 6]
-    far = np.where(side % 2, grid.sides.depth[side] - 1, 0)
-    nodes = np.empty((len(side), 3), dtype=np.int64)
-    np.put_along_axis(nodes, axes, np.column_stack([tangential, far]), axis=1)
-    return [_triple(node) for node in nodes.tolist()]
 
 
 def _triple(values: Sequence[int]) -> Shape:

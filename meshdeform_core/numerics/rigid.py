@@ -60,10 +60,22 @@ def finish(
     steps : number of times that a mean quaternion and translation are applied
     """
     x = tuple(np.ascontiguousarray(points.T))
+    found: tuple[FloatArray, ...]
     # Weights of any size: what is no number is found by whoever judges the grid.
     with np.errstate(all="ignore"):
         if kind in ("quaternion", "division"):
-            found = _by_quaternion(sums, x, steps)
+            # Mean quaternion, normalised, and mean translation (eqs. 19, 20), applied ``steps`` times (eqs. 26-28).
+            q0, q1, q2, q3 = sums[1:5]
+            norm, inverse = 1.0 / np.sqrt(q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3), 1.0 / sums[0]
+            scalar, axis, shift = q0 * norm, (q1 * norm, q2 * norm, q3 * norm), [part * inverse for part in sums[5:8]]
+            d0, d1, d2 = np.zeros((3, len(x[0])))
+            for _ in range(steps):
+                once = _cross(axis, (x[0] + d0, x[1] + d1, x[2] + d2))
+                twice = _cross(axis, once)
+                d0, d1, d2 = (
+                    d + 2.0 * (scalar * c + e) + t for d, c, e, t in zip((d0, d1, d2), once, twice, shift, strict=True)
+                )
+            found = d0, d1, d2
         elif kind == "lie":
             found = _by_twist(sums, x, transition)
         else:
@@ -79,21 +91,6 @@ def finish(
 
 def _cross(a: Triple, b: Triple) -> Triple:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-def _by_quaternion(sums: Columns, x: Triple, steps: int) -> Triple:
-    """Mean quaternion, normalised, and mean translation (eqs. 19, 20), applied ``steps`` times (eqs. 26-28)."""
-    q0, q1, q2, q3 = sums[1:5]
-    norm, inverse = 1.0 / np.sqrt(q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3), 1.0 / sums[0]
-    scalar, axis, shift = q0 * norm, (q1 * norm, q2 * norm, q3 * norm), [part * inverse for part in sums[5:8]]
-    d0, d1, d2 = np.zeros((3, len(x[0])))
-    for _ in range(steps):
-        once = _cross(axis, (x[0] + d0, x[1] + d1, x[2] + d2))
-        twice = _cross(axis, once)
-        d0, d1, d2 = (
-            d + 2.0 * (scalar * c + e) + t for d, c, e, t in zip((d0, d1, d2), once, twice, shift, strict=True)
-        )
-    return d0, d1, d2
 
 
 def _by_twist(sums: Columns, x: Triple, transition: Transition) -> Triple:

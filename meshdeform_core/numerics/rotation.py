@@ -323,25 +323,20 @@ def continuous(vectors: FloatArray, pairs: IntArray) -> FloatArray:
     too_far = np.unique(label[lengths(found) > _LARGEST])
     found[np.isin(label, too_far)] = vectors[np.isin(label, too_far)]
     rows = rows[np.argsort(label[rows], kind="stable")]
-    _turn_alike(found, np.split(rows, np.flatnonzero(np.diff(label[rows])) + 1))
-    return found
-
-
-def _turn_alike(vectors: FloatArray, surfaces: list[IntArray]) -> None:
-    """Choose the direction in which each surface turns, in place: the shorter way, or where both are about equally long
-    the way in which the other surfaces turn."""
-    means = [vectors[rows].mean(axis=0) for rows in surfaces]
+    surfaces = np.split(rows, np.flatnonzero(np.diff(label[rows])) + 1)
+    # Each surface turns the shorter way, or where both are about equally long the way in which the others turn.
+    means = [found[rows].mean(axis=0) for rows in surfaces]
     total, count = np.zeros(3), 0
     for index in np.argsort([np.linalg.norm(mean) for mean in means], kind="stable"):
         rows, mean = surfaces[index], means[index]
-        if lengths(vectors[rows]).min() > _CERTAIN:
+        if lengths(found[rows]).min() > _CERTAIN:
             # At first a small rotation whose largest component is positive: it decides the sense of half a turn.
             lead = total / count if count else 1e-3 * mean * np.sign(mean[np.argmax(np.abs(mean).round(6))])
             other = mean - _FULL * mean / max(float(np.linalg.norm(mean)), 1e-100)
             if _cost(other, lead) < _cost(mean, lead):
-                angle = lengths(vectors[rows])[:, None]
-                vectors[rows] *= 1.0 - _FULL / angle
-        total, count = total + vectors[rows].sum(axis=0), count + len(rows)
+                found[rows] *= 1.0 - _FULL / lengths(found[rows])[:, None]
+        total, count = total + found[rows].sum(axis=0), count + len(rows)
+    return found
 
 
 def _cost(mean: FloatArray, lead: FloatArray) -> float:

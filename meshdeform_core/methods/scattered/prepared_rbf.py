@@ -16,7 +16,7 @@ from ...numerics.arrays import Report
 from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_sums
 from ...numerics.fastsum.radial import FastRadial, RadialTargets, make_radial_targets
-from ...numerics.systems.greedy import Search, Selection, select
+from ...numerics.systems.greedy import Search, select
 from ...parallel import Nodes, for_chunks, thread_count
 from ..base import Account, Kinks, Linearised, Problem, Progress, Setting, of_stage
 from ..limits import CHOSEN, warn_of_coarse_tolerance, warn_of_radius
@@ -89,28 +89,25 @@ class PreparedRBF:
         terms, report = self.centres.polynomial(here), of_stage(progress, "greedy")
         choose = partial(select, self.kind, here, terms, values, scale, search, report)
         found = self.problem.grid.nodes.on_first(choose)
-        self._record(found)
+        unit = "first-cell heights" if o.greedy_error == "first-cell" else "length unit"
+        self.account.settings |= {
+            "greedy": Setting(o.greedy),
+            "greedy_points": Setting(len(found.active), f"of {len(found.error)} centres"),
+            "greedy_rounds": Setting(found.rounds),
+            "greedy_updates_done": Setting(found.updates),
+            "greedy_tolerance": Setting(o.greedy_tolerance, unit),
+            "greedy_error_reached": Setting(float(found.error.max()), unit),
+        }
+        failed = (
+            f"greedy reduction stopped with {len(found.active)} points and an error of {found.error.max():.3g} "
+            f"({unit}); asked for {o.greedy_tolerance:g}. Raise greedy_max_points or greedy_tolerance"
+        )
+        self.account.note("greedy", None if found.converged else failed)
         points = np.ascontiguousarray(here[found.active])
         residual = values - radial_sums(self.kind, here, points, found.coefficients)
         residual -= terms[:, : len(found.polynomial)] @ found.polynomial
         reach = _REACH * float(np.linalg.norm(residual, axis=1).max())
         return Coefficients(points, found.coefficients, found.polynomial, residual, reach)
-
-    def _record(self, found: Selection) -> None:
-        unit = "first-cell heights" if self.options.greedy_error == "first-cell" else "length unit"
-        self.account.settings |= {
-            "greedy": Setting(self.options.greedy),
-            "greedy_points": Setting(len(found.active), f"of {len(found.error)} centres"),
-            "greedy_rounds": Setting(found.rounds),
-            "greedy_updates_done": Setting(found.updates),
-            "greedy_tolerance": Setting(self.options.greedy_tolerance, unit),
-            "greedy_error_reached": Setting(float(found.error.max()), unit),
-        }
-        failed = (
-            f"greedy reduction stopped with {len(found.active)} points and an error of {found.error.max():.3g} "
-            f"({unit}); asked for {self.options.greedy_tolerance:g}. Raise greedy_max_points or greedy_tolerance"
-        )
-        self.account.note("greedy", None if found.converged else failed)
 
     def linearised(self, evaluator: RadialSums, displacement: FloatArray) -> Linearised:
         """The derivative of the displacement of the nodes of ``evaluator``; the same at all displacements.

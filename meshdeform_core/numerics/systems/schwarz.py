@@ -75,7 +75,21 @@ class SchwarzPreconditioner:
             return np.concatenate([nearest[: size - len(box)], box])
 
         self._near = [widened(box) for box in self._own]
-        self._rows = _restricted_inverses(kind, points, self._own, self._near)
+        # For each box, the matrix (own, near) that maps values at its points to the coefficients of its own centres.
+        self._rows = [np.empty((0, 0))] * len(self._own)
+
+        def work(lo: int, hi: int) -> None:
+            for box in range(lo, hi):
+                x = points[self._near[box]]
+                # Orthonormal linear polynomials (n, q), without the directions in which the points do not extend.
+                arms = x - x.mean(axis=0)
+                left, size, _ = np.linalg.svd(arms, full_matrices=False)
+                spread = left[:, size > 1e-6 * size[0]] if size[0] > 0 else left[:, :0]
+                self._rows[box] = _last_rows(
+                    kind, x, np.concatenate([np.full((len(x), 1), len(x) ** -0.5), spread], axis=1), len(self._own[box])
+                )
+
+        for_chunks(work, len(self._own), _BOXES)
         self._coarse = _coarse(points, polynomial)
         self._at_coarse = product.roughly_at(self._coarse)
         centres = np.ascontiguousarray(points[self._coarse])
@@ -133,25 +147,6 @@ def _coarse(points: FloatArray, polynomial: FloatArray) -> IntArray:
     corners = scipy.linalg.qr(polynomial.T, mode="r", pivoting=True)[1][: polynomial.shape[1]]
     chosen = np.unique(np.concatenate([middles, corners]))
     return chosen[np.unique(points[chosen], axis=0, return_index=True)[1]]
-
-
-def _restricted_inverses(kind: int, points: FloatArray, own: list[IntArray], near: list[IntArray]) -> list[FloatArray]:
-    """For each box, the matrix (own, near) that maps values at its points to the coefficients of its own centres."""
-    rows = [np.empty((0, 0))] * len(own)
-
-    def work(lo: int, hi: int) -> None:
-        for box in range(lo, hi):
-            x = points[near[box]]
-            # Orthonormal linear polynomials (n, q) on points, without the directions in which the points do not extend.
-            arms = x - x.mean(axis=0)
-            left, size, _ = np.linalg.svd(arms, full_matrices=False)
-            spread = left[:, size > 1e-6 * size[0]] if size[0] > 0 else left[:, :0]
-            rows[box] = _last_rows(
-                kind, x, np.concatenate([np.full((len(x), 1), len(x) ** -0.5), spread], axis=1), len(own[box])
-            )
-
-    for_chunks(work, len(own), _BOXES)
-    return rows
 
 
 def _last_rows(kind: int, points: FloatArray, basis: FloatArray, count: int) -> FloatArray:
