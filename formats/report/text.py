@@ -58,7 +58,7 @@ def _sections(report: Report, parameters: bool) -> Iterator[tuple[str, Iterable[
         series, before = report["series"], report["quality"]["before"]["f_skew"]
         lines = [f"{series['levels']} levels, each from the undeformed grid"]
         lines += [f"open {series['view']} in ParaView"] if series["view"] else []
-        lines.append(f"f_skew before: harmonic mean {before['harmonic_mean']:.4f}, minimum {before['min']:.4f}")
+        lines.append(f"f_skew before: mean {before['mean']:.4f}, minimum {before['min']:.4f}")
         yield "series", lines
         yield "levels", _columns(levels_table(report))
         if any(acceleration_of(level) is not None for level in report["levels"]):

@@ -121,6 +121,8 @@ def test_text_and_page_have_a_line_per_level(swing, call):
     assert Path("r.txt").read_text() == f"{result.out}warning   {warning}\n"
     rows = [line for line in result.out.splitlines() if ".xyz " in line and line.strip()[0].isdigit()]
     assert [row.split()[1] for row in rows] == ["0", "0.25", "0.5", "0.75", "1"]
+    at_rest = rows[0].split()
+    assert f"f_skew before: mean {at_rest[5]}, minimum {at_rest[6]}\n" in result.out
     assert "All 5 levels are valid" in Path("r.html").read_text()
 
 
