@@ -81,7 +81,7 @@ class BoundaryForm(Form):
 class RepairForm(Form):
     """Treatment of cells that become invalid."""
 
-    mode: Annotated[Mode, about("auto: repair them; off: never; polish: improve others, too")] = "auto"
+    mode: Annotated[Mode, about("auto, off or polish")] = "auto"
     min_jacobian: Annotated[
         float, about("a finite number: cells with a corner below this share of its original are invalid")
     ] = RepairOptions.min_jacobian

@@ -141,8 +141,16 @@ def picture(subject: Subject, options: PlotOptions, title: str = "") -> Page:
         panels = (after,) if subject.reference is None else (before, after)
         return dataclasses.replace(page, panels=panels, title=title)
     scene = _scene(subject, options)
+    whole = scene.view.window(scene.facets.corners, 0.0)
     if options.window:
         window = options.window
+        if max(window.left, whole.left) >= min(window.right, whole.right) or (
+            max(window.bottom, whole.bottom) >= min(window.top, whole.top)
+        ):
+            raise CaseError(
+                f"{options.lead}zoom {options.zoom!r} shows nothing of the grid, which extends from {whole.left:g} to "
+                f"{whole.right:g} and from {whole.bottom:g} to {whole.top:g} in the picture"
+            )
     elif options.close == "walls":
         if not subject.wall_surfaces:
             raise CaseError(f"{options.lead}zoom walls: no wall is known; see `meshdeform info`")

@@ -67,7 +67,8 @@ class Manifest:
             return cls(path, **content)
         except (ValueError, TypeError, KeyError) as error:
             raise FormatError(
-                f"{path} is not the state of a series ({error}); restart the series with --force"
+                f"{path} is not the state of a series that this version can continue ({error}); restart the series "
+                "with --force"
             ) from error
 
     @property

@@ -160,6 +160,7 @@ def test_plot_options(options, bench, call):
     ("options", "words"),
     [
         (("--plane", "z=1.5"), "no part of the grid lies at z = 1.5; it spans z = 0 to 1"),
+        (("--plane", "k=1", "--zoom=5,6,5,6"), "shows nothing of the grid, which extends from"),
         (("--plane", "k=9"), "no block has a node plane k = 9; the largest is 4"),
         (("--plane", "q=1"), "expected a plane of nodes, like k=1 or k=mid, or one in space"),
         (("--metric", "displacement"), "give --reference"),

@@ -192,7 +192,7 @@ class PreparedTFI:
                 reason += f": smaller sub-blocks would take longer, and this {usual}"
             setting = dataclasses.replace(setting, reason=reason)
         self.account.settings["max_cells"] = setting
-        self.account.settings["sub_blocks"] = Setting(len(self._subs))
+        self.account.settings["sub_blocks"] = Setting(len(self._subs), "follows from max_cells")
         # Rows of the nodes that this rank holds.
         self.rows = problem.grid.nodes.ends
         self._straight = cells == 0
