@@ -198,7 +198,7 @@ class Hexahedra(_Elements):
         self, x: FloatArray, reference: FloatArray, penalty: Penalty, low: int, high: int
     ) -> tuple[float, float, float]:
         """Energy, smallest determinant and largest f of the elements low <= m < high."""
-        from ..numerics.cell.foldover.hexahedra import energy_of_cells
+        from ..numerics.cell.foldover.hexahedra import energy_of_cells  # what is imported is compiled
 
         return energy_of_cells(x, *self._loops, reference, tuple(penalty), low, high)
 
