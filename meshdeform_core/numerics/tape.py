@@ -111,7 +111,7 @@ class Tracked(NDArrayOperatorsMixin):
 
     @property
     def T(self) -> Tracked:
-        return self.tape.result(self.value.T, [(self, np.transpose, np.transpose)])
+        return self._gathered(np.transpose)
 
     def __len__(self) -> int:
         return len(self.value)
@@ -125,24 +125,13 @@ class Tracked(NDArrayOperatorsMixin):
 
     def reshape(self, *shape: Any) -> Tracked:
         """Another shape of the same values."""
-        new = self.value.reshape(*shape)
-        return (
-            self.tape.result(new, [(self, lambda t: t.reshape(new.shape), lambda g: g.reshape(self_shape))])
-            if (self_shape := self.shape) != new.shape
-            else self
-        )
+        return self._gathered(lambda values: values.reshape(*shape))
 
     def sum(self, axis: int | None = None, keepdims: bool = False) -> Tracked:
         """Sum along an axis."""
-        shape = self.shape
-
-        def spread(g: FloatArray) -> FloatArray:
-            return np.broadcast_to(g if axis is None or keepdims else np.expand_dims(g, axis), shape)
-
-        return self.tape.result(
-            self.value.sum(axis=axis, keepdims=keepdims),
-            [(self, lambda t: t.sum(axis=axis, keepdims=keepdims), spread)],
-        )
+        value = self.value.sum(axis=axis, keepdims=True)
+        to, found = np.broadcast_to(_numbers(value.shape), self.shape), value if keepdims else value.squeeze(axis)
+        return self.tape.result(found, [_terms(self, found.shape, to=to)])
 
     def max(self) -> Tracked:
         """The largest value of a one-dimensional array; of several largest ones with the mean of their derivatives."""
@@ -154,38 +143,20 @@ class Tracked(NDArrayOperatorsMixin):
         return self.value.any(*args, **options)
 
     def __getitem__(self, place: Any) -> Tracked:
-        shape, once = self.shape, isinstance(place, int | slice)
+        return self._gathered(lambda values: values[place])
 
-        def pull(g: FloatArray) -> FloatArray:
-            total = np.zeros(shape)
-            if once:
-                total[place] = g
-            else:
-                np.add.at(total, place, g)
-            return total
-
-        return self.tape.result(self.value[place], [(self, lambda t: t[place], pull)])
+    def _gathered(self, gather: Callable[[Any], Any]) -> Tracked:
+        """What an operation gives that only moves and copies values."""
+        value = gather(self.value)
+        return self.tape.result(value, [_terms(self, np.shape(value), of=gather(_numbers(self.shape)))])
 
     def __setitem__(self, place: Any, new: Any) -> None:
-        before = Tracked(self.value, self.tape, self.number)
-        value = self.value.copy()
-        value[place] = plain(new)
-
-        def cleared(t: FloatArray) -> FloatArray:
-            t = np.array(t)
-            t[place] = 0.0
-            return t
-
-        links: list[Link] = [(before, cleared, cleared)]
+        value, kept, shape = self.value.copy(), np.ones(self.shape), self.shape
+        value[place], kept[place] = plain(new), 0.0
+        links = [_terms(Tracked(self.value, self.tape, self.number), shape, kept)]
         if isinstance(new, Tracked):
-            shape = new.shape
-
-            def put(t: FloatArray) -> FloatArray:
-                total = np.zeros(value.shape)
-                total[place] = t
-                return total
-
-            links.append((new, put, lambda g: _reduced(g[place], shape)))
+            to = _numbers(shape)[place]
+            links.append(_terms(new, shape, of=np.broadcast_to(_numbers(new.shape), to.shape), to=to))
         self._become(self.tape.result(value, links))
 
     def _become(self, other: Tracked) -> None:
@@ -198,7 +169,7 @@ class Tracked(NDArrayOperatorsMixin):
         if ufunc.__name__ in _FIXED:
             return ufunc(*values)
         if ufunc is np.matmul:
-            return _products(np.matmul, _MATMUL[values[0].ndim, values[1].ndim], inputs)
+            return _products(_MATMUL[values[0].ndim, values[1].ndim], *inputs)
         out, mask = options.get("out", (None,))[0], options.get("where", True)
         # Where the mask is false, the result is ``out``, which must not be a tracked array.
         value = ufunc(*values) if mask is True else ufunc(*values, out=plain(out).copy(), where=mask)
@@ -208,7 +179,7 @@ class Tracked(NDArrayOperatorsMixin):
         for each, partial in zip(inputs, partials, strict=True):
             if isinstance(each, Tracked):
                 factor = partial if mask is True else np.where(mask, partial, 0.0)
-                links.append(_scaled(each, factor, np.shape(value)))
+                links.append(_spread(each, np.shape(value), factor))
         found = self.tape.result(value, links)
         if isinstance(out, Tracked):
             out._become(found)
@@ -237,25 +208,41 @@ def _quotient(a: Any, b: Any) -> Any:
     return np.where(b != 0.0, a / np.where(b != 0.0, b, 1.0), 0.0)
 
 
-def _reduced(gradient: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-    """The transpose of broadcasting an array of ``shape``."""
-    while gradient.ndim > len(shape):
-        gradient = gradient.sum(axis=0)
-    wide = tuple(n for n, size in enumerate(shape) if size == 1 and gradient.shape[n] != 1)
-    return gradient.sum(axis=wide, keepdims=True) if wide else gradient
+def _numbers(shape: tuple[int, ...]) -> IntArray:
+    """The numbers of the elements of an array, in its shape."""
+    return np.arange(math.prod(shape)).reshape(shape)
 
 
-def _scaled(source: Tracked, factor: Any, shape: tuple[int, ...]) -> Link:
-    """Link of an elementwise operation with partial derivative ``factor``."""
+def _terms(
+    source: Tracked, shape: tuple[int, ...], factor: Any = 1.0, of: IntArray | None = None, to: IntArray | None = None
+) -> Link:
+    """Link to a result of this ``shape`` that is a sum of terms: a factor times the elements ``of`` the source, by
+    number, added ``to`` those of the result; by default one term for each element, in order."""
     own = source.shape
-    return source, lambda t: np.broadcast_to(factor * t, shape), lambda g: _reduced(np.asarray(factor * g), own)
+    return source, lambda t: _added(t, factor, of, to, shape), lambda g: _added(g, factor, to, of, own)
+
+
+def _added(
+    values: FloatArray, factor: Any, of: IntArray | None, to: IntArray | None, shape: tuple[int, ...]
+) -> FloatArray:
+    terms = factor * (values if of is None else values.ravel()[of])
+    if to is not None:
+        terms = np.bincount(to.ravel(), np.broadcast_to(terms, to.shape).ravel(), math.prod(shape))
+    return np.asarray(terms).reshape(shape)
+
+
+def _spread(source: Tracked, shape: tuple[int, ...], factor: Any) -> Link:
+    """Link of an elementwise operation with partial derivative ``factor``, for which the source is broadcast."""
+    return _terms(
+        source, shape, factor, None if source.shape == shape else np.broadcast_to(_numbers(source.shape), shape)
+    )
 
 
 def _tape_of(values: Any) -> Tape:
     return next(each.tape for each in values if isinstance(each, Tracked))
 
 
-def _products(function: Callable[..., Any], rule: str, operands: Any) -> Tracked:
+def _products(rule: str, *operands: Any) -> Tracked:
     """A sum of products by an ``einsum`` rule; every index of an operand occurs in another operand or in the result."""
     values = [plain(each) for each in operands]
     inputs, result = rule.split("->")
@@ -280,58 +267,38 @@ def _where(mask: Any, yes: Any, no: Any) -> Tracked:
     mask = plain(mask)
     value = np.where(mask, plain(yes), plain(no))
     chosen = ((yes, np.where(mask, 1.0, 0.0)), (no, np.where(mask, 0.0, 1.0)))
-    links = [_scaled(each, factor, value.shape) for each, factor in chosen if isinstance(each, Tracked)]
+    links = [_spread(each, value.shape, factor) for each, factor in chosen if isinstance(each, Tracked)]
     return _tape_of((yes, no)).result(value, links)
 
 
 def _joined(join: Callable[..., Any], parts: Any, axis: int) -> Tracked:
-    value = join([plain(each) for each in parts], axis=axis)
+    values = [np.asarray(plain(each)) for each in parts]
+    value, ends = join(values, axis=axis), np.cumsum([0, *(each.size for each in values)])
+    # Where in all operands, one after the other, the elements of the result come from.
+    numbers = join([_numbers(each.shape) + first for each, first in zip(values, ends, strict=False)], axis=axis).ravel()
     links: list[Link] = []
-    for n, each in enumerate(parts):
+    for each, first, last in zip(parts, ends, ends[1:], strict=False):
         if isinstance(each, Tracked):
-            # Where the entries of operand n end up in the result.
-            shapes = [np.shape(plain(part)) for part in parts]
-            places = join([np.full(shape, m == n) for m, shape in enumerate(shapes)], axis=axis)
-            order = join([np.arange(math.prod(shape)).reshape(shape) for shape in shapes], axis=axis)[places]
-
-            def push(t: FloatArray, places: Any = places, order: Any = order) -> FloatArray:
-                total = np.zeros(places.shape)
-                total[places] = np.asarray(t).ravel()[order]
-                return total
-
-            def pull(g: FloatArray, places: Any = places, order: Any = order, shape: Any = each.shape) -> FloatArray:
-                total = np.empty(math.prod(shape))
-                total[order] = g[places]
-                return total.reshape(shape)
-
-            links.append((each, push, pull))
+            to = np.flatnonzero((numbers >= first) & (numbers < last))
+            links.append(_terms(each, value.shape, of=numbers[to] - first, to=to))
     return _tape_of(parts).result(value, links)
-
-
-def _cross(a: Any, b: Any) -> Tracked:
-    x, y = plain(a), plain(b)
-    value = np.cross(x, y)
-    links: list[Link] = []
-    if isinstance(a, Tracked):
-        links.append((a, lambda t: np.cross(t, y), lambda g: _reduced(np.cross(y, g), x.shape)))
-    if isinstance(b, Tracked):
-        links.append((b, lambda t: np.cross(x, t), lambda g: _reduced(np.cross(g, x), y.shape)))
-    return _tape_of((a, b)).result(value, links)
 
 
 def _bincount(places: Any, weights: Tracked, minlength: int = 0) -> Tracked:
     value = np.bincount(places, weights.value, minlength)
-    return weights.tape.result(
-        value, [(weights, lambda t: np.bincount(places, t, minlength).astype(np.float64), lambda g: g[places])]
-    )
+    return weights.tape.result(value, [_terms(weights, value.shape, to=places)])
+
+
+_PERMUTATIONS = np.array([[[(i - j) * (j - k) * (k - i) / 2.0 for k in range(3)] for j in range(3)] for i in range(3)])
+"""The sign of every permutation i, j, k of 0, 1, 2, and zero: the cross product is sum a_i b_j sign_ijk."""
 
 
 _FUNCTIONS: dict[Any, Callable[..., Any]] = {
-    np.einsum: lambda rule, *operands: _products(np.einsum, rule, operands),
+    np.einsum: _products,
     np.where: _where,
     np.concatenate: lambda parts, axis=0: _joined(np.concatenate, parts, axis),
     np.stack: lambda parts, axis=0: _joined(np.stack, parts, axis),
-    np.cross: _cross,
+    np.cross: lambda a, b: _products(f"{'ni'[-a.ndim :]},{'nj'[-b.ndim :]},ijk->nk", a, b, _PERMUTATIONS),
     np.bincount: _bincount,
     np.linalg.norm: lambda x, axis=None, keepdims=False: np.sqrt((x * x).sum(axis=axis, keepdims=keepdims)),
     np.zeros_like: lambda x: x.tape.result(np.zeros(x.shape), []),
