@@ -46,7 +46,6 @@ def read_vtk_xml(path: Path) -> DisplacementTable:
             triangles = np.concatenate([fans(*kinds[0]), fans(*kinds[1], strip=True)])
         else:
             triangles = _cells(reader, piece)
-        reader.require_no_rest()
     return surface_table(path, points, arrays, triangles)
 
 

@@ -17,9 +17,9 @@ from meshdeform_core.grid import FileFormat, Grid
 
 from ..files import replacing_by_all, shown
 from .dataset import DataSet, write_blocks
+from .xml_arrays import attribute, begin_block
 from .xml_arrays import read as read_piece
 from .xml_tags import DEEPEST, read_tags
-from .xml_write import attribute, begin_block
 
 _SET = "vtkMultiBlockDataSet"
 

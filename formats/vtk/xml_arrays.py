@@ -1,32 +1,32 @@
-"""Structured grids in VTK's XML files (.vts), and the values of the arrays in all XML files, each checked against the
-expected number.
+"""Structured grids in VTK's XML files (.vts), read and written, and the values of the arrays in all XML files.
 
 A binary array is preceded by its number of bytes or, if compressed, by the number of blocks, the size of a block, the
 size of the last block if smaller (else 0), and the compressed size of each block. All of them are checked against the
-file and the expected number of values before anything is allocated. In base64, a compressed array is two segments, each
-padded to four characters; without compression size and values are one, of some writers two.
+file and the expected number of values before anything is allocated. In base64 these sizes and the values are one piece,
+or two, each padded to four characters.
 """
 
 from __future__ import annotations
 
 import binascii
-import io
 import lzma
 import math
 import re
 import zlib
+from collections.abc import Sequence
+from functools import cached_property
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import Shape
+from meshdeform_core.grid import FileFormat, Grid, Shape
 from meshdeform_core.parallel import require_undivided
 
 from ..text import strict_numbers
-from .dataset import DataArray, DataSet, Run
+from .dataset import BlockOutput, DataArray, DataSet, Reserved, Run, StoredArray
 from .xml_tags import TAG, Element, XmlFile, read_tags
 
 TYPES = {
@@ -51,39 +51,13 @@ _ALWAYS_ALLOWED = 64 << 20
 _LZMA_MEMORY = 80 << 20
 
 
-class Encoded(NamedTuple):
-    """The bytes of an array between ``start`` and ``end`` of a stream, as they are or in base64."""
-
-    stream: BinaryIO
-    start: int
-    end: int
-    base64: bool
-
-    def end_of(self, place: int, count: int) -> int:
-        """End of a segment of ``count`` bytes that begins at ``place``."""
-        return place + (-(-count // 3) * 4 if self.base64 else count)
-
-    def segment(self, place: int, count: int) -> bytes:
-        """The ``count`` bytes of a segment that begins at ``place``; up to two more where it continues in base64.
-
-        Raises binascii.Error when characters or padding are not base64, or there are fewer bytes.
-        """
-        self.stream.seek(place)
-        data = self.stream.read(self.end_of(place, count) - place)
-        if self.base64:
-            data = binascii.a2b_base64(data, strict_mode=True)
-        if len(data) < count:
-            raise binascii.Error("the data end too early")
-        return data
-
-
 class ArrayReader:
     """Reads the arrays of one file."""
 
     def __init__(self, file: XmlFile, stream: BinaryIO) -> None:
         self.file, self._stream = file, stream
         self._order = "<" if file.options["byte_order"] == "little" else ">"
-        self._head = np.dtype(self._order + ("u4" if file.options["header_type"] == "UInt32" else "u8"))
+        self._size = np.dtype(self._order + ("u4" if file.options["header_type"] == "UInt32" else "u8"))
         self._compressed = file.compression != "none"
         self._left = _ALWAYS_ALLOWED + LARGEST_RATIO[file.compression] * file.size
 
@@ -106,17 +80,14 @@ class ArrayReader:
         shape = (tuples,) if stated == 1 else (tuples, stated)
         if array.get("format") in ("", "ascii"):
             try:
-                found = numbers_in_text(self._content(array), dtype.newbyteorder("="))
+                found = numbers_in_text(self._read(*self._text(array)), dtype.newbyteorder("="))
             except ValueError as error:
                 raise self.error(array, f"holds {error}, expected {dtype.name} numbers") from error
             if len(found) != count:
                 raise self.error(array, f"has {len(found)} values, expected {wanted}")
             return found.reshape(shape)
         size = (count + 7) // 8 if kind == "Bit" else count * dtype.itemsize
-        try:
-            stored = self._binary(array, size, wanted, later and kind != "Bit")
-        except binascii.Error as error:
-            raise self.error(array, f"contains something that is not base64: {error}") from error
+        stored = self._binary(array, size, wanted, later and kind != "Bit")
         if isinstance(stored, int):
             return Run(self.file.path, dtype, stored, shape)
         return (np.unpackbits(stored)[:count] if kind == "Bit" else stored.view(dtype)).reshape(shape)
@@ -140,27 +111,6 @@ class ArrayReader:
             raise self.error(element, f"has {name} {word!r}, expected a count")
         return int(word)
 
-    def require_no_rest(self) -> None:
-        """Require that the last appended array ends where the appended data do, white space aside.
-
-        Offsets count from the beginning of the data: bytes inserted into the last array would go unnoticed, and the
-        values after them would be read shifted.
-
-        Raises FormatError when other bytes follow the last array.
-        """
-        end, closing = 0, self.file.appended[1]
-        for array in self.file.root.below():
-            if array.get("format") == "appended":
-                data = self._encoded(array)
-                _, place, count = self._sizes_of(array, data)
-                end = max(end, data.end_of(place, count))
-        self._stream.seek(end)
-        if end and self._stream.read(closing - end).strip():
-            raise FormatError(
-                f"cannot read {self.file.path}: the appended data go on after the last array, from byte {end} to "
-                f"{closing}; expected the closing tag there, the file is damaged"
-            )
-
     def error(self, element: Element, message: str) -> FormatError:
         """An error with the element and its line."""
         what = element.tag
@@ -168,89 +118,86 @@ class ArrayReader:
             what = f"array {element.get('Name') or 'without name'}"
         return FormatError(f"cannot read {self.file.path}, line {element.line}: {what} {message}")
 
-    def _content(self, array: Element) -> bytes:
-        """The text of an array."""
-        self._stream.seek(array.start)
-        content = self._stream.read(array.end - array.start)
-        opening = TAG.match(content)
-        return content[opening.end() :] if opening else b""
+    def _read(self, start: int, end: int) -> bytes:
+        self._stream.seek(start)
+        return self._stream.read(end - start)
+
+    def _text(self, array: Element) -> tuple[int, int]:
+        """First and last byte (exclusive) of the text of an array."""
+        opening = TAG.match(self._read(array.start, array.end))
+        return array.start + opening.end() if opening else array.end, array.end
+
+    @cached_property
+    def _appended(self) -> dict[int, int]:
+        """First and last byte (exclusive) of every appended array: it may reach to where the next one begins."""
+        first, closing = self.file.appended
+        arrays = [array for array in self.file.root.below() if array.get("format") == "appended"]
+        begins = sorted({first + self.number(array, "offset") for array in arrays})
+        return {begin: min(after, closing) for begin, after in zip(begins, [*begins[1:], closing], strict=True)}
+
+    def _place(self, array: Element) -> tuple[int, int, bool]:
+        """First and last byte (exclusive) of a binary array, and whether it is in base64."""
+        if array.get("format") == "binary":
+            return *self._text(array), True
+        if array.get("format") != "appended":
+            raise self.error(array, f"has format {array.get('format')!r}; known are ascii binary appended")
+        if not self.file.appended_encoding:
+            raise self.error(array, "refers to appended data, but the file has none")
+        first, closing = self.file.appended
+        start = first + self.number(array, "offset")
+        if start > closing:
+            raise self.error(array, f"begins at byte {start}, after the end of the appended data at {closing}")
+        return start, self._appended[start], self.file.appended_encoding != "appended"
 
     def _binary(self, array: Element, size: int, wanted: str, later: bool) -> NDArray[np.uint8] | int:
         """The ``size`` bytes of an array or, with ``later``, the position of those that are stored as they are."""
-        data = self._encoded(array)
-        sizes, place, count = self._sizes_of(array, data)
+        (start, end, base64), width = self._place(array), self._size.itemsize
+        later = later and not base64 and not self._compressed
+        content = self._read(start, min(start + width, end) if later else end)
+        if base64:
+            try:
+                # One piece or two, of which the first may be padded.
+                pieces = re.findall(rb"[^=]*=*", content.strip())
+                content = b"".join(binascii.a2b_base64(piece, strict_mode=True) for piece in pieces)
+            except binascii.Error as error:
+                raise self.error(array, f"contains something that is not base64: {error}") from error
+        # The sizes in front of the values, the last ones those of compressed blocks.
+        sizes = np.frombuffer(content, self._size, min(len(content) // width, 1)).tolist()
+        number = 3 + sum(sizes) if self._compressed else 1
+        sizes = np.frombuffer(content, self._size, min(len(content) // width, number)).tolist()
+        head, packed = number * width, sizes[3:] if self._compressed else sizes
+        filled = head + sum(packed)
+        if filled > (end - start if later else len(content)):
+            raise self.error(array, f"has an impossible size, at byte {start}; the file is damaged")
+        stated = sizes[0]
         if self._compressed:
             blocks, block, last = sizes[:3]
             stated = blocks * block - (block - last if blocks and last else 0)
-            if stated != size:
-                raise self.error(array, f"decompresses to {stated} bytes, expected {size} for {wanted}")
-        elif sizes[0] != size:
-            raise self.error(array, f"has {sizes[0]} bytes, expected {size} for {wanted}")
-        elif later and not data.base64:
-            return place
+        if stated != size:
+            verb = "decompresses to" if self._compressed else "has"
+            raise self.error(array, f"{verb} {stated} bytes, expected {size} for {wanted}")
+        # Offsets count from the beginning of the data: bytes inserted into the last array would shift its values.
+        if array.get("format") == "binary" or end == self.file.appended[1]:
+            rest = self._read(start + filled, end) if later else content[filled:]
+            if rest.strip():
+                raise self.error(array, "continues after its last value; the file is damaged")
+        if later:
+            return start + head
         self._left -= size
         if self._left < 0:
             raise self.error(array, f"cannot hold {wanted}: the file has only {self.file.size} bytes")
-        if array.get("format") == "binary" and data.end_of(place, count) != data.end:
-            raise self.error(array, "continues after its last value")
-        content = data.segment(place, count)
-        if self._compressed:
-            values, filled, begin = np.empty(size, np.uint8), 0, 0
-            blocks, block, last, *packed = sizes
-            for number, length in enumerate(packed, start=1):
-                part = min(last if number == blocks and last else block, size - filled)
-                try:
-                    unpacked = unpack(self.file.compression, content[begin : begin + length], part)
-                except ValueError as error:
-                    raise self.error(array, f"is damaged in block {number} of {blocks}: {error}") from error
-                values[filled : filled + part] = np.frombuffer(unpacked, np.uint8)
-                filled, begin = filled + part, begin + length
-            return values
-        return np.frombuffer(content, np.uint8)[count - size : count]
-
-    def _encoded(self, array: Element) -> Encoded:
-        if array.get("format") == "binary":
-            text = self._content(array).strip()
-            return Encoded(io.BytesIO(text), 0, len(text), True)
-        if array.get("format") != "appended":
-            raise self.error(array, f"has format {array.get('format')!r}; known are ascii binary appended")
-        start, end = self.file.appended
-        if not self.file.appended_encoding:
-            raise self.error(array, "refers to appended data, but the file has none")
-        start += self.number(array, "offset")
-        if start > end:
-            raise self.error(array, f"begins at byte {start}, after the end of the appended data at {end}")
-        return Encoded(self._stream, start, end, self.file.appended_encoding != "appended")
-
-    def _sizes_of(self, array: Element, data: Encoded) -> tuple[list[int], int, int]:
-        """The sizes that precede an array, and the beginning and number of bytes of the segment with its values, which
-        are its last ones."""
-
-        def leading(count: int) -> tuple[list[int], int]:
-            """So many sizes, and how many bytes of their segment follow at least."""
-            size = count * self._head.itemsize
-            if data.end_of(data.start, size) > data.end:
-                raise binascii.Error
-            head = data.segment(data.start, size)
-            return np.frombuffer(head, self._head, count).tolist(), len(head) - size
-
-        try:
-            number = 3 + leading(3)[0][0] if self._compressed else 1
-            sizes, rest = leading(number)
-            size, place = sum(sizes[3:]) if self._compressed else sizes[0], data.start
-            if rest:
-                size += number * self._head.itemsize
-            else:
-                place = data.end_of(place, number * self._head.itemsize)
-            if data.end_of(place, size) > data.end or (rest and self._compressed):
-                raise binascii.Error
-        except binascii.Error as error:
-            name, byte = array.get("Name") or "without name", max(data.start, array.start)
-            raise FormatError(
-                f"cannot read {self.file.path}: the size of array {name}, at byte {byte}, is impossible; the file is "
-                "damaged"
-            ) from error
-        return sizes, place, size
+        if not self._compressed:
+            return np.frombuffer(content, np.uint8, size, head)
+        values, done = np.empty(size, np.uint8), 0
+        for number, length in enumerate(packed, start=1):
+            part = min(last if number == blocks and last else block, size - done)
+            try:
+                unpacked = unpack(self.file.compression, content[head : head + length], part)
+            except ValueError as error:
+                raise self.error(array, f"is damaged in block {number} of {blocks}: {error}") from error
+            values[done : done + part] = np.frombuffer(unpacked, np.uint8)
+            done, head = done + part, head + length
+        return values
 
 
 def numbers_in_text(text: bytes, dtype: np.dtype[Any]) -> NDArray[Any]:
@@ -387,7 +334,6 @@ def read(path: Path) -> DataSet:
             *read_section(reader, piece, "PointData", ni * nj * nk, notes, later=True),
             *read_section(reader, piece, "CellData", n_cells, notes, later=True),
         ]
-        reader.require_no_rest()
     return DataSet(points, tuple(arrays), file.options, tuple(dict.fromkeys(notes)))
 
 
@@ -404,3 +350,100 @@ def _extent(reader: ArrayReader, element: Element, name: str) -> Extent:
             f"{count} entries"
         )
     return (i, j, k), shape
+
+
+# --- writing
+
+_TYPE_NAMES = {code: name for name, code in TYPES.items()}
+
+# Space for the offset of an array in its tag, which is written before the offset is known.
+_OFFSET_DIGITS = 20
+
+_REPLACED = {"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "\n": "&#10;", "\r": "&#13;", "\t": "&#9;"}
+_ESCAPES = str.maketrans(_REPLACED)
+_NOT_IN_XML = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
+
+
+def begin_block(grid: Grid, block: int, path: Path, variant: FileFormat, contents: Sequence[StoredArray]) -> Reserved:
+    """Write one block to a .vts file, where values are stored as they are without those that have planes; returns the
+    places of these.
+
+    Raises FormatError when a field cannot be stored in a VTK file. Raises OSError when the file cannot be written.
+    """
+    points, *arrays = contents
+    extent = " ".join(f"0 {n - 1}" for n in grid.shapes[block])
+    with path.open("wb") as stream:
+        output = _Output(stream, variant)
+        output.data_set(extent, points, arrays)
+    return output.reserved(contents)
+
+
+def attribute(text: str) -> str:
+    """A text as the value of an XML attribute.
+
+    Raises FormatError when it contains characters that XML cannot hold.
+    """
+    if bad := _NOT_IN_XML.search(text):
+        raise FormatError(f"the name {text!r} contains the character {bad[0]!r}, which a VTK file cannot hold")
+    return f'"{text.translate(_ESCAPES)}"'
+
+
+class _Output(BlockOutput):
+    """A .vts file being written."""
+
+    def __init__(self, stream: BinaryIO, variant: FileFormat) -> None:
+        super().__init__(stream)
+        self.encoding = variant.options["encoding"]
+        self.appended: list[tuple[StoredArray, int]] = []
+
+    def data_set(self, extent: str, points: StoredArray, arrays: Sequence[StoredArray]) -> None:
+        head = 'type="StructuredGrid" version="1.0" byte_order="LittleEndian" header_type="UInt64"'
+        self.line(f'<?xml version="1.0"?>\n<VTKFile {head}>')
+        self.line(f'  <StructuredGrid WholeExtent="{extent}">')
+        field_data = [array for array in arrays if not array.location]
+        if field_data:
+            self.section("FieldData", field_data)
+        self.line(f'    <Piece Extent="{extent}">')
+        for tag in ("PointData", "CellData"):
+            self.section(tag, [array for array in arrays if array.location == SECTIONS[tag]])
+        self.section("Points", [points])
+        self.line("    </Piece>\n  </StructuredGrid>")
+        if self.appended:
+            self.append()
+        self.line("</VTKFile>")
+
+    def section(self, tag: str, arrays: Sequence[StoredArray]) -> None:
+        self.line(f"      <{tag}>")
+        for array in arrays:
+            self.array(array)
+        self.line(f"      </{tag}>")
+
+    def array(self, array: StoredArray) -> None:
+        words = [f'type="{_TYPE_NAMES[array.precision.str[1:]]}"']
+        words.append(f"Name={attribute(array.name)}")
+        if array.components != 1:
+            words.append(f'NumberOfComponents="{array.components}"')
+        if not array.location:
+            words.append(f'NumberOfTuples="{array.tuples}"')
+        self.stream.write(f'        <DataArray {" ".join(words)} format="{self.encoding}"'.encode())
+        if self.encoding == "appended":
+            self.stream.write(b' offset="')
+            self.appended.append((array, self.stream.tell()))
+            self.line(" " * (_OFFSET_DIGITS + 1) + "/>")
+            return
+        self.line(">")
+        self.text(array)
+        self.line("        </DataArray>")
+
+    def append(self) -> None:
+        """All arrays in sequence, and their offsets in the tags."""
+        self.stream.write(b'  <AppendedData encoding="raw">\n   _')
+        start = self.stream.tell()
+        for array, place in self.appended:
+            offset = self.stream.tell() - start
+            self.stream.seek(place)
+            self.stream.write(f'{offset}"'.encode())
+            self.stream.seek(start + offset)
+            self.stream.write(np.array(array.nbytes, "<u8").tobytes())
+            self.binary(array, "<")
+        self.line("\n  </AppendedData>")

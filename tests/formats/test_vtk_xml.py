@@ -108,7 +108,7 @@ BAD = {
     "another compressor": (vts(ONE, root=' compressor="gz"'), "has compressor 'gz'; known are"),
     "a truncated file": (vts(ONE).replace("</VTKFile>", ""), "does not end with </VTKFile>; the file is truncated"),
     "another end tag": (vts(ONE).replace("</Points>", "</Point>"), "Error parsing XML"),
-    "no size": (vts(piece("0 2 0 1 0 0", array([], text="?", format="binary"))), "the size of array Points, at byte"),
+    "no size": (vts(piece("0 2 0 1 0 0", array([], text="AAAA", format="binary"))), "Points has an impossible size, at byte"),
     "no piece": (vts(), "is an empty grid"),
     "no points": (vts(piece("0 2 0 1 0 0", "")), "has 0 arrays of Points, expected 1"),
     "too many values": (
@@ -214,8 +214,8 @@ def test_appended_data(tmp_path):
 BAD_APPENDED = {
     "an offset behind the end": (appended(RAW, offset=999), "begins at byte .*, after the end of the appended data"),
     "no offset": (appended(RAW, offset="x"), "has offset 'x', expected a count"),
-    "a wrong size": (appended(b"\x90\0\0\1" + RAW[4:]), "the size of array Points, at byte"),
-    "too little": (appended(RAW[:-1]), "the size of array Points, at byte"),
+    "a wrong size": (appended(b"\x90\0\0\1" + RAW[4:]), "Points has an impossible size, at byte"),
+    "too little": (appended(RAW[:-1]), "Points has an impossible size, at byte"),
     "another size": (appended(np.array([136], "<u4").tobytes() + RAW[4:]), "has 136 bytes, expected 144"),
     "no underscore": (appended(RAW).replace(b">_", b"> "), "no '_' follows the AppendedData tag"),
     "no end of the data": (appended(RAW).replace(b"</Appended", b"</appended"), "do not end with </AppendedData>"),
@@ -226,11 +226,11 @@ BAD_APPENDED = {
     ),
     "zlib of less": (appended(packed(PLANE.tobytes()[:-1]), root=ZLIB), "decompresses to 143 bytes, expected 144"),
     "more blocks than bytes": (
-        appended(np.array([2**30, 144, 0], "<u4").tobytes() + b"x" * 99, root=ZLIB), "the size of array Points"
+        appended(np.array([2**30, 144, 0], "<u4").tobytes() + b"x" * 99, root=ZLIB), "Points has an impossible size"
     ),
-    "a line that exists twice": (appended(RAW[:40] + RAW[20:]), "go on after the last array, from byte"),
-    "bytes after the last array": (appended(RAW + b"\n</VTKFile>x"), "go on after the last array, from byte"),
-    "base64 after the last array": (appended(base64.b64encode(RAW) + b"AAAA", "base64"), "go on after the last array"),
+    "a line that exists twice": (appended(RAW[:40] + RAW[20:]), "Points continues after its last value"),
+    "bytes after the last array": (appended(RAW + b"\n</VTKFile>x"), "Points continues after its last value"),
+    "base64 after the last array": (appended(base64.b64encode(RAW) + b"AAAA", "base64"), "continues after its last value"),
     "lzma that needs memory": (
         appended(
             packed(
