@@ -60,10 +60,7 @@ NeutralMap = tuple[tuple[Shape, ...], tuple[Entry, ...], tuple[str, ...]]
 
 
 def parse_neutral_map(path: Path) -> NeutralMap:
-    """Read the text of a neutral map file; comments and stray backslashes at line ends are skipped.
-
-    Raises FormatError when the file cannot be read or a line does not conform to the format.
-    """
+    """Read the text of a neutral map file; comments and stray backslashes at line ends are skipped."""
     require_regular(path)
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
@@ -190,9 +187,6 @@ def read_neutral_map(path: Path, grid: Grid) -> Grid:
     An entry becomes a patch whose family and ``bc_type`` are the type of the entry and whose name is numbered, like
     ``viscous_solid-2``; a one-to-one entry becomes a connection. A 2-D grid also accepts the map of the same grid with
     one layer of cells; entries on the plane of the 2-D grid itself are omitted with a note.
-
-    Raises FormatError when the file cannot be read, is not a neutral map, or describes blocks that the grid does not
-    have.
     """
     sizes, entries, notes = parse_neutral_map(Path(path))
     frame = _frame(sizes, entries, grid, Path(path))
@@ -269,10 +263,7 @@ Spans = Mapping[int, tuple[int, int]]
 
 
 def write_neutral_map(grid: Grid, path: Path) -> None:
-    """Write patches and connections of ``grid`` as a neutral map file, replacing ``path`` as a whole.
-
-    Raises FormatError when the file cannot be written.
-    """
+    """Write patches and connections of ``grid`` as a neutral map file, replacing ``path`` as a whole."""
     with replacing(Path(path)) as partial:
         partial.write_text(neutral_map_text(grid), encoding="utf-8")
 

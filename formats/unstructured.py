@@ -54,8 +54,6 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
 
     ``.msh`` takes ``encoding`` (``binary`` or ``ascii``); ``.vtu`` and ``.xdmf`` take ``boundary`` (``false`` or
     ``true``: the outside faces too, with a field ``family``).
-
-    Raises FormatError for unknown options.
     """
     suffix = Path(path).suffix.lower()
     known = _OPTIONS.get(suffix, {})
@@ -65,10 +63,7 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
 
 
 def write(grid: Grid, path: Path, variant: FileFormat) -> None:
-    """Write ``grid`` in the variant given by :func:`variant`, replacing ``path`` as a whole.
-
-    Raises FormatError when the file cannot be written, or the format cannot hold the grid (2-D SU2 needs a plane grid).
-    """
+    """Write ``grid`` in the variant given by :func:`variant`, replacing ``path`` as a whole."""
     mesh = _unstructured(grid, separated(grid, find_topology(grid)))
     options, kind = variant.options, variant.options["kind"]
     with replacing(Path(path)) as partial:

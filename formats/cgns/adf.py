@@ -45,11 +45,7 @@ def is_adf(path: Path) -> bool:
 
 
 def read_adf(path: Path) -> Node:
-    """Root node of an ADF file; data arrays are views of the file, read when used.
-
-    Raises FormatError when the file is not ADF, truncated, damaged, or in a number format of obsolete machines; also
-    later, when a damaged part is reached.
-    """
+    """Root node of an ADF file; data arrays are views of the file, read when used."""
     return _AdfFile(path, {}).root
 
 

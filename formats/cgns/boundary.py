@@ -47,10 +47,8 @@ def zone_patches(zone: Zone, block: int, families: Mapping[str, str], notes: Not
 
 
 def condition_windows(condition: Node, zone: Zone, block: int, notes: Notes) -> list[Window]:
-    """Windows of a boundary condition; points that are not on a block face are noted and ignored.
-
-    Raises FormatError when its indices exceed the zone: an ignored wall would not move with the others.
-    """
+    """Windows of a boundary condition; points that are not on a block face are noted and ignored, indices beyond the
+    zone refused: an ignored wall would not move with the others."""
     place = f"{zone.name}/{condition.name}"
     sets = [child for name in _POINT_SETS for child in condition.target.children if child.name == name]
     for child in sets:

@@ -18,10 +18,7 @@ _MOST_NODES = 10_000_000
 
 @contextmanager
 def opened_cgns(path: Path) -> Iterator[Node]:
-    """Root node of a CGNS file; the tree can be read while the context lasts.
-
-    Raises FormatError when the file is missing, damaged or not CGNS, at once or when the damaged part is reached.
-    """
+    """Root node of a CGNS file; the tree can be read while the context lasts."""
     if is_adf(path):
         yield read_adf(path)
     else:
@@ -45,10 +42,7 @@ def naming(path: Path) -> Iterator[None]:
 
 
 def linked_files(path: Path) -> Iterator[Path]:
-    """The files that the links of a CGNS file lead to; links are not followed, so that circular links end.
-
-    Raises FormatError when the file is damaged.
-    """
+    """The files that the links of a CGNS file lead to; links are not followed, so that circular links end."""
     if not is_adf(path):
         from .hdf5 import external_targets
 

@@ -32,8 +32,6 @@ def read(path: Path) -> Grid:
 
     Patches are named after the BC_t, families after FamilyName. Coordinates are in the file's length unit, given in
     ``Grid.notes`` if the file declares it; z is zero if the file has only x and y.
-
-    Raises FormatError when the file is damaged, or its zones are unstructured or in cylindrical coordinates.
     """
     notes = Notes()
     with naming(path), opened_cgns(path) as root:
@@ -92,10 +90,7 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
 
 
 def write(grid: Grid, path: Path, variant: FileFormat) -> None:
-    """Write ``grid``, replacing ``path`` as a whole or leaving it unchanged; on all ranks.
-
-    Raises FormatError when the grid's original file is missing or has changed, or the new one cannot be written.
-    """
+    """Write ``grid``, replacing ``path`` as a whole or leaving it unchanged; on all ranks."""
     # Imported here because reading ADF needs no HDF5.
     from .output import write_copy, write_new
 

@@ -156,9 +156,6 @@ def solution_nodes(
 
     They are without values; writing them appends the places of these to ``places``. ``shape`` are the nodes of the zone
     along its index axes (two or three), ``numbers`` those of the fields. Vectors become nameX, nameY, nameZ.
-
-    Raises FormatError when a field has another shape than the nodes, cells or faces of its block, or its zone has none
-    of them.
     """
     solutions = []
     for location, word in _LOCATIONS.items():

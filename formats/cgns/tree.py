@@ -133,10 +133,7 @@ class Node:
         return self.link is not None and not self.target.label
 
     def child(self, name: str) -> Node | None:
-        """The child of that name, with links followed; ``None`` if there is none.
-
-        Raises FormatError when it is a broken link.
-        """
+        """The child of that name, with links followed, which must not be broken; ``None`` if there is none."""
         child = self.target.by_name.get(name)
         if child is None:
             return None
@@ -146,7 +143,7 @@ class Node:
     def labelled(self, label: str) -> list[Node]:
         """Children of that label in file order, under their names here (links are not followed).
 
-        Raises FormatError when a broken link could be one of them, according to the names that the standard prescribes.
+        A broken link that could be one of them, by the names that the standard prescribes, is refused.
         """
         for child in self.target.broken_links:
             prescribed = child.name.startswith(label.removesuffix("_t"))
@@ -202,10 +199,7 @@ class Node:
         return [decoded(raw[at : at + width]) for at in range(0, len(raw), width)]
 
     def integers(self, *dims: int) -> NDArray[np.int64]:
-        """Integer data of exactly these dimensions; ``-1`` stands for any size.
-
-        Raises FormatError when the node has other data.
-        """
+        """Integer data of exactly these dimensions; ``-1`` stands for any size."""
         found = self.target
         fits = len(found.dims) == len(dims) and all(n in (-1, m) for n, m in zip(dims, found.dims, strict=True))
         if not fits or found.dtype is None or found.dtype.kind not in "iu" or found.data_type == "C1":

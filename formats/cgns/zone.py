@@ -69,10 +69,7 @@ class Zone:
 
 
 def base_and_zones(root: Node, notes: Notes | None = None) -> tuple[Base, list[Zone]]:
-    """The first base that has zones, and these in file order; other bases are noted.
-
-    Raises FormatError when a zone is unstructured, has no Cartesian coordinates, or its sizes and arrays disagree.
-    """
+    """The first base that has zones, and these in file order; other bases are noted."""
     notes = notes or Notes()
     bases = root.labelled("CGNSBase_t")
     if not bases:

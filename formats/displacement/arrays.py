@@ -24,10 +24,7 @@ _LARGEST_WHOLE_RATIO, _SMALL = 100, 1 << 28
 
 
 def read_npy(path: Path) -> DisplacementTable:
-    """Read an array ``(n, 6)`` of ``x y z dx dy dz`` or ``(n, 4)`` of ``x y dx dy``.
-
-    Raises FormatError when the file is truncated or has other content.
-    """
+    """Read an array ``(n, 6)`` of ``x y z dx dy dz`` or ``(n, 4)`` of ``x y dx dy``."""
     with _reading(path):
         values = np.load(path, allow_pickle=False)
     if values.ndim != 2 or values.shape[1] not in (4, 6) or values.dtype.kind not in "iuf":
@@ -37,10 +34,7 @@ def read_npy(path: Path) -> DisplacementTable:
 
 
 def read_npz(path: Path) -> DisplacementTable:
-    """Read arrays ``points`` and ``displacement`` (n, 3), or ``x y z dx dy dz`` (n,), optionally ``triangles`` (m, 3).
-
-    Raises FormatError when the file is truncated or has no such arrays; the message lists those found.
-    """
+    """Arrays ``points`` and ``displacement`` (n, 3), or ``x y z dx dy dz`` (n,), optionally ``triangles`` (m, 3)."""
     with _reading(path), np.load(path, allow_pickle=False) as archive:
         _require_plausible(archive.zip)
         names = [member.filename.removesuffix(".npy") for member in archive.zip.infolist()]
@@ -56,11 +50,7 @@ def read_npz(path: Path) -> DisplacementTable:
 
 
 def read_hdf5(path: Path) -> DisplacementTable:
-    """Read datasets as in npz, in the root group or in the one group below it that has them.
-
-    Raises FormatError when the file is damaged, or not exactly one group has the datasets; the message lists those
-    found.
-    """
+    """Read datasets as in npz, in the root group or in the one group below it that has them."""
     with _reading(path, " as HDF5"), h5py.File(path, "r") as file:
         below = {f"/{name}": entry for name, entry in _readable_members(file) if isinstance(entry, h5py.Group)}
         groups: dict[str, dict[str, NDArray[Any]]] = {}

@@ -44,8 +44,6 @@ def read_shapes(path: Path) -> tuple[SurfaceData, ...]:
     """All displacements of a result file, in its order.
 
     Points and triangles are those of the outer surface of the model; of beams, all points.
-
-    Raises FormatError when the file is damaged, binary, or has no displacement.
     """
     if path.suffix.lower() != ".frd":
         raise FormatError(f"{path} is not a result file of a structural solver; expected CalculiX's .frd")
@@ -53,10 +51,7 @@ def read_shapes(path: Path) -> tuple[SurfaceData, ...]:
 
 
 def read(path: Path) -> DisplacementTable:
-    """The displacement of a result file that has only one.
-
-    Raises FormatError when it has several; the message lists them.
-    """
+    """The displacement of a result file that has only one."""
     tables = _read_displacements(path)
     if len(tables) > 1:
         labels = listed((f"{number}: {label}" for number, label in enumerate(tables, start=1)), "; ")

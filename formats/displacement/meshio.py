@@ -25,11 +25,7 @@ _AVS_CORNERS = {"tri": 3, "quad": 4}
 
 
 def read(path: Path, file_format: str) -> DisplacementTable:
-    """Read a surface with displacements as point data.
-
-    Raises FormatError when the file is damaged, with meshio's message, or has no displacement; when its data are not
-    one for each node, in Gmsh in the order of the nodes.
-    """
+    """Read a surface with displacements as point data."""
     try:
         source = _SOURCES.get(file_format, str)(path)
         # Not meshio.read, which prints errors and ends the program.

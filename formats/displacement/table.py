@@ -71,8 +71,6 @@ def vector_names(
 
     Case, units in brackets and punctuation do not matter. The components of ``u`` are ``u_x u_y u_z``, ``u0 u1 u2``,
     ``u1 u2 u3`` or ``x-u y-u z-u``; without a third one the vector is two-dimensional.
-
-    Raises FormatError when two columns have the name of a component.
     """
     whole = {_plain(name): name for name in reversed(list(vectors))}
     parts = {_plain(name): name for name in reversed(list(scalars))}
@@ -113,10 +111,7 @@ def pick_vector(names: Sequence[str], arrays: Mapping[str, NDArray[Any]]) -> NDA
 def surface_table(
     path: Path, points: NDArray[Any], arrays: Mapping[str, NDArray[Any]], triangles: NDArray[Any]
 ) -> DisplacementTable:
-    """The table of a surface with arrays at its points: the one called displacement, or its only vector.
-
-    Raises FormatError when there is none, or several vectors with other names; the message lists them.
-    """
+    """The table of a surface with arrays at its points: the one called displacement, or its only vector."""
     displacement = pick_vector(DISPLACEMENT_NAMES, arrays)
     vectors = [values for values in arrays.values() if values.ndim == 2 and values.shape[1] == 3]
     if displacement is None and len(vectors) == 1:
@@ -128,11 +123,7 @@ def surface_table(
 
 
 def checked_surface(table: DisplacementTable, path: Path) -> SurfaceData:
-    """The table as surface data, with (n, 3) contiguous float64 arrays.
-
-    Raises FormatError when it is empty, contains non-finite numbers or different displacements of one point, or when
-    triangles refer to points that do not exist.
-    """
+    """The table as surface data, with (n, 3) contiguous float64 arrays."""
     points, displacement = (
         np.ascontiguousarray(np.pad(values, ((0, 0), (0, 3 - values.shape[1]))), dtype=np.float64)
         for values in (table.points, table.displacement)

@@ -24,8 +24,6 @@ def read(path: Path) -> DisplacementTable:
     Without a header the columns are ``x y z dx dy dz``, or ``x y dx dy`` in 2-D, or the number and the new position of
     each point, as in SU2's surface_positions.dat. A header, possibly in a comment, names any number of columns in any
     order (see :func:`vector_names`). ``#`` begins a comment.
-
-    Raises FormatError when the columns are unknown or a line is not a row of numbers; with the line.
     """
     header, remark, separator, width = "", "", None, 0
     points: tuple[int, ...] = ()

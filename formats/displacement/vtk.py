@@ -24,10 +24,7 @@ _TYPES = 81
 
 
 def read_vtk_xml(path: Path) -> DisplacementTable:
-    """Read polygons (.vtp) or unstructured cells (.vtu) of VTK.
-
-    Raises FormatError when the file is truncated or damaged, or has no displacement.
-    """
+    """Read polygons (.vtp) or unstructured cells (.vtu) of VTK."""
     file = read_tags(path)
     with path.open("rb") as stream:
         reader = ArrayReader(file, stream)
@@ -105,10 +102,7 @@ def _check_offsets(path: Path, offsets: NDArray[Any], size: int) -> None:
 
 
 def read_vtk_legacy(path: Path) -> DisplacementTable:
-    """Read the polygons of a legacy VTK file (DATASET POLYDATA).
-
-    Raises FormatError when the file is truncated or damaged, or has no displacement.
-    """
+    """Read the polygons of a legacy VTK file (DATASET POLYDATA)."""
     with path.open("rb") as stream:
         file = LegacyFile(path, stream)
         attributes = Attributes(file)

@@ -39,10 +39,7 @@ Edge = tuple[FloatArray, FloatArray]
 
 
 def block_mesh(layout: BlockMeshDict) -> Grid:
-    """The blocks with their patches, in metres (``convertToMeters`` and ``scale`` applied).
-
-    Raises FormatError when blocks do not fit together, or the nodes do not fit into memory.
-    """
+    """The blocks with their patches, in metres (``convertToMeters`` and ``scale`` applied)."""
     shapes = [(a + 1, b + 1, c + 1) for a, b, c in (block.cells for block in layout.blocks)]
     nodes, available = sum(math.prod(shape) for shape in shapes), machine_memory()
     if nodes * _NODE_BYTES > available.size:

@@ -77,10 +77,7 @@ class BlockMeshDict:
 
 
 def read_block_mesh_dict(top: Dictionary) -> BlockMeshDict:
-    """What a blockMeshDict describes.
-
-    Raises FormatError with file and line, for what is missing, wrong, or not supported (projection, merged patches).
-    """
+    """What a blockMeshDict describes."""
     for key in ("vertices", "blocks"):
         if key not in top.entries:
             raise FormatError(f"{top.path} is an OpenFOAM dictionary without {key}; expected a blockMeshDict")

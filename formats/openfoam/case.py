@@ -75,10 +75,7 @@ def mesh_files(path: Path) -> list[Path]:
 
 
 def mesh_file(mesh: Path, name: str) -> Path:
-    """The file of this name, or its compressed form, in the folder of a mesh.
-
-    Raises FormatError when there is none.
-    """
+    """The file of this name, or its compressed form, in the folder of a mesh."""
     for file in (mesh / name, mesh / f"{name}.gz"):
         if file.is_file():
             return file
@@ -97,9 +94,6 @@ def replaced_mesh(foam: Path) -> Iterator[Path]:
 
     The points are removed first and put in place last, so that a killed run leaves the old mesh or none. The case gets
     its ``.foam`` file and, if it has none, a ``system/controlDict``, which OpenFOAM's tools and ParaView require.
-
-    Raises FormatError when the parent folder of the case does not exist, or the mesh has zones or sets, which would not
-    fit the new one.
     """
     folder = followed(foam.parent)
     if not folder.is_dir() and not folder.parent.is_dir():

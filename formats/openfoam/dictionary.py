@@ -105,10 +105,7 @@ _TITLES = {Items: "a list", Dictionary: "a dictionary", type(None): "the end of 
 
 
 def read_dictionary(path: Path) -> Dictionary:
-    """Read a dictionary file.
-
-    Raises FormatError with file and line, for faults of syntax, unknown macros, and directives.
-    """
+    """Read a dictionary file."""
     require_regular(path)
     header = _CLASS.search(read_head(path))
     if header and header[1] != b"dictionary":

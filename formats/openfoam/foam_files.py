@@ -94,10 +94,7 @@ def _rows_in_list(stream: BinaryIO, rows: NDArray, line: str, binary: bool) -> N
 
 
 def read_points(path: Path, most: int) -> FloatArray:
-    """The points (n, 3) of a mesh; no more than this many are expected.
-
-    Raises FormatError when the file is damaged or is no field of points, as for the following functions.
-    """
+    """The points (n, 3) of a mesh; no more than this many are expected."""
     return _ListFile(path, ("vectorField",), most).rows(float, 3)
 
 
@@ -201,9 +198,6 @@ def with_points_of(grid: Grid, mesh: Path) -> tuple[Grid, IntArray]:
 
     Points are numbered as by blockMesh, or found by their places. Points of a few digits only show that it is the mesh:
     the coordinates stay those of the dictionary.
-
-    Raises FormatError when a file is damaged, a point is not where a node of the grid is, or the numbers of points
-    differ.
     """
     topology = separated(grid, find_topology(grid))
     number, nodes = point_numbers(grid, topology)

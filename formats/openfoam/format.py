@@ -48,9 +48,6 @@ def read(path: Path) -> Grid:
     Patches keep their names, which are their families, too, and their types; cyclic patches become periodic
     connections. Regions that no block side joins are components. Coordinates are in metres. If the case has a mesh, its
     points are the coordinates.
-
-    Raises FormatError when there is no blockMeshDict, or it is damaged, uses what is not supported, or is not that of
-    the mesh.
     """
     path = Path(path)
     dictionary = dictionary_of(path) if is_case(path) else path
@@ -72,10 +69,7 @@ def read(path: Path) -> Grid:
 
 
 def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
-    """How to write ``grid``: ``encoding`` (binary, ascii), ``thickness`` of a 2-D grid.
-
-    Raises FormatError for unknown options and values.
-    """
+    """How to write ``grid``: ``encoding`` (binary, ascii), ``thickness`` of a 2-D grid."""
     rest = {key: value for key, value in options.items() if key != "thickness"}
     known = {**_OPTIONS, **({"thickness": ("a length",)} if grid.dimension == 2 else {})}
     chosen = {key: values[0] for key, values in _OPTIONS.items()} | checked_options(f"cannot write {path}", rest, known)
@@ -95,10 +89,7 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
 
 
 def write(grid: Grid, path: Path, variant: FileFormat) -> None:
-    """Write ``grid`` as the mesh of the case whose ``.foam`` file is ``path``, or only its points (see above).
-
-    Raises FormatError when the grid cannot be such a mesh, or the files cannot be written.
-    """
+    """Write ``grid`` as the mesh of the case whose ``.foam`` file is ``path``, or only its points (see above)."""
     writer = MeshWriter(grid, variant)
     with replaced_mesh(Path(path)) as folder:
         writer.write(folder, grid)

@@ -77,8 +77,6 @@ def poly_mesh(grid: Grid, thickness: float, declared: Mapping[str, tuple[str, ..
     """The mesh of a grid; a 2-D grid becomes one layer of cells of this thickness.
 
     ``declared``: as of :func:`.patches.boundary_patches`.
-
-    Raises FormatError when the grid cannot be such a mesh, or is too large for labels of 32 bits.
     """
     solid = extruded(grid, thickness)
     topology = separated(solid, find_topology(solid))

@@ -50,8 +50,6 @@ def read_numbers(stream: BinaryIO, path: Path) -> FloatArray:
 
     Accepts blanks, tabs, commas and line ends between numbers, repeat counts (``3*0.0``), and exponents with E, D, Q or
     no letter (``1.5-101``).
-
-    Raises FormatError with the line number, for null values, comments and anything else that is not a number.
     """
     skip_mark(stream)
     line, rest, found = 1, b"", [np.empty(0)]

@@ -39,9 +39,6 @@ def read(path: Path, **options: Any) -> Grid:
     -------
     Blocks ``(ni, nj, nk, 3)``, in 2-D files ``(ni, nj, 1, 3)`` with z = 0; IBLANK as node field ``iblank`` (int32); the
     variant as ``grid.format``.
-
-    Raises FormatError when no variant fits (with the nearest one and the difference), when several do (with how to
-    choose), or when a text contains something other than numbers.
     """
     path = Path(path)
     wanted = checked_options("Plot3D", options, CHOICES)
@@ -68,8 +65,6 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
     The suffixes ``.fmt .p2dfmt .p3dfmt`` mean text and ``.p2dbin .p3dbin`` binary, whatever the grid was read from.
     A grid without a variant is written with Fortran records, little endian, float64, multi-block, and 3-D unless the
     suffix is ``.p2d ...``. IBLANK is written if the grid has it.
-
-    Raises FormatError for unknown options and values, and for options that cannot hold the grid.
     """
     carries_iblank = any(iblank_of(grid, block) is not None for block in range(grid.n_blocks))
     suffix = Path(path).suffix.lower()
@@ -88,10 +83,7 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
 
 
 def write(grid: Grid, path: Path, variant: FileFormat) -> None:
-    """Write ``grid`` in the given variant, replacing ``path`` as a whole or leaving it unchanged; on all ranks.
-
-    Raises FormatError when the variant cannot hold the grid or the file cannot be written.
-    """
+    """Write ``grid`` in the given variant, replacing ``path`` as a whole or leaving it unchanged; on all ranks."""
     chosen = Variant.of(variant)
     _require_writable(grid, Path(path), chosen)
     with replacing_by_all(Path(path), grid.points) as partial:

@@ -214,8 +214,6 @@ def choose(readings: Iterable[Reading], file: UnknownFile) -> Grid:
     If the size allows several, those with implausible content are excluded (IBLANK values that are not small integers,
     denormal coordinates), and those that the notation of numbers rules out. The remaining one must be plausible
     overall, unless its encoding was requested.
-
-    Raises FormatError when none or several remain.
     """
     tried = list(readings)
     allowed = [reading for reading in tried if reading.variant.matches(file.options)]

@@ -79,11 +79,7 @@ class DataSet:
 
 
 def assemble(path: Path, kind: str, data_sets: Sequence[DataSet], names: Sequence[str] | None = None) -> Grid:
-    """Make a grid of data sets; ``kind`` is the kind of file: ``legacy``, ``vts``, ``vtm``, ...
-
-    Raises FormatError when an array does not have one value per node or cell. Raises GridError when a data set is a
-    line or a point, or 2-D and 3-D are mixed.
-    """
+    """Make a grid of data sets; ``kind`` is the kind of file: ``legacy``, ``vts``, ``vtm``, ..."""
     file_format = FileFormat(
         name="vtk",
         precision="float32" if all(d.points.dtype.itemsize == 4 for d in data_sets) else "float64",
@@ -247,9 +243,6 @@ def _arrays_to_write(grid: Grid, block: int, variant: FileFormat, fields: Sequen
     """Coordinates of a block and its arrays, the ``fields`` of the grid.
 
     Fields at faces become field data: ``NAME`` with the suffix I, J or K of the index axis across them.
-
-    Raises FormatError when two fields at the same location share a name, or one has a wrong shape or a type unknown to
-    VTK.
     """
     found: dict[tuple[str, str], StoredArray] = {}
     for field in fields:

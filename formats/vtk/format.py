@@ -31,11 +31,7 @@ _OPTIONS = {
 
 
 def read(path: Path) -> Grid:
-    """Read a VTK file; its kind is recognised by content.
-
-    Raises FormatError when the file is truncated or damaged, or contains anything but structured grids. Raises
-    GridError when a block is a line or a point, or 2-D and 3-D blocks are mixed.
-    """
+    """Read a VTK file; its kind is recognised by content."""
     path = Path(path)
     with path.open("rb") as stream:
         if stream.read(14) == b"# vtk DataFile":
@@ -52,8 +48,6 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
 
     ``options``: ``encoding`` is ``ascii`` or ``binary``, in XML files ``ascii`` or ``appended`` (raw); ``precision`` is
     ``float32`` or ``float64``.
-
-    Raises FormatError for unknown options, several blocks in a file for one, or a .vtm whose folder cannot be replaced.
     """
     path = Path(path)
     kind = _KINDS[path.suffix.lower()]
@@ -72,10 +66,7 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
 
 
 def write(grid: Grid, path: Path, variant: FileFormat) -> None:
-    """Write ``grid`` in the given variant, replacing ``path`` (and, for .vtm, the folder of its pieces) as a whole.
-
-    Raises FormatError when the file cannot be written, or a field cannot be stored in a VTK file.
-    """
+    """Write ``grid`` in the given variant, replacing ``path`` (and, for .vtm, the folder of its pieces) as a whole."""
     path = Path(path)
     kind = variant.options["kind"]
     if kind == "vtm":

@@ -124,8 +124,6 @@ class LegacyFile:
     def values(self, count: int, type_name: str, what: str, later: bool = False) -> Any:
         """The next ``count`` values, ``(count,)``, in the byte order of the file; with ``later``, binary ones remain to
         be read.
-
-        Raises FormatError when the file ends too early, contains anything but numbers, or the type is unknown.
         """
         name = type_name.lower()
         if name == "bit":
@@ -252,10 +250,7 @@ class Attributes:
 
 
 def read(path: Path) -> DataSet:
-    """Read the structured data set of a legacy file.
-
-    Raises FormatError when the file is truncated, contradicts its keywords, or contains another kind of data set.
-    """
+    """Read the structured data set of a legacy file."""
     with path.open("rb") as stream:
         file = LegacyFile(path, stream)
         if file.kind != "STRUCTURED_GRID":

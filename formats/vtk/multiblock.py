@@ -36,8 +36,6 @@ def read(path: Path) -> tuple[list[DataSet], list[str]]:
 
     A name consists of the names of the groups and the block, joined by ``/``; a block without a name is called
     ``block1``, ... by its position. Entries without a file are skipped.
-
-    Raises FormatError when the index is damaged or empty, a file is missing, or one is not a structured grid.
     """
     files = list(_files(path))
     if not files:
@@ -87,9 +85,6 @@ def write(grid: Grid, path: Path, variant: FileFormat) -> None:
     The set changes atomically when the new index replaces the old one: the new pieces have names that the old set does
     not use, and the old pieces are removed afterwards. A journal in the folder of the pieces lists the files to be
     added and removed, so that the next run recognises and removes the remains of a killed one.
-
-    Raises FormatError when the folder of the pieces contains files that are not part of the old set, or the disk is
-    full.
     """
     ranks = grid.nodes.ranks
     with contextlib.ExitStack() as own:
@@ -125,10 +120,7 @@ def replaced_files(path: Path) -> list[Path]:
 
 
 def require_replaceable(path: Path) -> None:
-    """Refuse to replace a folder that contains anything but the pieces of the index ``path``.
-
-    Raises FormatError with the name of a file that does not belong to the set.
-    """
+    """Refuse to replace a folder that contains anything but the pieces of the index ``path``."""
     if path.is_symlink():
         raise FormatError(
             f"cannot write {path}: it is a link, and the pieces of the set would be far from its target; give the "

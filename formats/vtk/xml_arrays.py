@@ -66,8 +66,6 @@ class ArrayReader:
 
         ``components`` is the required number; ``None`` accepts that of the array. With ``later``, values that are
         stored as they are remain to be read, as a :class:`.Run`.
-
-        Raises FormatError when the array is damaged or does not have the expected number of values.
         """
         stated = self.number(array, "NumberOfComponents", 1)
         if components is not None and stated != components:
@@ -100,10 +98,7 @@ class ArrayReader:
         return arrays[0]
 
     def number(self, element: Element, name: str, otherwise: int | None = None) -> int:
-        """A count that an element declares, or ``otherwise``.
-
-        Raises FormatError when it is not a count, or missing without an alternative.
-        """
+        """A count that an element declares, or ``otherwise``."""
         word = element.get(name).strip()
         if not word and otherwise is not None:
             return otherwise
@@ -263,8 +258,6 @@ def read_section(
 
     ``tuples`` is the number of nodes or cells; a line for each array that is not kept is added to ``notes``. With
     ``later``, values that are stored as they are remain to be read.
-
-    Raises FormatError when an array is damaged or does not have the expected number of values.
     """
     found: dict[str, DataArray] = {}
     for section in above.all(tag):
@@ -299,11 +292,7 @@ Extent = tuple[Shape, Shape]
 
 
 def read(path: Path) -> DataSet:
-    """Read the structured data set of an XML file.
-
-    Raises FormatError when the file is truncated or damaged, its data set is of another kind, or not one Piece with all
-    nodes.
-    """
+    """Read the structured data set of an XML file."""
     file = read_tags(path)
     if file.kind != "StructuredGrid":
         other = _OTHER_KINDS.get(file.kind, "another kind of data set")
@@ -379,10 +368,7 @@ def begin_block(grid: Grid, block: int, path: Path, variant: FileFormat, content
 
 
 def attribute(text: str) -> str:
-    """A text as the value of an XML attribute.
-
-    Raises FormatError when it contains characters that XML cannot hold.
-    """
+    """A text as the value of an XML attribute."""
     if bad := _NOT_IN_XML.search(text):
         raise FormatError(f"the name {text!r} contains the character {bad[0]!r}, which a VTK file cannot hold")
     return f'"{text.translate(_ESCAPES)}"'

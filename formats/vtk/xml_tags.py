@@ -88,10 +88,7 @@ class XmlFile:
     appended_encoding: str = ""
 
     def data_set(self) -> Element:
-        """The element named by the type of the file.
-
-        Raises FormatError when it is missing or contains more than one time step.
-        """
+        """The element named by the type of the file."""
         found = self.root.all(self.kind)
         if not found:
             raise FormatError(f"cannot read {self.path}: it has no {self.kind} element")
@@ -102,10 +99,7 @@ class XmlFile:
 
 
 def file_kind(path: Path) -> str:
-    """Type of the VTKFile tag, e.g. ``StructuredGrid``; ``unknown`` if missing. Nothing else is checked.
-
-    Raises FormatError when the file is truncated.
-    """
+    """Type of the VTKFile tag, e.g. ``StructuredGrid``; ``unknown`` if missing. Nothing else is checked."""
     with path.open("rb") as stream:
         _require_end(path, stream)
         found = _KIND.search(stream.read(_LONGEST_PROLOG))
@@ -113,11 +107,7 @@ def file_kind(path: Path) -> str:
 
 
 def read_tags(path: Path) -> XmlFile:
-    """Read the tags of a VTK XML file.
-
-    Raises FormatError when the file is truncated, is not well-formed XML, has a DOCTYPE, nests elements deeper than
-    :data:`DEEPEST`, or its VTKFile tag has unknown attribute values.
-    """
+    """Read the tags of a VTK XML file."""
     with path.open("rb") as stream:
         size = _require_end(path, stream)
         tags = _Tags(path, stream)
