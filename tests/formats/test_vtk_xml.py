@@ -108,7 +108,7 @@ BAD = {
     "another compressor": (vts(ONE, root=' compressor="gz"'), "has compressor 'gz'; known are"),
     "a truncated file": (vts(ONE).replace("</VTKFile>", ""), "does not end with </VTKFile>; the file is truncated"),
     "another end tag": (vts(ONE).replace("</Points>", "</Point>"), "Error parsing XML"),
-    "no size": (vts(piece("0 2 0 1 0 0", array([], text="AAAA", format="binary"))), "Points has an impossible size, at byte"),
+    "no size": (vts(piece("0 2 0 1 0 0", array([], text="AAAA", format="binary"))), "has an impossible size, at byte"),
     "no piece": (vts(), "is an empty grid"),
     "no points": (vts(piece("0 2 0 1 0 0", "")), "has 0 arrays of Points, expected 1"),
     "too many values": (
@@ -230,7 +230,7 @@ BAD_APPENDED = {
     ),
     "a line that exists twice": (appended(RAW[:40] + RAW[20:]), "Points continues after its last value"),
     "bytes after the last array": (appended(RAW + b"\n</VTKFile>x"), "Points continues after its last value"),
-    "base64 after the last array": (appended(base64.b64encode(RAW) + b"AAAA", "base64"), "continues after its last value"),
+    "base64 after the last array": (appended(base64.b64encode(RAW) + b"AAAA", "base64"), "after its last value"),
     "lzma that needs memory": (
         appended(
             packed(
