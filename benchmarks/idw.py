@@ -107,13 +107,12 @@ def _compared(sample: str, size: int) -> tuple[Motion, Exact]:
 def _exact(case: Motion) -> Exact:
     problem, targets = case.problem, inner_nodes(case.problem)
     some = np.sort(np.random.default_rng(0).permutation(targets)[:_SAMPLES])
-    idw = IDW(summation="exact").bind(problem)
+    idw = IDW(summation="exact").bind(problem, some)
     out = np.empty((problem.grid.n_nodes, 3))
     fit_seconds, fit = timed(lambda: idw.fit(case.displacement))
-    evaluator = idw.at(some)
-    evaluator.evaluate(fit, out, None)
+    idw.evaluate(fit, out)
     # Runs take some tenths of a second: a single one could be off by a quarter.
-    seconds = best(lambda: evaluator.evaluate(fit, out, None))
+    seconds = best(lambda: idw.evaluate(fit, out))
     sampled = out[some]
     if len(targets) * len(case.displacement) > _FULL_PAIRS:
         return Exact(fit_seconds + seconds * len(targets) / len(some), True, some, sampled)
@@ -174,10 +173,9 @@ def threads(quick: bool) -> MarkdownTable:
     """The same work with one thread and with all."""
     case = motion("splitter-plate", 16)
     some = inner_nodes(case.problem)[:: 50 if quick else 5]
-    exact = IDW(summation="exact").bind(case.problem)
+    exact = IDW(summation="exact").bind(case.problem, some)
     fit, out = exact.fit(case.displacement), np.empty((case.setup.grid.n_nodes, 3))
-    sums = exact.at(some)
-    works = {"IDW, exact sums": lambda: sums.evaluate(fit, out, None)}
+    works = {"IDW, exact sums": lambda: exact.evaluate(fit, out)}
     for name, options in {
         "IDW, fast sums, apply": Options("idw", idw=dataclasses.replace(IDW(), summation="fast")),
         "IDW-TFI, apply": Options("idw-tfi"),

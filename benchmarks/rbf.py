@@ -92,11 +92,10 @@ def _solvers(case: Motion, neighbours: bool) -> dict[str, Callable[[], Callable[
     def ours(summation: str) -> Callable[[], Callable[[], FloatArray]]:
         def solve() -> Callable[[], FloatArray]:
             # The first apply solves the system, so it belongs to the set-up: bind, solve, then sum.
-            bound = RBF(summation=summation).bind(problem)
+            bound = RBF(summation=summation).bind(problem, inner_nodes(problem))
             fit = bound.fit(d)
-            evaluator = bound.at(inner_nodes(problem))
             out = np.empty((problem.grid.n_nodes, 3))
-            return lambda: (evaluator.evaluate(fit, out, None), out)[1]
+            return lambda: (bound.evaluate(fit, out), out)[1]
 
         return solve
 
@@ -167,12 +166,11 @@ def _solve(points: FloatArray, told: FloatArray, again: bool = True) -> tuple[Ro
 def _evaluation(size: int) -> tuple[int, float]:
     """Number of inner nodes of the sample's grid, and CPU seconds of summing there for the first time."""
     case = motion("hemisphere", size)
-    bound = RBF(solver="krylov").bind(case.problem)
     targets = inner_nodes(case.problem)
-    evaluator = bound.at(targets)
+    bound = RBF(solver="krylov").bind(case.problem, targets)
     fit, out = bound.fit(case.displacement), np.empty((case.problem.grid.n_nodes, 3))
     start = time.process_time()
-    evaluator.evaluate(fit, out, None)
+    bound.evaluate(fit, out)
     return len(targets), time.process_time() - start
 
 
@@ -218,7 +216,7 @@ def compact_bases(quick: bool) -> MarkdownTable:
     for size in (12,) if quick else (24, 48):
         case = motion("hemisphere", size)
         for basis, radius in (("wendland-c0", 4.5), ("wendland-c2", 2.0), ("wendland-c2", 4.5), ("ctps-c1", 4.5)):
-            bound = RBF(basis=basis, radius=radius, solver="krylov").bind(case.problem)
+            bound = RBF(basis=basis, radius=radius, solver="krylov").bind(case.problem, inner_nodes(case.problem))
             seconds, fit = timed(functools.partial(bound.fit, case.displacement))
             some = fit.centres[:: 1 + len(fit.centres) // 500]
             largest = radial_sums(BASES[basis], some, fit.centres, np.abs(fit.coefficients))

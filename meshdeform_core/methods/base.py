@@ -244,64 +244,26 @@ class PreparedMethod(Protocol):
         ...
 
 
-class Mover(Protocol):
-    """The first step of a method, bound to the nodes that it moves; ``account`` and ``warnings_for`` as
-    :class:`PreparedMethod`."""
-
-    account: Account
-
-    def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]: ...
-
-    def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> FloatArray:
-        """Compute the displacement of the mover's nodes from that of the sources (n_sources, 3).
-
-        Returns the displacement of nodes on block faces (n_unique, 3), and writes that of nodes inside blocks into
-        ``out`` (n_nodes, 3).
-        """
-        ...
-
-    def linearised(self, displacement: FloatArray) -> Linearised:
-        """The derivative at a displacement (n_sources, 3).
-
-        ``push(change, out)`` is as :meth:`move` for a ``change`` of the displacement; ``pull(face, gradient)`` returns
-        the gradient (n_sources, 3) from those of the nodes on block faces (n_unique, 3) and, rows of ``gradient``
-        (n_nodes, 3), inside blocks, and overwrites both.
-        """
-        ...
-
-
 class PreparedInterpolation(Protocol):
-    """A scattered-data method (IDW, RBF) bound to its sources; ``account`` and ``warnings_for`` as
+    """A scattered-data method (IDW, RBF) bound to its sources and target nodes; ``account`` and ``warnings_for`` as
     :class:`PreparedMethod`."""
 
     account: Account
 
     def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]: ...
-
-    def at(self, flat: IntArray) -> Any:
-        """Bind to the target nodes ``flat`` of the grid.
-
-        ``evaluate(fit, out, progress)`` of the evaluator that this returns writes their displacement into the rows of
-        ``out`` (n_nodes, 3).
-        """
-        ...
 
     def fit(self, displacement: FloatArray, progress: Progress | None = None) -> Any:
         """Fit the displacement (n_sources, 3) of the sources; returns the coefficients for the evaluation."""
         ...
 
-    def linearised(self, evaluator: Any, displacement: FloatArray) -> Linearised:
-        """The derivative of the displacement of an evaluator's nodes at a displacement (n_sources, 3).
+    def evaluate(self, fit: Any, out: FloatArray, progress: Progress | None = None) -> None:
+        """Write the displacement of the targets into their rows of ``out`` (n_nodes, 3)."""
+        ...
+
+    def linearised(self, displacement: FloatArray) -> Linearised:
+        """The derivative of the displacement of the targets at a displacement (n_sources, 3).
 
         ``push(change, out)`` writes the change of the nodes into their rows of ``out`` (n_nodes, 3), and
         ``pull(gradient)`` returns the gradient (n_sources, 3) from these rows.
         """
-        ...
-
-
-class Interpolation(Protocol):
-    """An interpolation method, IDW or RBF, with its options."""
-
-    def bind(self, problem: Problem) -> PreparedInterpolation:
-        """Bind to the sources of a problem."""
         ...

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Protocol
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,41 +17,16 @@ from ..boundary import Kind
 from ..grid import FloatArray, IntArray
 from ..memory import release_freed
 from ..parallel import Nodes
-from .base import Account, Interpolation, Linearised, Mover, PreparedMethod, Problem, Progress
+from .base import Account, Linearised, PreparedInterpolation, PreparedMethod, Problem, Progress
 from .beside_slip import BesideSlip
 from .constraints import Constraints, add_to_faces, impose
 from .transfinite.edge_graph import PreparedEdgeGraph
-from .transfinite.tfi import Skeleton
+from .transfinite.tfi import TFI, Skeleton
 
-
-class PreparedFiller(Protocol):
-    """The second step of a method, bound to its blocks."""
-
-    account: Account
-
-    def fill(self, displacement: FloatArray, progress: Progress | None = None) -> None:
-        """Fill block interiors, in place, from the nodes that the first step moved; linear in their displacement."""
-        ...
-
-    def differentiable(self) -> PreparedFiller:
-        """The same, accurate enough for :meth:`fill` and :meth:`pull` to be transposes of each other."""
-        ...
-
-    def pull(self, gradient: FloatArray) -> None:
-        """Transpose of :meth:`fill`: pass gradients (n_nodes, 3) from inside blocks on to their faces, in place."""
-        ...
-
-
-class Filler(Protocol):
-    """A method that fills blocks."""
-
-    def skeleton(self, problem: Problem) -> Skeleton:
-        """The nodes that the first step has to move."""
-        ...
-
-    def prepare(self, problem: Problem, skeleton: Skeleton) -> PreparedFiller:
-        """Bind to the undeformed grid."""
-        ...
+if TYPE_CHECKING:
+    from .scattered.block_rbf import BlockRBF
+    from .scattered.idw import IDW
+    from .scattered.rbf import RBF
 
 
 @dataclass(frozen=True)
@@ -61,8 +36,8 @@ class Composite:
     Without a filler the mover moves every node. ``around`` makes another method of the prepared one, see :mod:`.gaps`.
     """
 
-    mover: Interpolation | None
-    filler: Filler | None
+    mover: IDW | RBF | None
+    filler: TFI | BlockRBF | None
     around: Callable[[PreparedComposite], PreparedMethod] | None = None
 
     def prepare(self, problem: Problem) -> PreparedMethod:
@@ -77,30 +52,29 @@ class Composite:
         return PreparedPeriodic(problem, first, PreparedComposite(self, guided), guided)
 
 
-def _mover(interpolation: Interpolation | None, problem: Problem, flat: IntArray) -> Mover:
+def _mover(interpolation: IDW | RBF | None, problem: Problem, flat: IntArray) -> PreparedEdgeGraph | Scattered:
     """An interpolation for the nodes ``flat``, or TFI on the edge graph, which moves all face nodes."""
     return PreparedEdgeGraph(problem) if interpolation is None else Scattered(interpolation, problem, flat)
 
 
-@dataclass
 class Scattered:
-    """An interpolation as the first step, which moves the nodes of the skeleton that are not sources."""
+    """An interpolation as the first step, which moves the nodes ``flat`` of the skeleton that are not sources.
 
-    interpolation: Interpolation
-    problem: Problem
-    flat: IntArray
-    account: Account = field(init=False)
+    Interface as :class:`.transfinite.edge_graph.PreparedEdgeGraph`.
+    """
 
-    def __post_init__(self) -> None:
-        self.bound = self.interpolation.bind(self.problem)
-        self.evaluator = self.bound.at(self.flat)
-        self.beside_slip = BesideSlip(self.problem, self.flat)
+    def __init__(self, interpolation: IDW | RBF, problem: Problem, flat: IntArray) -> None:
+        self.problem = problem
+        self.bound: PreparedInterpolation = interpolation.bind(problem, flat)
+        self.beside_slip = BesideSlip(problem, flat)
         self.account, self.warnings_for = self.bound.account, self.bound.warnings_for
 
     def move(self, displacement: FloatArray, out: FloatArray, progress: Progress | None = None) -> FloatArray:
+        """Displacement (n_unique, 3) of nodes on block faces from that of the sources (n_sources, 3); that of nodes
+        inside blocks is written into ``out`` (n_nodes, 3)."""
         values = self.bound.fit(displacement, progress)
         release_freed()
-        self.evaluator.evaluate(values, out, progress)
+        self.bound.evaluate(values, out, progress)
         release_freed()
         self.beside_slip.apply(out, progress)
         return self._with_sources(out, displacement)
@@ -112,7 +86,13 @@ class Scattered:
         return face
 
     def linearised(self, displacement: FloatArray) -> Linearised:
-        problem, inside = self.problem, self.bound.linearised(self.evaluator, displacement)
+        """The derivative at a displacement (n_sources, 3).
+
+        ``push(change, out)`` is as :meth:`move` for a ``change`` of the displacement; ``pull(face, gradient)`` returns
+        the gradient (n_sources, 3) from those of the nodes on block faces (n_unique, 3) and, rows of ``gradient``
+        (n_nodes, 3), inside blocks, and overwrites both.
+        """
+        problem, inside = self.problem, self.bound.linearised(displacement)
 
         def push(change: FloatArray, out: FloatArray) -> FloatArray:
             inside.push(change, out)
@@ -233,7 +213,7 @@ class PreparedPeriodic(PreparedMethod):
     """
 
     problem: Problem
-    first: Mover
+    first: PreparedEdgeGraph | Scattered
     rest: PreparedMethod
     guided: Problem
 

@@ -127,10 +127,10 @@ def quality_without_walls(trial: Trial) -> float:
     """<f_skew> of a reduced RBF with boundary nodes where the interpolation puts them, with an error up to eps_g."""
     setup = prepare_sample(trial.sample)
     problem, points = setup.problem, setup.grid.points
-    bound = trial.method.rbf.bind(problem)
+    bound = trial.method.rbf.bind(problem, np.arange(len(points)))
     moved = np.empty_like(points)
     fit = bound.fit(setup.displacement(trial.sample.time)[problem.source_numbers])
-    bound.at(np.arange(len(points))).evaluate(fit, moved, None)
+    bound.evaluate(fit, moved)
     return assess(setup.original, points + moved, setup.boundary).after.f_skew.harmonic_mean
 
 

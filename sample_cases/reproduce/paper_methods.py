@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -27,47 +27,35 @@ Multiply = Callable[[FloatArray], FloatArray]
 class ReweightedIDW(IDW):
     """IDW with ``rotation = "division"`` and weights of the moved sources and nodes in every step (eqs. 26-28)."""
 
-    def bind(self, problem: Problem) -> PreparedReweighted:
-        """Bind to the sources."""
-        return PreparedReweighted(self, problem)
+    def bind(self, problem: Problem, flat: IntArray) -> PreparedReweighted:
+        """Bind to the sources and the target nodes ``flat``; all sums are exact."""
+        return PreparedReweighted(dataclasses.replace(self, summation="exact"), problem, flat)
 
 
 class PreparedReweighted(PreparedIDW):
-    """:class:`ReweightedIDW` bound to the sources of one undeformed grid."""
+    """:class:`ReweightedIDW` bound to one undeformed grid: exact sums with new weights in each of the divisions."""
 
-    def at(self, flat: IntArray) -> Any:
-        """Bind to the target nodes ``flat``."""
-        self.account.settings["summation"] = Setting("exact")
-        return _Marching(self, flat)
-
-
-class _Marching:
-    """Exact sums with new weights in each of the divisions."""
-
-    def __init__(self, method: PreparedReweighted, flat: IntArray) -> None:
-        self._method, self._flat, self._points = method, flat, method.problem.grid.points[flat]
-
-    def evaluate(self, fit: SourceValues, out: FloatArray, progress: Progress | None) -> None:
+    def evaluate(self, fit: SourceValues, out: FloatArray, progress: Progress | None = None) -> None:
         """Write the displacement of the target nodes into their rows of ``out`` (n_nodes, 3)."""
-        method, x = self._method, self._points - fit.origin
-        sources = method.images.points - fit.origin
+        points = self.problem.grid.points[self.flat]
+        x, sources = points - fit.origin, self.images.points - fit.origin
         part, translation = fit.values[:4].T.copy(), fit.values[4:].T
-        for _ in range(method.options.divisions):
+        for _ in range(self.options.divisions):
             sums = np.zeros((len(x), 1 + len(fit.values)))
-            for group, weights in zip(method.groups, fit.weights, strict=True):
-                sums += weighted_sums(x, sources[group], method.strength[group], weights, fit.values[:, group])
+            for group, weights in zip(self.groups, fit.weights, strict=True):
+                sums += weighted_sums(x, sources[group], self.strength[group], weights, fit.values[:, group])
             x += finish("division", sums.T, x)
             sources = rotate(part, sources) + translation
-        out[self._flat] = fit.frame.absolute(self._points, x - (self._points - fit.origin))
+        out[self.flat] = fit.frame.absolute(points, x - (points - fit.origin))
 
 
 @dataclass(frozen=True)
 class MinresRBF(RBF):
     """RBF whose system is solved as in the paper: MINRES without a preconditioner, to ``tolerance``."""
 
-    def bind(self, problem: Problem) -> PreparedRBF:
-        """Bind to the sources; the matrix is made when it is first needed."""
-        prepared = PreparedRBF(self, problem)
+    def bind(self, problem: Problem, flat: IntArray) -> PreparedRBF:
+        """Bind to the sources and the target nodes ``flat``; the matrix is made when it is first needed."""
+        prepared = PreparedRBF(self, problem, flat)
         prepared.system = MinresSystem(self, prepared)  # type: ignore[assignment]
         return prepared
 

@@ -154,7 +154,7 @@ def test_fast_sums_that_are_too_wrong_are_made_more_accurate_or_exact(monkeypatc
     for kind in ("exact", "fast"):
         method = make_method(Options("idw", idw=IDW(summation=kind))).prepare(where)
         monkeypatch.setattr(linear_idw, "DERIVATIVE_TOLERANCE", tolerance)
-        derivatives[kind] = method.mover.bound.linearised(method.mover.evaluator, smooth)
+        derivatives[kind] = method.mover.bound.linearised(smooth)
     out = {kind: np.zeros_like(where.grid.points) for kind in derivatives}
     for kind, derivative in derivatives.items():
         derivative.push(rough, out[kind])

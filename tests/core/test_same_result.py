@@ -110,7 +110,7 @@ where = problem_of(Grid.from_blocks([block_around(line, line, np.array([0.0, 0.1
 x = where.source_points
 assert len(x) > 200_000
 for options in (IDW(), IDW(alpha="auto"), IDW(rotation="none")):
-    prepared = options.bind(where)
+    prepared = options.bind(where, np.arange(0))
     found = prepared.fit(0.1 * np.sin(3.0 * x[:, ::-1]))
     frame = [each for each in (found.frame.shift, found.frame.turn, found.frame.centre) if each is not None]
     print([each.tobytes().hex() for each in frame], found.weights, found.values.sum(axis=1).tolist())
@@ -139,4 +139,4 @@ def test_sums_made_finer_for_one_displacement_are_not_for_the_next(monkeypatch):
     prepared = make_method(METHODS["fast lie"]).prepare(where)
     for number in (0, 4, 0, 1, 5, 4):
         np.testing.assert_array_equal(prepared.apply(told[number]), fresh[number])
-    assert len({plan.key.accuracy for plan in prepared.mover.evaluator.sums.plans}) == 2
+    assert len({plan.key.accuracy for plan in prepared.mover.bound.fast.plans}) == 2

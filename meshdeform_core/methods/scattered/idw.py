@@ -15,9 +15,10 @@ from ...grid import BoolArray, FloatArray, IntArray
 from ...numerics import rotation as rot
 from ...numerics.arrays import lengths, places_among, weighted_total
 from ...numerics.frame import AT_REST, Frame
-from ...numerics.rigid import NO_TRANSITION
+from ...numerics.rigid import NO_TRANSITION, Columns, finish
 from ...numerics.tape import Tape, Tracked, plain
-from ..base import Account, Kinks, Linearised, Problem, Progress, Setting
+from ...parallel import Nodes
+from ..base import Account, Kinks, Linearised, Problem, Progress, Setting, of_stage
 from ..limits import (
     FOLDED,
     HALF_TURNS,
@@ -30,17 +31,15 @@ from ..limits import (
     warn_of_rotation,
 )  # fmt: skip
 from ..options import MethodOptions, option
-from .idw_sums import Bound, SourceValues
+from .idw_sums import ExactSums, SourceValues
 from .mirror import mirror_images
 from .summation import Summation, fast_pays, summation_tolerance
 from .transition import bodies, motion_values, transition_of, with_motion
 from .tuned import ALPHA_CAP, FAR, FAR_IN_PLANES, FAR_OF_ONE_BODY, ROUNDS, STEEPER, WIDTH, WIDTH_IN_PLANES
 
 if TYPE_CHECKING:
-    from .fast_idw_sums import FastEvaluator
+    from ...numerics.fastsum.weighted import FastSums
 
-# Fraction of the remaining memory for data kept between displacements.
-_KEPT = 2
 _LEAST_ALPHA = 1e-3
 _ENCLOSED = 1e-6
 """Largest relative gap between the extent of a boundary and that of the grid that it encloses."""
@@ -116,18 +115,17 @@ class IDW(MethodOptions):
     summation: Summation = option("auto", "fast where it pays")
     summation_tolerance: float = summation_tolerance()
 
-    def bind(self, problem: Problem) -> PreparedIDW:
-        """Bind to the sources: their images at symmetry planes, nodal areas, L_def."""
-        return PreparedIDW(self, problem)
+    def bind(self, problem: Problem, flat: IntArray) -> PreparedIDW:
+        """Bind to the sources, their images at symmetry planes, nodal areas, L_def, and to target nodes ``flat``."""
+        return PreparedIDW(self, problem, flat)
 
 
 class PreparedIDW:
-    """IDW bound to the sources of one undeformed grid."""
+    """IDW bound to the sources and the target nodes ``flat`` of one undeformed grid."""
 
-    def __init__(self, options: IDW, problem: Problem):
-        self.options = options
+    def __init__(self, options: IDW, problem: Problem, flat: IntArray):
+        self.options, self.problem, self.flat = options, problem, flat
         self.account = Account()
-        self.problem = problem
         self.images = mirror_images(problem)
         self.rotations = problem.rotations
         if problem.boundary.mirrors:
@@ -165,6 +163,16 @@ class PreparedIDW:
             whole, own = (np.ptp(points, axis=0) for points in (faces, problem.source_points))
             self._stretches = bool((own >= (1.0 - _ENCLOSED) * whole).all())
         self._record(auto)
+        n_targets, n_sources = sum(problem.grid.nodes.gather(len(flat))), len(self.images.points)
+        fast, self.account.settings["summation"] = fast_pays(options.summation, n_targets, n_sources)
+        # Sums over clusters; without them every node is summed with every source.
+        self.fast: FastSums | None = None
+        if fast:
+            self.account.settings |= options.used("summation_tolerance")
+            # Imported here, as its loops take a while to load and exact sums need none of them.
+            from .fast_idw_sums import fast_sums
+
+            self.fast = fast_sums(self)
 
     @property
     def _rounds(self) -> int:
@@ -254,6 +262,26 @@ class PreparedIDW:
             values, self._weight_functions(plain(inside)), shift, turn, origin, frame, still, transition
         )
 
+    def evaluate(self, fit: SourceValues, out: FloatArray, progress: Progress | None = None) -> None:
+        """Write the displacement of the targets into their rows of ``out`` (n_nodes, 3)."""
+        rows, report = Nodes.of(out).rows, of_stage(progress, "idw")
+
+        def use_sums(_: slice, flat: IntArray, sums: FloatArray) -> None:
+            rows[flat] = self.displacement(fit, flat, np.ascontiguousarray(sums.T))
+
+        if self.fast:
+            from .fast_idw_sums import apply_fast
+
+            apply_fast(self, self.fast, fit, use_sums, out, report)
+        else:
+            ExactSums(self, fit.weights).apply(fit.values, use_sums, progress=report)
+
+    def displacement(self, fit: SourceValues, flat: IntArray, sums: Columns) -> FloatArray:
+        """Displacement (n, 3) of the nodes ``flat`` from the 1 + k columns (n,) of their sums."""
+        o, x = self.options, Nodes.of(self.problem.grid.nodes.rows).at(flat)
+        steps = o.divisions if o.rotation == "division" else 1
+        return fit.frame.absolute(x, finish(o.rotation, sums, x - fit.origin, steps, fit.transition))
+
     def reduced(self, acting: BoolArray) -> PreparedIDW:
         """The same with only the ``acting`` (n,) images of sources, in order, followed by the first of the others, with
         the area of all of them: they share the same values whatever the others do.
@@ -276,8 +304,8 @@ class PreparedIDW:
         found._blunt = number[self._blunt]
         return found
 
-    def linearised(self, evaluator: Bound | FastEvaluator, displacement: FloatArray) -> Linearised:
-        """The derivative of the displacement of the nodes of ``evaluator`` at a displacement (n_sources, 3).
+    def linearised(self, displacement: FloatArray) -> Linearised:
+        """The derivative of the displacement of the targets at a displacement (n_sources, 3).
 
         Rotations, their smoothing and the mean motion are recorded operation by operation.
         """
@@ -298,7 +326,7 @@ class PreparedIDW:
                 # The derivative of the factor of r^-b.
                 alpha, slope = found, o.b * float(plain(found)) ** (o.b - 1.0) * method.length ** (o.b - method.far)
                 kinks[LARGEST] = tied(lengths(plain(arms)), images.owner)
-        derivative = LinearIDW(evaluator, variable, fit, acting, alpha, slope)
+        derivative = LinearIDW(self, variable, fit, acting, alpha, slope)
         return Linearised(derivative.push, derivative.pull, +kinks)
 
     def _seen_inside(self, d: FloatArray) -> tuple[Frame, FloatArray]:
@@ -351,17 +379,3 @@ class PreparedIDW:
         size: FloatArray = np.linalg.norm(arms, axis=1)
         alpha: FloatArray = self.options.eta / self.length * size.max()
         return alpha
-
-    def at(self, flat: IntArray) -> Bound | FastEvaluator:
-        """Bind to the target nodes ``flat``."""
-        o, grid, room = self.options, self.problem.grid, self.problem.memory.size // _KEPT
-        bound = Bound(grid, flat, self.images.points, self.strength, self.groups, o.rotation, o.divisions, room)
-        n_targets = sum(grid.nodes.gather(len(flat)))
-        fast, self.account.settings["summation"] = fast_pays(o.summation, n_targets, len(self.images.points))
-        if not fast:
-            return bound
-        self.account.settings |= o.used("summation_tolerance")
-        # Imported here, as its loops take a while to load and exact sums need none of them.
-        from .fast_idw_sums import FastEvaluator
-
-        return FastEvaluator(bound, o.summation_tolerance, self.account)

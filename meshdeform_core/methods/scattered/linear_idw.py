@@ -11,21 +11,21 @@ from ...grid import BoolArray, FloatArray, IntArray
 from ...numerics.fastsum.weighted import FastSums
 from ...numerics.tape import Tape, Tracked, plain
 from ...parallel import Nodes, agreed, empty
-from .fast_idw_sums import FastEvaluator, fast_sums
-from .idw_sums import Bound, ExactSums, SourceValues, Weights
+from .fast_idw_sums import CHECKED, sums_of_changes
+from .idw_sums import ExactSums, SourceValues, Weights
 from .summation import DERIVATIVE_TOLERANCE, MAX_RETRIES, doubtful
 
 _FIRST_SHARE = 1.7
 """Initial error allowed to one cluster, as a multiple of that allowed to the sum; sufficient on the hemispheres, while
 the plates need half of it."""
-# Nodes per chunk when fast sums are checked, and nodes whose motion is recorded at a time, which bounds the memory.
-_CHECKED, _RECORDED = 64, 1024
+_RECORDED = 1024
+"""Nodes whose motion is recorded at a time, which bounds the memory."""
 
 Sums = ExactSums | FastSums
 
 
 class LinearIDW:
-    """Derivative of the displacement of the nodes of an evaluator at one displacement (n_sources, 3) of the sources.
+    """Derivative of the displacement of the targets of a method at one displacement (n_sources, 3) of the sources.
 
     Sums over sources become sums of derivatives, exact or fast like those of the method, and their transposes are sums
     over nodes.
@@ -38,11 +38,10 @@ class LinearIDW:
     """
 
     def __init__(
-        self, evaluator: Bound | FastEvaluator, variable: Tracked, fit: SourceValues, acting: BoolArray,
+        self, method: Any, variable: Tracked, fit: SourceValues, acting: BoolArray,
         alpha: Tracked | None, slope: float,
     ) -> None:  # fmt: skip
-        self._bound = evaluator if isinstance(evaluator, Bound) else evaluator.bound
-        self._variable, self._slope = variable, slope
+        self._method, self._variable, self._slope = method, variable, slope
         frame, rest = fit.frame, fit.transition.rest
         # What every node depends on beside its own sums.
         common: dict[str, Any] = {"shift": frame.shift, "turn": frame.turn, "rest": rest}
@@ -55,18 +54,13 @@ class LinearIDW:
             frame=dataclasses.replace(frame, shift=plain(frame.shift), turn=plain(frame.turn)),
             transition=self._transition,
         )
-        kept = plain(fit.values), acting, evaluator is not self._bound, self._transition.width > 0.0
-        self._sums, self._base = _accurate(self._bound, fit.weights, *kept)
+        kept = plain(fit.values), acting, self._transition.width > 0.0
+        self._sums, self._base = _accurate(method, fit.weights, *kept)
         self._near = None
         if slope:
             # The part of the weights that alpha multiplies.
             near = tuple((b, 5.0, 0.0) for _, b, _ in fit.weights)
-            _, self._near = _accurate(self._bound, near, *kept)
-
-    @property
-    def flat(self) -> IntArray:
-        """Flat indices (n,) of the target nodes."""
-        return self._bound.flat
+            _, self._near = _accurate(method, near, *kept)
 
     def _recorded(self, flat: IntArray, sums: FloatArray) -> tuple[Tracked, list[Tracked], dict[str, Tracked]]:
         """Displacement of some nodes, recorded from the columns of their sums and from what they have in common."""
@@ -79,7 +73,7 @@ class LinearIDW:
             frame=dataclasses.replace(fit.frame, **frame),  # type: ignore[arg-type]
             transition=self._transition._replace(rest=common.get("rest", self._transition.rest)),  # type: ignore[arg-type]
         )
-        found: Tracked = self._bound.displacement(fit, flat, columns)  # type: ignore[assignment, arg-type]
+        found: Tracked = self._method.displacement(fit, flat, columns)
         return found, columns, common
 
     def push(self, change: FloatArray, out: FloatArray) -> None:
@@ -106,7 +100,7 @@ class LinearIDW:
 
     def pull(self, gradient: FloatArray) -> FloatArray:
         """Gradient (n_sources, 3) from that of the nodes, rows of ``gradient`` (n_nodes, 3)."""
-        bound, k, rows = self._bound, len(self._fit.values), Nodes.of(gradient).rows
+        k, rows = len(self._fit.values), Nodes.of(gradient).rows
         # For every portion: gradients of what the nodes have in common, and of the values common to sources at rest.
         sizes = {name: each.shape for name, each in self._common.items()} | {"alpha": (), "at rest": (k,)}
         parts = {name: np.zeros((self._sums.portions, *size)) for name, size in sizes.items()}
@@ -129,7 +123,7 @@ class LinearIDW:
             parts["at rest"][portion] += sums[:, 0] @ of_sums[:, 1:]
             return of_sums[:, 1 : 1 + changing]
 
-        acting, total = self._sums.acting, bound.grid.nodes.total
+        acting, total = self._sums.acting, self._method.problem.grid.nodes.total
         values = np.zeros((k, np.count_nonzero(acting)))
         own = self._sums.transpose(make, changing)[:, acting]
         values[:changing] = total(own)
@@ -150,22 +144,22 @@ def _apart(values: FloatArray, acting: BoolArray) -> tuple[FloatArray, FloatArra
 
 
 def _accurate(
-    bound: Bound, weights: Weights, values: FloatArray, acting: BoolArray, fast: bool, transition: bool
+    method: Any, weights: Weights, values: FloatArray, acting: BoolArray, transition: bool
 ) -> tuple[Sums, _AtNodes]:
     """Fast sums, refined until their error at the nodes where they are compared with exact ones is small enough; exact
     sums if it remains too large."""
     share = _FIRST_SHARE
-    for _ in range(1 + MAX_RETRIES if fast else 0):
-        sums = fast_sums(bound, weights, acting, share)
+    for _ in range(1 + MAX_RETRIES if method.fast else 0):
+        sums = sums_of_changes(method, weights, acting, share)
         found = _AtNodes(sums, values, transition)
         # All ranks must decide alike, also those whose processors round otherwise.
-        error = agreed(bound.grid.nodes.ranks, found.error(bound, sums, weights, values))
+        error = agreed(method.problem.grid.nodes.ranks, found.error(method, sums, weights, values))
         if error <= DERIVATIVE_TOLERANCE:
             return sums, found
         if not np.isfinite(error):
             break
         share *= 0.9 * DERIVATIVE_TOLERANCE / error
-    exact = ExactSums(bound, weights, acting)
+    exact = ExactSums(method, weights, acting)
     return exact, _AtNodes(exact, values, transition)
 
 
@@ -192,17 +186,17 @@ class _AtNodes:
 
         sums.apply(values, keep_sums)
 
-    def error(self, bound: Bound, sums: FastSums, weights: Weights, values: FloatArray) -> float:
+    def error(self, method: Any, sums: FastSums, weights: Weights, values: FloatArray) -> float:
         """Largest error of a sum of unit values relative to the total weight, at the nodes with the largest error
         bounds and at random ones; infinite if any sum is not finite."""
         if not np.isfinite(self._weight).all():
             return np.inf
         own, common = _apart(values, sums.acting)
         order = np.argsort(sums.flat)
-        flat = np.unique(doubtful(bound.grid.points, sums.targets, sums.risk))
+        flat = np.unique(doubtful(method.problem.grid.points, sums.targets, sums.risk))
         rows = order[np.searchsorted(sums.flat, flat, sorter=order)]
-        exact = ExactSums(bound, weights).at(sums.flat[rows], np.vstack([own, sums.acting]), chunk=_CHECKED)
-        exact /= bound.strength.max()
+        exact = ExactSums(method, weights).at(sums.flat[rows], np.vstack([own, sums.acting]), chunk=CHECKED)
+        exact /= method.strength.max()
         exact, acting = exact[:, :-1], exact[:, -1]
         found = self.rows(rows)
         found[:, 1:] -= found[:, :1] * common

@@ -32,12 +32,13 @@ residual; large enough that the correction cannot fold cells."""
 
 
 class PreparedRBF:
-    """RBF bound to the sources of one undeformed grid; ``options`` are those of :class:`.rbf.RBF`."""
+    """RBF bound to the sources and the target nodes ``flat`` of one undeformed grid; ``options`` are those of
+    :class:`.rbf.RBF`."""
 
-    def __init__(self, options: Any, problem: Problem):
+    def __init__(self, options: Any, problem: Problem, flat: IntArray):
         self.options, self.kind = options, BASES[options.basis]
+        self.problem, self.flat = problem, flat
         self.account = Account()
-        self.problem = problem
         self.images = mirror_images(problem)
         radius: float | None = None
         if options.radius != "auto" and options.basis != "tps":
@@ -67,6 +68,13 @@ class PreparedRBF:
             unit = height if options.greedy_error == "first-cell" else np.ones(len(height))
             tolerance = options.greedy_tolerance * unit
             self.account.note("greedy tolerance", warn_of_coarse_tolerance(tolerance, height, options.greedy_correct))
+        # Target nodes sorted for fast sums, and the centres of the latest ones.
+        self._targets: RadialTargets | None = None
+        self._tree: tuple[FloatArray, FastRadial] | None = None
+        # Distance of every target from the nearest source, and the number of that.
+        self._nearest: tuple[FloatArray, IntArray] | None = None
+        if options.greedy == "none":
+            self._is_fast(len(self.images.points))
 
     def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
         """Warnings for a displacement (n_sources, 3) before it is applied; ``step`` is the first increment."""
@@ -109,19 +117,19 @@ class PreparedRBF:
         reach = _REACH * float(np.linalg.norm(residual, axis=1).max())
         return Coefficients(points, found.coefficients, found.polynomial, residual, reach)
 
-    def linearised(self, evaluator: RadialSums, displacement: FloatArray) -> Linearised:
-        """The derivative of the displacement of the nodes of ``evaluator``; the same at all displacements.
+    def linearised(self, displacement: FloatArray) -> Linearised:
+        """The derivative of the displacement of the targets; the same at all displacements.
 
         All sources are centres, and sums are exact.
         """
-        nodes, memory, flat = self.problem.grid.nodes, self.problem.memory, evaluator.flat
+        nodes, memory, flat = self.problem.grid.nodes, self.problem.memory, self.flat
         system = RadialSystem(accurate(self.options), self.centres, memory, nodes.ranks)
         # Factorised here, once.
         system.solve(np.zeros_like(self.centres.points), Account(), None)
 
         def push(change: FloatArray, out: FloatArray) -> None:
             solution = system.solve(self.images.displaced(change), Account(), None)
-            evaluator.sum_exactly(Coefficients(self.centres.points, *solution), Nodes.of(out).rows)
+            self._sum_exactly(Coefficients(self.centres.points, *solution), Nodes.of(out).rows)
 
         def pull(gradient: FloatArray) -> FloatArray:
             rows = Nodes.of(gradient).rows
@@ -134,74 +142,53 @@ class PreparedRBF:
 
         return Linearised(push, pull, Kinks({CHOSEN: 1} if self.options.greedy != "none" else {}))
 
-    def at(self, flat: IntArray) -> RadialSums:
-        """Bind to the target nodes ``flat``."""
-        sums = RadialSums(self, flat)
-        if self.options.greedy == "none":
-            sums.prepare(len(self.centres.points))
-        return sums
+    def _is_fast(self, n_centres: int) -> bool:
+        """Whether fast sums pay for this number of centres; then the target nodes are sorted for them."""
+        o, grid, settings = self.options, self.problem.grid, self.account.settings
+        fast, settings["summation"] = fast_pays(o.summation, sum(grid.nodes.gather(len(self.flat))), n_centres)
+        if fast and self._targets is None:
+            settings["summation_tolerance"] = Setting(o.summation_tolerance, "error relative to the local cell")
+            grid.hold_neighbours()
+            points = grid.nodes.like(3)
+            Nodes.of(points).each(lambda rows: np.copyto(points[rows], self.centres.normalised(grid.points[rows])))
+            grid.hold_neighbours(points)
+            targets = make_radial_targets(points, grid.shapes, grid.offsets, self.flat)
+            self._targets = targets._replace(sizes=targets.sizes * self.centres.scale)
+        return fast
 
-
-class RadialSums:
-    """Sums at the target nodes ``flat``, with the greedy residual added near the walls where the options say so."""
-
-    def __init__(self, bound: PreparedRBF, flat: IntArray):
-        self._grid, self.flat, self._centres, self._kind = bound.problem.grid, flat, bound.centres, bound.kind
-        self._options, self._account = bound.options, bound.account
-        self._is_fast = False
-        self.targets: RadialTargets | None = None
-        self._tree: tuple[FloatArray, FastRadial] | None = None
-        # Distance of every target from the nearest source, and the number of that.
-        self._nearest: tuple[FloatArray, IntArray] | None = None
-
-    def prepare(self, n_centres: int) -> None:
-        """Sort the target nodes for fast sums if these pay for this number of centres."""
-        n_targets = sum(self._grid.nodes.gather(len(self.flat)))
-        self._is_fast, self._account.settings["summation"] = fast_pays(self._options.summation, n_targets, n_centres)
-        if not self._is_fast or self.targets is not None:
-            return
-        tolerance = Setting(self._options.summation_tolerance, "error relative to the local cell")
-        self._account.settings["summation_tolerance"] = tolerance
-        grid = self._grid
-        grid.hold_neighbours()
-        points = grid.nodes.like(3)
-        Nodes.of(points).each(lambda rows: np.copyto(points[rows], self._centres.normalised(grid.points[rows])))
-        grid.hold_neighbours(points)
-        targets = make_radial_targets(points, grid.shapes, grid.offsets, self.flat)
-        self.targets = targets._replace(sizes=targets.sizes * self._centres.scale)
-
-    def evaluate(self, fit: Coefficients, out: FloatArray, progress: Progress | None) -> None:
-        """Write the displacement of the targets into ``out`` (n_nodes, 3)."""
-        report = of_stage(progress, "rbf")
-        self.prepare(len(fit.centres))
-        if self._is_fast:
-            assert self.targets is not None
-            targets = self.targets
+    def evaluate(self, fit: Coefficients, out: FloatArray, progress: Progress | None = None) -> None:
+        """Write the displacement of the targets into their rows of ``out`` (n_nodes, 3)."""
+        report, rows, tolerance = of_stage(progress, "rbf"), Nodes.of(out).rows, self.options.summation_tolerance
+        if self._is_fast(len(fit.centres)):
+            assert self._targets is not None
+            targets = self._targets
             if self._tree is None or not np.array_equal(self._tree[0], fit.centres):
-                self._tree = fit.centres, FastRadial(self._kind, fit.centres)
+                self._tree = fit.centres, FastRadial(self.kind, fit.centres)
+            sums = self._tree[1]
 
-            def use(flat: IntArray, sums: FloatArray) -> None:
-                x = targets.points[flat]
-                rows[flat] = sums + self._centres.drift(x, fit.polynomial)
+            def use(flat: IntArray, found: FloatArray) -> None:
+                rows[flat] = found + self.centres.drift(targets.points[flat], fit.polynomial)
 
-            sums, rows = self._tree[1], Nodes.of(out).rows
-
-            def once() -> float:
-                sums.prepare(fit.coefficients, targets, self._options.summation_tolerance)
+            def once(excess: float) -> float:
+                if excess:
+                    sums.refine(excess)
+                else:
+                    sums.restart()
+                sums.prepare(fit.coefficients, targets, tolerance)
                 risk = sums.apply(use, progress=report)
-                return largest_error(self._grid, targets, risk, rows, partial(self._displacement, fit))
+                return largest_error(self.problem.grid, targets, risk, rows, partial(self._displacement, fit))
 
-            sum_accurately("rbf", sums, once, self._options.summation_tolerance, self._account)
+            sum_accurately("rbf", once, tolerance, self.account)
         else:
-            self.sum_exactly(fit, Nodes.of(out).rows, report)
-        if self._options.greedy_correct and fit.reach > 0:
-            self._add_residual(fit, Nodes.of(out).rows)
+            self._sum_exactly(fit, rows, report)
+        if self.options.greedy_correct and fit.reach > 0:
+            self._add_residual(fit, rows)
 
     def _displacement(self, fit: Coefficients, flat: IntArray) -> FloatArray:
         """Displacement (n, 3) of the nodes ``flat`` by exact sums."""
-        return self._centres.displacement(self._kind, self._grid.nodes.rows[flat], fit)
+        return self.centres.displacement(self.kind, self.problem.grid.nodes.rows[flat], fit)
 
-    def sum_exactly(self, fit: Coefficients, out: FloatArray, report: Report | None = None) -> None:
+    def _sum_exactly(self, fit: Coefficients, out: FloatArray, report: Report | None = None) -> None:
         """Write the displacement of the targets into their rows of ``out``, by exact sums."""
 
         def work(lo: int, hi: int) -> None:
@@ -213,8 +200,8 @@ class RadialSums:
         """Add the residual of the nearest source, which fades out with the distance from it (Wendland C2)."""
         assert fit.residual is not None
         if self._nearest is None:
-            tree = scipy.spatial.cKDTree(self._centres.points * self._centres.scale + self._centres.origin)
-            self._nearest = tree.query(self._grid.nodes.rows[self.flat], workers=thread_count())
+            tree = scipy.spatial.cKDTree(self.centres.points * self.centres.scale + self.centres.origin)
+            self._nearest = tree.query(self.problem.grid.nodes.rows[self.flat], workers=thread_count())
         distance, nearest = self._nearest
         residual, flat = fit.residual, self.flat
 

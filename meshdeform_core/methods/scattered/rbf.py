@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from ...errors import MethodError
+from ...grid import IntArray
 from ...numerics.exact.basis import BASES
 from ..base import Problem
 from ..options import MethodOptions, option
@@ -78,9 +79,9 @@ class RBF(MethodOptions):
                 'centre can correct its own error; choose a compact basis, like wendland-c2, or greedy = "none"'
             )
 
-    def bind(self, problem: Problem) -> PreparedRBF:
-        """Sources and their images at symmetry planes as centres; nothing is solved yet."""
+    def bind(self, problem: Problem, flat: IntArray) -> PreparedRBF:
+        """Sources and their images at symmetry planes as centres, and target nodes ``flat``; nothing is solved yet."""
         # Imported here, as its loops take a while to load and other methods need none of them.
         from .prepared_rbf import PreparedRBF
 
-        return PreparedRBF(self, problem)
+        return PreparedRBF(self, problem, flat)

@@ -44,20 +44,20 @@ def fast_pays(summation: str, n_targets: int, n_sources: int) -> tuple[bool, Set
     return fast, Setting("fast" if fast else "exact", reason)
 
 
-def sum_accurately(method: str, sums: Any, once: Callable[[], float], tolerance: float, account: Account) -> None:
+def sum_accurately(method: str, once: Callable[[float], float], tolerance: float, account: Account) -> None:
     """Call ``once``, which computes the sums and returns their error, until the error is within the tolerance.
 
-    Every displacement starts with the same accuracy, ``sums.restart()``, whatever earlier ones needed;
-    ``sums.refine(excess)`` increases it, as the error was ``excess`` times too large. The error (in cells) is reported,
-    with a warning if it remains too large.
+    Every displacement starts with the same accuracy, ``once(0)``, whatever earlier ones needed; ``once(excess)``
+    increases it, as the error was ``excess`` times too large. The error (in cells) is reported, with a warning if it
+    remains too large.
     """
-    sums.restart()
-    for attempt in range(1 + MAX_RETRIES):
-        error = once()
-        if error <= tolerance or attempt == MAX_RETRIES or not np.isfinite(error):
+    error, excess = np.inf, 0.0
+    for _ in range(1 + MAX_RETRIES):
+        error = once(excess)
+        if error <= tolerance or not np.isfinite(error):
             break
         # Rarely needed: when the errors of several clusters add up.
-        sums.refine(error / tolerance)
+        excess = error / tolerance
     account.settings["sampled_error"] = Setting(error, "against exact sums at the worst nodes, in cells")
     failed = (
         f"fast sums: found an error of {error:.2g} of a cell, {tolerance:g} is allowed; "
