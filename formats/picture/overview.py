@@ -4,26 +4,25 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from functools import cached_property
 
 import numpy as np
 
 from meshdeform_core.grid import FloatArray, Grid, IntArray, Shape
 from meshdeform_core.grid.faces import Role
 from meshdeform_core.grid.planes import Plane
-from meshdeform_core.grid.topology import Topology
-from meshdeform_core.quality import Original
 
 from .colours import Choice
 from .page import Page, Panel
 from .scene import (
+    Layer,
     Scene,
-    block_facets,
     cut_facets,
     cut_scene,
+    face_layers,
     joined,
+    layer_facets,
+    layer_scene,
     onto_walls,
-    surface_scene,
     wall_edges,
     whole_scene,
 )
@@ -47,10 +46,10 @@ def overview(subject: Subject, choice: Choice, title: str = "") -> Page:
     if scene is not None:
         return Page.of(_with_close_up(subject, scene), choice, title)
     if not bodies:
-        outside = surface_scene(subject, np.flatnonzero(subject.topology.external), metric, iso())
+        outside = layer_scene(subject, face_layers(subject, np.flatnonzero(subject.topology.external)), metric, iso())
         window = outside.view.window(outside.facets.corners).shaped(0.5, _TALL)
         return Page.of([Panel(outside, window, "outside")], choice, title)
-    walls = surface_scene(subject, quads_of_surfaces(bodies), metric, onto_walls(subject))
+    walls = layer_scene(subject, face_layers(subject, quads_of_surfaces(bodies)), metric, onto_walls(subject))
     backdrop = [each for each in subject.outside.of_role(Role.SYMMETRY, Role.WALL) if each not in bodies]
     if backdrop:
         walls = dataclasses.replace(walls, backdrop=subject.corners(backdrop))
@@ -86,29 +85,6 @@ def _with_close_up(subject: Subject, scene: Scene) -> list[Panel]:
     return [dataclasses.replace(panel, title="whole grid", frames=(near,)), Panel(scene, near, "close-up")]
 
 
-@dataclasses.dataclass(frozen=True)
-class Pair:
-    """A grid before and after, with the topology of the undeformed one.
-
-    ``undeformed`` is the grid that both are judged against, if it differs from the one before; ``original`` are its
-    cells and faces, if these have been found already.
-    """
-
-    before: Grid
-    after: Grid
-    topology: Topology
-    undeformed: Grid | None = None
-    original: Original | None = None
-
-    @cached_property
-    def old(self) -> Subject:
-        return Subject(self.before, self.topology, self.undeformed, original=self.original)
-
-    @cached_property
-    def new(self) -> Subject:
-        return Subject(self.after, self.topology, self.undeformed or self.before, original=self.old)
-
-
 def _twins(scenes: Sequence[Scene], windows: Sequence[Window], choice: Choice) -> Page:
     """The same part of two grids side by side in common colours, from the first one's direction."""
     view = scenes[0].view
@@ -119,20 +95,19 @@ def _twins(scenes: Sequence[Scene], windows: Sequence[Window], choice: Choice) -
     return Page.of(panels, choice)
 
 
-def moved_walls(pair: Pair, quads: IntArray) -> Page | None:
+def moved_walls(old: Subject, new: Subject, quads: IntArray) -> Page | None:
     """Moving face quads where they have gone, coloured by displacement; ``None`` for flat grids."""
-    if pair.old.grid.dimension == 2 or pair.old.end_plane is not None:
+    if old.grid.dimension == 2 or old.end_plane is not None:
         return None
-    walls = surface_scene(pair.new, quads, "displacement", onto_walls(pair.old))
+    walls = layer_scene(new, face_layers(new, quads), "displacement", onto_walls(old))
     window = walls.view.window(walls.facets.corners, 0.06).shaped(0.6, 1.0)
     return Page.of([Panel(walls, window)], Choice("displacement"))
 
 
-def quality_planes(pair: Pair) -> Page:
+def quality_planes(old: Subject, new: Subject) -> Page:
     """A plane through the grid around its walls, before and after, in the same frame and colours."""
-    scenes = [_plane(subject, Choice()) for subject in (pair.old, pair.new)]
-    points = np.concatenate([subject.corners(pair.old.bodies) for subject in (pair.old, pair.new)])
-    window = _window_around(scenes[0], points)
+    scenes = [_plane(subject, Choice()) for subject in (old, new)]
+    window = _window_around(scenes[0], np.concatenate([subject.corners(old.bodies) for subject in (old, new)]))
     return _twins(scenes, (window, window), Choice())
 
 
@@ -154,19 +129,19 @@ def _window_around(scene: Scene, points: FloatArray) -> Window:
     return scene.view.window(points, 0.6).within(whole).shaped(0.5, 0.9).moved_into(whole)
 
 
-def worst_cells(pair: Pair, block: int, cell: Shape, choice: Choice | None = None) -> Page:
+def worst_cells(old: Subject, new: Subject, block: int, cell: Shape, choice: Choice | None = None) -> Page:
     """The surroundings of a cell (0-based ``cell`` of ``block``) before and after, on the same scale.
 
     In space it is the index plane of the block through the cell, and where its plane cuts the other blocks.
     """
     choice = choice or Choice()
-    scenes = [whole_scene(subject, choice.metric) for subject in (pair.old, pair.new)]
+    scenes = [whole_scene(subject, choice.metric) for subject in (old, new)]
     found = [scene for scene in scenes if scene is not None]
     if len(found) < 2:
-        axis, normal = telling_plane(pair, block, cell)
+        axis, normal = telling_plane(old.grid, new.grid, block, cell)
         found, view = [], facing(normal)
-        for subject in (pair.old, pair.new):
-            own = block_facets(subject, block, axis, cell[axis], choice.metric)
+        for subject in (old, new):
+            own = layer_facets(subject, [Layer(block, axis, cell[axis])], choice.metric)
             plane = Plane(_nodes_around(subject.grid, block, cell).mean(axis=0), normal)
             cut = cut_facets(subject, plane, choice.metric)
             # Drawn behind the index plane, which may deviate from the plane in space but stays in front everywhere.
@@ -175,7 +150,7 @@ def worst_cells(pair: Pair, block: int, cell: Shape, choice: Choice | None = Non
     # Windows of the same size around a cell before and after.
     view = found[0].view
     centers, reach = [], 0.0
-    for grid in (pair.before, pair.after):
+    for grid in (old.grid, new.grid):
         center = view.project(_nodes_around(grid, block, cell).mean(axis=0))[:2]
         near, close = (
             np.abs(view.project(_nodes_around(grid, block, cell, more))[:, :2] - center).max(axis=1)
@@ -193,13 +168,13 @@ def _nodes_around(grid: Grid, block: int, cell: Shape, more: int = 0) -> FloatAr
     return grid.few(block, window).reshape(-1, 3)
 
 
-def telling_plane(pair: Pair, block: int, cell: Shape) -> tuple[int, FloatArray]:
+def telling_plane(before: Grid, after: Grid, block: int, cell: Shape) -> tuple[int, FloatArray]:
     """Index axis and normal of the plane in which a cell looks worst: smallest over largest corner area."""
     found = []
     for axis in range(3):
         window = tuple(slice(at, at + (1 if a == axis else 2)) for a, at in enumerate(cell))
         # The corners of a face in cyclic order.
-        old, new = (grid.few(block, window).reshape(4, 3)[[0, 2, 3, 1]] for grid in (pair.before, pair.after))
+        old, new = (grid.few(block, window).reshape(4, 3)[[0, 2, 3, 1]] for grid in (before, after))
         normal = np.cross(old[2] - old[0], old[3] - old[1])
         length = float(np.linalg.norm(normal))
         if length == 0.0:

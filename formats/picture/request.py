@@ -16,9 +16,9 @@ from meshdeform_core.grid.selection import select_quads
 from meshdeform_core.numerics.arrays import extent
 
 from .colours import Choice
-from .overview import Pair, overview, worst_cells
+from .overview import overview, worst_cells
 from .page import Page, Panel
-from .scene import Scene, cut_scene, index_scene, surface_scene, whole_scene
+from .scene import Scene, cut_scene, face_layers, index_layers, layer_scene, whole_scene
 from .subject import Subject, quads_of_surfaces, worst_cell
 from .view import View, Window, along, iso, towards
 
@@ -135,7 +135,9 @@ def picture(subject: Subject, options: PlotOptions, title: str = "") -> Page:
         return overview(subject, choice, title)
     if options.close == "worst":
         block, cell = worst_cell(subject, choice.metric)
-        page = worst_cells(Pair(subject.reference or subject.grid, subject.grid, subject.topology), block, cell, choice)
+        # The undeformed grid compared with itself, for measures that compare.
+        old = Subject(subject.reference, subject.topology, subject.reference) if subject.reference else subject
+        page = worst_cells(old, subject, block, cell, choice)
         before, after = page.panels
         after = dataclasses.replace(after, title=f"worst cell: {subject.grid.label(block, cell)}")
         panels = (after,) if subject.reference is None else (before, after)
@@ -167,7 +169,7 @@ def _scene(subject: Subject, options: PlotOptions) -> Scene:
         if subject.grid.dimension == 2:
             raise CaseError("a 2-D grid has no surfaces to select; leave --select out to draw the whole grid")
         quads = select_quads(subject.reference or subject.grid, subject.topology, options.select, "plot")
-        scene = surface_scene(subject, quads, metric)
+        scene = layer_scene(subject, face_layers(subject, quads), metric)
     elif options.space_plane is not None:
         axis, at = options.space_plane
         if subject.grid.dimension == 2:
@@ -179,11 +181,11 @@ def _scene(subject: Subject, options: PlotOptions) -> Scene:
             raise CaseError(f"no part of the grid lies at {axis} = {at:g}; it spans {axis} = {low:.6g} to {high:.6g}")
         scene = cut_scene(subject, Plane(at * normal, normal), metric)
     elif options.index_plane is not None:
-        scene = index_scene(subject, *options.index_plane, metric)
+        scene = layer_scene(subject, index_layers(subject.grid, *options.index_plane), metric)
     else:
         walls = subject.wall_surfaces
-        scene = whole_scene(subject, metric) or surface_scene(
-            subject, quads_of_surfaces(walls) if walls else np.flatnonzero(subject.topology.external), metric,
-            None if walls else iso(),
-        )  # fmt: skip
+        quads = quads_of_surfaces(walls) if walls else np.flatnonzero(subject.topology.external)
+        scene = whole_scene(subject, metric) or layer_scene(
+            subject, face_layers(subject, quads), metric, None if walls else iso()
+        )
     return dataclasses.replace(scene, view=options.direction or scene.view)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,11 +14,12 @@ from meshdeform_core.grid import BoolArray, FloatArray, Grid, IntArray, Side
 from meshdeform_core.grid.faces import Role
 from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.surfaces import Surface
-from meshdeform_core.grid.topology import Topology, side_nodes
 from meshdeform_core.parallel import Nodes
 
 from .subject import Subject
 from .view import View, facing, spread, towards
+
+no_edges = partial(np.empty, (0, 2, 3))
 
 
 @dataclass(frozen=True)
@@ -50,73 +53,64 @@ def joined(parts: Sequence[Facets]) -> Facets:
     return Facets(stacked([part.corners for part in parts]), values, bad)
 
 
-def quads_of_layer(x: FloatArray) -> FloatArray:
-    """The quads (n, 4, 3) of a layer of nodes (na, nb, 3)."""
-    return np.stack([x[:-1, :-1], x[1:, :-1], x[1:, 1:], x[:-1, 1:]], axis=2).reshape(-1, 4, 3)
+class Layer(NamedTuple):
+    """A plane of nodes of a block, ``plane`` (0-based) along ``axis``; of its ``quads`` (na, nb) some, or all."""
+
+    block: int
+    axis: int
+    plane: int
+    quads: BoolArray | None = None
+
+    def nodes(self, grid: Grid) -> FloatArray:
+        """The nodes (na, nb, 3)."""
+        shape = grid.shapes[self.block]
+        window = [slice(self.plane, self.plane + 1) if a == self.axis else slice(0, n) for a, n in enumerate(shape)]
+        return grid.few(self.block, window).squeeze(axis=self.axis)
 
 
-def plane_facets(subject: Subject, axis: int, index: int | None, metric: str) -> Facets:
-    """The cells at the index plane ``index`` (0-based node, ``None``: the middle) along ``axis`` of all blocks.
+def index_layers(grid: Grid, axis: int, index: int | None) -> list[Layer]:
+    """The planes ``index`` (0-based node, ``None``: the middle) along ``axis`` of all blocks that extend to it.
 
-    Blocks that do not extend to the index are omitted; a 2-D grid is drawn completely.
+    A 2-D grid is shown completely. Raises CaseError when no block extends to the index.
     """
-    planes = _node_planes(subject.grid, axis, index)
-    if not planes:
-        longest = max(shape[axis] for shape in subject.grid.shapes)
-        raise CaseError(f"no block has a node plane {'ijk'[axis]} = {(index or 0) + 1}; the largest is {longest}")
-    return joined([block_facets(subject, *plane, metric) for plane in planes])
-
-
-def plane_outlines(subject: Subject, axis: int, index: int | None) -> FloatArray:
-    """Edges (n, 2, 3) of the blocks in an index plane."""
-    layers = [_layer(subject.grid, *plane) for plane in _node_planes(subject.grid, axis, index)]
-    return np.concatenate([_outline(x, np.ones((x.shape[0] - 1, x.shape[1] - 1), dtype=bool)) for x in layers])
-
-
-def _node_planes(grid: Grid, axis: int, index: int | None) -> list[tuple[int, int, int]]:
-    """Block, axis and index of the planes of nodes of blocks."""
     found = []
-    for block in range(grid.n_blocks):
-        shape = grid.shapes[block]
+    for block, shape in enumerate(grid.shapes):
         along = shape.index(1) if grid.dimension == 2 else axis
         at = (shape[along] - 1) // 2 if index is None or grid.dimension == 2 else index
         if at < shape[along]:
-            found.append((block, along, at))
+            found.append(Layer(block, along, at))
+    if not found:
+        longest = max(shape[axis] for shape in grid.shapes)
+        raise CaseError(f"no block has a node plane {'ijk'[axis]} = {(index or 0) + 1}; the largest is {longest}")
     return found
 
 
-def block_facets(subject: Subject, block: int, axis: int, index: int, metric: str) -> Facets:
-    """The cells behind the node plane ``index`` (0-based) along ``axis`` of one block."""
-    layer = min(index, subject.grid.cell_shapes[block][axis] - 1)
-    quads = quads_of_layer(_layer(subject.grid, block, axis, index))
-    return _facets(subject, block, axis, layer, quads, metric)
-
-
-def _layer(grid: Grid, block: int, axis: int, index: int) -> FloatArray:
-    """The nodes (na, nb, 3) of a plane of a block."""
-    window = [slice(index, index + 1) if a == axis else slice(0, n) for a, n in enumerate(grid.shapes[block])]
-    return grid.few(block, window).squeeze(axis=axis)
-
-
-def _facets(subject: Subject, block: int, axis: int, layer: int, quads: FloatArray, metric: str) -> Facets:
-    """Quads (n, 4, 3) with the values of the cells of a layer of a block."""
-    i, j, k = (slice(layer, layer + 1) if a == axis else whole for a, whole in enumerate(subject.whole(block)))
-    cells = i, j, k
-    with subject.ready(metric):
-        values = subject.of_all(lambda own: subject.shown(metric, block, own), block, cells)
-        bad = subject.of_all(lambda own: subject.bad(block, own), block, cells)
-    return Facets(quads, values.ravel(), bad.ravel())
-
-
-def surface_facets(subject: Subject, quads: IntArray, metric: str) -> Facets:
-    """Face quads of a 3-D grid, with the value of the cell behind each."""
-    topology, parts = subject.topology, []
+def face_layers(subject: Subject, quads: IntArray) -> list[Layer]:
+    """The block faces that face quads of a 3-D grid belong to, with these quads."""
+    topology, found = subject.topology, []
     for block_side, some in topology.quads.by_side(quads):
         block, side = block_side // 6, Side(block_side % 6)
-        local = some - topology.quads.start[block, side]
-        corners = quads_of_layer(subject.grid.points[side_nodes(subject.grid, block, side)])
-        layer = side.layer(subject.grid.cell_shapes[block])
-        parts.append(_facets(subject, block, side.axis, layer, corners, metric).where(local))
+        mask = np.zeros(tuple(topology.quads.counts[block, side]), dtype=bool)
+        mask.ravel()[some - topology.quads.start[block, side]] = True
+        found.append(Layer(block, side.axis, side.layer(subject.grid.shapes[block]), mask))
+    return found
+
+
+def layer_facets(subject: Subject, layers: Sequence[Layer], metric: str) -> Facets:
+    """Quads of layers, each with the value of the cell behind it."""
+    parts = []
+    for layer in layers:
+        x = layer.nodes(subject.grid)
+        corners = np.stack([x[:-1, :-1], x[1:, :-1], x[1:, 1:], x[:-1, 1:]], axis=2).reshape(-1, 4, 3)
+        whole = subject.whole(layer.block)
+        behind = min(layer.plane, whole[layer.axis].stop - 1)
+        i, j, k = (slice(behind, behind + 1) if a == layer.axis else all_ for a, all_ in enumerate(whole))
+        cells = i, j, k
+        with subject.ready(metric):
+            values = subject.of_all(partial(subject.shown, metric, layer.block), layer.block, cells)
+            bad = subject.of_all(partial(subject.bad, layer.block), layer.block, cells)
+        facets = Facets(corners, values.ravel(), bad.ravel())
+        parts.append(facets if layer.quads is None else facets.where(layer.quads.ravel()))
     return joined(parts)
 
 
@@ -199,29 +193,13 @@ def _polygons(points: FloatArray, values: FloatArray) -> FloatArray:
     return np.asarray(np.take_along_axis(at, np.take_along_axis(order, last, axis=1)[..., None], axis=1))
 
 
-def block_outlines(grid: Grid, topology: Topology, quads: IntArray) -> FloatArray:
-    """Edges (n, 2, 3) of face quads along which blocks or their sides end."""
-    parts = []
-    for block_side, some in topology.quads.by_side(quads):
-        block, side = block_side // 6, Side(block_side % 6)
-        mask = np.zeros(tuple(topology.quads.counts[block, side]), dtype=bool)
-        mask.ravel()[some - topology.quads.start[block, side]] = True
-        parts.append(_outline(grid.points[side_nodes(grid, block, side)], mask))
-    return np.concatenate(parts) if parts else np.empty((0, 2, 3))
-
-
-def _outline(x: FloatArray, mask: BoolArray) -> FloatArray:
-    """Edges (n, 2, 3) between marked and other quads of a layer of nodes."""
-    padded = np.pad(mask, 1)
+def _outline(x: FloatArray, mask: BoolArray | None) -> FloatArray:
+    """Edges (n, 2, 3) between marked (``None``: all) and other quads of a layer of nodes."""
+    padded = np.pad(np.ones((x.shape[0] - 1, x.shape[1] - 1), dtype=bool) if mask is None else mask, 1)
     across = np.nonzero(padded[1:, 1:-1] != padded[:-1, 1:-1])
     along = np.nonzero(padded[1:-1, 1:] != padded[1:-1, :-1])
     ends = [(x[across], x[across[0], across[1] + 1]), (x[along], x[along[0] + 1, along[1]])]
     return np.concatenate([np.stack(each, axis=1) for each in ends])
-
-
-def no_edges() -> FloatArray:
-    """Edges (0, 2, 3)."""
-    return np.empty((0, 2, 3))
 
 
 @dataclass(frozen=True)
@@ -248,27 +226,11 @@ def whole_scene(subject: Subject, metric: str) -> Scene | None:
     """The plane that represents a whole grid: a plane grid itself, or an end of an extruded one; ``None`` without."""
     if subject.grid.dimension == 2:
         assert subject.thin is not None
-        normal = subject.thin
-        facets, outlines = plane_facets(subject, 2, None, metric), plane_outlines(subject, 2, None)
-    elif subject.end_plane is not None:
-        quads, normal = subject.end_plane
-        facets = surface_facets(subject, quads, metric)
-        outlines = block_outlines(subject.grid, subject.topology, quads)
-    else:
+        return layer_scene(subject, index_layers(subject.grid, 2, None), metric, facing(subject.thin), lit=False)
+    if subject.end_plane is None:
         return None
-    return _plan(subject, facets, facing(normal), outlines)
-
-
-def _plan(subject: Subject, facets: Facets, view: View, outlines: FloatArray) -> Scene:
-    """Flat polygons from above, with the lines in which their plane cuts walls."""
-    return Scene(facets, view, outlines, wall_edges(subject, Plane(facets.corners[0, 0], view.towards)))
-
-
-def index_scene(subject: Subject, axis: int, index: int | None, metric: str) -> Scene:
-    """A plane of nodes, see :func:`plane_facets`."""
-    facets = plane_facets(subject, axis, index, metric)
-    view, outlines = spread(facets.corners), plane_outlines(subject, axis, index)
-    return _plan(subject, facets, view, outlines) if view.flat else Scene(facets, view, outlines, lit=True)
+    quads, normal = subject.end_plane
+    return layer_scene(subject, face_layers(subject, quads), metric, facing(normal), lit=False)
 
 
 def cut_scene(subject: Subject, plane: Plane, metric: str) -> Scene:
@@ -276,14 +238,20 @@ def cut_scene(subject: Subject, plane: Plane, metric: str) -> Scene:
     return Scene(cut_facets(subject, plane, metric), facing(plane.normal), walls=wall_edges(subject, plane))
 
 
-def surface_scene(subject: Subject, quads: IntArray, metric: str, view: View | None = None) -> Scene:
-    """Face quads of a grid in space from a direction; without one flat ones in plan view, others towards the walls."""
-    facets = surface_facets(subject, quads, metric)
-    outlines = block_outlines(subject.grid, subject.topology, quads)
-    plan = spread(facets.corners)
-    if plan.flat and view is None:
-        return _plan(subject, facets, plan, outlines)
-    return Scene(facets, view or onto_walls(subject), outlines, lit=True)
+def layer_scene(
+    subject: Subject, layers: Sequence[Layer], metric: str, view: View | None = None, lit: bool = True
+) -> Scene:
+    """Layers in space, or in plan view (not ``lit``) with the lines in which their plane cuts walls.
+
+    Without a ``view`` those that are flat are seen in plan view, others towards the walls.
+    """
+    facets = layer_facets(subject, layers, metric)
+    outlines = np.concatenate([_outline(layer.nodes(subject.grid), layer.quads) for layer in layers])
+    if view is None:
+        view = spread(facets.corners)
+        view, lit = (view, False) if view.flat else (onto_walls(subject), True)
+    walls = no_edges() if lit else wall_edges(subject, Plane(facets.corners[0, 0], view.towards))
+    return Scene(facets, view, outlines, walls, lit)
 
 
 def wall_edges(subject: Subject, plane: Plane, walls: Sequence[Surface] | None = None) -> FloatArray:

@@ -13,7 +13,7 @@ from meshdeform_core.deform import Result, Setup
 from meshdeform_core.grid import FloatArray, Grid
 
 from ..picture.colours import Choice
-from ..picture.overview import Pair, moved_walls, plane_around, quality_planes, worst_cells
+from ..picture.overview import moved_walls, plane_around, quality_planes, worst_cells
 from ..picture.page import Page, page_png
 from ..picture.subject import Subject, worst_cell
 from .tables import Figure
@@ -22,27 +22,28 @@ from .tables import Figure
 def deformation_figures(result: Result) -> list[Figure]:
     """The moving walls, a plane around them, the worst cells and what a repair changed, before and after."""
     setup, after, invalid = result.setup, result.grid, result.assessment.invalid
-    pair = Pair(setup.grid, after, setup.topology, original=setup.original)
+    old = Subject(setup.grid, setup.topology, original=setup.original)
+    new = Subject(after, setup.topology, setup.grid, original=old)
     caption = "A plane through the grid, coloured by f_skew."
-    figures = [Figure("Around the walls", caption, _png(after, quality_planes(pair)))]
-    block, cell = worst_cell(pair.new, "f_skew")
+    figures = [Figure("Around the walls", caption, _png(after, quality_planes(old, new)))]
+    block, cell = worst_cell(new, "f_skew")
     more = ", and of other invalid cells" if invalid else ""
     caption = f"A close-up of cell {setup.grid.label(block, cell)}, where f_skew is smallest{more}."
-    figures.append(Figure("The worst cells", caption, _png(after, worst_cells(pair, block, cell))))
+    figures.append(Figure("The worst cells", caption, _png(after, worst_cells(old, new, block, cell))))
     moving = np.flatnonzero(setup.boundary.quad_kind == Kind.MOVING)
     if after.dimension == 3 and moving.size:
-        page = moved_walls(pair, moving)
+        page = moved_walls(old, new, moving)
         if page is not None:
             caption = "The moving walls, coloured by their displacement."
             figures.insert(0, Figure("The moving walls", caption, _png(after, page)))
     if result.plain is not None:
         # Around the worst cell that the method alone gives, without and with the repair.
-        plain = setup.grid.moved(result.plain)
-        pair = Pair(plain, after, setup.topology, setup.grid)
-        block, cell = worst_cell(pair.old, "f_skew")
+        old = Subject(setup.grid.moved(result.plain), setup.topology, setup.grid)
+        new = Subject(after, setup.topology, setup.grid, original=old)
+        block, cell = worst_cell(old, "f_skew")
         where = setup.grid.label(block, cell)
         caption = f"Around cell {where}, the worst that the method alone gives: without the repair and with it."
-        page = worst_cells(pair, block, cell)
+        page = worst_cells(old, new, block, cell)
         # The same position, not the same cell, which the repair has moved.
         named = zip(page.panels, ("the method alone", "repaired"), strict=True)
         panels = tuple(dataclasses.replace(each, window=page.panels[0].window, title=name) for each, name in named)

@@ -23,8 +23,9 @@ from meshdeform_core.repair.derivative import derivative_of_repair
 from meshdeform_core.series import Schedule, deform_series
 from meshdeform_formats.case import case_of
 from meshdeform_formats.fields import ALL, with_fields
-from meshdeform_formats.picture.overview import Pair, quality_planes
+from meshdeform_formats.picture.overview import quality_planes
 from meshdeform_formats.picture.page import page_png
+from meshdeform_formats.picture.subject import Subject
 from meshdeform_samples import case_content, generate
 
 _FAST_IDW, _FAST_RBF = IDW(summation="fast"), RBF(summation="fast", solver="krylov")
@@ -91,7 +92,8 @@ def _pictures(name: str, size: int, method: Options) -> None:
     result = _deformed(name, size, method)
     with_fields(cells_of(result.setup, result.grid), [ALL])
     setup = result.setup
-    page_png(quality_planes(Pair(setup.grid, result.grid, setup.topology, original=setup.original)), dpi=10)
+    before = Subject(setup.grid, setup.topology, original=setup.original)
+    page_png(quality_planes(before, Subject(result.grid, setup.topology, setup.grid, original=before)), dpi=10)
 
 
 def _nested_sums() -> None:

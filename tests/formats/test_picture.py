@@ -18,10 +18,10 @@ from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality.cells import measure_block
 from meshdeform_formats.case.template import case_template
 from meshdeform_formats.picture.colours import INVALID_COLOUR, Choice
-from meshdeform_formats.picture.overview import Pair, moved_walls, overview, quality_planes, telling_plane, worst_cells
+from meshdeform_formats.picture.overview import moved_walls, overview, quality_planes, telling_plane, worst_cells
 from meshdeform_formats.picture.page import Page, Panel, page_png
 from meshdeform_formats.picture.raster import render
-from meshdeform_formats.picture.scene import Facets, Scene, cut_facets, plane_facets, surface_facets
+from meshdeform_formats.picture.scene import Facets, Scene, cut_facets, face_layers, index_layers, layer_facets
 from meshdeform_formats.picture.subject import Subject, worst_cell
 from meshdeform_formats.picture.view import Window, along, iso, towards
 from meshdeform_samples import load
@@ -82,11 +82,10 @@ def test_surfaces_and_planes_have_the_values_of_the_cells_behind():
     grid = frame()
     s = subject(grid)
     volume = measure_block(grid.block(0), 1.0, None).volume
-    np.testing.assert_allclose(
-        plane_facets(s, 2, 3, "volume").values[: volume[:, :, -1].size], volume[:, :, -1].ravel()
-    )
+    values = layer_facets(s, index_layers(grid, 2, 3), "volume").values
+    np.testing.assert_allclose(values[: volume[:, :, -1].size], volume[:, :, -1].ravel())
     quads = np.arange(*s.topology.quads.of_side(0, 1).indices(10**9)[:2])
-    np.testing.assert_allclose(surface_facets(s, quads, "volume").values, volume[-1].ravel())
+    np.testing.assert_allclose(layer_facets(s, face_layers(s, quads), "volume").values, volume[-1].ravel())
 
 
 # what is chosen
@@ -156,7 +155,7 @@ def test_invalid_cells_have_their_own_colour_and_are_counted():
     points = other.points.copy()
     grid.block(0, points)[2, 2, 2] += [0.0, 0.0, 0.9]
     broken = subject(grid.moved(points), grid)
-    facets = plane_facets(broken, 2, 2, "f_skew")
+    facets = layer_facets(broken, index_layers(grid, 2, 2), "f_skew")
     assert facets.bad.any()
     colours = Choice().scale(facets.values).colours(facets)
     assert (colours[facets.bad] == INVALID_COLOUR).all()
@@ -201,7 +200,7 @@ def test_ranges_follow_the_data():
 def test_an_image_shows_the_near_side_of_a_cube():
     grid = Grid.from_blocks([block_around(*(np.linspace(0.0, 1.0, 3),) * 3)])
     s = subject(grid)
-    facets = surface_facets(s, np.arange(24), "volume")
+    facets = layer_facets(s, face_layers(s, np.arange(24)), "volume")
     for each in (along("x"), along("y"), along("z"), iso()):
         np.testing.assert_allclose(np.cross(each.right, each.up), each.towards, atol=1e-15)
     view = towards(np.array([1.0, -2.0, 1.5]))
@@ -223,8 +222,7 @@ def test_a_cell_is_shown_in_the_plane_in_which_it_folds(axis, corner):
     inwards = np.where(np.array(at) == 0, 0.8, -0.8)
     inwards[axis] = 0.0
     grid.block(0, points)[tuple(at)] += inwards
-    pair = Pair(grid, grid.moved(points), find_topology(grid))
-    found, normal = telling_plane(pair, 0, (0, 0, 0))
+    found, normal = telling_plane(grid, grid.moved(points), 0, (0, 0, 0))
     assert found == axis
     np.testing.assert_array_equal(np.abs(normal), np.eye(3)[axis])
 
@@ -233,27 +231,24 @@ def test_a_cell_without_folds_is_shown_where_its_smallest_angle_is():
     """A kite, whose angles of 37 degrees and more lie between sides of different lengths, sheared to 30 degrees."""
     kite = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]], [[0.0, 1.0, 0.0], [0.0, 2.0, 2.0]]])
     grid = Grid.from_blocks([np.stack([kite, kite + (0.5, 0.75**0.5, 0.0)])])
-    assert telling_plane(Pair(grid, grid, find_topology(grid)), 0, (0, 0, 0))[0] == 2
+    assert telling_plane(grid, grid, 0, (0, 0, 0))[0] == 2
 
 
 def test_pages_before_and_after_have_one_size_and_scale():
     before = frame()
     after = before.moved(before.points + 0.3 * np.sin(before.points[:, [1, 0, 0]]) * [1, 1, 0])
-    pair = Pair(before, after, find_topology(before))
-    page = quality_planes(pair)
+    both = subject(before), subject(after, before)
+    page = quality_planes(*both)
     assert page.panels[0].window == page.panels[1].window
-    pictures = [page_png(each, 4.0, 60) for each in (page, worst_cells(pair, 2, (1, 1, 1)))]
+    pictures = [page_png(each, 4.0, 60) for each in (page, worst_cells(*both, 2, (1, 1, 1)))]
     assert all(png.startswith(b"\x89PNG") for png in pictures)
     assert page_png(page, 4.0, 60) == pictures[0]
 
 
 def test_moved_walls_are_coloured_by_their_motion():
     before = load("wing").generate(8)
-    points = before.points + [0.0, 0.0, 0.25]
-    topology = find_topology(before)
-    pair = Pair(before, before.moved(points), topology)
-    walls = np.concatenate([w.quads for w in pair.old.outside.of_role(Role.WALL)])
-    page = moved_walls(pair, walls)
+    old, new = subject(before), subject(before.moved(before.points + [0.0, 0.0, 0.25]), before)
+    page = moved_walls(old, new, np.concatenate([w.quads for w in old.outside.of_role(Role.WALL)]))
     assert page.scale is not None
     np.testing.assert_allclose(page.panels[0].scene.facets.values, 0.25)
 
