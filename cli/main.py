@@ -17,10 +17,19 @@ from meshdeform_core import interruption
 from meshdeform_core.errors import suggestion
 from meshdeform_core.parallel import current_ranks
 
-from .exit_codes import EXIT_BUG, EXIT_INPUT, EXIT_INTERRUPTED
-from .process.messages import drop, flushed, open_streams, tell
-from .process.mpi import place, run_on_ranks
-from .process.signals import Handler, end_of
+from .process import (
+    EXIT_BUG,
+    EXIT_INPUT,
+    EXIT_INTERRUPTED,
+    Handler,
+    drop,
+    end_of,
+    flushed,
+    open_streams,
+    place,
+    run_on_ranks,
+    tell,
+)
 
 _ON_RANKS = ("deform", "series")
 _OBJECTS = 200_000
@@ -29,26 +38,26 @@ _OF_STREAMS = (errno.ENOSPC, errno.EIO, errno.EDQUOT, errno.EFBIG, errno.EBADF)
 
 
 _COMMANDS = {
-    "deform": "Deform a grid: read, deform, judge, write.",
-    "series": "Deform a grid over time, one grid per time level.",
-    "repair": "Make a grid valid that another program deformed.",
-    "quality": "Quality report of a grid, by itself or against its original.",
-    "info": "Contents of a grid: blocks, walls, interfaces.",
-    "init": "Create a case file with every boundary of a grid.",
-    "convert": "Convert any readable grid to any writable format.",
-    "compare": "Largest and rms coordinate difference of two grids.",
-    "plot": "Picture of a grid coloured by a measure of its cells.",
-    "methods": "The methods, their parameters, strengths and limits.",
-    "sample": "Write a sample case: grid and case.toml.",
-    "schema": "JSON schema of case files or of reports.",
-    "reproduce": "Rerun the tables and figures of the paper.",
-    "warm-up": "Compile all loops now (container images).",
+    "deform": ("running", "Deform a grid: read, deform, judge, write."),
+    "series": ("running", "Deform a grid over time, one grid per time level."),
+    "repair": ("running", "Make a grid valid that another program deformed."),
+    "quality": ("looking", "Quality report of a grid, by itself or against its original."),
+    "info": ("looking", "Contents of a grid: blocks, walls, interfaces."),
+    "init": ("starting", "Create a case file with every boundary of a grid."),
+    "convert": ("looking", "Convert any readable grid to any writable format."),
+    "compare": ("looking", "Largest and rms coordinate difference of two grids."),
+    "plot": ("looking", "Picture of a grid coloured by a measure of its cells."),
+    "methods": ("starting", "The methods, their parameters, strengths and limits."),
+    "sample": ("starting", "Write a sample case: grid and case.toml."),
+    "schema": ("starting", "JSON schema of case files or of reports."),
+    "reproduce": ("starting", "Rerun the tables and figures of the paper."),
+    "warm-up": ("starting", "Compile all loops now (container images)."),
 }
-"""Commands with one-line descriptions, as importing every command for ``--help`` would take long."""
+"""Commands with their modules and one-line descriptions, as importing all for ``--help`` would take long."""
 
 
 class LazyGroup(click.Group):
-    """A group whose commands are imported on demand, one file each."""
+    """A group whose commands are imported on demand: ``warm_up_command`` of its module is ``warm-up``."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(_COMMANDS)
@@ -56,8 +65,8 @@ class LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in _COMMANDS:
             return None
-        module = importlib.import_module(f"{__package__}.commands.{cmd_name.replace('-', '_')}")
-        command: click.Command = module.command
+        module = importlib.import_module(f"{__package__}.{_COMMANDS[cmd_name][0]}")
+        command: click.Command = getattr(module, f"{cmd_name.replace('-', '_')}_command")
         return command
 
     def resolve_command(
@@ -70,7 +79,7 @@ class LazyGroup(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
-            formatter.write_dl(list(_COMMANDS.items()))
+            formatter.write_dl([(name, text) for name, (_, text) in _COMMANDS.items()])
 
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})

@@ -24,7 +24,7 @@ from meshdeform_core.memory import (
 )
 from meshdeform_core.parallel import set_threads
 
-from .process.messages import Warnings
+from .process import Warnings, stage
 
 if TYPE_CHECKING:
     from meshdeform_core.grid import Grid
@@ -139,8 +139,6 @@ class GridInput:
         """The grid; ``boundary_file`` is that of the case, used if the command line names none."""
         from meshdeform_formats.files import invalid_path
         from meshdeform_formats.grids import read_grid_with_boundaries
-
-        from .process.progress import stage
 
         options = parse_pairs(self.read_as, "--read-as")
         if not self.path.exists() and (beside := invalid_path(self.path)).exists():

@@ -30,8 +30,7 @@ from meshdeform_formats.series.outputs import FoamFiles, LevelFiles, SeriesFiles
 
 from .checks import keep_inputs
 from .options import GridInput, RunInput, SeriesInput
-from .process.messages import Warnings
-from .process.progress import ProgressBar, stage
+from .process import ProgressBar, Warnings, stage
 from .work import Job, cells_of
 
 _PICTURES = 8

@@ -38,10 +38,8 @@ from meshdeform_formats.report.text import as_text
 from meshdeform_formats.report.write import as_json, run_part, write_report
 
 from .checks import keep_inputs, make_room
-from .exit_codes import EXIT_INVALID
 from .options import CaseInput, GridInput, Imposed, RunInput
-from .process.messages import tell
-from .process.progress import ProgressBar, stage
+from .process import EXIT_INVALID, ProgressBar, stage, tell
 
 T = TypeVar("T")
 STDOUT = Path("-")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import re
 import subprocess
@@ -145,7 +144,7 @@ def test_mentioned_options_exist(page):
     for name, rest in re.findall(r"meshdeform ([a-z]+)((?: [^\n`|;&]*)?)", words):
         if name not in cli.list_commands(None):
             continue
-        command = importlib.import_module(f"meshdeform_cli.commands.{name}").command
+        command = cli.get_command(None, name)
         known = {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)}
         for option in re.findall(r"(?<=\s)--?[a-z][a-z-]*", rest):
             assert option in known | {"--help", "-h"}, f"{page.name}: meshdeform {name} has no option {option}"

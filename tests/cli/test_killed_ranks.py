@@ -27,9 +27,9 @@ RANKS = 3
 PROGRAM = """
 import os
 from pathlib import Path
-from meshdeform_cli.process import mpi
+from meshdeform_cli import process
 
-if here := mpi.place():
+if here := process.place():
     Path(f"process{here.number}").write_text(f"{os.getpid()}.")
 
 from meshdeform_cli.main import main

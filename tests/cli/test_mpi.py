@@ -11,11 +11,11 @@ from grids import frame
 from started_ranks import MPIEXEC, TESTS, needs_mpi, needs_mpiexec, on_ranks, start
 
 import meshdeform as md
-from meshdeform_cli.process.mpi import Place, place
+from meshdeform_cli.process import Place, place
 from meshdeform_formats import write_grid
 
 FAILING = """
-from meshdeform_cli.process import mpi
+from meshdeform_cli import process
 from meshdeform_cli.main import main
 from meshdeform_core.errors import MethodError
 from meshdeform_core.methods import composite
@@ -26,21 +26,21 @@ ranks._GRACE = 0.5
 def fail(*_):
     raise MethodError("made to fail")
 
-if mpi.place().number == 1:
+if process.place().number == 1:
     composite.on_faces = fail
 main()
 """
 # The disk of one rank is full when it writes its first range of planes.
 UNFINISHED = """
 import errno, os
-from meshdeform_cli.process import mpi
+from meshdeform_cli import process
 from meshdeform_cli.main import main
 from meshdeform_formats.planes import Stored
 
 def full(*_):
     raise OSError(errno.ENOSPC, "No space left on device", "out.xyz")
 
-if mpi.place().number == int(os.environ["VICTIM"]):
+if process.place().number == int(os.environ["VICTIM"]):
     Stored.write = full
 main()
 """

@@ -10,7 +10,7 @@ import sys
 
 import pytest
 
-from meshdeform_cli.process import progress
+from meshdeform_cli import process
 
 
 def test_the_version_is_one_line(call):
@@ -92,7 +92,7 @@ def on_a_terminal(code: str, **environment: str) -> tuple[str, int]:
 DRAWN = """
 import os, threading
 import rich.progress
-from meshdeform_cli.process import progress
+from meshdeform_cli import process
 
 drawn = threading.Event()
 
@@ -108,19 +108,19 @@ def shown():
         drawn.clear()
         assert drawn.wait(60)
 
-rich.progress.Progress, progress.PATIENCE, progress._TICK = Watched, 0.0, 0.001
+rich.progress.Progress, process.PATIENCE, process._TICK = Watched, 0.0, 0.001
 for colour in ({}, {"NO_COLOR": "1"}):
     os.environ |= colour
-    with progress.ProgressBar(compiles=False) as bar:
+    with process.ProgressBar(compiles=False) as bar:
         bar("idw", 2, 8)
         shown()
         bar("levels", 1, 2)
         bar("idw", 4, 8)
         shown()
-        with progress.stage("write"):
+        with process.stage("write"):
             shown()
     os.write(2, b"|")
-with progress.ProgressBar(False, compiles=False) as bar:
+with process.ProgressBar(False, compiles=False) as bar:
     bar("idw", 2, 8)
     assert bar._display is None
 """
@@ -159,8 +159,8 @@ class Clock:
 def test_long_work_tells_a_log_how_far_it_is(monkeypatch, capsys):
     """At intervals that grow with the time taken, but not without bound."""
     clock = Clock(waits=8)
-    monkeypatch.setattr(progress, "time", clock)
-    bar = progress.ProgressBar(compiles=False)
+    monkeypatch.setattr(process, "time", clock)
+    bar = process.ProgressBar(compiles=False)
     bar._over = clock
     bar("levels", 0, 2)
     bar("idw", 3, 8)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import meshdeform as md
-from meshdeform_cli.process import signals
+from meshdeform_cli import looking, process
 from meshdeform_core import interruption
 
 RUN = ("deform", "grid.xyz", "-o", "out.xyz")
@@ -66,7 +66,7 @@ def test_a_signal_within_a_callback_of_the_collector_prints_no_traceback(monkeyp
     lost = SimpleNamespace(
         exc_type=SystemExit, exc_value=SystemExit(130), exc_traceback=None, err_msg=None, object=None
     )
-    signals._unraisable(lost)
+    process._unraisable(lost)
     assert capsys.readouterr().err == ""
     with pytest.raises(SystemExit):
         interruption.check()
@@ -74,12 +74,11 @@ def test_a_signal_within_a_callback_of_the_collector_prints_no_traceback(monkeyp
 
 def test_a_file_that_ends_too_early_for_a_library_is_no_interrupt(call, bench, monkeypatch):
     """click turns EOFError into what Ctrl-C raises."""
-    from meshdeform_cli.commands import info
 
     def broken(**_: object) -> None:
         raise EOFError("marshal data too short")
 
-    monkeypatch.setattr(info.command, "callback", broken)
+    monkeypatch.setattr(looking.info_command, "callback", broken)
     result = call("info", "grid.xyz")
     assert result.code == 1
     assert "marshal data too short" in result.err

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from grids import block_around, frame, frame_2d, polar
 
-from meshdeform_cli.commands.plot import MEASURES
+from meshdeform_cli.looking import MEASURES
 from meshdeform_core.boundary import BoundarySpec, Kind, classify
 from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.boundary.motions.motion import Displace, Motion

@@ -1,1 +1,0 @@
-"""The process: signals, ranks, threads, streams, and the display of progress."""
