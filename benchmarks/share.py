@@ -139,7 +139,6 @@ def share(nodes: int, count: int, number: int, method: str, blocks: int) -> Mark
             )
         points = Box(grid.points, m, n)
         grid = grid.moved(points)
-        grid.keep_near()
         with topology_known(grid) as of_all_faces:
             start = time.process_time()
             result = deform(grid, case, steps=1)

@@ -166,7 +166,6 @@ def _component(whole: Undeformed, name: str, number: int, memory: MemoryLimit) -
     alone = Grid(points, shapes, block_names, format=grid.format, path=grid.path)
     for place, block in enumerate(blocks.tolist()):
         alone.in_planes(place)[...] = grid.in_planes(block)
-    alone.keep_near()
     quads = np.flatnonzero(member[faces.block_side // 6])
     own = np.flatnonzero(member[_blocks_of(grid, topology.face_nodes)])
     numbers = np.unique(topology.number[own])
@@ -255,7 +254,6 @@ def _copied(grid: Grid, planes: Callable[[int], FloatArray]) -> FloatArray:
     found: FloatArray = grid.nodes.like(3)
     for number in range(grid.n_blocks):
         grid.in_planes(number, found)[...] = planes(number)
-    Nodes.of(found).keep_like(grid.points)
     return found
 
 

@@ -21,19 +21,7 @@ from ..errors import GridError
 from ..numerics.arrays import FloatArray, IntArray, total
 from ..numerics.pieces import bounds_of, pieces
 from ..parallel import Nodes, Ranks, current_ranks, for_items
-from .parts import (
-    BlockSizes,
-    Connection,
-    Field,
-    FileFormat,
-    OwnPlanes,
-    Patch,
-    Planes,
-    Shape,
-    SideLattice,
-    Window,
-    near_sides,
-)
+from .parts import BlockSizes, Connection, Field, FileFormat, OwnPlanes, Patch, Planes, Shape, SideLattice, Window
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -219,12 +207,6 @@ class Grid(BlockSizes):
         """
         own = [part for part in parts if self.planes(part.block).start < self.planes(part.block).stop]
         self.nodes.on_each(lambda: for_items(lambda number: put(own[number]), len(own), threads=threads))
-        self.keep_near()
-
-    def keep_near(self) -> None:
-        """Keep a copy of the nodes near block faces on every rank, if the grid is in parts."""
-        if self.nodes.divided:
-            self.nodes.keep(near_sides(self.shapes, self.offsets))
 
     def divided(self, ranks: Ranks) -> Grid:
         """The grid in parts, which several ranks that hold the whole of it take; otherwise the grid itself."""
@@ -232,7 +214,6 @@ class Grid(BlockSizes):
             return self
         grid = self.moved(_points_among(self.shapes, ranks))
         grid.nodes.own[...] = self.points[slice(*grid.nodes.ends)]
-        grid.keep_near()
         fields = tuple(
             dataclasses.replace(each, values=grid.spread(each.values[grid.planes(each.block)], len(each.values)))
             for each in self.fields

@@ -16,7 +16,6 @@ from ..numerics.arrays import BoolArray, IntArray, Shapes, spans
 from ..parallel import WholeGridNeeded
 
 Shape = tuple[int, int, int]
-_LAYERS = 2
 _AXES = np.repeat(np.arange(3), 2)
 _TANGENTIAL = np.array([[1, 2], [1, 2], [0, 2], [0, 2], [0, 1], [0, 1]])
 
@@ -272,21 +271,6 @@ class SideLattice:
         side = sides[side]
         u, v = np.divmod(local, self.nodes[side, 1])
         return side, u, v, self.at(side, u, v)
-
-
-def near_sides(shapes: Shapes, offsets: IntArray) -> IntArray:
-    """Flat indices (n,), ascending, of the nodes of all block sides that have quads, and of their neighbours inside.
-
-    The first nodes of the blocks have the flat indices ``offsets``.
-    """
-    found = []
-    for shape, offset in zip(np.asarray(shapes).tolist(), np.asarray(offsets).tolist(), strict=False):
-        # Across the plane of a 2-D block there are no sides.
-        steps = [np.arange(n) for n in shape]
-        i, j, k = (np.minimum(step, step[::-1]) < _LAYERS * (len(step) > 1) for step in steps)
-        whole, rim = np.arange(len(j) * len(k)), np.flatnonzero(j[:, None] | k)
-        found += [offset + plane * len(whole) + (whole if near else rim) for plane, near in enumerate(i)]
-    return np.concatenate(found)
 
 
 class BlockSizes:

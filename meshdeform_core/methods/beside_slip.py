@@ -60,6 +60,8 @@ class BesideSlip:
         if not len(self.normals):
             return
         rows = Nodes.of(out).rows
+        # Sent to all ranks; only those where a node is damped need the trees.
+        self._points = self._problem.grid.nodes.at(self._problem.topology.first)
 
         def work(lo: int, hi: int) -> None:
             flat = self._flat[lo:hi]
@@ -68,6 +70,7 @@ class BesideSlip:
 
         for_chunks(work, len(self._flat), _CHUNK, of_stage(progress, "beside slip sides"))
         self.__dict__.pop("trees", None)
+        del self._points
         self._stores = self.normals.shape[0] * 8 * len(self._flat) * _KEPT <= self._problem.memory.size
 
     def _part(self, first: int, flat: IntArray) -> FloatArray:
@@ -98,8 +101,7 @@ class BesideSlip:
         alone = np.setdiff1d(np.flatnonzero(problem.boundary.kind == Kind.MOVING), walls)
         walls = np.concatenate([walls, np.repeat(alone, 3).reshape(-1, 3)])
         every = [walls, *(triangles_of(corners[quads]) for _, quads in problem.boundary.slip.sides)]
-        points = problem.grid.nodes.at(problem.topology.first)
-        return [TriangleTree(points, triangles) for triangles in every]
+        return [TriangleTree(self._points, triangles) for triangles in every]
 
 
 def _damp(values: FloatArray, rows: IntArray, normals: FloatArray, parts: FloatArray, least: float) -> None:

@@ -58,7 +58,6 @@ class Nodes:
         self.ranks, self.bounds, self.rows, self._file = ranks, np.asarray(bounds), rows, file
         self.low, self.high = self.bounds[ranks.number : ranks.number + 2].tolist()
         self._held = self.low, self.high
-        self._kept: tuple[np.ndarray, Any] | None = None
         self._thread = threading.get_ident()
 
     @classmethod
@@ -126,24 +125,7 @@ class Nodes:
         numbers = np.asarray(rows)
         if numbers.dtype.kind not in "iu":
             raise TypeError(f"rows of an array in parts by {numbers.dtype}; expected numbers of rows")
-        flat = numbers.ravel()
-        found = self._copied(flat)
-        return (self._sent(flat) if found is None else found).reshape(numbers.shape + self.shape[1:])
-
-    def _copied(self, rows: np.ndarray) -> Any:
-        """Rows by number from the copies that every rank keeps; ``None`` if some are not kept."""
-        import numpy as np
-
-        if self._kept is None:
-            return None
-        (kept, values), found = self._kept, empty((len(rows), *self.shape[1:]), self.dtype)
-        for lo in range(0, len(rows), _FAR_APART):
-            some = rows[lo : lo + _FAR_APART]
-            place = np.minimum(np.searchsorted(kept, some), len(kept) - 1)
-            if (kept[place] != some).any():
-                return None
-            found[lo : lo + _FAR_APART] = values[place]
-        return found
+        return self._sent(numbers.ravel()).reshape(numbers.shape + self.shape[1:])
 
     def at(self, numbers: Any) -> Any:
         """Rows by number, in any order, from the ranks that hold them."""
@@ -153,37 +135,18 @@ class Nodes:
         """Refuse numpy operations on the whole array, which is nowhere in memory."""
         raise WholeGridNeeded("an operation on all nodes")
 
-    def keep(self, rows: np.ndarray) -> None:
-        """Keep a copy of the ascending ``rows`` (n,) on every rank, so that they need not be sent again."""
-        if self.divided:
-            self._kept = rows, self._sent(rows)
-
-    def keep_like(self, other: Any) -> None:
-        """Keep the same rows as another array, unless some are kept."""
-        kept = Nodes.of(other)._kept
-        if kept and not self._kept:
-            self.keep(kept[0])
-
     def _sent(self, rows: np.ndarray) -> Any:
         """The rows, sent by their owners."""
         import numpy as np
 
         self._require_all()
-        order = None
-        if np.any(rows[1:] < rows[:-1]):
-            order = np.argsort(np.searchsorted(self.bounds, rows, side="right"), kind="stable")
-            rows = rows[order]
-        first = np.searchsorted(rows, self.bounds)
-        if order is not None:
-            # Ascending by the rank that holds them only.
-            holder = np.searchsorted(self.bounds, rows, side="right")
-            first = np.searchsorted(holder, np.arange(1, self.ranks.count + 2))
-        own = rows[first[self.ranks.number] : first[self.ranks.number + 1]]
-        found = self.ranks.collect(_rows_at(self.rows, own), np.diff(first).tolist())
-        if order is None:
+        holder = np.searchsorted(self.bounds, rows, side="right").astype(np.int32) - 1
+        counts = np.bincount(holder, minlength=self.ranks.count).tolist()
+        found = self.ranks.collect(_rows_at(self.rows, rows[holder == self.ranks.number]), counts)
+        if (holder[1:] >= holder[:-1]).all():
             return found
         result = empty(found.shape, found.dtype)
-        result[order] = found
+        result[np.argsort(holder, kind="stable")] = found
         return result
 
     def widen(self, first: int, last: int) -> None:

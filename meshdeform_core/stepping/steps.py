@@ -93,9 +93,7 @@ class Course:
 
     def rounded(self, points: FloatArray) -> FloatArray:
         """Coordinates as they will be written."""
-        found = rounded(points, self.precision)
-        Nodes.of(found).keep_like(self.setup.grid.points)
-        return found
+        return rounded(points, self.precision)
 
     @cached_property
     def repairer(self) -> Repairer:

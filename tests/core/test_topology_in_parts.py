@@ -33,7 +33,6 @@ def in_parts(grid):
     part = Grid.allocate(grid.shapes, grid.names, components=grid.components)
     points = part.points
     points.own[...] = grid.points[points.low : points.high]
-    part.keep_near()
     return part
 
 
