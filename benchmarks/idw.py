@@ -14,7 +14,7 @@ from tables import MarkdownTable, Row, best, exponent, timed
 from meshdeform_core.grid import FloatArray, IntArray
 from meshdeform_core.methods import IDW, Options, make_method
 from meshdeform_core.numerics.exact.direct import N_VALUES, weighted_sums
-from meshdeform_core.parallel import set_threads, thread_count
+from meshdeform_core.parallel import set_sharing, thread_count
 
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8)
 SIZES = {"splitter-plate": (8, 16, 32), "hemisphere": (24, 48, 92)}
@@ -30,12 +30,12 @@ def exact_loop(quick: bool) -> MarkdownTable:
     rng = np.random.default_rng(1)
     targets, sources = rng.random((2000 if quick else 8000, 3)), rng.random((20000, 3)) + 2.0
     strength, values = rng.random(len(sources)), rng.random((N_VALUES, len(sources)))
-    set_threads(1)
+    set_sharing(threads=1)
     try:
         pairs = len(targets) * len(sources)
         ours = pairs / best(lambda: weighted_sums(targets, sources, strength, (3.0, 5.0, 0.01), values))
     finally:
-        set_threads(None)
+        set_sharing(threads=None)
     few = targets[:400]
     numpy = len(few) * len(sources) / best(lambda: numpy_sums(few, sources, strength, 0.01, values))
     roots, fused = roots_and_divisions(), multiply_adds() / PAIR_OPERATIONS
@@ -186,11 +186,11 @@ def threads(quick: bool) -> MarkdownTable:
     rows = []
     for name, work in works.items():
         work()
-        set_threads(1)
+        set_sharing(threads=1)
         try:
             one = best(work, 2)
         finally:
-            set_threads(None)
+            set_sharing(threads=None)
         rows.append({"work": name, "1 thread s": one, "all threads s": best(work, 2)})
         rows[-1]["ratio"] = rows[-1]["1 thread s"] / rows[-1]["all threads s"]
     return MarkdownTable(f"One thread against {thread_count()} ({case.label})", rows)

@@ -12,7 +12,7 @@ import click
 
 from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.memory import Demand, MemoryLimit, Work
-from meshdeform_core.parallel.scratch import set_scratch
+from meshdeform_core.parallel import set_sharing
 
 from .options import CaseInput, GridInput, RunInput
 
@@ -123,7 +123,7 @@ def make_room(limit: MemoryLimit, doing: str, work: Work, sources: Sequence[Grid
     there = [source for source in sources if source.path.is_file()]
     size = sum(_bytes_of(source.path) for source in there)
     if _at_most(work, size).in_memory <= limit.size:
-        set_scratch(None)
+        set_sharing(scratch=None)
         return
     layouts = [source.block_sizes() for source in there]
     known = [layout for layout in layouts if layout is not None]

@@ -22,7 +22,7 @@ from meshdeform_core.memory import (
     machine_memory,
     parse_memory,
 )
-from meshdeform_core.parallel import set_threads
+from meshdeform_core.parallel import set_sharing
 
 from .process import Warnings, stage
 
@@ -98,7 +98,7 @@ def _use_threads(context: click.Context, _: click.Parameter, count: int | None) 
     Our loops call it from all threads, mostly with small matrices; additional threads of the libraries would busy-wait.
     """
     if not context.resilient_parsing:
-        set_threads(count)
+        set_sharing(threads=count)
         os.environ.update(dict.fromkeys(LIBRARIES, "1"))
     return count
 

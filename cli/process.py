@@ -20,7 +20,7 @@ import click
 from meshdeform_core import interruption
 from meshdeform_core.errors import CaseError
 from meshdeform_core.notices import first_of_each_kind, kind_of
-from meshdeform_core.parallel import set_ranks
+from meshdeform_core.parallel import set_sharing
 from meshdeform_core.wording import counted
 
 if TYPE_CHECKING:
@@ -224,7 +224,7 @@ def run_on_ranks(run: Callable[[], int], here: Place) -> int:
     with contextlib.suppress(OSError, AttributeError, TypeError):
         ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, 1 << 24)
     ranks = MPIRanks(MPI.COMM_WORLD)
-    set_ranks(ranks)
+    set_sharing(ranks=ranks)
     messages = io.StringIO()
     with contextlib.ExitStack() as silence:
         if ranks.number:

@@ -282,7 +282,7 @@ def write_outputs(grid: Grid, outputs: Sequence[Output]) -> None:
         for place, values in zip(output.places, output.take(part.first, part.last), strict=True):
             place.write(part.first, values)
 
-    for_items(put, len(parts), threads=None)
+    for_items(put, len(parts))
 
 
 def _ranges(outputs: Iterable[Output]) -> list[tuple[Output, Planes]]:

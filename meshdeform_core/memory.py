@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from .errors import CaseError, MethodError
-from .parallel import current_ranks
-from .parallel.scratch import RESERVE, Scratch, current_scratch, resident_memory, set_scratch
+from .parallel import current_ranks, current_scratch, set_sharing
+from .parallel.scratch import RESERVE, Scratch, resident_memory
 
 _UNITS = ("B", "KiB", "MiB", "GiB", "TiB")
 VELOCITY_BYTES, SWEPT_BYTES = 48, 96
@@ -293,7 +293,7 @@ class Demand:
 
         possible = folder is not None and sys.platform == "linux" and self.in_memory > limit.size
         files = (Path(tempfile.gettempdir()) if _on_several_machines() else folder) if possible else None
-        set_scratch(Scratch(files, limit.size) if files else None)
+        set_sharing(scratch=Scratch(files, limit.size) if files else None)
         needed = min(self.in_memory, self.beside_files(limit)) if files else self.in_memory
         limit.require(needed, self.what, _INSTEAD)
         if files:

@@ -7,7 +7,7 @@ import traceback
 import numpy as np
 
 from meshdeform_core.numerics import pieces
-from meshdeform_core.parallel import Ranks, empty, nodes, sharing
+from meshdeform_core.parallel import Ranks, current_scratch, empty, nodes, set_sharing, sharing
 
 _PATIENCE = 120.0
 _FORK = multiprocessing.get_context("fork")
@@ -51,6 +51,17 @@ class ForkedRank(Ranks):
         if failure:
             raise failure
         return result
+
+
+@contextlib.contextmanager
+def scratch_in(scratch):
+    """Store large arrays that are made within the block there."""
+    before = current_scratch()
+    set_sharing(scratch=scratch)
+    try:
+        yield
+    finally:
+        set_sharing(scratch=before)
 
 
 class Failed(Exception):

@@ -127,7 +127,7 @@ class Grid(BlockSizes):
         def add(number: int) -> None:
             sums[number] = total(values[pieces[number]])
 
-        for_items(add, len(pieces), threads=None)
+        for_items(add, len(pieces))
         return np.asarray(sum(each for found in Nodes.of(values).gather(sums) for each in found))
 
     def own_pieces(self) -> list[slice]:

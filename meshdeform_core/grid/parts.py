@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..numerics.arrays import BoolArray, IntArray, Shapes, spans
+from ..numerics.arrays import BoolArray, IntArray, spans
 from ..parallel import WholeGridNeeded
 
 Shape = tuple[int, int, int]

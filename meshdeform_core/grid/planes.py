@@ -108,7 +108,7 @@ def block_extents(grid: Grid) -> tuple[FloatArray, FloatArray]:
             low[held] = np.minimum.reduceat(rows, ends[held] - ends[first], axis=0)
             high[held] = np.maximum.reduceat(rows, ends[held] - ends[first], axis=0)
 
-    for_items(find, len(together), threads=None)
+    for_items(find, len(together))
     lows, highs = zip(*grid.nodes.gather((low, high)), strict=True)
     return np.min(lows, axis=0), np.max(highs, axis=0)
 

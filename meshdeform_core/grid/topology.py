@@ -26,8 +26,7 @@ from ..numerics.geometry.coincidence import (
     integers,
     numbered_by_first,
 )
-from ..parallel import empty
-from ..parallel.scratch import current_scratch
+from ..parallel import current_scratch, empty
 from .blocks import FloatArray, Grid, IntArray
 from .parts import Patch, Shape, Side, Window
 from .planes import block_handedness

@@ -15,7 +15,7 @@ from contextvars import ContextVar, copy_context
 from functools import partial
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
-from .scratch import current_scratch
+from .scratch import Scratch
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -67,10 +67,11 @@ def usable_cores() -> int:
 
 class Sharing(NamedTuple):
     """Who shares the work: MPI ranks, which hold a part each of every grid that is read (:mod:`.nodes`), and the
-    largest number of threads on each (``None``: one per core)."""
+    largest number of threads on each (``None``: one per core); and where large arrays are (``None``: in memory)."""
 
     ranks: Ranks
     threads: int | None
+    scratch: Scratch | None = None
 
 
 # A context variable, not a global one: calls in different threads of a program do not change each other's settings,
@@ -79,14 +80,10 @@ _ONE_PROCESS = Sharing(Ranks(), None)
 _sharing = ContextVar("sharing", default=_ONE_PROCESS)
 
 
-def set_threads(count: int | None) -> None:
-    """Use at most ``count`` threads from now on; ``None`` for this process's share of the cores."""
-    _sharing.set(_sharing.get()._replace(threads=count))
-
-
-def set_ranks(ranks: Ranks) -> None:
-    """Share the work with other processes from now on; all of them must make the same calls in the same order."""
-    _sharing.set(_sharing.get()._replace(ranks=ranks))
+def set_sharing(**changes: Any) -> None:
+    """Change fields of :class:`Sharing` from now on; ranks that share the work must make the same calls in the same
+    order."""
+    _sharing.set(_sharing.get()._replace(**changes))
 
 
 def current_ranks() -> Ranks:
@@ -94,10 +91,15 @@ def current_ranks() -> Ranks:
     return _sharing.get().ranks
 
 
+def current_scratch() -> Scratch | None:
+    """The storage of large arrays; ``None``: memory."""
+    return _sharing.get().scratch
+
+
 @contextmanager
 def sharing(ranks: Ranks, threads: int | None) -> Iterator[None]:
     """Share the work with these ranks, with this number of threads, within the block."""
-    before = _sharing.set(Sharing(ranks, threads))
+    before = _sharing.set(_sharing.get()._replace(ranks=ranks, threads=threads))
     try:
         yield
     finally:
@@ -107,7 +109,7 @@ def sharing(ranks: Ranks, threads: int | None) -> Iterator[None]:
 def alone(cores: int | None = None, times: int = 1) -> AbstractContextManager[None]:
     """Share nothing within the block: for work that one rank does alone, by default on its share of the cores, with
     ``times`` as many threads."""
-    ranks, threads = _sharing.get()
+    ranks, threads, _ = _sharing.get()
     return sharing(Ranks(cores or ranks.cores), threads and times * threads)
 
 
@@ -134,7 +136,7 @@ def empty(shape: Sequence[int], dtype: Any = "float64") -> Any:
 
 def thread_count() -> int:
     """Number of threads that loops use."""
-    ranks, threads = _sharing.get()
+    ranks, threads, _ = _sharing.get()
     return max(1, min(threads or ranks.cores, usable_cores()))
 
 
@@ -194,29 +196,21 @@ def for_chunks(work: Work, size: int, chunk: int, progress: Counter | None = Non
         progress(size, size)
 
 
-def for_items(
-    work: Callable[[int], object], count: int, progress: Counter | None = None, threads: int | None = 1
-) -> None:
-    """Call ``work(n)`` for every n of ``range(count)``, ascending.
+def for_items(work: Callable[[int], object], count: int, threads: int | None = None) -> None:
+    """Call ``work(n)`` for every n of ``range(count)``, by default on all threads, with its own loops on one thread.
 
-    By default one item at a time, for large items whose own loops use the threads. With more ``threads`` (``None``:
-    all), items run concurrently and their own loops on one thread. Of several exceptions, that of the first item is
-    raised.
+    Of several exceptions, that of the first item is raised.
     """
     failures: list[tuple[int, Exception]] = []
 
     def attempt(number: int, _: int) -> None:
         try:
-            if failures:
-                return
-            if threads == 1:
-                work(number)
-            else:
+            if not failures:
                 with sharing(Ranks(1), 1):
                     work(number)
         except Exception as error:
             failures.append((number, error))
 
-    for_chunks(attempt, count, 1, progress, threads=threads)
+    for_chunks(attempt, count, 1, threads=threads)
     if failures:
         raise min(failures, key=lambda each: each[0])[1]

@@ -14,8 +14,7 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from .loops import Ranks, current_ranks, empty, for_chunks
-from .scratch import ScratchFile, current_scratch
+from .loops import Ranks, current_ranks, current_scratch, empty, for_chunks
 
 if TYPE_CHECKING:
     import numpy as np
@@ -44,7 +43,8 @@ class Nodes:
     ----------
     ranks : the ranks that hold the parts
     bounds : (n_ranks + 1,) first row of every rank, and the number of rows
-    rows, file : array of all rows in which those of this rank have values, and the file it is in, if any
+    rows : array of all rows in which those of this rank have values
+    reserve : called with the ends of further bytes before they are written to, if the array is in a file
 
     Attributes
     ----------
@@ -52,10 +52,12 @@ class Nodes:
     low, high : ends of the rows of this rank
     """
 
-    def __init__(self, ranks: Ranks, bounds: ArrayLike, rows: Any, file: ScratchFile | None = None):
+    def __init__(
+        self, ranks: Ranks, bounds: ArrayLike, rows: Any, reserve: Callable[[int, int], object] = lambda *_: None
+    ):
         import numpy as np
 
-        self.ranks, self.bounds, self.rows, self._file = ranks, np.asarray(bounds), rows, file
+        self.ranks, self.bounds, self.rows, self._reserve = ranks, np.asarray(bounds), rows, reserve
         self.low, self.high = self.bounds[ranks.number : ranks.number + 2].tolist()
         self._held = self.low, self.high
         self._thread = threading.get_ident()
@@ -78,9 +80,9 @@ class Nodes:
         low, high = np.asarray(bounds)[ranks.number : ranks.number + 2].tolist()
         if not (scratch and scratch.takes((high - low) * width)):
             return cls(ranks, bounds, blank(shape, dtype))
-        rows, file = scratch.blank(shape, dtype)
-        file.reserve(low * width, high * width)
-        return cls(ranks, bounds, rows, file)
+        rows, reserve = scratch.blank(shape, dtype)
+        reserve(low * width, high * width)
+        return cls(ranks, bounds, rows, reserve)
 
     def like(self, *width: int, dtype: Any = "float64") -> Any:
         """A new, uninitialised array (n, *width), in parts if this one is."""
@@ -155,8 +157,8 @@ class Nodes:
             return
         self._require_all()
         first, last = min(first, self.low), max(last, self.high)
-        if self._file:
-            self._file.reserve(first * self.rows.strides[0], last * self.rows.strides[0])
+        for begin, end in ((first, self._held[0]), (self._held[1], last)):
+            self._reserve(begin * self.rows.strides[0], end * self.rows.strides[0])
         wanted = self.ranks.gather([(first, last)])
         sends, receives = {}, {}
         for other, (begin, end) in enumerate(wanted):

@@ -13,9 +13,8 @@ import os
 import threading
 import time
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -30,56 +29,6 @@ RESERVE = 384 * 2**20
 # more memory is free, the longer a busy system may keep the watching thread waiting.
 _FILES = 4
 _SECONDS = 0.01
-
-
-class ScratchFile:
-    """A file without a name, of ``size`` bytes, of which only those reserved may be written to."""
-
-    def __init__(self, folder: Path, size: int) -> None:
-        # Imported late, as it takes a tenth of the time of ``--help``.
-        import tempfile
-
-        self._folder, self._size = folder, size
-        self._reserved: tuple[int, int] | None = None
-        with self._errors(size):
-            self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115
-            self._file.truncate(size)
-
-    def __del__(self) -> None:
-        if hasattr(self, "_file"):
-            self._file.close()
-
-    def mapped(self) -> mmap.mmap:
-        """The file mapped into memory; it stays so without this object."""
-        with self._errors(self._size):
-            return mmap.mmap(self._file.fileno(), self._size)
-
-    def reserve(self, first: int, last: int) -> None:
-        """Take room on the disk for the bytes first <= n < last, which must overlap with those reserved before.
-
-        If the disk were full, a later write to the mapping would end the process by a signal.
-
-        Raises
-        ------
-        MethodError
-            If the disk is full.
-        """
-        begin, end = self._reserved or (first, first)
-        for low, high in ((first, begin), (end, last)):
-            if high > low:
-                with self._errors(high - low):
-                    os.posix_fallocate(self._file.fileno(), low, high - low)
-        self._reserved = min(first, begin), max(last, end)
-
-    @contextmanager
-    def _errors(self, size: int) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            raise MethodError(
-                f"a grid larger than the memory needs a file of {size / 2**30:.3g} GiB in {self._folder} to work in: "
-                f"{error.strerror}; make room there, work on another disk, or allow more memory"
-            ) from error
 
 
 class Scratch:
@@ -109,29 +58,53 @@ class Scratch:
         MethodError
             If the disk is full.
         """
-        array, file = self.blank(shape, dtype)
-        file.reserve(0, array.nbytes)
+        array, reserve = self.blank(shape, dtype)
+        reserve(0, array.nbytes)
         return array
 
-    def blank(self, shape: Sequence[int], dtype: Any) -> tuple[Any, ScratchFile]:
-        """An array of zeros, and its file, which takes no room on the disk: reserve some before writing to the array.
+    def blank(self, shape: Sequence[int], dtype: Any) -> tuple[Any, Callable[[int, int], None]]:
+        """An array of zeros in a file that takes no room on the disk, and ``reserve(first, last)``, to be called before
+        these bytes are written to: if the disk were full, a write to the mapping would end the process by a signal.
 
         Raises
         ------
         MethodError
-            If there can be no such file.
+            If there can be no such file, or no room for the bytes.
         """
+        # Imported late, as it takes a tenth of the time of ``--help``.
+        import tempfile
+
         import numpy as np
 
-        file = ScratchFile(self._folder, math.prod(shape) * np.dtype(dtype).itemsize)
-        mapped = file.mapped()
+        size = math.prod(shape) * np.dtype(dtype).itemsize
+        with self._errors(size):
+            file = tempfile.TemporaryFile(dir=self._folder)  # noqa: SIM115
+            file.truncate(size)
+            mapped = mmap.mmap(file.fileno(), size)
+        weakref.finalize(mapped, file.close)
+
+        def reserve(first: int, last: int) -> None:
+            if last > first:
+                with self._errors(last - first):
+                    os.posix_fallocate(file.fileno(), first, last - first)
+
         self._used = True
         with self._lock:
             self._maps = [each for each in self._maps if each() is not None] + [weakref.ref(mapped)]
             if not self._watched:
                 self._watched = True
                 threading.Thread(target=self._watch, name="scratch", daemon=True).start()
-        return np.frombuffer(mapped, dtype).reshape(shape), file
+        return np.frombuffer(mapped, dtype).reshape(shape), reserve
+
+    @contextmanager
+    def _errors(self, size: int) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise MethodError(
+                f"a grid larger than the memory needs a file of {size / 2**30:.3g} GiB in {self._folder} to work in: "
+                f"{error.strerror}; make room there, work on another disk, or allow more memory"
+            ) from error
 
     def _watch(self) -> None:
         """Release pages when needed, as long as there are files."""
@@ -168,26 +141,3 @@ def _resident() -> tuple[int, int]:
     with open("/proc/self/statm", "rb") as file:
         resident, mapped = file.read().split()[1:3]
     return int(resident) * mmap.PAGESIZE, int(mapped) * mmap.PAGESIZE
-
-
-_scratch: ContextVar[Scratch | None] = ContextVar("scratch", default=None)
-
-
-def current_scratch() -> Scratch | None:
-    """The storage of large arrays; ``None``: memory."""
-    return _scratch.get()
-
-
-def set_scratch(scratch: Scratch | None) -> None:
-    """Store large arrays there from now on."""
-    _scratch.set(scratch)
-
-
-@contextmanager
-def scratch_in(scratch: Scratch) -> Iterator[None]:
-    """Store large arrays that are made within the block there."""
-    before = _scratch.set(scratch)
-    try:
-        yield
-    finally:
-        _scratch.reset(before)

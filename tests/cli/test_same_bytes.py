@@ -11,7 +11,7 @@ from grids import frame_2d
 
 from meshdeform_core.memory import Demand
 from meshdeform_core.parallel import scratch
-from meshdeform_core.parallel.loops import set_threads
+from meshdeform_core.parallel.loops import set_sharing
 from meshdeform_formats import write_grid
 
 FAST = {
@@ -66,7 +66,7 @@ def run(call):
         try:
             done = call(*words, "-q")
         finally:
-            set_threads(None)
+            set_sharing(threads=None)
         assert done.code == code, done.err
 
     return called

@@ -6,13 +6,13 @@ import functools
 import numpy as np
 import pytest
 from cases import ALL_METHODS, INNER, apply, body_specs, every, problem_of, turning
+from forked_ranks import scratch_in
 from grids import frame, frame_2d, permuted, polar, turn_back
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.methods import Problem, make_method
-from meshdeform_core.parallel.scratch import scratch_in
 
 EVERY = every(ALL_METHODS)
 XYZ = {"x", "y", "z"}

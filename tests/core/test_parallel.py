@@ -10,7 +10,7 @@ from meshdeform_core.parallel import (
     alone,
     carried,
     for_chunks,
-    set_threads,
+    set_sharing,
     sharing,
     thread_count,
 )
@@ -34,7 +34,7 @@ def test_an_error_ends_the_loop_when_no_chunk_runs_any_more(threads):
 
 
 def test_threads_of_a_program_do_not_change_each_others_setting():
-    set_threads(3)
+    set_sharing(threads=3)
     found, inside, leave = {}, threading.Event(), threading.Event()
 
     def other() -> None:
@@ -53,7 +53,7 @@ def test_threads_of_a_program_do_not_change_each_others_setting():
     finally:
         leave.set()
         thread.join()
-        set_threads(None)
+        set_sharing(threads=None)
     assert found == {"this": 3, "alone": 3, "other": 1}
 
 

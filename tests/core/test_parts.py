@@ -10,7 +10,7 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 from cases import body_specs, formulas, turning
-from forked_ranks import Failed, on_ranks, poison_parts, small_blocks_are_cut
+from forked_ranks import Failed, on_ranks, poison_parts, scratch_in, small_blocks_are_cut
 from grids import block_around, frame, frame_2d, permuted
 
 from meshdeform_core.boundary import BoundarySpec, Kind, crossing
@@ -21,7 +21,7 @@ from meshdeform_core.grid.selection import BY_PREFIX
 from meshdeform_core.memory import Demand, deforming
 from meshdeform_core.methods import IDW, RBF, TFI, Options
 from meshdeform_core.parallel import Nodes, WholeGridNeeded, alone, scratch
-from meshdeform_core.parallel.scratch import Scratch, scratch_in
+from meshdeform_core.parallel.scratch import Scratch
 from meshdeform_core.repair import RepairOptions
 from meshdeform_core.series import Schedule, deform_series
 from meshdeform_formats import plausible

@@ -18,7 +18,7 @@ from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.numerics.cell.foldover.plane import add_triangles
-from meshdeform_core.parallel import set_threads
+from meshdeform_core.parallel import set_sharing
 from meshdeform_core.quality.validity import judge
 from meshdeform_core.repair import RepairOptions, newton, untangle
 from meshdeform_core.repair.constraints import Constraints
@@ -309,11 +309,11 @@ def test_periodic_sides_move_alike():
 def test_threads_do_not_matter():
     results = []
     for threads in (1, 2):
-        set_threads(threads)
+        set_sharing(threads=threads)
         try:
             results.append(turned(frame(6, 2), 110, steps=1).grid.points)
         finally:
-            set_threads(None)
+            set_sharing(threads=None)
     np.testing.assert_allclose(results[0], results[1], rtol=0, atol=1e-12)
 
 

@@ -19,7 +19,7 @@ from grids import frame
 from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.methods import IDW, RBF, Options, make_method
-from meshdeform_core.parallel import set_threads
+from meshdeform_core.parallel import set_sharing
 
 FAST_IDW = {
     "lie": {},
@@ -86,7 +86,7 @@ def test_neither_earlier_displacements_nor_memory_nor_threads_change_a_bit(name)
     # Systems of equations have to fit.
     least = 0 if METHODS[name].name in ("tfi", "idw", "idw-tfi") else 2**25
     for memory, threads in ((least, 1), (2**33, 2)):
-        set_threads(threads)
+        set_sharing(threads=threads)
         try:
             prepared = make_method(METHODS[name]).prepare(problem(name, memory))
             for number in (3, 0, 4, 0, 2, 4):
@@ -95,7 +95,7 @@ def test_neither_earlier_displacements_nor_memory_nor_threads_change_a_bit(name)
                 assert prepared.account.settings == account.settings
                 assert prepared.account.warnings == account.warnings
         finally:
-            set_threads(None)
+            set_sharing(threads=None)
 
 
 MANY_SOURCES = """

@@ -15,7 +15,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from cases import body_specs, turning
-from forked_ranks import ForkedRank, on_ranks
+from forked_ranks import ForkedRank, on_ranks, scratch_in
 from grids import frame
 
 from meshdeform_core.deform import Case, deform
@@ -23,8 +23,8 @@ from meshdeform_core.errors import MethodError
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import Demand, MemoryLimit, deforming
 from meshdeform_core.methods import Options
-from meshdeform_core.parallel import empty, scratch
-from meshdeform_core.parallel.scratch import Scratch, current_scratch, scratch_in
+from meshdeform_core.parallel import current_scratch, empty, scratch
+from meshdeform_core.parallel.scratch import Scratch
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="mapped files are watched on Linux only")
 
@@ -159,7 +159,7 @@ from meshdeform_formats import read_grid
 from meshdeform_core.grid.planes import block_extents
 
 # Every thread brings in pages of its own.
-loops.set_threads(2)
+loops.set_sharing(threads=2)
 
 class Unwatched(scratch.Scratch):
     # Pages are released by the loops alone; what they bring in between two looks is recorded.
@@ -181,21 +181,21 @@ with file.open("wb") as out:
 nodes._STRETCHES = 8
 used = Unwatched(Path(sys.argv[1]), 1)
 used._full = used._files = 0
-with scratch.scratch_in(used):
-    before = scratch._resident()[1]
-    grid = read_grid(file)
-    block_extents(grid)
-    grid.total_of(grid.points)
-    print((used.most - before) // 2**20)
+loops.set_sharing(scratch=used)
+before = scratch._resident()[1]
+grid = read_grid(file)
+block_extents(grid)
+grid.total_of(grid.points)
+print((used.most - before) // 2**20)
 """
 
 FREE_MEMORY = """
 used = Unwatched(Path(sys.argv[1]), 2**40)
 used._files = 200 * 2**20
-with scratch.scratch_in(used):
-    array = empty((1 << 24, 3))
-    for_chunks(lambda lo, hi: array[lo:hi].fill(1.0), len(array), 1 << 18)
-    print(used.most // 2**20, scratch.Scratch(Path(), 2**32)._files // 2**20)
+loops.set_sharing(scratch=used)
+array = empty((1 << 24, 3))
+for_chunks(lambda lo, hi: array[lo:hi].fill(1.0), len(array), 1 << 18)
+print(used.most // 2**20, scratch.Scratch(Path(), 2**32)._files // 2**20)
 """
 
 

@@ -11,7 +11,7 @@ from ...boundary import Kind
 from ...grid import FloatArray, IntArray, Side
 from ...grid.topology import side_nodes
 from ...numerics.exact.basis import BASES
-from ...parallel import Nodes, for_chunks, for_items
+from ...parallel import Nodes, for_chunks
 from ..base import Account, Problem, Progress, Setting, of_stage
 from ..transfinite.tfi import Skeleton, make_skeleton
 from .radial_system import Centres, Coefficients, RadialSystem, accurate
@@ -134,14 +134,14 @@ class PreparedBlockRBF:
         coefficients = np.zeros((self._first[-1], 3))
         accounts = [Account() for _ in self._blocks]
 
-        def work(number: int) -> None:
+        def work(number: int, _: int) -> None:
             block, first = self._blocks[number], self._first[number]
             told = values[ends[number] : ends[number + 1]]
             found = np.concatenate(self._system(block).solve(told, accounts[number], None))
             coefficients[first : first + len(found)] = found
 
         def all_solved() -> tuple[FloatArray, list[Account]]:
-            for_items(work, len(self._blocks), of_stage(progress, "rbf blocks"))
+            for_chunks(work, len(self._blocks), 1, of_stage(progress, "rbf blocks"), threads=1)
             return coefficients, accounts
 
         coefficients, accounts = Nodes.of(displacement).on_first(all_solved)

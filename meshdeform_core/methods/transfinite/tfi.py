@@ -15,7 +15,7 @@ from ...grid import FloatArray, Grid, IntArray, Side
 from ...numerics.arrays import batches, spans
 from ...numerics.pieces import even_cuts
 from ...numerics.transfinite.arcs import box_numbers
-from ...parallel import Nodes, for_items
+from ...parallel import Nodes, for_chunks
 from ..base import Account, Problem, Progress, Setting, of_stage
 from ..options import MethodOptions, option
 from .groups import Bent, CurvedLines, Group
@@ -232,13 +232,13 @@ class PreparedTFI:
         Nodes.of(displacement).widen(*self.rows)
         values = Nodes.of(displacement).rows
 
-        def work(number: int) -> None:
+        def work(number: int, _: int) -> None:
             group, curved = self.group(number)
             group.blend(values)
             if curved:
                 curved.add(values)
 
-        for_items(work, len(self._groups), of_stage(progress, "tfi"))
+        for_chunks(work, len(self._groups), 1, of_stage(progress, "tfi"), threads=1)
 
     def differentiable(self) -> PreparedTFI:
         """The same, as it is linear to round-off."""
