@@ -8,6 +8,7 @@ and derives the JSON schema.
 from __future__ import annotations
 
 import ctypes
+import functools
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
@@ -26,6 +27,7 @@ from ..files import require_regular
 
 Table = dict[str, Any]
 _DEEPEST = 100
+_LONG = 30
 
 
 def about(text: str, **more: Any) -> Meta:
@@ -85,11 +87,10 @@ def filled(form: type[Of], value: Any, where: str = "") -> Of:
 
     Raises CaseError with the place, what was found and expected, and for unknown keys the nearest known one.
     """
-    if (path := _not_finite(value)) is not None:
-        number = value
-        for key in path:
-            number = number[key]
-        raise _explained(form, value, where, path, f"expected a finite number, found {literal(number)}")
+    if (path := _not_a_number(value)) is not None:
+        found = literal(functools.reduce(lambda content, key: content[key], path, value))
+        found = found if len(found) < _LONG else f"{found[:_LONG]}...; write large numbers like 1e30"
+        raise _explained(form, value, where, path, f"expected a finite number of at most 64 bits, found {found}")
     try:
         return msgspec.convert(value, form)
     except msgspec.ValidationError as error:
@@ -98,14 +99,15 @@ def filled(form: type[Of], value: Any, where: str = "") -> Of:
         raise _explained(form, value, where, names, message) from None
 
 
-def _not_finite(value: Any) -> list[str | int] | None:
-    """Where a number that is not finite is."""
+def _not_a_number(value: Any) -> list[str | int] | None:
+    """Where a number that is not finite, or an integer that TOML excludes, is."""
     if isinstance(value, dict | list):
         for key, item in value.items() if isinstance(value, dict) else enumerate(value):
-            if (path := _not_finite(item)) is not None:
+            if (path := _not_a_number(item)) is not None:
                 return [key, *path]
         return None
-    return [] if isinstance(value, float) and not abs(value) < float("inf") else None
+    most = 2**63 if isinstance(value, int) else float("inf")
+    return [] if isinstance(value, int | float) and not -most <= value < most else None
 
 
 def _explained(form: type[Form], value: Any, where: str, path: Sequence[str | int], message: str) -> CaseError:
@@ -170,7 +172,6 @@ _DEEP_KEY = re.compile(rf"(?<![\w.-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{30}}")
 """Dotted keys with more parts than any key of a case: the parser's work and memory grow with their square."""
 TABLES = ("grid", "constants", "boundary", "method", "repair")
 """The tables of a case."""
-_TOO_LONG = "it has an integer of more than 64 bits; write large numbers like 1e30"
 
 
 def load(path: Path | None) -> Table:
@@ -191,34 +192,25 @@ def load(path: Path | None) -> Table:
 
 
 def _toml(text: str) -> Table:
-    """Parse TOML; ``ValueError`` for anything else, including integers beyond 64 bits, which TOML excludes."""
+    """Parse TOML; ``ValueError`` for anything else."""
     if deep := _DEEP_KEY.search(text):
         line = text.count("\n", 0, deep.start()) + 1
         raise ValueError(f"line {line}: the key {deep[0][:40]}... has more than 30 parts; expected a key of a case")
     try:
-        data = tomllib.loads(text)
+        return tomllib.loads(text)
     except tomllib.TOMLDecodeError:
         raise
     except RecursionError:
         raise ValueError("its brackets are nested too deeply") from None
     except ValueError:
-        raise ValueError(_TOO_LONG) from None
-    _require_64_bits(data)
-    return data
+        raise ValueError("it has an integer of more than 64 bits; write large numbers like 1e30") from None
 
 
-def _require_64_bits(value: Any) -> None:
-    if isinstance(value, (dict, list)):
-        for item in value.values() if isinstance(value, dict) else value:
-            _require_64_bits(item)
-    elif isinstance(value, int) and not -(2**63) <= value < 2**63:
-        raise ValueError(_TOO_LONG)
+def override(data: Table, text: str) -> tuple[list[str], Any]:
+    """Set the value of ``KEY=VALUE`` in ``data``, in place; the names of KEY and the value.
 
-
-def parsed_override(text: str) -> tuple[list[str], Any]:
-    """The names of KEY and the value of ``KEY=VALUE``; a value that is not TOML is taken as text.
-
-    Raises CaseError when there is no ``=`` or no key.
+    A value that is not TOML is taken as text. Raises CaseError when there is no ``=`` or no key, or the key passes
+    through a value or refers to an entry that does not exist.
     """
     key, equals, value = text.partition("=")
     if not equals or not key.strip():
@@ -230,20 +222,10 @@ def parsed_override(text: str) -> tuple[list[str], Any]:
         # Numbers, although not in TOML: .1 and 1.
         if re.fullmatch(r"[+-]?(\d+\.|\.\d+)(e[+-]?\d+)?", parsed, re.IGNORECASE):
             parsed = float(parsed)
-    return key.strip().split("."), parsed
-
-
-def override(data: Table, text: str) -> None:
-    """Set the value of ``KEY=VALUE`` in ``data``, in place.
-
-    Raises CaseError when there is no ``=``, or the key passes through a value or refers to an entry that does not
-    exist.
-    """
-    (*path, last), parsed = parsed_override(text)
-    if not path and last not in TABLES and last in data.get("constants", {}):
-        raise CaseError(f"--set {text!r}: unknown key {last!r}; did you mean 'constants.{last}'?")
-    target: Any = data
-    for name in path:
+    path, target = key.strip().split("."), data
+    if len(path) == 1 and key.strip() not in TABLES and key.strip() in data.get("constants", {}):
+        raise CaseError(f"--set {text!r}: unknown key {path[0]!r}; did you mean 'constants.{path[0]}'?")
+    for name in path[:-1]:
         if isinstance(target, list):
             entries = [(str(e.get("name", n)), str(n), e) for n, e in enumerate(target, 1) if isinstance(e, dict)]
             target = next((entry for known, number, entry in entries if name in (known, number)), None)
@@ -256,7 +238,8 @@ def override(data: Table, text: str) -> None:
             raise CaseError(f"--set {text!r}: {name!r} is a value, not a table")
     if isinstance(target, list):
         raise CaseError(
-            f"--set {text!r}: {'.'.join(path)} is a list; name an entry and its key, like "
+            f"--set {text!r}: {'.'.join(path[:-1])} is a list; name an entry and its key, like "
             f'boundary.wing.kind="fixed", or give the list as a whole'
         )
-    target[last] = parsed
+    target[path[-1]] = parsed
+    return path, parsed

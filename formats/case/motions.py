@@ -95,14 +95,12 @@ class LatticeForm(Form):
         tuple[_TwoOrMore, _TwoOrMore, _TwoOrMore],
         about("three numbers of control points along the edges, at least 2"),
     ]
-    move: Annotated[list[ControlForm], about('move = [{ at = [2, "*", 2], by = [0, 0, 0.1] }, ...]', minItems=1)]
+    move: Annotated[list[ControlForm], Meta(min_length=1), about('move = [{ at = [2, "*", 2], by = [0, 0, 0.1] }]')]
 
     def step(self, context: Context) -> Step:
         frame = np.array(self.edges)
         if not abs(np.linalg.det(frame)) > 1e-12 * float(np.prod(np.linalg.norm(frame, axis=1))):
             raise context.refusal(f"edges = {literal(self.edges)} span no volume; expected three directions")
-        if not self.move:
-            raise context.refusal('expected move = [{ at = [2, "*", 2], by = [0, 0, 0.1] }, ...]')
         ni, nj, nk = self.points
         if ni * nj * nk > _MOST_CONTROLS:
             raise context.refusal(
@@ -110,16 +108,13 @@ class LatticeForm(Form):
             )
         moves = []
         for number, move in enumerate(self.move, start=1):
+            chosen = []
             for entry, count in zip(move.at, self.points, strict=True):
-                if entry != "*" and not (isinstance(entry, int) and 1 <= entry <= count):
+                if isinstance(entry, int) and not 1 <= entry <= count:
                     raise context.refusal(
-                        f"move {number}, at: found {literal(entry)}; expected a control point from 1 to {count}, "
-                        f'or "*" for all'
+                        f'move {number}, at: found {entry}; expected a control point from 1 to {count}, or "*" for all'
                     )
-            chosen = [
-                range(count) if isinstance(entry, str) else range(entry - 1, entry)
-                for entry, count in zip(move.at, self.points, strict=True)
-            ]
+                chosen.append(range(count) if isinstance(entry, str) else range(entry - 1, entry))
             points: IntArray = np.array(list(product(*chosen)), dtype=np.int64)
             moves.append(ControlMove(points, context.three(move.by, of_time=True)))
         return Lattice(np.array(self.origin), frame, (ni, nj, nk), tuple(moves))
@@ -200,17 +195,13 @@ class ModesForm(Form):
 
     def _shapes(self, context: Context) -> tuple[list[tuple[int, str]], tuple[SurfaceData | Grid, ...]]:
         """Number and name of each shape, and the shapes: one per file, or some of those in a result file."""
-        if self.file is None:
-            if self.files is None or self.shapes is not None:
-                raise context.refusal(
-                    f"found {self.given()}; expected files, with one shape each, or file, with shapes"
-                )
+        if (self.file is None) == (self.files is None) or (self.file is None and self.shapes is not None):
+            raise context.refusal(f"found {self.given()}; expected files, with one shape each, or file, with shapes")
+        if self.files is not None:
             paths = sequence_files(self.files, context.folder, context.where)
             labels = [(number, path.stem.lower()) for number, path in enumerate(paths, start=1)]
             return labels, tuple(read_displacement(path) for path in paths)
-        if self.files is not None:
-            raise context.refusal(f"found {self.given()}; expected files, with one shape each, or file, with shapes")
-        found = read_shapes(path := context.folder / self.file)
+        found = read_shapes(path := context.folder / str(self.file))
         chosen = list(range(1, len(found) + 1)) if self.shapes is None else self.shapes
         if max(chosen) > len(found):
             raise context.refusal(

@@ -29,12 +29,14 @@ from meshdeform_core.repair.options import Mode
 from meshdeform_core.wording import literal
 
 from ..displacement import read_displacement
-from .forms import File, Form, Table, about, fail, filled, formula_of, load, override, parsed_override, plain
+from .forms import File, Form, Table, about, fail, filled, formula_of, load, override, plain
 from .motions import KINDS as MOTIONS
 from .motions import MotionStep
 from .tables import files_over_time, named_files
 
 _Names = Annotated[tuple[str, ...], Meta(min_length=1)]
+_Setting = tuple[str, list[str], Any]
+"""``KEY=VALUE``, the names of KEY, and the value."""
 _KINDS = ", ".join(kind.label for kind in reversed(Kind) if kind is not Kind.INTERFACE)
 
 
@@ -169,9 +171,8 @@ def read_case(
     Raises CaseError with the file, the key and the nearest known one.
     """
     path = Path(path) if path else None
-    data, overrides = load(path), tuple(overrides)
-    for text in overrides:
-        override(data, text)
+    data = load(path)
+    settings = [(text, *override(data, text)) for text in overrides]
     folder = path.parent if path else Path()
     if method:
         try:
@@ -182,11 +183,11 @@ def read_case(
     try:
         if method and isinstance(data.setdefault("method", {}), dict):
             data["method"]["name"] = method
-        parsed = _parse(data, folder, overrides)
+        parsed = _parse(data, folder, settings)
     except (CaseError, MethodError) as error:
         # The command line is at fault if there is no file, or it has no error without the changes.
         origin = str(path or "command line")
-        if path is not None and (overrides or method):
+        if path is not None and (settings or method):
             with suppress(CaseError, MethodError):
                 _parse(load(path), folder)
                 origin = "command line"
@@ -215,7 +216,7 @@ def case_of(content: Mapping[str, Any], folder: str | Path = ".") -> CaseFile:
     return _parse(plain(content), Path(folder))
 
 
-def _parse(data: Table, folder: Path, overrides: Sequence[str] = ()) -> CaseFile:
+def _parse(data: Table, folder: Path, settings: Sequence[_Setting] = ()) -> CaseFile:
     form = filled(CaseForm, data)
     constants = _constants(form.constants)
     specs = tuple(_boundary_spec(entry, number, constants, folder) for number, entry in enumerate(form.boundary, 1))
@@ -238,7 +239,7 @@ def _parse(data: Table, folder: Path, overrides: Sequence[str] = ()) -> CaseFile
         constants,
         options,
         grid.tolerance,
-        _unread(data, specs, options, overrides),
+        _unread(data, specs, options, settings),
         grid.open,
         repair,
         grid.plates,
@@ -282,23 +283,19 @@ def _boundary_spec(entry: BoundaryForm, number: int, constants: Mapping[str, flo
     return BoundarySpec(name, select, kind, condition, motion)
 
 
-def _unread(data: Table, specs: Sequence[BoundarySpec], options: Options, overrides: Iterable[str]) -> tuple[str, ...]:
-    """Warnings about unused content of the case file; an unused ``--set`` is an error.
+def _unread(
+    data: Table, specs: Sequence[BoundarySpec], options: Options, settings: Sequence[_Setting]
+) -> tuple[str, ...]:
+    """Warnings about unused content of the case file, ``data``.
 
-    Parameters
-    ----------
-    data : the tables of the case, including the overrides
-    overrides : ``KEY=VALUE`` strings
-
-    Raises CaseError with the override, the reason, and the nearest name that is used.
+    Raises CaseError for unused ``settings``, with the reason, and the nearest name that is used.
     """
     used = set[str]()
     for spec in specs:
         used |= spec.where.names if spec.where else set()
         used |= spec.motion.names if spec.motion else set()
     used -= {"x", "y", "z", "t"}
-    given = [(text, *parsed_override(text)) for text in overrides]
-    for text, path, value in given:
+    for text, path, value in settings:
         constants = () if path[0] != "constants" else path[1:2] if len(path) > 1 else value
         for name in constants:
             if name not in used:

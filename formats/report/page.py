@@ -17,42 +17,13 @@ from meshdeform_core.memory import readable
 from meshdeform_core.wording import counted
 
 from ..picture.page import STYLE
+from . import tables
 from .records import Report
-from .tables import (
-    ACCELERATION,
-    Figure,
-    Table,
-    acceleration_of,
-    boundary_table,
-    components_table,
-    is_alone,
-    levels_table,
-    match_lines,
-    measures_table,
-    motion_lines,
-    node_counts,
-    number,
-    place_text,
-    repair_lines,
-    settings_table,
-    shape_table,
-)
+from .tables import Figure, Table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_STAGES = {
-    "read": "reading the grid",
-    "topology": "coincident nodes, boundary",
-    "prepare": "preparing the method",
-    "apply": "moving the nodes",
-    "compile": "compiling loops, once per installation",
-    "repair": "repairing cells",
-    "quality": "judging the cells",
-    "write": "writing the grid",
-    "publish": "index of the series",
-    "other": "everything else (start, checksums)",
-}
 _SHOWN = 12
 """Groups of invalid cells, cells and levels that the page lists."""
 _LISTED = 200
@@ -79,7 +50,7 @@ def as_html(report: Report, figures: Sequence[Figure] = (), folder: str = "") ->
         files(__package__).joinpath(file).read_text(encoding="utf-8") for file in ("page.html.jinja", "style.css")
     )
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
-    environment.filters |= {"number": number, "base64": lambda png: base64.b64encode(png).decode("ascii")}
+    environment.filters |= {"number": tables.number, "base64": lambda png: base64.b64encode(png).decode("ascii")}
     series, grid = "levels" in report, report["grid"]
     name, kind = str(grid["file"] or "grid"), f"{grid['format']}, " if grid["format"] else ""
     blocks, cells = counted(grid["blocks"], "block"), counted(grid["cells"], "cell")
@@ -124,14 +95,14 @@ def _verdict(report: Report) -> dict[str, Any]:
         headline = "The grid is valid."
         if old := after["inherited_invalid_cells"]:
             headline = f"No cell became invalid; {old:,} cells were invalid before."
-        return {"headline": headline, "how": "; ".join(repair_lines(report))}
+        return {"headline": headline, "how": "; ".join(tables.repair_lines(report))}
     groups, reached, places = report["invalid_groups"], report.get("reached", 1.0), []
     for group in groups[:_SHOWN]:
         near = f" near {group['nearest_patch']!r}" if group["nearest_patch"] else ""
         at = ", ".join(f"{x:.4g}" for x in group["center"])
         blocks = ", ".join(group["blocks"][:4]) + (" and more" if len(group["blocks"]) > 4 else "")
         where = f"{counted(group['cells'], 'cell')}{near} in {blocks}, around x, y, z = {at}"
-        places.append(f"{where}; the worst is {place_text(group)}")
+        places.append(f"{where}; the worst is {tables.place_text(group)}")
     places += [f"and {len(groups) - _SHOWN} smaller groups"] if len(groups) > _SHOWN else []
     headline = f"{after['invalid_cells']:,} of {report['grid']['cells']:,} cells became invalid."
     if reached < 1.0:
@@ -159,7 +130,7 @@ def _levels(report: Report, thumbnails: Sequence[Figure]) -> Sections:
         "mean f_skew": [level["quality"]["f_skew"]["mean"] for level in levels],
         "largest displacement": [level["max_displacement"] for level in levels],
         "largest rotation [deg]": [level["max_rotation_deg"] for level in levels],
-        "acceleration [steps of the walls]": [acceleration_of(level) for level in levels],
+        "acceleration [steps of the walls]": [tables.acceleration_of(level) for level in levels],
     }
     charts = []
     for name, data in values.items():
@@ -168,7 +139,8 @@ def _levels(report: Report, thumbnails: Sequence[Figure]) -> Sections:
             times, wrong = ([level["time"] for level, _ in known], [not level["valid"] for level, _ in known])
             charts.append((name, curve(times, [value for _, value in known], "time", name, wrong)))
     pictures = [{"thumbnails": thumbnails}] if thumbnails else []
-    yield "Levels", [{"charts": charts}, *pictures, levels_table(report), f"Acceleration: {ACCELERATION}."]
+    table, note = tables.levels_table(report), f"Acceleration: {tables.ACCELERATION}."
+    yield "Levels", [{"charts": charts}, *pictures, table, note]
 
 
 def _judged(report: Report) -> Sections:
@@ -182,14 +154,14 @@ def _judged(report: Report) -> Sections:
     heads = ("block", "i, j, k", "x, y, z", "smallest Jacobian", "in step", "nearest boundary")
     yield "Invalid cells", [Table("The worst invalid cells", heads, rows, (0, 1, 2, 5))] if rows else []
     before, after = (report["quality"][when]["f_skew"]["histogram"] for when in ("before", "after"))
-    before = None if is_alone(report) else before
+    before = None if tables.is_alone(report) else before
     charts = [("Distribution of f_skew", histogram(before, after, "f_skew"))]
-    yield "Quality", [measures_table(report, change=True), {"charts": charts}]
+    yield "Quality", [tables.measures_table(report, change=True), {"charts": charts}]
 
 
 def _common_sections(report: Report) -> Sections:
-    yield "Components", [components_table(report)] if report.get("components") else []
-    yield "Shape of cells", [shape_table(report)] if report.get("shape") else []
+    yield "Components", [tables.components_table(report)] if report.get("components") else []
+    yield "Shape of cells", [tables.shape_table(report)] if report.get("shape") else []
     yield "Attempts", list(_attempts(report))
     if blocks := sorted(report.get("blocks") or (), key=lambda block: block["after"]["f_skew_min"]):
         heads = ("block", "cells", "invalid", "f_skew min", "before", "f_skew mean", "before", "scaled Jacobian min")
@@ -207,16 +179,14 @@ def _common_sections(report: Report) -> Sections:
         yield "Blocks", [Table(caption, heads, rows, flagged=[n for n, row in enumerate(rows) if row[2]])]
     yield "Warnings", [{"warnings": report["warnings"]}] if report["warnings"] else []
     if boundary := report.get("boundary"):
-        lines = [*match_lines(boundary), *motion_lines(report)]
-        yield "Boundary and motion", [boundary_table(boundary), f"Nodes: {node_counts(boundary)}.", *lines]
+        nodes = f"Nodes: {tables.node_counts(boundary)}."
+        lines = [nodes, *tables.match_lines(boundary), *tables.motion_lines(report)]
+        yield "Boundary and motion", [tables.boundary_table(boundary), *lines]
     if "method" in report:
-        yield "Method", [f"Method: {report['method']['name']}", settings_table(report)]
+        yield "Method", [f"Method: {report['method']['name']}", tables.settings_table(report)]
     if "timing" in report:
         total = report["timing"]["total"] or 1.0
-        stages = [
-            (_STAGES.get(stage, stage), f"{seconds:.2f}", f"{100 * seconds / total:.1f}")
-            for stage, seconds in report["timing"].items()
-        ]
+        stages = [(name, f"{spent:.2f}", f"{100 * spent / total:.1f}") for name, spent in report["timing"].items()]
         memory = f"Memory: {readable(report['peak_memory_bytes'])} at most."
         yield "Time and memory", [Table("Seconds", ("stage", "seconds", "share [%]"), stages), memory]
     if run := report.get("run"):
@@ -244,7 +214,7 @@ def _attempts(report: Report) -> Iterator[Any]:
         yield Table("Attempts, in order; the last one is the grid that was written", heads, rows, (0, 2))
     if new := report.get("new_interior"):
         yield f"The interior was remade from the reference by {new['method']}: {new['reason']}."
-    if lines := repair_lines(report):
+    if lines := tables.repair_lines(report):
         yield f"Repair: {'; '.join(lines)}. Moving and fixed boundary nodes stay where they were put."
 
 

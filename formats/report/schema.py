@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, NotRequired, TypedDict
+from typing import Annotated, Any, Literal, NotRequired, Required, TypedDict
 
 import msgspec
 from msgspec import Meta
@@ -223,38 +223,33 @@ class RunPart(TypedDict):
     files: list[RunFile]
 
 
-class ReportForm(TypedDict):
+class ReportForm(OutcomePart, total=False):
     """What --report FILE.json writes: of a deformation, a series (levels), a quality check, or a dry run. Keys may be
     added within version 1; none changes its meaning."""
 
-    schema: Literal[1]
-    meshdeform: Annotated[str, _told("version of the program")]
-    grid: GridPart
-    warnings: list[str]
-    reference: NotRequired[Annotated[str | None, _told("quality: the original grid")]]
-    method: NotRequired[MethodPart]
-    boundary: NotRequired[BoundaryPart]
-    motion: NotRequired[list[PatchMotion]]
-    quality: NotRequired[QualityPart]
-    shape: NotRequired[Annotated[ShapePart, _told("of a quality check")]]
-    blocks: NotRequired[list[BlockEntry]]
-    valid: NotRequired[Annotated[bool, _told("the whole motion was imposed and no cell became invalid")]]
-    invalid_cells: NotRequired[Annotated[list[InvalidCell], _told("at most 200")]]
-    invalid_groups: NotRequired[Annotated[list[InvalidGroup], _told("by place, the largest first, at most 20")]]
-    steps: NotRequired[Count]
-    reached: NotRequired[Annotated[float, Meta(ge=0, le=1), _told("fraction of the motion that was imposed")]]
-    attempts: NotRequired[list[Attempt]]
-    repair: NotRequired[Annotated[Repair | None, _told("null when nothing was repaired")]]
-    repaired_layers: NotRequired[Annotated[RepairedLayers | None, _told("null where nothing was repaired")]]
-    components: NotRequired[list[ComponentPart]]
-    new_interior: NotRequired[Annotated[Renewal | None, _told("of a repair: how the interior was remade")]]
-    timing: NotRequired[Seconds]
-    peak_memory_bytes: NotRequired[Count]
-    expected: NotRequired[Annotated[ExpectedPart, _told("of a dry run on a large grid")]]
-    series: NotRequired[SeriesPart]
-    levels: NotRequired[list[LevelPart]]
-    run: NotRequired[RunPart]
-    output: NotRequired[Annotated[str | None, _told("the grid as written: beside the name asked for if invalid")]]
+    schema: Required[Literal[1]]
+    meshdeform: Required[Annotated[str, _told("version of the program")]]
+    grid: Required[GridPart]
+    warnings: Required[list[str]]
+    reference: Annotated[str | None, _told("quality: the original grid")]
+    method: MethodPart
+    boundary: BoundaryPart
+    motion: list[PatchMotion]
+    quality: QualityPart
+    shape: Annotated[ShapePart, _told("of a quality check")]
+    blocks: list[BlockEntry]
+    invalid_cells: Annotated[list[InvalidCell], _told("at most 200")]
+    invalid_groups: Annotated[list[InvalidGroup], _told("by place, the largest first, at most 20")]
+    repaired_layers: Annotated[RepairedLayers | None, _told("null where nothing was repaired")]
+    components: list[ComponentPart]
+    new_interior: Annotated[Renewal | None, _told("of a repair: how the interior was remade")]
+    timing: Seconds
+    peak_memory_bytes: Count
+    expected: Annotated[ExpectedPart, _told("of a dry run on a large grid")]
+    series: SeriesPart
+    levels: list[LevelPart]
+    run: RunPart
+    output: Annotated[str | None, _told("the grid as written: beside the name asked for if invalid")]
 
 
 def report_schema() -> dict[str, Any]:
@@ -262,6 +257,9 @@ def report_schema() -> dict[str, Any]:
     definitions = msgspec.json.schema(ReportForm)["$defs"]
     for definition in definitions.values():
         always, properties = set(definition["required"]), definition["properties"]
+        if definition["title"] == "ReportForm":
+            # Reports of quality checks and dry runs have no outcome.
+            always -= set(OutcomePart.__annotations__)
         # Records of the core are written with all their fields, those that have a default, too.
         always |= {name for name, kind in properties.items() if kind.pop("default", _MISSING) is not _MISSING}
         definition["required"] = [name for name in properties if name in always]

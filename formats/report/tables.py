@@ -17,37 +17,29 @@ _ALONG = 0.9994
 _WEAK = "weak: sheared by more than 45 degrees, or twice or half as long in one direction"
 
 
-_MEASURES: tuple[tuple[str, tuple[str, ...], bool], ...] = (
-    ("f_skew harmonic mean", ("f_skew", "harmonic_mean"), False),
-    ("f_skew mean", ("f_skew", "mean"), False),
-    ("f_skew 1% quantile", ("f_skew", "p01"), False),
-    ("f_skew minimum", ("f_skew", "min"), False),
-    ("smallest scaled Jacobian", ("min_scaled_jacobian",), False),
-    ("smallest relative Jacobian", ("min_relative_jacobian",), True),
-    ("invalid cells", ("invalid_cells",), False),
-    ("inherited invalid cells", ("inherited_invalid_cells",), False),
-    ("negative volumes", ("negative_volumes",), False),
-    ("wall-normal deviation rms [deg]", ("wall_normal_deviation_deg", "rms"), False),
-    ("wall-normal deviation max [deg]", ("wall_normal_deviation_deg", "max"), False),
-    ("first cell height ratio min", ("first_cell_height_ratio", "min"), True),
-    ("first cell height ratio max", ("first_cell_height_ratio", "max"), True),
-    ("layer thickness ratio min", ("walls", "moving", "layer_thickness_ratio", "min"), True),
-    ("layer thickness ratio max", ("walls", "moving", "layer_thickness_ratio", "max"), True),
-    ("fixed walls: normal deviation rms [deg]", ("walls", "fixed", "wall_normal_deviation_deg", "rms"), False),
-    ("fixed walls: normal deviation max [deg]", ("walls", "fixed", "wall_normal_deviation_deg", "max"), False),
-    ("fixed walls: first cell ratio min", ("walls", "fixed", "first_cell_height_ratio", "min"), True),
-    ("fixed walls: first cell ratio max", ("walls", "fixed", "first_cell_height_ratio", "max"), True),
-    ("fixed walls: layer ratio min", ("walls", "fixed", "layer_thickness_ratio", "min"), True),
-    ("fixed walls: layer ratio max", ("walls", "fixed", "layer_thickness_ratio", "max"), True),
-    ("interface kink rms [deg]", ("interface_kink_deg", "rms"), False),
-    ("interface kink max [deg]", ("interface_kink_deg", "max"), False),
-    ("interface spacing jump rms", ("interface_spacing_jump", "rms"), False),
-    ("interface spacing jump max", ("interface_spacing_jump", "max"), False),
-    ("volume ratio min", ("volume_ratio", "min"), True),
-    ("volume ratio max", ("volume_ratio", "max"), True),
-    ("total volume", ("total_volume",), False),
+_RMS, _RANGE = ("rms", "max"), ("min", "max")
+_MEASURES: tuple[tuple[str, tuple[str, ...], tuple[str, ...], bool], ...] = (
+    ("f_skew harmonic mean", ("f_skew", "harmonic_mean"), (), False),
+    ("f_skew mean", ("f_skew", "mean"), (), False),
+    ("f_skew 1% quantile", ("f_skew", "p01"), (), False),
+    ("f_skew minimum", ("f_skew", "min"), (), False),
+    ("smallest scaled Jacobian", ("min_scaled_jacobian",), (), False),
+    ("smallest relative Jacobian", ("min_relative_jacobian",), (), True),
+    ("invalid cells", ("invalid_cells",), (), False),
+    ("inherited invalid cells", ("inherited_invalid_cells",), (), False),
+    ("negative volumes", ("negative_volumes",), (), False),
+    ("wall-normal deviation {} [deg]", ("wall_normal_deviation_deg",), _RMS, False),
+    ("first cell height ratio {}", ("first_cell_height_ratio",), _RANGE, True),
+    ("layer thickness ratio {}", ("walls", "moving", "layer_thickness_ratio"), _RANGE, True),
+    ("fixed walls: normal deviation {} [deg]", ("walls", "fixed", "wall_normal_deviation_deg"), _RMS, False),
+    ("fixed walls: first cell ratio {}", ("walls", "fixed", "first_cell_height_ratio"), _RANGE, True),
+    ("fixed walls: layer ratio {}", ("walls", "fixed", "layer_thickness_ratio"), _RANGE, True),
+    ("interface kink {} [deg]", ("interface_kink_deg",), _RMS, False),
+    ("interface spacing jump {}", ("interface_spacing_jump",), _RMS, False),
+    ("volume ratio {}", ("volume_ratio",), _RANGE, True),
+    ("total volume", ("total_volume",), (), False),
 )
-"""Name, keys in the report, and whether it compares with another grid."""
+"""Name, keys in the report, the ends of a measure that has some, and whether it compares with another grid."""
 DEFINITIONS = {
     "invalid_cells": "a corner Jacobian that was positive became zero or negative",
     "inherited_invalid_cells": "were invalid in the input",
@@ -67,7 +59,9 @@ _OF_ALL = ("harmonic_mean", "mean", "p01", "rms")
 def measure_values(quality: Mapping[str, Any]) -> Iterator[tuple[str, bool, Any, Any, str]]:
     """Every measure that the ``quality`` of a report has: its name, whether it compares with another grid, its values
     before (``None`` if there is none) and after, and the position of the worst cell as text."""
-    for name, keys, compared in _MEASURES:
+    each = ((name.format(end), (*keys, end) if end else keys, compared)
+            for name, keys, ends, compared in _MEASURES for end in ends or ("",))  # fmt: skip
+    for name, keys, compared in each:
         before, after = (
             functools.reduce(lambda found, key: None if found is None else found.get(key), keys, quality[when])
             for when in ("before", "after")

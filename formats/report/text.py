@@ -7,25 +7,9 @@ from collections.abc import Iterable, Iterator
 from meshdeform_core.memory import readable
 from meshdeform_core.wording import counted
 
+from . import tables
 from .records import Report
-from .tables import (
-    ACCELERATION,
-    Table,
-    acceleration_of,
-    boundary_table,
-    components_table,
-    levels_table,
-    match_lines,
-    measures_table,
-    motion_lines,
-    node_counts,
-    number,
-    place_text,
-    repair_lines,
-    repaired,
-    settings_table,
-    shape_table,
-)
+from .tables import Table
 
 _LISTED = 20
 
@@ -48,28 +32,28 @@ def _sections(report: Report, parameters: bool) -> Iterator[tuple[str, Iterable[
     if "method" in report:
         yield "method", [report["method"]["name"] + ("" if parameters else "  (-v shows its parameters)")]
     if "boundary" in report:
-        yield "boundary", _columns(boundary_table(report["boundary"]))
-        yield "nodes", [node_counts(report["boundary"])]
-        yield "table", match_lines(report["boundary"])
-        yield "motion", motion_lines(report)
+        yield "boundary", _columns(tables.boundary_table(report["boundary"]))
+        yield "nodes", [tables.node_counts(report["boundary"])]
+        yield "table", tables.match_lines(report["boundary"])
+        yield "motion", tables.motion_lines(report)
     if report.get("components"):
-        yield "parts", _columns(components_table(report))
+        yield "parts", _columns(tables.components_table(report))
     if "levels" in report:
         series, before = report["series"], report["quality"]["before"]["f_skew"]
         lines = [f"{series['levels']} levels, each from the undeformed grid"]
         lines += [f"open {series['view']} in ParaView"] if series["view"] else []
         lines.append(f"f_skew before: mean {before['mean']:.4f}, minimum {before['min']:.4f}")
         yield "series", lines
-        yield "levels", _columns(levels_table(report))
-        if any(acceleration_of(level) is not None for level in report["levels"]):
-            yield "accel.", [ACCELERATION]
+        yield "levels", _columns(tables.levels_table(report))
+        if any(tables.acceleration_of(level) is not None for level in report["levels"]):
+            yield "accel.", [tables.ACCELERATION]
     elif judged:
-        yield "quality", _columns(measures_table(report))
+        yield "quality", _columns(tables.measures_table(report))
         if report.get("shape"):
-            yield "shape", _columns(shape_table(report))
-        yield "repair", repair_lines(report)
+            yield "shape", _columns(tables.shape_table(report))
+        yield "repair", tables.repair_lines(report)
     if parameters and len(report.get("method", ())) > 1:
-        yield "settings", _columns(settings_table(report))
+        yield "settings", _columns(tables.settings_table(report))
     if "expected" in report:
         # The forecast of a run's memory and disk space.
         expense = report["expected"]
@@ -87,7 +71,7 @@ def _sections(report: Report, parameters: bool) -> Iterator[tuple[str, Iterable[
 
 def _columns(table: Table) -> Iterator[str]:
     """A table with aligned columns, numbers to the right."""
-    rows = [table.heads, *([number(value) for value in row] for row in table.rows)]
+    rows = [table.heads, *([tables.number(value) for value in row] for row in table.rows)]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
         cells = zip(row, widths, strict=True)
@@ -99,13 +83,13 @@ def _verdict_lines(report: Report, judged: bool) -> Iterator[tuple[str, Iterable
     cells, lines = report.get("invalid_cells", []), ["valid" if report["valid"] else "INVALID"]
     for cell in cells[:_LISTED]:
         near = f", nearest patch {cell['nearest_patch']}" if cell["nearest_patch"] else ""
-        lines.append(f"{place_text(cell)}: Jacobian {cell['min_jacobian']:.3g}, step {cell['step']}{near}")
+        lines.append(f"{tables.place_text(cell)}: Jacobian {cell['min_jacobian']:.3g}, step {cell['step']}{near}")
     if len(cells) > _LISTED:
         lines.append(f"... {len(cells) - _LISTED} more in the json report")
     yield "verdict", lines
     if "steps" in report:
         reached = "" if report["reached"] == 1.0 else f", {report['reached']:.1%} of the motion imposed"
-        done = ", then repaired (below)" if repaired(report) in ("yes", "other") and judged else ""
+        done = ", then tables.repaired (below)" if tables.repaired(report) in ("yes", "other") and judged else ""
         yield "steps", [f"{report['steps']}{reached}{done}"]
     if "steps" in report and judged:
         after = report["quality"]["after"]
@@ -120,4 +104,4 @@ def _verdict_lines(report: Report, judged: bool) -> Iterator[tuple[str, Iterable
         steps = counted(new["steps"], "step")
         yield "interior", [f"remade from the reference by {new['method']} in {steps}: {new['reason']}"]
     if "quality" not in report:
-        yield "repair", repair_lines(report)
+        yield "repair", tables.repair_lines(report)
