@@ -10,7 +10,7 @@ import numpy as np
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.connections import check_connections, find_interfaces
 from meshdeform_core.grid.faces import Face, Role, declared_role
-from meshdeform_core.grid.openings import coincident_blocks, describe_group, find_openings, patched_groups
+from meshdeform_core.grid.openings import coincident_blocks, describe_openings, find_openings
 from meshdeform_core.grid.surfaces import Outside, Surface, clustered_interfaces, find_outside, thin_direction
 from meshdeform_core.grid.topology import Topology, find_topology
 from meshdeform_core.numerics.arrays import extent
@@ -70,7 +70,7 @@ def gather(grid: Grid, file: str) -> Facts:
             *grid.notes,
             *check_connections(grid, topology),
             *coincident_blocks(grid, topology),
-            *(describe_group(grid, group) for group in patched_groups(find_openings(grid, topology))),
+            *describe_openings(grid, find_openings(grid, topology)),
             *_remarks(grid, topology, outside),
         ],
     }
@@ -136,15 +136,7 @@ def _collapsed(topology: Topology, sides: list[str]) -> list[Facts]:
 
 
 def _remarks(grid: Grid, topology: Topology, outside: Outside) -> list[str]:
-    """Remarks on plates, which follow from the shape of the grid but not from the file."""
-    if outside.plates:
-        from meshdeform_formats.case.template import plates_line
-
-        return [
-            f"{listed([plate.name for plate in outside.plates])}: likely a thin plate (a wall without thickness "
-            f"between blocks): cells cluster from both sides, and it does not reach the far field; if it "
-            f"is a wall, the case needs: [grid] {plates_line(outside.plates)}"
-        ]
+    """Where a plate may be in a grid without walls, which follows from its shape but not from the file."""
     if outside.of_role(Role.WALL) or not (names := [f.label(grid) for f in clustered_interfaces(topology, outside)]):
         return []
     return [

@@ -118,14 +118,6 @@ def clustered(start: float, end: float, cells: int, strength: float) -> np.ndarr
     return start + (end - start) * np.expm1(strength * np.linspace(0.0, 1.0, cells + 1)) / np.expm1(strength)
 
 
-def plate_wing() -> Grid:
-    """Half a wing without thickness, 0 < x < 1, 0 < z < 1 in the plane y = 0: faces of two of twelve blocks."""
-    x = clustered(0, -20, 6, 4.0)[::-1], np.linspace(0, 1, 7), clustered(1, 20, 6, 4.0)
-    y = clustered(0, 20, 8, 8.0), clustered(0, -20, 8, 8.0)[::-1]
-    z = np.linspace(0, 1, 7), clustered(1, 10, 5, 3.0)
-    return Grid.from_blocks([block_around(*lines) for lines in itertools.product(x, y, z)])
-
-
 def plenum() -> Grid:
     """A square duct, -10 < x < 0 and 2 wide, that ends in the wall of a large box, x > 0 and 200 wide."""
     half = clustered(0, 1, 4, 2.0)

@@ -98,23 +98,14 @@ def case_template(
         "# Roles with a question mark are guessed from the shape of the grid: check them.",
         "",
     ]
-    header = [] if boundary_file is None else [f"boundary_file = {_text(boundary_file)}"]
-    if outside.plates:
-        header += ["# Likely thin plates, walls without thickness between blocks. If they are, remove the #, and give",
-                   "# them an entry below that moves them:", f"# {plates_line(outside.plates)}"]  # fmt: skip
-    if header:
-        lines += ["[grid]", *header, ""]
+    if boundary_file is not None:
+        lines += ["[grid]", f"boundary_file = {_text(boundary_file)}", ""]
     if not any(kind == "moving" for _, kind, _ in entries):
         lines += ['# No wall was found. The boundary that moves has kind = "moving" and a motion, for example:',
                   '#   kind = "moving"', "#   motion = [ { translate = [0.0, 0.0, 0.0] } ]", ""]  # fmt: skip
     for entry in entries:
         lines += [*_entry_lines(grid, outside, entry, table), ""]
     return "\n".join([*lines, _METHOD])
-
-
-def plates_line(plates: Sequence[Surface]) -> str:
-    """The line of ``[grid]`` that declares faces between blocks thin plates."""
-    return f"plates = [{', '.join(_text(_pattern(plate.name)) for plate in plates)}]"
 
 
 _Entry = tuple[str, str, Sequence[Surface]]

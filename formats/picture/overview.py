@@ -41,7 +41,7 @@ def overview(subject: Subject, choice: Choice, title: str = "") -> Page:
 
     Small details have a close-up.
     """
-    metric, bodies = choice.metric, subject.bodies
+    metric, bodies = choice.metric, subject.outside.bodies
     scene = whole_scene(subject, metric)
     if scene is not None:
         return Page.of(_with_close_up(subject, scene), choice, title)
@@ -107,7 +107,7 @@ def moved_walls(old: Subject, new: Subject, quads: IntArray) -> Page | None:
 def quality_planes(old: Subject, new: Subject) -> Page:
     """A plane through the grid around its walls, before and after, in the same frame and colours."""
     scenes = [_plane(subject, Choice()) for subject in (old, new)]
-    window = _window_around(scenes[0], np.concatenate([subject.corners(old.bodies) for subject in (old, new)]))
+    window = _window_around(scenes[0], np.concatenate([subject.corners(old.outside.bodies) for subject in (old, new)]))
     return _twins(scenes, (window, window), Choice())
 
 

@@ -275,7 +275,7 @@ def wall_edges(subject: Subject, plane: Plane, walls: Sequence[Surface] | None =
 def onto_walls(subject: Subject) -> View:
     """An isometric view onto the walls, with symmetry planes behind them."""
     direction = np.array([0.8, -1.0, 0.7])
-    bodies = subject.bodies
+    bodies = subject.outside.bodies
     middle = subject.box_of(bodies).mean(axis=0) if bodies else None
     for surface in subject.outside.of_role(Role.SYMMETRY, Role.END, Role.WALL):
         if surface in bodies:

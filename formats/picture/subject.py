@@ -83,14 +83,9 @@ class Subject(CellFields):
         return float(min(low for low, _ in ends)), float(max(high for _, high in ends))
 
     @property
-    def bodies(self) -> tuple[Surface, ...]:
-        """Walls of bodies in the grid, and likely thin plates."""
-        return self.outside.bodies + self.outside.plates
-
-    @property
     def wall_surfaces(self) -> tuple[Surface, ...]:
-        """All walls, and likely thin plates."""
-        return self.outside.of_role(Role.WALL) + self.outside.plates
+        """All walls."""
+        return self.outside.of_role(Role.WALL)
 
     def corners(self, surfaces: Iterable[Surface]) -> FloatArray:
         """The corners (n, m, 3) of the face quads of surfaces; in 2-D the ends (n, 2, 3) of edges."""
@@ -110,8 +105,6 @@ class Subject(CellFields):
         if not ends or ends[0].plane is None:
             return None
         normal = ends[0].plane.normal
-        if not all(self._upright(plate, normal) for plate in self.outside.plates):
-            return None
         height = [float(face.plane.point @ normal) if face.plane is not None else np.inf for face in ends]
         lowest = min(height) + 1e-6 * self.size
         return np.concatenate([face.quads for face, h in zip(ends, height, strict=True) if h <= lowest]), normal
@@ -155,9 +148,9 @@ class Subject(CellFields):
     def middle_plane(self) -> Plane:
         """A plane through the middle of the bodies, parallel to a symmetry plane or else across their longest extent;
         without bodies through the middle of the grid, across its shortest extent."""
-        low, high = self.box_of(self.bodies) if self.bodies else extent(self.grid.points)
+        low, high = self.box_of(self.outside.bodies) if self.outside.bodies else extent(self.grid.points)
         mirrors = self.outside.of_role(Role.SYMMETRY)
-        if not self.bodies:
+        if not self.outside.bodies:
             axis = int(np.argmin(high - low))
         elif mirrors:
             axis = int(np.argmax(np.abs(self.outward(mirrors[0]))))

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import CaseError
 from ..grid import Grid, IntArray, Patch
-from ..grid.openings import Opening, describe_group, patched_groups
+from ..grid.openings import Opening, describe_openings
 from ..grid.planes import Plane, plane_normal, plane_of
 from ..grid.selection import quads_of_pattern, select_quads
 from ..grid.topology import Topology, quads_of_patches, quads_of_windows
@@ -356,8 +356,7 @@ def opening_notes(
                 f"{apart}"
             )
         told.append(opening)
-    groups = ((describe_group(grid, group), group[0]) for group in patched_groups(told))
-    return [text + (overlap_advice(grid) if first.inside else "") for text, first in groups]
+    return describe_openings(grid, told, overlap_advice(grid))
 
 
 def overlap_advice(grid: Grid) -> str:

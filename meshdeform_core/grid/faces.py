@@ -14,13 +14,13 @@ from enum import Enum
 
 import numpy as np
 
-from ..numerics.arrays import batches, medians, runs, spans, spread
+from ..numerics.arrays import batches, extent, medians, runs, spans, spread
 from ..numerics.geometry.coincidence import connected_rows
 from ..numerics.geometry.vectors import doubled_areas, unit
 from ..parallel import empty
 from .blocks import FloatArray, Grid, IntArray
 from .parts import Patch, Side, Window
-from .planes import FLATNESS, Bounds, Plane, plane_normal, planes_of
+from .planes import FLATNESS, Plane, plane_normal, planes_of
 from .topology import Topology, quads_of_patches, side_nodes
 from .windows import Rectangles, rectangles
 
@@ -29,33 +29,6 @@ _TOGETHER = 100_000
 """Nodes of pieces processed at a time, which bounds the memory."""
 _QUADS = 1 << 14
 """Quads processed at a time: half a kilobyte of intermediate values for each."""
-
-
-@dataclass(frozen=True)
-class QuadGeometry:
-    """Geometry of all face quads (in 2-D of the cell edges on block edges).
-
-    Attributes
-    ----------
-    area : (n_quads,) area (length unit squared; in 2-D length)
-    height : (n_quads,) distance of the next layer of nodes along the inward normal
-    outside : (n,) the quads that no other block shares, ascending; in many blocks these are few
-    centers, outwards : (n, 3) mean of the corners, and area vector out of the block, of each of them
-    """
-
-    area: FloatArray
-    height: FloatArray
-    outside: IntArray
-    centers: FloatArray
-    outwards: FloatArray
-
-    def center(self, quads: IntArray) -> FloatArray:
-        """Mean of the corners (n, 3) of outside quads (n,)."""
-        return np.asarray(self.centers[np.searchsorted(self.outside, quads)])
-
-    def outward(self, quads: IntArray) -> FloatArray:
-        """Area vectors (n, 3) of outside quads (n,)."""
-        return np.asarray(self.outwards[np.searchsorted(self.outside, quads)])
 
 
 @dataclass(frozen=True)
@@ -93,34 +66,37 @@ class Face:
         return grid.window_label(self.window)
 
 
-def quad_geometry(grid: Grid, topology: Topology) -> QuadGeometry:
-    """Centres, area vectors and first-cell heights of all face quads."""
-    count, outside = len(topology.partner), np.flatnonzero(topology.partner < 0)
-    found = QuadGeometry(empty((count,)), empty((count,)), outside, *(empty((len(outside), 3)) for _ in range(2)))
-    normal = plane_normal(grid)
-    if normal is not None:
-        normal = normal * np.sign(normal[int(np.argmax(np.abs(normal)))])
+def outward_areas(
+    grid: Grid, topology: Topology, quads: IntArray | slice, normal: FloatArray | None
+) -> tuple[FloatArray, FloatArray]:
+    """Corners (n, 4, 3) and area vectors (n, 3), out of the block, of face quads; of cell edges (n, 2, 3) and their
+    lengths in a plane grid with the unit ``normal``."""
+    corners = grid.points[topology.first[topology.quads.corners[quads]]]
+    if normal is None:
+        return corners, 0.5 * doubled_areas(corners)
+    # The outside lies to the right of the corner order, looking against the plane's normal.
+    return corners, np.cross(corners[:, 1] - corners[:, 0], normal)
+
+
+def quad_sizes(grid: Grid, topology: Topology) -> tuple[FloatArray, FloatArray]:
+    """Area (n_quads,) of all face quads, in 2-D the length, and the distance of the next layer of nodes along the
+    inward normal."""
+    count, normal = len(topology.partner), plane_normal(grid)
+    area, height = empty((count,)), empty((count,))
     for lo in range(0, count, _QUADS):
         some = slice(lo, min(lo + _QUADS, count))
-        corners = grid.points[topology.first[topology.quads.corners[some]]]
-        # In a plane, the outside lies to the right of the corner order, looking against its positive normal.
-        sides = corners[:, 1] - corners[:, 0]
-        outward = 0.5 * doubled_areas(corners) if normal is None else np.cross(sides, normal)
+        _, outward = outward_areas(grid, topology, some, normal)
         side, u, v = topology.quads.places(np.arange(some.start, some.stop))
         nodes = grid.sides.corners(side, u, v)
         # Mean of the first edges into the block.
         arm = (grid.points[nodes + grid.sides.inward[side, None]] - grid.points[nodes]).mean(axis=1)
-        found.area[some] = np.linalg.norm(outward, axis=1)
-        found.height[some] = -np.einsum("ni,ni->n", unit(outward), arm)
-        few = slice(*np.searchsorted(outside, [some.start, some.stop]).tolist())
-        own = outside[few] - lo
-        found.centers[few], found.outwards[few] = corners[own].mean(axis=1), outward[own]
-    return found
+        area[some] = np.linalg.norm(outward, axis=1)
+        height[some] = -np.einsum("ni,ni->n", unit(outward), arm)
+    return area, height
 
 
-def find_faces(grid: Grid, topology: Topology, geometry: QuadGeometry | None = None) -> list[Face]:
+def find_faces(grid: Grid, topology: Topology) -> list[Face]:
     """All block sides divided into pieces: patches, interfaces and unnamed outside faces; without collapsed quads."""
-    geometry = geometry or quad_geometry(grid, topology)
     # The pieces; their label is twice the number of the patch (from 1), plus one where blocks share the quads.
     label = np.zeros(len(topology.partner), dtype=np.int64)
     quads, patch = quads_of_patches(topology.quads, grid.patches)
@@ -133,7 +109,7 @@ def find_faces(grid: Grid, topology: Topology, geometry: QuadGeometry | None = N
         return []
     owner, shared = np.divmod(pieces.label, 2)
     run = np.repeat(np.arange(len(pieces)), pieces.sizes)
-    height, area = geometry.height[pieces.quads], geometry.area[pieces.quads]
+    area, height = (values[pieces.quads] for values in quad_sizes(grid, topology))
     # Lowest and highest coordinates of the nodes of every piece.
     boxes = np.empty((len(pieces), 2, 3))
     for lo, hi in batches(pieces.sizes, _TOGETHER):
@@ -233,9 +209,9 @@ _ENCLOSED = 0.02
 """Least flux of (x - center) through the surface of a body, relative to area times radius."""
 
 
-def guess_roles(grid: Grid, topology: Topology, geometry: QuadGeometry, faces: Sequence[Face]) -> list[Role]:
+def guess_roles(grid: Grid, topology: Topology, faces: Sequence[Face]) -> list[Role]:
     """The likely role of every face."""
-    return _Guess(grid, topology, geometry, faces).roles()
+    return _Guess(grid, topology, faces).roles()
 
 
 def declared_role(face: Face) -> Role | None:
@@ -262,11 +238,13 @@ def clusters(face: Face) -> bool:
 class _Guess:
     """Data on all faces needed to guess their roles."""
 
-    def __init__(self, grid: Grid, topology: Topology, geometry: QuadGeometry, faces: Sequence[Face]):
-        self.grid, self.topology, self.geometry, self.faces = grid, topology, geometry, faces
-        self.bounds = Bounds(grid)
-        low, high = self.bounds.low.min(axis=0), self.bounds.high.max(axis=0)
+    def __init__(self, grid: Grid, topology: Topology, faces: Sequence[Face]):
+        self.grid, self.topology, self.faces = grid, topology, faces
+        self.normal, self.points = plane_normal(grid), grid.points[topology.first]
+        low, high = extent(grid.points)
         self.extent, self.size = high - low, float((high - low).max())
+        # The largest x . normal of all nodes, by the normal.
+        self.reach: dict[tuple[float, ...], float] = {}
         self.ends = _end_sides(grid, topology, faces)
         self.outward = [self._bounding(face) for face in faces]
         # (n_quads,) whether a quad belongs to a surface inside the grid, closed but for the bounding planes.
@@ -330,19 +308,25 @@ class _Guess:
         """Outward normal of a plane face with the whole grid on one side of it, else ``None``."""
         if face.plane is None or not face.outside:
             return None
-        outward = self.geometry.outward(face.quads).sum(axis=0)
+        outward = self._outward(face.quads)[1].sum(axis=0)
         normal = face.plane.normal * (1.0 if outward @ face.plane.normal >= 0 else -1.0)
-        level = float(face.plane.point @ normal) + 10 * FLATNESS * self.size
-        return normal if self.bounds.within(normal, level) else None
+        # The faces of one plane differ in their normals by round-off only.
+        key = tuple(round(part, 9) for part in normal.tolist())
+        if key not in self.reach:
+            self.reach[key] = float((self.points @ normal).max())
+        return normal if self.reach[key] <= float(face.plane.point @ normal) + 10 * FLATNESS * self.size else None
+
+    def _outward(self, quads: IntArray) -> tuple[FloatArray, FloatArray]:
+        return outward_areas(self.grid, self.topology, quads, self.normal)
 
     def _is_body(self, quads: IntArray) -> bool:
         """Whether quads enclose a body: in each bounding plane, smaller than the grid in at least one direction."""
-        area, center = self.geometry.area[quads], self.geometry.center(quads)
+        corners, outward = self._outward(quads)
+        area, center = np.linalg.norm(outward, axis=1), corners.mean(axis=1)
         if area.sum() == 0.0:
             return False
         arm = center - np.average(center, axis=0, weights=area)
-        flux = np.einsum("ni,ni->", arm, self.geometry.outward(quads))
-        own = np.ptp(self.grid.points[self.topology.first[self.topology.quads.corners[quads]]].reshape(-1, 3), axis=0)
+        flux, own = np.einsum("ni,ni->", arm, outward), np.ptp(corners.reshape(-1, 3), axis=0)
         varying = self.extent > FLATNESS * self.size
         # A surface that extends across the whole grid in two directions is a floor or a ceiling, not a body.
         across = int((own[varying] > 0.999 * self.extent[varying]).sum())

@@ -8,7 +8,6 @@ blocks apart, unless they belong to different components.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
@@ -18,7 +17,7 @@ import numpy as np
 
 from ..numerics.arrays import BoolArray, batches, runs, spans, spread
 from ..numerics.geometry.boxes import overlapping_boxes
-from ..numerics.geometry.coincidence import close_pairs, connected_components, distinct, equal_rows
+from ..numerics.geometry.coincidence import close_pairs, distinct, equal_rows
 from ..numerics.geometry.vectors import distance_to_faces, plane_winding, winding
 from ..wording import counted, listed
 from .blocks import FloatArray, Grid, IntArray
@@ -96,38 +95,20 @@ class Opening:
             )
         return f"{where} touch{_distance_phrase([self])}, but their nodes do not match (patched blocks)"
 
-    @property
-    def patched_sides(self) -> tuple[tuple[int, Side], ...]:
-        """The two block sides if they touch each other but their nodes do not match."""
-        if self.matching or self.other_side is None:
-            return ()
-        return (self.window.block, self.window.side), (self.other, self.other_side)
 
-
-def patched_groups(openings: Sequence[Opening]) -> list[list[Opening]]:
-    """Groups of openings: the patched faces of one surface, such as the plane between a rotor and a stator, form a
-    group; each other opening is one by itself."""
-    patched = [opening.patched_sides for opening in openings if opening.patched_sides]
-    number = {side: n for n, side in enumerate(dict.fromkeys(side for sides in patched for side in sides))}
-    pairs = [[number[side] for side in sides] for sides in patched]
-    label = connected_components(len(number), np.array(pairs, dtype=np.int64).reshape(-1, 2))
-    groups: dict[int, list[Opening]] = {}
-    for n, opening in enumerate(openings):
-        sides = opening.patched_sides
-        groups.setdefault(int(label[number[sides[0]]]) if sides else len(number) + n, []).append(opening)
-    return list(groups.values())
-
-
-def describe_group(grid: Grid, group: Sequence[Opening]) -> str:
-    """One line for openings that belong together."""
-    sides = list(dict.fromkeys(side for opening in group for side in opening.patched_sides))
-    if len(sides) <= 2:
-        return group[0].describe(grid)
-    names = listed(f"{grid.names[block]}.{side.label}" for block, side in sides)
-    return (
-        f"{len(sides)} faces touch each other{_distance_phrase(group)}, but their nodes do not match (patched "
-        f"blocks, for example a rotor and a stator): {names}"
-    )
+def describe_openings(grid: Grid, openings: Sequence[Opening], advice: str = "") -> list[str]:
+    """A line for each opening, one for all faces that touch others with other nodes; ``advice`` is added to those of
+    faces inside other blocks."""
+    patched = [each for each in openings if not (each.matching or each.inside)]
+    lines = [each.describe(grid) + advice * each.inside for each in openings if each.matching or each.inside]
+    ends = [((o.window.block, o.window.side), (o.other, o.other_side)) for o in patched]
+    sides = {f"{grid.names[block]}.{side.label}": None for pair in ends for block, side in pair if side is not None}
+    if len(sides) > 2:
+        lines.append(
+            f"{len(sides)} faces touch each other{_distance_phrase(patched)}, but their nodes do not match (patched "
+            f"blocks, for example a rotor and a stator): {listed(sides)}"
+        )
+    return lines + [each.describe(grid) for each in patched[: len(sides) <= 2]]
 
 
 def _distance_phrase(openings: Sequence[Opening]) -> str:
@@ -357,7 +338,7 @@ def coincident_blocks(grid: Grid, topology: Topology) -> list[str]:
     ends, earlier, pairs = [*topology.quads.start[:, 0].tolist(), None], dict[bytes, int](), []
     for block, (first, last) in enumerate(pairwise(ends)):
         nodes = distinct(topology.quads.corners[first:last], topology.n_unique)
-        one = earlier.setdefault(hashlib.blake2b(nodes.tobytes()).digest(), block)
+        one = earlier.setdefault(nodes.tobytes(), block)
         pairs += [(one, block)] if one != block else []
     return [
         f"blocks {grid.names[one]!r} and {grid.names[two]!r} lie in the same place: all their faces coincide, so that "

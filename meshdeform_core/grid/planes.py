@@ -1,4 +1,4 @@
-"""Planes of 2-D grids and of slip and symmetry boundaries; the extent of a grid in any direction; handedness."""
+"""Planes of 2-D grids and of slip and symmetry boundaries; the extent and handedness of blocks."""
 
 from __future__ import annotations
 
@@ -111,40 +111,6 @@ def block_extents(grid: Grid) -> tuple[FloatArray, FloatArray]:
     for_items(find, len(together))
     lows, highs = zip(*grid.nodes.gather((low, high)), strict=True)
     return np.min(lows, axis=0), np.max(highs, axis=0)
-
-
-class Bounds:
-    """The extent of a grid in any direction, mostly from the bounding boxes of its blocks."""
-
-    def __init__(self, grid: Grid):
-        self._grid = grid
-        self.low, self.high = block_extents(grid)
-        last = np.array(grid.shapes)[:, None] - 1
-        i, j, k = np.moveaxis(np.indices((2, 2, 2)).reshape(3, 8).T * last, -1, 0)
-        nj, nk = last[..., 1] + 1, last[..., 2] + 1
-        self._corners = grid.nodes.at(grid.offsets[:-1, None] + (i * nj + j) * nk + k).reshape(-1, 3)
-        # Bounds of the largest x . normal: from the corners of blocks, and from their bounding boxes.
-        self._reach: dict[tuple[float, ...], tuple[float, float]] = {}
-
-    def within(self, normal: FloatArray, level: float) -> bool:
-        """Whether x . ``normal`` is at most ``level`` at all nodes x."""
-        # The faces of one plane differ in their normals by round-off only.
-        key = tuple(round(part, 9) for part in normal.tolist())
-        highest = np.maximum(self.low * normal, self.high * normal).sum(axis=1)
-        if key not in self._reach:
-            self._reach[key] = float((self._corners @ normal).max()), float(highest.max())
-        least, most = self._reach[key]
-        if most > level >= least:
-            # The largest coordinate along the normal; blocks whose bounding box cannot contain it are skipped.
-            found = -np.inf
-            for block in np.argsort(-highest):
-                if highest[block] <= found:
-                    break
-                rows = self._grid.in_planes(block)
-                found = max(found, *self._grid.nodes.gather(float((rows @ normal).max(initial=-np.inf))))
-            most = found
-            self._reach[key] = found, found
-        return most <= level
 
 
 def block_handedness(grid: Grid) -> IntArray:

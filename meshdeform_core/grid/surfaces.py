@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..numerics.arrays import extent
 from .blocks import FloatArray, Grid, IntArray
-from .faces import Face, Role, clusters, declared_role, find_faces, guess_roles, quad_geometry
+from .faces import Face, Role, clusters, declared_role, find_faces, guess_roles
 from .parts import Side
 from .planes import plane_normal, plane_of
 from .topology import Topology, side_nodes
@@ -71,16 +70,11 @@ class Surface:
 
 @dataclass(frozen=True)
 class Outside:
-    """All faces of a grid with their roles, and its surfaces.
-
-    ``plates`` are faces between blocks that are probably walls without thickness; they count as walls only if the case
-    names them. ``extent`` (3,) is that of the grid.
-    """
+    """All faces of a grid with their roles, its surfaces, and its ``extent`` (3,)."""
 
     faces: tuple[Face, ...]
     roles: tuple[Role, ...]
     surfaces: tuple[Surface, ...]
-    plates: tuple[Surface, ...]
     extent: FloatArray
 
     def of_role(self, *roles: Role) -> tuple[Surface, ...]:
@@ -113,9 +107,8 @@ def _level(surface: Surface, extent: FloatArray) -> tuple[int, float] | None:
 
 def find_outside(grid: Grid, topology: Topology) -> Outside:
     """Faces, roles and surfaces of a grid; thin plates declared in the file count as outside."""
-    geometry = quad_geometry(grid, topology)
-    faces = find_faces(grid, topology, geometry)
-    roles = guess_roles(grid, topology, geometry, faces)
+    faces = find_faces(grid, topology)
+    roles = guess_roles(grid, topology, faces)
     groups: dict[tuple[str, bool], list[int]] = {}
     for number, (face, role) in enumerate(zip(faces, roles, strict=True)):
         if role is not Role.INTERFACE:
@@ -130,20 +123,7 @@ def find_outside(grid: Grid, topology: Topology) -> Outside:
         declared = any(declared_role(faces[n]) is role for n in members)
         surfaces.append(Surface(name, named, role, declared, tuple(faces[n] for n in members)))
     low, high = extent(grid.points)
-    found = Outside(tuple(faces), tuple(roles), tuple(surfaces), (), high - low)
-    far = found.of_role(Role.FAR)
-    if not far:
-        return found
-    # Thin plates may be faces between blocks with cells clustered from both sides that, unlike wakes, do not reach the
-    # far field. They must be larger than the known bodies: beside a wing, such a face is more likely its wake.
-    open_end = np.zeros(topology.n_unique, dtype=bool)
-    open_end[topology.quads.corners[np.concatenate([surface.quads for surface in far])]] = True
-    shared = clustered_interfaces(topology, found)
-    inner = [face for face in shared if not open_end[topology.quads.corners[face.quads]].any()]
-    if 0.5 * sum(face.area for face in inner) <= sum(body.area for body in found.bodies):
-        return found
-    plates = tuple(Surface(face.label(grid), False, Role.WALL, False, (face,)) for face in inner)
-    return dataclasses.replace(found, plates=plates)
+    return Outside(tuple(faces), tuple(roles), tuple(surfaces), high - low)
 
 
 def clustered_interfaces(topology: Topology, outside: Outside) -> list[Face]:

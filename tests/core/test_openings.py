@@ -13,7 +13,7 @@ from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, deform, set_up
 from meshdeform_core.errors import CaseError, MethodError
 from meshdeform_core.grid import Grid, Patch, Side, Window
-from meshdeform_core.grid.openings import coincident_blocks, describe_group, find_openings, patched_groups
+from meshdeform_core.grid.openings import coincident_blocks, describe_openings, find_openings
 from meshdeform_core.grid.topology import find_topology
 
 MOVE = formulas("0", "0.01*x", "0")
@@ -198,8 +198,7 @@ def test_patched_planes_of_a_rotor_and_a_stator_are_one_note():
     grid = Grid.from_blocks([*rotor, *stator])
     found = openings(grid)
     assert len(found) > 4
-    (group,) = patched_groups(found)
-    text = describe_group(grid, group)
+    (text,) = describe_openings(grid, found)
     assert text.startswith(
         "5 faces touch each other, but their nodes do not match (patched blocks, for example a rotor and a stator): "
     )
@@ -207,11 +206,12 @@ def test_patched_planes_of_a_rotor_and_a_stator_are_one_note():
 
 
 def test_gaps_and_two_patched_faces_are_described_one_by_one():
-    (gap,) = patched_groups(openings(pair(0.01)))
-    assert "nearly coincide: the gap is up to 0.01, 0.04 of the local edge" in describe_group(pair(0.01), gap)
+    (gap,) = describe_openings(pair(0.01), openings(pair(0.01)), "; advice for overlaps")
+    assert "nearly coincide: the gap is up to 0.01, 0.04 of the local edge" in gap
+    assert "advice" not in gap
     grid = pair(other=6)
-    (patched,) = patched_groups(openings(grid))
-    assert describe_group(grid, patched).endswith("block1.imax touch, but their nodes do not match (patched blocks)")
+    (patched,) = describe_openings(grid, openings(grid))
+    assert patched.endswith("block1.imax touch, but their nodes do not match (patched blocks)")
 
 
 def test_walls_of_the_file_close_to_each_other_need_no_word_of_the_case():

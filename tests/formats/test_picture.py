@@ -6,17 +6,15 @@ import io
 
 import numpy as np
 import pytest
-from grids import block_around, frame, frame_2d, plate_wing, plenum, polar
+from grids import block_around, frame, frame_2d, plenum, polar
 from PIL import Image
 
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.faces import Role
 from meshdeform_core.grid.planes import Plane
-from meshdeform_core.grid.surfaces import find_outside
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality.cells import measure_block
-from meshdeform_formats.case.template import case_template
 from meshdeform_formats.picture.colours import INVALID_COLOUR, Choice
 from meshdeform_formats.picture.overview import moved_walls, overview, quality_planes, telling_plane, worst_cells
 from meshdeform_formats.picture.page import Page, Panel, page_png
@@ -120,23 +118,6 @@ def covered(panel):
     colours = np.tile([1.0, 0.0, 0.0], (len(panel.scene.facets), 1))
     pixels = render(panel.scene, colours, panel.window, 100, 1).astype(int)
     return (pixels[..., 0] > pixels[..., 1] + 50).mean()
-
-
-def test_a_plate_between_blocks_is_likely_a_wall_and_fills_the_picture():
-    grid = plate_wing()
-    s = subject(grid)
-    page = overview(s, Choice())
-    assert {plate.name for plate in s.outside.plates} == {"block5.jmin", "block7.jmax"}
-    np.testing.assert_allclose([plate.box[1] - plate.box[0] for plate in s.outside.plates], [[1, 0, 1]] * 2)
-    assert not page.panels[0].scene.view.flat
-    assert covered(page.panels[0]) > 0.2
-    text = case_template(grid, s.outside, "wing.xyz")
-    assert '# plates = ["block5.jmin", "block7.jmax"]' in text
-
-
-def test_interfaces_and_wakes_are_no_plates():
-    for grid in (frame(), load("airfoil").generate(41), load("wing").generate(8)):
-        assert find_outside(grid, find_topology(grid)).plates == ()
 
 
 def test_a_duct_fills_the_picture_and_the_wall_that_it_ends_in_is_behind_it():
