@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -26,7 +27,7 @@ from .overset import undeformed_of
 from .quality import Assessment, Original, assess
 from .quality.comparison import Comparison
 from .quality.difference import require_same_blocks
-from .quality.validity import Verdict, judge
+from .quality.validity import judge
 from .repair.constraints import Constraints
 from .repair.limit import Limit
 from .repair.outcome import Judged, Repair
@@ -128,16 +129,11 @@ def mend(
     moved, largest = change > 0.0, float(change[constraints.held].max(initial=0.0))
     constraints = dataclasses.replace(constraints, walls=constraints.walls | (constraints.held & moved))
     limit = Limit.of(original.n_nodes, case.repair.time_limit)
-    repairer = Repairer(
-        Basis(measured, constraints),
-        lambda points: rounded(points, width),
-        memory,
-        progress,
-        limit,
-        FARTHEST * largest if largest else np.inf,
-    )
-    cells = Comparison(measured, rounded(grid.points, width))
-    found = _Found(grid.points, cells.verdict)
+    written = partial(rounded, precision=width)
+    farthest = FARTHEST * largest if largest else np.inf
+    repairer = Repairer(Basis(measured, constraints), written, memory, progress, limit, farthest)
+    cells = Comparison(measured, written(grid.points))
+    start = found = _Found(grid.points, cells.verdict, cells)
     mode = case.repair.mode
     if mode != "off":
 
@@ -146,14 +142,14 @@ def mend(
             if result is None:
                 return than
             points, how = result.grid.points, Renewal(case.method.name, result.steps, reason)
-            return than.or_better(_Found(points, judge(measured, rounded(points, width)), result.repair, how))
+            return than.or_better(_Found(points, judge(measured, written(points)), None, result.repair, how))
 
-        start, found = found, _mended(found, repairer, renew, mode == "polish")
+        found = _mended(start, repairer, renew, mode == "polish")
         if mode == "polish" and cells.verdict.valid:
             # Polishing minimises a different measure, so it may not improve this one.
-            polished = Comparison(measured, rounded(found.points, width)).after.smallest_scaled[1]
-            found = found if polished >= cells.after.smallest_scaled[1] else start
-    final = rounded(found.points, width)
+            before, after = (each.smallest_scaled_jacobian(measured, written) for each in (start, found))
+            found = found if after >= before else start
+    final = written(found.points)
     walls = boundary if case.boundaries else None
     notes = (*original.notes, *(boundary.notes if case.boundaries else ()))
     reasons = [] if found.verdict.valid else _reasons(original, topology, boundary, grid.points)
@@ -165,12 +161,10 @@ def mend(
     return Mended(grid.moved(final), original, topology, boundary, assessment, found.repair, told, found.renewal)
 
 
-@dataclass(frozen=True)
-class _Found:
-    """Coordinates (n_nodes, 3), the verdict on them, and how they were found."""
+@dataclass(frozen=True, eq=False)
+class _Found(Judged):
+    """A judged grid, and how it was found."""
 
-    points: FloatArray
-    verdict: Verdict
     repair: Repair | None = None
     renewal: Renewal | None = None
 
@@ -187,9 +181,9 @@ def _mended(start: _Found, repairer: Repairer, renew: Callable[[str, _Found], _F
     if many:
         found = renew(f"{bad:,} of {len(verdict.failed):,} cells were bad", found)
     if found.renewal is None or not found.verdict.valid:
-        outcome = repairer.repair(Judged(start.points, verdict), polish)
+        outcome = repairer.repair(start, polish)
         if outcome:
-            moved = _Found(outcome.points, outcome.verdict, outcome.repair)
+            moved = _Found(outcome.points, outcome.verdict, outcome.cells, outcome.repair)
             found = moved if found is start else found.or_better(moved)
     if not many and not found.verdict.valid:
         found = renew(f"moving nodes left {len(found.verdict.invalid):,} invalid cells", found)

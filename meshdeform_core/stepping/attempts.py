@@ -7,6 +7,7 @@ number runs these studies for all of them.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 
 from ..boundary.crossing import find_pinned
@@ -64,19 +65,27 @@ def adaptively(course: Course) -> Reached:
     state = beginning(course, course.setup.case.method)
     # Steps that are halved until they succeed are never too large.
     course.warnings.extend(warnings_ahead(state, 0.0))
-    increment, smallest = 1.0, 0.5**MAX_HALVINGS
-    while state.fraction < 1.0:
+    smallest = 0.5**MAX_HALVINGS
+    reached = _march(state, 1.0, smallest)
+    if reached.failed:
+        text = (
+            f"only {reached.state.fraction:.1%} of the motion was imposed; a further step of {smallest:.2%} makes "
+            "cells invalid. The grid reached so far is kept; another method, or planes that slide, may allow more"
+        )
+        course.warnings.append(Notice(text, "a part of the motion"))
+    return reached
+
+
+def _march(state: State, increment: float, smallest: float, growth: int = 1) -> Reached:
+    """Take steps until the motion is complete or one of the ``smallest`` increment fails; others that fail are halved,
+    and after one that succeeds the increment grows. With repairs it also ends when enough has been tried."""
+    while state.fraction < 1.0 and not (state.course.repairing and _enough(state.course)):
         trial = step(state, min(1.0, state.fraction + increment))
         if trial.valid:
-            state = accept(trial)
+            state, increment = accept(trial), growth * increment
         elif increment > smallest:
             increment /= 2
         else:
-            text = (
-                f"only {state.fraction:.1%} of the motion was imposed; a further step of {increment:.2%} makes cells "
-                f"invalid. The grid reached so far is kept; another method, or planes that slide, may allow more"
-            )
-            course.warnings.append(Notice(text, "a part of the motion"))
             return Reached(state, trial)
     return Reached(state)
 
@@ -139,20 +148,17 @@ def _persistently(first: Trial) -> Trial | State:
     """After a failed quick repair: the best grid of one step, or the state that smaller steps have reached if that is
     the whole motion."""
     course, options = first.state.course, first.state.options
-    if reached := _without_repairs(course):
-        return reached
-    best = insist(first)
-    if best.valid:
-        return best
-    if reached := _in_smaller_steps(course, options):
-        return reached
-    for trial in _with_other_methods(course, (RESCUE,), options):
+    if stepped := _without_repairs(course):
+        return stepped
+    best = first
+    for trial in itertools.chain([first], _with_other_methods(course, (RESCUE,), options)):
         other = trial if trial.valid else insist(trial)
-        if other.invalid_cells < best.invalid_cells:
+        if trial is first or other.invalid_cells < best.invalid_cells:
             best = other
         if best.valid:
             return best
-        if reached := _in_smaller_steps(course, trial.state.options):
+        reached = _march(beginning(course, trial.state.options), 0.5, 0.5**MAX_REPAIRED_HALVINGS, growth=2).state
+        if reached.fraction == 1.0:
             return reached
     return best
 
@@ -175,23 +181,6 @@ def _without_repairs(course: Course) -> State | None:
         if state.fraction == 1.0:
             return state
     return None
-
-
-def _in_smaller_steps(course: Course, options: Options) -> State | None:
-    """Take the largest steps that succeed, growing them again; ``None`` if they do not reach the whole motion."""
-    state, increment, smallest = beginning(course, options), 0.5, 0.5**MAX_REPAIRED_HALVINGS
-    while state.fraction < 1.0:
-        if _enough(course):
-            return None
-        trial = step(state, min(1.0, state.fraction + increment))
-        if trial.valid:
-            state = accept(trial)
-            increment *= 2
-        elif increment > smallest:
-            increment /= 2
-        else:
-            return None
-    return state
 
 
 def _enough(course: Course) -> bool:

@@ -27,7 +27,7 @@ from ..quality.validity import judge
 from ..repair.limit import Limit
 from ..repair.onset import unhealthy_cells
 from ..repair.options import Effort
-from ..repair.outcome import Judged, Outcome, Repair
+from ..repair.outcome import Judged, Repair
 from ..repair.tuned import AS_PLANE, FARTHEST
 from ..setup import BoundaryMotion, Setup, Timing
 from ..wording import vector
@@ -106,12 +106,6 @@ class Course:
         written = partial(rounded, precision=self.precision)
         farthest = FARTHEST * self.max_displacement
         return Repairer(setup.undeformed.repairs, written, setup.memory, self.progress, self.limit, farthest)
-
-    def repaired(self, start: Judged, effort: Effort, polish: bool) -> Outcome | None:
-        """A repair of the grid at the ``start``; ``None`` if no cell needs it."""
-        if not polish and start.verdict.valid and not unhealthy_cells(self.setup.original, start.points, AS_PLANE).size:
-            return None
-        return self.repairer.repair(start, polish, effort)
 
     @property
     def repairing(self) -> bool:
@@ -357,8 +351,11 @@ def smallest_scaled(course: Course, found: Judged) -> float:
 
 def _repaired(trial: Trial, effort: Effort, polish: bool = False) -> Trial:
     course, plain = trial.state.course, trial.plain
+    original, needed = course.setup.original, polish or not plain.verdict.valid
     with course.timing.stage("repair"):
-        outcome = course.repaired(plain, effort, polish)
+        if not needed and not unhealthy_cells(original, plain.points, AS_PLANE).size:
+            return trial
+        outcome = course.repairer.repair(plain, polish, effort)
     if outcome is None:
         return trial
     done = outcome.repair

@@ -102,8 +102,9 @@ def test_of_two_methods_the_grid_with_fewer_invalid_cells_is_kept(rescued, kept,
     def trial(cells):
         return SimpleNamespace(valid=cells == 0, invalid_cells=cells, state=SimpleNamespace(course=None, options=None))
 
-    results = {"_without_repairs": None, "_in_smaller_steps": None, "_with_other_methods": [trial(rescued)]}
+    failed = SimpleNamespace(state=SimpleNamespace(fraction=0.5))
+    results = {"_without_repairs": None, "beginning": None, "_march": failed, "_with_other_methods": [trial(rescued)]}
     for name, result in results.items():
-        monkeypatch.setattr(attempts, name, lambda *_, result=result: result)
+        monkeypatch.setattr(attempts, name, lambda *_, result=result, **__: result)
     monkeypatch.setattr(attempts, "insist", lambda trial: trial)
     assert attempts._persistently(trial(5)).invalid_cells == kept
