@@ -177,8 +177,8 @@ def plot_command(
     """
     from meshdeform_formats import read_grid
     from meshdeform_formats.files import shown
+    from meshdeform_formats.picture.overview import PlotOptions, picture
     from meshdeform_formats.picture.page import check_picture_path, save_page
-    from meshdeform_formats.picture.request import PlotOptions, picture
     from meshdeform_formats.picture.subject import Subject
 
     request = PlotOptions(**options, lead="--")  # type: ignore[arg-type]

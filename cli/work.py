@@ -34,8 +34,7 @@ from meshdeform_formats.inputs import digest, existing_outputs
 from meshdeform_formats.placing import existing, lack, least_bytes
 from meshdeform_formats.report.records import Report, deformation_report, with_other
 from meshdeform_formats.report.tables import Figure, Illustrate
-from meshdeform_formats.report.text import as_text
-from meshdeform_formats.report.write import as_json, run_part, write_report
+from meshdeform_formats.report.write import as_json, as_text, run_part, write_report
 
 from .checks import keep_inputs, make_room
 from .options import CaseInput, GridInput, Imposed, RunInput

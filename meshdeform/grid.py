@@ -169,8 +169,8 @@ class Grid:
         CaseError
             When an argument is not understood, or there is nothing to draw.
         """
+        from meshdeform_formats.picture.overview import PlotOptions, picture
         from meshdeform_formats.picture.page import page_figure
-        from meshdeform_formats.picture.request import PlotOptions, picture
         from meshdeform_formats.picture.subject import Subject
 
         chosen, name = PlotOptions(metric, **options), self.path.name if self.path else ""

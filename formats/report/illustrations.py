@@ -12,9 +12,8 @@ from meshdeform_core.boundary import Kind
 from meshdeform_core.deform import Result, Setup
 from meshdeform_core.grid import FloatArray, Grid
 
-from ..picture.colours import Choice
 from ..picture.overview import moved_walls, plane_around, quality_planes, worst_cells
-from ..picture.page import Page, page_png
+from ..picture.page import Choice, Page, page_png
 from ..picture.subject import Subject, worst_cell
 from .tables import Figure
 

@@ -12,8 +12,7 @@ from meshdeform_core.grid import FloatArray, Grid
 from meshdeform_core.grid.topology import Topology
 from meshdeform_core.quality.fields import CellFields
 from meshdeform_formats.files import replacing
-from meshdeform_formats.picture.colours import INVALID_COLOUR, SEQUENTIAL
-from meshdeform_formats.picture.page import STYLE
+from meshdeform_formats.picture.page import INVALID_COLOUR, SEQUENTIAL, STYLE
 
 from .experiment import Outcome, Trial
 

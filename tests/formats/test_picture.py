@@ -15,9 +15,8 @@ from meshdeform_core.grid.faces import Role
 from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality.cells import measure_block
-from meshdeform_formats.picture.colours import INVALID_COLOUR, Choice
 from meshdeform_formats.picture.overview import moved_walls, overview, quality_planes, telling_plane, worst_cells
-from meshdeform_formats.picture.page import Page, Panel, page_png
+from meshdeform_formats.picture.page import INVALID_COLOUR, Choice, Page, Panel, page_png
 from meshdeform_formats.picture.raster import render
 from meshdeform_formats.picture.scene import Facets, Scene, cut_facets, face_layers, index_layers, layer_facets
 from meshdeform_formats.picture.subject import Subject, worst_cell
