@@ -32,13 +32,12 @@ from ..numerics.geometry.crossing import BESIDE, ORDINARY, SLIDING, FaceTree, cr
 from ..numerics.geometry.vectors import plane_winding, winding
 from ..wording import counted, vector
 from .classification import UNSELECTED, Boundary, Kind
+from .tables import edges_at_corners
 
 TOUCH = 1e-7
 """Faces closer than this fraction of their shortest edge count as touching."""
 
 _HALVINGS = 20
-_TOGETHER = 100_000
-"""Numbers drawn at a time, which bounds the memory."""
 # Faces from which it is worth some milliseconds to return freed memory to the system around the making of their tree.
 _LARGE = 1 << 17
 # Corners of undeformed cells flatter than this, relative to the product of their edges, are collapsed and not judged.
@@ -253,11 +252,7 @@ class _Surface:
         on_slip[corners[sliding]] = True
         self.role = np.where(on_slip[corners[self.quads]].any(axis=1), BESIDE, ORDINARY).astype(np.int8)
         self.role[sliding[self.quads]] = SLIDING
-        self.edge = np.full(len(self.points), np.inf)
-        for a, b in zip(self.faces.T, np.roll(self.faces, -1, axis=1).T, strict=True):
-            length = np.where(a == b, np.inf, np.linalg.norm(self.points[a] - self.points[b], axis=1))
-            np.minimum.at(self.edge, a, length)
-            np.minimum.at(self.edge, b, length)
+        self.edge = edges_at_corners(self.points, self.faces)[0]
         normal = plane_normal(grid)
         if normal is not None:
             thickness, n = self.edge[np.isfinite(self.edge)].max(), len(self.points)
@@ -281,14 +276,9 @@ class _Surface:
         A node is shifted alike whichever others are on the surface.
         """
         amplitude = np.where(np.isfinite(self.edge), self._amplitude(gap), 0.0)
-        sides = len(self.points) // len(self.nodes)
-        rows = np.concatenate([self.nodes + side * self._n_unique for side in range(sides)])
-        count, source, drawn = sides * self._n_unique, np.random.default_rng(0), np.empty((len(rows), 3))
-        for lo in range(0, count, _TOGETHER):
-            part = source.uniform(-1.0, 1.0, (min(_TOGETHER, count - lo), 3))
-            begin, end = np.searchsorted(rows, [lo, lo + len(part)])
-            drawn[begin:end] = part[rows[begin:end] - lo]
-        return drawn * amplitude[:, None]
+        sides, source = len(self.points) // len(self.nodes), np.random.default_rng(0)
+        drawn = [source.uniform(-1.0, 1.0, (self._n_unique, 3))[self.nodes] for _ in range(sides)]
+        return np.concatenate(drawn) * amplitude[:, None]
 
     def _amplitude(self, gap: float) -> FloatArray:
         # The test for lying outside uses points at a small distance from the faces, which is allowed for here.

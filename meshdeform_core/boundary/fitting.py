@@ -309,8 +309,7 @@ def _distances(use: _Use) -> list[Notice]:
             f"displacement is extrapolated"
         )
         return [use.notice("extrapolation", text)]
-    off = match.matched & (match.distance > OFFSET * nodes.edge)
-    notes = []
+    off, notes = match.matched & (match.distance > OFFSET * nodes.edge), []
     if off.any():
         text = (
             f": {int(off.sum())} of {int(match.matched.sum())} nodes lie up to {match.distance[off].max():.3g} away "

@@ -22,21 +22,11 @@ SPREAD = 0.2
 a table shrunk to a point lies on any wall."""
 PROBES, ON_NODE = 12, 0.05
 """Number of points by which a shift onto nodes is found, and its tolerance as a fraction of the shortest edge there."""
-_UNITS = (
-    (1e-3, "in millimetres where the grid is in metres"),
-    (1e3, "in metres where the grid is in millimetres"),
-    (1e-2, "in centimetres where the grid is in metres"),
-    (1e2, "in metres where the grid is in centimetres"),
-    (1e-6, "in micrometres where the grid is in metres"),
-    (1e6, "in metres where the grid is in micrometres"),
-    (0.0254, "in inches where the grid is in metres"),
-    (1 / 0.0254, "in metres where the grid is in inches"),
-    (25.4, "in inches where the grid is in millimetres"),
-    (1 / 25.4, "in millimetres where the grid is in inches"),
-    (0.3048, "in feet where the grid is in metres"),
-    (1 / 0.3048, "in metres where the grid is in feet"),
-)
-"""Factors between length units, and the mistake that each of them indicates."""
+_UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "micrometres": 1e-6, "inches": 0.0254, "feet": 0.3048}
+"""Length units in metres."""
+_MISTAKES = [*((unit, "metres") for unit in _UNITS), *(("metres", unit) for unit in _UNITS)]
+_MISTAKES += [("inches", "millimetres"), ("millimetres", "inches")]
+"""The unit of the table, and that of the grid."""
 
 
 def other_frame(points: FloatArray, nodes: Any) -> str:
@@ -87,8 +77,10 @@ def _candidates(
     points: FloatArray, nodes: Any, tree: scipy.spatial.cKDTree
 ) -> Iterator[tuple[tuple[str, str], FloatArray]]:
     """Changes with the likely reason, and the changed points."""
-    for factor, mistake in _UNITS:
-        yield (f"multiplied by {factor:.6g}", f"different length units, {mistake}"), points * factor
+    for table, grid in _MISTAKES:
+        factor = _UNITS.get(table, 1.0) / _UNITS.get(grid, 1.0)
+        mistake = f"different length units, in {table} where the grid is in {grid}"
+        yield (f"multiplied by {factor:.6g}", mistake), points * factor
     x = nodes.points
     shifts = [(x.min(axis=0) + x.max(axis=0) - points.min(axis=0) - points.max(axis=0)) / 2]
     # Of part of a wall, the first point may lie on any node; each further point rules out most of the remaining shifts.

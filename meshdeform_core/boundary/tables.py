@@ -12,7 +12,7 @@ from ..errors import CaseError, MotionError
 from ..grid import BoolArray, FloatArray, Grid, IntArray, Side
 from ..grid.planes import plane_normal
 from ..grid.topology import RELATIVE_TOLERANCE, Topology, side_nodes
-from ..numerics.arrays import extent, places_among
+from ..numerics.arrays import extent, lengths, places_among
 from ..numerics.geometry.coincidence import distinct
 from ..numerics.geometry.vectors import doubled_areas, unit
 from ..parallel import Nodes
@@ -66,6 +66,17 @@ class SurfaceData:
                 raise MotionError(f"{self.label} has {what} of {largest:.3g}; expected lengths below {_LARGEST:g}")
 
 
+def edges_at_corners(points: FloatArray, faces: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Shortest edge longer than zero and longest edge (n,) of ``faces`` (m, corners) at each of ``points`` (n, 3)."""
+    shortest, longest = np.full(len(points), np.inf), np.zeros(len(points))
+    for a, b in zip(faces.T, np.roll(faces, -1, axis=1).T, strict=True):
+        length = np.linalg.norm(points[a] - points[b], axis=1)
+        for end in (a, b):
+            np.minimum.at(shortest, end, np.where(a == b, np.inf, length))
+            np.maximum.at(longest, end, length)
+    return shortest, longest
+
+
 @dataclass(frozen=True)
 class BoundaryNodes:
     """Undeformed boundary nodes that need a displacement.
@@ -91,17 +102,9 @@ class BoundaryNodes:
     def of_quads(cls, grid: Grid, topology: Topology, quads: IntArray) -> BoundaryNodes:
         """The nodes of face quads (m,)."""
         corners = topology.quads.corners[quads]
-        points = grid.nodes.at(topology.first)
-        edge, longest = np.full(topology.n_unique, np.inf), np.zeros(topology.n_unique)
-        for one in range(corners.shape[1]):
-            a, b = corners[:, one], corners[:, (one + 1) % corners.shape[1]]
-            length = np.linalg.norm(points[a] - points[b], axis=1)
-            for end in (a, b):
-                np.minimum.at(edge, end, np.where(a == b, np.inf, length))
-                np.maximum.at(longest, end, length)
         numbers = distinct(corners, topology.n_unique)
-        local = places_among(numbers, topology.n_unique)
-        return cls(points[numbers], numbers, edge[numbers], longest[numbers], local[corners], grid, topology)
+        points, faces = grid.nodes.at(topology.first[numbers]), places_among(numbers, topology.n_unique)[corners]
+        return cls(points, numbers, *edges_at_corners(points, faces), faces, grid, topology)
 
     @property
     def face_normals(self) -> FloatArray:
@@ -236,7 +239,7 @@ def _from_table(data: SurfaceData, matching: Matching, nodes: BoundaryNodes) -> 
         tree = scipy.spatial.cKDTree(data.points)
         distance, nearest = tree.query(nodes.points)
         displacement = data.displacement[nearest]
-        _require_one_displacement(data, nodes, tree)
+        _require_one_displacement(data, tree, nodes.points, RELATIVE_TOLERANCE * nodes.edge)
         if matching.how == "exact":
             reach = nodes.edge * RELATIVE_TOLERANCE
         reach = matching.tolerance or reach
@@ -245,7 +248,8 @@ def _from_table(data: SurfaceData, matching: Matching, nodes: BoundaryNodes) -> 
         if len(data.triangles):
             displacement, distance, beyond = _on_triangles(data, nodes.points)
         else:
-            _require_continuous(data)
+            near = _ONE_POINT * float(np.ptp(data.points, axis=0).max(initial=0.0))
+            _require_one_displacement(data, scipy.spatial.cKDTree(data.points), data.points, near)
             displacement, distance, beyond = _between_points(data, nodes)
         if not matching.partial:
             # Otherwise the table alone selects the nodes, from the whole boundary: those that are not on it must not
@@ -259,41 +263,24 @@ def _from_table(data: SurfaceData, matching: Matching, nodes: BoundaryNodes) -> 
     )  # fmt: skip
 
 
-def _require_one_displacement(data: SurfaceData, nodes: BoundaryNodes, tree: scipy.spatial.cKDTree) -> None:
-    """Refuse a table with different displacements within a small fraction of an edge of one node."""
-    if len(data.points) < 2:
+def _require_one_displacement(
+    data: SurfaceData, tree: scipy.spatial.cKDTree, places: FloatArray, near: FloatArray | float
+) -> None:
+    """Refuse different displacements of two points of the ``tree`` of the table that are ``near`` one of the ``places``
+    (n, 3), if they would stretch the surface between them beyond reason."""
+    if tree.n < 2:
         return
-    distance, pair = tree.query(nodes.points, k=2)
-    apart = np.abs(data.displacement[pair[:, 0]] - data.displacement[pair[:, 1]]).max(axis=1)
-    both = distance[:, 1] <= RELATIVE_TOLERANCE * nodes.edge
-    conflict = both & (apart > _ALIKE * np.abs(data.displacement).max())
+    beside, pairs = tree.query(places, k=2)
+    points, moved = (values[pairs[beside[:, 1] <= near]] for values in (data.points, data.displacement))
+    distance, apart = lengths(points[:, 1] - points[:, 0]), np.abs(moved[:, 1] - moved[:, 0]).max(axis=1)
+    conflict = apart > np.maximum(_STRETCH * distance, _ALIKE * np.abs(data.displacement).max(initial=0.0))
     if conflict.any():
-        node = int(np.argmax(conflict))
-        one, other = pair[node]
+        first = int(np.argmax(conflict))
+        (one, other), (here, there) = points[first], moved[first]
         raise MotionError(
-            f"{data.label} has two displacements at {nodes.label(node)} = {vector(nodes.points[node])}, "
-            f"{vector(data.displacement[one])} and {vector(data.displacement[other])} ({int(conflict.sum())} such "
-            f"nodes); expected one"
-        )
-
-
-def _require_continuous(data: SurfaceData) -> None:
-    """Refuse different displacements of nearly coincident points, which would stretch the surface beyond reason."""
-    points, displacement = data.points, data.displacement
-    if len(points) < 2:
-        return
-    near = _ONE_POINT * float(np.ptp(points, axis=0).max())
-    distance, pair = scipy.spatial.cKDTree(points).query(points, k=2, distance_upper_bound=near)
-    close = np.flatnonzero(np.isfinite(distance[:, 1]) & (distance[:, 1] > 0.0))
-    apart = np.abs(displacement[pair[close, 0]] - displacement[pair[close, 1]]).max(axis=1, initial=0.0)
-    conflict = (apart > _STRETCH * distance[close, 1]) & (apart > _ALIKE * np.abs(displacement).max())
-    if conflict.any():
-        one, other = sorted(pair[close[int(np.argmax(conflict))]].tolist())
-        raise MotionError(
-            f"{data.label} has the points {vector(points[one])} and {vector(points[other])}, "
-            f"{float(np.linalg.norm(points[one] - points[other])):.2g} apart, with the displacements "
-            f"{vector(displacement[one])} and {vector(displacement[other])} "
-            f"({counted(int(conflict.sum()), 'such point')}); expected one displacement at one place"
+            f"{data.label} has the points {vector(one)} and {vector(other)}, {distance[first]:.2g} apart, with the "
+            f"displacements {vector(here)} and {vector(there)} ({counted(int(conflict.sum()), 'such point')}); "
+            f"expected one displacement at one place"
         )
 
 

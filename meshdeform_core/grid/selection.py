@@ -14,7 +14,7 @@ from ..errors import CaseError, suggestion
 from ..numerics.geometry.coincidence import distinct
 from ..wording import listed
 from .blocks import Grid, IntArray
-from .parts import Patch, Side, Window
+from .parts import Side, Window
 from .topology import FaceQuads, Topology, quads_of_windows
 
 _FACE = re.compile(r"(?P<block>.+)\.(?P<side>[ijk*?][a-z*?]*)(?:\[(?P<window>[^\]]*)\])?", re.DOTALL)
@@ -55,7 +55,11 @@ def quads_of_pattern(grid: Grid, quads: FaceQuads, pattern: str, owner: str) -> 
     """Face quads, shared or not, that a pattern selects; see :func:`select_quads`."""
     if pattern == "*":
         return np.arange(len(quads.corners))
-    named = [window for patch in grid.patches for window in _named_windows(grid, patch, pattern)]
+    # By the name or family of a patch; with ``BLOCK/`` before it, in that block.
+    names = [(name, window) for patch in grid.patches for name in (patch.name, patch.family) if name
+             for window in patch.windows]  # fmt: skip
+    named = [window for name, window in names if fnmatch.fnmatchcase(name, pattern)
+             or fnmatch.fnmatchcase(f"{grid.names[window.block]}/{name}", pattern)]  # fmt: skip
     if named:
         return quads_of_windows(quads, named)[0]
     windows = list(_face_windows(grid, pattern, owner))
@@ -70,18 +74,6 @@ def quads_of_pattern(grid: Grid, quads: FaceQuads, pattern: str, owner: str) -> 
     if found.size == 0:
         raise CaseError(f"boundary {owner!r}: {pattern!r} contains no cell face (a window needs two nodes each way)")
     return found
-
-
-def _named_windows(grid: Grid, patch: Patch, pattern: str) -> tuple[Window, ...]:
-    """The windows of a patch that match a pattern for its name or family; with ``BLOCK/`` before it, in that block."""
-    names = [name for name in (patch.name, patch.family) if name]
-    if any(fnmatch.fnmatchcase(name, pattern) for name in names):
-        return patch.windows
-    return tuple(
-        window
-        for window in patch.windows
-        if any(fnmatch.fnmatchcase(f"{grid.names[window.block]}/{name}", pattern) for name in names)
-    )
 
 
 def _face_windows(grid: Grid, pattern: str, owner: str) -> Iterable[Window]:

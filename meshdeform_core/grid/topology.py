@@ -28,7 +28,7 @@ from ..numerics.geometry.coincidence import (
 )
 from ..parallel import current_scratch, empty
 from .blocks import FloatArray, Grid, IntArray
-from .parts import Patch, Shape, Side, Window
+from .parts import Patch, Side, Window
 from .planes import block_handedness
 
 RELATIVE_TOLERANCE = 1e-3
@@ -362,12 +362,6 @@ def side_nodes(grid: Grid, block: int, side: Side) -> IntArray:
     number = 6 * block + side
     na, nb = grid.sides.nodes[number]
     return grid.sides.at(number, np.arange(na)[:, None], np.arange(nb))
-
-
-def inward_step(shape: Shape, side: Side) -> int:
-    """Difference in flat index from a node of the face to the next node inside the block."""
-    stride = (shape[1] * shape[2], shape[2], 1)[side.axis]
-    return -stride if side % 2 else stride
 
 
 def is_wall(patch: Patch) -> bool:

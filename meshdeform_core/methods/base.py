@@ -18,7 +18,7 @@ from ..boundary import Boundary, Kind
 from ..boundary.layer import Layer
 from ..grid import BoolArray, FloatArray, Grid, IntArray, Side
 from ..grid.planes import plane_normal
-from ..grid.topology import Topology, inward_step, side_nodes
+from ..grid.topology import Topology, side_nodes
 from ..grid.windows import end_planes, side_numbers
 from ..memory import UNLIMITED, MemoryLimit
 from ..notices import Notice
@@ -140,7 +140,7 @@ class Problem:
         for block_side in distinct(topology.quads.block_side[known], 6 * grid.n_blocks):
             block, side = int(block_side) // 6, Side(int(block_side) % 6)
             flat = side_nodes(grid, block, side).ravel()
-            wall, off = grid.nodes.at(np.stack([flat, flat + inward_step(grid.shapes[block], side)]))
+            wall, off = grid.nodes.at(np.stack([flat, flat + grid.sides.inward[block_side]]))
             gap = np.linalg.norm(off - wall, axis=1)
             np.minimum.at(height, side_numbers(grid, topology, block, side).ravel(), np.where(gap > 0, gap, np.inf))
         own = height[self.source_numbers]

@@ -120,7 +120,7 @@ def test_two_displacements_at_practically_one_place_are_refused(how, gap):
     moved = np.tile(SHIFT, (len(twice), 1))
     assert on_body(data(twice, moved), how=how) == ()
     moved[-1] *= 2
-    with pytest.raises(MotionError, match=r"has two displacements at block|expected one displacement at one place"):
+    with pytest.raises(MotionError, match="expected one displacement at one place"):
         on_body(data(twice, moved), how=how)
 
 

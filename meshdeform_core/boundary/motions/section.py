@@ -186,16 +186,13 @@ def _nose(spline: scipy.interpolate.CubicSpline, knots: FloatArray, farthest: in
     outline = (spline(place) - tip) @ [1.0, 1j] / (axis * chord)
     tangent = spline(place, 1) @ [1.0, 1j] / axis
     inward = 1j * tangent / np.abs(tangent)
-    centres = []
-    for one in np.flatnonzero((outline.real > _NOSE[0]) & (outline.real < _NOSE[1]))[::3]:
-        arm = outline - outline[one]
-        height = (arm * inward[one].conjugate()).real
-        apart = (height > 1e-9) & (np.abs(place - place[one]) > 2e-3 * chord)
-        # The largest circle that touches the outline here and has no other point of it inside.
-        centres.append(
-            outline[one] + inward[one] * (np.abs(arm[apart]) ** 2 / (2.0 * height[apart])).min(initial=np.inf)
-        )
-    line = np.array([centre for centre in centres if np.isfinite(centre)])
+    some = np.flatnonzero((outline.real > _NOSE[0]) & (outline.real < _NOSE[1]))[::3]
+    arm = outline - outline[some, None]
+    height = (arm * inward[some, None].conjugate()).real
+    apart = (height > 1e-9) & (np.abs(place - place[some, None]) > 2e-3 * chord)
+    # The largest circles that touch the outline there and have no other point of it inside.
+    radius = np.divide(np.abs(arm) ** 2, 2.0 * height, out=np.full(arm.shape, np.inf), where=apart).min(axis=1)
+    line = (outline[some] + inward[some] * radius)[np.isfinite(radius)]
     if len(line) < 3:
         return float(knots[farthest])
     off = outline.imag - np.polyval(np.polyfit(line.real, line.imag, 2), outline.real)
