@@ -20,7 +20,7 @@ from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.boundary.motions.motion import Motion
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.grid import Grid
-from meshdeform_core.methods import Options, beside_slip, make_method
+from meshdeform_core.methods import Options, constraints, make_method
 from meshdeform_core.quality import assess
 from meshdeform_samples import load
 
@@ -96,8 +96,8 @@ def row(name: str, job: Job) -> Row:
         walls = after.wall_normal_deviation_deg
         return f"{after.min_relative_jacobian:.2f} / {walls.rms if walls else np.nan:.1f}"
 
-    without = patch.object(beside_slip.BesideSlip, "apply", lambda self, out, progress: None)
-    ends = {f"{width:g}": measured(patch.object(beside_slip, "WIDTH", width)) for width in WIDTHS}
+    without = patch.object(constraints.BesideSlip, "apply", lambda self, out, progress: None)
+    ends = {f"{width:g}": measured(patch.object(constraints, "WIDTH", width)) for width in WIDTHS}
     return {"motion": name, "not faded": measured(without), **ends}
 
 

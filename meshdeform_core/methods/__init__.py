@@ -20,9 +20,8 @@ from dataclasses import dataclass, field
 from ..boundary.layer import find_layer
 from ..errors import MethodError, suggestion
 from .base import Account, PreparedMethod, Problem, Progress, Setting
-from .composite import Composite
-from .gaps import in_gaps
-from .layer import PreparedLayer
+from .composite import Composite, PreparedLayer
+from .gaps import PreparedInGaps
 from .options import MethodOptions, declared, description
 from .scattered.idw import IDW
 from .scattered.rbf import RBF
@@ -95,7 +94,7 @@ class MethodEntry:
 def _default(options: Options) -> Composite:
     # With the paper's kinds of rotation, or blocks that are never cut, methods are exactly as published.
     published = options.idw.rotation != "lie" or options.tfi.max_cells == 0
-    return Composite(options.idw, options.tfi, None if published else in_gaps)
+    return Composite(options.idw, options.tfi, None if published else PreparedInGaps)
 
 
 def _idw_rbf(options: Options) -> Composite:

@@ -9,17 +9,18 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..boundary import Kind
+from ..boundary.layer import Layer
 from ..grid import FloatArray, IntArray
 from ..memory import release_freed
 from ..parallel import Nodes
 from .base import Account, Linearised, PreparedInterpolation, PreparedMethod, Problem, Progress
-from .beside_slip import BesideSlip
-from .constraints import Constraints, add_to_faces, impose
+from .constraints import BesideSlip, Constraints, add_to_faces, impose, put_on_faces
 from .transfinite.edge_graph import PreparedEdgeGraph
 from .transfinite.tfi import TFI, Skeleton
 
@@ -33,19 +34,18 @@ if TYPE_CHECKING:
 class Composite:
     """``mover`` for the interfaces (``None``: TFI on the edge graph), then ``filler`` for the interiors.
 
-    Without a filler the mover moves every node. ``around`` makes another method of the prepared one, see :mod:`.gaps`.
+    Without a filler the mover moves every node. ``kind`` of the prepared method, if it is not a plain composite.
     """
 
     mover: IDW | RBF | None
     filler: TFI | BlockRBF | None
-    around: Callable[[PreparedComposite], PreparedMethod] | None = None
+    kind: Callable[[Composite, Problem], PreparedComposite] | None = None
 
     def prepare(self, problem: Problem) -> PreparedMethod:
         """Bind both steps to the undeformed grid."""
         periodic = free_periodic(problem)
         if periodic.size == 0:
-            prepared = PreparedComposite(self, problem)
-            return self.around(prepared) if self.around else prepared
+            return (self.kind or PreparedComposite)(self, problem)
         nodes, (low, high) = np.sort(problem.topology.first[periodic]), problem.grid.nodes.ends
         first = _mover(self.mover, problem, nodes[(nodes >= low) & (nodes < high)])
         guided = with_known_periodic(problem, periodic)
@@ -100,8 +100,8 @@ class Scattered:
             return self._with_sources(out, change)
 
         def pull(face: FloatArray, gradient: FloatArray) -> FloatArray:
-            own = face[problem.source_numbers].copy()
-            face[problem.source_numbers] = 0.0
+            # Sources are no targets: their rows of ``gradient`` have no further effect.
+            own = face[problem.source_numbers]
             add_to_faces(face, problem.topology, gradient)
             self.beside_slip.damp(gradient)
             return np.asarray(own + inside.pull(gradient))
@@ -131,8 +131,9 @@ class PreparedComposite(PreparedMethod):
         return self.mover.warnings_for(motion, step)
 
     def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
-        # Every row is set: each node lies on a block face, in the skeleton, or inside a block or sub-block.
-        out = self._blank() if self.left_out else self.problem.grid.nodes.like(3)
+        # Every row is set: each node lies on a block face, in the skeleton, or inside a block or sub-block; on sides
+        # left out, nodes that no step has reached are no numbers.
+        out = filled(self.problem, np.nan) if self.left_out else self.problem.grid.nodes.like(3)
         impose(self.problem, self.mover.move(displacement, out, progress), out)
         if self.filler:
             self.filler.fill(out, progress)
@@ -144,14 +145,10 @@ class PreparedComposite(PreparedMethod):
         """Impose the constraints again, in place, on displacements (n_nodes, 3) that were changed since."""
         impose(self.problem, on_faces(out, self.problem), out)
 
-    def _blank(self) -> FloatArray:
-        """An array (n_nodes, 3) in which nodes that no step has reached are no numbers."""
-        return filled(self.problem, np.nan)
-
     def linearised(self, displacement: FloatArray) -> Linearised:
         problem, mover = self.problem, self.mover.linearised(displacement)
         filler = self.filler.differentiable() if self.filler else None
-        out = self._blank()
+        out = filled(problem, np.nan)
         face = self.mover.move(displacement, out)
         first, second = Constraints(problem, face.copy()), None
         kinks = mover.kinks + first.kinks
@@ -164,7 +161,7 @@ class PreparedComposite(PreparedMethod):
         del out, face
 
         def push(change: FloatArray) -> FloatArray:
-            out = self._blank() if second else problem.grid.nodes.like(3)
+            out = filled(problem, np.nan) if second else problem.grid.nodes.like(3)
             first.impose(mover.push(change, out), out)
             if filler:
                 filler.fill(out)
@@ -249,6 +246,44 @@ class PreparedPeriodic(PreparedMethod):
             return mover.pull(face, gradient)
 
         return Linearised(push, pull, mover.kinks + constraints.kinks + rest.kinks)
+
+
+class PreparedLayer(PreparedMethod):
+    """A method on a grid of one layer of cells between two planes that mirror each other, see :mod:`..boundary.layer`:
+    prepared on one of them; for motions that are no mirror images, on both."""
+
+    def __init__(self, method: Composite, problem: Problem, layer: Layer):
+        self._method, self._problem, self._layer = method, problem, layer
+        self._half = method.prepare(dataclasses.replace(problem, layer=layer))
+
+    @cached_property
+    def whole(self) -> PreparedMethod:
+        """The method prepared on both planes, when it is needed for the first time."""
+        return self._method.prepare(self._problem)
+
+    @property
+    def account(self) -> Account:
+        return self._half.account
+
+    def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
+        return self._half.warnings_for(motion, step)
+
+    def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
+        problem = self._problem
+        known = np.zeros((problem.topology.n_unique, 3))
+        if displacement.shape == (len(problem.source_numbers), 3):
+            known[problem.source_numbers] = displacement
+        if not self._layer.mirrors(known):
+            return self.whole.apply(displacement, progress)
+        out = self._half.apply(displacement, progress)
+        face = on_faces(out, problem)
+        self._layer.follow(face)
+        put_on_faces(face, out, problem)
+        return out
+
+    def linearised(self, displacement: FloatArray) -> Linearised:
+        # On both planes, as changes of single sources are not mirrored.
+        return self.whole.linearised(displacement)
 
 
 def filled(problem: Problem, value: float) -> FloatArray:

@@ -15,11 +15,11 @@ import scipy
 
 from ..boundary import Kind
 from ..boundary.slip import Slip
-from ..grid import BoolArray, FloatArray, IntArray
+from ..grid import FloatArray, IntArray
 from ..numerics.arrays import lengths
 from ..numerics.geometry.surface import TriangleTree
 from ..parallel import Nodes
-from .base import Account, Kinks, Linearised, PreparedMethod, Progress, Setting
+from .base import Account, Kinks, Linearised, PreparedMethod, Problem, Progress, Setting
 from .composite import Composite, PreparedComposite, on_faces
 from .constraints import Constraints, add_to_faces
 from .limits import BETWEEN
@@ -30,15 +30,6 @@ OPEN = 0.8
 # Relative difference of equal distances.
 _EQUAL = 1e-8
 _TRANSFINITE = Composite(None, TFI(max_cells=0))
-
-
-def in_gaps(method: PreparedComposite) -> PreparedMethod:
-    """The method with TFI for closing gaps; itself with periodic boundaries, and if the whole boundary moves."""
-    problem = method.problem
-    moving = problem.boundary.kind[problem.source_numbers] == Kind.MOVING
-    if moving.all() or not moving.any() or problem.boundary.periodic.one.size:
-        return method
-    return PreparedInGaps(method, np.asarray(moving))
 
 
 @dataclass(frozen=True)
@@ -55,25 +46,25 @@ class Closing:
     slope: FloatArray
 
 
-class PreparedInGaps(PreparedMethod):
+class PreparedInGaps(PreparedComposite):
     """A prepared composite that TFI gradually replaces where the gap between a moving wall and another boundary closes;
-    ``moving`` (n_sources,) are the sources on moving walls."""
+    without gaps, as where periodic boundaries are or the whole boundary moves, the composite itself."""
 
-    def __init__(self, method: PreparedComposite, moving: BoolArray):
-        self.method, self.problem, self._moving = method, method.problem, moving
+    def __init__(self, method: Composite, problem: Problem):
+        super().__init__(method, problem)
+        self._moving = np.asarray(problem.boundary.kind[problem.source_numbers] == Kind.MOVING)
+        self._has_gaps = 0 < self._moving.sum() < len(self._moving) and not problem.boundary.periodic.one.size
 
     @property
     def account(self) -> Account:
-        why = "share of its thickness that a gap to a moving wall keeps before its cells follow both walls as TFI does"
-        merged = self.method.account
-        merged.settings["open_gap"] = Setting(OPEN, why)
+        merged = super().account
+        if self._has_gaps:
+            why = "share of its thickness that a gap to a moving wall keeps before its cells follow both walls as TFI "
+            merged.settings["open_gap"] = Setting(OPEN, why + "does")
         return merged
 
-    def warnings_for(self, motion: FloatArray, step: FloatArray) -> list[str]:
-        return self.method.warnings_for(motion, step)
-
     def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
-        out = self.method.apply(displacement, progress)
+        out = super().apply(displacement, progress)
         closing = self.closing(displacement)
         if closing is None:
             return out
@@ -85,18 +76,18 @@ class PreparedInGaps(PreparedMethod):
 
         Nodes.of(out).each(blend_rows)
         if self.problem.boundary.slip.curved:
-            self.method.constrain_again(out)
+            self.constrain_again(out)
         return out
 
     def linearised(self, displacement: FloatArray) -> Linearised:
         """The derivative of the blend of the method with TFI, including that of the share of TFI."""
         problem, closing = self.problem, self.closing(displacement)
-        own_derivative = self.method.linearised(displacement)
+        own_derivative = super().linearised(displacement)
         if closing is None:
             return own_derivative
         problem.grid.nodes.require_whole("a derivative of a motion that closes a gap")
         share = self.spread(closing.share)
-        own = self.method.apply(displacement)
+        own = super().apply(displacement)
         apart = self.transfinite.apply(displacement) - own
         lines, scalar = (each.linearised(displacement) for each in (self.transfinite, self.scalar))
         kinks = own_derivative.kinks + lines.kinks
@@ -189,6 +180,8 @@ class PreparedInGaps(PreparedMethod):
 
     def closing(self, displacement: FloatArray) -> Closing | None:
         """Where gaps close for a displacement (n_sources, 3) of the sources; ``None`` if all remain open."""
+        if not self._has_gaps:
+            return None
         longest = float(lengths(displacement).max())
         if longest <= (1.0 - OPEN) * float(self._gap.min()):
             return None

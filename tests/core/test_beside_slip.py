@@ -10,7 +10,7 @@ from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import IDW, Options
-from meshdeform_core.methods.beside_slip import WIDTH, BesideSlip
+from meshdeform_core.methods.constraints import WIDTH, BesideSlip
 from meshdeform_core.quality import Original, assess
 
 # Along the body, and towards the slip sides between which it stands.

@@ -11,8 +11,7 @@ from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.methods import TFI
-from meshdeform_core.methods.transfinite.groups import Faces
-from meshdeform_core.methods.transfinite.tfi import PreparedTFI
+from meshdeform_core.methods.transfinite.tfi import Faces, PreparedTFI
 
 
 def boolean_sum(d, arc, low, high):

@@ -33,7 +33,7 @@ def test_jax_finds_the_same_derivatives(twin, state):
     size = 0.1 if state == "deformed" else 0.0
     at = size * moving * np.sin(1.3 * where.source_points[:, [1, 0, 2]] + np.arange(3))
     method = make_method(Options("idw", idw=twin.OPTIONS)).prepare(where)
-    flat = method.mover.flat
+    flat = method.mover.bound.flat
     theirs, ours = twin.dense(where, where.grid.points[flat]), method.linearised(at)
     np.testing.assert_allclose(method.apply(at)[flat], theirs(at), rtol=0, atol=1e-12)
     change = np.random.default_rng(1).standard_normal(at.shape) * moving

@@ -12,8 +12,7 @@ from meshdeform_core.boundary.layer import find_layer
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import IDW, RBF, Options, make_method
-from meshdeform_core.methods.composite import first_step_nodes
-from meshdeform_core.methods.layer import PreparedLayer
+from meshdeform_core.methods.composite import PreparedLayer, first_step_nodes
 
 FAST = (
     Options("idw-tfi", idw=IDW(summation="fast")),

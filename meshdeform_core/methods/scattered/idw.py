@@ -32,9 +32,8 @@ from ..limits import (
 )  # fmt: skip
 from ..options import MethodOptions, option
 from .idw_sums import ExactSums, SourceValues
-from .mirror import mirror_images
+from .images import bodies, mirror_images, motion_values, transition_of, with_motion
 from .summation import Summation, fast_pays, summation_tolerance
-from .transition import bodies, motion_values, transition_of, with_motion
 from .tuned import ALPHA_CAP, FAR, FAR_IN_PLANES, FAR_OF_ONE_BODY, ROUNDS, STEEPER, WIDTH, WIDTH_IN_PLANES
 
 if TYPE_CHECKING:

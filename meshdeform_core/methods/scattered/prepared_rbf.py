@@ -20,7 +20,7 @@ from ...numerics.systems.greedy import Search, select
 from ...parallel import Nodes, for_chunks, thread_count
 from ..base import Account, Kinks, Linearised, Problem, Progress, Setting, of_stage
 from ..limits import CHOSEN, warn_of_coarse_tolerance, warn_of_radius
-from .mirror import mirror_images
+from .images import mirror_images
 from .radial_system import Centres, Coefficients, RadialSystem, accurate
 from .summation import fast_pays, largest_error, sum_accurately
 

@@ -18,7 +18,7 @@ from ...grid.windows import rectangles
 from ...numerics.arrays import distinct_rows, spans
 from ..base import Account, Linearised, Problem, Progress
 from ..limits import TFI_ROTATION, warn_of_rotation
-from .groups import Faces
+from .tfi import Faces
 
 if TYPE_CHECKING:
     from scipy.sparse.linalg import SuperLU

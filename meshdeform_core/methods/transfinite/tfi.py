@@ -1,5 +1,11 @@
 """Transfinite interpolation: block interiors from block faces, and faces from edges (Sen et al. section 2.1); and the
-skeleton that the first step of a hybrid moves: block faces and the faces of virtual sub-blocks."""
+skeleton that the first step of a hybrid moves: block faces and the faces of virtual sub-blocks.
+
+TFI, as an operator T, reproduces a linear map, such as a rotation, only where it would also generate the grid: T x = x.
+Elsewhere, for example around leading edges, the image of the deviation x - T x is missing. With the gradient G of the
+displacement of the sub-block, fitted to its corners, T d + G (x - T x) reproduces every linear map
+(:class:`CurvedLines`). In grids that TFI generated there are no deviations, and no cost.
+"""
 
 from __future__ import annotations
 
@@ -11,14 +17,24 @@ from typing import Literal
 
 import numpy as np
 
-from ...grid import FloatArray, Grid, IntArray, Side
-from ...numerics.arrays import batches, spans
+from ...grid import BoolArray, FloatArray, Grid, IntArray, Side
+from ...numerics.arrays import batches, portions, spans
 from ...numerics.pieces import even_cuts
-from ...numerics.transfinite.arcs import box_numbers
+from ...numerics.transfinite.arcs import (
+    TILE,
+    apart,
+    arc_coordinates,
+    arc_numbers,
+    arc_parts,
+    box_nodes,
+    box_numbers,
+    inner_numbers,
+)
+from ...numerics.transfinite.blend import blend_slabs
+from ...numerics.transfinite.faces import blend_faces, face_coordinates
 from ...parallel import Nodes, for_chunks
 from ..base import Account, Problem, Progress, Setting, of_stage
 from ..options import MethodOptions, option
-from .groups import Bent, CurvedLines, Group
 
 Cuts = tuple[IntArray, IntArray, IntArray]
 
@@ -167,6 +183,190 @@ def _pairs(problem: Problem) -> float:
     return float(problem.n_unique_nodes) * len(problem.source_numbers)
 
 
+# Planes and nodes per chunk, and chunks per group: enough chunks to balance the load at negligible cost.
+_PLANES, _NODES, _CHUNKS = (8, 32), 65536, 64
+# Deviations below this fraction of the size of a sub-block are round-off.
+_ROUND_OFF = 1e-8
+_THINNEST = 1e-7
+"""In sub-blocks thinner than this fraction of their length, the gradient across them is not determined."""
+
+
+@dataclass(frozen=True)
+class Faces:
+    """Rectangles and lines of nodes with their arc coordinates.
+
+    Attributes
+    ----------
+    start : (n + 1,) index at which each rectangle begins in the other arrays
+    width : (n,) nodes along its second index, 1 for a line
+    nodes : node numbers, C-ordered
+    wanted : which interior nodes are to be moved
+    s, t : coordinates from 0 to 1 along the first and second index
+    """
+
+    start: IntArray
+    width: IntArray
+    nodes: IntArray
+    wanted: BoolArray
+    s: FloatArray
+    t: FloatArray
+
+    @classmethod
+    def on(cls, points: FloatArray, start: IntArray, width: IntArray, nodes: IntArray, wanted: BoolArray) -> Faces:
+        """Faces from ``start``, ``width`` and ``nodes``, with their arc coordinates."""
+        s, t = np.empty(len(nodes)), np.empty(len(nodes))
+        face_coordinates(points, start, width, nodes, s, t)
+        return cls(start, width, nodes, wanted, s, t)
+
+    def blend(self, displacement: FloatArray) -> None:
+        """Compute the displacement inside the rectangles from that of their edges, in place, one by one."""
+        blend_faces(displacement, self.start, self.width, self.nodes, self.wanted, self.s, self.t, False)
+
+    def pull(self, gradient: FloatArray) -> None:
+        """Transpose of :meth:`blend`: pass gradients on from inside the rectangles to their edges, in place."""
+        blend_faces(gradient, self.start, self.width, self.nodes, self.wanted, self.s, self.t, True)
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Neighbouring sub-blocks and the arc coordinates of the nodes inside them; in 2-D, sub-blocks are ``faces``.
+
+    Attributes
+    ----------
+    points : (n_nodes, 3)
+    subs : (n, 11) sub-blocks, and ``arc`` the coordinates, see :mod:`...numerics.transfinite.arcs`
+    """
+
+    points: FloatArray
+    subs: IntArray
+    arc: FloatArray
+    faces: Faces | None = None
+
+    @classmethod
+    def of(cls, points: FloatArray, rows: IntArray) -> Group:
+        """The sub-blocks ``rows`` (n, 11), whose last column is not used, of a grid with these coordinates."""
+        subs = rows.copy()
+        if (subs[:1, 1:4] == 1).any():
+            return cls(points, subs, np.empty(0), _faces(points, subs))
+        numbers = arc_numbers(subs)
+        subs[:, 10] = np.cumsum(numbers) - numbers
+        # Vectors extend beyond the last coordinates.
+        arc, parts = np.empty(int(numbers.sum()) + TILE), arc_parts(subs)
+
+        def work(lo: int, hi: int) -> None:
+            arc_coordinates(points, subs, parts[lo:hi], arc)
+
+        for_chunks(work, len(parts), 1 + len(parts) // _CHUNKS)
+        return cls(points, subs, arc)
+
+    def apart(self, rows: IntArray) -> Group:
+        """Some of the sub-blocks, copied to separate arrays."""
+        copies, table = apart(self.points, self.subs[rows])
+        return Group(copies, table, self.arc, self.faces and _faces(copies, table))
+
+    def blend(self, values: FloatArray, slabs: IntArray | None = None) -> None:
+        """Compute ``values`` (n_nodes, 3) inside the sub-blocks from those on their faces, in place.
+
+        ``slabs`` (m, 3): only these planes, given as row of ``subs``, first plane, end; ignored in 2-D grids.
+        """
+        if self.faces:
+            self.faces.blend(values)
+            return
+        chosen = self.slabs if slabs is None else slabs
+
+        def work(lo: int, hi: int) -> None:
+            blend_slabs(values, self.arc, self.subs, chosen[lo:hi])
+
+        for_chunks(work, len(chosen), 1 + len(chosen) // _CHUNKS)
+
+    def pull(self, gradient: FloatArray) -> None:
+        """Transpose of :meth:`blend` of all planes: pass gradients (n_nodes, 3) from inside the sub-blocks on to their
+        faces, in place."""
+        if self.faces:
+            self.faces.pull(gradient)
+        else:
+            from ...numerics.transfinite.transposed import blend_transposed
+
+            blend_transposed(gradient, self.arc, self.subs)
+
+    @property
+    def slabs(self) -> IntArray:
+        """All interior planes, a few per row, so that threads can share the work."""
+        low, high = self.subs[:, 4:7], self.subs[:, 7:10]
+        planes = np.clip(_NODES // np.prod(high[:, 1:] - low[:, 1:], axis=1), *_PLANES)
+        found = portions(np.maximum(high[:, 0] - low[:, 0] - 1, 0), planes)
+        return np.asarray(found + low[found[:, 0], :1] * [0, 1, 1] + [0, 1, 1])
+
+
+def _faces(points: FloatArray, subs: IntArray) -> Faces:
+    """Sub-blocks of a 2-D grid as rectangles."""
+    shapes = subs[:, 7:10] - subs[:, 4:7] + 1
+    width = np.where(subs[:, 3] > 1, shapes[:, 2], shapes[:, 1])
+    start, nodes = np.append(0, np.cumsum(box_numbers(subs))), box_nodes(subs)
+    return Faces.on(points, start, width, nodes, np.ones(len(nodes), dtype=bool))
+
+
+class CurvedLines:
+    """Deviations of the nodes inside the sub-blocks of a group from where TFI would place them.
+
+    Attributes
+    ----------
+    bent : rows (m,) in the group of the sub-blocks with deviations, and matrices (m, 3, 8) that map values at their
+        corners to the least-squares gradient; sought unless it is given, as it is the same for all displacements
+    """
+
+    def __init__(self, group: Group, bent: tuple[IntArray, FloatArray] | None = None) -> None:
+        ends = np.stack([group.subs[:, 4:7], group.subs[:, 7:10]], axis=1)
+        i, j, k = (ends[:, n, axis] for axis, n in enumerate(np.indices((2, 2, 2)).reshape(3, 8)))
+        shape = group.subs[:, 1:4, None]
+        corners = group.subs[:, :1] + (i * shape[:, 1] + j) * shape[:, 2] + k
+        if bent is None:
+            rows = np.flatnonzero(inner_numbers(group.subs))
+            arms = group.points[corners] - group.points[corners].mean(axis=1, keepdims=True)
+            size = np.abs(arms).max(axis=(1, 2))
+            # One plane of each sub-block excludes most of those without deviations; measuring all planes costs twice
+            # that.
+            for one_plane in (True, False):
+                sub, deviation = _measured(group, rows, one_plane)
+                # Of each sub-block, all of which have nodes inside.
+                start = np.flatnonzero(np.diff(sub, prepend=-1))
+                largest = np.maximum.reduceat(np.abs(deviation).max(axis=1), start) if len(start) else np.empty(0)
+                rows = rows[largest > _ROUND_OFF * size[rows]]
+            bent = rows, np.asarray(np.linalg.pinv(arms[rows], rcond=_THINNEST), dtype=np.float64)
+        self.bent = bent
+        rows, self._inverse = bent
+        self._corners, self._nodes = corners[rows], box_nodes(group.subs[rows], inside=True)
+        # Row of ``bent`` to which each node inside belongs, and its deviation (n, 3).
+        self._sub, self._deviation = _measured(group, rows)
+
+    def add(self, displacement: FloatArray) -> None:
+        """Add the missing linear part to the displacement (n_nodes, 3) of inner nodes, in place."""
+        gradient = self._inverse @ displacement[self._corners]
+        displacement[self._nodes] += np.einsum("na,nac->nc", self._deviation, gradient[self._sub])
+
+    def pull(self, gradient: FloatArray) -> None:
+        """Transpose of :meth:`add`: add to the gradients (n_nodes, 3) of the corners, in place."""
+        given, found = gradient[self._nodes], np.empty((len(self._inverse), 3, 3))
+        for a, c in np.ndindex(3, 3):
+            found[:, a, c] = np.bincount(self._sub, self._deviation[:, a] * given[:, c], len(found))
+        np.add.at(gradient, self._corners, np.einsum("nac,nak->nkc", found, self._inverse))
+
+
+def _measured(group: Group, rows: IntArray, one_plane: bool = False) -> tuple[IntArray, FloatArray]:
+    """Deviations of the nodes inside some sub-blocks, or in one plane of each, from where TFI would place them: the
+    position of their sub-block in ``rows`` (n,), and the deviations (n, 3)."""
+    part = group.apart(rows)
+    blended, subs = part.points.copy(), part.subs
+    if one_plane:
+        # At a third, not the middle, where S-shaped lines have no deviation.
+        low, high = subs[:, 4], subs[:, 7]
+        plane, subs = low + np.maximum((high - low) // 3, 1), subs.copy()
+        subs[:, 4], subs[:, 7] = np.where(high > low, [plane - 1, plane + 1], [low, high])
+    part.blend(blended, np.column_stack([np.arange(len(rows)), subs[:, 4] + 1, subs[:, 7]]) if one_plane else None)
+    nodes = box_nodes(subs, inside=True)
+    return np.repeat(np.arange(len(rows)), inner_numbers(subs)), part.points[nodes] - blended[nodes]
+
+
 class PreparedTFI:
     """The sub-blocks of one undeformed grid, filled group by group.
 
@@ -215,7 +415,7 @@ class PreparedTFI:
             nodes.widen(low, high)
         self._groups = batches(box_numbers(self._subs), _TOGETHER)
         # The bent sub-blocks of each group, once it has been examined.
-        self._bent: dict[int, Bent] = {}
+        self._bent: dict[int, tuple[IntArray, FloatArray]] = {}
 
     @cached_property
     def _touching(self) -> PreparedTFI:
@@ -262,6 +462,6 @@ class PreparedTFI:
         group = Group.of(self._points, self._subs[first:last])
         if self._straight:
             return group, None
-        curved = CurvedLines.of(group, self._bent.get(number))
+        curved = CurvedLines(group, self._bent.get(number))
         self._bent[number] = curved.bent
-        return group, curved if len(curved.bent.rows) else None
+        return group, curved if len(curved.bent[0]) else None
