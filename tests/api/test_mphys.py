@@ -11,13 +11,12 @@ from mphys.core import (  # noqa: E402
     MPhysVariables,
 )
 from mphys.scenarios.aerodynamic import ScenarioAerodynamic  # noqa: E402
-from mphys.scenarios.aerostructural import ScenarioAeroStructural  # noqa: E402
 
 from meshdeform.openmdao import MeshCoordinates, MeshDeformBuilder, MeshDeformComp  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("openmdao_folder")
 
-X, S = MPhysVariables.Aerodynamics.Surface, MPhysVariables.Structures
+X = MPhysVariables.Aerodynamics.Surface
 
 
 @pytest.fixture(scope="module")
@@ -62,30 +61,6 @@ class AeroBuilder(Builder):
 
     def get_post_coupling_subsystem(self, scenario_name=None):
         return Stand(takes={X.LOADS: BOTH}, gives={"func_aero": (1, "mphys_result")})
-
-
-class StructBuilder(AeroBuilder):
-    def get_mesh_coordinate_subsystem(self, scenario_name=None):
-        mesh = om.IndepVarComp()
-        mesh.add_output(S.Mesh.COORDINATES, np.ones(self.size), tags=[PLACE])
-        return mesh
-
-    def get_pre_coupling_subsystem(self, scenario_name=None):
-        return None
-
-    get_post_coupling_subsystem = get_pre_coupling_subsystem
-
-    def get_coupling_group_subsystem(self, scenario_name=None):
-        takes = {S.COORDINATES: PLACE, S.Loads.AERODYNAMIC: BOTH}
-        return Stand(takes=takes, gives={S.DISPLACEMENTS: (self.size, BOTH)})
-
-
-class TransferBuilder(AeroBuilder):
-    get_pre_coupling_subsystem = get_post_coupling_subsystem = StructBuilder.get_pre_coupling_subsystem
-
-    def get_coupling_group_subsystem(self, scenario_name=None):
-        displacement = Stand(takes={S.DISPLACEMENTS: BOTH}, gives={X.DISPLACEMENTS: (self.size, BOTH)})
-        return displacement, Stand(takes={X.LOADS: BOTH}, gives={S.Loads.AERODYNAMIC: (self.size, BOTH)})
 
 
 class Bend(om.ExplicitComponent):
@@ -135,16 +110,3 @@ def test_an_aerodynamic_scenario(mesh, geometry):
     assert sources[f"{deformer.pathname}.{X.COORDINATES}"] == f"scenario.{given}"
     wanted = grid_at(mesh, bent(mesh.points) if geometry else mesh.points)
     np.testing.assert_allclose(problem.get_val("scenario.x_aero_volume"), wanted, atol=1e-12)
-
-
-def test_an_aerostructural_scenario(mesh):
-    size = mesh.points.size
-    builder = MeshDeformBuilder(lambda comm: mesh, solver=AeroBuilder(size))
-    others = {"struct_builder": StructBuilder(size), "ldxfer_builder": TransferBuilder(size)}
-    scenario = ScenarioAeroStructural(aero_builder=builder, in_MultipointParallel=True, **others)
-    problem = run(scenario)
-    assert isinstance(scenario.aero_mesh, MeshCoordinates)
-    assert not any("auto_ivc" in source for source in problem.model._conn_global_abs_in2out.values())
-    points = problem.get_val(f"scenario.{X.COORDINATES}")
-    assert np.abs(points - mesh.points.ravel()).max() > 0.0
-    np.testing.assert_allclose(problem.get_val("scenario.x_aero_volume"), grid_at(mesh, points), atol=1e-12)

@@ -22,7 +22,6 @@ def moved(formula: str) -> str:
 WRONG = {
     # not TOML
     "syntax": ("[method\nname = 'tfi'", ("not a TOML file", "line 1")),
-    "key-twice": ("[method]\nname = 'tfi'\nname = 'idw'", ("not a TOML file", "overwrite")),
     "endless-integer": ("[constants]\nL = " + "9" * 5000, ("64 bits", "1e30")),
     "nested-too-deeply": ("a = " + "[" * 3000 + "]" * 3000, ("not a TOML file", "nested too deeply")),
     # unknown keys at every level
@@ -31,12 +30,9 @@ WRONG = {
     "key-boundary": (SHIFT + "selct = ['a']", ("boundary 'body'", "selct", "did you mean 'select'")),
     "key-motion": (body("motion = [{ translat = [0, 0, 0] }]"), ("motion step 1", "did you mean 'translate'")),
     "key-method": ("[method]\nnam = 'tfi'\n" + SHIFT, ("[method]", "nam", "did you mean 'name'")),
-    "key-idw": ("[method.idw]\nalpa = 0.1\n" + SHIFT, ("[method.idw]", "alpa", "did you mean 'alpha'")),
     "key-of-a-part": ("[method]\nalpha = 0.1\n" + SHIFT, ("unknown key 'alpha'", "did you mean 'method.idw.alpha'?")),
-    "key-of-two": ("[method]\nsummation = 'fast'\n" + SHIFT, ("'method.idw.summation' or 'method.rbf.summation'?",)),
     "key-nothing-near": ("[zzz]\n", ("unknown key 'zzz'", "known are grid, constants, boundary, method")),
     # wrong types at every level
-    "type-boundary": ("boundary = 3", ("boundary", "double brackets")),
     "type-constant": ("[constants]\nL = 'five'", ("constants.L", "finite number", "'five'")),
     "type-select": (SHIFT.replace('["*"]', "7"), ("boundary 'body'", "select = 7", "list of names")),
     "type-where": (SHIFT.replace('"abs(x) < 0.51 and abs(y) < 0.51"', "[1]"), ("where", "[1]", "formula")),
@@ -50,8 +46,6 @@ WRONG = {
         body("motion = [{ file = 'table.csv', match = 5 }]"),
         ("motion step 1", "match = 5", "exact, nearest, interpolate"),
     ),
-    "type-method": ("method = 'tfi'\n" + SHIFT, ("method", "expected a table [method]")),
-    "type-alpha": ("[method.idw]\nalpha = 'big'\n" + SHIFT, ("method.idw.alpha", "'big'", "positive number")),
     # values out of range
     "value-tolerance": ("[grid]\ntolerance = 0.7", ("grid.tolerance", "0.7", "between 0 and 0.5")),
     "value-constant-nan": ("[constants]\nL = nan", ("constants.L", "finite", "nan")),
@@ -70,8 +64,6 @@ WRONG = {
         HEAD + "kind = 'fixed'\nmotion = [{ translate = [0, 0, 0] }]",
         ("boundary 'body'", "is fixed but has a motion"),
     ),
-    "value-match": (body("motion = [{ file = 'table.csv', match = 'neer' }]"), ("match = 'neer'", "nearest")),
-    "value-method": ("[method]\nname = 'tfy'\n" + SHIFT, ("method 'tfy' is unknown", "idw-tfi")),
     "same-name-twice": (SHIFT + SHIFT, ("boundary", "names must differ", "body")),
     # formulas
     "formula-syntax": (moved("0.1*"), ("'0.1*'", "not a formula")),
@@ -84,9 +76,7 @@ WRONG = {
     "formula-too-long": (moved("+".join(["x"] * 600)), ("1000",)),
     "formula-too-deep": (moved("(" * 400 + "x" + ")" * 400), ("not a formula",)),
     # formulas that reach for Python
-    "python-import": (moved('__import__("os").system("touch hacked")'), ("not allowed",)),
     "python-attribute": (moved("x.__class__"), ("x.__class__", "not allowed")),
-    "python-in-where": (SHIFT.replace("abs(x) < 0.51", "exec('x')"), ("where", "unknown function 'exec'")),
     "python-in-angle": (body("motion = [{ rotate = { angle = 'x.real' } }]"), ("x.real", "not allowed")),
     # selections
     "select-unknown": (SHIFT.replace('"*"]', '"wing"]'), ("'wing'", "no named patches", "block1.imin")),
@@ -111,7 +101,6 @@ WRONG = {
     # files
     "boundary-file-missing": ("[grid]\nboundary_file = 'no.nmf'\n" + SHIFT, ("no.nmf", "No such file")),
     "boundary-file-null": ('[grid]\nboundary_file = "a\\u0000b"\n' + SHIFT, ("boundary_file", "expected a file name")),
-    "table-missing": (body("motion = [{ file = 'no.csv' }]"), ("no.csv", "No such file")),
     "table-folder": (body("motion = [{ file = '.' }]"), ("is a folder",)),
     "table-is-case": (body("motion = [{ file = 'case.toml' }]"), ("case.toml", "not a displacement table")),
 }

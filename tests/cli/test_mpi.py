@@ -30,14 +30,16 @@ if process.place().number == 1:
     composite.on_faces = fail
 main()
 """
-# The disk of one rank is full when it writes its first range of planes.
+# The disk of one rank is full when it writes its first range of planes, or it is killed then.
 UNFINISHED = """
-import errno, os
+import errno, os, signal
 from meshdeform_cli import process
 from meshdeform_cli.main import main
 from meshdeform_formats.planes import Stored
 
 def full(*_):
+    if "KILLED" in os.environ:
+        os.kill(os.getpid(), signal.SIGKILL)
     raise OSError(errno.ENOSPC, "No space left on device", "out.xyz")
 
 if process.place().number == int(os.environ["VICTIM"]):
@@ -218,6 +220,20 @@ def test_a_rank_with_a_full_disk_ends_all(output, victim, bench, snapshot):
     assert f"{output}: No space left on device" in done.stderr
     assert "MPI_ABORT" not in done.stderr
     assert snapshot(bench) == before
+
+
+@needs_mpi
+@pytest.mark.parametrize("victim", ["0", "1"])
+def test_a_rank_that_is_killed_ends_all_and_leaves_the_old_file(victim, bench, call):
+    Path("unfinished.py").write_text(UNFINISHED)
+    args = ("deform", "grid.xyz", "-c", "case.toml", "-o", "old.xyz", "--force", "--repair", "off")
+    done = on_ranks(3, *args, program=("unfinished.py",), VICTIM=victim, KILLED="1")
+    assert done.returncode not in (0, 2, 3)
+    assert "Traceback" not in done.stderr
+    assert Path("old.xyz").read_bytes() == b"an old result"
+    # The next run removes what the killed one left.
+    assert call(*args).code == 0
+    assert not list(Path().glob(".*.partial*"))
 
 
 @needs_mpiexec

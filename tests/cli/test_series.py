@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import functools
 import json
 import re
@@ -17,12 +16,8 @@ import numpy as np
 import pytest
 
 from meshdeform_cli.main import run
-from meshdeform_core.errors import FormatError
-from meshdeform_core.methods import Options
-from meshdeform_core.repair import RepairOptions
 from meshdeform_core.series import REVISION
 from meshdeform_formats import read_grid, write_grid
-from meshdeform_formats.series.outputs import LevelFiles
 
 SWING = """\
 [[boundary]]
@@ -299,17 +294,6 @@ def test_a_changed_series_is_refused_with_what_changed(change, words, done, call
     assert snapshot(Path()) == before
 
 
-def test_the_state_of_a_series_holds_every_option_with_its_value(done):
-    stored = json.loads(Path("out/series.json").read_text())["ingredients"]
-    options = Options("idw-tfi")
-    for part in ("idw", "tfi"):
-        for each in dataclasses.fields(getattr(options, part)):
-            assert f"method.{part}.{each.name}" in stored
-    assert {f"repair.{each.name}" for each in dataclasses.fields(RepairOptions)} < stored.keys()
-    assert stored["method.name"] == "idw-tfi"
-    assert stored["steps"] is None
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -364,27 +348,6 @@ def test_a_series_begun_by_a_program_with_other_results_is_refused(key, old, wor
     assert "cannot continue the series in out, its inputs have changed: " in result.err
     assert words in result.err
     assert snapshot(Path()) == before
-
-
-def test_a_level_that_cannot_be_written_ends_the_series_there(swing, call, monkeypatch):
-    plain = LevelFiles.write
-
-    def write(self, number, *rest):
-        if number == 2:
-            raise FormatError("cannot write grid_0002.xyz: No space left on device")
-        plain(self, number, *rest)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(LevelFiles, "write", write)
-        result = call(*RUN)
-    assert (result.code, result.error) == (
-        2,
-        "meshdeform: error: cannot write grid_0002.xyz: No space left on device\n",
-    )
-    state = json.loads(Path("out/series.json").read_text())
-    assert [level["file"] for level in state["levels"]] == ["grid_0000.xyz", "grid_0001.xyz"]
-    assert not list(Path("out").glob("grid_0002*"))
-    assert call(*RUN, "--resume").code == 0
 
 
 @pytest.mark.parametrize("suffix", [".xyz", ".foam"])

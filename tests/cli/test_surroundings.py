@@ -1,15 +1,27 @@
-"""Environment variables, folders and outputs that other programs would stumble over: one message, or no difference."""
+"""Surroundings, names and inputs that other programs would stumble over: one message, or no difference."""
 
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
+import time
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from grids import frame
 
-from meshdeform_cli import main
+import meshdeform as md
+from meshdeform_cli import looking, main, process
+from meshdeform_core import interruption
+from meshdeform_core.errors import FormatError
+from meshdeform_core.grid import Grid
+from meshdeform_formats import read_grid, write_grid
 
 DEFORM = ("deform", "grid.xyz", "-c", "case.toml", "-q")
 
@@ -85,3 +97,144 @@ def test_what_the_last_flush_cannot_write_is_an_error(monkeypatch, capsys):
         monkeypatch.setattr(sys, "stdout", full)
         assert main.run([]) == 2
     assert capsys.readouterr().err == "meshdeform: error: cannot write to stdout: No space left on device\n"
+
+
+STRANGE = os.fsdecode(b"gr\xff d")
+
+
+@pytest.mark.parametrize("suffix", [".xyz", ".cgns", ".vts"])
+def test_names_that_are_not_utf8(bench, call, suffix):
+    grid = Grid.from_blocks([frame().block(0)])
+    write_grid(grid, STRANGE + suffix)
+    done = call("convert", STRANGE + suffix, f"again{STRANGE}{suffix}", "-q")
+    assert (done.code, done.err) == (0, "")
+    np.testing.assert_array_equal(read_grid(f"again{STRANGE}{suffix}").points, grid.points)
+
+
+def test_a_set_has_a_name_in_utf8(bench, call, snapshot):
+    before = snapshot(bench)
+    result = call("convert", "grid.xyz", f"{STRANGE}.vtm")
+    assert result.code == 2
+    assert "its name is not UTF-8" in result.err
+    assert snapshot(bench) == before
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("info", "pipe"),
+        ("info", "grid.xyz", "--boundary-file", "pipe"),
+        ("deform", "grid.xyz", "-c", "pipe", "-o", "z.xyz"),
+        ("deform", "grid.xyz", "-d", "pipe", "-o", "z.xyz"),
+        ("quality", "grid.xyz", "--reference", "pipe"),
+    ],
+    ids=" ".join,
+)
+def test_a_pipe_is_refused_at_once(bench, call, arguments):
+    os.mkfifo("pipe")
+    result = call(*arguments)
+    assert result.code == 2
+    assert "pipe: it is a pipe; expected a file" in result.err
+
+
+@contextmanager
+def as_nobody() -> Iterator[None]:
+    """The rights of a user to whom nothing here belongs."""
+    if os.geteuid() != 0:
+        yield
+        return
+    os.seteuid(65534)
+    try:
+        yield
+    finally:
+        os.seteuid(0)
+
+
+@pytest.mark.parametrize("name", ["a.xyz", "a.cgns", "a.vtm"])
+def test_no_permission_is_said(tmp_path, name):
+    for path in (tmp_path, *tmp_path.parents):
+        if path.name.startswith(("pytest-of-", "pytest-", "popen-", "test_")):
+            path.chmod(0o755)
+    grid = Grid.from_blocks([frame().block(0)])
+    write_grid(grid, tmp_path / name)
+    (tmp_path / "closed").mkdir(mode=0o755)
+    (tmp_path / name).chmod(0)
+    (tmp_path / "closed").chmod(0o555)
+    with as_nobody():
+        if os.access(tmp_path / name, os.R_OK, effective_ids=True):
+            pytest.skip("this user may read everything")
+        with pytest.raises(FormatError, match=f"cannot read .*{name}: Permission denied$"):
+            read_grid(tmp_path / name)
+        with pytest.raises(FormatError, match=f"cannot write .*{name}: Permission denied$"):
+            write_grid(grid, tmp_path / "closed" / name)
+    assert not list((tmp_path / "closed").iterdir())
+
+
+CASELESS = ("deform", "grid.xyz", "-o", "out.xyz")
+
+
+@pytest.mark.parametrize("depth", [40, 100_000])
+def test_deep_keys_of_a_case_are_refused_at_once(depth, bench, call):
+    (bench / "deep.toml").write_text(".".join(["a"] * depth) + " = 1\n")
+    start = time.process_time()
+    result = call(*CASELESS, "-c", "deep.toml")
+    assert result.code == 2
+    assert "has more than 30 parts" in result.err
+    assert time.process_time() - start < 5.0
+
+
+def test_long_words_and_paths_of_a_case_are_no_deep_keys(bench, call):
+    text = (bench / "case.toml").read_text()
+    (bench / "long.toml").write_text("# " + "/".join(["a.b"] * 50) + "\n# " + "word" * 50_000 + "\n" + text)
+    assert call(*CASELESS, "-c", "long.toml", "-q").code == 0
+
+
+def test_a_table_that_declares_gigabytes_of_zeros_is_refused_before_it_is_unpacked(tmp_path, bench, call):
+    header = np.lib.format
+    with zipfile.ZipFile(bench / "zeros.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in ("points", "displacement"):
+            with archive.open(f"{name}.npy", "w") as member:
+                count = 1 << 23
+                header.write_array_header_1_0(member, {"descr": "<f8", "fortran_order": False, "shape": (count, 3)})
+                for _ in range(24):
+                    member.write(bytes(count))
+    result = call(*CASELESS, "-d", "zeros.npz")
+    assert result.code == 2
+    assert "which no table of displacements does" in result.err
+
+
+@pytest.mark.parametrize("name", ["a[1]", "a\nb*"])
+def test_init_writes_patterns_that_select_its_own_faces(name, tmp_path, call, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    block = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, 4)] * 3, indexing="ij"), axis=-1)
+    md.write(md.Grid([block], names=[name]), "nm.vtm")
+    assert call("init", "nm.vtm", "-o", "nm.toml").code == 0
+    result = call("deform", "nm.vtm", "-c", "nm.toml", "--dry-run", "-q")
+    # Its faces are found; none of them is a wall, so that nothing moves yet.
+    assert (result.code, "no node moves" in result.err) == (2, True), result.err
+
+
+def test_a_signal_within_a_callback_of_the_collector_prints_no_traceback(monkeypatch, capsys):
+    """Python cannot deliver the exception there; the next check ends the program."""
+    monkeypatch.setattr(interruption, "_requests", [signal.SIGINT])
+    monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
+    lost = SimpleNamespace(
+        exc_type=SystemExit, exc_value=SystemExit(130), exc_traceback=None, err_msg=None, object=None
+    )
+    process._unraisable(lost)
+    assert capsys.readouterr().err == ""
+    with pytest.raises(SystemExit):
+        interruption.check()
+
+
+def test_a_file_that_ends_too_early_for_a_library_is_no_interrupt(call, bench, monkeypatch):
+    """click turns EOFError into what Ctrl-C raises."""
+
+    def broken(**_: object) -> None:
+        raise EOFError("marshal data too short")
+
+    monkeypatch.setattr(looking.info_command, "callback", broken)
+    result = call("info", "grid.xyz")
+    assert result.code == 1
+    assert "marshal data too short" in result.err
+    assert "interrupted" not in result.err

@@ -13,20 +13,6 @@ import pytest
 from meshdeform_cli import process
 
 
-def test_the_version_is_one_line(call):
-    result = call("--version")
-    assert (result.code, len(result.out.splitlines())) == (0, 1)
-
-
-def test_methods_are_text_for_people(call):
-    text = call("methods", "idw-tfi").out
-    for markup in ("``", "----", "Attributes"):
-        assert markup not in text
-    assert max(map(len, text.splitlines())) <= 160
-    assert '  rotation = "lie"\n      what is averaged. none: displacements' in text
-    assert "default: independent of the frame" in text
-
-
 def test_convert_keeps_boundaries_beside_what_has_no_place_for_them(bench, call):
     result = call("convert", "grid.cgns", "new.xyz")
     assert (result.code, result.err) == (0, "")

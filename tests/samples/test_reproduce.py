@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from meshdeform_cli.main import run as command
-from meshdeform_core.methods import IDW, RBF, TFI, Options, make_method
+from meshdeform_core.methods import IDW, TFI, Options, make_method
 from meshdeform_samples.reproduce import WHAT
 from meshdeform_samples.reproduce.experiment import Sample, Trial, asymmetry, prepare_sample, run
 from meshdeform_samples.reproduce.operations import count_operations, idw_operations, tfi_operations
@@ -98,23 +98,6 @@ def count(problem, options):
     return count_operations(method, problem, method.prepare(problem).account)
 
 
-def test_direct_rbf_grows_with_the_cube_of_its_centres():
-    counts = []
-    for size in (41, 81, 161):
-        problem = prepare_sample(Sample("square", size)).problem
-        counts.append(count(problem, Options("rbf", rbf=RBF())) / len(problem.source_numbers) ** 3)
-    assert counts[2] < counts[1] < counts[0]
-    # Nodes grow as N_s^2 here, so that the sum over all of them is of the third order too: 45 N_s^3 / 16.
-    assert counts[2] == pytest.approx(1 / 3 + 45 / 16, rel=0.3)
-
-
-def test_costs_are_of_the_run_and_positive():
-    outcome = run(Trial("x", Sample("beam", 40), Options("idw")))
-    assert 0 < outcome.cpu_apply <= outcome.cpu
-    assert outcome.wall > 0
-    assert outcome.gflop > 0
-
-
 @pytest.fixture(autouse=True)
 def keep_environment(monkeypatch):
     """The command tells linear algebra to use one thread, by environment variables that outlive it."""
@@ -157,9 +140,3 @@ def test_sub_blocks_keep_walls_orthogonal_on_large_blocks():
     deviation = [outcome.assessment.after.wall_normal_deviation_deg.rms for outcome in outcomes]
     assert deviation[0] < 2.0
     assert deviation[1] == pytest.approx(10.5, abs=0.2)
-
-
-def test_tfi_reaches_the_angle_that_another_implementation_measured():
-    turned = [Sample("splitter-plate", 8, constants=(("angle", angle),)) for angle in (40.0, 45.0)]
-    outcomes = [run(Trial("", sample, Options("tfi-tfi"))) for sample in turned]
-    assert [outcome.assessment.after.invalid_cells > 0 for outcome in outcomes] == [False, True]
