@@ -36,17 +36,11 @@ motion = [{ files = "surface_*.csv", times = "0:1:0.1" }]
         ("-1:1:1", [-1, 0, 1]),
         ("0, 0.5, 2", [0, 0.5, 2]),
         ("3", [3.0]),
+        *((f"0:{100 * step!r}:{step!r}", [step * n for n in range(101)]) for step in (0.1, 1e-3, 1 / 3, 0.07)),
     ],
 )
 def test_times(text, times):
-    np.testing.assert_allclose(parse_times(text, "--times"), times, rtol=0, atol=1e-15)
-
-
-@pytest.mark.parametrize("step", [0.1, 1e-3, 1 / 3, 0.07])
-def test_the_end_is_a_level_when_the_steps_reach_it(step):
-    times = parse_times(f"0:{100 * step!r}:{step!r}", "--times")
-    assert len(times) == 101
-    assert times[-1] == 100 * step
+    np.testing.assert_allclose(parse_times(text, "--times"), times, rtol=1e-15, atol=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -95,16 +89,13 @@ def test_levels_follow_the_file_of_their_time_and_one_is_in_memory(folder, monke
     assert len(alive) == 11
 
 
-def test_times_between_the_files_are_refused(folder):
+def test_times_between_the_files_and_files_of_other_nodes_are_refused(folder):
     setup = set_up(frame(), read_case(folder / "case.toml").case)
     with pytest.raises(MotionError, match=r"no level at t = 0\.25.*11 levels from 0 to 1, the nearest at 0\.[23]"):
         setup.displacement(0.25)
-
-
-def test_files_that_cover_other_nodes_are_refused(folder):
     table = (folder / "surface_1.csv").read_text().splitlines()
     (folder / "surface_1.csv").write_text("\n".join(table[: len(table) // 2]))
-    setup = set_up(frame(), read_case(folder / "case.toml").case)
+    # A file that covers fewer nodes than the first one.
     with pytest.raises(MotionError, match=r"surface_1\.csv"):
         setup.displacement(0.1)
 

@@ -121,10 +121,10 @@ def covered(panel):
 
 def test_a_duct_fills_the_picture_and_the_wall_that_it_ends_in_is_behind_it():
     s = subject(plenum())
-    page = overview(s, Choice())
+    (solid, *_) = overview(s, Choice()).panels
     assert {body.name for body in s.outside.bodies} == {f"block1.{side}" for side in ("jmin", "jmax", "kmin", "kmax")}
-    assert covered(page.panels[0]) > 0.2
-    assert page.panels[0].scene.view.towards[0] < 0
+    assert covered(solid) > 0.2
+    assert solid.scene.view.towards[0] < 0
 
 
 # colours
@@ -220,9 +220,9 @@ def test_pages_before_and_after_have_one_size_and_scale():
     both = subject(before), subject(after, before)
     page = quality_planes(*both)
     assert page.panels[0].window == page.panels[1].window
-    pictures = [page_png(each, 4.0, 60) for each in (page, worst_cells(*both, 2, (1, 1, 1)))]
-    assert all(png.startswith(b"\x89PNG") for png in pictures)
-    assert page_png(page, 4.0, 60) == pictures[0]
+    one, other = (page_png(each, 4.0, 60) for each in (page, worst_cells(*both, 2, (1, 1, 1))))
+    assert all(png.startswith(b"\x89PNG") for png in (one, other))
+    assert page_png(page, 4.0, 60) == one
 
 
 def test_moved_walls_are_coloured_by_their_motion():
