@@ -224,7 +224,8 @@ class MeshCoordinates(_OnMesh):
         corners = setup.topology.quads.corners[np.unique(np.concatenate([patch.quads for patch in patches]))]
         if corners.shape[1] != 4:
             raise CaseError("a plane grid has edges, not faces; expected a grid in space")
-        at = setup.grid.points[setup.topology.first[np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])]]
+        with self.mesh.session.at_work():
+            at = setup.grid.points[setup.topology.first[np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])]]
         return [at[:, 0], at[:, 1] - at[:, 0], at[:, 2] - at[:, 0]]
 
     def compute(self, inputs: Any, outputs: Any) -> None:

@@ -6,7 +6,6 @@ import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -58,25 +57,21 @@ class Session:
     Parameters
     ----------
     plane : whether users give and get two coordinates
-    ranks, threads : that share the work of every call
+    ranks, threads : that share the work of every call; this call is one of them
+
+    Attributes
+    ----------
+    numbers : unique numbers of the independently moving nodes, ascending; their periodic partners follow them
+    points : undeformed positions (n_moving, 3) of these nodes; read-only
     """
 
     def __init__(self, setup: Setup, plane: bool, ranks: Ranks, threads: int | None):
         self.setup, self.plane, self.ranks, self.threads = setup, plane, ranks, threads
         self._thread = threading.get_ident()
-
-    @cached_property
-    def numbers(self) -> IntArray:
-        """Unique numbers of the independently moving nodes, ascending; their periodic partners follow them."""
-        movers = self.setup.boundary.movers
-        return np.unique(np.concatenate([nodes for nodes, _ in movers])).astype(np.int64)
-
-    @cached_property
-    def points(self) -> FloatArray:
-        """Undeformed positions (n_moving, 3) of the moving nodes; read-only."""
-        points: FloatArray = self.setup.grid.points[self.setup.topology.first[self.numbers]]
-        points.flags.writeable = False
-        return points
+        movers = [nodes for nodes, _ in setup.boundary.movers]
+        self.numbers: IntArray = np.unique(np.concatenate(movers)).astype(np.int64)
+        self.points: FloatArray = setup.grid.points[setup.topology.first[self.numbers]]
+        self.points.flags.writeable = False
 
     @contextmanager
     def at_work(self) -> Iterator[None]:
