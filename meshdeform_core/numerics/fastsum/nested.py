@@ -28,7 +28,6 @@ from .clusters import SourceTree, build_tree
 from .tuned import NESTED_LEAF, REACH, SPHERES
 
 _CHUNK = 16
-_STACK = 4096
 
 
 @record("i8[::1], i8[::1], f8[:, ::1], i8[::1], i8[::1], i8[::1], f8[::1]")
@@ -277,59 +276,35 @@ def pack(points, charges, first, last, packed, n):
 
 def _partners(tree: SourceTree, radius: FloatArray, compact: bool) -> list[IntArray]:
     """For the clusters far from each one, and for those near it: start (m + 1,) of its partners, and all partners."""
-    none = np.empty(0, dtype=np.int64)
-    given, counts = (tree.boxes.center, radius, tree.child, REACH, compact), np.zeros((2, len(radius)), dtype=np.int64)
-    _meet(*given, counts, False, none, none)
-    starts = [np.append(0, np.cumsum(count)) for count in counts]
-    far, near = (np.empty(start[-1], dtype=np.int64) for start in starts)
-    _meet(*given, np.stack([start[:-1] for start in starts]), True, far, near)
-    return [starts[0], far, starts[1], near]
-
-
-@kernel("f8[:, ::1], f8[::1], i8[::1], f8, b1, i8[:, ::1], b1, i8[::1], i8[::1]")
-def _meet(center, radius, child, reach, compact, places, fill, far, near):
-    """Traverse pairs of clusters from the root; count the partners of each in ``places`` (2, m), or with ``fill`` store
-    them from these positions on."""
-    stack = np.empty((_STACK, 2), dtype=np.int64)
-    stack[0] = 0
-    depth = 1
-    while depth:
-        depth -= 1
-        a, b = stack[depth]
-        if a == b:
-            if child[a] < 0:
-                _join(1, a, b, places, fill, near)
-                continue
-            c = child[a]
-            stack[depth], stack[depth + 1] = c, c + 1
-            stack[depth + 2, 0], stack[depth + 2, 1] = c, c + 1
-            depth += 3
-            continue
-        d = np.sqrt(((center[a] - center[b]) ** 2).sum())
-        if compact and d - radius[a] - radius[b] >= 1.0:
-            continue
-        apart = d - radius[b] >= reach * radius[a] and d - radius[a] >= reach * radius[b]
-        if apart and not (compact and d + radius[a] + radius[b] > 1.0):
-            _join(0, a, b, places, fill, far)
-        elif child[a] < 0 and child[b] < 0:
-            _join(1, a, b, places, fill, near)
-        else:
-            if child[a] < 0 or (child[b] >= 0 and radius[b] > radius[a]):
-                a, b = b, a
-            for k in range(2):
-                stack[depth, 0], stack[depth, 1] = child[a] + k, b
-                depth += 1
-
-
-@kernel
-def _join(which, a, b, places, fill, partners):
-    if fill:
-        partners[places[which, a]] = b
-    places[which, a] += 1
-    if a != b:
-        if fill:
-            partners[places[which, b]] = a
-        places[which, b] += 1
+    center, child, (a, b) = tree.boxes.center, tree.child, np.zeros((2, 1), dtype=np.int64)
+    far, near = [np.empty((2, 0), dtype=np.int64)], [np.empty((2, 0), dtype=np.int64)]
+    # Level by level, pairs of clusters that are neither far from each other nor both leaves are divided.
+    while a.size:
+        distance, one, two = np.sqrt(((center[a] - center[b]) ** 2).sum(axis=1)), radius[a], radius[b]
+        apart = (a != b) & (distance - two >= REACH * one) & (distance - one >= REACH * two)
+        outside = np.zeros(len(a), dtype=bool)
+        if compact:
+            outside = (a != b) & (distance - one - two >= 1.0)
+            apart &= distance + one + two <= 1.0
+        ended = ~apart & (child[a] < 0) & (child[b] < 0)
+        far.append(np.stack([a, b])[:, apart & ~outside])
+        near.append(np.stack([a, b])[:, ended & ~outside])
+        left = ~(apart | ended | outside)
+        a, b, one, two = a[left], b[left], one[left], two[left]
+        same, other = child[a[a == b]], a != b
+        a, b, one, two = a[other], b[other], one[other], two[other]
+        changed = (child[a] < 0) | ((child[b] >= 0) & (two > one))
+        a, b = np.where(changed, b, a), np.where(changed, a, b)
+        a, b = (
+            np.concatenate(parts)
+            for parts in ((child[a], child[a] + 1, same, same, same + 1), (b, b, same, same + 1, same + 1))
+        )
+    found = []
+    for pairs in (np.concatenate(far, axis=1), np.concatenate(near, axis=1)):
+        cluster, partner = np.concatenate([pairs, pairs[::-1, pairs[0] != pairs[1]]], axis=1)
+        order = np.lexsort((partner, cluster))
+        found += [np.searchsorted(cluster[order], np.arange(len(child) + 1)), partner[order]]
+    return found
 
 
 @fast_kernel("i8, f8[:, ::1], f8[:, ::1], f8, i8[::1], f8[:, ::1]")
