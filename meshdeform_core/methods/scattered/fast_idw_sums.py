@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from ...grid import FloatArray, IntArray
-from ...numerics.arrays import Report
+from ...numerics.arrays import Report, weighted_total
 from ...numerics.fastsum.clusters import build_tree
 from ...numerics.fastsum.targets import interpolation_order, make_targets
 from ...numerics.fastsum.tuned import SHARE, SINGLE_TOLERANCE
-from ...numerics.fastsum.weighted import Accuracy, FastSums, Scaled
+from ...numerics.fastsum.weighted import Accuracy, FastSums
 from ...parallel import Nodes
 from .idw_sums import ExactSums, SourceValues, Use
 from .summation import largest_error, sum_accurately
@@ -42,8 +42,10 @@ def apply_fast(
     """Call ``use`` with the sums at all targets, which writes their displacements into ``out`` (n_nodes, 3), compared
     with exact sums at the worst nodes."""
     tolerance, grid = method.options.summation_tolerance, method.problem.grid
-    scaled, lasting = Scaled.of(fit.values, fit.still, sums.strength), 1 if fit.transition.width else 0
-    moving, found = scaled.moving, Nodes.of(out).rows
+    lasting, found = 1 if fit.transition.width else 0, Nodes.of(out).rows
+    mean = weighted_total(sums.strength, fit.values.T) / sums.strength.sum()
+    middle = mean if fit.still is None else fit.still
+    moving = (fit.values != middle[:, None]).any(axis=0)
     share, single = SHARE / (interpolation_order(tolerance) - 2) ** 2, tolerance >= SINGLE_TOLERANCE
 
     def exact(flat: IntArray) -> FloatArray:
@@ -56,7 +58,7 @@ def apply_fast(
             share, single = share * 0.25 / excess, False
         accuracy = Accuracy(tolerance * share, True, single)
         sums.prepare(fit.weights, fit.shift, fit.turn, moving, accuracy, lasting)
-        sums.apply(scaled, use, progress=progress)
+        sums.apply(fit.values, use, progress=progress, middle=middle)
         return largest_error(grid, sums.targets, sums.risk, found, exact)
 
     sum_accurately("idw", once, tolerance, method.account)

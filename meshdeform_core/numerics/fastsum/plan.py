@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,38 +36,6 @@ def cluster_reach(tree: SourceTree, strength: FloatArray, shift: FloatArray, tur
     places = tree.span.ravel()
     sums, most = np.append(strength[tree.order], 0.0), (np.append(each[tree.order], 0.0) for each in (shift, turn))
     return Reach(np.add.reduceat(sums, places)[::2], *(np.maximum.reduceat(each, places)[::2] for each in most))
-
-
-@dataclass(frozen=True, eq=False)
-class PlanKey:
-    """Everything that determines which clusters act where, and how their sums are taken.
-
-    Attributes
-    ----------
-    kinds : weight function of each group
-    reaches : bounds of the effect of each group's clusters, rounded up
-    moving : (n,) which sources are summed separately from the others
-    accuracy : :class:`.weighted.Accuracy`
-    lasting : number of values per source whose sums are stored with the weights
-    """
-
-    kinds: list[Kernel]
-    reaches: list[Reach]
-    moving: BoolArray
-    accuracy: Any
-    lasting: int
-
-    def agrees(self, other: PlanKey) -> bool:
-        """Whether both lead to the same plan."""
-        return (
-            (self.kinds, self.accuracy, self.lasting) == (other.kinds, other.accuracy, other.lasting)
-            and np.array_equal(self.moving, other.moving)
-            and all(
-                np.array_equal(one, two)
-                for mine, its in zip(self.reaches, other.reaches, strict=True)
-                for one, two in zip(mine, its, strict=True)
-            )
-        )
 
 
 class Charges(NamedTuple):
@@ -213,9 +180,19 @@ def places_of(first: int, last: int, targets: Targets) -> Places:
 
 
 class Plan:
-    """The lists of clusters of one :class:`PlanKey`, made on demand and stored while they fit into ``room`` (bytes).
+    """The lists of clusters for some weight functions and motions, made on demand and stored while there is room.
 
-    Weights of targets are stored only if ``keep_weights``.
+    Parameters
+    ----------
+    key : whatever differs between plans
+    trees : the sources of each group and their tree
+    kinds : weight function of each group
+    reaches : bounds of the effect of each group's clusters, rounded up
+    acting : (n,) which sources are summed separately from the others
+    accuracy : :class:`.weighted.Accuracy`
+    lasting : number of values per source whose sums are stored with the weights; ``None``: weights are not stored
+    chunk : regions whose lists are stored together
+    room : limit (bytes) for what is stored
 
     Attributes
     ----------
@@ -224,38 +201,25 @@ class Plan:
     weight : (n, 1 + lasting) of every target in the order of the bricks, and its sums of values that never change,
         known once ``weighed``; ``None`` without room
     used, direct : for each tree, whether the interpolation points of a cluster (m,) act anywhere, and whether its
-        sources do by themselves, known after :meth:`survey`
+        sources do by themselves; beside few targets a part of them
     """
 
     def __init__(
-        self,
-        key: PlanKey,
-        targets: Targets,
-        trees: list[tuple[IntArray, SourceTree]],
-        room: int,
-        keep_weights: bool,
-    ) -> None:
-        self.key, self._targets, self._trees = key, targets, [tree for _, tree in trees]
-        self._allowed, self._mean = _allowance(targets, self._trees, key)
+        self, key: Any, targets: Targets, trees: list[tuple[IntArray, SourceTree]], kinds: list[Kernel],
+        reaches: list[Reach], acting: BoolArray, accuracy: Any, lasting: int | None, chunk: int, room: int,
+    ) -> None:  # fmt: skip
+        self.key, self.kinds, self.acting, self.lasting = key, kinds, acting, lasting or 0
+        self._targets, self._trees, self._reaches = targets, [tree for _, tree in trees], reaches
+        self._allowed, self._mean = _allowance(targets, self._trees, kinds, reaches, accuracy)
         self.risk = np.zeros(len(self._allowed))
-        counts = [np.append(0, np.cumsum(key.moving[group][tree.order])) for group, tree in trees]
+        counts = [np.append(0, np.cumsum(acting[group][tree.order])) for group, tree in trees]
         self.moving = [n[tree.span[:, 1]] > n[tree.span[:, 0]] for n, (_, tree) in zip(counts, trees, strict=True)]
-        self._kept: dict[int, list[Lists]] = {}
         rows = len(targets.every)
-        size = 8 * rows * (1 + key.lasting) if keep_weights else 0
-        self.weight = np.empty((rows, 1 + key.lasting)) if keep_weights and size <= room else None
+        size = 8 * rows * (1 + self.lasting)
+        self.weight = np.empty((rows, 1 + self.lasting)) if lasting is not None and size <= room else None
         self.weighed = False
-        self._surveyed = False
         self.used, self.direct = ([np.zeros(len(tree.child), dtype=bool) for tree in self._trees] for _ in range(2))
-        self._room = room - size
-
-    def survey(self, chunk: int) -> None:
-        """Make the lists of all regions, which tell the clusters whose charges are needed, and store those of ``chunk``
-        regions at a time. Beside few targets these are a part of the clusters.
-        """
-        targets = self._targets
-        if self._surveyed:
-            return
+        self._room, self._kept = room if lasting is None else room - size, dict[int, list[Lists]]()
 
         def work(first: int, last: int) -> None:
             found = self._made(first, last)
@@ -264,20 +228,18 @@ class Plan:
                 self._room -= size
                 self._kept[first] = found
 
-        self._kept = {}
         for_chunks(work, targets.n_regions, chunk)
-        self._surveyed = True
 
     def lists_of(self, first: int, last: int) -> list[Lists]:
         """:class:`.walk.Lists` of each group for the regions first <= g < last; called from several threads."""
         return self._kept[first] if first in self._kept else self._made(first, last)
 
     def _made(self, first: int, last: int) -> list[Lists]:
-        targets, key = self._targets, self.key
+        targets = self._targets
         self.risk[targets.first[first] : targets.first[last]] = 0.0
         found = [
             list_clusters(first, last, targets, tree, reach, kind, self._allowed, self._mean, self.risk)
-            for tree, reach, kind in zip(self._trees, key.reaches, key.kinds, strict=True)
+            for tree, reach, kind in zip(self._trees, self._reaches, self.kinds, strict=True)
         ]
         for used, direct, lists in zip(self.used, self.direct, found, strict=True):
             for acting, raw in ((used, 0), (direct, 1)):
@@ -294,7 +256,7 @@ class Plan:
         places = places_of(first, last, targets)
         for number, charges in enumerate(passes):
             total, filled = np.zeros((len(places.points), CHARGES)), np.zeros(len(places.span), dtype=bool)
-            for charge, kind, each, moving in zip(charges, self.key.kinds, lists, self.moving, strict=True):
+            for charge, kind, each, moving in zip(charges, self.kinds, lists, self.moving, strict=True):
                 filled |= places.add(charge, each, kind, moving, total)
                 if weighing and number == 0:
                     filled |= places.add(charge, each, kind, ~moving, total)
@@ -306,7 +268,9 @@ class Plan:
         return found
 
 
-def _allowance(targets: Targets, trees: Sequence[SourceTree], key: PlanKey) -> tuple[FloatArray, FloatArray]:
+def _allowance(
+    targets: Targets, trees: Sequence[SourceTree], kinds: list[Kernel], reaches: list[Reach], accuracy: Any
+) -> tuple[FloatArray, FloatArray]:
     """Weighted displacement error that one cluster may cause in each brick, and the mean displacement there.
 
     Both follow from the total weight at the samples of the brick, and from a bound of the weighted displacement.
@@ -317,7 +281,7 @@ def _allowance(targets: Targets, trees: Sequence[SourceTree], key: PlanKey) -> t
 
     def work(lo: int, hi: int) -> None:
         points = targets.points[flat[lo:hi]]
-        for tree, size, reach, kind in zip(trees, extents, key.reaches, key.kinds, strict=True):
+        for tree, size, reach, kind in zip(trees, extents, reaches, kinds, strict=True):
             sample, cluster = np.arange(hi - lo), np.zeros(hi - lo, dtype=np.int64)
             while len(sample):
                 arm = points[sample] - tree.boxes.center[cluster]
@@ -333,6 +297,6 @@ def _allowance(targets: Targets, trees: Sequence[SourceTree], key: PlanKey) -> t
                 cluster = np.stack([tree.child[cluster[~done]], tree.child[cluster[~done]] + 1], axis=1).ravel()
 
     for_chunks(work, flat.size, _SAMPLES)
-    sizes = targets.sizes if key.accuracy.local else np.ones(shape)
-    allowed = (total.reshape(shape) * sizes).min(axis=1) * key.accuracy.tolerance
+    sizes = targets.sizes if accuracy.local else np.ones(shape)
+    allowed = (total.reshape(shape) * sizes).min(axis=1) * accuracy.tolerance
     return allowed, (moved / total).reshape(shape).max(axis=1)

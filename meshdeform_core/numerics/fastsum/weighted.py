@@ -13,16 +13,15 @@ acceptance of a weighted mean.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from ...parallel import empty, for_chunks
-from ..arrays import BoolArray, FloatArray, IntArray, Report, weighted_total
+from ..arrays import BoolArray, FloatArray, IntArray, Report
 from ..exact.direct import N_VALUES, sum_groups
 from .clusters import CHARGES, SourceTree, interpolate
-from .plan import Charges, Plan, PlanKey, charge_points, cluster_reach, gather, places_of, rounded_up
+from .plan import Charges, Plan, charge_points, cluster_reach, gather, places_of, rounded_up
 from .targets import Targets, spans
 from .walk import Kernel, Reach
 
@@ -41,45 +40,6 @@ Use = Callable[[slice, IntArray, FloatArray], object]
 Make = Callable[[slice, IntArray, int], FloatArray]
 
 
-@dataclass(frozen=True)
-class Scaled:
-    """Values scaled to the order of one: (value - middle) / spread, computed for some sources at a time.
-
-    Attributes
-    ----------
-    values : (k, n) of the sources
-    middle : (k,) the value of the sources that do not move or a mean of all
-    spread : (k,) largest difference from it, 1 where there is none
-    """
-
-    values: FloatArray
-    middle: FloatArray
-    spread: FloatArray
-
-    @classmethod
-    def of(cls, values: FloatArray, still: FloatArray | None, strength: FloatArray) -> Scaled:
-        """``values`` (k, n) and those of the sources that do not move, if there are any."""
-        middle = weighted_total(strength, values.T) / strength.sum() if still is None else still
-        spread = np.array([np.abs(row - offset).max() for row, offset in zip(values, middle, strict=True)])
-        spread[spread == 0.0] = 1.0
-        return cls(values, middle, spread)
-
-    def part(self, which: slice, sources: slice | IntArray) -> FloatArray:
-        """The values ``which`` of some sources, (m, s)."""
-        rest: FloatArray = self.values[which][:, sources] - self.middle[which, None]
-        rest /= self.spread[which, None]
-        return rest
-
-    @property
-    def moving(self) -> BoolArray:
-        """(n,) sources with any value other than the middle."""
-        found = np.empty(self.values.shape[1], dtype=bool)
-        for lo in range(0, len(found), _TOGETHER):
-            some = slice(lo, lo + _TOGETHER)
-            found[some] = (self.part(slice(None), some) != 0.0).any(axis=0)
-        return found
-
-
 class Accuracy(NamedTuple):
     """Accuracy of sums: the error that one cluster may cause, relative to the cell sizes at the targets times the total
     weight, or to the total weight alone if not ``local``; whether weights may be in ``single`` precision."""
@@ -92,9 +52,10 @@ class Accuracy(NamedTuple):
 class FastSums:
     """Sums of weights and of weights times values over groups of sources, at target nodes; linear in the values.
 
-    Which clusters act where, and the weight of every target, are stored for all displacements with the same
-    :class:`.plan.PlanKey`. Once the weights are known, only sources that move are summed; as these are always summed
-    separately from the others, results are the same to the last bit.
+    Which clusters act where, and the weight of every target, are stored for all displacements with the same weight
+    functions, accuracy, moving sources and bounds of their motion (:class:`.plan.Plan`). Once the weights are known,
+    only sources that move are summed; as these are always summed separately from the others, results are the same to
+    the last bit.
 
     Parameters
     ----------
@@ -122,7 +83,7 @@ class FastSums:
     @property
     def acting(self) -> BoolArray:
         """Which sources (n,) have values."""
-        return self._plan.key.moving
+        return self._plan.acting
 
     @property
     def risk(self) -> FloatArray:
@@ -160,35 +121,35 @@ class FastSums:
         bounds = [cluster_reach(tree, self.strength[g], shift[g], turn[g]) for g, tree in self._groups]
         shifts, turns = rounded_up([each.shift for each in bounds]), rounded_up([each.turn for each in bounds])
         reaches = [Reach(each.strength, *both) for each, *both in zip(bounds, shifts, turns, strict=True)]
-        key = PlanKey(kinds, reaches, moving, accuracy, lasting or 0)
-        plan = next((each for each in self.plans if each.key.agrees(key)), None)
-        others = [each for each in self.plans if each is not plan]
-        if plan is None:
-            del others[_PLANS - 1 :]
-            self.plans = others
-            plan = Plan(key, self.targets, self._groups, self._room // _PLANS, lasting is not None)
-        self.plans = [plan, *others]
-        plan.survey(self._chunk)
+        key = kinds, accuracy, lasting, moving.tobytes(), *(part.tobytes() for each in reaches for part in each)
+        plan = next((each for each in self.plans if each.key == key), None)
+        self.plans = [each for each in self.plans if each is not plan][: _PLANS - 1]
+        given = self.targets, self._groups, kinds, reaches, moving, accuracy, lasting
+        self.plans.insert(0, plan or Plan(key, *given, self._chunk, self._room // _PLANS))
 
     def apply(
-        self,
-        values: FloatArray | Scaled,
-        use: Use,
-        weigh: bool = True,
-        progress: Report | None = None,
-    ) -> None:
+        self, values: FloatArray, use: Use, weigh: bool = True, progress: Report | None = None,
+        middle: FloatArray | None = None,
+    ) -> None:  # fmt: skip
         """Call ``use`` with sums (m, 1 + k) of values (k, n) for some rows, with these rows and flat indices (m,).
 
         The first column is the total weight of all sources if ``weigh``, else zero. ``use`` is called from several
-        threads.
+        threads. Sums are taken of the differences from ``middle`` (k,), the values of sources that do not move or a
+        mean of all, scaled to the order of one.
         """
-        scaled = values if isinstance(values, Scaled) else Scaled(values, np.zeros(len(values)), np.ones(len(values)))
-        plan, targets, k = self._plan, self.targets, len(scaled.values)
-        lasting = plan.key.lasting
+        plan, targets, k = self._plan, self.targets, len(values)
+        offset = np.zeros(k) if middle is None else middle
+        spread = np.array([np.abs(row - about).max() for row, about in zip(values, offset, strict=True)])
+        spread[spread == 0.0] = 1.0
+
+        def scaled(which: slice, sources: IntArray) -> FloatArray:
+            """The values ``which`` of some sources at a time, which bounds the memory."""
+            return np.asarray((values[which][:, sources] - offset[which, None]) / spread[which, None])
+
         known = plan.weight if plan.weighed and weigh else None
         summing = weigh and known is None
         # Sums of values that never change are known once the weights are.
-        end = k if known is None else k - lasting
+        end = k if known is None else k - plan.lasting
         passes = [
             self._charges(scaled, slice(first, min(first + N_VALUES, end)), plan, summing and first == 0)
             for first in range(0, max(k, 1), N_VALUES)
@@ -202,14 +163,14 @@ class FastSums:
                     sums[:, 0] = part[:, 0] if known is None else known[here, 0]
                 columns = slice(number * N_VALUES, min(k, (number + 1) * N_VALUES))
                 some = sums[:, 1 + columns.start : 1 + columns.stop]
-                np.multiply(part[:, 1 : 1 + some.shape[1]], scaled.spread[columns], out=some)
-                if scaled.middle.any():
-                    some += sums[:, :1] * scaled.middle[columns]
+                np.multiply(part[:, 1 : 1 + some.shape[1]], spread[columns], out=some)
+                if offset.any():
+                    some += sums[:, :1] * offset[columns]
             if known is not None:
                 sums[:, 1 + end :] = known[here, 1:]
             elif plan.weight is not None and weigh:
                 stored = plan.weight[here]
-                stored[:, 0], stored[:, 1:] = sums[:, 0], sums[:, 1 + k - lasting :]
+                stored[:, 0], stored[:, 1:] = sums[:, 0], sums[:, 1 + k - plan.lasting :]
             use(here, flat, sums)
 
         for_chunks(work, targets.n_regions, self._chunk, progress)
@@ -261,7 +222,7 @@ class FastSums:
                     members = group[tree.order]
                     source = total[: len(members), 1 : 1 + some.stop - some.start]
                     found[some, members] = self.strength[members] * source.T
-        return np.where(plan.key.moving, found, 0.0)
+        return np.where(plan.acting, found, 0.0)
 
     def _spread_gradients(
         self, plan: Plan, first: int, last: int, gradient: FloatArray, points: list[FloatArray], total: FloatArray,
@@ -287,7 +248,7 @@ class FastSums:
             # The transpose of Places.add: from the places of each list, some of which have no points, to the sources
             # and interpolation points of its clusters.
             for (_, tree), x, each, kind, moving, lo, hi in zip(
-                self._groups, points, lists, plan.key.kinds, plan.moving, ends[:-1], ends[1:], strict=True
+                self._groups, points, lists, plan.kinds, plan.moving, ends[:-1], ends[1:], strict=True
             ):
                 active = moving[each.codes >> 1]
                 codes, item = each.codes[active], np.repeat(np.arange(len(each.stop)), np.diff(each.stop, prepend=0))
@@ -301,7 +262,9 @@ class FastSums:
                     sum_groups(x, rows, places.points, here, pieces, spans(np.append(start, len(order))),
                                kind.a, kind.b, kind.kappa, every, total[number, lo:hi])  # fmt: skip
 
-    def _charges(self, scaled: Scaled, which: slice, plan: Plan, weighing: bool) -> list[Charges]:
+    def _charges(
+        self, scaled: Callable[[slice, IntArray], FloatArray], which: slice, plan: Plan, weighing: bool
+    ) -> list[Charges]:
         """Charges of one pass, per group: of the values ``which``; ``weighing`` includes the strength itself, whose sum
         is the weight."""
         charges = []
@@ -317,7 +280,7 @@ class FastSums:
                 source = values[lo : lo + len(some)]
                 if weighing:
                     source[:, 0] = self.strength[some]
-                parts = self.strength[some] * scaled.part(which, some)
+                parts = self.strength[some] * scaled(which, some)
                 source[:, 1 : 1 + len(parts)] = parts.T
             charges.append(gather(tree, start, values).of_sources(tree, direct))
         return charges
