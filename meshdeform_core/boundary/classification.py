@@ -13,7 +13,7 @@ from ..grid import Grid, IntArray, Patch
 from ..grid.openings import Opening, describe_openings
 from ..grid.planes import Plane, plane_normal, plane_of
 from ..grid.selection import quads_of_pattern, select_quads
-from ..grid.topology import Topology, quads_of_patches, quads_of_windows
+from ..grid.topology import Topology, quads_of_patches
 from ..grid.windows import end_planes, rectangles
 from ..numerics.geometry.coincidence import distinct
 from ..wording import listed, vector
@@ -64,11 +64,6 @@ class BoundarySpec:
 
     def __post_init__(self) -> None:
         where = f"boundary {self.name!r}"
-        if not isinstance(self.kind, Kind):
-            known = ", ".join(f"Kind.{kind.name}" for kind in Kind if kind > Kind.INTERFACE)
-            raise CaseError(f"{where}: kind = {self.kind!r}; expected one of {known}")
-        if isinstance(self.select, str) or not all(isinstance(pattern, str) for pattern in self.select):
-            raise CaseError(f"{where}: select = {self.select!r}; expected a sequence of patterns, like ('wing',)")
         if (self.kind is Kind.MOVING) != (self.motion is not None):
             found = "has no motion" if self.motion is None else f"is {self.kind.label} but has a motion"
             raise CaseError(f"{where} {found}; expected a motion for moving boundaries, and only for these")
@@ -232,19 +227,47 @@ def _unselected(
     movers: Sequence[tuple[IntArray, PreparedMotion]],
 ) -> tuple[list[ClassifiedPatch], list[str]]:  # fmt: skip
     """Patches of the external faces that no entry selects, and warnings about them."""
-    rest = np.flatnonzero(topology.external & (quad_kind == 0))
+    rest, corners = np.flatnonzero(topology.external & (quad_kind == 0)), topology.quads.corners
     on_ends = np.isin(topology.quads.block_side[rest], end_planes(grid, topology))
     sliding, fixed = rest[on_ends], rest[~on_ends]
+    found = ("(end planes)", Kind.SLIP, sliding), (UNSELECTED, Kind.FIXED, fixed)
+    n = topology.n_unique
+    patches = [ClassifiedPatch(name, kind, distinct(corners[q], n), q) for name, kind, q in found if q.size]
     notes = list[str]()
     if sliding.size:
         notes.append("the grid is one cell thick: its two end planes, which no boundary entry selects, are slip planes")
-    if fixed.size and specs:
-        moving = np.concatenate([np.empty(0, dtype=np.int64), *(nodes for nodes, _ in movers)])
-        table_alone = all(spec.motion and spec.motion.partial for spec in specs)
-        notes += unselected_notes(grid, topology, fixed, moving, table_alone)
-    found = ("(end planes)", Kind.SLIP, sliding), (UNSELECTED, Kind.FIXED, fixed)
-    corners, n = topology.quads.corners, topology.n_unique
-    return [ClassifiedPatch(name, kind, distinct(corners[q], n), q) for name, kind, q in found if q.size], notes
+    if not (fixed.size and specs):
+        return patches, notes
+    label = np.full(len(topology.partner), -1)
+    label[fixed] = 0
+    pieces = rectangles(grid, topology.quads, label)
+    places = [(grid.window_label(window), pieces.quads_of(number)) for number, window in enumerate(pieces.windows())]
+    places.sort(key=lambda place: -len(place[1]))
+    # Where the case is only a table, the other faces are meant to be fixed.
+    expected = all(spec.motion and spec.motion.partial for spec in specs)
+    if not expected:
+        ranges = listed((f"{name} ({len(quads):,})" for name, quads in places), noun="ranges")
+        notes.append(
+            f"{fixed.size:,} external face quads are not selected by any boundary entry; they are fixed (where nodes "
+            f'should slide, select them with kind = "slip" or "symmetry"): {ranges}'
+        )
+    moves, normal = np.zeros(topology.n_unique, dtype=bool), plane_normal(grid)
+    for numbers, _ in movers:
+        moves[numbers] = True
+    touching = [(name, quads) for name, quads in places if moves[corners[quads]].any()]
+    if touching:
+        points = (grid.nodes.at(topology.first[np.unique(corners[quads])]) for _, quads in touching)
+        flat = all(plane_of(x, normal) is not None for x in points)
+        remedy = (
+            'they are flat: symmetry planes and end planes need kind = "symmetry" or "slip"'
+            if flat
+            else 'give them a kind: "slip" lets their nodes follow, "fixed" confirms that they stay'
+        )
+        if expected:
+            remedy += " in a case file; `meshdeform init --table` writes one"
+        names = listed(name for name, _ in touching)
+        notes.append(f"faces that no boundary entry selects touch moving nodes but are fixed: {names}; {remedy}")
+    return patches, notes
 
 
 def with_plates(grid: Grid, topology: Topology, patterns: Sequence[str]) -> tuple[Grid, Topology]:
@@ -276,46 +299,6 @@ def with_plates(grid: Grid, topology: Topology, patterns: Sequence[str]) -> tupl
             patches.append(Patch(name, tuple(rectangles(grid, topology.quads, new).windows()), bc_type="wall"))
         topology = topology.opened(shared)
     return (replace(grid, patches=tuple(patches)) if patterns else grid), topology
-
-
-def unselected_notes(grid: Grid, topology: Topology, quads: IntArray, moving: IntArray, expected: bool) -> list[str]:
-    """Warnings about faces ``quads`` that are fixed because nothing selects them.
-
-    Parameters
-    ----------
-    moving : unique numbers of the nodes that move
-    expected : the case is only a table, and the other faces are meant to be fixed
-    """
-    label = np.full(len(topology.partner), -1)
-    label[quads] = 0
-    pieces = rectangles(grid, topology.quads, label)
-    places = [(window, pieces.quads_of(number)) for number, window in enumerate(pieces.windows())]
-    places.sort(key=lambda place: -len(place[1]))
-    notes = []
-    if not expected:
-        ranges = listed((f"{grid.window_label(window)} ({len(found):,})" for window, found in places), noun="ranges")
-        notes.append(
-            f"{quads.size:,} external face quads are not selected by any boundary entry; they are fixed (where nodes "
-            f'should slide, select them with kind = "slip" or "symmetry"): {ranges}'
-        )
-    moves = np.zeros(topology.n_unique, dtype=bool)
-    moves[moving] = True
-    touching = [window for window, found in places if moves[topology.quads.corners[found]].any()]
-    if touching:
-        normal = plane_normal(grid)
-        corners = (topology.quads.corners[quads_of_windows(topology.quads, [window])[0]] for window in touching)
-        points = (grid.nodes.at(topology.first[np.unique(some)]) for some in corners)
-        flat = all(plane_of(x, normal) is not None for x in points)
-        remedy = (
-            'they are flat: symmetry planes and end planes need kind = "symmetry" or "slip"'
-            if flat
-            else 'give them a kind: "slip" lets their nodes follow, "fixed" confirms that they stay'
-        )
-        if expected:
-            remedy += " in a case file; `meshdeform init --table` writes one"
-        names = listed(grid.window_label(window) for window in touching)
-        notes.append(f"faces that no boundary entry selects touch moving nodes but are fixed: {names}; {remedy}")
-    return notes
 
 
 def opening_notes(

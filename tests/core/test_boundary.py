@@ -40,7 +40,7 @@ def kinds(problem, where):
     ("pattern", "quads"),
     [
         ("block1.imin", 4 * 3), ("block1.imin[1:3,*]", 2 * 3), ("block1.imin[*,2:]", 4 * 2), ("block1.imin[:2,:2]", 1),
-        ("block1.*min", 4 * 3 + 4 * 3 + 16), ("block*.kmin", 5 * 5 * 9 - 25), ("*.kmin", 5 * 5 * 9 - 25),
+        ("block1.*min", 4 * 3 + 4 * 3 + 16), ("block*.kmin", 15 * 15 - 25), ("*.kmin", 15 * 15 - 25),
         ("bar", 10), ("walls", 10), ("block2/bar", 10), ("b?r", 10),
     ],
 )  # fmt: skip
@@ -49,14 +49,8 @@ def test_patterns(pattern, quads):
     grid = dataclasses.replace(FRAME, patches=(Patch("bar", (window,), "walls"),))
     topology = find_topology(grid)
     found = select_quads(grid, topology, [pattern], "test")
-    expected = {"block*.kmin": _kmin_count(), "*.kmin": _kmin_count()}.get(pattern, quads)
-    assert len(found) == expected
+    assert len(found) == quads
     assert np.all(topology.external[found])
-
-
-def _kmin_count():
-    cells = [4, 5, 6]
-    return sum(a * b for i, a in enumerate(cells) for j, b in enumerate(cells) if (i, j) != (1, 1))
 
 
 @pytest.mark.parametrize(
@@ -371,16 +365,6 @@ def test_unmatched_nodes_are_an_error_with_a_reason():
         Matching("closest")
     with pytest.raises(CaseError, match="positive length"):
         Matching("exact", -1.0)
-
-
-def test_a_partial_table_moves_what_it_matches_and_fixes_the_rest():
-    points = bar_nodes()
-    data = table(points[:40], np.full((40, 3), 0.01))
-    follow = Motion((Follow(data, Matching("nearest", partial=True)),), {})
-    setup = set_up(FRAME, Case((BoundarySpec("table", ("*",), Kind.MOVING, None, follow),)))
-    assert setup.boundary.count(Kind.MOVING) == 40
-    assert setup.boundary.count(Kind.FIXED) > 0
-    assert setup.boundary.count(Kind.SLIP) == 0
 
 
 def test_deformed_grids_as_displacement():

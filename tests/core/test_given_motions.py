@@ -157,13 +157,6 @@ BAD_RIGID = {
 }
 
 
-@pytest.mark.parametrize("text", BAD_RIGID)
-def test_tables_of_rigid_bodies_are_checked(text, tmp_path):
-    kind, message = BAD_RIGID[text]
-    with pytest.raises(kind, match=message):
-        moved(box_nodes(), {"rigid": table(tmp_path, text)}, tmp_path)
-
-
 def helix(n: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Stations (n, 3) along z of a beam wound into a helix, its displacement, and its rotation vectors."""
     s = np.linspace(0, 2, n)
@@ -258,13 +251,6 @@ BAD_BEAMS = {
 }
 
 
-@pytest.mark.parametrize("text", BAD_BEAMS)
-def test_tables_of_beams_are_checked(text, tmp_path):
-    (tmp_path / "beam.csv").write_text(text)
-    with pytest.raises((FormatError, MotionError), match=BAD_BEAMS[text]):
-        moved(box_nodes(), {"beam": "beam.csv"}, tmp_path)
-
-
 def test_modes_add_up(tmp_path):
     nodes = box_nodes()
     shapes = [np.sin(nodes.points + n) for n in (1, 2)]
@@ -351,9 +337,11 @@ def test_walls_become_the_new_airfoil(blunt, tmp_path):
         at = np.linalg.norm(nodes.points[:, :2] - edge, axis=1) < 1e-12
         assert at.sum() == 2
         assert np.abs(displacement[at][:, 0]).max() < 2e-3
-    # Arc lengths: the node half-way along the upper side of the wall is half-way along the new one.
-    same = moved(nodes, write_selig(tmp_path / "same.dat", old), tmp_path)
-    assert np.abs(same).max() < 1e-13
+    # Arc lengths: on a wall that is scaled by 2 everything is scaled.
+    step = write_selig(tmp_path / "twice.dat", 2 * old)
+    assert np.abs(moved(nodes, step, tmp_path)).max() < 1e-12
+    step["airfoil"]["fit"] = "none"
+    np.testing.assert_allclose(moved(nodes, step, tmp_path)[:, :2], nodes.points[:, :2], atol=1e-12)
 
 
 @pytest.mark.parametrize("n", [31, 60])
@@ -377,16 +365,6 @@ def test_an_airfoil_of_its_own_shape_is_not_turned(n, tmp_path):
     case = case_of({"boundary": [{"motion": write_selig(tmp_path / "b.dat", turned)}]}, tmp_path).case
     (note,) = case.boundaries[0].motion.prepare(nodes).notes
     assert "b.dat is turned by -3" in note
-
-
-def test_arc_length_is_kept(tmp_path):
-    """On a wall that is scaled by 2 everything is scaled, whatever the spacing of the file."""
-    old = naca(0.12, 0.02, 61)
-    nodes = wall(old)
-    step = write_selig(tmp_path / "twice.dat", 2 * old)
-    step["airfoil"]["fit"] = "none"
-    np.testing.assert_allclose(moved(nodes, step, tmp_path)[:, :2], nodes.points[:, :2], atol=1e-12)
-    assert np.abs(moved(nodes, write_selig(tmp_path / "twice.dat", 2 * old), tmp_path)).max() < 1e-12
 
 
 def test_lednicer_and_selig_are_the_same(tmp_path):
@@ -417,27 +395,21 @@ def test_what_cannot_be_matched_is_refused(tmp_path):
         moved(wall(sharp), {"airfoil": {"file": "a.dat"}}, tmp_path)
 
 
-BAD_BOXES = {
-    "edges": ([[1, 0, 0], [2, 0, 0], [0, 0, 1]], "span no volume"), "points": ([1, 2, 2], "at least 2"),
-    "move": ([], "expected move"), "origin": ([0, 0], "expected three values"),
-}  # fmt: skip
+BAD_BOXES = [
+    ({"edges": [[1, 0, 0], [2, 0, 0], [0, 0, 1]]}, "span no volume"), ({"points": [1, 2, 2]}, "at least 2"),
+    ({"move": []}, "expected move"), ({"origin": [0, 0]}, "expected three values"),
+    *(({"move": [{"at": at, "by": [0, 0, 0]}]}, message) for at, message in (
+        ([4, 1, 1], "from 1 to 3"), ([0, 1, 1], "from 1 to 3"), ([True, 1, 1], "numbers from 1"),
+        (["a", 1, 1], "numbers from 1"),
+    )),
+    ({"move": [{"at": [1, 1, 1], "by": ["x", 0, 0]}]}, "x"),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize("key", BAD_BOXES)
-def test_boxes_are_checked(key):
-    step = box()
-    step["ffd"][key], message = BAD_BOXES[key]
+@pytest.mark.parametrize(("changes", "message"), BAD_BOXES)
+def test_boxes_are_checked(changes, message):
     with pytest.raises(CaseError, match=message):
-        moved(box_nodes(), step)
-
-
-def test_control_points_are_checked():
-    for at, message in (([4, 1, 1], "from 1 to 3"), ([0, 1, 1], "from 1 to 3"), ([True, 1, 1], "numbers from 1"),
-                        (["a", 1, 1], "numbers from 1")):  # fmt: skip
-        with pytest.raises(CaseError, match=message):
-            moved(box_nodes(), box([(at, [0, 0, 0])]))
-    with pytest.raises(CaseError, match="x"):
-        moved(box_nodes(), box([([1, 1, 1], ["x", 0, 0])]))
+        moved(box_nodes(), {"ffd": {**box()["ffd"], **changes}})
 
 
 def test_positions_by_number(tmp_path):
@@ -470,8 +442,15 @@ BAD_POSITIONS = {
 }
 
 
-@pytest.mark.parametrize("text", BAD_POSITIONS)
-def test_positions_are_checked(text, tmp_path):
-    kind, message = BAD_POSITIONS[text]
+BAD_TABLES = [
+    *(("rigid", text, *expected) for text, expected in BAD_RIGID.items()),
+    *(("beam", text, (FormatError, MotionError), message) for text, message in BAD_BEAMS.items()),
+    *(("positions", text, *expected) for text, expected in BAD_POSITIONS.items()),
+]
+
+
+@pytest.mark.parametrize(("motion", "text", "kind", "message"), BAD_TABLES)
+def test_tables_are_checked(motion, text, kind, message, tmp_path):
+    file = table(tmp_path, text)
     with pytest.raises(kind, match=message):
-        moved(box_nodes(), {"positions": table(tmp_path, text)}, tmp_path)
+        moved(box_nodes(), {motion: file["file"] if motion == "beam" else file}, tmp_path)
