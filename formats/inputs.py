@@ -85,7 +85,7 @@ def _files_behind(path: Path, state: tuple[int, ...]) -> tuple[Path, ...]:
         if kind == "openfoam":
             found += files_of(path)
         elif kind == "cgns":
-            from .cgns.file import linked_files
+            from .cgns.format import linked_files
 
             # Of these files, too.
             for file in found:

@@ -22,7 +22,7 @@ from meshdeform_core.grid import FloatArray
 from meshdeform_core.wording import counted, literal, vector
 
 from ..files import require_regular
-from ..plausible import LARGEST
+from ..grids import LARGEST
 
 _EXPECTED = 'expected "START:STOP:STEP", like "0:1e-3:5e-5", or ascending numbers'
 _MAXIMUM = 1_000_000

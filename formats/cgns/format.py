@@ -8,7 +8,8 @@ precisions counts as float32, because that limits how accurately its nodes coinc
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +19,59 @@ from meshdeform_core.parallel import require_undivided
 
 from ..files import checked_options
 from ..planes import ranges_of, read_planes
-from .adf import is_adf
-from .boundary import family_conditions, zone_patches
-from .connectivity import overset_only, zone_connections
-from .file import Notes, naming, opened_cgns
-from .zone import Zone, base_and_zones
+from .adf import is_adf, read_adf
+from .boundary import family_conditions, overset_only, zone_connections, zone_patches
+from .tree import MAXIMUM_DEPTH, Node
+from .zone import Notes, Zone, base_and_zones
 
 _MIXED = "mixed"
+# About thirty nodes per zone, including its connections.
+_MOST_NODES = 10_000_000
+
+
+@contextmanager
+def opened_cgns(path: Path) -> Iterator[Node]:
+    """Root node of a CGNS file; the tree can be read while the context lasts."""
+    if is_adf(path):
+        yield read_adf(path)
+    else:
+        # Imported here because ADF files, the majority, need no HDF5.
+        from .hdf5 import opened_hdf5
+
+        with opened_hdf5(path) as root:
+            yield root
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Prefix messages about the file's tree with its name."""
+    try:
+        yield
+    except FormatError as error:
+        message = str(error)
+        raise FormatError(message if str(path) in message else f"{path}: {message}") from error
+    except RecursionError as error:
+        raise FormatError(f"{path} has a chain of too many links") from error
+
+
+def linked_files(path: Path) -> Iterator[Path]:
+    """The files that the links of a CGNS file lead to; links are not followed, so that circular links end."""
+    if not is_adf(path):
+        from .hdf5 import external_targets
+
+        yield from external_targets(path)
+        return
+    waiting, count = [(read_adf(path), 0)], 0
+    while waiting:
+        node, depth = waiting.pop()
+        for child in node.children:
+            count += 1
+            if count > _MOST_NODES or depth > MAXIMUM_DEPTH:
+                raise FormatError(f"{path} has more nodes than any CGNS file; it is damaged")
+            if child.link is None:
+                waiting.append((child, depth + 1))
+            elif child.link.file and not child.dangling:
+                yield child.target.file
 
 
 def read(path: Path) -> Grid:

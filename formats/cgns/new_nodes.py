@@ -11,7 +11,7 @@ import numpy as np
 
 from meshdeform_core.grid import Connection, Grid, Patch, Shape, Window
 
-from .connectivity import inverse_motion
+from .boundary import inverse_motion
 from .tree import Node, make, name_list, unique_names
 
 _BC_TYPES = {

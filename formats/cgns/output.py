@@ -25,10 +25,9 @@ from meshdeform_core.grid.planes import block_extents
 from meshdeform_core.numerics.arrays import extent
 
 from ..files import replacing_by_all
-from ..hdf5_output import hdf5_output
 from ..planes import Output, Stored, split, write_outputs
 from .adf import is_adf
-from .file import naming, opened_cgns
+from .format import naming, opened_cgns
 from .hdf5 import (
     DATA,
     LINK,
@@ -37,6 +36,7 @@ from .hdf5 import (
     external_links,
     has_other_names,
     hdf5_errors,
+    hdf5_output,
     own_group,
     place_of,
     put_node,

@@ -9,14 +9,29 @@ import numpy as np
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Shape
+from meshdeform_core.wording import listed
 
 from ..planes import Stored, merge
-from .file import Notes
 from .tree import Node
 
 _COORDINATES = ("CoordinateX", "CoordinateY", "CoordinateZ")
 _FLOATS = (np.dtype(np.float32), np.dtype(np.float64))
 _LENGTH = 1  # position of the length among the units of DimensionalUnits_t
+
+
+class Notes:
+    """Remarks for ``Grid.notes``; the same remark about several nodes becomes one line."""
+
+    def __init__(self) -> None:
+        # The places of each remark, in order and without repetition.
+        self._places: dict[str, dict[str, None]] = {}
+
+    def add(self, remark: str, place: str) -> None:
+        self._places.setdefault(remark, {})[place] = None
+
+    def lines(self) -> tuple[str, ...]:
+        """One line per remark, e.g. ``rind planes are ...: zone 1, zone 2 ... and 7 more``."""
+        return tuple(f"{remark}: {listed(places)}" for remark, places in self._places.items())
 
 
 @dataclass(frozen=True)

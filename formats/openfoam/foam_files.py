@@ -23,8 +23,8 @@ from meshdeform_core.smoothness import shortest_edges
 from meshdeform_core.wording import vector
 
 from ..files import reason_of, require_regular
+from ..grids import LARGEST
 from ..markers import point_numbers
-from ..plausible import LARGEST
 from ..text import strict_numbers, text_rows
 from .case import POLY_MESH, mesh_file
 from .dictionary import parse_dictionary

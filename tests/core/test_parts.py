@@ -24,7 +24,7 @@ from meshdeform_core.parallel import Nodes, WholeGridNeeded, alone, scratch
 from meshdeform_core.parallel.scratch import Scratch
 from meshdeform_core.repair import RepairOptions
 from meshdeform_core.series import Schedule, deform_series
-from meshdeform_formats import plausible
+from meshdeform_formats import grids as grid_formats
 from meshdeform_formats.grids import Layout, read_grid, write_grid
 
 METHODS = {
@@ -295,7 +295,7 @@ def block_in_parts(source):
 
 def test_what_takes_the_whole_grid_says_so(tmp_path, monkeypatch):
     idw = METHODS["idw-tfi"]
-    monkeypatch.setattr(plausible, "_SAMPLE", 2)
+    monkeypatch.setattr(grid_formats, "_SAMPLE", 2)
     assert refused(tmp_path, 2, frame(), case_of(idw)) == "a sample of its nodes lies on one line"
     monkeypatch.undo()
     with pytest.raises(Failed, match="a block is read as a whole"):

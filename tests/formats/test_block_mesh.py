@@ -15,7 +15,7 @@ from meshdeform_core.grid import Grid, Side
 from meshdeform_core.grid.connections import connected_nodes, periodic_rotation
 from meshdeform_core.grid.topology import find_topology, quads_of_patches
 from meshdeform_formats import read_grid, write_grid
-from meshdeform_formats.openfoam.curves import Section, arc_about, arc_by_angle, arc_through, divide
+from meshdeform_formats.openfoam.block_mesh_dict import Section, arc_about, arc_by_angle, arc_through, divide
 
 HEAD = "FoamFile { version 2.0; format ascii; class dictionary; object blockMeshDict; }\n"
 CUBE = "vertices ((0 0 0) (1 0 0) (1 1 0) (0 1 0) (0 0 1) (1 0 1) (1 1 1) (0 1 1));\n"

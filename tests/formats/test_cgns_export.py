@@ -12,7 +12,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Connection, Field, Grid, Patch, Periodicity, Side, Window
 from meshdeform_core.grid.connections import periodic_image
 from meshdeform_formats import read_grid, write_grid
-from meshdeform_formats.cgns.connectivity import inverse_motion
+from meshdeform_formats.cgns.boundary import inverse_motion
 
 
 def two_blocks(**more: object) -> Grid:
