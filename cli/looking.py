@@ -211,10 +211,10 @@ def convert_command(source: GridInput, target: Path, reference: Path | None, run
     are the names of families or patches.
     """
     from meshdeform_formats.fields import check_fields, with_fields
-    from meshdeform_formats.grids import complete_for_export, format_of, read_grid, write_grid
+    from meshdeform_formats.grids import FORMATS, complete_for_export, format_of, read_grid, write_grid
     from meshdeform_formats.placing import existing
 
-    kind, options, fields = format_of(target), run.variant_options, run.fields
+    keeps_boundaries, options, fields = FORMATS[format_of(target)].boundaries, run.variant_options, run.fields
     check_output(target, run.force, *source.files, reference)
     check_fields(fields, target, reference is not None)
     sources = [source, *([GridInput(reference)] if reference else [])]
@@ -228,7 +228,7 @@ def convert_command(source: GridInput, target: Path, reference: Path | None, run
             progress("quality", 0, 0)
             grid = with_fields(CellFields.of(grid, None if reference is None else read_grid(reference)), fields)
         boundaries, write_boundaries = target.with_suffix(".nmf"), None
-        if kind in ("plot3d", "vtk") and (grid.patches or grid.connections):
+        if not keeps_boundaries and (grid.patches or grid.connections):
             write_boundaries = _write_boundaries(grid, boundaries, target, run.force, *source.files)
         with stage("write"):
             written = write_grid(grid, target, options)

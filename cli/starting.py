@@ -91,7 +91,7 @@ def sample_command(name: str | None, output: Path | None, size: str | None, suff
     """
     from meshdeform_formats.displacement import write_displacement
     from meshdeform_formats.files import replacing
-    from meshdeform_formats.grids import format_of, variant_of, write_grid
+    from meshdeform_formats.grids import FORMATS, format_of, variant_of, write_grid
     from meshdeform_formats.neutral_map import write_neutral_map
     from meshdeform_samples import SAMPLES, folder, generate, load
 
@@ -111,7 +111,7 @@ def sample_command(name: str | None, output: Path | None, size: str | None, suff
         raise CaseError(f"--suffix {suffix}: unstructured grids cannot be deformed; expected Plot3D, VTK or .cgns")
     grid, tables = generate(name, size)
     variant_of(grid, target, run.variant_options)
-    boundary_file = None if kind == "cgns" else "grid.nmf"
+    boundary_file = None if FORMATS[kind].boundaries else "grid.nmf"
     head = f'[grid]\nboundary_file = "{boundary_file}"\n\n' if boundary_file else ""
     written = [file for file in folder(name).iterdir() if file.name.endswith((".toml", ".md"))]
     texts = {file.name: head * file.name.endswith(".toml") + file.read_text(encoding="utf-8") for file in written}

@@ -62,13 +62,8 @@ def replacing_by_all(target: Path, points: Any) -> Iterator[Path]:
 
 def partial_path(target: Path) -> Path:
     """A temporary path next to ``target``, whose remains of killed runs on this machine are removed."""
-    pattern = re.compile(
-        rf"\.{re.escape(target.stem)}\.(\d+)-{_host()}[0-9a-f]{{4}}\.partial{re.escape(target.suffix)}"
-    )
     with contextlib.suppress(OSError):
-        for name in os.listdir(target.parent):
-            if (found := pattern.fullmatch(name)) and not _runs(int(found[1])):
-                _remove(target.parent / name)
+        remove_partial(target.parent, target)
     # The suffix is kept: some writers choose the format by it.
     return target.parent / f".{target.stem}.{os.getpid()}-{_host()}{secrets.token_hex(2)}.partial{target.suffix}"
 
@@ -124,23 +119,22 @@ def _runs(process: int) -> bool:
     return True
 
 
-def _remove(path: Path) -> None:
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
+def remove_partial(folder: Path, target: Path | None = None) -> None:
+    """Remove files that killed runs left in ``folder``: the temporary paths of :func:`replacing`, of ``target`` or all.
 
-
-def remove_partial(folder: Path) -> None:
-    """Remove files that killed runs left in ``folder``: the temporary paths of :func:`replacing`.
-
-    Files of processes that still run on this machine are kept; processes of other machines cannot be checked.
+    Files of processes that still run on this machine are kept; processes of other machines cannot be checked: their
+    files are kept where only those of one ``target`` are removed.
     """
-    for left in folder.glob(".*.partial*"):
-        found = re.fullmatch(r"\..+\.(\d+)-([0-9a-f]{4})[0-9a-f]{4}\.partial(\..+)?", left.name)
-        if not found or (found[2] == _host() and _runs(int(found[1]))):
+    own = (re.escape(target.stem), re.escape(target.suffix)) if target else (".+", r"(?:\..+)?")
+    pattern = re.compile(rf"\.{own[0]}\.(\d+)-([0-9a-f]{{4}})[0-9a-f]{{4}}\.partial{own[1]}")
+    for path in folder.glob(".*.partial*"):
+        found = pattern.fullmatch(path.name)
+        if found is None or (_runs(int(found[1])) if found[2] == _host() else target is not None):
             continue
-        _remove(left)
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
 
 
 def reason_of(error: BaseException) -> str:

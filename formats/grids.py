@@ -34,13 +34,14 @@ class Format:
     and ``FileFormat`` if the header determines them, otherwise ``None``, ``variant(grid, path, options) ->
     FileFormat``, which decides how to write, and ``write(grid, path, variant) -> None``, which replaces ``path`` as a
     whole or leaves it unchanged (see :func:`meshdeform_formats.files.replacing`). ``together``: all ranks call
-    ``write`` and share the work.
+    ``write`` and share the work. ``boundaries``: files hold patches and connections.
     """
 
     module: str
     suffixes: tuple[str, ...]
     title: str
     together: bool = False
+    boundaries: bool = True
 
     def load(self) -> ModuleType:
         return importlib.import_module(f"{__package__}.{self.module}")
@@ -52,9 +53,10 @@ FORMATS: dict[str, Format] = {
         (".xyz", ".x", ".g", ".p3d", ".p2d", ".fmt", ".p2dfmt", ".p3dfmt", ".p3dbin", ".p2dbin", ".grd", ".bin"),
         "Plot3D, all variants",
         together=True,
+        boundaries=False,
     ),
     "cgns": Format("cgns", (".cgns", ".hdf", ".hdf5", ".adf"), "CGNS, HDF5 and ADF (ADF read-only)", together=True),
-    "vtk": Format("vtk", (".vtk", ".vts", ".vtm"), "VTK legacy, .vts and .vtm structured grids", together=True),
+    "vtk": Format("vtk", (".vtk", ".vts", ".vtm"), "VTK legacy, .vts, .vtm structured grids", True, boundaries=False),
     "openfoam": Format("openfoam.format", (".foam",), "OpenFOAM: blockMeshDict (read), polyMesh (written)"),
     "meshio": Format("unstructured", (".vtu", ".su2", ".msh", ".inp", ".xdmf", ".med"), "unstructured, write-only"),
 }

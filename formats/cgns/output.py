@@ -146,11 +146,7 @@ def fields_by_place(grid: Grid) -> Mapping[tuple[int, str], list[int]]:
 
 
 def solution_nodes(
-    grid: Grid,
-    block: int,
-    shape: Sequence[int],
-    numbers: Mapping[tuple[int, str], list[int]],
-    places: Places,
+    grid: Grid, block: int, shape: Sequence[int], numbers: Mapping[tuple[int, str], list[int]], places: Places
 ) -> list[Node]:
     """Flow solutions of a block, one for each location of its fields: nodes, cells, and the faces across each axis.
 

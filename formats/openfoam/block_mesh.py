@@ -20,16 +20,7 @@ from meshdeform_core.grid.connections import periodic_image
 from meshdeform_core.memory import machine_memory, readable
 from meshdeform_core.numerics.geometry.coincidence import connected_components
 
-from .block_mesh_dict import (
-    SIDE_VERTICES,
-    BlockMeshDict,
-    BlockSide,
-    FoamPatch,
-    HexBlock,
-    Section,
-    divide,
-    straight,
-)
+from .block_mesh_dict import SIDE_VERTICES, BlockMeshDict, BlockSide, FoamPatch, HexBlock, Section, divide, straight
 
 _CORNERS = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))
 # Local vertices at the ends of the twelve edges: four along i, four along j, four along k.

@@ -7,7 +7,7 @@ import contextlib
 import math
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -51,23 +51,29 @@ def read_numbers(stream: BinaryIO, path: Path) -> FloatArray:
     Accepts blanks, tabs, commas and line ends between numbers, repeat counts (``3*0.0``), and exponents with E, D, Q or
     no letter (``1.5-101``).
     """
-    skip_mark(stream)
-    line, rest, found = 1, b"", [np.empty(0)]
-    while chunk := stream.read(_PIECE):
-        text = rest + chunk
-        # Pieces begin with a number; the last number, and a comma after it, are held back for the next piece.
-        cut = _end_of_numbers(text.rstrip(b" ,\t\r\n"))
-        text, rest = text[:cut], text[cut:]
-        found.append(_numbers_of_piece(text, line, path))
-        line += text.count(b"\n")
-    return np.concatenate([*found, _numbers_of_piece(rest, line, path)])
+    line, found = 1, []
+    for piece in _pieces(stream):
+        found.append(_numbers_of_piece(piece, line, path))
+        line += piece.count(b"\n")
+    return np.concatenate(found)
 
 
-def skip_mark(stream: BinaryIO) -> None:
-    """Go to the beginning of a text, after the byte order mark that some editors write."""
+def _pieces(stream: BinaryIO) -> Iterator[bytes]:
+    """A whole text, without the byte order mark that some editors write, in pieces.
+
+    The last number of a piece, and a comma after it, are held back for the next one, which begins with it.
+    """
     stream.seek(0)
     if stream.read(len(codecs.BOM_UTF8)) != codecs.BOM_UTF8:
         stream.seek(0)
+    rest = b""
+    while chunk := stream.read(_PIECE):
+        text = rest + chunk
+        words = text.rstrip(b" ,\t\r\n")
+        cut = 1 + max(words.rfind(gap) for gap in (b" ", b",", b"\t", b"\r", b"\n"))
+        yield text[:cut]
+        rest = text[cut:]
+    yield rest
 
 
 def ends_with_integer(stream: BinaryIO) -> bool:
@@ -79,23 +85,7 @@ def ends_with_integer(stream: BinaryIO) -> bool:
 
 def count_integers(stream: BinaryIO) -> int:
     """Number of the numbers in a text that have neither a decimal point nor an exponent."""
-    skip_mark(stream)
-    count, rest = 0, b""
-    while chunk := stream.read(_PIECE):
-        text = rest + chunk
-        cut = _end_of_numbers(text)
-        text, rest = text[:cut], text[cut:]
-        count += _count_integers(text)
-    return count + _count_integers(rest)
-
-
-def _end_of_numbers(text: bytes) -> int:
-    """Where the last gap between numbers ends."""
-    return 1 + max(text.rfind(gap) for gap in (b" ", b",", b"\t", b"\r", b"\n"))
-
-
-def _count_integers(text: bytes) -> int:
-    integers = (word for word in _WORD.findall(text) if _INTEGER.fullmatch(word))
+    integers = (word for piece in _pieces(stream) for word in _WORD.findall(piece) if _INTEGER.fullmatch(word))
     return sum(int(word.partition(b"*")[0]) if b"*" in word else 1 for word in integers)
 
 

@@ -290,8 +290,7 @@ def test_the_first_of_several_conditions_of_a_family_counts(tmp_path):
         N("FamilyName", "FamilyName_t", "Wing"),
     ])  # fmt: skip
     root = tree(
-        zone("z", box(2, 2, 2), N("ZoneBC", "ZoneBC_t", None, [condition])),
-        more=[N("Wing", "Family_t", None, twice)],
+        zone("z", box(2, 2, 2), N("ZoneBC", "ZoneBC_t", None, [condition])), more=[N("Wing", "Family_t", None, twice)]
     )
     (patch,) = read_grid(write_hdf5(tmp_path / "grid.cgns", root)).patches
     assert patch.bc_type == "BCWall"

@@ -213,10 +213,7 @@ BAD = {
         ["1", "1 3 4 5", "wall 1 kmin 1 3 1 4"],
         "line 4: expected after the type wall B1.*'1 kmin",
     ),
-    "unknown block": (
-        ["1", "1 3 4 5", "wall 2 1 1 3 1 4"],
-        "line 4: block 2 does not exist; .* blocks 1 to 1",
-    ),
+    "unknown block": (["1", "1 3 4 5", "wall 2 1 1 3 1 4"], "line 4: block 2 does not exist; .* blocks 1 to 1"),
     "unknown face": (["1", "1 3 4 5", "wall 1 7 1 3 1 4"], "line 4: face 7 does not exist; faces are 1 to 6"),
     "range too large": (
         ["1", "1 3 4 5", "wall 1 5 1 6 1 3"],

@@ -113,18 +113,6 @@ def test_iblank_or_z_of_a_flat_block_is_told_by_its_values(tmp_path):
     assert plot3d.read(put(tmp_path, ascii_file(flat, multiblock=False))).shapes == ((1, 3, 4),)
 
 
-def test_iblank_or_z_of_a_flat_block_is_told_by_its_spelling(tmp_path):
-    flat = sample_blocks([(1, 3, 4)])
-    flat[0][..., 2] = 1.0
-    assert plot3d.read(put(tmp_path, ascii_file(flat, multiblock=False))).shapes == ((1, 3, 4),)
-    plane, iblank = sample_blocks([(3, 4, 1)]), sample_iblank([(3, 4, 1)])
-    for flags in (iblank, [np.ones_like(iblank[0])]):
-        grid = plot3d.read(put(tmp_path, ascii_file(plane, flags, dimension=2)))
-        assert grid.format.options["iblank"]
-        np.testing.assert_array_equal(grid.fields[0].values, flags[0])
-        np.testing.assert_array_equal(grid.block(0), plane[0])
-
-
 def test_what_neither_tells_must_be_chosen(tmp_path):
     flat = sample_blocks([(1, 3, 4)])
     flat[0][..., 2] = 1.0

@@ -158,10 +158,7 @@ BINARY = {
     "bytes behind the stream": (STREAM + bytes(12), "12 too many"),
     "bytes behind the last record": (FORTRAN + bytes(7), "7 too many; record 5 at byte"),
     "a record too many": (FORTRAN + fortran_record(bytes(8), ">"), "16 too many; record 5 is surplus"),
-    "wrong marker behind a record": (
-        changed(FORTRAN, len(FORTRAN) - 4, ints(575, order=">")),
-        "576 before.*575 after",
-    ),
+    "wrong marker behind a record": (changed(FORTRAN, len(FORTRAN) - 4, ints(575, order=">")), "576 before.*575 after"),
     "wrong marker before a record": (changed(FORTRAN, 44, ints(1439, order=">")), "record 3 at byte 44"),
     "no last subrecord": (changed(FORTRAN, len(FORTRAN) - 584, ints(-576, order=">")), "record 4 lacks its last"),
     "one value missing in a record": (header(2, 3, 4) + record(np.ones(71)), "record 3 holds 568 bytes where 576"),

@@ -20,7 +20,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from random import Random
 
-from . import case_files, grid_files, runs, tables, walls
+from . import case_files, grid_files, runs, tables
 from .bench import Bench, called
 
 LIMIT = 100.0
@@ -31,7 +31,6 @@ KINDS: dict[str, Callable[[Bench, Random], str]] = {
     **grid_files.KINDS,
     **tables.KINDS,
     **case_files.KINDS,
-    **walls.KINDS,
     **runs.KINDS,
 }
 

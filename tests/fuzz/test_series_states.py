@@ -150,7 +150,7 @@ def test_series_in_all_states(suffix, monkeypatch):
     run_state_machine_as_test(
         Series,
         settings=settings(
-            max_examples=6,
+            max_examples=4,
             stateful_step_count=6,
             deadline=None,
             derandomize=True,
