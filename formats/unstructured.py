@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -34,7 +34,7 @@ from meshdeform_core.grid.topology import Topology, find_topology, separated
 from .files import checked_options, replacing
 from .markers import find_markers, point_numbers
 from .text import text_rows
-from .vtk.dataset import storable
+from .vtk.dataset import storable_type
 
 _BOUNDARY: dict[str, tuple[str, ...]] = {"boundary": ("false", "true")}
 _OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {
@@ -104,8 +104,14 @@ def write(grid: Grid, path: Path, variant: FileFormat) -> None:
             inside = [(mesh.kinds[0], mesh.cells)]
             meshio.Mesh(mesh.points, inside, point_sets=sets).write(partial, file_format="abaqus")
         else:
-            # By default xdmf has its numbers in a second file, which could not be replaced together with the first.
-            more = {"data_format": "XML"} if kind == "xdmf" else {}
+            more = {}
+            if kind == "xdmf":
+                # By default it has its numbers in a second file, which could not be replaced together with the first.
+                # As text, meshio writes none of 8 and 16 bits.
+                more = {"data_format": "XML"}
+                small = {np.dtype(kind) for kind in ("bool", "int8", "uint8", "int16", "uint16")}
+                wide = (replace(f, values=f.values.astype("i4")) if f.values.dtype in small else f for f in grid.fields)
+                grid = replace(grid, fields=tuple(wide))
             _of_variant(grid, mesh, options).write(partial, file_format=kind, **more)
 
 
@@ -190,7 +196,7 @@ def _with_fields(grid: Grid, mesh: _Unstructured) -> meshio.Mesh:
     for (location, name), fields in groups.items():
         if len(fields) == grid.n_blocks and len({f.values.shape[3:] for f in fields}) == 1:
             values = np.concatenate([f.values.reshape(-1, *f.values.shape[3:]) for f in fields])
-            values = storable(values, f"{location} field {name!r}")
+            values = values.astype(storable_type(values, f"{location} field {name!r}"), copy=False)
             if location == "node":
                 point_data[name] = values[mesh.nodes]
             else:

@@ -267,11 +267,6 @@ def _arrays_to_write(grid: Grid, block: int, variant: FileFormat, fields: Sequen
     ]
 
 
-def storable(values: NDArray[Any], label: str) -> NDArray[Any]:
-    """The values in native byte order and a type supported by mesh files: see :func:`storable_type`."""
-    return values.astype(storable_type(values, label), copy=False)
-
-
 def storable_type(values: NDArray[Any], label: str) -> np.dtype[Any]:
     """The type in which mesh files can hold the values: integers, float32, float64; bool as uint8."""
     if values.dtype.kind == "b":

@@ -9,6 +9,7 @@ output of ``vtkDataWriter``.
 from __future__ import annotations
 
 import os
+import re
 import string
 from collections.abc import Sequence
 from pathlib import Path
@@ -44,6 +45,7 @@ TYPES = {
 # The name under which each type is written.
 _TYPE_NAMES = {code: name for name, code in TYPES.items()} | {"i1": "char", "i8": "vtktypeint64"}
 _LONGEST_LINE = 4096
+_WHOLE = re.compile(r"[+-]?[0-9]{1,9}(\.0*)?")
 
 _OTHER_KINDS = {
     "POLYDATA": "a polygon surface",
@@ -291,19 +293,12 @@ def read(path: Path) -> DataSet:
 def _shape(file: LegacyFile, keyword: str, words: Sequence[str]) -> Shape:
     """Shape in nodes, from the words behind a keyword."""
     number = 3 if keyword == "DIMENSIONS" else 6
-    try:
-        numbers = [float(word) for word in words]
-    except ValueError as error:
-        raise file.error(f"expected {number} numbers, found {' '.join(words)[:60]!r}") from error
-    if len(numbers) != number:
-        raise file.error(f"expected {number} numbers, found {len(numbers)}")
-    if not all(abs(each) < 2**31 and each == int(each) for each in numbers):
-        raise FormatError(f"{file.path}: {keyword} {' '.join(map(str, numbers))}; expected whole numbers")
-    if number == 3:
-        ni, nj, nk = map(int, numbers)
-    else:
-        i, last_i, j, last_j, k, last_k = map(int, numbers)
-        ni, nj, nk = last_i - i + 1, last_j - j + 1, last_k - k + 1
+    if len(words) != number or not all(_WHOLE.fullmatch(word) for word in words):
+        raise file.error(f"{keyword}: expected {number} whole numbers, found {' '.join(words)[:60]!r}")
+    numbers = [int(word.partition(".")[0]) for word in words]
+    if number == 6:
+        numbers = [last - first + 1 for first, last in zip(numbers[::2], numbers[1::2], strict=True)]
+    ni, nj, nk = numbers
     if min(ni, nj, nk) < 1:
         raise FormatError(f"{file.path} is an empty grid: {ni} x {nj} x {nk} nodes")
     return ni, nj, nk

@@ -30,6 +30,7 @@ def two_blocks():
         Field("centre", "cell", 0, _centres(first)),
         Field("centre", "cell", 1, _centres(second)),
         Field("flag", "node", 0, np.ones((3, 3, 4), dtype=bool)),
+        *(Field("small", "cell", b, np.full((2 + 2 * b, 2, 3), b, np.int16)) for b in (0, 1)),
     )
     return Grid.from_blocks([first, second], ["left", "right"], patches=(wall, shared), fields=fields)
 
@@ -76,6 +77,7 @@ def test_fields_and_blocks(tmp_path, suffix):
     np.testing.assert_array_equal(mesh.point_data["x"], mesh.points[:, 0])
     np.testing.assert_array_equal(mesh.cell_data["block"][0], np.repeat([0, 1], [12, 24]))
     np.testing.assert_allclose(mesh.cell_data["centre"][0], mesh.points[mesh.cells[0].data].mean(axis=1), atol=1e-15)
+    np.testing.assert_array_equal(mesh.cell_data["small"][0], np.repeat([0, 1], [12, 24]))
     assert "flag" not in mesh.point_data
 
 
