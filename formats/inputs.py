@@ -95,7 +95,7 @@ def _files_behind(path: Path, state: tuple[int, ...]) -> tuple[Path, ...]:
             from .vtk.xml_tags import file_kind
 
             if file_kind(path) == "vtkMultiBlockDataSet":
-                found += referenced_files(path)
+                found += [piece for _, piece in referenced_files(path)]
     return tuple(found)
 
 

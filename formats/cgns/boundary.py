@@ -29,14 +29,11 @@ _FACE_LOCATIONS: Mapping[str, int | None] = {
 }
 
 
-def family_conditions(base: Base) -> dict[str, str]:
-    """The boundary condition that each Family_t prescribes, by family name."""
-    families = base.node.labelled("Family_t")
-    return {node.name: condition.text() for node in families for condition in node.labelled("FamilyBC_t")[:1]}
-
-
 def zone_patches(zone: Zone, block: int, families: Mapping[str, str], notes: Notes) -> list[Patch]:
-    """One patch per BC_t of the zone, in file order, with its name; names are unique only within a zone."""
+    """One patch per BC_t of the zone, in file order, with its name; names are unique only within a zone.
+
+    ``families`` are the boundary conditions that families prescribe.
+    """
     patches = []
     for group in zone.node.labelled("ZoneBC_t"):
         for condition in group.labelled("BC_t"):

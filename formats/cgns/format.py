@@ -20,7 +20,7 @@ from meshdeform_core.parallel import require_undivided
 from ..files import checked_options
 from ..planes import ranges_of, read_planes
 from .adf import is_adf, read_adf
-from .boundary import family_conditions, overset_only, zone_connections, zone_patches
+from .boundary import overset_only, zone_connections, zone_patches
 from .tree import MAXIMUM_DEPTH, Node
 from .zone import Notes, Zone, base_and_zones
 
@@ -86,7 +86,8 @@ def read(path: Path) -> Grid:
         places = [zone.places() for zone in zones]
         if not all(places):
             require_undivided(f"coordinates in {path} are compressed or stored in pieces")
-        families = family_conditions(base)
+        nodes = base.node.labelled("Family_t")
+        families = {node.name: condition.text() for node in nodes for condition in node.labelled("FamilyBC_t")[:1]}
         patches = [p for block, zone in enumerate(zones) for p in zone_patches(zone, block, families, notes)]
         grid = Grid.allocate(
             [zone.shape for zone in zones],

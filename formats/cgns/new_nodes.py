@@ -12,7 +12,7 @@ import numpy as np
 from meshdeform_core.grid import Connection, Grid, Patch, Shape, Window
 
 from .boundary import inverse_motion
-from .tree import Node, make, name_list, unique_names
+from .tree import NAME_LENGTH, Node, make, unique_names
 
 _BC_TYPES = {
     *("UserDefined", "BCAxisymmetricWedge", "BCDegenerateLine", "BCDegeneratePoint", "BCDirichlet"),
@@ -151,8 +151,9 @@ def _connection_node(name: str, connection: Connection, grid: Grid, zones: tuple
         make("PointRangeDonor", "IndexRange_t", donor),
     ]
     if connection.periodic:
-        # Angles are in radians, declared explicitly because readers' defaults differ.
-        units = make("DimensionalUnits", "DimensionalUnits_t", name_list(["Null"] * 4 + ["Radian"]))
+        # Angles are in radians, declared explicitly because readers' defaults differ: five words of 32 characters.
+        words = "".join(word.ljust(NAME_LENGTH) for word in ("Null", "Null", "Null", "Null", "Radian")).encode()
+        units = make("DimensionalUnits", "DimensionalUnits_t", np.frombuffer(words, np.int8).reshape(5, NAME_LENGTH).T)
         motion = connection.periodic
         angle = np.radians(motion.rotation_angle).astype(np.float32)
         members = [

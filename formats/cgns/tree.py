@@ -239,12 +239,6 @@ def make(name: str, label: str, value: str | NDArray[Any] | None = None, members
     return node
 
 
-def name_list(names: Sequence[str]) -> NDArray[np.int8]:
-    """Names as a CGNS list: characters (32, n), padded with blanks."""
-    text = "".join(name.ljust(NAME_LENGTH) for name in names)
-    return np.frombuffer(text.encode(), np.int8).reshape(len(names), NAME_LENGTH).T
-
-
 def data_type_of(dtype: np.dtype[Any]) -> str:
     """The CGNS name of a type in memory, e.g. ``R8``."""
     for name, known in DTYPES.items():

@@ -251,11 +251,12 @@ def _table_or_grid(path: Path, head: bytes) -> DisplacementTable | Grid:
             return _module("meshio").read(path, "med")
         return _read_structured(path) if "CGNSLibraryVersion" in entries else _module("arrays").read_hdf5(path)
     if head.startswith(b"# vtk DataFile") or b"<VTKFile" in head:
-        from ..vtk.legacy import dataset_kind
+        from ..vtk.legacy import LegacyFile
         from ..vtk.xml_tags import file_kind
 
         if head.startswith(b"# vtk DataFile"):
-            kind = dataset_kind(path)
+            with path.open("rb") as stream:
+                kind = LegacyFile(path, stream).kind
             if kind == "UNSTRUCTURED_GRID":
                 return _module("meshio").read(path, "vtk")
             return _module("vtk").read_vtk_legacy(path) if kind == "POLYDATA" else _read_structured(path)

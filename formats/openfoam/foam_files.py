@@ -98,11 +98,6 @@ def read_points(path: Path, most: int) -> FloatArray:
     return _ListFile(path, ("vectorField",), most).rows(float, 3)
 
 
-def read_labels(path: Path, most: int) -> IntArray:
-    """A list of labels (n,)."""
-    return _ListFile(path, ("labelList",), most).rows(int, 1)[:, 0]
-
-
 def read_faces(path: Path, most: int) -> tuple[IntArray, IntArray]:
     """The points (m,) of all faces, one face after another, and where each begins (n + 1,)."""
     file = _ListFile(path, ("faceList", "faceCompactList"), most)
@@ -264,7 +259,8 @@ def _require_sound(mesh: Path, n_points: int, n_cells: int) -> None:
     def damaged(what: str) -> NoReturn:
         raise FormatError(f"{mesh} is damaged: {what}; run blockMesh again")
 
-    owner, neighbour = (read_labels(mesh_file(mesh, name), 6 * n_cells) for name in ("owner", "neighbour"))
+    files = (_ListFile(mesh_file(mesh, name), ("labelList",), 6 * n_cells) for name in ("owner", "neighbour"))
+    owner, neighbour = (file.rows(int, 1)[:, 0] for file in files)
     corners, start = read_faces(mesh_file(mesh, "faces"), 6 * n_cells)
     inside, n_faces = len(neighbour), len(start) - 1
     if len(owner) != n_faces or inside > n_faces:

@@ -76,24 +76,10 @@ def _pieces(stream: BinaryIO) -> Iterator[bytes]:
     yield rest
 
 
-def ends_with_integer(stream: BinaryIO) -> bool:
-    """Whether the last number of a text is written without dot and exponent."""
-    stream.seek(-min(stream.seek(0, os.SEEK_END), _LONGEST_NUMBER), os.SEEK_END)
-    words = _WORD.findall(stream.read())
-    return bool(words) and _INTEGER.fullmatch(words[-1]) is not None
-
-
-def count_integers(stream: BinaryIO) -> int:
-    """Number of the numbers in a text that have neither a decimal point nor an exponent."""
-    integers = (word for piece in _pieces(stream) for word in _WORD.findall(piece) if _INTEGER.fullmatch(word))
-    return sum(int(word.partition(b"*")[0]) if b"*" in word else 1 for word in integers)
-
-
 def number_lines(values: NDArray[Any], dotted: bool = False) -> bytes | memoryview:
     """The values one per line, each with the fewest digits that represent it exactly in its own type.
 
-    The last of real values, or with ``dotted`` each, is written as a real number: see :func:`ends_with_integer` and
-    :func:`count_integers`.
+    The last of real values, or with ``dotted`` each, is written as a real number, as readings are told apart by that.
     """
     lines = text.number_lines(values)
     if dotted and values.dtype.kind == "f":
@@ -146,9 +132,11 @@ def read_ascii(path: Path, options: Mapping[str, Any]) -> Grid:
     def proved_by_notation(readings: list[Reading]) -> list[Reading]:
         """The readings that the notation of the numbers proves: none if real numbers are written as integers."""
         with path.open("rb") as stream:
-            if not ends_with_integer(stream):
+            stream.seek(-min(stream.seek(0, os.SEEK_END), _LONGEST_NUMBER), os.SEEK_END)
+            if not _INTEGER.fullmatch(_WORD.findall(stream.read())[-1]):
                 return [reading for reading in readings if not reading.variant.iblank]
-            count = count_integers(stream)
+            integers = (word for piece in _pieces(stream) for word in _WORD.findall(piece) if _INTEGER.fullmatch(word))
+            count = sum(int(word.partition(b"*")[0]) if b"*" in word else 1 for word in integers)
         return [r for r in readings if r.variant.iblank and r.segments[0][0] + sum(map(math.prod, r.shapes)) == count]
 
     def load(reading: Reading) -> Grid:

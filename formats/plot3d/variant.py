@@ -258,17 +258,14 @@ def _senseless_share(grid: Grid, variant: Variant, step: int = 1) -> float:
         size = np.abs(coordinates)
         return ((size < tiny) & (size > 0)) | (size > 1e30)
 
-    def no_flag(values: NDArray[Any]) -> NDArray[np.bool_]:
-        # Negative IBLANK values are numbers of neighbouring blocks.
-        return np.abs(values.astype(np.int64)) > MOST_BLOCKS
-
     low, high = grid.nodes.ends
     own = [_found(grid.nodes.rows, range(low + -low % step, high, step), implausible)]
     for field in grid.fields:
         _, nj, nk = grid.shapes[field.block]
         first = grid.planes(field.block).start * nj * nk
         flags = field.own.reshape(-1)
-        own.append(_found(flags, range(-first % step, flags.size, step), no_flag))
+        # Negative IBLANK values are numbers of neighbouring blocks.
+        own.append(_found(flags, range(-first % step, flags.size, step), lambda x: abs(x.astype("i8")) > MOST_BLOCKS))
     wrong, all_values = np.sum(grid.nodes.gather(own), axis=0).T
     return float((wrong / all_values).max())
 

@@ -180,18 +180,25 @@ Reserved = dict[int, tuple[int, np.dtype[Any]]]
 
 
 class BlockOutput:
-    """The file of a block being written: lines, and room for the values that all ranks write later."""
+    """The file of a block being written: lines, and values as text or in a byte order, or room for those that all ranks
+    write later."""
 
-    def __init__(self, stream: BinaryIO) -> None:
-        self.stream = stream
+    def __init__(self, stream: BinaryIO, order: Literal["<", ">"], as_text: bool) -> None:
+        self.stream, self.order, self.as_text = stream, order, as_text
         self._places: dict[int, tuple[int, np.dtype[Any]]] = {}
 
     def line(self, text: str) -> None:
         self.stream.write(f"{text}\n".encode())
 
-    def text(self, array: StoredArray) -> None:
-        """The values, one per line."""
-        for slab in array.slabs():
+    def values(self, array: StoredArray) -> None:
+        """As text one per line; with planes in a byte order only room."""
+        kind = array.precision.newbyteorder(self.order)
+        if not self.as_text and array.in_planes:
+            self._places[id(array)] = self.stream.tell(), kind
+            self.stream.seek(array.nbytes, os.SEEK_CUR)
+        elif not self.as_text:
+            self.stream.write(array.values.astype(kind, order="C", copy=False).data)
+        for slab in array.slabs() if self.as_text else ():
             # The writer of numbers knows no integers of 8 or 16 bits.
             wide = slab.astype(np.int64) if slab.dtype.itemsize < 4 else slab
             lines = number_lines(wide)
@@ -199,15 +206,6 @@ class BlockOutput:
                 # VTK stumbles over longer words.
                 lines = memoryview(bytes(lines).replace(b"Infinity", b"inf").replace(b"NaN", b"nan"))
             self.stream.write(lines)
-
-    def binary(self, array: StoredArray, order: Literal["<", ">"]) -> None:
-        """The values in a byte order, or room for them if they have planes, which all ranks write later."""
-        kind = array.precision.newbyteorder(order)
-        if array.in_planes:
-            self._places[id(array)] = self.stream.tell(), kind
-            self.stream.seek(array.nbytes, os.SEEK_CUR)
-        else:
-            self.stream.write(array.values.astype(kind, order="C", copy=False).data)
 
     def reserved(self, contents: Sequence[StoredArray]) -> Reserved:
         """The places of those ``contents`` that have room."""

@@ -45,6 +45,7 @@ TYPES = {
 # The name under which each type is written.
 _TYPE_NAMES = {code: name for name, code in TYPES.items()} | {"i1": "char", "i8": "vtktypeint64"}
 _LONGEST_LINE = 4096
+_CUT_EXPONENT = re.compile(rb"[eE][+-]?(?![+\-\d])")
 _WHOLE = re.compile(r"[+-]?[0-9]{1,9}(\.0*)?")
 
 _OTHER_KINDS = {
@@ -102,11 +103,6 @@ class LegacyFile:
         self.stream.seek(position)
         return FormatError(f"{self.path}, {f'byte {position}' if self.binary else f'line {line}'}: {message}")
 
-    def ends_in_a_line(self) -> bool:
-        """Whether the last line is complete; a number truncated at the end of a text is still a number."""
-        self.stream.seek(-1, 2)
-        return self.stream.read(1).isspace()
-
     def words(self) -> list[str]:
         """The words of the next line that has any; empty at the end of the file."""
         while self.stream.tell() < self.size:
@@ -148,6 +144,12 @@ class LegacyFile:
         try:
             with strict_numbers():
                 values = np.fromfile(self.stream, dtype, count, sep="" if self.binary else " ")
+            if not self.binary:
+                end = self.stream.tell()
+                self.stream.seek(start)
+                # numpy reads 5 where it finds 5E-.
+                if _CUT_EXPONENT.search(self.stream.read(end - start)):
+                    raise ValueError
         except ValueError as error:
             raise self.error(f"{what}: expected {count} values, found something that is not a number") from error
         if len(values) != count:
@@ -172,12 +174,6 @@ class LegacyFile:
                 width = 1 << (3 - (first[0] >> 6))
                 length = int.from_bytes(first + self.stream.read(width - 1), "big") & ~(3 << (8 * width - 2))
                 self.stream.seek(min(length, self.size - self.stream.tell()), 1)
-
-
-def dataset_kind(path: Path) -> str:
-    """The word after DATASET of a legacy file, in capitals."""
-    with path.open("rb") as stream:
-        return LegacyFile(path, stream).kind
 
 
 class Attributes:
@@ -274,7 +270,9 @@ def read(path: Path) -> DataSet:
                 file.skip_metadata()
             else:
                 attributes.read(words)
-        complete = file.binary or file.ends_in_a_line()
+        # A number truncated at the end of a text is still a number.
+        stream.seek(-1, os.SEEK_END)
+        complete = file.binary or stream.read(1).isspace()
     if shape is None or points is None:
         missing = "DIMENSIONS" if shape is None else "POINTS"
         raise FormatError(f"{path} has no {missing}; is the file truncated?")
@@ -312,47 +310,27 @@ _PLAIN = "".join(sorted(set(string.punctuation) - set('"%')))
 
 def begin_block(grid: Grid, block: int, path: Path, variant: FileFormat, contents: Sequence[StoredArray]) -> Reserved:
     """Write one block, in binary without the values that have planes; returns the places of these."""
-    points, *arrays = contents
+    (points, *arrays), encoding = contents, variant.options["encoding"]
     with path.open("wb") as stream:
-        output = _Output(stream, variant.options["encoding"])
-        output.line("# vtk DataFile Version 4.2")
-        output.line("written by meshdeform")
-        output.line(variant.options["encoding"].upper())
-        output.line("DATASET STRUCTURED_GRID")
-        output.fields([a for a in arrays if not a.location])
+        output = BlockOutput(stream, ">", encoding == "ascii")
+
+        def put(head: str, array: StoredArray) -> None:
+            output.line(f"{head} {_TYPE_NAMES[array.precision.str[1:]]}")
+            output.values(array)
+            if not output.as_text:
+                output.line("")
+
+        def put_fields(head: str, location: str) -> None:
+            own = [array for array in arrays if array.location == location]
+            if own:
+                output.line(f"{head.format(own[0].tuples)}FIELD FieldData {len(own)}")
+            for array in own:
+                put(f"{quote(array.name, safe=_PLAIN)} {array.components} {array.tuples}", array)
+
+        output.line(f"# vtk DataFile Version 4.2\nwritten by meshdeform\n{encoding.upper()}\nDATASET STRUCTURED_GRID")
+        put_fields("", "")
         output.line("DIMENSIONS {} {} {}".format(*grid.shapes[block]))
-        output.line(f"POINTS {points.tuples} {_type_name(points)}")
-        output.values(points)
-        for keyword, location in (("CELL_DATA", "cell"), ("POINT_DATA", "node")):
-            if own := [array for array in arrays if array.location == location]:
-                output.line(f"{keyword} {own[0].tuples}")
-                output.fields(own)
+        put(f"POINTS {points.tuples}", points)
+        put_fields("CELL_DATA {}\n", "cell")
+        put_fields("POINT_DATA {}\n", "node")
     return output.reserved(contents)
-
-
-class _Output(BlockOutput):
-    """A legacy file being written."""
-
-    def __init__(self, stream: BinaryIO, encoding: str) -> None:
-        super().__init__(stream)
-        self.as_text = encoding == "ascii"
-
-    def values(self, array: StoredArray) -> None:
-        if self.as_text:
-            self.text(array)
-        else:
-            self.binary(array, ">")
-            self.stream.write(b"\n")
-
-    def fields(self, arrays: Sequence[StoredArray]) -> None:
-        """A FIELD of arrays."""
-        if arrays:
-            self.line(f"FIELD FieldData {len(arrays)}")
-        for array in arrays:
-            size = f"{array.components} {array.tuples}"
-            self.line(f"{quote(array.name, safe=_PLAIN)} {size} {_type_name(array)}")
-            self.values(array)
-
-
-def _type_name(array: StoredArray) -> str:
-    return _TYPE_NAMES[array.precision.str[1:]]

@@ -37,7 +37,7 @@ def read(path: Path) -> tuple[list[DataSet], list[str]]:
     A name consists of the names of the groups and the block, joined by ``/``; a block without a name is called
     ``block1``, ... by its position. Entries without a file are skipped.
     """
-    files = list(_files(path))
+    files = list(referenced_files(path))
     if not files:
         raise FormatError(f"{path} refers to no data sets")
     names: list[str] = []
@@ -53,7 +53,7 @@ def read(path: Path) -> tuple[list[DataSet], list[str]]:
     return data_sets, names
 
 
-def _files(path: Path) -> Iterator[tuple[str, Path]]:
+def referenced_files(path: Path) -> Iterator[tuple[str, Path]]:
     """Name, ending in ``/`` where the data set itself has none, and file of each data set."""
     try:
         top = read_tags(path).root
@@ -107,11 +107,6 @@ def write(grid: Grid, path: Path, variant: FileFormat) -> None:
             write_blocks(grid, [_folder(path) / name for name in pieces], variant, begin_block)
             ranks.on_first(lambda: partial.write_bytes(index))
         ranks.on_first(own.close)
-
-
-def referenced_files(path: Path) -> list[Path]:
-    """The files of the data sets to which an index refers."""
-    return [piece for _, piece in _files(path)]
 
 
 def replaced_files(path: Path) -> list[Path]:
@@ -178,7 +173,7 @@ def _own_pieces(path: Path) -> set[str]:
     if not path.exists():
         return set()
     folder = _folder(path)
-    return {piece.name for _, piece in _files(path) if piece.parent == folder}
+    return {piece.name for _, piece in referenced_files(path) if piece.parent == folder}
 
 
 def _folder(path: Path) -> Path:

@@ -65,6 +65,7 @@ LEGACY = {
     header(rest="DIMENSIONS 2 3 1\nPOINTS 4 float\n0 0 0 1 0 0 0 1 0 1 1 0\n"): "has 4 points; its DIMENSIONS",
     header(rest="DIMENSIONS 2 2 1\nPOINTS 4 float\n0 0 0 1 0 0 0 1 0 1\n1.0\n"): "expected 12 values, found 11",
     header(rest="DIMENSIONS 2 2 1\nPOINTS 4 float\n0 0 0 1 0 0 0 1\nCELL_DATA 1\n"): "something that is not a number",
+    header(rest="DIMENSIONS 2 2 1\nPOINTS 4 float\n0 0 0 1 0 0 0 1 0 1 5E-\n0\n"): "something that is not a number",
     header(rest="DIMENSIONS 2 2 1\nPOINTS 4 half\n"): "line 6: POINTS: unknown type 'half'; known are char",
     header(rest="DIMENSIONS 2 2 1\nPOINTS -4 float\n"): "line 6: expected a number, found '-4'",
     header(rest="DIMENSIONS 2 2 1\nPOINTS 999999999999 float\n1"): "need 5999999999993 bytes, 1 are left",
