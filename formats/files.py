@@ -19,6 +19,9 @@ from meshdeform_core import interruption
 from meshdeform_core.errors import FormatError, suggestion
 from meshdeform_core.parallel import Nodes
 
+LARGEST = 1e30
+"""Of coordinates: the square of a larger length overflows in single precision, and no grid is so large in any unit."""
+
 
 @contextmanager
 def replacing(target: Path) -> Iterator[Path]:

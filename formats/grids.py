@@ -23,7 +23,7 @@ from meshdeform_core.grid.parts import BlockSizes
 from meshdeform_core.numerics.arrays import extent
 from meshdeform_core.wording import listed, vector
 
-from .files import read_head
+from .files import LARGEST, read_head
 
 
 @dataclass(frozen=True)
@@ -110,8 +110,6 @@ def read_grid(path: str | Path, options: Mapping[str, Any] | None = None) -> Gri
     return grid
 
 
-# The square of a larger length overflows in single precision, and no grid is so large in any unit.
-LARGEST = 1e30
 # Number of nodes sampled, and the fraction of them that may have denormal coordinates.
 _SAMPLE = 10_000
 _MOST_DENORMAL = 0.01

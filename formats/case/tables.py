@@ -21,8 +21,7 @@ from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.wording import counted, literal, vector
 
-from ..files import require_regular
-from ..grids import LARGEST
+from ..files import LARGEST, require_regular
 
 _EXPECTED = 'expected "START:STOP:STEP", like "0:1e-3:5e-5", or ascending numbers'
 _MAXIMUM = 1_000_000

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,37 +20,12 @@ from ..files import checked_options
 from ..planes import ranges_of, read_planes
 from .adf import is_adf, read_adf
 from .boundary import overset_only, zone_connections, zone_patches
-from .tree import MAXIMUM_DEPTH, Node
-from .zone import Notes, Zone, base_and_zones
+from .tree import MAXIMUM_DEPTH
+from .zone import Notes, Zone, base_and_zones, naming, opened_cgns
 
 _MIXED = "mixed"
 # About thirty nodes per zone, including its connections.
 _MOST_NODES = 10_000_000
-
-
-@contextmanager
-def opened_cgns(path: Path) -> Iterator[Node]:
-    """Root node of a CGNS file; the tree can be read while the context lasts."""
-    if is_adf(path):
-        yield read_adf(path)
-    else:
-        # Imported here because ADF files, the majority, need no HDF5.
-        from .hdf5 import opened_hdf5
-
-        with opened_hdf5(path) as root:
-            yield root
-
-
-@contextmanager
-def naming(path: Path) -> Iterator[None]:
-    """Prefix messages about the file's tree with its name."""
-    try:
-        yield
-    except FormatError as error:
-        message = str(error)
-        raise FormatError(message if str(path) in message else f"{path}: {message}") from error
-    except RecursionError as error:
-        raise FormatError(f"{path} has a chain of too many links") from error
 
 
 def linked_files(path: Path) -> Iterator[Path]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -12,11 +14,37 @@ from meshdeform_core.grid import FloatArray, Shape
 from meshdeform_core.wording import listed
 
 from ..planes import Stored, merge
+from .adf import is_adf, read_adf
 from .tree import Node
 
 _COORDINATES = ("CoordinateX", "CoordinateY", "CoordinateZ")
 _FLOATS = (np.dtype(np.float32), np.dtype(np.float64))
 _LENGTH = 1  # position of the length among the units of DimensionalUnits_t
+
+
+@contextmanager
+def opened_cgns(path: Path) -> Iterator[Node]:
+    """Root node of a CGNS file; the tree can be read while the context lasts."""
+    if is_adf(path):
+        yield read_adf(path)
+    else:
+        # Imported here because ADF files, the majority, need no HDF5.
+        from .hdf5 import opened_hdf5
+
+        with opened_hdf5(path) as root:
+            yield root
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Prefix messages about the file's tree with its name."""
+    try:
+        yield
+    except FormatError as error:
+        message = str(error)
+        raise FormatError(message if str(path) in message else f"{path}: {message}") from error
+    except RecursionError as error:
+        raise FormatError(f"{path} has a chain of too many links") from error
 
 
 class Notes:

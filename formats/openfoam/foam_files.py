@@ -22,8 +22,7 @@ from meshdeform_core.parallel import empty
 from meshdeform_core.smoothness import shortest_edges
 from meshdeform_core.wording import vector
 
-from ..files import reason_of, require_regular
-from ..grids import LARGEST
+from ..files import LARGEST, reason_of, require_regular
 from ..markers import point_numbers
 from ..text import strict_numbers, text_rows
 from .case import POLY_MESH, mesh_file

@@ -32,7 +32,7 @@ from meshdeform_core.grid import Connection, Side, Window
 from meshdeform_core.grid.windows import windows_of_quads
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.cgns.boundary import windows_of_nodes
-from meshdeform_formats.cgns.format import opened_cgns
+from meshdeform_formats.cgns.zone import opened_cgns
 
 WING, WING_HDF5, AIRFOIL = "717_wl_L2.cgns", "717_wl_L2_hdf5.cgns", "nak_a_141.cgns"
 

@@ -33,7 +33,7 @@ _ROWS_AT_ONCE = 20_000
 SMALLEST = 1e-30
 """Smaller displacements are set to zero, as their products with weights would be subnormal numbers."""
 LARGEST = 1e30
-"""Largest displacement, as for coordinates (``formats.grids``): its square is finite."""
+"""Largest displacement, as for coordinates (``formats.files``): its square is finite."""
 
 
 class Step:
