@@ -129,12 +129,8 @@ def classify(grid: Grid, topology: Topology, specs: Sequence[BoundarySpec], cons
     """Apply the boundary entries of a case to a grid.
 
     External faces that no entry selects are fixed, except the end planes of a grid one cell thick, which slide, as
-    otherwise nothing could move.
-
-    Raises
-    ------
-    CaseError, MotionError
-        When a selection matches nothing or a table matches no node.
+    otherwise nothing could move. Raises CaseError or MotionError when a selection matches nothing or a table matches no
+    node.
     """
     specs, selected, corners = list(specs), list[IntArray](), topology.quads.corners
     for index, spec in enumerate(specs):
@@ -274,12 +270,7 @@ def with_plates(grid: Grid, topology: Topology, patterns: Sequence[str]) -> tupl
     """The plates that the case names (``grid.plates``) as outside faces: walls on both sides among the grid's patches.
 
     One of the two sides is enough. Nodes of the two sides remain coincident: a plate has no thickness, and its sides
-    cannot separate.
-
-    Raises
-    ------
-    CaseError
-        When a pattern matches nothing, or no face that two blocks share.
+    cannot separate. Raises CaseError when a pattern matches nothing, or no face that two blocks share.
     """
     patches = list(grid.patches)
     for pattern in patterns:
@@ -309,17 +300,13 @@ def opening_notes(
     moving: IntArray,
     declared: bool | Sequence[str],
 ) -> list[str]:
-    """Warnings about outside faces that nearly coincide with others.
+    """Warnings about outside faces that nearly coincide with others. Raises CaseError when no boundary entry selects
+    such a face, as the grid would tear at this fixed wall.
 
     Parameters
     ----------
     unselected, moving : face quads that nothing selects, and those of moving entries
     declared : the value of ``grid.open``: faces that are meant to be open (``True``: all)
-
-    Raises
-    ------
-    CaseError
-        When no boundary entry selects such a face, as the grid would tear at this fixed wall.
     """
     if declared is True or not openings:
         return []

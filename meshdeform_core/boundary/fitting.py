@@ -76,12 +76,8 @@ class Fit:
 def fit_table(grid: Grid, topology: Topology, data: SurfaceData, matching: Matching) -> Fit:
     """The outside surfaces on which a table lies, by distance relative to their faces.
 
-    Where ``matching`` is automatic, it is ``nearest`` for tables of the grid's own nodes, else ``interpolate``.
-
-    Raises
-    ------
-    MotionError
-        When most points lie on no outside face; with what would make them, if that is found.
+    Where ``matching`` is automatic, it is ``nearest`` for tables of the grid's own nodes, else ``interpolate``. Raises
+    MotionError when most points lie on no outside face; with what would make them, if that is found.
     """
     surfaces = find_outside(grid, topology).surfaces
     points = data.points[:: max(1, len(data.points) // SAMPLE)]
@@ -190,13 +186,8 @@ class Tables:
         self._found: list[Notice] = []
 
     def warnings(self) -> list[Notice]:
-        """Warnings about the tables now in use and the walls that they move.
-
-        Raises
-        ------
-        MotionError
-            When most of a table lies off the walls, or it moves single nodes among others that remain at rest.
-        """
+        """Warnings about the tables now in use and the walls that they move. Raises MotionError when most of a table
+        lies off the walls, or it moves single nodes among others that remain at rest."""
         matches = [match for _, motion in self._movers for match in motion.matches]
         if len(matches) == len(self._checked) and all(a is b for a, b in zip(matches, self._checked, strict=True)):
             return self._found

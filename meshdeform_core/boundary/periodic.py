@@ -75,16 +75,12 @@ class Periodic:
 
 
 def periodic_pairs(grid: Grid, topology: Topology, one: IntArray, two: IntArray, owner: str) -> Periodic:
-    """Pair the nodes of two periodic boundaries by the translation or rotation that maps one onto the other.
+    """Pair the nodes of two periodic boundaries by the translation or rotation that maps one onto the other. Raises
+    CaseError when no translation, and no rotation about a coordinate axis, maps one side onto the other.
 
     Parameters
     ----------
     one, two : unique node numbers of the two sides
-
-    Raises
-    ------
-    CaseError
-        When no translation, and no rotation about a coordinate axis, maps one side onto the other.
     """
     p, q = grid.nodes.at(topology.first[one]), grid.nodes.at(topology.first[two])
     centers = p.mean(axis=0), q.mean(axis=0)
@@ -111,17 +107,13 @@ def periodic_pairs(grid: Grid, topology: Topology, one: IntArray, two: IntArray,
 
 
 def find_periodicity(grid: Grid, topology: Topology, name: str, quads: IntArray, sides: Sequence[IntArray]) -> Periodic:
-    """Pairs of one periodic boundary: as declared in the file, otherwise found by matching its two sides.
+    """Pairs of one periodic boundary: as declared in the file, otherwise found by matching its two sides. Raises
+    CaseError when the file declares nothing and the boundary does not select two sides that match.
 
     Parameters
     ----------
     quads : all face quads of the boundary
     sides : the quads of each of its ``select`` patterns
-
-    Raises
-    ------
-    CaseError
-        When the file declares nothing and the boundary does not select two sides that match.
     """
     nodes = np.unique(topology.quads.corners[quads])
     declared = Periodic.none()

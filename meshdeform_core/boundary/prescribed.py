@@ -16,13 +16,8 @@ from .classification import Boundary, Kind
 def prescribed_displacement(
     grid: Grid, topology: Topology, boundary: Boundary, time: float = 0.0, fraction: float = 1.0
 ) -> FloatArray:
-    """Displacement (n_unique, 3) of all face nodes: the motion at moving nodes, zero elsewhere.
-
-    Raises
-    ------
-    MotionError
-        When two moving patches disagree at a shared node, or a 2-D grid would leave its plane.
-    """
+    """Displacement (n_unique, 3) of all face nodes: the motion at moving nodes, zero elsewhere. Raises MotionError when
+    two moving patches disagree at a shared node, or a 2-D grid would leave its plane."""
     displacement = np.zeros((topology.n_unique, 3))
     owner = np.full(topology.n_unique, -1)
     for index, (nodes, motion) in enumerate(boundary.movers):
@@ -62,13 +57,8 @@ def largest_displacement(displacement: FloatArray) -> float:
 def given_displacement(
     grid: Grid, topology: Topology, boundary: Boundary, nodes: IntArray, values: FloatArray
 ) -> FloatArray:
-    """Displacement (n_unique, 3) of all face nodes from that of the unique ``nodes`` (n, 3), zero elsewhere.
-
-    Raises
-    ------
-    MotionError
-        When a 2-D grid would leave its plane.
-    """
+    """Displacement (n_unique, 3) of all face nodes from that of the unique ``nodes`` (n, 3), zero elsewhere. Raises
+    MotionError when a 2-D grid would leave its plane."""
     displacement = np.zeros((topology.n_unique, 3))
     displacement[nodes] = values
     given = np.zeros(topology.n_unique, dtype=bool)

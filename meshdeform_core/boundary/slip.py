@@ -168,17 +168,12 @@ class Slip:
 def find_sliding(
     grid: Grid, topology: Topology, slipping: Sequence[tuple[str, IntArray, bool]], free: BoolArray, moving: BoolArray
 ) -> tuple[Slip, tuple[Plane, ...]]:
-    """Slip constraints and symmetry planes.
+    """Slip constraints and symmetry planes. Raises CaseError when a symmetry boundary is not plane.
 
     Parameters
     ----------
     slipping : name, face quads and "is a symmetry" of every slip or symmetry boundary
     free, moving : (n_unique,) nodes that belong to no stronger boundary, and those of moving ones
-
-    Raises
-    ------
-    CaseError
-        When a symmetry boundary is not plane.
     """
     planes: list[tuple[Plane, IntArray]] = []
     curved: list[CurvedSurface] = []

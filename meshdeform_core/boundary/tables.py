@@ -189,13 +189,8 @@ def spacings(tree: scipy.spatial.cKDTree) -> FloatArray:
 
 
 def transfer(data: SurfaceData | Grid, matching: Matching, nodes: BoundaryNodes) -> Transfer:
-    """Displacement of boundary nodes from a table, or from a grid with the deformed positions of the same nodes.
-
-    Raises
-    ------
-    MotionError
-        When no node matches, or when some do not and ``matching.partial`` is false.
-    """
+    """Displacement of boundary nodes from a table, or from a grid with the deformed positions of the same nodes. Raises
+    MotionError when no node matches, or when some do not and ``matching.partial`` is false."""
     if isinstance(data, Grid):
         if data.shapes == nodes.grid.shapes:
             displacement = Nodes.of(data.points).at(nodes.topology.first[nodes.numbers]) - nodes.points
@@ -365,15 +360,10 @@ def _span(points: FloatArray) -> str:
 def positions_by_number(
     numbers: IntArray, positions: FloatArray, label: str, grid: Grid, topology: Topology
 ) -> SurfaceData:
-    """The displacements of points whose new ``positions`` (n, 3), or (n, 2) in a plane grid, are given by ``numbers``
-    (n,); numbering is that of the unstructured files that this program writes.
-
-    Raises
-    ------
-    MotionError
-        When a number does not denote a point on a block face, or neighbours move so differently that the numbers must
-        belong to another mesh.
-    """
+    """The displacements of points whose new ``positions`` (n, 3), or (n, 2) in a plane grid, are given by
+    ``numbers`` (n,); numbering is that of the unstructured files that this program writes. Raises MotionError when a
+    number does not denote a point on a block face, or neighbours move so differently that the numbers must belong to
+    another mesh."""
     beyond = np.flatnonzero((numbers < 0) | (numbers >= topology.n_unique))
     if beyond.size:
         raise MotionError(
@@ -403,12 +393,8 @@ def by_place(data: SurfaceData, grid: Grid, topology: Topology) -> SurfaceData:
     """The table itself; or what it means, if its first column numbers the points and positions follow.
 
     These are three columns without names, or four for a grid in space, which are read as x, y, dx and dy of a plane.
-    Four stay what they are if most of these points lie at nodes of the boundary.
-
-    Raises
-    ------
-    MotionError
-        As above, and for three columns that are not a number, x and y in a plane grid.
+    Four stay what they are if most of these points lie at nodes of the boundary. Raises MotionError as above, and for
+    three columns that are not a number, x and y in a plane grid.
     """
     if not data.numbered:
         return data

@@ -21,13 +21,8 @@ _MAPPED = 1 << 16
 
 
 def connected_nodes(grid: Grid, connection: Connection) -> tuple[IntArray, IntArray]:
-    """Flat indices of the nodes of a declared connection and of their donors, both (n,).
-
-    Raises
-    ------
-    GridError
-        When a range exceeds its block, or the two differ in size.
-    """
+    """Flat indices of the nodes of a declared connection and of their donors, both (n,). Raises GridError when a range
+    exceeds its block, or the two differ in size."""
     begin, end, donor_begin = map(np.array, (connection.begin, connection.end, connection.donor_begin))
     turn = np.zeros((3, 3), dtype=np.int64)
     for axis, along in enumerate(connection.transform):

@@ -63,13 +63,7 @@ def snapped(normal: FloatArray) -> FloatArray:
 
 
 def plane_normal(grid: Grid) -> FloatArray | None:
-    """Unit normal of the plane of a 2-D grid, ``None`` for a 3-D grid.
-
-    Raises
-    ------
-    GridError
-        When a 2-D grid is not flat.
-    """
+    """Unit normal of the plane of a 2-D grid, ``None`` for a 3-D grid. Raises GridError when a 2-D grid is not flat."""
     if grid.dimension == 3:
         return None
     low, high = extent(grid.points)
@@ -155,13 +149,8 @@ def _handedness(grid: Grid, blocks: IntArray) -> IntArray:
 
 
 def require_extent(grid: Grid) -> None:
-    """Refuse a grid whose nodes are all at one point, on one line or, in 3-D, in one plane.
-
-    Raises
-    ------
-    GridError
-        Stating the extent of the nodes.
-    """
+    """Refuse a grid whose nodes are all at one point, on one line or, in 3-D, in one plane. Raises GridError stating
+    the extent of the nodes."""
     some = grid.sample(_SAMPLE)
     low, high = extent(grid.points)
     size = float((high - low).max())

@@ -31,12 +31,7 @@ def select_quads(grid: Grid, topology: Topology, patterns: Iterable[str], owner:
 
     A pattern is a patch name, a family name, ``block/patch``, ``block/family``, or a block face ``block.side`` with an
     optional window ``[a:b,c:d]`` of nodes (1-based, inclusive); ``*`` and ``?`` are wildcards. ``owner`` names the
-    boundary entry in messages.
-
-    Raises
-    ------
-    CaseError
-        When a pattern matches nothing, or only faces that other blocks share.
+    boundary entry in messages. Raises CaseError when a pattern matches nothing, or only faces that other blocks share.
     """
     chosen: list[IntArray] = []
     for pattern in patterns:
@@ -113,13 +108,8 @@ def _window_bounds(text: str | None, size: tuple[int, int], where: str) -> tuple
 
 
 def with_components(grid: Grid, components: Components) -> Grid:
-    """The grid divided into the components that the case defines; unchanged if it defines none.
-
-    Raises
-    ------
-    CaseError
-        When they do not divide the blocks into two or more groups, or a pattern matches no block.
-    """
+    """The grid divided into the components that the case defines; unchanged if it defines none. Raises CaseError when
+    they do not divide the blocks into two or more groups, or a pattern matches no block."""
     if not components:
         return grid
     if isinstance(components, str):

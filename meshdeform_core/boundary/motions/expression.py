@@ -100,17 +100,13 @@ _Formula = Callable[[Mapping[str, Any]], Any]
 
 @dataclass(frozen=True)
 class Expression:
-    """A formula of named variables.
+    """A formula of named variables. Raises CaseError when the text is not a formula or uses an unknown name or
+    function.
 
     Attributes
     ----------
     text : the formula, e.g. ``0.2*sin(2*pi*(x-0.5)/L)``
     variables : the names it may use, besides the functions and ``pi``
-
-    Raises
-    ------
-    CaseError
-        When the text is not a formula or uses an unknown name or function.
     """
 
     text: str

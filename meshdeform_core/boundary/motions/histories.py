@@ -31,13 +31,7 @@ class History:
     label: str
 
     def at(self, time: float) -> FloatArray:
-        """The values (m,) at a time.
-
-        Raises
-        ------
-        MotionError
-            Before the first time and after the last one.
-        """
+        """The values (m,) at a time. Raises MotionError before the first time and after the last one."""
         self.require(time)
         return np.array([np.interp(time, self.times, column) for column in self.values.T])
 
@@ -166,14 +160,9 @@ class Beam(Step):
 
     @classmethod
     def of(cls, stations: FloatArray, displacement: History, turns: FloatArray, timed: bool) -> Beam:
-        """The beam from displacements (t, 3 n) and rotation vectors (t, n, 3) in radians.
-
-        Raises
-        ------
-        MotionError
-            Naming the stations, when there are fewer than two, they do not follow each other along the line, or the
-            way from one rotation to the next is not clear.
-        """
+        """The beam from displacements (t, 3 n) and rotation vectors (t, n, 3) in radians. Raises MotionError naming the
+        stations, when there are fewer than two, they do not follow each other along the line, or the way from one
+        rotation to the next is not clear."""
         times, label = displacement.times, displacement.label
         place = _along(stations, stations)
         if len(stations) < 2:

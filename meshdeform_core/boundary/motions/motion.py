@@ -176,14 +176,9 @@ class Positions:
     label: str
 
     def at(self, nodes: BoundaryNodes) -> SurfaceData:
-        """The displacements of the points; numbering is that of the unstructured files that this program writes.
-
-        Raises
-        ------
-        MotionError
-            When a number does not denote a point on a block face, nodes have no new position, or neighbours move so
-            differently that the numbers must belong to another mesh.
-        """
+        """The displacements of the points; numbering is that of the unstructured files that this program writes. Raises
+        MotionError when a number does not denote a point on a block face, nodes have no new position, or neighbours
+        move so differently that the numbers must belong to another mesh."""
         surface = positions_by_number(self.numbers, self.positions, self.label, nodes.grid, nodes.topology)
         missing = np.flatnonzero(~np.isin(nodes.numbers, self.numbers))
         if missing.size:
@@ -272,13 +267,8 @@ class Motion:
         return any(isinstance(step, Follow) and step.matching.partial for step in self.steps)
 
     def require(self, times: Iterable[float]) -> None:
-        """Refuse times at which a step is not defined, before anything is computed.
-
-        Raises
-        ------
-        MotionError
-            Naming the table and the time.
-        """
+        """Refuse times at which a step is not defined, before anything is computed. Raises MotionError naming the table
+        and the time."""
         for time in times:
             for step in self.steps:
                 step.require(time, self.constants)
@@ -324,13 +314,8 @@ class PreparedMotion:
         return moved
 
     def displacement(self, time: float = 0.0, fraction: float = 1.0) -> FloatArray:
-        """Displacement (n, 3) of the nodes for ``fraction`` of the motion at ``time``.
-
-        Raises
-        ------
-        MotionError
-            When a displacement is not finite, or larger than any length.
-        """
+        """Displacement (n, 3) of the nodes for ``fraction`` of the motion at ``time``. Raises MotionError when a
+        displacement is not finite, or larger than any length."""
         points = self.nodes.points
         x, y, z = points.T
         values = {**self.constants, "x": x, "y": y, "z": z, "t": time}
@@ -350,13 +335,7 @@ class PreparedMotion:
 
 
 def level_at(times: Sequence[float], time: float) -> int:
-    """Number of the file of a sequence with these ``times`` at one of them.
-
-    Raises
-    ------
-    MotionError
-        When there is none.
-    """
+    """Number of the file of a sequence with these ``times`` at one of them. Raises MotionError when there is none."""
     nearest = int(np.argmin(np.abs(np.asarray(times) - time)))
     spacing = np.diff(times).min() if len(times) > 1 else max(abs(time), abs(times[0]))
     if abs(times[nearest] - time) > 1e-6 * spacing:
@@ -368,13 +347,7 @@ def level_at(times: Sequence[float], time: float) -> int:
 
 
 def at_time(formula: Expression, time: float, constants: Mapping[str, Any], what: str) -> float:
-    """The value of a formula of t and constants.
-
-    Raises
-    ------
-    MotionError
-        When it is not finite.
-    """
+    """The value of a formula of t and constants. Raises MotionError when it is not finite."""
     value = float(formula({**constants, "x": 0.0, "y": 0.0, "z": 0.0, "t": time}))
     if not abs(value) <= LARGEST:
         raise MotionError(f"the {what} {formula.text!r} is {value:g} at t = {time:g}; expected a finite number")

@@ -46,13 +46,8 @@ class Airfoil(Step):
     label: str
 
     def prepare(self, nodes: BoundaryNodes) -> ImposedOutline:
-        """Find the outline of the nodes and the position of each on the new one.
-
-        Raises
-        ------
-        MotionError
-            When the nodes are not the surface of an airfoil, or the trailing edges differ in kind.
-        """
+        """Find the outline of the nodes and the position of each on the new one. Raises MotionError when the nodes are
+        not the surface of an airfoil, or the trailing edges differ in kind."""
         places = nodes.points[:, list(self.axes)]
         # Distinct points of the projection, and that of every node.
         rounded = np.round(places / (_SAME * float(np.ptp(places, axis=0).max())))
