@@ -218,7 +218,14 @@ def case_of(content: Mapping[str, Any], folder: str | Path = ".") -> CaseFile:
 
 def _parse(data: Table, folder: Path, settings: Sequence[_Setting] = ()) -> CaseFile:
     form = filled(CaseForm, data)
-    constants = _constants(form.constants)
+    for name, value in form.constants.items():
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise fail(f"constants.{name}", f"expected a finite number, found {literal(value)}")
+        if name in VARIABLES or name == "pi" or keyword.iskeyword(name):
+            raise fail(f"constants.{name}", f"{name} already has a meaning in formulas; choose another name")
+        if not name.isidentifier():
+            raise fail(f"constants.{name}", "expected a name of letters, digits and _ only")
+    constants = {name: float(value) for name, value in form.constants.items()}
     specs = tuple(_boundary_spec(entry, number, constants, folder) for number, entry in enumerate(form.boundary, 1))
     names = [spec.name for spec in specs]
     if len(set(names)) < len(names):
@@ -247,17 +254,6 @@ def _parse(data: Table, folder: Path, settings: Sequence[_Setting] = ()) -> Case
     )
     boundary_file = None if grid.boundary_file is None else folder / grid.boundary_file
     return CaseFile(case, boundary_file, tuple(named_files(data, folder)), data)
-
-
-def _constants(table: Table) -> dict[str, float]:
-    for name, value in table.items():
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise fail(f"constants.{name}", f"expected a finite number, found {literal(value)}")
-        if name in VARIABLES or name == "pi" or keyword.iskeyword(name):
-            raise fail(f"constants.{name}", f"{name} already has a meaning in formulas; choose another name")
-        if not name.isidentifier():
-            raise fail(f"constants.{name}", "expected a name of letters, digits and _ only")
-    return {name: float(value) for name, value in table.items()}
 
 
 def _boundary_spec(entry: BoundaryForm, number: int, constants: Mapping[str, float], folder: Path) -> BoundarySpec:
@@ -302,22 +298,16 @@ def _unread(
                 others = f"; used are {', '.join(sorted(used))}" if used else "; none uses any"
                 known = suggestion(name, used) or others
                 raise CaseError(f"--set {text!r}: no formula uses the constant {name!r}{known}")
-        if reason := _idle_option(path, options):
-            raise CaseError(f"--set {text!r} has no effect: {reason}")
+        if path[0] == "method" and len(path) > 1 and path[1] in PARTS:
+            own, parts = getattr(options, path[1]), entry_of(options.name).parts
+            reason = own.idle.get(path[2], "") if len(path) > 2 else ""
+            if type(own) not in parts:
+                names = ", ".join(f"method.{kind.__name__.lower()}" for kind in parts) or "no options"
+                reason = f"the method {options.name!r} uses only {names}"
+            if reason:
+                raise CaseError(f"--set {text!r} has no effect: {reason}")
     idle = [name for name in data.get("constants", {}) if name not in used]
     return tuple(f"no formula uses the constant {name!r}{suggestion(name, used)}" for name in idle)
-
-
-def _idle_option(path: Sequence[str], options: Options) -> str:
-    """Reason why the chosen method does not use an option; empty if it does."""
-    if path[0] != "method" or len(path) < 2 or path[1] not in PARTS:
-        return ""
-    own: MethodOptions = getattr(options, path[1])
-    used = entry_of(options.name).parts
-    if type(own) not in used:
-        names = ", ".join(f"method.{kind.__name__.lower()}" for kind in used) or "no options"
-        return f"the method {options.name!r} uses only {names}"
-    return own.idle.get(path[2], "") if len(path) > 2 else ""
 
 
 def case_schema() -> Table:

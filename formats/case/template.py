@@ -21,6 +21,7 @@ from meshdeform_core.grid.surfaces import Outside, Surface, thin_direction
 from meshdeform_core.grid.topology import Topology
 
 from ..displacement import read_displacement
+from ..text import distinct
 
 _MOTION = """\
 # Motions are applied in order; formulas use the undeformed x, y, z and the time t, for example
@@ -116,7 +117,6 @@ def _template_entries(grid: Grid, outside: Outside, table: FittedTable | None) -
     moving = outside.bodies or outside.of_role(Role.WALL)
     if table is not None:
         moving = tuple(surface for surface in outside.surfaces if surface.name in table.surfaces)
-    taken: set[str] = set()
     groups: dict[tuple[str, str], list[Surface]] = {}
     for surface in sorted(outside.surfaces, key=lambda s: list(Role).index(s.role)):
         if surface in moving:
@@ -132,12 +132,8 @@ def _template_entries(grid: Grid, outside: Outside, table: FittedTable | None) -
             # Both sides of a periodic pair belong to one entry.
             name = kind
         groups.setdefault((name, kind), []).append(surface)
-    for (name, kind), surfaces in groups.items():
-        unique = name
-        while unique in taken:
-            unique = f"{unique}-{kind}" if unique == name else f"{unique}+"
-        taken.add(unique)
-        yield unique, kind, surfaces
+    names = distinct(name for name, _ in groups)
+    yield from ((name, kind, surfaces) for name, ((_, kind), surfaces) in zip(names, groups.items(), strict=True))
 
 
 def _in_one_plane(grid: Grid, surface: Surface) -> bool:

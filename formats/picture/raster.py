@@ -121,15 +121,12 @@ def lines_over(corners: FloatArray, item: np.ndarray, pixels: tuple[np.ndarray, 
     along = end - start
     length = np.linalg.norm(along, axis=2)
     area = 0.5 * np.abs((start[..., 0] * end[..., 1] - end[..., 0] * start[..., 1]).sum(axis=1))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        # The spacing to the opposite edge decides how wide and strong a line is.
-        spacing = np.where(length > 0, area[:, None] / length / fine, 0.0)
-        normal = np.where(
-            length[..., None] > 0, np.stack([-along[..., 1], along[..., 0]], axis=2) / length[..., None], 0.0
-        )
+    # The spacing to the opposite edge decides how wide and strong a line is.
+    some = np.maximum(length, 1e-300)
+    spacing = np.where(length > 0, area[:, None] / some / fine, 0.0)
+    normal = np.stack([-along[..., 1], along[..., 0]], axis=2) / some[..., None]
     strength = np.clip((spacing - _VANISH) / (_FULL - _VANISH), 0.0, 1.0)
     half = 0.5 * fine * np.clip(_WIDTH * spacing, _THINNEST, _THICKEST)
-    normal[length == 0] = 0.0
     of_edges = np.stack([normal[..., 0], normal[..., 1], -(normal * start).sum(axis=2), strength, half + 0.5], axis=2)
     cover = np.zeros(len(item))
     row, column = pixels[0] + 0.5, pixels[1] + 0.5

@@ -117,10 +117,8 @@ class Subject(CellFields):
             ends = _faces_across([face for face in self.outside.faces if face.outside], self.thin)
         if ends and ends[0].plane is not None:
             return ends
-        walls, planes = (
-            self._faces_of_role(Role.WALL),
-            [face for face in self._faces_of_role(Role.SYMMETRY) if face.plane],
-        )
+        walls = self._faces_of_role(Role.WALL)
+        planes = [face for face in self._faces_of_role(Role.SYMMETRY) if face.plane]
         tried: list[FloatArray] = []
         for face in planes:
             assert face.plane is not None

@@ -65,14 +65,11 @@ def boundary_part(setup: Setup) -> Report:
         "interface_nodes": boundary.count(*(kind for kind in Kind if kind < Kind.FIXED and kind not in sliding)),
         "interior_nodes": setup.grid.n_nodes - len(topology.face_nodes),
     }
-    matches = [(match, motion) for _, motion in boundary.movers for match in motion.matches]
-    if matches:
-        part["matches"] = []
-    for m, motion in matches:
+    for m, motion in ((match, each) for _, each in boundary.movers for match in each.matches):
         # Sizes of the table and of the wall that it moves: their ratio is 1000 when their length units differ.
         both = (m.points, motion.nodes.points[m.matched])
         table, wall = (float(np.linalg.norm(np.ptp(x, axis=0))) if len(x) else None for x in both)
-        part["matches"].append(
+        part.setdefault("matches", []).append(
             {
                 "table": m.label,
                 "match": m.how,
@@ -188,17 +185,8 @@ def blocks_part(grid: Grid, blocks: Sequence[BlockQuality]) -> list[Report]:
     for patch in grid.patches:
         for window in patch.windows:
             families[window.block][patch.family or patch.name] = None
-    return [
-        {
-            "name": block.name,
-            "families": sorted(names),
-            "cells": block.cells,
-            "invalid_cells": block.invalid_cells,
-            "before": vars(block.before).copy(),
-            "after": vars(block.after).copy(),
-        }
-        for block, names in zip(blocks, families, strict=True)
-    ]
+    both = zip(blocks, families, strict=True)
+    return [dataclasses.asdict(block) | {"families": sorted(names)} for block, names in both]
 
 
 def _shape_part(grid: Grid) -> Report:
