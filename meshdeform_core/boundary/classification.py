@@ -300,14 +300,9 @@ def opening_notes(
     moving: IntArray,
     declared: bool | Sequence[str],
 ) -> list[str]:
-    """Warnings about outside faces that nearly coincide with others. Raises CaseError when no boundary entry selects
-    such a face, as the grid would tear at this fixed wall.
-
-    Parameters
-    ----------
-    unselected, moving : face quads that nothing selects, and those of moving entries
-    declared : the value of ``grid.open``: faces that are meant to be open (``True``: all)
-    """
+    """Warnings about outside faces that nearly coincide with others, unless ``declared``, the value of ``grid.open``,
+    says that these faces, or all (``True``), are open. Raises CaseError when a face is ``unselected``, as the grid
+    would tear at this fixed wall; faces of ``moving`` entries may separate."""
     if declared is True or not openings:
         return []
     meant = select_quads(grid, topology, declared, "grid.open") if declared else np.empty(0, dtype=np.int64)

@@ -154,12 +154,8 @@ class CrossingTest:
         return tuple(sorted(crossings, key=lambda crossing: -crossing.count))
 
     def contact(self, path: Callable[[float], FloatArray]) -> Contact | None:
-        """First contact of the boundary with itself; ``None`` if there is no crossing at the end of the motion.
-
-        Parameters
-        ----------
-        path : displacement at a fraction of the motion
-        """
+        """First contact of the boundary with itself on a ``path`` that gives the displacement at a fraction of the
+        motion; ``None`` if there is no crossing at the end."""
         last = path(1.0)
         found = self.crossings(last)
         if not found and not self._outside(last):

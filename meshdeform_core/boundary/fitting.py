@@ -173,12 +173,8 @@ class _Use:
 
 
 class Tables:
-    """The displacement tables of the moving boundary entries; those of a sequence change with time.
-
-    Parameters
-    ----------
-    movers : selected face quads and motion of every moving boundary entry
-    """
+    """The displacement tables of the moving boundary entries; those of a sequence change with time. ``movers`` are the
+    selected face quads and the motion of every entry."""
 
     def __init__(self, topology: Topology, movers: Sequence[tuple[IntArray, PreparedMotion]]):
         self._topology, self._movers = topology, movers

@@ -75,13 +75,8 @@ class Periodic:
 
 
 def periodic_pairs(grid: Grid, topology: Topology, one: IntArray, two: IntArray, owner: str) -> Periodic:
-    """Pair the nodes of two periodic boundaries by the translation or rotation that maps one onto the other. Raises
-    CaseError when no translation, and no rotation about a coordinate axis, maps one side onto the other.
-
-    Parameters
-    ----------
-    one, two : unique node numbers of the two sides
-    """
+    """Pair the unique nodes ``one`` and ``two`` of the sides of a periodic boundary by the translation or rotation that
+    maps one onto the other. Raises CaseError when no translation, and no rotation about a coordinate axis, does."""
     p, q = grid.nodes.at(topology.first[one]), grid.nodes.at(topology.first[two])
     centers = p.mean(axis=0), q.mean(axis=0)
     changes = [(np.eye(3), centers[1] - centers[0])]
@@ -107,14 +102,9 @@ def periodic_pairs(grid: Grid, topology: Topology, one: IntArray, two: IntArray,
 
 
 def find_periodicity(grid: Grid, topology: Topology, name: str, quads: IntArray, sides: Sequence[IntArray]) -> Periodic:
-    """Pairs of one periodic boundary: as declared in the file, otherwise found by matching its two sides. Raises
-    CaseError when the file declares nothing and the boundary does not select two sides that match.
-
-    Parameters
-    ----------
-    quads : all face quads of the boundary
-    sides : the quads of each of its ``select`` patterns
-    """
+    """Pairs of one periodic boundary with these face ``quads``: as declared in the file, otherwise by matching its two
+    ``sides``, the quads of its ``select`` patterns. Raises CaseError when the file declares nothing and there are not
+    two sides that match."""
     nodes = np.unique(topology.quads.corners[quads])
     declared = Periodic.none()
     for connection in grid.connections:

@@ -170,10 +170,8 @@ def find_sliding(
 ) -> tuple[Slip, tuple[Plane, ...]]:
     """Slip constraints and symmetry planes. Raises CaseError when a symmetry boundary is not plane.
 
-    Parameters
-    ----------
-    slipping : name, face quads and "is a symmetry" of every slip or symmetry boundary
-    free, moving : (n_unique,) nodes that belong to no stronger boundary, and those of moving ones
+    ``slipping`` has name, face quads and "is a symmetry" of every slip or symmetry boundary; ``free`` and ``moving``
+    (n_unique,) are the nodes that belong to no stronger boundary, and those of moving ones.
     """
     planes: list[tuple[Plane, IntArray]] = []
     curved: list[CurvedSurface] = []

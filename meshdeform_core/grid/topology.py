@@ -177,15 +177,11 @@ def find_topology(grid: Grid, tolerance: float = RELATIVE_TOLERANCE) -> Topology
 
 
 def coincident_topology(grid: Grid, tolerance: float = RELATIVE_TOLERANCE) -> Topology:
-    """Identify coincident nodes and shared faces of ``grid``.
+    """Identify coincident nodes, those within ``tolerance`` times the shortest edge at either, and shared faces.
 
     Full and partial faces, O-grid seams, C-grid cuts, collapsed edges, poles and all relative orientations need no
     special treatment: quads are shared when they have the same unique corner nodes. Nodes of different components are
     never identified.
-
-    Parameters
-    ----------
-    tolerance : largest distance between coincident nodes relative to the shortest edge at either of them
     """
     handedness, sides = block_handedness(grid), np.flatnonzero(grid.sides.has_quads)
     nodes, places = _face_nodes(grid, sides)
@@ -295,11 +291,8 @@ def _face_quads(grid: Grid, handedness: IntArray, sides: IntArray, number: IntAr
 def partners(corners: IntArray, shared: BoolArray) -> tuple[IntArray, int]:
     """Partner of every quad, ``EXTERNAL`` or ``COLLAPSED``, and the number of quads that more than two blocks share.
 
-    Parameters
-    ----------
-    corners : (n_quads, 2 or 4) unique nodes
-    shared : (n_unique,) nodes that several blocks have in common; only quads whose corners are shared, all but one for
-        collapsed ones, need to be compared, and only with those that have the same smallest corner
+    Of ``corners`` (n_quads, 2 or 4) those of a quad that can have a partner are ``shared`` (n_unique,) by several
+    blocks, all but one for collapsed quads; it is compared only with those that have the same smallest corner.
     """
     smallest = np.full(len(corners), len(shared), dtype=corners.dtype)
     count = np.zeros(len(corners), dtype=np.int8)

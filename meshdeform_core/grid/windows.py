@@ -15,14 +15,10 @@ from .topology import FaceQuads, Topology, side_nodes
 
 
 def windows_of_quads(shape: Shape, block: int, side: Side, quads: NDArray[np.bool_]) -> list[Window]:
-    """Rectangles that cover exactly the marked quads of a block face.
+    """Rectangles that cover exactly the marked ``quads`` of a face of a block of this ``shape`` in nodes.
 
-    Rows of marked quads are cut into runs, and equal runs of successive rows become one rectangle.
-
-    Parameters
-    ----------
-    shape : of the block, in nodes
-    quads : bool, the face's cells along ``side.tangential`` (one cell across the plane of a 2-D grid)
+    The quads are cells along ``side.tangential``, one across the plane of a 2-D grid. Rows of marked quads are cut into
+    runs, and equal runs of successive rows become one rectangle.
     """
     u, v = np.nonzero(quads)
     row, label = u * quads.shape[1] + v, np.zeros(len(u), dtype=np.int64)
@@ -82,14 +78,9 @@ _TOGETHER = 200_000
 
 
 def rectangles(grid: Grid, faces: FaceQuads, label: IntArray) -> Rectangles:
-    """Rectangles of face quads with equal labels on all block sides, divided as by :func:`windows_of_quads`.
+    """Rectangles of face quads with equal labels (n_quads,) on all block sides, divided as by
+    :func:`windows_of_quads`; quads with a negative label are left out.
 
-    Parameters
-    ----------
-    label : (n_quads,) labels from 0; quads with a negative label are left out
-
-    Returns
-    -------
     Ordered by side, label, first node along the second axis, last one, first node along the first axis.
     """
     some = np.flatnonzero(label >= 0)
