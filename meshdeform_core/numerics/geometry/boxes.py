@@ -1,11 +1,10 @@
-"""Trees of axis-parallel boxes along a space-filling curve, and which boxes overlap.
+"""Trees of axis-parallel boxes cut at medians, and which boxes overlap.
 
 Plain numpy, level by level: ``meshdeform info`` imports no numba, and a first run compiles nothing here.
 """
 
 from __future__ import annotations
 
-from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -18,12 +17,12 @@ Boxes = tuple[FloatArray, FloatArray]
 
 _TOGETHER = 1 << 14
 """Pairs of boxes compared at a time, which bounds the memory."""
-_LEAF = 8
-"""Boxes at the end of the tree that are compared with each other, one by one."""
+LEAF = 8
+"""Boxes at the end of the tree that are searched one by one; a power of two."""
 
 
 def levels_of(low: FloatArray, high: FloatArray) -> list[Boxes]:
-    """The boxes (3, 2^l) of each level l of a balanced binary tree over boxes (n, 3) in the order of :func:`curve`.
+    """The boxes (3, 2^l) of each level l of a balanced binary tree over boxes (n, 3) in the order of :func:`halves`.
 
     Box n of a level contains the boxes 2 n and 2 n + 1 of the next one; those without content are inside out.
     """
@@ -49,11 +48,11 @@ def _leaves(values: NDArray[Any], depth: int, rest: float) -> NDArray[Any]:
 def overlapping(low: FloatArray, high: FloatArray, asked: BoolArray) -> IntArray:
     """Pairs (2, m) of boxes (n, 3) with a point in common, at least one of them ``asked`` (n,); in no order.
 
-    The boxes are in the order of :func:`curve`, at least nearly.
+    The boxes are in the order of :func:`halves`, at least nearly.
     """
     if not len(low):
         return np.empty((2, 0), dtype=np.int64)
-    size = min(_LEAF, 1 << depth_of(len(low)))
+    size = min(LEAF, 1 << depth_of(len(low)))
     levels, active = levels_of(low, high), [_leaves(asked[:, None], depth_of(len(low)), False)[0]]
     for _ in levels[1:]:
         active.append(active[-1][::2] | active[-1][1::2])
@@ -90,49 +89,19 @@ def overlapping(low: FloatArray, high: FloatArray, asked: BoolArray) -> IntArray
 def overlapping_boxes(one: Boxes, two: Boxes) -> IntArray:
     """All pairs (m, 2) of a box of ``one`` and a box of ``two`` that have a point in common, in ascending order."""
     low, high = (np.concatenate([one[end], two[end]]) for end in (0, 1))
-    order = curve(0.5 * (low + high))
+    order = halves(0.5 * (low + high))
     pairs = np.sort(order[overlapping(low[order], high[order], order < len(one[0]))], axis=0).T
     pairs = pairs[(pairs[:, 0] < len(one[0])) & (pairs[:, 1] >= len(one[0]))]
     pairs[:, 1] -= len(one[0])
     return np.asarray(pairs[np.lexsort(pairs.T[::-1])])
 
 
-def curve(places: FloatArray) -> IntArray:
-    """Order of places (n, 3) along a space-filling (Morton) curve, on a lattice refined where they are dense."""
-    if not len(places):
-        return np.empty(0, dtype=np.int64)
-    key = places - np.median(places, axis=0)
-    key /= 1e-3 * max(float(np.median(np.maximum(key.max(axis=1), -key.min(axis=1)))), 1e-300)
-    np.arcsinh(key, out=key)
-    key -= key.min(axis=0)
-    most = max(float(key.max()), 1e-300)
-    key *= (1 << 21) - 1
-    key /= most
-    # Bits of three numbers (n, 3) below 2^21 interleaved.
-    index = key.astype(np.uint64)
-    spread = (
-        (32, 0x1F00000000FFFF),
-        (16, 0x1F0000FF0000FF),
-        (8, 0x100F00F00F00F00F),
-        (4, 0x10C30C30C30C30C3),
-        (2, 0x1249249249249249),
-    )
-    parts = []
-    for axis in range(3):
-        x = index[:, axis]
-        for shift, mask in spread:
-            x = (x | x << np.uint64(shift)) & np.uint64(mask)
-        parts.append(x << np.uint64(axis))
-    return np.argsort(reduce(np.bitwise_or, parts))
-
-
-def halves(places: FloatArray, leaf: int) -> IntArray:
-    """Order of places (n, 3) in which every box of the tree is cut at a median across its longest side, down to boxes
-    of ``leaf`` places: slower than :func:`curve`, but boxes are compact, so that few are searched for a closest one.
-    """
+def halves(places: FloatArray) -> IntArray:
+    """Order of places (n, 3) in which every box of the tree above its leaves is cut at a median across its longest
+    side, so that boxes are compact."""
     count, every = len(places), np.arange(len(places))
     order, size = every, 1 << depth_of(count)
-    while size > leaf:
+    while size > LEAF:
         x, box, start = places[order], every // size, np.arange(0, count, size)
         low = np.minimum.reduceat(x, start)
         extent = np.maximum.reduceat(x, start) - low

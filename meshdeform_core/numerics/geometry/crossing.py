@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import BoolArray, FloatArray, IntArray
-from .boxes import curve, overlapping
+from .boxes import halves, overlapping
 from .vectors import cross
 
 ORDINARY, BESIDE, SLIDING = 0, 1, 2
@@ -50,7 +50,7 @@ class FaceTree:
     def __init__(self, points: FloatArray, faces: IntArray, role: NDArray[np.int8]):
         self._faces, self._role = faces, role
         self._low, self._high = _bounds(points, faces)
-        self._order = curve(0.5 * (self._low + self._high))
+        self._order = halves(0.5 * (self._low + self._high))
 
     def overlapping(
         self, points: FloatArray, asked: BoolArray, margin: FloatArray | float = 0.0, moved: BoolArray | None = None

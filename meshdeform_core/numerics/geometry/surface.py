@@ -6,10 +6,7 @@ import numpy as np
 
 from ..arrays import FloatArray, IntArray
 from ..jit import inlined, kernel
-from .boxes import depth_of, halves, levels_of
-
-_LEAF = 3
-"""Levels of the tree left out at its end: triangles are tried one by one in boxes of eight."""
+from .boxes import LEAF, depth_of, halves, levels_of
 
 
 class TriangleTree:
@@ -25,13 +22,12 @@ class TriangleTree:
         self.triangles = triangles
         corners = points[triangles]
         low, high = corners.min(axis=1), corners.max(axis=1)
-        whole = depth_of(len(triangles))
-        depth = max(whole - _LEAF, 0)
-        self._order = halves(0.5 * (low + high), 1 << (whole - depth))
-        levels = levels_of(low[self._order], high[self._order])[: depth + 1]
+        self._order = halves(0.5 * (low + high))
+        self._leaf = min(LEAF, 1 << depth_of(len(triangles)))
+        levels = levels_of(low[self._order], high[self._order])
+        levels = levels[: len(levels) - depth_of(self._leaf)]
         # Box n of a level follows all boxes of the levels before: the children of box b are 2 b + 1 and 2 b + 2.
         self._box = np.concatenate([np.concatenate(boxes).T for boxes in levels]).copy()
-        self._leaf = 1 << (whole - depth)
         self._corners = corners[self._order]
 
     def closest(self, targets: FloatArray, within: FloatArray | None = None) -> tuple[IntArray, FloatArray, FloatArray]:
