@@ -5,17 +5,20 @@ Numpy's error model matters for speed: Python's tests every divisor for zero, wh
 The first run after installation has to wait for compilation. The cost grows with the number of functions and of
 distinct array operations, not with the length of a loop: scalar loops compile fastest; slice assignments, array
 expressions, ``zeros``, reductions and searches each instantiate functions of numba's own. Loops that declare the types
-of their arguments are compiled by several processes (:mod:`.compiling`) as soon as the first one is missing.
+of their arguments are compiled by several processes (:class:`Compilers`) as soon as the first one is missing.
 """
 
 from __future__ import annotations
 
+import atexit
 import gc
 import hashlib
 import importlib
 import os
 import signal
+import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache, partial
@@ -47,7 +50,6 @@ from numba.core.runtime import rtsys  # noqa: E402
 from numba.core.typing import arraydecl as _arrays_first  # noqa: E402, F401
 
 from ..parallel.loops import usable_cores  # noqa: E402
-from .compiling import Compilers  # noqa: E402
 
 T = TypeVar("T")
 
@@ -243,6 +245,121 @@ def _names(code: CodeType) -> Iterator[str]:
             yield from _names(constant)
 
 
+# Starting a process, which imports numba, costs as much as compiling so many loops.
+_WORTH_A_PROCESS = 3
+_LOOK_AGAIN = 0.02
+"""Seconds between two looks at what other processes have finished."""
+
+
+class Compilers:
+    """Loops that are missing from the cache, compiled in several processes from when the first one is asked for.
+
+    numba compiles under one lock, hence processes instead of threads. Whoever needs a loop that another process is
+    compiling takes the next missing one meanwhile. A process that fails or is killed costs time only: its loop is
+    compiled by whoever needs it. ``missing()`` are the names of all declared loops that are not in the cache.
+    """
+
+    def __init__(self, missing: Callable[[], list[str]], compile: Callable[[str], object]):
+        self._missing, self._compile = missing, compile
+        self._pending, self._running = list[str](), set[str]()
+        self._known, self._processes = set[str](), list[subprocess.Popen[str]]()
+        self._count = 1
+        self._change = threading.Condition()
+
+    def extent(self) -> tuple[int, int]:
+        """How many loops were found missing so far, and how many processes compile them."""
+        return len(self._known), self._count
+
+    def obtain(self, name: str | None = None) -> int:
+        """Return when the loop is in the cache, or when this process has to compile it itself; by default when all are
+        in the cache.
+
+        Returns how many other loops it compiled meanwhile. Called under numba's compiler lock, hence by one thread at
+        a time, after :meth:`begin`.
+        """
+        compiled = 0
+        while True:
+            with self._change:
+                if name in self._pending:
+                    self._pending.remove(name)
+                    return compiled
+                if name not in self._running if name else not (self._pending or self._running):
+                    return compiled
+                other = self._pending.pop() if self._pending else None
+                if other is None:
+                    self._change.wait(_LOOK_AGAIN)
+            if other is not None:
+                self._compile(other)
+                compiled += 1
+
+    def all(self) -> int:
+        """Compile all missing loops and return how many there were."""
+        self.begin("")
+        count = len(self._pending) + len(self._running)
+        self.obtain()
+        return count
+
+    def begin(self, name: str) -> None:
+        """Find what is missing and start processes for it, unless the loop of this name is known to be."""
+        if name in self._known:
+            return
+        new = [name for name in self._missing() if name not in self._known]
+        with self._change:
+            self._known.update(new)
+            self._pending.extend(new)
+            wanted = min(usable_cores() - 1, len(self._pending) // _WORTH_A_PROCESS)
+        if getattr(sys, "frozen", False) or not Path(sys.executable).name.startswith("python"):
+            # A program with an interpreter inside cannot be started as one.
+            return
+        started = wanted - sum(process.poll() is None for process in self._processes)
+        for _ in range(started):
+            threading.Thread(target=self._feed, name="compiling", daemon=True).start()
+        self._count = max(self._count, 1 + started)
+
+    def _feed(self) -> None:
+        """Start a process and hand it one loop after the other."""
+        # The same modules, in whatever way this process finds them.
+        paths = os.pathsep.join(path for path in sys.path if path)
+        name = None
+        try:
+            with subprocess.Popen(
+                [sys.executable, "-c", f"from {__name__} import serve; serve()"],
+                env=os.environ | {"PYTHONPATH": paths},
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                text=True,
+                start_new_session=True,
+            ) as process:
+                self._processes.append(process)
+                assert process.stdin is not None
+                assert process.stdout is not None
+                atexit.register(process.kill)
+                while name := self._take():
+                    process.stdin.write(name + "\n")
+                    process.stdin.flush()
+                    if process.stdout.readline() != name + "\n":
+                        break
+                    self._finish(name)
+        except OSError:
+            # No process can be started, or it has died: this one compiles what it needs.
+            pass
+        finally:
+            self._finish(name)
+
+    def _take(self) -> str | None:
+        with self._change:
+            name = self._pending.pop(0) if self._pending else None
+            if name:
+                self._running.add(name)
+            return name
+
+    def _finish(self, name: str | None) -> None:
+        with self._change:
+            self._running.discard(name or "")
+            self._change.notify_all()
+
+
 _declared: dict[str, tuple[Any, Any]] = {}
 """Loops with the types of their arguments, by name and number of these; the modules imported so far declare them."""
 
@@ -315,7 +432,7 @@ def compile_declared(name: str) -> None:
 
 
 _clock = _CompileClock()
-_compilers = Compilers(missing_loops, compile_declared, usable_cores, f"from {__name__} import serve; serve()")
+_compilers = Compilers(missing_loops, compile_declared)
 event.register("numba:compile", _clock)
 
 
