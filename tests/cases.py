@@ -11,6 +11,7 @@ from grids import frame
 from meshdeform_core.boundary import BoundarySpec, Kind, classify
 from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.boundary.motions.motion import Displace, Motion, Rotate
+from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.methods import IDW, RBF, TFI, Options, Problem, make_method
@@ -84,6 +85,16 @@ def problem_of(grid: Grid | None = None, specs: list[BoundarySpec] | None = None
     topology = find_topology(grid)
     boundary = classify(grid, topology, specs or everything_moves(), {})
     return Problem(grid, topology, boundary)
+
+
+def told(problem: Problem) -> np.ndarray:
+    """The displacement (n_sources, 3) that the boundary prescribes."""
+    every = prescribed_displacement(problem.grid, problem.topology, problem.boundary)
+    return every[problem.source_numbers]
+
+
+def inner_nodes(problem: Problem) -> np.ndarray:
+    return np.setdiff1d(np.arange(problem.grid.n_nodes), problem.topology.face_nodes)
 
 
 def apply(options: Options, problem: Problem, motion: Callable[[np.ndarray], np.ndarray] | np.ndarray) -> np.ndarray:

@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from cases import ALL_METHODS, apply, body_specs, formulas, problem_of, turning
+from cases import ALL_METHODS, apply, body_specs, formulas, inner_nodes, problem_of, told, turning
 from grids import block_around, clustered, frame, frame_2d
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.expression import expression
-from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import IDW, Options
 from meshdeform_core.methods.constraints import WIDTH, BesideSlip
@@ -15,10 +14,6 @@ from meshdeform_core.quality import Original, assess
 
 # Along the body, and towards the slip sides between which it stands.
 SWAYING = formulas("0.1*z", "0.0", "0.2*sin(pi*z)")
-
-
-def told(problem):
-    return prescribed_displacement(problem.grid, problem.topology, problem.boundary)[problem.source_numbers]
 
 
 def thin_cells() -> Grid:
@@ -77,8 +72,7 @@ def test_it_is_the_solution_of_a_small_system_at_every_node():
     problem = corner(sheared(frame()))
     assert len(problem.boundary.slip.sides) == 3
     rng = np.random.default_rng(3)
-    inside = np.setdiff1d(np.arange(problem.grid.n_nodes), problem.topology.face_nodes)
-    flat = np.sort(rng.choice(inside, 40, replace=False))
+    flat = np.sort(rng.choice(inner_nodes(problem), 40, replace=False))
     given = rng.standard_normal((problem.grid.n_nodes, 3))
     found = given.copy()
     BesideSlip(problem, flat).apply(found)

@@ -5,13 +5,11 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from cases import body_specs, everything_moves, problem_of, turning
+from cases import body_specs, everything_moves, problem_of, told, turning
 from derivative_cases import KINDS, METHODS, directions
 from grids import frame
 
-import meshdeform as md
 from meshdeform_core.boundary import Kind
-from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.methods import IDW, RBF, Options, make_method
 from meshdeform_core.methods.limits import CHOSEN, EDGES, FOLDED, HALF_TURNS, LARGEST
 from meshdeform_core.methods.scattered import linear_idw
@@ -110,7 +108,7 @@ def test_sliding_where_a_gap_closes():
 )
 def test_large_rotations(name, angle):
     where = problem_of(frame(), body_specs(turning(angle)))
-    at = prescribed_displacement(where.grid, where.topology, where.boundary)[where.source_numbers]
+    at = told(where)
     _, rough = directions(where)
     check(make_method(METHODS[name]).prepare(where), at, 0.05 * rough)
 
@@ -195,19 +193,6 @@ def test_threads_change_no_bit_of_a_derivative():
             np.testing.assert_array_equal(one[part], two[part])
 
 
-@pytest.mark.slow
-def test_fast_sums_of_many_nodes():
-    """Some 28,000 nodes and 3,500 sources, of which 1,100 move: enough for sums over clusters."""
-    sample = md.sample("hemisphere", 16)
-    meshes = [md.prepare(sample.grid, sample.case, method=md.IDW(summation=kind)) for kind in ("exact", "fast")]
-    at = 0.001 * np.sin(60.0 * meshes[0].points[:, [1, 2, 0]])
-    exact, fast = (mesh.linearise(at, steps=1, repair="off") for mesh in meshes)
-    rough = np.random.default_rng(1).standard_normal(at.shape)
-    for change in (rough, 1000.0 * at[:, [2, 0, 1]]):
-        one, two = (np.concatenate([block.ravel() for block in found.jvp(change)]) for found in (exact, fast))
-        assert np.abs(one - two).max() < DERIVATIVE_TOLERANCE * np.abs(one).max()
-
-
 def test_where_centres_are_chosen_the_derivative_is_that_of_all():
     where = KINDS["slip"]()
     smooth, rough = directions(where)
@@ -223,7 +208,7 @@ def test_where_centres_are_chosen_the_derivative_is_that_of_all():
 def test_where_there_is_no_derivative_is_named():
     """Half a turn, two largest displacements, a wall that is folded by half a turn."""
     where = problem_of(frame(), body_specs(turning(180.0)))
-    at = prescribed_displacement(where.grid, where.topology, where.boundary)[where.source_numbers]
+    at = told(where)
     moving = int(at.any(axis=1).sum())
     method = make_method(METHODS["idw-lie"]).prepare(where)
     assert method.linearised(at).kinks[HALF_TURNS] == moving

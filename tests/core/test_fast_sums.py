@@ -5,10 +5,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from cases import apply, body_specs, constant, everything_moves, problem_of, turning
+from cases import apply, body_specs, constant, everything_moves, problem_of, told, turning
 from grids import frame, frame_2d
 
-from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.errors import MethodError
 from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.methods import IDW, RBF, Options, make_method
@@ -36,10 +35,6 @@ VARIANTS = {
 @pytest.fixture(scope="module")
 def problem():
     return problem_of(frame(12, 8), body_specs(turning(20, center=(0.3, 0.1, 0.0))))
-
-
-def told(problem):
-    return prescribed_displacement(problem.grid, problem.topology, problem.boundary)[problem.source_numbers]
 
 
 def cell_sizes(problem):

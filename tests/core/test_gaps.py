@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from cases import apply, body_specs, constant, formulas, problem_of
+from cases import apply, body_specs, constant, formulas, problem_of, told
 from grids import frame, frame_2d
 
 from meshdeform_core.boundary import BoundarySpec, Kind
-from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.deform import Case, deform
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import IDW, TFI, Options, make_method
@@ -35,10 +34,6 @@ def lowered(left: float) -> list[BoundarySpec]:
     """The roof comes down to a share of its height above the bump."""
     roof = formulas("0", f"-{0.8 * (1.0 - left)}*exp(-(x/0.8)**2)", "0")
     return [BoundarySpec("roof", ("*.jmax",), Kind.MOVING, None, roof), BoundarySpec("floor", ("*.jmin",), Kind.FIXED)]
-
-
-def told(problem) -> np.ndarray:
-    return prescribed_displacement(problem.grid, problem.topology, problem.boundary)[problem.source_numbers]
 
 
 def walls(quality) -> float:

@@ -4,14 +4,13 @@ import itertools
 
 import numpy as np
 import pytest
-from cases import apply, body_specs, problem_of, turning
+from cases import apply, body_specs, inner_nodes, problem_of, told, turning
 from grids import block_around, frame, frame_2d, polar
 from reference.idw import slow_idw
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.boundary.motions.motion import Displace, Motion, Rotate
-from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.deform import Case, deform
 from meshdeform_core.errors import MethodError
 from meshdeform_core.grid import Grid
@@ -42,10 +41,6 @@ VARIANTS = {
 }
 
 
-def told(problem):
-    return prescribed_displacement(problem.grid, problem.topology, problem.boundary)[problem.source_numbers]
-
-
 # Others are in space as in the plane.
 IN_SPACE = ("none", "quaternion", "division", "blend", "lie")
 
@@ -58,7 +53,7 @@ def test_slow_twin(name, grid):
     bend = body_specs(turning(25))[: 2 if grid.dimension == 3 else 1]
     problem = problem_of(grid, bend)
     moved = apply(Options("idw", idw=VARIANTS[name]), problem, told(problem))
-    inside = np.setdiff1d(np.arange(grid.n_nodes), problem.topology.face_nodes)
+    inside = inner_nodes(problem)
     targets = inside[:: max(1, len(inside) // 12)]
     expected = slow_idw(problem, told(problem), grid.points[targets], VARIANTS[name])
     np.testing.assert_allclose(moved[targets], expected, atol=1e-12)

@@ -11,8 +11,7 @@ from grids import frame, frame_2d, permuted, polar, turn_back
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.expression import expression
-from meshdeform_core.boundary.prescribed import prescribed_displacement
-from meshdeform_core.methods import Problem, make_method
+from meshdeform_core.methods import IDW, Options, Problem, make_method
 
 EVERY = every(ALL_METHODS)
 XYZ = {"x", "y", "z"}
@@ -131,28 +130,17 @@ def test_frame_rotation_and_shift_do_not_matter(name):
     assert difference > 1e-6 if name in FRAME_DEPENDENT else difference < tolerance(name)
 
 
-@EVERY
+WITHOUT_THE_MEAN = Options("idw", idw=IDW(rotation="division", divisions=8, remove_mean=True))
+
+
+@every([*ALL_METHODS, "without the mean"])
 def test_superposed_translation(name):
     problem = problem_of(frame(), body_specs(turning(10), Kind.FREE))
-    shift = np.array([0.5, 0.25, -0.125])
-    moved = apply(ALL_METHODS[name], problem, solid_turn_of_body(problem))
-    more = apply(ALL_METHODS[name], problem, solid_turn_of_body(problem) + shift)
+    shift, options = np.array([0.5, 0.25, -0.125]), ALL_METHODS.get(name, WITHOUT_THE_MEAN)
+    moved, more = (apply(options, problem, solid_turn_of_body(problem) + by) for by in (0.0, shift))
     error = np.abs(more - moved - shift).max()
-    if name == "idw-division":
-        # Without remove_mean, as in the paper: each part of the motion turns the translation of those before.
-        assert error > 1e-4
-    else:
-        assert error < tolerance(name)
-
-
-def test_superposed_translation_without_the_mean():
-    name = "idw-division"
-    problem = problem_of(frame(), body_specs(turning(10), Kind.FREE))
-    options = ALL_METHODS[name]
-    free = dataclasses.replace(options, idw=dataclasses.replace(options.idw, remove_mean=True))
-    shift = np.array([0.5, 0.25, -0.125])
-    moved, more = (apply(free, problem, solid_turn_of_body(problem) + by) for by in (0.0, shift))
-    assert np.abs(more - moved - shift).max() < tolerance(name)
+    # As in the paper each part of the motion turns the translation of those before.
+    assert error > 1e-4 if name == "idw-division" else error < tolerance(name)
 
 
 def solid_turn_of_body(problem):
@@ -211,15 +199,6 @@ def test_linear_map_is_exact(name):
     matrix = np.array([[0.1, 0.2, 0.0], [-0.1, 0.05, 0.3], [0.0, 0.1, -0.2]])
     moved = apply(ALL_METHODS[name], everything("frame"), lambda x: x @ matrix.T)
     assert np.abs(moved - grid.points @ matrix.T).max() < (1e-14 if name == "tfi" else 1e-10)
-
-
-def test_fixed_outside_and_moving_body_are_told_by_the_boundary():
-    problem = problem_of(frame(), body_specs(turning(30)))
-    told = prescribed_displacement(problem.grid, problem.topology, problem.boundary)
-    moving = problem.boundary.kind == Kind.MOVING
-    points = problem.grid.points[problem.topology.first]
-    np.testing.assert_allclose(told[moving], solid_turn(points[moving], 30.0), atol=1e-15)
-    assert np.all(told[~moving] == 0.0)
 
 
 class Unset:

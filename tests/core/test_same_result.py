@@ -13,10 +13,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import ALL_METHODS, REPEATED, body_specs, every, problem_of, turning
+from cases import ALL_METHODS, REPEATED, body_specs, every, problem_of, told, turning
 from grids import frame
 
-from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.methods import IDW, RBF, Options, make_method
 from meshdeform_core.parallel import set_sharing
@@ -62,9 +61,8 @@ def problem(name, memory=None):
 
 def displacements(where):
     """Large, small, at rest in places, and of another kind."""
-    told = prescribed_displacement(where.grid, where.topology, where.boundary)[where.source_numbers]
-    x = where.source_points
-    return [told, 0.01 * told, 0.0 * told, told * (x[:, :1] > 0.0), 0.6 * told * np.cos(3 * x), 3 * told * x[:, 2:]]
+    at, x = told(where), where.source_points
+    return [at, 0.01 * at, 0.0 * at, at * (x[:, :1] > 0.0), 0.6 * at * np.cos(3 * x), 3 * at * x[:, 2:]]
 
 
 def moved(options, where, displacement):
@@ -82,7 +80,7 @@ def alone(name, number):
 @EVERY
 def test_neither_earlier_displacements_nor_memory_nor_threads_change_a_bit(name):
     """Twice each, so that what is kept is used: nothing of it fits into the least memory."""
-    told = displacements(problem(name))
+    given = displacements(problem(name))
     # Systems of equations have to fit.
     least = 0 if METHODS[name].name in ("tfi", "idw", "idw-tfi") else 2**25
     for memory, threads in ((least, 1), (2**33, 2)):
@@ -91,7 +89,7 @@ def test_neither_earlier_displacements_nor_memory_nor_threads_change_a_bit(name)
             prepared = make_method(METHODS[name]).prepare(problem(name, memory))
             for number in (3, 0, 4, 0, 2, 4):
                 field, account = alone(name, number)
-                np.testing.assert_array_equal(prepared.apply(told[number]), field)
+                np.testing.assert_array_equal(prepared.apply(given[number]), field)
                 assert prepared.account.settings == account.settings
                 assert prepared.account.warnings == account.warnings
         finally:
@@ -134,9 +132,9 @@ def test_sums_made_finer_for_one_displacement_are_not_for_the_next(monkeypatch):
     """The first error allowed to a cluster is far too large here, so that every displacement takes several attempts."""
     monkeypatch.setattr("meshdeform_core.methods.scattered.fast_idw_sums.SHARE", 1e4)
     where = problem("fast lie")
-    told = displacements(where)
-    fresh = [moved(METHODS["fast lie"], where, each) for each in told]
+    given = displacements(where)
+    fresh = [moved(METHODS["fast lie"], where, each) for each in given]
     prepared = make_method(METHODS["fast lie"]).prepare(where)
     for number in (0, 4, 0, 1, 5, 4):
-        np.testing.assert_array_equal(prepared.apply(told[number]), fresh[number])
+        np.testing.assert_array_equal(prepared.apply(given[number]), fresh[number])
     assert len({plan.key[1] for plan in prepared.mover.bound.fast.plans}) == 2
