@@ -284,14 +284,10 @@ def nearest_branch(vectors: FloatArray, reference: FloatArray) -> FloatArray:
 
 
 def continuous(vectors: FloatArray, pairs: IntArray) -> FloatArray:
-    """Rotation vectors (n, 3) of the same rotations that are continuous along every connected surface.
+    """Rotation vectors (n, 3) of the same rotations that are continuous along every connected surface, from those that
+    are at most pi long; ``pairs`` (e, 2) of node and neighbour are in both directions.
 
     The vectors are returned unchanged, to the bit, unless some node turns by more than a quarter of a turn.
-
-    Parameters
-    ----------
-    vectors : (n, 3) radians, at most pi long
-    pairs : (e, 2) int64 node and neighbour, in both directions
     """
     if isinstance(vectors, Tracked):
         return nearest_branch(vectors, continuous(plain(vectors), pairs))

@@ -16,14 +16,11 @@ _BELOW = 1.0 - 1e-9
 
 @kernel("f8[:, :, :, ::1], f8[:, :, :, ::1], f8[::1], f8, f8, f8, b1[:, :, ::1]")
 def mark_unhealthy(x, start, normal, healthy, eps, tolerance, marks):
-    """Mark the cells of a block with a corner where f is more than ``healthy``.
+    """Fill ``marks`` (ci, cj, ck): the cells of a block with a corner where f is more than ``healthy``.
 
-    Parameters
-    ----------
-    x, start : (ni, nj, nk, 3) deformed and undeformed nodes; in a plane one of the first three is 1
-    normal : (3,) unit normal of the plane, which takes the place of an edge; not used in space
-    tolerance : corners whose undeformed Jacobian is at most this part of the product of their edges do not count
-    marks : (ci, cj, ck) bool, filled
+    Deformed and undeformed nodes are (ni, nj, nk, 3); in a plane one of the first three is 1, and its unit normal (3,)
+    takes the place of an edge. Corners whose undeformed Jacobian is at most the part ``tolerance`` of the product of
+    their edges do not count.
     """
     edge, base, dual = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     si, sj, sk = min(x.shape[0] - 1, 1), min(x.shape[1] - 1, 1), min(x.shape[2] - 1, 1)

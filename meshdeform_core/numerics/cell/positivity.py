@@ -24,12 +24,8 @@ def decide(before: FloatArray, x: FloatArray, sign: FloatArray) -> NDArray[np.in
     """Which hexahedra have become invalid: (m,) int8, 0 valid, 1 Jacobian not positive inside, 2 negative volume.
 
     Only the volume is judged if the undeformed Jacobian is already negative somewhere. Coefficients that vanish in the
-    undeformed cell, next to collapsed edges, do not count.
-
-    Parameters
-    ----------
-    before, x : (m, 8, 3) corners, corner (a, b, c) at 4 a + 2 b + c
-    sign : (m,) handedness
+    undeformed cell, next to collapsed edges, do not count. Corners are (m, 8, 3), corner (a, b, c) at 4 a + 2 b + c;
+    ``sign`` (m,) is the handedness.
     """
     failed = np.zeros(len(x), dtype=np.int8)
     for lo in range(0, len(x), _TOGETHER):

@@ -40,20 +40,11 @@ def weighted_sums(
     progress: Report | None = None,
     chunk: int = _CHUNK,
 ) -> FloatArray:
-    """Sums over all sources of w and w * value, with w = strength (r^-a + kappa r^-b) (Sen et al. eqs. 14-16).
+    """Sums (n, 1 + k) over all sources of w and w * value, with w = strength (r^-a + kappa r^-b) (Sen et al. eqs.
+    14-16).
 
-    Parameters
-    ----------
-    targets : (n, 3) float64, none of them at a source
-    sources : (m, 3) float64
-    strength : (m,) float64
-    weights : (a, b, kappa); a = 3 or 4 with b = 5 has a loop of its own
-    values : (k, m) float64
-    chunk : targets per call; less than all of them only where no other loop uses the threads
-
-    Returns
-    -------
-    sums : (n, 1 + k), the weight in column 0
+    None of the targets (n, 3) is at a source (m, 3); ``strength`` is (m,), ``values`` (k, m), ``weights`` a, b, kappa;
+    ``chunk`` targets are summed at a time, fewer than all only where no other loop uses the threads.
     """
     a, b, kappa = (float(part) for part in weights)
     every, result = (np.array([[0, len(sources)]]), np.array([[0, 1]])), np.empty((len(targets), 1 + len(values)))
@@ -77,16 +68,11 @@ def sum_groups(
     targets: FloatArray, target_span: IntArray, sources: FloatArray, charges: FloatArray, pieces: IntArray,
     piece_span: IntArray, a: float, b: float, kappa: float, all_charges: bool, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Add to ``out`` (n, 8) the sums of charge * (r^-a + kappa r^-b), for groups of targets and of sources.
+    """Add to ``out`` (n, 8) the sums of charge * (r^-a + kappa r^-b), for groups of targets (n, 3) and pieces of
+    sources (s, 3) with charges (s, 8).
 
-    Parameters
-    ----------
-    targets : (n, 3)
-    target_span : (m, 2) int64, first and one past the last target of each group
-    sources, charges : (s, 3), (s, 8)
-    pieces : (p, 2) int64, first and one past the last source of each piece, none of them empty
-    piece_span : (m, 2) int64, first and one past the last piece that acts on each group
-    all_charges : whether all eight charges are summed; otherwise the first and the last one are taken as zero
+    Spans have the first and one past the last: target of each of m groups, source of each of p pieces, none of them
+    empty, piece that acts on each group. Without ``all_charges`` the first and the last charge are taken as zero.
     """
     groups = targets, target_span, sources, charges, pieces, piece_span
     if (a == 3.0 or a == 4.0) and b == 5.0:

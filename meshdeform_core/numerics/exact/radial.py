@@ -15,17 +15,10 @@ _CHUNK = 1024
 
 
 def radial_sums(kind: int, targets: FloatArray, centres: FloatArray, coefficients: FloatArray) -> FloatArray:
-    """Sums over all centres of coefficient * phi(distance), eq. 11 without its polynomial.
+    """Sums (n, 3) of coefficient * phi(distance) over all centres (m, 3), eq. 11 without its polynomial.
 
-    Parameters
-    ----------
-    kind : number of the basis function, see :data:`.basis.BASES`
-    targets, centres : (n, 3), (m, 3) float64, in units of the support radius
-    coefficients : (m, 3)
-
-    Returns
-    -------
-    sums : (n, 3)
+    Targets (n, 3) and centres are in units of the support radius, coefficients (m, 3); ``kind`` is a number of
+    :data:`.basis.BASES`.
     """
     packed = np.ascontiguousarray(np.concatenate([centres.T, coefficients.T]))
     sums = np.zeros((len(targets), 3))

@@ -144,12 +144,8 @@ def interpolate(boxes, tasks, points, values, low, high, transposed):
     """Add to ``values`` (n, 8) of some points those interpolated from the interpolation points of a box around them.
 
     ``transposed``: add to the values of the interpolation points those of the points, shared out by the same weights.
-
-    Parameters
-    ----------
-    tasks : (t, 4) box, row of its first interpolation point, row of the first point, and one past the last
-    points : (n, 3); only the coordinates of points inside boxes are used
-    low, high : columns of ``values`` that are not zero
+    Each of the ``tasks`` (t, 4) is a box, the row of its first interpolation point, of the first point, and one past
+    the last. Only the coordinates of ``points`` (n, 3) inside boxes are used, and the columns low <= c < high.
     """
     share, line = np.empty((3 * _MOST, _LENGTH)), np.empty((8, _LENGTH))
     at, product = np.empty(_LENGTH), np.empty(_LENGTH)

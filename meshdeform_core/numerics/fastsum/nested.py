@@ -56,16 +56,11 @@ class Bases(NamedTuple):
 
 
 class NestedSums:
-    """The product of the matrix of basis values between centres with coefficients.
+    """The product of the matrix of basis values between centres (n, 3), in units of the support radius, with
+    coefficients, at the centres ``rows``, by default all.
 
-    Parameters
-    ----------
-    kind : number of the basis function, see :data:`..exact.basis.BASES`
-    centres : (n, 3) in units of the support radius
-    tolerance : error of the effect of a unit charge at the distance of its cluster's radius, relative to the function
-        there
-    rows : centres at which sums are evaluated, by default all
-    like : sums with the same centres, whose clusters are reused
+    ``tolerance`` is the error of the effect of a unit charge at the distance of its cluster's radius, relative to the
+    function there; clusters are those of the sums ``like`` these, if given, with the same centres.
     """
 
     def __init__(
@@ -309,17 +304,11 @@ def _partners(tree: SourceTree, radius: FloatArray, compact: bool) -> list[IntAr
 
 @fast_kernel("i8, f8[:, ::1], f8[:, ::1], f8, i8[::1], f8[:, ::1]")
 def decompose(kind, points, proxies, tolerance, order, share):
-    """Choose a skeleton of ``points`` (n, 3) seen from ``proxies`` (3, m).
+    """Choose a skeleton of ``points`` (n, 3) seen from ``proxies`` (3, m); returns its number of points.
 
-    Parameters
-    ----------
-    tolerance : largest error (root mean square over the proxies) of the effect of a unit charge
-    order : (n,) int64, out: the points, those of the skeleton first
-    share : (n, n), out: the part of the charge of the i-th other point that goes to the j-th skeleton point
-
-    Returns
-    -------
-    Number of points in the skeleton.
+    ``tolerance`` is the largest error (root mean square over the proxies) of the effect of a unit charge. Filled are
+    ``order`` (n,), the points, those of the skeleton first, and ``share`` (n, n), the part of the charge of the i-th
+    other point that goes to the j-th skeleton point.
     """
     n, m = points.shape[0], proxies.shape[1]
     values, norm = np.empty((n, m)), np.empty(n)

@@ -81,13 +81,10 @@ def list_clusters(
     mean: FloatArray,
     risk: FloatArray,
 ) -> Lists:
-    """:class:`Lists` of the regions first <= g < last.
+    """:class:`Lists` of the regions first <= g < last; adds to ``risk`` the sum of the error bounds of all clusters,
+    relative to the error ``allowed`` to one of them.
 
-    Parameters
-    ----------
-    allowed : (b,) error of the sums that one cluster may cause in a brick
-    mean : (b,) bound of the mean displacement in a brick
-    risk : (b,), added to: the sum of the error bounds of all clusters, relative to ``allowed``
+    Of each brick (b,): the error of the sums that one cluster may cause, a bound of the mean displacement, the risk.
     """
     ends = targets.first[first : last + 1]
     low, high = int(ends[0]), int(ends[-1])

@@ -110,12 +110,9 @@ class FastSums:
     ) -> None:
         """Find which clusters act where, for weights (a, b, kappa) per group and motions, unless it is known.
 
-        Parameters
-        ----------
-        shift, turn : (n,) displacement and rotation angle (radians) of each source, for error bounds
-        moving : (n,) which sources have values other than zero
-        lasting : number of trailing values that never change, whose sums are stored with the weights; ``None``: weights
-            are not stored
+        ``shift`` and ``turn`` (n,) are the displacement and rotation angle (radians) of each source, for error bounds;
+        ``moving`` (n,) are the sources with values other than zero. The sums of the last ``lasting`` values, which
+        never change, are stored with the weights, neither if it is ``None``.
         """
         kinds = [Kernel.of(*each, accuracy.single) for each in weights]
         bounds = [cluster_reach(tree, self.strength[g], shift[g], turn[g]) for g, tree in self._groups]

@@ -104,17 +104,9 @@ def pairs_in_order(key: FloatArray, points: FloatArray, tolerance: FloatArray) -
 def coincident_groups(points: FloatArray, tolerance: FloatArray) -> IntArray:
     """Number points so that coincident ones share a number.
 
-    Two points coincide when their distance is at most the *smaller* of their tolerances; coincidence is transitive.
-    Beside the arguments it takes some 30 bytes per point, as points are compared a window at a time.
-
-    Parameters
-    ----------
-    points : (n, 3) float64
-    tolerance : (n,) float64, grid length unit
-
-    Returns
-    -------
-    labels : (n,) int32 (int64 for 2^31 points or more) in ``0 ... n_groups - 1``, numbered by first occurrence
+    Two points (n, 3) coincide when their distance is at most the *smaller* of their tolerances (n,); coincidence is
+    transitive. Groups are numbered by first occurrence, in int32 (int64 for 2^31 points or more). Beside the arguments
+    it takes some 30 bytes per point, as points are compared a window at a time.
     """
     return numbered_by_first(coincident_copies(points, tolerance)[0])[0]
 
@@ -132,12 +124,8 @@ def numbered_by_first(first: IntArray) -> tuple[IntArray, BoolArray]:
 
 
 def coincident_copies(points: FloatArray, edge: FloatArray, relative: float = 1.0) -> tuple[IntArray, FloatArray]:
-    """Coincidence, as in :func:`coincident_groups`, of ``points`` (n, 3) with the tolerances ``relative * edge`` (n,).
-
-    Returns
-    -------
-    first, least : (n,) for each point, the smallest number and the smallest edge of all that coincide with it
-    """
+    """Coincidence, as in :func:`coincident_groups`, of ``points`` (n, 3) with the tolerances ``relative * edge`` (n,):
+    for each point (n,), the smallest number and the smallest edge of all that coincide with it."""
     key = generic_key(points)
     order = np.argsort(key).astype(integers(len(points)))
     keys = key[order]
@@ -197,16 +185,10 @@ def integers(count: int) -> np.dtype[np.signedinteger[Any]]:
 
 
 def equal_rows(rows: IntArray) -> tuple[IntArray, IntArray]:
-    """Partner of each row of an integer table: the other row that is equal to it.
+    """Partner (n,) of each sorted row of a table (n, 2 or 4) of non-negative integers, the other row that is equal to
+    it, and the size (n,) of its group.
 
-    Parameters
-    ----------
-    rows : (n, m) int64, non-negative, m in (2, 4), each row sorted
-
-    Returns
-    -------
-    partner : (n,) int64, ``-1`` where no other row is equal; the rows of groups of more than two point in a ring
-    count : (n,) int64, size of each row's group
+    Partners are -1 where no other row is equal; the rows of groups of more than two point in a ring.
     """
     if not len(rows):
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)

@@ -38,14 +38,8 @@ Signs = NDArray[np.int8]
 
 
 class FaceTree:
-    """A tree over faces.
-
-    Parameters
-    ----------
-    points : (n, 3) undeformed nodes; the tree remains efficient as long as neighbours in space remain neighbours
-    faces : (m, 4) int nodes, m >= 1; triangles repeat a node
-    role : (m,) int8, ``ORDINARY``, ``BESIDE`` or ``SLIDING``
-    """
+    """A tree over at least one face (m, 4) of the undeformed nodes (n, 3), efficient as long as neighbours in space
+    remain neighbours; triangles repeat a node. A role (m,) is ``ORDINARY``, ``BESIDE`` or ``SLIDING``."""
 
     def __init__(self, points: FloatArray, faces: IntArray, role: NDArray[np.int8]):
         self._faces, self._role = faces, role
@@ -94,22 +88,11 @@ def crossing_faces(
     reach: float = 0.0,
     moved: BoolArray | None = None,
 ) -> tuple[IntArray, FloatArray]:
-    """Pairs of faces that cross and have no node in common, of which at least one is ``asked``.
+    """Pairs (c, 2), ascending, of faces that cross and have no node in common, of which at least one is ``asked`` (m,),
+    and a point (c, 3) common to both.
 
-    Cost is near-linear in the number of faces, however different their sizes.
-
-    Parameters
-    ----------
-    tree : tree of the faces
-    points : (n, 3) float64
-    faces : (m, 4) int64, m >= 1; triangles repeat a node
-    asked : (m,) bool
-    reach, moved : faces that have not moved (m,) are within this distance of their undeformed position
-
-    Returns
-    -------
-    pairs : (c, 2) int64, each pair once, ascending
-    places : (c, 3) a point common to both faces
+    Cost is near-linear in the number of faces, however different their sizes. ``tree`` is that of the faces (m, 4);
+    those that have not ``moved`` (m,) are within ``reach`` of their undeformed position.
     """
     pairs = tree.overlapping(points, asked, reach, moved)
     verdict, places = _decided(points, faces, pairs)
@@ -125,16 +108,8 @@ def crossing_faces(
 
 
 def near_faces(points: FloatArray, faces: IntArray, asked: BoolArray, tolerance: FloatArray) -> BoolArray:
-    """Faces among ``asked`` that another face comes close to without sharing a node.
-
-    Parameters
-    ----------
-    tolerance : (m,) distance up to which a corner of one face touches another one
-
-    Returns
-    -------
-    near : (m,) bool
-    """
+    """Which faces (m,) among ``asked`` another face comes close to without sharing a node: a corner of one of them is
+    within the ``tolerance`` (m,) of the other."""
     tree = FaceTree(points, faces, np.full(len(faces), ORDINARY, dtype=np.int8))
     pairs = tree.overlapping(points, asked, tolerance)
     touching = _decided(points, faces, pairs)[0] == _YES
@@ -188,13 +163,8 @@ def _decided(points: FloatArray, faces: IntArray, pairs: IntArray) -> tuple[Sign
 
 
 class _Signs:
-    """The signed volumes between the corners of pairs of faces, zero where round-off could change the sign.
-
-    Parameters
-    ----------
-    x : (n, 2, 4, 3) corners of both faces; signs are exact if they are objects of :class:`fractions.Fraction`
-    nodes : (n, 2, 4) their numbers
-    """
+    """The signed volumes between the corners (n, 2, 4, 3), with numbers (n, 2, 4), of pairs of faces: zero where
+    round-off could change the sign, exact if corners are objects of :class:`fractions.Fraction`."""
 
     def __init__(self, x: FloatArray, nodes: IntArray):
         self._x = np.ascontiguousarray(np.moveaxis(x, 0, -1))

@@ -32,17 +32,11 @@ def local_spline(
     targets: FloatArray,
     normals: tuple[FloatArray, FloatArray] | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Values at ``targets`` (k, 3) from those (n, c) at distinct ``points`` (n, 3).
+    """Values (k, c) at ``targets`` (k, 3) from those (n, c) at distinct ``points`` (n, 3), and the distance (k,) to the
+    nearest point.
 
-    Parameters
-    ----------
-    normals : of the surface at the points (n, 3) and at the targets (k, 3). If the nearest points include some on the
-        opposite side of a thin body, and that side moves differently, only those on the target's own side are used
-
-    Returns
-    -------
-    interpolated : (k, c)
-    distance : (k,) to the nearest point
+    With ``normals`` of the surface at the points (n, 3) and at the targets (k, 3): if the nearest points include some
+    on the opposite side of a thin body, and that side moves differently, only those on the target's own side are used.
     """
     count = min(_NEIGHBOURS, len(points))
     distance, near = scipy.spatial.cKDTree(points).query(targets, k=count)

@@ -10,13 +10,7 @@ from .boxes import LEAF, depth_of, halves, levels_of
 
 
 class TriangleTree:
-    """Bounding-box tree over triangles.
-
-    Parameters
-    ----------
-    points : (n, 3) float64
-    triangles : (m, 3) int64, m >= 1; degenerate triangles are allowed
-    """
+    """Bounding-box tree over at least one triangle (m, 3) of the points (n, 3); triangles may be degenerate."""
 
     def __init__(self, points: FloatArray, triangles: IntArray) -> None:
         self.triangles = triangles
@@ -31,14 +25,9 @@ class TriangleTree:
         self._corners = corners[self._order]
 
     def closest(self, targets: FloatArray, within: FloatArray | None = None) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Closest surface points of ``targets`` (k, 3), or only those ``within`` a distance (k,), which is much faster.
-
-        Returns
-        -------
-        triangle : (k,) int64
-        weights : (k, 3) barycentric coordinates, in [0, 1] and summing to 1
-        distance : (k,), infinite where no triangle is within the limit
-        """
+        """Closest surface points of ``targets`` (k, 3), or only those ``within`` a distance (k,), which is much faster:
+        triangle (k,), barycentric coordinates (k, 3), in [0, 1] and summing to 1, and distance (k,), infinite where no
+        triangle is within the limit."""
         count = len(targets)
         distance = np.full(count, np.inf) if within is None else np.array(within, dtype=np.float64)
         found, weights = np.zeros(count, dtype=np.int64), np.zeros((count, 3))

@@ -86,18 +86,11 @@ def _to_triangles(x: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray) ->
 
 
 def winding(points: FloatArray, triangles: IntArray, places: FloatArray) -> FloatArray:
-    """Winding number of a closed surface about points: 1 inside, 0 outside, -1 inside if its orientation is reversed.
+    """Winding number (k,) of a closed surface about ``places`` (k, 3) that are not on it: 1 inside, 0 outside, -1
+    inside if its orientation is reversed.
 
-    Parameters
-    ----------
-    points : (n, 3)
-    triangles : (m, 3) int64, counter-clockwise seen from outside
-    places : (k, 3), not on the triangles
-
-    Returns
-    -------
-    winding : (k,) solid angle (Van Oosterom & Strackee 1983) of the triangles divided by 4 pi; an integer if the
-        surface is closed
+    The solid angle (Van Oosterom & Strackee 1983) of the triangles (m, 3) of ``points`` (n, 3), counter-clockwise seen
+    from outside, divided by 4 pi: an integer if the surface is closed.
     """
     result = np.empty(len(places))
     # Component by component, in chunks of places that fit into the cache.

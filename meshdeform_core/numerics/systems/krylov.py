@@ -40,17 +40,11 @@ class Solution:
 
 
 class KrylovSolver:
-    """Solver of ``A c + P p = b, P^T c = 0``, set up once for any number of right-hand sides.
+    """Solver of ``A c + P p = b, P^T c = 0``, set up once for any number of right-hand sides; a solution does not
+    depend on earlier ones.
 
-    A solution does not depend on earlier ones.
-
-    Parameters
-    ----------
-    kind : basis number, see :data:`..exact.basis.BASES`
-    points : (n, 3) centres in units of the support radius
-    polynomial : (n, q), full column rank
-    product : A times (n, 3), see :class:`.products.ExactProduct`
-    tolerance : of the solutions for which it is set up; small ones make the boxes of the preconditioner larger
+    Centres (n, 3) are in units of the support radius, P (n, q) has full column rank, ``product`` is A times (n, 3).
+    Small tolerances, of the solutions for which it is set up, make the boxes of the preconditioner larger.
     """
 
     def __init__(

@@ -130,12 +130,7 @@ def sparse_radial_matrix(kind: int, points: FloatArray, require: Callable[[int],
 
     It pays when centres have on average at most 500 neighbours, at most a twentieth of all centres, and when the work
     space is at most 4 GiB (a fixed limit, so that results do not depend on the memory available). ``require(bytes)`` is
-    called with the memory needed.
-
-    Parameters
-    ----------
-    kind : basis number, see :data:`..exact.basis.BASES`
-    points : (n, 3) centres in units of the support radius
+    called with the memory needed. Centres (n, 3) are in units of the support radius.
     """
     if kind == BASES["tps"]:
         return None

@@ -22,12 +22,8 @@ class DirectSolver:
     q Householder reflections transform the side conditions P^T alpha = 0 into "the first q entries are zero". The
     remaining block of A is positive definite (for conditionally positive definite bases and all positive definite
     ones), so that a Cholesky factorisation suffices, with half the work and memory of an LU. If round-off or the basis
-    prevents that, the whole system is factorised by LU.
-
-    Parameters
-    ----------
-    matrix : function that makes A, (n, n) float64, symmetric; called again only if Cholesky fails
-    polynomial : (n, q), full column rank
+    prevents that, the whole system is factorised by LU: ``matrix()`` then makes A (n, n) again. The polynomial (n, q)
+    has full column rank.
     """
 
     def __init__(self, matrix: Callable, polynomial: FloatArray) -> None:

@@ -37,15 +37,8 @@ class SchwarzPreconditioner:
     follow clustered nodes; they are widened to ``OVERLAP`` centres. One centre in ``COARSENING``, the middle of a
     smaller box, is a coarse centre. Both must follow the clustering: with coarse centres spread evenly in space, or an
     overlap measured as a length, a surface clustered towards an edge takes 4 to 10 times the iterations. The coarse
-    system is factorised.
-
-    Parameters
-    ----------
-    kind : basis number, see :data:`..exact.basis.BASES`
-    points : (n, 3) centres in units of the support radius
-    polynomial : (n, q) polynomial terms at the centres, full column rank
-    product : A times coefficients (n, 3), see :class:`.products.ExactProduct`
-    widening : factor by which ``OWN`` and ``OVERLAP`` are multiplied
+    system is factorised. Arguments as of :class:`.krylov.KrylovSolver`; ``OWN`` and ``OVERLAP`` are multiplied by
+    ``widening``.
     """
 
     def __init__(
