@@ -155,30 +155,21 @@ class _Frame:
         if face not in self.faces:
             raise FormatError(f"{place}: face {face} does not exist; faces are 1 to {len(self.faces)}")
         size, (side, tangential) = self.sizes[block - 1], self.faces[face]
-        begin, end = [0, 0, 0], [0, 0, 0]
-        begin[side.axis] = end[side.axis] = side.layer(size)
+        # Along the indices of the grid.
+        begin, end, axes = [0, 0, 0], [0, 0, 0], self.axes
+        begin[axes[side.axis]] = end[axes[side.axis]] = side.layer(size)
         for axis, first, last in zip(tangential, limits[::2], limits[1::2], strict=True):
             if not (1 <= first <= size[axis] and 1 <= last <= size[axis]):
                 raise FormatError(
                     f"{place}: range {first} to {last} along {'ijk'[axis]} on face {face} ({side.label}) of block "
                     f"{block}, which has nodes 1 to {size[axis]} there"
                 )
-            begin[axis], end[axis] = first - 1, last - 1
-        for corner in (begin, end):
-            if self.dropped is not None:
-                corner[self.dropped] = 0
-        primary, secondary = tangential
-        return _Range(
-            block - 1,
-            Side(2 * self.axes[side.axis] + side.value % 2),
-            (self.axes[primary], self.axes[secondary]),
-            self._in_grid(begin),
-            self._in_grid(end),
-        )
-
-    def _in_grid(self, corner: Sequence[int]) -> Shape:
-        i, j, k = (corner[self.axes.index(axis)] for axis in range(3))
-        return i, j, k
+            begin[axes[axis]], end[axes[axis]] = first - 1, last - 1
+        if self.dropped is not None:
+            begin[axes[self.dropped]] = end[axes[self.dropped]] = 0
+        (i, j, k), (i_end, j_end, k_end), (primary, secondary) = begin, end, tangential
+        in_grid = Side(2 * axes[side.axis] + side.value % 2)
+        return _Range(block - 1, in_grid, (axes[primary], axes[secondary]), (i, j, k), (i_end, j_end, k_end))
 
 
 def read_neutral_map(path: Path, grid: Grid) -> Grid:

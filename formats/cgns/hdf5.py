@@ -344,9 +344,9 @@ def _write(parent: h5g.GroupID, node: Node, home: Path, depth: int) -> None:
             group.links.create_external(LINK.encode(), file.encode(), path.encode())
         else:
             group.links.create_soft(LINK.encode(), b"/" + path.lstrip("/").encode())
-        write_dataset(group, LINK_PATH, characters(path))
+        _write_dataset(group, LINK_PATH, characters(path))
         if file:
-            write_dataset(group, LINK_FILE, characters(file))
+            _write_dataset(group, LINK_FILE, characters(file))
     else:
         _fill_group(group, content, home, depth)
 
@@ -355,12 +355,12 @@ def _fill_group(group: h5g.GroupID, node: Node, home: Path, depth: int) -> None:
     if isinstance(node, NewNode) and node.placed:
         node.placed(*reserve_dataset(group, DATA, node.dims[::-1], DTYPES[node.data_type]))
     elif node.dims:
-        write_dataset(group, DATA, np.ascontiguousarray(node.data().T, dtype=DTYPES.get(node.data_type)))
+        _write_dataset(group, DATA, np.ascontiguousarray(node.data().T, dtype=DTYPES.get(node.data_type)))
     for child in node.children:
         _write(group, child, home, depth + 1)
 
 
-def write_dataset(group: h5g.GroupID, name: str, values: NDArray[Any]) -> None:
+def _write_dataset(group: h5g.GroupID, name: str, values: NDArray[Any]) -> None:
     """Create a dataset of ``values``, which must be C-contiguous."""
     kind = _TYPES.get(values.dtype) or h5t.py_create(values.dtype, logical=True)
     dataset = h5d.create(group, name.encode(), kind, h5s.create_simple(values.shape), dcpl=_TIMELESS)

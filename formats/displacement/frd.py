@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,8 +61,7 @@ def read(path: Path) -> DisplacementTable:
     return next(iter(tables.values()))
 
 
-@dataclass(frozen=True)
-class _Displacements:
+class _Displacements(NamedTuple):
     """Displacements (n, 3) of the nodes ``numbers`` (n,)."""
 
     label: str
