@@ -245,48 +245,40 @@ def _prepared_copy(grid: Grid, source: Path, path: Path, partial: Path, precisio
                 _adapt_links(file, source.parent, path.parent)
                 group = own_group(file, base.node)
                 owns = [own_group(group, zone.node) for zone in zones]
-                # Coordinate arrays: compressed ones are filled, of the others the places are noted.
-                places = Places(partial)
+                places, numbers = Places(partial), fields_by_place(grid)
                 for block, (parent, zone) in enumerate(zip(owns, zones, strict=True)):
                     group = own_group(parent, zone.grid)
-                    datasets = [
-                        _writable_dataset(own_group(group, node), precision, zone.counts) for node in zone.coordinates
-                    ]
-                    starts = [place_of(each.id, each.dtype) for each in datasets]
-                    found = [
-                        Stored.within_rind(
-                            partial, each.dtype, each.shape[::-1], start, zone.core, each.id.get_storage_size()
-                        )
-                        for start, each in zip(starts, datasets, strict=True)
-                        if start is not None
-                    ]
-                    if len(found) == len(datasets):
-                        places.coordinates[block] = found
-                    else:
-                        for dataset, values in zip(
-                            datasets, split(grid.block(block), np.dtype(float), len(datasets)), strict=True
-                        ):
-                            dataset[zone.core[::-1]] = values.reshape(zone.counts[::-1]).astype(
-                                dataset.dtype, copy=False
-                            )
-                    if zone.grid.target.dims == (len(datasets), 2):
+                    arrays = (own_group(group, node) for node in zone.coordinates)
+                    datasets = [_writable(each, precision, zone.counts) for each in arrays]
+                    _place_coordinates(grid, block, zone, datasets, places)
+                    if zone.grid.target.dims == (len(zone.coordinates), 2):
                         # GridCoordinates_t may hold the lowest and highest coordinates (SIDS 7.1).
                         box = np.array([end[block] for end in boxes()])
-                        group[DATA][...] = box[:, : len(datasets)]
-                # Make room for fields as flow solutions. One with the same arrays, from an earlier run, is replaced.
-                numbers = fields_by_place(grid)
-                for block, (parent, zone) in enumerate(zip(owns, zones, strict=True)):
+                        group[DATA][...] = box[:, : len(zone.coordinates)]
                     for solution in solution_nodes(grid, block, zone.counts, numbers, places):
-                        arrays = {child.name for child in solution.children}
-                        others = [
-                            old.name
-                            for old in zone.node.target.children
-                            if old.target.label != solution.label
-                            or {child.name for child in old.target.children} != arrays
-                        ]
+                        # One with the same arrays, from an earlier run, is replaced.
+                        own = solution.label, {child.name for child in solution.children}
+                        found = ((old.name, old.target) for old in zone.node.target.children)
+                        others = [name for name, old in found if (old.label, {n.name for n in old.children}) != own]
                         (name,) = unique_names([solution.name], solution.name, others)
                         put_node(parent, dataclasses.replace(solution, name=name))
     return places
+
+
+def _place_coordinates(grid: Grid, block: int, zone: Zone, datasets: Sequence[h5py.Dataset], places: Places) -> None:
+    """Note the places of the coordinates of a zone; compressed ones are filled."""
+    starts = [place_of(each.id, each.dtype) for each in datasets]
+    found = [
+        Stored.within_rind(places.path, each.dtype, each.shape[::-1], at, zone.core, each.id.get_storage_size())
+        for at, each in zip(starts, datasets, strict=True)
+        if at is not None
+    ]
+    if len(found) == len(datasets):
+        places.coordinates[block] = found
+        return
+    arrays = split(grid.block(block), np.dtype(float), len(datasets))
+    for dataset, values in zip(datasets, arrays, strict=True):
+        dataset[zone.core[::-1]] = values.reshape(zone.counts[::-1]).astype(dataset.dtype, copy=False)
 
 
 def _same_zones(root: Node, grid: Grid, source: Path, boxes: Boxes) -> tuple[Base, list[Zone]]:
@@ -305,7 +297,7 @@ def _same_zones(root: Node, grid: Grid, source: Path, boxes: Boxes) -> tuple[Bas
     return base, zones
 
 
-def _writable_dataset(group: h5py.Group, precision: str | None, counts: tuple[int, ...]) -> h5py.Dataset:
+def _writable(group: h5py.Group, precision: str | None, counts: tuple[int, ...]) -> h5py.Dataset:
     """The coordinate dataset, recreated if its precision changes or if it belongs to another node, too. Old values are
     copied only if some of them remain: rind values in addition to the nodes ``counts`` of the zone."""
     dataset = group[DATA]

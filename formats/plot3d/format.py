@@ -27,18 +27,11 @@ _BINARY_SUFFIXES = (".p2dbin", ".p3dbin", ".bin")
 
 
 def read(path: Path, **options: Any) -> Grid:
-    """Read a Plot3D grid of any variant.
+    """Read a Plot3D grid of any variant, whatever its name; ``options`` (of :class:`.variant.Variant`) restrict what is
+    considered.
 
-    Parameters
-    ----------
-    path : file to read; its name does not matter
-    options : ``encoding``, ``byte_order``, ``markers``, ``records``, ``precision``, ``multiblock``, ``dimension``,
-        ``iblank`` (see :class:`.variant.Variant`): only readings with these values are considered
-
-    Returns
-    -------
-    Blocks ``(ni, nj, nk, 3)``, in 2-D files ``(ni, nj, 1, 3)`` with z = 0; IBLANK as node field ``iblank`` (int32); the
-    variant as ``grid.format``.
+    Blocks are ``(ni, nj, nk, 3)``, in 2-D files ``(ni, nj, 1, 3)`` with z = 0; IBLANK is the node field ``iblank``
+    (int32).
     """
     path = Path(path)
     wanted = checked_options("Plot3D", options, CHOICES)
