@@ -23,8 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..grid import BoolArray, FloatArray, IntArray
-from ..numerics.cell.foldover.assembly import Unknowns
-from ..numerics.cell.foldover.jacobian import combined, growth, slopes, slopes_of_triangle
+from ..numerics.cell.foldover.elements import Unknowns, combined, growth, slopes, slopes_of_triangle
 from ..numerics.cell.foldover.samples import (
     CORNERS,
     SAMPLES,
@@ -309,7 +308,7 @@ class Triangles(_Elements):
 
 
 def _slopes(a: FloatArray, eps: float) -> tuple[FloatArray, ...]:
-    """f of maps (d, d, m) and its derivatives: f, u, v, w, q, r as in :mod:`..numerics.cell.foldover.jacobian`."""
+    """f of maps (d, d, m) and its derivatives: f, u, v, w, q, r as in :mod:`..numerics.cell.foldover.elements`."""
     k = cofactors(a)
     g, det = inner(a, a), (a[0] * k[0]).sum(axis=0)
     chi, root = _regular(det, eps)

@@ -22,7 +22,7 @@ from ..boundary import Boundary
 from ..boundary.slip import CurvedSurface
 from ..grid import BoolArray, FloatArray, IntArray
 from ..grid.planes import plane_axes, plane_normal
-from ..numerics.cell.foldover.assembly import Unknowns
+from ..numerics.cell.foldover.elements import Unknowns
 from ..numerics.cell.foldover.samples import sample_slopes, samples_with_any, sound_samples
 from ..numerics.cell.layers import spread_layers
 from ..parallel import Nodes

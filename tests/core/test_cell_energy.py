@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from meshdeform_core.numerics.cell.foldover.assembly import Unknowns
+from meshdeform_core.numerics.cell.foldover.elements import Unknowns
 from meshdeform_core.numerics.cell.foldover.hexahedra import add_derivatives, energy_of_cells
 from meshdeform_core.numerics.cell.foldover.samples import sample_slopes
 

@@ -1,31 +1,260 @@
-"""The energy of hexahedra and its derivatives."""
+"""The energy of hexahedra at their sample points, and its derivatives, for eight cells at a time.
+
+The Jacobian matrix A of the map from the undeformed cell depends on three vectors e_0, e_1, e_2, the derivatives of
+the position along the index axes: it is the sum of e_k g_k^T, with g_k the reciprocal vectors of the undeformed cell.
+Second derivatives are therefore found for six pairs of these vectors instead of ten or more pairs of nodes. With V the
+determinant of the undeformed vectors and K the cofactors of A, for cyclic (k, l, m)
+
+    K g_k = e_l x e_m / V,    A (g_k x g_l) = e_m / V.
+
+At a corner they are edges, all pointing away from it, so that V may be negative. At sample points between corners they
+are sums over the nodes times the slopes of their shape functions.
+"""
 
 from __future__ import annotations
 
+import itertools
+from typing import NamedTuple
+
 import numpy as np
+from llvmlite import ir
 
 from ...jit import inlined, kernel
 from ...lanes import NARROW as WIDTH
-from .assembly import Unknowns, add_element
-from .corners import (
-    BETWEEN,
-    DEFORMED,
-    ENERGY,
-    GRIDS,
-    HELD,
-    HIGHEST,
-    LOWEST,
-    REFERENCE,
-    SUMS,
-    TERMS,
-    UNDEFORMED,
-    WEIGHT,
-    add_corner_derivatives,
-    add_corner_energy,
-    add_energy_between,
-    derivatives_between,
-)
-from .nodes import FORCE, PARTS, ROWS, add_to_pair, transpose, turn_to_node
+from ...lanes import Array, Lanes, Mask, narrow
+from .elements import Unknowns, add, add_element, combined, growth, load, regular, slopes, store, transpose
+
+DEFORMED, UNDEFORMED, REFERENCE, GRIDS = 0, 1, 2, 3
+"""Rows of ``points`` (GRIDS, 8, 3, WIDTH): coordinates of the corners of eight cells in three grids."""
+WEIGHT, BETWEEN, HELD, TERMS = 27, 28, 29, 30
+"""Rows of ``terms`` (TERMS, WIDTH): 1 where the sample point 0 to 26 counts, else 0; w of the cells, the share of their
+sample points between corners, and the factor of their elastic energy."""
+ENERGY, LOWEST, HIGHEST, SUMS = 0, 1, 2, 3
+"""Rows of ``sums`` (SUMS, WIDTH): the energy, the smallest D, the largest f."""
+FORCE, ROWS = 36 * 9, 44 * 8
+"""Rows of ``result`` (ROWS, WIDTH), derivatives with respect to the nodes of the cells: the second ones (36, 3, 3) for
+pairs of nodes in ascending order, from FORCE on the first ones (8, 3)."""
+PULL, BEND, TURNED, PARTS = 0, 9, 90, 117
+"""Rows of ``parts`` (PARTS, WIDTH), derivatives at a sample point with respect to the vectors e_k: the first ones
+(3, 3), the second ones (3, 3, 3, 3), and those (3, 3, 3) with respect to a node and the vectors."""
+
+# For x^(-1/3): the first guess from the bits of x is within 4 %, and every correction, by the first terms of the series
+# of (1 - d)^(-1/3), raises the error to the third power.
+_GUESS, _CORRECTIONS = 1430187000.0, 3
+
+
+class _Map(NamedTuple):
+    """The map at a sample point of eight cells, arrays of :class:`Lanes`: where it ``counts``, ``edges``: the vectors
+    e_k, ``dual``: g_k, ``inverse``: 1 / V, A, ``across``: K g_k, |A|^2, and D. Where the point does not count, |A|^2 is
+    3, D is 1 and all of the others but the edges are 0: what is left out by the factor 0 must not overflow."""
+
+    counts: Mask
+    edges: np.ndarray
+    dual: np.ndarray
+    inverse: Lanes
+    matrix: np.ndarray
+    across: np.ndarray
+    square: Lanes
+    det: Lanes
+
+    @classmethod
+    def of(cls, terms: Array, sample: ir.Value, start: np.ndarray, edges: np.ndarray) -> _Map:
+        [count] = load(terms, 0, (1,), sample)
+        counts = (count * 0.0 + 0.5).below(count)
+        areas = _areas(start)
+        inverse = counts.choose(1.0 / (start[0] @ areas[0]), 0.0)
+        dual, across = areas * inverse, _areas(edges) * inverse
+        matrix = edges.T @ dual
+        square, det = counts.choose((matrix * matrix).sum(), 3.0), counts.choose(edges[0] @ across[0], 1.0)
+        return cls(counts, edges, dual, inverse, matrix, across, square, det)
+
+    @classmethod
+    def at_corner(cls, points: Array, terms: Array, node: ir.Value) -> _Map:
+        return cls.of(terms, node, _edges(points, UNDEFORMED, node), _edges(points, DEFORMED, node))
+
+    @classmethod
+    def between(cls, points: Array, terms: Array, slope: Array, sample: ir.Value) -> _Map:
+        """At a sample point between corners."""
+        weights = [_slopes_of(slope, sample, sample.type(n))[:, None] for n in range(8)]
+        start, edges = (
+            np.array([w * p for w, p in zip(weights, load(points, 24 * grid, (8, 3)), strict=True)]).sum(axis=0)
+            for grid in (UNDEFORMED, DEFORMED)
+        )
+        return cls.of(terms, sample, start, edges)
+
+    def strain(self, points: Array, node: ir.Value) -> np.ndarray:
+        """A at a corner less that of the reference grid."""
+        return np.asarray((self.edges - _edges(points, REFERENCE, node)).T @ self.dual)
+
+
+@narrow
+def add_corner_energy(
+    points: Array, terms: Array, sums: Array, node: ir.Value, eps: Lanes, share: Lanes, cubic: Lanes, elastic: Lanes
+) -> None:
+    """Add the energy at the corner ``node`` of all cells to ``sums``."""
+    found, [held] = _Map.at_corner(points, terms, node), load(terms, HELD, (1,))
+    strain = found.strain(points, node)
+    _add_energy(terms, sums, found, eps, share, cubic, 0.5 * elastic * held * (strain * strain).sum())
+
+
+@narrow
+def add_energy_between(
+    points: Array, terms: Array, slope: Array, sums: Array, sample: ir.Value, eps: Lanes, share: Lanes, cubic: Lanes
+) -> None:
+    """Add the energy at a sample point between corners to ``sums``; ``slope`` (27, 8, 3): of the shape functions."""
+    found, [part] = _Map.between(points, terms, slope, sample), load(terms, BETWEEN, (1,))
+    _add_energy(terms, sums, found, eps, share * part, cubic, found.det * 0.0)
+
+
+def _add_energy(terms: Array, sums: Array, found: _Map, eps: Lanes, share: Lanes, cubic: Lanes, stiff: Lanes) -> None:
+    chi, _ = regular(found.det, eps)
+    root, infinite, [weight] = _inverse_root(chi), found.det * 0.0 + float("inf"), load(terms, WEIGHT, (1,))
+    f = found.square * (1 / 3) * root * root + (found.det * found.det + 1.0) * 0.5 / chi
+    f = (chi * 0.0).below(chi).choose(f, infinite)
+    energy, lowest, highest = load(sums, ENERGY, (SUMS,))
+    total = energy + found.counts.choose(share * (weight * f + cubic * growth(f)[0]) + stiff, 0.0)
+    lowest = lowest.min(found.counts.choose(found.det, infinite))
+    store(sums, ENERGY, [total, lowest, highest.max(found.counts.choose(f, 0.0))])
+
+
+@narrow
+def add_corner_derivatives(
+    points: Array,
+    terms: Array,
+    result: Array,
+    node: ir.Value,
+    eps: Lanes,
+    share: Lanes,
+    cubic: Lanes,
+    elastic: Lanes,
+    exact: Lanes,
+) -> None:
+    """Add the derivatives of the energy at the corner ``node`` of all cells to ``result``."""
+    found, [held] = _Map.at_corner(points, terms, node), load(terms, HELD, (1,))
+    stiff = found.counts.choose(elastic * held, 0.0)
+    pull, second = _derivatives(terms, found, eps, share, cubic, stiff, exact)
+    pull = pull + (found.dual @ found.strain(points, node).T) * stiff
+    # From the edges to their ends: what moves the corner shortens them all.
+    pull = np.concatenate([pull.sum(axis=0, keepdims=True) * -1.0, pull])
+    for axis in (0, 1):
+        second = np.concatenate([second.sum(axis=axis, keepdims=True) * -1.0, second], axis=axis)
+    nodes = [node, *_neighbours(result, node)]
+    for one, end in enumerate(nodes):
+        add(result, FORCE, pull[one], end)
+        for two in range(one, 4):
+            _add_pair(result, end, nodes[two], second[one, two])
+
+
+@narrow
+def derivatives_between(
+    points: Array,
+    terms: Array,
+    slope: Array,
+    parts: Array,
+    sample: ir.Value,
+    eps: Lanes,
+    share: Lanes,
+    cubic: Lanes,
+    exact: Lanes,
+) -> None:
+    """The derivatives at a sample point between corners, with respect to the vectors e_k, in ``parts``."""
+    found, [part] = _Map.between(points, terms, slope, sample), load(terms, BETWEEN, (1,))
+    pull, second = _derivatives(terms, found, eps, share * part, cubic, found.det * 0.0, exact)
+    store(parts, PULL, pull)
+    store(parts, BEND, second)
+
+
+@narrow
+def turn_to_node(slope: Array, parts: Array, result: Array, sample: ir.Value, node: ir.Value) -> None:
+    """Add the first derivatives at a sample point to those of a node; in ``parts``, the second ones with respect to the
+    node and the vectors."""
+    own = _slopes_of(slope, sample, node)
+    add(result, FORCE, own @ load(parts, PULL, (3, 3)), node)
+    store(parts, TURNED, own @ load(parts, BEND, (3, 27)))
+
+
+@narrow
+def add_to_pair(slope: Array, parts: Array, result: Array, sample: ir.Value, node: ir.Value, other: ir.Value) -> None:
+    """Add the second derivatives with respect to a node, from :func:`turn_to_node`, and one that is not less."""
+    values = _slopes_of(slope, sample, other) @ load(parts, TURNED, (3, 9))
+    _add_pair(result, node, other, values.reshape(3, 3))
+
+
+def _derivatives(
+    terms: Array, found: _Map, eps: Lanes, share: Lanes, cubic: Lanes, stiff: Lanes, exact: Lanes
+) -> tuple[np.ndarray, np.ndarray]:
+    """First (3, 3) and second derivatives (3, 3, 3, 3) with respect to the vectors e_k; the first ones without the
+    elastic energy, whose stiffness is ``stiff``."""
+    chi, root = regular(found.det, eps)
+    third, [weight] = _inverse_root(chi), load(terms, WEIGHT, (1,))
+    f, u, v, w, q, r, least = slopes(found.square, found.det, chi, root, third * third)
+    r = r.max(r * exact + least * (exact * -1.0 + 1.0))
+    one, two = growth(f)[1:]
+    part = found.counts.choose(share, 0.0)
+    u, v, w, p, q, r = combined((u, v, w, q, r), part * (weight + cubic * one), part * cubic * two)
+    along, across, turning = found.dual @ found.matrix.T, found.across, v * exact * found.inverse
+    left, right = along * p + across * q, along * q + across * r
+    second = np.empty((3, 3, 3, 3), dtype=object)
+    for k, m in itertools.combinations_with_replacement(range(3), 2):
+        pair = left[k][:, None] * along[m] + right[k][:, None] * across[m]
+        same = (w + stiff) * (found.dual[k] @ found.dual[m])
+        for d in range(3):
+            pair[d, d] = pair[d, d] + same
+        if k != m:
+            # The matrix of the cross product with the third vector, whose sense follows from the order of the axes.
+            turned = found.edges[3 - k - m] * turning * (1.0 if m == k + 1 else -1.0)
+            for d, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
+                pair[i, j], pair[j, i] = pair[i, j] + turned[d], pair[j, i] - turned[d]
+        second[k, m], second[m, k] = pair, pair.T
+    return along * u + across * v, second
+
+
+def _edges(points: Array, grid: int, node: ir.Value) -> np.ndarray:
+    """The edges (3, 3) from a node of the cells to its neighbours along the index axes."""
+    start, *ends = (load(points, 24 * grid, (3,), each) for each in (node, *_neighbours(points, node)))
+    return np.array(ends) - start
+
+
+def _areas(edges: np.ndarray) -> np.ndarray:
+    """The cross product of the other two edges, for each edge."""
+    return np.cross(np.roll(edges, -1, axis=0), np.roll(edges, -2, axis=0))
+
+
+def _inverse_root(x: Lanes) -> Lanes:
+    """x^(-1/3) of positive numbers."""
+    r = (_GUESS - x.bits() * (1 / 3)).from_bits()
+    for _ in range(_CORRECTIONS):
+        d = 1.0 - x * r * r * r
+        r = r + r * d * (d * (2 / 9) + 1 / 3)
+    return r
+
+
+def _add_pair(result: Array, one: ir.Value, two: ir.Value, values: np.ndarray) -> None:
+    """Add ``values`` (3, 3), transposed if the nodes descend, to the block of two nodes."""
+    builder = result.builder
+    descends = builder.icmp_signed(">", one, two)
+    low, high = builder.select(descends, two, one), builder.select(descends, one, two)
+    long, short = one.type(3 * WIDTH), one.type(WIDTH)
+    by_row, by_column = builder.select(descends, short, long), builder.select(descends, long, short)
+    # Before the row of the lower node are those of lower ones, each shorter by one than the row before.
+    before = builder.lshr(builder.mul(low, builder.sub(one.type(15), low)), one.type(1))
+    first = builder.mul(builder.add(before, high), one.type(9 * WIDTH))
+    for d in range(3):
+        row = builder.add(first, builder.mul(by_row, one.type(d)))
+        for e in range(3):
+            result.add(builder.add(row, builder.mul(by_column, one.type(e))), values[d, e])
+
+
+def _slopes_of(slope: Array, sample: ir.Value, node: ir.Value) -> np.ndarray:
+    """The derivatives (3,) of a node's shape function along the three axes, the same for all cells."""
+    builder = slope.builder
+    place = builder.mul(builder.add(builder.mul(sample, sample.type(8)), node), sample.type(3))
+    return np.array([slope.every(place, k) for k in range(3)])
+
+
+def _neighbours(array: Array, node: ir.Value) -> list[ir.Value]:
+    """The neighbours of a node of the cells along the index axes."""
+    return [array.builder.xor(node, node.type(bit)) for bit in (4, 2, 1)]
 
 
 @kernel(

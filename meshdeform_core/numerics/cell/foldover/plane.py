@@ -15,6 +15,7 @@ basis the second derivatives are diagonal but for one 2 x 2 matrix, so their neg
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -22,9 +23,7 @@ import numpy as np
 from ...jit import kernel
 from ...lanes import NARROW as WIDTH
 from ...lanes import Array, Lanes, narrow
-from .assembly import Unknowns, add_element
-from .jacobian import combined, growth, slopes_of_triangle
-from .nodes import load, regular, store, transpose
+from .elements import Unknowns, add_element, combined, growth, load, regular, slopes_of_triangle, store, transpose
 
 DEFORMED, REFERENCE, SLOPE, WEIGHT, HELD, GIVEN = 0, 6, 12, 18, 19, 20
 """Rows of ``given`` (GIVEN, WIDTH): coordinates (3, 2) of the nodes in two grids, gradients (3, 2) of their shape
@@ -41,40 +40,24 @@ def triangle_derivatives(
     given: Array, result: Array, eps: Lanes, share: Lanes, cubic: Lanes, elastic: Lanes, exact: Lanes
 ) -> None:
     """Derivatives of the energy of eight triangles; of negative second derivatives only the share ``exact``."""
-    slope = [[load(given, SLOPE + 2 * n + k) for k in range(2)] for n in range(3)]
-    (a, b), (c, d) = matrix = _matrix(given, DEFORMED, slope)
-    held = _matrix(given, REFERENCE, slope)
-    det, elastic = a * d - b * c, elastic * load(given, HELD)
+    slope, [weight, stiff] = load(given, SLOPE, (3, 2)), load(given, WEIGHT, (2,))
+    matrix, held = (load(given, grid, (3, 2)).T @ slope for grid in (DEFORMED, REFERENCE))
+    (a, b), (c, d) = matrix
+    det, elastic = a * d - b * c, elastic * stiff
     chi, root = regular(det, eps)
     f, *found = slopes_of_triangle(a * a + b * b + c * c + d * d, det, chi, root)
     one, two = growth(f)[1:]
-    u, v, _, *second = combined(found, share * (load(given, WEIGHT) + cubic * one), share * cubic * two)
+    u, v, _, *second = combined(found, share * (weight + cubic * one), share * cubic * two)
     same, mirrored = [_HALF * (a + d), _HALF * (c - b)], [_HALF * (a - d), _HALF * (b + c)]
     values, vectors = _spectrum(same, mirrored, u, v, second)
-    values = [(value + elastic).max(exact * (value + elastic)) for value in values]
-    cofactors = [[d, c * -1.0], [b * -1.0, a]]
-    stress = [
-        [u * matrix[i][k] + v * cofactors[i][k] + elastic * (matrix[i][k] - held[i][k]) for k in range(2)]
-        for i in range(2)
-    ]
-    turned = [[_change_of_map(vector, s) for vector in vectors] for s in slope]
-    row = 0
-    for n in range(3):
-        for i in range(2):
-            store(result, FORCE + 2 * n + i, stress[i][0] * slope[n][0] + stress[i][1] * slope[n][1])
-        scaled = [[value * c for c in vector] for value, vector in zip(values, turned[n], strict=True)]
-        for o in range(n, 3):
-            for i in range(2):
-                for k in range(2):
-                    parts = [one[i] * other[k] for one, other in zip(scaled, turned[o], strict=True)]
-                    store(result, row, (parts[0] + parts[1]) + (parts[2] + parts[3]))
-                    row += 1
-
-
-def _change_of_map(vector: list[Lanes], slope: list[Lanes]) -> list[Lanes]:
-    """The change of A along an eigenvector per displacement of a node."""
-    e, (p, q) = vector, slope
-    return [_HALF * ((e[0] + e[2]) * p + (e[3] - e[1]) * q), _HALF * ((e[1] + e[3]) * p + (e[0] - e[2]) * q)]
+    stress = matrix * u + np.array([[d, c * -1.0], [b * -1.0, a]]) * v + (matrix - held) * elastic
+    store(result, FORCE, slope @ stress.T)
+    # The changes of A along the eigenvectors (4, 2, 2), and those per displacement of the nodes (4, 2, 3).
+    changes = np.array([[[e[0] + e[2], e[3] - e[1]], [e[1] + e[3], e[0] - e[2]]] for e in vectors]) * _HALF
+    turned = changes @ slope.T
+    scaled = [row * (value + elastic).max(exact * (value + elastic)) for row, value in zip(turned, values, strict=True)]
+    for row, (n, o) in enumerate(itertools.combinations_with_replacement(range(3), 2)):
+        store(result, 4 * row, np.array(scaled)[:, :, n].T @ turned[:, :, o])
 
 
 def _spectrum(
@@ -111,15 +94,6 @@ def _unit(x: Lanes, y: Lanes) -> tuple[Lanes, Lanes, Lanes]:
     length = (x * x + y * y).sqrt()
     some = (length * 0.0).below(length)
     return length, some.choose(x / length, 1.0), some.choose(y / length, 0.0)
-
-
-def _matrix(given: Array, grid: int, slope: list[list[Lanes]]) -> list[list[Lanes]]:
-    """The Jacobian matrix of a grid by rows."""
-    place = [[load(given, grid + 2 * n + i) for i in range(2)] for n in range(3)]
-    return [
-        [sum((place[n][i] * slope[n][k] for n in (1, 2)), place[0][i] * slope[0][k]) for k in range(2)]
-        for i in range(2)
-    ]
 
 
 @kernel(

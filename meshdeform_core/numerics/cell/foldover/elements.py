@@ -1,0 +1,175 @@
+"""What the two kinds of elements have in common: f of a map and its derivatives as functions of |A|^2 and D, rows of
+arrays as eight elements at a time, and where the derivatives of elements go: the rows of a block-sparse matrix."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from llvmlite import ir
+
+from ...jit import inlined, record
+from ...lanes import NARROW as WIDTH
+from ...lanes import Array, Lanes, narrow
+
+
+def growth(f: Any) -> tuple[Any, Any, Any]:
+    """p^3 / (1 + p / 4), p = f - 2, and its two derivatives."""
+    p = f - 2.0
+    q = 1.0 + 0.25 * p
+    return p * p * p / q, p * p * (3.0 + 0.5 * p) / (q * q), p * (6.0 + p * (1.5 + 0.125 * p)) / (q * q * q)
+
+
+def slopes(g: Any, det: Any, chi: Any, root: Any, h: Any) -> tuple[Any, Any, Any, Any, Any, Any, Any]:
+    """f of a sample in space and its derivatives; g = |A|^2, ``root`` sqrt(eps^2 + D^2), ``h`` chi^(-2/3).
+
+    The gradient is u A + v K with the cofactors K of A, the Hessian w I + q (A K^T + K A^T) + r K K^T plus v times the
+    derivative of K. Returns f, u, v, w, q, r, and the least r for which the Hessian without the last term is convex.
+    """
+    h1 = -2.0 / 3.0 * h / root
+    h2 = 2.0 / 3.0 * h * (2.0 / 3.0 + det / root) / (root * root)
+    whole = det * det + 1.0
+    q1 = (2.0 * det - whole / root) / chi
+    q2 = (2.0 - 2.0 * det / root + whole * det / (root * root * root)) / chi - q1 / root
+    f, u, q = g * h / 3.0 + 0.5 * whole / chi, 2.0 / 3.0 * h, 2.0 / 3.0 * h1
+    return f, u, g * h1 / 3.0 + 0.5 * q1, u, q, g * h2 / 3.0 + 0.5 * q2, 2.0 / 3.0 * h1 * h1 / h * g
+
+
+def slopes_of_triangle(g: Any, det: Any, chi: Any, root: Any) -> tuple[Any, Any, Any, Any, Any, Any]:
+    """As :func:`slopes`, of a sample in a plane: f, u, v, w, q and r."""
+    f, u = 0.5 * (g + det * det + 1.0) / chi, 1.0 / chi
+    r = 1.0 / chi - 2.0 * det / (chi * root) + f * (1.0 + det / root) / (root * root)
+    return f, u, det / chi - f / root, u, -1.0 / (chi * root), r
+
+
+def combined(of_f: Sequence[Any], one: Any, two: Any) -> tuple[Any, Any, Any, Any, Any, Any]:
+    """u, v, w, p, q, r as from :func:`slopes`, for a function of f with the derivatives ``one`` and ``two`` from those
+    of f (u, v, w, q and r); p is the factor of A A^T in the Hessian."""
+    u, v, w, q, r = of_f
+    return u * one, v * one, w * one, two * u * u, q * one + two * u * v, r * one + two * v * v
+
+
+def load(array: Array, first: int, shape: tuple[int, ...], node: ir.Value | None = None) -> np.ndarray:
+    """Rows of an array (n, WIDTH) from ``first`` on, as an array of :class:`Lanes`; those of a ``node`` are as many
+    times farther on as its number says. Of a product with a number, the array is the first factor."""
+    at, size = _start(array, node, shape), math.prod(shape)
+    return np.array([array.load(at, (first + n) * WIDTH) for n in range(size)], dtype=object).reshape(shape)
+
+
+def store(array: Array, first: int, values: Any) -> None:
+    """Store arrays of :class:`Lanes` as rows of an array (n, WIDTH) from ``first`` on."""
+    for n, value in enumerate(np.ravel(values)):
+        array.store(ir.IntType(64)(0), value, (first + n) * WIDTH)
+
+
+def add(array: Array, first: int, values: np.ndarray, node: ir.Value) -> None:
+    """Add ``values`` to the rows of a node, see :func:`load`."""
+    at = _start(array, node, values.shape)
+    for n, value in enumerate(values.ravel()):
+        array.add(at, value, (first + n) * WIDTH)
+
+
+def _start(array: Array, node: ir.Value | None, shape: tuple[int, ...]) -> ir.Value:
+    return ir.IntType(64)(0) if node is None else array.builder.mul(node, node.type(math.prod(shape) * WIDTH))
+
+
+def regular(det: Lanes, eps: Lanes) -> tuple[Lanes, Lanes]:
+    """chi and sqrt(eps^2 + D^2), computed without cancellation."""
+    root = (eps * eps + det * det).sqrt()
+    return (det * 0.0).below(det).choose(0.5 * (det + root), 0.5 * eps * eps / (root - det)), root
+
+
+@narrow
+def transpose(result: Array, row: ir.Value, found: Array, rows: ir.Value) -> None:
+    """Copy eight of the ``rows`` of ``result`` (rows, WIDTH) to ``found`` (WIDTH, rows)."""
+    builder = result.builder
+    place = builder.mul(row, row.type(WIDTH))
+    lines = [result.load(place, n * WIDTH) for n in range(WIDTH)]
+    for step in (1, 2, 4):
+        upper = [n if not n & step else WIDTH + (n ^ step) for n in range(WIDTH)]
+        lower = [n | step if not n & step else WIDTH + n for n in range(WIDTH)]
+        for n in range(WIDTH):
+            if not n & step:
+                one, two = lines[n], lines[n | step]
+                lines[n], lines[n | step] = one.mixed(two, upper), one.mixed(two, lower)
+    for n, line in enumerate(lines):
+        found.store(builder.add(row, builder.mul(rows, row.type(n))), line)
+
+
+@record("i8[::1], f8[:, :, ::1], b1[::1]")
+class Unknowns(NamedTuple):
+    """The unknowns of a region's n nodes: ``number`` (n,), the unknown of each node or -1; ``frame`` (n, d, d), with
+    displacement = frame @ unknown; ``plain`` (n,), whether the frame is the identity."""
+
+    number: np.ndarray
+    frame: np.ndarray
+    plain: np.ndarray
+
+
+@inlined
+def add_element(nodes, c, corners, d, found, lane, force, work, unknowns, rows, matrix, gradient):
+    """Add the derivatives of an element to the rows of its unknowns; see :func:`.hexahedra.add_derivatives`.
+
+    ``nodes[c]`` are its ``corners``, in ``d`` dimensions; ``found[lane]``: the second derivatives (d, d) for pairs of
+    nodes in ascending order, from the entry ``force`` on the first ones (m, d); ``work`` (3, 3) is room.
+    """
+    number, frame, plain = unknowns
+    first = 0
+    for n in range(corners):
+        here = nodes[c, n]
+        row = number[here]
+        if row >= rows[0] and row < rows[1]:
+            for i in range(d):
+                for k in range(d):
+                    gradient[row, i] += frame[here, k, i] * found[lane, force + d * n + k]
+        for o in range(n, corners):
+            there = nodes[c, o]
+            column = number[there]
+            if row >= 0 and column >= 0:
+                if not (plain[here] and plain[there]):
+                    _turn(frame, here, there, d, found, lane, first, work)
+                at = _place_of(row, column, rows)
+                if at >= 0:
+                    for i in range(d):
+                        for k in range(d):
+                            matrix[at, i, k] += found[lane, first + d * i + k]
+                at = _place_of(column, row, rows) if n != o else -1
+                if at >= 0:
+                    for i in range(d):
+                        for k in range(d):
+                            matrix[at, i, k] += found[lane, first + d * k + i]
+            first += d * d
+
+
+@inlined
+def _turn(frame, one, two, d, found, lane, first, work):
+    """``B = F^T B G`` for the matrix B (d, d) of numbers of ``found`` and the frames F, G of nodes ``one``, ``two``."""
+    for i in range(d):
+        for k in range(d):
+            work[i, k] = 0.0
+            for e in range(d):
+                work[i, k] += frame[one, e, i] * found[lane, first + d * e + k]
+    for i in range(d):
+        for k in range(d):
+            total = 0.0
+            for e in range(d):
+                total += work[i, e] * frame[two, e, k]
+            found[lane, first + d * i + k] = total
+
+
+@inlined
+def _place_of(row, column, rows):
+    """Where the block of a row and a column is, -1 if the row is not one of ``rows``."""
+    first, last, starts, columns = rows
+    if row < first or row >= last:
+        return -1
+    low, high = starts[row], starts[row + 1]
+    while high - low > 1:
+        middle = (low + high) // 2
+        if columns[middle] <= column:
+            low = middle
+        else:
+            high = middle
+    return low - starts[first]
