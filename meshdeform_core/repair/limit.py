@@ -11,6 +11,9 @@ _PER_NODE, _FEWEST = 600.0, 35_000
 _VALID, _VALID_PER_NODE = 250_000.0, 35.0
 """Work allowed for the repair of a valid grid: 12 times what the default method takes to be prepared and to move its
 nodes, 20 ms and 3 microseconds per node (studies/repairs.py)."""
+_SQUEEZED = 0.35
+"""Where a valid grid has a smaller relative Jacobian than this, it may take more in proportion, up to what an invalid
+one may: a motion that folds cells passes through such grids, and jumps where their repair is cut (studies/jumps.py)."""
 _PART = 1.0 / 2.0
 """The part of the work left that one repair may take: where it fails, smaller steps may do (studies/repairs.py)."""
 
@@ -32,13 +35,12 @@ class Limit:
         """The limit for a motion of a grid."""
         return cls(seconds, _PER_NODE * max(n_nodes, _FEWEST))
 
-    def for_valid(self, n_nodes: int) -> Limit:
-        """The limit for one repair of a valid grid."""
-        return Limit(work=min(self._most - self.spent, _VALID + _VALID_PER_NODE * n_nodes), whole=self)
-
-    def for_invalid(self) -> Limit:
-        """The limit for one of several repairs of invalid grids: a part of the work that is left."""
-        return Limit(work=_PART * (self._most - self.spent), whole=self)
+    def of_repair(self, n_nodes: int, smallest_ratio: float) -> Limit:
+        """The limit for one repair of a grid with this smallest relative Jacobian, 0 if it is invalid: at most a part
+        of the work that is left."""
+        whole, part = _PART * (self._most - self.spent), min(smallest_ratio / _SQUEEZED, 1.0)
+        work = _VALID + _VALID_PER_NODE * n_nodes
+        return Limit(work=work / part if work < part * whole else whole, whole=self)
 
     def spend(self, work: float) -> None:
         """Count work done."""

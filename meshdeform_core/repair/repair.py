@@ -45,8 +45,7 @@ _ENOUGH, _GAIN = 2.9, 0.9
 @dataclass(frozen=True)
 class _Found:
     """The best grid, how many Newton steps were taken to it, whether it is the minimum, the share of the energy, how
-    many cells of an extruded grid were weak, the reason why nothing was done, and whether the search was not cut short.
-    """
+    many cells of an extruded grid were weak, and the reason why nothing was done."""
 
     grid: Judged
     steps: int = 0
@@ -54,7 +53,6 @@ class _Found:
     share: float = 0.0
     weak: int = 0
     left_out: str | None = None
-    finished: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +90,7 @@ class Repairer:
             flat = None if change is None else extrusion.plane.points + change
         weak = np.empty(0, dtype=np.int64) if flat is not None else unhealthy_cells(self.basis.original, start.points)
         bad = np.union1d(weak, start.verdict.invalid)
-        limit = self.limit.for_valid(self.basis.original.grid.n_nodes) if valid else self.limit.for_invalid()
+        limit = self.limit.of_repair(self.basis.original.grid.n_nodes, start.verdict.smallest_ratio if valid else 0.0)
         try:
             if flat is not None:
                 found = self._repaired_in_plane(start, flat, polish, effort, limit)
@@ -103,9 +101,6 @@ class Repairer:
         if found is None or (valid and not (found.steps or found.left_out)):
             return None
         if valid and not polish:
-            if not found.finished and self._smallest_scaled(found.grid) < self._smallest_scaled(start):
-                text = f"the search was cut short after {found.steps} Newton steps, with a worse worst cell"
-                found = _Found(start, left_out=text)
             found = replace(found, grid=self._kept(start, found.grid))
         count = found.weak or len(np.setdiff1d(weak, start.verdict.invalid))
         low, high = Nodes.of(start.points).ends
@@ -183,7 +178,7 @@ class Repairer:
         if start.verdict.valid and not end.verdict.valid:
             end = start
         converged = found.succeeded and plot.whole and end.verdict.valid
-        return _Found(end, found.steps, converged, found.share, finished=found.succeeded)
+        return _Found(end, found.steps, converged, found.share)
 
     def _by_regions(
         self,
