@@ -38,7 +38,7 @@ from .view import View, Window, along, facing, iso, towards
 _SMALL = 0.3
 """Details smaller than this fraction of the picture along its larger side get a close-up."""
 _TALL, _FLAT = 1.15, 0.05
-_IN_SPACE = r"([xyz])=([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)"
+_PLANE = r"([ijk])=(mid|[1-9]\d*)|([xyz])=([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)"
 _AROUND = 7
 """Number of cells that a close-up shows on either side of the worst one."""
 
@@ -215,7 +215,7 @@ class PlotOptions:
     def __post_init__(self) -> None:
         if self.plane and self.select:
             raise CaseError(f"{self.lead}plane and {self.lead}select exclude each other; give one of them")
-        _ = self.choice, self.index_plane, self.direction, self.window
+        _ = self.choice, self.layer, self.direction, self.window
 
     @property
     def plain(self) -> bool:
@@ -235,23 +235,18 @@ class PlotOptions:
         return Choice(self.metric, (low, high), self.log)
 
     @property
-    def space_plane(self) -> tuple[str, float] | None:
-        """Coordinate axis and position of a plane through all blocks."""
-        match = re.fullmatch(_IN_SPACE, self.plane or "")
-        return (match[1], float(match[2])) if match else None
-
-    @property
-    def index_plane(self) -> tuple[int, int | None] | None:
-        """Index axis and node (0-based, ``None``: the middle): ``k=3`` is (2, 2), ``k=mid`` (2, None)."""
-        if self.plane is None or self.space_plane:
+    def layer(self) -> tuple[str, float | None] | None:
+        """Axis and place of the plane: ``k=3`` is ("k", 3), ``k=mid`` ("k", None), ``z=0.25`` ("z", 0.25)."""
+        if self.plane is None:
             return None
-        match = re.fullmatch(r"([ijk])=(mid|[1-9]\d*)", self.plane)
+        match = re.fullmatch(_PLANE, self.plane)
         if not match:
             raise CaseError(
                 f"{self.lead}plane {self.plane!r}: expected a plane of nodes, like k=1 or k=mid, or one in space, like "
                 f"z=0.25"
             )
-        return "ijk".index(match[1]), None if match[2] == "mid" else int(match[2]) - 1
+        index, node, axis, at = match.groups()
+        return index or axis, None if node == "mid" else float(node or at)
 
     @property
     def close(self) -> str:
@@ -333,14 +328,16 @@ def picture(subject: Subject, options: PlotOptions, title: str = "") -> Page:
 
 def _scene(subject: Subject, options: PlotOptions) -> Scene:
     """The part of a grid that options name, in the direction that they ask for."""
-    metric = options.choice.metric
+    metric, (axis, at) = options.choice.metric, options.layer or ("", None)
     if options.select:
         if subject.grid.dimension == 2:
             raise CaseError("a 2-D grid has no surfaces to select; leave --select out to draw the whole grid")
         quads = select_quads(subject.reference or subject.grid, subject.topology, options.select, "plot")
         scene = layer_scene(subject, face_layers(subject, quads), metric)
-    elif options.space_plane is not None:
-        axis, at = options.space_plane
+    elif axis in ("i", "j", "k"):
+        layers = index_layers(subject.grid, "ijk".index(axis), None if at is None else int(at) - 1)
+        scene = layer_scene(subject, layers, metric)
+    elif at is not None:
         if subject.grid.dimension == 2:
             raise CaseError(f"a 2-D grid cannot be cut; leave {options.lead}plane out to draw the whole grid")
         normal = np.eye(3)["xyz".index(axis)]
@@ -349,8 +346,6 @@ def _scene(subject: Subject, options: PlotOptions) -> Scene:
         if not low - tiny <= at <= high + tiny:
             raise CaseError(f"no part of the grid lies at {axis} = {at:g}; it spans {axis} = {low:.6g} to {high:.6g}")
         scene = cut_scene(subject, Plane(at * normal, normal), metric)
-    elif options.index_plane is not None:
-        scene = layer_scene(subject, index_layers(subject.grid, *options.index_plane), metric)
     else:
         walls = subject.wall_surfaces
         quads = quads_of_surfaces(walls) if walls else np.flatnonzero(subject.topology.external)
