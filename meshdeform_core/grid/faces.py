@@ -209,11 +209,6 @@ _ENCLOSED = 0.02
 """Least flux of (x - center) through the surface of a body, relative to area times radius."""
 
 
-def guess_roles(grid: Grid, topology: Topology, faces: Sequence[Face]) -> list[Role]:
-    """The likely role of every face."""
-    return _Guess(grid, topology, faces).roles()
-
-
 def declared_role(face: Face) -> Role | None:
     """The role that the file declares for a face: by its type, else by its family or name."""
     return role_of_patch(face.patch) if face.patch is not None else None
@@ -235,8 +230,8 @@ def clusters(face: Face) -> bool:
     return face.stretching >= _CLUSTERED and face.finest >= _FIRST_IS_FINEST
 
 
-class _Guess:
-    """Data on all faces needed to guess their roles."""
+class RoleGuess:
+    """Data on all faces of a grid needed to guess their roles."""
 
     def __init__(self, grid: Grid, topology: Topology, faces: Sequence[Face]):
         self.grid, self.topology, self.faces = grid, topology, faces
@@ -263,6 +258,7 @@ class _Guess:
         self.has_bodies = bool(self.body.any())
 
     def roles(self) -> list[Role]:
+        """The likely role of every face."""
         roles = [self._first_role(face) for face in self.faces]
         near = np.zeros(self.topology.n_unique, dtype=bool)
         for face, role in zip(self.faces, roles, strict=True):

@@ -25,7 +25,7 @@ from .faces import Role, role_of_patch
 from .parts import Side, Window
 from .planes import FLATNESS, block_extents, plane_normal
 from .topology import Topology, quads_of_patches
-from .windows import largest_rectangles, rectangles
+from .windows import rectangles
 
 NEAR = 0.25
 """Nodes closer than this fraction of the shortest edge at either of them were probably meant to coincide."""
@@ -207,7 +207,12 @@ class _Samples:
     @cached_property
     def largest(self) -> dict[int, tuple[IntArray, Window]]:
         """The largest rectangle of quads on every side, and its nodes."""
-        return largest_rectangles(self._grid, self._topology.quads, self.quads)
+        label = np.full(len(self._topology.partner), -1)
+        label[self.quads] = 0
+        every = rectangles(self._grid, self._topology.quads, label)
+        order = np.lexsort((np.arange(len(every)), -every.sizes, every.side))
+        some = every.chosen(order[runs(every.side[order])[0]])
+        return {int(s): (some.quads_of(n), w) for n, (s, w) in enumerate(zip(some.side, some.windows(), strict=True))}
 
     def candidates(
         self,

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..numerics.arrays import extent
 from .blocks import FloatArray, Grid, IntArray
-from .faces import Face, Role, clusters, declared_role, find_faces, guess_roles
+from .faces import Face, Role, RoleGuess, clusters, declared_role, find_faces
 from .parts import Side
 from .planes import plane_normal, plane_of
 from .topology import Topology, side_nodes
@@ -108,7 +108,7 @@ def _level(surface: Surface, extent: FloatArray) -> tuple[int, float] | None:
 def find_outside(grid: Grid, topology: Topology) -> Outside:
     """Faces, roles and surfaces of a grid; thin plates declared in the file count as outside."""
     faces = find_faces(grid, topology)
-    roles = guess_roles(grid, topology, faces)
+    roles = RoleGuess(grid, topology, faces).roles()
     groups: dict[tuple[str, bool], list[int]] = {}
     for number, (face, role) in enumerate(zip(faces, roles, strict=True)):
         if role is not Role.INTERFACE:

@@ -268,7 +268,13 @@ def _face_quads(grid: Grid, handedness: IntArray, sides: IntArray, number: IntAr
     counts = np.where(lattice.has_quads[:, None], lattice.cells, 0)
     sizes = counts.prod(axis=1)
     start = np.cumsum(sizes) - sizes
-    in_order = index_order(grid, handedness)
+    # Whether the index order of a side winds its quads counter-clockwise as seen from outside the block. In 2-D the
+    # outside lies to the right, looking against the plane's positive normal. (i, j), (j, k) planes are cyclic, the
+    # (i, k) plane is not: the same rule as for normals in 3-D, where e_b x e_c points along +a for i and k, -a for j.
+    axis, far = np.divmod(np.arange(6), 2)
+    outward = (np.where(far == 1, 1, -1) * handedness[:, None]) > 0
+    flat = np.argmin(grid.shapes, axis=1)[:, None]
+    in_order = np.where(axis < 3 - axis - flat if grid.dimension == 2 else axis != 1, outward, ~outward)
     corners = empty((int(sizes.sum()), 2 if grid.dimension == 2 else 4), number.dtype)
     base = lattice.nodes[sides].prod(axis=1)
     base = np.cumsum(base) - base
@@ -319,22 +325,6 @@ def partners(corners: IntArray, shared: BoolArray) -> tuple[IntArray, int]:
         partner[some] = np.where(matched >= 0, some[matched], EXTERNAL)
         crowded += int(np.count_nonzero(numbers > 2))
     return partner, crowded
-
-
-def index_order(grid: Grid, handedness: IntArray) -> BoolArray:
-    """(n_blocks, 6) whether the index order of a side winds its quads counter-clockwise as seen from outside the block.
-
-    In 2-D the outside of the block lies to the right, looking against the plane's positive normal.
-    """
-    axis, far = np.divmod(np.arange(6), 2)
-    outward = (np.where(far == 1, 1, -1) * handedness[:, None]) > 0
-    if grid.dimension == 2:
-        # (i, j), (j, k) planes are cyclic, the (i, k) plane is not: the same rule as for the normals in 3-D.
-        flat = np.argmin(grid.shapes, axis=1)[:, None]
-        first_axis = axis < 3 - axis - flat
-        return np.where(first_axis, outward, ~outward)
-    # e_b x e_c points along +a for a = i and k, along -a for a = j.
-    return np.where(axis != 1, outward, ~outward)
 
 
 def cells_behind(grid: Grid, topology: Topology, quads: IntArray) -> IntArray:

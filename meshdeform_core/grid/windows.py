@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..numerics.arrays import IntArray, batches, runs, spans
+from ..numerics.arrays import IntArray, batches, spans
 from .blocks import Grid
 from .parts import Shape, Side, Window
 from .topology import FaceQuads, Topology, side_nodes
@@ -119,19 +119,6 @@ def _divided(some: IntArray, side: IntArray, u: IntArray, v: IntArray, label: In
         some[np.argsort(number, kind="stable")],
         np.bincount(number, minlength=len(top)),
     )
-
-
-def largest_rectangles(grid: Grid, faces: FaceQuads, quads: IntArray) -> dict[int, tuple[IntArray, Window]]:
-    """The quads in the largest rectangle of ``quads`` on every block side (``6 * block + side``), and its nodes."""
-    label = np.full(len(faces.corners), -1)
-    label[quads] = 0
-    every = rectangles(grid, faces, label)
-    order = np.lexsort((np.arange(len(every)), -every.sizes, every.side))
-    largest = every.chosen(order[runs(every.side[order])[0]])
-    return {
-        int(side): (largest.quads_of(number), window)
-        for number, (side, window) in enumerate(zip(largest.side, largest.windows(), strict=True))
-    }
 
 
 def side_numbers(grid: Grid, topology: Topology, block: int, side: Side) -> IntArray:

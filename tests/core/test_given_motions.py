@@ -75,24 +75,6 @@ def test_boxes_are_bernstein_polynomials_and_move_what_is_inside():
     np.testing.assert_allclose(moved(nodes, box(), fraction=0.5), 0.5 * exact, atol=1e-14)
 
 
-def test_all_control_points_together_translate():
-    nodes = box_nodes()
-    found = moved(nodes, box([(["*", "*", "*"], ["0.1*t", 0, 0.2])]), time=3.0)
-    inside = (found != 0).any(axis=1)
-    np.testing.assert_allclose(found[inside], np.tile([0.3, 0, 0.2], (inside.sum(), 1)), atol=1e-15)
-
-
-def test_several_boxes_follow_each_other():
-    nodes = box_nodes()
-    one, two = box(), box([([1, 1, 1], [0.2, 0, 0])])
-    case = case_of({"boundary": [{"motion": [one, two]}]}).case
-    motion = case.boundaries[0].motion
-    assert motion is not None
-    first = np.array([bernstein_by_hand(x, MOVES) for x in nodes.points])
-    second = np.array([bernstein_by_hand(x, [([1, 1, 1], [0.2, 0, 0])]) for x in nodes.points + first])
-    np.testing.assert_allclose(motion.prepare(nodes).displacement(), first + second, atol=1e-14)
-
-
 def test_times_are_checked_before_a_series_starts(tmp_path):
     (tmp_path / "m.csv").write_text("t,x,y,z\n0,0,0,0\n1,0.1,0,0\n")
     (tmp_path / "q.csv").write_text("t,q\n0,0\n1,1\n")

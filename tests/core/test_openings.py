@@ -113,13 +113,6 @@ def test_a_gap_that_the_case_selects_is_a_warning_and_a_thin_moving_wall_is_none
     assert not any("nearly coincide" in text for text in set_up(grid, Case((plate, fixed))).warnings)
 
 
-def test_patched_blocks_are_refused_unless_the_case_says_so():
-    grid = pair(0.0, 4, 8)
-    with pytest.raises(CaseError, match="their nodes do not match"):
-        set_up(grid, Case((WALL,)))
-    set_up(grid, Case((WALL,), open_faces=True))
-
-
 def test_a_forgotten_symmetry_plane_is_named_with_the_remedy():
     span = BoundarySpec("far", ("*.jmax", "*.i*"), Kind.FIXED)
     notes = set_up(pair(), Case((WALL, span))).warnings
@@ -180,13 +173,19 @@ def test_curved_interfaces_that_do_not_match_do_not_overlap(cells):
     assert not [each for each in openings(grid) if each.inside]
 
 
-def test_overset_faces_are_refused_unless_the_case_says_so():
-    grid = overset(None)
-    with pytest.raises(CaseError, match=r"block1\.\w+.* lies inside block2.*Say that they are walls: \[grid\] open"):
+@pytest.mark.parametrize(
+    ("grid", "message", "warning"),
+    [
+        (pair(0.0, 4, 8), "their nodes do not match", "nodes do not match"),
+        (overset(None), r"block1\.\w+.* lies inside block2.*Say that they are walls: \[grid\] open", "inside block2"),
+    ],
+)
+def test_patched_and_overset_faces_are_refused_unless_the_case_says_so(grid, message, warning):
+    with pytest.raises(CaseError, match=message):
         set_up(grid, Case((WALL,)))
     set_up(grid, Case((WALL,), open_faces=True))
     outer = BoundarySpec("rest", ("*",), Kind.FIXED)
-    assert any("lies inside block2" in text for text in set_up(grid, Case((WALL, outer))).warnings)
+    assert any(warning in text for text in set_up(grid, Case((WALL, outer))).warnings)
 
 
 def test_patched_planes_of_a_rotor_and_a_stator_are_one_note():

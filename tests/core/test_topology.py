@@ -115,13 +115,6 @@ def test_tolerance_is_relative_to_the_local_edge(noise):
     assert topology.n_unique == len(topology.face_nodes) - 6 * 5
 
 
-def test_patched_blocks_are_not_welded():
-    topology = find_topology(
-        Grid.from_blocks([block_around(LINE, LINE, LINE), block_around(1 + LINE, np.linspace(0, 1, 4), LINE)])
-    )
-    assert np.all(topology.partner < 0)
-
-
 def test_wrong_connections_are_reported():
     grid = frame()
     (good, *_) = find_interfaces(grid, find_topology(grid))
