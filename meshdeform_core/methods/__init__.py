@@ -155,13 +155,7 @@ REFUSED = {
 
 
 def entry_of(name: str) -> MethodEntry:
-    """The catalogue row of a method name or its short form.
-
-    Raises
-    ------
-    MethodError
-        For an unknown name; the message lists the known ones.
-    """
+    """The catalogue row of a method name or its short form; an unknown one is an error that lists the known ones."""
     full = ALIASES.get(name, name)
     if full in REFUSED:
         raise MethodError(f"method {name!r} is not offered: {REFUSED[full]}")

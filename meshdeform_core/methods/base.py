@@ -43,11 +43,9 @@ def of_stage(progress: Progress | None, stage: str) -> Callable[[int, int], None
 class Surface:
     """Faces between sources, from which nodal areas and rotations are computed; indices refer to sources.
 
-    Attributes
-    ----------
-    area : (n_sources,) nodal area (length in 2-D): a quarter of each adjacent face (half of each adjacent edge in 2-D)
-    corners : (c, 3) node, next and previous node of each corner of a moving face; in 2-D (c, 2) edge ends
-    edges : (e, 2) node and neighbour along moving faces, each pair once
+    ``area`` (n_sources,) has a quarter of each face beside a source (half of each edge in 2-D), ``corners`` (c, 3)
+    node, next and previous node of each corner of a moving face (in 2-D (c, 2) edge ends), ``edges`` (e, 2) node and
+    neighbour along moving faces, each pair once.
     """
 
     area: FloatArray
@@ -206,14 +204,9 @@ Kinks = Counter[str]
 
 @dataclass(frozen=True)
 class Linearised:
-    """Derivative of the displacement of all block nodes with respect to that of the sources.
-
-    Attributes
-    ----------
-    push : the change (n_nodes, 3) for a change (n_sources, 3) of the sources
-    pull : the gradient (n_sources, 3) from that (n_nodes, 3) of all block nodes, which is overwritten
-    kinks : why it is not the derivative of the displacement field, see :data:`Kinks`
-    """
+    """Derivative of the displacement of all block nodes with respect to that of the sources: ``push`` gives the change
+    (n_nodes, 3) for a change (n_sources, 3) of the sources, ``pull`` the gradient (n_sources, 3) from that (n_nodes, 3)
+    of all block nodes, which is overwritten; ``kinks`` why it is not the derivative of the displacement field."""
 
     push: Callable[..., Any]
     pull: Callable[..., FloatArray]

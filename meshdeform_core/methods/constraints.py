@@ -52,12 +52,8 @@ def put_on_faces(face: FloatArray, out: FloatArray, problem: Problem) -> None:
 
 
 class Constraints:
-    """Slip and periodicity at one displacement ``face`` (n_unique, 3), given before the constraints are imposed on it.
-
-    Attributes
-    ----------
-    kinks : nodes that slide on a curved surface and are at the edge of a flat face
-    """
+    """Slip and periodicity at one displacement ``face`` (n_unique, 3), given before the constraints are imposed on it;
+    ``kinks`` counts nodes that slide on a curved surface and are at the edge of a flat face."""
 
     def __init__(self, problem: Problem, face: FloatArray) -> None:
         self._problem = problem
@@ -152,11 +148,8 @@ class BesideSlip:
     zero in the plane, and unchanged at the walls. v is linear in u; motions along the planes remain unchanged.
 
     A node on a slip plane moves only within the plane, which interpolation ignores: where it displaces the neighbouring
-    nodes away from the plane or towards it, the cells in between stretch or fold.
-
-    Parameters
-    ----------
-    flat : (n,) nodes of the grid, none of them a source
+    nodes away from the plane or towards it, the cells in between stretch or fold. None of the nodes ``flat`` (n,) is a
+    source.
     """
 
     def __init__(self, problem: Problem, flat: IntArray) -> None:

@@ -59,12 +59,7 @@ class PatchMotion:
 
 
 def patch_motions(problem: Problem, displacement: FloatArray) -> tuple[PatchMotion, ...]:
-    """The motion of every moving boundary entry.
-
-    Parameters
-    ----------
-    displacement : (n_unique, 3) of all face nodes
-    """
+    """The motion of every moving boundary entry for a displacement (n_unique, 3) of all face nodes."""
     sources = problem.source_numbers
     turns = problem.rotations.vectors(displacement[sources])
     names = [patch.name for patch in problem.boundary.patches if patch.kind is Kind.MOVING]
@@ -84,12 +79,8 @@ def patch_motions(problem: Problem, displacement: FloatArray) -> tuple[PatchMoti
 
 
 def largest_rotation(problem: Problem, displacement: FloatArray) -> float:
-    """Largest rotation of a moving wall relative to the fixed boundary, or to the mean if nothing is fixed (degrees).
-
-    Parameters
-    ----------
-    displacement : (n_sources, 3)
-    """
+    """Largest rotation of a moving wall relative to the fixed boundary, or to the mean if nothing is fixed (degrees),
+    for a displacement (n_sources, 3)."""
     turn = problem.rotations.vectors(displacement)
     if not (problem.boundary.kind[problem.source_numbers] == Kind.FIXED).any():
         turn = turn - turn.mean(axis=0)

@@ -21,28 +21,16 @@ from .base import Setting
 def option(
     default: Any, why: str, *, range: str = "(0, inf)", only_if: Mapping[str, tuple[Any, ...]] | None = None
 ) -> Any:
-    """A dataclass field for an option.
-
-    Parameters
-    ----------
-    why : a short reason for the default
-    range : interval of a number, like ``"(0, 1]"``
-    only_if : values of other options without which it has no effect
-    """
+    """A dataclass field for an option: ``why`` is a short reason for the default, ``range`` the interval of a number,
+    like ``"(0, 1]"``, ``only_if`` has the values of other options without which it has no effect."""
     return field(default=default, metadata={"why": why, "range": range, "only_if": only_if or {}})
 
 
 @dataclass(frozen=True)
 class Option:
-    """The declaration of an option.
-
-    Attributes
-    ----------
-    meaning : from the docstring of its class
-    choices : texts and truth values that it may have
-    number : ``int`` or ``float`` if it may be a number
-    low, high, open_low : the interval of a number, and whether ``low`` is excluded
-    """
+    """The declaration of an option: ``meaning`` is from the docstring of its class, ``choices`` are texts and truth
+    values that it may have, ``number`` is ``int`` or ``float`` if it may be a number, which is at most ``high`` and at
+    least ``low``, or above it if ``open_low``."""
 
     name: str
     default: Any

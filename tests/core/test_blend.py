@@ -124,7 +124,7 @@ def test_faces_are_blended_from_their_edges():
         expected[part[inside]] = (across - corners)[inside]
     start, width = np.cumsum([0, *(part.size for part in nodes)]), np.array([part.shape[1] for part in nodes])
     chosen = (np.concatenate([part.ravel() for part in each]) for each in (nodes, wanted))
-    Faces.on(points, start, width, *chosen).blend(d)
+    Faces(points, start, width, *chosen).blend(d)
     np.testing.assert_allclose(d, expected, rtol=0, atol=1e-13)
 
 

@@ -32,13 +32,9 @@ class LinearIDW:
     """Derivative of the displacement of the targets of a method at one displacement (n_sources, 3) of the sources.
 
     Sums over sources become sums of derivatives, exact or fast like those of the method, and their transposes are sums
-    over nodes.
-
-    Parameters
-    ----------
-    variable : the displacement, from which ``fit`` of the sources that move, and of one of the others, was recorded
-    acting : (n,) the images of sources that move
-    alpha, slope : alpha if it depends on the displacement, and the derivative of the factor of r^-b with respect to it
+    over nodes. ``fit`` of the sources that move, and of one of the others, was recorded from the displacement
+    ``variable``; ``acting`` (n,) are the images of sources that move, ``alpha`` is that of eq. 16 if it depends on the
+    displacement, and ``slope`` the derivative of the factor of r^-b with respect to it.
     """
 
     def __init__(

@@ -21,20 +21,12 @@ from ..limits import TFI_ROTATION, warn_of_rotation
 from .tfi import Faces
 
 if TYPE_CHECKING:
-    from scipy.sparse.linalg import SuperLU
-
     from ...boundary.slip import Slip
 
 
 @dataclass(frozen=True)
 class _Rows:
-    """Rows of different lengths of unique node numbers, concatenated.
-
-    Attributes
-    ----------
-    start : (n + 1,) index at which each row begins
-    nodes : node numbers of all rows
-    """
+    """Rows of different lengths of unique numbers of ``nodes``, one after the other; row n begins at ``start[n]``."""
 
     start: IntArray
     nodes: IntArray
@@ -85,7 +77,7 @@ class PreparedEdgeGraph:
         segments, length = _segments(points, edges, np.zeros(len(edges), dtype=np.int64), reached, known)
         self._graph = None
         if self._free.size:
-            self._graph = _Graph.of(segments.ends(), length, self._free, len(known), problem.boundary.slip)
+            self._graph = _Graph(segments.ends(), length, self._free, len(known), problem.boundary.slip)
         reached[segments.nodes] = True
         parts, width, wanted = _face_parts(grid, topology, reached)
         # L-shaped faces are divided into rectangles, some borders of which are not block edges.
@@ -93,7 +85,7 @@ class PreparedEdgeGraph:
         inside = borders.any(~reached[borders.nodes])
         rest, _ = _segments(points, borders.chosen(inside), part[inside], reached, reached)
         rows, lines = (segments, rest, parts), len(segments) + len(rest)
-        self._faces = Faces.on(
+        self._faces = Faces(
             points,
             np.append(0, np.cumsum(np.concatenate([np.diff(each.start) for each in rows]))),
             np.append(np.ones(lines, dtype=np.int64), width),
@@ -181,25 +173,16 @@ def _segments(
     return rows.chosen(sound), length[sound]
 
 
-@dataclass(frozen=True)
 class _Graph:
-    """Harmonic extension to the free vertices.
+    """Harmonic extension to the free vertices, from the ends (n, 2) of all edges between vertices and their lengths
+    (n,).
 
-    ``row``, ``known``, ``weight`` (m,) list the edges from free vertices to known nodes; ``factor`` is the factorised
-    Laplacian of the free vertices. Vertices on slip planes remain in them: ``removed`` lists sets of such vertices with
-    the projector (3, 3) onto the directions that are removed from their motion; the Laplacian then covers all three
-    components.
+    ``row``, ``known``, ``weight`` (m,) list the edges from free vertices to known nodes. Vertices on slip planes remain
+    in them: ``removed`` lists sets of such vertices with the projector (3, 3) onto the directions that are removed from
+    their motion; the Laplacian then covers all three components.
     """
 
-    factor: SuperLU
-    row: IntArray
-    known: IntArray
-    weight: FloatArray
-    removed: tuple[tuple[IntArray, FloatArray], ...] = ()
-
-    @classmethod
-    def of(cls, ends: IntArray, length: FloatArray, free: IntArray, n_unique: int, slip: Slip) -> _Graph:
-        """From the ends (n, 2) of all edges between vertices and their lengths (n,)."""
+    def __init__(self, ends: IntArray, length: FloatArray, free: IntArray, n_unique: int, slip: Slip) -> None:
         n = len(free)
         index = np.full(n_unique, -1)
         index[free] = np.arange(n)
@@ -216,33 +199,32 @@ class _Graph:
         places = np.r_[every, one[inner]], np.r_[every, index[two[inner]]]
         laplacian = scipy.sparse.csc_array((values, places), shape=(n, n))
         sliding = [(index[nodes], span) for nodes, span in slip.groups]
-        removed = tuple((rows[rows >= 0], span) for rows, span in sliding if (rows >= 0).any())
-        if removed:
+        self.removed = [(rows[rows >= 0], span) for rows, span in sliding if (rows >= 0).any()]
+        if self.removed:
             # The Laplacian (3 n, 3 n) of all components, row 3 m + c for component c of vertex m, restricted to motions
             # along the planes; for the removed directions it is the identity.
-            n = laplacian.shape[0]
             blocks = np.zeros((n, 3, 3))
-            for rows, span in removed:
+            for rows, span in self.removed:
                 blocks[rows] = span
             off = scipy.sparse.bsr_array((blocks, np.arange(n), np.arange(n + 1)), shape=(3 * n, 3 * n))
             along = scipy.sparse.eye_array(3 * n) - off
             laplacian = scipy.sparse.csc_array(along @ scipy.sparse.kron(laplacian, np.eye(3)) @ along + off)
-        return cls(scipy.sparse.linalg.splu(laplacian), one[outer], two[outer], weight[outer], removed)
+        self._factor = scipy.sparse.linalg.splu(laplacian)
+        self.row, self.known, self.weight, self._n_free = one[outer], two[outer], weight[outer], len(free)
 
     def solve(self, d: FloatArray) -> FloatArray:
         """Displacement of the free vertices from ``d`` (n_unique, 3) of the known nodes."""
-        size = self.factor.shape[0] // (3 if self.removed else 1)
-        pull = [np.bincount(self.row, self.weight * d[self.known, c], size) for c in range(3)]
+        pull = [np.bincount(self.row, self.weight * d[self.known, c], self._n_free) for c in range(3)]
         return self.harmonic(np.stack(pull, axis=1))
 
     def harmonic(self, right: FloatArray) -> FloatArray:
         """Displacement of the free vertices for right-hand sides ``right`` (n, 3); a symmetric map."""
         if not self.removed:
-            return np.asarray(self.factor.solve(right))
+            return np.asarray(self._factor.solve(right))
         along = right.copy()
         for rows, span in self.removed:
             along[rows] -= along[rows] @ span
-        return np.asarray(self.factor.solve(along.ravel())).reshape(right.shape)
+        return np.asarray(self._factor.solve(along.ravel())).reshape(right.shape)
 
 
 def _face_parts(grid: Grid, topology: Topology, reached: BoolArray) -> tuple[_Rows, IntArray, BoolArray]:

@@ -41,13 +41,8 @@ Cuts = tuple[IntArray, IntArray, IntArray]
 
 @dataclass(frozen=True)
 class Skeleton:
-    """The index planes at which blocks are cut.
-
-    Attributes
-    ----------
-    cuts : for every block the node indices of the cutting planes along i, j, k, including both ends
-    left_out : block sides that the second step moves itself; only their edges belong to the skeleton
-    """
+    """The index planes at which blocks are cut: ``cuts`` are for every block the node indices of the planes along i, j,
+    k, including both ends. Of sides ``left_out``, which the second step moves itself, only the edges belong to it."""
 
     grid: Grid
     cuts: tuple[Cuts, ...]
@@ -191,51 +186,29 @@ _THINNEST = 1e-7
 """In sub-blocks thinner than this fraction of their length, the gradient across them is not determined."""
 
 
-@dataclass(frozen=True)
 class Faces:
-    """Rectangles and lines of nodes with their arc coordinates.
+    """Rectangles and lines of nodes with their arc coordinates: ``start`` (n + 1,) is the index at which each begins in
+    ``nodes``, C-ordered node numbers, ``width`` (n,) that of nodes along its second index, 1 for a line, and ``wanted``
+    tells which interior nodes are to be moved."""
 
-    Attributes
-    ----------
-    start : (n + 1,) index at which each rectangle begins in the other arrays
-    width : (n,) nodes along its second index, 1 for a line
-    nodes : node numbers, C-ordered
-    wanted : which interior nodes are to be moved
-    s, t : coordinates from 0 to 1 along the first and second index
-    """
-
-    start: IntArray
-    width: IntArray
-    nodes: IntArray
-    wanted: BoolArray
-    s: FloatArray
-    t: FloatArray
-
-    @classmethod
-    def on(cls, points: FloatArray, start: IntArray, width: IntArray, nodes: IntArray, wanted: BoolArray) -> Faces:
-        """Faces from ``start``, ``width`` and ``nodes``, with their arc coordinates."""
+    def __init__(self, points: FloatArray, start: IntArray, width: IntArray, nodes: IntArray, wanted: BoolArray):
         s, t = np.empty(len(nodes)), np.empty(len(nodes))
         face_coordinates(points, start, width, nodes, s, t)
-        return cls(start, width, nodes, wanted, s, t)
+        self._arrays = start, width, nodes, wanted, s, t
 
     def blend(self, displacement: FloatArray) -> None:
         """Compute the displacement inside the rectangles from that of their edges, in place, one by one."""
-        blend_faces(displacement, self.start, self.width, self.nodes, self.wanted, self.s, self.t, False)
+        blend_faces(displacement, *self._arrays, False)
 
     def pull(self, gradient: FloatArray) -> None:
         """Transpose of :meth:`blend`: pass gradients on from inside the rectangles to their edges, in place."""
-        blend_faces(gradient, self.start, self.width, self.nodes, self.wanted, self.s, self.t, True)
+        blend_faces(gradient, *self._arrays, True)
 
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Neighbouring sub-blocks and the arc coordinates of the nodes inside them; in 2-D, sub-blocks are ``faces``.
-
-    Attributes
-    ----------
-    points : (n_nodes, 3)
-    subs : (n, 11) sub-blocks, and ``arc`` the coordinates, see :mod:`...numerics.transfinite.arcs`
-    """
+    """Neighbouring sub-blocks ``subs`` (n, 11) among ``points`` (n_nodes, 3) and the coordinates ``arc`` of the nodes
+    inside them, see :mod:`...numerics.transfinite.arcs`; in 2-D, sub-blocks are ``faces``."""
 
     points: FloatArray
     subs: IntArray
@@ -303,16 +276,14 @@ def _faces(points: FloatArray, subs: IntArray) -> Faces:
     shapes = subs[:, 7:10] - subs[:, 4:7] + 1
     width = np.where(subs[:, 3] > 1, shapes[:, 2], shapes[:, 1])
     start, nodes = np.append(0, np.cumsum(box_numbers(subs))), box_nodes(subs)
-    return Faces.on(points, start, width, nodes, np.ones(len(nodes), dtype=bool))
+    return Faces(points, start, width, nodes, np.ones(len(nodes), dtype=bool))
 
 
 class CurvedLines:
     """Deviations of the nodes inside the sub-blocks of a group from where TFI would place them.
 
-    Attributes
-    ----------
-    bent : rows (m,) in the group of the sub-blocks with deviations, and matrices (m, 3, 8) that map values at their
-        corners to the least-squares gradient; sought unless it is given, as it is the same for all displacements
+    ``bent``: rows (m,) in the group of the sub-blocks with deviations, and matrices (m, 3, 8) that map values at their
+    corners to the least-squares gradient; sought unless it is given, as it is the same for all displacements.
     """
 
     def __init__(self, group: Group, bent: tuple[IntArray, FloatArray] | None = None) -> None:

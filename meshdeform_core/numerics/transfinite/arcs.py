@@ -97,14 +97,8 @@ def tile_start(i, j, first, nj, nk):
 
 @kernel("f8[:, ::1], i8[:, ::1], i8[:, ::1], f8[::1]")
 def arc_coordinates(points, subs, parts, arc):
-    """Normalised arc lengths of the nodes inside sub-blocks; coordinates are uniform on lines of zero length.
-
-    Parameters
-    ----------
-    points : (n_nodes, 3) of all blocks
-    parts : rows of :func:`arc_parts`
-    arc : filled with the coordinates, see :func:`arc_numbers`
-    """
+    """Normalised arc lengths of the nodes inside sub-blocks, by ``parts``, rows of :func:`arc_parts`, into ``arc``, see
+    :func:`arc_numbers`; coordinates are uniform on lines of zero length."""
     work = np.empty(2 * WIDTH)
     for part in range(parts.shape[0]):
         n = parts[part, 0]

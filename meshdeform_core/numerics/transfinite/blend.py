@@ -26,13 +26,9 @@ def blend_slabs(d, arc, subs, slabs):
 
     With G the blending of the i and j faces at the node's arc coordinates x, y, z, the displacement is
     ``G + (1 - z) (d - G)(k low) + z (d - G)(k high)``. G is bilinear in x and y. Its coefficients along a k line follow
-    from the i faces and are the same in all i planes; the j faces contribute to those of 1 and y.
-
-    Parameters
-    ----------
-    d : (n_nodes, 3) of all blocks, known on the faces of the sub-blocks
-    arc : arc coordinates, see :func:`.arcs.arc_numbers`, and room for a tile
-    slabs : (m, 3) row in ``subs`` and planes i0 <= i < i1 of the block
+    from the i faces and are the same in all i planes; the j faces contribute to those of 1 and y. ``d`` (n_nodes, 3) of
+    all blocks is known on the faces of the sub-blocks, ``arc`` are the coordinates, see :func:`.arcs.arc_numbers`, and
+    room for a tile, ``slabs`` (m, 3) rows in ``subs`` with planes i0 <= i < i1 of the block.
     """
     # Of the coefficients along lines those at their low ends are left out, whose differences from those at the high
     # ends are ``slopes``.

@@ -13,15 +13,8 @@ from ..jit import kernel
 
 @kernel("f8[:, ::1], i8[::1], i8[::1], i8[::1], f8[::1], f8[::1]")
 def face_coordinates(points, start, width, nodes, s, t):
-    """Arc coordinates of the nodes of faces along their first and second index, into ``s`` and ``t``.
-
-    They are uniform on lines of zero length.
-
-    Parameters
-    ----------
-    points : (n_nodes, 3)
-    nodes : rows of ``points``
-    """
+    """Arc coordinates of the nodes of faces, rows of ``points`` (n_nodes, 3), along their first and second index, into
+    ``s`` and ``t``; they are uniform on lines of zero length."""
     for face in range(start.size - 1):
         height = (start[face + 1] - start[face]) // width[face]
         for line in range(width[face] + height):
