@@ -42,13 +42,7 @@ def keep_inputs(path: Path, *inputs: Path | None) -> None:
 
 
 def check_output(path: Path, force: bool, *inputs: Path | None) -> None:
-    """Refuse, before anything is computed, to overwrite a file or to write where that is impossible.
-
-    Raises
-    ------
-    FormatError
-        When the output exists and ``force`` is not given, is one of the inputs, or its folder is missing.
-    """
+    """Refuse, before anything is computed, to overwrite a file unasked, or an input, or to write into no folder."""
     from meshdeform_formats.files import require_replaceable
     from meshdeform_formats.inputs import existing_outputs
 
@@ -95,31 +89,15 @@ def check_reports(reports: tuple[Path, ...], force: bool, *inputs: Path | None) 
 
 
 def make_folder(output: Path) -> None:
-    """Make the folder for several outputs, unless it exists.
-
-    Raises
-    ------
-    CaseError
-        When there is a file in its place.
-    """
+    """Make the folder for several outputs, unless it exists; a file in its place is an error."""
     if output.exists() and not output.is_dir():
         raise CaseError(f"{output} is a file; expected a folder")
     output.mkdir(parents=True, exist_ok=True)
 
 
 def make_room(limit: MemoryLimit, doing: str, work: Work, sources: Sequence[GridInput], folder: Path | None) -> None:
-    """Refuse grids that do not fit, from the headers of their files; large arrays are put into files if that helps.
-
-    Parameters
-    ----------
-    doing : like ``deforming``
-    folder : for these files
-
-    Raises
-    ------
-    MethodError
-        Stating the required size.
-    """
+    """Refuse grids that do not fit, from the headers of their files; large arrays are put into files in ``folder`` if
+    that helps. ``doing`` is the word for it in the message that states the required size, like ``deforming``."""
     there = [source for source in sources if source.path.is_file()]
     size = sum(_bytes_of(source.path) for source in there)
     if _at_most(work, size).in_memory <= limit.size:

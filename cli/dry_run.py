@@ -42,12 +42,7 @@ class Outputs:
     def expense(self, grid: Grid | Layout, demand: Demand, limit: MemoryLimit) -> dict[str, int]:
         """What one step without a repair takes, at every level, in bytes: memory of each of the ranks that hold a part
         of the grid; temporary files of all of them, and the output. What has been taken from the ``limit`` is for
-        pictures.
-
-        Raises
-        ------
-        MethodError
-            When the memory does not suffice even with large arrays in files.
+        pictures. Refused is what does not fit even with large arrays in files.
         """
         ranks, (memory, files), written = current_ranks().count, demand.foretold(limit), 0
         if self.path is not None:

@@ -66,13 +66,7 @@ class Warnings:
         self._told: set[str] = set()
 
     def tell(self, warnings: Iterable[str]) -> None:
-        """Print the warnings of kinds that have not been printed.
-
-        Raises
-        ------
-        CaseError
-            With ``--strict``, if there are any.
-        """
+        """Print the warnings of kinds that have not been printed; with ``--strict`` any is an error."""
         new = first_of_each_kind(warnings, self._told)
         for text in new:
             tell(f"warning: {text}")

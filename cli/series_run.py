@@ -109,13 +109,7 @@ def times_of(case: CaseFile, wanted: SeriesInput) -> tuple[float, ...]:
 
 
 def open_manifest(run: Run, resume: bool, force: bool) -> Manifest:
-    """Start a series, or continue from the levels finished by an earlier run.
-
-    Raises
-    ------
-    FormatError, CaseError
-        When files would be overwritten, or the series to be continued has other inputs.
-    """
+    """Start a series, or continue from the levels finished by an earlier run with the same inputs."""
     new = run.manifest
     # A run that failed before its first level does not block the next one.
     old = Manifest.load(new.path) if new.path.exists() and not force else None

@@ -234,12 +234,8 @@ def deliver(
 ) -> None:  # fmt: skip
     """Write the reports; if JSON is requested on stdout, the text goes to stderr.
 
-    Parameters
-    ----------
-    start : of the command, a value of ``time.perf_counter``
-    files : pairs of role and path
-    illustrate : draws the pictures of a page
-    ranks : that shared the work; this process alone by default
+    ``start`` is that of the command by ``time.perf_counter``, ``files`` are pairs of role and path, ``illustrate``
+    draws the pictures of a page, and ``ranks`` shared the work (this process alone by default).
     """
     ranks = ranks or Ranks()
     paths, to_stdout = [path for path in run.reports if path != STDOUT], run.as_json or STDOUT in run.reports

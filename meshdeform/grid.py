@@ -1,8 +1,11 @@
-"""The public grid object, its files and pictures, and grids as arguments."""
+"""The public grid object, its files and pictures; checks of grids and arrays where they enter, below none."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import inspect
+import math
+import numbers
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -11,11 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshdeform_core import grid as core
-from meshdeform_core.errors import FormatError, GridError
+from meshdeform_core.boundary.motions.motion import LARGEST
+from meshdeform_core.errors import FormatError, GridError, MeshDeformError, MotionError
 from meshdeform_core.grid import FloatArray
-from meshdeform_core.parallel import sharing
-
-from .gate import checked_array, in_parts
+from meshdeform_core.parallel import WholeGridNeeded, sharing
 
 if TYPE_CHECKING:
     import meshio
@@ -251,13 +253,7 @@ def wrapped(grid: core.Grid, plane: bool = False) -> Grid:
 
 
 def whole(grid: Grid, what: str) -> core.Grid:
-    """The grid of the core, of which ``what`` takes the whole.
-
-    Raises
-    ------
-    GridError
-        When every rank holds a part of it.
-    """
+    """The grid of the core, of which ``what`` takes the whole, so that one in parts is refused."""
     with in_parts():
         grid.core.nodes.require_whole(what)
     return grid.core
@@ -346,16 +342,85 @@ def _path(path: object) -> Path:
 
 
 def user_grid(grid: object) -> Grid:
-    """The argument as a :class:`Grid`; a file name is read.
-
-    Raises
-    ------
-    GridError
-        For anything else.
-    """
+    """The argument as a :class:`Grid`; a file name is read, anything else refused."""
     if isinstance(grid, Grid):
         return grid
     if isinstance(grid, str | Path):
         return read(grid)
     hint = "; wrap coordinate arrays in Grid([block, ...])" if isinstance(grid, np.ndarray | Sequence | Mapping) else ""
     raise GridError(f"found a {type(grid).__name__}; expected a Grid or the name of a grid file{hint}")
+
+
+@contextmanager
+def in_parts() -> Iterator[None]:
+    """Make the error of what a grid in parts does not allow a ``GridError``, on all ranks alike."""
+    try:
+        yield
+    except WholeGridNeeded as reason:
+        raise GridError(
+            f"{reason}: that takes the whole grid on every rank, which holds a part; expected a grid prepared without "
+            f"comm=, or gathered by Grid.gathered()"
+        ) from None
+
+
+def checked_array(
+    values: ArrayLike, shape: Sequence[int | None], what: str, meaning: str, error: type[MeshDeformError]
+) -> FloatArray:
+    """``values`` as a new C-contiguous float64 array; ``shape`` has ``None`` where any extent is accepted.
+
+    Refused is what is no array of real numbers of this shape, carries a unit, or has values that are not finite or too
+    large for any grid; ``what`` and ``meaning`` are the name of the array and the meaning of its rows, for messages.
+    """
+    expected = f"expected ({', '.join('n' if n is None else str(n) for n in shape)}): {meaning}"
+    # Arrays of other packages lose their unit by conversion.
+    unit = getattr(values, "units", getattr(values, "unit", None))
+    if unit is not None and not callable(unit) and str(unit):
+        raise error(f"{what} has the unit {str(unit)!r}; expected plain numbers in the length unit of the grid")
+    try:
+        array = np.asanyarray(values)
+    except ValueError as failure:
+        raise error(f"{what} is not an array ({failure}); {expected}") from None
+    if isinstance(array, np.ma.MaskedArray) and np.ma.is_masked(array):
+        raise error(f"{what} has {int(np.ma.count_masked(array))} masked values; {expected}, none of them missing")
+    if array.dtype.kind not in "iuf":
+        raise error(f"{what} has the type {array.dtype}; expected real numbers, {expected[9:]}")
+    fits = len(array.shape) == len(shape) and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
+    if not fits:
+        raise error(f"{what} has the shape {array.shape}; {expected}")
+    result: FloatArray = np.array(array, dtype=np.float64, order="C")
+    finite = np.isfinite(result)
+    if not finite.all():
+        at = tuple(int(n) for n in np.argwhere(~finite)[0])
+        raise error(
+            f"{what} has {int((~finite).sum())} values that are not finite, the first is {result[at]} at index "
+            f"{list(at)}; expected finite numbers"
+        )
+    largest = float(np.abs(result).max(initial=0.0))
+    if largest > LARGEST:
+        raise error(f"{what} has values up to {largest:.3g}; expected lengths up to {LARGEST:g}")
+    return result
+
+
+def checked_time(value: Any, error: type[MeshDeformError]) -> float:
+    """A time, which has to be a finite number."""
+    if isinstance(value, bool) or not isinstance(value, numbers.Real) or not math.isfinite(value):
+        raise error(f"time = {value!r}; expected a finite number")
+    return float(value)
+
+
+def whole_number(value: Any) -> Any:
+    """An integer of any type, such as numpy's, as ``int``; anything else is returned unchanged."""
+    return int(value) if isinstance(value, numbers.Integral) and not isinstance(value, bool) else value
+
+
+def require_arguments(function: Callable[..., Any], what: str, *names: str) -> None:
+    """Refuse a function that cannot be called with as many arguments as there are ``names``."""
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):
+        # Some compiled functions have no signature.
+        return
+    try:
+        signature.bind(*names)
+    except TypeError:
+        raise MotionError(f"{what} is a function{signature}; expected one of ({', '.join(names)})") from None

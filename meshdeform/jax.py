@@ -23,9 +23,8 @@ from meshdeform_core.errors import GridError, MethodError
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.repair.options import Mode
 
-from .linearisation import Linearisation
 from .mesh import Mesh, Repeated
-from .step import unusable
+from .step import Linearisation, unusable
 
 __all__ = ["deform_function"]
 

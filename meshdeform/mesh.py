@@ -21,11 +21,9 @@ from meshdeform_core.numerics.arrays import places_among
 from meshdeform_core.repair.options import Mode
 from meshdeform_core.wording import vector
 
-from .gate import checked_time, require_arguments, whole_number
-from .grid import Grid, wrapped
-from .linearisation import Linearisation
+from .grid import Grid, checked_time, require_arguments, whole_number, wrapped
 from .session import Session
-from .step import Step
+from .step import Linearisation, Step
 
 _SAME = 1e-6
 """Displacements that patches give a shared node may differ by this fraction of the shortest edge there."""

@@ -16,7 +16,7 @@ from meshdeform_core.errors import GridError, MotionError
 from meshdeform_core.grid import FloatArray, IntArray
 from meshdeform_core.parallel import Ranks, sharing
 
-from .gate import checked_array, in_parts
+from .grid import checked_array, in_parts
 
 if TYPE_CHECKING:
     from mpi4py.MPI import Comm
@@ -75,26 +75,14 @@ class Session:
 
     @contextmanager
     def at_work(self) -> Iterator[None]:
-        """Context of a call: one at a time, with the threads and ranks of the mesh.
-
-        Raises
-        ------
-        GridError
-            When a mesh in parts is used in another thread, or for what takes the whole grid.
-        """
+        """Context of a call: one at a time, with threads and ranks of the mesh; a mesh in parts keeps to its thread."""
         if self.ranks.count > 1 and threading.get_ident() != self._thread:
             raise GridError("a mesh prepared with comm= is used in another thread; expected the one that prepared it")
         with in_parts(), one_at_a_time(), sharing(self.ranks, self.threads):
             yield
 
     def checked(self, values: Any, what: str, rows: int) -> FloatArray:
-        """An array (rows, 3); (rows, 2) is accepted for a grid given in the plane.
-
-        Raises
-        ------
-        MotionError
-            For any other array.
-        """
+        """An array (rows, 3); (rows, 2) is accepted for a grid given in the plane, any other array refused."""
         every = rows == len(self.points)
         meaning = "one row per node of mesh.points" if every else "one row per node of the patch"
         if self.plane and np.ndim(values) == 2 and np.shape(values)[1] == 2:
@@ -104,10 +92,7 @@ class Session:
     def of_boundary(self, values: FloatArray) -> FloatArray:
         """Displacement (n_unique, 3) of all nodes on faces from that (n_moving, 3) of the moving ones.
 
-        Raises
-        ------
-        MotionError
-            When a 2-D grid would leave its plane, or periodic images would move differently.
+        Refused where a 2-D grid would leave its plane, or periodic images would move differently.
         """
         setup = self.setup
         return given_displacement(setup.grid, setup.topology, setup.boundary, self.numbers, values)

@@ -23,8 +23,7 @@ from meshdeform_core.quality.difference import Difference, compare_points
 from meshdeform_core.repair.options import Mode
 from meshdeform_formats.case import CaseFile, case_of, read_case
 
-from .gate import in_parts, whole_number
-from .grid import Grid, user_grid, whole, wrapped
+from .grid import Grid, in_parts, user_grid, whole, whole_number, wrapped
 from .mesh import Mesh
 from .session import Session, one_at_a_time, ranks_of_comm
 from .step import Step
@@ -66,13 +65,7 @@ Method = str | IDW | RBF | TFI | Hybrid
 
 
 def options_of(method: Method) -> Options:
-    """Convert the user's choice of method to the options of a case.
-
-    Raises
-    ------
-    MethodError
-        For an unknown name, a combination that is not offered, or an object that is not a method.
-    """
+    """The user's choice of method as options of a case; unknown or combined as is not offered, it is refused."""
     if isinstance(method, str):
         return Options(method)
     if not isinstance(method, IDW | RBF | TFI | Hybrid):
@@ -192,13 +185,7 @@ def _case(
 
 
 def parsed_case(case: CaseLike) -> CaseFile:
-    """The case from a file or from a mapping with the same content.
-
-    Raises
-    ------
-    CaseError
-        For an unknown key (naming the nearest known one) or an invalid value.
-    """
+    """The case from a file or from a mapping with the same content."""
     if isinstance(case, str | Path):
         return read_case(case)
     if isinstance(case, Mapping):

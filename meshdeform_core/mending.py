@@ -25,9 +25,8 @@ from .methods import Progress
 from .numerics.geometry.coincidence import distinct
 from .overset import undeformed_of
 from .quality import Assessment, Original, assess
-from .quality.comparison import Comparison
 from .quality.difference import require_same_blocks
-from .quality.validity import judge
+from .quality.validity import Comparison, judge
 from .repair.constraints import Constraints
 from .repair.limit import Limit
 from .repair.outcome import Judged, Repair

@@ -38,13 +38,7 @@ SAMPLES = {
 
 
 def load(name: str) -> ModuleType:
-    """The generator module of a sample.
-
-    Raises
-    ------
-    CaseError
-        For an unknown sample, with the known ones.
-    """
+    """The generator module of a sample."""
     if name not in SAMPLES:
         raise CaseError(f"sample {name!r} is unknown; known are {', '.join(SAMPLES)}{suggestion(name, SAMPLES)}")
     return importlib.import_module(f"{__package__}.{SAMPLES[name]}")
@@ -56,13 +50,7 @@ def folder(name: str) -> Traversable:
 
 
 def generate(name: str, size: int | str | None = None) -> tuple[Grid, dict[str, SurfaceData]]:
-    """The grid of a sample and the tables of its motion, by file name.
-
-    Raises
-    ------
-    CaseError
-        For an unknown sample or an unsupported size.
-    """
+    """The grid of a sample and the tables of its motion, by file name."""
     module = load(name)
     text, named = str(module.DEFAULT_SIZE if size is None else size), module.SIZES
     # ASCII only: Python also accepts digits of other scripts, which are hardly intended.

@@ -16,10 +16,9 @@ from meshdeform_core.grid.windows import rectangles
 from meshdeform_core.wording import vector
 
 from ..grid import wrapped
-from ..linearisation import Linearisation
 from ..mesh import Mesh, Repeated
 from ..session import Session
-from ..step import Step
+from ..step import Linearisation, Step
 from ..tasks import options_of, prepare
 from .options import Options
 
@@ -46,13 +45,7 @@ class Definition:
 
     @classmethod
     def of(cls, points: ArrayLike, conn: ArrayLike, sizes: ArrayLike, zones: ArrayLike | None) -> Definition:
-        """From the arguments of ``setSurfaceDefinition``.
-
-        Raises
-        ------
-        MotionError
-            When shapes or numbers contradict each other.
-        """
+        """From the arguments of ``setSurfaceDefinition``, whose shapes and numbers are checked."""
         pts = np.array(points, dtype=np.float64).reshape(-1, 3)
         count, flat = np.asarray(sizes, dtype=np.int64).ravel(), np.asarray(conn, dtype=np.int64).ravel()
         if not np.isin(count, (3, 4)).all() or count.sum() != len(flat):
@@ -95,13 +88,7 @@ class Zones:
         self.topology: Topology = find_topology(self.grid)
 
     def wall_quads(self) -> IntArray:
-        """The outside face quads that the options select as the surface.
-
-        Raises
-        ------
-        CaseError
-            When a family is unknown, or there is no wall.
-        """
+        """The outside face quads that the options select as the surface; by default those of declared walls."""
         families = self.options["specifiedSurfaces"]
         if families is None:
             chosen = [patch for patch in self.grid.patches if patch.bc_type.lower().startswith("bcwall")]
@@ -278,13 +265,7 @@ def _of_families(grid: Grid, names: list[str], option: str) -> list[Patch]:
 
 
 def require_found(definition: Definition, times: IntArray) -> None:
-    """Require that every face lies on exactly one grid.
-
-    Raises
-    ------
-    GridError
-        Stating the number of faces that were not found, or found on several components.
-    """
+    """Require that every face lies on exactly one grid; ``times`` (n_faces,): on how many it was found."""
     for number, what, advice in (
         (0, "are not faces on the outside of the grid", "the undeformed surface of the same grid, in its length unit"),
         (2, "lie on several components", "cgnsBlockIDs, which tell the zone of each face"),
@@ -308,13 +289,7 @@ def rows_of_file(grid: Grid, numbers: IntArray) -> IntArray:
 
 
 def rows_of_freedoms(grid: Grid, indices: ArrayLike) -> IntArray:
-    """Rows of ``grid.points`` from degrees of freedom (3 n,): three, x y z, for every node.
-
-    Raises
-    ------
-    GridError
-        When they are not whole numbers, not x, y and z of one node after another, or beyond the grid.
-    """
+    """Rows of ``grid.points`` from degrees of freedom (3 n,), which have to be x, y, z of nodes one after another."""
     freedoms = np.asarray(indices)
     if freedoms.size == 0:
         return np.empty(0, dtype=np.int64)

@@ -116,13 +116,7 @@ _LOWER = {name.lower(): name for name in OPTIONS}
 
 
 class Options:
-    """Options by name, which is not case-sensitive.
-
-    Raises
-    ------
-    CaseError
-        Without options, for an unknown option (naming the nearest known one), one given twice, or a refused value.
-    """
+    """Options by name, which is not case-sensitive; unknown ones, those given twice and wrong values are refused."""
 
     def __init__(self, given: Mapping[str, Any] | None):
         if not isinstance(given, Mapping):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import GridError
-from ..grid import FloatArray, Grid
+from ..grid import Grid
 from ..parallel import Nodes, empty
 from ..wording import counted
 
@@ -37,13 +37,7 @@ class Difference:
 
 
 def compare_points(a: Grid, b: Grid) -> Difference:
-    """Compare the coordinates of two grids with the same blocks.
-
-    Raises
-    ------
-    GridError
-        When the two have different blocks.
-    """
+    """Compare the coordinates of two grids with the same blocks."""
     require_same_blocks(a, b)
     distance = empty([a.n_nodes])
 
@@ -56,22 +50,13 @@ def compare_points(a: Grid, b: Grid) -> Difference:
     parts = [distance[a.offsets[n] : a.offsets[n + 1]] for n in range(a.n_blocks)]
     most = [float(part.max()) for part in parts]
     np.square(distance, out=distance)
-    blocks = (BlockDifference(*each) for each in zip(a.names, most, map(_root_mean, parts), strict=True))
-    return Difference(largest, _root_mean(distance), a.node_label(worst), differing, a.n_nodes, tuple(blocks))
-
-
-def _root_mean(squares: FloatArray) -> float:
-    return float(np.sqrt(np.mean(squares)))
+    *means, mean = (float(np.sqrt(np.mean(part))) for part in (*parts, distance))
+    blocks = tuple(BlockDifference(*each) for each in zip(a.names, most, means, strict=True))
+    return Difference(largest, mean, a.node_label(worst), differing, a.n_nodes, blocks)
 
 
 def require_same_blocks(a: Grid, b: Grid) -> None:
-    """Refuse two grids whose nodes do not correspond.
-
-    Raises
-    ------
-    GridError
-        Stating the numbers of blocks, or the first block that differs.
-    """
+    """Refuse two grids whose nodes do not correspond, naming the first block that differs."""
     first, second = (str(grid.path or name) for grid, name in ((a, "the first grid"), (b, "the second grid")))
     if a.n_blocks != b.n_blocks:
         difference = f"{first} has {counted(a.n_blocks, 'block')}, {second} has {b.n_blocks}"

@@ -64,13 +64,7 @@ class CellFields:
 
     @classmethod
     def of(cls, grid: Grid, reference: Grid | None = None) -> Self:
-        """The cells of a grid, against an undeformed one if given, which gets the patches that it lacks from ``grid``.
-
-        Raises
-        ------
-        GridError
-            When the two have different blocks.
-        """
+        """The cells of a grid, against an undeformed one if given, which gets patches that it lacks from ``grid``."""
         if reference is None:
             return cls(grid, find_topology(grid))
         require_same_blocks(grid, reference)
@@ -88,18 +82,12 @@ class CellFields:
         return slice(0, ci), slice(0, cj), slice(0, ck)
 
     def values(self, measure: str, block: int, cells: Cells) -> FloatArray:
-        """A measure of a box of cells; of a grid in parts, of cells of this rank, within :meth:`ready`.
-
-        Raises
-        ------
-        CaseError
-            When the measure is unknown, or requires an undeformed grid or walls that are not known.
-        """
+        """A measure of a box of cells; of a grid in parts, of cells of this rank, within :meth:`ready`."""
         self.require(measure)
         return CELL_MEASURES[measure].values(self, block, cells)
 
     def require(self, measure: str) -> None:
-        """Refuse, before anything is computed, a measure not available for this grid; see :meth:`values`."""
+        """Refuse a measure that is unknown, or requires an undeformed grid or walls that are not known."""
         if measure not in CELL_MEASURES:
             near = suggestion(measure, CELL_MEASURES)
             raise CaseError(f"measure {measure!r} is unknown{near or '; known are ' + ', '.join(CELL_MEASURES)}")

@@ -73,12 +73,7 @@ def quality_gradient(
     """A measure of the grid with coordinates ``points`` (n_nodes, 3), and its gradient (n_nodes, 3).
 
     With ``blocks`` (numbers from 0), only the cells of these blocks count. Of a grid in parts, all ranks must call
-    this.
-
-    Raises
-    ------
-    GridError
-        For an unknown measure or block, and for f_skew of a grid with a corner Jacobian <= 0, where it is zero.
+    this. f_skew of a grid with a corner Jacobian <= 0, where it is zero, has no gradient and is refused.
     """
     if measure not in MEASURES:
         raise GridError(f"no quality measure {measure!r}; expected one of {', '.join(MEASURES)}")

@@ -27,7 +27,7 @@ class Original:
     """An undeformed grid with the data that the judgement needs.
 
     ``min_jacobian``: cells with a corner below this share of its undeformed Jacobian count as invalid; ``measured``:
-    totals over its cells, see :func:`.comparison.measured`, once they are known; ``normal``: of the plane of a 2-D
+    totals over its cells, see :func:`.validity.measured`, once they are known; ``normal``: of the plane of a 2-D
     grid.
     """
 

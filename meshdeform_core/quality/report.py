@@ -12,11 +12,10 @@ import numpy as np
 from ..boundary import Boundary
 from ..grid import FloatArray, Grid
 from .cells import slabs
-from .comparison import Comparison, Range, Skew, Spread, Tally, measured
 from .lines import kink_and_jump
 from .listed import InvalidCell, InvalidGroup, Worst, group_cells, list_cells, worst_cell
 from .original import Original
-from .validity import SKEW
+from .validity import SKEW, Comparison, Range, Skew, Spread, Tally, measured
 from .walls import Extremes, WallQuality, cell_at_interface, extremes_of, measure_walls
 
 MAX_LISTED = 200

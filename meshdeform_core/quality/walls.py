@@ -14,10 +14,10 @@ from ..grid.planes import plane_normal
 from ..grid.topology import Topology, cells_behind
 from ..parallel import Nodes
 from .cells import cells_alike
-from .comparison import Range, Spread
 from .lines import InterfaceLines, WallLines, kink_and_jump, lines_across
 from .listed import Worst, worst_cell
 from .original import Original
+from .validity import Range, Spread
 
 CHANGED = 0.01
 """A grid line at a wall counts as changed if the thickness of its first cells differs by more than this fraction."""

@@ -8,8 +8,7 @@ from typing import Any
 
 from ..grid import FloatArray
 from ..quality import Original
-from ..quality.comparison import Comparison, Tally
-from ..quality.validity import Verdict
+from ..quality.validity import Comparison, Tally, Verdict
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,7 @@ from ..grid.openings import find_overlaps
 from ..methods import Account, Options, PreparedMethod, Problem, Progress, prepare_method
 from ..notices import Notice, first_of_each_kind, kind_of
 from ..parallel import Nodes
-from ..quality.comparison import Comparison
-from ..quality.validity import judge
+from ..quality.validity import Comparison, judge
 from ..repair.limit import Limit
 from ..repair.onset import unhealthy_cells
 from ..repair.options import Effort

@@ -14,9 +14,9 @@ from meshdeform_core.errors import CaseError
 from meshdeform_core.parallel import thread_count
 from meshdeform_formats.files import replacing
 
+from .experiment import TABLES
 from .figures import Gallery
 from .report import Tell, as_markdown, reproduce_table
-from .tables import TABLES
 
 __all__ = ["WHAT", "check", "reproduce"]
 
@@ -33,14 +33,7 @@ def check(what: str) -> None:
 def reproduce(what: str, folder: Path, quick: bool, tell: Tell) -> dict[str, Any]:
     """Run a table or everything; write data, markdown and figures into ``folder``.
 
-    Parameters
-    ----------
-    quick : sizes that take minutes instead of an hour
-
-    Raises
-    ------
-    CaseError
-        For an unknown name.
+    ``quick``: at sizes that take minutes instead of an hour.
     """
     check(what)
     info = Path("/proc/cpuinfo")
@@ -67,10 +60,7 @@ def _write(stem: Path, results: dict[str, Any]) -> None:
     ``stem.md``."""
     tables = list(results["tables"].values())
     flat = results | tables[0] if len(tables) == 1 else results
-    _write_text(stem.with_suffix(".json"), json.dumps(flat, indent=1, allow_nan=False) + "\n")
-    _write_text(stem.with_suffix(".md"), as_markdown(results))
-
-
-def _write_text(path: Path, text: str) -> None:
-    with replacing(path) as partial:
-        partial.write_text(text, encoding="utf-8")
+    data = json.dumps(flat, indent=1, allow_nan=False) + "\n"
+    for suffix, text in ((".json", data), (".md", as_markdown(results))):
+        with replacing(stem.with_suffix(suffix)) as partial:
+            partial.write_text(text, encoding="utf-8")

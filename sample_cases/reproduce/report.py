@@ -8,8 +8,7 @@ from collections.abc import Callable
 from importlib.resources import files
 from typing import Any
 
-from .experiment import Outcome, Trial, asymmetry, quality_without_walls, run
-from .tables import PaperTable
+from .experiment import Outcome, PaperTable, Trial, asymmetry, quality_without_walls, run
 
 Row = dict[str, Any]
 Tell = Callable[[str, int, int], None]
@@ -126,7 +125,7 @@ counts as 1, a logarithm as 29. Per target-source pair, exact IDW sums take 30 (
 of eq. 16 5, eight sums 15); RBF sums take 14 plus the basis function (TPS 31, W C0 3, W C2 7, CTPS 41 or 42). TFI takes
 207 per node in 3-D and 69 in 2-D, including arc lengths. A direct RBF solution takes n^3/3 + 16 n^2 plus the matrix; a
 MINRES iteration 2 n^2 + 24 n per component; a greedy update n times distance, basis and 12, and each of its rounds a
-direct solution in the points kept. The formulas are in `sample_cases/reproduce/operations.py`."""
+direct solution in the points kept. The formulas are in `sample_cases/reproduce/paper_methods.py`."""
 
 
 def _table(table: dict[str, Any]) -> str:

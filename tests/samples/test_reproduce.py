@@ -8,11 +8,15 @@ import pytest
 from meshdeform_cli.main import run as command
 from meshdeform_core.methods import IDW, TFI, Options, make_method
 from meshdeform_samples.reproduce import WHAT
-from meshdeform_samples.reproduce.experiment import Sample, Trial, asymmetry, prepare_sample, run
-from meshdeform_samples.reproduce.operations import count_operations, idw_operations, tfi_operations
-from meshdeform_samples.reproduce.paper_methods import MinresRBF, ReweightedIDW
+from meshdeform_samples.reproduce.experiment import TABLES, Sample, Trial, asymmetry, prepare_sample, run
+from meshdeform_samples.reproduce.paper_methods import (
+    MinresRBF,
+    ReweightedIDW,
+    count_operations,
+    idw_operations,
+    tfi_operations,
+)
 from meshdeform_samples.reproduce.report import paper
-from meshdeform_samples.reproduce.tables import TABLES
 
 PLATE = Sample("splitter-plate", 8)
 
