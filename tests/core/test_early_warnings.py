@@ -5,11 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import apply, body_specs, everything_moves, problem_of, turning
+from cases import body_specs, everything_moves, problem_of, told, turning
 from grids import frame
 
 from meshdeform_core.boundary import BoundarySpec, Kind
-from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.deform import Case, deform
 from meshdeform_core.methods import CATALOGUE, IDW, RBF, Options, make_method
 from meshdeform_core.methods.limits import largest_rotation
@@ -95,11 +94,9 @@ def test_greedy_tolerance_coarser_than_the_first_cell(error, tolerance, comes):
 
 def test_largest_rotation_is_relative():
     problem = problem_of(frame(), body_specs(turning(40)))
-    told = prescribed_displacement(problem.grid, problem.topology, problem.boundary)[problem.source_numbers]
-    assert largest_rotation(problem, told) == pytest.approx(40.0)
+    assert largest_rotation(problem, told(problem)) == pytest.approx(40.0)
     everything = problem_of(frame(), everything_moves(turning(40)))
-    told = prescribed_displacement(everything.grid, everything.topology, everything.boundary)
-    assert largest_rotation(everything, told[everything.source_numbers]) < 1e-10
+    assert largest_rotation(everything, told(everything)) < 1e-10
 
 
 def test_periodic_problems_warn_too():
@@ -108,8 +105,7 @@ def test_periodic_problems_warn_too():
         BoundarySpec("sides", ("block[123].imin", "block[678].imax"), Kind.PERIODIC),
     ]
     problem = problem_of(frame(), specs)
-    told = prescribed_displacement(problem.grid, problem.topology, problem.boundary)[problem.source_numbers]
-    assert len(make_method(Options("tfi")).prepare(problem).warnings_for(told, told)) == 1
+    assert len(make_method(Options("tfi")).prepare(problem).warnings_for(told(problem), told(problem))) == 1
 
 
 @pytest.mark.parametrize("name", CATALOGUE)
@@ -122,14 +118,3 @@ def test_every_parameter_has_a_reason(name):
     if "alpha" in settings:
         assert settings["alpha"].reason == "given"
         assert settings["b"].reason.startswith("default: ")
-
-
-def test_dry_preparation_refuses_what_does_not_fit():
-    from meshdeform_core.errors import MethodError
-    from meshdeform_core.memory import MemoryLimit
-
-    problem = problem_of(frame(), body_specs(turning(10)))
-    tight = dataclasses.replace(problem, memory=MemoryLimit(10_000, "--max-memory allows"))
-    with pytest.raises(MethodError, match=r"needs about .* --max-memory allows 9\.77 KiB; use "):
-        make_method(Options("rbf", rbf=RBF(solver="direct"))).prepare(tight)
-    assert np.isfinite(apply(Options("idw"), tight, np.zeros((len(problem.source_points), 3)))).all()

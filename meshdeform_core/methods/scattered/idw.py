@@ -32,7 +32,7 @@ from ..limits import (
 )  # fmt: skip
 from ..options import MethodOptions, option
 from .idw_sums import ExactSums, SourceValues
-from .images import bodies, mirror_images, motion_values, transition_of, with_motion
+from .images import mirror_images, motion_values, transition_of
 from .summation import Summation, fast_pays, summation_tolerance
 from .tuned import ALPHA_CAP, FAR, FAR_IN_PLANES, FAR_OF_ONE_BODY, ROUNDS, STEEPER, WIDTH, WIDTH_IN_PLANES
 
@@ -135,13 +135,13 @@ class PreparedIDW:
         # Eq. 17, or as given.
         self.length = float(farthest if options.length == "auto" else options.length)
         # Fraction of the gap at either end of the transition, 0 without a transition.
-        moving, width = with_motion(self.images), 0.0
+        moving, width = self.images.with_motion, 0.0
         if "transition" not in options.idle and moving.any() and not moving.all():
             auto_width = WIDTH_IN_PLANES if problem.plane else WIDTH
             width = auto_width if options.transition == "auto" else float(options.transition)
         if options.a != "auto":
             self.far = float(options.a)
-        elif width and bodies(self.images) == 1:
+        elif width and self.images.bodies == 1:
             self.far = FAR_OF_ONE_BODY
         else:
             self.far = FAR_IN_PLANES if problem.plane and options.rotation == "lie" else FAR
@@ -251,7 +251,7 @@ class PreparedIDW:
         at_rest = np.flatnonzero((turn == 0.0) & ~d.any(axis=1))
         still = values[:, at_rest[0]] if at_rest.size else None
         transition, shift = NO_TRANSITION, np.linalg.norm(rest, axis=1)
-        moving = with_motion(images)
+        moving = images.with_motion
         # Where sources outside the moving faces have different motions, the weights determine the share.
         if self._transition.width and not ((others := values[:, ~moving]) != others[:, :1]).any():
             values = np.concatenate([values - others[:, :1], moving[None]])
@@ -311,7 +311,7 @@ class PreparedIDW:
         from .linear_idw import LinearIDW
 
         # Within the frame of the mean motion, all sources at rest move alike.
-        acting = with_motion(self.images) | self.images.displaced(displacement).any(axis=1)
+        acting = self.images.with_motion | self.images.displaced(displacement).any(axis=1)
         method, variable, o = self.reduced(acting), Tape().variable(displacement), self.options
         images, fit = method.images, method.fit(variable)  # type: ignore[arg-type]
         alpha, slope, kinks = None, 0.0, Kinks()
@@ -333,7 +333,7 @@ class PreparedIDW:
         their displacements (n, 3) as seen from there if it turns: half a turn of the whole boundary is no special case
         then."""
         frame = AT_REST
-        if self.remove_mean and self.options.rotation == "lie" and with_motion(self.images).all():
+        if self.remove_mean and self.options.rotation == "lie" and self.images.with_motion.all():
             normal = self.problem.plane_normal
             frame = Frame.fitted(self.images.points, d, self.images.area, normal, self._stretches)
         elif self.remove_mean:

@@ -52,6 +52,19 @@ class Images:
         """Displacements of all images from those of the sources."""
         return np.einsum("nij,nj->ni", self.reflection, displacement[self.owner])
 
+    @property
+    def with_motion(self) -> BoolArray:
+        """Sources (n,) on moving faces; all others are at rest."""
+        moving = self.moving.copy()
+        moving[self.corners] = True
+        return moving
+
+    @property
+    def bodies(self) -> int:
+        """Number of connected components of the moving surface."""
+        label = connected_components(len(self.moving), self.corners[:, :2])
+        return len(np.unique(label[self.corners[:, 0]]))
+
     def gathered(self, gradient: FloatArray) -> FloatArray:
         """Transpose of :meth:`displaced`: gradients of the sources from those (n, 3) of all images."""
         found = np.zeros((int(self.owner.max(initial=-1)) + 1, 3))
@@ -91,31 +104,6 @@ def mirror_images(problem: Problem) -> Images:
     return images
 
 
-def with_motion(images: Images) -> BoolArray:
-    """Sources (n,) on moving faces; all others are at rest."""
-    moving = images.moving.copy()
-    moving[images.corners] = True
-    return moving
-
-
-def bodies(images: Images) -> int:
-    """Number of connected components of the moving surface."""
-    label = connected_components(len(images.moving), images.corners[:, :2])
-    return len(np.unique(label[images.corners[:, 0]]))
-
-
-def breadth(images: Images) -> float:
-    """Shorter side of the moving surface: its area over the perimeter of its longer section.
-
-    The perimeter is between 4 (a plate) and 2 pi (a cylinder) times the largest distance from the centroid.
-    """
-    moving = with_motion(images)
-    area, x = images.area[moving], images.points[moving]
-    reach = np.linalg.norm(x - weighted_total(area, x) / area.sum(), axis=1).max()
-    found: float = area.sum() / (_PERIMETER * reach)
-    return found
-
-
 def transition_of(images: Images, problem: Problem, far: float, width: float) -> Transition:
     """The transition for sources with the exponent ``far`` of eq. 16 and weights relative to the largest nodal area.
 
@@ -130,8 +118,14 @@ def transition_of(images: Images, problem: Problem, far: float, width: float) ->
     if problem.plane or far <= _SURFACE or attached:
         return Transition(np.zeros(6), power, power, 1.0, width)
     near = far - _SURFACE
+    # The shorter side of the moving surface: its area over the perimeter of its longer section, which is between 4 (a
+    # plate) and 2 pi (a cylinder) times the largest distance from the centroid.
+    moving = images.with_motion
+    area, x = images.area[moving], images.points[moving]
+    reach = np.linalg.norm(x - weighted_total(area, x) / area.sum(), axis=1).max()
+    breadth = area.sum() / (_PERIMETER * reach)
     # The integral of r^-a over a plane at the distance of the breadth.
-    crossing = 2.0 * np.pi / near * breadth(images) ** -near / images.area.max()
+    crossing = 2.0 * np.pi / near * breadth**-near / images.area.max()
     return Transition(np.zeros(6), power, near, crossing, width)
 
 
