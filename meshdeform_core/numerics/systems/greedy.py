@@ -59,15 +59,9 @@ def select(
     """Choose centres until the error at all of them is within the tolerance of ``search``.
 
     Every round makes ``per_round`` single-point updates, each of which corrects the centre with the largest error by
-    its own basis function and so chooses it, and then solves exactly on the chosen centres.
-
-    Parameters
-    ----------
-    kind : basis number; its value at 0 must be 1 (compact bases)
-    centres : (n, 3) in units of the support radius
-    polynomial : (n, q)
-    values : (n, m) displacements at the centres
-    scale : (n,) lengths relative to which errors are measured
+    its own basis function, whose value at 0 is 1 (compact bases), and so chooses it, and then solves exactly on the
+    chosen centres. Of the centres (n, 3), in units of the support radius: polynomial (n, q), displacements (n, m), and
+    lengths (n,) relative to which errors are measured.
     """
     residual, order, rounds, updates = values, list[int](), 0, 0
     while True:
