@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from cases import apply, body_specs, constant, everything_moves, problem_of, told, turning
+from clouds import sphere
 from grids import frame, frame_2d
 
 from meshdeform_core.errors import MethodError
@@ -150,22 +151,44 @@ def test_radial_sums(basis, radius, problem):
     assert 0 < (np.linalg.norm(fast - exact, axis=1) / cell_sizes(problem)).max() <= 1e-3
 
 
-def test_compact_sums_reach_every_target_of_a_region():
-    """Sources at the rim of the support of the outermost nodes only, which lie outside all interpolation points."""
-    axis = np.linspace(0.0, 0.5, 9)
-    points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
-    rng = np.random.default_rng(0)
-    sources = -0.98 / np.sqrt(3) + 1e-4 * rng.standard_normal((400, 3))
-    kind, coefficients = BASES["wendland-c0"], np.ones((400, 3))
-    targets = make_radial_targets(points, [(9, 9, 9)], np.array([0, 729]), np.arange(729))
-    out = np.zeros((729, 3))
+def radial_sums_at(fast, coefficients, targets, tolerance):
+    """Fast sums (n, 3) at all nodes."""
+    out = np.full((len(targets.points), 3), np.nan)
 
     def use(flat, sums):
         out[flat] = sums
 
-    fast = FastRadial(kind, sources)
-    fast.prepare(coefficients, targets, 1e-6)
+    fast.prepare(coefficients, targets, tolerance)
     fast.apply(use)
+    return out
+
+
+@pytest.mark.parametrize(
+    ("basis", "tolerance"), [("tps", 1e-1), ("tps", 1e-6), ("wendland-c0", 1e-3), ("ctps-c1", 1e-3)]
+)
+def test_radial_sums_are_exact_to_the_tolerance_of_local_cells(basis, tolerance):
+    """The coefficients are no solution of a smooth motion, and the trial aims at a quarter of the tolerance."""
+    grid, kind = frame(12, 12), BASES[basis]
+    points, centres = grid.points / 3, np.concatenate([sphere(1500) * 0.3, 1.1 * sphere(900) + 0.2]) / 3
+    targets = make_radial_targets(points, grid.shapes, grid.offsets, np.arange(grid.n_nodes))
+    coefficients, fast = np.random.default_rng(0).standard_normal((len(centres), 3)), FastRadial(kind, centres)
+    out = radial_sums_at(fast, coefficients, targets, tolerance)
+    error = np.linalg.norm(out - radial_sums(kind, points, centres, coefficients), axis=1)
+    assert (error[targets.samples] / targets.sizes).max() <= tolerance
+    # The same again, with what was found out.
+    share = fast.share
+    np.testing.assert_array_equal(out, radial_sums_at(fast, coefficients, targets, tolerance))
+    assert fast.share == share
+
+
+def test_compact_sums_reach_every_target_of_a_region():
+    """Sources at the rim of the support of the outermost nodes only, which lie outside all interpolation points."""
+    axis = np.linspace(0.0, 0.5, 9)
+    points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    sources = -0.98 / np.sqrt(3) + 1e-4 * np.random.default_rng(0).standard_normal((400, 3))
+    kind, coefficients = BASES["wendland-c0"], np.ones((400, 3))
+    targets = make_radial_targets(points, [(9, 9, 9)], np.array([0, 729]), np.arange(729))
+    out = radial_sums_at(FastRadial(kind, sources), coefficients, targets, 1e-6)
     np.testing.assert_allclose(out, radial_sums(kind, points, sources, coefficients), atol=1e-6)
     assert out.max() > 0.01
 
