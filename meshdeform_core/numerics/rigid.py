@@ -50,14 +50,11 @@ def finish(
     steps: int = 1,
     transition: Transition = NO_TRANSITION,
 ) -> FloatArray:
-    """Displacements (n, 3) for one of the kinds of :data:`WIDTHS`.
+    """Displacements (n, 3) of points (n, 3) for one of the kinds of :data:`WIDTHS`.
 
-    Parameters
-    ----------
-    sums : 1 + k columns (n,), the total weight first, then the weighted sums of the values; with a transition, the last
-        one is the total weight of the moving sources, and twists are relative to that of all others
-    points : (n, 3)
-    steps : number of times that a mean quaternion and translation are applied
+    ``sums`` are 1 + k columns (n,), the total weight first, then the weighted sums of the values; with a transition,
+    the last one is the total weight of the moving sources, and twists are relative to that of all others. A mean
+    quaternion and translation are applied ``steps`` times.
     """
     x = tuple(np.ascontiguousarray(points.T))
     found: tuple[FloatArray, ...]

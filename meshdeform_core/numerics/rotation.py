@@ -44,13 +44,9 @@ class SurfaceRotations:
     the tangent plane. Both edge vectors are projected onto that plane, and the angle is taken with its sign (atan2),
     as eq. 23 as printed has no sign for in-plane bending. Nodes on sharp edges are treated like all others.
 
-    Parameters
-    ----------
-    points : (n, 3) undeformed node positions
-    corners : (c, 3) integers: node, next and previous node of the face, for every face corner; in 2-D (c, 2): the two
-        end nodes of every edge of the curve
-    edges : (e, 2) integers: node and neighbour, each neighbour once (unused in 2-D)
-    plane_normal : unit normal of the plane of a 2-D grid
+    ``corners`` (c, 3) are node, next and previous node of the face, for every face corner; in 2-D, where the plane has
+    a unit normal, (c, 2) the two end nodes of every edge of the curve. ``edges`` (e, 2) are node and neighbour, each
+    neighbour once (unused in 2-D).
     """
 
     def __init__(

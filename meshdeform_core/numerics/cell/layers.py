@@ -18,17 +18,13 @@ def spread_layers(
     classes: IntArray,
     nearest: np.ndarray,
 ) -> int:
-    """Lower ``layers``, distances in cells, until every node is at most one farther than its neighbours; returns how
-    often one was lowered.
+    """Lower ``layers`` (n_nodes,) int16, distances in cells, until every node is at most one farther than its
+    neighbours; returns how often one was lowered.
 
-    Parameters
-    ----------
-    layers : (n_nodes,) int16, more than ``most`` where a node is farther away or not yet reached
-    planes : (n_blocks, 2) the planes first <= i < last of each block to look at
-    shapes, offsets : (n_blocks, 3), (n_blocks + 1,) of the blocks
-    nodes, ends, classes : (n_face,) block nodes on block faces, ascending, those of block b from ``ends[b]`` to
-        ``ends[b + 1]``, and the number of the set of nodes that count as one
-    nearest : (n_classes,) int16, the smallest distance of each set
+    Layers are more than ``most`` where a node is farther away or not yet reached. ``planes`` (n_blocks, 2) are those,
+    first <= i < last, of each block to look at. ``nodes`` on block faces (n_face,) are ascending, those of block b from
+    ``ends[b]`` to ``ends[b + 1]``; their ``classes`` number the sets of nodes that count as one, and ``nearest``
+    (n_classes,) int16 is the smallest distance of each set.
     """
     lowered, first, again = 0, True, True
     sizes = shapes[:, 1] * shapes[:, 2]

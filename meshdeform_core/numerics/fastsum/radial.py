@@ -96,13 +96,7 @@ Use = Callable[[IntArray, FloatArray], object]
 
 
 class FastRadial:
-    """Clusters of the centres of one basis function.
-
-    Parameters
-    ----------
-    kind : number of the basis function, see :data:`..exact.basis.BASES`
-    centres : (n, 3) in units of the support radius
-    """
+    """Clusters of the centres (n, 3), in units of the support radius, of one basis function."""
 
     def __init__(self, kind: int, centres: FloatArray) -> None:
         self._kind, self._centres = kind, centres
@@ -165,12 +159,8 @@ class FastRadial:
         self._plan = targets, clusters, boxes
 
     def apply(self, use: Use, progress: Report | None = None) -> FloatArray:
-        """Call ``use`` with the flat indices (k,) of the targets of each region and the sums (k, 3) there.
-
-        Returns
-        -------
-        risk : (b,) bound of each leaf's error, in arbitrary units: leaves can be compared with each other
-        """
+        """Call ``use`` with the flat indices (k,) of the targets of each region and the sums (k, 3) there; returns a
+        bound (b,) of each leaf's error, in arbitrary units: leaves can be compared with each other."""
         targets, clusters, boxes = self._plan
         risk = np.zeros(len(boxes.allowed))
 

@@ -51,12 +51,6 @@ def halve(
     Index ranges are halved along the direction in which they are longest in space, so that leaves are compact although
     cells are stretched. A region is a range with about ``region`` leaves. No tree extends beyond a piece of a block
     (:mod:`..pieces`), so trees do not depend on which other parts of the grid are evaluated, or held by this rank.
-
-    Parameters
-    ----------
-    points : (n_nodes, 3)
-    shapes : (n_blocks, 3) int64, nodes
-    offsets : (n_blocks + 1,) int64
     """
     block, low, high = pieces(shapes).T
     rows = offsets[block] + np.stack([low, high]) * shapes[block, 1:].prod(axis=1)

@@ -55,15 +55,9 @@ class FastSums:
     Which clusters act where, and the weight of every target, are stored for all displacements with the same weight
     functions, accuracy, moving sources and bounds of their motion (:class:`.plan.Plan`). Once the weights are known,
     only sources that move are summed; as these are always summed separately from the others, results are the same to
-    the last bit.
-
-    Parameters
-    ----------
-    strength : (n,) per source
-    groups : index arrays, the sources of each weight function
-    trees : source tree of each group, from :func:`.clusters.build_tree`, of the order that the tolerance requires
-    targets : from :func:`.targets.make_targets`
-    room : limit in bytes for stored lists and weights; results do not depend on it
+    the last bit. ``groups`` are the sources of each weight function; each has a tree (:func:`.clusters.build_tree`), of
+    the order that the tolerance requires. ``room`` limits the bytes of stored lists and weights; results do not depend
+    on it.
     """
 
     def __init__(
