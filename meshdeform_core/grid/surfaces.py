@@ -86,13 +86,10 @@ class Outside:
 
         The latter extend over most of the grid in two directions, alone or together with other walls in the same plane.
         """
-        found = []
-        walls = self.of_role(Role.WALL)
-        boxes = np.array([wall.box for wall in walls])
-        for wall in walls:
-            level = _level(wall, self.extent)
-            same = [level is not None and _level(other, self.extent) == level for other in walls]
-            box = boxes[same] if level is not None else wall.box[None]
+        found, walls = [], self.of_role(Role.WALL)
+        levels = [_level(wall, self.extent) or (number,) for number, wall in enumerate(walls)]
+        for wall, level in zip(walls, levels, strict=True):
+            box = np.array([other.box for other, its in zip(walls, levels, strict=True) if its == level])
             size = box[:, 1].max(axis=0) - box[:, 0].min(axis=0)
             if int((size > _MOST * self.extent).sum()) < 2:
                 found.append(wall)
@@ -143,14 +140,12 @@ def thin_direction(grid: Grid) -> FloatArray | None:
     """Unit normal of the plane of a 2-D grid, or of one layer of cells between two parallel planes; else ``None``."""
     if grid.dimension == 2:
         return plane_normal(grid)
-    axes = [shape.index(2) if 2 in shape else None for shape in grid.shapes]
-    normals = []
-    for block, axis in enumerate(axes):
-        if axis is None:
+    first: FloatArray | None = None
+    for block, shape in enumerate(grid.shapes):
+        if 2 not in shape:
             return None
-        layer = plane_of(grid.points[side_nodes(grid, block, Side(2 * axis)).ravel()], None)
-        if layer is None:
+        layer = plane_of(grid.points[side_nodes(grid, block, Side(2 * shape.index(2))).ravel()], None)
+        if layer is None or (first is not None and abs(float(layer.normal @ first)) <= 1 - 1e-6):
             return None
-        normals.append(layer.normal)
-    first = normals[0]
-    return first if all(abs(float(normal @ first)) > 1 - 1e-6 for normal in normals) else None
+        first = layer.normal if first is None else first
+    return first

