@@ -142,10 +142,9 @@ def test_plot_formats(suffix, magic, bench, call):
     "options",
     [
         ("--plane", "j=mid", "--metric", "volume", "--zoom", "worst"),
-        ("--select", "body", "--view", "iso", "--title", "The body"),
         ("--zoom=-1,1,-0.5,0.5", "--title", "x < y & z"),
         ("--plane", "z=0.4", "--zoom", "walls", "--range", "0.5,1", "--metric", "wall_distance"),
-        ("--reference", "grid.xyz", "--metric", "volume_ratio", "--log", "--plane", "k=2"),
+        ("--reference", "grid.xyz", "--metric", "volume_ratio", "--log", "--plane", "k=2", "--title", "Two"),
         ("--reference", "grid.xyz", "--select", "body", "--metric", "displacement", "--view", "1,1,0.5"),
     ],
 )

@@ -16,9 +16,7 @@ pytestmark = pytest.mark.slow
 
 SERIES = ("series", "-m", "tfi", "--repair", "off", "--velocity", "second")
 RUNS = {
-    "idw": ("deform", "-m", "idw", "-o", "out.cgns", "--repair", "off"),
     "idw-rbf": ("deform", "-m", "idw-rbf", "-o", "out.cgns", "--repair", "off"),
-    "fields": ("deform", "-m", "tfi", "-o", "out.vtm", "--repair", "off", "--field", "all"),
     "repair": ("deform", "-m", "tfi", "-o", "out.cgns", "-s", "constants.turn=50", "--allow-invalid"),
     "velocity": (*SERIES, "-o", "levels", "--times", "0:1:0.5", "--suffix", "vtm"),
 }

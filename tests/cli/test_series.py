@@ -109,8 +109,8 @@ def test_a_warning_is_given_once_and_not_for_round_off(swing, call):
     assert sum("out of a slip" in text for text in report["warnings"]) == 1
 
 
-def test_text_and_page_have_a_line_per_level(swing, call):
-    result = call(*RUN, "-v", "--report", "r.txt", "--report", "r.html")
+def test_the_text_has_a_line_per_level(swing, call):
+    result = call(*RUN, "-v", "--report", "r.txt")
     assert result.code == 0
     (warning,) = result.warnings
     assert Path("r.txt").read_text() == f"{result.out}warning   {warning}\n"
@@ -118,7 +118,6 @@ def test_text_and_page_have_a_line_per_level(swing, call):
     assert [row.split()[1] for row in rows] == ["0", "0.25", "0.5", "0.75", "1"]
     at_rest = rows[0].split()
     assert f"f_skew before: mean {at_rest[5]}, minimum {at_rest[6]}\n" in result.out
-    assert "All 5 levels are valid" in Path("r.html").read_text()
 
 
 def test_times_are_those_of_the_displacement_files(swing, call):

@@ -1,4 +1,4 @@
-"""On the terminal: versions, methods as text."""
+"""On the terminal: boundaries beside converted grids, and progress."""
 
 from __future__ import annotations
 

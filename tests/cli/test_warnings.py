@@ -1,12 +1,14 @@
-"""Every doubt is said: on stderr, whatever -q says, in the report, and as an error with --strict."""
+"""Every doubt is said: on stderr, whatever -q says, in the report, and as an error with --strict; what a user says
+and nothing reads is an error or a warning; the report states the motion as it was understood."""
 
 from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 
-RUN = ("deform", "grid.xyz", "-c", "doubtful.toml", "-o", "out.xyz", "--report", "out.json")
+DOUBTFUL = ("deform", "grid.xyz", "-c", "doubtful.toml", "-o", "out.xyz", "--report", "out.json")
 
 
 @pytest.fixture
@@ -19,7 +21,7 @@ def doubtful(bench):
 
 @pytest.mark.parametrize("options", [(), ("-q",)], ids=["loud", "quiet"])
 def test_warnings_go_to_stderr_and_into_the_report(options, doubtful, call):
-    result = call(*RUN, *options)
+    result = call(*DOUBTFUL, *options)
     assert result.code == 0
     assert any("not selected by any boundary entry" in text for text in result.warnings)
     assert json.loads((doubtful / "out.json").read_text())["warnings"] == result.warnings
@@ -28,7 +30,7 @@ def test_warnings_go_to_stderr_and_into_the_report(options, doubtful, call):
 
 def test_strict_refuses_and_writes_nothing(doubtful, call, snapshot):
     before = snapshot(doubtful)
-    result = call(*RUN, "--strict")
+    result = call(*DOUBTFUL, "--strict")
     assert result.code == 2
     assert result.warnings
     assert result.error == "meshdeform: error: a warning (see above) and --strict\n"
@@ -55,3 +57,66 @@ def test_quality_warns_on_stderr(doubtful, call):
     result = call("quality", "grid.xyz", "-c", "doubtful.toml", "-q")
     assert result.code == 0
     assert result.warnings
+
+
+RUN = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz")
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("constants.trun=40", ["no formula uses the constant 'trun'", "did you mean 'turn'?"]),
+        ("method.rbf.basis=wendland-c2", ["has no effect", "'idw-tfi' uses only method.idw, method.tfi"]),
+        ("method.idw.eta=4", ["has no effect", 'method.idw.alpha = "auto"']),
+        ("method.idw.divisions=4", ["has no effect", 'method.idw.rotation = "division"']),
+    ],
+)
+def test_set_that_reaches_nothing_is_an_error(setting, words, bench, call):
+    result = call(*RUN, "-s", setting)
+    assert result.code == 2
+    assert not (bench / "out.xyz").exists()
+    assert [word for word in words if word not in result.err] == []
+
+
+@pytest.mark.parametrize(
+    ("method", "settings"),
+    [
+        ("idw", ["method.idw.weights=shepard", "method.idw.p_fixed=4"]),
+        ("rbf", ["method.rbf.basis=wendland-c2", "method.rbf.radius=4.0"]),
+        ("idw-tfi", ["method.tfi.max_cells=0"]),
+    ],
+)
+def test_set_that_is_read_is_accepted_and_changes_the_grid(method, settings, bench, call):
+    options = [word for setting in settings for word in ("-s", setting)]
+    assert call(*RUN, "-m", method, "--allow-invalid").code == 0
+    plain = (bench / "out.xyz").read_bytes()
+    assert call(*RUN, "-m", method, *options, "--force", "--allow-invalid").code == 0
+    assert (bench / "out.xyz").read_bytes() != plain
+
+
+def test_time_that_the_motion_does_not_depend_on_is_a_warning(bench, call):
+    assert "--time 2 has no effect" in call(*RUN, "--time", "2").err
+    result = call("series", "grid.xyz", "-c", "case.toml", "--times", "0,1", "-o", "levels")
+    assert any("does not depend on t" in text for text in result.warnings)
+
+
+def test_motion_in_time_without_a_time_says_which_it_was(bench, call):
+    case = (bench / "case.toml").read_text().replace('angle = "turn"', 'angle = "turn*(1+t)"')
+    (bench / "case.toml").write_text(case)
+    assert "evaluated at t = 0" in call(*RUN).err
+    assert call(*RUN, "--time", "0", "--force").err == ""
+
+
+def test_report_states_the_motion_of_every_boundary(bench, call):
+    case = (bench / "case.toml").read_text()
+    turn = '{ rotate = { angle = "turn", axis = [0, 0, 1], center = [0, 0, 0] } }'
+    step = f"motion = [{turn}, {{ translate = [0.1, 0.05, 0] }}]"
+    lines = [step if line.startswith("motion") else line for line in case.splitlines()]
+    (bench / "case.toml").write_text("\n".join(lines))
+    result = call(*RUN, "--report", "out.json", "-s", f"constants.turn={np.pi / 6}")
+    (motion,) = json.loads((bench / "out.json").read_text())["motion"]
+    assert motion["boundary"] == "body"
+    # Radians given as degrees are seen.
+    assert motion["max_rotation_deg"] == pytest.approx(np.pi / 6, rel=1e-9)
+    np.testing.assert_allclose(motion["mean_displacement"], [0.1, 0.05, 0.0], atol=2e-3)
+    assert "rotated by up to 0.5236 degrees" in result.out
