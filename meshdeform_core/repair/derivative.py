@@ -13,8 +13,8 @@ import numpy as np
 
 from ..grid import FloatArray
 from ..parallel import Nodes
+from .constraints import Extrusion
 from .energy import Penalty, Region, kept_along_lines, share_of, share_slopes
-from .extrusion import Extrusion
 from .region import Basis, Plot
 from .tuned import CUBIC, POLISHED
 

@@ -134,6 +134,7 @@ class NewtonSystem:
 
     Attributes
     ----------
+    matrix, columns, starts : the scaled Hessian: blocks, their columns, and where the rows start
     unknowns : how the region's nodes depend on the unknowns, at the coordinates of the last ``fill``
     gradient : (n_unknowns, d) of the energy there
     work : cost of one iteration, in the unit of :mod:`.limit`
@@ -150,20 +151,18 @@ class NewtonSystem:
         )
         pattern = (touch @ touch.T).tocsr()
         pattern.sort_indices()
-        self._starts, self._columns = pattern.indptr.astype(np.int64), pattern.indices.astype(np.int32)
+        self.starts, self.columns = pattern.indptr.astype(np.int64), pattern.indices.astype(np.int32)
         ends = [*range(0, n, _ROWS), n]
         self._elements = [
             np.unique(touch.indices[touch.indptr[lo] : touch.indptr[hi]]).astype(np.int64)
             for lo, hi in itertools.pairwise(ends)
         ]
-        self._longest = max(
-            (self._starts[high] - self._starts[low] for low, high in itertools.pairwise(ends)), default=0
-        )
-        self._matrix = with_room((len(self._columns), d, d), np.float32)
+        self._longest = max((self.starts[high] - self.starts[low] for low, high in itertools.pairwise(ends)), default=0)
+        self.matrix = with_room((len(self.columns), d, d), np.float32)
         self._factor = np.zeros((n, d, d))
-        self._diagonal = np.flatnonzero(self._columns == np.repeat(np.arange(n), np.diff(self._starts)))
-        self._products = Products((self._matrix, self._starts, self._columns))
-        self.work, self.iterations = _BLOCK * len(self._columns), 0
+        self._diagonal = np.flatnonzero(self.columns == np.repeat(np.arange(n), np.diff(self.starts)))
+        self._products = Products((self.matrix, self.starts, self.columns))
+        self.work, self.iterations = _BLOCK * len(self.columns), 0
         self.solved = False
         self.gradient = np.empty((n, d))
 
@@ -179,7 +178,7 @@ class NewtonSystem:
         Returns ``False`` if a diagonal block is not positive definite, which cannot happen with the convex part of the
         energy alone.
         """
-        starts, columns, n = self._starts, self._columns, len(self.gradient)
+        starts, columns, n = self.starts, self.columns, len(self.gradient)
         self.unknowns, freedom = region.directions(x)
         self.gradient[...] = 0.0
         bad = np.zeros(len(self._elements), dtype=bool)
@@ -190,7 +189,7 @@ class NewtonSystem:
             try:
                 kept = spare.pop()
             except IndexError:
-                kept = np.empty((self._longest, *self._matrix.shape[1:]))
+                kept = np.empty((self._longest, *self.matrix.shape[1:]))
             blocks = kept[: starts[high] - starts[low]]
             blocks[...] = 0.0
             rows, number = Rows(low, high, starts, columns, blocks, self.gradient), low // _ROWS
@@ -200,11 +199,11 @@ class NewtonSystem:
             trace = np.trace(blocks[own], axis1=1, axis2=2)[:, None, None]
             blocks[own] += (np.eye(blocks.shape[1]) - freedom[low:high]) * trace
             self._factor[low:high], bad[number] = inverse_factors(blocks[own])
-            scale_left(blocks, rows.pattern, self._factor, self._matrix)
+            scale_left(blocks, rows.pattern, self._factor, self.matrix)
             spare.append(kept)
 
         for_chunks(add, n, _ROWS)
-        for_chunks(partial(scale_right, self._matrix, starts, columns, self._factor), n, _ROWS)
+        for_chunks(partial(scale_right, self.matrix, starts, columns, self._factor), n, _ROWS)
         return not (penalty.exact > 0.0 and bad.any())
 
     def direction(self, tolerance: float, most: int) -> tuple[FloatArray, bool]:
@@ -237,12 +236,6 @@ class NewtonSystem:
             p += r
         self.solved = rho <= goal
         return np.einsum("nji,nj->ni", factor, products.solution(y)), convex
-
-    def dense(self) -> FloatArray:
-        """The scaled Hessian as a dense matrix (d n, d n), for small regions."""
-        n, d = self.gradient.shape
-        blocks = self._matrix.astype(np.float64), self._columns, self._starts
-        return scipy.sparse.bsr_array(blocks, shape=(d * n, d * n)).toarray()
 
 
 @kernel("f4[:, :, ::1], i8[::1], i4[::1], f8[:, ::1], f8[:, ::1], i8, i8")

@@ -21,16 +21,15 @@ import numpy as np
 from ..boundary import Boundary
 from ..boundary.slip import CurvedSurface
 from ..grid import BoolArray, FloatArray, IntArray
-from ..grid.planes import plane_axes, plane_normal
+from ..grid.planes import plane_axes
 from ..numerics.cell.foldover.elements import Unknowns
 from ..numerics.cell.foldover.samples import sample_slopes, samples_with_any, sound_samples
 from ..numerics.cell.layers import spread_layers
 from ..parallel import Nodes
 from ..quality import Original
-from ..quality.cells import corner_nodes, places, sides_of
-from .constraints import Constraints
+from ..quality.cells import corner_nodes, places
+from .constraints import Constraints, Extrusion, find_extrusion
 from .energy import Energy, Hexahedra, Region, Slide, Triangles
-from .extrusion import Extrusion, find_extrusion
 from .newton import NewtonSystem
 from .tuned import COLLAPSED, CRAMPED, FALL, FIRST, GROWTH, HEAVIEST, REACH, ROOM, SHARE, STEEP, THIN
 
@@ -131,13 +130,37 @@ def distances_in_cells(constraints: Constraints, seeds: IntArray, most: int) -> 
     return found, max(nodes.gather(int(own[own <= most].max(initial=0))))
 
 
-class Neighbourhood:
-    """Data shared by all regions of one undeformed grid."""
+class Basis:
+    """Data common to all repairs of one undeformed grid; each part is computed when first needed."""
 
-    def __init__(self, constraints: Constraints):
-        self.constraints, self.grid, self.topology = constraints, constraints.grid, constraints.topology
-        self.normal = plane_normal(self.grid)
-        self.axes = np.eye(3) if self.normal is None else plane_axes(self.normal)
+    def __init__(self, original: Original, boundary: Boundary | Constraints):
+        self.original, self.grid, self.topology = original, original.grid, original.topology
+        self._boundary = boundary
+
+    @cached_property
+    def constraints(self) -> Constraints:
+        if isinstance(self._boundary, Constraints):
+            return self._boundary
+        return Constraints.of(self.original, self._boundary)
+
+    @cached_property
+    def axes(self) -> FloatArray:
+        """Directions (d, 3) of the coordinates of regions."""
+        return np.eye(3) if self.original.normal is None else plane_axes(self.original.normal)
+
+    @cached_property
+    def extrusion(self) -> tuple[Extrusion, Basis] | None:
+        """The plane grid that this one is extruded from, with its own basis; ``None`` if it is no extrusion."""
+        found = find_extrusion(self.constraints)
+        if found is None:
+            return None
+        original = Original(found.plane, found.constraints.topology, self.original.min_jacobian)
+        return found, Basis(original, found.constraints)
+
+    @cached_property
+    def whole(self) -> Plot | None:
+        """The region of all nodes that may move, or ``None`` if no node may."""
+        return self.plot()
 
     @property
     def n_unknowns(self) -> int:
@@ -260,9 +283,9 @@ class Neighbourhood:
         self, start: FloatArray, cells: IntArray, corners: IntArray, weight: FloatArray, moves: BoolArray
     ) -> Energy:
         """The energy of the samples that depend on a node that ``moves`` (n,), as all others are constant."""
-        side = sides_of(self.grid, self.topology.handedness, self.normal, places(self.grid, cells)[0])
-        if self.normal is not None:
-            return Triangles.at_corners(start, corners, side @ self.normal, weight, moves)
+        side = self.original.sides(places(self.grid, cells)[0])
+        if self.original.normal is not None:
+            return Triangles.at_corners(start, corners, side @ self.original.normal, weight, moves)
         slope = sample_slopes()
         mask = sound_samples(start, corners, slope, side, COLLAPSED) & samples_with_any(moves[corners], slope)
         return Hexahedra(start, corners, weight, corners, mask, slope, np.ones(len(cells)))
@@ -290,38 +313,6 @@ class Neighbourhood:
 
 
 _ENDS = ((None, -1), (1, None))
-
-
-class Basis:
-    """Data common to all repairs of one undeformed grid; each part is computed when first needed."""
-
-    def __init__(self, original: Original, boundary: Boundary | Constraints):
-        self.original, self._boundary = original, boundary
-
-    @cached_property
-    def _constraints(self) -> Constraints:
-        if isinstance(self._boundary, Constraints):
-            return self._boundary
-        return Constraints.of(self.original, self._boundary)
-
-    @cached_property
-    def neighbourhood(self) -> Neighbourhood:
-        """See :class:`Neighbourhood`."""
-        return Neighbourhood(self._constraints)
-
-    @cached_property
-    def extrusion(self) -> tuple[Extrusion, Basis] | None:
-        """The plane grid that this one is extruded from, with its own basis; ``None`` if it is no extrusion."""
-        found = find_extrusion(self._constraints)
-        if found is None:
-            return None
-        original = Original(found.plane, found.constraints.topology, self.original.min_jacobian)
-        return found, Basis(original, found.constraints)
-
-    @cached_property
-    def whole(self) -> Plot | None:
-        """The region of all nodes that may move, or ``None`` if no node may."""
-        return self.neighbourhood.plot()
 
 
 def nearness(layers: np.ndarray, largest: int) -> tuple[FloatArray, float]:

@@ -23,8 +23,8 @@ from ..memory import UNLIMITED, MemoryLimit
 from ..numerics.arrays import lengths
 from ..parallel import Nodes
 from ..quality.validity import judge
+from .constraints import Extrusion
 from .energy import kept_along_lines
-from .extrusion import Extrusion
 from .limit import Limit
 from .newton import NewtonSystem
 from .onset import unhealthy_cells
@@ -133,14 +133,14 @@ class Repairer:
         MethodError
             When they do not fit into memory.
         """
-        neighbourhood, grid = self.basis.neighbourhood, self.basis.original.grid
-        nodes = neighbourhood.n_unknowns
+        basis, grid = self.basis, self.basis.grid
+        nodes = basis.n_unknowns
         if nodes > LARGE and not polish and bad.size < FEW * grid.n_cells:
             room = min(PER_NODE * grid.n_nodes, self.memory.size) // NewtonSystem.memory(1, grid.dimension)
-            near = neighbourhood.near(bad, max(LAYERS))
+            near = basis.near(bad, max(LAYERS))
             layers = near.largest_below(room, LAYERS)
             if layers is not None:
-                return neighbourhood.plot(near._replace(most=layers))
+                return basis.plot(near._replace(most=layers))
         self._require(nodes)
         return self.basis.whole
 
@@ -181,13 +181,7 @@ class Repairer:
         return _Found(end, found.steps, converged, found.share)
 
     def _by_regions(
-        self,
-        start: Judged,
-        found: _Found,
-        plot: Plot | None,
-        polish: bool,
-        limit: Limit,
-        ways: tuple[Way, ...],
+        self, start: Judged, found: _Found, plot: Plot | None, polish: bool, limit: Limit, ways: tuple[Way, ...]
     ) -> _Found:
         """The best grid of all ``ways``, and whether the minimum was found from there."""
         best, steps = min(found.grid, start, key=lambda grid: grid.count), found.steps
@@ -208,7 +202,7 @@ class Repairer:
         First the nodes within a few layers move, then more, until the worst cell is close enough to its undeformed
         shape or more nodes do not help; a patient strategy moves all nodes at once.
         """
-        best, now, neighbourhood = start, start, self.basis.neighbourhood
+        best, now, basis = start, start, self.basis
         steps, density, done = 0, np.inf, 0
         for layers in REGIONS[self.basis.original.grid.dimension][-1 if way.patient else 0 : 1 if way.hasty else None]:
             if limit.reached:
@@ -216,11 +210,11 @@ class Repairer:
             found, rounds = None, 0
             while rounds < (_ROUNDS if layers else _LAST_ROUNDS):
                 if layers is None:
-                    self._require(neighbourhood.n_unknowns)
-                    plot = neighbourhood.plot(even=way.even)
+                    self._require(basis.n_unknowns)
+                    plot = basis.plot(even=way.even)
                 else:
                     weak = Nodes.of(now.points).gather(now.verdict.weak(WEAK))
-                    plot = neighbourhood.plot(neighbourhood.near(np.concatenate(weak), layers), way.even)
+                    plot = basis.plot(basis.near(np.concatenate(weak), layers), way.even)
                 if plot is None or len(plot.moved) == done:
                     break
                 other = self._searched(now, plot, limit, partial(search_untangled, way=way))
@@ -263,7 +257,7 @@ class Repairer:
             points[rows][:] = start.points[rows] + part(rows) * (end.points[rows] - start.points[rows])
 
         Nodes.of(points).each(fill)
-        self.basis.neighbourhood.back_to_surfaces(points)
+        self.basis.back_to_surfaces(points)
         return Judged(points, judge(self.basis.original, self.rounded(points)))
 
     def _smallest_scaled(self, grid: Judged) -> float:
@@ -272,25 +266,20 @@ class Repairer:
 
     def _undone(self, start: Judged, end: Judged) -> Judged:
         """The grid ``end`` near cells that are invalid in it or at the ``start``, and the ``start`` far from them."""
-        cells, neighbourhood = np.union1d(start.verdict.invalid, end.verdict.invalid), self.basis.neighbourhood
+        cells = np.union1d(start.verdict.invalid, end.verdict.invalid)
 
         def near(distance: Any, layers: int, rows: slice) -> FloatArray:
             part = (2.0 * layers - Nodes.of(distance).rows[rows]) / layers
             return np.clip(part, 0.0, 1.0)[:, None]
 
         for layers in LAYERS[2:]:
-            found = self._blended(start, end, partial(near, neighbourhood.near(cells, 2 * layers).layers, layers))
+            found = self._blended(start, end, partial(near, self.basis.near(cells, 2 * layers).layers, layers))
             if found.count <= end.count:
                 return found
         return end
 
     def _repaired_in_plane(
-        self,
-        start: Judged,
-        flat: FloatArray,
-        polish: bool,
-        effort: Effort,
-        limit: Limit,
+        self, start: Judged, flat: FloatArray, polish: bool, effort: Effort, limit: Limit
     ) -> _Found | None:
         """The repair on the plane grid that this one is extruded from."""
         assert self.basis.extrusion is not None
