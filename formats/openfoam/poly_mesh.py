@@ -143,14 +143,11 @@ def _within_block(number: NDArray[Any], first: int, axis: int, handedness: int) 
     ni, nj, nk = number.shape
     cells = first + np.arange((ni - 1) * (nj - 1) * (nk - 1)).reshape(ni - 1, nj - 1, nk - 1)
     inside = np.moveaxis(number, axis, 0)[1:-1]
-    # With the other two axes in cyclic order, going round their quads in index order turns about +axis.
-    if axis == 1:
-        inside = inside.swapaxes(1, 2)
-    corners = np.stack([inside[:, :-1, :-1], inside[:, 1:, :-1], inside[:, 1:, 1:], inside[:, :-1, 1:]], axis=-1)
-    if axis == 1:
-        corners = corners.swapaxes(1, 2)
-    corners = corners.reshape(-1, 4)
-    low, high = (np.moveaxis(cells, axis, 0)[part].ravel() for part in (slice(None, -1), slice(1, None)))
+    # With the other two axes in cyclic order, which they are not across j, their quads turn about +axis.
+    turns = ((0, 0), (0, 1), (1, 1), (1, 0)) if axis == 1 else ((0, 0), (1, 0), (1, 1), (0, 1))
+    ends = slice(None, -1), slice(1, None)
+    corners = np.stack([inside[:, ends[a], ends[b]] for a, b in turns], axis=-1).reshape(-1, 4)
+    low, high = (np.moveaxis(cells, axis, 0)[end].ravel() for end in ends)
     return corners if handedness > 0 else corners[:, ::-1], low, high
 
 
