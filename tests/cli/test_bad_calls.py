@@ -11,8 +11,6 @@ WRONG = {
     # commands and options
     "option-unknown": ((*DEFORM, "--stepz", "3"), ("No such option", "--stepz", "--steps")),
     "argument-missing": (("deform",), ("Missing argument 'GRID'",)),
-    "argument-extra": (("info", "grid.xyz", "grid.cgns"), ("unexpected extra argument",)),
-    "value-missing": (("deform", "grid.xyz", "-o"), ("'-o' requires an argument",)),
     "output-missing": (("deform", "grid.xyz", "-c", "case.toml"), ("Missing option '-o'", "--dry-run")),
     "nothing-to-do": (("deform", "grid.xyz", "-o", "out.xyz"), ("case file (-c)", "displacement table (-d)")),
     # numbers
@@ -64,7 +62,6 @@ WRONG = {
         ("File name too long",),
     ),
     "output-one-block-only": (("convert", "grid.xyz", "out.vts"), ("one block", "8", ".vtm")),
-    "report-suffix": ((*DEFORM, "--report", "out.pdf"), ("'.pdf'", ".json, .txt, .html")),
     "report-exists": ((*DEFORM, "--report", "old.json"), ("old.json exists", "--force")),
     # inputs
     "grid-missing": (("deform", "no.xyz", "-c", "case.toml", "-o", "out.xyz"), ("no.xyz does not exist",)),

@@ -134,29 +134,6 @@ def test_airfoil_with_its_neutral_map(third_party, here, call):
     np.testing.assert_array_equal(after.block(0)[:, :, -1], before.block(0)[:, :, -1])
 
 
-TILT = """
-[[boundary]]
-name = "end"
-select = ["block1.{side}"]
-motion = [{{ translate = [{shift}, 0, {shift}] }}]
-"""
-
-
-@pytest.mark.parametrize(
-    ("name", "side", "shift", "array"),
-    [("StructuredGrid.vts", "kmax", 0.2, "Density"), ("SampleStructGrid.vtk", "imax", 0.005, "scalars")],
-)
-def test_vtk_grids_keep_their_arrays(name, side, shift, array, third_party, here, call):
-    before, after, _ = deformed(call, third_party / name, TILT.format(side=side, shift=shift))
-    last = after.block(0) - before.block(0)
-    end = last[:, :, -1] if side == "kmax" else last[-1]
-    np.testing.assert_allclose(end, np.broadcast_to([shift, 0, shift], end.shape), atol=4e-6)
-    assert [f.name for f in after.fields] == [f.name for f in before.fields]
-    one, two = (next(f for f in grid.fields if f.name == array) for grid in (before, after))
-    np.testing.assert_array_equal(one.values, two.values)
-    assert after.format.options["kind"] == before.format.options["kind"]
-
-
 def oracle(third_party: Path, name: str) -> list[np.ndarray]:
     values = np.load(third_party / "oracle" / f"{name.replace('_hdf5', '')}.npz", allow_pickle=False)
     return [values[f"b{n}"] for n in range(sum(key[0] == "b" for key in values))]
