@@ -143,3 +143,16 @@ def with_walls(grid: Grid) -> Grid:
     kinds = {"body": "BCWall", "outer": "BCFarfield", "span": "BCSymmetryPlane"}
     patches = tuple(Patch(name, tuple(found), name, kinds[name]) for name, found in windows.items())
     return dataclasses.replace(grid, patches=patches)
+
+
+def tapered(*size: int) -> Grid:
+    """A frame that narrows along z, so that it is no extrusion."""
+    grid = frame(*size)
+    return grid.moved(grid.points * (1.0 - 0.2 * grid.points[:, 2:]) ** np.array([1.0, 1.0, 0.0]))
+
+
+def interleaved(**grids: Grid) -> Grid:
+    """All blocks in one grid, named ``NAME.NUMBER``, those of different grids in turn."""
+    most = max(grid.n_blocks for grid in grids.values())
+    places = [(name, n) for n in range(most) for name, grid in grids.items() if n < grid.n_blocks]
+    return Grid.from_blocks([grids[name].block(n) for name, n in places], [f"{name}.{n + 1}" for name, n in places])

@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from forked_ranks import on_ranks, poison_parts, small_blocks_are_cut
-from grids import frame, frame_2d
+from grids import frame_2d, tapered
 
 import meshdeform as md
 from meshdeform import tasks
@@ -19,8 +19,7 @@ MEASURES = "f_skew", "f_skew_min", "scaled_jacobian_min", "volume"
 def source(tmp_path, monkeypatch):
     """A grid file; ``comm`` is the ranks themselves, and blocks are cut although they are small."""
     monkeypatch.setattr(tasks, "ranks_of_comm", lambda comm: comm or Ranks())
-    grid = frame(6, 5)
-    grid = grid.moved(grid.points * (1.0 - 0.2 * grid.points[:, 2:]) ** np.array([1.0, 1.0, 0.0]))
+    grid = tapered(6, 5)
     path = tmp_path / "grid.xyz"
     md.write(md.Grid([grid.block(b) for b in range(grid.n_blocks)]), path)
     with small_blocks_are_cut(monkeypatch):

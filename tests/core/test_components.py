@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from cases import ALL_METHODS, STILL, constant, turning
-from grids import block_around, frame, polar
+from grids import block_around, frame, interleaved, polar
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.expression import expression
@@ -35,13 +35,6 @@ def background() -> Grid:
 def ring() -> Grid:
     grid = polar(16, 5, 3)
     return grid.moved(grid.points + [1.5, 0.7, 0.0])
-
-
-def interleaved(**grids: Grid) -> Grid:
-    """All blocks in one grid, named ``NAME.NUMBER``, those of different grids in turn."""
-    most = max(grid.n_blocks for grid in grids.values())
-    places = [(name, n) for n in range(most) for name, grid in grids.items() if n < grid.n_blocks]
-    return Grid.from_blocks([grids[name].block(n) for name, n in places], [f"{name}.{n + 1}" for name, n in places])
 
 
 def alone(whole: Grid, name: str) -> Grid:

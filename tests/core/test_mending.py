@@ -1,4 +1,4 @@
-"""Repairs of grids that something else deformed, and the polishing of valid ones."""
+"""Repairs of grids that something else deformed, the polishing of valid ones, and interiors that are made again."""
 
 from __future__ import annotations
 
@@ -6,14 +6,19 @@ import dataclasses
 
 import numpy as np
 import pytest
+from airfoil_grids import c_grid, extruded, moved_by_a_script, o_grid
 from cases import body_specs, turning
 from grids import frame
 
+from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, deform, set_up
 from meshdeform_core.errors import GridError
 from meshdeform_core.mending import mend
+from meshdeform_core.methods import Options
 from meshdeform_core.quality.validity import judge
 from meshdeform_core.repair import RepairOptions
+
+ENDS = BoundarySpec("ends", ("*.kmin", "*.kmax"), Kind.SLIP)
 
 
 def spoilt(layers=3, angle=110, size=6):
@@ -96,3 +101,68 @@ def test_blocks_that_came_apart_are_refused():
         mend(grid.moved(points), grid, Case(()))
     with pytest.raises(GridError):
         mend(frame(4, 2), grid, Case(()))
+
+
+@pytest.mark.parametrize("degrees", [3.0, 25.0])
+@pytest.mark.parametrize("layers", [0, 2])
+@pytest.mark.parametrize("make", [o_grid, c_grid])
+def test_interior_is_made_again_from_the_reference(make, layers, degrees):
+    plane = make(around=81, layers=41)
+    grid = extruded(plane, layers) if layers else plane
+    x = plane.block(0)
+    edges = [np.linalg.norm(np.diff(x[:, :, 0], axis=axis), axis=-1) for axis in (0, 1)]
+    assert edges[0][:, 0].max() / edges[1][:, 0].min() > 1e4
+    bent = moved_by_a_script(grid, degrees)
+    mended = mend(bent, grid, Case((ENDS,) if layers else ()))
+    assert mended.assessment.valid
+    assert mended.renewal is not None
+    assert mended.renewal.method == "idw-tfi"
+    assert "cells were bad" in mended.renewal.reason
+    known = mended.boundary.known[mended.topology.number]
+    rows = mended.topology.face_nodes[known]
+    np.testing.assert_array_equal(mended.grid.points[rows], bent.points[rows])
+    assert np.abs(mended.grid.points[rows] - grid.points[rows]).max() > 0.02
+    before, after = mended.assessment.before, mended.assessment.after
+    assert after.min_scaled_jacobian > 0.6 * before.min_scaled_jacobian
+    assert after.min_relative_jacobian > 0.5
+
+
+def test_moving_nodes_comes_first_where_few_cells_are_bad_and_then_the_reference():
+    """A grid with one tangled spot is mended there; where that fails, the whole interior is made again."""
+    grid = frame(6, 3)
+    case = Case(tuple(body_specs(turning("40"))))
+    good = deform(grid, case, steps=1)
+    spot = good.grid.points.copy()
+    inner = np.argmin(np.linalg.norm(spot - [0.0, 1.6, 0.5], axis=1))
+    spot[inner] += [0.0, 0.9, 0.0]
+    known = good.setup.topology.face_nodes
+    assert inner not in known
+    mended = mend(grid.moved(spot), grid, case)
+    assert mended.assessment.valid
+    assert mended.renewal is None
+    assert mended.repair is not None
+    # No time is left for Newton steps: what remains is the reference.
+    hurried = dataclasses.replace(case, repair=RepairOptions(time_limit=1e-9))
+    again = mend(grid.moved(spot), grid, hurried)
+    assert again.assessment.valid
+    assert again.renewal is not None
+    assert "moving nodes left" in again.renewal.reason
+    np.testing.assert_allclose(again.grid.points, deform(grid, hurried, steps=1).grid.points, atol=1e-9)
+
+
+def test_the_method_is_that_of_the_case():
+    grid = o_grid(81, 41)
+    mended = mend(moved_by_a_script(grid, 3.0), grid, Case((), method=Options("rbf")))
+    assert mended.assessment.valid
+    assert mended.renewal.method == "rbf"
+
+
+def test_nothing_is_made_again_where_the_boundary_has_not_moved():
+    grid = o_grid(41, 31)
+    points = grid.points.copy()
+    points[grid.offsets[0] + 31 * 5 + 10 : grid.offsets[0] + 31 * 30 + 10] *= 1.2
+    block = points.reshape(grid.block(0).shape)
+    block[:, 0], block[:, -1] = grid.block(0)[:, 0], grid.block(0)[:, -1]
+    block[-1] = block[0]
+    mended = mend(grid.moved(points), grid, Case(()))
+    assert mended.renewal is None

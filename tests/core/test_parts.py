@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from cases import body_specs, formulas, turning
 from forked_ranks import Failed, on_ranks, poison_parts, scratch_in, small_blocks_are_cut
-from grids import block_around, frame, frame_2d, permuted
+from grids import block_around, frame, frame_2d, interleaved, permuted, tapered
 
 from meshdeform_core.boundary import BoundarySpec, Kind, crossing
 from meshdeform_core.boundary.motions.expression import expression
@@ -158,15 +158,12 @@ def test_periodic_sides_that_move_give_the_same_bytes(tmp_path, small_pieces, po
 def overset(**grids):
     """Grids that overlap, as blocks called NAME.NUMBER of one grid, those of different ones in turn; and their
     boundaries, of which the first and the third have moving walls."""
-    most = max(grid.n_blocks for grid in grids.values())
-    blocks = [(name, n) for n in range(most) for name, grid in grids.items() if n < grid.n_blocks]
     specs = [
         dataclasses.replace(spec, name=f"{name} {spec.name}", select=tuple(f"{name}.*.{p[2:]}" for p in spec.select))
         for name in list(grids)[::2] for spec in body_specs(turning(20.0))
     ]  # fmt: skip
-    whole = Grid.from_blocks([grids[name].block(n) for name, n in blocks], [f"{name}.{n + 1}" for name, n in blocks])
     still = [BoundarySpec("still", (f"{list(grids)[1]}.*.*",), Kind.FIXED)]
-    return whole, tuple(specs + still)
+    return interleaved(**grids), tuple(specs + still)
 
 
 def test_components_of_overset_grids_give_the_same_bytes(tmp_path, small_pieces, poisoned):
@@ -183,20 +180,20 @@ def test_plane_grids_give_the_same_bytes(name, axes, tmp_path, small_pieces, poi
     same_on_ranks(tmp_path, 3, case, ".xyz", permuted(frame_2d(9), axes, (False, False, False)))
 
 
-def test_grids_of_one_layer_give_the_same_bytes(tmp_path, small_pieces, poisoned):
-    """Nodes of one plane follow those of the other, whoever holds them."""
-    body = dataclasses.replace(body_specs(turning(20))[0], select=("*",))
+def between_ends(case):
+    """The same with sides that slide at the first and the last plane, and the rest of the outside moving."""
+    body = dataclasses.replace(case.boundaries[0], select=("*",))
     ends = BoundarySpec("ends", ("*",), Kind.SLIP, expression("z < 0.01 or z > 0.99", {"x", "y", "z"}))
-    case = dataclasses.replace(case_of(METHODS["rbf-fast"]), boundaries=(body, ends))
-    same_on_ranks(tmp_path, 3, case, grid=permuted(frame(9, 1), (2, 0, 1), (False, False, True)))
+    return dataclasses.replace(case, boundaries=(body, ends))
 
 
-def test_interiors_between_slip_sides_give_the_same_bytes(tmp_path, small_pieces, poisoned):
-    """Nodes on slip sides, which are the first and the last plane, are no centres."""
-    body = dataclasses.replace(body_specs(turning(20))[0], select=("*",))
-    ends = BoundarySpec("ends", ("*",), Kind.SLIP, expression("z < 0.01 or z > 0.99", {"x", "y", "z"}))
-    case = dataclasses.replace(case_of(METHODS["idw-rbf"]), boundaries=(body, ends))
-    same_on_ranks(tmp_path, 4, case, grid=permuted(frame(5, 8), (2, 0, 1), (False, False, False)))
+@pytest.mark.parametrize(
+    ("name", "count", "size", "last"), [("rbf-fast", 3, (9, 1), True), ("idw-rbf", 4, (5, 8), False)]
+)
+def test_grids_between_slip_sides_give_the_same_bytes(name, count, size, last, tmp_path, small_pieces, poisoned):
+    """Nodes on slip sides are no centres; of a grid of one layer, those of one plane follow those of the other."""
+    grid = permuted(frame(*size), (2, 0, 1), (False, False, last))
+    same_on_ranks(tmp_path, count, between_ends(case_of(METHODS[name])), grid=grid)
 
 
 def test_single_precision_and_steps_give_the_same_bytes(tmp_path, small_pieces, poisoned):
@@ -219,25 +216,18 @@ def levels(source, target, case, schedule):
     return found
 
 
-def same_levels(tmp_path, store=nullcontext):
-    source, schedule = tmp_path / "grid.cgns", Schedule((0.0, 1.0, 2.0, 4.0))
+@pytest.mark.parametrize("place", ["poisoned", "in_files"])
+def test_levels_of_a_series_are_the_same(place, tmp_path, small_pieces, request):
+    store, source, schedule = request.getfixturevalue(place), tmp_path / "grid.cgns", Schedule((0.0, 1.0, 2.0, 4.0))
     write_grid(frame(9, 8), source)
     case = Case(tuple(body_specs(turning("5*t"))), method=METHODS["idw-tfi"], repair=OFF)
     expected = levels(source, tmp_path / "one.cgns", case, schedule)
 
     def act(number):
-        with store():
+        with (store or nullcontext)():
             return levels(source, tmp_path / "ranks.cgns", case, schedule)
 
     assert all(found == expected for found in on_ranks(3, act))
-
-
-def test_levels_of_a_series_are_the_same(tmp_path, small_pieces, poisoned):
-    same_levels(tmp_path)
-
-
-def test_levels_with_arrays_in_files_are_the_same(tmp_path, small_pieces, in_files):
-    same_levels(tmp_path, in_files)
 
 
 def test_invalid_cells_are_listed_alike(tmp_path, small_pieces, poisoned):
@@ -253,53 +243,26 @@ def repaired(angle):
     return dataclasses.replace(case_of(METHODS["tfi"], angle), repair=RepairOptions())
 
 
-def tapered(*size):
-    """No extrusion: it narrows along z."""
-    grid = frame(*size)
-    return grid.moved(grid.points * (1.0 - 0.2 * grid.points[:, 2:]) ** np.array([1.0, 1.0, 0.0]))
-
-
 def test_repairs_of_grids_in_parts_give_the_same_bytes(tmp_path, small_pieces, poisoned):
     """The first rank repairs for all, whatever the grid."""
     assert same_on_ranks(tmp_path, 3, repaired(50.0), grid=tapered(5, 4))[-1].newton_steps > 1
 
 
 def test_repairs_of_extrusions_in_parts_give_the_same_bytes(tmp_path, small_pieces, poisoned):
-    body = dataclasses.replace(body_specs(turning(50))[0], select=("*",))
-    ends = BoundarySpec("ends", ("*",), Kind.SLIP, expression("z < 0.01 or z > 0.99", {"x", "y", "z"}))
-    case = dataclasses.replace(repaired(50.0), boundaries=(body, ends))
+    case = between_ends(repaired(50.0))
     grid = permuted(frame(5, 8), (2, 0, 1), (False, False, False))
     assert same_on_ranks(tmp_path, 3, case, grid=grid)[-1].newton_steps > 1
 
 
-def refused(tmp_path, count, grid, case, options=None):
-    """Why the whole grid is needed on every rank."""
-    source = tmp_path / "grid.xyz"
-    write_grid(grid, source, options)
-
-    def act(number):
-        try:
-            deform(read_grid(source), case)
-        except WholeGridNeeded as reason:
-            return str(reason)
-        return ""
-
-    first, *others = on_ranks(count, act)
-    assert all(each == first for each in others)
-    return first
-
-
-def block_in_parts(source):
-    return read_grid(source).block(0)
-
-
 def test_what_takes_the_whole_grid_says_so(tmp_path, monkeypatch):
-    idw = METHODS["idw-tfi"]
     monkeypatch.setattr(grid_formats, "_SAMPLE", 2)
-    assert refused(tmp_path, 2, frame(), case_of(idw)) == "a sample of its nodes lies on one line"
+    source = tmp_path / "grid.xyz"
+    write_grid(frame(), source)
+    with pytest.raises(Failed, match="a sample of its nodes lies on one line"):
+        on_ranks(2, lambda number: read_grid(source))
     monkeypatch.undo()
     with pytest.raises(Failed, match="a block is read as a whole"):
-        on_ranks(2, lambda number: block_in_parts(tmp_path / "grid.xyz"))
+        on_ranks(2, lambda number: read_grid(source).block(0))
 
 
 def test_ranks_need_memory_for_their_part(small_pieces):
@@ -336,13 +299,3 @@ def test_ranks_share_the_test_whether_walls_cross(tmp_path, small_pieces, poison
     shares = on_ranks(3, act)
     assert [each for each, _ in shares] == [expected] * 3
     assert [share for _, share in shares] == [pytest.approx(faces / 3, abs=1)] * 3
-
-
-def test_a_failing_rank_is_seen():
-    """The forks themselves: an error of one rank is not lost."""
-
-    def act(number):
-        assert number == 0, "rank 1 fails"
-
-    with pytest.raises(Failed, match="rank 1 fails"):
-        on_ranks(2, act)

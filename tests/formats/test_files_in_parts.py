@@ -12,7 +12,7 @@ import pytest
 from cases import body_specs, turning
 from cgns_witness import N, box, tree, write_hdf5, zone
 from forked_ranks import on_ranks, poison_parts, small_blocks_are_cut
-from grids import frame, frame_2d
+from grids import frame, frame_2d, tapered
 from plot3d_witness import binary_file, sample_blocks, sample_iblank
 
 from meshdeform_core.boundary import Kind
@@ -146,16 +146,10 @@ def test_fields_at_cells_and_nodes(make, tmp_path):
         assert set(CELL_MEASURES) - {"displacement"} | {"invalid"} < set(found[1])
 
 
-def tapered():
-    """No extrusion: it narrows along z."""
-    grid = frame(5, 4)
-    return grid.moved(grid.points * (1.0 - 0.2 * grid.points[:, 2:]) ** np.array([1.0, 1.0, 0.0]))
-
-
 @pytest.mark.slow
 def test_pictures_of_reports(tmp_path):
     """Cuts, surfaces, the worst cells, the region of a repair; levels of a series."""
-    write_grid(tapered(), tmp_path / "grid.cgns")
+    write_grid(tapered(5, 4), tmp_path / "grid.cgns")
     case = Case(tuple(body_specs(turning(50.0))), method=Options("tfi"))
 
     def act(folder):
@@ -193,7 +187,7 @@ def with_arrays(grid):
     (".vtm", {"precision": "float32"}), (".vts", {}), (".vtk", {}),
 ])  # fmt: skip
 def test_vtk_files_with_arrays(suffix, variant, tmp_path):
-    grid = frame_2d(7) if suffix == ".vts" else tapered()
+    grid = frame_2d(7) if suffix == ".vts" else tapered(5, 4)
     if suffix != ".vtm":
         grid = Grid.from_blocks([grid.block(1)])
     write_grid(with_arrays(grid), tmp_path / f"grid{suffix}", variant)
