@@ -155,81 +155,63 @@ class Overset(Undeformed):
 
 
 def _component(whole: Undeformed, name: str, number: int, memory: MemoryLimit) -> Component:
-    grid, topology, faces = whole.grid, whole.topology, whole.topology.quads
-    member = grid.component_numbers == number
-    blocks = np.flatnonzero(member)
+    """A component, as a grid of its own; motions are evaluated, and tables checked, by the boundary of the whole."""
+    grid, topology, faces, boundary = whole.grid, whole.topology, whole.topology.quads, whole.boundary
+    blocks = np.flatnonzero(grid.component_numbers == number)
+    place = places_among(blocks, grid.n_blocks)
     # Of a grid in parts, every rank holds what it held before.
     shapes, block_names = tuple(grid.shapes[b] for b in blocks), tuple(grid.names[b] for b in blocks)
-    nodes_of, nodes = np.prod(shapes, axis=1), grid.nodes
-    bounds = np.clip(nodes.bounds[:, None] - grid.offsets[blocks], 0, nodes_of).sum(axis=1)
-    points = Nodes.new(nodes.ranks, bounds, (int(nodes_of.sum()), 3))
+    bounds = np.clip(grid.nodes.bounds[:, None] - grid.offsets[blocks], 0, np.prod(shapes, axis=1)).sum(axis=1)
+    points = Nodes.new(grid.nodes.ranks, bounds, (int(bounds[-1]), 3))
     alone = Grid(points, shapes, block_names, format=grid.format, path=grid.path)
-    for place, block in enumerate(blocks.tolist()):
-        alone.in_planes(place)[...] = grid.in_planes(block)
-    quads = np.flatnonzero(member[faces.block_side // 6])
-    own = np.flatnonzero(member[_blocks_of(grid, topology.face_nodes)])
-    numbers = np.unique(topology.number[own])
+    for n, block in enumerate(blocks.tolist()):
+        alone.in_planes(n)[...] = grid.in_planes(block)
+    block_of = np.searchsorted(grid.offsets, topology.face_nodes, side="right") - 1
+    shift = alone.offsets[place] - grid.offsets[:-1]
+    quads, face_nodes = np.flatnonzero(place[faces.block_side // 6] >= 0), np.flatnonzero(place[block_of] >= 0)
+    numbers, kind = np.unique(topology.number[face_nodes]), topology.number.dtype
+    first = topology.first[numbers]
+    node, quad = places_among(numbers, topology.n_unique), places_among(quads, len(boundary.quad_kind))
     sizes, partner = faces.counts[blocks].prod(axis=2), topology.partner[quads]
-    within = FaceQuads(
-        (np.cumsum(sizes) - sizes.ravel()).reshape(sizes.shape),
-        faces.counts[blocks],
-        np.searchsorted(numbers, faces.corners[quads]).astype(topology.number.dtype),
-        faces.in_order[blocks],
-    )
     own_topology = Topology(
-        _local(grid, alone, blocks, topology.face_nodes[own]),
-        np.searchsorted(numbers, topology.number[own]).astype(topology.number.dtype),
-        _local(grid, alone, blocks, topology.first[numbers]),
+        topology.face_nodes[face_nodes] + shift[block_of[face_nodes]],
+        node[topology.number[face_nodes]].astype(kind),
+        first + shift[np.searchsorted(grid.offsets, first, side="right") - 1],
         topology.edge[numbers],
-        within,
-        np.where(partner >= 0, np.searchsorted(quads, partner), partner).astype(partner.dtype),
+        FaceQuads(
+            (np.cumsum(sizes) - sizes.ravel()).reshape(sizes.shape),
+            faces.counts[blocks],
+            node[faces.corners[quads]].astype(kind),
+            faces.in_order[blocks],
+        ),
+        np.where(partner >= 0, quad[partner], partner).astype(partner.dtype),
         topology.handedness[blocks],
         0,
     )
-    boundary = _boundary_of(alone, own_topology, whole.boundary, numbers, quads)
-    return Component(name, blocks, numbers, Undeformed(alone, own_topology, boundary, memory, whole.min_jacobian))
-
-
-def _blocks_of(grid: Grid, flat: IntArray) -> IntArray:
-    return np.searchsorted(grid.offsets, flat, side="right") - 1
-
-
-def _local(grid: Grid, alone: Grid, blocks: IntArray, flat: IntArray) -> IntArray:
-    """Flat indices in ``alone``, the grid of ``blocks`` only, of nodes ``flat`` of the whole grid."""
-    block = _blocks_of(grid, flat)
-    return np.asarray(flat - grid.offsets[block] + alone.offsets[np.searchsorted(blocks, block)])
-
-
-def _boundary_of(grid: Grid, topology: Topology, whole: Boundary, numbers: IntArray, quads: IntArray) -> Boundary:
-    """The part of a boundary with the unique nodes ``numbers`` and the face ``quads``, which are those of ``grid``.
-
-    Motions are evaluated, and tables checked, by the boundary of the whole grid only.
-    """
-    node, quad = places_among(numbers, len(whole.kind)), places_among(quads, len(whole.quad_kind))
     patches = tuple(
         ClassifiedPatch(patch.name, patch.kind, _within(node, patch.nodes), own)
-        for patch in whole.patches
+        for patch in boundary.patches
         if (own := _within(quad, patch.quads)).size
     )
     moving = [patch.name for patch in patches if patch.kind is Kind.MOVING]
-    names = [patch.name for patch in whole.patches if patch.kind is Kind.MOVING]
-    movers = zip(names, whole.movers, strict=True)
-    kind = whole.kind[numbers]
+    names = [patch.name for patch in boundary.patches if patch.kind is Kind.MOVING]
+    movers = zip(names, boundary.movers, strict=True)
+    kinds, pairs = boundary.kind[numbers], boundary.periodic
     sliding = [(p.name, p.quads, p.kind is Kind.SYMMETRY) for p in patches if p.kind in (Kind.SLIP, Kind.SYMMETRY)]
-    slip, mirrors = find_sliding(grid, topology, sliding, kind < Kind.FIXED, kind == Kind.MOVING)
-    pairs = whole.periodic
+    slip, mirrors = find_sliding(alone, own_topology, sliding, kinds < Kind.FIXED, kinds == Kind.MOVING)
     paired = (node[pairs.one] >= 0) & (node[pairs.two] >= 0)
-    return Boundary(
-        kind,
-        whole.quad_kind[quads],
+    own_boundary = Boundary(
+        kinds,
+        boundary.quad_kind[quads],
         patches,
         tuple((_within(node, moved), motion) for name, (moved, motion) in movers if name in moving),
         slip,
         Periodic(node[pairs.one[paired]], node[pairs.two[paired]], pairs.rotation[paired]),
         mirrors,
         (),
-        Tables(topology, ()),
+        Tables(own_topology, ()),
     )
+    return Component(name, blocks, numbers, Undeformed(alone, own_topology, own_boundary, memory, whole.min_jacobian))
 
 
 def _within(place: IntArray, entries: IntArray) -> IntArray:
