@@ -216,6 +216,11 @@ def _digest_of_file(path: str, _modified: int) -> bytes:
 
 def source_digest(function: Callable) -> bytes:
     """Digest of what a loop is compiled from: the files of all functions that it calls, and constants of others."""
+    return hashlib.sha256(b"".join(sorted(_made_from(function)[0]))).digest()
+
+
+def _made_from(function: Callable) -> tuple[set[bytes], set[int]]:
+    """What a loop is compiled from: digests and constants, and the identities of the functions, its own among them."""
     parts, seen = set[bytes](), set[int]()
 
     def visit(value: Any) -> None:
@@ -234,7 +239,7 @@ def source_digest(function: Callable) -> bytes:
                 visit(cell.cell_contents)
 
     visit(function)
-    return hashlib.sha256(b"".join(sorted(parts))).digest()
+    return parts, seen
 
 
 def _names(code: CodeType) -> Iterator[str]:
@@ -256,11 +261,17 @@ class Compilers:
 
     numba compiles under one lock, hence processes instead of threads. Whoever needs a loop that another process is
     compiling takes the next missing one meanwhile. A process that fails or is killed costs time only: its loop is
-    compiled by whoever needs it. ``missing()`` are the names of all declared loops that are not in the cache.
+    compiled by whoever needs it. ``missing()`` are the names of all declared loops that are not in the cache;
+    ``calls(one, other)`` tells whether a loop calls another.
     """
 
-    def __init__(self, missing: Callable[[], list[str]], compile: Callable[[str], object]):
-        self._missing, self._compile = missing, compile
+    def __init__(
+        self,
+        missing: Callable[[], list[str]],
+        compile: Callable[[str], object],
+        calls: Callable[[str, str], bool],
+    ):
+        self._missing, self._compile, self._calls = missing, compile, calls
         self._pending, self._running = list[str](), set[str]()
         self._known, self._processes = set[str](), list[subprocess.Popen[str]]()
         self._count = 1
@@ -285,11 +296,14 @@ class Compilers:
                     return compiled
                 if name not in self._running if name else not (self._pending or self._running):
                     return compiled
-                other = self._pending.pop() if self._pending else None
-                if other is None:
+                # numba takes a loop that calls the one which is waited for as a recursion of that one.
+                free = [each for each in self._pending if name is None or not self._calls(each, name)]
+                if free:
+                    self._pending.remove(free[-1])
+                else:
                     self._change.wait(_LOOK_AGAIN)
-            if other is not None:
-                self._compile(other)
+            if free:
+                self._compile(free[-1])
                 compiled += 1
 
     def all(self) -> int:
@@ -431,8 +445,13 @@ def compile_declared(name: str) -> None:
     loop.compile(arguments)
 
 
+def loop_calls(one: str, other: str) -> bool:
+    """Whether a declared loop calls another one, itself or through a third; names as in :func:`missing_loops`."""
+    return id(_declared[other][0].py_func) in _made_from(_declared[one][0].py_func)[1]
+
+
 _clock = _CompileClock()
-_compilers = Compilers(missing_loops, compile_declared)
+_compilers = Compilers(missing_loops, compile_declared, loop_calls)
 event.register("numba:compile", _clock)
 
 
@@ -478,6 +497,8 @@ def serve() -> None:
     """Compile the loops whose names arrive on standard input; run in a process of its own."""
     # Its parent decides: it closes the stream, or kills this process at its own end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Busy for good: it is told what is missing, and starts no processes of its own.
+    _clock.begin()
     for line in sys.stdin:
         name = line.strip()
         importlib.import_module(name.rpartition(":")[0].rpartition(".")[0])

@@ -5,11 +5,14 @@ import os
 import subprocess
 import sys
 import textwrap
+import threading
 
 import pytest
 
 from meshdeform_core.errors import CaseError
 from meshdeform_core.numerics import jit, processor
+from meshdeform_core.numerics.exact import radial
+from meshdeform_core.numerics.fastsum import passes
 
 LOOPS = """
 from typing import NamedTuple
@@ -92,11 +95,33 @@ subprocess.Popen = Broken
 def test_all_loops_are_compiled_once_each(monkeypatch):
     monkeypatch.setattr(jit, "usable_cores", lambda: 1)
     compiled, missing = [], list("abcdefgh")
-    compilers = jit.Compilers(lambda: [name for name in missing if name not in compiled], compiled.append)
+    compilers = jit.Compilers(
+        lambda: [name for name in missing if name not in compiled], compiled.append, lambda one, other: False
+    )
     compilers.obtain("c")
     compiled.append("c")
     assert compilers.all() == 7
     assert sorted(compiled) == missing
+
+
+def test_what_calls_a_loop_that_is_waited_for_is_not_compiled_meanwhile(monkeypatch):
+    monkeypatch.setattr(jit, "usable_cores", lambda: 1)
+    compiled = list[str]()
+    compilers = jit.Compilers(lambda: list("abcde"), compiled.append, lambda one, other: one in "bd" and other == "a")
+    compilers.begin("c")
+    elsewhere = compilers._take()
+    assert elsewhere == "a"
+    timer = threading.Timer(0.2, compilers._finish, ["a"])
+    timer.start()
+    assert compilers.obtain("a") == 2
+    assert sorted(compiled) == ["c", "e"]
+    timer.join()
+
+
+def test_loops_that_call_others_are_told():
+    outer, inner = f"{passes.__name__}.sum_regions:0", f"{radial.__name__}.radial_block:0"
+    assert jit.loop_calls(outer, inner)
+    assert not jit.loop_calls(inner, outer)
 
 
 def test_a_loop_is_compiled_anew_when_a_function_of_another_file_changes(tmp_path, monkeypatch):
