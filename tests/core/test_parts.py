@@ -86,8 +86,19 @@ def test_a_part_refuses_rows_of_others():
     assert all(on_ranks(2, look))
 
 
-def case_of(method, angle=20.0, **rest):
-    return Case(tuple(body_specs(turning(angle))), method=method, repair=OFF, **rest)
+def case_of(method, angle=20.0, specs=None, repair=OFF):
+    return Case(tuple(specs or body_specs(turning(angle))), method=METHODS[method], repair=repair)
+
+
+def between_ends(method, angle=20.0, repair=OFF):
+    """The body of a grid whose blocks have other indices along z, between slip ends; a plane grid has none."""
+    body = dataclasses.replace(body_specs(turning(angle))[0], select=("*",))
+    ends = BoundarySpec("ends", ("*",), Kind.SLIP, expression("z < 0.01 or z > 0.99", {"x", "y", "z"}))
+    return case_of(method, specs=(body, ends), repair=repair)
+
+
+def turned(grid, axes, *flips):
+    return permuted(grid, axes, flips or (False, False, False))
 
 
 def outcome(source, target, case, **rest):
@@ -119,10 +130,44 @@ def same_on_ranks(tmp_path, count, case, suffix=".cgns", grid=None, store=nullco
     return expected
 
 
-# The others are in the tests below.
-@pytest.mark.parametrize("name", ["idw-exact", "idw-division", "idw-rbf-krylov", "rbf-exact", "idw-tfi-fast"])
-def test_methods_give_the_same_bytes(name, tmp_path, small_pieces, poisoned):
-    same_on_ranks(tmp_path, 4, case_of(METHODS[name]))
+def plane(method):
+    return dataclasses.replace(case_of(method), boundaries=between_ends(method).boundaries[:1])
+
+
+SWAYING = formulas("0.1*z", "0.0", "0.2*sin(pi*z)")
+# Number of ranks, case, and what is not as in the others.
+SAME = {
+    **{name: (4, case_of(name), {}) for name in ("idw-exact", "idw-division", "idw-rbf-krylov", "rbf-exact")},
+    "periodic sides that move": (3, case_of("rbf-tfi-krylov", specs=body_specs(turning(20), Kind.PERIODIC)), {}),
+    "plane": (3, plane("idw-tfi-fast"), {"suffix": ".xyz", "grid": frame_2d(9)}),
+    "plane along j": (3, plane("rbf-greedy"), {"suffix": ".xyz", "grid": turned(frame_2d(9), (2, 0, 1))}),
+    # Nodes of one plane follow those of the other, whoever holds them.
+    "one layer": (3, between_ends("rbf-fast"), {"grid": turned(frame(9, 1), (2, 0, 1), False, False, True)}),
+    # Nodes on slip sides, which are the first and the last plane, are no centres.
+    "interiors between slip sides": (4, between_ends("idw-rbf"), {"grid": turned(frame(5, 8), (2, 0, 1))}),
+    "single precision and steps": (3, case_of("idw-tfi"), {"suffix": ".xyz", "steps": 3, "precision": "float32"}),
+    "motion towards slip sides": (3, case_of("idw-rbf", specs=body_specs(SWAYING)), {}),
+    "invalid cells": (3, case_of("tfi", 150.0), {"steps": 1}),
+}
+
+
+@pytest.mark.parametrize("name", SAME)
+def test_ranks_give_the_same_bytes(name, tmp_path, small_pieces, poisoned):
+    count, case, rest = SAME[name]
+    same_on_ranks(tmp_path, count, case, **rest)
+
+
+REPAIRS = {
+    # The first rank repairs for all, whatever the grid.
+    "tapered": (case_of("tfi", 50.0, repair=RepairOptions()), tapered(5, 4)),
+    "extruded": (between_ends("tfi", 50.0, RepairOptions()), turned(frame(5, 8), (2, 0, 1))),
+}
+
+
+@pytest.mark.parametrize("name", REPAIRS)
+def test_repairs_of_grids_in_parts_give_the_same_bytes(name, tmp_path, small_pieces, poisoned):
+    case, grid = REPAIRS[name]
+    assert same_on_ranks(tmp_path, 3, case, grid=grid)[-1].newton_steps > 1
 
 
 @pytest.fixture
@@ -145,14 +190,7 @@ def in_files(tmp_path, monkeypatch):
 
 
 def test_ranks_with_arrays_in_files_give_the_same_bytes(tmp_path, small_pieces, in_files):
-    same_on_ranks(tmp_path, 3, case_of(METHODS["rbf-tfi-krylov"]), store=in_files)
-
-
-def test_periodic_sides_that_move_give_the_same_bytes(tmp_path, small_pieces, poisoned):
-    case = dataclasses.replace(
-        case_of(METHODS["rbf-tfi-krylov"]), boundaries=tuple(body_specs(turning(20), Kind.PERIODIC))
-    )
-    same_on_ranks(tmp_path, 3, case)
+    same_on_ranks(tmp_path, 3, case_of("rbf-tfi-krylov"), store=in_files)
 
 
 def overset(**grids):
@@ -172,39 +210,6 @@ def test_components_of_overset_grids_give_the_same_bytes(tmp_path, small_pieces,
     same_on_ranks(tmp_path, 3, case, grid=grid)
 
 
-@pytest.mark.parametrize(("name", "axes"), [("idw-tfi-fast", (0, 1, 2)), ("rbf-greedy", (2, 0, 1))])
-def test_plane_grids_give_the_same_bytes(name, axes, tmp_path, small_pieces, poisoned):
-    """Blocks of a single plane of nodes along each of the indices."""
-    body = dataclasses.replace(body_specs(turning(20))[0], select=("*",))
-    case = dataclasses.replace(case_of(METHODS[name]), boundaries=(body,))
-    same_on_ranks(tmp_path, 3, case, ".xyz", permuted(frame_2d(9), axes, (False, False, False)))
-
-
-def between_ends(case):
-    """The same with sides that slide at the first and the last plane, and the rest of the outside moving."""
-    body = dataclasses.replace(case.boundaries[0], select=("*",))
-    ends = BoundarySpec("ends", ("*",), Kind.SLIP, expression("z < 0.01 or z > 0.99", {"x", "y", "z"}))
-    return dataclasses.replace(case, boundaries=(body, ends))
-
-
-@pytest.mark.parametrize(
-    ("name", "count", "size", "last"), [("rbf-fast", 3, (9, 1), True), ("idw-rbf", 4, (5, 8), False)]
-)
-def test_grids_between_slip_sides_give_the_same_bytes(name, count, size, last, tmp_path, small_pieces, poisoned):
-    """Nodes on slip sides are no centres; of a grid of one layer, those of one plane follow those of the other."""
-    grid = permuted(frame(*size), (2, 0, 1), (False, False, last))
-    same_on_ranks(tmp_path, count, between_ends(case_of(METHODS[name])), grid=grid)
-
-
-def test_single_precision_and_steps_give_the_same_bytes(tmp_path, small_pieces, poisoned):
-    same_on_ranks(tmp_path, 3, case_of(METHODS["idw-tfi"]), ".xyz", steps=3, precision="float32")
-
-
-def test_motions_towards_slip_sides_give_the_same_bytes(tmp_path, small_pieces, poisoned):
-    swaying = formulas("0.1*z", "0.0", "0.2*sin(pi*z)")
-    same_on_ranks(tmp_path, 3, Case(tuple(body_specs(swaying)), method=METHODS["idw-rbf"], repair=OFF))
-
-
 def levels(source, target, case, schedule):
     """The bytes of all levels, and what is reported of each."""
     found = []
@@ -220,7 +225,7 @@ def levels(source, target, case, schedule):
 def test_levels_of_a_series_are_the_same(place, tmp_path, small_pieces, request):
     store, source, schedule = request.getfixturevalue(place), tmp_path / "grid.cgns", Schedule((0.0, 1.0, 2.0, 4.0))
     write_grid(frame(9, 8), source)
-    case = Case(tuple(body_specs(turning("5*t"))), method=METHODS["idw-tfi"], repair=OFF)
+    case = case_of("idw-tfi", "5*t")
     expected = levels(source, tmp_path / "one.cgns", case, schedule)
 
     def act(number):
@@ -230,28 +235,9 @@ def test_levels_of_a_series_are_the_same(place, tmp_path, small_pieces, request)
     assert all(found == expected for found in on_ranks(3, act))
 
 
-def test_invalid_cells_are_listed_alike(tmp_path, small_pieces, poisoned):
-    same_on_ranks(tmp_path, 3, case_of(METHODS["tfi"], angle=150.0), steps=1)
-
-
 def test_ranks_without_nodes_take_part(tmp_path, poisoned):
     """The blocks are not cut: more ranks than pieces."""
-    same_on_ranks(tmp_path, 7, case_of(METHODS["idw-tfi-fast"]))
-
-
-def repaired(angle):
-    return dataclasses.replace(case_of(METHODS["tfi"], angle), repair=RepairOptions())
-
-
-def test_repairs_of_grids_in_parts_give_the_same_bytes(tmp_path, small_pieces, poisoned):
-    """The first rank repairs for all, whatever the grid."""
-    assert same_on_ranks(tmp_path, 3, repaired(50.0), grid=tapered(5, 4))[-1].newton_steps > 1
-
-
-def test_repairs_of_extrusions_in_parts_give_the_same_bytes(tmp_path, small_pieces, poisoned):
-    case = between_ends(repaired(50.0))
-    grid = permuted(frame(5, 8), (2, 0, 1), (False, False, False))
-    assert same_on_ranks(tmp_path, 3, case, grid=grid)[-1].newton_steps > 1
+    same_on_ranks(tmp_path, 7, case_of("idw-tfi-fast"))
 
 
 def test_what_takes_the_whole_grid_says_so(tmp_path, monkeypatch):
@@ -291,11 +277,8 @@ def test_ranks_share_the_test_whether_walls_cross(tmp_path, small_pieces, poison
         del asked[:]
         return setup.undeformed.crossing_test.crossings(setup.displacement(0.0)), sum(asked)
 
-    def act(number):
-        return found()
-
     expected, faces = found()
     assert expected[0].patches == ("floor", "floor")
-    shares = on_ranks(3, act)
+    shares = on_ranks(3, lambda number: found())
     assert [each for each, _ in shares] == [expected] * 3
     assert [share for _, share in shares] == [pytest.approx(faces / 3, abs=1)] * 3

@@ -20,7 +20,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from random import Random
 
-from . import case_files, grid_files, runs, tables
+from . import case_files, grid_files, tables
 from .bench import Bench, called
 
 LIMIT = 100.0
@@ -31,7 +31,6 @@ KINDS: dict[str, Callable[[Bench, Random], str]] = {
     **grid_files.KINDS,
     **tables.KINDS,
     **case_files.KINDS,
-    **runs.KINDS,
 }
 
 Sample = tuple[int, str, str]
@@ -44,7 +43,7 @@ def work(first: int, last: int, seed: int) -> None:
     code, told = called("warm-up", "-q")
     assert code == 0, told
     bench = Bench()
-    for module in (grid_files, tables, runs):
+    for module in (grid_files, tables, case_files):
         module.prepare(bench)
     bench.keep()
     for number in range(first, last):

@@ -26,7 +26,6 @@ def prepare(bench: Bench) -> None:
     """Write every kind of good grid file."""
     one = type(bench.grid).from_blocks([bench.grid.block(0)])
     for name, grid, options in (
-        ("grid.bin", bench.grid, {"encoding": "binary"}),
         ("grid.p3dfmt", bench.grid, {"encoding": "ascii"}),
         ("grid.cgns", bench.grid, {}),
         ("grid.vts", one, {"encoding": "ascii"}),
@@ -155,35 +154,11 @@ def xml_tags(bench: Bench, rng: Random) -> str:
     return accepted(Path("bad.vts"), judges.vtk_points)
 
 
-def legacy_lines(bench: Bench, rng: Random) -> str:
-    """A legacy .vtk of any version with its header changed; the vtk package reads it, too."""
-    import vtk_witness
-
-    points = seeded(rng).uniform(-2, 2, (3, 2, 4, 3)).astype(rng.choice(("f4", "f8")))
-    grid = vtk_witness.structured_grid(points)
-    vtk_witness.add_array(grid.GetPointData(), "p", seeded(rng).uniform(0, 1, (3, 2, 4)), "Scalars")
-    binary = rng.random() < 0.5
-    vtk_witness.write_legacy(Path("good.vtk"), grid, binary, rng.choice((42, 51)))
-    data = Path("good.vtk").read_bytes()
-    at = data.index(b"\n", data.index(b"POINTS")) if binary else len(data)
-    Path("bad.vtk").write_bytes(mutated(data[:at], True, rng) + data[at:])
-    return accepted(Path("bad.vtk"), judges.vtk_points)
-
-
-def set_index(bench: Bench, rng: Random) -> str:
-    """A .vtm whose index has changed tags and attributes."""
-    Path("bad.vtm").write_bytes(structure.tags(bench.valid["set.vtm"], rng))
-    return accepted(Path("bad.vtm"), judges.vtm)
-
-
 KINDS: dict[str, Kind] = {
-    "plot3d Fortran": partial(mutated_file, "grid.xyz", False, judges.plot3d_binary),
-    "plot3d stream": partial(mutated_file, "grid.bin", False, judges.plot3d_binary),
-    "plot3d ASCII": partial(mutated_file, "grid.p3dfmt", True, judges.plot3d_text),
     "plot3d, all variants": plot3d_variants,
     "plot3d ASCII, all variants": plot3d_texts,
-    "CGNS, HDF5": partial(mutated_file, "grid.cgns", False, judges.cgns),
-    "CGNS, ADF": partial(mutated_file, "grid.adf", False, judges.adf),
+    "CGNS, HDF5": partial(mutated_file, "grid.cgns", False, judges.in_one_piece),
+    "CGNS, ADF": partial(mutated_file, "grid.adf", False, judges.in_one_piece),
     "CGNS, HDF5, nodes": partial(cgns_tree, False),
     "CGNS, ADF, nodes": partial(cgns_tree, True),
     ".vts ASCII": partial(mutated_file, "grid.vts", True, judges.vtk_points),
@@ -191,8 +166,6 @@ KINDS: dict[str, Kind] = {
     ".vts, tags": xml_tags,
     ".vtk ASCII": partial(mutated_file, "grid.vtk", True, judges.vtk_points),
     ".vtk binary": partial(mutated_file, "raw.vtk", False, judges.vtk_points),
-    ".vtk, header": legacy_lines,
     ".vtm": partial(mutated_file, "set.vtm", True, judges.vtm),
-    ".vtm, tags": set_index,
     "neutral map": neutral_map,
 }

@@ -1,4 +1,4 @@
-"""Independent readings of files and results: numpy, struct, h5py and the XML parser of Python, none of our readers."""
+"""Independent readings of files and results: numpy, struct and the XML parser of Python, none of our readers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from pathlib import Path
 
-import h5py
 import numpy as np
 from cgns_witness import N
 from grids import joined_nodes
@@ -101,23 +100,7 @@ def silent_vtk() -> Iterator[None]:
     yield
 
 
-def cgns(path: Path, grid: Grid) -> str:
-    """Coordinate arrays as h5py finds them."""
-    with h5py.File(path) as file:
-        for base in (node for node in file.values() if isinstance(node, h5py.Group)):
-            for name, zone in base.items():
-                coordinates = zone.get("GridCoordinates") if isinstance(zone, h5py.Group) else None
-                if coordinates is None or name not in grid.names:
-                    continue
-                block = grid.block(grid.names.index(name))
-                for axis, letter in enumerate("XYZ"):
-                    data = coordinates.get(f"Coordinate{letter}")
-                    if data is not None and not np.array_equal(data[" data"][()].T, block[..., axis]):
-                        return f"{name}: Coordinate{letter} is not what was read"
-    return ""
-
-
-def adf(path: Path, grid: Grid) -> str:
+def in_one_piece(path: Path, grid: Grid) -> str:
     """The bytes of every coordinate array stand in the file in one piece."""
     data = path.read_bytes()
     for block in range(grid.n_blocks):
@@ -128,11 +111,6 @@ def adf(path: Path, grid: Grid) -> str:
     return ""
 
 
-def _is_transposed(grid: Grid, block: int, found: np.ndarray) -> bool:
-    """Whether rows of points, i fastest, are those of a block."""
-    return np.array_equal(found, np.transpose(grid.block(block), (2, 1, 0, 3)).reshape(-1, 3))
-
-
 def vtm(path: Path, grid: Grid) -> str:
     """The points of the files that the index names, in its order."""
     root = ElementTree.fromstring(path.read_bytes())
@@ -141,7 +119,9 @@ def vtm(path: Path, grid: Grid) -> str:
         return f"the index names {len(files)} files, {grid.n_blocks} blocks were read"
     for block, file in enumerate(files):
         data = ElementTree.fromstring(file.read_bytes()).find(".//Points/DataArray")
-        if not _is_transposed(grid, block, np.array((data.text or "").split(), dtype=float).reshape(-1, 3)):
+        found = np.array((data.text or "").split(), dtype=float)
+        # Rows of points, i fastest.
+        if not np.array_equal(found, np.transpose(grid.block(block), (2, 1, 0, 3)).ravel()):
             return f"block {block + 1} is not {file}"
     return ""
 

@@ -10,13 +10,16 @@ from random import Random
 
 import h5py
 import numpy as np
+import pyvista
+from grids import SPANS, stretched
 
 from meshdeform_core.errors import MeshDeformError
 from meshdeform_core.grid import Grid
 from meshdeform_formats import read_grid
 
-from . import structure, surfaces
+from . import structure
 from .bench import Bench, called, refusal, seeded
+from .judges import silent_vtk
 from .mutations import mutated
 
 VARIANTS = {
@@ -25,6 +28,36 @@ VARIANTS = {
     ".vtk": ("ascii", "binary", "poly ascii", "poly binary"),
 }
 _NEAR = 1e-9
+
+
+Surface = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Points (n, 3), displacements (n, 3), triangles (m, 3)."""
+
+
+def write_surface(path: Path, surface: Surface, kind: str) -> None:
+    """Write a surface; ``kind`` tells which variant of the format."""
+    points, moves, triangles = surface
+    mesh = pyvista.PolyData.from_regular_faces(points, triangles) if len(triangles) else pyvista.PolyData(points)
+    mesh.point_data["displacement"] = moves
+    mesh = mesh if path.suffix == ".vtp" or "poly" in kind else mesh.cast_to_unstructured_grid()
+    mesh.save(path, binary="ascii" not in kind)
+
+
+def read_surface(path: Path) -> Surface | None:
+    """The surface as vtk reads it; none if it finds no surface."""
+    try:
+        with silent_vtk():
+            mesh = pyvista.read(path)
+        vectors = [np.asarray(values) for values in mesh.point_data.values() if values.shape[1:] == (3,)]
+    except Exception:
+        return None
+    triangles = []
+    for cell in map(mesh.get_cell, range(mesh.n_cells)):
+        if cell.type in (pyvista.CellType.TRIANGLE, pyvista.CellType.POLYGON):
+            corners = list(cell.point_ids)
+            triangles += [[corners[0], *corners[n : n + 2]] for n in range(1, len(corners) - 1)]
+    found = np.array(triangles, dtype=int).reshape(-1, 3)
+    return (np.asarray(mesh.points, float), vectors[0].astype(float), found) if vectors else None
 
 
 def prepare(bench: Bench) -> None:
@@ -54,7 +87,7 @@ def surface_table(suffix: str, bench: Bench, rng: Random) -> str:
     match = rng.choice(("nearest", "exact", "interpolate"))
     surface = body_surface(rng, coarse=match == "interpolate" and triangles)
     surface = surface if triangles else (*surface[:2], surface[2][:0])
-    surfaces.write(path, surface, kind)
+    write_surface(path, surface, kind)
     data, how = path.read_bytes(), rng.randrange(4)
     if how == 1 and suffix in (".vtu", ".vtp"):
         data = structure.tags(data, rng)
@@ -62,14 +95,14 @@ def surface_table(suffix: str, bench: Bench, rng: Random) -> str:
         data = mutated(data, "ascii" in kind, rng)
     path.write_bytes(data)
     # Where the witness finds nothing, what was accepted must be what was written.
-    result = _moved(path, bench, match, lambda: surfaces.read(path) or surface)
+    result = _moved(path, bench, match, lambda: read_surface(path) or surface)
     return result if how or result == "ok" else f"a good table: {result}"
 
 
-def body_surface(rng: Random, coarse: bool) -> surfaces.Surface:
+def body_surface(rng: Random, coarse: bool) -> Surface:
     """The four sides of the body of ``frame(2, 2)``: at its nodes, or with one quad a side."""
     numbers = seeded(rng)
-    line = np.array([-0.5, 0.5]) if coarse else np.unique(_frame_line())
+    line = np.array([-0.5, 0.5]) if coarse else np.unique(stretched(SPANS[1], 3))
     levels = np.array([0.0, 1.0]) if coarse else np.array([0.0, 0.5, 1.0])
     ring = [(a, -0.5) for a in line[:-1]] + [(0.5, a) for a in line[:-1]]
     ring += [(a, 0.5) for a in line[:0:-1]] + [(-0.5, a) for a in line[:0:-1]]
@@ -86,13 +119,7 @@ def body_surface(rng: Random, coarse: bool) -> surfaces.Surface:
     return points, moves, np.array(quads)
 
 
-def _frame_line() -> np.ndarray:
-    from grids import SPANS, stretched
-
-    return stretched(SPANS[1], 3)
-
-
-def _moved(path: Path, bench: Bench, match: str, read: Callable[[], surfaces.Surface]) -> str:
+def _moved(path: Path, bench: Bench, match: str, read: Callable[[], Surface]) -> str:
     arguments = ("deform", "grid.xyz", "-d", str(path), "--match", match, "-m", "tfi", "-o", "out.xyz", "--force", "-q")
     code, told = called(*arguments, "--allow-invalid")
     if code != 0:
@@ -141,7 +168,7 @@ def _inside(point: np.ndarray, corners: np.ndarray, values: np.ndarray) -> tuple
     return bool(apart < _NEAR and min(one, two, 1 - one - two) > -_NEAR), value
 
 
-def _rows(path: Path) -> surfaces.Surface:
+def _rows(path: Path) -> Surface:
     """Points and displacements of a table without triangles."""
     if path.suffix == ".npy":
         rows = np.load(path, allow_pickle=False).astype(float)
@@ -156,7 +183,7 @@ def _rows(path: Path) -> surfaces.Surface:
     return rows[:, :3], rows[:, 3:6], np.empty((0, 3), int)
 
 
-def text_table(path: Path) -> surfaces.Surface:
+def text_table(path: Path) -> Surface:
     """Points and displacements of lines of six numbers."""
     rows = []
     for line in path.read_text("utf-8", "replace").splitlines():
