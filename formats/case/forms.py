@@ -106,8 +106,9 @@ def _not_a_number(value: Any) -> list[str | int] | None:
             if (path := _not_a_number(item)) is not None:
                 return [key, *path]
         return None
-    most = 2**63 if isinstance(value, int) else float("inf")
-    return [] if isinstance(value, int | float) and not -most <= value < most else None
+    if isinstance(value, int):
+        return None if -(2**63) <= value < 2**63 else []
+    return [] if isinstance(value, float) and not abs(value) < float("inf") else None
 
 
 def _explained(form: type[Form], value: Any, where: str, path: Sequence[str | int], message: str) -> CaseError:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import codecs
 import contextlib
 import math
-import os
 import re
+from collections import deque
 from collections.abc import Iterator, Mapping
 from itertools import chain
 from pathlib import Path
@@ -132,8 +132,8 @@ def read_ascii(path: Path, options: Mapping[str, Any]) -> Grid:
     def proved_by_notation(readings: list[Reading]) -> list[Reading]:
         """The readings that the notation of the numbers proves: none if real numbers are written as integers."""
         with path.open("rb") as stream:
-            stream.seek(-min(stream.seek(0, os.SEEK_END), _LONGEST_NUMBER), os.SEEK_END)
-            if not _INTEGER.fullmatch(_WORD.findall(stream.read())[-1]):
+            last = deque(_pieces(stream), maxlen=1)[0]
+            if not _INTEGER.fullmatch(_WORD.findall(last)[-1]):
                 return [reading for reading in readings if not reading.variant.iblank]
             integers = (word for piece in _pieces(stream) for word in _WORD.findall(piece) if _INTEGER.fullmatch(word))
             count = sum(int(word.partition(b"*")[0]) if b"*" in word else 1 for word in integers)

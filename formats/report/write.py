@@ -168,7 +168,7 @@ def _verdict_lines(report: Report, judged: bool) -> Iterator[tuple[str, Iterable
     yield "verdict", lines
     if "steps" in report:
         reached = "" if report["reached"] == 1.0 else f", {report['reached']:.1%} of the motion imposed"
-        done = ", then tables.repaired (below)" if tables.repaired(report) in ("yes", "other") and judged else ""
+        done = ", then repaired (below)" if tables.repaired(report) in ("yes", "other") and judged else ""
         yield "steps", [f"{report['steps']}{reached}{done}"]
     if "steps" in report and judged:
         after = report["quality"]["after"]

@@ -49,6 +49,7 @@ WRONG = {
     # values out of range
     "value-tolerance": ("[grid]\ntolerance = 0.7", ("grid.tolerance", "0.7", "between 0 and 0.5")),
     "value-constant-nan": ("[constants]\nL = nan", ("constants.L", "finite", "nan")),
+    "value-constant-minus-infinity": ("[constants]\nL = -inf", ("constants.L", "finite", "-inf")),
     "value-constant-t": ("[constants]\nt = 1", ("constants.t", "already has a meaning")),
     "value-kind": (SHIFT.replace('"moving"', '"movin"'), ("kind = 'movin'", "did you mean 'moving'")),
     "value-no-kind": ('[[boundary]]\nname = "a"', ("boundary 'a'", "has no kind", "moving, fixed")),

@@ -132,7 +132,7 @@ def test_the_way_of_writing_proves_iblank_or_nothing(tmp_path, number, flags):
     x, y = rng.integers(0, 9, (2, 12)).astype(float) + 0.5 * (rng.random((2, 12)) < 0.3)
     last = ["1"] * 12 if flags else [number.format(z) for z in rng.integers(0, 2, 12).astype(float)]
     text = " ".join(["1 3 4", *map(number.format, x), *map(number.format, y), *last])
-    (tmp_path / "a.fmt").write_text(text)
+    (tmp_path / "a.fmt").write_text(text + "\n" * 99)
     if number == "{:g}":
         with pytest.raises(FormatError, match="can be read in 2 ways"):
             read_grid(tmp_path / "a.fmt")
