@@ -1,16 +1,24 @@
-"""The documentation is run: commands with their printed results, Python code, case files, option names."""
+"""The documentation is run: commands with their printed results, code, notebooks, case files. What it names exists, the
+manual page is that of the commands, and the check of the built site finds what a reader would stumble over."""
 
 from __future__ import annotations
 
+import ast
+import errno
+import json
 import os
 import re
+import shutil
 import subprocess
 import sys
+import tomllib
 from importlib.util import find_spec
 from pathlib import Path
 
+import man_page
 import pytest
 import site_reference
+from site_check import broken
 from site_pages import blocks, expected_outcomes, made, pictures
 
 import meshdeform
@@ -183,3 +191,108 @@ def test_pages_are_in_the_table_of_contents():
     for page in (ROOT / "docs").rglob("*.md"):
         name = page.relative_to(ROOT / "docs").as_posix()
         assert f": {name}" in contents, name
+
+
+TROUBLES = (ROOT / "docs" / "troubleshooting.md").read_text()
+ROWS = [line.split(" | ")[0] for line in TROUBLES.splitlines() if line.startswith("| `")]
+QUOTED = sorted({quote for row in ROWS for quote in re.findall(r"`([^`]+)`", row)})
+# What the system says, or click.
+FOREIGN = {os.strerror(number) for number in (errno.ENOSPC, errno.EFBIG, errno.EACCES, errno.ENOENT)} | {"No such file"}
+NO_MESSAGES = {"OUT", ".invalid"}
+
+
+def texts() -> str:
+    """All strings of the program, a line each; what is filled in is ``...``."""
+    found = []
+    for folder in ("cli", "formats", "meshdeform", "meshdeform_core", "sample_cases"):
+        for path in (ROOT / folder).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text())):
+                if isinstance(node, ast.JoinedStr):
+                    found.append("".join(str(v.value) if isinstance(v, ast.Constant) else "..." for v in node.values))
+                elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                    found.append(node.value)
+    return "\n".join(found)
+
+
+def test_messages_that_the_page_quotes_exist():
+    assert len(QUOTED) > 30
+    source = texts()
+    quoted = [quote for quote in QUOTED if quote not in FOREIGN | NO_MESSAGES]
+    parts = [(quote, part.strip()) for quote in quoted for part in re.split(r"\.\.\.|\bN\b", quote)]
+    # Single words between what is filled in may be filled in themselves.
+    assert [quote for quote, part in parts if len(part) > 3 and part not in source] == []
+
+
+NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name)
+def test_a_notebook_runs_without_jupyter(path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    notebook = json.loads(path.read_text(encoding="utf-8"))
+    assert (notebook["nbformat"], notebook["nbformat_minor"]) == (4, 5)
+    names: dict[str, object] = {}
+    for number, cell in enumerate(notebook["cells"]):
+        # Outputs are made by whoever runs it; in the repository they would grow stale.
+        assert cell["cell_type"] == "markdown" or not cell["outputs"]
+        if cell["cell_type"] == "code":
+            exec(compile("".join(cell["source"]), f"{path.name}, cell {number}", "exec"), names)
+
+
+def test_the_manual_page_is_that_of_the_commands():
+    assert man_page.PAGE.read_text(encoding="utf-8") == man_page.man_page(), "run: python docs/man_page.py"
+
+
+def test_the_manual_page_is_installed_where_man_looks():
+    files = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["data-files"]
+    assert files == {"share/man/man1": [str(man_page.PAGE.relative_to(ROOT))]}
+
+
+@pytest.mark.skipif(shutil.which("man") is None, reason="man is not installed")
+def test_man_renders_the_manual_page():
+    done = subprocess.run(
+        ["man", "--warnings", "-l", str(man_page.PAGE)], capture_output=True, text=True, check=True,
+        env={"PATH": "/usr/bin:/bin", "MANWIDTH": "120", "LC_ALL": "C.UTF-8"},
+    )  # fmt: skip
+    assert done.stderr == ""
+    for name in cli.list_commands(None):  # type: ignore[arg-type]
+        assert f"meshdeform {name}" in done.stdout
+    # What click would fold into a paragraph keeps its lines, and dashes are dashes.
+    assert "\n           meshdeform info grid.vts --json\n" in done.stdout
+    assert "--min-jacobian R" in done.stdout
+
+
+SITE_PAGE = "<html><body><h2 id='here'>x</h2>{}</body></html>"
+
+
+def write_page(folder, name: str, body: str) -> None:
+    path = folder / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(SITE_PAGE.format(body))
+
+
+def test_a_sound_site_has_no_flaw(tmp_path):
+    (tmp_path / "p.png").write_bytes(b"x")
+    write_page(tmp_path, "index.html", "<img src='p.png'><a href='a/#here'>a</a><a href='https://x.org/'>x</a>")
+    write_page(tmp_path, "a/index.html", "<a href='../index.html'>up</a><code>![a](b)</code>")
+    assert broken(tmp_path) == []
+
+
+def test_what_a_reader_would_stumble_over_is_found(tmp_path):
+    """Missing pictures, links and places, Markdown shown as text, and what would need a network."""
+    write_page(
+        tmp_path,
+        "index.html",
+        "<img src='gone.png'><a href='#nowhere'>a</a><a href='no/page/'>b</a>"
+        "<figure>![wing, grid](gallery/wing.png)</figure>"
+        "<script src='https://x.org/a.js'></script><link rel='stylesheet' href='//x.org/a.css'>",
+    )
+    assert sorted(broken(tmp_path)) == [
+        "index.html: #nowhere has no such place",
+        "index.html: //x.org/a.css is loaded from another server",
+        "index.html: Markdown of a picture is shown as text",
+        "index.html: gone.png does not exist",
+        "index.html: https://x.org/a.js is loaded from another server",
+        "index.html: no/page/ does not exist",
+    ]

@@ -1,7 +1,6 @@
 """Displacement tables in all their forms give the same surface data."""
 
 import dataclasses
-import itertools
 
 import h5py
 import meshio
@@ -179,38 +178,32 @@ def polydata():
 POLYGONS = [(0, 1, 2), (1, 2, 3), (1, 3, 4), (0, 2, 4), (0, 4, 6), (0, 6, 7), (3, 4, 5), (4, 5, 6)]
 
 
-def test_vtp(tmp_path, polydata):
-    for compression, mode in itertools.product((0, 1), (0, 1, 2)):
-        writer = vtkXMLPolyDataWriter()
-        writer.SetInputData(polydata)
-        writer.SetCompressorType(compression)
-        writer.SetDataMode(mode)
-        writer.SetFileName(str(tmp_path / "a.vtp"))
-        assert writer.Write()
-        check(read_displacement(tmp_path / "a.vtp"), POLYGONS)
+def written(writer, surface, path):
+    writer.SetInputData(surface)
+    writer.SetFileName(str(path))
+    assert writer.Write()
+    return read_displacement(path)
 
 
-def test_points_without_cells(tmp_path, polydata):
-    for clear in (polydata.SetPolys, polydata.SetStrips, polydata.SetLines, polydata.SetVerts):
-        clear(None)
-    for writer, name in ((vtkXMLPolyDataWriter(), "a.vtp"), (vtkPolyDataWriter(), "a.vtk")):
-        writer.SetInputData(polydata)
-        writer.SetFileName(str(tmp_path / name))
-        if name == "a.vtk":
-            writer.SetFileTypeToBinary()
-        assert writer.Write()
-        check(read_displacement(tmp_path / name))
+@pytest.mark.parametrize("compression", [0, 1])
+@pytest.mark.parametrize("mode", [0, 1, 2])
+def test_vtp(tmp_path, polydata, compression, mode):
+    writer = vtkXMLPolyDataWriter()
+    writer.SetCompressorType(compression)
+    writer.SetDataMode(mode)
+    check(written(writer, polydata, tmp_path / "a.vtp"), POLYGONS)
 
 
 @pytest.mark.parametrize("version", [42, 51])
 def test_legacy_polydata(tmp_path, polydata, version):
     writer = vtkPolyDataWriter()
-    writer.SetInputData(polydata)
     writer.SetFileVersion(version)
     writer.SetFileTypeToBinary()
-    writer.SetFileName(str(tmp_path / "a.vtk"))
-    assert writer.Write()
-    check(read_displacement(tmp_path / "a.vtk"), POLYGONS)
+    check(written(writer, polydata, tmp_path / "a.vtk"), POLYGONS)
+    for clear in (polydata.SetPolys, polydata.SetStrips, polydata.SetLines, polydata.SetVerts):
+        clear(None)
+    check(written(writer, polydata, tmp_path / "a.vtk"))
+    check(written(vtkXMLPolyDataWriter(), polydata, tmp_path / "a.vtp"))
 
 
 GRID = Grid.from_blocks([RNG.normal(size=(2, 3, 2, 3)), RNG.normal(size=(2, 2, 2, 3))])
