@@ -154,10 +154,25 @@ def xml_tags(bench: Bench, rng: Random) -> str:
     return accepted(Path("bad.vts"), judges.vtk_points)
 
 
+def legacy_lines(bench: Bench, rng: Random) -> str:
+    """A legacy .vtk of any version with its header changed; the vtk package reads it, too."""
+    import vtk_witness
+
+    points = seeded(rng).uniform(-2, 2, (3, 2, 4, 3)).astype(rng.choice(("f4", "f8")))
+    grid = vtk_witness.structured_grid(points)
+    vtk_witness.add_array(grid.GetPointData(), "p", seeded(rng).uniform(0, 1, (3, 2, 4)), "Scalars")
+    binary = rng.random() < 0.5
+    vtk_witness.write_legacy(Path("good.vtk"), grid, binary, rng.choice((42, 51)))
+    data = Path("good.vtk").read_bytes()
+    at = data.index(b"\n", data.index(b"POINTS")) if binary else len(data)
+    Path("bad.vtk").write_bytes(mutated(data[:at], True, rng) + data[at:])
+    return accepted(Path("bad.vtk"), judges.vtk_points)
+
+
 KINDS: dict[str, Kind] = {
     "plot3d, all variants": plot3d_variants,
     "plot3d ASCII, all variants": plot3d_texts,
-    "CGNS, HDF5": partial(mutated_file, "grid.cgns", False, judges.in_one_piece),
+    "CGNS, HDF5": partial(mutated_file, "grid.cgns", False, judges.cgns),
     "CGNS, ADF": partial(mutated_file, "grid.adf", False, judges.in_one_piece),
     "CGNS, HDF5, nodes": partial(cgns_tree, False),
     "CGNS, ADF, nodes": partial(cgns_tree, True),
@@ -166,6 +181,7 @@ KINDS: dict[str, Kind] = {
     ".vts, tags": xml_tags,
     ".vtk ASCII": partial(mutated_file, "grid.vtk", True, judges.vtk_points),
     ".vtk binary": partial(mutated_file, "raw.vtk", False, judges.vtk_points),
+    ".vtk, header": legacy_lines,
     ".vtm": partial(mutated_file, "set.vtm", True, judges.vtm),
     "neutral map": neutral_map,
 }

@@ -1,4 +1,4 @@
-"""Independent readings of files and results: numpy, struct and the XML parser of Python, none of our readers."""
+"""Independent readings of files and results: numpy, struct, h5py and the XML parser of Python, none of our readers."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from pathlib import Path
 
+import h5py
 import numpy as np
 from cgns_witness import N
 from grids import joined_nodes
@@ -98,6 +99,22 @@ def silent_vtk() -> Iterator[None]:
 
     vtkObject.GlobalWarningDisplayOff()
     yield
+
+
+def cgns(path: Path, grid: Grid) -> str:
+    """Coordinate arrays as h5py finds them."""
+    with h5py.File(path) as file:
+        for base in (node for node in file.values() if isinstance(node, h5py.Group)):
+            for name, zone in base.items():
+                coordinates = zone.get("GridCoordinates") if isinstance(zone, h5py.Group) else None
+                if coordinates is None or name not in grid.names:
+                    continue
+                block = grid.block(grid.names.index(name))
+                for axis, letter in enumerate("XYZ"):
+                    data = coordinates.get(f"Coordinate{letter}")
+                    if data is not None and not np.array_equal(data[" data"][()].T, block[..., axis]):
+                        return f"{name}: Coordinate{letter} is not what was read"
+    return ""
 
 
 def in_one_piece(path: Path, grid: Grid) -> str:
