@@ -11,7 +11,7 @@ _PER_NODE, _FEWEST = 600.0, 35_000
 _VALID, _VALID_PER_NODE = 250_000.0, 35.0
 """Work allowed for the repair of a valid grid: 12 times what the default method takes to be prepared and to move its
 nodes, 20 ms and 3 microseconds per node (studies/repairs.py)."""
-_SQUEEZED = 0.35
+_SQUEEZED = 0.22
 """Where a valid grid has a smaller relative Jacobian than this, it may take more in proportion, up to what an invalid
 one may: a motion that folds cells passes through such grids, and jumps where their repair is cut (studies/jumps.py)."""
 _PART = 1.0 / 2.0
