@@ -88,9 +88,12 @@ def filled(form: type[Of], value: Any, where: str = "") -> Of:
     Raises CaseError with the place, what was found and expected, and for unknown keys the nearest known one.
     """
     if (path := _not_a_number(value)) is not None:
-        found = literal(functools.reduce(lambda content, key: content[key], path, value))
-        found = found if len(found) < _LONG else f"{found[:_LONG]}...; write large numbers like 1e30"
-        raise _explained(form, value, where, path, f"expected a finite number of at most 64 bits, found {found}")
+        found = functools.reduce(lambda content, key: content[key], path, value)
+        told = "expected a finite number, found " + literal(found)
+        if isinstance(found, int):
+            digits = str(found) if abs(found) < 10**_LONG else f"{str(found)[:_LONG]}..."
+            told = f"expected an integer of at most 64 bits, found {digits}; write large numbers like 1e30"
+        raise _explained(form, value, where, path, told)
     try:
         return msgspec.convert(value, form)
     except msgspec.ValidationError as error:

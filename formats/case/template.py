@@ -132,7 +132,9 @@ def _template_entries(grid: Grid, outside: Outside, table: FittedTable | None) -
             # Both sides of a periodic pair belong to one entry.
             name = kind
         groups.setdefault((name, kind), []).append(surface)
-    names = distinct(name for name, _ in groups)
+    kinds = dict[str, str]()
+    # Of several entries of one name, all but the first say their kind.
+    names = distinct(name if kinds.setdefault(name, kind) == kind else f"{name}-{kind}" for name, kind in groups)
     yield from ((name, kind, surfaces) for name, ((_, kind), surfaces) in zip(names, groups.items(), strict=True))
 
 
