@@ -26,7 +26,7 @@ BUDGETS = {
     "meshdeform_core/boundary": 3255,
     "meshdeform_core/grid": 2655,
     "meshdeform_core/methods": 3930,
-    "meshdeform_core/numerics": 8661,
+    "meshdeform_core/numerics": 8654,
     "meshdeform_core/parallel": 807,
     "meshdeform_core/quality": 2006,
     "meshdeform_core/repair": 2678,

@@ -55,8 +55,6 @@ T = TypeVar("T")
 
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 _LIBRARIES = ("numpy", "numba", "llvmlite", "math", "builtins")
-
-
 SECONDS_PER_LOOP = 1.1
 """Time that a loop takes on average while all cores compile: 46 loops took two processes 25.6 s (`make demo`)."""
 
@@ -266,10 +264,7 @@ class Compilers:
     """
 
     def __init__(
-        self,
-        missing: Callable[[], list[str]],
-        compile: Callable[[str], object],
-        calls: Callable[[str, str], bool],
+        self, missing: Callable[[], list[str]], compile: Callable[[str], object], calls: Callable[[str, str], bool]
     ):
         self._missing, self._compile, self._calls = missing, compile, calls
         self._pending, self._running = list[str](), set[str]()
@@ -282,8 +277,7 @@ class Compilers:
         return len(self._known), self._count
 
     def obtain(self, name: str | None = None) -> int:
-        """Return when the loop is in the cache, or when this process has to compile it itself; by default when all are
-        in the cache.
+        """Return when the loop, by default every one, is in the cache, or this process has to compile it itself.
 
         Returns how many other loops it compiled meanwhile. Called under numba's compiler lock, hence by one thread at
         a time, after :meth:`begin`.
@@ -376,7 +370,6 @@ class Compilers:
 
 _declared: dict[str, tuple[Any, Any]] = {}
 """Loops with the types of their arguments, by name and number of these; the modules imported so far declare them."""
-
 
 _records: dict[type, Any] = {}
 """numba's types of named tuples that loops take."""
