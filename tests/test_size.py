@@ -21,7 +21,7 @@ BUDGETS = {
     "formats/plot3d": 924,
     "formats/report": 1437,
     "formats/series": 482,
-    "formats/vtk": 1547,
+    "formats/vtk": 1553,
     "formats": 1943,
     "meshdeform_core/boundary": 3255,
     "meshdeform_core/grid": 2655,

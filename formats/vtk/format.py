@@ -15,8 +15,14 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FileFormat, Grid
 
 from ..files import checked_options, replacing_by_all
-from . import legacy, multiblock, xml_arrays
 from .dataset import assemble, write_blocks
+from .legacy import begin_block as begin_legacy
+from .legacy import read as read_legacy
+from .multiblock import read as read_set
+from .multiblock import require_replaceable
+from .multiblock import write as write_set
+from .xml_arrays import begin_block as begin_xml
+from .xml_arrays import read as read_xml
 from .xml_tags import file_kind
 
 _KINDS = {".vtk": "legacy", ".vts": "vts", ".vtm": "vtm"}
@@ -35,12 +41,12 @@ def read(path: Path) -> Grid:
     path = Path(path)
     with path.open("rb") as stream:
         if stream.read(14) == b"# vtk DataFile":
-            return assemble(path, "legacy", [legacy.read(path)])
+            return assemble(path, "legacy", [read_legacy(path)])
     kind = file_kind(path)
     if kind == "vtkMultiBlockDataSet":
-        data_sets, names = multiblock.read(path)
+        data_sets, names = read_set(path)
         return assemble(path, "vtm", data_sets, names)
-    return assemble(path, "vts", [xml_arrays.read(path)])
+    return assemble(path, "vts", [read_xml(path)])
 
 
 def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
@@ -54,7 +60,7 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
     if kind != "vtm" and grid.n_blocks > 1:
         raise FormatError(f"cannot write {path}: it holds one block, the grid has {grid.n_blocks}; write a .vtm")
     if kind == "vtm":
-        multiblock.require_replaceable(path)
+        require_replaceable(path)
     known, chosen = _OPTIONS[kind], checked_options(f"cannot write {path}", options, _OPTIONS[kind])
     inherited = grid.format.options if grid.format is not None and grid.format.options.get("kind") == kind else {}
     switches = {key: word if (word := inherited.get(key)) in words else words[0] for key, words in known.items()}
@@ -70,8 +76,8 @@ def write(grid: Grid, path: Path, variant: FileFormat) -> None:
     path = Path(path)
     kind = variant.options["kind"]
     if kind == "vtm":
-        multiblock.write(grid, path, variant)
+        write_set(grid, path, variant)
         return
-    begin = legacy.begin_block if kind == "legacy" else xml_arrays.begin_block
+    begin = begin_legacy if kind == "legacy" else begin_xml
     with replacing_by_all(path, grid.points) as partial:
         write_blocks(grid, [partial], variant, begin)
