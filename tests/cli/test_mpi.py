@@ -69,16 +69,6 @@ def break_block(path: Path):
 
 @needs_mpi
 @pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow)])
-def test_library_in_parts(count, tmp_path, compiled):
-    """The ranks compare their parts of grids and derivatives with the whole."""
-    write_grid(frame(9, 8), tmp_path / "grid.xyz")
-    done = on_ranks(count, tmp_path / "grid.xyz", program=(TESTS / "mpi_parts.py",))
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.count(f"of {count} agrees") == count
-
-
-@needs_mpi
-@pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_interface_of_idwarp(count, tmp_path):
     """A distributed solver with split zones; the last of three ranks has none."""
     md.write(md.sample("wing", "small").grid, tmp_path / "wing.cgns")

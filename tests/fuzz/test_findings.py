@@ -1,4 +1,4 @@
-"""What fuzz campaigns found, each as the smallest input that shows it."""
+"""What fuzz campaigns found, each as the smallest input that shows it; and a short campaign (``make fuzz N=20000``)."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import pytest
 from grids import CASE, frame
 
 from fuzz.bench import called
+from fuzz.campaign import KINDS, RIGHT, campaign
 from meshdeform_formats import read_grid, write_grid
 
 
@@ -160,3 +161,11 @@ def test_the_state_of_a_series_holds_finite_numbers(word, folder):
     code, told = called(*arguments, "--resume")
     assert code == 2
     assert "is not finite" in told
+
+
+# The worker compiles every loop first, which takes minutes where nothing is compiled and the machine is busy.
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+def test_no_sample_is_silently_wrong_or_ends_in_a_traceback():
+    wrong = [sample for sample in campaign(3 * len(KINDS), seed=20240) if sample[2] not in RIGHT]
+    assert wrong == []

@@ -1,0 +1,322 @@
+"""Wrong calls, wrong case files and mistakes of newcomers: one message each that names what is wrong, nothing written;
+what is doubtful is a warning."""
+
+from __future__ import annotations
+
+import codecs
+import functools
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from meshdeform_core.grid.selection import select_quads
+from meshdeform_core.grid.topology import find_topology
+from meshdeform_formats import write_grid
+from meshdeform_samples import generate
+
+DEFORM = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz")
+
+# id: (arguments, fragments of the message)
+CALLS = {
+    # commands and options
+    "command-unknown": (("deforn", "grid.xyz"), ("no such command 'deforn'; did you mean 'deform'?",)),
+    "option-unknown": ((*DEFORM, "--stepz", "3"), ("No such option", "--stepz", "--steps")),
+    "argument-missing": (("deform",), ("Missing argument 'GRID'",)),
+    "output-missing": (("deform", "grid.xyz", "-c", "case.toml"), ("Missing option '-o'", "--dry-run")),
+    "nothing-to-do": (("deform", "grid.xyz", "-o", "out.xyz"), ("case file (-c)", "displacement table (-d)")),
+    # numbers
+    "threads-zero": ((*DEFORM, "--threads", "0"), ("--threads", "x>=1")),
+    "steps-fraction": ((*DEFORM, "--steps", "2.5"), ("--steps '2.5'", "whole number >= 1")),
+    "memory-text": ((*DEFORM, "--max-memory", "lots"), ("--max-memory 'lots'", "2GiB")),
+    "memory-small": ((*DEFORM, "--max-memory", "10KiB"), ("1,152 nodes", "--max-memory allows 10 KiB", "allow more")),
+    "memory-system": (
+        (*DEFORM, "-m", "rbf", "--max-memory", "255.8MiB"),
+        ("radial basis function system", "centres needs about", "255 MiB for program and grid", "greedy"),
+    ),
+    "tolerance-negative": (("compare", "grid.xyz", "grid.cgns", "--tolerance", "-1"), ("--tolerance", "x>=0")),
+    "tolerance-nan": (("compare", "grid.xyz", "grid.cgns", "--tolerance", "nan"), ("--tolerance", "finite")),
+    # KEY=VALUE
+    "set-no-equals": ((*DEFORM, "-s", "method.name"), ("--set 'method.name'", "KEY=VALUE")),
+    "set-through-value": ((*DEFORM, "-s", "constants.turn.x=1"), ("'turn' is a value, not a table",)),
+    "set-boundary-unknown": ((*DEFORM, "-s", "boundary.wing.kind=fixed"), ("no entry 'wing'", "body, span")),
+    "set-boundary-itself": ((*DEFORM, "-s", "boundary.body=3"), ("boundary.body=3", "name an entry and its key")),
+    "set-boundary-all": ((*DEFORM, "-s", "boundary=3"), ("boundary", "double brackets")),
+    "set-inside-list": ((*DEFORM, "-s", "boundary.body.select.1=x"), ("boundary.body.select", "as a whole")),
+    "variant-key": ((*DEFORM, "--variant", "encodin=ascii"), ("'encodin'", "did you mean 'encoding'")),
+    "variant-value": ((*DEFORM, "--variant", "encoding=asci"), ("encoding = 'asci'", "did you mean 'ascii'")),
+    "variant-meaningless": (
+        (*DEFORM, "--variant", "encoding=ascii", "--variant", "markers=8"),
+        ("markers does not apply",),
+    ),
+    "variant-of-cgns": (
+        ("convert", "grid.xyz", "out.cgns", "--variant", "encoding=hex"),
+        ("unknown option 'encoding'",),
+    ),
+    "variant-of-vtu": (("convert", "grid.xyz", "out.vtu", "--variant", "encoding=ascii"), ("out.vtu", "encoding")),
+    "read-as-key": (("info", "grid.xyz", "--read-as", "endian=big"), ("'endian'", "byte_order")),
+    "read-as-wrong": (("info", "grid.xyz", "--read-as", "byte_order=big"), ("grid.xyz", "big")),
+    "set-constant": (
+        (*DEFORM, "-s", "turn=10"), ("--set 'turn=10': unknown key 'turn'; did you mean 'constants.turn'?",),
+    ),
+    # output names
+    "output-suffix-near": ((*DEFORM[:-1], "out.cgn"), ("did you mean '.cgns'?",)),
+    "output-exists": (("deform", "grid.xyz", "-c", "case.toml", "-o", "old.xyz"), ("old.xyz exists", "--force")),
+    "output-suffix": (("deform", "grid.xyz", "-c", "case.toml", "-o", "out.foo"), ("'.foo'", "plot3d:", ".cgns")),
+    "output-adf": (("convert", "grid.xyz", "out.adf"), ("ADF can only be read", ".cgns")),
+    "output-folder-missing": (
+        ("deform", "grid.xyz", "-c", "case.toml", "-o", "no/out.xyz"),
+        ("folder no does not exist", "create it first"),
+    ),
+    "output-below-file": (("deform", "grid.xyz", "-c", "case.toml", "-o", "old.xyz/out.xyz"), ("old.xyz is a file",)),
+    "output-is-folder-forced": (
+        ("deform", "grid.xyz", "-c", "case.toml", "-o", "folder.xyz", "--force"),
+        ("folder.xyz", "is a folder"),
+    ),
+    "output-name-too-long": (
+        ("deform", "grid.xyz", "-c", "case.toml", "-o", "a" * 300 + ".xyz"),
+        ("File name too long",),
+    ),
+    "output-one-block-only": (("convert", "grid.xyz", "out.vts"), ("one block", "8", ".vtm")),
+    "report-exists": ((*DEFORM, "--report", "old.json"), ("old.json exists", "--force")),
+    # inputs
+    "grid-missing": (("deform", "no.xyz", "-c", "case.toml", "-o", "out.xyz"), ("no.xyz does not exist",)),
+    "case-missing": (("deform", "grid.xyz", "-c", "no.toml", "-o", "out.xyz"), ("no.toml", "No such file")),
+    "case-binary": (("deform", "grid.xyz", "-c", "grid.xyz", "-o", "out.xyz"), ("grid.xyz", "not a TOML file")),
+    "method-unknown": ((*DEFORM, "-m", "idv"), ("method 'idv' is unknown", "idw-tfi")),
+    "method-near": ((*DEFORM, "-m", "idwtfi"), ("did you mean 'idw-tfi'?",)),
+    # other commands
+    "sample-unknown": (("sample", "splitter", "-o", "new"), ("'splitter' is unknown", "splitter-plate")),
+    "sample-size": (("sample", "splitter-plate", "-o", "new", "--size", "-3"), ("size = -3", "multiple of 8")),
+    "sample-suffix-unstructured": (("sample", "splitter-plate", "-o", "new", "--suffix", ".vtu"), (".vtu", "cgns")),
+    "sample-into-file": (("sample", "splitter-plate", "-o", "old.xyz"), ("old.xyz is a file", "expected a folder")),
+    "compare-other-blocks": (("compare", "grid.xyz", "flat.p2dfmt"), ("block1 of grid.xyz has 5 x 5 x 4", "6 x 6 x 1")),
+    "quality-other-blocks": (
+        ("quality", "grid.xyz", "--reference", "flat.p2dfmt"),
+        ("block1 of grid.xyz has 5 x 5 x 4", "flat.p2dfmt"),
+    ),
+    "plot-no-output": (("plot", "grid.xyz"), ("Missing option '-o'",)),
+    "plot-plane-and-select": (
+        ("plot", "grid.xyz", "-o", "out.png", "--plane", "k=1", "--select", "*"),
+        ("exclude each other",),
+    ),
+    "plot-select-flat": (("plot", "flat.p2dfmt", "-o", "out.png", "--select", "*"), ("2-D grid", "--select")),
+    "plot-metric": (("plot", "grid.xyz", "-o", "out.png", "--metric", "skew"), ("--metric", "f_skew")),
+    "plot-view": (("plot", "grid.xyz", "-o", "out.png", "--view", "top"), ("--view", "iso")),
+}  # fmt: skip
+
+HEAD = '[[boundary]]\nname = "body"\nselect = ["*"]\nwhere = "abs(x) < 0.51 and abs(y) < 0.51"\n'
+MOVING = HEAD + 'kind = "moving"\n'
+SHIFT = MOVING + "motion = [{ translate = [0.1, 0, 0] }]\n"
+
+
+def body(line: str) -> str:
+    """The moving body with its motion replaced by ``line``."""
+    return MOVING + line + "\n"
+
+
+def moved(formula: str) -> str:
+    return body(f"motion = [{{ displace = [{formula!r}, 0, 0] }}]")
+
+
+# id: (case file, fragments of the message)
+CASES = {
+    # not TOML
+    "syntax": ("[method\nname = 'tfi'", ("not a TOML file", "line 1")),
+    "endless-integer": ("[constants]\nL = " + "9" * 5000, ("64 bits", "1e30")),
+    "nested-too-deeply": ("a = " + "[" * 3000 + "]" * 3000, ("not a TOML file", "nested too deeply")),
+    # unknown keys at every level
+    "key-top": ("[metod]\nname = 'tfi'", ("unknown key 'metod'", "did you mean 'method'")),
+    "key-grid": ("[grid]\nboundary_fil = 'a.nmf'", ("[grid]", "boundary_fil", "did you mean 'boundary_file'")),
+    "key-boundary": (SHIFT + "selct = ['a']", ("boundary 'body'", "selct", "did you mean 'select'")),
+    "key-motion": (body("motion = [{ translat = [0, 0, 0] }]"), ("motion step 1", "did you mean 'translate'")),
+    "key-method": ("[method]\nnam = 'tfi'\n" + SHIFT, ("[method]", "nam", "did you mean 'name'")),
+    "key-of-a-part": ("[method]\nalpha = 0.1\n" + SHIFT, ("unknown key 'alpha'", "did you mean 'method.idw.alpha'?")),
+    "key-nothing-near": ("[zzz]\n", ("unknown key 'zzz'", "known are grid, constants, boundary, method")),
+    # wrong types at every level
+    "type-constant": ("[constants]\nL = 'five'", ("constants.L", "finite number", "'five'")),
+    "type-select": (SHIFT.replace('["*"]', "7"), ("boundary 'body'", "select = 7", "list of names")),
+    "type-where": (SHIFT.replace('"abs(x) < 0.51 and abs(y) < 0.51"', "[1]"), ("where", "[1]", "formula")),
+    "type-kind": (SHIFT.replace('"moving"', "['moving']"), ("boundary 'body'", "kind = ['moving']", "fixed")),
+    "type-motion": (body("motion = 5"), ("motion", "list of tables")),
+    "type-translate": (body("motion = [{ translate = 0.1 }]"), ("translate", "three values", "0.1")),
+    "type-rotate": (body("motion = [{ rotate = 30 }]"), ("rotate = 30", "angle")),
+    "type-angle": (body("motion = [{ rotate = { angle = true } }]"), ("angle = true", "number or a formula in quotes")),
+    "type-file": (body("motion = [{ file = 5 }]"), ("motion step 1", "file name, found 5")),
+    "type-match": (
+        body("motion = [{ file = 'table.csv', match = 5 }]"),
+        ("motion step 1", "match = 5", "exact, nearest, interpolate"),
+    ),
+    # values out of range
+    "value-tolerance": ("[grid]\ntolerance = 0.7", ("grid.tolerance", "0.7", "between 0 and 0.5")),
+    "value-constant-nan": ("[constants]\nL = nan", ("constants.L", "finite", "nan")),
+    "value-constant-minus-infinity": ("[constants]\nL = -inf", ("constants.L", "finite", "-inf")),
+    "value-constant-t": ("[constants]\nt = 1", ("constants.t", "already has a meaning")),
+    "value-kind": (SHIFT.replace('"moving"', '"movin"'), ("kind = 'movin'", "did you mean 'moving'")),
+    "value-no-kind": ('[[boundary]]\nname = "a"', ("boundary 'a'", "has no kind", "moving, fixed")),
+    "value-axis": (body("motion = [{ rotate = { angle = 5, axis = [0, 0, 0] } }]"), ("axis", "no direction")),
+    "value-two-steps-in-one": (
+        body("motion = [{ translate = [0, 0, 0], rotate = { angle = 1 } }]"),
+        ("exactly one of",),
+    ),
+    "value-match-of-rotate": (body("motion = [{ translate = [0, 0, 0], match = 'exact' }]"), ("takes no match",)),
+    "value-empty-step": (body("motion = [{}]"), ("motion step 1", "exactly one of")),
+    "value-no-motion": (MOVING, ("boundary 'body'", "moves but has no motion")),
+    "value-motion-of-fixed": (
+        HEAD + "kind = 'fixed'\nmotion = [{ translate = [0, 0, 0] }]",
+        ("boundary 'body'", "is fixed but has a motion"),
+    ),
+    "same-name-twice": (SHIFT + SHIFT, ("boundary", "names must differ", "body")),
+    # formulas
+    "formula-syntax": (moved("0.1*"), ("'0.1*'", "not a formula")),
+    "formula-name": (moved("q*x"), ("unknown name 'q'", "known are")),
+    "formula-function": (moved("sine(x)"), ("unknown function 'sine'", "did you mean 'sin")),
+    "formula-arguments": (moved("atan2(x)"), ("atan2 takes 2 arguments, found 1",)),
+    "formula-power": (moved("x^2"), ("not allowed", "powers are written **")),
+    "formula-time-in-where": (SHIFT.replace("abs(x) < 0.51", "t < 1"), ("where", "unknown name 't'")),
+    "formula-number-too-large": (moved("1" + "0" * 400), ("beyond the range",)),
+    "formula-too-long": (moved("+".join(["x"] * 600)), ("1000",)),
+    "formula-too-deep": (moved("(" * 400 + "x" + ")" * 400), ("not a formula",)),
+    # formulas that reach for Python
+    "python-attribute": (moved("x.__class__"), ("x.__class__", "not allowed")),
+    "python-in-angle": (body("motion = [{ rotate = { angle = 'x.real' } }]"), ("x.real", "not allowed")),
+    # selections
+    "select-unknown": (SHIFT.replace('"*"]', '"wing"]'), ("'wing'", "no named patches", "block1.imin")),
+    "select-shared": (SHIFT.replace('"*"]', '"block1.imax"]'), ("shared with other blocks", "meshdeform info")),
+    "where-nothing": (SHIFT.replace("abs(x) < 0.51", "x > 99"), ("where", "not satisfied on any face", "x -2 to 2")),
+    "where-nan": (SHIFT.replace("abs(x) < 0.51", "sqrt(-1) > 0"), ("where", "is not a number")),
+    # motions that cannot be
+    "nothing-moves": ('[[boundary]]\nname = "all"\nkind = "fixed"', ("no node moves", 'kind = "moving"')),
+    "motion-nan": (moved("log(x)"), ("motion step 1", "at node block1", "check the formulas")),
+    "moving-conflict": (
+        SHIFT + SHIFT.replace('"body"', '"other"').replace("0.1", "0.2"),
+        ("'body' and 'other' disagree", "shared node", "0.1", "0.2"),
+    ),
+    "periodic-one-side": (
+        "[[boundary]]\nselect = ['block1.imin']\nkind = 'periodic'\n" + SHIFT,
+        ("periodic", "one side, other side"),
+    ),
+    "periodic-no-match": (
+        "[[boundary]]\nname = 'p'\nselect = ['block1.imin', 'block1.jmin']\nkind = 'periodic'\n" + SHIFT,
+        ("'p'", "do not match"),
+    ),
+    # files
+    "boundary-file-missing": ("[grid]\nboundary_file = 'no.nmf'\n" + SHIFT, ("no.nmf", "No such file")),
+    "boundary-file-null": ('[grid]\nboundary_file = "a\\u0000b"\n' + SHIFT, ("boundary_file", "expected a file name")),
+    "table-folder": (body("motion = [{ file = '.' }]"), ("is a folder",)),
+    "table-is-case": (body("motion = [{ file = 'case.toml' }]"), ("case.toml", "not a displacement table")),
+}
+
+
+WITH_TABLE = ("deform", "wing.cgns", "-d", "wrong.csv", "-o", "out.xyz", "--dry-run")
+
+
+@functools.cache
+def wing():
+    """The sample grid, and points of its wing's nodes beyond the root, whose frame can be told."""
+    grid, _ = generate("wing", 8)
+    topology = find_topology(grid)
+    nodes = np.unique(topology.quads.corners[select_quads(grid, topology, ["wing"], "wing")])
+    points = grid.points[topology.first[nodes]]
+    return grid, points[points[:, 1] > 0.2]
+
+
+def table(change: Callable[[np.ndarray], np.ndarray], motion: Callable[[np.ndarray], np.ndarray] | None = None):
+    """Writes ``wing.cgns`` and ``wrong.csv``: the points, changed, and their displacements."""
+
+    def write() -> None:
+        grid, points = wing()
+        write_grid(grid, Path("wing.cgns"))
+        moved = motion(points) if motion else np.full_like(points, 0.01)
+        columns = np.hstack([change(points), moved])
+        np.savetxt("wrong.csv", columns, "%.17g", delimiter=",", header="x,y,z,dx,dy,dz", comments="")
+
+    return write
+
+
+def numbered() -> None:
+    """Writes ``wrong.csv`` with positions of points and numbers that are not theirs."""
+    grid, points = wing()
+    write_grid(grid, Path("wing.cgns"))
+    np.savetxt("wrong.csv", np.column_stack([7 * np.arange(len(points)), points]), "%.17g")
+
+
+def edited(name: str, old: str, new: str):
+    """Replaces a text of a file."""
+
+    def write() -> None:
+        text = Path(name).read_text()
+        assert old in text
+        Path(name).write_text(text.replace(old, new))
+
+    return write
+
+
+def own_notes() -> None:
+    Path("out.invalid.xyz").write_text("my own notes")
+
+
+# id: (what is done first, arguments, a fragment of the message)
+MISTAKES = {
+    "another origin": (
+        table(lambda p: p + [3, 4, 5]), WITH_TABLE, "(shifted by (-3, -4, -5), 100% of its points would",
+    ),
+    "numbers of another mesh": (numbered, WITH_TABLE, "95 of 121 table points lie on no face that the table moves"),
+    "decimal commas": (
+        lambda: Path("wrong.csv").write_text("x;y;z;dx;dy;dz\n0,5;0;0;0;0;0\n"),
+        ("deform", "grid.xyz", "-d", "wrong.csv", "-o", "out.xyz"),
+        "'0,5' is not a number; decimal commas are not read",
+    ),
+    "a file with the name of the invalid grid": (
+        own_notes, (*DEFORM, "-s", "constants.turn=85", "--repair", "off"), "out.invalid.xyz",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [*CALLS, *CASES, *MISTAKES])
+def test_it_is_refused_with_one_message_and_nothing_is_written(name, bench, call, snapshot):
+    (bench / "folder.xyz").mkdir()
+    if name in MISTAKES:
+        prepare, arguments, fragment = MISTAKES[name]
+        prepare()
+        fragments = (fragment,)
+    elif name in CASES:
+        text, fragments = CASES[name]
+        (bench / "wrong.toml").write_text(text)
+        arguments = ("deform", "grid.xyz", "-c", "wrong.toml", "-o", "out.xyz", "--report", "out.json")
+    else:
+        arguments, fragments = CALLS[name]
+    before = snapshot(bench)
+    result = call(*arguments)
+    assert snapshot(bench) == before
+    assert (result.code, result.out) == (2, ""), result.err
+    assert result.error.startswith("meshdeform: error: ")
+    assert result.error.count("\n") == 1, result.err
+    assert [fragment for fragment in fragments if fragment not in result.error] == [], result.err
+
+
+DOUBTS = {
+    "positions": (table(lambda p: p, lambda p: p), WITH_TABLE, "are they positions?"),
+    "another unit": (
+        None,
+        (*DEFORM, "-s", "boundary=[{motion=[{translate=[1e3, 0, 0]}]}]", "--dry-run"),
+        "the size of the grid",
+    ),
+    "radians": (None, (*DEFORM, "-s", "constants.turn=0.17", "--dry-run"), "degrees; angles are in degrees"),
+}
+
+
+@pytest.mark.parametrize("name", DOUBTS)
+def test_what_is_doubtful_is_a_warning_before_anything_is_moved(name, bench, call):
+    prepare, arguments, message = DOUBTS[name]
+    if prepare:
+        prepare()
+    assert any(message in warning for warning in call(*arguments).warnings)
+
+
+def test_byte_order_marks_of_editors_are_accepted(bench, call):
+    for name in ("case.toml", "table.csv", "grid.p3dfmt"):
+        Path(name).write_bytes(codecs.BOM_UTF8 + Path(name).read_bytes())
+    assert call("deform", "grid.p3dfmt", "-c", "case.toml", "-o", "out.p3dfmt", "-q").code == 0
+    assert call("deform", "grid.p3dfmt", "-d", "table.csv", "-o", "moved.p3dfmt", "-q").code == 0
