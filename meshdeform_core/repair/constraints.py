@@ -168,21 +168,16 @@ class Extrusion:
         return mean
 
     def spread(
-        self, start: FloatArray, points: FloatArray, mean: FloatArray, change: FloatArray, kept: float
+        self, points: FloatArray, start: FloatArray, mean: FloatArray, shift: FloatArray, kept: float
     ) -> FloatArray:
-        """Coordinates (n_nodes, 3) for a displacement (n_plane, 3); held nodes keep their coordinates in ``points``.
-
-        ``start`` (n_nodes, 3) are the undeformed coordinates, ``mean`` is the displacement to ``points`` as
-        :meth:`flattened`; the part ``kept`` of the differences from it along lines remains.
-        """
+        """Coordinates ``points`` (n_nodes, 3) after a ``shift`` (n_plane, 3) of all lines, with the part ``kept`` of
+        what differs along them from the ``mean`` (n_plane, 3) of the displacement from ``start`` (n_nodes, 3)."""
         result, (low, _) = Nodes.of(points).like(3), Nodes.of(points).ends
 
         def fill(rows: slice) -> None:
             line = self.line[rows.start - low : rows.stop - low]
-            moved = start[rows] + change[line]
-            if kept:
-                moved += kept * (points[rows] - start[rows] - mean[line])
-            np.copyto(result[rows], np.where(self.held[line][:, None], points[rows], moved))
+            apart = np.where(self.held[line][:, None], 0.0, points[rows] - start[rows] - mean[line])
+            result[rows][:] = points[rows] + shift[line] - (1.0 - kept) * apart
 
         Nodes.of(result).each(fill)
         return result

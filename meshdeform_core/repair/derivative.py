@@ -109,10 +109,14 @@ class _AtMinimum:
 
     def push(self, change: FloatArray) -> FloatArray:
         """Change (n_nodes, 3) of the repaired grid for a change of the method's grid."""
+        return self.push_with_share(change)[0]
+
+    def push_with_share(self, change: FloatArray) -> tuple[FloatArray, float]:
+        """As :meth:`push`, and the change of the share."""
         plot, moved = self._plot, np.array(change)
         given = plot.vectors(change)
 
-        def make() -> FloatArray:
+        def make() -> tuple[FloatArray, float]:
             excess, _ = self._energy.excess_products(self._start, given, self._none)
             shares = float(self._slopes[0] @ excess), self._slopes[1] * excess
             force, _, _ = self._energy.products(self._x, self._penalty._replace(elastic=0.0), given, *shares)
@@ -120,13 +124,15 @@ class _AtMinimum:
             if surfaces:
                 force -= self._hessian(surfaces.kept(given))
             step = self._spread(self._solved(-self._gathered(force)))
-            return plot.shift(step - surfaces.kept(given) if surfaces else step)
+            return plot.shift(step - surfaces.kept(given) if surfaces else step), shares[0]
 
-        moved[plot.moved] += Nodes.of(change).on_first(make)
-        return moved
+        shift, share = Nodes.of(change).on_first(make)
+        moved[plot.moved] += shift
+        return moved, share
 
-    def pull(self, gradient: FloatArray) -> FloatArray:
-        """Gradient (n_nodes, 3) with respect to the method's grid, from that with respect to the repaired grid."""
+    def pull(self, gradient: FloatArray, of_share: float = 0.0) -> FloatArray:
+        """Gradient (n_nodes, 3) with respect to the method's grid, from those with respect to the repaired grid and to
+        the share."""
         plot, pulled = self._plot, np.array(gradient)
 
         def make() -> FloatArray:
@@ -137,7 +143,7 @@ class _AtMinimum:
             step = self._turned(self._solved(-self._gathered(within), transposed=True))
             free = self._penalty._replace(elastic=0.0)
             found, share, between = self._energy.products(self._x, free, step, 0.0, self._none)
-            of_excess = share * self._slopes[0] + between * self._slopes[1]
+            of_excess = (share + of_share) * self._slopes[0] + between * self._slopes[1]
             _, rest = self._energy.excess_products(self._start, step, of_excess)
             if surfaces:
                 found -= surfaces.kept(self._hessian(step) + own)
@@ -168,24 +174,6 @@ class _AtMinimum:
         self._x = Nodes.of(before).on_first(make)
         moved = np.maximum(np.abs(self._x - before).max(axis=1) - rounding, 0.0)
         return float((moved / self._plot.edges).max())
-
-    def change_of_share(self, change: FloatArray) -> float:
-        """Change of the share for a change (n_nodes, 3) of the method's grid."""
-        given = self._plot.vectors(change)
-        return Nodes.of(change).on_first(
-            lambda: float(self._slopes[0] @ self._energy.excess_products(self._start, given, self._none)[0])
-        )
-
-    def gradient_of_share(self, size: int) -> FloatArray:
-        """Gradient (size, 3) of the share with respect to the method's grid."""
-        found = np.zeros((size, 3))
-
-        def make() -> FloatArray:
-            _, gradient = self._energy.excess_products(self._start, np.zeros_like(self._x), self._slopes[0])
-            return np.asarray(gradient @ self._plot.axes)
-
-        found[self._plot.nodes] += Nodes.of(found).on_first(make)
-        return found
 
     def _fill(self) -> None:
         self._plot.system.fill(self._region, self._x, self._start, self._penalty)
@@ -265,23 +253,16 @@ class _Extruded:
 
     def push(self, change: FloatArray) -> FloatArray:
         extrusion, mean = self._extrusion, self._extrusion.mean(change)
-        moved = self._inside.push(mean)[extrusion.line]
-        if self._kept:
-            moved += self._kept * extrusion.along_lines(change, mean)
-            moved += self._slope * self._inside.change_of_share(mean) * self._apart
-        return np.where(self._held, change, moved)
+        inside, share = self._inside.push_with_share(mean)
+        apart = self._kept * extrusion.along_lines(change, mean) + self._slope * share * self._apart
+        return np.where(self._held, change, inside[extrusion.line] + apart)
 
     def pull(self, gradient: FloatArray) -> FloatArray:
-        held, extrusion = self._held, self._extrusion
-        free = np.where(held, 0.0, gradient)
+        extrusion, free = self._extrusion, np.where(self._held, 0.0, gradient)
         total = extrusion.summed(free)
-        found, alone = self._inside.pull(total), np.where(held, gradient, 0.0)
-        if self._kept:
-            # The mean is linear: what differs from it is subtracted from both.
-            found += self._slope * float((free * self._apart).sum()) * self._inside.gradient_of_share(len(total))
-            found -= self._kept * total
-            alone += self._kept * free
-        return alone + extrusion.of_mean(found)
+        # The mean is linear: what differs from it is subtracted from both.
+        found = self._inside.pull(total, self._slope * float((free * self._apart).sum())) - self._kept * total
+        return gradient - (1.0 - self._kept) * free + extrusion.of_mean(found)
 
     def settle(self, rounding: float) -> float:
         return self._inside.settle(rounding)

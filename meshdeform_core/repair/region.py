@@ -179,9 +179,9 @@ class Basis:
         seeds = np.unique(np.concatenate(self.grid.nodes.gather(np.unique(self.corners_of_cells(cells)))))
         return Near(distances_in_cells(self.constraints, seeds, layers)[0], layers)
 
-    def plot(self, near: Near | None = None, even: bool = False) -> Plot | None:
-        """The region of the nodes that are near, by default of all that may move, or ``None`` if none may; ``even``:
-        cells at walls count like others. All ranks that hold parts of the grid call this together."""
+    def plot(self, near: Near | None = None) -> Plot | None:
+        """The region of the nodes that are near, by default of all that may move, or ``None`` if none may. All ranks
+        that hold parts of the grid call this together."""
         own = [np.concatenate(each) for each in zip(*self._by_block(near), strict=True)]
         moved, cells = (np.concatenate(each) for each in zip(*self.grid.nodes.gather(own), strict=True))
         if not moved.size:
@@ -195,11 +195,9 @@ class Basis:
         origin = self.grid.nodes.at(np.array([0]))[0]
         start = components(self.grid.nodes.at(nodes) - origin, self.axes)
         cell_nodes = local.reshape(corners.shape)
-        weight = np.ones(len(cells))
-        if not even:
-            layers, most = self._from_walls
-            share, first = nearness(Nodes.of(layers).at(nodes), most)
-            weight = weigh(share[cell_nodes], first, start, cell_nodes)
+        layers, most = self._from_walls
+        share, first = nearness(Nodes.of(layers).at(nodes), most)
+        weight = weigh(share[cell_nodes], first, start, cell_nodes)
         energy = self._energy(start, cells, cell_nodes, weight, unknowns.number >= 0)
         region = Region(energy, unknowns, freedom, tuple(self._slides(nodes, unknowns, origin)))
         return Plot(region, moved, np.searchsorted(nodes, owners), nodes, self.axes, origin, near is None)

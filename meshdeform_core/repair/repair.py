@@ -1,9 +1,8 @@
 """Repair of deformed grids: nodes are moved until every cell is sound; the boundary stays in place.
 
 The repaired grid is the minimum of an energy over all nodes, a smooth function of the displacement of the boundary: see
-:mod:`.energy`. In large grids with few bad cells it is that over the nodes around them. Where the minimum is out of
-reach, cells are untangled in regions that grow until all cells are sound. A repair begins with the method's grid,
-whatever was repaired earlier. It runs in one process: of ranks, the first one.
+:mod:`.energy`. In large grids with few bad cells it is that over the nodes around them. A repair begins with the
+method's grid, whatever was repaired earlier. It runs in one process: of ranks, the first one.
 """
 
 from __future__ import annotations
@@ -23,7 +22,6 @@ from ..memory import UNLIMITED, MemoryLimit
 from ..numerics.arrays import lengths
 from ..parallel import Nodes
 from ..quality.validity import judge
-from .constraints import Extrusion
 from .energy import kept_along_lines
 from .limit import Limit
 from .newton import NewtonSystem
@@ -31,27 +29,24 @@ from .onset import unhealthy_cells
 from .options import Effort
 from .outcome import Judged, Outcome, Repair
 from .region import Basis, Plot
-from .tuned import FEW, KEPT, LARGE, LAYERS, PER_NODE, REGIONS, SQUASHED
-from .untangle import WAYS, Progress, Search, Untangler, Way, search_minimum, search_untangled
+from .tuned import FEW, KEPT, LARGE, LAYERS, PER_NODE, SQUASHED
+from .untangle import WAYS, Progress, Search, Untangler, search
 
 WEAK = 0.35
-"""Cells with a corner below this fraction of its undeformed Jacobian are the centres of regions."""
-_ROUNDS, _LAST_ROUNDS = 2, 6
-# More layers are tried while the largest f exceeds _ENOUGH; in valid grids only if the first layers reduced it to less
-# than _GAIN of its value.
-_ENOUGH, _GAIN = 2.9, 0.9
+"""Cells with a corner below this fraction of its undeformed Jacobian are of little use (:mod:`..mending`)."""
 
 
 @dataclass(frozen=True)
 class _Found:
-    """The best grid, how many Newton steps were taken to it, whether it is the minimum, the share of the energy, how
-    many cells of an extruded grid were weak, and the reason why nothing was done."""
+    """The best grid, how many Newton steps were taken to it, whether it is the minimum, how many of the start's cells
+    were weak, the part of what differs along the lines of an extruded grid that is kept, and the reason why nothing was
+    done."""
 
     grid: Judged
     steps: int = 0
     converged: bool = False
-    share: float = 0.0
     weak: int = 0
+    kept: float = 0.0
     left_out: str | None = None
 
 
@@ -76,56 +71,74 @@ class Repairer:
     def repair(self, start: Judged, polish: bool = False, effort: Effort = "all") -> Outcome | None:
         """Make cells sound; the result may still have invalid cells, but no more than the grid at the ``start``, which
         is not touched outside the neighbourhood of the cells that are or were invalid then. ``None`` if no cell is
-        invalid or weak.
-
-        If it is found, the result is the minimum of the energy. Otherwise cells are untangled in regions, and the
-        minimum is searched for from there. ``polish``: the weakest cells count as weak however good they are.
+        invalid or weak. ``polish``: the weakest cells count as weak however good they are.
         """
         begin, valid = clock.perf_counter(), start.verdict.valid
-        # Coordinates of the plane grid that this one is extruded from, if the motion stays in its plane.
-        flat = None
-        if self.basis.extrusion is not None:
-            (extrusion, _), undeformed = self.basis.extrusion, self.basis.original.grid.points
-            change = extrusion.flattened(Nodes.of(start.points).combined(np.subtract, undeformed))
-            flat = None if change is None else extrusion.plane.points + change
-        weak = np.empty(0, dtype=np.int64) if flat is not None else unhealthy_cells(self.basis.original, start.points)
-        bad = np.union1d(weak, start.verdict.invalid)
-        limit = self.limit.of_repair(self.basis.original.grid.n_nodes, start.verdict.smallest_ratio if valid else 0.0)
-        try:
-            if flat is not None:
-                found = self._repaired_in_plane(start, flat, polish, effort, limit)
-            else:
-                found = self._found(start, bad, polish, effort, limit)
-        except MethodError as error:
-            found = _Found(start, left_out=str(error))
-        if found is None or (valid and not (found.steps or found.left_out)):
+        limit = self.limit.of_repair(self.basis.grid.n_nodes, start.verdict.smallest_ratio if valid else 0.0)
+        found = self._in_plane(start, polish, effort, limit) or self._found(start, polish, effort, limit)
+        if valid and not (found.steps or found.left_out):
             return None
         if valid and not polish:
             found = replace(found, grid=self._kept(start, found.grid))
-        count = found.weak or len(np.setdiff1d(weak, start.verdict.invalid))
         low, high = Nodes.of(start.points).ends
         distance = lengths(found.grid.points[low:high] - start.points[low:high])
         own = int((distance > 0).sum()), float(distance.max(initial=0.0))
         nodes, farthest = zip(*Nodes.of(start.points).gather(own), strict=True)
         moved = sum(nodes), max(farthest), found.steps, clock.perf_counter() - begin
         converged = found.converged and found.grid.verdict.valid
-        record = Repair(start.count, count, *moved, converged, left_out=found.left_out)
+        record = Repair(start.count, found.weak, *moved, converged, left_out=found.left_out)
         return Outcome(found.grid.points, found.grid.verdict, repair=record)
 
-    def _found(self, start: Judged, bad: IntArray, polish: bool, effort: Effort, limit: Limit) -> _Found | None:
-        if not (bad.size or polish):
+    def _in_plane(self, start: Judged, polish: bool, effort: Effort, limit: Limit) -> _Found | None:
+        """The repair of the plane grid that this one is extruded from, whose nodes all nodes of a line follow; ``None``
+        if there is none, or the motion leaves its plane."""
+        if self.basis.extrusion is None:
             return None
-        plot = self._plot(bad, polish)
-        found: _Found | None = _Found(start)
-        if plot is not None and effort != "hasty":
-            found = self._minimum(start, plot, polish, limit, None)
-        if found and not found.grid.verdict.valid:
-            found = self._by_regions(start, found, plot, polish, limit, () if limit.reached else WAYS[effort])
-            if not found.grid.verdict.valid:
-                found = replace(found, grid=self._undone(start, found.grid))
-        return found
+        (extrusion, basis), undeformed = self.basis.extrusion, self.basis.grid.points
+        mean = extrusion.flattened(Nodes.of(start.points).combined(np.subtract, undeformed))
+        if mean is None:
+            return None
+        flat = self._judged(extrusion.plane.points + mean, basis)
+        found = replace(self, basis=basis)._found(flat, polish, effort, limit)
+        weak = self.basis.grid.n_cells // extrusion.plane.n_cells * found.weak
+        if not found.steps and start.verdict.valid:
+            return replace(found, grid=start, weak=weak)
+        # What differs along lines goes where it would make cells invalid.
+        for kept in (0.0,) if polish or not found.kept else (found.kept, 0.0):
+            shift = found.grid.points - flat.points
+            end = self._judged(extrusion.spread(start.points, undeformed, mean, shift, kept))
+            if end.verdict.valid:
+                break
+        return replace(found, grid=end, weak=weak)
 
-    def _plot(self, bad: IntArray, polish: bool) -> Plot | None:
+    def _found(self, start: Judged, polish: bool, effort: Effort, limit: Limit) -> _Found:
+        """The minimum of the energy or, if it is not found, the best grid on the way to it in any of the ways."""
+        valid, weak = start.verdict.valid, unhealthy_cells(self.basis.original, start.points)
+        bad = np.union1d(weak, start.verdict.invalid)
+        best = _Found(start, weak=len(np.setdiff1d(weak, start.verdict.invalid)))
+        if not (bad.size or polish):
+            return best
+        for way in WAYS[effort]:
+            try:
+                plot = self._plot(bad, polish or way.patient)
+            except MethodError as error:
+                return replace(best, left_out=None if best.steps else str(error))
+            found = self._searched(start, plot, limit, partial(search, way=way, polish=polish)) if plot else None
+            if plot is None or found is None:
+                continue
+            end = self._moved(start, plot, found.shift)
+            if not end.verdict.valid and found.untangled is not None:
+                # On the way to a minimum that is not reached, cells may become invalid between their samples.
+                end = self._moved(start, plot, found.untangled)
+            better = end.verdict.valid or (not valid and end.count < best.grid.count)
+            grid, kept = (end if better else best.grid), kept_along_lines(found.share)[0]
+            best = replace(best, steps=best.steps + found.steps, grid=grid, kept=kept)
+            if best.grid.verdict.valid or limit.reached:
+                best = replace(best, converged=found.converged and plot.whole and end.verdict.valid)
+                break
+        return best if best.grid.verdict.valid else replace(best, grid=self._undone(start, best.grid))
+
+    def _plot(self, bad: IntArray, whole: bool) -> Plot | None:
         """All nodes that may move or, in large grids with few ``bad`` cells, those around them.
 
         Raises
@@ -135,18 +148,15 @@ class Repairer:
         """
         basis, grid = self.basis, self.basis.grid
         nodes = basis.n_unknowns
-        if nodes > LARGE and not polish and bad.size < FEW * grid.n_cells:
+        if nodes > LARGE and not whole and bad.size < FEW * grid.n_cells:
             room = min(PER_NODE * grid.n_nodes, self.memory.size) // NewtonSystem.memory(1, grid.dimension)
             near = basis.near(bad, max(LAYERS))
             layers = near.largest_below(room, LAYERS)
             if layers is not None:
                 return basis.plot(near._replace(most=layers))
-        self._require(nodes)
-        return self.basis.whole
-
-    def _require(self, nodes: int) -> None:
-        needed = NewtonSystem.memory(nodes, self.basis.original.grid.dimension)
+        needed = NewtonSystem.memory(nodes, grid.dimension)
         self.memory.require(needed, f"a repair of {nodes:,} nodes", "allow more, or take --repair off")
+        return basis.whole
 
     def _searched(
         self, start: Judged, plot: Plot, limit: Limit, search: Callable[[Plot, Untangler], Search | None]
@@ -163,74 +173,6 @@ class Repairer:
         # Of the other ranks.
         limit.spend(spent - (limit.spent - before))
         return found
-
-    def _minimum(self, start: Judged, plot: Plot, polish: bool, limit: Limit, near: Judged | None) -> _Found | None:
-        """The grid at, or on the way to, the minimum of the energy, searched for from ``near``, by default from the
-        ``start``; ``None`` if no cell is weak."""
-        shift = None if near is None else plot.vectors(Nodes.of(near.points).combined(np.subtract, start.points))
-        found = self._searched(start, plot, limit, partial(search_minimum, polish=polish, shift=shift))
-        if found is None:
-            return None if start.verdict.valid else _Found(start)
-        end = self._moved(start, plot, found.shift)
-        if not end.verdict.valid and found.untangled is not None:
-            # On the way to a minimum that is not reached, cells may become invalid between their samples.
-            end = self._moved(start, plot, found.untangled)
-        if start.verdict.valid and not end.verdict.valid:
-            end = start
-        converged = found.succeeded and plot.whole and end.verdict.valid
-        return _Found(end, found.steps, converged, found.share)
-
-    def _by_regions(
-        self, start: Judged, found: _Found, plot: Plot | None, polish: bool, limit: Limit, ways: tuple[Way, ...]
-    ) -> _Found:
-        """The best grid of all ``ways``, and whether the minimum was found from there."""
-        best, steps = min(found.grid, start, key=lambda grid: grid.count), found.steps
-        for way in ways:
-            other, more = self._growing(start, way, limit)
-            best, steps = (other if other.count < best.count else best), steps + more
-            if best.verdict.valid or limit.reached:
-                break
-        if plot is None or not best.verdict.valid or best is start:
-            return replace(found, grid=best, steps=steps)
-        nearer = self._minimum(start, plot, polish, limit, best) or found
-        grid = nearer.grid if nearer.grid.verdict.valid else best
-        return replace(nearer, grid=grid, steps=steps + nearer.steps)
-
-    def _growing(self, start: Judged, way: Way, limit: Limit) -> tuple[Judged, int]:
-        """The best grid, and the Newton steps taken, of regions around cells with a relative Jacobian below WEAK.
-
-        First the nodes within a few layers move, then more, until the worst cell is close enough to its undeformed
-        shape or more nodes do not help; a patient strategy moves all nodes at once.
-        """
-        best, now, basis = start, start, self.basis
-        steps, density, done = 0, np.inf, 0
-        for layers in REGIONS[self.basis.original.grid.dimension][-1 if way.patient else 0 : 1 if way.hasty else None]:
-            if limit.reached:
-                break
-            found, rounds = None, 0
-            while rounds < (_ROUNDS if layers else _LAST_ROUNDS):
-                if layers is None:
-                    self._require(basis.n_unknowns)
-                    plot = basis.plot(even=way.even)
-                else:
-                    weak = Nodes.of(now.points).gather(now.verdict.weak(WEAK))
-                    plot = basis.plot(basis.near(np.concatenate(weak), layers), way.even)
-                if plot is None or len(plot.moved) == done:
-                    break
-                other = self._searched(now, plot, limit, partial(search_untangled, way=way))
-                assert other is not None
-                found, steps, rounds, now = other, steps + other.steps, rounds + 1, self._moved(now, plot, other.shift)
-                size, helped = len(plot.moved), _ENOUGH < found.after < _GAIN * found.before
-                if not found.succeeded or (now.verdict.valid and (layers or not helped)):
-                    break
-            if found is None:
-                break
-            if now.count < best.count or (now.count == best.count and found.after < density):
-                best, density = now, found.after
-            if now.verdict.valid and density < _ENOUGH:
-                break
-            done = size if now.verdict.valid else 0
-        return best, steps
 
     def _kept(self, start: Judged, end: Judged) -> Judged:
         """The grid ``end``, or as much of the way to it as keeps the share KEPT of the ``start``'s smallest scaled
@@ -258,7 +200,7 @@ class Repairer:
 
         Nodes.of(points).each(fill)
         self.basis.back_to_surfaces(points)
-        return Judged(points, judge(self.basis.original, self.rounded(points)))
+        return self._judged(points)
 
     def _smallest_scaled(self, grid: Judged) -> float:
         """The smallest scaled Jacobian."""
@@ -278,36 +220,12 @@ class Repairer:
                 return found
         return end
 
-    def _repaired_in_plane(
-        self, start: Judged, flat: FloatArray, polish: bool, effort: Effort, limit: Limit
-    ) -> _Found | None:
-        """The repair on the plane grid that this one is extruded from."""
-        assert self.basis.extrusion is not None
-        extrusion, basis = self.basis.extrusion
-        plane = Repairer(basis, self.rounded, self.memory, self.progress, self.limit, self.farthest)
-        plain = Judged(flat, judge(basis.original, self.rounded(flat)))
-        weak = unhealthy_cells(basis.original, flat)
-        found = plane._found(plain, np.union1d(weak, plain.verdict.invalid), polish, effort, limit)
-        if found is None or not found.steps:
-            return found and replace(found, grid=start)
-        kept = 0.0 if polish else kept_along_lines(found.share)[0]
-        after = self._spread(extrusion, start.points, flat, found.grid.points, kept)
-        layers = self.basis.original.grid.n_cells // extrusion.plane.n_cells
-        return replace(found, grid=after, weak=layers * len(np.setdiff1d(weak, plain.verdict.invalid)))
-
-    def _spread(
-        self, extrusion: Extrusion, points: FloatArray, flat: FloatArray, end: FloatArray, kept: float
-    ) -> Judged:
-        """The grid for the plane grid ``end`` that was ``flat`` before its repair, with a part ``kept`` of what differs
-        along lines in ``points``, or nothing of it where cells would be invalid."""
-        plane, start = extrusion.plane.points, self.basis.original.grid.points
-        spread = extrusion.spread(start, points, flat - plane, end - plane, kept)
-        after = Judged(spread, judge(self.basis.original, self.rounded(spread)))
-        return after if after.verdict.valid or not kept else self._spread(extrusion, points, flat, end, 0.0)
-
     def _moved(self, now: Judged, plot: Plot, shift: FloatArray) -> Judged:
         points: FloatArray = Nodes.of(now.points).like(3)
         Nodes.of(points).each(lambda rows: np.copyto(points[rows], now.points[rows]))
         own = slice(*np.searchsorted(plot.moved, Nodes.of(points).ends).tolist())
         Nodes.of(points).rows[plot.moved[own]] += shift[own]
-        return Judged(points, judge(self.basis.original, self.rounded(points)))
+        return self._judged(points)
+
+    def _judged(self, points: FloatArray, basis: Basis | None = None) -> Judged:
+        return Judged(points, judge((basis or self.basis).original, self.rounded(points)))

@@ -55,8 +55,6 @@ LARGE, FEW, PER_NODE = 100_000, 0.1, 400
 many layers of cells around them as take at most PER_NODE bytes per node of the grid (studies/repairs.py)."""
 LAYERS = (2, 4, 8, 16, 32)
 """Numbers of layers from which the neighbourhood of bad cells is chosen."""
-REGIONS: dict[int, tuple[int | None, ...]] = {2: (32, None), 3: (8, 32, None)}
-"""Numbers of layers around bad cells in which they are untangled in turn, in the plane and in space; then all nodes."""
 KEPT = 0.7
 """A repaired grid keeps at least this share of the smallest scaled Jacobian of a valid grid of the method
 (studies/default_method.py)."""

@@ -60,16 +60,13 @@ class State:
 class Way:
     """A strategy of untangling a region: the largest number of ``steps``, the ``first`` regularisation, its
     ``slowest`` relative decrease, and the largest number of preceding steps in which cells are compared with those
-    ``around`` them. ``patient``: all nodes at once; ``even``: without larger weights near walls; ``hasty``: only
-    around weak cells, without subsequent improvement."""
+    ``around`` them. ``patient``: all nodes move, with the full share of the energy."""
 
     steps: int
     first: float
     slowest: float
     around: int = 0
     patient: bool = False
-    even: bool = False
-    hasty: bool = False
 
 
 @dataclass
@@ -252,66 +249,44 @@ class Untangler:
 # A regularisation that starts large and falls slowly finds valid grids where a fast one fails.
 QUICK, PATIENT = Way(60, 2.0, 0.2, around=40), Way(200, 50.0, 0.1, patient=True)
 # Where no valid grid exists, most of the cells that can become valid do so early.
-HASTY = Way(30, 2.0, 0.3, hasty=True)
-_CONVERGING, _IMPROVING = 60, 20
+HASTY = Way(30, 2.0, 0.3)
+_CONVERGING = 60
 # A region of n nodes takes at most _WORK / n Newton steps, so that time is bounded on large grids.
 _WORK, _FEWEST = 20_000_000, 6
 
-_PATIENTLY = PATIENT, replace(PATIENT, even=True)
 WAYS: dict[Effort, tuple[Way, ...]] = {
     "hasty": (HASTY,),
     "quick": (QUICK,),
-    "patient": _PATIENTLY,
-    "all": (QUICK, *_PATIENTLY),
+    "patient": (PATIENT,),
+    "all": (QUICK, PATIENT),
 }
 """The strategies that are tried in turn."""
 
 
 @dataclass(frozen=True)
 class Search:
-    """Result of a search.
-
-    ``shift`` (k, 3) of the nodes that a plot moves. ``succeeded``: the minimum was reached or, in a region, no
-    sample remains inverted. ``before`` and ``after``: the largest f, infinite if a sample was inverted. ``untangled``:
-    the shift at which no sample was inverted any more, if the minimum was not reached from there.
-    """
+    """Result of a search: the ``shift`` (k, 3) of the nodes that a plot moves, whether it is that to the minimum, the
+    shift at which no sample was inverted any more, if the minimum was not reached from there, and the share."""
 
     shift: FloatArray
-    succeeded: bool
+    converged: bool
     steps: int
-    before: float = 0.0
-    after: float = 0.0
-    untangled: FloatArray | None = None
-    share: float = 0.0
+    untangled: FloatArray | None
+    share: float
 
 
-def search_minimum(plot: Plot, untangler: Untangler, polish: bool, shift: FloatArray | None) -> Search | None:
-    """The minimum, from coordinates moved by ``shift`` (n, d); ``None`` if no cell is weak.
+def search(plot: Plot, untangler: Untangler, way: Way, polish: bool) -> Search | None:
+    """The minimum of the energy; ``None`` if no cell is weak.
 
     ``polish``: the energy always has its full share, and cells at walls have little more weight than others.
     """
     share, energy = share_of(plot.region.energy, untangler.reference)
-    if polish:
-        share, energy = max(share, 1.0), energy.softened(POLISHED)
-    if share == 0.0:
+    raised = max(share, 1.0 if polish or way.patient else 0.0)
+    if raised == 0.0:
         return None
-    untangler.region = replace(plot.region, energy=energy)
-    untangler.x = untangler.reference if shift is None else untangler.reference + shift
-    untangled = untangler.untangle(replace(QUICK, steps=min(QUICK.steps, untangler.most)))
-    first = untangler.x
-    converged = untangled and untangler.minimise(share, min(_CONVERGING, untangler.most), plot.edges)
+    untangler.region = replace(plot.region, energy=energy.softened(POLISHED) if polish else energy)
+    untangled, first = untangler.untangle(replace(way, steps=min(way.steps, untangler.most))), untangler.x
+    converged = untangled and untangler.minimise(raised, min(_CONVERGING, untangler.most), plot.edges)
     moved, on_the_way = (plot.shift(x - untangler.reference) for x in (untangler.x, first))
     kept = on_the_way if untangled and not converged else None
-    return Search(moved, converged, untangler.steps, untangled=kept, share=share)
-
-
-def search_untangled(plot: Plot, untangler: Untangler, way: Way) -> Search:
-    """A grid without inverted samples, improved unless in haste."""
-    share, energy = share_of(plot.region.energy, untangler.reference)
-    untangler.region = replace(plot.region, energy=energy)
-    before = untangler.state(untangler.reference, Penalty()).highest
-    done = untangler.untangle(replace(way, steps=min(way.steps, untangler.most)))
-    if done and not way.hasty:
-        untangler.minimise(max(share, 1.0), min(_IMPROVING, untangler.most), plot.edges)
-    after = untangler.state(untangler.x, Penalty()).highest
-    return Search(plot.shift(untangler.x - untangler.reference), done, untangler.steps, before, after)
+    return Search(moved, converged and (polish or raised == share), untangler.steps, kept, share)
