@@ -1,6 +1,7 @@
-"""The studies fit the code that they examine; each prints its table, and puts it on the page where it is told to."""
+"""The studies and benchmarks fit the code that they examine; each study prints its table, and puts it on its page."""
 
 import importlib
+import subprocess
 import sys
 from pathlib import Path
 
@@ -88,3 +89,21 @@ def test_a_table_is_put_on_its_page_row_by_row(study, tmp_path):
     assert rows(page.read_text())[3:-1] == [["one", "1"], ["two", "3"], ["three", "4"]]
     keep([{"motion": "four", "skew": 1.0}], page, "default_method.py")
     assert rows(page.read_text())[3:-1] == [["four", "1"]]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("section", ["passes", "levels"])
+def test_small_sizes_run(section, tmp_path):
+    # All programs are imported by the one that runs them.
+    command = [
+        sys.executable,
+        FOLDER.with_name("benchmarks") / "run.py",
+        "--quick",
+        "--only",
+        section,
+        "--json",
+        tmp_path / "x.json",
+    ]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    assert "| hemisphere" in result.stdout

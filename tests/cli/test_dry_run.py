@@ -204,15 +204,6 @@ def test_with_repair_it_says_what_will_be_done(both):
     assert code in (0, 3)
 
 
-def test_an_amplitude_larger_than_the_domain_is_impossible(plate, call):
-    command = ("deform", plate / "grid.cgns", "-c", plate / "case.toml", "-m", "tfi", "-s", "constants.amplitude=200")
-    result = call(*command, "--dry-run")
-    assert any("crosses itself, so no valid grid exists" in text for text in result.warnings)
-    assert result.code == 3
-    assert any("no repair can mend that" in text for text in result.warnings)
-    assert call(*command, "--dry-run", "--strict").code == 2
-
-
 def test_of_a_series_the_worst_level_is_tried(plate, call):
     case = (plate / "case.toml").read_text().replace('angle = "angle"', 'angle = "angle*t"')
     Path(plate / "moving.toml").write_text(case)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
-from types import SimpleNamespace
 
 import jsonschema
 import numpy as np
@@ -70,19 +68,3 @@ def test_nothing_is_written_in_a_dry_run_and_inputs_stay(spoilt, bench):
         assert done.code == 2
     assert spoilt("repair", "bad.invalid.xyz", "--reference", "grid.xyz").code == 2
     assert spoilt("repair", "bad.invalid.xyz", "-o", "good.xyz").code == 2
-
-
-def test_a_dry_run_warns_of_a_full_disk_like_that_of_deform(spoilt, monkeypatch, snapshot, bench):
-    (bench / "out.p3dbin").write_bytes(b"an earlier output")
-    before = snapshot(bench)
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=0))
-    case = ("-c", "case.toml", "-o", "out.p3dbin", "--force")
-    for command in (("repair", "bad.invalid.xyz", "--reference", "grid.xyz"), ("deform", "grid.xyz")):
-        dry = spoilt(*command, *case[:-1], "--dry-run")
-        assert dry.code == 0, dry.err
-        (warning,) = [text for text in dry.warnings if "free" in text]
-        assert "the grid takes at least" in warning
-        refused = spoilt(*command, *case)
-        assert refused.code == 2
-        assert warning in refused.err
-    assert snapshot(bench) == before

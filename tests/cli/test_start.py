@@ -1,11 +1,18 @@
-"""What commands import: the start of a command line tool is mostly imports."""
+"""The start of a command: what it imports; compiling is told once, timed apart, done ahead, or without a cache."""
 
 from __future__ import annotations
 
+import importlib
+import json
+import os
+import re
 import subprocess
 import sys
 
 import pytest
+
+from meshdeform_core import setup
+from meshdeform_core.numerics import jit
 
 HEAVY = ("numba", "scipy", "vtk", "vtkmodules", "matplotlib", "meshio", "rich")
 CODE = """
@@ -65,3 +72,90 @@ def test_the_end_looks_for_no_cycles_in_what_was_imported():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.stdout.splitlines()[-1] == "True"
+
+
+def _started(*command, cache):
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(cache)}
+    return subprocess.run([sys.executable, *command], env=environment, capture_output=True, text=True)
+
+
+@pytest.mark.slow
+def test_the_first_run_says_that_it_compiles_and_counts_it_apart(bench, tmp_path):
+    command = ["-m", "meshdeform_cli", "deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz", "--force"]
+    command += ["-m", "tfi", "--steps", "1", "--repair", "off"]
+    runs = [_started(*command, "--report", "out.json", cache=tmp_path / "loops") for _ in range(2)]
+    assert [run.returncode for run in runs] == [0, 0]
+    assert (
+        len(re.findall(r"compiling \d+ loops in \d process(es)?, about \d+ s, once per installation", runs[0].stderr))
+        == 1
+    )
+    assert "compiling" not in runs[1].stderr
+    first = json.loads((bench / "out.json").read_text())["timing"]
+    assert "compile" not in first  # of the second run
+    assert len(list((tmp_path / "loops").rglob("*.nbc"))) > 5
+
+
+def test_compiling_is_a_stage_of_its_own(monkeypatch):
+    seconds = iter([10.0, 10.0])
+    monkeypatch.setattr(setup, "compile_seconds", lambda: next(seconds))
+    timing = setup.Timing()
+    with timing.stage("apply"):
+        pass
+    assert list(timing.seconds) == ["apply"]
+    now, spent = iter([0.0, 7.0]), iter([1.0, 5.0])
+    monkeypatch.setattr(setup.clock, "perf_counter", lambda: next(now))
+    monkeypatch.setattr(setup, "compile_seconds", lambda: next(spent))
+    with timing.stage("prepare"):
+        pass
+    assert timing.seconds["prepare"] == 3.0
+    assert timing.seconds["compile"] == 4.0
+
+
+BOX = "from typing import NamedTuple\nclass Box(NamedTuple):\n    low: float\n    high: float\n"
+LOOP = "from meshdeform_core.numerics.jit import kernel\n@kernel\ndef width(box):\n    return box.high - box.low\n"
+
+
+@pytest.mark.parametrize("writable", [True, False])
+def test_a_cached_loop_of_a_class_that_moved_is_compiled_again(writable, tmp_path, monkeypatch):
+    """After an update in place: the file of the loop is the same, the class of its argument is elsewhere."""
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "loops_of_boxes.py").write_text(LOOP)
+    compiled = []
+    for home in ("old_boxes", "new_boxes", "new_boxes"):
+        (tmp_path / f"{home}.py").write_text(BOX)
+        importlib.invalidate_caches()
+        boxes, loops = (importlib.import_module(name) for name in (home, "loops_of_boxes"))
+        before = jit.compiled_loops()
+        if not writable and home == "new_boxes":
+            monkeypatch.setattr("numba.core.caching.IndexDataCacheFile.flush", _refuse)
+        assert loops.width(boxes.Box(1.0, 3.0)) == 2.0
+        compiled.append(jit.compiled_loops() - before)
+        (tmp_path / f"{home}.py").unlink()
+        for name in (home, "loops_of_boxes"):
+            del sys.modules[name]
+    assert compiled == [1, 1, 0 if writable else 1]
+
+
+def test_a_cache_that_cannot_be_written_does_not_matter(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(jit._clock, "cached", True)
+    monkeypatch.setattr("numba.core.caching.IndexDataCacheFile.save", _refuse)
+    (tmp_path / "loops_on_full_disks.py").write_text(LOOP + "@kernel\ndef half(x):\n    return 0.5 * x\n")
+    assert importlib.import_module("loops_on_full_disks").half(3.0) == 1.5
+    assert not jit.is_cached()
+
+
+def _refuse(*_):
+    raise OSError(28, "No space left on device")
+
+
+def test_it_counts_what_was_missing(call, monkeypatch):
+    monkeypatch.setattr(jit, "compile_all", lambda: 3)
+    assert re.fullmatch(r"3 loops compiled, the others were already compiled; [\d.]+ s\n", call("warm-up").out)
+    assert call("warm-up", "-q").out == ""
+
+
+def test_an_unknown_processor_is_refused_before_anything_is_compiled(tmp_path):
+    done = _started("-m", "meshdeform_cli", "warm-up", "--cpu", "x86-64-v9", cache=tmp_path)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "MESHDEFORM_CPU (or --cpu) is 'x86-64-v9'; expected one of x86-64, x86-64-v2" in done.stderr

@@ -1,12 +1,26 @@
-"""CGNS files that cannot be used: each is refused with a message that says what, where and what to do."""
+"""CGNS files, HDF5 and ADF, that cannot be used: each is refused with what, where and what to do; variants of ADF."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 from cases import constant
-from cgns_witness import N, bc, box, connectivity, one_to_one, periodic, tree, two_zones, write_hdf5, zone, zone_bc
+from cgns_witness import (
+    AdfWriter,
+    N,
+    bc,
+    box,
+    connectivity,
+    one_to_one,
+    periodic,
+    tree,
+    two_zones,
+    write_hdf5,
+    zone,
+    zone_bc,
+)
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, set_up
@@ -14,6 +28,8 @@ from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.grid.connections import check_connections
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_formats import read_grid
+from meshdeform_formats.cgns.adf import read_adf
+from meshdeform_formats.cgns.tree import Node
 
 SHAPE = (4, 3, 5)
 
@@ -164,15 +180,6 @@ def test_announced_but_never_written_values(tmp_path):
         read_grid(path)
 
 
-@pytest.mark.parametrize(
-    "link", [("gone.cgns", "/Base/z/GridCoordinates"), ("", "/nowhere"), ("", "/Base/z/GridCoordinates")]
-)
-def test_links_that_lead_nowhere(tmp_path, link):
-    broken = replace(good(), children=[N("GridCoordinates", "", link=link)])
-    with pytest.raises(FormatError, match=r"/Base/z/GridCoordinates is a broken link to "):
-        read_grid(write_hdf5(tmp_path / "grid.cgns", tree(broken)))
-
-
 def test_names_that_are_not_utf8(tmp_path):
     path = write_hdf5(tmp_path / "grid.cgns", two_zones())
     with h5py.File(path, "r+") as file:
@@ -227,3 +234,176 @@ def test_a_zone_joined_with_itself_at_one_place_is_named(tmp_path):
     assert check_connections(grid, find_topology(grid)) == [
         "connection 'idle' of z with z: it joins the nodes of one face with themselves and has no effect"
     ]
+
+
+def assert_same(node: Node, expected: N, order: str = "<") -> None:
+    """The tree read equals the tree written: names, labels, order, values."""
+    assert [child.name for child in node.children] == [child.name for child in expected.children]
+    for found, wanted in zip(node.children, expected.children, strict=True):
+        assert found.label == wanted.label
+        if wanted.data is not None:
+            data = np.frombuffer(wanted.data.encode(), np.int8) if isinstance(wanted.data, str) else wanted.data
+            assert found.dims == data.shape
+            np.testing.assert_array_equal(found.data(), data)
+        else:
+            assert found.data_type == "MT"
+        assert_same(found, wanted)
+
+
+@pytest.mark.parametrize("version", ["A02011", "A01xxx", "B02012"])
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("chunks", [1, 4])
+def test_every_variant_gives_the_tree_that_was_written(tmp_path, version, order, chunks):
+    expected = two_zones()
+    root = read_adf(AdfWriter(version, order, chunks).write(tmp_path / "grid.adf", expected))
+    assert_same(root, expected)
+
+
+@pytest.mark.parametrize("kind", ["i1", "u1", "i4", "i8", "u4", "u8", "f4", "f8"])
+@pytest.mark.parametrize(("long", "order"), [(8, "<"), (4, ">")])
+def test_data_types(tmp_path, kind, long, order):
+    values = np.arange(24).reshape(2, 3, 4).astype(kind)
+    root = N("", "", None, [N("values", "DataArray_t", values)])
+    node = read_adf(AdfWriter("A02011", order, 3, long).write(tmp_path / "a.adf", root)).children[0]
+    np.testing.assert_array_equal(node.data(), values)
+
+
+@pytest.mark.parametrize("write", [AdfWriter().write, write_hdf5], ids=["ADF", "HDF5"])
+@pytest.mark.parametrize(
+    "link",
+    [
+        ("missing.cgns", "/Base/x"),
+        ("", "/Base/nothing"),
+        ("", "/Base/z/GridCoordinates"),
+        ("grid.cgns", "/Base/z/GridCoordinates/CoordinateX"),
+        ("notes.txt", "/"),
+    ],
+)
+def test_links_that_lead_nowhere_or_to_themselves_are_named(tmp_path, link, write):
+    (tmp_path / "notes.txt").write_text("no grid")
+    broken = replace(good(), children=[good()["ZoneType"], N("GridCoordinates", "", link=link)])
+    path = tmp_path / "grid.cgns"
+    write(path, tree(broken))
+    with pytest.raises(FormatError, match=r"/Base/z/GridCoordinates is a broken link to "):
+        read_grid(path)
+
+
+@pytest.mark.parametrize(("below", "message"), [("", "/Base/l0 is a broken link"), ("/x", "chain of too many links")])
+def test_a_chain_of_thousands_of_links_is_refused(tmp_path, below, message):
+    links = [N(f"l{i}", "", link=("", f"/Base/l{i + 1}{below}")) for i in range(2000)]
+    AdfWriter().write(tmp_path / "grid.adf", tree(N("l2000", "Zone_t"), more=links))
+    with pytest.raises(FormatError, match=message):
+        read_grid(tmp_path / "grid.adf")
+
+
+def walk(node: Node) -> None:
+    """Read everything under a node."""
+    for child in node.children:
+        child.data()
+        walk(child)
+
+
+def test_nodes_nested_without_end_are_refused(tmp_path):
+    node = N("deepest", "X_t")
+    for _ in range(100):
+        node = N("in", "X_t", None, [node])
+    root = read_adf(AdfWriter().write(tmp_path / "deep.adf", N("", "", None, [node])))
+    with pytest.raises(FormatError, match="nested more than 64 deep"):
+        walk(root)
+
+
+def corrupted(tmp_path: Path, change, chunks: int) -> Path:
+    """An ADF file in which ``change(writer)`` has altered bytes."""
+    writer = AdfWriter(chunks=chunks)
+    path = writer.write(tmp_path / "bad.adf", two_zones())
+    change(writer)
+    path.write_bytes(writer.file)
+    return path
+
+
+def put(at: int, new: bytes, place: str = ""):
+    """Bytes of the file, or of a node of it, are others."""
+
+    def change(writer: AdfWriter) -> None:
+        begin = at + (writer.places[place] if place else 0)
+        writer.file[begin : begin + len(new)] = new
+
+    return change
+
+
+def loop(writer: AdfWriter) -> None:
+    """The first child of the base becomes the base itself."""
+    table = bytes(writer.file[writer.places["/Base"] + 84 :][:12])
+    at = int(table[:8], 16) * 4096 + int(table[8:], 16) + 16 + 32
+    writer.file[at : at + 12] = writer.pointer(writer.places["/Base"])
+
+
+def repeat_a_name(writer: AdfWriter) -> None:
+    """CoordinateY of the left zone becomes a second CoordinateX, in its header and in its parent's table."""
+    begin, end = writer.places["/Base/left/GridCoordinates"], writer.places["/Base/left/ZoneBC"]
+    writer.file[begin:end] = writer.file[begin:end].replace(b"CoordinateY", b"CoordinateX")
+
+
+X = "/Base/left/GridCoordinates/CoordinateX"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (put(32, b"AdfX"), "tags"),
+        (put(25, b"C"), "ADF version C02011; known are"),
+        (put(28, b">"), "ADF version"),
+        (put(100, b"C"), "format 'C'"),
+        (put(100, b"N"), "format 'N'"),
+        (put(110, b"08"), "char, short, int, long, float and double of"),
+        (put(106, b"zz"), "hexadecimal"),
+        (put(134, b"FFFFFFFF0000"), "probably truncated"),
+        (put(134, b"000000000000"), "expected a node"),
+        (put(142, b"FFFF"), "should be at byte 65535"),
+        (put(0, b"XXXX", "/Base"), "expected a node"),
+        (put(242, b"Tail", "/Base"), "expected a node"),
+        (put(4, b"B/se", "/Base"), "impossible name 'B/se'"),
+        (put(4, b"Bose", "/Base"), "lists a child 'Base' whose own name is 'Bose'"),
+        (put(68, b"FFFFFFFF", "/Base"), "4294967295 children; its table has room for 3"),
+        (put(68, b"-0000001", "/Base"), "hexadecimal"),
+        (put(84, b"000000000000", "/Base"), "expected SNTb at byte 0"),
+        (put(128, b"0D", "/Base"), "13 dimensions"),
+        (put(130, b"7FFFFFFF", X), r"has \(2147483647, 3, 5\) values"),
+        (put(226, b"0000", X), "declares 4 x 3 x 5 R8 values but none are stored"),
+        (put(226, b"0005", X), "expected DCtb"),
+        (put(230, b"000000000000", X), "expected DaTa at byte 0"),
+        (put(96, b"R9", X), "holds 4 x 3 x 5 R9 values; expected R4 or R8"),
+        (put(96, b"QQ", "/Base/left/ZoneType"), "data type 'QQ'; known are"),
+        (loop, "belongs to two parents"),
+        (repeat_a_name, "two children named 'CoordinateX'"),
+        (put(226, b"0002", X), "declares 480 bytes of data; 240 are stored"),
+        (put(226, b"0009", X), "9 data chunks; more than its table holds"),
+    ],
+)
+def test_damaged_files_are_refused_with_the_reason(tmp_path, change, message):
+    with pytest.raises(FormatError, match=message):
+        read_grid(corrupted(tmp_path, change, 4 if "chunks" in message or "480" in message else 1))
+
+
+def test_overlapping_data_chunks_are_refused(tmp_path):
+    writer = AdfWriter(chunks=4)
+    huge = N("", "", None, [N("values", "DataArray_t", np.zeros(4000))])
+    path = writer.write(tmp_path / "bad.adf", huge)
+    at = writer.places["/values"] + 230
+    table = int(writer.file[at : at + 8], 16) * 4096 + int(writer.file[at + 8 : at + 12], 16)
+    entry = bytes(writer.file[table + 16 : table + 40])
+    writer.file += b"DCtb" + writer.pointer(len(writer.file) + 16 + 24 * 60000) + entry * 60000 + b"dcTE"
+    writer.file[at - 4 : at + 12] = b"%04X" % 60000 + writer.pointer(len(writer.file) - 20 - 24 * 60000)
+    path.write_bytes(writer.file)
+    with pytest.raises(FormatError, match="overlap"):
+        read_adf(path).children[0].data()
+
+
+def test_truncated_anywhere(tmp_path):
+    raw = AdfWriter(chunks=2).write(tmp_path / "whole.adf", two_zones()).read_bytes()
+    content = len(raw.rstrip(b"\0"))
+    path = tmp_path / "short.adf"
+    for length in [0, 1, 25, 31, 185, 186, 300, *range(512, content, 397), content - 1]:
+        path.write_bytes(raw[:length])
+        with pytest.raises(FormatError, match=r"short\.adf"):
+            walk(read_adf(path))
