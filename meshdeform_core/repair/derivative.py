@@ -14,7 +14,7 @@ import numpy as np
 from ..grid import FloatArray
 from ..parallel import Nodes
 from .constraints import Extrusion
-from .energy import Penalty, Region, kept_along_lines, share_of, share_slopes
+from .energy import Penalty, kept_along_lines, share_of, share_slopes
 from .region import Basis, Plot
 from .tuned import CUBIC, POLISHED
 
@@ -40,49 +40,18 @@ def derivative_of_repair(basis: Basis, start: FloatArray, end: FloatArray, polis
 
 
 def _at_minimum(basis: Basis, start: FloatArray, end: FloatArray, polish: bool) -> _AtMinimum | None:
-    plot = basis.whole
-    if plot is None:
-        return None
-    found = _AtMinimum(plot, start, end, polish)
-    return found if found.share > 0.0 else None
-
-
-class _Surfaces:
-    """Nodes (k,) that slide on curved surfaces: derivatives (k, d, d) of their projection onto a triangle, and of the
-    normal times the force on it, which turns as they slide."""
-
-    def __init__(self, region: Region, x: FloatArray, force: FloatArray) -> None:
-        self.nodes = np.concatenate([slide.nodes for slide in region.slides])
-        slopes = [slide.slopes(x[slide.nodes]) for slide in region.slides]
-        normals = np.concatenate([slide.normals(x[slide.nodes]) for slide in region.slides])
-        along = np.einsum("ni,ni->n", normals, force[region.number[self.nodes]])
-        self._onto = np.concatenate([onto for onto, _ in slopes])
-        self._turning = along[:, None, None] * np.concatenate([turning for _, turning in slopes])
-
-    def within_triangles(self, values: FloatArray) -> FloatArray:
-        """Changes, or gradients, (n, d) of coordinates without those that leave the triangles."""
-        found = values.copy()
-        found[self.nodes] = np.einsum("nij,nj->ni", self._onto, values[self.nodes])
-        return found
-
-    def turned(self, change: FloatArray, transposed: bool = False) -> FloatArray:
-        """Normal part (n, d) of the change of the forces for a change (n, d) of coordinates."""
-        found = np.zeros_like(change)
-        found[self.nodes] = np.einsum("nji,nj->ni" if transposed else "nij,nj->ni", self._turning, change[self.nodes])
-        return found
-
-    def kept(self, values: FloatArray) -> FloatArray:
-        """``values`` (n, d) at these nodes, zero elsewhere."""
-        found = np.zeros_like(values)
-        found[self.nodes] = values[self.nodes]
-        return found
+    found = _AtMinimum(basis.whole, start, end, polish) if basis.whole else None
+    return found if found and found.share > 0.0 else None
 
 
 class _AtMinimum:
-    """The derivative for x = y + F u: coordinates x of the repaired grid, y of the method's grid, unknowns u.
+    """The derivative for x = y + B F u: coordinates x of the repaired grid, y of the method's grid, unknowns u.
 
-    Of nodes that slide on curved surfaces, x = B F u: they have coordinates of their own, within the triangle that B
-    projects onto. Forces vanish in the directions of F, which follow the normals.
+    Nodes that slide on curved surfaces have x = B F u: coordinates of their own, within the triangle that B projects
+    onto; B is the identity for all others. Forces vanish in the directions of F, which follow the normals.
+
+    ``_onto``, ``_turning`` (n, d, d) are B and the change of the normal times the force on a node as it slides.
+    ``_slides`` (n, 1) is 1 at nodes that slide, else 0.
     """
 
     def __init__(self, plot: Plot, start: FloatArray, end: FloatArray, polish: bool) -> None:
@@ -100,12 +69,16 @@ class _AtMinimum:
 
     def _place(self) -> None:
         """Find the directions of the unknowns at the coordinates."""
-        region, self._surfaces = self._region, None
-        self._frame = region.directions(self._x)[0].frame
+        region, system, x = self._region, self._plot.system, self._x
+        self._frame = region.directions(x)[0].frame
+        self._onto, self._turning = np.tile(np.eye(x.shape[1]), (len(x), 1, 1)), np.zeros((len(x), *x.shape[1:] * 2))
+        self._slides = np.zeros((len(x), 1))
         if region.slides:
-            system = self._plot.system
-            system.fill(replace(region, slides=()), self._x, self._start, self._penalty)
-            self._surfaces = _Surfaces(region, self._x, system.gradient)
+            system.fill(replace(region, slides=()), x, self._start, self._penalty)
+        for slide in region.slides:
+            at, (onto, turning) = slide.nodes, slide.slopes(x[slide.nodes])
+            along = np.einsum("ni,ni->n", slide.normals(x[at]), system.gradient[region.number[at]])
+            self._onto[at], self._turning[at], self._slides[at] = onto, along[:, None, None] * turning, 1.0
 
     def push(self, change: FloatArray) -> FloatArray:
         """Change (n_nodes, 3) of the repaired grid for a change of the method's grid."""
@@ -118,13 +91,10 @@ class _AtMinimum:
 
         def make() -> tuple[FloatArray, float]:
             excess, _ = self._energy.excess_products(self._start, given, self._none)
-            shares = float(self._slopes[0] @ excess), self._slopes[1] * excess
+            shares, slid = (float(self._slopes[0] @ excess), self._slopes[1] * excess), self._slides * given
             force, _, _ = self._energy.products(self._x, self._penalty._replace(elastic=0.0), given, *shares)
-            surfaces = self._surfaces
-            if surfaces:
-                force -= self._hessian(surfaces.kept(given))
-            step = self._spread(self._solved(-self._gathered(force)))
-            return plot.shift(step - surfaces.kept(given) if surfaces else step), shares[0]
+            step = self._spread(self._solved(-self._gathered(force - self._hessian(slid))))
+            return plot.shift(step - slid), shares[0]
 
         shift, share = Nodes.of(change).on_first(make)
         moved[plot.moved] += shift
@@ -138,16 +108,12 @@ class _AtMinimum:
         def make() -> FloatArray:
             own = np.zeros_like(self._x)
             np.add.at(own, plot.at, gradient[plot.moved] @ plot.axes.T)
-            surfaces = self._surfaces
-            within = surfaces.within_triangles(own) if surfaces else own
-            step = self._turned(self._solved(-self._gathered(within), transposed=True))
+            step = self._turned(self._solved(-self._gathered(_times(self._onto, own)), transposed=True))
             free = self._penalty._replace(elastic=0.0)
             found, share, between = self._energy.products(self._x, free, step, 0.0, self._none)
             of_excess = (share + of_share) * self._slopes[0] + between * self._slopes[1]
             _, rest = self._energy.excess_products(self._start, step, of_excess)
-            if surfaces:
-                found -= surfaces.kept(self._hessian(step) + own)
-            return np.asarray((found + rest) @ plot.axes)
+            return np.asarray((found + rest - self._slides * (self._hessian(step) + own)) @ plot.axes)
 
         pulled[plot.nodes] += Nodes.of(gradient).on_first(make)
         return pulled
@@ -161,7 +127,7 @@ class _AtMinimum:
 
         def make() -> FloatArray:
             for _ in range(_STEPS):
-                self._fill()
+                self._plot.system.fill(self._region, self._x, self._start, self._penalty)
                 self._x = self._x + self._spread(self._solved(-self._plot.system.gradient.copy()))
                 if not self._regular:
                     return np.full_like(self._x, np.inf)
@@ -175,16 +141,13 @@ class _AtMinimum:
         moved = np.maximum(np.abs(self._x - before).max(axis=1) - rounding, 0.0)
         return float((moved / self._plot.edges).max())
 
-    def _fill(self) -> None:
-        self._plot.system.fill(self._region, self._x, self._start, self._penalty)
-
     def _solved(self, right: FloatArray, transposed: bool = False) -> FloatArray:
         """Solution (n_unknowns, d) of the linear system with the Hessian and the ``right``-hand side.
 
         Curved surfaces make the matrix slightly different from that of Newton's method, and from its transpose.
         """
-        self._fill()
         system, found, rest = self._plot.system, np.zeros_like(right), right
+        system.fill(self._region, self._x, self._start, self._penalty)
         size = before = np.linalg.norm(right)
         for _ in range(_REFINEMENTS):
             if before <= _ENOUGH * size:
@@ -206,23 +169,19 @@ class _AtMinimum:
 
     def _image(self, unknowns: FloatArray, transposed: bool) -> FloatArray:
         """Change (n, d) of the forces for a change of the unknowns, or its transpose, before it is gathered."""
-        surfaces = self._surfaces
-        if not surfaces:
-            return self._hessian(self._spread(unknowns))
-        if transposed:
-            turned = self._turned(unknowns)
-            return surfaces.within_triangles(self._hessian(turned) - surfaces.turned(turned, transposed=True))
-        moved = self._spread(unknowns)
-        return np.asarray(self._hessian(moved) - surfaces.turned(moved))
+        if not transposed:
+            moved = self._spread(unknowns)
+            return self._hessian(moved) - _times(self._turning, moved)
+        turned = self._turned(unknowns)
+        return _times(self._onto, self._hessian(turned) - _times(self._turning.transpose(0, 2, 1), turned))
 
     def _hessian(self, change: FloatArray) -> FloatArray:
         """Change (n, d) of the gradient for a change (n, d) of the coordinates."""
         return self._energy.products(self._x, self._penalty, change, 0.0, self._none)[0]
 
     def _spread(self, unknowns: FloatArray) -> FloatArray:
-        """The change (n, d) of the nodes: F u, or B F u."""
-        turned = self._turned(unknowns)
-        return self._surfaces.within_triangles(turned) if self._surfaces else turned
+        """The change (n, d) of the nodes: B F u."""
+        return _times(self._onto, self._turned(unknowns))
 
     def _turned(self, unknowns: FloatArray) -> FloatArray:
         """F u (n, d)."""
@@ -235,6 +194,11 @@ class _AtMinimum:
         turned = np.einsum("nji,nj->ni", frame[free], force[free])
         n = self._region.n_unknowns
         return np.stack([np.bincount(number[free], column, n) for column in turned.T], axis=1)
+
+
+def _times(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Products (n, d) of matrices (n, d, d) and vectors (n, d)."""
+    return np.asarray(np.einsum("nij,nj->ni", matrices, vectors))
 
 
 class _Extruded:
