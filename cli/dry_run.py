@@ -17,7 +17,7 @@ from meshdeform_core.memory import Demand, MemoryLimit, Work, readable
 from meshdeform_core.methods.limits import patch_motions
 from meshdeform_core.parallel import current_ranks
 from meshdeform_core.repair.limit import Limit
-from meshdeform_core.stepping.steps import Course, doubts
+from meshdeform_core.stepping import Course, doubts
 from meshdeform_core.wording import counted
 from meshdeform_formats.grids import Layout, format_of
 from meshdeform_formats.placing import lack, least_bytes, velocity_bytes

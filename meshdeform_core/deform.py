@@ -8,20 +8,29 @@ from typing import Any
 
 from .boundary import Kind
 from .errors import CaseError
-from .grid import Grid
+from .grid import FloatArray, Grid
 from .memory import UNLIMITED, MemoryLimit
-from .methods import Account, PreparedMethod, Progress
+from .methods import PreparedMethod, Progress
 from .methods.limits import patch_motions
 from .notices import Notice
 from .overset import Overset, impose_on_components, set_up
 from .quality import Assessment, Quality, assess
 from .repair.limit import Limit
-from .repair.outcome import Repair
+from .repair.outcome import Judged, Repair
 from .repair.tuned import COLLAPSING
 from .result import Result
 from .setup import BoundaryMotion, Case, Setup, Timing
-from .stepping.attempts import adaptively, in_equal_steps, until_valid
-from .stepping.steps import Attempt, Course, Reached, State, beginning, doubts
+from .stepping import (
+    Attempt,
+    Course,
+    State,
+    adaptively,
+    beginning,
+    doubts,
+    in_equal_steps,
+    until_valid,
+    warnings_ahead,
+)
 from .wording import counted
 
 _WORSE = 0.9
@@ -97,15 +106,17 @@ def impose(
         raise CaseError(f'steps = {steps!r}; expected a whole number >= 1 or "auto"')
 
     def result(of: Course, prepared: PreparedMethod | None) -> Result:
+        state = beginning(of, of.setup.case.method)
         if prepared:
-            of.latest.append((of.setup.grid.points, of.setup.case.method, prepared))
+            of.latest.append((state.found.points, state.options, prepared))
         if not of.setup.boundary.count(Kind.MOVING):
             # A component in which nothing moves.
-            still = dataclasses.replace(beginning(of, of.setup.case.method), fraction=1.0, steps=1)
-            return _result(Reached(still), one_of_many)
+            return _result(dataclasses.replace(state, fraction=1.0, steps=1), one_of_many)
+        # Steps that are halved until they succeed are never too large.
+        of.warnings.extend(warnings_ahead(state, 1 / steps if isinstance(steps, int) else 0.0))
         if isinstance(steps, int):
-            return _result(in_equal_steps(of, steps), one_of_many)
-        return _result(until_valid(of) if of.repairing else adaptively(of), one_of_many)
+            return _result(in_equal_steps(state, steps), one_of_many)
+        return _result((until_valid if of.repairing else adaptively)(state), one_of_many)
 
     undeformed = setup.undeformed
     if isinstance(undeformed, Overset):
@@ -113,37 +124,38 @@ def impose(
     return result(course, prepared)
 
 
-def _result(reached: Reached, one_of_many: bool) -> Result:
-    state, failed = reached
-    course, setup, last = state.course, state.course.setup, state.last
+def _result(state: State, one_of_many: bool) -> Result:
+    course, setup, failed = state.course, state.course.setup, state.failed
     motion = patch_motions(setup.problem, course.total)
     # The motion is complete: free what the method has prepared, to make room for the assessment.
     course.latest.clear()
     if not one_of_many:
         setup.problem.forget()
-    final = course.rounded(state.points)
+    final = course.rounded(state.found.points)
 
-    def step_of(cell: int) -> int:
-        return state.first_bad.get(cell, state.steps + (failed is not None))
+    def judged(found: Judged, points: FloatArray) -> Assessment:
+        def step_of(cell: int) -> int:
+            return state.first_bad.get(cell, state.steps + (failed is not None))
+
+        return assess(setup.original, points, setup.boundary, found.cells, step_of)
 
     with course.timing.stage("quality"):
-        assessment = assess(setup.original, final, setup.boundary, last.cells if last else None, step_of)
-        if failed is not None:
+        assessment = judged(state.found, final)
+        if failed:
             # The grid kept is valid; users need to know which cells the next step would break.
-            points, cells = course.rounded(failed.found.points), failed.found.cells
-            broken = assess(setup.original, points, setup.boundary, cells, step_of)
+            broken = judged(failed.found, course.rounded(failed.found.points))
             assessment = dataclasses.replace(assessment, invalid=broken.invalid, groups=broken.groups)
-    repair = sum(state.repairs[1:], state.repairs[0]) if state.repairs else None
-    if repair and state.plain:
-        with course.timing.stage("quality"):
-            points, cells = course.rounded(state.plain.points), state.plain.cells
-            before = assess(setup.original, points, setup.boundary, cells)
-        repair = dataclasses.replace(repair, before=main_measures(before.after))
+        repair, plain = state.repairs, state.plain
+        if not (plain and state.repair and state.steps == 1 and state.options is setup.case.method):
+            plain = None
+        if repair and plain:
+            before = judged(plain, course.rounded(plain.points)).after
+            repair = dataclasses.replace(repair, before=main_measures(before))
     return Result(
         setup=setup,
         grid=setup.grid.moved(final),
         assessment=assessment,
-        account=state.account or (failed.account if failed else Account()),
+        account=(state if state.steps or failed is None else failed).account,
         steps=state.steps,
         reached=state.fraction,
         displacement=course.total,
@@ -152,7 +164,7 @@ def _result(reached: Reached, one_of_many: bool) -> Result:
         motion=motion,
         attempts=tuple(course.attempts),
         repair=repair,
-        plain=state.plain.points if state.plain else None,
+        plain=plain.points if plain else None,
     )
 
 

@@ -40,7 +40,7 @@ from .repair.limit import Limit
 from .repair.outcome import Repair
 from .result import Result
 from .setup import Case, Setup, Timing, Undeformed, set_up_whole
-from .stepping.steps import Course
+from .stepping import Course
 
 
 def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryLimit = UNLIMITED) -> Setup:

@@ -11,7 +11,7 @@ from .methods.limits import PatchMotion
 from .quality import Assessment
 from .repair.outcome import Repair
 from .setup import Setup, Timing
-from .stepping.steps import Attempt
+from .stepping import Attempt
 
 
 @dataclass(frozen=True, eq=False, repr=False)

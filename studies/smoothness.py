@@ -19,6 +19,7 @@ import numpy as np
 from flows import SAMPLES, grids_folder, without_missing_flap
 from tables import Row, run
 
+from meshdeform_core import stepping
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.boundary.motions.motion import Displace, Motion, Rotate
@@ -30,7 +31,6 @@ from meshdeform_core.repair.onset import unhealthy_cells
 from meshdeform_core.repair.tuned import HEALTHY
 from meshdeform_core.series import Level, Schedule, deform_series
 from meshdeform_core.smoothness import shortest_edges
-from meshdeform_core.stepping import steps as stepping
 from meshdeform_formats.case import read_case
 from meshdeform_formats.grids import read_grid
 from meshdeform_samples import load

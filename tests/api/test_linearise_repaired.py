@@ -8,9 +8,9 @@ from grids import frame, frame_2d
 
 import meshdeform as md
 from meshdeform.grid import wrapped
+from meshdeform_core import stepping
 from meshdeform_core.grid.parts import FileFormat
 from meshdeform_core.repair import energy, onset, untangle
-from meshdeform_core.stepping import steps as stepping
 
 BODY = {"where": "abs(x) < 0.51 and abs(y) < 0.51", "select": ["*.i*", "*.j*"], "kind": "moving", "name": "body"}
 STILL = [{"displace": ["0", "0", "0"]}]

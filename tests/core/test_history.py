@@ -18,7 +18,7 @@ from meshdeform_core.methods import Options
 from meshdeform_core.parallel import Ranks
 from meshdeform_core.repair.limit import Limit
 from meshdeform_core.setup import Timing
-from meshdeform_core.stepping.steps import Course, beginning, prepared_on
+from meshdeform_core.stepping import Course, beginning, prepared_on
 
 
 def mesh_of(options: Options) -> Mesh:
@@ -83,8 +83,9 @@ def test_a_prepared_method_is_used_again_for_its_own_grid_and_options_only():
     setup = mesh_of(Options("tfi")).session.setup
     course = Course(setup, setup.motion(0.0), "float64", Timing(), None, Limit())
     state = beginning(course, setup.case.method)
+    elsewhere = dataclasses.replace(state.found, points=state.found.points.copy())
     moved, other = (
-        dataclasses.replace(state, **new) for new in ({"points": state.points.copy()}, {"options": Options("idw-tfi")})
+        dataclasses.replace(state, **new) for new in ({"found": elsewhere}, {"options": Options("idw-tfi")})
     )
     first = prepared_on(state)
     assert prepared_on(state) is first

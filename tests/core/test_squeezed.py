@@ -10,6 +10,7 @@ import pytest
 from cases import body_specs, formulas, turning
 from grids import frame_2d
 
+from meshdeform_core import stepping
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, Timing, deform, impose, set_up
 from meshdeform_core.grid import Grid
@@ -17,7 +18,6 @@ from meshdeform_core.repair import limit
 from meshdeform_core.repair.energy import Penalty, among_others
 from meshdeform_core.repair.newton import NewtonSystem
 from meshdeform_core.repair.untangle import QUICK, Untangler
-from meshdeform_core.stepping import attempts
 
 
 def butterfly(n=5, layers=4, planes=27):
@@ -99,15 +99,15 @@ def test_work_is_limited_by_counts(monkeypatch):
 
 @pytest.mark.parametrize(("rescued", "kept"), [(0, 0), (3, 3), (9, 5)])
 def test_of_two_methods_the_grid_with_fewer_invalid_cells_is_kept(rescued, kept, monkeypatch):
-    def trial(cells):
-        return SimpleNamespace(valid=cells == 0, invalid_cells=cells, state=SimpleNamespace(course=None, options=None))
+    def state(cells):
+        return SimpleNamespace(valid=cells == 0, course=None, options=None, found=SimpleNamespace(count=cells))
 
-    failed = SimpleNamespace(state=SimpleNamespace(fraction=0.5))
-    results = {"_without_repairs": None, "beginning": None, "_march": failed, "_with_other_methods": [trial(rescued)]}
+    failed = SimpleNamespace(fraction=0.5)
+    results = {"_without_repairs": None, "beginning": None, "_march": failed, "_with_other_methods": [state(rescued)]}
     for name, result in results.items():
-        monkeypatch.setattr(attempts, name, lambda *_, result=result, **__: result)
-    monkeypatch.setattr(attempts, "insist", lambda trial: trial)
-    assert attempts._persistently(trial(5)).invalid_cells == kept
+        monkeypatch.setattr(stepping, name, lambda *_, result=result, **__: result)
+    monkeypatch.setattr(stepping, "insist", lambda state: state)
+    assert stepping._persistently(state(5)).found.count == kept
 
 
 def test_a_squeezed_valid_grid_may_take_up_to_the_work_of_an_invalid_one():

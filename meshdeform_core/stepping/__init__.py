@@ -1,1 +1,0 @@
-"""A motion imposed in steps, and the attempts made until the grid is valid."""
