@@ -112,21 +112,9 @@ class Lanes:
             self.builder, self.builder.fpext(self.value, ir.VectorType(ir.DoubleType(), self.value.type.count))
         )
 
-    def running_sum(self) -> Lanes:
-        """Prefix sums: each lane plus all lanes before it."""
-        total, zero = self, self._same(0.0)
-        for step in (1, 2, 4, 8):
-            places = [n - step if n >= step else WIDTH for n in range(WIDTH)]
-            total = total + _shuffle(total, zero, places)
-        return total
-
     def mixed(self, other: Lanes, places: list[int]) -> Lanes:
         """Lanes of this one, from 0 on, and of ``other``, counted on."""
         return _shuffle(self, other, places)
-
-    def last(self) -> Lanes:
-        """The last lane, copied to all sixteen."""
-        return _shuffle(self, self, [WIDTH - 1] * WIDTH)
 
     def _same(self, other: Lanes | float) -> Lanes:
         if isinstance(other, Lanes):

@@ -6,18 +6,17 @@ node of the sub-block, start (1) of its coordinates in an array laid out as :fun
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
-from llvmlite import ir
 
 from ..arrays import FloatArray, IntArray, portions, spans
 from ..jit import inlined, kernel
-from ..lanes import WIDTH, Array, Lanes, components, lanes
+from ..lanes import WIDTH
 
 TILE = WIDTH
 """Nodes along k that are processed together, so that the data they share stay in the cache."""
 _PART = 65536
-# Vectors of the work array: length so far; one over the whole length, or zero for lines of zero length.
-_LENGTH, _INVERSE = 0, WIDTH
 
 
 @inlined
@@ -98,8 +97,8 @@ def tile_start(i, j, first, nj, nk):
 @kernel("f8[:, ::1], i8[:, ::1], i8[:, ::1], f8[::1]")
 def arc_coordinates(points, subs, parts, arc):
     """Normalised arc lengths of the nodes inside sub-blocks, by ``parts``, rows of :func:`arc_parts`, into ``arc``, see
-    :func:`arc_numbers`; coordinates are uniform on lines of zero length."""
-    work = np.empty(2 * WIDTH)
+    :func:`arc_numbers`; coordinates are uniform on lines of zero length, and zero where they are padded."""
+    total = np.empty(TILE)
     for part in range(parts.shape[0]):
         n = parts[part, 0]
         si, sj = subs[n, 2] * subs[n, 3], subs[n, 3]
@@ -107,7 +106,7 @@ def arc_coordinates(points, subs, parts, arc):
         ni, nj, nk = subs[n, 7] - subs[n, 4] - 1, subs[n, 8] - subs[n, 5] - 1, subs[n, 9] - subs[n, 6] - 1
         first, last = parts[part, 2], parts[part, 3]
         if parts[part, 1] == 0:
-            width = min(TILE, padded(nk) - first)
+            width, count = min(TILE, padded(nk) - first), last - first
             at = subs[n, 10] + tile_start(0, 0, first, nj, nk)
             # All lines along i that cross a plane, then those along j; a tile of them together.
             for q in range(nj + ni):
@@ -117,76 +116,40 @@ def arc_coordinates(points, subs, parts, arc):
                 else:
                     node, step, length = corner + (q - nj + 1) * si + first + 1, sj, nj
                     to, apart = at + 3 * nj * (q - nj) * padded(nk) + width, 3 * width
-                for k in range(WIDTH):
-                    work[k] = 0.0
+                total[:] = 0.0
                 for m in range(length + 1):
-                    one = 3 * (node + m * step)
+                    for k in range(count):
+                        one = node + m * step + k
+                        total[k] += _distance(points, one, one + step)
                     # The last edge adds to the total length only.
-                    kept = width if m < length else 0
-                    lengthen(points, one, one + 3 * step, 3 * (last - first), work, arc, to + m * apart, kept)
-                invert(work)
+                    for k in range(width if m < length else 0):
+                        arc[to + m * apart + k] = total[k]
+                for k in range(count):
+                    total[k] = 1.0 / total[k] if total[k] > 0.0 else 0.0
                 for m in range(length):
-                    normalise(arc, to + m * apart, width, work, (m + 1) / (length + 1))
+                    for k in range(count):
+                        place = to + m * apart + k
+                        arc[place] = arc[place] * total[k] if total[k] > 0.0 else (m + 1) / (length + 1)
         else:
             for i in range(first, last):
                 for j in range(nj):
-                    node = corner + (i + 1) * si + (j + 1) * sj
-                    for k in range(WIDTH):
-                        work[k] = 0.0
-                    for k0 in range(0, nk + 1, TILE):
-                        width, at = min(TILE, padded(nk) - k0), 3 * (node + k0)
-                        to = subs[n, 10] + tile_start(i, j, k0, nj, nk) + 2 * width
-                        add_up(points, at, at + 3, 3 * min(TILE, nk + 1 - k0), work, arc, to, width)
-                    invert(work)
+                    node, length = corner + (i + 1) * si + (j + 1) * sj, 0.0
+                    for k in range(nk + 1):
+                        length += _distance(points, node + k, node + k + 1)
+                    inverse, length = 1.0 / length if length > 0.0 else 0.0, 0.0
                     for k0 in range(0, nk, TILE):
                         width = min(TILE, padded(nk) - k0)
                         to = subs[n, 10] + tile_start(i, j, k0, nj, nk) + 2 * width
-                        normalise(arc, to, width, work, (k0 + 1) / (nk + 1))
-                        if work[_INVERSE] == 0.0:
-                            for k in range(min(TILE, nk - k0)):
-                                arc[to + k] = (k0 + k + 1) / (nk + 1)
+                        for k in range(width):
+                            place = node + k0 + k
+                            arc[to + k] = 0.0
+                            if k0 + k < nk:
+                                length += _distance(points, place, place + 1)
+                                arc[to + k] = length * inverse if inverse > 0.0 else (k0 + k + 1) / (nk + 1)
 
 
-def _edge_lengths(points: Array, one: ir.Value, other: ir.Value, count: ir.Value) -> Lanes:
-    """Distances between sixteen pairs of points; only ``count`` coordinates are read, the others count as zero."""
-    here, there = (points.load_some_points(at, count) for at in (one, other))
-    x, y, z = components([b - a for a, b in zip(here, there, strict=True)])
-    return (x * x + y * y + z * z).sqrt()
-
-
-@lanes
-def lengthen(
-    points: Array, one: ir.Value, other: ir.Value, count: ir.Value, work: Array, arc: Array, to: ir.Value,
-    width: ir.Value,
-) -> None:  # fmt: skip
-    """Add an edge to each of sixteen lines."""
-    length = work.load(ir.Constant(to.type, _LENGTH)) + _edge_lengths(points, one, other, count)
-    work.store(ir.Constant(to.type, _LENGTH), length)
-    arc.store_some(to, length, width)
-
-
-@lanes
-def add_up(
-    points: Array, one: ir.Value, other: ir.Value, count: ir.Value, work: Array, arc: Array, to: ir.Value,
-    width: ir.Value,
-) -> None:  # fmt: skip
-    """Running lengths over sixteen consecutive edges of a line; ``work`` holds the length so far, sixteen times."""
-    length = work.load(ir.Constant(to.type, _LENGTH)) + _edge_lengths(points, one, other, count).running_sum()
-    work.store(ir.Constant(to.type, _LENGTH), length.last())
-    arc.store_some(to, length, width)
-
-
-@lanes
-def invert(work: Array) -> None:
-    """One over the lengths; zero for lines of zero length."""
-    start = ir.Constant(ir.IntType(64), 0)
-    length = work.load(start, _LENGTH)
-    work.store(start, (length * 0.0).below(length).choose(1.0 / length, 0.0), _INVERSE)
-
-
-@lanes
-def normalise(arc: Array, at: ir.Value, width: ir.Value, work: Array, uniform: Lanes) -> None:
-    """Coordinates from lengths; ``uniform`` on lines of zero length."""
-    inverse = work.load(ir.Constant(at.type, 0), _INVERSE)
-    long = (inverse * 0.0).below(inverse)
-    arc.store_some(at, long.choose(arc.load_some(at, width) * inverse, uniform), width)
+@inlined
+def _distance(points, one, other):
+    """Distance between two rows of ``points`` (n, 3)."""
+    x, y, z = points[other, 0] - points[one, 0], points[other, 1] - points[one, 1], points[other, 2] - points[one, 2]
+    return math.sqrt(x * x + y * y + z * z)
