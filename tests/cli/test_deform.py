@@ -172,12 +172,6 @@ def test_an_earlier_invalid_grid_goes_when_the_grid_is_valid(bench, call):
     assert (bench / "out.invalid.xyz").read_text() == "my own notes"
 
 
-def test_a_case_in_the_place_of_the_grid_is_told(bench, call):
-    result = call("deform", "case.toml", "-c", "grid.xyz", "-o", "out.xyz")
-    assert result.code == 2
-    assert "case.toml is a case file; expected the grid first: grid.xyz -c case.toml" in result.err
-
-
 # Steps and time
 
 

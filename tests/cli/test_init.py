@@ -73,18 +73,6 @@ def test_names_that_toml_and_patterns_find_difficult(bench):
     assert setup.boundary.count(Kind.MOVING) == 4 * 4 * (4 + 1)
 
 
-def test_init_overwrites_only_by_force_and_keeps_the_grid(bench, call):
-    assert call("init", "grid.xyz", "-o", "case.toml").code == 2
-    assert call("init", "grid.xyz", "-o", "grid.xyz", "--force").code == 2
-    assert call("init", "grid.xyz", "-o", "case.toml", "--force").code == 0
-
-
-def test_deform_without_a_case_says_where_to_go_on(bench, call):
-    result = call("deform", "grid.xyz", "-o", "out.xyz")
-    assert result.code == 2
-    assert "meshdeform init grid.xyz -o case.toml" in " ".join(result.err.split())
-
-
 @pytest.mark.parametrize(("name", "boundaries"), REAL)
 def test_cases_for_real_grids_run(name, boundaries, tmp_path, monkeypatch, call):
     if not (GRIDS / name).exists():

@@ -155,27 +155,6 @@ def test_plot_options(options, bench, call):
     assert next(iter(titles.values())).replace("&", "&amp;").replace("<", "&lt;") in text
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--plane", "z=1.5"), "no part of the grid lies at z = 1.5; it spans z = 0 to 1"),
-        (("--plane", "k=1", "--zoom=5,6,5,6"), "shows nothing of the grid, which extends from"),
-        (("--plane", "k=9"), "no block has a node plane k = 9; the largest is 4"),
-        (("--plane", "q=1"), "expected a plane of nodes, like k=1 or k=mid, or one in space"),
-        (("--metric", "displacement"), "give --reference"),
-        (("--range", "1,0"), "expected low < high"),
-        (("--reference", "grid.xyz", "--plane", "x=0.6", "--metric", "volume", "--log", "--range", "0,1"),
-         "does not begin above zero"),
-        (("--reference", "flat.p2dfmt",), "blocks"),
-    ],
-)  # fmt: skip
-def test_plot_refuses_what_is_not_there(options, words, bench, call):
-    result = call("plot", "grid.cgns", "-o", "picture.png", *options)
-    assert (result.code, result.out) == (2, "")
-    assert words in result.err
-    assert not (bench / "picture.png").exists()
-
-
 # methods
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import codecs
 import functools
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,6 +18,10 @@ from meshdeform_formats import write_grid
 from meshdeform_samples import generate
 
 DEFORM = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz")
+PLOT = ("plot", "grid.cgns", "-o", "out.png")
+SERIES = ("series", "grid.xyz", "-c", "case.toml")
+LEVELS = (*SERIES, "-o", "out", "--times", "0:1:0.5")
+PIPE = ("pipe: it is a pipe; expected a file",)
 
 # id: (arguments, fragments of the message)
 CALLS = {
@@ -25,7 +30,9 @@ CALLS = {
     "option-unknown": ((*DEFORM, "--stepz", "3"), ("No such option", "--stepz", "--steps")),
     "argument-missing": (("deform",), ("Missing argument 'GRID'",)),
     "output-missing": (("deform", "grid.xyz", "-c", "case.toml"), ("Missing option '-o'", "--dry-run")),
-    "nothing-to-do": (("deform", "grid.xyz", "-o", "out.xyz"), ("case file (-c)", "displacement table (-d)")),
+    "nothing-to-do": (
+        ("deform", "grid.xyz", "-o", "out.xyz"), ("case file (-c)", "table (-d)", "init grid.xyz -o case.toml"),
+    ),
     # numbers
     "threads-zero": ((*DEFORM, "--threads", "0"), ("--threads", "x>=1")),
     "steps-fraction": ((*DEFORM, "--steps", "2.5"), ("--steps '2.5'", "whole number >= 1")),
@@ -60,6 +67,22 @@ CALLS = {
     "set-constant": (
         (*DEFORM, "-s", "turn=10"), ("--set 'turn=10': unknown key 'turn'; did you mean 'constants.turn'?",),
     ),
+    "set-no-formula-uses-it": (
+        (*DEFORM, "-s", "constants.trun=40"), ("no formula uses the constant 'trun'", "did you mean 'turn'?"),
+    ),
+    "set-of-another-method": (
+        (*DEFORM, "-s", "method.rbf.basis=wendland-c2"),
+        ("has no effect", "'idw-tfi' uses only method.idw, method.tfi"),
+    ),
+    "set-idle-eta": ((*DEFORM, "-s", "method.idw.eta=4"), ("has no effect", 'method.idw.alpha = "auto"')),
+    "set-idle-divisions": (
+        (*DEFORM, "-s", "method.idw.divisions=4"), ("has no effect", 'method.idw.rotation = "division"'),
+    ),
+    "match-without-table": ((*DEFORM, "--match", "exact"), ("belong to --displacement",)),
+    "match-unknown": (
+        ("deform", "grid.xyz", "-d", "table.csv", "-o", "out.xyz", "--match", "closest"),
+        ("match = 'closest' is unknown; known are exact, nearest, interpolate",),
+    ),
     # output names
     "output-suffix-near": ((*DEFORM[:-1], "out.cgn"), ("did you mean '.cgns'?",)),
     "output-exists": (("deform", "grid.xyz", "-c", "case.toml", "-o", "old.xyz"), ("old.xyz exists", "--force")),
@@ -80,12 +103,34 @@ CALLS = {
     ),
     "output-one-block-only": (("convert", "grid.xyz", "out.vts"), ("one block", "8", ".vtm")),
     "report-exists": ((*DEFORM, "--report", "old.json"), ("old.json exists", "--force")),
+    "init-exists": (("init", "grid.xyz", "-o", "case.toml"), ("case.toml exists", "--force")),
+    "init-replaces-the-grid": (("init", "grid.xyz", "-o", "grid.xyz", "--force"), ("grid.xyz is an input",)),
     # inputs
     "grid-missing": (("deform", "no.xyz", "-c", "case.toml", "-o", "out.xyz"), ("no.xyz does not exist",)),
     "case-missing": (("deform", "grid.xyz", "-c", "no.toml", "-o", "out.xyz"), ("no.toml", "No such file")),
     "case-binary": (("deform", "grid.xyz", "-c", "grid.xyz", "-o", "out.xyz"), ("grid.xyz", "not a TOML file")),
     "method-unknown": ((*DEFORM, "-m", "idv"), ("method 'idv' is unknown", "idw-tfi")),
     "method-near": ((*DEFORM, "-m", "idwtfi"), ("did you mean 'idw-tfi'?",)),
+    "case-for-grid": (
+        ("deform", "case.toml", "-c", "grid.xyz", "-o", "out.xyz"),
+        ("case.toml is a case file; expected the grid first: grid.xyz -c case.toml",),
+    ),
+    "grid-pipe": (("info", "pipe"), PIPE),
+    "map-pipe": (("info", "grid.xyz", "--boundary-file", "pipe"), PIPE),
+    "case-pipe": (("deform", "grid.xyz", "-c", "pipe", "-o", "z.xyz"), PIPE),
+    "table-pipe": (("deform", "grid.xyz", "-d", "pipe", "-o", "z.xyz"), PIPE),
+    "reference-pipe": (("quality", "grid.xyz", "--reference", "pipe"), PIPE),
+    # series
+    "series-no-times": ((*SERIES, "-o", "out"), ("--times START:STOP:STEP",)),
+    "series-no-output": ((*SERIES, "--times", "0:1:0.5"), ("Missing option '-o'",)),
+    "series-times": ((*SERIES, "-o", "out", "--times", "0:1"), ("--times: '0:1'",)),
+    "series-infinite": ((*SERIES, "-o", "out", "--times", "0,inf"), ("the times [0.0, inf] are not all finite",)),
+    "series-descending": ((*SERIES, "-o", "out", "--times", "0,2,1"), ("the times [0.0, 2.0, 1.0] do not ascend",)),
+    "series-suffix": ((*LEVELS, "--suffix", ".abc"), ("cannot tell the format",)),
+    "series-velocity": ((*LEVELS, "--velocity", "first"), (".xyz files cannot hold the grid velocity",)),
+    "series-resume-force": ((*LEVELS, "--resume", "--force"), ("--force restarts it",)),
+    "series-into-grid": ((*SERIES, "-o", "grid.cgns", "--times", "0:1:0.5"), ("grid.cgns",)),
+    "series-steps": ((*LEVELS, "--steps", "0"), ("--steps",)),
     # other commands
     "sample-unknown": (("sample", "splitter", "-o", "new"), ("'splitter' is unknown", "splitter-plate")),
     "sample-size": (("sample", "splitter-plate", "-o", "new", "--size", "-3"), ("size = -3", "multiple of 8")),
@@ -96,6 +141,24 @@ CALLS = {
         ("quality", "grid.xyz", "--reference", "flat.p2dfmt"),
         ("block1 of grid.xyz has 5 x 5 x 4", "flat.p2dfmt"),
     ),
+    "reproduce-unknown": (("reproduce", "table9", "-o", "out"), ("table2", "table5", "figB", "all")),
+    "plot-plane-outside": (
+        (*PLOT, "--plane", "z=1.5"), ("no part of the grid lies at z = 1.5; it spans z = 0 to 1",),
+    ),
+    "plot-zoom-outside": (
+        (*PLOT, "--plane", "k=1", "--zoom=5,6,5,6"), ("shows nothing of the grid, which extends from",),
+    ),
+    "plot-plane-beyond": ((*PLOT, "--plane", "k=9"), ("no block has a node plane k = 9; the largest is 4",)),
+    "plot-plane-unknown": (
+        (*PLOT, "--plane", "q=1"), ("expected a plane of nodes, like k=1 or k=mid, or one in space",),
+    ),
+    "plot-no-reference": ((*PLOT, "--metric", "displacement"), ("give --reference",)),
+    "plot-range": ((*PLOT, "--range", "1,0"), ("expected low < high",)),
+    "plot-logarithm": (
+        (*PLOT, "--reference", "grid.xyz", "--plane", "x=0.6", "--metric", "volume", "--log", "--range", "0,1"),
+        ("does not begin above zero",),
+    ),
+    "plot-other-blocks": ((*PLOT, "--reference", "flat.p2dfmt"), ("blocks",)),
     "plot-no-output": (("plot", "grid.xyz"), ("Missing option '-o'",)),
     "plot-plane-and-select": (
         ("plot", "grid.xyz", "-o", "out.png", "--plane", "k=1", "--select", "*"),
@@ -277,6 +340,7 @@ MISTAKES = {
 @pytest.mark.parametrize("name", [*CALLS, *CASES, *MISTAKES])
 def test_it_is_refused_with_one_message_and_nothing_is_written(name, bench, call, snapshot):
     (bench / "folder.xyz").mkdir()
+    os.mkfifo("pipe")
     if name in MISTAKES:
         prepare, arguments, fragment = MISTAKES[name]
         prepare()

@@ -309,29 +309,6 @@ def test_a_changed_series_is_refused_with_what_changed(change, words, done, call
     assert snapshot(Path()) == before
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("-o", "out"), "--times START:STOP:STEP"),
-        (("--times", "0:1:0.5"), "Missing option '-o'"),
-        (("-o", "out", "--times", "0:1"), "--times: '0:1'"),
-        (("-o", "out", "--times", "0,inf"), "the times [0.0, inf] are not all finite"),
-        (("-o", "out", "--times", "0,2,1"), "the times [0.0, 2.0, 1.0] do not ascend"),
-        (("-o", "out", "--times", "0:1:0.5", "--suffix", ".abc"), "cannot tell the format"),
-        (("-o", "out", "--times", "0:1:0.5", "--velocity", "first"), ".xyz files cannot hold the grid velocity"),
-        (("-o", "out", "--times", "0:1:0.5", "--resume", "--force"), "--force restarts it"),
-        (("-o", "grid.cgns", "--times", "0:1:0.5"), "grid.cgns"),
-        (("-o", "out", "--times", "0:1:0.5", "--steps", "0"), "--steps"),
-    ],
-)
-def test_wrong_calls_are_refused(arguments, words, swing, call, snapshot):
-    before = snapshot(swing)
-    result = call("series", "grid.xyz", "-c", "swing.toml", *arguments)
-    assert result.code == 2
-    assert words in result.err
-    assert snapshot(swing) == before
-
-
 def test_formats_that_are_not_read_cannot_go_on_with_velocities(swing, call):
     options = (*RUN, "--suffix", ".vtu", "--velocity", "first", "-q")
     assert call(*options).code == 0

@@ -119,24 +119,6 @@ def test_a_set_has_a_name_in_utf8(bench, call, snapshot):
     assert snapshot(bench) == before
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("info", "pipe"),
-        ("info", "grid.xyz", "--boundary-file", "pipe"),
-        ("deform", "grid.xyz", "-c", "pipe", "-o", "z.xyz"),
-        ("deform", "grid.xyz", "-d", "pipe", "-o", "z.xyz"),
-        ("quality", "grid.xyz", "--reference", "pipe"),
-    ],
-    ids=" ".join,
-)
-def test_a_pipe_is_refused_at_once(bench, call, arguments):
-    os.mkfifo("pipe")
-    result = call(*arguments)
-    assert result.code == 2
-    assert "pipe: it is a pipe; expected a file" in result.err
-
-
 @contextmanager
 def as_nobody() -> Iterator[None]:
     """The rights of a user to whom nothing here belongs."""

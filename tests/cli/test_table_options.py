@@ -38,13 +38,6 @@ def test_tolerance_and_match_reach_the_table(bench, call):
     assert match["match"] == "interpolate"
 
 
-def test_they_need_a_table(bench, call):
-    result = call("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz", "--match", "exact")
-    assert result.code == 2
-    assert "belong to --displacement" in result.err
-    assert call(*RUN, "--match", "closest").code == 2
-
-
 @pytest.mark.parametrize("nk", [1, 4], ids=["2-D", "3-D"])
 def test_positions_by_number_move_the_points_that_have_them(nk, tmp_path, monkeypatch, call):
     """As SU2 writes them, with its numbers of the points: those of one marker; the other walls are fixed."""

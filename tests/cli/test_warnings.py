@@ -63,22 +63,6 @@ RUN = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz")
 
 
 @pytest.mark.parametrize(
-    ("setting", "words"),
-    [
-        ("constants.trun=40", ["no formula uses the constant 'trun'", "did you mean 'turn'?"]),
-        ("method.rbf.basis=wendland-c2", ["has no effect", "'idw-tfi' uses only method.idw, method.tfi"]),
-        ("method.idw.eta=4", ["has no effect", 'method.idw.alpha = "auto"']),
-        ("method.idw.divisions=4", ["has no effect", 'method.idw.rotation = "division"']),
-    ],
-)
-def test_set_that_reaches_nothing_is_an_error(setting, words, bench, call):
-    result = call(*RUN, "-s", setting)
-    assert result.code == 2
-    assert not (bench / "out.xyz").exists()
-    assert [word for word in words if word not in result.err] == []
-
-
-@pytest.mark.parametrize(
     ("method", "settings"),
     [
         ("idw", ["method.idw.weights=shepard", "method.idw.p_fixed=4"]),

@@ -7,7 +7,6 @@ import pytest
 
 from meshdeform_cli.main import run as command
 from meshdeform_core.methods import IDW, TFI, Options, make_method
-from meshdeform_samples.reproduce import WHAT
 from meshdeform_samples.reproduce.experiment import TABLES, Sample, Trial, asymmetry, prepare_sample, run
 from meshdeform_samples.reproduce.paper_methods import (
     MinresRBF,
@@ -129,13 +128,6 @@ def test_command_writes_data_tables_and_figures(tmp_path, capsys):
     assert (out / "results.md").read_text() == shown.out
     assert command(arguments) == 2
     assert "use --force" in capsys.readouterr().err
-
-
-def test_command_refuses_what_is_unknown(tmp_path, capsys):
-    assert command(["reproduce", "table9", "-o", str(tmp_path / "out")]) == 2
-    message = capsys.readouterr().err
-    assert all(name in message for name in WHAT)
-    assert not (tmp_path / "out").exists()
 
 
 def test_sub_blocks_keep_walls_orthogonal_on_large_blocks():
