@@ -116,12 +116,7 @@ def read_dictionary(path: Path) -> Dictionary:
         )
     if path.stat().st_size > _LARGEST_FILE:
         raise FormatError(f"{path} is larger than any OpenFOAM dictionary ({_LARGEST_FILE >> 20} MiB)")
-    return parse_dictionary(path.read_bytes().decode("utf-8", "replace"), path)
-
-
-def parse_dictionary(text: str, path: Path) -> Dictionary:
-    """The content of a dictionary file; ``path`` is for messages."""
-    return _Parser(text, path).run()
+    return _Parser(path.read_bytes().decode("utf-8", "replace"), path).run()
 
 
 def written(item: Item) -> str:
