@@ -18,10 +18,8 @@ from .quality import Assessment, Quality, assess
 from .repair.limit import Limit
 from .repair.outcome import Judged, Repair
 from .repair.tuned import COLLAPSING
-from .result import Result
-from .setup import BoundaryMotion, Case, Setup, Timing
+from .setup import Attempt, BoundaryMotion, Case, Result, Setup, Timing
 from .stepping import (
-    Attempt,
     Course,
     State,
     adaptively,

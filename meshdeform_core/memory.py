@@ -291,33 +291,25 @@ class Demand:
         # Imported late, as it takes a tenth of the time of ``--help``.
         import tempfile
 
+        ranks = current_ranks()
+        several = ranks.on_machine < ranks.count
         possible = folder is not None and sys.platform == "linux" and self.in_memory > limit.size
-        files = (Path(tempfile.gettempdir()) if _on_several_machines() else folder) if possible else None
+        files = (Path(tempfile.gettempdir()) if several else folder) if possible else None
         set_sharing(scratch=Scratch(files, limit.size) if files else None)
-        needed = min(self.in_memory, self.beside_files(limit)) if files else self.in_memory
-        limit.require(needed, self.what, _INSTEAD)
-        if files:
-            _require_disk(self.file_bytes, self.what, files)
-
-
-def _on_several_machines() -> bool:
-    return current_ranks().on_machine < current_ranks().count
-
-
-def _require_disk(size: int, what: str, folder: Path) -> None:
-    """Raise an error, the same on all ranks, if a disk has no room for the files, each of ``size`` bytes together, of
-    all ranks on its machine."""
-    ranks, free = current_ranks(), shutil.disk_usage(folder).free
-    machine = f" of {platform.node()}" if _on_several_machines() else ""
-    shared = f" for {ranks.on_machine} ranks" if ranks.on_machine > 1 else ""
-    needed, lacks = ranks.on_machine * size, list[str]()
-    if needed > free:
-        lacks.append(
-            f"{what} beyond the memory needs files of {readable(needed)}{shared} to work in; the disk of {folder}"
-            f"{machine} has {readable(free)} free: make room there, choose another disk, or allow more memory"
-        )
-    for lack in ranks.gather(lacks):
-        raise MethodError(lack)
+        limit.require(min(self.in_memory, self.beside_files(limit)) if files else self.in_memory, self.what, _INSTEAD)
+        if files is None:
+            return
+        needed, free, lacks = ranks.on_machine * self.file_bytes, shutil.disk_usage(files).free, list[str]()
+        if needed > free:
+            shared = f" for {ranks.on_machine} ranks" if ranks.on_machine > 1 else ""
+            lacks.append(
+                f"{self.what} beyond the memory needs files of {readable(needed)}{shared} to work in; the disk of "
+                f"{files}{f' of {platform.node()}' if several else ''} has {readable(free)} free: make room there, "
+                "choose another disk, or allow more memory"
+            )
+        # The same error on all ranks.
+        for lack in ranks.gather(lacks):
+            raise MethodError(lack)
 
 
 def machine_memory() -> MemoryLimit:

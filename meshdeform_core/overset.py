@@ -38,8 +38,7 @@ from .quality.listed import MAX_GROUPS
 from .quality.report import MAX_LISTED
 from .repair.limit import Limit
 from .repair.outcome import Repair
-from .result import Result
-from .setup import Case, Setup, Timing, Undeformed, set_up_whole
+from .setup import Case, Result, Setup, Timing, Undeformed, set_up_whole
 from .stepping import Course
 
 
@@ -260,6 +259,7 @@ class ComponentCrossings:
         return min((each for each in found if each), key=lambda contact: contact.fraction, default=None)
 
 
+Mover = Callable[[FloatArray], FloatArray]
 Differentiated = Callable[[Result, PreparedMethod, FloatArray], tuple[Linearised, str]]
 
 
@@ -284,11 +284,16 @@ class PreparedComponents(PreparedMethod):
         ]
 
     def apply(self, displacement: FloatArray, progress: Progress | None = None) -> FloatArray:
-        moved = (
-            method.apply(displacement[rows], progress) if method else filled(each.undeformed.problem, 0.0)
-            for each, method, rows in self._parts()
-        )
-        return _joined(self._grid, list(zip(self.components, moved, strict=True)))
+        applied = [partial(method.apply, progress=progress) if method else None for method in self.methods]
+        return self._moved(applied, displacement)
+
+    def _moved(self, movers: Sequence[Mover | None], values: FloatArray) -> FloatArray:
+        """What ``movers`` of the components make of their rows of ``values`` of the sources, on all nodes."""
+        parts = [
+            (each, move(values[rows]) if move else filled(each.undeformed.problem, 0.0))
+            for (each, _, rows), move in zip(self._parts(), movers, strict=True)
+        ]
+        return _joined(self._grid, parts)
 
     def _parts(self) -> Iterator[tuple[Component, PreparedMethod | None, IntArray]]:
         """Each component with its method, and the rows of its sources among those of the whole grid."""
@@ -312,13 +317,6 @@ class PreparedComponents(PreparedMethod):
     def _together(self, found: Sequence[Linearised | None]) -> Linearised:
         """The derivative from those of all components."""
 
-        def push(change: FloatArray) -> FloatArray:
-            moved = (
-                own.push(change[rows]) if own else filled(each.undeformed.problem, 0.0)
-                for (each, _, rows), own in zip(self._parts(), found, strict=True)
-            )
-            return _joined(self._grid, list(zip(self.components, moved, strict=True)))
-
         def pull(gradient: FloatArray) -> FloatArray:
             total = np.zeros((len(self._sources), 3))
             for (each, _, rows), own in zip(self._parts(), found, strict=True):
@@ -326,6 +324,7 @@ class PreparedComponents(PreparedMethod):
                     total[rows] = own.pull(each.rows(self._grid, gradient))
             return total
 
+        push = partial(self._moved, [own.push if own else None for own in found])
         return Linearised(push, pull, sum((own.kinks for own in found if own), Kinks()))
 
 

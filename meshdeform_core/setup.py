@@ -1,4 +1,4 @@
-"""A grid and its case: everything that is known before the boundary moves."""
+"""A grid and its case, everything that is known before the boundary moves; and what a deformation of them returns."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from .boundary import Boundary, BoundarySpec, Kind, classify
 from .boundary.classification import UNSELECTED, opening_notes, with_plates
 from .boundary.crossing import CrossingTest
-from .boundary.prescribed import prescribed_displacement
+from .boundary.prescribed import largest_displacement, prescribed_displacement
 from .errors import CaseError, MotionError
 from .grid import FloatArray, Grid
 from .grid.connections import check_connections
@@ -22,11 +22,12 @@ from .grid.planes import require_extent
 from .grid.selection import Components
 from .grid.topology import RELATIVE_TOLERANCE, Topology, find_topology
 from .memory import UNLIMITED, MemoryLimit, release_freed
-from .methods import Options, PreparedMethod, Problem, Progress, prepare_method
-from .numerics.arrays import extent
+from .methods import Account, Options, PreparedMethod, Problem, Progress, prepare_method
+from .methods.limits import PatchMotion
 from .numerics.jit import compile_seconds
-from .quality import Original
+from .quality import Assessment, Original
 from .repair import Mode, RepairOptions
+from .repair.outcome import Repair
 
 if TYPE_CHECKING:
     from .repair.region import Basis
@@ -132,12 +133,6 @@ class Undeformed:
 
         return Basis(self.original, self.boundary)
 
-    @cached_property
-    def round_off(self) -> float:
-        """Largest round-off of a displacement that returns to zero (grid length unit)."""
-        low, high = extent(self.grid.nodes.at(self.topology.first))
-        return 1e-12 * float((high - low).max())
-
     def prepare(self, options: Options) -> PreparedMethod:
         """The method that ``options`` describe, bound to the grid."""
         return prepare_method(options, self.problem)
@@ -187,6 +182,61 @@ class Setup:
     def motion(self, time: float) -> BoundaryMotion:
         """The case's motion at ``time``."""
         return partial(self.displacement, time)
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One attempted step of the motion: method, with or without repair, and outcome.
+
+    ``steps`` counts the steps up to and including this one; ``reached`` is the fraction of the motion at its end.
+    """
+
+    method: str
+    steps: int
+    repair: bool
+    invalid_cells: int
+    reached: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Result:
+    """A deformed grid, how it was made and how good it is.
+
+    ``reached`` is the fraction of the motion that was imposed: below 1 only when marching stopped before a step that
+    would have made cells invalid; the invalid cells of the assessment are then those of that step. ``displacement``
+    (n_unique, 3) is that of the boundary at the end of the motion. ``attempts`` lists the steps that were tried, in
+    order; ``repair`` summarises the repairs of the steps that led to the grid, or is ``None``. Each of the named
+    ``components`` of an overset grid has a result of its own. ``plain`` (n_nodes, 3) is the grid before the repair, if
+    there was one step with a repair.
+    """
+
+    setup: Setup
+    grid: Grid
+    assessment: Assessment
+    account: Account
+    steps: int
+    reached: float
+    displacement: FloatArray
+    timing: Timing
+    warnings: tuple[str, ...]
+    motion: tuple[PatchMotion, ...] = ()
+    attempts: tuple[Attempt, ...] = ()
+    repair: Repair | None = None
+    components: tuple[tuple[str, Result], ...] = ()
+    plain: FloatArray | None = None
+
+    def __repr__(self) -> str:
+        return f"Result(valid={self.valid}, steps={self.steps}, reached={self.reached:g})"
+
+    @property
+    def max_displacement(self) -> float:
+        """Largest displacement of the boundary."""
+        return largest_displacement(self.displacement)
+
+    @property
+    def valid(self) -> bool:
+        """Whether the whole motion was imposed and no cell became invalid."""
+        return self.reached == 1.0 and self.assessment.valid
 
 
 def set_up_whole(

@@ -27,6 +27,7 @@ from .grid.blocks import rounded
 from .grid.openings import find_overlaps
 from .methods import Account, Options, PreparedMethod, Progress, prepare_method
 from .notices import Notice, first_of_each_kind, kind_of
+from .numerics.arrays import extent
 from .parallel import Nodes
 from .quality.validity import Comparison, Verdict, judge
 from .repair.limit import Limit
@@ -34,7 +35,7 @@ from .repair.onset import unhealthy_cells
 from .repair.options import Effort
 from .repair.outcome import Judged, Repair
 from .repair.tuned import AS_PLANE, COLLAPSING, FARTHEST
-from .setup import BoundaryMotion, Setup, Timing
+from .setup import Attempt, BoundaryMotion, Setup, Timing
 from .wording import vector
 
 if TYPE_CHECKING:
@@ -55,20 +56,6 @@ SQUEEZED = ("tfi", RESCUE)
 """Methods tried when the best valid grid is nearly collapsed; in narrow gaps TFI often preserves grid lines better."""
 _FEWEST_UNITS = 100
 """Below this many units in the last place of the coordinates, a motion is visibly rounded."""
-
-
-@dataclass(frozen=True)
-class Attempt:
-    """One attempted step of the motion: method, with or without repair, and outcome.
-
-    ``steps`` counts the steps up to and including this one; ``reached`` is the fraction of the motion at its end.
-    """
-
-    method: str
-    steps: int
-    repair: bool
-    invalid_cells: int
-    reached: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,12 +140,12 @@ def doubts(course: Course, one_of_many: bool) -> Sequence[str]:
     points = course.setup.grid.points[course.setup.topology.first[moving]]
     found += positions_as_displacements(points, course.total[moving])
     # Faces enclose the grid.
-    outside = course.setup.grid.points[course.setup.topology.first]
-    found += far_motion(np.ptp(outside, axis=0), largest)
+    low, high = extent(course.setup.grid.nodes.at(course.setup.topology.first))
+    found += far_motion(high - low, largest)
     found += torn_faces(course.setup.grid, course.setup.topology, boundary, course.total)
     departure = boundary.slip.departure(course.total)
     # A motion that returns to zero leaves round-off in all directions.
-    if departure > 1e-6 * largest and departure > course.setup.undeformed.round_off:
+    if departure > 1e-6 * largest and departure > 1e-12 * float((high - low).max()):
         text = (
             f"the motion carries nodes out of a slip or symmetry plane by up to {departure:.3g}; "
             f"the plane follows there, its other nodes stay in it; if not meant, check the axis or move the plane"

@@ -81,7 +81,7 @@ def swept_volumes(grid: Grid, before: FloatArray, after: FloatArray) -> FloatArr
     for points in (before, after):
         grid.hold_neighbours(points)
     one, two = Nodes.of(before).rows, Nodes.of(after).rows
-    swept: FloatArray = empty([sum(_counts(grid))])
+    swept: FloatArray = empty([sum(map(math.prod, _own_shapes(grid)))])
     faces = at_faces(grid, swept)
 
     def work(index: int, _: int) -> None:
@@ -147,7 +147,7 @@ def face_fields(grid: Grid, times: Sequence[float], points: Sequence[FloatArray]
     ``times`` and ``points`` are those of the last levels, at most three, the newest last.
     """
     parts = [swept_volumes(grid, one, other) for one, other in itertools.pairwise(points)]
-    nothing = np.zeros(0 if parts else sum(_counts(grid)))
+    nothing = np.zeros(0 if parts else sum(map(math.prod, _own_shapes(grid))))
     values = {SWEPT: parts[-1] if parts else nothing, FLUX: volume_flux(times, parts) if parts else nothing}
     return tuple(
         Field(name, FACES[axis], block, grid.spread(part, _face_shape(shape, axis)[0]))
@@ -160,24 +160,15 @@ def face_fields(grid: Grid, times: Sequence[float], points: Sequence[FloatArray]
 
 def at_faces(grid: Grid, values: FloatArray) -> list[Faces]:
     """Views of ``values``, one for every face of the grid, for each block; of a grid in parts for this rank's faces."""
-    ends = np.cumsum(_counts(grid)).tolist()
-    starts = [0, *ends]
-    return [
-        tuple(
-            values[starts[3 * b + axis] : ends[3 * b + axis]].reshape(grid.own_shape(b, _face_shape(shape, axis)))
-            for axis in range(3)
-        )
-        for b, shape in enumerate(grid.shapes)
-    ]
+    shapes = _own_shapes(grid)
+    ends = np.cumsum([math.prod(shape) for shape in shapes])
+    parts = [part.reshape(shape) for part, shape in zip(np.split(values, ends[:-1]), shapes, strict=True)]
+    return [tuple(parts[first : first + 3]) for first in range(0, len(parts), 3)]
 
 
-def _counts(grid: Grid) -> list[int]:
-    """Numbers of the faces of this rank across each index axis of each block."""
-    return [
-        math.prod(grid.own_shape(b, _face_shape(shape, axis)))
-        for b, shape in enumerate(grid.shapes)
-        for axis in range(3)
-    ]
+def _own_shapes(grid: Grid) -> list[tuple[int, int, int]]:
+    """Numbers of the faces of this rank along i, j, k, across each index axis of each block."""
+    return [grid.own_shape(b, _face_shape(shape, axis)) for b, shape in enumerate(grid.shapes) for axis in range(3)]
 
 
 def _face_shape(shape: tuple[int, int, int], axis: int) -> tuple[int, int, int]:

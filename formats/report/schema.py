@@ -14,7 +14,7 @@ from meshdeform_core.quality.report import BlockSkew, Quality
 from meshdeform_core.quality.shape import FacePyramids, ShapeMeasure
 from meshdeform_core.quality.walls import LayerChange
 from meshdeform_core.repair.outcome import Repair
-from meshdeform_core.stepping import Attempt
+from meshdeform_core.setup import Attempt
 
 from .tables import DEFINITIONS
 

@@ -12,16 +12,13 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar, copy_context
-from functools import partial
-from typing import Any, NamedTuple, ParamSpec, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from .scratch import Scratch
 
 T = TypeVar("T")
-P = ParamSpec("P")
 Work = Callable[[int, int], object]
 Counter = Callable[[int, int], object]
-Bounds = tuple[int, int]
 
 
 class Ranks:
@@ -121,11 +118,6 @@ def agreed(ranks: Ranks, value: float) -> float:
     return float(np.max(ranks.gather([value])))
 
 
-def carried(action: Callable[P, T]) -> Callable[P, T]:
-    """``action`` to be called in another thread with the caller's ranks and threads; one call at a time."""
-    return partial(copy_context().run, action)
-
-
 def empty(shape: Sequence[int], dtype: Any = "float64") -> Any:
     """An uninitialised array, in a file (:mod:`.scratch`) if memory is limited."""
     import numpy as np
@@ -177,7 +169,7 @@ def for_chunks(work: Work, size: int, chunk: int, progress: Counter | None = Non
     with alone():
         try:
             for _ in range(min(threads or thread_count(), len(bounds)) - 1):
-                others.append(threading.Thread(target=carried(run), args=(None,), name="chunks"))
+                others.append(threading.Thread(target=copy_context().run, args=(run, None), name="chunks"))
                 others[-1].start()
         except BaseException as error:
             # Raised by a signal handler: threads already started end after their chunk.

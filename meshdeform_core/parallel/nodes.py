@@ -205,19 +205,10 @@ class Nodes:
         return self.ranks.gather([value])
 
     def total(self, values: np.ndarray) -> np.ndarray:
-        """Sum of the ``values`` of all ranks, of the same shape, in rank order.
+        """Sum of the ``values`` of all ranks, of the same shape, in rank order."""
+        import numpy as np
 
-        Only some are in memory for all ranks at a time.
-        """
-        if not self.divided:
-            return values
-        own = values.ravel()
-        result = own.copy()
-        for first in range(0, own.size, _ROWS):
-            some = own[first : first + _ROWS]
-            every = self.ranks.collect(some, [len(some)] * self.ranks.count)
-            result[first : first + _ROWS] = every.reshape(self.ranks.count, -1).sum(axis=0)
-        return result.reshape(values.shape)
+        return np.sum(self.ranks.gather([values]), axis=0) if self.divided else values
 
     def combined(self, operation: Callable[..., object], other: Any) -> Any:
         """A new array (n, 3) filled by ``operation(this, other, out=...)``, like ``np.subtract``."""
