@@ -1,7 +1,5 @@
 """Boundary-layer grids around airfoils like those of users: y+ about 1, first cells 1e5 times as long as high."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from meshdeform_core.grid import Grid

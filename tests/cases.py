@@ -1,7 +1,5 @@
 """Problems and methods that many tests share."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 
 import numpy as np

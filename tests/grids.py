@@ -1,7 +1,5 @@
 """Small grids made for tests."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 

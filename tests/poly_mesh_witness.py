@@ -1,7 +1,5 @@
 """An independent reader of OpenFOAM meshes, and checks of them in plain numpy."""
 
-from __future__ import annotations
-
 import gzip
 import os
 import re

@@ -1,7 +1,5 @@
 """Random small multi-block grids for property tests: a box cut into blocks and bent, the blocks turned and shuffled."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 

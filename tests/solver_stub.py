@@ -1,7 +1,5 @@
 """What a distributed flow solver gives to a mesh deformation: pieces of zones, each rank some, with their walls."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """ARCHITECTURE.md names what exists, and all state of the process; functions beside kernels are typed."""
 
-from __future__ import annotations
-
 import ast
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The distribution: every package in it, and a program that runs from what `pip install .` puts into an environment."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

@@ -3,8 +3,6 @@
 python tests/tracked_files.py [FOLDER]      exit code 1 and one line per file where something is wrong
 """
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The public API: what a coupled solver writes, and what it gets when it writes something else."""
 
-from __future__ import annotations
-
 import copy
 import os
 import pickle

@@ -1,7 +1,5 @@
 """A bench for commands: a folder with small good files to work in, and a way to call the program in-process."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Damaged, foreign and mismatched files: each is refused by every command that would read it."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import re

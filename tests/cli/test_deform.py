@@ -1,7 +1,5 @@
 """``meshdeform deform`` as a user runs it: what it writes, what it says, what it returns."""
 
-from __future__ import annotations
-
 import json
 import os
 

@@ -3,8 +3,6 @@
 A limit on the size of files stands for the full disk: the system refuses to write in the same way.
 """
 
-from __future__ import annotations
-
 import gc
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Case files to start from: they name every boundary, and they run."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os

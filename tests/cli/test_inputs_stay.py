@@ -1,7 +1,5 @@
 """No file that a run reads is ever replaced, with --force too, however it is named; links as outputs are followed."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The commands that look at grids: info, quality, compare, plot, methods; and sample."""
 
-from __future__ import annotations
-
 import json
 import re
 

@@ -1,7 +1,5 @@
 """``--max-memory``: a run keeps to it or is refused before it takes the memory."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

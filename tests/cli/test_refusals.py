@@ -1,8 +1,6 @@
 """Wrong calls, wrong case files and mistakes of newcomers: one message each that names what is wrong, nothing written;
 what is doubtful is a warning."""
 
-from __future__ import annotations
-
 import codecs
 import functools
 import os

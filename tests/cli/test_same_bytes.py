@@ -1,7 +1,5 @@
 """Grids and levels are the same bytes, whatever the cap on memory, the threads, and wherever a run was cut off."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``meshdeform series`` as a user runs it: levels, index, report, going on after a stop, what is refused."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import json

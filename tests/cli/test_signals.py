@@ -1,7 +1,5 @@
 """Signals end the program with 128 plus their number, also where a library swallows the exception they raise."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The start of a command: what it imports; compiling is told once, timed apart, done ahead, or without a cache."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import os

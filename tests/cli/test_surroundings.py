@@ -1,7 +1,5 @@
 """Surroundings, names and inputs that other programs would stumble over: one message, or no difference."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

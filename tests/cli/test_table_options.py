@@ -1,7 +1,5 @@
 """--match and --tolerance beside -d, and tables that do not fit, from the command line."""
 
-from __future__ import annotations
-
 import json
 import re
 

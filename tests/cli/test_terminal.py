@@ -1,7 +1,5 @@
 """On the terminal: boundaries beside converted grids, and progress."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Real grids of other people: deformed as their owners would, converted to everything and back."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

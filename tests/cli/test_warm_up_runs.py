@@ -1,7 +1,5 @@
 """Small deformations, derivatives and pictures use every loop, with the types of arguments that it declares."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import warnings

@@ -1,8 +1,6 @@
 """Every doubt is said: on stderr, whatever -q says, in the report, and as an error with --strict; what a user says
 and nothing reads is an error or a warning; the report states the motion as it was understood."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

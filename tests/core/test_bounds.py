@@ -1,7 +1,5 @@
 """No loop reads or writes outside its arrays: what numba does not check unless told to."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

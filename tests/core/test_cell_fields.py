@@ -1,7 +1,5 @@
 """Measures cell by cell: against the totals of the report and against plain geometry."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from grids import block_around, frame, frame_2d, polar

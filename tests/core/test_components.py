@@ -1,7 +1,5 @@
 """Components of overset grids: each is deformed exactly as if it were alone."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

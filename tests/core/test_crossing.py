@@ -1,7 +1,5 @@
 """Boundaries that pass through themselves: pairs of faces against an exact twin, cases whose answer is known."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 from itertools import combinations, product
 

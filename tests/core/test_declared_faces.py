@@ -1,7 +1,5 @@
 """Faces that are declared as boundary on both sides: outside faces, and nodes of their own in files."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Degenerate grids and motions: a message or a right result, never a traceback."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

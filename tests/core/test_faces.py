@@ -1,7 +1,5 @@
 """Faces of blocks: geometry against exact values, roles against what the files and samples declare."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import os

@@ -1,7 +1,5 @@
 """The quick test for healthy cells agrees with the energy of the repair."""
 
-from __future__ import annotations
-
 import numpy as np
 from cases import body_specs, turning
 from grids import frame

@@ -1,7 +1,5 @@
 """What a prepared mesh gives does not depend on earlier calls: the whole result, against a mesh that has made none."""
 
-from __future__ import annotations
-
 import dataclasses
 from functools import partial
 

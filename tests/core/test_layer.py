@@ -1,7 +1,5 @@
 """Grids one cell thick: planes that mirror each other stay equal to the last bit, with half the sums."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from cases import ALL_METHODS, constant, formulas, turning

@@ -1,7 +1,5 @@
 """Grids of hundreds of blocks: searches against plain loops over all pairs, and work that does not grow faster."""
 
-from __future__ import annotations
-
 import itertools
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Repairs of grids that something else deformed, the polishing of valid ones, and interiors that are made again."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Outside faces that nearly coincide with others: found with their place, refused unless the case says so."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

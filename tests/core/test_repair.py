@@ -1,7 +1,5 @@
 """Repair of deformed grids: the energy against differences, constraints to the last bit, motions that need it."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

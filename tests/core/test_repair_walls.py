@@ -1,7 +1,5 @@
 """Weights of cells in a repair: large at walls."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Aspect ratio, growth, non-orthogonality, skewness and pyramids: exact values, a plain twin, OpenFOAM's checkMesh."""
 
-from __future__ import annotations
-
 import itertools
 import re
 

@@ -1,7 +1,5 @@
 """Volumes swept by cell faces: exact for the trilinear cells, and what a solver on the moving grid needs of them."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 from functools import cache
 

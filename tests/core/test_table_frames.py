@@ -1,7 +1,5 @@
 """Hints on tables in another unit or frame; the wall that a table fits; the two sides of thin bodies."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tables that do not fit their walls are refused or warned of; splines pass through the table's own points."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

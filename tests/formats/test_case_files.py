@@ -1,7 +1,5 @@
 """Times of a series and sequences of displacement files in a case."""
 
-from __future__ import annotations
-
 import gc
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Reading CGNS: third-party grids against their oracle, everything else against files of an independent writer."""
 
-from __future__ import annotations
-
 import itertools
 
 import h5py

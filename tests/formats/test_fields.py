@@ -1,7 +1,5 @@
 """Fields of cells and nodes in files: those computed, and those that the format of an output cannot hold."""
 
-from __future__ import annotations
-
 import dataclasses
 import struct
 import time

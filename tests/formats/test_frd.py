@@ -1,7 +1,5 @@
 """Results of CalculiX as text, by a writer of the test."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What pictures show: polygons against geometry, choices for every sample, colours that tell."""
 
-from __future__ import annotations
-
 import io
 
 import numpy as np

@@ -2,8 +2,6 @@
 what was expected, and where.
 """
 
-from __future__ import annotations
-
 import itertools
 import struct
 from pathlib import Path

@@ -1,7 +1,5 @@
 """OpenFOAM meshes as written: judged in plain numpy, and by checkMesh where it is installed."""
 
-from __future__ import annotations
-
 import gzip
 import re
 import shutil

@@ -1,8 +1,6 @@
 """What the forms of a report have in common, and the JSON schemas: what the program reads and writes fits them, what it
 refuses does not."""
 
-from __future__ import annotations
-
 import json
 import re
 import tomllib

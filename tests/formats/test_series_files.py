@@ -1,7 +1,5 @@
 """Levels on disk: velocities, what cell faces sweep, indices of ParaView; read back by h5py and VTK."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """A folder with small good files, and a way to call the program in this process."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import sys

@@ -3,8 +3,6 @@
 ``PYTHONPATH=tests python -m fuzz.campaign N --seed S`` runs N samples and prints a table; ``make fuzz N=20000``.
 """
 
-from __future__ import annotations
-
 import argparse
 import faulthandler
 import itertools

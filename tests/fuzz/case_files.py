@@ -1,7 +1,5 @@
 """Classes of case files, options, formulas and repairs: what is accepted moves the walls as the case says."""
 
-from __future__ import annotations
-
 import functools
 import json
 from pathlib import Path

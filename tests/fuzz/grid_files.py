@@ -1,7 +1,5 @@
 """Classes of mutated grid files: what is accepted must be what an independent reading finds."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Independent readings of files and results: numpy, struct, h5py and the XML parser of Python, none of our readers."""
 
-from __future__ import annotations
-
 import contextlib
 import re
 import xml.etree.ElementTree as ElementTree

@@ -1,7 +1,5 @@
 """Seeded changes of valid files, such as copying, editing and full disks make."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from random import Random

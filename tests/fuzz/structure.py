@@ -1,7 +1,5 @@
 """Changes that keep to the structure of a format: nodes and tags are wrong, missing, swapped or twice."""
 
-from __future__ import annotations
-
 import copy
 import re
 from collections.abc import Iterator

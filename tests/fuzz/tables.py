@@ -1,7 +1,5 @@
 """Classes of mutated displacement tables: nodes at points of the table, or on its surface, move as it says."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from functools import partial

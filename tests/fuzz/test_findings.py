@@ -1,7 +1,5 @@
 """What fuzz campaigns found, each as the smallest input that shows it; and a short campaign (``make fuzz N=20000``)."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

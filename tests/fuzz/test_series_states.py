@@ -1,7 +1,5 @@
 """Series that are begun, stopped, continued, damaged and begun anew in any order: what is there is always right."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

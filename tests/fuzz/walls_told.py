@@ -1,7 +1,5 @@
 """What a case says of the nodes of a small grid, worked out once more: tomllib, Python's eval and sets of corners."""
 
-from __future__ import annotations
-
 import ast
 import fnmatch
 import itertools

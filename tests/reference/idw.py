@@ -1,7 +1,5 @@
 """IDW the slow way: matrices for rotations, scipy's exponentials, one target at a time."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import integrate
 from scipy.linalg import expm, logm

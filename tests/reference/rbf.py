@@ -1,7 +1,5 @@
 """Radial basis functions the slow way: the formulas of the paper's Table I, one dense system, one dense product."""
 
-from __future__ import annotations
-
 import numpy as np
 
 
