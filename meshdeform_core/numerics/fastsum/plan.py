@@ -13,29 +13,31 @@ from ..exact.direct import SINGLE, sum_groups, sum_whole
 from ..jit import fast_kernel
 from .clusters import CHARGES, SourceTree, interpolate, place_points
 from .targets import Targets, spans
-from .walk import Kernel, Lists, Reach, list_clusters
+from .walk import Kernel, Lists, list_clusters
 
 # Portions into which the clusters of a tree are divided among threads.
 _PORTIONS = 64
 _SAMPLES = 2048
 
 
-def rounded_up(bounds: list[FloatArray]) -> list[FloatArray]:
-    """One bound for all clusters that move: the largest, rounded up to a power of four; zeros remain.
+def cluster_reach(groups: Sequence[tuple[IntArray, SourceTree]], sources: FloatArray) -> list[FloatArray]:
+    """Strength (sum), displacement and rotation (largest) of the clusters (m, 3) of each group, from those of
+    ``sources`` (n, 3).
 
-    Rounding is so coarse that the steps of a growing or oscillating motion share a few bounds.
+    All clusters that move have one bound, the largest, rounded up to a power of four: so coarsely that the steps of a
+    growing or oscillating motion share a few bounds.
     """
-    most = max(float(each.max(initial=0.0)) for each in bounds)
-    common = np.ldexp(1.0, 2 * -(-int(np.frexp(most)[1]) // 2))
-    return [np.where(each > 0.0, common, 0.0) for each in bounds]
-
-
-def cluster_reach(tree: SourceTree, strength: FloatArray, shift: FloatArray, turn: FloatArray) -> Reach:
-    """:class:`Reach` of every cluster from the sources' strength, displacement and rotation (n,)."""
-    # reduceat takes the spans as pairs of positions; the results between spans are discarded.
-    places = tree.span.ravel()
-    sums, most = np.append(strength[tree.order], 0.0), (np.append(each[tree.order], 0.0) for each in (shift, turn))
-    return Reach(np.add.reduceat(sums, places)[::2], *(np.maximum.reduceat(each, places)[::2] for each in most))
+    found = []
+    for group, tree in groups:
+        # reduceat takes the spans as pairs of positions; the results between spans are discarded.
+        places, own = tree.span.ravel(), np.append(sources[group][tree.order], np.zeros((1, 3)), axis=0)
+        parts = np.add.reduceat(own[:, 0], places), np.maximum.reduceat(own[:, 1:], places)
+        found.append(np.column_stack([part[::2] for part in parts]))
+    most = np.max([each[:, 1:].max(axis=0) for each in found], axis=0)
+    common = np.ldexp(1.0, 2 * -(-np.frexp(most)[1] // 2))
+    for each in found:
+        each[:, 1:] = np.where(each[:, 1:] > 0.0, common, 0.0)
+    return found
 
 
 class Charges(NamedTuple):
@@ -113,7 +115,7 @@ class Places(NamedTuple):
     Attributes
     ----------
     points : (n, 3) coordinates: the nodes of the bricks, then the interpolation points of bricks and regions
-    span : (items, 2) int64, rows of ``points`` that belong to each list of :class:`.walk.Lists`
+    span : (items, 2) int64, rows of ``points`` that belong to each list of :data:`.walk.Lists`
     region, brick : (b,) region and number of each brick
     item : (b,) number of the list of each brick's interpolation points; that of its nodes follows
     above : (b,) number of the list of each brick's region
@@ -143,12 +145,13 @@ class Places(NamedTuple):
 
         Returns which lists (items,) hold any cluster.
         """
-        number, raw = lists.codes >> 1, lists.codes & 1 == 1
+        codes, ends = lists
+        number, raw = codes >> 1, codes & 1 == 1
         active = acting[number]
         number, raw = number[active], raw[active]
         # Rows of each list entry: those of a cluster's interpolation points, or of its sources.
         rows = np.where(raw, charges.span[number].T, np.stack([charges.start[number], charges.start[number + 1]])).T
-        stop = np.append(0, np.cumsum(active))[np.append(0, lists.stop)]
+        stop = np.append(0, np.cumsum(active))[np.append(0, ends)]
         rows = np.ascontiguousarray(rows)
         groups = self.points, self.span, charges.points, charges.values, rows, spans(stop)
         if function.single:
@@ -206,7 +209,7 @@ class Plan:
 
     def __init__(
         self, key: Any, targets: Targets, trees: list[tuple[IntArray, SourceTree]], kinds: list[Kernel],
-        reaches: list[Reach], acting: BoolArray, accuracy: Any, lasting: int | None, chunk: int, room: int,
+        reaches: list[FloatArray], acting: BoolArray, accuracy: Any, lasting: int | None, chunk: int, room: int,
     ) -> None:  # fmt: skip
         self.key, self.kinds, self.acting, self.lasting = key, kinds, acting, lasting or 0
         self._targets, self._trees, self._reaches = targets, [tree for _, tree in trees], reaches
@@ -223,7 +226,7 @@ class Plan:
 
         def work(first: int, last: int) -> None:
             found = self._made(first, last)
-            size = sum(lists.codes.nbytes + lists.stop.nbytes for lists in found)
+            size = sum(part.nbytes for lists in found for part in lists)
             if size <= self._room:
                 self._room -= size
                 self._kept[first] = found
@@ -231,7 +234,7 @@ class Plan:
         for_chunks(work, targets.n_regions, chunk)
 
     def lists_of(self, first: int, last: int) -> list[Lists]:
-        """:class:`.walk.Lists` of each group for the regions first <= g < last; called from several threads."""
+        """:data:`.walk.Lists` of each group for the regions first <= g < last; called from several threads."""
         return self._kept[first] if first in self._kept else self._made(first, last)
 
     def _made(self, first: int, last: int) -> list[Lists]:
@@ -241,9 +244,9 @@ class Plan:
             list_clusters(first, last, targets, tree, reach, kind, self._allowed, self._mean, self.risk)
             for tree, reach, kind in zip(self._trees, self._reaches, self.kinds, strict=True)
         ]
-        for used, direct, lists in zip(self.used, self.direct, found, strict=True):
+        for used, direct, (codes, _) in zip(self.used, self.direct, found, strict=True):
             for acting, raw in ((used, 0), (direct, 1)):
-                acting[lists.codes[lists.codes & 1 == raw] >> 1] = True
+                acting[codes[codes & 1 == raw] >> 1] = True
         return found
 
     def sums(self, first: int, last: int, passes: Sequence[Sequence[Charges]], weighing: bool) -> list[FloatArray]:
@@ -269,7 +272,7 @@ class Plan:
 
 
 def _allowance(
-    targets: Targets, trees: Sequence[SourceTree], kinds: list[Kernel], reaches: list[Reach], accuracy: Any
+    targets: Targets, trees: Sequence[SourceTree], kinds: list[Kernel], reaches: list[FloatArray], accuracy: Any
 ) -> tuple[FloatArray, FloatArray]:
     """Weighted displacement error that one cluster may cause in each brick, and the mean displacement there.
 
@@ -289,9 +292,9 @@ def _allowance(
                 done = (square > 2.0 * extent) | (tree.child[cluster] < 0)
                 at, c = sample[done], cluster[done]
                 # A leaf that may contain the sample: the weight at its rim is a lower bound.
-                weight = reach.strength[c] * kind.weight(np.sqrt(np.maximum(square[done], 0.25 * extent[done])))
+                weight = reach[c, 0] * kind.weight(np.sqrt(np.maximum(square[done], 0.25 * extent[done])))
                 total[lo:hi] += np.bincount(at, weight, hi - lo)
-                shift = reach.shift[c] + reach.turn[c] * np.sqrt(square[done])
+                shift = reach[c, 1] + reach[c, 2] * np.sqrt(square[done])
                 moved[lo:hi] += np.bincount(at, weight * shift, hi - lo)
                 sample = np.repeat(sample[~done], 2)
                 cluster = np.stack([tree.child[cluster[~done]], tree.child[cluster[~done]] + 1], axis=1).ravel()

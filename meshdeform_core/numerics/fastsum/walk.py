@@ -42,32 +42,10 @@ class Kernel(NamedTuple):
         return np.asarray(distance**-self.a + self.kappa * distance**-self.b)
 
 
-class Reach(NamedTuple):
-    """Bounds of each cluster's effect: strength * (shift + turn * distance + mean displacement of the brick).
-
-    Attributes
-    ----------
-    strength : (m,) total strength of each cluster
-    shift, turn : (m,) largest displacement and rotation angle (radians) of its sources; 1 and 0 for plain sums
-    """
-
-    strength: np.ndarray
-    shift: np.ndarray
-    turn: np.ndarray
-
-
-class Lists(NamedTuple):
-    """The clusters that act in some neighbouring regions.
-
-    Attributes
-    ----------
-    codes : (n,) int32, all lists, with entries as above
-    stop : end of each list; a region has one list for its interpolation points, followed by two for each of its bricks,
-        for the brick's interpolation points and for its nodes
-    """
-
-    codes: np.ndarray
-    stop: np.ndarray
+Lists = tuple[np.ndarray, np.ndarray]
+"""The clusters that act in some neighbouring regions: int32 codes (n,) of all lists, with entries as above, and the end
+of each list. A region has one list for its interpolation points, followed by two for each of its bricks, for the
+brick's interpolation points and for its nodes."""
 
 
 def list_clusters(
@@ -75,16 +53,18 @@ def list_clusters(
     last: int,
     targets: Targets,
     tree: SourceTree,
-    reach: Reach,
+    reach: FloatArray,
     function: Kernel,
     allowed: FloatArray,
     mean: FloatArray,
     risk: FloatArray,
 ) -> Lists:
-    """:class:`Lists` of the regions first <= g < last; adds to ``risk`` the sum of the error bounds of all clusters,
+    """:data:`Lists` of the regions first <= g < last; adds to ``risk`` the sum of the error bounds of all clusters,
     relative to the error ``allowed`` to one of them.
 
-    Of each brick (b,): the error of the sums that one cluster may cause, a bound of the mean displacement, the risk.
+    Of each cluster, ``reach`` (m, 3): strength, largest displacement and rotation of its sources, which bound its
+    effect, strength * (shift + turn * distance + mean displacement of the brick). Of each brick (b,): the error of the
+    sums that one cluster may cause, a bound of the mean displacement, the risk.
     """
     ends = targets.first[first : last + 1]
     low, high = int(ends[0]), int(ends[-1])
@@ -106,17 +86,16 @@ def list_clusters(
     m = len(tree.child)
     clusters, inner = _extents(tree.boxes, 0, m)
     inner[np.diff(tree.boxes.proxy) == 0] = 0
-    effect = np.stack(reach, axis=1)
     stop, length = np.empty(last - first + 2 * (high - low), dtype=np.int64), 2048 + 4 * m
     while True:
         codes, bounds = np.empty(length, dtype=np.int32), np.empty(len(order))
         used = _list(
-            places[order], counts[order], state[order], limits[order], clusters, inner, tree.child, effect,
+            places[order], counts[order], state[order], limits[order], clusters, inner, tree.child, reach,
             np.array(function[:3]), codes, stop, bounds, np.empty((3, m), dtype=np.int64),
         )  # fmt: skip
         if used >= 0:
             risk[low:high] += bounds[state[order] != _REGION]
-            return Lists(codes[:used].copy(), stop)
+            return codes[:used].copy(), stop
         length *= 4
 
 
@@ -137,7 +116,7 @@ def _extents(boxes: Boxes, first: int, last: int) -> tuple[FloatArray, IntArray]
     "f8[:, ::1], i8[:, ::1], i8[::1], f8[:, ::1], f8[:, ::1], i8[:, ::1], i8[::1], f8[:, ::1], f8[::1], i4[::1],"
     "i8[::1], f8[::1], i8[:, ::1]"
 )
-def _list(places, counts, state, limits, clusters, inner, child, effect, powers, codes, stop, risk, lists):
+def _list(places, counts, state, limits, clusters, inner, child, reach, powers, codes, stop, risk, lists):
     """Fill ``codes`` and ``stop``; return the number of codes, or -1 if the array is too short for them.
 
     Clusters are visited in the order of their numbers, which are those of the tree's levels: the next is the first of
@@ -150,7 +129,7 @@ def _list(places, counts, state, limits, clusters, inner, child, effect, powers,
     limits : (p, 2) error that one cluster may cause, mean displacement
     clusters, inner : (m, 8), (m, 3) of the tree; ``inner`` is 0 for clusters without interpolation points
     child : (m,) first child of each cluster, or -1
-    effect : (m, 3) :class:`Reach`
+    reach : (m, 3) as of :func:`list_clusters`
     powers : (3,) a, b, kappa
     risk : (p,) bound of the error in each brick, that of its region included
     lists : (3, m) scratch: clusters left to bricks, entries that act on nodes (these two change places), children
@@ -175,7 +154,7 @@ def _list(places, counts, state, limits, clusters, inner, child, effect, powers,
             dx, dy, dz = places[p, 0] - clusters[c, 0], places[p, 1] - clusters[c, 1], places[p, 2] - clusters[c, 2]
             distance, extent, raw = math.sqrt(dx * dx + dy * dy + dz * dz), clusters[c, 7], inner[c, 0] == 0
             # Effect of a cluster on the mean if its weights are wrong by 100 %, relative to its allowed error.
-            pull = effect[c, 0] * (effect[c, 1] + effect[c, 2] * distance + limits[p, 1]) / limits[p, 0]
+            pull = reach[c, 0] * (reach[c, 1] + reach[c, 2] * distance + limits[p, 1]) / limits[p, 0]
             # First through the interpolation points of the place, then those of the cluster alone.
             acts, error = 0, np.inf
             if not few and distance > extent and (raw or distance > radius):

@@ -21,9 +21,9 @@ from ...parallel import empty, for_chunks
 from ..arrays import BoolArray, FloatArray, IntArray, Report
 from ..exact.direct import N_VALUES, sum_groups
 from .clusters import CHARGES, SourceTree, interpolate
-from .plan import Charges, Plan, charge_points, cluster_reach, gather, places_of, rounded_up
+from .plan import Charges, Plan, charge_points, cluster_reach, gather, places_of
 from .targets import Targets, spans
-from .walk import Kernel, Reach
+from .walk import Kernel
 
 CHUNK = 2
 """Regions per call, if they are no smaller than usual."""
@@ -109,10 +109,8 @@ class FastSums:
         never change, are stored with the weights, neither if it is ``None``.
         """
         kinds = [Kernel.of(*each, accuracy.single) for each in weights]
-        bounds = [cluster_reach(tree, self.strength[g], shift[g], turn[g]) for g, tree in self._groups]
-        shifts, turns = rounded_up([each.shift for each in bounds]), rounded_up([each.turn for each in bounds])
-        reaches = [Reach(each.strength, *both) for each, *both in zip(bounds, shifts, turns, strict=True)]
-        key = kinds, accuracy, lasting, moving.tobytes(), *(part.tobytes() for each in reaches for part in each)
+        reaches = cluster_reach(self._groups, np.stack([self.strength, shift, turn], axis=1))
+        key = kinds, accuracy, lasting, moving.tobytes(), *(each.tobytes() for each in reaches)
         plan = next((each for each in self.plans if each.key == key), None)
         self.plans = [each for each in self.plans if each is not plan][: _PLANS - 1]
         given = self.targets, self._groups, kinds, reaches, moving, accuracy, lasting
@@ -223,9 +221,9 @@ class FastSums:
         targets, lists = self.targets, plan.lists_of(first, last)
         places = places_of(first, last, targets)
         filled = np.zeros(len(places.span), dtype=bool)
-        for each, moving in zip(lists, plan.moving, strict=True):
-            count = np.append(0, np.cumsum(moving[each.codes >> 1]))
-            filled |= np.diff(count[np.append(0, each.stop)]) > 0
+        for (codes, stop), moving in zip(lists, plan.moving, strict=True):
+            count = np.append(0, np.cumsum(moving[codes >> 1]))
+            filled |= np.diff(count[np.append(0, stop)]) > 0
         of_regions, of_bricks = places.tasks(filled)
         here = np.empty((len(places.points), CHARGES))
         for number in range(len(total)):
@@ -238,11 +236,11 @@ class FastSums:
                 interpolate(boxes, tasks, places.points, here, *columns, True)
             # The transpose of Places.add: from the places of each list, some of which have no points, to the sources
             # and interpolation points of its clusters.
-            for (_, tree), x, each, kind, moving, lo, hi in zip(
+            for (_, tree), x, (codes, stop), kind, moving, lo, hi in zip(
                 self._groups, points, lists, plan.kinds, plan.moving, ends[:-1], ends[1:], strict=True
             ):
-                active = moving[each.codes >> 1]
-                codes, item = each.codes[active], np.repeat(np.arange(len(each.stop)), np.diff(each.stop, prepend=0))
+                active = moving[codes >> 1]
+                codes, item = codes[active], np.repeat(np.arange(len(stop)), np.diff(stop, prepend=0))
                 order = np.argsort(codes, kind="stable")
                 found, start = np.unique(codes[order], return_index=True)
                 if len(found):
