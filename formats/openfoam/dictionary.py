@@ -197,10 +197,6 @@ class _Parser:
         if key.text in "(){};[]":
             if key.text != ";":
                 self._fail(f"found {key.text}, expected a keyword")
-        elif key.text == "#inputMode" and home is scope:
-            mode = self._token().text
-            if mode not in ("merge", "default"):
-                self._fail(f"#inputMode {mode} is not supported; expected merge, as without it")
         elif key.text.startswith("#"):
             self._refuse_directive(key)
         elif key.text.startswith("$"):

@@ -72,12 +72,6 @@ def test_repeat_counts_over_several_block_sizes(tmp_path):
     assert [grid.block(b).reshape(8, 3)[5].tolist() for b in range(3)] == [[0, 1, 2], [3.5, 3.5, 3.5], [-1, 4, 4]]
 
 
-def test_values_run_over_block_ends_in_one_line(tmp_path):
-    blocks = sample_blocks([(2, 3, 2), (3, 2, 2)])
-    grid = plot3d.read(put(tmp_path, ascii_file(blocks).replace("\n", " ")))
-    np.testing.assert_array_equal(grid.block(1), blocks[1])
-
-
 @pytest.mark.parametrize("piece", [1, 7, 64, 1000])
 def test_numbers_survive_any_cut_of_the_text(tmp_path, monkeypatch, piece):
     monkeypatch.setattr(plot3d_ascii, "_PIECE", piece)

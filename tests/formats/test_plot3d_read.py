@@ -148,71 +148,45 @@ BINARY = {
         rf"the file should have {len(FORTRAN)} bytes but has {len(FORTRAN) - 40}: truncated by 40; "
         r"record 4 at byte \d+ declares 576 bytes of data and 540 follow",
     ),
-    "truncated within the last marker": (FORTRAN[:-1], "truncated by 1; record 4 at byte"),
     "truncated between records": (FORTRAN[: -576 - 8], "truncated by 584; record 4 is missing"),
     "truncated header": (FORTRAN[:30], "fits no variant of Plot3D|is not a Plot3D grid"),
-    "truncated, 8-byte markers": (FORTRAN8[:-100], r"Fortran \(8-byte markers\).*truncated by 100"),
     "truncated stream": (STREAM[:-8], f"C binary float64.*should have {len(STREAM)} bytes.*truncated by 8"),
     "bytes behind the stream": (STREAM + bytes(12), "12 too many"),
-    "bytes behind the last record": (FORTRAN + bytes(7), "7 too many; record 5 at byte"),
     "a record too many": (FORTRAN + fortran_record(bytes(8), ">"), "16 too many; record 5 is surplus"),
     "wrong marker behind a record": (changed(FORTRAN, len(FORTRAN) - 4, ints(575, order=">")), "576 before.*575 after"),
     "wrong marker before a record": (changed(FORTRAN, 44, ints(1439, order=">")), "record 3 at byte 44"),
     "no last subrecord": (changed(FORTRAN, len(FORTRAN) - 584, ints(-576, order=">")), "record 4 lacks its last"),
-    "one value missing in a record": (header(2, 3, 4) + record(np.ones(71)), "record 3 holds 568 bytes where 576"),
     "more blocks than records": (header(2, 3, 4, 2, 3, 4, count=2) + record(np.ones(72)), "record 4 is missing"),
     "more blocks than sizes": (
         header(2, 3, 4, count=2) + record(np.ones(72)),
         r"its header \[2, 2, 3, 4.*not a block count",
     ),
-    "zero size": (header(2, 0, 4) + record(np.ones(72)), r"its header \[1, 2, 0, 4.*not a block count with sizes"),
-    "negative size": (header(2, -3, 4) + record(np.ones(72)), r"its header \[1, 2, -3, 4"),
-    "negative block count": (header(2, 3, 4, count=-1) + record(np.ones(72)), r"its header \[-1, 2, 3, 4"),
     "absurd sizes": (header(2000000000, 2000000000, 2000000000) + record(np.ones(72)), r"its header \[1, 2000000000"),
-    "one-dimensional records": (fortran_record(ints(24)) + record(X), "not a block count"),
     "a solution file": (
         header(2, 3, 4) + record(np.array([0.8, 2.0, 1e6, 0.0])) + record(np.ones(120)),
         "record 3 holds 32 bytes where",
     ),
     "only zeros": (bytes(1000), "is not a Plot3D grid: its first numbers are not a block count"),
     "random bytes": (b"\0" + np.random.default_rng(5).bytes(999), "fits no variant of Plot3D|is not a Plot3D grid"),
-    "one byte": (b"\0", "is not a Plot3D grid"),
-    "an executable": (b"\x7fELF\x02\x01\x01" + bytes(9) + b"\x03\x00\x3e\x00" + bytes(500), "is not a Plot3D grid"),
 }
 
 ASCII = {
     "truncated text": (TEXT[: TEXT.rindex(" ")], r"ASCII multi-block 3-D with 2 blocks.*should have 259 numbers.*by 1"),
-    "half a text": (TEXT[: len(TEXT) // 2], r"ASCII multi-block 3-D with 2 blocks.*truncated by"),
     "numbers behind": (TEXT + "1.0 2.0\n", "2 too many"),
     "a comment": ("# a grid\n" + TEXT, r"line 1: found '#' where a Plot3D text has a number"),
-    "a comment behind": (TEXT + "! end", r"line 10: found '!'"),
-    "a word": (TEXT.replace("\n", "\nblock ", 1), "line 2: found 'block'"),
     "two numbers grown together": ("1 2 2 1\n0.5\n1.234567-12.3456789 3 4", "line 3: found '1.234567-12.3456789'"),
-    "two exponents": ("1 2 2 1\n\n0.5 1.0E+001.0E+00 3 4", r"line 3: found '1.0E\+001.0E\+00'"),
-    "stars of a Fortran overflow": ("1 2 2 1 ***** 2 3", r"line 1: found '\*\*\*\*\*'"),
     "null value": ("1\n2 2 1\n1.0,,2.0 3.0", "line 3: no number before a comma"),
     "null value over lines": ("1\n2 2 1\n1.0,\n  ,2.0 3.0", "line 4: no number before a comma"),
-    "null value at the beginning": (" ,1\n2 2 1", "line 1: no number before a comma"),
-    "repeated null value": ("1\n2 2 1\n3* 1.0", r"line 3: found '3\*'"),
     "slash": ("1\n2 2 1\n1.0 2.0 /", "line 3: found '/'"),
-    "repeat count zero": ("1\n2 2 1\n0*1.0", r"line 3: found '0\*1.0'"),
     "absurd repeat count": ("1\n2 2 1\n999999999999*1.0", "line 3: from here on repeat counts give 999999999999"),
-    "lone sign": ("1\n2 2 1\n- 2", "line 3: found '-'"),
-    "lone exponent": ("1\n2 2 1\n1.0E 2", "line 3: found '1.0E'"),
-    "lone dot": ("1\n2 2 1\n . 2", r"line 3: found '\.'"),
-    "hexadecimal": ("1\n2 2 1\n0x10 2", "line 3: found '0x10'"),
     "underscores": ("1\n2 2 1\n1_0 2", "line 3: found '1_0'"),
     "sizes that are no integers": ("1\n2.5 2 1\n" + "1.0 " * 12, "no variant|not a Plot3D grid"),
-    "zero size": ("1\n0 2 1\n" + "1.5 " * 12, "no variant|not a Plot3D grid"),
-    "negative size": ("-1\n-2 2 1\n" + "1.5 " * 12, "is not a Plot3D grid"),
     "absurd size": ("1\n99999 99999 99999\n1.5 2.5", "fits no variant|is not a Plot3D grid"),
     "nothing but blanks": (" \n\t\n", "is not a Plot3D grid"),
     "iblank that is no integer": (
         ascii_file(BLOCKS, [np.full(b.shape[:3], 1) for b in BLOCKS]).replace(" 1 1 1 1", " 1 1 1.5 1"),
         "has the size for IBLANK values, but one of them is 1.5",
     ),
-    "a csv table": ("x,y,z\n1.0,2.0,3.0\n", "line 1: found 'x'"),
-    "latin text": ("Gr\xfc\xdfe\n", "line 1: found 'Gr"),
 }
 
 
@@ -248,13 +222,6 @@ def test_a_line_of_nodes_is_no_block(tmp_path):
     path = tmp_path / "line.xyz"
     path.write_bytes(binary_file(sample_blocks([(5, 1, 1)]), encoding="fortran"))
     with pytest.raises(GridError, match="at least 2 nodes along two indices"):
-        plot3d.read(path)
-
-
-def test_mixed_dimensions_are_no_grid(tmp_path):
-    path = tmp_path / "mixed.xyz"
-    path.write_bytes(binary_file(sample_blocks([(3, 4, 1), (3, 4, 2)]), encoding="fortran"))
-    with pytest.raises(GridError, match="mixes 2-D and 3-D blocks"):
         plot3d.read(path)
 
 

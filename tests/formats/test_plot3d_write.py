@@ -72,12 +72,6 @@ def test_a_grid_keeps_its_own_variant(tmp_path):
     assert back.fields == ()
 
 
-def test_third_party_files_are_written_as_they_were(third_party, tmp_path):
-    for name in ("backstep5_4levdn.p3dbin", "cylinder_ring_4blk.x"):
-        write_grid(plot3d.read(third_party / name), tmp_path / name)
-        assert (tmp_path / name).read_bytes() == (third_party / name).read_bytes()
-
-
 def test_iblank_is_written_when_carried_or_asked_for(tmp_path):
     shapes = [(3, 4, 5), (2, 3, 2)]
     flags = sample_iblank(shapes)
