@@ -27,7 +27,6 @@ from .work import place_of
 
 TRIAL_NODES = 5_000_000
 """Largest number of nodes times steps for which the motion is tried."""
-_GROUPS = 2
 
 
 @dataclass(frozen=True)
@@ -123,7 +122,7 @@ def forecast(setup: Setup, time: float, steps: int | str | None, precision: str)
         return certain, bool(certain)
     # The result of the trial, and how the run will respond to it.
     cells, mode = result.assessment.after.invalid_cells, setup.case.repair.mode
-    groups = [place_of(dataclasses.asdict(group)) for group in result.assessment.groups[:_GROUPS]]
+    worst = [f", the worst {place_of(dataclasses.asdict(cell))}" for cell in result.assessment.invalid[:1]]
     if certain:
         response = "no repair can mend that"
     elif mode == "off" and steps != "auto":
@@ -135,6 +134,6 @@ def forecast(setup: Setup, time: float, steps: int | str | None, precision: str)
         response = f"the run will repair them{more}, which takes longer and may fail"
     tried = (
         f"tried with {setup.case.method.name} in {counted(result.steps, 'step')}: {counted(cells, 'cell')} "
-        f"{'becomes' if cells == 1 else 'become'} invalid {' and '.join(groups)}; {response}"
+        f"{'becomes' if cells == 1 else 'become'} invalid{''.join(worst)}; {response}"
     )
     return [*certain, tried], bool(certain)

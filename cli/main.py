@@ -49,7 +49,7 @@ _COMMANDS = {
     "plot": ("looking", "Picture of a grid coloured by a measure of its cells."),
     "methods": ("starting", "The methods, their parameters, strengths and limits."),
     "sample": ("starting", "Write a sample case: grid and case.toml."),
-    "schema": ("starting", "JSON schema of case files or of reports."),
+    "schema": ("starting", "JSON schema of case files."),
     "reproduce": ("starting", "Rerun the tables and figures of the paper."),
     "warm-up": ("starting", "Compile all loops now (container images)."),
 }

@@ -177,21 +177,19 @@ def _prose(text: str, indent: str = "") -> str:
 
 
 @click.command("schema")
-@click.argument("what", type=click.Choice(["case", "report"]))
+@click.argument("what", type=click.Choice(["case"]))
 def schema_command(what: str) -> int:
-    """Print the JSON schema of a case file or of the JSON report.
+    """Print the JSON schema of a case file.
 
     \b
-    Examples:
+    Example:
       meshdeform schema case > case.schema.json
-      meshdeform schema report > report.schema.json
 
     TOML-aware editors complete and check a case whose first line is `#:schema ./case.schema.json`.
     """
     from meshdeform_formats.case.reader import case_schema
-    from meshdeform_formats.report.schema import report_schema
 
-    click.echo(json.dumps(case_schema() if what == "case" else report_schema(), indent=2, ensure_ascii=False))
+    click.echo(json.dumps(case_schema(), indent=2, ensure_ascii=False))
     return 0
 
 

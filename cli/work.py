@@ -42,7 +42,6 @@ from .process import EXIT_INVALID, ProgressBar, stage, tell
 
 T = TypeVar("T")
 STDOUT = Path("-")
-_GROUPS_TOLD = 3
 
 
 @dataclass(frozen=True)
@@ -282,13 +281,7 @@ def conclude(
 def _flaw(result: dict[str, Any], quality: dict[str, Any]) -> str:
     if result["reached"] < 1.0:
         return f"only {result['reached']:.1%} of the motion was imposed; the grid is the one reached"
-    groups = result["invalid_groups"]
-    if len(groups) == 1:
-        where = f" {place_of(groups[0])}"
-    else:
-        largest = ", the largest" if len(groups) > _GROUPS_TOLD else ""
-        each = (f"{group['cells']:,} {place_of(group)}" for group in groups[:_GROUPS_TOLD])
-        where = f" in {len(groups)} groups{largest}: {'; '.join(each)}"
+    where = f", the worst {place_of(result['invalid_cells'][0])}" if result["invalid_cells"] else ""
     repaired = any(attempt["repair"] for attempt in result.get("attempts", ()))
     advice = "a smaller motion" if repaired else "--repair auto, --steps auto"
     return (
@@ -297,8 +290,8 @@ def _flaw(result: dict[str, Any], quality: dict[str, Any]) -> str:
     )
 
 
-def place_of(group: dict[str, Any]) -> str:
-    """Position of a group of invalid cells: nearest patch, centre, worst cell."""
-    center = ", ".join(f"{x:.4g}" for x in group["center"])
-    near = f"near {group['nearest_patch']!r} " if group["nearest_patch"] else ""
-    return f"{near}around ({center}), worst {group['block']} {tuple(group['ijk'])}"
+def place_of(cell: dict[str, Any]) -> str:
+    """Position of an invalid cell: nearest patch, centre, block and indices."""
+    center = ", ".join(f"{x:.4g}" for x in cell["center"])
+    near = f"near {cell['nearest_patch']!r} " if cell["nearest_patch"] else ""
+    return f"{near}around ({center}): {cell['block']} {tuple(cell['ijk'])}"

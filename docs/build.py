@@ -16,7 +16,7 @@ from pathlib import Path
 from site_check import broken
 from site_gallery import gallery_page
 from site_pages import renew_pictures
-from site_reference import command_page, python_page, schema_page
+from site_reference import command_page, python_page
 
 ROOT = Path(__file__).parents[1]
 DOCS, TARGET = ROOT / "docs", ROOT / "build" / "docs"
@@ -37,7 +37,6 @@ def main(options: list[str]) -> int:
     generated = {
         "reference/commands.md": command_page(),
         "reference/python.md": python_page(),
-        "reference/report_schema.md": schema_page(),
         "gallery.md": gallery_page(TARGET / "gallery", quick="--quick" in options),
     }
     for name, text in generated.items():

@@ -1,4 +1,4 @@
-"""Reference pages made from the program itself: options of all commands, the Python interface, the report's keys."""
+"""Reference pages made from the program itself: options of all commands, the Python interface."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ import click
 
 import meshdeform
 from meshdeform_cli.main import cli
-from meshdeform_formats.report.schema import report_schema
 
 INTERFACES = {
     "meshdeform.compat.idwarp": (),
@@ -128,38 +127,3 @@ def _example(text: str) -> str:
         text,
         flags=re.MULTILINE,
     )
-
-
-def schema_page() -> str:
-    """Keys of the JSON report."""
-    schema = report_schema()
-    parts = ["# Report schema", schema["description"], "`meshdeform schema report` prints it as JSON schema."]
-    parts.append(_keys(schema))
-    for name, definition in schema["$defs"].items():
-        parts.append(f"## {name}\n\n{definition.get('description', '')}\n\n{_keys(definition)}")
-    return "\n\n".join(parts) + "\n"
-
-
-def _keys(definition: dict[str, Any]) -> str:
-    rows = [
-        f"| `{key}` | {_type(value)} | {'yes' if key in definition.get('required', ()) else ''} "
-        f"| {value.get('description', '')} |"
-        for key, value in definition.get("properties", {}).items()
-    ]
-    return "\n".join(["| key | type | always | meaning |", "|---|---|---|---|", *rows]) if rows else ""
-
-
-def _type(value: dict[str, Any]) -> str:
-    if "$ref" in value:
-        name = value["$ref"].rsplit("/", 1)[1]
-        return f"[{name}](#{name.lower()})"
-    if "anyOf" in value:
-        return " or ".join(_type(each) for each in value["anyOf"])
-    if "enum" in value:
-        return ", ".join(f"`{each}`" for each in value["enum"])
-    if "const" in value:
-        return f"`{value['const']}`"
-    if value.get("type") == "array":
-        return f"list of {_type(value['items'] or value['prefixItems'][0])}"
-    kind = value.get("type", "any")
-    return " or ".join(kind) if isinstance(kind, list) else str(kind)

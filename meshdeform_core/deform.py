@@ -142,11 +142,9 @@ def _result(state: State, one_of_many: bool) -> Result:
         if failed:
             # The grid kept is valid; users need to know which cells the next step would break.
             broken = judged(failed.found, course.rounded(failed.found.points))
-            assessment = dataclasses.replace(assessment, invalid=broken.invalid, groups=broken.groups)
+            assessment = dataclasses.replace(assessment, invalid=broken.invalid)
         repair, plain = state.repairs, state.plain
-        if not (plain and state.repair and state.steps == 1 and state.options is setup.case.method):
-            plain = None
-        if repair and plain:
+        if repair and plain and state.repair and state.steps == 1 and state.options is setup.case.method:
             before = judged(plain, course.rounded(plain.points)).after
             repair = dataclasses.replace(repair, before=main_measures(before))
     return Result(
@@ -162,7 +160,6 @@ def _result(state: State, one_of_many: bool) -> Result:
         motion=motion,
         attempts=tuple(course.attempts),
         repair=repair,
-        plain=plain.points if plain else None,
     )
 
 

@@ -34,7 +34,6 @@ from .numerics.arrays import places_among
 from .numerics.geometry.coincidence import coincident_groups, distinct, equal_rows
 from .parallel import Nodes
 from .quality import assess
-from .quality.listed import MAX_GROUPS
 from .quality.report import MAX_LISTED
 from .repair.limit import Limit
 from .repair.outcome import Repair
@@ -348,15 +347,12 @@ def impose_on_components(
     with whole.timing.stage("quality"):
         assessment = assess(setup.original, points, setup.boundary)
     listed_cells = [cell for result in results for cell in result.assessment.invalid]
-    groups = sorted((g for result in results for g in result.assessment.groups), key=lambda group: -group.cells)
     warnings = [_named(component.name, text) for component, result in found for text in result.warnings]
     repairs = [result.repair for result in results if result.repair]
     return Result(
         setup=setup,
         grid=setup.grid.moved(points),
-        assessment=dataclasses.replace(
-            assessment, invalid=tuple(listed_cells[:MAX_LISTED]), groups=tuple(groups[:MAX_GROUPS])
-        ),
+        assessment=dataclasses.replace(assessment, invalid=tuple(listed_cells[:MAX_LISTED])),
         account=_account_of({component.name: result.account for component, result in found if result.account.settings}),
         steps=max(result.steps for result in results),
         reached=min(result.reached for result in results),

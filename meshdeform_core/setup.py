@@ -206,8 +206,7 @@ class Result:
     would have made cells invalid; the invalid cells of the assessment are then those of that step. ``displacement``
     (n_unique, 3) is that of the boundary at the end of the motion. ``attempts`` lists the steps that were tried, in
     order; ``repair`` summarises the repairs of the steps that led to the grid, or is ``None``. Each of the named
-    ``components`` of an overset grid has a result of its own. ``plain`` (n_nodes, 3) is the grid before the repair, if
-    there was one step with a repair.
+    ``components`` of an overset grid has a result of its own.
     """
 
     setup: Setup
@@ -223,7 +222,6 @@ class Result:
     attempts: tuple[Attempt, ...] = ()
     repair: Repair | None = None
     components: tuple[tuple[str, Result], ...] = ()
-    plain: FloatArray | None = None
 
     def __repr__(self) -> str:
         return f"Result(valid={self.valid}, steps={self.steps}, reached={self.reached:g})"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -19,7 +18,7 @@ from .tables import Figure
 
 
 def deformation_figures(result: Result) -> list[Figure]:
-    """The moving walls, a plane around them, the worst cells and what a repair changed, before and after."""
+    """The moving walls, a plane around them and the worst cells, before and after."""
     setup, after, invalid = result.setup, result.grid, result.assessment.invalid
     old = Subject(setup.grid, setup.topology, original=setup.original)
     new = Subject(after, setup.topology, setup.grid, original=old)
@@ -35,19 +34,6 @@ def deformation_figures(result: Result) -> list[Figure]:
         if page is not None:
             caption = "The moving walls, coloured by their displacement."
             figures.insert(0, Figure("The moving walls", caption, _png(after, page)))
-    if result.plain is not None:
-        # Around the worst cell that the method alone gives, without and with the repair.
-        old = Subject(setup.grid.moved(result.plain), setup.topology, setup.grid)
-        new = Subject(after, setup.topology, setup.grid, original=old)
-        block, cell = worst_cell(old, "f_skew")
-        where = setup.grid.label(block, cell)
-        caption = f"Around cell {where}, the worst that the method alone gives: without the repair and with it."
-        page = worst_cells(old, new, block, cell)
-        # The same position, not the same cell, which the repair has moved.
-        named = zip(page.panels, ("the method alone", "repaired"), strict=True)
-        panels = tuple(dataclasses.replace(each, window=page.panels[0].window, title=name) for each, name in named)
-        page = dataclasses.replace(page, panels=panels)
-        figures.append(Figure("What the repair changed", caption, _png(after, page)))
     return figures
 
 

@@ -25,9 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _SHOWN = 12
-"""Groups of invalid cells, cells and levels that the page lists."""
-_LISTED = 200
-"""Blocks that are listed."""
+"""Invalid cells and levels that the page lists."""
 
 # Seen on light and on dark pages.
 _BEFORE, _AFTER, _BAD, _INK = "#8a94a0", "#3d82d6", "#d1242f", "#7d8590"
@@ -96,14 +94,11 @@ def _verdict(report: Report) -> dict[str, Any]:
         if old := after["inherited_invalid_cells"]:
             headline = f"No cell became invalid; {old:,} cells were invalid before."
         return {"headline": headline, "how": "; ".join(tables.repair_lines(report))}
-    groups, reached, places = report["invalid_groups"], report.get("reached", 1.0), []
-    for group in groups[:_SHOWN]:
-        near = f" near {group['nearest_patch']!r}" if group["nearest_patch"] else ""
-        at = ", ".join(f"{x:.4g}" for x in group["center"])
-        blocks = ", ".join(group["blocks"][:4]) + (" and more" if len(group["blocks"]) > 4 else "")
-        where = f"{counted(group['cells'], 'cell')}{near} in {blocks}, around x, y, z = {at}"
-        places.append(f"{where}; the worst is {tables.place_text(group)}")
-    places += [f"and {len(groups) - _SHOWN} smaller groups"] if len(groups) > _SHOWN else []
+    reached, places = report.get("reached", 1.0), []
+    for cell in report["invalid_cells"][:1]:
+        near = f" near {cell['nearest_patch']!r}" if cell["nearest_patch"] else ""
+        at = ", ".join(f"{x:.4g}" for x in cell["center"])
+        places.append(f"the worst is {tables.place_text(cell)}{near}, around x, y, z = {at}")
     headline = f"{after['invalid_cells']:,} of {report['grid']['cells']:,} cells became invalid."
     if reached < 1.0:
         headline = f"Only {reached:.1%} of the motion was imposed; the next step would have made cells invalid."
@@ -145,11 +140,10 @@ def _levels(report: Report, thumbnails: Sequence[Figure]) -> Sections:
 
 def _judged(report: Report) -> Sections:
     """Invalid cells, and quality with the distribution of f_skew."""
-    worst = sorted(report["invalid_cells"], key=lambda cell: cell["min_jacobian"])[:_SHOWN]
     rows = [
         (cell["block"], ", ".join(map(str, cell["ijk"])), ", ".join(f"{x:.5g}" for x in cell["center"]),
          cell["min_jacobian"], cell["step"], cell["nearest_patch"])
-        for cell in worst
+        for cell in report["invalid_cells"][:_SHOWN]
     ]  # fmt: skip
     heads = ("block", "i, j, k", "x, y, z", "smallest Jacobian", "in step", "nearest boundary")
     yield "Invalid cells", [Table("The worst invalid cells", heads, rows, (0, 1, 2, 5))] if rows else []
@@ -163,20 +157,6 @@ def _common_sections(report: Report) -> Sections:
     yield "Components", [tables.components_table(report)] if report.get("components") else []
     yield "Shape of cells", [tables.shape_table(report)] if report.get("shape") else []
     yield "Attempts", list(_attempts(report))
-    if blocks := sorted(report.get("blocks") or (), key=lambda block: block["after"]["f_skew_min"]):
-        heads = ("block", "cells", "invalid", "f_skew min", "before", "f_skew mean", "before", "scaled Jacobian min")
-        rows = [
-            (
-                block["name"], block["cells"], block["invalid_cells"],
-                *(block[when][key] for key in ("f_skew_min", "f_skew_mean") for when in ("after", "before")),
-                block["after"]["min_scaled_jacobian"],
-            )
-            for block in blocks[:_LISTED]
-        ]  # fmt: skip
-        rest = len(blocks) - _LISTED
-        more = f"; {counted(rest, 'more is', 'more are')} in the report as JSON" if rest > 0 else ""
-        caption = f"{counted(len(blocks), 'block')}, the one with the worst cell first{more}"
-        yield "Blocks", [Table(caption, heads, rows, flagged=[n for n, row in enumerate(rows) if row[2]])]
     yield "Warnings", [{"warnings": report["warnings"]}] if report["warnings"] else []
     if boundary := report.get("boundary"):
         nodes = f"Nodes: {tables.node_counts(boundary)}."

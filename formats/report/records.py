@@ -16,9 +16,7 @@ from meshdeform_core.mending import Mended
 from meshdeform_core.methods import Account
 from meshdeform_core.methods.limits import PatchMotion
 from meshdeform_core.quality import Assessment
-from meshdeform_core.quality.report import BlockQuality
 from meshdeform_core.quality.shape import shape_measures
-from meshdeform_core.quality.walls import layer_changes
 from meshdeform_core.series import Level, Schedule
 
 from ..grids import Layout
@@ -98,12 +96,9 @@ def quality_part(assessment: Assessment) -> Report:
 
 
 def _invalid_part(assessment: Assessment, most: int | None = None) -> Report:
-    """Invalid cells, at most ``most`` of them, and their groups."""
+    """Invalid cells, at most ``most`` of them."""
     cells = [dataclasses.asdict(cell) for cell in assessment.invalid[:most]]
-    return {
-        "invalid_cells": [cell | {"ijk": list(cell["ijk"]), "center": list(cell["center"])} for cell in cells],
-        "invalid_groups": [dataclasses.asdict(group) for group in assessment.groups],
-    }
+    return {"invalid_cells": [cell | {"ijk": list(cell["ijk"]), "center": list(cell["center"])} for cell in cells]}
 
 
 def with_other(timing: Mapping[str, float], total: float) -> Report:
@@ -125,21 +120,14 @@ def deformation_report(result: Result, timing: Mapping[str, float], peak_memory:
     boundary = boundary_part(setup) | {"max_displacement": result.max_displacement}
     components = [component_part(name, own) for name, own in result.components]
     seconds = dict.fromkeys(("read", "topology", "prepare", "apply", "quality", "write"), 0.0)
-    layers: Report | None = None
-    if result.plain is not None:
-        # Changes by the repair in the layers at the walls.
-        found = layer_changes(setup.original, setup.boundary, result.plain, result.grid.points)
-        layers = {name: None if change is None else dataclasses.asdict(change) for name, change in found.items()}
     return {
         **head_part(setup.grid),
         "method": method_part(setup.case.method.name, result.account),
         "boundary": boundary,
         "motion": [dataclasses.asdict(patch) for patch in result.motion],
         **quality_part(result.assessment),
-        "blocks": blocks_part(setup.grid, result.assessment.blocks),
         **_outcome_part(result),
         **_invalid_part(result.assessment),
-        "repaired_layers": layers,
         **({"components": components} if components else {}),
         "timing": seconds | result.timing.seconds | dict(timing),
         "peak_memory_bytes": peak_memory,
@@ -160,7 +148,6 @@ def quality_report(
         "reference": reference,
         **quality_part(assessment),
         "shape": {"before": None if original is None else _shape_part(original), "after": _shape_part(grid)},
-        "blocks": blocks_part(grid, assessment.blocks),
         "valid": assessment.valid,
         **_invalid_part(assessment),
         "warnings": list(warnings),
@@ -177,16 +164,6 @@ def mended_report(mended: Mended, reference: str, seconds: Mapping[str, float], 
         "timing": dict(seconds),
         "peak_memory_bytes": peak_memory,
     }
-
-
-def blocks_part(grid: Grid, blocks: Sequence[BlockQuality]) -> list[Report]:
-    """Every block, with the families of the file's patches on it, or the patches themselves if they have none."""
-    families: list[dict[str, None]] = [{} for _ in blocks]
-    for patch in grid.patches:
-        for window in patch.windows:
-            families[window.block][patch.family or patch.name] = None
-    both = zip(blocks, families, strict=True)
-    return [dataclasses.asdict(block) | {"families": sorted(names)} for block, names in both]
 
 
 def _shape_part(grid: Grid) -> Report:

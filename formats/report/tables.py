@@ -12,7 +12,6 @@ from meshdeform_core.wording import counted
 from .records import Report
 
 ACCELERATION = "largest acceleration of a node, in the largest step of the walls; 2 where they turn back"
-_LAYERS = (("first cell", "first_cell_height_ratio"), ("first cells together", "layer_thickness_ratio"))
 _ALONG = 0.9994
 _WEAK = "weak: sheared by more than 45 degrees, or twice or half as long in one direction"
 
@@ -40,18 +39,6 @@ _MEASURES: tuple[tuple[str, tuple[str, ...], tuple[str, ...], bool], ...] = (
     ("total volume", ("total_volume",), (), False),
 )
 """Name, keys in the report, the ends of a measure that has some, and whether it compares with another grid."""
-DEFINITIONS = {
-    "invalid_cells": "a corner Jacobian that was positive became zero or negative",
-    "inherited_invalid_cells": "were invalid in the input",
-    "min_scaled_jacobian": "smallest corner Jacobian over its edge lengths",
-    "min_relative_jacobian": "smallest corner Jacobian over that of the input",
-    "wall_normal_deviation_deg": "angle between the first grid line and the wall normal at moving walls",
-    "first_cell_height_ratio": "height of the first cell at moving walls over that of the input",
-    "layer_thickness_ratio": "thickness of the first layers of cells over that of the input",
-    "interface_kink_deg": "angle of grid lines at block interfaces; after: its change",
-    "interface_spacing_jump": "logarithm of the spacing ratio at block interfaces; after: its change",
-    "volume_ratio": "cell volume over that of the input",
-}
 # Measures to which all cells contribute, so that they have no worst cell.
 _OF_ALL = ("harmonic_mean", "mean", "p01", "rms")
 
@@ -287,17 +274,6 @@ def repair_lines(report: Report) -> list[str]:
             both.append(f"invalid cells {before['invalid_cells']:,} -> {after['invalid_cells']:,}")
         found.append(f"the method alone -> repaired: {', '.join(both)}")
     found += [_WEAK] if done["weak"] else []
-    for name, change in (report.get("repaired_layers") or {}).items():
-        if not change:
-            continue
-        walls = f"of the {change['lines']:,} grid lines that begin at {name} walls"
-        if not change["changed"]:
-            found.append(f"none {walls} changed by more than 1% in its first cells")
-            continue
-        ranges = [(measure, change[key]) for measure, key in _LAYERS if change[key]]
-        heights = ", ".join(f"{measure} {ratio['min']:.3g}..{ratio['max']:.3g}" for measure, ratio in ranges)
-        over = f"height over that by the method alone: {heights}"
-        found.append(f"{change['changed']:,} {walls} changed by more than 1% there ({over})")
     return found
 
 

@@ -1,5 +1,4 @@
-"""Cells listed in reports: invalid and worst cells with their locations, and invalid cells that touch each other, which
-form a group, also across blocks."""
+"""Cells listed in reports: invalid and worst cells with their locations."""
 
 from __future__ import annotations
 
@@ -12,12 +11,9 @@ from ..boundary import Boundary, Kind
 from ..grid import FloatArray, Grid, IntArray, Shape
 from ..grid.topology import Topology
 from ..numerics.cell.measures import measure_cells
-from ..numerics.geometry.coincidence import connected_rows
-from .cells import corner_nodes, corners_of, places
+from .cells import corners_of, places
 from .original import Original
 from .validity import Failure, Verdict
-
-MAX_GROUPS = 20
 
 
 @dataclass(frozen=True)
@@ -93,60 +89,3 @@ def nearest_patches(grid: Grid, topology: Topology, boundary: Boundary | None, a
     nodes = [grid.nodes.at(topology.first[patch.nodes]) for patch in patches]
     distance = np.array([[((each - x) ** 2).sum(axis=1).min(initial=np.inf) for x in at] for each in nodes])
     return [patches[int(n)].name for n in distance.argmin(axis=0)]
-
-
-@dataclass(frozen=True)
-class InvalidGroup:
-    """Invalid cells that share nodes.
-
-    Attributes
-    ----------
-    cells : number of cells
-    blocks : names of the blocks they lie in
-    box : lowest and highest coordinates of the deformed cells
-    center : mean of the centres of the deformed cells
-    block, ijk : the worst cell (1-based), that with the smallest Jacobian relative to the undeformed one
-    nearest_patch : the moving boundary nearest to the worst cell in the undeformed grid
-    """
-
-    cells: int
-    blocks: tuple[str, ...]
-    box: tuple[tuple[float, ...], tuple[float, ...]]
-    center: tuple[float, ...]
-    block: str
-    ijk: Shape
-    nearest_patch: str = ""
-
-
-def group_cells(
-    grid: Grid, topology: Topology, boundary: Boundary | None, after: FloatArray, cells: IntArray, ratio: np.ndarray
-) -> tuple[InvalidGroup, ...]:
-    """The groups of ``cells`` (numbers), the largest first, at most ``MAX_GROUPS``.
-
-    Parameters
-    ----------
-    after : coordinates of the deformed grid (n_nodes, 3)
-    ratio : (n_cells,) smallest relative Jacobian of every cell
-    """
-    if cells.size == 0:
-        return ()
-    block, ijk = places(grid, cells)
-    nodes = corner_nodes(grid, block, ijk)
-    # Coincident nodes are the first of them.
-    at = np.minimum(np.searchsorted(topology.face_nodes, nodes), len(topology.face_nodes) - 1)
-    shared = topology.face_nodes[at] == nodes
-    _, local = np.unique(np.where(shared, topology.first[topology.number[at]], nodes), return_inverse=True)
-    part = connected_rows(local.reshape(nodes.shape), int(local.max()) + 1)
-    order = np.argsort(-np.bincount(part), kind="stable")[:MAX_GROUPS]
-    worst = [members[int(np.argmin(ratio[cells[members]]))] for members in (np.flatnonzero(part == n) for n in order)]
-    before = grid.points[nodes[worst]].mean(axis=1)
-    near = nearest_patches(grid, topology, boundary, before)
-    found = list[InvalidGroup]()
-    for number, at_worst, patch in zip(order, worst, near, strict=True):
-        members = np.flatnonzero(part == number)
-        x = after[nodes[members]]
-        box = tuple(x.min(axis=(0, 1)).tolist()), tuple(x.max(axis=(0, 1)).tolist())
-        i, j, k = (int(n) + 1 for n in ijk[at_worst])
-        blocks, center = tuple(grid.names[b] for b in np.unique(block[members])), tuple(x.mean(axis=(0, 1)).tolist())
-        found.append(InvalidGroup(len(members), blocks, box, center, grid.names[block[at_worst]], (i, j, k), patch))
-    return tuple(found)

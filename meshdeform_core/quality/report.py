@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 
 from ..boundary import Boundary
-from ..grid import FloatArray, Grid
-from .cells import slabs
+from ..grid import FloatArray
 from .lines import kink_and_jump
-from .listed import InvalidCell, InvalidGroup, Worst, group_cells, list_cells, worst_cell
+from .listed import InvalidCell, Worst, list_cells, worst_cell
 from .original import Original
-from .validity import SKEW, Comparison, Range, Skew, Spread, Tally, measured
+from .validity import Comparison, Range, Skew, Spread, Tally, measured
 from .walls import Extremes, WallQuality, cell_at_interface, extremes_of, measure_walls
 
 MAX_LISTED = 200
@@ -50,34 +49,12 @@ class Quality:
 
 
 @dataclass(frozen=True)
-class BlockSkew:
-    """Smallest and mean f_skew and smallest scaled Jacobian of one block."""
-
-    f_skew_min: float
-    f_skew_mean: float
-    min_scaled_jacobian: float
-
-
-@dataclass(frozen=True)
-class BlockQuality:
-    """One block before and after; ``cells`` and ``invalid_cells`` are counts."""
-
-    name: str
-    cells: int
-    invalid_cells: int
-    before: BlockSkew
-    after: BlockSkew
-
-
-@dataclass(frozen=True)
 class Assessment:
-    """Quality before and after, of the grid and of its blocks, and the verdict."""
+    """Quality before and after, and the verdict; ``invalid`` are the worst of the invalid cells, in this order."""
 
     before: Quality
     after: Quality
     invalid: tuple[InvalidCell, ...]
-    blocks: tuple[BlockQuality, ...] = ()
-    groups: tuple[InvalidGroup, ...] = ()
 
     @property
     def valid(self) -> bool:
@@ -121,9 +98,10 @@ def assess(
     cells : the comparison of these coordinates, if there is one already
     step_of : the first step after which a cell, by number, was invalid
     """
-    grid, topology = original.grid, original.topology
-    start, cells = grid.points, cells or Comparison(original, after)
+    grid, start, cells = original.grid, original.grid.points, cells or Comparison(original, after)
     broken, ratios = cells.verdict.invalid, cells.volume_ratios
+    # The worst first.
+    broken = broken[np.argsort(cells.verdict.ratio[broken], kind="stable")]
     walls, interfaces = measure_walls(original, boundary, after), _interfaces(original, after)
     worst = {
         "f_skew": cells.after.worst,
@@ -156,8 +134,6 @@ def assess(
             | {name: found for name, found in at_walls.items() if not name.startswith("layer")},
         ),
         list_cells(original, boundary, after, broken[:MAX_LISTED], cells.verdict, step_of),
-        per_block(original, cells),
-        group_cells(grid, topology, boundary, after, broken, cells.verdict.ratio),
     )
 
 
@@ -195,21 +171,3 @@ def _interfaces(original: Original, after: FloatArray) -> tuple[Interfaces, Inte
             worst[name] = cell_at_interface(original.grid, lines, line), abs(float(values[line]))
     spread = Spread.of(found[0]), Spread.of(found[1])
     return spread if alone else (Spread(0.0, 0.0), Spread(0.0, 0.0)), spread, worst
-
-
-def per_block(original: Original, cells: Comparison) -> tuple[BlockQuality, ...]:
-    """The blocks of the grid in its order."""
-    grid = original.grid
-    counts = np.diff(grid.cell_offsets).tolist()
-    invalid = np.diff(np.searchsorted(cells.verdict.invalid, grid.cell_offsets)).tolist()
-    rows = zip(grid.names, counts, invalid, _skews(grid, measured(original)), _skews(grid, cells.after), strict=True)
-    return tuple(BlockQuality(*row) for row in rows)
-
-
-def _skews(grid: Grid, tally: Tally) -> list[BlockSkew]:
-    """The rows of a tally, one per slab, combined by block."""
-    block_of = np.array([slab.block for slab in slabs(grid)])
-    starts = np.searchsorted(block_of, np.arange(grid.n_blocks))
-    lows = np.minimum.reduceat(tally.lows, starts, axis=0)
-    means = np.add.reduceat(tally.totals[:, SKEW], starts) / np.diff(grid.cell_offsets)
-    return [BlockSkew(float(low), float(mean), float(scaled)) for (low, scaled), mean in zip(lows, means, strict=True)]

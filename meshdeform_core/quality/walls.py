@@ -19,9 +19,6 @@ from .listed import Worst, worst_cell
 from .original import Original
 from .validity import Range, Spread
 
-CHANGED = 0.01
-"""A grid line at a wall counts as changed if the thickness of its first cells differs by more than this fraction."""
-
 Extremes = dict[str, tuple[int, float]]
 """Number and value of the worst cell for each measure; measures with the same value everywhere are left out."""
 
@@ -39,20 +36,6 @@ class WallQuality:
     first_cell_height_ratio: Range | None
     layer_thickness_ratio: Range | None
     worst: Mapping[str, Worst]
-
-
-@dataclass(frozen=True)
-class LayerChange:
-    """Effect of a repair on the grid lines at the moving or the fixed walls.
-
-    ``changed`` of the ``lines`` grid lines have a first cell, or first :data:`.lines.LAYERS` cells together, whose
-    height along the wall normal differs by more than :data:`CHANGED`; ratios are to the heights before the repair.
-    """
-
-    lines: int
-    changed: int
-    first_cell_height_ratio: Range | None
-    layer_thickness_ratio: Range | None
 
 
 WallQualities = dict[str, WallQuality | None]
@@ -84,23 +67,6 @@ def measure_walls(
         before[name] = WallQuality(Spread.of(old.angle), alike if heights else None, alike if layers else None, {})
         now[name] = WallQuality(Spread.of(new.angle), _range(heights), _range(layers), found)
     return before, now
-
-
-def layer_changes(
-    original: Original, boundary: Boundary, plain: FloatArray, after: FloatArray
-) -> dict[str, LayerChange | None]:
-    """Effect of a repair on the ``moving`` and the ``fixed`` walls: from coordinates ``plain`` to ``after``, both
-    (n_nodes, 3); ``None`` where there are none."""
-    found: dict[str, LayerChange | None] = {}
-    for name, (lines, _) in original.walls(boundary).items():
-        found[name] = None
-        if lines.quads.size:
-            old, new = (lines.measure(x, original.normal) for x in (plain, after))
-            pairs = (old.height, new.height), (old.thickness, new.thickness)
-            changed = np.any([np.abs(after - before) > CHANGED * np.abs(before) for before, after in pairs], axis=0)
-            ranges = (_range(_ratios(before, after)) for before, after in pairs)
-            found[name] = LayerChange(len(changed), int(np.count_nonzero(changed)), *ranges)
-    return found
 
 
 Ends = tuple[tuple[int, float], tuple[int, float]]

@@ -10,7 +10,6 @@ import struct
 from pathlib import Path
 from types import SimpleNamespace
 
-import jsonschema
 import numpy as np
 import pytest
 
@@ -20,7 +19,6 @@ from meshdeform_core.grid import FileFormat
 from meshdeform_core.memory import PICTURE_BYTES, Demand, deforming, parse_memory, passing
 from meshdeform_core.parallel import Ranks, sharing
 from meshdeform_formats.grids import Layout, read_grid
-from meshdeform_formats.report.schema import report_schema
 
 BILLION = 10**9
 
@@ -43,7 +41,6 @@ def test_a_billion_nodes_are_foretold_from_a_header(sparse, call, bench, tmp_pat
     assert done.code == 0, done.err
     assert "only the header of its file was read" in done.err
     report = json.loads(done.out)
-    jsonschema.validate(report, report_schema())
     assert report["grid"]["nodes"] == BILLION
     expected = report["expected"]
     assert 16 * 2**30 < expected["memory_bytes"] <= 64 * 2**30
@@ -193,7 +190,7 @@ def test_what_fails_without_repair_is_counted(steps, both):
     assert f"in {(len(steps) and 3) or 1} step" in told
     assert f": {cells} cells become invalid" in told
     assert "without repair the run is bound to fail" in told
-    assert f"worst {report['invalid_groups'][0]['block']}" in told
+    assert f"{report['invalid_cells'][0]['block']} {tuple(report['invalid_cells'][0]['ijk'])}" in told
 
 
 def test_with_repair_it_says_what_will_be_done(both):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 
-import jsonschema
 import numpy as np
 import pytest
 from grids import block_around, frame, polar
@@ -14,7 +13,6 @@ from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid, Patch, Side, Window
 from meshdeform_formats.case import case_of
 from meshdeform_formats.grids import read_grid, write_grid
-from meshdeform_formats.report.schema import report_schema
 
 LINE = np.linspace(-5.0, 5.0, 9)
 BACKGROUND = Grid.from_blocks([block_around(LINE, LINE, np.linspace(0, 1, 3))])
@@ -67,7 +65,6 @@ def test_reports_have_a_verdict_for_every_component(folder, call):
     reports = [folder / f"report{suffix}" for suffix in (".json", ".html", ".txt")]
     assert call(*command, *(word for path in reports for word in ("--report", path))).code == 0
     report = json.loads(reports[0].read_text())
-    jsonschema.Draft202012Validator(report_schema()).validate(report)
     assert [part["name"] for part in report["components"]] == ["main", "ring", "bar"]
     assert "3 components, each moved by its own boundary" in reports[1].read_text()
     assert re.search(r"^ +bar +8 +600 ", reports[2].read_text(), re.MULTILINE)
@@ -75,7 +72,6 @@ def test_reports_have_a_verdict_for_every_component(folder, call):
     done = call(*series, "--suffix", ".vtm", "-q", "--report", folder / "s.json")
     assert done.code == 0, done.err
     report = json.loads((folder / "s.json").read_text())
-    jsonschema.Draft202012Validator(report_schema()).validate(report)
     assert [part["valid"] for part in report["levels"][1]["components"]] == [True] * 3
 
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 import json
 import re
 
-import jsonschema
 import numpy as np
 import pytest
 
 from meshdeform_core.grid import Grid
 from meshdeform_formats import read_grid, write_grid
-from meshdeform_formats.report.schema import report_schema
 
 
 @pytest.fixture
@@ -30,7 +28,6 @@ def test_a_spoilt_grid_is_made_valid(spoilt, bench):
     assert done.code == 0, done.err
     assert "repair    " in done.out
     report = json.loads((bench / "r.json").read_text())
-    jsonschema.validate(report, report_schema())
     assert report["valid"]
     assert report["output"] == "good.xyz"
     assert report["repair"]["invalid"] + report["repair"]["weak"] > 0
@@ -55,7 +52,6 @@ def test_walls_that_have_passed_through_each_other_are_reported(call, bench):
     done = call("repair", "through.xyz", "--reference", "apart.xyz", "-o", "o.xyz", "--json")
     assert done.code == 3, done.err
     report = json.loads(done.out)
-    jsonschema.validate(report, report_schema())
     assert report["repair"]["converged"] is False
 
 

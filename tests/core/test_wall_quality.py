@@ -5,11 +5,10 @@ import pytest
 from cases import constant, formulas
 
 from meshdeform_core.boundary import BoundarySpec, Kind
-from meshdeform_core.deform import Case, deform, set_up
+from meshdeform_core.deform import Case, deform
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import Options
 from meshdeform_core.quality.lines import LAYERS
-from meshdeform_core.quality.walls import layer_changes
 
 
 def channel(ni: int = 41, nj: int = 25, clustering: float = 2.5) -> Grid:
@@ -76,17 +75,3 @@ def test_far_field_is_no_wall():
     walls = deform(grid, case("tfi", constant(0, -0.1, 0))).assessment.after.walls
     assert walls["fixed"] is None
     assert walls["moving"] is not None
-
-
-def test_layers_that_a_repair_changed_are_counted():
-    """The first node off one place of the floor is moved up by a tenth of its height, and nothing else."""
-    grid = channel()
-    setup = set_up(grid, case("tfi", constant(0.0, -0.01, 0.0)))
-    before, after = grid.points, grid.points.copy()
-    nodes = grid.block(0, after)
-    nodes[0, 1, 0, 1] += 0.1 * (nodes[0, 1, 0, 1] - nodes[0, 0, 0, 1])
-    changes = layer_changes(setup.original, setup.boundary, before, after)
-    assert changes["moving"].changed == 0
-    assert (changes["fixed"].lines, changes["fixed"].changed) == (41, 1)
-    assert changes["fixed"].first_cell_height_ratio.max == pytest.approx(1.1, rel=1e-2)
-    assert changes["fixed"].layer_thickness_ratio.max == 1.0

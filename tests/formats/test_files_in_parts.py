@@ -148,7 +148,7 @@ def test_fields_at_cells_and_nodes(make, tmp_path):
 
 @pytest.mark.slow
 def test_pictures_of_reports(tmp_path):
-    """Cuts, surfaces, the worst cells, the region of a repair; levels of a series."""
+    """Cuts, surfaces, the worst cells; levels of a series."""
     write_grid(tapered(5, 4), tmp_path / "grid.cgns")
     case = Case(tuple(body_specs(turning(50.0))), method=Options("tfi"))
 
@@ -159,7 +159,7 @@ def test_pictures_of_reports(tmp_path):
         levels = [(0, "before", "a"), (1, "after", "b")]
         read = (result.setup.grid.points, result.grid.points).__getitem__
         small = level_thumbnails(result.setup, levels, read)
-        assert len(figures) == 4
+        assert len(figures) == 3
         for number, figure in enumerate([*figures, *small]):
             (folder / f"{number}.png").write_bytes(figure.png)
             (folder / f"{number}.txt").write_text(figure.caption)
