@@ -1,7 +1,7 @@
 """The verdict: which cells were valid and no longer are; and their totals, distributions and extremes.
 
 A cell is sound if its Jacobian is positive everywhere. In 2-D the corners decide; in 3-D the corners and a proof for
-the interior (:mod:`..numerics.cell.positivity`). Corners collapsed in the undeformed grid have no sign and are not
+the interior (:mod:`..numerics.cell.measures`). Corners collapsed in the undeformed grid have no sign and are not
 judged; cells whose undeformed Jacobian is negative somewhere are judged by their other corners and their volume.
 
 In 3-D a pass in single precision (:mod:`..numerics.cell.inspection`) leaves doubtful cells undecided. These are
@@ -21,8 +21,7 @@ import numpy as np
 
 from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..numerics.cell import inspection as rows
-from ..numerics.cell.measures import CellMeasures, measure_cells
-from ..numerics.cell.positivity import COLLAPSED, decide
+from ..numerics.cell.measures import COLLAPSED, CellMeasures, decide, measure_cells
 from ..parallel import Nodes, Ranks
 from .cells import Slab, block_volumes, cells_alike, corners_of, for_slabs, hold_cells, places, slabs
 from .original import Original

@@ -13,8 +13,7 @@ from meshdeform_core.errors import MethodError
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.methods import composite
-from meshdeform_core.numerics.cell.measures import cell_corners
-from meshdeform_core.numerics.cell.positivity import decide
+from meshdeform_core.numerics.cell.measures import cell_corners, decide
 from meshdeform_core.quality import Original, assess
 from meshdeform_core.quality.validity import Failure, judge
 

@@ -16,7 +16,7 @@ from ...numerics.arrays import Report
 from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_sums
 from ...numerics.fastsum.radial import FastRadial, RadialTargets, make_radial_targets
-from ...numerics.systems.greedy import Search, select
+from ...numerics.systems.saddle import Search, select
 from ...parallel import Nodes, for_chunks, thread_count
 from ..base import Account, Kinks, Linearised, Problem, Progress, Setting, of_stage
 from ..limits import CHOSEN, warn_of_coarse_tolerance, warn_of_radius

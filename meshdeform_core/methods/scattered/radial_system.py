@@ -12,10 +12,9 @@ from ...grid import FloatArray
 from ...memory import UNLIMITED, MemoryLimit
 from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_matrix, radial_sums
-from ...numerics.systems.greedy import independent
 from ...numerics.systems.krylov import KrylovSolver
 from ...numerics.systems.products import ExactProduct, nested_bytes, product_of
-from ...numerics.systems.saddle import DirectSolver
+from ...numerics.systems.saddle import DirectSolver, independent
 from ...parallel import Ranks
 from ..base import Account, Progress, Setting, of_stage
 from .tuned import DIRECT_CENTRES

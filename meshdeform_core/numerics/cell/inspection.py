@@ -3,7 +3,7 @@
 Edges are differences in double precision, rounded once; everything else is relative to the edges of the cell itself, so
 that the measures of cells without nearly flat corners have relative errors of about 1e-6 at any distance from the
 origin. Cells that are nearly flat, collapsed, of extreme size or not proved positive inside are left open for
-:mod:`.measures` and :mod:`.positivity`, which work in double precision.
+:mod:`.measures`, which works in double precision.
 
 **Proof.** The Jacobian J of a trilinear hexahedron is quadratic along each index. Along a, with u, v, w the edges along
 a, b, c, its second difference is 2 det(u, T_ab, T_ac), where T_ab is the difference of two opposite edges of a face
