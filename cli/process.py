@@ -19,9 +19,8 @@ import click
 
 from meshdeform_core import interruption
 from meshdeform_core.errors import CaseError
-from meshdeform_core.notices import first_of_each_kind, kind_of
 from meshdeform_core.parallel import set_sharing
-from meshdeform_core.wording import counted
+from meshdeform_core.wording import counted, first_of_each_kind, kind_of
 
 if TYPE_CHECKING:
     from meshdeform_core.numerics.jit import Compiled

@@ -14,9 +14,8 @@ from meshdeform_core.deform import Setup, Timing, set_up
 from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.grid import FileFormat
 from meshdeform_core.memory import peak_memory
-from meshdeform_core.notices import Notice, first_of_each_kind, kind_of
 from meshdeform_core.series import Level, Schedule, deform_series
-from meshdeform_core.wording import counted, listed
+from meshdeform_core.wording import Notice, counted, first_of_each_kind, kind_of, listed
 from meshdeform_formats.case import CaseFile
 from meshdeform_formats.case.tables import parse_times
 from meshdeform_formats.fields import check_fields, with_fields

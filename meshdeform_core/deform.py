@@ -12,7 +12,6 @@ from .grid import FloatArray, Grid
 from .memory import UNLIMITED, MemoryLimit
 from .methods import PreparedMethod, Progress
 from .methods.limits import patch_motions
-from .notices import Notice
 from .overset import Overset, impose_on_components, set_up
 from .quality import Assessment, Quality, assess
 from .repair.limit import Limit
@@ -29,7 +28,7 @@ from .stepping import (
     until_valid,
     warnings_ahead,
 )
-from .wording import counted
+from .wording import Notice, counted
 
 _WORSE = 0.9
 """A repair that lowers the smallest scaled Jacobian below this share of its value says so."""

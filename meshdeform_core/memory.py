@@ -66,13 +66,7 @@ class MemoryLimit:
     taken: int = 0
 
     def require(self, needed: int, what: str, instead: str) -> None:
-        """Refuse ``what`` if it needs more than the limit.
-
-        Raises
-        ------
-        MethodError
-            Stating the size, the limit and what to do ``instead``.
-        """
+        """Refuse ``what`` by a :class:`.MethodError` if it needs more, which says what to do ``instead``."""
         if needed > self.size:
             # Rounded up: three digits are wrong by at most this.
             enough = readable(1.005 * needed)
@@ -88,13 +82,7 @@ UNLIMITED = MemoryLimit(2**62, "the machine has")
 
 
 def parse_memory(text: str, name: str) -> MemoryLimit:
-    """A limit from ``2GiB``, ``500 MB`` or plain bytes; messages call it ``name``.
-
-    Raises
-    ------
-    CaseError
-        For any other text.
-    """
+    """A limit from ``2GiB``, ``500 MB`` or plain bytes; messages call it ``name``."""
     match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kmgt]?)(i?)b?\s*", text.lower())
     if not match or not 0 < float(match[1]) < float("inf"):
         raise CaseError(f"{name} {text!r}: expected a size like 2GiB, 500MB or 1000000 (bytes)")
@@ -250,13 +238,8 @@ class Demand:
         return int(per_node * self.nodes + _FACES_IN_FILES * self.face_nodes)
 
     def foretold(self, limit: MemoryLimit) -> tuple[int, int]:
-        """Largest resident bytes under a limit, and those of files.
-
-        Raises
-        ------
-        MethodError
-            When the memory does not suffice even with large arrays in files.
-        """
+        """Largest resident bytes under a limit, which may be too small even for large arrays in files, and those of
+        files."""
         # A run decides before it knows its sources; what these take beyond the limit is refused later.
         without = replace(self, sources=0)
         if without.in_memory <= limit.size:
@@ -266,27 +249,17 @@ class Demand:
         return min(int(MARGIN * self._bytes_of(_BESIDE_FILES)) + pages, limit.size), self.file_bytes
 
     def left_of(self, limit: MemoryLimit) -> MemoryLimit:
-        """The part of ``limit`` that program and grid leave.
-
-        Raises
-        ------
-        MethodError
-            When they leave nothing.
-        """
+        """The part of ``limit`` that program and grid leave; an error if they leave nothing."""
         needed = self.beside_files(limit) if current_scratch() else self.in_memory
         limit.require(needed, self.what, _INSTEAD)
         return limit.after(needed, "program and grid")
 
     def place(self, limit: MemoryLimit, folder: Path | None) -> None:
-        """Store large arrays in files in ``folder``, if given, when they do not fit into memory.
+        """Store large arrays in files in ``folder``, if given, when they do not fit into memory; an error when the rest
+        does not either, or when the disk has no room for the files.
 
         All ranks that hold the grid decide alike. If they are on several machines, which see ``folder`` through a
         network, each has its files in its own folder for temporary files instead.
-
-        Raises
-        ------
-        MethodError
-            When the rest does not fit into memory either, or the files do not fit on the disk.
         """
         # Imported late, as it takes a tenth of the time of ``--help``.
         import tempfile

@@ -79,11 +79,6 @@ def judge_grid(grid: Grid, original: Grid, case: Case) -> tuple[Assessment, tupl
     """Judge ``grid`` against ``original``, which may be the same; the case defines the moving walls.
 
     Returns the assessment and the warnings about the original.
-
-    Raises
-    ------
-    GridError
-        When the two have different blocks.
     """
     original, topology = _undeformed(grid, original, case)
     boundary = classify(original, topology, case.boundaries, case.constants) if case.boundaries else None
@@ -111,11 +106,6 @@ def mend(
     Parameters
     ----------
     precision : ``float32`` or ``float64`` of the file that will be written, to which the verdict applies
-
-    Raises
-    ------
-    GridError
-        When the two have different blocks, or nodes that coincide in the original are apart.
     """
     original, topology = _undeformed(grid, original, case)
     boundary = classify(original, topology, case.boundaries, case.constants)

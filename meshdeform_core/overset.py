@@ -29,7 +29,6 @@ from .methods import Account, Options, PreparedMethod, Problem, Progress
 from .methods.base import Kinks, Linearised
 from .methods.composite import filled
 from .methods.limits import patch_motions
-from .notices import Notice, kind_of
 from .numerics.arrays import places_among
 from .numerics.geometry.coincidence import coincident_groups, distinct, equal_rows
 from .parallel import Nodes
@@ -39,16 +38,12 @@ from .repair.limit import Limit
 from .repair.outcome import Repair
 from .setup import Case, Result, Setup, Timing, Undeformed, set_up_whole
 from .stepping import Course
+from .wording import Notice, kind_of
 
 
 def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryLimit = UNLIMITED) -> Setup:
-    """:func:`.setup.set_up_whole` for any grid; the undeformed state of an overset one is :class:`Overset`.
-
-    Raises
-    ------
-    CaseError, MotionError
-        When a boundary entry matches nothing, no node would move, or components share faces or are not named.
-    """
+    """:func:`.setup.set_up_whole` for any grid; the undeformed state of an overset one is :class:`Overset`, whose
+    components must be named and have no face in common."""
     grid = with_components(grid, case.components)
     if grid.overset and not grid.components:
         raise CaseError(

@@ -244,15 +244,8 @@ def set_up_whole(
     memory: MemoryLimit = UNLIMITED,
     check: Callable[[Grid, Topology], None] | None = None,
 ) -> Setup:
-    """Find the topology and classify the boundary; ``memory`` is the method's limit in addition to the grid.
-
-    ``check`` may refuse the grid once its topology is known.
-
-    Raises
-    ------
-    CaseError, MotionError
-        When a boundary entry matches nothing or no node would move.
-    """
+    """Find the topology and classify the boundary; ``memory`` is the method's limit in addition to the grid; ``check``
+    may refuse the grid once its topology is known."""
     timing = timing or Timing()
     require_extent(grid)
     with timing.stage("topology"):

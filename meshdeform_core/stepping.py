@@ -26,7 +26,6 @@ from .grid import FloatArray
 from .grid.blocks import rounded
 from .grid.openings import find_overlaps
 from .methods import Account, Options, PreparedMethod, Progress, prepare_method
-from .notices import Notice, first_of_each_kind, kind_of
 from .numerics.arrays import extent
 from .parallel import Nodes
 from .quality.validity import Comparison, Verdict, judge
@@ -36,7 +35,7 @@ from .repair.options import Effort
 from .repair.outcome import Judged, Repair
 from .repair.tuned import AS_PLANE, COLLAPSING, FARTHEST
 from .setup import Attempt, BoundaryMotion, Setup, Timing
-from .wording import vector
+from .wording import Notice, first_of_each_kind, kind_of, vector
 
 if TYPE_CHECKING:
     from .repair.repair import Repairer

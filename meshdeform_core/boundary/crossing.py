@@ -24,13 +24,12 @@ from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
 from ..memory import release_freed
-from ..notices import Notice
 from ..numerics.arrays import places_among
 from ..numerics.cell.measures import cell_corners, corner_steps, corners_and_edges, scaled_jacobians
 from ..numerics.geometry.coincidence import connected_rows, distinct
 from ..numerics.geometry.crossing import BESIDE, ORDINARY, SLIDING, FaceTree, crossing_faces, near_faces
 from ..numerics.geometry.vectors import plane_winding, winding
-from ..wording import counted, vector
+from ..wording import Notice, counted, vector
 from .classification import UNSELECTED, Boundary, Kind
 from .tables import edges_at_corners
 

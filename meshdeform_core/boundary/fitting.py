@@ -20,10 +20,9 @@ from ..grid import Grid, IntArray
 from ..grid.faces import Role
 from ..grid.surfaces import Surface, find_outside
 from ..grid.topology import Topology
-from ..notices import Notice
 from ..numerics.arrays import places_among
 from ..numerics.geometry.vectors import doubled_areas, face_sizes, unit
-from ..wording import counted, vector
+from ..wording import Notice, counted, vector
 from .frames import other_frame
 from .motions.motion import PreparedMotion
 from .tables import AUTOMATIC, BoundaryNodes, Matching, SurfaceData, Transfer, spacings

@@ -21,11 +21,11 @@ from ..grid.planes import plane_normal
 from ..grid.topology import Topology, side_nodes
 from ..grid.windows import end_planes, side_numbers
 from ..memory import UNLIMITED, MemoryLimit
-from ..notices import Notice
 from ..numerics.arrays import distinct_pairs, places_among, total
 from ..numerics.geometry.coincidence import distinct, integers
 from ..numerics.geometry.vectors import face_sizes
 from ..numerics.rotation import SurfaceRotations
+from ..wording import Notice
 
 _FACES = 250_000
 """Faces whose areas are computed at a time, which bounds the memory."""

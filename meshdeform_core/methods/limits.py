@@ -15,9 +15,9 @@ import numpy as np
 
 from ..boundary import Kind
 from ..grid import FloatArray, IntArray
-from ..notices import Notice
 from ..numerics.arrays import lengths, total
 from ..numerics.tape import largest
+from ..wording import Notice
 from .base import Kinks, Problem
 
 TFI_ROTATION = 55.0

@@ -217,13 +217,7 @@ class Nodes:
         return result
 
     def require_whole(self, what: str) -> None:
-        """Require that the array is not in parts, for operations on all rows; ``what`` names the operation.
-
-        Raises
-        ------
-        WholeGridNeeded
-            If the array is in parts.
-        """
+        """Raise :class:`WholeGridNeeded` if the array is in parts, for ``what`` takes all rows."""
         if self.divided:
             raise WholeGridNeeded(what)
 
@@ -269,12 +263,6 @@ def blank(shape: Sequence[int], dtype: Any) -> Any:
 
 
 def require_undivided(what: str) -> None:
-    """Require that a grid about to be read will not be in parts; ``what`` is the reason.
-
-    Raises
-    ------
-    WholeGridNeeded
-        If it would be.
-    """
+    """Raise :class:`WholeGridNeeded`, with the reason ``what``, if a grid about to be read will be in parts."""
     if current_ranks().count > 1:
         raise WholeGridNeeded(what)

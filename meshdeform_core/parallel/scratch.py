@@ -51,13 +51,7 @@ class Scratch:
         return size >= SMALLEST
 
     def empty(self, shape: Sequence[int], dtype: Any) -> Any:
-        """An array in a file; its values are zero.
-
-        Raises
-        ------
-        MethodError
-            If the disk is full.
-        """
+        """An array of zeros in a file, with room for all of it on the disk."""
         array, reserve = self.blank(shape, dtype)
         reserve(0, array.nbytes)
         return array
@@ -65,11 +59,6 @@ class Scratch:
     def blank(self, shape: Sequence[int], dtype: Any) -> tuple[Any, Callable[[int, int], None]]:
         """An array of zeros in a file that takes no room on the disk, and ``reserve(first, last)``, to be called before
         these bytes are written to: if the disk were full, a write to the mapping would end the process by a signal.
-
-        Raises
-        ------
-        MethodError
-            If there can be no such file, or no room for the bytes.
         """
         # Imported late, as it takes a tenth of the time of ``--help``.
         import tempfile
