@@ -57,7 +57,7 @@ def test_a_full_disk_is_found_before_the_computation(command, bench, call, disk,
 
 
 def test_a_series_looks_for_room_for_all_levels(bench, call, disk, monkeypatch):
-    write_grid(frame(12, 8), "large.xyz")
+    write_grid(frame(8, 5), "large.xyz")
     options = ("--suffix", ".cgns", "--velocity", "swept", "--variant", "precision=float32")
     words = ("series", "large.xyz", "-c", "case.toml", "-m", "tfi", "--times", "0:3:1", "-o", "out", "-q", *options)
     assert call(*words).code == 0
