@@ -271,9 +271,14 @@ class _Surface:
         A node is shifted alike whichever others are on the surface.
         """
         amplitude = np.where(np.isfinite(self.edge), self._amplitude(gap), 0.0)
+        return self._drawn * amplitude[:, None]
+
+    @cached_property
+    def _drawn(self) -> FloatArray:
+        """Pseudo-random numbers (n, 3) from -1 to 1."""
         sides, source = len(self.points) // len(self.nodes), np.random.default_rng(0)
         drawn = [source.uniform(-1.0, 1.0, (self._n_unique, 3))[self.nodes] for _ in range(sides)]
-        return np.concatenate(drawn) * amplitude[:, None]
+        return np.concatenate(drawn)
 
     def _amplitude(self, gap: float) -> FloatArray:
         # The test for lying outside uses points at a small distance from the faces, which is allowed for here.
@@ -325,10 +330,12 @@ def torn_faces(grid: Grid, topology: Topology, boundary: Boundary, displacement:
     """Warnings about fixed patches whose faces a displacement (n_unique, 3) tears at the edges of moving ones."""
     notices = []
     for patch in boundary.patches:
+        if patch.kind is not Kind.FIXED or patch.name == UNSELECTED:
+            continue
         corners = topology.quads.corners[patch.quads]
-        moves = boundary.kind[corners] == Kind.MOVING
-        corners = corners[moves.any(axis=1) & ~moves.all(axis=1)]
-        if patch.kind is not Kind.FIXED or patch.name == UNSELECTED or not corners.size:
+        number = (boundary.kind == Kind.MOVING).take(corners).sum(axis=1)
+        corners = corners[(number > 0) & (number < corners.shape[1])]
+        if not corners.size:
             continue
         x, moved = grid.nodes.at(topology.first[corners]), displacement[corners]
         edge, apart = (np.linalg.norm(each - np.roll(each, 1, axis=1), axis=-1) for each in (x, moved))

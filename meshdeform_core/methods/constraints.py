@@ -46,7 +46,9 @@ def put_on_faces(face: FloatArray, out: FloatArray, problem: Problem) -> None:
     rows = Nodes.of(out).rows
 
     def work(lo: int, hi: int) -> None:
-        rows[nodes[lo:hi]] = face.take(number[lo:hi], axis=0)
+        # Component by component: numpy copies short rows one by one.
+        for c in range(3):
+            rows[nodes[lo:hi], c] = face[:, c].take(number[lo:hi])
 
     for_chunks(work, len(nodes), _NODES)
 
@@ -156,14 +158,15 @@ class BesideSlip:
         self._problem, self._flat = problem, flat
         sides = problem.boundary.slip.sides
         self.normals: FloatArray = np.array([normal for normal, _ in sides]).reshape(-1, 3)
+        # Round-off in a motion along the planes is left as it is.
+        self._round_off = _ROUND_OFF * float(np.ptp(problem.source_points, axis=0).max()) if sides else 0.0
         # Stored from the second displacement on, as a single one needs no store.
         self._parts: dict[int, FloatArray] = {}
         self._stores = False
 
     def apply(self, out: FloatArray, progress: Progress | None = None) -> None:
         """Damp the rows of ``out`` (n_nodes, 3) of these nodes, in place."""
-        # Round-off in a motion along the planes is left as it is.
-        self.damp(out, _ROUND_OFF * float(np.ptp(self._problem.source_points, axis=0).max()), progress)
+        self.damp(out, self._round_off, progress)
 
     def damp(self, out: FloatArray, least: float = 0.0, progress: Progress | None = None) -> None:
         """As :meth:`apply`, where a normal component is larger than ``least``; by default for changes or gradients of

@@ -105,14 +105,16 @@ def _by_twist(sums: Columns, x: Triple, transition: Transition) -> Triple:
     angle2 = w0 * w0 + w1 * w1 + w2 * w2
     small = plain(angle2) < _SMALL
     # (1 - cos a) / a^2 and (a - sin a) / a^3.
-    b = 0.5 - angle2 * (1 / 24 - angle2 * (1 / 720 - angle2 * (1 / 40320 - angle2 * (1 / 3628800))))
-    c = 1 / 6 - angle2 * (1 / 120 - angle2 * (1 / 5040 - angle2 * (1 / 362880 - angle2 * (1 / 39916800))))
-    if not small.all():
-        square = np.where(small, 1.0, angle2)
-        angle = np.sqrt(square)
-        half = np.sin(0.5 * angle)
-        b = np.where(small, b, 2.0 * half * half / square)
-        c = np.where(small, c, (angle - np.sin(angle)) / (square * angle))
+    square = np.where(small, 1.0, angle2)
+    angle = np.sqrt(square)
+    half = np.sin(0.5 * angle)
+    b = 2.0 * half * half / square
+    c = (angle - np.sin(angle)) / (square * angle)
+    if small.any():
+        series = 1 / 24 - angle2 * (1 / 720 - angle2 * (1 / 40320 - angle2 * (1 / 3628800)))
+        b = np.where(small, 0.5 - angle2 * series, b)
+        series = 1 / 120 - angle2 * (1 / 5040 - angle2 * (1 / 362880 - angle2 * (1 / 39916800)))
+        c = np.where(small, 1 / 6 - angle2 * series, c)
     # exp of a twist displaces x by V(w) (w cross x + v): the velocity at x, integrated along the screw motion.
     u0, u1, u2 = _cross(w, x)
     u = u0 + v0, u1 + v1, u2 + v2
@@ -127,18 +129,21 @@ def _share(moving: FloatArray, rest: FloatArray, transition: Transition) -> Floa
     The ratio of the distances gives the position in the gap, 0 at the moving boundary and 1 at the resting one. The
     share falls linearly across the gap, with parabolic ends of length ``width``, so that nodes at walls move rigidly.
     """
-    width, to_moving, felt = transition.width, _closeness(moving, transition), plain(rest) > 0.0
-    to_rest = np.where(felt, _closeness(np.where(felt, rest, 1.0), transition), 0.0)
-    near = plain(to_rest) < plain(to_moving)
-    end = np.where(near, to_rest, to_moving) / (to_rest + to_moving)
+    width, felt = transition.width, plain(rest) > 0.0
+    # The logarithm of the ratio of the distances: less work than powers of both weights.
+    ratio = _log_closeness(np.where(felt, rest, 1.0), transition) - _log_closeness(moving, transition)
+    near = (plain(ratio) < 0.0) | ~felt
+    smaller = np.where(felt, np.exp(np.where(near, ratio, -ratio)), 0.0)
+    end = smaller / (1.0 + smaller)
     part = np.where(plain(end) < width, end * end * (0.5 / width), end - 0.5 * width) * (1.0 / (1.0 - width))
     return np.where(near, 1.0 - part, part)
 
 
-def _closeness(weight: FloatArray, transition: Transition) -> FloatArray:
-    """Inverse distance, up to a factor, that corresponds to a positive total weight; see :class:`Transition`."""
-    far: FloatArray = weight ** (1.0 / transition.power)
+def _log_closeness(weight: FloatArray, transition: Transition) -> FloatArray:
+    """Logarithm of the inverse distance, but for a constant, that corresponds to a positive total weight; see
+    :class:`Transition`."""
+    far: FloatArray = np.log(weight) * (1.0 / transition.power)
     if transition.near == transition.power:
         return far
-    bend: FloatArray = np.hypot(1.0, weight * (1.0 / transition.crossing))
-    return far * bend ** (1.0 / transition.near - 1.0 / transition.power)
+    bend: FloatArray = np.log(np.hypot(1.0, weight * (1.0 / transition.crossing)))
+    return far + bend * (1.0 / transition.near - 1.0 / transition.power)

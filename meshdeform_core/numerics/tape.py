@@ -32,6 +32,8 @@ _PARTIALS: dict[str, Callable[..., tuple[Any, ...]]] = {
     "negative": lambda y, a: (-1.0,),
     "sqrt": lambda y, a: (_quotient(0.5, y),),
     "hypot": lambda y, a, b: (_quotient(a, y), _quotient(b, y)),
+    "exp": lambda y, a: (y,),
+    "log": lambda y, a: (1.0 / a,),
     "sin": lambda y, a: (np.cos(a),),
     "cos": lambda y, a: (-np.sin(a),),
     "power": lambda y, a, n: (n * a ** (n - 1.0), 0.0),

@@ -49,7 +49,15 @@ def apply_fast(
     share, single = SHARE / (interpolation_order(tolerance) - 2) ** 2, tolerance >= SINGLE_TOLERANCE
 
     def exact(flat: IntArray) -> FloatArray:
-        return method.displacement(fit, flat, ExactSums(method, fit.weights).at(flat, fit.values, chunk=CHECKED).T)
+        # Sources that do not move are summed once.
+        plan, apart = sums.plans[0], fit.values - middle[:, None]
+        weigh = not plan.checked.size
+        found = ExactSums(method, fit.weights, moving).at(flat, apart, weigh, CHECKED)
+        if weigh:
+            plan.checked = found[:, 0].copy()
+        found[:, 0] = plan.checked
+        found[:, 1:] += found[:, :1] * middle
+        return method.displacement(fit, flat, found.T)
 
     def once(excess: float) -> float:
         nonlocal share, single

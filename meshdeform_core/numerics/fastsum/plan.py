@@ -203,6 +203,7 @@ class Plan:
     moving : for each tree, which clusters (m,) hold sources that move
     weight : (n, 1 + lasting) of every target in the order of the bricks, and its sums of values that never change,
         known once ``weighed``; ``None`` without room
+    checked : total weight (m,) by exact sums at the nodes where fast ones are compared with them, once known
     used, direct : for each tree, whether the interpolation points of a cluster (m,) act anywhere, and whether its
         sources do by themselves; beside few targets a part of them
     """
@@ -220,7 +221,7 @@ class Plan:
         rows = len(targets.every)
         size = 8 * rows * (1 + self.lasting)
         self.weight = np.empty((rows, 1 + self.lasting)) if lasting is not None and size <= room else None
-        self.weighed = False
+        self.weighed, self.checked = False, np.empty(0)
         self.used, self.direct = ([np.zeros(len(tree.child), dtype=bool) for tree in self._trees] for _ in range(2))
         self._room, self._kept = room if lasting is None else room - size, dict[int, list[Lists]]()
 
