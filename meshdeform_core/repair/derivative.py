@@ -14,7 +14,7 @@ import numpy as np
 from ..grid import FloatArray
 from ..parallel import Nodes
 from .constraints import Extrusion
-from .energy import Penalty, kept_along_lines, share_of, share_slopes
+from .energy import Penalty, kept_along_lines, share_of
 from .region import Basis, Plot
 from .tuned import CUBIC, POLISHED
 
@@ -56,8 +56,7 @@ class _AtMinimum:
 
     def __init__(self, plot: Plot, start: FloatArray, end: FloatArray, polish: bool) -> None:
         self._plot, self._start, self._x = plot, plot.inside(start), plot.inside(end)
-        self.share, energy = share_of(plot.region.energy, self._start)
-        of_share, of_between = share_slopes(energy, self._start)
+        self.share, energy, of_share, of_between = share_of(plot.region.energy, self._start)
         if polish and self.share <= 1.0:
             self.share, of_share = 1.0, np.zeros_like(of_share)
         self._slopes = of_share, of_between

@@ -397,26 +397,31 @@ def _mean_edges(x: FloatArray, nodes: IntArray) -> FloatArray:
     return np.stack(means, axis=-1)
 
 
-def share_of(energy: Energy, x: FloatArray) -> tuple[float, Energy]:
-    """The share for a grid at ``x`` (n, d), 0 where all cells are healthy, and the energy to which it applies.
+class Share(NamedTuple):
+    """The share of a grid, 0 where all cells are healthy, the energy to which it applies, and the derivatives (m,) of
+    the share and of each cell's share of samples between corners with respect to the excess of the cells."""
+
+    value: float
+    energy: Energy
+    slope: FloatArray
+    slope_between: FloatArray
+
+
+def share_of(energy: Energy, x: FloatArray) -> Share:
+    """The share for a grid at ``x`` (n, d).
 
     Samples of hexahedra between corners are weighted by the excess of their own cell, with corners as the upper limit.
     """
-    excess, whole = _excess(energy, x)
-    if whole == 0.0:
-        return 0.0, energy
-    return (whole / FULL) ** POWER, energy.with_between(_share_between(excess))
-
-
-def share_slopes(energy: Energy, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Derivatives of the share, and of each cell's share of samples between corners, with respect to excess (m,)."""
-    excess, whole = _excess(energy, x)
-    if whole == 0.0:
-        return np.zeros_like(excess), np.zeros_like(excess)
-    between, beyond = _share_between(excess), excess - BETWEEN
+    excess = energy.excess(x)
+    largest = float(excess.max(initial=0.0))
+    if largest == 0.0:
+        return Share(0.0, energy, excess, excess)
+    whole, beyond = largest * float(((excess / largest) ** NORM).sum()) ** (1.0 / NORM), excess - BETWEEN
+    between = np.clip(beyond / (FULL - BETWEEN), 0.0, 1.0) ** SLOWLY
+    slope = POWER / FULL * (whole / FULL) ** (POWER - 1.0) * (excess / whole) ** (NORM - 1.0)
     inside = (between > 0.0) & (between < 1.0)
     of_between = np.divide(SLOWLY * between, beyond, out=np.zeros_like(excess), where=inside)
-    return POWER / FULL * (whole / FULL) ** (POWER - 1.0) * (excess / whole) ** (NORM - 1.0), of_between
+    return Share((whole / FULL) ** POWER, energy.with_between(between), slope, of_between)
 
 
 def kept_along_lines(share: float) -> tuple[float, float]:
@@ -424,19 +429,6 @@ def kept_along_lines(share: float) -> tuple[float, float]:
     respect to the share; smooth where it ends."""
     part = min(share / ALONG, 1.0)
     return (1.0 - part) ** 2 * (1.0 + 2.0 * part), -6.0 * part * (1.0 - part) / ALONG
-
-
-def _excess(energy: Energy, x: FloatArray) -> tuple[FloatArray, float]:
-    """The excess (m,) of the cells, and that of the grid."""
-    excess = energy.excess(x)
-    largest = float(excess.max(initial=0.0))
-    if largest == 0.0:
-        return excess, 0.0
-    return excess, largest * float(((excess / largest) ** NORM).sum()) ** (1.0 / NORM)
-
-
-def _share_between(excess: FloatArray) -> FloatArray:
-    return np.asarray(np.clip((excess - BETWEEN) / (FULL - BETWEEN), 0.0, 1.0) ** SLOWLY)
 
 
 def among_others(energy: Energy, x: FloatArray) -> Energy | None:

@@ -280,7 +280,7 @@ def search(plot: Plot, untangler: Untangler, way: Way, polish: bool) -> Search |
 
     ``polish``: the energy always has its full share, and cells at walls have little more weight than others.
     """
-    share, energy = share_of(plot.region.energy, untangler.reference)
+    share, energy, *_ = share_of(plot.region.energy, untangler.reference)
     raised = max(share, 1.0 if polish or way.patient else 0.0)
     if raised == 0.0:
         return None
