@@ -4,11 +4,6 @@ No effect while all cells are healthy, and a smoothly growing effect as they bec
 threshold would make a moving grid jump when the threshold is passed. The energy of the cells is therefore weighted,
 against the elastic energy that holds the grid, by a *share* that grows as a power of the *excess* of the grid: the norm
 of log(f / HEALTHY) over all corners, with f regularised to stay finite on inversion.
-
-Where a gap closes to a few per cent, the cells of every valid grid are far from their undeformed shape, and an energy
-relative to that shape folds some cells so that others keep theirs. Relative to the mean metric of the surrounding
-deformed cells, a folded cell differs from its neighbours and unfolds within a few steps. Cells that are sheared between
-walls rotating against each other gain nothing from that metric and are compared with undeformed cells.
 """
 
 from __future__ import annotations
@@ -39,10 +34,6 @@ from .tuned import ALONG, BETWEEN, COLLAPSED, FULL, HEALTHY, HELD, NORM, POWER, 
 _CORNERS = (1 << CORNERS) - 1
 _TOGETHER = 1 << 15
 """Hexahedra whose maps are found at a time, which bounds the memory."""
-_SQUEEZED = 0.03
-"""Cells count as squeezed if the mean volume around them is below this fraction of the undeformed volume."""
-_ROUNDS = 4
-"""Number of times that metrics are averaged over the elements at each node and back over the nodes of each element."""
 # Measured work for the derivatives at one sample of a hexahedron, and of a triangle, in the unit of :mod:`.limit`.
 _SAMPLE, _TRIANGLE = 0.9, 0.4
 
@@ -162,13 +153,11 @@ class Hexahedra(_Elements):
 
     Attributes
     ----------
-    own : (m, 8) rows of each cell's corners in ``start`` (k, 3)
     mask : (m,) int64, bit s set where sample point s counts
     slope : (27, 8, 3) of the shape functions
     between : (m,) share of the samples between corners
     """
 
-    own: IntArray
     mask: IntArray
     slope: FloatArray
     between: FloatArray
@@ -188,7 +177,7 @@ class Hexahedra(_Elements):
             for sample in range(SAMPLES if between else CORNERS):
                 some = low + np.flatnonzero(self.mask[low : low + _TOGETHER] >> sample & 1)
                 if some.size:
-                    yield maps_at_sample(self.start, self.own, self.nodes, self.slope, sample, some)
+                    yield maps_at_sample(self.start, self.nodes, self.slope, sample, some)
 
     def part(self, maps: Maps) -> FloatArray | float:
         return 1.0 if maps.at_corners else self.between[maps.element]
@@ -210,22 +199,10 @@ class Hexahedra(_Elements):
         rest = tuple(penalty), which, unknowns, rows.pattern, rows.matrix, rows.gradient
         add_derivatives(x, *self._loops, reference, *rest)
 
-    def matrices(self, x: FloatArray) -> FloatArray:
-        """Jacobian matrices (m, d, d) of the maps from undeformed elements, averaged over each hexahedron."""
-        before = _mean_edges(self.start, self.own)
-        # Undeformed cells without volume have no shape to compare with.
-        before[np.linalg.det(before) == 0.0] = np.eye(3)
-        return np.asarray(_mean_edges(x, self.nodes) @ np.linalg.inv(before))
-
-    def stretched(self, stretch: FloatArray) -> Hexahedra:
-        """The energy relative to undeformed elements to each of which a linear map ``stretch`` (m, d, d) is applied."""
-        corners = np.einsum("mij,mnj->mni", stretch, self.start[self.own]).reshape(-1, 3)
-        return dataclasses.replace(self, start=corners, own=np.arange(len(corners)).reshape(-1, 8))
-
     @cached_property
     def _loops(self) -> tuple[Any, ...]:
         weights = np.stack([self.weight, self.between, self.weight**HELD], axis=1)
-        return self.nodes, self.start, self.own, self.mask, self.slope, weights
+        return self.nodes, self.start, self.mask, self.slope, weights
 
 
 @dataclass(frozen=True)
@@ -289,12 +266,6 @@ class Triangles(_Elements):
 
     def with_between(self, share: FloatArray) -> Triangles:
         return self
-
-    def matrices(self, x: FloatArray) -> FloatArray:
-        return np.asarray(self._maps.jacobians(x).transpose(2, 0, 1))
-
-    def stretched(self, stretch: FloatArray) -> Triangles:
-        return dataclasses.replace(self, slope=np.einsum("mnk,mkj->mnj", self.slope, np.linalg.inv(stretch)))
 
     @cached_property
     def _weights(self) -> FloatArray:
@@ -390,13 +361,6 @@ def _regular(det: FloatArray, eps: float) -> tuple[FloatArray, FloatArray]:
     return np.where(det > 0.0, 0.5 * (det + root), 0.5 * eps * eps / less), root
 
 
-def _mean_edges(x: FloatArray, nodes: IntArray) -> FloatArray:
-    """Mean edge vectors of hexahedra along their index axes, as columns of matrices (m, 3, 3)."""
-    corners = x[nodes].reshape(-1, 2, 2, 2, 3)
-    means = [np.diff(corners, axis=axis).mean(axis=(1, 2, 3)) for axis in (1, 2, 3)]
-    return np.stack(means, axis=-1)
-
-
 class Share(NamedTuple):
     """The share of a grid, 0 where all cells are healthy, the energy to which it applies, and the derivatives (m,) of
     the share and of each cell's share of samples between corners with respect to the excess of the cells."""
@@ -429,23 +393,3 @@ def kept_along_lines(share: float) -> tuple[float, float]:
     respect to the share; smooth where it ends."""
     part = min(share / ALONG, 1.0)
     return (1.0 - part) ** 2 * (1.0 + 2.0 * part), -6.0 * part * (1.0 - part) / ALONG
-
-
-def among_others(energy: Energy, x: FloatArray) -> Energy | None:
-    """The energy relative to elements stretched like the average of their surroundings in the grid ``x`` (n, d);
-    ``None`` if no element is squeezed."""
-    # The stretch is the square root of the mean metric around every element.
-    matrix, nodes, n = energy.matrices(x), energy.nodes, len(x)
-    metric = np.einsum("mji,mjk->mik", matrix, matrix)
-    shape, corners = metric.shape, nodes.shape[1]
-    at = nodes.ravel()
-    count = np.maximum(np.bincount(at, minlength=n), 1)
-    metric = metric.reshape(shape[0], shape[1] * shape[2])
-    for _ in range(_ROUNDS):
-        columns = [np.bincount(at, np.repeat(column, corners), minlength=n) / count for column in metric.T]
-        metric = np.stack([column[nodes].mean(axis=1) for column in columns], axis=1)
-    squares, axes = np.linalg.eigh(metric.reshape(shape))
-    # A small extent remains where all surrounding cells are flat.
-    lengths = np.sqrt(np.maximum(squares, 1e-12))
-    stretch = np.einsum("mij,mj,mkj->mik", axes, lengths, axes)
-    return energy.stretched(stretch) if np.linalg.det(stretch).min(initial=np.inf) < _SQUEEZED else None

@@ -286,7 +286,7 @@ class Basis:
             return Triangles.at_corners(start, corners, side @ self.original.normal, weight, moves)
         slope = sample_slopes()
         mask = sound_samples(start, corners, slope, side, COLLAPSED) & samples_with_any(moves[corners], slope)
-        return Hexahedra(start, corners, weight, corners, mask, slope, np.ones(len(cells)))
+        return Hexahedra(start, corners, weight, mask, slope, np.ones(len(cells)))
 
     def _unknowns(self, nodes: IntArray, moves: BoolArray) -> tuple[Unknowns, FloatArray]:
         """The dependence of a region's ``nodes`` on its unknowns, and the directions of these; see :class:`Region`."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..grid import FloatArray
 from ..parallel import for_chunks
-from .energy import Energy, Penalty, Region, among_others, share_of
+from .energy import Penalty, Region, share_of
 from .limit import Limit
 from .newton import NewtonSystem, scalar_product
 from .options import Effort
@@ -58,14 +58,12 @@ class State:
 
 @dataclass(frozen=True)
 class Way:
-    """A strategy of untangling a region: the largest number of ``steps``, the ``first`` regularisation, its
-    ``slowest`` relative decrease, and the largest number of preceding steps in which cells are compared with those
-    ``around`` them. ``patient``: all nodes move, with the full share of the energy."""
+    """A strategy of untangling a region: the largest number of ``steps``, the ``first`` regularisation and its
+    ``slowest`` relative decrease. ``patient``: all nodes move, with the full share of the energy."""
 
     steps: int
     first: float
     slowest: float
-    around: int = 0
     patient: bool = False
 
 
@@ -109,26 +107,11 @@ class Untangler:
     def untangle(self, way: Way) -> bool:
         """Newton steps until every determinant is positive; returns whether this succeeded.
 
-        Cells are compared with undeformed ones; if some are squeezed, first with those around them, see
-        :mod:`.energy`. Cells at walls have smaller weights than in the energy to be minimised, as folds open
-        sooner if all cells take part.
+        Cells at walls have smaller weights than in the energy to be minimised, as folds open sooner if all cells take
+        part. The regularisation falls as in Garanzha et al. 2021 (section 2.3), but by at least ``way.slowest`` once
+        the energy hardly changes: a few extra steps at the end cost less than many before.
         """
-        if self.state(self.x, Penalty(way.first)).lowest > 0.0:
-            return True
-        start, energy = self.x, self.region.energy.softened(SOFTENED)
-        among = among_others(energy, start) if way.around else None
-        if among is not None and self._untangle(among, replace(way, steps=way.around)):
-            return True
-        self.x = start
-        return self._untangle(energy, way)
-
-    def _untangle(self, energy: Energy, way: Way) -> bool:
-        """Newton steps with a given energy until every determinant is positive.
-
-        The regularisation falls as in Garanzha et al. 2021 (section 2.3), but by at least ``way.slowest`` once the
-        energy hardly changes: a few extra steps at the end cost less than many before.
-        """
-        whole, self.region = self.region, replace(self.region, energy=energy)
+        whole, self.region = self.region, replace(self.region, energy=self.region.energy.softened(SOFTENED))
         eps, untangled = way.first, False
         for step in range(way.steps + 1):
             now = self.state(self.x, Penalty(eps))
@@ -247,7 +230,7 @@ class Untangler:
 
 
 # A regularisation that starts large and falls slowly finds valid grids where a fast one fails.
-QUICK, PATIENT = Way(60, 2.0, 0.2, around=40), Way(200, 50.0, 0.1, patient=True)
+QUICK, PATIENT = Way(60, 2.0, 0.2), Way(200, 50.0, 0.1, patient=True)
 # Where no valid grid exists, most of the cells that can become valid do so early.
 HASTY = Way(30, 2.0, 0.3)
 _CONVERGING = 60

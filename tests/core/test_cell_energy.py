@@ -57,7 +57,7 @@ def definition(start, x, reference, cell, mask, weight, penalty):
 def test_the_energy_is_that_of_its_definition(n, penalty):
     (start, x, reference), corners = cells(n, 1.0)
     mask, weight = masks(n), np.random.default_rng(4).random((n, 3)) + 0.5
-    found = energy_of_cells(x, corners, start, corners, mask, SLOPES, weight, reference, penalty, 0, n)
+    found = energy_of_cells(x, corners, start, mask, SLOPES, weight, reference, penalty, 0, n)
     expected = [definition(start, x, reference, corners[c], mask[c], weight[c], penalty) for c in range(n)]
     totals, lowest, highest = zip(*expected, strict=True)
     assert found == pytest.approx((sum(totals), min(lowest), max(highest)), rel=1e-12)
@@ -66,7 +66,7 @@ def test_the_energy_is_that_of_its_definition(n, penalty):
 def test_an_inverted_cell_has_no_energy_without_regularisation():
     (start, x, reference), corners = cells(9, 1.0)
     x[corners[4, 7]] = x[corners[4, 0]] - 1.0
-    arguments = corners, start, corners, masks(9), SLOPES, np.ones((9, 3)), reference
+    arguments = corners, start, masks(9), SLOPES, np.ones((9, 3)), reference
     energy, lowest, highest = energy_of_cells(x, *arguments, MINIMISING, 0, 9)
     assert not np.isfinite(energy)
     assert lowest < 0.0
@@ -82,7 +82,7 @@ def test_derivatives_are_those_of_the_energy_whatever_the_frames_and_rows(thin):
     frame, plain = np.tile(np.eye(3), (n, 1, 1)), random.random(n) < 0.7
     frame[~plain] = np.linalg.qr(random.standard_normal((n, 3, 3)))[0][~plain]
     number = np.where(random.random(n) < 0.8, np.arange(n), -1)
-    unknowns, arguments = Unknowns(number, frame, plain), (corners, start, corners, mask, SLOPES, weight, reference)
+    unknowns, arguments = Unknowns(number, frame, plain), (corners, start, mask, SLOPES, weight, reference)
 
     def derivatives(at, ranges):
         gradient, hessian = np.zeros((n, 3)), np.zeros((n, n, 3, 3))
@@ -112,7 +112,7 @@ def derivatives_of(x, corners, start, reference, mask, which, penalty=MINIMISING
     unknowns = Unknowns(np.arange(n), np.tile(np.eye(3), (n, 1, 1)), np.ones(n, bool))
     rows = (0, n, np.arange(n + 1) * n, np.tile(np.arange(n, dtype=np.int32), n))
     gradient, blocks, weight = np.zeros((n, 3)), np.zeros((n * n, 3, 3)), np.full((len(corners), 2), 0.8)
-    given = corners, start, corners, mask, SLOPES, weight, reference, penalty
+    given = corners, start, mask, SLOPES, weight, reference, penalty
     add_derivatives(x, *given, np.asarray(which), unknowns, rows, blocks, gradient)
     return gradient, blocks.reshape(n, n, 3, 3)
 

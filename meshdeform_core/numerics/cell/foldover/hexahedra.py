@@ -257,17 +257,14 @@ def _neighbours(array: Array, node: ir.Value) -> list[ir.Value]:
     return [array.builder.xor(node, node.type(bit)) for bit in (4, 2, 1)]
 
 
-@kernel(
-    "f8[:, ::1], i8[:, ::1], f8[:, ::1], i8[:, ::1], i8[::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1], UniTuple(f8, 5), "
-    "i8, i8"
-)
-def energy_of_cells(x, cells, start, own, mask, slope, weight, reference, penalty, low, high):
+@kernel("f8[:, ::1], i8[:, ::1], f8[:, ::1], i8[::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1], UniTuple(f8, 5), i8, i8")
+def energy_of_cells(x, cells, start, mask, slope, weight, reference, penalty, low, high):
     """Sum of the energy over the cells low <= c < high, their smallest D and largest f.
 
     Parameters
     ----------
-    x, cells : (n, 3) deformed coordinates; (m, 8) rows of ``x`` at the corners of the cells
-    start, own : (k, 3) undeformed coordinates; (m, 8) rows of ``start`` at the corners of the cells
+    x, start : (n, 3) deformed and undeformed coordinates
+    cells : (m, 8) rows of them at the corners of the cells
     mask : (m,) int64, bit s set where sample point s counts
     slope : (27, 8, 3) see :func:`.samples.sample_slopes`
     weight : (m, 3) w of the cells, the share of their samples between corners, the factor of their elastic energy
@@ -283,7 +280,7 @@ def energy_of_cells(x, cells, start, own, mask, slope, weight, reference, penalt
         some = 0
         for lane in range(WIDTH):
             c = min(first + lane, high - 1)
-            _gather(x, cells[c], start, own[c], reference, points, lane)
+            _gather(x, cells[c], start, reference, points, lane)
             some |= _weigh(mask[c] if first + lane < high else 0, weight, c, terms, lane)
         for s in range(8):
             add_corner_energy(points, terms, sums, s, eps, share, cubic, elastic)
@@ -298,12 +295,12 @@ def energy_of_cells(x, cells, start, own, mask, slope, weight, reference, penalt
 
 
 @inlined
-def _gather(x, cell, start, own, reference, points, lane):
+def _gather(x, cell, start, reference, points, lane):
     """The corners of a cell in three grids."""
     for n in range(8):
         for d in range(3):
             points[DEFORMED, n, d, lane] = x[cell[n], d]
-            points[UNDEFORMED, n, d, lane] = start[own[n], d]
+            points[UNDEFORMED, n, d, lane] = start[cell[n], d]
             points[REFERENCE, n, d, lane] = reference[cell[n], d]
 
 
@@ -317,13 +314,11 @@ def _weigh(mask, weight, c, terms, lane):
 
 
 @kernel(
-    "f8[:, ::1], i8[:, ::1], f8[:, ::1], i8[:, ::1], i8[::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1], UniTuple(f8, 5), "
+    "f8[:, ::1], i8[:, ::1], f8[:, ::1], i8[::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1], UniTuple(f8, 5), "
     "i8[::1], Unknowns, Tuple((i8, i8, i8[::1], i4[::1],)), f8[:, :, ::1], f8[:, ::1]",
     Unknowns,
 )
-def add_derivatives(
-    x, cells, start, own, mask, slope, weight, reference, penalty, which, unknowns, rows, matrix, gradient
-):
+def add_derivatives(x, cells, start, mask, slope, weight, reference, penalty, which, unknowns, rows, matrix, gradient):
     """Add the derivatives of the energy of the cells ``which`` to rows of the gradient and of the Hessian.
 
     Parameters
@@ -341,7 +336,7 @@ def add_derivatives(
         used, some = min(WIDTH, len(which) - first), 0
         for lane in range(WIDTH):
             c = which[first + min(lane, used - 1)]
-            _gather(x, cells[c], start, own[c], reference, points, lane)
+            _gather(x, cells[c], start, reference, points, lane)
             some |= _weigh(mask[c] if lane < used else 0, weight, c, terms, lane)
         result[...] = 0.0
         for s in range(8):

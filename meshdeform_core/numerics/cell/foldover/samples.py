@@ -78,19 +78,18 @@ class Maps(NamedTuple):
         return np.stack([np.bincount(self.nodes.ravel(), part.ravel(), n) for part in parts], axis=1)
 
 
-def maps_at_sample(
-    start: FloatArray, own: IntArray, nodes: IntArray, slope: FloatArray, sample: int, element: IntArray
-) -> Maps:
-    """The maps of hexahedra ``element`` (m,) at a sample point, where all must be sound; ``own`` and ``nodes``
-    (m, 8): the rows of their corners in ``start`` (k, 3) and in the coordinates that are mapped to."""
+def maps_at_sample(start: FloatArray, nodes: IntArray, slope: FloatArray, sample: int, element: IntArray) -> Maps:
+    """The maps of hexahedra ``element`` (m,) at a sample point, where all must be sound; ``nodes`` (m, 8): the
+    rows of their corners in ``start`` (n, 3)."""
     used = slope[sample].any(axis=1)
     along = slope[sample][used, :, None]
-    edges = sums_of_slopes(start, own[element][:, used].T, along)
+    corners = np.ascontiguousarray(nodes[element][:, used].T)
+    edges = sums_of_slopes(start, corners, along)
     areas = cofactors(edges)
     # The rows of the inverse of the matrix of the edges.
     dual = (areas / (edges[0] * areas[0]).sum(axis=0)).transpose(1, 0, 2)
     in_space = along[:, 0, None] * dual[0] + along[:, 1, None] * dual[1] + along[:, 2, None] * dual[2]
-    return Maps(np.ascontiguousarray(nodes[element][:, used].T), in_space, element, sample < CORNERS)
+    return Maps(corners, in_space, element, sample < CORNERS)
 
 
 def sums_of_slopes(x: FloatArray, nodes: IntArray, slope: FloatArray) -> FloatArray:
