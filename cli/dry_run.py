@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from meshdeform_core.boundary.classification import largest_displacement
 from meshdeform_core.boundary.crossing import find_pinned
-from meshdeform_core.boundary.prescribed import largest_displacement
 from meshdeform_core.deform import Setup, Timing, impose
 from meshdeform_core.grid import FileFormat, Grid
 from meshdeform_core.memory import Demand, MemoryLimit, Work, readable

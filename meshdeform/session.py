@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from meshdeform_core.boundary.prescribed import given_displacement
+from meshdeform_core.boundary.classification import given_displacement
 from meshdeform_core.deform import Setup
 from meshdeform_core.errors import GridError, MotionError
 from meshdeform_core.grid import FloatArray, IntArray

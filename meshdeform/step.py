@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from meshdeform_core.boundary.prescribed import given_gradient
+from meshdeform_core.boundary.classification import given_gradient
 from meshdeform_core.deform import Result
 from meshdeform_core.errors import GridError
 from meshdeform_core.grid import FloatArray

@@ -11,9 +11,14 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 from .boundary import Boundary, BoundarySpec, Kind, classify
-from .boundary.classification import UNSELECTED, opening_notes, with_plates
+from .boundary.classification import (
+    UNSELECTED,
+    largest_displacement,
+    opening_notes,
+    prescribed_displacement,
+    with_plates,
+)
 from .boundary.crossing import CrossingTest
-from .boundary.prescribed import largest_displacement, prescribed_displacement
 from .errors import CaseError, MotionError
 from .grid import FloatArray, Grid
 from .grid.connections import check_connections

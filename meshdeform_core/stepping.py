@@ -17,10 +17,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .boundary import Kind
-from .boundary.classification import overlap_advice
+from .boundary.classification import largest_displacement, overlap_advice
 from .boundary.crossing import find_pinned, torn_faces
-from .boundary.motions.motion import far_motion, positions_as_displacements
-from .boundary.prescribed import largest_displacement
+from .boundary.motions.motion import positions_as_displacements
 from .errors import MethodError
 from .grid import FloatArray
 from .grid.blocks import rounded
@@ -138,10 +137,8 @@ def doubts(course: Course, one_of_many: bool) -> Sequence[str]:
     moving = np.flatnonzero(boundary.kind == Kind.MOVING)
     points = course.setup.grid.points[course.setup.topology.first[moving]]
     found += positions_as_displacements(points, course.total[moving])
-    # Faces enclose the grid.
-    low, high = extent(course.setup.grid.nodes.at(course.setup.topology.first))
-    found += far_motion(high - low, largest)
     found += torn_faces(course.setup.grid, course.setup.topology, boundary, course.total)
+    low, high = extent(course.setup.grid.nodes.at(course.setup.topology.first))
     departure = boundary.slip.departure(course.total)
     # A motion that returns to zero leaves round-off in all directions.
     if departure > 1e-6 * largest and departure > 1e-12 * float((high - low).max()):

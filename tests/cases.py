@@ -7,9 +7,9 @@ import pytest
 from grids import frame
 
 from meshdeform_core.boundary import BoundarySpec, Kind, classify
+from meshdeform_core.boundary.classification import prescribed_displacement
 from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.boundary.motions.motion import Displace, Motion, Rotate
-from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.methods import IDW, RBF, TFI, Options, Problem, make_method

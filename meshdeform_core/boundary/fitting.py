@@ -295,19 +295,12 @@ def _distances(use: _Use) -> list[Notice]:
             f"displacement is extrapolated"
         )
         return [use.notice("extrapolation", text)]
-    off, notes = match.matched & (match.distance > OFFSET * nodes.edge), []
-    if off.any():
-        text = (
-            f": {int(off.sum())} of {int(match.matched.sum())} nodes lie up to {match.distance[off].max():.3g} away "
-            f'from the table point whose displacement they take (match = "{match.how}"); "interpolate" interpolates '
-            f"between the table points"
-        )
-        notes.append(use.notice("distance", text))
-    taken = match.used[0]
-    if match.how == "nearest" and taken < 0.9 * match.matched.sum():
-        text = (
-            f": {int(match.matched.sum())} nodes share the displacements of {taken} table points, stepwise; use "
-            f'match = "interpolate"'
-        )
-        notes.append(use.notice("shared points", text))
-    return notes
+    off = match.matched & (match.distance > OFFSET * nodes.edge)
+    if not off.any():
+        return []
+    text = (
+        f": {int(off.sum())} of {int(match.matched.sum())} nodes lie up to {match.distance[off].max():.3g} away "
+        f'from the table point whose displacement they take (match = "{match.how}"); "interpolate" interpolates '
+        f"between the table points"
+    )
+    return [use.notice("distance", text)]

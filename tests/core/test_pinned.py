@@ -5,8 +5,8 @@ import pytest
 from cases import everything_moves, formulas, problem_of, turning
 from grids import block_around, frame, frame_2d
 
+from meshdeform_core.boundary.classification import prescribed_displacement
 from meshdeform_core.boundary.crossing import find_pinned
-from meshdeform_core.boundary.prescribed import prescribed_displacement
 from meshdeform_core.grid import Grid
 
 

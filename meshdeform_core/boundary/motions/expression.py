@@ -44,8 +44,13 @@ def _not(term: Any) -> Any:
 
 
 def _chain(comparisons: Sequence[Callable[[Any, Any], Any]], *terms: Any) -> Any:
-    """``a < b <= c``, for example."""
-    return _and(*(compare(one, two) for compare, one, two in zip(comparisons, terms, terms[1:], strict=False)))
+    """``a < b <= c``, for example; NaN where either side is: numpy's comparison is false, as if it did not hold."""
+    return _and(
+        *(
+            np.where(np.isnan(one) | np.isnan(two), np.nan, compare(one, two))
+            for compare, one, two in zip(comparisons, terms, terms[1:], strict=False)
+        )
+    )
 
 
 def _where(condition: Any, one: Any, two: Any) -> Any:
@@ -53,46 +58,21 @@ def _where(condition: Any, one: Any, two: Any) -> Any:
     return np.where(np.isnan(true), np.nan, np.where(true == 1, one, two))
 
 
-def _comparison(compare: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-    """The comparison, NaN where either side is: numpy's is false, as if the condition did not hold."""
-    return lambda one, two: np.where(np.isnan(one) | np.isnan(two), np.nan, compare(one, two))
-
-
-_BINARY: dict[type[ast.AST], Callable[[Any, Any], Any]] = {
-    ast.Add: operator.add,
-    ast.Sub: operator.sub,
-    ast.Mult: operator.mul,
-    ast.Div: np.divide,
-    ast.Mod: np.mod,
-    ast.Pow: np.power,
-    ast.FloorDiv: np.floor_divide,
-}
+_OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
+    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: np.divide, ast.Mod: np.mod,
+    ast.Pow: np.power, ast.FloorDiv: np.floor_divide, ast.USub: operator.neg, ast.UAdd: operator.pos, ast.Not: _not,
+    ast.And: _and, ast.Or: _or,
+}  # fmt: skip
 _COMPARE: dict[type[ast.AST], Callable[[Any, Any], Any]] = {
-    ast.Lt: _comparison(operator.lt),
-    ast.LtE: _comparison(operator.le),
-    ast.Gt: _comparison(operator.gt),
-    ast.GtE: _comparison(operator.ge),
-    ast.Eq: _comparison(operator.eq),
-    ast.NotEq: _comparison(operator.ne),
-}
-_UNARY: dict[type[ast.AST], Callable[[Any], Any]] = {ast.USub: operator.neg, ast.UAdd: operator.pos, ast.Not: _not}
-_BOOLEAN: dict[type[ast.AST], Callable[..., Any]] = {ast.And: _and, ast.Or: _or}
-_FUNCTIONS: dict[str, tuple[int, Callable[..., Any]]] = {
-    "where": (3, _where),
-    "min": (2, np.minimum),
-    "max": (2, np.maximum),
-    "atan2": (2, np.arctan2),
-    "hypot": (2, np.hypot),
-    "mod": (2, np.mod),
-    **{
-        name: (1, function)
-        for name, function in {
-            "abs": np.abs, "sqrt": np.sqrt, "exp": np.exp, "log": np.log, "log10": np.log10, "log2": np.log2,
-            "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan,
-            "sinh": np.sinh, "cosh": np.cosh, "tanh": np.tanh, "asinh": np.arcsinh, "acosh": np.arccosh,
-            "atanh": np.arctanh, "floor": np.floor, "ceil": np.ceil, "sign": np.sign,
-        }.items()
-    },
+    ast.Lt: np.less, ast.LtE: np.less_equal, ast.Gt: np.greater, ast.GtE: np.greater_equal, ast.Eq: np.equal,
+    ast.NotEq: np.not_equal,
+}  # fmt: skip
+_FUNCTIONS: dict[str, Callable[..., Any]] = {
+    "where": _where, "min": np.minimum, "max": np.maximum, "atan2": np.arctan2, "hypot": np.hypot, "mod": np.mod,
+    "abs": np.abs, "sqrt": np.sqrt, "exp": np.exp, "log": np.log, "log10": np.log10, "log2": np.log2, "sin": np.sin,
+    "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan, "sinh": np.sinh,
+    "cosh": np.cosh, "tanh": np.tanh, "asinh": np.arcsinh, "acosh": np.arccosh, "atanh": np.arctanh,
+    "floor": np.floor, "ceil": np.ceil, "sign": np.sign,
 }  # fmt: skip
 _CONSTANTS = {"pi": np.pi}
 _Formula = Callable[[Mapping[str, Any]], Any]
@@ -142,7 +122,15 @@ class Expression:
     @property
     def is_condition(self) -> bool:
         """Whether the formula is true or false: a comparison, or several joined by ``and``, ``or``, ``not``."""
-        return _is_condition(self._tree)
+        parts = [self._tree]
+        for part in parts:
+            if isinstance(part, ast.BoolOp):
+                parts += part.values
+            elif isinstance(part, ast.UnaryOp) and isinstance(part.op, ast.Not):
+                parts.append(part.operand)
+            elif not isinstance(part, ast.Compare):
+                return False
+        return True
 
     def __call__(self, values: Mapping[str, Any]) -> Any:
         """Value of the formula; arrays in ``values`` broadcast. May contain NaN or inf, which the caller reports."""
@@ -156,17 +144,6 @@ def expression(source: str | float | int, variables: Iterable[str]) -> Expressio
     if not number and not isinstance(source, str):
         raise CaseError(f"expected a number or a formula in quotes, found {literal(source)}")
     return Expression(source if isinstance(source, str) else repr(float(source)), frozenset(variables))
-
-
-def _is_condition(node: ast.AST) -> bool:
-    match node:
-        case ast.Compare():
-            return True
-        case ast.BoolOp(values=values):
-            return all(map(_is_condition, values))
-        case ast.UnaryOp(op=ast.Not(), operand=operand):
-            return _is_condition(operand)
-    return False
 
 
 def _evaluation(node: ast.AST, owner: Expression, depth: int = 0) -> _Formula:
@@ -187,20 +164,20 @@ def _evaluation(node: ast.AST, owner: Expression, depth: int = 0) -> _Formula:
                 hint = suggestion(name, [*known, *_FUNCTIONS]) or f"; known are {', '.join(sorted(known))}"
                 raise CaseError(f"expression {owner.text!r} uses the unknown name {name!r}{hint}")
             return lambda values: values[name] if name in values else _CONSTANTS[name]
-        case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
-            function, parts = _BINARY[type(op)], [left, right]
-        case ast.UnaryOp(op=op, operand=operand) if type(op) in _UNARY:
-            function, parts = _UNARY[type(op)], [operand]
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
+            function, parts = _OPERATORS[type(op)], [left, right]
+        case ast.UnaryOp(op=op, operand=operand) if type(op) in _OPERATORS:
+            function, parts = _OPERATORS[type(op)], [operand]
         case ast.BoolOp(op=op, values=parts):
-            function = _BOOLEAN[type(op)]
+            function = _OPERATORS[type(op)]
         case ast.Compare(left=left, ops=ops, comparators=others) if all(type(op) in _COMPARE for op in ops):
             function, parts = partial(_chain, [_COMPARE[type(op)] for op in ops]), [left, *others]
         case ast.Call(func=ast.Name(id=name), args=args, keywords=[]):
             if name not in _FUNCTIONS:
                 hint = suggestion(name, _FUNCTIONS) or f"; known are {', '.join(sorted(_FUNCTIONS))}"
                 raise CaseError(f"expression {owner.text!r} calls the unknown function {name!r}{hint}")
-            (expected, function), parts = _FUNCTIONS[name], args
-            if len(args) != expected:
+            function, parts = _FUNCTIONS[name], args
+            if len(args) != (expected := getattr(function, "nin", 3)):
                 raise CaseError(f"expression {owner.text!r}: {name} takes {expected} arguments, found {len(args)}")
         case _:
             piece = ast.get_source_segment(owner.text.strip(), node) if isinstance(node, ast.expr) else None

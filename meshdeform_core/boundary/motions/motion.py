@@ -25,8 +25,6 @@ VARIABLES = ("x", "y", "z", "t")
 _ALIKE, _FEWEST = 0.1, 4
 """Displacements are positions if they differ from the coordinates by less than this part of the coordinates' spread, at
 so many nodes at least."""
-_FAR = 10.0
-"""Sizes of the grid beyond which a displacement is hardly in its length unit."""
 _SMALL_ANGLE = 0.2
 """Constant rotations by fewer degrees may be meant in radians (up to 11 degrees)."""
 _ROWS_AT_ONCE = 20_000
@@ -380,17 +378,6 @@ def positions_as_displacements(points: FloatArray, displacement: FloatArray) -> 
     return [
         "the displacements are nearly the coordinates of the nodes themselves, so the wall would double its size: are "
         "they positions? The displacement is the new position minus the old one"
-    ]
-
-
-def far_motion(extent: FloatArray, largest: float) -> list[str]:
-    """A warning if a wall moves by many times the ``extent`` (3,) of the grid."""
-    size = float(np.linalg.norm(extent))
-    if largest <= _FAR * size:
-        return []
-    return [
-        f"the largest displacement, {largest:.4g}, is {largest / size:.3g} times the size of the grid, {size:.4g}: is "
-        "it in the length unit of the grid?"
     ]
 
 

@@ -218,15 +218,9 @@ def _loop(points: FloatArray, faces: IntArray, label: str) -> IntArray:
             f"{label}: the boundary is not a closed outline extruded along one axis; at {at} of its sections "
             f"{int(count[count != 2][0])} edges meet, expected 2"
         )
-    beside = np.empty((len(points), 2), dtype=np.int64)
-    ends = np.concatenate([pairs, pairs[:, ::-1]])
-    beside[:] = ends[np.argsort(ends[:, 0], kind="stable"), 1].reshape(-1, 2)
-    loop = np.empty(len(points), dtype=np.int64)
-    loop[0], last = 0, int(beside[0, 0])
-    for n in range(1, len(points)):
-        one, two = beside[loop[n - 1]]
-        loop[n], last = (two if one == last else one), loop[n - 1]
-    if len(np.unique(loop)) < len(loop):
+    ring = scipy.sparse.csr_matrix((np.ones(len(pairs)), pairs.T), shape=(len(points),) * 2)
+    loop = scipy.sparse.csgraph.depth_first_order(ring, 0, directed=False, return_predecessors=False)
+    if len(loop) < len(points):
         raise MotionError(f"{label}: the boundary has several outlines; expected one airfoil for each boundary entry")
     x, y = points[loop].T
     return loop if float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) > 0 else loop[::-1]
