@@ -34,6 +34,7 @@ from .process import (
 _ON_RANKS = ("deform", "series")
 _OBJECTS = 200_000
 """New objects in containers that make the collector look for cycles among them."""
+LIBRARIES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 _OF_STREAMS = (errno.ENOSPC, errno.EIO, errno.EDQUOT, errno.EFBIG, errno.EBADF)
 
 
@@ -157,6 +158,9 @@ def _invoke(args: Sequence[str] | None) -> int:
 
         # Pictures are drawn into files, whatever backend the user has set for matplotlib.
         os.environ["MPLBACKEND"] = "agg"
+        # The linear algebra libraries of numpy and scipy read these when they are loaded. Our loops call them from all
+        # threads, mostly with small matrices; threads of their own would busy-wait.
+        os.environ.update(dict.fromkeys(LIBRARIES, "1"))
         # The HDF5 library crashes on an unknown driver, and only the default one is of use here.
         os.environ.pop("HDF5_DRIVER", None)
         threads = os.environ.get("NUMBA_NUM_THREADS")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,8 +33,6 @@ if TYPE_CHECKING:
 Command = Callable[..., Any]
 
 PATH = click.Path(path_type=Path)
-# Environment variables that the linear algebra libraries of numpy and scipy read once, when they are loaded.
-LIBRARIES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 
 def given(*names: str, **settings: Any) -> Any:
@@ -93,13 +90,8 @@ class FiniteNumber(click.FloatRange):
 
 
 def _use_threads(context: click.Context, _: click.Parameter, count: int | None) -> int | None:
-    """Apply ``--threads`` to our loops, and run linear algebra in one thread, before numpy is imported.
-
-    Our loops call it from all threads, mostly with small matrices; additional threads of the libraries would busy-wait.
-    """
     if not context.resilient_parsing:
         set_sharing(threads=count)
-        os.environ.update(dict.fromkeys(LIBRARIES, "1"))
     return count
 
 

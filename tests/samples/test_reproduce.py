@@ -104,7 +104,7 @@ def count(problem, options):
 @pytest.fixture(autouse=True)
 def keep_environment(monkeypatch):
     """The command tells linear algebra to use one thread, by environment variables that outlive it."""
-    monkeypatch.setattr("meshdeform_cli.options.LIBRARIES", ())
+    monkeypatch.setattr("meshdeform_cli.main.LIBRARIES", ())
 
 
 def test_command_writes_data_tables_and_figures(tmp_path, capsys):
