@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from meshdeform_core.errors import FormatError
+from meshdeform_core.errors import FormatError, suggestion
 from meshdeform_core.grid import FloatArray, IntArray, Shape, Side
 from meshdeform_core.wording import vector
 
@@ -26,7 +26,6 @@ _CURVES = ("arc", "line", "polyLine", "spline", "BSpline")
 # Local vertices of the block sides, in the order of Side, which is that of blockMesh.
 SIDE_VERTICES = ((0, 4, 7, 3), (1, 2, 6, 5), (0, 1, 5, 4), (3, 7, 6, 2), (0, 3, 2, 1), (4, 5, 6, 7))
 _UNSUPPORTED = {
-    "patches": "it is the form before OpenFOAM 2; write boundary",
     "mergePatchPairs": "it joins blocks whose nodes do not coincide; the grid is then not block-structured",
     "faces": "it projects faces onto surfaces of other files",
     "prescale": "only convertToMeters and scale change coordinates here",
@@ -108,12 +107,15 @@ def read_block_mesh_dict(top: Dictionary) -> BlockMeshDict:
         # An empty list may be preceded by its length.
         if entry.more and (isinstance(top.entries[key], Dictionary) or entry.list(key).more or entry.more):
             raise FormatError(f"{top.place(key)}: {key} is not supported: {reason}")
-    vertices = _points(top.list("vertices"), "a vertex")
+    known = _Vertices(top)
     items, found = top.list("blocks"), list[HexBlock]()
     while items.more:
-        found.append(_block(items, len(vertices), len(found) + 1))
+        found.append(_block(items, known, len(found) + 1))
     if not found:
         items.fail("blocks is empty")
+    names = [block.name for block in found]
+    if len(set(names)) < len(names):
+        items.fail(f"two blocks are called {next(n for n in names if names.count(n) > 1)!r}")
     blocks = tuple(found)
     sides: dict[tuple[int, ...], list[BlockSide]] = {}
     for number, block in enumerate(blocks):
@@ -125,12 +127,12 @@ def read_block_mesh_dict(top: Dictionary) -> BlockMeshDict:
         kind = items.word("the kind of an edge")
         if kind not in _CURVES:
             items.fail(f"edges of kind {kind!r} are not supported; known are {', '.join(_CURVES)}")
-        first, last = _vertex(items, len(vertices)), _vertex(items, len(vertices))
-        curve = _curve(items, kind, vertices[first], vertices[last])
+        first, last = known.take(items), known.take(items)
+        curve = _curve(items, kind, known.points[first], known.points[last])
         # As in blockMesh, the first of several definitions counts.
         if (last, first) not in curves:
             curves.setdefault((first, last), curve)
-    patches = _read_patches(top, len(vertices), blocks, sides)
+    patches = _read_patches(top, known, blocks, sides)
     key, scale = "scale" if "scale" in top.entries else "convertToMeters", np.ones(3)
     factors = top.reading(key)
     if factors.more:
@@ -138,36 +140,55 @@ def read_block_mesh_dict(top: Dictionary) -> BlockMeshDict:
         scale = np.full(3, factor) if factor is not None else np.array(factors.point("scale"))
     if not (scale > 0).all():
         raise FormatError(f"{top.place(key)}: {key} is {vector(scale)}; expected positive factors")
-    return BlockMeshDict(top.path, vertices, scale, blocks, curves, patches, joined)
+    return BlockMeshDict(top.path, known.points, scale, blocks, curves, patches, joined)
 
 
-def _points(items: Reading, expected: str) -> FloatArray:
-    """All points (n, 3) of a list."""
-    points = []
-    while items.more:
-        points.append(items.point(expected))
-    return np.array(points, dtype=np.float64).reshape(-1, 3)
+class _Vertices:
+    """Points (n, 3) before scaling, and the numbers of those that have names; projected vertices are refused."""
+
+    def __init__(self, top: Dictionary):
+        items = top.list("vertices")
+        points: list[tuple[float, float, float]] = []
+        self.names: dict[str, int] = {}
+        while items.more:
+            word = items.next_word()
+            if word == "name":
+                self.names[items.word("the name of a vertex")] = len(points)
+                word = items.next_word()
+            if word is not None:
+                items.fail(f"{word} is not supported in vertices; expected points (x y z)")
+            points.append(items.point("a vertex"))
+        self.points: FloatArray = np.array(points, dtype=np.float64).reshape(-1, 3)
+
+    def take(self, items: Reading) -> int:
+        """Take the next vertex; returns its number."""
+        word = items.next_word()
+        number = items.whole("the number of a vertex") if word is None else self.names.get(word, -1)
+        if not 0 <= number < len(self.points):
+            hint = suggestion(word, self.names) if word else f"; the file has 0 to {len(self.points) - 1}"
+            items.fail(f"there is no vertex {word or number!r}{hint}")
+        return number
 
 
-def _vertex(items: Reading, count: int) -> int:
-    """Take the number of one of ``count`` vertices."""
-    number = items.whole("the number of a vertex")
-    if not 0 <= number < count:
-        items.fail(f"there is no vertex {number}; the file has 0 to {count - 1}")
-    return number
-
-
-def _block(items: Reading, n_vertices: int, number: int) -> HexBlock:
-    word, line = items.word("hex"), items.line
+def _block(items: Reading, known: _Vertices, number: int) -> HexBlock:
+    word, name, line = items.word("hex"), f"block{number}", items.line
+    if word == "name":
+        name, word = items.word("the name of a block"), items.word("hex")
     if word != "hex":
         items.fail(f"found {word!r}, expected hex; blocks of other shapes are hex with repeated vertices")
     corners = items.list("eight vertices")
-    vertices = [_vertex(corners, n_vertices) for _ in range(8)]
-    if corners.more:
-        corners.fail("more than eight vertices; expected a block of eight")
+    vertices = [known.take(corners) for _ in range(8)]
+    # Like blockMesh, which wants these to exist, too.
+    while corners.more:
+        known.take(corners)
     zone = items.next_word() or ""
     expected = "the numbers of cells, like (10 20 1)"
-    counts = items.point(expected)
+    first = items.next_number()
+    source = items if first is not None else items.list(expected)
+    counts = [] if first is None else [first]
+    counts += [source.number(expected) for _ in range(3 - len(counts))]
+    if source is not items and source.more:
+        source.fail(f"more than three numbers of cells; expected {expected}")
     if any(n < 1 or n != int(n) for n in counts) or math.prod(counts) > _MOST_CELLS:
         items.fail(f"a block of {' x '.join(f'{n:g}' for n in counts)} cells; expected {expected}")
     cells = (int(counts[0]), int(counts[1]), int(counts[2]))
@@ -184,7 +205,7 @@ def _block(items: Reading, n_vertices: int, number: int) -> HexBlock:
         count = cells[edge // 4]
         if count >= len(grading) and section_cells(count, grading).min() < 1:
             items.fail(f"a section has no cells: {count} cells in parts {[p.cells for p in grading]}")
-    return HexBlock(f"block{number}", tuple(vertices), zone, cells, edges, line)
+    return HexBlock(name, tuple(vertices), zone, cells, edges, line)
 
 
 def _grading(values: Reading) -> Grading:
@@ -221,36 +242,55 @@ def _curve(items: Reading, kind: str, first: FloatArray, last: FloatArray) -> Cu
     if kind == "line":
         return straight(first, last)
     if kind == "arc":
-        arc = arc_through(first, np.array(items.point("a point of the arc")), last)
+        # (x y z), origin [factor] (x y z) or degrees (axis).
+        degrees = items.next_number()
+        if degrees is not None:
+            axis = np.array(items.point("the axis of an arc"))
+            if not 0 < abs(degrees) < 360 or not axis.any():
+                items.fail(f"an arc of {degrees:g} degrees about {vector(axis)}; expected 0 to 360 about a direction")
+            arc = arc_by_angle(first, last, degrees, axis)
+        elif (word := items.next_word()) == "origin":
+            factor = items.next_number()
+            arc = arc_about(first, last, np.array(items.point("the origin of an arc")), factor or 1.0)
+        elif word is not None:
+            items.fail(f"found {word!r}, expected a point of the arc, origin, or an angle in degrees")
+        else:
+            arc = arc_through(first, np.array(items.point("a point of the arc")), last)
         if arc is None:
             items.fail("the points of the arc lie on one line")
         return arc
-    return Spline(np.concatenate([[first], _points(items.list("points (x y z)"), "a point of the edge"), [last]]), kind)
+    points, values = [first], items.list("points (x y z)")
+    while values.more:
+        points.append(np.array(values.point("a point of the edge")))
+    return Spline(np.stack([*points, last]), kind)
 
 
 def _read_patches(
-    top: Dictionary, n_vertices: int, blocks: Sequence[HexBlock], sides: Mapping[tuple[int, ...], list[BlockSide]]
+    top: Dictionary, vertices: _Vertices, blocks: Sequence[HexBlock], sides: Mapping[tuple[int, ...], list[BlockSide]]
 ) -> tuple[FoamPatch, ...]:
-    """The declared patches, and the default patch of all outside faces that none of them has; ``sides`` are the block
-    sides by their vertices."""
-    found, owners, items = list[FoamPatch](), dict[BlockSide, str](), top.list("boundary")
+    """The patches of ``boundary`` (or ``patches``, the form before OpenFOAM 2), and the default patch of all outside
+    faces that none of them has; ``sides`` are the block sides by their vertices."""
+    old, found, owners = "boundary" not in top.entries, list[FoamPatch](), dict[BlockSide, str]()
+    items = top.list("patches" if old else "boundary")
     while items.more:
+        kind = items.word("the type of a patch") if old else ""
         name = items.word("the name of a patch")
-        content = items.dictionary(f"patch {name}")
-        for key in ("type", "faces"):
+        content = Dictionary(top.path, items.line) if old else items.dictionary(f"patch {name}")
+        for key in () if old else ("type", "faces"):
             if key not in content.entries:
                 raise FormatError(f"{top.path}, line {content.line}: the patch {name!r} has no {key}; expected one")
         if name in (patch.name for patch in found):
             items.fail(f"two patches are called {name!r}")
-        faces, own = content.list("faces"), list[BlockSide]()
-        for block, side in _sides_of_faces(faces, name, n_vertices, sides):
+        faces = items.list("faces") if old else content.list("faces")
+        own = list[BlockSide]()
+        for block, side in _sides_of_faces(faces, name, vertices, blocks, sides):
             collapsed = len(_side_key(blocks[block], side)) < 3
             if (block, side) in owners and not collapsed:
                 both = f"{owners[block, side]} and {name}"
                 faces.fail(f"{blocks[block].name}.{side.label} belongs to the patches {both}; expected one")
             owners[block, side] = name
             own += [] if collapsed else [(block, side)]
-        found.append(FoamPatch(name, content.text("type"), tuple(own), content))
+        found.append(FoamPatch(name, kind or content.text("type"), tuple(own), content))
     rest = {own[0]: key for key, own in sides.items() if len(own) == 1 and own[0] not in owners}
     if not rest:
         return tuple(found)
@@ -268,15 +308,20 @@ def _read_patches(
 
 
 def _sides_of_faces(
-    items: Reading, name: str, n_vertices: int, sides: Mapping[tuple[int, ...], list[BlockSide]]
-) -> Iterator[BlockSide]:
+    items: Reading, name: str, vertices: _Vertices, blocks: Sequence[HexBlock],
+    sides: Mapping[tuple[int, ...], list[BlockSide]],
+) -> Iterator[BlockSide]:  # fmt: skip
     """The block sides of the faces of a patch, which are outside or collapsed to lines."""
     while items.more:
-        face, numbers = items.list(f"a face of patch {name}"), list[int]()
+        face = items.list(f"a face of patch {name}")
+        # Two numbers are a block and its side, others are vertices.
+        pair, numbers = len(face) == 2, list[int]()
         while face.more:
-            numbers.append(_vertex(face, n_vertices))
+            numbers.append(face.whole("a block and a side") if pair else vertices.take(face))
         key = tuple(sorted(set(numbers)))
-        own = sides.get(key, []) if len(numbers) in (3, 4) else []
+        if pair and 0 <= numbers[0] < len(blocks) and 0 <= numbers[1] < 6:
+            key = _side_key(blocks[numbers[0]], Side(numbers[1]))
+        own = sides.get(key, []) if len(numbers) < 5 else []
         if not own or (len(own) > 1 and len(key) > 2):
             wrong = "lies between two blocks; expected an outside face" if own else "is not a side of any block"
             items.fail(f"patch {name}: the face ({' '.join(map(str, numbers))}) {wrong}")
@@ -323,27 +368,83 @@ def section_cells(cells: int, grading: Sequence[Section]) -> IntArray:
     return np.asarray(counts)
 
 
-def arc_through(first: FloatArray, middle: FloatArray, last: FloatArray) -> Curve | None:
-    """The circular arc through three points; ``None`` if they lie on one line."""
+@dataclass(frozen=True)
+class Arc:
+    """Circular arc, or a helix if it also advances along its axis.
+
+    Attributes
+    ----------
+    first, last : end points (3,)
+    center, axis : of the circle; the axis is a unit vector
+    angle : radians about the axis from first to last
+    """
+
+    first: FloatArray
+    last: FloatArray
+    center: FloatArray
+    axis: FloatArray
+    angle: float
+
+    def __call__(self, parameter: FloatArray) -> FloatArray:
+        arm = self.first - self.center
+        along = (arm @ self.axis) * self.axis
+        out = arm - along
+        angle = parameter[:, None] * self.angle
+        advance = ((self.last - self.first) @ self.axis) * parameter[:, None]
+        found = self.center + along + advance * self.axis + np.cos(angle) * out
+        return _with_ends(found + np.sin(angle) * np.cross(self.axis, out), parameter, self.first, self.last)
+
+
+def arc_through(first: FloatArray, middle: FloatArray, last: FloatArray) -> Arc | None:
+    """The arc through three points; ``None`` if they lie on one line."""
     a, b = middle - first, last - first
     across = float((a @ a) * (b @ b) - (a @ b) ** 2)
     if across <= 1e-20 * float((a @ a) * (b @ b)):
         return None
     center = first + 0.5 * a + 0.5 * ((b @ b) - (a @ b)) / across * np.cross(np.cross(a, b), a)
     r1, r2, r3 = first - center, middle - center, last - center
+    angle = _angle(r1, r3)
     axis = np.cross(r1, r3)
-    angle = float(np.arctan2(np.linalg.norm(axis), r1 @ r3))
     if np.cross(r1, r2) @ axis < 0:
         angle, axis = 2 * np.pi - angle, -axis
     elif np.linalg.norm(axis) < 1e-3 * np.linalg.norm(r1) * np.linalg.norm(r3):
         axis = np.cross(r1, r2)
-    across_first = np.cross(axis / np.linalg.norm(axis), r1)
+    return Arc(first, last, center, axis / np.linalg.norm(axis), angle)
 
-    def curve(parameter: FloatArray) -> FloatArray:
-        turn = parameter[:, None] * angle
-        return _with_ends(center + np.cos(turn) * r1 + np.sin(turn) * across_first, parameter, first, last)
 
-    return curve
+def arc_about(first: FloatArray, last: FloatArray, origin: FloatArray, stretch: float = 1.0) -> Arc | None:
+    """The shorter arc about ``origin``, which is moved if the ends are not equally far from it.
+
+    ``stretch`` times the mean radius is the radius. ``None`` if origin and ends lie on one line.
+    """
+    r1, r3, chord = first - origin, last - origin, last - first
+    m1, m3 = float(np.linalg.norm(r1)), float(np.linalg.norm(r3))
+    axis = np.cross(r1, r3)
+    if np.linalg.norm(axis) <= 1e-10 * m1 * m3:
+        return None
+    axis = axis / np.linalg.norm(axis)
+    if abs(m1 - m3) > _END * max(m1, m3) or stretch != 1.0:
+        radius = 0.5 * (m1 + m3)
+        if stretch != 1.0:
+            radius = max(radius * stretch, 1.001 * 0.5 * float(np.linalg.norm(chord)))
+        towards = np.cross(axis, chord)
+        height = np.sqrt(max(radius**2 - 0.25 * float(chord @ chord), 0.0))
+        origin = 0.5 * (first + last) + height * towards / np.linalg.norm(towards)
+    return Arc(first, last, origin, axis, _angle(first - origin, last - origin))
+
+
+def arc_by_angle(first: FloatArray, last: FloatArray, degrees: float, axis: FloatArray) -> Arc | None:
+    """The arc of ``degrees`` about the direction ``axis``; ``None`` if the ends do not lie across it."""
+    axis = axis / np.linalg.norm(axis)
+    step = last - first
+    chord = step - (step @ axis) * axis
+    length = float(np.linalg.norm(chord))
+    if length <= 1e-10 * float(np.linalg.norm(step)):
+        return None
+    angle = np.radians(degrees)
+    outwards = np.cross(chord, axis) / length
+    center = first + 0.5 * chord - outwards * (0.5 * length / np.tan(0.5 * angle))
+    return Arc(first, last, center, axis, float(angle))
 
 
 def straight(first: FloatArray, last: FloatArray) -> Curve:
@@ -386,3 +487,7 @@ def _with_ends(found: FloatArray, parameter: FloatArray, first: FloatArray, last
     found[parameter < _END] = first
     found[parameter > 1 - _END] = last
     return found
+
+
+def _angle(a: FloatArray, b: FloatArray) -> float:
+    return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))

@@ -116,7 +116,12 @@ def read_dictionary(path: Path) -> Dictionary:
         )
     if path.stat().st_size > _LARGEST_FILE:
         raise FormatError(f"{path} is larger than any OpenFOAM dictionary ({_LARGEST_FILE >> 20} MiB)")
-    return _Parser(path.read_bytes().decode("utf-8", "replace"), path).run()
+    return parse_dictionary(path.read_bytes().decode("utf-8", "replace"), path)
+
+
+def parse_dictionary(text: str, path: Path) -> Dictionary:
+    """The content of a dictionary file; ``path`` is for messages."""
+    return _Parser(text, path).run()
 
 
 def written(item: Item) -> str:
@@ -197,6 +202,10 @@ class _Parser:
         if key.text in "(){};[]":
             if key.text != ";":
                 self._fail(f"found {key.text}, expected a keyword")
+        elif key.text == "#inputMode" and home is scope:
+            mode = self._token().text
+            if mode not in ("merge", "default"):
+                self._fail(f"#inputMode {mode} is not supported; expected merge, as without it")
         elif key.text.startswith("#"):
             self._refuse_directive(key)
         elif key.text.startswith("$"):

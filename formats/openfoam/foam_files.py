@@ -9,7 +9,7 @@ import dataclasses
 import gzip
 import re
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NoReturn
 
 import numpy as np
 import scipy
@@ -26,6 +26,7 @@ from ..files import LARGEST, reason_of, require_regular
 from ..markers import point_numbers
 from ..text import strict_numbers, text_rows
 from .case import POLY_MESH, mesh_file
+from .dictionary import parse_dictionary
 
 _ROWS_AT_ONCE = 20_000
 _LABEL = np.dtype("<i4")
@@ -33,6 +34,8 @@ _LABEL = np.dtype("<i4")
 _ROW_BYTES = 100
 _BANNER = "/* Written by meshdeform */\n"
 _LENGTH = re.compile(rb"\s*(?:(?://[^\n]*\n|/\*.*?\*/)\s*)*(\d+)\s*", re.DOTALL)
+_CLOSED = -9
+"""Stands for the closing parenthesis of a face."""
 
 
 def write_points(path: Path, points: FloatArray, place: str, binary: bool) -> None:
@@ -91,39 +94,93 @@ def _rows_in_list(stream: BinaryIO, rows: NDArray, line: str, binary: bool) -> N
 
 def read_points(path: Path, most: int) -> FloatArray:
     """The points (n, 3) of a mesh; no more than this many are expected."""
-    return _read_list(path, "vectorField", float, 3, most)
+    return _ListFile(path, ("vectorField",), most).rows(float, 3)
 
 
-def _read_list(path: Path, title: str, kind: type, width: int, most: int) -> NDArray[Any]:
-    """The rows (n, width) of ``int`` or ``float`` in a file of class ``title``; no more than ``most`` are expected."""
+def read_faces(path: Path, most: int) -> tuple[IntArray, IntArray]:
+    """The points (m,) of all faces, one face after another, and where each begins (n + 1,)."""
+    file = _ListFile(path, ("faceList", "faceCompactList"), most)
+    if file.binary:
+        start = file.rows(int, 1)[:, 0]
+        corners = file.rows(int, 1)[:, 0]
+    else:
+        count, numbers = file.count(), file.numbers_of_text(int, b" %d " % _CLOSED)
+        # Each face is the number of its corners, the corners, and the mark of a parenthesis.
+        end = np.flatnonzero(numbers == _CLOSED)
+        sizes = np.diff(end, prepend=-1) - 2
+        start = np.append(0, np.cumsum(sizes))
+        inside = np.ones(len(numbers), dtype=bool)
+        inside[end] = inside[end - sizes - 1] = False
+        corners = numbers[inside]
+        if len(end) != count or not (numbers[end - sizes - 1] == sizes).all():
+            raise FormatError(f"{path} is truncated or damaged: the sizes of its {count:,} faces do not fit")
+    if start[0] != 0 or start[-1] != len(corners) or (np.diff(start) < 3).any():
+        raise FormatError(f"{path} is truncated or damaged: faces need three or more corners")
+    return corners, start
+
+
+def read_content(path: Path, most: int = -1) -> bytes:
+    """The content of a file, decompressed, at most this many bytes of it."""
     require_regular(path)
     try:
         with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as stream:
-            content = stream.read(_ROW_BYTES * (most + 100))
+            return stream.read(most)
     except (OSError, EOFError) as error:
         raise FormatError(f"cannot read {path}: {reason_of(error)}") from error
-    head = re.search(rb"FoamFile\s*\{([^}]*)\}", content)
-    if head is None or not re.search(rb"\bclass\s+%b\b" % title.encode(), head[1]):
-        raise FormatError(f"{path} is not a {title} of OpenFOAM")
-    length = _LENGTH.match(content, head.end())
-    if length is None:
-        raise FormatError(f"{path} is truncated or damaged: there is no list")
-    count, begin = int(length[1]), length.end()
-    if re.search(rb"format\s+binary", head[1]):
-        large = b"label=64" in head[1] if kind is int else b"scalar=32" not in head[1]
-        dtype = np.dtype(f"<{'i' if kind is int else 'f'}{8 if large else 4}")
-        body = content[begin + 1 : begin + 1 + count * width * dtype.itemsize]
-        values = np.frombuffer(body[: len(body) // dtype.itemsize * dtype.itemsize], dtype)
-    else:
-        text = content[begin + 1 : content.rfind(b")")].replace(b"(", b" ").replace(b")", b" ").strip()
+
+
+class _ListFile:
+    """A file with a list of numbers, or with two if it is binary, to be read one after another."""
+
+    def __init__(self, path: Path, kinds: tuple[str, ...], most: int):
+        self._content = read_content(path, _ROW_BYTES * (most + 100))
+        head = re.search(rb"FoamFile\s*\{([^}]*)\}", self._content)
+        kind = re.search(rb"\bclass\s+(\w+)", head[1]) if head else None
+        if head is None or kind is None or kind[1].decode() not in kinds:
+            raise FormatError(f"{path} is not a {' or '.join(kinds)} of OpenFOAM")
+        self._path, self._at = path, head.end()
+        self.binary = re.search(rb"format\s+binary", head[1]) is not None
+        self._types = {
+            int: "<i8" if b"label=64" in head[1] else "<i4",
+            float: "<f4" if b"scalar=32" in head[1] else "<f8",
+        }
+
+    def count(self) -> int:
+        """The length in front of the next list."""
+        found = _LENGTH.match(self._content, self._at)
+        if found is None:
+            raise FormatError(f"{self._path} is truncated or damaged: there is no list")
+        self._at = found.end()
+        return int(found[1])
+
+    def rows(self, kind: type, width: int) -> NDArray[Any]:
+        """The next list as rows (n, width) of ``int`` or ``float``."""
+        count = self.count()
+        if self.binary:
+            size = count * width * np.dtype(self._types[kind]).itemsize
+            begin = self._at + 1
+            self._at = begin + size + 1 if count else self._at
+            whole = len(self._content) >= begin + size and self._content[begin - 1 : begin] == b"("
+            values = np.frombuffer(
+                self._content, self._types[kind], count * width if whole else 0, begin if whole else 0
+            )
+        else:
+            values = self.numbers_of_text(kind)
+        if values.size != count * width:
+            raise FormatError(f"{self._path} is truncated: {count:,} rows need {count * width:,} numbers")
+        return values.reshape(count, width).astype(kind)
+
+    def numbers_of_text(self, kind: type, closed: bytes = b" ") -> NDArray[Any]:
+        """All numbers of a list of text; ``closed`` takes the place of closing parentheses within it."""
+        text = self._content[self._at + 1 : self._content.rfind(b")")]
+        text = text.replace(b"(", b" ").replace(b")", closed).strip()
+        if not text:
+            return np.empty(0, dtype=kind)
         try:
             with strict_numbers():
-                values = np.fromstring(text, dtype=kind, sep=" ") if text else np.empty(0, dtype=kind)
+                return np.fromstring(text, dtype=kind, sep=" ")
         except ValueError as error:
-            raise FormatError(f"{path} is damaged: {error}") from error
-    if values.size != count * width or content[begin : begin + bool(count)] not in (b"(", b""):
-        raise FormatError(f"{path} is truncated: {count:,} rows need {count * width:,} numbers")
-    return values.reshape(count, width).astype(kind)
+            raise FormatError(f"{self._path} is damaged: {error}") from error
 
 
 _FEWEST_DIGITS, _ALL_DIGITS, _EXACT = 6, 17, 12
@@ -150,7 +207,7 @@ def with_points_of(grid: Grid, mesh: Path) -> tuple[Grid, IntArray]:
         raise FormatError(
             f"{path}: point {strange[0]} is {vector(points[strange[0]])}; expected finite coordinates up to {LARGEST:g}"
         )
-    _require_sound(mesh, grid.n_cells)
+    _require_sound(mesh, len(points), grid.n_cells)
     # The number of significant digits with which points were written; their rounding is up to half a unit of the last.
     sample = points[:: max(len(points) // _SAMPLES, 1)].ravel().tolist()
     digits = _FEWEST_DIGITS
@@ -195,12 +252,46 @@ def _numbers_of_block_mesh(grid: Grid, number: IntArray) -> IntArray:
     return found
 
 
-def _require_sound(mesh: Path, n_cells: int) -> None:
-    """Refuse a mesh whose faces, which are copied as they are, name other cells than those of the grid."""
-    files = {name: mesh_file(mesh, name) for name in ("owner", "neighbour", "faces", "boundary")}
-    for path in (files["owner"], files["neighbour"]):
-        cells = _read_list(path, "labelList", int, 1, 6 * n_cells)
-        if cells.size and not 0 <= cells.min() <= cells.max() < n_cells:
-            raise FormatError(
-                f"{path} has numbers from {cells.min()} to {cells.max()}, expected 0 to {n_cells - 1}; run blockMesh"
-            )
+def _require_sound(mesh: Path, n_points: int, n_cells: int) -> None:
+    """Refuse a mesh whose faces, cells and patches do not fit together, with this many points and cells."""
+
+    def damaged(what: str) -> NoReturn:
+        raise FormatError(f"{mesh} is damaged: {what}; run blockMesh again")
+
+    files = (_ListFile(mesh_file(mesh, name), ("labelList",), 6 * n_cells) for name in ("owner", "neighbour"))
+    owner, neighbour = (file.rows(int, 1)[:, 0] for file in files)
+    corners, start = read_faces(mesh_file(mesh, "faces"), 6 * n_cells)
+    inside, n_faces = len(neighbour), len(start) - 1
+    if len(owner) != n_faces or inside > n_faces:
+        damaged(f"faces has {n_faces:,} faces, owner {len(owner):,} and neighbour {inside:,}")
+    for name, labels, count in (
+        ("faces", corners, n_points),
+        ("owner", owner, n_cells),
+        ("neighbour", neighbour, n_cells),
+    ):
+        if labels.size and not 0 <= labels.min() <= labels.max() < count:
+            damaged(f"{name} has numbers from {labels.min()} to {labels.max()}, expected 0 to {count - 1}")
+    # Around a closed cell, each edge is passed once in each direction: with random integers at the points, the sum over
+    # the edges of what changes its sign with the direction is exactly zero (modulo 2^64).
+    one, two = np.random.default_rng(0).integers(2**63, size=(2, n_points), dtype=np.uint64)
+    following = np.arange(1, len(corners) + 1)
+    following[start[1:] - 1] = start[:-1]
+    ahead = corners[following]
+    area = np.add.reduceat(one[corners] * two[ahead] - two[corners] * one[ahead], start[:-1])
+    total = np.zeros(n_cells, dtype=np.uint64)
+    np.add.at(total, owner, area)
+    np.subtract.at(total, neighbour, area[:inside])
+    if total.any():
+        damaged(f"{np.count_nonzero(total):,} cells are not closed by the faces of faces, owner and neighbour")
+    path = mesh_file(mesh, "boundary")
+    header, _, rest = read_content(path).decode("utf-8", "replace").partition("}")
+    patches = parse_dictionary(f"{header}}} boundary {rest.rpartition(')')[0]});", path).list("boundary")
+    while patches.more:
+        name = patches.word("the name of a patch")
+        patch = patches.dictionary(f"patch {name}")
+        begin, count = (patch.reading(key).whole(f"{key} of patch {name}") for key in ("startFace", "nFaces"))
+        if begin != inside or count < 0:
+            damaged(f"patch {name} of boundary begins at face {begin:,}, expected {inside:,}")
+        inside += count
+    if inside != n_faces:
+        damaged(f"the patches of boundary end at face {inside:,}, expected {n_faces:,}")

@@ -15,7 +15,7 @@ from meshdeform_core.grid import Grid, Side
 from meshdeform_core.grid.connections import connected_nodes, periodic_rotation
 from meshdeform_core.grid.topology import find_topology, quads_of_patches
 from meshdeform_formats import read_grid, write_grid
-from meshdeform_formats.openfoam.block_mesh_dict import Section, arc_through, divide
+from meshdeform_formats.openfoam.block_mesh_dict import Section, arc_about, arc_by_angle, arc_through, divide
 
 HEAD = "FoamFile { version 2.0; format ascii; class dictionary; object blockMeshDict; }\n"
 CUBE = "vertices ((0 0 0) (1 0 0) (1 1 0) (0 1 0) (0 0 1) (1 0 1) (1 1 1) (0 1 1));\n"
@@ -30,19 +30,19 @@ n 6; dims ($n 5 4); common { h 2; }
 vertices
 (
   (0 0 0) (2 0 0) (2 1.2 0) (0 1 0)
-  (0 0 $common.h) (2.1 0 2) (2 1 2) (0 1 2.2)
+  name v4 (0 0 $common.h) (2.1 0 2) (2 1 2) (0 1 2.2)
   (4 0 0) (4 1.2 0) (4 0 2) (4 1 2)
 );
 blocks
 (
-  hex (0 1 2 3 4 5 6 7) $dims edgeGrading (2 2 3 3 1 1 ((0.3 0.4 3) (0.7 0.6 0.2)) 1 4 4 -3 4)
+  hex (0 1 2 3 v4 5 6 7) $dims edgeGrading (2 2 3 3 1 1 ((0.3 0.4 3) (0.7 0.6 0.2)) 1 4 4 -3 4)
   hex (1 8 9 2 5 10 11 6) zone1 (7 5 4) edgeGrading (1 1 1 1 1 1 1 ((0.3 0.4 3) (0.7 0.6 0.2)) 4 1 1 -3)
 );
 edges
 (
   spline 0 1 ((0.5 0.3 0.1) (1.4 -0.2 0))
   BSpline 3 2 ((0.5 1.3 0.1) (1.4 1.2 0))
-  polyLine 4 5 ((1 0.2 2.1))
+  polyLine v4 5 ((1 0.2 2.1))
   arc 1 2 (2.2 0.6 -0.1)
   arc 10 8 (4.5 0 1)
   line 9 11
@@ -153,9 +153,15 @@ def test_arcs_lie_on_their_circles():
     for arc, known in (
         (arc_through(first, middle, last), exact),
         (arc_through(first, np.array([np.cos(2.0), -np.sin(2.0), 0]), last), long),
+        (arc_about(first, last, np.zeros(3)), exact),
+        (arc_by_angle(first, last, 90.0, np.array([0, 0, 2.0])), exact),
+        (arc_by_angle(first, last, -270.0, np.array([0, 0, 2.0])), long),
     ):
         assert arc is not None
         np.testing.assert_allclose(arc(at), known, atol=1e-14)
+    helix = arc_by_angle(first, last + [0, 0, 3], 90.0, np.array([0, 0, 1.0]))
+    assert helix is not None
+    np.testing.assert_allclose(helix(at), exact + at[:, None] * [0, 0, 3], atol=1e-14)
     assert arc_through(first, 0.5 * (first + last), last) is None
 
 
@@ -175,17 +181,19 @@ def test_scale_applies_to_all_coordinates(tmp_path):
     assert grid.shapes == ((5, 4, 3),)
 
 
-def test_left_handed_blocks_and_the_default_patch(tmp_path):
+def test_left_handed_blocks_and_old_patches(tmp_path):
     text = (
         CUBE
         + """blocks (hex (4 5 6 7 0 1 2 3) (4 3 2) simpleGrading (1 1 1));
-    boundary (floor { type wall; faces ((0 1 2 3)); });"""
+    patches (wall floor ((0 1 2 3)) patch rest ((0 0) (0 1)));"""
     )
     grid = read(tmp_path, text)
     assert find_topology(grid).handedness.tolist() == [-1]
-    floor, default = grid.patches
+    floor, rest, default = grid.patches
     assert (floor.bc_type, floor.windows[0].side) == ("wall", Side.KMAX)
-    assert (default.name, len(default.windows)) == ("defaultFaces", 5)
+    assert [window.side for window in rest.windows] == [Side.IMIN, Side.IMAX]
+    assert default.name == "defaultFaces"
+    assert len(default.windows) == 3
 
 
 def test_macros_of_dictionaries_and_lists(tmp_path):
@@ -209,10 +217,8 @@ BAD = {
     "calc": (ONE.replace("(4 3 2)", '(4 3 #calc "1+1")'), "#calc is not evaluated.*foamDictionary"),
     "include": ('#include "other"\n' + ONE, "#include is not evaluated"),
     "merge": (ONE + "mergePatchPairs ((a b));", "mergePatchPairs is not supported"),
-    "projected": (ONE.replace("((0 0 0)", "(project (0 0 0) (s)"), "expected a vertex in parentheses, found 'project'"),
+    "projected": (ONE.replace("((0 0 0)", "(project (0 0 0) (s)"), "project is not supported"),
     "projected faces": (ONE + "faces (project (0 1 2 3) s);", "faces is not supported"),
-    "old patches": (ONE + "patches (wall a ((0 1 2 3)));", "patches is not supported.*write boundary"),
-    "arc about": (ONE + "edges (arc 0 1 origin (0 0 0));", "a point of the arc in parentheses, found 'origin'"),
     "huge": (ONE.replace("(4 3 2)", "(1000000000 1 1)"), "4,000,000,004 nodes"),
     "no cells": (ONE.replace("(4 3 2)", "(4 0 2)"), "4 x 0 x 2 cells"),
     "deep": (ONE + "x " + "(" * 2000, "nested more than 50 deep"),

@@ -18,7 +18,7 @@ from meshdeform_core.grid.surfaces import thin_direction
 from meshdeform_core.numerics.arrays import extent
 from meshdeform_core.quality.cells import block_volumes
 from meshdeform_formats import read_grid, write_grid
-from meshdeform_formats.openfoam.foam_files import write_labels, write_points
+from meshdeform_formats.openfoam.foam_files import write_points
 
 ROOT = Path(__file__).parents[2]
 THIRD_PARTY = (
@@ -209,10 +209,6 @@ def test_a_mesh_that_is_not_that_of_the_dictionary_is_refused(tmp_path):
         write_points(tmp_path / "constant/polyMesh/points", wrong, "x", True)
         with pytest.raises(FormatError, match=message):
             read_grid(tmp_path)
-    write_points(tmp_path / "constant/polyMesh/points", points, "x", True)
-    write_labels(tmp_path / "constant/polyMesh/owner", np.array([0, 30]), True, "")
-    with pytest.raises(FormatError, match="owner has numbers from 0 to 30, expected 0 to 29; run blockMesh"):
-        read_grid(tmp_path)
     (tmp_path / "constant/polyMesh/points").write_bytes(b"FoamFile { class vectorField; format binary; } 84\n(short")
     with pytest.raises(FormatError, match="truncated"):
         read_grid(tmp_path)
