@@ -213,7 +213,7 @@ class ModesForm(Form):
 class AirfoilForm(Form):
     """A new shape of an airfoil."""
 
-    file: Annotated[File, about(_FILE + "coordinates in Selig's form")]
+    file: Annotated[File, about(_FILE + "coordinates in Selig's or Lednicer's form")]
     plane: Annotated[
         Literal["xy", "xz", "yx", "yz", "zx", "zy"], about('the axes along the chord and upwards, like "xy" or "xz"')
     ] = "xy"

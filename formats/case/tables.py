@@ -208,7 +208,8 @@ def columns(names: Sequence[str], values: FloatArray, wanted: Sequence[str], lab
 def read_airfoil(path: Path) -> FloatArray:
     """Coordinates (n, 2) from the trailing edge over the upper side to the leading edge, and back.
 
-    This is Selig's form; lines of text at the beginning are the name.
+    Selig's form has the points in this order; Lednicer's has the numbers of points of both sides first, and each side
+    from the leading edge. Lines of text at the beginning are the name.
 
     Raises FormatError with the line.
     """
@@ -222,6 +223,15 @@ def read_airfoil(path: Path) -> FloatArray:
     points = np.array(rows, dtype=np.float64).reshape(-1, 2)
     if len(points) < 5:
         raise FormatError(f"{path} has {len(points)} points; expected an airfoil: x and y from the trailing edge on")
+    counts = points[0]
+    if (counts > 2).all() and (counts == np.round(counts)).all():
+        upper, lower = (int(n) for n in counts)
+        if upper + lower != len(points) - 1:
+            raise FormatError(f"{path} announces {upper} and {lower} points, but has {len(points) - 1}")
+        over, under = points[1 : upper + 1], points[upper + 1 :]
+        if np.abs(over[0] - under[0]).max() > 1e-6:
+            raise FormatError(f"{path}: its sides begin at {vector(over[0])} and {vector(under[0])}; expected one nose")
+        points = np.concatenate([over[::-1], under[1:]])
     x, y = points.T
     if x @ np.roll(y, -1) - y @ np.roll(x, -1) < 0:
         points = points[::-1]

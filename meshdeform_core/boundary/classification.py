@@ -348,11 +348,19 @@ def prescribed_displacement(
             node = nodes[worst]
             # The motions are those of the moving patches, in the same order.
             names = [repr(patch.name) for patch in boundary.patches if patch.kind is Kind.MOVING]
+            one = owner[node]
+            remedy = "give both patches the same motion there, or select these nodes in one of them only"
+            for table, entry in ((one, index), (index, one)):
+                if any(match.partial for match in boundary.movers[table][1].matches):
+                    remedy = (
+                        f"the table {names[table]} moves all boundary nodes that it matches: to move these nodes by "
+                        f"the table, remove the motion of {names[entry]}, or their rows from the table to move them "
+                        f"by {names[entry]}"
+                    )
             raise MotionError(
-                f"moving patches {names[owner[node]]} and {names[index]} disagree at their shared node "
+                f"moving patches {names[one]} and {names[index]} disagree at their shared node "
                 f"{grid.node_label(int(topology.first[node]))}: displacements {vector(displacement[node])} and "
-                f"{vector(new[worst])}; "
-                "give both patches the same motion there, or select these nodes in one of them only"
+                f"{vector(new[worst])}; {remedy}"
             )
         displacement[nodes] = new
         owner[nodes] = index

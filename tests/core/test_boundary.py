@@ -127,8 +127,10 @@ def test_table_on_a_wall_that_moves_already_names_both():
     table = BoundarySpec("t.csv", ("*",), Kind.MOVING, None, Motion((Follow(data, Matching(partial=True)),), {}))
     for specs in permutations([wall, table]):
         problem = problem_of(FRAME, list(specs))
-        with pytest.raises(MotionError, match=r"'wall' .*disagree at their shared node block\d \("):
+        with pytest.raises(MotionError, match=r"'wall' .*disagree at their shared node block\d \(") as caught:
             prescribed_displacement(problem.grid, problem.topology, problem.boundary)
+        assert "the table 't.csv' moves all boundary nodes that it matches" in str(caught.value)
+        assert "remove the motion of 'wall'" in str(caught.value)
 
 
 def test_plates_of_the_case_are_opened():
