@@ -58,7 +58,7 @@ def deform_command(source: GridInput, output: Path | None, case: CaseInput, impo
             job = _load_inputs(source, case, output, imposed, run)
             report, illustrate = work.run(job, output, imposed, run, progress)
         files = [*source.roles, *case.roles(job.case), ("output", Path(report["output"]))]
-        return work.conclude(report, run, start, files, illustrate, job.ranks)
+        return work.conclude(report, run, start, files, job.ranks, illustrate)
 
     return work.in_parts(deform, run.verbose)
 
@@ -147,7 +147,7 @@ def series_command(source: GridInput, case: CaseInput, wanted: SeriesInput, run:
             begun = True
             report = series_run.carry_out(plan, progress)
         files = [*source.roles, *case.roles(plan.job.case), ("index", plan.files.view)]
-        return work.conclude(report, run, start, files, partial(series_run.illustrate, plan), plan.job.ranks)
+        return work.conclude(report, run, start, files, plan.job.ranks)
 
     return work.in_parts(deform, run.verbose)
 

@@ -23,7 +23,6 @@ from meshdeform_formats.grids import FORMATS, complete_for_export
 from meshdeform_formats.inputs import digest
 from meshdeform_formats.placing import lack
 from meshdeform_formats.report.records import Report, level_record, series_head, series_report
-from meshdeform_formats.report.tables import Figure
 from meshdeform_formats.series.manifest import NAME, Manifest, ingredients_of
 from meshdeform_formats.series.outputs import FoamFiles, LevelFiles, SeriesFiles
 
@@ -31,8 +30,6 @@ from .checks import keep_inputs
 from .options import GridInput, RunInput, SeriesInput
 from .process import ProgressBar, Warnings, stage
 from .work import Job, cells_of
-
-_PICTURES = 8
 
 
 @dataclass
@@ -206,17 +203,6 @@ def _how_to_continue(run: Run) -> str:
     if not done or (run.schedule.velocity != "none" and not run.files.readable):
         return ""
     return f"{done} of {count} levels are done: the same command with --resume (without --force) continues"
-
-
-def illustrate(run: Run) -> list[Figure]:
-    """Small pictures of some evenly spaced levels whose files can be read."""
-    from meshdeform_formats.report.illustrations import level_thumbnails
-
-    count = len(run.schedule.times)
-    shown = min(count, _PICTURES)
-    chosen = [round(n * (count - 1) / max(1, shown - 1)) for n in range(shown)]
-    levels = [(n, f"level {n}, t = {run.schedule.times[n]:g}", run.files.path(n).name) for n in chosen]
-    return level_thumbnails(run.setup, levels, run.files.read) if run.files.readable else []
 
 
 def _complete(run: Run, peak: int) -> Report:

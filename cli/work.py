@@ -213,7 +213,7 @@ def run(
     seconds = {"read": job.read_seconds, "write": clock.perf_counter() - before}
 
     def illustrate() -> list[Figure]:
-        from meshdeform_formats.report.illustrations import deformation_figures
+        from meshdeform_formats.report.page import deformation_figures
 
         return deformation_figures(result)
 
@@ -256,8 +256,8 @@ def deliver(
 
 
 def conclude(
-    report: Report, run: RunInput, start: float, files: Iterable[tuple[str, Path | None]], illustrate: Illustrate,
-    ranks: Ranks,
+    report: Report, run: RunInput, start: float, files: Iterable[tuple[str, Path | None]], ranks: Ranks,
+    illustrate: Illustrate = tuple,
 ) -> int:  # fmt: skip
     """Deliver the report, print the verdict; returns the exit code."""
     deliver(report, run, start, files, illustrate, ranks)

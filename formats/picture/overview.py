@@ -112,28 +112,19 @@ def moved_walls(old: Subject, new: Subject, quads: IntArray) -> Page | None:
 
 
 def quality_planes(old: Subject, new: Subject) -> Page:
-    """A plane through the grid around its walls, before and after, in the same frame and colours."""
-    scenes = [_plane(subject, Choice()) for subject in (old, new)]
-    window = _window_around(scenes[0], np.concatenate([subject.corners(old.outside.bodies) for subject in (old, new)]))
-    return _twins(scenes, (window, window), Choice())
-
-
-def plane_around(subject: Subject, points: FloatArray, choice: Choice) -> Page:
-    """A plane through a grid around ``points`` (n, 3), coloured by quality; the whole plane if there are none."""
-    scene = _plane(subject, choice)
-    return Page.of([Panel(scene, _window_around(scene, points))], choice)
-
-
-def _plane(subject: Subject, choice: Choice) -> Scene:
-    """The plane of a flat grid, else a cut through the middle of the bodies."""
-    return whole_scene(subject, choice.metric) or cut_scene(subject, subject.middle_plane(), choice.metric)
-
-
-def _window_around(scene: Scene, points: FloatArray) -> Window:
-    whole = scene.view.window(scene.facets.corners, 0.0)
-    if not points.size:
-        return whole.grown(0.02 * whole.larger_side).shaped(0.3, 1.0)
-    return scene.view.window(points, 0.6).within(whole).shaped(0.5, 0.9).moved_into(whole)
+    """The plane of a flat grid, else a cut through the middle of the bodies, around its walls, before and after, in the
+    same frame and colours."""
+    choice = Choice()
+    before, after = (
+        whole_scene(each, choice.metric) or cut_scene(each, each.middle_plane(), choice.metric) for each in (old, new)
+    )
+    whole = before.view.window(before.facets.corners, 0.0)
+    points = np.concatenate([subject.corners(old.outside.bodies) for subject in (old, new)])
+    if points.size:
+        window = before.view.window(points, 0.6).within(whole).shaped(0.5, 0.9).moved_into(whole)
+    else:
+        window = whole.grown(0.02 * whole.larger_side).shaped(0.3, 1.0)
+    return _twins([before, after], (window, window), choice)
 
 
 def worst_cells(old: Subject, new: Subject, block: int, cell: Shape, choice: Choice | None = None) -> Page:

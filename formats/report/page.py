@@ -6,17 +6,23 @@ import base64
 import io
 import re
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from importlib.resources import files
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 import jinja2
+import numpy as np
 
+from meshdeform_core.boundary import Kind
+from meshdeform_core.deform import Result
 from meshdeform_core.memory import readable
 from meshdeform_core.wording import counted
 
-from ..picture.page import STYLE
+from ..picture.overview import moved_walls, quality_planes, worst_cells
+from ..picture.page import STYLE, page_png
+from ..picture.subject import Subject, worst_cell
 from . import tables
 from .records import Report
 from .tables import Figure, Table
@@ -41,7 +47,7 @@ def as_html(report: Report, figures: Sequence[Figure] = (), folder: str = "") ->
 
     Parameters
     ----------
-    figures : pictures of a deformation, shown after the verdict, or small ones of levels of a series
+    figures : pictures of a deformation, shown after the verdict
     folder : of the levels, relative to the page
     """
     template, style = (
@@ -54,7 +60,7 @@ def as_html(report: Report, figures: Sequence[Figure] = (), folder: str = "") ->
     blocks, cells = counted(grid["blocks"], "block"), counted(grid["cells"], "cell")
     title = f"{'Deformation' if 'method' in report else 'Quality'} of {name}"
     sections = [
-        *(_levels(report, figures) if series else [("Pictures", figures), *_judged(report)]),
+        *(_levels(report) if series else [("Pictures", figures), *_judged(report)]),
         *_common_sections(report),
     ]
     return environment.from_string(template).render(
@@ -117,8 +123,8 @@ def _verdict(report: Report) -> dict[str, Any]:
     return {"headline": headline, "places": places, "advice": advice}
 
 
-def _levels(report: Report, thumbnails: Sequence[Figure]) -> Sections:
-    """Curves, pictures, table."""
+def _levels(report: Report) -> Sections:
+    """Curves and table."""
     levels = report["levels"]
     values = {
         "smallest f_skew": [level["quality"]["f_skew"]["min"] for level in levels],
@@ -133,9 +139,8 @@ def _levels(report: Report, thumbnails: Sequence[Figure]) -> Sections:
         if len(known) > 1 and any(value for _, value in known):
             times, wrong = ([level["time"] for level, _ in known], [not level["valid"] for level, _ in known])
             charts.append((name, curve(times, [value for _, value in known], "time", name, wrong)))
-    pictures = [{"thumbnails": thumbnails}] if thumbnails else []
     table, note = tables.levels_table(report), f"Acceleration: {tables.ACCELERATION}."
-    yield "Levels", [{"charts": charts}, *pictures, table, note]
+    yield "Levels", [{"charts": charts}, table, note]
 
 
 def _judged(report: Report) -> Sections:
@@ -196,6 +201,25 @@ def _attempts(report: Report) -> Iterator[Any]:
         yield f"The interior was remade from the reference by {new['method']}: {new['reason']}."
     if lines := tables.repair_lines(report):
         yield f"Repair: {'; '.join(lines)}. Moving and fixed boundary nodes stay where they were put."
+
+
+def deformation_figures(result: Result) -> list[Figure]:
+    """The moving walls, a plane around them and the worst cells, before and after; drawn by the first of the ranks that
+    hold the grid."""
+    setup, after = result.setup, result.grid
+    old = Subject(setup.grid, setup.topology, original=setup.original)
+    new = Subject(after, setup.topology, setup.grid, original=old)
+    moving = np.flatnonzero(setup.boundary.quad_kind == Kind.MOVING)
+    block, cell = worst_cell(new, "f_skew")
+    more = ", and of other invalid cells" if result.assessment.invalid else ""
+    closeup = f"A close-up of cell {setup.grid.label(block, cell)}, where f_skew is smallest{more}."
+    walls = moved_walls(old, new, moving) if moving.size else None
+    pages = [("The moving walls", "The moving walls, coloured by their displacement.", walls)] if walls else []
+    pages += [
+        ("Around the walls", "A plane through the grid, coloured by f_skew.", quality_planes(old, new)),
+        ("The worst cells", closeup, worst_cells(old, new, block, cell)),
+    ]
+    return [Figure(title, text, after.nodes.on_first(partial(page_png, page))) for title, text, page in pages]
 
 
 def histogram(before: Sequence[int] | None, after: Sequence[int], label: str) -> str:

@@ -279,12 +279,11 @@ def repair_lines(report: Report) -> list[str]:
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture as PNG; ``caption`` describes it, also for readers who cannot see it; ``file`` of the level shown."""
+    """A picture as PNG; ``caption`` describes it, also for readers who cannot see it."""
 
     title: str
     caption: str
     png: bytes
-    file: str = ""
 
 
 Illustrate = Callable[[], Sequence[Figure]]

@@ -132,11 +132,10 @@ def test_names_cannot_break_the_page(far):
     assert "Deformation of <b>&'\".xyz" in Page(as_html(report)).text
 
 
-def test_series_page_has_curves_pictures_and_links(bench, call):
+def test_series_page_has_curves_and_links(bench, call):
     assert call(*SERIES, "--report", "r.html").code == 0
     page = Page(Path("r.html").read_text())
     assert "All 3 levels are valid" in page.text
-    assert len(page.pictures) == 3
     links = {a["href"] for a in page.of("a") if not a["href"].startswith("#")}
     assert len(links) == 3
     assert all(Path(link).is_file() for link in links)

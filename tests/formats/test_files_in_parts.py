@@ -26,7 +26,7 @@ from meshdeform_core.series import Schedule, deform_series
 from meshdeform_formats.displacement import read_displacement
 from meshdeform_formats.fields import with_fields
 from meshdeform_formats.grids import read_grid, write_grid
-from meshdeform_formats.report.illustrations import deformation_figures, level_thumbnails
+from meshdeform_formats.report.page import deformation_figures
 from meshdeform_formats.series.outputs import LevelFiles
 
 TIMES = (0.0, 0.5, 2.0, 3.0)
@@ -148,7 +148,7 @@ def test_fields_at_cells_and_nodes(make, tmp_path):
 
 @pytest.mark.slow
 def test_pictures_of_reports(tmp_path):
-    """Cuts, surfaces, the worst cells; levels of a series."""
+    """Cuts, surfaces, the worst cells."""
     write_grid(tapered(5, 4), tmp_path / "grid.cgns")
     case = Case(tuple(body_specs(turning(50.0))), method=Options("tfi"))
 
@@ -156,11 +156,8 @@ def test_pictures_of_reports(tmp_path):
         result = deform(read_grid(tmp_path / "grid.cgns"), case)
         assert result.repair is not None
         figures = deformation_figures(result)
-        levels = [(0, "before", "a"), (1, "after", "b")]
-        read = (result.setup.grid.points, result.grid.points).__getitem__
-        small = level_thumbnails(result.setup, levels, read)
         assert len(figures) == 3
-        for number, figure in enumerate([*figures, *small]):
+        for number, figure in enumerate(figures):
             (folder / f"{number}.png").write_bytes(figure.png)
             (folder / f"{number}.txt").write_text(figure.caption)
 
