@@ -16,7 +16,7 @@ from tables import MarkdownTable, Row, exponent, timed
 
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.methods import RBF, Account
-from meshdeform_core.methods.scattered.radial_system import Centres, Coefficients, RadialSystem
+from meshdeform_core.methods.scattered.prepared_rbf import Centres, Coefficients, RadialSystem
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.exact.radial import radial_sums
 

@@ -11,7 +11,7 @@ from meshdeform_core.errors import MethodError
 from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.methods import RBF, Options, make_method
 from meshdeform_core.methods.base import Account
-from meshdeform_core.methods.scattered.radial_system import Centres, RadialSystem
+from meshdeform_core.methods.scattered.prepared_rbf import Centres, RadialSystem
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.exact.radial import radial_matrix, radial_sums
 from meshdeform_core.numerics.fastsum.nested import NestedSums

@@ -14,7 +14,7 @@ from ...numerics.exact.basis import BASES
 from ...parallel import Nodes, for_chunks
 from ..base import Account, Problem, Progress, Setting, of_stage
 from ..transfinite.tfi import Skeleton, make_skeleton
-from .radial_system import Centres, Coefficients, RadialSystem, accurate
+from .prepared_rbf import Centres, Coefficients, RadialSystem, accurate
 from .rbf import RBF
 
 _TARGETS, _TERMS = 1024, 4
