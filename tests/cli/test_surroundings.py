@@ -37,6 +37,26 @@ def test_number_of_threads_that_numba_refuses(value, bench):
     assert done.stderr.startswith(f"meshdeform: error: NUMBA_NUM_THREADS={value}: expected a whole number >= 1")
 
 
+WATCH = """
+import os, sys
+class Watch:
+    def find_spec(self, name, path=None, target=None):
+        if name == "numpy":
+            print(os.environ.get("OPENBLAS_NUM_THREADS"))
+sys.meta_path.insert(0, Watch())
+from meshdeform_cli.main import main
+main(sys.argv[1:])
+"""
+
+
+def test_linear_algebra_has_one_thread_from_the_start(bench):
+    """Its libraries read the number when numpy is imported, which a path among the options may do."""
+    command = [sys.executable, "-c", WATCH, *DEFORM, "-o", "out.xyz"]
+    plain = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, env=plain)
+    assert (done.returncode, done.stdout) == (0, "1\n"), done.stderr
+
+
 @pytest.mark.slow
 def test_libraries_set_up_for_other_programs(bench):
     """A display that does not exist and a driver that HDF5 does not know, at which it crashes."""
