@@ -16,7 +16,7 @@ from meshdeform_core.grid import FileFormat, Grid
 from meshdeform_core.memory import Demand, MemoryLimit, Work, readable
 from meshdeform_core.methods.limits import patch_motions
 from meshdeform_core.parallel import current_ranks
-from meshdeform_core.repair.limit import Limit
+from meshdeform_core.repair.options import Limit
 from meshdeform_core.stepping import Course, doubts
 from meshdeform_core.wording import counted
 from meshdeform_formats.grids import Layout, format_of
@@ -106,7 +106,7 @@ def forecast(setup: Setup, time: float, steps: int | str | None, precision: str)
     The method's trial imposes the motion without repair, in the requested number of steps or in one, and judges the
     grid as the run would. It does not cover smaller steps and repairs, which the run tries afterwards.
     """
-    contact = setup.undeformed.crossing_test.contact(functools.partial(setup.displacement, time))
+    contact = setup.undeformed.contact(functools.partial(setup.displacement, time))
     pinned = find_pinned(setup.grid, setup.topology, setup.boundary, setup.displacement(time))
     certain: list[str] = [found for found in (contact and contact.message, pinned) if found]
     count = steps if isinstance(steps, int) else 1

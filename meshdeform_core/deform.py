@@ -14,7 +14,7 @@ from .methods import PreparedMethod, Progress
 from .methods.limits import patch_motions
 from .overset import Overset, impose_on_components, set_up
 from .quality import Assessment, Quality, assess
-from .repair.limit import Limit
+from .repair.options import Limit
 from .repair.outcome import Judged, Repair
 from .repair.tuned import COLLAPSING
 from .setup import Attempt, BoundaryMotion, Case, Result, Setup, Timing
@@ -218,7 +218,7 @@ def _notices(state: State, repair: Repair | None, assessment: Assessment) -> lis
     if assessment.valid and state.fraction >= 1.0:
         # A wall may pass through itself where no cells lie between its sides; others cannot meet while cells are valid.
         with course.timing.stage("quality"):
-            crossings = course.setup.undeformed.crossing_test.crossings(course.total)
+            crossings = course.setup.undeformed.crossings(course.total)
         for crossing in crossings[:1]:
             text = (
                 f"the moved boundary crosses itself: {crossing}. The cells are valid one by one, but the grid overlaps "

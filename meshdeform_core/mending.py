@@ -28,7 +28,7 @@ from .quality import Assessment, Original, assess
 from .quality.difference import require_same_blocks
 from .quality.validity import Comparison, judge
 from .repair.constraints import Constraints
-from .repair.limit import Limit
+from .repair.options import Limit
 from .repair.outcome import Judged, Repair
 from .repair.region import Basis
 from .repair.repair import WEAK, Repairer
@@ -152,14 +152,13 @@ def mend(
 
 @dataclass(frozen=True, eq=False)
 class _Found(Judged):
-    """A judged grid, and how it was found."""
+    """A judged grid, and how its interior was remade."""
 
-    repair: Repair | None = None
     renewal: Renewal | None = None
 
     def or_better(self, other: _Found) -> _Found:
         """The one with fewer invalid cells; this one if both have as many."""
-        return other if len(other.verdict.invalid) < len(self.verdict.invalid) else self
+        return other if other.count < self.count else self
 
 
 def _mended(start: _Found, repairer: Repairer, renew: Callable[[str, _Found], _Found], polish: bool) -> _Found:
@@ -197,7 +196,7 @@ def _reasons(original: Grid, topology: Topology, boundary: Boundary, points: Flo
     """Why no valid grid can be found, if the boundary alone shows it."""
     change = (points - original.points)[topology.first]
     found = []
-    for crossing in undeformed_of(original, topology, boundary).crossing_test.crossings(change)[:1]:
+    for crossing in undeformed_of(original, topology, boundary).crossings(change)[:1]:
         place = ", ".join(f"{x:.6g}" for x in crossing.point)
         names = " and ".join(name for name in dict.fromkeys(crossing.patches) if name != UNSELECTED) or "a part"
         found.append(f"the boundary crosses itself, so no valid grid exists: {names} near ({place})")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -34,7 +35,7 @@ from .numerics.geometry.coincidence import coincident_groups, distinct, equal_ro
 from .parallel import Nodes
 from .quality import assess
 from .quality.report import MAX_LISTED
-from .repair.limit import Limit
+from .repair.options import Limit
 from .repair.outcome import Repair
 from .setup import Case, Result, Setup, Timing, Undeformed, set_up_whole
 from .stepping import Course
@@ -137,10 +138,15 @@ class Overset(Undeformed):
         names = dict.fromkeys(self.grid.components)
         return tuple(_component(self, name, number, memory) for number, name in enumerate(names))
 
-    @cached_property
-    def crossing_test(self) -> ComponentCrossings:  # type: ignore[override]
-        """Whether the boundary of any component crosses itself; components may pass through each other."""
-        return ComponentCrossings(self.components)
+    def crossings(self, displacement: FloatArray) -> tuple[Crossing, ...]:
+        """Patches of one component whose faces cross; components may pass through each other."""
+        found = [each.undeformed.crossings(displacement[each.numbers]) for each in self.components]
+        return tuple(sorted(itertools.chain(*found), key=lambda crossing: -crossing.count))
+
+    def contact(self, path: Callable[[float], FloatArray]) -> Contact | None:
+        """The first contact of a component with itself."""
+        found = [each.undeformed.contact(partial(each.motion, path)) for each in self.components]
+        return min((each for each in found if each), key=lambda contact: contact.fraction, default=None)
 
     def prepare(self, options: Options) -> PreparedMethod:
         """The method prepared on every component that moves."""
@@ -230,27 +236,6 @@ def _copied(grid: Grid, planes: Callable[[int], FloatArray]) -> FloatArray:
     for number in range(grid.n_blocks):
         grid.in_planes(number, found)[...] = planes(number)
     return found
-
-
-class ComponentCrossings:
-    """Tests whether the boundary of any component crosses itself; components may pass through each other."""
-
-    def __init__(self, components: Sequence[Component]):
-        self._components = components
-
-    def crossings(self, displacement: FloatArray, gap: float = 0.0) -> tuple[Crossing, ...]:
-        """Patches of one component whose faces cross, see :meth:`.CrossingTest.crossings`."""
-        found = [
-            crossing
-            for each in self._components
-            for crossing in each.undeformed.crossing_test.crossings(displacement[each.numbers], gap)
-        ]
-        return tuple(sorted(found, key=lambda crossing: -crossing.count))
-
-    def contact(self, path: Callable[[float], FloatArray]) -> Contact | None:
-        """The first contact of a component with itself, see :meth:`.CrossingTest.contact`."""
-        found = [each.undeformed.crossing_test.contact(partial(each.motion, path)) for each in self._components]
-        return min((each for each in found if each), key=lambda contact: contact.fraction, default=None)
 
 
 Mover = Callable[[FloatArray], FloatArray]

@@ -18,7 +18,7 @@ from .boundary.classification import (
     prescribed_displacement,
     with_plates,
 )
-from .boundary.crossing import CrossingTest
+from .boundary.crossing import Contact, Crossing, CrossingTest
 from .errors import CaseError, MotionError
 from .grid import FloatArray, Grid
 from .grid.connections import check_connections
@@ -126,9 +126,16 @@ class Undeformed:
         return Original(self.grid, self.topology, self.min_jacobian)
 
     @cached_property
-    def crossing_test(self) -> CrossingTest:
-        """The test whether the boundary crosses itself after a displacement."""
+    def _crossing_test(self) -> CrossingTest:
         return CrossingTest(self.grid, self.topology, self.boundary)
+
+    def crossings(self, displacement: FloatArray) -> tuple[Crossing, ...]:
+        """Where the boundary crosses itself after a displacement (n_unique, 3), see :class:`.CrossingTest`."""
+        return self._crossing_test.crossings(displacement)
+
+    def contact(self, path: BoundaryMotion) -> Contact | None:
+        """The first contact of the boundary with itself on a path, see :meth:`.CrossingTest.contact`."""
+        return self._crossing_test.contact(path)
 
     @cached_property
     def repairs(self) -> Basis:

@@ -28,10 +28,8 @@ from .methods import Account, Options, PreparedMethod, Progress, prepare_method
 from .numerics.arrays import extent
 from .parallel import Nodes
 from .quality.validity import Comparison, Verdict, judge
-from .repair.limit import Limit
-from .repair.onset import unhealthy_cells
-from .repair.options import Effort
-from .repair.outcome import Judged, Repair
+from .repair.options import Effort, Limit
+from .repair.outcome import Judged, Repair, unhealthy_cells
 from .repair.tuned import AS_PLANE, COLLAPSING, FARTHEST
 from .setup import Attempt, BoundaryMotion, Setup, Timing
 from .wording import Notice, first_of_each_kind, kind_of, vector
@@ -300,7 +298,9 @@ def insist(state: State) -> State:
     other = _repaired(dataclasses.replace(state, found=plain, repair=None), "patient", polish=state.course.polishing)
     better = other if other.found.count < state.found.count else state
     if state.repair and other.repair:
-        return dataclasses.replace(better, repair=state.repair.again(other.repair))
+        # Both began with the same grid, whose bad cells count once.
+        both, invalid, weak = state.repair + other.repair, state.repair.invalid, state.repair.weak
+        return dataclasses.replace(better, repair=dataclasses.replace(both, invalid=invalid, weak=weak))
     return better
 
 
@@ -311,7 +311,7 @@ def _repaired(state: State, effort: Effort, polish: bool = False) -> State:
         outcome = course.repairer.repair(plain, polish, effort) if needed else None
     if outcome is None:
         return state
-    found = outcome if outcome.repair.newton_steps else plain
+    found = outcome if outcome.repair and outcome.repair.newton_steps else plain
     return _noted(dataclasses.replace(state, found=found, repair=outcome.repair), repair=True)
 
 
@@ -376,7 +376,7 @@ def until_valid(state: State) -> State:
     # none.
     reasons, fraction = list[str](), 1.0
     if not plain.valid:
-        setup, contact = course.setup, course.setup.undeformed.crossing_test.contact(course.path)
+        setup, contact = course.setup, course.setup.undeformed.contact(course.path)
         pinned = find_pinned(setup.grid, setup.topology, setup.boundary, course.total)
         reasons = [found for found in (contact and contact.message, pinned) if found]
         fraction = contact.fraction if contact else 1.0

@@ -191,7 +191,7 @@ def _reached(trial: Trial, setup: Setup, result: Result, motion: BoundaryMotion)
     wanted = setup.grid.points[told] + motion(1.0)[setup.boundary.known]
     exact = np.abs(result.grid.points[told] - wanted).max() < 1e-12 * np.ptp(setup.grid.points, axis=0).max()
     if trial.crossing:
-        contact = setup.undeformed.crossing_test.contact(motion)
+        contact = setup.undeformed.contact(motion)
         named = contact is not None and all(name in contact.message for name in trial.crossing)
         return "yes" if named and exact and not result.valid else "**no**"
     good = after.f_skew.min >= trial.skew and after.min_relative_jacobian >= trial.jacobian
@@ -201,7 +201,7 @@ def _reached(trial: Trial, setup: Setup, result: Result, motion: BoundaryMotion)
 def _outcome(setup: Setup, result: Result, motion: BoundaryMotion) -> str:
     if result.valid:
         return "valid"
-    contact = setup.undeformed.crossing_test.contact(motion)
+    contact = setup.undeformed.contact(motion)
     names = " and ".join(dict.fromkeys(p for c in contact.crossings[:1] for p in c.patches)) if contact else ""
     return f"crossing of {names}" if contact else f"{result.assessment.after.invalid_cells} invalid cells"
 

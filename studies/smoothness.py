@@ -27,7 +27,7 @@ from meshdeform_core.deform import Case, Setup, Timing, impose, set_up
 from meshdeform_core.grid import FloatArray, Grid
 from meshdeform_core.numerics.arrays import lengths
 from meshdeform_core.repair import energy
-from meshdeform_core.repair.onset import unhealthy_cells
+from meshdeform_core.repair.outcome import unhealthy_cells
 from meshdeform_core.repair.tuned import HEALTHY
 from meshdeform_core.series import Level, Schedule, deform_series
 from meshdeform_core.smoothness import shortest_edges

@@ -57,9 +57,14 @@ class Ranks:
         return action()
 
 
+def own_cores() -> set[int]:
+    """The cores on which the system lets this process run."""
+    return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set(range(os.cpu_count() or 1))
+
+
 def usable_cores() -> int:
     """Number of cores on which the system lets this process run."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return len(own_cores())
 
 
 class Sharing(NamedTuple):

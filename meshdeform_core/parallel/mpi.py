@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, TypeVar
 
 from ..errors import MeshDeformError
-from .loops import Ranks, alone, empty, usable_cores
+from .loops import Ranks, alone, empty, own_cores
 
 if TYPE_CHECKING:
     import numpy as np
@@ -36,15 +36,10 @@ class MPIRanks(Ranks):
         machine = world.Split_type(MPI.COMM_TYPE_SHARED)
         self.on_machine = machine.size
         # Launchers often bind each rank to some cores, which may overlap.
-        usable = self._usable()
+        usable = own_cores()
         self._all_cores = set().union(*machine.allgather(usable))
         super().__init__(max(1, min(len(usable), len(self._all_cores) // machine.size)))
         machine.Free()
-
-    @staticmethod
-    def _usable() -> set[int]:
-        """The cores on which the system lets this process run."""
-        return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set(range(os.cpu_count() or 1))
 
     def gather(self, found: Sequence[T]) -> list[T]:
         self._meet()
@@ -72,10 +67,10 @@ class MPIRanks(Ranks):
         if self.number == 0:
             try:
                 # The cores of all ranks on its machine, to which launchers bind them.
-                bind, own = getattr(os, "sched_setaffinity", lambda *_: None), self._usable()
+                bind, own = getattr(os, "sched_setaffinity", lambda *_: None), own_cores()
                 bind(0, self._all_cores)
                 try:
-                    with alone(usable_cores(), self.on_machine):
+                    with alone(len(own_cores()), self.on_machine):
                         result = action()
                 finally:
                     bind(0, own)

@@ -34,7 +34,7 @@ from .tuned import ALONG, BETWEEN, COLLAPSED, FULL, HEALTHY, HELD, NORM, POWER, 
 _CORNERS = (1 << CORNERS) - 1
 _TOGETHER = 1 << 15
 """Hexahedra whose maps are found at a time, which bounds the memory."""
-# Measured work for the derivatives at one sample of a hexahedron, and of a triangle, in the unit of :mod:`.limit`.
+# Measured work for the derivatives at one sample of a hexahedron, and of a triangle, in the unit of :class:`.Limit`.
 _SAMPLE, _TRIANGLE = 0.9, 0.4
 
 
@@ -164,7 +164,7 @@ class Hexahedra(_Elements):
 
     @property
     def work(self) -> float:
-        """Work of computing all second derivatives, see :mod:`.limit`."""
+        """Work of computing all second derivatives, see :class:`.Limit`."""
         return _SAMPLE * int(np.bitwise_count(self.mask).sum())
 
     def with_between(self, share: FloatArray) -> Hexahedra:

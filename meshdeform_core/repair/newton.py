@@ -137,7 +137,7 @@ class NewtonSystem:
     matrix, columns, starts : the scaled Hessian: blocks, their columns, and where the rows start
     unknowns : how the region's nodes depend on the unknowns, at the coordinates of the last ``fill``
     gradient : (n_unknowns, d) of the energy there
-    work : cost of one iteration, in the unit of :mod:`.limit`
+    work : cost of one iteration, in the unit of :class:`.Limit`
     iterations : number of iterations that the last ``direction`` took
     """
 

@@ -1,14 +1,36 @@
-"""What a repair has done."""
+"""Which cells need a repair, found without loading any loop of one, and what a repair has done."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
-from ..grid import FloatArray
+import numpy as np
+
+from ..grid import FloatArray, IntArray
+from ..numerics.cell.health import mark_unhealthy
+from ..parallel import Nodes
 from ..quality import Original
 from ..quality.validity import Comparison, Tally, Verdict
+from .tuned import COLLAPSED, HEALTHY, SOFT
+
+
+def unhealthy_cells(original: Original, points: FloatArray, most: float = HEALTHY) -> IntArray:
+    """Numbers (m,) of the cells of all ranks with a corner whose f is more than ``most``."""
+    grid, found = original.grid, [np.empty(0, dtype=np.int64)]
+    normal = np.zeros(3) if original.normal is None else original.normal
+    for each in (points, grid.points):
+        grid.hold_neighbours(each)
+    for block, (ni, _, _) in enumerate(grid.shapes):
+        x, start = (grid.in_planes(block, each, 1) for each in (points, grid.points))
+        if not len(x) or (len(x) == 1 and ni > 1):
+            continue
+        marks = np.empty([max(n - 1, 1) for n in x.shape[:3]], dtype=bool)
+        mark_unhealthy(x, start, normal, most, SOFT, COLLAPSED, marks)
+        _, cj, ck = grid.cell_shapes[block]
+        found.append(int(grid.cell_offsets[block]) + grid.planes(block).start * cj * ck + np.flatnonzero(marks))
+    return np.concatenate(Nodes.of(points).gather(np.concatenate(found)))
 
 
 @dataclass(frozen=True)
@@ -44,10 +66,6 @@ class Repair:
             left_out=other.left_out,
         )
 
-    def again(self, other: Repair) -> Repair:
-        """Joint summary of two repairs of the same grid."""
-        return replace(self + other, invalid=self.invalid, weak=self.weak)
-
     def beside(self, other: Repair) -> Repair:
         """Joint summary of repairs in two different parts of a grid."""
         nodes, converged = self.nodes + other.nodes, self.converged and other.converged
@@ -56,11 +74,13 @@ class Repair:
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """Coordinates (n_nodes, 3), the verdict on them, and their quality measures if already computed."""
+    """Coordinates (n_nodes, 3), the verdict on them, their quality measures if already computed, and the repair, if
+    any, that made them."""
 
     points: FloatArray
     verdict: Verdict
     cells: Comparison | None = None
+    repair: Repair | None = None
 
     @property
     def count(self) -> int:
@@ -71,10 +91,3 @@ class Judged:
         """The smallest scaled Jacobian, of coordinates ``rounded`` to those that will be written."""
         tally = self.cells.after if self.cells else Tally(original, rounded(self.points))
         return tally.smallest_scaled[1]
-
-
-@dataclass(frozen=True, eq=False)
-class Outcome(Judged):
-    """A grid after a repair, and what was done."""
-
-    repair: Repair = field(kw_only=True)

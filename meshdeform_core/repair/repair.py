@@ -23,11 +23,9 @@ from ..numerics.arrays import lengths
 from ..parallel import Nodes
 from ..quality.validity import judge
 from .energy import kept_along_lines
-from .limit import Limit
 from .newton import NewtonSystem
-from .onset import unhealthy_cells
-from .options import Effort
-from .outcome import Judged, Outcome, Repair
+from .options import Effort, Limit
+from .outcome import Judged, Repair, unhealthy_cells
 from .region import Basis, Plot
 from .tuned import FEW, KEPT, LARGE, LAYERS, PER_NODE, SQUASHED
 from .untangle import WAYS, Progress, Search, Untangler, search
@@ -68,7 +66,7 @@ class Repairer:
     limit: Limit = field(default_factory=Limit)
     farthest: float = np.inf
 
-    def repair(self, start: Judged, polish: bool = False, effort: Effort = "all") -> Outcome | None:
+    def repair(self, start: Judged, polish: bool = False, effort: Effort = "all") -> Judged | None:
         """Make cells sound; the result may still have invalid cells, but no more than the grid at the ``start``, which
         is not touched outside the neighbourhood of the cells that are or were invalid then. ``None`` if no cell is
         invalid or weak. ``polish``: the weakest cells count as weak however good they are.
@@ -87,7 +85,7 @@ class Repairer:
         moved = sum(nodes), max(farthest), found.steps, clock.perf_counter() - begin
         converged = found.converged and found.grid.verdict.valid
         record = Repair(start.count, found.weak, *moved, converged, left_out=found.left_out)
-        return Outcome(found.grid.points, found.grid.verdict, repair=record)
+        return replace(found.grid, repair=record)
 
     def _in_plane(self, start: Judged, polish: bool, effort: Effort, limit: Limit) -> _Found | None:
         """The repair of the plane grid that this one is extruded from, whose nodes all nodes of a line follow; ``None``

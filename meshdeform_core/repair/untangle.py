@@ -11,9 +11,8 @@ import numpy as np
 from ..grid import FloatArray
 from ..parallel import for_chunks
 from .energy import Penalty, Region, share_of
-from .limit import Limit
 from .newton import NewtonSystem, scalar_product
-from .options import Effort
+from .options import Effort, Limit
 from .region import Plot
 from .tuned import CUBIC, POLISHED, SOFTENED
 

@@ -10,7 +10,7 @@ import meshdeform as md
 from meshdeform.grid import wrapped
 from meshdeform_core import stepping
 from meshdeform_core.grid.parts import FileFormat
-from meshdeform_core.repair import energy, onset, untangle
+from meshdeform_core.repair import energy, outcome, untangle
 
 BODY = {"where": "abs(x) < 0.51 and abs(y) < 0.51", "select": ["*.i*", "*.j*"], "kind": "moving", "name": "body"}
 STILL = [{"displace": ["0", "0", "0"]}]
@@ -78,7 +78,7 @@ def early(monkeypatch):
     values = {"HEALTHY": healthy, "BETWEEN": between, "FULL": full, "ALONG": (between / full) ** 2}
     for name, value in values.items():
         monkeypatch.setattr(energy, name, value)
-    monkeypatch.setattr(onset.unhealthy_cells, "__defaults__", (healthy,))
+    monkeypatch.setattr(outcome.unhealthy_cells, "__defaults__", (healthy,))
     monkeypatch.setattr(stepping, "AS_PLANE", 2.0)
 
 

@@ -113,7 +113,7 @@ def test_components_may_pass_through_each_other_but_not_through_themselves():
     assert not [text for text in through.warnings if "crosses" in text]
     out = dataclasses.replace(shift, motion=constant(2.5, 0.0, 0.0))
     setup = set_up(GRID, case((out, BAR[1], BAR[2], *RING, *FIXED), components=BY_PREFIX))
-    contact = setup.undeformed.crossing_test.contact(setup.motion(0.0))
+    contact = setup.undeformed.contact(setup.motion(0.0))
     assert contact is not None
     assert {name for crossing in contact.crossings for name in crossing.patches} <= {"bar", "bar far"}
 

@@ -24,11 +24,11 @@ NEAR = expression(INNER, {"x", "y", "z"})
 
 def contact(grid: Grid, *specs: BoundarySpec) -> Contact | None:
     setup = set_up(grid, Case(specs))
-    return setup.undeformed.crossing_test.contact(lambda part: setup.displacement(0.0, part))
+    return setup.undeformed.contact(lambda part: setup.displacement(0.0, part))
 
 
 def crossings(setup: Setup):
-    return setup.undeformed.crossing_test.crossings(setup.displacement(0.0))
+    return setup.undeformed.crossings(setup.displacement(0.0))
 
 
 def moving(name: str, select: str, motion: Motion, where=None) -> BoundarySpec:

@@ -6,7 +6,7 @@ from grids import frame
 
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.repair.energy import share_of
-from meshdeform_core.repair.onset import unhealthy_cells
+from meshdeform_core.repair.outcome import unhealthy_cells
 from meshdeform_core.repair.region import Basis
 
 GRID = frame(4, 3)

@@ -14,7 +14,7 @@ from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.methods import Options
 from meshdeform_core.parallel import Ranks
-from meshdeform_core.repair.limit import Limit
+from meshdeform_core.repair.options import Limit
 from meshdeform_core.setup import Timing
 from meshdeform_core.stepping import Course, beginning, prepared_on
 

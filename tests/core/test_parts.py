@@ -275,7 +275,7 @@ def test_ranks_share_the_test_whether_walls_cross(tmp_path, small_pieces, poison
     def found():
         setup = set_up(read_grid(tmp_path / "grid.cgns"), case)
         del asked[:]
-        return setup.undeformed.crossing_test.crossings(setup.displacement(0.0)), sum(asked)
+        return setup.undeformed.crossings(setup.displacement(0.0)), sum(asked)
 
     expected, faces = found()
     assert expected[0].patches == ("floor", "floor")

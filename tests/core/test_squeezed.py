@@ -14,7 +14,7 @@ from meshdeform_core import stepping
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, Timing, deform, impose, set_up
 from meshdeform_core.grid import Grid
-from meshdeform_core.repair import limit
+from meshdeform_core.repair import options
 
 
 def butterfly(n=5, layers=4, planes=27):
@@ -56,7 +56,7 @@ def test_work_is_limited_by_counts(monkeypatch):
     """The same wherever it is done; whatever was found is kept, and the reason told."""
     body, _ = body_specs(turning("110"), Kind.SLIP)
     case = Case((dataclasses.replace(body, select=("*",)),))
-    monkeypatch.setattr(limit, "_PER_NODE", 1e-6)
+    monkeypatch.setattr(options, "_PER_NODE", 1e-6)
     short, again = deform(frame_2d(6), case), deform(frame_2d(6), case)
     assert not short.valid
     assert sum(a.repair for a in short.attempts) == 1
@@ -78,7 +78,7 @@ def test_of_two_methods_the_grid_with_fewer_invalid_cells_is_kept(rescued, kept,
 
 
 def test_a_squeezed_valid_grid_may_take_up_to_the_work_of_an_invalid_one():
-    whole = limit.Limit.of(50_000, 1.0)
+    whole = options.Limit.of(50_000, 1.0)
     sound, bound, half, least, invalid = (
         whole.of_repair(50_000, ratio).affords(1.0) for ratio in (1.0, 0.22, 0.11, 1e-9, 0.0)
     )
