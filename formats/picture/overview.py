@@ -17,23 +17,28 @@ from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.selection import select_quads
 from meshdeform_core.numerics.arrays import extent
 
-from .page import Choice, Page, Panel
+from .page import Page, Panel, Scale
 from .scene import (
     Layer,
     Scene,
+    View,
+    Window,
+    along,
     cut_facets,
     cut_scene,
     face_layers,
+    facing,
     index_layers,
+    iso,
     joined,
     layer_facets,
     layer_scene,
     onto_walls,
+    towards,
     wall_edges,
     whole_scene,
 )
 from .subject import Subject, quads_of_surfaces, worst_cell
-from .view import View, Window, along, facing, iso, towards
 
 _SMALL = 0.3
 """Details smaller than this fraction of the picture along its larger side get a close-up."""
@@ -43,19 +48,19 @@ _AROUND = 7
 """Number of cells that a close-up shows on either side of the worst one."""
 
 
-def overview(subject: Subject, choice: Choice, title: str = "") -> Page:
+def overview(subject: Subject, scale: Scale, title: str = "") -> Page:
     """A plane or extruded grid in plan view; else the walls and a cut, or the outside, in space.
 
     Small details have a close-up.
     """
-    metric, bodies = choice.metric, subject.outside.bodies
+    metric, bodies = scale.metric, subject.outside.bodies
     scene = whole_scene(subject, metric)
     if scene is not None:
-        return Page.of(_with_close_up(subject, scene), choice, title)
+        return Page.of(_with_close_up(subject, scene), scale, title)
     if not bodies:
         outside = layer_scene(subject, face_layers(subject, np.flatnonzero(subject.topology.external)), metric, iso())
         window = outside.view.window(outside.facets.corners).shaped(0.5, _TALL)
-        return Page.of([Panel(outside, window, "outside")], choice, title)
+        return Page.of([Panel(outside, window, "outside")], scale, title)
     walls = layer_scene(subject, face_layers(subject, quads_of_surfaces(bodies)), metric, onto_walls(subject))
     backdrop = [each for each in subject.outside.of_role(Role.SYMMETRY, Role.WALL) if each not in bodies]
     if backdrop:
@@ -68,7 +73,7 @@ def overview(subject: Subject, choice: Choice, title: str = "") -> Page:
     near = cut.view.window(points, 0.3).shaped(0.6, _TALL).moved_into(cut.view.window(cut.facets.corners, 0.0))
     axis = int(np.argmax(np.abs(plane.normal)))
     where = f"cut {'xyz'[axis]} = {plane.point[axis]:.4g}"
-    return Page.of([Panel(walls, around, "walls"), Panel(cut, near, where)], choice, title)
+    return Page.of([Panel(walls, around, "walls"), Panel(cut, near, where)], scale, title)
 
 
 def _with_close_up(subject: Subject, scene: Scene) -> list[Panel]:
@@ -92,14 +97,14 @@ def _with_close_up(subject: Subject, scene: Scene) -> list[Panel]:
     return [dataclasses.replace(panel, title="whole grid", frames=(near,)), Panel(scene, near, "close-up")]
 
 
-def _twins(scenes: Sequence[Scene], windows: Sequence[Window], choice: Choice) -> Page:
+def _twins(scenes: Sequence[Scene], windows: Sequence[Window], scale: Scale) -> Page:
     """The same part of two grids side by side in common colours, from the first one's direction."""
     view = scenes[0].view
     panels = [
         Panel(dataclasses.replace(scene, view=view), window, name)
         for scene, window, name in zip(scenes, windows, ("before", "after"), strict=True)
     ]
-    return Page.of(panels, choice)
+    return Page.of(panels, scale)
 
 
 def moved_walls(old: Subject, new: Subject, quads: IntArray) -> Page | None:
@@ -108,15 +113,15 @@ def moved_walls(old: Subject, new: Subject, quads: IntArray) -> Page | None:
         return None
     walls = layer_scene(new, face_layers(new, quads), "displacement", onto_walls(old))
     window = walls.view.window(walls.facets.corners, 0.06).shaped(0.6, 1.0)
-    return Page.of([Panel(walls, window)], Choice("displacement"))
+    return Page.of([Panel(walls, window)], Scale("displacement"))
 
 
 def quality_planes(old: Subject, new: Subject) -> Page:
     """The plane of a flat grid, else a cut through the middle of the bodies, around its walls, before and after, in the
     same frame and colours."""
-    choice = Choice()
+    scale = Scale()
     before, after = (
-        whole_scene(each, choice.metric) or cut_scene(each, each.middle_plane(), choice.metric) for each in (old, new)
+        whole_scene(each, scale.metric) or cut_scene(each, each.middle_plane(), scale.metric) for each in (old, new)
     )
     whole = before.view.window(before.facets.corners, 0.0)
     points = np.concatenate([subject.corners(old.outside.bodies) for subject in (old, new)])
@@ -124,24 +129,24 @@ def quality_planes(old: Subject, new: Subject) -> Page:
         window = before.view.window(points, 0.6).within(whole).shaped(0.5, 0.9).moved_into(whole)
     else:
         window = whole.grown(0.02 * whole.larger_side).shaped(0.3, 1.0)
-    return _twins([before, after], (window, window), choice)
+    return _twins([before, after], (window, window), scale)
 
 
-def worst_cells(old: Subject, new: Subject, block: int, cell: Shape, choice: Choice | None = None) -> Page:
+def worst_cells(old: Subject, new: Subject, block: int, cell: Shape, scale: Scale | None = None) -> Page:
     """The surroundings of a cell (0-based ``cell`` of ``block``) before and after, on the same scale.
 
     In space it is the index plane of the block through the cell, and where its plane cuts the other blocks.
     """
-    choice = choice or Choice()
-    scenes = [whole_scene(subject, choice.metric) for subject in (old, new)]
+    scale = scale or Scale()
+    scenes = [whole_scene(subject, scale.metric) for subject in (old, new)]
     found = [scene for scene in scenes if scene is not None]
     if len(found) < 2:
         axis, normal = telling_plane(old.grid, new.grid, block, cell)
         found, view = [], facing(normal)
         for subject in (old, new):
-            own = layer_facets(subject, [Layer(block, axis, cell[axis])], choice.metric)
+            own = layer_facets(subject, [Layer(block, axis, cell[axis])], scale.metric)
             plane = Plane(_nodes_around(subject.grid, block, cell).mean(axis=0), normal)
-            cut = cut_facets(subject, plane, choice.metric)
+            cut = cut_facets(subject, plane, scale.metric)
             # Drawn behind the index plane, which may deviate from the plane in space but stays in front everywhere.
             behind = dataclasses.replace(cut, corners=cut.corners - subject.size * view.towards)
             found.append(Scene(joined([own, behind]), view))
@@ -157,7 +162,7 @@ def worst_cells(old: Subject, new: Subject, block: int, cell: Shape, choice: Cho
         # Where cells grow quickly, the window is limited so that the worst cell remains visible.
         reach = max(reach, min(float(np.quantile(near, 0.7)), 8.0 * float(close.max())))
         centers.append(center.tolist())
-    return _twins(found, [Window(x - reach, x + reach, y - 0.8 * reach, y + 0.8 * reach) for x, y in centers], choice)
+    return _twins(found, [Window(x - reach, x + reach, y - 0.8 * reach, y + 0.8 * reach) for x, y in centers], scale)
 
 
 def _nodes_around(grid: Grid, block: int, cell: Shape, more: int = 0) -> FloatArray:
@@ -206,7 +211,7 @@ class PlotOptions:
     def __post_init__(self) -> None:
         if self.plane and self.select:
             raise CaseError(f"{self.lead}plane and {self.lead}select exclude each other; give one of them")
-        _ = self.choice, self.layer, self.direction, self.window
+        _ = self.scale, self.layer, self.direction, self.window
 
     @property
     def plain(self) -> bool:
@@ -214,16 +219,16 @@ class PlotOptions:
         return not (self.plane or self.select or self.zoom) and self.view == "auto"
 
     @cached_property
-    def choice(self) -> Choice:
+    def scale(self) -> Scale:
         """What colours the cells."""
         if self.limits is None:
-            return Choice(self.metric, None, self.log)
+            return Scale(self.metric, None, self.log)
         # The command line has another name for it than Python, where `range` is a built-in function.
         name = f"{self.lead}range" if self.lead else "limits"
         low, high = _numbers(name, self.limits, "low,high", 2)
         if not low < high:
             raise CaseError(f"{name} {self.limits!r}: expected low < high")
-        return Choice(self.metric, (low, high), self.log)
+        return Scale(self.metric, (low, high), self.log)
 
     @property
     def layer(self) -> tuple[str, float | None] | None:
@@ -285,14 +290,14 @@ def picture(subject: Subject, options: PlotOptions, title: str = "") -> Page:
 
     Raises CaseError when a plane does not meet the grid, or a name matches nothing.
     """
-    choice = options.choice
+    scale = options.scale
     if options.plain:
-        return overview(subject, choice, title)
+        return overview(subject, scale, title)
     if options.close == "worst":
-        block, cell = worst_cell(subject, choice.metric)
+        block, cell = worst_cell(subject, scale.metric)
         # The undeformed grid compared with itself, for measures that compare.
         old = Subject(subject.reference, subject.topology, subject.reference) if subject.reference else subject
-        page = worst_cells(old, subject, block, cell, choice)
+        page = worst_cells(old, subject, block, cell, scale)
         before, after = page.panels
         after = dataclasses.replace(after, title=f"worst cell: {subject.grid.label(block, cell)}")
         panels = (after,) if subject.reference is None else (before, after)
@@ -314,12 +319,12 @@ def picture(subject: Subject, options: PlotOptions, title: str = "") -> Page:
         window = scene.view.window(subject.corners(subject.wall_surfaces), 0.3).shaped(0.4, 1.2)
     else:
         window = scene.view.window(scene.facets.corners, 0.03).shaped(0.05, 1.4)
-    return Page.of([Panel(scene, window)], choice, title)
+    return Page.of([Panel(scene, window)], scale, title)
 
 
 def _scene(subject: Subject, options: PlotOptions) -> Scene:
     """The part of a grid that options name, in the direction that they ask for."""
-    metric, (axis, at) = options.choice.metric, options.layer or ("", None)
+    metric, (axis, at) = options.scale.metric, options.layer or ("", None)
     if options.select:
         if subject.grid.dimension == 2:
             raise CaseError("a 2-D grid has no surfaces to select; leave --select out to draw the whole grid")

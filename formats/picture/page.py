@@ -15,12 +15,12 @@ import numpy as np
 
 from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.grid import FloatArray
+from meshdeform_core.quality.fields import CELL_MEASURES
 
 from ..files import replacing
 from .raster import FINE, render
-from .scene import Facets, Scene
-from .subject import METRICS, Metric
-from .view import View, Window
+from .scene import Facets, Scene, View, Window
+from .subject import AROUND_ONE, OF_CORNERS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,7 +30,8 @@ if TYPE_CHECKING:
 INVALID_COLOUR = (0.90, 0.00, 0.42)
 """Not in any of the colour maps; colour-blind people can distinguish it from them by lightness or hue."""
 _REACHES = (0.01, 0.02, 0.05)
-"""Shortest ranges for metrics with a fixed end; longer ones are multiples of a tenth."""
+"""Shortest ranges for metrics between 0 and 1; longer ones are multiples of a tenth."""
+_WITHIN_ONE = ("f_skew", "scaled_jacobian")
 SEQUENTIAL, DIVERGING = "viridis", "PuOr"
 NO_VALUE = (0.86, 0.86, 0.87)
 SUFFIXES = (".png", ".svg", ".pdf")
@@ -60,13 +61,13 @@ _HIGH = 3.5
 class Scale:
     """Mapping of values to colours.
 
-    ``low`` and ``high`` are the ends, ``logarithmic`` how they are spaced between them, ``extended`` which ends values
-    exceed (``neither``, ``min``, ``max``, ``both``, as for matplotlib's colour bars).
+    ``limits`` are the ends (``None``: those that :meth:`fitted` finds), ``logarithmic`` how values are spaced between
+    them, ``extended`` which ends values exceed (``neither``, ``min``, ``max``, ``both``, as for matplotlib's colour
+    bars).
     """
 
-    metric: str
-    low: float
-    high: float
+    metric: str = "f_skew"
+    limits: tuple[float, float] | None = None
     logarithmic: bool = False
     extended: str = "neither"
 
@@ -76,66 +77,53 @@ class Scale:
         from matplotlib.cm import ScalarMappable
         from matplotlib.colors import LogNorm, Normalize
 
-        colours = DIVERGING if METRICS[self.metric].diverging else SEQUENTIAL
-        return ScalarMappable((LogNorm if self.logarithmic else Normalize)(self.low, self.high, clip=True), colours)
+        low, high = self.limits or (None, None)
+        colours = DIVERGING if self.metric in AROUND_ONE else SEQUENTIAL
+        return ScalarMappable((LogNorm if self.logarithmic else Normalize)(low, high, clip=True), colours)
 
     def colours(self, facets: Facets) -> FloatArray:
         """RGB (n, 3) of polygons by value; invalid cells have a colour of their own, those without a value are grey."""
         known = np.isfinite(facets.values)
-        colours = np.asarray(self.mappable.to_rgba(np.where(known, facets.values, self.low)))[:, :3]
+        colours = np.asarray(self.mappable.to_rgba(np.where(known, facets.values, 1.0)))[:, :3]
         colours[~known] = NO_VALUE
         colours[facets.bad] = INVALID_COLOUR
         return colours
 
-
-@dataclass(frozen=True)
-class Choice:
-    """Metric and scale of the colours.
-
-    ``limits`` of the colours, ``logarithmic`` scale.
-    """
-
-    metric: str = "f_skew"
-    limits: tuple[float, float] | None = None
-    logarithmic: bool = False
-
-    def scale(self, *values: FloatArray) -> Scale:
-        """Colours for all values (n,) together: between the limits, else the metric's own, else the ends of the values.
+    def fitted(self, *values: FloatArray) -> Scale:
+        """For all values (n,) together: between the limits, else the metric's own, else the ends of the values.
 
         Raises CaseError when a logarithmic scale is requested but no value is positive.
         """
-        known, finite = METRICS[self.metric], np.concatenate(values)
+        finite = np.concatenate(values)
         finite = finite[np.isfinite(finite)]
         if self.logarithmic:
             finite = finite[finite > 0]
             if finite.size == 0 or (self.limits is not None and self.limits[0] <= 0):
                 raise CaseError(f"--log: {self.metric} has no positive value, or the range does not begin above zero")
-        low, high = self.limits or _ends_of_colours(finite, known, self.logarithmic)
+        low, high = self.limits or self._ends(finite)
         beyond = bool((finite < low - 1e-12 * abs(low)).any()), bool((finite > high + 1e-12 * abs(high)).any())
         extended = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}[beyond]
-        return Scale(self.metric, low, high, self.logarithmic, extended)
+        return Scale(self.metric, (low, high), self.logarithmic, extended)
 
-
-def _ends_of_colours(finite: FloatArray, known: Metric, logarithmic: bool) -> tuple[float, float]:
-    """The ends of the colours for values (n,)."""
-    if known.limits is not None and not logarithmic:
-        fixed = known.limits
-        # The good end stays; the other follows the data, in steps that make round labels.
-        worst = fixed[1] - max(float(finite.min()) if finite.size else fixed[0], fixed[0])
-        reach = next((step for step in _REACHES if worst <= step + 1e-9), np.ceil(10 * worst - 1e-9) / 10)
-        return round(fixed[1] - reach, 2), fixed[1]
-    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
-    if known.diverging:
-        # The neutral value, 1, in the middle.
-        if logarithmic:
-            factor = max(high, 1.0 / low, 1.001)
-            return 1.0 / factor, factor
-        reach = max(abs(high - 1.0), abs(1.0 - low), 1e-3)
-        return 1.0 - reach, 1.0 + reach
-    if high - low <= 1e-12 * max(abs(low), abs(high)):
-        pad = 0.5 * abs(low) or 0.5
-        return (0.5 * low, 2 * low) if logarithmic else (low - pad, high + pad)
-    return low, high
+    def _ends(self, finite: FloatArray) -> tuple[float, float]:
+        """The ends of the colours for values (n,)."""
+        if self.metric in _WITHIN_ONE and not self.logarithmic:
+            # The good end stays; the other follows the data, in steps that make round labels.
+            worst = 1.0 - max(float(finite.min()) if finite.size else 0.0, 0.0)
+            reach = next((step for step in _REACHES if worst <= step + 1e-9), np.ceil(10 * worst - 1e-9) / 10)
+            return round(1.0 - reach, 2), 1.0
+        low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+        if self.metric in AROUND_ONE:
+            # The neutral value in the middle.
+            if self.logarithmic:
+                factor = max(high, 1.0 / low, 1.001)
+                return 1.0 / factor, factor
+            reach = max(abs(high - 1.0), abs(1.0 - low), 1e-3)
+            return 1.0 - reach, 1.0 + reach
+        if high - low <= 1e-12 * max(abs(low), abs(high)):
+            pad = 0.5 * abs(low) or 0.5
+            return (0.5 * low, 2 * low) if self.logarithmic else (low - pad, high + pad)
+        return low, high
 
 
 @dataclass(frozen=True)
@@ -168,10 +156,9 @@ class Page:
     scale: Scale
 
     @classmethod
-    def of(cls, panels: Sequence[Panel], choice: Choice, title: str = "") -> Page:
+    def of(cls, panels: Sequence[Panel], scale: Scale, title: str = "") -> Page:
         """Panels in the colours of all their values together."""
-        scale = choice.scale(*(panel.scene.facets.values for panel in panels))
-        return cls(tuple(panels), title, scale)
+        return cls(tuple(panels), title, scale.fitted(*(panel.scene.facets.values for panel in panels)))
 
     @property
     def explained(self) -> set[str]:
@@ -265,13 +252,16 @@ def _frames(figure: Figure, page: Page) -> list[Axes]:
             ax.set(xlabel=panel.scene.view.labels[0], ylabel=panel.scene.view.labels[1])
         else:
             ax.set_axis_off()
-    known = METRICS[page.scale.metric]
-    # Keeps the label shorter than the bar.
-    label = known.label if figure.get_figheight() > _HIGH else known.label.replace(" (", "\n(")
+    metric = page.scale.metric
+    label = CELL_MEASURES[metric].definition
+    if figure.get_figheight() <= _HIGH:
+        # Shorter than the bar.
+        label = label.replace(" (", "\n(")
     bar = figure.colorbar(page.scale.mappable, ax=axes, label=label, shrink=0.85, aspect=28, pad=0.015,
                           extend=page.scale.extended)  # fmt: skip
     bar.outline.set_linewidth(0.5)
-    legend = [(known.absent, NO_VALUE)] if "absent" in page.explained else []
+    absent = "collapsed edge" if metric in OF_CORNERS else "no value"
+    legend = [(absent, NO_VALUE)] if "absent" in page.explained else []
     legend += [("invalid cell", INVALID_COLOUR)] if "invalid" in page.explained else []
     if legend:
         entries = [Patch(facecolor=colour, edgecolor="0.3", linewidth=0.4, label=name) for name, colour in legend]

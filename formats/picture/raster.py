@@ -9,8 +9,7 @@ import numpy as np
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.numerics.jit import kernel
 
-from .scene import Scene, stacked
-from .view import Window
+from .scene import Scene, Window, stacked
 
 FINE = 3
 """Oversampling factor in each direction; the pixels are averaged."""

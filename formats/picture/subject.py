@@ -14,42 +14,19 @@ from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.surfaces import Surface, thin_direction
 from meshdeform_core.numerics.arrays import extent
 from meshdeform_core.numerics.geometry.vectors import doubled_areas
-from meshdeform_core.quality.fields import CELL_MEASURES, CellFields, Cells
+from meshdeform_core.quality.fields import CellFields, Cells
 
 _ROUND_OFF = 1e-9
 _ALONG = 1 - 1e-6
-_CORNERS = ("f_skew", "scaled_jacobian", "jacobian")
+OF_CORNERS = ("f_skew", "scaled_jacobian", "jacobian")
 """Measures of corners: zero at collapsed edges, whatever the shape of the cell."""
-
-
-@dataclass(frozen=True)
-class Metric:
-    """The measure that colours cells: its values, the label of the colour bar, the range that is always shown, if any.
-
-    ``diverging`` measures have the neutral value 1; for ``rising`` ones large values are bad; ``absent`` is why cells
-    have no value.
-    """
-
-    label: str
-    limits: tuple[float, float] | None = None
-    diverging: bool = False
-    rising: bool = False
-    absent: str = "no value"
-
-
-_LIMITS = {"f_skew": (0.0, 1.0), "scaled_jacobian": (0.0, 1.0)}
-_DIVERGING = ("volume_ratio", "first_cell_height_ratio")
+AROUND_ONE = ("volume_ratio", "first_cell_height_ratio")
+"""Measures whose neutral value is 1."""
 _RISING = (
     "displacement", "aspect_ratio", "growth_ratio", "non_orthogonality_deg", "skewness", "wall_normal_deviation_deg",
     "interface_kink_deg", "interface_spacing_jump",
 )  # fmt: skip
-METRICS = {
-    name: Metric(
-        measure.definition, _LIMITS.get(name), name in _DIVERGING, name in _RISING,
-        "collapsed edge" if name in _CORNERS else "no value",
-    )
-    for name, measure in CELL_MEASURES.items()
-}  # fmt: skip
+"""Measures of which large values are bad."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +37,7 @@ class Subject(CellFields):
         """:meth:`values` for the colours of a box of cells: NaN where a collapsed edge makes a measure of corners zero,
         which says nothing of the cell."""
         values = self.values(metric, block, cells)
-        if metric not in _CORNERS:
+        if metric not in OF_CORNERS:
             return values
         return np.where(np.abs(self.measure(block, cells).scaled) <= _ROUND_OFF, np.nan, values)
 
@@ -178,7 +155,6 @@ def worst_cell(subject: Subject, metric: str) -> tuple[int, Shape]:
 
     Worst is the smallest value, for rising measures the largest, for ratios the one farthest from 1.
     """
-    known = METRICS[metric]
     # Badness (smallest is worst), block and place among the cells that this rank holds.
     best = (np.inf, 0, (0, 0, 0))
     with subject.ready(metric):
@@ -187,8 +163,8 @@ def worst_cell(subject: Subject, metric: str) -> tuple[int, Shape]:
             if cells[0].start == cells[0].stop:
                 continue
             values, bad = subject.shown(metric, block, cells), subject.bad(block, cells)
-            rank = -values if known.rising else values
-            if known.diverging:
+            rank = -values if metric in _RISING else values
+            if metric in AROUND_ONE:
                 rank = -np.abs(np.log(np.maximum(values, 1e-300)))
             rank = np.where(np.isfinite(values), rank, np.inf)
             if bad.any():

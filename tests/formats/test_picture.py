@@ -14,11 +14,21 @@ from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality.cells import measure_block
 from meshdeform_formats.picture.overview import moved_walls, overview, quality_planes, telling_plane, worst_cells
-from meshdeform_formats.picture.page import INVALID_COLOUR, Choice, Page, Panel, page_png
+from meshdeform_formats.picture.page import INVALID_COLOUR, Page, Panel, Scale, page_png
 from meshdeform_formats.picture.raster import render
-from meshdeform_formats.picture.scene import Facets, Scene, cut_facets, face_layers, index_layers, layer_facets
+from meshdeform_formats.picture.scene import (
+    Facets,
+    Scene,
+    Window,
+    along,
+    cut_facets,
+    face_layers,
+    index_layers,
+    iso,
+    layer_facets,
+    towards,
+)
 from meshdeform_formats.picture.subject import Subject, worst_cell
-from meshdeform_formats.picture.view import Window, along, iso, towards
 from meshdeform_samples import load
 
 
@@ -27,7 +37,7 @@ def subject(grid, reference=None):
 
 
 def scale_of(metric, values, limits=None, logarithmic=False):
-    return Choice(metric, limits, logarithmic).scale(values)
+    return Scale(metric, limits, logarithmic).fitted(values)
 
 
 def area(corners):
@@ -88,7 +98,7 @@ def test_surfaces_and_planes_have_the_values_of_the_cells_behind():
 
 def test_walls_in_space_before_a_symmetry_plane_and_a_cut():
     s = subject(load("wing").generate(8))
-    solid, cut = overview(s, Choice()).panels[:2]
+    solid, cut = overview(s, Scale()).panels[:2]
     assert solid.scene.lit
     assert not solid.scene.view.flat
     assert cut.scene.view.flat
@@ -99,13 +109,13 @@ def test_walls_in_space_before_a_symmetry_plane_and_a_cut():
 
 @pytest.mark.parametrize("grid", [frame(), frame_2d(), polar()])
 def test_flat_and_extruded_grids_from_above(grid):
-    page = overview(subject(grid), Choice())
+    page = overview(subject(grid), Scale())
     assert page.panels
     assert all(panel.scene.view.flat and panel.scene.view.labels == ("x", "y") for panel in page.panels)
 
 
 def test_a_small_body_has_a_close_up():
-    whole, near = overview(subject(load("airfoil").generate(41)), Choice()).panels[:2]
+    whole, near = overview(subject(load("airfoil").generate(41)), Scale()).panels[:2]
     assert whole.frames == (near.window,)
     assert near.window.width < 2.5 < whole.window.width
 
@@ -119,7 +129,7 @@ def covered(panel):
 
 def test_a_duct_fills_the_picture_and_the_wall_that_it_ends_in_is_behind_it():
     s = subject(plenum())
-    (solid, *_) = overview(s, Choice()).panels
+    (solid, *_) = overview(s, Scale()).panels
     assert {body.name for body in s.outside.bodies} == {f"block1.{side}" for side in ("jmin", "jmax", "kmin", "kmax")}
     assert covered(solid) > 0.2
     assert solid.scene.view.towards[0] < 0
@@ -135,7 +145,7 @@ def test_invalid_cells_have_their_own_colour_and_are_counted():
     broken = subject(grid.moved(points), grid)
     facets = layer_facets(broken, index_layers(grid, 2, 2), "f_skew")
     assert facets.bad.any()
-    colours = Choice().scale(facets.values).colours(facets)
+    colours = Scale().fitted(facets.values).colours(facets)
     assert (colours[facets.bad] == INVALID_COLOUR).all()
     assert not (np.abs(colours[~facets.bad] - INVALID_COLOUR).max(axis=1) < 0.05).any()
     block, cell = worst_cell(broken, "f_skew")
@@ -150,23 +160,20 @@ def test_collapsed_edges_alone_are_not_invalid():
     s = subject(grid.moved(points))
     assert not s.bad(0, s.whole(0)).any()
     # f_skew, which is zero there, says nothing of them; the legend explains their colour.
-    page = overview(s, Choice())
+    page = overview(s, Scale())
     assert page.explained == {"absent"}
-    assert page.scale is not None
-    assert page.scale.low > 0.9
+    assert page.scale.limits[0] > 0.9
     assert worst_cell(s, "f_skew")[1][1] > 0
 
 
 def test_ranges_follow_the_data():
     values = np.array([0.87, 0.93, 0.99])
-    assert (Choice().scale(values).low, Choice().scale(values).high) == (0.8, 1.0)
-    lows = [scale_of("f_skew", 1 - spread * values).low for spread in (0.0, 0.005, 0.01, 0.05)]
+    assert Scale().fitted(values).limits == (0.8, 1.0)
+    lows = [scale_of("f_skew", 1 - spread * values).limits[0] for spread in (0.0, 0.005, 0.01, 0.05)]
     assert lows == [0.99, 0.99, 0.99, 0.95]
-    assert (scale_of("volume", values).low, scale_of("volume", values).high) == (0.87, 0.99)
-    ratio = scale_of("volume_ratio", np.array([0.5, 1.2]))
-    assert (ratio.low, ratio.high) == (0.5, 1.5)
-    logarithmic = scale_of("volume_ratio", np.array([0.5, 4.0]), logarithmic=True)
-    assert (logarithmic.low, logarithmic.high) == (0.25, 4.0)
+    assert scale_of("volume", values).limits == (0.87, 0.99)
+    assert scale_of("volume_ratio", np.array([0.5, 1.2])).limits == (0.5, 1.5)
+    assert scale_of("volume_ratio", np.array([0.5, 4.0]), logarithmic=True).limits == (0.25, 4.0)
     assert scale_of("volume", values, (0.9, 2.0)).extended == "min"
     with pytest.raises(CaseError, match="no positive value"):
         scale_of("displacement", np.zeros(3), logarithmic=True)
@@ -227,7 +234,6 @@ def test_moved_walls_are_coloured_by_their_motion():
     before = load("wing").generate(8)
     old, new = subject(before), subject(before.moved(before.points + [0.0, 0.0, 0.25]), before)
     page = moved_walls(old, new, np.concatenate([w.quads for w in old.outside.of_role(Role.WALL)]))
-    assert page.scale is not None
     np.testing.assert_allclose(page.panels[0].scene.facets.values, 0.25)
 
 
@@ -247,6 +253,6 @@ def test_thin_invalid_cells_have_edges_of_their_colour():
     thin = np.array([[[0, 0.5, 0], [1, 0.5, 0], [1, 0.5001, 0], [0, 0.5001, 0]]])
     facets = Facets(thin, np.zeros(1), np.ones(1, dtype=bool))
     panel = Panel(Scene(facets, along("z")), Window(0.0, 1.0, 0.0, 1.0))
-    with Image.open(io.BytesIO(page_png(Page.of([panel], Choice()), 3.0, 100))) as png:
+    with Image.open(io.BytesIO(page_png(Page.of([panel], Scale()), 3.0, 100))) as png:
         pixels = np.asarray(png.convert("RGB")) / 255
     assert (np.abs(pixels - INVALID_COLOUR).max(axis=-1) < 0.3).sum() > 100
