@@ -13,7 +13,7 @@ from grids import frame, frame_2d
 from meshdeform_core.errors import MethodError
 from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.methods import IDW, RBF, Options, make_method
-from meshdeform_core.methods.scattered import fast_idw_sums
+from meshdeform_core.methods.scattered import idw_sums
 from meshdeform_core.methods.scattered.summation import doubtful
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.exact.direct import sum_groups
@@ -105,7 +105,7 @@ def test_two_dimensional_grid():
 def test_error_that_is_too_large_is_found_and_mended(problem, monkeypatch):
     options = Options("idw", idw=IDW(summation="fast", summation_tolerance=1e-3))
     exact = apply(Options("idw", idw=IDW(summation="exact")), problem, told(problem))
-    monkeypatch.setattr(fast_idw_sums, "SHARE", 3e4)
+    monkeypatch.setattr(idw_sums, "SHARE", 3e4)
     prepared = make_method(options).prepare(problem)
     error = np.linalg.norm(prepared.apply(told(problem)) - exact, axis=1) / cell_sizes(problem)
     assert prepared.account.settings["sampled_error"].value <= 1e-3

@@ -31,7 +31,7 @@ from ..limits import (
     warn_of_rotation,
 )  # fmt: skip
 from ..options import MethodOptions, option
-from .idw_sums import ExactSums, SourceValues
+from .idw_sums import ExactSums, SourceValues, apply_fast, interpolation_order, sums_of_groups
 from .images import mirror_images, motion_values, transition_of
 from .summation import Summation, fast_pays, summation_tolerance
 from .tuned import ALPHA_CAP, FAR, FAR_IN_PLANES, FAR_OF_ONE_BODY, ROUNDS, STEEPER, WIDTH, WIDTH_IN_PLANES
@@ -168,10 +168,10 @@ class PreparedIDW:
         self.fast: FastSums | None = None
         if fast:
             self.account.settings |= options.used("summation_tolerance")
-            # Imported here, as its loops take a while to load and exact sums need none of them.
-            from .fast_idw_sums import fast_sums
-
-            self.fast = fast_sums(self)
+            problem.grid.hold_neighbours()
+            order = interpolation_order(options.summation_tolerance)
+            # Up to half of the remaining memory may hold data between displacements.
+            self.fast = sums_of_groups(self, self.groups, order, problem.memory.size // 2)
 
     @property
     def _rounds(self) -> int:
@@ -269,8 +269,6 @@ class PreparedIDW:
             rows[flat] = self.displacement(fit, flat, np.ascontiguousarray(sums.T))
 
         if self.fast:
-            from .fast_idw_sums import apply_fast
-
             apply_fast(self, self.fast, fit, use_sums, out, report)
         else:
             ExactSums(self, fit.weights).apply(fit.values, use_sums, progress=report)

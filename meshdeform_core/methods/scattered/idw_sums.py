@@ -1,22 +1,32 @@
-"""The values that IDW sums over its sources, and exact sums; :mod:`.fast_idw_sums` sums over clusters of sources."""
+"""The values that IDW sums over its sources, and their sums, exact or fast over clusters of sources; ``method`` is a
+:class:`.idw.PreparedIDW`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...grid import BoolArray, FloatArray, IntArray
+from ...numerics.arrays import Report, weighted_total
 from ...numerics.exact.direct import N_VALUES, weighted_sums
+from ...numerics.fastsum.tuned import SHARE, SINGLE_TOLERANCE
 from ...numerics.frame import Frame
 from ...numerics.rigid import NO_TRANSITION, Transition
 from ...parallel import Nodes, empty, for_chunks
+from .summation import largest_error, sum_accurately
+
+if TYPE_CHECKING:
+    from ...numerics.fastsum.weighted import FastSums
 
 _CHUNK = 2048
 _PORTIONS = 32
+CHECKED = 64
+"""Nodes per chunk when fast sums are compared with exact ones."""
 
 Weights = tuple[tuple[float, float, float], ...]
 Use = Callable[[slice, IntArray, FloatArray], object]
@@ -46,8 +56,8 @@ class SourceValues:
 class ExactSums:
     """Exact sums of values over the sources, every node with every source, and their transposes.
 
-    Interface as :class:`...numerics.fastsum.weighted.FastSums`; ``method`` is a :class:`.idw.PreparedIDW`, ``acting``
-    (n,) are the sources with values other than zero, by default all.
+    Interface as :class:`...numerics.fastsum.weighted.FastSums`; ``acting`` (n,) are the sources with values other than
+    zero, by default all.
     """
 
     def __init__(self, method: Any, weights: Weights, acting: BoolArray | None = None) -> None:
@@ -115,3 +125,59 @@ class ExactSums:
         gradient = np.zeros((k, n))
         gradient[:, self.acting] = sum(totals[portion] for portion in range(self.portions))
         return gradient
+
+
+def interpolation_order(tolerance: float) -> int:
+    """Interpolation points per side of a cube for a relative tolerance: 4 for 1e-2, 5 for 1e-4, 7 for 1e-8."""
+    return 3 + math.ceil(-0.5 * math.log10(tolerance) - 1e-9)
+
+
+def sums_of_groups(method: Any, groups: Sequence[IntArray], order: int, room: int, *per_point: int) -> FastSums:
+    """Sums over clusters of groups of sources; arguments as of ``FastSums`` and ``make_targets``."""
+    # Imported here, as its loops take a while to load and exact sums need none of them.
+    from ...numerics.fastsum.clusters import build_tree
+    from ...numerics.fastsum.targets import make_targets
+    from ...numerics.fastsum.weighted import FastSums
+
+    grid = method.problem.grid
+    trees = [build_tree(method.images.points[group], order) for group in groups]
+    targets = make_targets(grid.nodes.rows, grid.shapes, grid.offsets, method.flat, order, *per_point)
+    return FastSums(method.strength, groups, trees, targets, room)
+
+
+def apply_fast(
+    method: Any, sums: FastSums, fit: SourceValues, use: Use, out: FloatArray, progress: Report | None
+) -> None:
+    """Call ``use`` with the sums at all targets, which writes their displacements into ``out`` (n_nodes, 3), compared
+    with exact sums at the worst nodes."""
+    from ...numerics.fastsum.weighted import Accuracy
+
+    tolerance, grid = method.options.summation_tolerance, method.problem.grid
+    lasting, found = 1 if fit.transition.width else 0, Nodes.of(out).rows
+    mean = weighted_total(sums.strength, fit.values.T) / sums.strength.sum()
+    middle = mean if fit.still is None else fit.still
+    moving = (fit.values != middle[:, None]).any(axis=0)
+    share, single = SHARE / (interpolation_order(tolerance) - 2) ** 2, tolerance >= SINGLE_TOLERANCE
+
+    def exact(flat: IntArray) -> FloatArray:
+        # Sources that do not move are summed once.
+        plan, apart = sums.plans[0], fit.values - middle[:, None]
+        weigh = not plan.checked.size
+        found = ExactSums(method, fit.weights, moving).at(flat, apart, weigh, CHECKED)
+        if weigh:
+            plan.checked = found[:, 0].copy()
+        found[:, 0] = plan.checked
+        found[:, 1:] += found[:, :1] * middle
+        return method.displacement(fit, flat, found.T)
+
+    def once(excess: float) -> float:
+        nonlocal share, single
+        if excess:
+            # In double precision from now on.
+            share, single = share * 0.25 / excess, False
+        accuracy = Accuracy(tolerance * share, True, single)
+        sums.prepare(fit.weights, fit.shift, fit.turn, moving, accuracy, lasting)
+        sums.apply(fit.values, use, progress=progress, middle=middle)
+        return largest_error(grid, sums.targets, sums.risk, found, exact)
+
+    sum_accurately("idw", once, tolerance, method.account)

@@ -11,8 +11,7 @@ from ...grid import BoolArray, FloatArray, IntArray
 from ...numerics.fastsum.weighted import Accuracy, FastSums
 from ...numerics.tape import Tape, Tracked, plain
 from ...parallel import Nodes, agreed, empty
-from .fast_idw_sums import CHECKED, sums_of_groups
-from .idw_sums import ExactSums, SourceValues, Weights
+from .idw_sums import CHECKED, ExactSums, SourceValues, Weights, sums_of_groups
 from .summation import DERIVATIVE_TOLERANCE, MAX_RETRIES, doubtful
 
 _FIRST_SHARE = 1.7

@@ -3,7 +3,6 @@ space; for weighted sums in bricks and regions of these, and where the accuracy 
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -250,11 +249,6 @@ class Targets(NamedTuple):
     def flat(self, first: int, last: int) -> IntArray:
         """Flat indices of the targets in the regions first <= g < last."""
         return self.every[self.places(first, last)]
-
-
-def interpolation_order(tolerance: float) -> int:
-    """Interpolation points per side of a cube for a relative tolerance: 4 for 1e-2, 5 for 1e-4, 7 for 1e-8."""
-    return 3 + math.ceil(-0.5 * math.log10(tolerance) - 1e-9)
 
 
 def shape_table(shapes: Shapes) -> IntArray:
