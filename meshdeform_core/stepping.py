@@ -50,6 +50,8 @@ RESCUE_STEPS = (8, 16)
 """Numbers of steps without repairs in which it is tried first (studies/repairs.py, pipes that close to 3 %)."""
 SQUEEZED = ("tfi", RESCUE)
 """Methods tried when the best valid grid is nearly collapsed; in narrow gaps TFI often preserves grid lines better."""
+_FAR = 10.0
+"""Sizes of the grid beyond which a displacement is hardly in its length unit."""
 _FEWEST_UNITS = 100
 """Below this many units in the last place of the coordinates, a motion is visibly rounded."""
 
@@ -135,8 +137,15 @@ def doubts(course: Course, one_of_many: bool) -> Sequence[str]:
     moving = np.flatnonzero(boundary.kind == Kind.MOVING)
     points = course.setup.grid.points[course.setup.topology.first[moving]]
     found += positions_as_displacements(points, course.total[moving])
-    found += torn_faces(course.setup.grid, course.setup.topology, boundary, course.total)
+    # Faces enclose the grid.
     low, high = extent(course.setup.grid.nodes.at(course.setup.topology.first))
+    size = float(np.linalg.norm(high - low))
+    if largest > _FAR * size:
+        found.append(
+            f"the largest displacement, {largest:.4g}, is {largest / size:.3g} times the size of the grid, {size:.4g}: "
+            "is it in the length unit of the grid?"
+        )
+    found += torn_faces(course.setup.grid, course.setup.topology, boundary, course.total)
     departure = boundary.slip.departure(course.total)
     # A motion that returns to zero leaves round-off in all directions.
     if departure > 1e-6 * largest and departure > 1e-12 * float((high - low).max()):
