@@ -6,11 +6,10 @@ lies below this module deforms a grid without knowing whether it is a component 
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
@@ -34,7 +33,6 @@ from .numerics.arrays import places_among
 from .numerics.geometry.coincidence import coincident_groups, distinct, equal_rows
 from .parallel import Nodes
 from .quality import assess
-from .quality.report import MAX_LISTED
 from .repair.options import Limit
 from .repair.outcome import Repair
 from .setup import Case, Result, Setup, Timing, Undeformed, set_up_whole
@@ -57,7 +55,7 @@ def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryL
     setup = set_up_whole(grid, case, timing, memory, None if case.open_faces is True else _require_apart)
     whole = setup.undeformed
     divided = undeformed_of(whole.grid, whole.topology, whole.boundary, whole.memory, whole.min_jacobian)
-    return dataclasses.replace(setup, undeformed=divided)
+    return replace(setup, undeformed=divided)
 
 
 def undeformed_of(
@@ -326,13 +324,15 @@ def impose_on_components(
     points = _joined(setup.grid, [(component, result.grid.points) for component, result in found])
     with whole.timing.stage("quality"):
         assessment = assess(setup.original, points, setup.boundary)
-    listed_cells = [cell for result in results for cell in result.assessment.invalid]
+    # As each component lists them, with its own walls and steps, but the worst of all first.
+    own_cells = {(cell.block, cell.ijk): cell for result in results for cell in result.assessment.invalid}
+    invalid = (own_cells.get((cell.block, cell.ijk), cell) for cell in assessment.invalid)
     warnings = [_named(component.name, text) for component, result in found for text in result.warnings]
     repairs = [result.repair for result in results if result.repair]
     return Result(
         setup=setup,
         grid=setup.grid.moved(points),
-        assessment=dataclasses.replace(assessment, invalid=tuple(listed_cells[:MAX_LISTED])),
+        assessment=replace(assessment, invalid=tuple(invalid)),
         account=_account_of({component.name: result.account for component, result in found if result.account.settings}),
         steps=max(result.steps for result in results),
         reached=min(result.reached for result in results),

@@ -18,7 +18,7 @@ from .numerics.arrays import lengths
 from .smoothness import Moment, Smoothness, shortest_edges, smoothness
 from .velocity import PAST, VELOCITIES, face_fields, grid_velocity
 
-REVISION = 20
+REVISION = 21
 """Revision of the algorithms: a series is continued only by a program of the same revision.
 
 Increase it with every change that gives a level of any series different coordinates or a different verdict.

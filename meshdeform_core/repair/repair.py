@@ -116,7 +116,10 @@ class Repairer:
         best = _Found(start, weak=len(np.setdiff1d(weak, start.verdict.invalid)))
         if not (bad.size or polish):
             return best
+        sound = False
         for way in WAYS[effort]:
+            if way.even and not sound:
+                continue
             try:
                 plot = self._plot(bad, polish or way.patient)
             except MethodError as error:
@@ -124,7 +127,7 @@ class Repairer:
             found = self._searched(start, plot, limit, partial(search, way=way, polish=polish)) if plot else None
             if plot is None or found is None:
                 continue
-            end = self._moved(start, plot, found.shift)
+            sound, end = found.sound, self._moved(start, plot, found.shift)
             if not end.verdict.valid and found.untangled is not None:
                 # On the way to a minimum that is not reached, cells may become invalid between their samples.
                 end = self._moved(start, plot, found.untangled)

@@ -58,12 +58,14 @@ class State:
 @dataclass(frozen=True)
 class Way:
     """A strategy of untangling a region: the largest number of ``steps``, the ``first`` regularisation and its
-    ``slowest`` relative decrease. ``patient``: all nodes move, with the full share of the energy."""
+    ``slowest`` relative decrease. ``patient``: all nodes move, with the full share of the energy. ``even``: cells at
+    walls have little more weight than others, for grids that are untangled but have cells worse than allowed."""
 
     steps: int
     first: float
     slowest: float
     patient: bool = False
+    even: bool = False
 
 
 @dataclass
@@ -230,6 +232,7 @@ class Untangler:
 
 # A regularisation that starts large and falls slowly finds valid grids where a fast one fails.
 QUICK, PATIENT = Way(60, 2.0, 0.2), Way(200, 50.0, 0.1, patient=True)
+EVEN = Way(60, 2.0, 0.2, patient=True, even=True)
 # Where no valid grid exists, most of the cells that can become valid do so early.
 HASTY = Way(30, 2.0, 0.3)
 _CONVERGING = 60
@@ -238,20 +241,21 @@ _WORK, _FEWEST = 20_000_000, 6
 
 WAYS: dict[Effort, tuple[Way, ...]] = {
     "hasty": (HASTY,),
-    "quick": (QUICK,),
-    "patient": (PATIENT,),
-    "all": (QUICK, PATIENT),
+    "quick": (QUICK, EVEN),
+    "patient": (PATIENT, EVEN),
+    "all": (QUICK, EVEN, PATIENT),
 }
 """The strategies that are tried in turn."""
 
 
 @dataclass(frozen=True)
 class Search:
-    """Result of a search: the ``shift`` (k, 3) of the nodes that a plot moves, whether it is that to the minimum, the
-    shift at which no sample was inverted any more, if the minimum was not reached from there, and the share."""
+    """Result of a search: the ``shift`` (k, 3) of the nodes that a plot moves, whether it is that to the minimum, and
+    whether no sample is inverted; the shift where that was so first, if the minimum was not reached; and the share."""
 
     shift: FloatArray
     converged: bool
+    sound: bool
     steps: int
     untangled: FloatArray | None
     share: float
@@ -266,9 +270,9 @@ def search(plot: Plot, untangler: Untangler, way: Way, polish: bool) -> Search |
     raised = max(share, 1.0 if polish or way.patient else 0.0)
     if raised == 0.0:
         return None
-    untangler.region = replace(plot.region, energy=energy.softened(POLISHED) if polish else energy)
+    untangler.region = replace(plot.region, energy=energy.softened(POLISHED) if polish or way.even else energy)
     untangled, first = untangler.untangle(replace(way, steps=min(way.steps, untangler.most))), untangler.x
     converged = untangled and untangler.minimise(raised, min(_CONVERGING, untangler.most), plot.edges)
     moved, on_the_way = (plot.shift(x - untangler.reference) for x in (untangler.x, first))
     kept = on_the_way if untangled and not converged else None
-    return Search(moved, converged and (polish or raised == share), untangler.steps, kept, share)
+    return Search(moved, converged and (polish or raised == share), untangled, untangler.steps, kept, share)

@@ -98,6 +98,20 @@ def test_invalid_cells_are_listed_with_the_walls_of_their_own_component():
     assert len(result.assessment.invalid) == result.assessment.after.invalid_cells
 
 
+def test_invalid_cells_of_all_components_are_listed_with_the_worst_first():
+    """The ring comes after the bar, and has the worst cell."""
+    turned = {"bar": turning(75.0), "ring": turning(150.0, center=(1.5, 0.7, 0.0))}
+    specs = [dataclasses.replace(s, motion=turned[s.name]) if s.name in turned else s for s in BAR]
+    ring = [BoundarySpec("ring", ("ring.*.jmin",), Kind.MOVING, None, turned["ring"])]
+    ring.append(BoundarySpec("ring far", ("ring.*.jmax",), Kind.FIXED))
+    result = deform(GRID, case((*specs, *ring, RING[2], *FIXED), components=BY_PREFIX, mode="off"))
+    worst = result.assessment.after.worst["min_relative_jacobian"]
+    listed = result.assessment.invalid
+    assert {cell.block.split(".")[0] for cell in listed} == {"bar", "ring"}
+    assert worst.block.startswith("ring")
+    assert (listed[0].block, listed[0].ijk) == (worst.block, worst.ijk)
+
+
 def test_a_component_with_free_outer_faces_moves_rigidly_with_its_wall():
     result = deform(GRID, case(BAR + RING + FIXED, components=BY_PREFIX))
     start, t = part_of(GRID, "ring") - [1.5, 0.7, 0.0], np.radians(20.0)

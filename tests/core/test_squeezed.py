@@ -52,6 +52,20 @@ def test_a_throat_that_closes_to_3_percent_is_valid_and_its_wall_where_prescribe
     np.testing.assert_allclose(result.grid.points[told], wanted, atol=1e-13)
 
 
+@pytest.mark.parametrize(("amplitude", "least"), [(0.55, 0.4), (0.4, 0.6)])
+def test_untangled_cells_are_improved_until_they_reach_the_limit(amplitude, least):
+    x, y = np.meshgrid(np.linspace(0.0, 2.0, 9), np.linspace(0.0, 1.0, 6), indexing="ij")
+    motion = formulas("0", f"{amplitude}*sin(pi*x/2)", "0")
+    specs = (BoundarySpec("roof", ("*.jmin",), Kind.MOVING, None, motion),)
+    result = deform(
+        Grid.from_blocks([np.stack([x, y, 0.0 * x], axis=-1)[:, :, None]]),
+        Case(specs, repair=options.RepairOptions(min_jacobian=least)),
+    )
+    assert result.valid
+    assert result.steps == 1
+    assert result.repair is not None
+
+
 def test_work_is_limited_by_counts(monkeypatch):
     """The same wherever it is done; whatever was found is kept, and the reason told."""
     body, _ = body_specs(turning("110"), Kind.SLIP)
