@@ -38,7 +38,7 @@ _SWEPT = 1 << 15
 _SLACK = 20.0
 # Unknowns per call of a loop.
 _ROWS = 2048
-# Measured work of one block in a product with the matrix, in the unit of limit.py.
+# Measured work of one block in a product with the matrix, in the unit of :class:`.options.Limit`.
 _BLOCK = 0.0045
 
 Matrix = tuple[NDArray[np.float32], IntArray, NDArray[np.int32]]

@@ -102,8 +102,8 @@ class Repairer:
         if not found.steps and start.verdict.valid:
             return replace(found, grid=start, weak=weak)
         # What differs along lines goes where it would make cells invalid.
+        shift = found.grid.points - flat.points
         for kept in (0.0,) if polish or not found.kept else (found.kept, 0.0):
-            shift = found.grid.points - flat.points
             end = self._judged(extrusion.spread(start.points, undeformed, mean, shift, kept))
             if end.verdict.valid:
                 break
@@ -123,7 +123,9 @@ class Repairer:
             try:
                 plot = self._plot(bad, polish or way.patient)
             except MethodError as error:
-                return replace(best, left_out=None if best.steps else str(error))
+                if not best.steps:
+                    return replace(best, left_out=str(error))
+                break
             found = self._searched(start, plot, limit, partial(search, way=way, polish=polish)) if plot else None
             if plot is None or found is None:
                 continue
