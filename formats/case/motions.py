@@ -14,8 +14,8 @@ import numpy as np
 from msgspec import Meta
 
 from meshdeform_core.boundary.motions.expression import Expression
-from meshdeform_core.boundary.motions.histories import History, Modes, RigidHistory
-from meshdeform_core.boundary.motions.motion import ControlMove, Displace, Follow, Lattice, Rotate, Step
+from meshdeform_core.boundary.motions.histories import Modes, RigidHistory
+from meshdeform_core.boundary.motions.motion import ControlMove, Displace, Follow, History, Lattice, Rotate, Step
 from meshdeform_core.boundary.motions.section import Airfoil
 from meshdeform_core.boundary.tables import Matching, SurfaceData
 from meshdeform_core.errors import CaseError, FormatError

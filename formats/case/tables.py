@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from meshdeform_core.boundary.motions.histories import Beam, History
-from meshdeform_core.boundary.motions.motion import Positions
+from meshdeform_core.boundary.motions.histories import Beam
+from meshdeform_core.boundary.motions.motion import History
+from meshdeform_core.boundary.tables import Positions
 from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.wording import counted, literal, vector
@@ -191,8 +192,8 @@ def read_beam(path: Path) -> Beam:
     else:
         size = np.linalg.norm(turns, axis=2, keepdims=True)
         turns = turns * np.divide(4 * np.arctan(size / 4), size, out=np.ones_like(size), where=size > 0)
-    moved = History(times, displacement.reshape(len(times), -1), str(path))
-    return Beam.of(point[0], moved, turns, timed)
+    moved = History(times, displacement.reshape(len(times), -1), str(path), timed)
+    return Beam.of(point[0], moved, turns)
 
 
 def columns(names: Sequence[str], values: FloatArray, wanted: Sequence[str], label: str) -> History | None:

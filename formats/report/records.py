@@ -77,7 +77,7 @@ def boundary_part(setup: Setup) -> Report:
                 "table_points_used": m.used[0],
                 "max_distance": float(m.distance[m.matched].max(initial=0.0)),
                 "max_extrapolation": float(m.beyond[m.matched].max(initial=0.0)),
-                "walls": list(m.walls),
+                "walls": list(m.matching.walls),
                 "size_ratio": table / wall if table is not None and wall else None,
             }
         )

@@ -351,7 +351,7 @@ def prescribed_displacement(
             one = owner[node]
             remedy = "give both patches the same motion there, or select these nodes in one of them only"
             for table, entry in ((one, index), (index, one)):
-                if any(match.partial for match in boundary.movers[table][1].matches):
+                if any(match.matching.partial for match in boundary.movers[table][1].matches):
                     remedy = (
                         f"the table {names[table]} moves all boundary nodes that it matches: to move these nodes by "
                         f"the table, remove the motion of {names[entry]}, or their rows from the table to move them "

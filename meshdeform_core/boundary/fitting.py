@@ -228,7 +228,7 @@ def _unused(uses: Sequence[_Use]) -> list[Notice]:
         f": {int(far.sum())} of {len(points)} table points lie on no face that the table moves, first "
         f"{vector(points[first])}{hint}"
     )
-    partial = any(use.match.partial for use in uses)
+    partial = any(use.match.matching.partial for use in uses)
     if far.mean() > ASTRAY and (partial or hint):
         raise MotionError(f"{uses[0].match.label}{text}; expected a table of the wall, in the grid's length unit")
     return [uses[0].notice("unused points", text)]

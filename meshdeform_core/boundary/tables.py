@@ -66,6 +66,40 @@ class SurfaceData:
                 raise MotionError(f"{self.label} has {what} of {largest:.3g}; expected lengths below {_LARGEST:g}")
 
 
+@dataclass(frozen=True)
+class Positions:
+    """New positions (n, 3), or (n, 2) in a plane grid, of the points with these numbers (n,)."""
+
+    numbers: IntArray
+    positions: FloatArray
+    label: str
+
+    def displacements(self, grid: Grid, topology: Topology) -> SurfaceData:
+        """The displacements of the points; numbering is that of the unstructured files that this program writes. Raises
+        MotionError when a number does not denote a point on a block face, or neighbours move so differently that the
+        numbers must belong to another mesh."""
+        numbers, corners = self.numbers, topology.quads.corners[:, :2]
+        beyond = np.flatnonzero((numbers < 0) | (numbers >= topology.n_unique))
+        if beyond.size:
+            raise MotionError(
+                f"{self.label}: {beyond.size} numbers are not of points on block faces, the first "
+                f"{numbers[beyond[0]]}; these have 0 to {topology.n_unique - 1}"
+            )
+        points = grid.nodes.at(topology.first[numbers])
+        moved, (low, high) = points.copy(), extent(grid.points)
+        moved[:, np.sort(np.argsort(high - low)[3 - self.positions.shape[1] :])] = self.positions
+        row = places_among(numbers, topology.n_unique)
+        a, b = row[corners[(row[corners] >= 0).all(axis=1)]].T
+        displacement = moved - points
+        apart = np.linalg.norm(displacement[a] - displacement[b], axis=1)
+        if a.size and float(np.median(apart - _ROUGH * np.linalg.norm(points[a] - points[b], axis=1))) > 0:
+            raise MotionError(
+                f"{self.label}: neighbours move apart by several edges almost everywhere; its numbers seem to be those "
+                "of another mesh than the one that `meshdeform convert` writes"
+            )
+        return SurfaceData(points, displacement, np.empty((0, 3), dtype=np.int64), self.label)
+
+
 def edges_at_corners(points: FloatArray, faces: IntArray) -> tuple[FloatArray, FloatArray]:
     """Shortest edge longer than zero and longest edge (n,) of ``faces`` (m, corners) at each of ``points`` (n, 3)."""
     shortest, longest = np.full(len(points), np.inf), np.zeros(len(points))
@@ -162,25 +196,26 @@ class Transfer:
     displacement : (n, 3), zero where nothing matched
     matched : (n,) bool
     distance : (n,) from each node to the point or surface that gave its displacement
-    label, how, used : name of the table, the matching, and the number of its points that were used, of how many
+    label, matching, used : name of the table, the matching, and the number of its points that were used, of how many
     points : (m, 3) of the table; (0, 3) for a grid of the same nodes
     beyond : (n,) distance of the node beyond the edge of the table's surface
-    partial : whether nodes without a match are allowed
     plane : whether the table has two components of the displacement only
-    walls : see :class:`Matching`
     """
 
     displacement: FloatArray
     matched: BoolArray
     distance: FloatArray
     label: str
-    how: str
+    matching: Matching
     used: tuple[int, int]
     points: FloatArray
     beyond: FloatArray
-    partial: bool
     plane: bool = False
-    walls: tuple[str, ...] = ()
+
+    @property
+    def how(self) -> str:
+        """How nodes found their displacement."""
+        return self.matching.how if len(self.points) else "same nodes"
 
 
 def spacings(tree: scipy.spatial.cKDTree) -> FloatArray:
@@ -188,31 +223,36 @@ def spacings(tree: scipy.spatial.cKDTree) -> FloatArray:
     return np.asarray(tree.query(tree.data, k=min(5, tree.n))[0].reshape(tree.n, -1)[:, -1])
 
 
-def transfer(data: SurfaceData | Grid, matching: Matching, nodes: BoundaryNodes) -> Transfer:
-    """Displacement of boundary nodes from a table, or from a grid with the deformed positions of the same nodes. Raises
-    MotionError when no node matches, or when some do not and ``matching.partial`` is false."""
-    if isinstance(data, Grid):
+def transfer(data: SurfaceData | Grid | Positions, matching: Matching, nodes: BoundaryNodes) -> Transfer:
+    """Displacement of boundary nodes from a table, from a grid with the deformed positions of the same nodes, or from
+    positions by number. Raises MotionError when no node matches, or when some do not and ``matching.partial`` is false,
+    and for positions as :meth:`.Positions.displacements`."""
+    if isinstance(data, Positions):
+        without = np.flatnonzero(~np.isin(nodes.numbers, data.numbers))
+        label, data = data.label, data.displacements(nodes.grid, nodes.topology)
+        if without.size:
+            raise MotionError(
+                f"{label} has no position for {without.size} of {len(nodes.numbers)} boundary nodes, the first "
+                f"{nodes.label(int(without[0]))}, number {nodes.numbers[without[0]]}"
+            )
+    if isinstance(data, SurfaceData):
+        data = by_place(data, nodes.grid, nodes.topology)
+        result = _from_table(data, matching, nodes)
+    else:
+        moved = np.full((nodes.topology.n_unique, 3), np.nan)
         if data.shapes == nodes.grid.shapes:
-            displacement = Nodes.of(data.points).at(nodes.topology.first[nodes.numbers]) - nodes.points
-            matched = np.ones(len(displacement), dtype=bool)
+            moved[nodes.numbers] = Nodes.of(data.points).at(nodes.topology.first[nodes.numbers])
         else:
             # Each block of a surface grid is the closest block face of the same size.
-            moved = np.full((nodes.topology.n_unique, 3), np.nan)
             taken: set[tuple[int, Side]] = set()
             for index, shape in enumerate(data.shapes):
                 new = data.block(index).reshape([n for n in shape if n > 1] + [3])
                 moved[_closest_face(new, data.names[index], nodes, taken)] = new
-            found = moved[nodes.numbers] - nodes.points
-            matched = np.asarray(np.isfinite(found).all(axis=1))
-            displacement = np.where(matched[:, None], found, 0.0)
-        label, zero = data.path.name if data.path else "deformed grid", np.zeros(len(displacement))
-        result = Transfer(
-            displacement, matched, zero, label, "same nodes", (int(matched.sum()), data.n_nodes), np.empty((0, 3)),
-            zero, matching.partial, walls=matching.walls,
-        )  # fmt: skip
-    else:
-        data = by_place(data, nodes.grid, nodes.topology)
-        result = _from_table(data, matching, nodes)
+        found = moved[nodes.numbers] - nodes.points
+        matched = np.asarray(np.isfinite(found).all(axis=1))
+        label, zero = data.path.name if data.path else "deformed grid", np.zeros(len(found))
+        displacement, used = np.where(matched[:, None], found, 0.0), (int(matched.sum()), data.n_nodes)
+        result = Transfer(displacement, matched, zero, label, matching, used, np.empty((0, 3)), zero)
     missing = np.flatnonzero(~result.matched)
     if len(missing) and not (matching.partial and result.matched.any()):
         worst = missing[np.argmax(result.distance[missing])]
@@ -252,10 +292,9 @@ def _from_table(data: SurfaceData, matching: Matching, nodes: BoundaryNodes) -> 
             reach = 0.1 * min(float(np.linalg.norm(np.ptp(x, axis=0))) for x in (data.points, nodes.points))
         reach = matching.tolerance or reach
     matched = np.asarray(distance <= reach)
-    return Transfer(
-        np.where(matched[:, None], displacement, 0.0), matched, distance, data.label, matching.how,
-        (used, len(data.points)), data.points, beyond, matching.partial, data.plane, matching.walls,
-    )  # fmt: skip
+    displacement = np.where(matched[:, None], displacement, 0.0)
+    counts = used, len(data.points)
+    return Transfer(displacement, matched, distance, data.label, matching, counts, data.points, beyond, data.plane)
 
 
 def _require_one_displacement(
@@ -357,38 +396,6 @@ def _span(points: FloatArray) -> str:
     return " x ".join(f"[{a:.4g}, {b:.4g}]" for a, b in zip(low, high, strict=True))
 
 
-def positions_by_number(
-    numbers: IntArray, positions: FloatArray, label: str, grid: Grid, topology: Topology
-) -> SurfaceData:
-    """The displacements of points whose new ``positions`` (n, 3), or (n, 2) in a plane grid, are given by
-    ``numbers`` (n,); numbering is that of the unstructured files that this program writes. Raises MotionError when a
-    number does not denote a point on a block face, or neighbours move so differently that the numbers must belong to
-    another mesh."""
-    beyond = np.flatnonzero((numbers < 0) | (numbers >= topology.n_unique))
-    if beyond.size:
-        raise MotionError(
-            f"{label}: {beyond.size} numbers are not of points on block faces, the first {numbers[beyond[0]]}; these "
-            f"have 0 to {topology.n_unique - 1}"
-        )
-    points = grid.nodes.at(topology.first[numbers])
-    moved = points.copy()
-    low, high = extent(grid.points)
-    kept = np.sort(np.argsort(high - low)[3 - positions.shape[1] :])
-    moved[:, kept] = positions
-    row = np.full(topology.n_unique, -1, dtype=np.int64)
-    row[numbers] = np.arange(len(numbers))
-    a, b = row[topology.quads.corners[:, :2]].T
-    a, b = a[(a >= 0) & (b >= 0)], b[(a >= 0) & (b >= 0)]
-    displacement = moved - points
-    apart = np.linalg.norm(displacement[a] - displacement[b], axis=1)
-    if a.size and float(np.median(apart - _ROUGH * np.linalg.norm(points[a] - points[b], axis=1))) > 0:
-        raise MotionError(
-            f"{label}: neighbours move apart by several edges almost everywhere; its numbers seem to be those of "
-            "another mesh than the one that `meshdeform convert` writes"
-        )
-    return SurfaceData(points, displacement, np.empty((0, 3), dtype=np.int64), label)
-
-
 def by_place(data: SurfaceData, grid: Grid, topology: Topology) -> SurfaceData:
     """The table itself; or what it means, if its first column numbers the points and positions follow.
 
@@ -414,4 +421,4 @@ def by_place(data: SurfaceData, grid: Grid, topology: Topology) -> SurfaceData:
         if np.median(distance - topology.edge[near]) <= 0.0:
             return data
     positions = np.column_stack([data.points[:, 1], data.displacement])[:, : grid.dimension]
-    return positions_by_number(first.astype(np.int64), positions, data.label, grid, topology)
+    return Positions(first.astype(np.int64), positions, data.label).displacements(grid, topology)

@@ -336,7 +336,7 @@ def test_an_airfoil_of_its_own_shape_is_not_turned(n, tmp_path):
     across = y[:, None] * np.stack([-np.sin(slope), np.cos(slope)], axis=1)
     line = np.stack([x, mean], axis=1)
     outline = np.concatenate([[[1, 0]], line + across, (line - across)[::-1], [[1, 0]]])
-    found = Outline.through(outline, "naca4412")
+    found = Outline(outline, "naca4412")
     np.testing.assert_allclose(found.leading, [0, 0], atol=2e-4)
     farthest = outline[np.argmax(np.linalg.norm(outline - [1, 0], axis=1))]
     assert abs(farthest[1]) > 5 * abs(found.leading[1])

@@ -53,7 +53,7 @@ def on_table_alone(data: SurfaceData, how: str = AUTOMATIC):
 def test_a_table_alone_moves_the_wall_that_it_fits():
     boundary = on_table_alone(TABLE)
     (match,) = boundary.movers[0][1].matches
-    assert match.walls == ("wing",)
+    assert match.matching.walls == ("wing",)
     assert match.how == "interpolate"
     assert set(boundary.movers[0][0]) == set(NODES.numbers)
 

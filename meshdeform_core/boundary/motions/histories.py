@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -11,37 +11,17 @@ import scipy
 
 from ...errors import MotionError
 from ...grid import FloatArray, Grid
+from ...numerics.arrays import lengths
+from ...numerics.rotation import nearest_branch
 from ...wording import vector
-from ..tables import BoundaryNodes, Matching, SurfaceData, Transfer, transfer
+from ..tables import BoundaryNodes, Matching, SurfaceData, transfer
 from .expression import Expression
-from .motion import Step, at_time, turned
+from .motion import History, Step, Weighted, at_time, turned
 
 _LARGEST_TURN = 170.0
 """Degrees between neighbouring stations: at 180 the shorter way is not the one meant."""
 _CLOSEST = 1e-9
 """Least distance of stations along the line, relative to its length."""
-
-
-@dataclass(frozen=True)
-class History:
-    """Values (n, m) at ascending times (n,), linear between them."""
-
-    times: FloatArray
-    values: FloatArray
-    label: str
-
-    def at(self, time: float) -> FloatArray:
-        """The values (m,) at a time. Raises MotionError before the first time and after the last one."""
-        self.require(time)
-        return np.array([np.interp(time, self.times, column) for column in self.values.T])
-
-    def require(self, time: float) -> None:
-        """Refuse a time that the table does not cover; up to half a millionth of a step beyond its ends is
-        round-off."""
-        first, last = float(self.times[0]), float(self.times[-1])
-        slack = 1e-6 * (float(np.diff(self.times).min()) if len(self.times) > 1 else max(abs(first), 1.0))
-        if not first - slack <= time <= last + slack:
-            raise MotionError(f"{self.label} has times from {first:g} to {last:g}; t = {time:g} is not among them")
 
 
 @dataclass(frozen=True)
@@ -63,13 +43,8 @@ class RigidHistory(Step):
     center: tuple[float, float, float]
 
     @property
-    def names(self) -> frozenset[str]:
-        return frozenset({"t"})
-
-    def require(self, time: float, constants: Mapping[str, float]) -> None:
-        for table in (self.translation, self.rotation):
-            if table is not None:
-                table.require(time)
+    def histories(self) -> Sequence[History]:
+        return [table for table in (self.translation, self.rotation) if table is not None]
 
     def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
         time = float(values["t"])
@@ -98,36 +73,26 @@ class Modes(Step):
     matching: Matching
 
     @property
-    def names(self) -> frozenset[str]:
-        if isinstance(self.amplitudes, History):
-            return frozenset({"t"})
-        return frozenset().union(*(part.names for part in self.amplitudes))
+    def formulas(self) -> Sequence[Expression]:
+        return () if isinstance(self.amplitudes, History) else self.amplitudes
+
+    @property
+    def histories(self) -> Sequence[History]:
+        return [self.amplitudes] if isinstance(self.amplitudes, History) else []
 
     def require(self, time: float, constants: Mapping[str, float]) -> None:
-        self.factors(time, constants)
+        self._factors({**constants, "t": time})
 
-    def factors(self, time: float, constants: Mapping[str, float]) -> FloatArray:
+    def _factors(self, values: Mapping[str, Any]) -> FloatArray:
         """The amplitudes (m,) at a time."""
+        time = float(values["t"])
         if isinstance(self.amplitudes, History):
             return self.amplitudes.at(time)
-        return np.array([at_time(part, time, constants, "amplitude") for part in self.amplitudes])
+        return np.array([at_time(part, time, values, "amplitude") for part in self.amplitudes])
 
-    def prepare(self, nodes: BoundaryNodes) -> ImposedModes:
+    def prepare(self, nodes: BoundaryNodes) -> Step:
         matches = [transfer(shape, self.matching, nodes) for shape in self.shapes]
-        return ImposedModes(self, np.stack([match.displacement for match in matches]), matches[0])
-
-
-@dataclass(frozen=True)
-class ImposedModes(Step):
-    """Shapes (m, n, 3) that have been transferred to the nodes; ``match`` is the transfer of the first one."""
-
-    modes: Modes
-    shapes: FloatArray
-    match: Transfer
-
-    def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
-        factors = self.modes.factors(float(values["t"]), values)
-        return np.asarray(fraction * np.tensordot(factors, self.shapes, axes=1))
+        return Weighted(np.stack([match.displacement for match in matches]), self._factors, matches[0])
 
 
 @dataclass(frozen=True)
@@ -149,17 +114,15 @@ class Beam(Step):
     stations : (n, 3), undeformed, grid length unit
     shape : d and w (radians), (t, 6 n)
     first : the motion of the first station
-    timed : whether the table has times
     """
 
     stations: FloatArray
     shape: History
     first: RigidHistory
-    timed: bool
     notes: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, stations: FloatArray, displacement: History, turns: FloatArray, timed: bool) -> Beam:
+    def of(cls, stations: FloatArray, displacement: History, turns: FloatArray) -> Beam:
         """The beam from displacements (t, 3 n) and rotation vectors (t, n, 3) in radians. Raises MotionError naming the
         stations, when there are fewer than two, they do not follow each other along the line, or the way from one
         rotation to the next is not clear."""
@@ -182,17 +145,12 @@ class Beam(Step):
         arms = stations - stations[0]
         for n in range(1, len(stations)):
             seen[:, n, :3] = frames.inv().apply(arms[n] + moved[:, n] - moved[:, 0]) - arms[n]
-            own = scipy.spatial.transform.Rotation.from_rotvec(turns[:, n])
             # Rotation vectors are up to half a turn: of those of the same rotation, the nearest to the station before.
-            turn = (frames.inv() * own).as_rotvec()
+            turn = (frames.inv() * scipy.spatial.transform.Rotation.from_rotvec(turns[:, n])).as_rotvec()
             before = seen[:, n - 1, 3:]
-            angle = np.linalg.norm(turn, axis=1, keepdims=True)
-            size = np.linalg.norm(before, axis=1, keepdims=True)
-            # A whole number of turns has no axis: that of the station before.
-            clear = angle > 1e-9
-            axis = np.where(clear, turn / np.where(clear, angle, 1.0), before / np.where(size > 0, size, 1.0))
-            ahead = (before * axis).sum(axis=1, keepdims=True)
-            seen[:, n, 3:] = np.asarray(axis * (angle + 2 * np.pi * np.round((ahead - angle) / (2 * np.pi))))
+            # A whole number of turns has no axis but that of the station before.
+            turn[(lengths(turn) < 1e-9) & (lengths(before) > np.pi)] = 0.0
+            seen[:, n, 3:] = nearest_branch(turn, before)
         angles = np.degrees(np.linalg.norm(np.diff(seen[..., 3:], axis=1), axis=2))
         if angles.max() > _LARGEST_TURN:
             level, n = map(int, np.unravel_index(int(angles.argmax()), angles.shape))
@@ -201,17 +159,15 @@ class Beam(Step):
                 f"at t = {times[level]:g}; expected up to {_LARGEST_TURN:g}: give stations between"
             )
         x, y, z = stations[0]
-        start = History(times, moved[:, 0], label)
-        first = RigidHistory(start, History(times, frames.as_quat(), label), "", (x, y, z))
-        return cls(stations, History(times, seen.reshape(len(times), -1), label), first, timed)
+        shift, rotation, shape = (
+            replace(displacement, values=values)
+            for values in (moved[:, 0], frames.as_quat(), seen.reshape(len(times), -1))
+        )
+        return cls(stations, shape, RigidHistory(shift, rotation, "", (x, y, z)))
 
     @property
-    def names(self) -> frozenset[str]:
-        return frozenset({"t"} if self.timed else ())
-
-    def require(self, time: float, constants: Mapping[str, float]) -> None:
-        if self.timed:
-            self.shape.require(time)
+    def histories(self) -> Sequence[History]:
+        return [self.shape]
 
     def prepare(self, nodes: BoundaryNodes) -> Step:
         length = float(_along(self.stations[-1:], self.stations)[0])
@@ -227,8 +183,7 @@ class Beam(Step):
         return replace(self, notes=(note,))
 
     def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
-        time = float(values["t"]) if self.timed else float(self.shape.times[0])
-        seen = self.shape.at(time).reshape(-1, 6)
+        seen = self.shape.at(float(values["t"])).reshape(-1, 6)
         place = _along(self.stations, self.stations)
         ends: Literal[1, 2] = 2 if len(place) > 2 else 1
         at_stations = np.hstack([self.stations, seen])
@@ -236,7 +191,7 @@ class Beam(Step):
         spline = scipy.interpolate.CubicHermiteSpline(place, at_stations, slopes)
         axis, shift, turn = np.split(spline(np.clip(_along(current, self.stations), 0.0, place[-1])), 3, axis=1)
         bent = fraction * shift + turned(current - axis, fraction * turn)
-        return np.asarray(bent + self.first.increment(current + bent, {"t": time}, fraction))
+        return np.asarray(bent + self.first.increment(current + bent, values, fraction))
 
 
 def _along(points: FloatArray, stations: FloatArray) -> FloatArray:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ import scipy
 from ...errors import MotionError
 from ...grid import BoolArray, FloatArray, Grid, IntArray
 from ...wording import vector
-from ..tables import BoundaryNodes, Matching, SurfaceData, Transfer, positions_by_number, transfer
+from ..tables import BoundaryNodes, Matching, Positions, SurfaceData, Transfer, transfer
 from .expression import Expression
 
 VARIABLES = ("x", "y", "z", "t")
@@ -34,6 +33,29 @@ LARGEST = 1e30
 """Largest displacement, as for coordinates (``formats.files``): its square is finite."""
 
 
+@dataclass(frozen=True)
+class History:
+    """Values (n, m) at ascending times (n,), linear between them; the same at all times unless ``timed``."""
+
+    times: FloatArray
+    values: FloatArray
+    label: str
+    timed: bool = True
+
+    def at(self, time: float) -> FloatArray:
+        """The values (m,) at a time. Raises MotionError before the first time and after the last one."""
+        self.require(time)
+        return np.array([np.interp(time, self.times, column) for column in self.values.T])
+
+    def require(self, time: float) -> None:
+        """Refuse a time that the table does not cover; up to half a millionth of a step beyond its ends is
+        round-off."""
+        first, last = float(self.times[0]), float(self.times[-1])
+        slack = 1e-6 * (float(np.diff(self.times).min()) if len(self.times) > 1 else max(abs(first), 1.0))
+        if self.timed and not first - slack <= time <= last + slack:
+            raise MotionError(f"{self.label} has times from {first:g} to {last:g}; t = {time:g} is not among them")
+
+
 class Step:
     """One entry of ``motion = [...]``, before and after it is bound to its nodes; many do not depend on them.
 
@@ -44,12 +66,25 @@ class Step:
     match: Transfer | None = None
 
     @property
+    def formulas(self) -> Sequence[Expression]:
+        """Formulas that it evaluates."""
+        return ()
+
+    @property
+    def histories(self) -> Sequence[History]:
+        """Tables over time that it follows."""
+        return ()
+
+    @property
     def names(self) -> frozenset[str]:
-        """Variables and constants that its formulas use."""
-        return frozenset()
+        """Variables and constants that it depends on."""
+        timed = any(table.timed for table in self.histories)
+        return frozenset({"t"} if timed else ()).union(*(formula.names for formula in self.formulas))
 
     def require(self, time: float, constants: Mapping[str, float]) -> None:
         """Refuse a time at which it is not defined."""
+        for table in self.histories:
+            table.require(time)
 
     def prepare(self, nodes: BoundaryNodes) -> Step:
         """Compute everything that depends only on the undeformed nodes."""
@@ -69,8 +104,8 @@ class Rotate(Step):
     center: tuple[Expression, Expression, Expression]
 
     @property
-    def names(self) -> frozenset[str]:
-        return self.angle.names.union(*(part.names for part in self.center))
+    def formulas(self) -> Sequence[Expression]:
+        return self.angle, *self.center
 
     def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
         arm = current - _vector(self.center, values, len(current))
@@ -88,8 +123,8 @@ class Displace(Step):
     vector: tuple[Expression, Expression, Expression]
 
     @property
-    def names(self) -> frozenset[str]:
-        return frozenset().union(*(part.names for part in self.vector))
+    def formulas(self) -> Sequence[Expression]:
+        return self.vector
 
     def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
         return fraction * _vector(self.vector, values, len(current))
@@ -126,12 +161,8 @@ class Lattice(Step):
     moves: tuple[ControlMove, ...]
 
     @property
-    def names(self) -> frozenset[str]:
-        return frozenset().union(*(part.names for move in self.moves for part in move.vector))
-
-    @cached_property
-    def _to_box(self) -> FloatArray:
-        return np.asarray(np.linalg.inv(self.edges))
+    def formulas(self) -> Sequence[Expression]:
+        return [part for move in self.moves for part in move.vector]
 
     def require(self, time: float, constants: Mapping[str, float]) -> None:
         self._controls(time, constants)
@@ -145,7 +176,7 @@ class Lattice(Step):
         return found
 
     def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
-        place = (current - self.origin) @ self._to_box
+        place = (current - self.origin) @ np.linalg.inv(self.edges)
         inside = np.flatnonzero(((place >= 0) & (place <= 1)).all(axis=1))
         if inside.size == 0:
             low, high = current.min(axis=0), current.max(axis=0)
@@ -163,29 +194,6 @@ class Lattice(Step):
                 basis.append(scipy.special.comb(count - 1, power) * x**power * (1.0 - x) ** (count - 1 - power))
             displacement[rows] = np.einsum("ni,nj,nk,ijkd->nd", *basis, control, optimize=True)
         return fraction * displacement
-
-
-@dataclass(frozen=True)
-class Positions:
-    """New positions (n, 3), or (n, 2) in a plane grid, of the points with these numbers (n,)."""
-
-    numbers: IntArray
-    positions: FloatArray
-    label: str
-
-    def at(self, nodes: BoundaryNodes) -> SurfaceData:
-        """The displacements of the points; numbering is that of the unstructured files that this program writes. Raises
-        MotionError when a number does not denote a point on a block face, nodes have no new position, or neighbours
-        move so differently that the numbers must belong to another mesh."""
-        surface = positions_by_number(self.numbers, self.positions, self.label, nodes.grid, nodes.topology)
-        missing = np.flatnonzero(~np.isin(nodes.numbers, self.numbers))
-        if missing.size:
-            first = int(missing[0])
-            raise MotionError(
-                f"{self.label} has no position for {missing.size} of {len(nodes.numbers)} boundary nodes, the first "
-                f"{nodes.label(first)}, number {nodes.numbers[first]}"
-            )
-        return surface
 
 
 Table = SurfaceData | Grid | Positions
@@ -217,10 +225,10 @@ class Follow(Step):
             level_at(self.times, time)
 
     def prepare(self, nodes: BoundaryNodes) -> Step:
-        return Imposed(self, nodes)
+        return Transferred(self, nodes)
 
 
-class Imposed(Step):
+class Transferred(Step):
     """A displacement transferred to the nodes, of several tables one at a time; ``match`` is that of the last one."""
 
     def __init__(self, follow: Follow, nodes: BoundaryNodes):
@@ -241,10 +249,20 @@ class Imposed(Step):
         return fraction * self.match.displacement
 
     def _transfer(self, number: int) -> Transfer:
-        data = self._follow.table(number)
-        return transfer(
-            data.at(self._nodes) if isinstance(data, Positions) else data, self._follow.matching, self._nodes
-        )
+        return transfer(self._follow.table(number), self._follow.matching, self._nodes)
+
+
+@dataclass(frozen=True)
+class Weighted(Step):
+    """Displacements (m, n, 3) of the nodes, each times its factor (m,) at the variables' values."""
+
+    shapes: FloatArray
+    factors: Callable[[Mapping[str, Any]], FloatArray]
+    match: Transfer | None = None
+    notes: tuple[str, ...] = ()
+
+    def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
+        return np.asarray(fraction * np.tensordot(self.factors(values), self.shapes, axes=1))
 
 
 @dataclass(frozen=True)

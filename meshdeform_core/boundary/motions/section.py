@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy
@@ -13,7 +11,7 @@ from ...errors import MotionError
 from ...grid import FloatArray, IntArray
 from ...wording import vector
 from ..tables import BoundaryNodes
-from .motion import Step
+from .motion import Step, Weighted
 
 _SAME = 1e-9
 """Points of a section closer than this fraction of the chord are one point."""
@@ -45,7 +43,7 @@ class Airfoil(Step):
     fitted: bool
     label: str
 
-    def prepare(self, nodes: BoundaryNodes) -> ImposedOutline:
+    def prepare(self, nodes: BoundaryNodes) -> Step:
         """Find the outline of the nodes and the position of each on the new one. Raises MotionError when the nodes are
         not the surface of an airfoil, or the trailing edges differ in kind."""
         places = nodes.points[:, list(self.axes)]
@@ -57,14 +55,14 @@ class Airfoil(Step):
         start, count, sharp = _trailing_edge(points[loop], self.label)
         loop = np.roll(loop, -start)
         ring = points[loop]
-        old = Outline.through(np.concatenate([ring[:count], ring[: int(sharp)]]), "the wall")
-        target = Outline.through(self.outline, self.label)
+        old = Outline(np.concatenate([ring[:count], ring[: int(sharp)]]), "the wall")
+        target = Outline(self.outline, self.label)
         notes: tuple[str, ...] = ()
         if self.fitted:
             p, q = (np.array([line.leading, line.trailing]) @ [1.0, 1j] for line in (old, target))
             factor = (p[1] - p[0]) / (q[1] - q[0])
             placed = p[0] + factor * (self.outline @ [1.0, 1j] - q[0])
-            target = Outline.through(np.stack([placed.real, placed.imag], axis=1), self.label)
+            target = Outline(np.stack([placed.real, placed.imag], axis=1), self.label)
             if abs(turn := float(np.degrees(np.angle(factor)))) > _TOLD:
                 notes = (f"{self.label} is turned by {turn:.3g} degrees, so that leading and trailing edge stay in "
                          f'place; with fit = "none" it is where the file has it',)  # fmt: skip
@@ -81,43 +79,19 @@ class Airfoil(Step):
         found[loop[count:]] = lower + (length[:-1] / length[-1])[:, None] * (upper - lower)
         displacement = np.zeros_like(nodes.points)
         displacement[:, list(self.axes)] = (found - points)[of_node]
-        return ImposedOutline(displacement, notes)
+        return Weighted(displacement[None], lambda values: np.ones(1), notes=notes)
 
 
-@dataclass(frozen=True)
-class ImposedOutline(Step):
-    """Displacements (n, 3) onto the new shape."""
-
-    displacement: FloatArray
-    notes: tuple[str, ...]
-
-    def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
-        return fraction * self.displacement
-
-
-@dataclass(frozen=True)
 class Outline:
-    """A cubic spline through the points of an airfoil, open at the trailing edge.
+    """A cubic spline through the points (n, 2) of an airfoil, open at the trailing edge, with the length of the polygon
+    up to each of them (n,), ``knots``, as parameter.
 
-    Attributes
-    ----------
-    points : (n, 2)
-    spline, knots : through the points, with the length of the polygon up to each of them as parameter
-    lengths : (n,) arc lengths of the points
-    half : arc length of the leading edge, where the mean line through the centres of inscribed circles ends
-    leading : (2,) the leading edge
+    ``lengths`` (n,) are the arc lengths of the points, ``half`` is that of the leading edge ``leading`` (2,), where the
+    mean line through the centres of inscribed circles ends.
     """
 
-    points: FloatArray
-    spline: scipy.interpolate.CubicSpline
-    knots: FloatArray
-    lengths: FloatArray
-    half: float
-    leading: FloatArray
-
-    @classmethod
-    def through(cls, points: FloatArray, label: str) -> Outline:
-        """The outline through points (n, 2), no two successive ones of which may coincide."""
+    def __init__(self, points: FloatArray, label: str):
+        """No two successive points may coincide."""
         steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
         if len(points) < 5 or steps.min() <= _SAME * np.ptp(points, axis=0).max():
             at = int(np.argmin(steps)) if len(points) > 1 else 0
@@ -125,16 +99,16 @@ class Outline:
                 f"{label}: {len(points)} points of an airfoil, of which {at + 1} and {at + 2} may be the same; "
                 "expected at least 5 different ones in order"
             )
-        knots = np.concatenate([[0.0], np.cumsum(steps)])
-        spline = scipy.interpolate.CubicSpline(knots, points)
+        self.points, self.knots = points, np.concatenate([[0.0], np.cumsum(steps)])
+        self.spline = scipy.interpolate.CubicSpline(self.knots, points)
         farthest = int(np.argmax(np.linalg.norm(points - 0.5 * (points[0] + points[-1]), axis=1)))
         if not 2 <= farthest <= len(points) - 3:
             raise MotionError(f"{label}: its leading edge is at an end of the list; the trailing edge must be")
-        lengths = np.concatenate([[0.0], np.cumsum(_arc(spline, knots[:-1], knots[1:]))])
-        nose = _nose(spline, knots, farthest)
-        before = int(np.searchsorted(knots, nose, side="right")) - 1
-        half = lengths[before] + float(_arc(spline, knots[before : before + 1], np.array([nose]))[0])
-        return cls(points, spline, knots, lengths, half, spline(nose))
+        self.lengths = np.append(0.0, np.cumsum(_arc(self.spline, self.knots[:-1], self.knots[1:])))
+        nose = _nose(self.spline, self.knots, farthest)
+        before = int(np.searchsorted(self.knots, nose, side="right")) - 1
+        self.half = self.lengths[before] + float(_arc(self.spline, self.knots[before, None], np.array([nose]))[0])
+        self.leading = self.spline(nose)
 
     @property
     def trailing(self) -> FloatArray:
