@@ -16,10 +16,9 @@ import numpy as np
 
 from .boundary import Boundary, Kind
 from .boundary.classification import ClassifiedPatch
+from .boundary.constraints import Periodic, find_sliding
 from .boundary.crossing import Contact, Crossing
 from .boundary.fitting import Tables
-from .boundary.periodic import Periodic
-from .boundary.slip import find_sliding
 from .errors import CaseError
 from .grid import FloatArray, Grid, IntArray
 from .grid.selection import BY_PREFIX, with_components
@@ -193,17 +192,17 @@ def _component(whole: Undeformed, name: str, number: int, memory: MemoryLimit) -
     moving = [patch.name for patch in patches if patch.kind is Kind.MOVING]
     names = [patch.name for patch in boundary.patches if patch.kind is Kind.MOVING]
     movers = zip(names, boundary.movers, strict=True)
-    kinds, pairs = boundary.kind[numbers], boundary.periodic
+    kinds, images = boundary.kind[numbers], boundary.periodic
     sliding = [(p.name, p.quads, p.kind is Kind.SYMMETRY) for p in patches if p.kind in (Kind.SLIP, Kind.SYMMETRY)]
     slip, mirrors = find_sliding(alone, own_topology, sliding, kinds < Kind.FIXED, kinds == Kind.MOVING)
-    paired = (node[pairs.one] >= 0) & (node[pairs.two] >= 0)
+    held = (node[images.nodes] >= 0) & (node[images.root] >= 0)
     own_boundary = Boundary(
         kinds,
         boundary.quad_kind[quads],
         patches,
         tuple((_within(node, moved), motion) for name, (moved, motion) in movers if name in moving),
         slip,
-        Periodic(node[pairs.one[paired]], node[pairs.two[paired]], pairs.rotation[paired]),
+        Periodic(node[images.nodes[held]], node[images.root[held]], images.turn[held]),
         mirrors,
         (),
         Tables(own_topology, ()),

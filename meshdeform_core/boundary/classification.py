@@ -19,11 +19,10 @@ from ..grid.windows import end_planes, rectangles
 from ..numerics.arrays import lengths
 from ..numerics.geometry.coincidence import distinct
 from ..wording import listed, vector
+from .constraints import Pairs, Periodic, Slip, crease_notes, find_periodicity, find_sliding
 from .fitting import Fit, Tables, fit_table
 from .motions.expression import Expression
 from .motions.motion import Follow, Motion, PreparedMotion, tiny_rotations
-from .periodic import Periodic, find_periodicity
-from .slip import Slip, crease_notes, find_sliding
 from .tables import BoundaryNodes, SurfaceData, by_place
 
 UNSELECTED = "(not selected)"
@@ -175,18 +174,17 @@ def classify(grid: Grid, topology: Topology, specs: Sequence[BoundarySpec], cons
             node_kind[patch.nodes] = patch.kind
     for numbers, _ in movers:
         node_kind[numbers] = Kind.MOVING
-    periodic = Periodic.none()
+    pairs = list[Pairs]()
     for spec, quads in zip(specs, selected, strict=True):
         if spec.kind is Kind.PERIODIC:
             sides = [select_quads(grid, topology, [pattern], spec.name) for pattern in spec.select]
-            periodic += find_periodicity(grid, topology, spec.name, quads, sides)
-    if periodic.one.size:
-        # Periodic images of a moving or fixed node have its kind, as they move alike.
-        images, root, _ = periodic.frames(topology.n_unique)
-        strongest = np.zeros_like(node_kind)
-        np.maximum.at(strongest, root, node_kind[images])
-        known = strongest[root] >= Kind.FIXED
-        node_kind[images[known]] = strongest[root[known]]
+            pairs += find_periodicity(grid, topology, spec.name, quads, sides)
+    periodic = Periodic.of(pairs, topology.n_unique)
+    # Periodic images of a moving or fixed node have its kind, as they move alike.
+    strongest = np.zeros_like(node_kind)
+    np.maximum.at(strongest, periodic.root, node_kind[periodic.nodes])
+    known = strongest[periodic.root] >= Kind.FIXED
+    node_kind[periodic.nodes[known]] = strongest[periodic.root[known]]
     slipping = [(p.name, p.quads, p.kind is Kind.SYMMETRY) for p in patches if p.kind in (Kind.SLIP, Kind.SYMMETRY)]
     slip, mirrors = find_sliding(grid, topology, slipping, node_kind < Kind.FIXED, node_kind == Kind.MOVING)
     notes += [*more, *crease_notes(grid, topology, slip)]
@@ -393,37 +391,33 @@ def given_gradient(grid: Grid, boundary: Boundary, nodes: IntArray, gradient: Fl
     """
     periodic, normal = boundary.periodic, plane_normal(grid)
     total = gradient.copy()
-    if periodic.one.size:
-        given = np.zeros(len(gradient), dtype=bool)
-        given[nodes] = True
-        images, root, turn = periodic.frames(len(gradient))
-        home = np.zeros_like(gradient)
-        np.add.at(home, root, np.einsum("nji,nj->ni", turn, total[images]))
-        moving = given[images]
-        count = np.bincount(root[moving], minlength=len(gradient))
-        shared = home[root[moving]] / count[root[moving], None]
-        total[images[moving]] = np.einsum("nij,nj->ni", turn[moving], shared)
+    if periodic.nodes.size:
+        moving = np.isin(periodic.nodes, nodes)
+        shared = periodic.at_images(periodic.at_roots(total) / periodic.count(len(total), moving))
+        total[periodic.nodes[moving]] = shared[moving]
     found = total[nodes]
     return found if normal is None else found - np.outer(found @ normal, normal)
 
 
 def _completed(grid: Grid, boundary: Boundary, displacement: FloatArray, given: BoolArray) -> FloatArray:
     """The displacement completed at periodic images; in 2-D it must stay in the plane."""
-    if boundary.periodic.one.size:
-        nodes, root, turn = boundary.periodic.frames(len(displacement))
-        moving, home = given[nodes], np.zeros_like(displacement)
-        told = np.einsum("nji,nj->ni", turn[moving], displacement[nodes[moving]])
-        home[root[moving]] = told
-        apart = np.linalg.norm(told - home[root[moving]], axis=1)
+    periodic = boundary.periodic
+    if periodic.nodes.size:
+        moving = given[periodic.nodes]
+        # One of the moving images of a node gives the displacement of the others.
+        one = np.zeros(len(displacement), dtype=np.int64)
+        one[periodic.root[moving]] = np.flatnonzero(moving)
+        told = periodic.at_images(periodic.at_roots(displacement, np.unique(one[periodic.root[moving]])))
+        apart = np.linalg.norm(told[moving] - displacement[periodic.nodes[moving]], axis=1)
         if apart.max(initial=0.0) > 1e-6 * np.abs(displacement).max():
             worst = int(np.argmax(apart))
             raise MotionError(
-                f"two periodic images of a node move differently: {vector(told[worst])} and "
-                f"{vector(home[root[moving]][worst])} in the frame of the first; give both "
-                f"the same motion, or move only one of them"
+                f"two periodic images of a node move differently: "
+                f"{vector(displacement[periodic.nodes[moving]][worst])} where the other would give it "
+                f"{vector(told[moving][worst])}; give both the same motion, or move only one of them"
             )
-        image = np.isin(root, root[moving]) & ~moving
-        displacement[nodes[image]] = np.einsum("nij,nj->ni", turn[image], home[root[image]])
+        image = np.isin(periodic.root, periodic.root[moving]) & ~moving
+        displacement[periodic.nodes[image]] = told[image]
     normal = plane_normal(grid)
     if normal is not None and np.abs(displacement @ normal).max() > 1e-9 * np.abs(displacement).max():
         raise MotionError(

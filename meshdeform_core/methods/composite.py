@@ -181,8 +181,7 @@ class PreparedComposite(PreparedMethod):
 
 def free_periodic(problem: Problem) -> IntArray:
     """Unique numbers of the periodic nodes that no boundary of higher precedence moves or fixes."""
-    periodic = problem.boundary.periodic
-    nodes = np.unique(np.r_[periodic.one, periodic.two])
+    nodes = problem.boundary.periodic.nodes
     return np.asarray(nodes[~problem.boundary.known[nodes]])
 
 

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from ..boundary import Kind
-from ..boundary.slip import triangles_of
+from ..boundary.constraints import triangles_of
 from ..grid import FloatArray, IntArray
 from ..grid.topology import Topology
 from ..numerics.geometry.surface import TriangleTree
@@ -95,13 +95,11 @@ class Constraints:
         """Transpose of :meth:`push`, in place."""
         problem = self._problem
         periodic, known = problem.boundary.periodic, problem.boundary.known
-        if periodic.one.size:
-            nodes, root, turn = periodic.frames(len(face))
-            free = ~known[nodes]
-            total, count = np.zeros_like(face), np.bincount(root, minlength=len(face))
-            np.add.at(total, root[free], np.einsum("nji,nj->ni", turn[free], face[nodes[free]]))
-            face[nodes[free]] = 0.0
-            face[nodes] += np.einsum("nij,nj->ni", turn, total[root] / count[root, None])
+        if periodic.nodes.size:
+            free = ~known[periodic.nodes]
+            mean = periodic.at_images(periodic.at_roots(face, free) / periodic.count(len(face)))
+            face[periodic.nodes[free]] = 0.0
+            face[periodic.nodes] += mean
         for nodes, removed in problem.boundary.slip.groups:
             face[nodes] -= face[nodes] @ removed.T
         for nodes, tangent in self._sliding:

@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from ..boundary import Kind
-from ..boundary.slip import Slip
+from ..boundary.constraints import Slip
 from ..grid import FloatArray, IntArray
 from ..numerics.arrays import lengths
 from ..numerics.geometry.surface import TriangleTree
@@ -53,7 +53,7 @@ class PreparedInGaps(PreparedComposite):
     def __init__(self, method: Composite, problem: Problem):
         super().__init__(method, problem)
         self._moving = np.asarray(problem.boundary.kind[problem.source_numbers] == Kind.MOVING)
-        self._has_gaps = 0 < self._moving.sum() < len(self._moving) and not problem.boundary.periodic.one.size
+        self._has_gaps = 0 < self._moving.sum() < len(self._moving) and not problem.boundary.periodic.nodes.size
 
     @property
     def account(self) -> Account:

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from ..boundary import Boundary, Kind
-from ..boundary.slip import CurvedSurface
+from ..boundary.constraints import CurvedSurface
 from ..grid import BoolArray, FloatArray, Grid, IntArray, Side
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology, find_topology, side_nodes
@@ -64,11 +64,11 @@ class Constraints:
             count[surface.nodes] += 1
         for nodes, _ in boundary.slip.groups:
             count[nodes] += 2
-        if boundary.periodic.one.size:
-            nodes, roots, turns = boundary.periodic.frames(topology.n_unique)
-            root[nodes] = roots
-            turn = dict(zip(nodes.tolist(), turns, strict=True))
-            count[nodes] += 2
+        periodic = boundary.periodic
+        if periodic.nodes.size:
+            root[periodic.nodes] = periodic.root
+            turn = dict(zip(periodic.nodes.tolist(), periodic.turn, strict=True))
+            count[periodic.nodes] += 2
         sliding = []
         for surface in boundary.slip.curved:
             held[surface.nodes] |= count[surface.nodes] > 1

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..boundary import Boundary
-from ..boundary.slip import CurvedSurface
+from ..boundary.constraints import CurvedSurface
 from ..grid import BoolArray, FloatArray, IntArray
 from ..grid.planes import plane_axes
 from ..numerics.cell.foldover.elements import Unknowns

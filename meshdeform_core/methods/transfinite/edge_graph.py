@@ -21,7 +21,7 @@ from ..limits import TFI_ROTATION, warn_of_rotation
 from .tfi import Faces
 
 if TYPE_CHECKING:
-    from ...boundary.slip import Slip
+    from ...boundary.constraints import Slip
 
 
 @dataclass(frozen=True)

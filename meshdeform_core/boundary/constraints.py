@@ -1,4 +1,5 @@
-"""Nodes that slide: in planes, on curved surfaces, and in symmetry planes."""
+"""Constraints on the boundary: nodes that slide in planes, symmetry planes among them, and on curved surfaces; periodic
+nodes, which move alike."""
 
 from __future__ import annotations
 
@@ -11,9 +12,11 @@ import numpy as np
 
 from ..errors import CaseError
 from ..grid import BoolArray, FloatArray, Grid, IntArray, Side
+from ..grid.connections import connected_nodes, periodic_rotation
 from ..grid.planes import FLATNESS, Plane, plane_normal, plane_of
-from ..grid.topology import Topology
+from ..grid.topology import RELATIVE_TOLERANCE, Topology
 from ..numerics.arrays import lengths
+from ..numerics.geometry.coincidence import close_pairs
 from ..parallel import Nodes
 from ..wording import counted, vector
 
@@ -133,14 +136,15 @@ class Slip:
 
     Attributes
     ----------
-    planes : slip and symmetry planes with all unique nodes that lie on them, sources included
+    planes : (unit normal (3,), node numbers) of slip and symmetry planes, those with the same normal together, with all
+        unique nodes that lie on them, sources included
     groups : (node numbers (n,), removed directions (3, 3)) for each set of planes that meet at a node; the displacement
         loses its components along the removed directions: ``d - d @ removed``
     sides : (unit normal (3,), face quads) of plane slip sides, those with the same normal together; none of symmetries
     curved : curved slip surfaces
     """
 
-    planes: tuple[tuple[Plane, IntArray], ...] = ()
+    planes: tuple[tuple[FloatArray, IntArray], ...] = ()
     groups: tuple[tuple[IntArray, FloatArray], ...] = ()
     sides: tuple[tuple[FloatArray, IntArray], ...] = ()
     curved: tuple[CurvedSurface, ...] = ()
@@ -162,7 +166,7 @@ class Slip:
 
     def departure(self, displacement: FloatArray) -> float:
         """Largest displacement of a node out of a plane that it lies on (grid length unit)."""
-        return max((float(np.abs(displacement[nodes] @ p.normal).max()) for p, nodes in self.planes), default=0.0)
+        return max((float(np.abs(displacement[nodes] @ normal).max()) for normal, nodes in self.planes), default=0.0)
 
 
 def find_sliding(
@@ -173,58 +177,53 @@ def find_sliding(
     ``slipping`` has name, face quads and "is a symmetry" of every slip or symmetry boundary; ``free`` and ``moving``
     (n_unique,) are the nodes that belong to no stronger boundary, and those of moving ones.
     """
-    planes: list[tuple[Plane, IntArray]] = []
-    curved: list[CurvedSurface] = []
-    mirrors: list[Plane] = []
-    sides: list[tuple[Plane, IntArray]] = []
-    normal = plane_normal(grid)
+    curved, mirrors = list[CurvedSurface](), list[Plane]()
+    # The different normals of planes, and the quads of the planes and of the slip sides with each of them.
+    normals, on_planes, on_sides = list[FloatArray](), list[list[IntArray]](), dict[int, list[IntArray]]()
+    flat, corners = plane_normal(grid), topology.quads.corners
     for name, quads, symmetry in slipping:
         bent = []
-        for _, part in topology.quads.by_side(quads):
-            nodes = np.unique(topology.quads.corners[part])
-            plane = plane_of(grid.nodes.at(topology.first[nodes]), normal)
+        for side, part in topology.quads.by_side(quads):
+            x = grid.nodes.at(topology.first[np.unique(corners[part])])
+            plane = plane_of(x, flat)
+            if plane is None and symmetry:
+                arms = x - x.mean(axis=0)
+                axes = np.linalg.svd(arms, full_matrices=False)[2]
+                off = np.abs(arms @ (axes[-1] if flat is None else np.cross(flat, axes[0])))
+                raise CaseError(
+                    f"boundary {name!r} is a symmetry but not plane: {grid.names[side // 6]}.{Side(side % 6).label} "
+                    f"lies up to {off.max():.3g} off its mean plane, at {vector(x[int(off.argmax())])}; "
+                    f'use kind = "slip" for curved surfaces'
+                )
             if plane is None:
                 bent.append(part)
                 continue
-            planes.append((plane, nodes))
-            if symmetry:
+            same = [n for n, normal in enumerate(normals) if abs(normal @ plane.normal) > 1 - FLATNESS**2 * 8]
+            if not same:
+                normals.append(plane.normal)
+                on_planes.append([])
+            number = same[0] if same else len(normals) - 1
+            on_planes[number].append(part)
+            if not symmetry:
+                on_sides.setdefault(number, []).append(part)
+            elif not any(_same_plane(plane, other) for other in mirrors):
                 mirrors.append(plane)
-            else:
-                sides.append((plane, part))
-        if bent and symmetry:
-            raise CaseError(
-                f"boundary {name!r} is a symmetry but not plane: {_farthest(grid, topology, bent, normal)}; "
-                f'use kind = "slip" for curved surfaces'
-            )
         if bent:
             curved.append(_curved_surface(name, grid, topology, np.concatenate(bent), free, moving))
-    normals, which = _directions([plane for plane, _ in sides])
-    parts = [
-        np.concatenate([part for (_, part), w in zip(sides, which, strict=True) if w == n]) for n in range(len(normals))
-    ]
-    slip = Slip(tuple(planes), _slip_groups(planes, free), tuple(zip(normals, parts, strict=True)), tuple(curved))
-    kept: list[Plane] = []
-    for mirror in mirrors:
-        near = 1e-6 * max(float(np.abs(mirror.point).max()), 1e-300)
-        parallel = [p for p in kept if abs(p.normal @ mirror.normal) > 1 - 1e-9]
-        if not any(abs(p.normal @ (p.point - mirror.point)) < near for p in parallel):
-            kept.append(mirror)
-    return slip, tuple(kept)
+    nodes = [np.unique(corners[np.concatenate(parts)]) for parts in on_planes]
+    slip = Slip(
+        tuple(zip(normals, nodes, strict=True)),
+        _slip_groups(normals, nodes, free),
+        tuple((normals[number], np.concatenate(parts)) for number, parts in on_sides.items()),
+        tuple(curved),
+    )
+    return slip, tuple(mirrors)
 
 
-def _farthest(grid: Grid, topology: Topology, bent: Sequence[IntArray], normal: FloatArray | None) -> str:
-    """The one of several sides whose nodes are farthest from a plane, and how far."""
-    found = []
-    for quads in bent:
-        nodes = topology.first[np.unique(topology.quads.corners[quads])]
-        x = grid.nodes.at(nodes)
-        arms = x - x.mean(axis=0)
-        axes = np.linalg.svd(arms, full_matrices=False)[2]
-        off = np.abs(arms @ (axes[-1] if normal is None else np.cross(normal, axes[0])))
-        block, side = divmod(int(topology.quads.block_side[quads[0]]), 6)
-        found.append((float(off.max()), f"{grid.names[block]}.{Side(side).label}", vector(x[int(off.argmax())])))
-    distance, face, place = max(found)
-    return f"{face} lies up to {distance:.3g} off its mean plane, at {place}"
+def _same_plane(one: Plane, other: Plane) -> bool:
+    near = 1e-6 * max(float(np.abs(one.point).max()), 1e-300)
+    parallel = abs(other.normal @ one.normal) > 1 - 1e-9
+    return bool(parallel and abs(other.normal @ (other.point - one.point)) < near)
 
 
 def crease_notes(grid: Grid, topology: Topology, slip: Slip) -> list[str]:
@@ -270,12 +269,14 @@ def triangles_of(quads: IntArray) -> IntArray:
     return np.concatenate([quads[:, which] for which in split])
 
 
-def _slip_groups(planes: list[tuple[Plane, IntArray]], free: BoolArray) -> tuple[tuple[IntArray, FloatArray], ...]:
-    """Free nodes grouped by the set of slip directions that meet at them."""
-    normals, which = _directions([plane for plane, _ in planes])
+def _slip_groups(
+    normals: Sequence[FloatArray], nodes: Sequence[IntArray], free: BoolArray
+) -> tuple[tuple[IntArray, FloatArray], ...]:
+    """Free nodes grouped by the set of ``normals`` of the planes that meet at them; ``nodes`` are those on the planes
+    with each normal."""
     on = np.zeros((len(free), len(normals)), dtype=bool)
-    for index, (_, nodes) in zip(which, planes, strict=True):
-        on[nodes, index] = True
+    for index, members in enumerate(nodes):
+        on[members, index] = True
     touched = np.flatnonzero(on.any(axis=1) & free)
     if touched.size == 0:
         return ()
@@ -292,14 +293,106 @@ def _slip_groups(planes: list[tuple[Plane, IntArray]], free: BoolArray) -> tuple
     return tuple(groups)
 
 
-def _directions(planes: list[Plane]) -> tuple[list[FloatArray], list[int]]:
-    """The different normals of planes, and which of them each plane has."""
-    normals: list[FloatArray] = []
-    which = []
-    for plane in planes:
-        same = [i for i, n in enumerate(normals) if abs(n @ plane.normal) > 1 - FLATNESS**2 * 8]
-        if not same:
-            normals.append(plane.normal)
-            same = [len(normals) - 1]
-        which.append(same[0])
-    return normals, which
+@dataclass(frozen=True)
+class Periodic:
+    """Periodic nodes, which move alike up to rotations: ``d[nodes] = turn @ d[root]``.
+
+    ``nodes`` (n,) are unique numbers, ascending; ``root`` (n,) is the smallest node among the images of each, ``turn``
+    (n, 3, 3) the rotation from it.
+    """
+
+    nodes: IntArray
+    root: IntArray
+    turn: FloatArray
+
+    @classmethod
+    def of(cls, pairs: Sequence[Pairs], n_unique: int) -> Periodic:
+        """The periodic nodes of all ``pairs``; those at corners have several images, found by following the pairs until
+        nothing changes."""
+        root, turn = np.arange(n_unique), np.tile(np.eye(3), (n_unique if pairs else 0, 1, 1))
+        both = [ends for one, two, turns in pairs for ends in ((one, two, turns), (two, one, turns.transpose(0, 2, 1)))]
+        changed = True
+        while changed:
+            changed = False
+            for source, target, rotation in both:
+                better = root[source] < root[target]
+                if better.any():
+                    s, t = source[better], target[better]
+                    root[t] = root[s]
+                    turn[t] = rotation[better] @ turn[s]
+                    changed = True
+        nodes = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *(one for one, _, _ in both)]))
+        return cls(nodes, root[nodes], turn[nodes])
+
+    def at_roots(self, values: FloatArray, some: IntArray | BoolArray | slice = slice(None)) -> FloatArray:
+        """Sums (n_unique, 3) at the roots, in their frames, of ``values`` (n_unique, 3) of all images or ``some``."""
+        total = np.zeros_like(values)
+        np.add.at(total, self.root[some], np.einsum("nji,nj->ni", self.turn[some], values[self.nodes[some]]))
+        return total
+
+    def at_images(self, values: FloatArray) -> FloatArray:
+        """``values`` (n_unique, 3) at the roots in the frames of all images (n, 3)."""
+        return np.asarray(np.einsum("nij,nj->ni", self.turn, values[self.root]))
+
+    def count(self, n_unique: int, some: BoolArray | slice = slice(None)) -> FloatArray:
+        """Number (n_unique, 1) of images of each root, or of ``some`` images, at least 1."""
+        return np.maximum(np.bincount(self.root[some], minlength=n_unique), 1.0)[:, None]
+
+    def constrain(self, displacement: FloatArray, free: BoolArray) -> None:
+        """Give all images of a node the mean of their displacements, in place, where they are ``free`` (n_unique,).
+
+        The mean is taken in the frame of one image; the choice of image does not matter.
+        """
+        if self.nodes.size:
+            mean = self.at_images(self.at_roots(displacement) / self.count(len(displacement)))
+            displacement[self.nodes[free[self.nodes]]] = mean[free[self.nodes]]
+
+
+Pairs = tuple[IntArray, IntArray, FloatArray]
+"""Unique numbers (n,) of periodic nodes, ``one`` and ``two``, and (n, 3, 3): ``d[two] = rotation @ d[one]``."""
+
+
+def find_periodicity(
+    grid: Grid, topology: Topology, name: str, quads: IntArray, sides: Sequence[IntArray]
+) -> list[Pairs]:
+    """Pairs of one periodic boundary with these face ``quads``: as declared in the file, otherwise by matching its two
+    ``sides``, the quads of its ``select`` patterns. Raises CaseError when the file declares nothing and there are not
+    two sides that match."""
+    nodes = np.unique(topology.quads.corners[quads])
+    declared, paired = list[Pairs](), np.zeros(topology.n_unique, dtype=bool)
+    for connection in grid.connections:
+        if connection.periodic is not None:
+            own, donor = (topology.numbers_of(flat) for flat in connected_nodes(grid, connection))
+            inside = np.isin(own, nodes) & np.isin(donor, nodes)
+            rotation = np.tile(periodic_rotation(connection.periodic), (int(inside.sum()), 1, 1))
+            declared.append((own[inside], donor[inside], rotation))
+            paired[own[inside]] = paired[donor[inside]] = True
+    if paired[nodes].all():
+        return declared
+    if len(sides) != 2:
+        raise CaseError(
+            f"boundary {name!r} is periodic but has {len(sides)} select patterns, and the file declares no "
+            f"periodic connection for them; expected select = [one side, other side]"
+        )
+    one, two = (np.unique(topology.quads.corners[np.intersect1d(quads, side)]) for side in sides)
+    # The translation, or the rotation about a coordinate axis, that maps one side onto the other by their centroids.
+    p, q = grid.nodes.at(topology.first[one]), grid.nodes.at(topology.first[two])
+    centers = p.mean(axis=0), q.mean(axis=0)
+    changes = [(np.eye(3), centers[1] - centers[0])]
+    for axis in range(3):
+        a, b = (axis + 1) % 3, (axis + 2) % 3
+        before, after = (np.arctan2(center[b], center[a]) for center in centers)
+        cos, sin = np.cos(after - before), np.sin(after - before)
+        rotation = np.eye(3)
+        rotation[[a, a, b, b], [a, b, a, b]] = [cos, -sin, sin, cos]
+        changes.append((rotation, np.zeros(3)))
+    tolerance = np.r_[topology.edge[one], topology.edge[two]] * RELATIVE_TOLERANCE
+    for rotation, shift in changes if len(one) == len(two) else []:
+        pairs = np.sort(close_pairs(np.concatenate([p @ rotation.T + shift, q]), tolerance), axis=1)
+        pairs = pairs[(pairs[:, 0] < len(one)) & (pairs[:, 1] >= len(one))]
+        if len(pairs) == len(one):
+            return [(one[pairs[:, 0]], two[pairs[:, 1] - len(one)], np.tile(rotation, (len(one), 1, 1)))]
+    raise CaseError(
+        f"boundary {name!r}: its two periodic sides ({len(one)} and {len(two)} nodes) do not match by a translation "
+        f"or by a rotation about a coordinate axis; expected select = [one side, other side] with equal node layouts"
+    )
