@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,122 +62,103 @@ def read(path: Path) -> DisplacementTable:
     return next(iter(tables.values()))
 
 
-class _Displacements(NamedTuple):
-    """Displacements (n, 3) of the nodes ``numbers`` (n,)."""
-
-    label: str
-    numbers: IntArray
-    values: FloatArray
-
-
-class _Lines:
-    """The lines of a file, with the number of the current one."""
-
-    def __init__(self, text: str):
-        self._lines, self.number = text.splitlines(), 0
-
-    def __iter__(self) -> Iterator[str]:
-        while self.number < len(self._lines):
-            self.number += 1
-            yield self._lines[self.number - 1]
-
-    def block(self) -> list[str]:
-        """The lines up to the end of a block."""
-        found: list[str] = []
-        for line in self:
-            if line.startswith(" -3"):
-                return found
-            found.append(line)
-        raise ValueError("a block has no end")
-
-
 def _read_displacements(path: Path) -> dict[str, DisplacementTable]:
     """Displacements at the surface by their labels, like ``shape 1 (12.5 Hz)``."""
+    numbers, points = np.empty(0, dtype=np.int64), np.empty((0, 3))
+    corners = NO_TRIANGLES
+    found: dict[str, tuple[IntArray, FloatArray]] = {}
     try:
-        lines = _Lines(path.read_text(encoding="ascii"))
+        for head, block in _blocks(path.read_text(encoding="ascii")):
+            words = head.split()
+            if head[:6].strip() == "2C":
+                numbers, points = _numbered_rows(block, words[-1], int(words[1]))
+            elif head[:6].strip() == "3C":
+                faces = _faces_of_elements(block, words[-1], int(words[1]))
+                corners = np.concatenate([NO_TRIANGLES, *(split_cells(face, face.shape[1]) for face in faces)])
+            elif head[2:7] == "100CL" and (name := block[0].split()[1]) in _COMPLEX:
+                raise FormatError(f"{path} has complex displacements ({name}); expected real ones")
+            elif head[2:7] == "100CL" and name == "DISP":
+                rows = [line for line in block if not line.startswith((" -4", " -5"))]
+                unit = " Hz" if head[56:58].strip() == _FREQUENCY else ""
+                label = f"shape {len(found) + 1} ({float(head[12:24]):g}{unit})"
+                found[label] = _numbered_rows(rows, head[73:75].strip() or "1", int(head[24:36]))
     except UnicodeDecodeError:
         raise FormatError(f"{path} is binary; write it as text (in CalculiX the default)") from None
-    try:
-        numbers, points = np.empty(0, dtype=np.int64), np.empty((0, 3))
-        faces: list[IntArray] = []
-        found: list[_Displacements] = []
-        ended = False
-        for line in lines:
-            key, values = line[:6].strip(), line.split()
-            if key == "2C":
-                numbers, points = _rows_of_block(lines.block(), _width(values), int(values[1]))
-            elif key == "3C":
-                faces = _faces_of_elements(lines.block(), _width(values), int(values[1]))
-            elif line[2:7] == "100CL":
-                step = _step(path, lines, line, len(found) + 1)
-                found += [step] if step else []
-            elif key == "9999":
-                ended = True
-        if not ended:
-            raise ValueError("it does not end with 9999")
-        if not len(numbers):
-            raise FormatError(f"{path} has no nodes")
-        # Displacements at the nodes of the ``faces`` (m, 3) or (m, 4), node numbers of their corners.
-        if not found:
-            raise FormatError(f"{path} has no displacements of nodes")
-        corners = np.concatenate([NO_TRIANGLES, *(split_cells(face, face.shape[1]) for face in faces)])
-        used = np.unique(corners) if len(corners) else np.unique(numbers)
-        # This also covers nodes without coordinates, or with two of them.
-        _rows_of(path, numbers, used)
-        for each in found:
-            missing = used[~np.isin(used, each.numbers)]
-            if missing.size and len(corners):
-                where = f"{missing.size} nodes of the surface, first {missing[0]}"
-                raise FormatError(f"{path}: {each.label} has no displacement at {where}")
-            used = used[np.isin(used, each.numbers)]
-        place, triangles = points[_rows_of(path, numbers, used)], np.searchsorted(used, corners)
-        return {
-            each.label: DisplacementTable(place, each.values[_rows_of(path, each.numbers, used)], triangles, row_place)
-            for each in found
-        }
     except (ValueError, IndexError) as error:
-        raise FormatError(f"cannot read {path} as .frd: {error}, line {lines.number}; the file is damaged") from error
+        raise FormatError(f"cannot read {path} as .frd: {error}; the file is damaged") from error
+    if not len(numbers) or not found:
+        raise FormatError(f"{path} has no {'displacements of ' if len(numbers) else ''}nodes")
+    used = np.unique(corners) if len(corners) else np.unique(numbers)
+    # This also covers nodes without coordinates, or with two of them.
+    _rows_of(path, numbers, used)
+    for label, (own, _) in found.items():
+        missing = used[~np.isin(used, own)]
+        if missing.size and len(corners):
+            where = f"{missing.size} nodes of the surface, first {missing[0]}"
+            raise FormatError(f"{path}: {label} has no displacement at {where}")
+        used = used[np.isin(used, own)]
+    place, triangles = points[_rows_of(path, numbers, used)], np.searchsorted(used, corners)
+    return {
+        label: DisplacementTable(place, values[_rows_of(path, own, used)], triangles, row_place)
+        for label, (own, values) in found.items()
+    }
 
 
-def _width(words: list[str]) -> int:
-    if words[-1] not in _WIDTHS:
-        raise ValueError(f"a block has the form {words[-1]}; expected text, 0 or 1")
-    return _WIDTHS[words[-1]]
+def _blocks(text: str) -> Iterator[tuple[str, list[str]]]:
+    """The line before each block, and the lines of the block."""
+    head, block = "", list[str]()
+    for line in text.splitlines():
+        if line.startswith(" -3"):
+            yield head, block
+            block = []
+        elif line.startswith(" -"):
+            block.append(line)
+        elif block:
+            raise ValueError(f"a block has no end, before {line!r}")
+        else:
+            head = line
+    if block or head.strip() != "9999":
+        raise ValueError("it does not end with 9999")
 
 
-def _rows_of_block(block: list[str], width: int, expected: int) -> tuple[IntArray, FloatArray]:
+def _width(form: str) -> int:
+    if form not in _WIDTHS:
+        raise ValueError(f"a block has the form {form}; expected text, 0 or 1")
+    return _WIDTHS[form]
+
+
+def _numbered_rows(block: list[str], form: str, expected: int) -> tuple[IntArray, FloatArray]:
     """Number and three values of each line."""
+    width, numbers, values = _width(form), [], []
     if len(block) != expected:
         raise ValueError(f"a block has {len(block)} lines, {expected} are announced")
-    if any(line[:3] != " -1" for line in block):
-        raise ValueError("a line of values does not begin with -1")
-    words = [_NUMBER.findall(line[3 + width :]) for line in block]
-    for line, found in zip(block, words, strict=True):
-        if len(found) < 3 or "".join(found) != line[3 + width :].replace(" ", ""):
+    for line in block:
+        found = _NUMBER.findall(line[3 + width :])
+        if line[:3] != " -1" or len(found) < 3 or "".join(found) != line[3 + width :].replace(" ", ""):
             raise ValueError(f"{line!r} does not hold a number and 3 values")
-    numbers = np.array([int(line[3 : 3 + width]) for line in block], dtype=np.int64)
-    return numbers, np.array([found[:3] for found in words], dtype=np.float64).reshape(len(block), 3)
+        numbers.append(int(line[3 : 3 + width]))
+        values.append(found[:3])
+    return np.array(numbers, dtype=np.int64), np.array(values, dtype=np.float64).reshape(-1, 3)
 
 
-def _faces_of_elements(block: list[str], width: int, expected: int) -> list[IntArray]:
+def _faces_of_elements(block: list[str], form: str, expected: int) -> list[IntArray]:
     """Faces of shells, and of the outside of solids."""
-    cells: dict[int, list[list[int]]] = {}
-    kind, nodes = 0, []  # type: int, list[int]
-    count = 0
-    for line in [*block, " -1"]:
-        if line.startswith(" -1"):
-            if kind:
-                if len(nodes) != _ELEMENTS[kind][0]:
-                    raise ValueError(f"an element of type {kind} has {len(nodes)} nodes, not {_ELEMENTS[kind][0]}")
-                cells.setdefault(kind, []).append(nodes)
-            if line != " -1":
-                kind, nodes, count = int(line[3 + width : 8 + width]), [], count + 1
-                if kind not in _ELEMENTS:
-                    raise ValueError(f"an element has the unknown type {kind}")
-        else:
-            nodes += [int(line[at : at + width]) for at in range(3, len(line.rstrip()), width)]
-    if count != expected:
-        raise ValueError(f"a block has {count} elements, {expected} are announced")
+    width, cells = _width(form), dict[int, list[list[int]]]()
+    starts = [number for number, line in enumerate(block) if line.startswith(" -1")]
+    if len(starts) != expected:
+        raise ValueError(f"a block has {len(starts)} elements, {expected} are announced")
+    for begin, end in pairwise([*starts, len(block)]):
+        kind = int(block[begin][3 + width : 8 + width])
+        nodes = [
+            int(line[at : at + width])
+            for line in block[begin + 1 : end]
+            for at in range(3, len(line.rstrip()), width)
+        ]
+        if kind not in _ELEMENTS:
+            raise ValueError(f"an element has the unknown type {kind}")
+        if len(nodes) != _ELEMENTS[kind][0]:
+            raise ValueError(f"an element of type {kind} has {len(nodes)} nodes, not {_ELEMENTS[kind][0]}")
+        cells.setdefault(kind, []).append(nodes)
     corners = {kind: np.array(rows, dtype=np.int64)[:, : _ELEMENTS[kind][1]] for kind, rows in cells.items()}
     shells = [own for kind, own in corners.items() if not _ELEMENTS[kind][2] and own.shape[1] > 2]
     return [*shells, *outer_faces([own for kind, own in corners.items() if _ELEMENTS[kind][2]])]
@@ -193,23 +175,6 @@ def outer_faces(solids: Sequence[NDArray[Any]]) -> list[IntArray]:
         _, where, count = np.unique(np.sort(every, axis=1), axis=0, return_inverse=True, return_counts=True)
         found.append(every[count[where.ravel()] == 1])
     return found
-
-
-def _step(path: Path, lines: _Lines, head: str, number: int) -> _Displacements | None:
-    """The displacements of a block of results, ``None`` if it holds other values."""
-    title = next(iter(lines))
-    if not title.startswith(" -4"):
-        raise ValueError("a block of results has no name")
-    block = lines.block()
-    name = title.split()[1]
-    if name in _COMPLEX:
-        raise FormatError(f"{path} has complex displacements ({name}), line {lines.number}; expected real ones")
-    if name != "DISP":
-        return None
-    value, frequency = float(head[12:24]), head[56:58].strip() == _FREQUENCY
-    width = _width([head[73:75].strip()]) if head[73:75].strip() else 10
-    numbers, values = _rows_of_block([line for line in block if not line.startswith(" -5")], width, int(head[24:36]))
-    return _Displacements(f"shape {number} ({value:g}{' Hz' if frequency else ''})", numbers, values)
 
 
 def _rows_of(path: Path, numbers: IntArray, wanted: IntArray) -> IntArray:

@@ -34,8 +34,6 @@ def read(path: Path, file_format: str) -> DisplacementTable:
         if doubts.getvalue():
             # meshio has skipped cells.
             raise ValueError(" ".join(doubts.getvalue().split()))
-        if isinstance(source, _Ply):
-            source.require_all(mesh)
         triangles = [
             split_cells(np.asarray(block.data), _CORNERS.get(block.type, len(block.data[0])))
             for block in mesh.cells
@@ -133,46 +131,6 @@ def _numbers_of_data(body: bytes, binary: bool) -> tuple[str, NDArray[Any]]:
     return tags[0][0].decode("utf-8", "replace").strip(), numbers
 
 
-class _Ply(io.BytesIO):
-    """A PLY file whose faces have nothing but vertices: meshio misreads others, and takes what is there."""
-
-    def __init__(self, path: Path):
-        data = path.read_bytes().replace(b" vertex_index\n", b" vertex_indices\n")
-        super().__init__(data)
-        head, end, body = data.partition(b"end_header")
-        if not end:
-            raise ValueError("its header has no end")
-        self._ascii, self._body = b"format ascii" in head, body.partition(b"\n")[2]
-        elements = [element.split() for element in re.split(rb"^element ", head, flags=re.MULTILINE)[1:]]
-        self._count = {words[0]: int(words[1]) for words in elements}
-        self._kinds = {words[0]: words[3::3] if words[0] == b"vertex" else words[4:6] for words in elements}
-        faces = [words[2:4] + words[6:] for words in elements if words[0] == b"face"]
-        if faces not in ([], [[b"property", b"list", b"vertex_indices"]]) or len(self._count) < len(elements):
-            raise ValueError("its faces have more properties than a list of vertices; expected vertex_indices alone")
-
-    def require_all(self, mesh: meshio.Mesh) -> None:
-        """Refuse a mesh that is not all that the file holds, and only that."""
-        faces = [(len(block.data), block.data.shape[1]) for block in mesh.cells]
-        if (len(mesh.points), sum(rows for rows, _ in faces)) != (self._count[b"vertex"], self._count.get(b"face", 0)):
-            raise ValueError("it does not have the vertices and faces of its header")
-        if self._ascii:
-            size = len(self._body.split())
-            expected = len(mesh.points) * len(self._kinds[b"vertex"]) + sum(n * (1 + width) for n, width in faces)
-        else:
-            size = len(self._body)
-            count, index = map(_size, self._kinds.get(b"face", (b"uchar", b"int")))
-            expected = len(mesh.points) * sum(map(_size, self._kinds[b"vertex"]))
-            expected += sum(n * (count + width * index) for n, width in faces)
-        if size != expected:
-            raise ValueError("its rows are not those that its header announces")
-
-
-def _size(kind: bytes) -> int:
-    """Bytes of a number of PLY, like ``float`` or ``uint16``."""
-    bits = re.sub(rb"\D", b"", kind)
-    return int(bits) // 8 if bits else {b"char": 1, b"short": 2, b"double": 8}.get(kind.removeprefix(b"u"), 4)
-
-
 def _avs(path: Path) -> str:
     """Refuse node data that are not one row for each node: meshio leaves the others undefined.
 
@@ -199,5 +157,5 @@ def _avs(path: Path) -> str:
     return str(path)
 
 
-_SOURCES: dict[str, Callable[[Path], Any]] = {"avsucd": _avs, "gmsh": _gmsh, "ply": _Ply, "tecplot": _EndingText}
+_SOURCES: dict[str, Callable[[Path], Any]] = {"avsucd": _avs, "gmsh": _gmsh, "tecplot": _EndingText}
 """What meshio's reader of a format gets, if not the name of the file."""

@@ -202,8 +202,8 @@ def split_cells(cells: NDArray[Any], corners: int) -> IntArray:
 
 # meshio's formats that can hold a displacement at points, by suffix; others are recognised by a magic number.
 _MESHIO_FORMATS = {
-    ".avs": "avsucd", ".dat": "tecplot", ".med": "med", ".msh": "gmsh", ".ply": "ply", ".tec": "tecplot",
-    ".xdmf": "xdmf", ".xmf": "xdmf",
+    ".avs": "avsucd", ".dat": "tecplot", ".med": "med", ".msh": "gmsh", ".tec": "tecplot", ".xdmf": "xdmf",
+    ".xmf": "xdmf",
 }  # fmt: skip
 _TEXT_SUFFIXES = (".csv", ".txt", ".dat", ".tsv")
 

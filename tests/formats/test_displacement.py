@@ -145,8 +145,8 @@ def test_surfaces_of_meshio(tmp_path, suffix, name):
 
 def test_components_as_scalars(tmp_path):
     data = {f"displacement_{axis}": MOVES[:, i].copy() for i, axis in enumerate("xyz")}
-    meshio.Mesh(POINTS, CELLS[:1], data).write(tmp_path / "a.ply")
-    check(read_displacement(tmp_path / "a.ply"), TRIANGLES[:2])
+    meshio.Mesh(POINTS, CELLS[:1], data).write(tmp_path / "a.vtu")
+    check(read_displacement(tmp_path / "a.vtu"), TRIANGLES[:2])
     # Text is tried as Tecplot when it says so.
     meshio.Mesh(POINTS, CELLS[:1], {"displacement": MOVES}).write(tmp_path / "a.dat", file_format="tecplot")
     check(read_displacement(tmp_path / "a.dat"), TRIANGLES[:2])
