@@ -236,7 +236,7 @@ def convert_command(source: GridInput, target: Path, reference: Path | None, run
             write_boundaries()
     for note in grid.notes:
         tell(f"warning: {note}")
-    if target.suffix.lower() in (".vtu", ".xdmf") and options.get("boundary") != "true" and grid.patches:
+    if target.suffix.lower() == ".vtu" and options.get("boundary") != "true" and grid.patches:
         tell(
             f"warning: {target.suffix} files cannot hold the {len(grid.patches)} patches of the grid; add the outside "
             "faces with their families by --variant boundary=true"

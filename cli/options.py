@@ -240,7 +240,7 @@ class RunInput:
         help="How to write the output. plot3d: encoding=ascii|binary|fortran byte_order=little|big "
         "precision=float32|float64 markers=4|8 records=block|array|plane multiblock=true|false iblank=true|false "
         "dimension=2|3; vtk: encoding=ascii, or binary (.vtk), appended (.vts, .vtm); cgns: precision; "
-        "openfoam: encoding=binary|ascii thickness=LENGTH (2-D grids); .msh: encoding=binary|ascii; .vtu and .xdmf: "
+        "openfoam: encoding=binary|ascii thickness=LENGTH (2-D grids); .msh: encoding=binary|ascii; .vtu: "
         "boundary=true|false (repeatable).",
     )  # fmt: skip
     fields: tuple[str, ...] = given(

@@ -17,7 +17,7 @@ from meshdeform_core.quality.fields import CELL_MEASURES, CellFields
 
 from .grids import FORMATS
 
-WITH_FIELDS = (*FORMATS["vtk"].suffixes, *FORMATS["cgns"].suffixes, ".vtu", ".xdmf")
+WITH_FIELDS = (*FORMATS["vtk"].suffixes, *FORMATS["cgns"].suffixes, ".vtu")
 """Suffixes of formats that hold fields."""
 INVALID, DISPLACEMENT, ALL = "invalid", "displacement", "all"
 

@@ -58,7 +58,7 @@ FORMATS: dict[str, Format] = {
     "cgns": Format("cgns", (".cgns", ".hdf", ".hdf5", ".adf"), "CGNS, HDF5 and ADF (ADF read-only)", together=True),
     "vtk": Format("vtk", (".vtk", ".vts", ".vtm"), "VTK legacy, .vts, .vtm structured grids", True, boundaries=False),
     "openfoam": Format("openfoam.format", (".foam",), "OpenFOAM: blockMeshDict (read), polyMesh (written)"),
-    "meshio": Format("unstructured", (".vtu", ".su2", ".msh", ".inp", ".xdmf", ".med"), "unstructured, write-only"),
+    "meshio": Format("unstructured", (".vtu", ".su2", ".msh", ".inp", ".med"), "unstructured, write-only"),
 }
 
 
@@ -211,7 +211,7 @@ def complete_for_export(grid: Grid, path: Path) -> Grid:
     lost = []
     for field in grid.fields:
         kept = kind in ("vtk", "cgns") or (kind == "plot3d" and field.blanks)
-        if path.suffix.lower() in (".vtu", ".xdmf"):
+        if path.suffix.lower() == ".vtu":
             kept = field.location in ("node", "cell") and blocks[field.location, field.name] == grid.n_blocks
         if not kept:
             lost.append(field.name.upper() if field.blanks else field.name)

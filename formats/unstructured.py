@@ -2,7 +2,6 @@
 
 =========  ======================================================================================
 ``.vtu``   cells with their block number, and the fields that all blocks have
-``.xdmf``  the same, as one XML file
 ``.msh``   Gmsh 2.2: cells and boundary faces in physical groups named after blocks and families
 ``.med``   cells and boundary faces in groups named after blocks and families
 ``.su2``   cells, and a marker for each family (written here: meshio gives markers numbers, not names)
@@ -19,7 +18,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -36,14 +35,7 @@ from .markers import find_markers, point_numbers
 from .text import text_rows
 from .vtk.dataset import storable_type
 
-_BOUNDARY: dict[str, tuple[str, ...]] = {"boundary": ("false", "true")}
-_OPTIONS: dict[str, dict[str, tuple[str, ...]]] = {
-    ".msh": {"encoding": ("binary", "ascii")},
-    ".vtu": _BOUNDARY,
-    ".xdmf": _BOUNDARY,
-}
-
-
+_OPTIONS = {".msh": {"encoding": ("binary", "ascii")}, ".vtu": {"boundary": ("false", "true")}}
 # Corners of a right-handed cell, starting at the lowest indices, in the order of VTK, Gmsh, SU2 and Abaqus.
 _QUAD: tuple[tuple[int, ...], ...] = ((0, 0), (1, 0), (1, 1), (0, 1))
 _HEXAHEDRON: tuple[tuple[int, ...], ...] = (*((i, j, 0) for i, j in _QUAD), *((i, j, 1) for i, j in _QUAD))
@@ -52,8 +44,8 @@ _HEXAHEDRON: tuple[tuple[int, ...], ...] = (*((i, j, 0) for i, j in _QUAD), *((i
 def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
     """How to write ``grid``.
 
-    ``.msh`` takes ``encoding`` (``binary`` or ``ascii``); ``.vtu`` and ``.xdmf`` take ``boundary`` (``false`` or
-    ``true``: the outside faces too, with a field ``family``).
+    ``.msh`` takes ``encoding`` (``binary`` or ``ascii``), ``.vtu`` ``boundary`` (``false`` or ``true``: the outside
+    faces too, with a field ``family``).
     """
     suffix = Path(path).suffix.lower()
     known = _OPTIONS.get(suffix, {})
@@ -104,15 +96,7 @@ def write(grid: Grid, path: Path, variant: FileFormat) -> None:
             inside = [(mesh.kinds[0], mesh.cells)]
             meshio.Mesh(mesh.points, inside, point_sets=sets).write(partial, file_format="abaqus")
         else:
-            more = {}
-            if kind == "xdmf":
-                # By default it has its numbers in a second file, which could not be replaced together with the first.
-                # As text, meshio writes none of 8 and 16 bits.
-                more = {"data_format": "XML"}
-                small = {np.dtype(kind) for kind in ("bool", "int8", "uint8", "int16", "uint16")}
-                wide = (replace(f, values=f.values.astype("i4")) if f.values.dtype in small else f for f in grid.fields)
-                grid = replace(grid, fields=tuple(wide))
-            _of_variant(grid, mesh, options).write(partial, file_format=kind, **more)
+            _of_variant(grid, mesh, options).write(partial, file_format=kind)
 
 
 def as_mesh(grid: Grid) -> meshio.Mesh:

@@ -150,9 +150,7 @@ def _faces_of_elements(block: list[str], form: str, expected: int) -> list[IntAr
     for begin, end in pairwise([*starts, len(block)]):
         kind = int(block[begin][3 + width : 8 + width])
         nodes = [
-            int(line[at : at + width])
-            for line in block[begin + 1 : end]
-            for at in range(3, len(line.rstrip()), width)
+            int(line[at : at + width]) for line in block[begin + 1 : end] for at in range(3, len(line.rstrip()), width)
         ]
         if kind not in _ELEMENTS:
             raise ValueError(f"an element has the unknown type {kind}")

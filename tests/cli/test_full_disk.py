@@ -118,7 +118,7 @@ def test_no_file_is_smaller_than_foretold(name, tmp_path):
 
 PARTS = (0.0, 0.3, 1.0)
 """Of the size of the largest file that the command writes."""
-MANY_BLOCKS = (".xyz", ".p3dfmt", ".cgns", ".vtm", ".vtu", ".xdmf", ".msh", ".med", ".su2", ".inp")
+MANY_BLOCKS = (".xyz", ".p3dfmt", ".cgns", ".vtm", ".vtu", ".msh", ".med", ".su2", ".inp")
 
 
 @pytest.fixture

@@ -113,10 +113,10 @@ def test_new_nodes_of_cgns_files_hold_no_time(tmp_path):
         assert not any(struct.pack("<I", second) in data for second in range(begin, int(time.time()) + 1))
 
 
-ALL = (".xyz", ".cgns", ".vtm", ".foam", ".su2", ".msh", ".inp", ".vtu", ".xdmf")
+ALL = (".xyz", ".cgns", ".vtm", ".foam", ".su2", ".msh", ".inp", ".vtu")
 KEPT = {
-    "iblank": (".xyz", ".cgns", ".vtm", ".vtu", ".xdmf"),
-    "pressure": (".cgns", ".vtm", ".vtu", ".xdmf"),
+    "iblank": (".xyz", ".cgns", ".vtm", ".vtu"),
+    "pressure": (".cgns", ".vtm", ".vtu"),
     "some": (".cgns", ".vtm"),
     "flux": (".cgns", ".vtm"),
 }
