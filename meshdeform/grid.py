@@ -84,7 +84,7 @@ class Grid:
         """
         grid = whole(self, "all blocks")
         views = [grid.block(b)[:, :, 0, :2] if self.plane else grid.block(b) for b in range(len(self))]
-        return [_read_only(view) for view in views]
+        return [read_only(view) for view in views]
 
     @property
     def part(self) -> list[BlockPart]:
@@ -96,7 +96,7 @@ class Grid:
         for number in range(len(self)):
             planes = core.planes(number)
             if planes.start < planes.stop:
-                points = _read_only(rows_of_block(self, number, core.points))
+                points = read_only(rows_of_block(self, number, core.points))
                 found.append(BlockPart(number, planes.start, planes.stop, points))
         return found
 
@@ -239,8 +239,9 @@ class Grid:
         )
 
 
-def _read_only(view: FloatArray) -> FloatArray:
-    view = view.view()
+def read_only(array: FloatArray) -> FloatArray:
+    """A view of an array that refuses changes."""
+    view = array.view()
     view.flags.writeable = False
     return view
 

@@ -23,8 +23,8 @@ from meshdeform_core.errors import GridError, MethodError
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.repair.options import Mode
 
-from .mesh import Mesh, Repeated
-from .step import Linearisation, unusable
+from .mesh import Linearisation, Mesh, Repeated
+from .step import unusable
 
 __all__ = ["deform_function"]
 
@@ -68,7 +68,7 @@ def deform_function(
             raise MethodError(
                 f"displacement is {given.dtype}; expected float64: jax.config.update('jax_enable_x64', True)"
             )
-        expected = [mesh.points.shape, *([(len(mesh.points), 2)] if mesh.session.plane else [])]
+        expected = [mesh.points.shape, *([(len(mesh.points), 2)] if mesh.plane else [])]
         if given.shape not in expected:
             raise MethodError(f"displacement is {given.shape}; expected {expected[-1]}, like mesh.points")
         return _outside(deformed, blocks, given)

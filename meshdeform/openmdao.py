@@ -29,7 +29,6 @@ from meshdeform_core.quality.gradients import quality_gradient
 
 from .grid import Grid
 from .mesh import Mesh, Repeated
-from .session import gathered, share_of
 from .step import unusable
 from .tasks import prepare
 
@@ -51,7 +50,7 @@ class _OnMesh(om.ExplicitComponent):
 
     def setup(self) -> None:
         mesh = self.options["mesh"]
-        self.mesh, self.ranks = mesh, mesh.session.ranks
+        self.mesh, self.ranks = mesh, mesh.ranks
         if self.comm.size != self.ranks.count:
             raise CaseError(
                 f"the mesh was prepared for {self.ranks.count} ranks, the component runs on {self.comm.size}; expected "
@@ -59,12 +58,12 @@ class _OnMesh(om.ExplicitComponent):
             )
         # With a single process, vectors are serial, as distributed ones require PETSc.
         self.divided = self.ranks.count > 1
-        self.own_points = share_of(len(mesh.points), self.ranks)
-        self.own_nodes = slice(*mesh.session.setup.grid.nodes.ends)
+        self.own_points = self.ranks.share(len(mesh.points))
+        self.own_nodes = slice(*mesh.setup.grid.nodes.ends)
 
     def whole(self, values: Any) -> FloatArray:
         """The rows (n, 3) of all ranks from this rank's, flat."""
-        return gathered(self.ranks, _real(values))
+        return np.array(self.ranks.collect(_real(values)))
 
 
 def _real(values: Any) -> FloatArray:
@@ -105,7 +104,7 @@ class MeshDeformComp(_OnMesh):
         super().setup()
         o, mesh = self.options, self.mesh
         self._repeated = Repeated(mesh, o["steps"], o["repair"])
-        points, nodes = mesh.points[self.own_points], mesh.session.setup.grid.points[self.own_nodes]
+        points, nodes = mesh.points[self.own_points], mesh.setup.grid.points[self.own_nodes]
         for name in filter(None, (o["surface"], o["initial"])):
             self.add_input(name, points.ravel(), distributed=self.divided, tags=["mphys_coordinates"])
         self.add_output(o["volume"], nodes.ravel(), distributed=self.divided, tags=["mphys_coupling"])
@@ -150,7 +149,7 @@ class MeshQualityComp(_OnMesh):
 
     def setup(self) -> None:
         super().setup()
-        nodes = self.mesh.session.setup.grid.points[self.own_nodes]
+        nodes = self.mesh.setup.grid.points[self.own_nodes]
         self.add_input(self.options["volume"], nodes.ravel(), distributed=self.divided, tags=["mphys_coupling"])
         for measure in self.options["measures"]:
             self.add_output(f"quality_{measure}", 0.0, tags=["mphys_result"])
@@ -175,10 +174,10 @@ class MeshQualityComp(_OnMesh):
                 d_inputs[volume] += sum(self.ranks.gather([float(d_outputs[name][0])])) * own
 
     def _measured(self, inputs: Any, measure: str) -> tuple[float, FloatArray]:
-        setup = self.mesh.session.setup
+        setup = self.mesh.setup
         points = setup.grid.nodes.like(3)
         Nodes.of(points).rows[self.own_nodes] = _real(inputs[self.options["volume"]])
-        with self.mesh.session.at_work():
+        with self.mesh.at_work():
             return quality_gradient(setup.grid, points, setup.topology, measure, self.options["sharpness"])
 
 
@@ -217,14 +216,14 @@ class MeshCoordinates(_OnMesh):
         ----------
         groupName : a moving patch; all by default
         """
-        setup, names = self.mesh.session.setup, self.mesh.patches if groupName is None else [groupName]
+        setup, names = self.mesh.setup, self.mesh.patches if groupName is None else [groupName]
         patches = [p for p in setup.boundary.patches if p.kind is Kind.MOVING and p.name in names]
         if not patches:
             raise CaseError(f"no moving patch {groupName!r}; expected one of {', '.join(self.mesh.patches)}")
         corners = setup.topology.quads.corners[np.unique(np.concatenate([patch.quads for patch in patches]))]
         if corners.shape[1] != 4:
             raise CaseError("a plane grid has edges, not faces; expected a grid in space")
-        with self.mesh.session.at_work():
+        with self.mesh.at_work():
             at = setup.grid.points[setup.topology.first[np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])]]
         return [at[:, 0], at[:, 1] - at[:, 0], at[:, 2] - at[:, 0]]
 
@@ -344,4 +343,4 @@ class MeshDeformBuilder(Builder):
             chosen[:] = False
             for name in names:
                 chosen |= mesh.mask(name)
-        return np.flatnonzero(chosen[share_of(len(chosen), mesh.session.ranks)])
+        return np.flatnonzero(chosen[mesh.ranks.share(len(chosen))])

@@ -1,33 +1,26 @@
-"""The result of one deformation, and its derivatives with respect to the displacement of the moving nodes."""
+"""The result of one deformation, and the derivative of the grid there."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from meshdeform_core.boundary.classification import given_gradient
 from meshdeform_core.deform import Result
 from meshdeform_core.errors import GridError
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.memory import peak_memory
 from meshdeform_core.methods import PreparedMethod
 from meshdeform_core.methods.base import Linearised
-from meshdeform_core.methods.limits import reason_of
 from meshdeform_core.overset import PreparedComponents
 from meshdeform_core.parallel import Nodes
 from meshdeform_core.quality import InvalidCell
 from meshdeform_core.repair.derivative import derivative_of_repair
 from meshdeform_core.repair.outcome import Repair
 
-from .grid import Grid, by_part, checked_array, rows_of_block, together, whole, wrapped
-from .session import Session
-
-if TYPE_CHECKING:
-    from scipy.sparse.linalg import LinearOperator
+from .grid import Grid, by_part, together, whole, wrapped
 
 _CLOSE = 1e-4
 """A repaired grid farther from the minimum than this fraction of the shortest edge, round-off aside, is not at it."""
@@ -163,124 +156,6 @@ def unusable(step: Step) -> str:
     """A message on an invalid grid, for programs that cannot go on with it."""
     first = step.invalid_cells[0] if step.invalid_cells else "none is invalid"
     return f"the deformed grid cannot be used: {step!r}; first cell: {first}"
-
-
-class Linearisation:
-    """The derivative of the grid at one displacement; made by :meth:`Mesh.linearise`.
-
-    It is that of the method and of its repair, for a fixed undeformed grid: rotations, their smoothing and mean motions
-    are differentiated as they depend on the displacement, the repair as the minimum that it is. Of a motion in several
-    steps it is that of the method in one step, and :attr:`exact` is false.
-
-    Attributes
-    ----------
-    step : the deformed grid at this displacement, as :meth:`Mesh.deform` gives it
-    reason : why this is not the derivative of :attr:`step`; empty if it is
-    """
-
-    def __init__(self, session: Session, method: PreparedMethod, step: Step, of_sources: FloatArray) -> None:
-        self._session, self._setup, self.step = session, step.result.setup, step
-        self._derivative, why = differentiated(step.result, method, of_sources)
-        self.reason = "; ".join(filter(None, (why, reason_of(self._derivative.kinks))))
-
-    @property
-    def exact(self) -> bool:
-        """Whether this is the derivative of :attr:`step`; else :attr:`reason` says why not."""
-        return not self.reason
-
-    def jvp(self, displacement: ArrayLike) -> list[FloatArray]:
-        """Change of the blocks' coordinates, arrays like ``mesh.grid.blocks``, for a change of the displacement.
-
-        If every rank holds a part of the grid: arrays like ``mesh.grid.part``; all ranks call this, with the same
-        change.
-
-        Parameters
-        ----------
-        displacement : (n_moving, 3) change of the displacement, rows as in :attr:`Mesh.points`
-
-        Raises
-        ------
-        MotionError
-            For an array of another shape, values that are not finite, or a change out of the plane of a 2-D grid.
-        """
-        with self._session.at_work():
-            change = self._session.checked(displacement, "displacement", len(self._session.numbers))
-            return by_part(self.step.grid, self._pushed(change))
-
-    def vjp(self, gradients: Sequence[ArrayLike]) -> FloatArray:
-        """Gradient (n_moving, 3) with respect to the displacement from that with respect to the coordinates.
-
-        The transpose of :meth:`jvp`. The contributions of coincident block nodes are added.
-
-        Parameters
-        ----------
-        gradients : one array per block, like ``mesh.grid.blocks``; if every rank holds a part of the grid, of the nodes
-            in its ``mesh.grid.part``. All ranks call this together and get the whole gradient
-
-        Raises
-        ------
-        GridError
-            When their number or shapes are not those of the blocks, or values are not finite.
-        """
-        parts = self.step.grid.part
-        what = f"expected those of the {len(parts)} blocks"
-
-        def fill() -> None:
-            found = list(gradients) if isinstance(gradients, Iterable) else [gradients]
-            if len(found) != len(parts):
-                raise GridError(f"found gradients for {len(found)} blocks; {what}")
-            for (block, _, _, points), each in zip(parts, found, strict=True):
-                values = checked_array(each, points.shape, f"gradient of block {block + 1}", what, GridError)
-                rows_of_block(self.step.grid, block, flat)[...] = values
-
-        with self._session.at_work():
-            flat = self._setup.grid.nodes.like(3)
-            Nodes.of(flat).each(lambda rows: flat[rows].fill(0.0))
-            Nodes.of(flat).on_each(fill)
-            return self._pulled(flat)
-
-    @property
-    def operator(self) -> LinearOperator:
-        """The derivative as a scipy ``LinearOperator`` of shape (3 n_nodes, 3 n_moving), with its transpose.
-
-        Rows: nodes of all blocks in block order, C order within a block, x y z last; columns: rows of ``mesh.points``.
-        If every rank holds a part of the grid: rows of its nodes; all ranks call this with the same change, or each
-        with the gradient of its nodes, and get the whole gradient.
-        """
-        from scipy.sparse.linalg import LinearOperator
-
-        nodes, moving = self._setup.grid.nodes, len(self._session.numbers)
-        low, high = nodes.ends
-
-        def push(x: FloatArray) -> FloatArray:
-            with self._session.at_work():
-                return np.asarray(self._pushed(_real(x).reshape(moving, 3))[low:high]).ravel()
-
-        def pull(w: FloatArray) -> FloatArray:
-            with self._session.at_work():
-                gradient = nodes.like(3)
-                Nodes.of(gradient).rows[low:high] = _real(w).reshape(high - low, 3)
-                return self._pulled(gradient).ravel()
-
-        return LinearOperator((3 * (high - low), 3 * moving), matvec=push, rmatvec=pull, dtype=np.float64)
-
-    def _pushed(self, change: FloatArray) -> FloatArray:
-        return self._derivative.push(self._session.of_boundary(change)[self._setup.problem.source_numbers])
-
-    def _pulled(self, gradient: FloatArray) -> FloatArray:
-        """:meth:`vjp` of a gradient (n_nodes, 3), which is overwritten."""
-        setup = self._setup
-        total = np.zeros((setup.topology.n_unique, 3))
-        total[setup.problem.source_numbers] = self._derivative.pull(gradient)
-        return given_gradient(setup.grid, setup.boundary, self._session.numbers, total)
-
-
-def _real(values: Any) -> FloatArray:
-    """The argument of a ``LinearOperator`` as a new real array."""
-    found = np.array(values)
-    if found.dtype.kind == "c":
-        raise GridError("found complex numbers; expected real ones: apply the operator to both parts")
-    return found.astype(np.float64)
 
 
 def differentiated(result: Result, method: PreparedMethod, displacement: FloatArray) -> tuple[Linearised, str]:

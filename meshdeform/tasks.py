@@ -24,8 +24,7 @@ from meshdeform_core.repair.options import Mode
 from meshdeform_formats.case import CaseFile, case_of, read_case
 
 from .grid import Grid, in_parts, user_grid, whole, whole_number, wrapped
-from .mesh import Mesh
-from .session import Session, one_at_a_time, ranks_of_comm
+from .mesh import Mesh, one_at_a_time
 from .step import Step
 
 if TYPE_CHECKING:
@@ -136,7 +135,16 @@ def prepare(
         limit = machine_memory() if max_memory is None else parse_memory(str(max_memory), "max_memory")
         memory = Demand.of("deforming", deforming(chosen.method.name), held.core).left_of(limit)
         setup = set_up(held.core, chosen, memory=memory)
-        return Mesh(Session(setup, held.plane, ranks, threads))
+        return Mesh(setup, held.plane, ranks, threads)
+
+
+def ranks_of_comm(comm: Comm | None) -> Ranks:
+    """The ranks of a communicator; this process alone without one."""
+    if comm is None:
+        return Ranks()
+    from meshdeform_core.parallel.mpi import MPIRanks
+
+    return MPIRanks(comm)
 
 
 def _grid_of(source: Grid | str | Path, what: CaseFile, ranks: Ranks) -> Grid:

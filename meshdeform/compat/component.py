@@ -16,9 +16,8 @@ from meshdeform_core.grid.windows import rectangles
 from meshdeform_core.wording import vector
 
 from ..grid import wrapped
-from ..mesh import Mesh, Repeated
-from ..session import Session
-from ..step import Linearisation, Step
+from ..mesh import Linearisation, Mesh, Repeated
+from ..step import Step
 from ..tasks import options_of, prepare
 from .options import Options
 
@@ -168,7 +167,7 @@ class Component:
         self.rows = zones.rows
         self._mesh = _mesh(zones, quads)
         self._repeated = Repeated(self._mesh, 1, zones.options["repair"])
-        numbers, topology = self._mesh.session.numbers, self._mesh.session.setup.topology
+        numbers, topology = self._mesh.numbers, self._mesh.setup.topology
         self.point, node = pairs
         self._row = np.searchsorted(numbers, node)
         if not np.array_equal(numbers[self._row], node):
@@ -196,7 +195,7 @@ class Component:
         """
         start = surface[self._first]
         apart = surface[self.point] - start[self._row]
-        edge = self._mesh.session.setup.topology.edge[self._mesh.session.numbers]
+        edge = self._mesh.setup.topology.edge[self._mesh.numbers]
         gap = np.linalg.norm(apart, axis=1) / edge[self._row]
         worst = int(np.argmax(gap))
         if gap[worst] > _DISAGREE:
@@ -248,10 +247,10 @@ def _mesh(zones: Zones, quads: IntArray) -> Mesh:
         method="idw",
     )
     # The method's L_def depends on the sources, which are known only after the set-up.
-    setup = mesh.session.setup
+    setup = mesh.setup
     length = float(np.linalg.norm(setup.problem.source_points - setup.problem.centroid, axis=1).max())
     case = replace(setup.case, method=options_of(zones.options.method(length)))
-    return Mesh(Session(replace(setup, case=case), False, mesh.session.ranks, None))
+    return Mesh(replace(setup, case=case), False, mesh.ranks, None)
 
 
 def _of_families(grid: Grid, names: list[str], option: str) -> list[Patch]:

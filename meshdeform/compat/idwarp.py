@@ -26,7 +26,8 @@ from meshdeform_core.parallel import Ranks, sharing
 from meshdeform_core.wording import vector
 
 from ..grid import read, wrapped, write
-from ..session import gathered, one_at_a_time, ranks_of_comm, share_of, summed
+from ..mesh import one_at_a_time
+from ..tasks import ranks_of_comm
 from .component import Component, Definition, Zones, require_found, rows_of_file, rows_of_freedoms
 from .options import Options
 
@@ -103,7 +104,7 @@ class _Interface:
                 found.append((quads, (count + np.arange(len(nodes)), nodes)))
                 points.append(zones.grid.points[zones.topology.first[nodes]])
                 count += len(nodes)
-            self._begin(np.concatenate(points)[share_of(count, self._ranks)], found)
+            self._begin(np.concatenate(points)[self._ranks.share(count)], found)
         return self._surface.copy()
 
     def setSurfaceCoordinates(self, coordinates: ArrayLike) -> None:
@@ -117,8 +118,8 @@ class _Interface:
 
     def warpMesh(self) -> None:
         """Move the grid. An invalid grid causes a warning only, as solvers have checks of their own."""
-        whole = gathered(self._ranks, self.getSurfaceCoordinates())
-        moved = np.any(whole[self._still] != gathered(self._ranks, self._start)[self._still], axis=1)
+        whole = self._ranks.collect(self.getSurfaceCoordinates())
+        moved = np.any(whole[self._still] != self._ranks.collect(self._start)[self._still], axis=1)
         if moved.any():
             raise MotionError(
                 f"{moved.sum():,} surface points moved that lie on zones without options, the first to "
@@ -162,7 +163,7 @@ class _Interface:
         rows, own = self._rows(solverVec), np.asarray(dXs, dtype=np.float64).reshape(-1, 3)
         if own.shape != self.getSurfaceCoordinates().shape:
             raise MotionError(f"dXs has {own.size} values; expected {self._surface.size}")
-        whole = gathered(self._ranks, own)
+        whole = self._ranks.collect(own)
 
         def forward() -> FloatArray:
             moved = np.zeros_like(self._grid.points)
@@ -178,7 +179,8 @@ class _Interface:
         if len(own) != len(rows):
             raise GridError(f"dXv has {own.size} values; expected {3 * len(rows)}")
         count = len(self.getSurfaceCoordinates())
-        total, sizes = summed(self._ranks, self._grid.n_nodes, rows, own), self._ranks.gather([count])
+        sizes, total = self._ranks.gather([count]), np.zeros_like(self._grid.points)
+        np.add.at(total, self._ranks.collect(rows), self._ranks.collect(own))
 
         def reverse() -> FloatArray:
             whole = np.zeros((sum(sizes), 3))
@@ -216,7 +218,7 @@ class _Interface:
     @property
     def _own_rows(self) -> IntArray:
         """Rows of the grid's points of this rank's share of the nodes, in the order of the file."""
-        own = share_of(self._grid.n_nodes, self._ranks)
+        own = self._ranks.share(self._grid.n_nodes)
         return rows_of_file(self._grid, np.arange(own.start, own.stop))
 
     @property
@@ -233,7 +235,7 @@ class _Interface:
         """Define the surface by this rank's points and faces, which are located on the undeformed grid."""
         first = sum(self._ranks.gather([len(definition.points)])[: self._ranks.number])
         parts = definition.points, definition.faces + first, definition.zone
-        whole = Definition(*(gathered(self._ranks, part) for part in parts))
+        whole = Definition(*(self._ranks.collect(part) for part in parts))
         times, found = np.zeros(len(whole.faces), dtype=np.int64), []
         for zones in self._zones:
             faces, quads, pairs = zones.match(whole)
@@ -368,7 +370,7 @@ class MultiUSMesh(_Interface):
         for zones in self._zones:
             ends = self._grid.offsets[zones.zones], self._grid.offsets[zones.zones + 1]
             numbers = np.concatenate([np.arange(low, high) for low, high in zip(*ends, strict=True)])
-            own = numbers[share_of(len(numbers), self._ranks)]
+            own = numbers[self._ranks.share(len(numbers))]
             found.append(self._points[rows_of_file(self._grid, own)].ravel())
             total += 3 * len(numbers)
         return found, total

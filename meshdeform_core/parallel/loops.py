@@ -44,8 +44,12 @@ class Ranks:
         """The (small) results of all ranks, in rank order."""
         return list(found)
 
-    def collect(self, own: Any, counts: Sequence[int]) -> Any:
-        """The rows of all ranks, ``counts`` of each, concatenated in rank order."""
+    def share(self, count: int) -> slice:
+        """Rows of this rank where ``count`` rows are divided evenly: those of rank r begin at int(count r / ranks)."""
+        return slice(count * self.number // self.count, count * (self.number + 1) // self.count)
+
+    def collect(self, own: Any, counts: Sequence[int] | None = None) -> Any:
+        """The rows of all ranks, ``counts`` of each if that is known, concatenated in rank order."""
         return own
 
     def swap(self, sends: Mapping[int, Any], receives: Mapping[int, Any]) -> None:

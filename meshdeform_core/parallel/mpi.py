@@ -45,9 +45,10 @@ class MPIRanks(Ranks):
         self._meet()
         return [each for own in self._comm.allgather(list(found)) for each in own]
 
-    def collect(self, own: np.ndarray, counts: Sequence[int]) -> np.ndarray:
+    def collect(self, own: np.ndarray, counts: Sequence[int] | None = None) -> np.ndarray:
         import numpy as np
 
+        counts = self.gather([len(own)]) if counts is None else counts
         found = empty((sum(counts), *own.shape[1:]), own.dtype)
         width = math.prod(own.shape[1:])
         self._meet()

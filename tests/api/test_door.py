@@ -340,7 +340,7 @@ def test_threads_take_turns(plate):
 def test_a_forked_process_does_not_wait_for_threads_that_it_lacks(mesh, bend):
     code = """
 import os, threading, time, numpy as np, meshdeform as md
-from meshdeform.session import one_at_a_time
+from meshdeform.mesh import one_at_a_time
 held = threading.Event()
 def hold():
     with one_at_a_time():

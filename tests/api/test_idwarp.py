@@ -255,10 +255,10 @@ def test_options_are_honoured(wing, capsys):
     assert mesh.getOption("AEXP") == 2.0
     mesh.setOption("alpha", 0.3)
     mesh.getSurfaceCoordinates()
-    part = mesh._components[0]._mesh.session.setup.case.method.idw
+    part = mesh._components[0]._mesh.setup.case.method.idw
     reach = USMesh({"gridFile": wing})
     reach.getSurfaceCoordinates()
-    usual = reach._components[0]._mesh.session.setup.case.method.idw
+    usual = reach._components[0]._mesh.setup.case.method.idw
     assert (part.a, part.alpha, part.rotation, usual.rotation) == (2.0, 0.3, "none", "lie")
     assert part.length == pytest.approx(50 * usual.length)
     assert part.summation_tolerance == usual.summation_tolerance == 5e-7

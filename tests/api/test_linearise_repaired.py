@@ -142,7 +142,7 @@ def test_coordinates_in_single_precision_are_near_enough_to_the_minimum():
     written = dataclasses.replace(grid, format=FileFormat("plot3d", "float32"))
     at = bend(prepared(grid), 0.6, 0.3)
     double, single = (md.prepare(wrapped(each), case(False, "slip")) for each in (grid, written))
-    assert single.session.setup.grid.precision == "float32"
+    assert single.setup.grid.precision == "float32"
     one, two = (mesh.linearise(at, steps=1) for mesh in (double, single))
     assert one.step.repair.converged
     assert two.exact, two.reason

@@ -152,7 +152,7 @@ def test_complex_steps_are_refused(mesh):
 
 
 def test_other_ranks_than_those_of_the_mesh(mesh, monkeypatch):
-    monkeypatch.setattr(type(mesh.session.ranks), "count", 3)
+    monkeypatch.setattr(type(mesh.ranks), "count", 3)
     problem = om.Problem()
     problem.model.add_subsystem("deform", MeshDeformComp(mesh=mesh))
     with pytest.raises(md.CaseError, match="prepared for 3 ranks"):

@@ -125,7 +125,7 @@ def test_derivatives_in_parts(source, name, monkeypatch):
 
     rng = np.random.default_rng(4)
     whole = prepared(source, method=METHODS[name]).linearise(small, repair="off")
-    change = rng.standard_normal((len(whole._session.numbers), 3))
+    change = rng.standard_normal((len(whole._mesh.numbers), 3))
     gradient = [rng.standard_normal(block.shape) for block in whole.step.grid.blocks]
     pushed, pulled, reason = whole.jvp(change), whole.vjp(gradient), whole.reason
     poison_parts(monkeypatch)

@@ -9,7 +9,6 @@ from cases import ALL_METHODS, constant
 from grids import frame_2d
 
 from meshdeform.mesh import Mesh
-from meshdeform.session import Session
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.methods import Options
@@ -23,7 +22,7 @@ def mesh_of(options: Options) -> Mesh:
     """A hollow bar in a frame; two of its sides move, no cells lie between them."""
     left = BoundarySpec("left", ("block2.imax",), Kind.MOVING, None, constant(0, 0, 0))
     right = BoundarySpec("right", ("block7.imin",), Kind.MOVING, None, constant(0, 0, 0))
-    return Mesh(Session(set_up(frame_2d(), Case((left, right), {}, options)), False, Ranks(), None))
+    return Mesh(set_up(frame_2d(), Case((left, right), {}, options)), False, Ranks(), None)
 
 
 def bulge(depth: float, points: np.ndarray, _: float) -> np.ndarray:
@@ -78,7 +77,7 @@ def test_the_calls_differ_in_what_they_are_to_show():
 
 
 def test_a_prepared_method_is_used_again_for_its_own_grid_and_options_only():
-    setup = mesh_of(Options("tfi")).session.setup
+    setup = mesh_of(Options("tfi")).setup
     course = Course(setup, setup.motion(0.0), "float64", Timing(), None, Limit())
     state = beginning(course, setup.case.method)
     elsewhere = dataclasses.replace(state.found, points=state.found.points.copy())
