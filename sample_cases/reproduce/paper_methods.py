@@ -208,7 +208,7 @@ def rbf_operations(rbf: RBF, targets: int, sources: int, found: Mapping[str, obj
 
 
 def _direct(n: float, basis: int) -> float:
-    """Matrix, Cholesky factor, four Householder reflections, and one refinement of the solution."""
+    """Matrix, Cholesky factor, the projection beside four polynomial terms, and one refinement of the solution."""
     refinement = 2 * n * n * (_DISTANCE + basis + 2 * _COMPONENTS)
     return n * n * (_DISTANCE + basis) + n**3 / 3 + 16 * n * n + 8 * n * n * _COMPONENTS + refinement
 

@@ -13,15 +13,14 @@ import numpy as np
 import scipy
 
 from ...boundary import Kind
-from ...errors import MethodError
 from ...grid import FloatArray, IntArray
 from ...memory import UNLIMITED, MemoryLimit
-from ...numerics.arrays import Report
+from ...numerics.arrays import Report, lengths
 from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_matrix, radial_sums
 from ...numerics.systems.krylov import KrylovSolver
 from ...numerics.systems.products import ExactProduct, nested_bytes, product_of
-from ...numerics.systems.saddle import DirectSolver, Search, independent, select
+from ...numerics.systems.saddle import DirectSolver, independent, select
 from ...parallel import Nodes, Ranks, for_chunks, thread_count
 from ..base import Account, Kinks, Linearised, Problem, Progress, Setting, of_stage
 from ..limits import CHOSEN, warn_of_coarse_tolerance, warn_of_radius
@@ -253,7 +252,7 @@ class PreparedRBF:
             ),
         }
         if options.greedy != "none":
-            names = ("error", "tolerance", "start", "updates", "max_points", "correct")
+            names = ("error", "tolerance", "updates", "correct")
             self.account.settings |= options.used(*(f"greedy_{name}" for name in names))
             height = problem.first_cell_height[problem.boundary.kind[problem.source_numbers] == Kind.MOVING]
             unit = height if options.greedy_error == "first-cell" else np.ones(len(height))
@@ -280,33 +279,34 @@ class PreparedRBF:
         if o.greedy == "none":
             assert self.system is not None
             return Coefficients(here, *self.system.solve(values, self.account, progress))
-        n = len(values)
-        if o.greedy_start >= n:
-            raise MethodError(f"method.rbf.greedy_start = {o.greedy_start}; expected 0 to {n - 1}")
-        scale = self.problem.first_cell_height[self.images.owner] if o.greedy_error == "first-cell" else np.ones(n)
-        search = Search(o.greedy_tolerance, o.greedy_start, o.greedy_updates or n, o.greedy_max_points or n)
-        terms, report = self.centres.polynomial(here), of_stage(progress, "greedy")
-        choose = partial(select, self.kind, here, terms, values, scale, search, report)
-        found = self.problem.grid.nodes.on_first(choose)
-        unit = "first-cell heights" if o.greedy_error == "first-cell" else "length unit"
+        by_height, report = o.greedy_error == "first-cell", of_stage(progress, "greedy")
+        scale = self.problem.first_cell_height[self.images.owner] if by_height else np.ones(len(values))
+        given = (
+            here,
+            self.centres.polynomial(here),
+            values,
+            scale,
+            o.greedy_tolerance,
+            o.greedy_updates or len(values),
+            report,
+        )
+        found = self.problem.grid.nodes.on_first(partial(select, self.kind, *given))
+        unit = "first-cell heights" if by_height else "length unit"
         self.account.settings |= {
             "greedy": Setting(o.greedy),
-            "greedy_points": Setting(len(found.active), f"of {len(found.error)} centres"),
+            "greedy_points": Setting(len(found.active), f"of {len(values)} centres"),
             "greedy_rounds": Setting(found.rounds),
             "greedy_updates_done": Setting(found.updates),
             "greedy_tolerance": Setting(o.greedy_tolerance, unit),
-            "greedy_error_reached": Setting(float(found.error.max()), unit),
+            "greedy_error_reached": Setting(found.error, unit),
         }
         failed = (
-            f"greedy reduction stopped with {len(found.active)} points and an error of {found.error.max():.3g} "
-            f"({unit}); asked for {o.greedy_tolerance:g}. Raise greedy_max_points or greedy_tolerance"
+            f"greedy reduction stopped with {len(found.active)} points and an error of {found.error:.3g} "
+            f"({unit}); asked for {o.greedy_tolerance:g}. Raise greedy_tolerance"
         )
-        self.account.note("greedy", None if found.converged else failed)
-        points = np.ascontiguousarray(here[found.active])
-        residual = values - radial_sums(self.kind, here, points, found.coefficients)
-        residual -= terms[:, : len(found.polynomial)] @ found.polynomial
-        reach = _REACH * float(np.linalg.norm(residual, axis=1).max())
-        return Coefficients(points, found.coefficients, found.polynomial, residual, reach)
+        self.account.note("greedy", failed if found.error > o.greedy_tolerance else None)
+        points, reach = np.ascontiguousarray(here[found.active]), _REACH * float(lengths(found.residual).max())
+        return Coefficients(points, found.coefficients, found.polynomial, found.residual, reach)
 
     def linearised(self, displacement: FloatArray) -> Linearised:
         """The derivative of the displacement of the targets; the same at all displacements.

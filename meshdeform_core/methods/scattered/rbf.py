@@ -43,9 +43,7 @@ class RBF(MethodOptions):
     greedy : ``none`` or ``hybrid`` (Sen et al.: rounds of single-point updates and exact solutions); compact bases only
     greedy_error : ``first-cell``: errors relative to the height of the first cell at each node; ``absolute``: lengths
     greedy_tolerance : eps_g, largest error at any boundary node, in the unit of ``greedy_error``
-    greedy_start : number of the first source, counted from 0
     greedy_updates : m, number of single-point updates between exact solutions; 0: the number of sources
-    greedy_max_points : most centres to keep; 0: all
     greedy_correct : add the remaining error to the nodes near each wall node, so that walls are matched exactly
     summation : ``exact`` sums at the nodes, or ``fast`` ones with clusters of centres, or ``"auto"``: fast from 2000
         centres and 2e8 pairs of nodes
@@ -64,9 +62,7 @@ class RBF(MethodOptions):
         "first-cell", "errors matter most where cells are thin", only_if=_GREEDY
     )
     greedy_tolerance: float = option(0.1, "of the first-cell height: wall cells keep their shape", only_if=_GREEDY)
-    greedy_start: int = option(0, "changes the number of points by only about 10 %", range="[0, inf)", only_if=_GREEDY)
     greedy_updates: int = option(0, "the number of sources, as in the paper", range="[0, inf)", only_if=_GREEDY)
-    greedy_max_points: int = option(0, "no limit: the tolerance decides", range="[0, inf)", only_if=_GREEDY)
     greedy_correct: bool = option(True, "walls are matched exactly", only_if=_GREEDY)
     summation: Summation = option("auto", "fast where it pays")
     summation_tolerance: float = summation_tolerance()

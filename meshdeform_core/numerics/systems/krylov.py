@@ -16,7 +16,7 @@ from ...parallel import for_chunks, thread_count
 from ..arrays import FloatArray, IntArray, Report
 from ..exact.radial import fill_rows, radial_matrix
 from .products import ExactProduct
-from .saddle import DirectSolver
+from .saddle import DirectSolver, projected
 
 _RESTART = 40
 _DEPENDENT = 1e-14
@@ -270,20 +270,15 @@ def _coarse(points: FloatArray, polynomial: FloatArray) -> IntArray:
 def _last_rows(kind: int, points: FloatArray, basis: FloatArray, count: int) -> FloatArray:
     """The last rows (count, n) of the inverse of A on the orthogonal complement of the polynomials.
 
-    With orthonormal polynomials Q, ``B = (I - Q Q^T) A (I - Q Q^T) + t Q Q^T`` is positive definite for conditionally
-    positive definite functions, and its inverse differs from the required one only by ``Q Q^T / t``.
+    ``basis`` (n, q) are orthonormal polynomials, see :func:`.saddle.projected`.
     """
     n, shift, info = len(points), 0.0, 1
     a = np.empty((n, n))
     fill_rows(kind, points, np.ascontiguousarray(points.T), a)
-    t = float(np.abs(a).max()) or 1.0
-    # A - Q U^T - U Q^T with U = A Q - Q (Q^T A Q + t I) / 2.
-    u = a @ basis
-    u -= 0.5 * basis @ (basis.T @ u + t * np.eye(basis.shape[1]))
-    a -= basis @ u.T + u @ basis.T
+    b, _, t = projected(a, basis)
     while info:
         # Centres coincide, or round-off is too large: for a preconditioner, the smallest sufficient shift will do.
-        factor, info = scipy.linalg.lapack.dpotrf((a + shift * t * np.eye(n)).T, lower=1, overwrite_a=1, clean=0)
+        factor, info = scipy.linalg.lapack.dpotrf(b + shift * t * np.eye(n).T, lower=1, overwrite_a=1, clean=0)
         shift = max(_SHIFT, 100.0 * shift)
     unit = np.zeros((n, count), order="F")
     unit[n - count :] = np.eye(count)
