@@ -17,8 +17,8 @@ from ..transfinite.tfi import Skeleton, make_skeleton
 from .prepared_rbf import Centres, Coefficients, RadialSystem, accurate
 from .rbf import RBF
 
-_TARGETS, _TERMS = 1024, 4
-"""Nodes moved at a time, and the largest number of polynomial terms."""
+_TARGETS = 1024
+"""Nodes moved at a time."""
 
 
 @dataclass(frozen=True)
@@ -59,9 +59,7 @@ class PreparedBlockRBF:
         self._options, self._problem, self._skeleton = options, problem, skeleton
         blocks = (self._block(n, skeleton.left_out) for n in range(problem.grid.n_blocks))
         self._blocks = [block for block in blocks if block]
-        sizes = [len(block.known) for block in self._blocks]
-        # First of the coefficients of each block: those of its centres and of up to four polynomial terms.
-        self._first = np.cumsum([0, *(n + _TERMS for n in sizes)])
+        sizes = [n for n, _ in self.sizes]
         self._keep = 8 * sum(n * n for n in sizes) < problem.memory.size // 2
         self.account = Account()
         self.account.settings |= {
@@ -95,16 +93,32 @@ class PreparedBlockRBF:
 
     def fill(self, displacement: FloatArray, progress: Progress | None = None) -> None:
         """Interior of every block and its slip planes from its other faces, in place in ``displacement``."""
-        coefficients, out = self._solved(displacement, progress), Nodes.of(displacement).rows
-        points, kind = self._problem.grid.nodes.rows, BASES[self._options.basis]
-        tiles = [(n, lo) for n, block in enumerate(self._blocks) for lo in range(0, len(block.targets), _TARGETS)]
+        blocks, report = self._blocks, of_stage(progress, "rbf blocks")
+        known = [np.empty(0, dtype=np.int64), *(block.known for block in blocks)]
+        values = np.split(displacement[np.concatenate(known)], np.cumsum([len(each) for each in known]))
+
+        def solve() -> list[tuple[FloatArray, FloatArray, Account]]:
+            found = []
+            for number, (block, told) in enumerate(zip(blocks, values[1:-1], strict=True), 1):
+                account = Account()
+                found.append((*self._system(block).solve(told, account, None), account))
+                if report:
+                    report(number, len(blocks))
+            return found
+
+        solved = Nodes.of(displacement).on_first(solve)
+        if solved:
+            # Report the worst block: one not converged, or the one with the largest residual.
+            self.account.notices.clear()
+            accounts = [account for _, _, account in solved]
+            self.account.include(max(accounts, key=lambda a: (bool(a.notices), np.max(a.settings["residual"].value))))
+        points, kind, out = self._problem.grid.nodes.rows, BASES[self._options.basis], Nodes.of(displacement).rows
+        tiles = [(n, lo) for n, block in enumerate(blocks) for lo in range(0, len(block.targets), _TARGETS)]
 
         def work(tile: int, _: int) -> None:
             number, lo = tiles[tile]
-            block, (first, last) = self._blocks[number], self._first[number : number + 2]
-            n, flat = first + len(block.known), block.targets[lo : lo + _TARGETS]
-            fit = Coefficients(block.centres.points, coefficients[first:n], coefficients[n:last])
-            out[flat] = block.centres.displacement(kind, points[flat], fit)
+            centres, flat = blocks[number].centres, blocks[number].targets[lo : lo + _TARGETS]
+            out[flat] = centres.displacement(kind, points[flat], Coefficients(centres.points, *solved[number][:2]))
 
         for_chunks(work, len(tiles), 1, of_stage(progress, "rbf"))
 
@@ -125,28 +139,3 @@ class PreparedBlockRBF:
         system = block.system or RadialSystem(self._options, block.centres, self._problem.memory)
         block.system = system if self._keep else None
         return system
-
-    def _solved(self, displacement: FloatArray, progress: Progress | None) -> FloatArray:
-        """Coefficients (n, 3) of all blocks, of each those of its centres and of the polynomial, the last ones zero."""
-        known = [block.known for block in self._blocks]
-        ends = np.cumsum([0, *map(len, known)])
-        values = displacement[np.concatenate([np.empty(0, dtype=np.int64), *known])]
-        coefficients = np.zeros((self._first[-1], 3))
-        accounts = [Account() for _ in self._blocks]
-
-        def work(number: int, _: int) -> None:
-            block, first = self._blocks[number], self._first[number]
-            told = values[ends[number] : ends[number + 1]]
-            found = np.concatenate(self._system(block).solve(told, accounts[number], None))
-            coefficients[first : first + len(found)] = found
-
-        def all_solved() -> tuple[FloatArray, list[Account]]:
-            for_chunks(work, len(self._blocks), 1, of_stage(progress, "rbf blocks"), threads=1)
-            return coefficients, accounts
-
-        coefficients, accounts = Nodes.of(displacement).on_first(all_solved)
-        if accounts:
-            # Report the worst block: one not converged, or the one with the largest residual.
-            self.account.notices.clear()
-            self.account.include(max(accounts, key=lambda a: (bool(a.notices), np.max(a.settings["residual"].value))))
-        return coefficients
