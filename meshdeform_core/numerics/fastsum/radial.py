@@ -14,7 +14,7 @@ from ..exact.radial import radial_sums
 from .clusters import build_tree
 from .nested import Bases, find_bases, gather_up
 from .passes import Boxes, Clusters, Spaces, spaces_of, sum_regions
-from .targets import TargetTree, build_target_tree, node_sizes, sample_places, shape_table
+from .targets import TargetTree, build_target_tree, leaves_of, shape_table
 from .tuned import AIM, CAPACITY, RADIAL_LEAF, SKELETONS, TERMS, TRIAL_LEAVES, TRIALS
 
 # Leading singular term of each function at the origin: power of the distance, and size relative to that of r^2 log r.
@@ -81,12 +81,8 @@ def make_radial_targets(
     """Targets ``flat``, ascending, of a grid; those of this rank if the grid is in parts."""
     points, shapes = Nodes.of(coordinates).rows, shape_table(shapes)
     tree = build_target_tree(points, shapes, offsets, flat, CAPACITY)
-    leaves = np.flatnonzero((tree.child[:, 0] < 0) & (tree.span[:, 1] > tree.span[:, 0]))
-    leaves = leaves[np.argsort(tree.span[leaves, 0])]
-    places = sample_places(np.append(tree.span[leaves, 0], len(tree.targets)))
-    samples = tree.targets[places]
-    sizes = node_sizes(points, shapes, offsets, samples.ravel()).reshape(samples.shape)
-    return RadialTargets(coordinates, tree, leaves, places, samples, sizes, spaces_of(tree.half, TERMS))
+    leaves, _, places, sizes = leaves_of(tree, points, shapes, offsets)
+    return RadialTargets(coordinates, tree, leaves, places, tree.targets[places], sizes, spaces_of(tree.half, TERMS))
 
 
 _FINEST = 1e-13
@@ -167,7 +163,7 @@ class FastRadial:
         def work(lo: int, hi: int) -> None:
             use(targets.flat(lo, hi), self._of_regions(lo, hi, targets, boxes, clusters, risk))
 
-        for_chunks(work, len(targets.tree.region) - 1, _CHUNK, progress)
+        for_chunks(work, len(targets.tree.region), _CHUNK, progress)
         return risk[targets.leaves]
 
     def _on_leaves(self, chosen: IntArray, targets: RadialTargets, boxes: Boxes, clusters: Clusters) -> FloatArray:
@@ -176,7 +172,7 @@ class FastRadial:
         wanted = np.zeros(len(tree.span), dtype=bool)
         for leaf in leaves:
             wanted |= (tree.span[:, 0] <= tree.span[leaf, 0]) & (tree.span[leaf, 1] <= tree.span[:, 1])
-        regions = np.searchsorted(tree.region, leaves, side="right") - 1
+        regions = np.searchsorted(tree.span[tree.region, 0], tree.span[leaves, 0], side="right") - 1
         found, boxes = np.empty((*targets.samples[chosen].shape, 3)), boxes._replace(wanted=wanted)
         for region in np.unique(regions):
             sums = self._of_regions(region, region + 1, targets, boxes, clusters, np.zeros(len(wanted)))

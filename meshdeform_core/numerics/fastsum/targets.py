@@ -3,7 +3,7 @@ space; for weighted sums in bricks and regions of these, and where the accuracy 
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,19 +27,13 @@ class Halves(NamedTuple):
     targets : (n,) flat node indices of the grid; those below a tree node are contiguous
     span : (m, 2) first and one past the last target below each tree node
     child : (m, 2) children of each tree node, -1 for leaves and for parts without targets
-    region : (g + 1,) first tree node of each region, its root
+    region : (g,) root of the tree of each region, in the order of the targets
     """
 
     targets: np.ndarray
     span: np.ndarray
     child: np.ndarray
     region: np.ndarray
-
-    @property
-    def leaves(self) -> IntArray:
-        """Tree nodes that are leaves and hold targets, in the order of these."""
-        found = np.flatnonzero((self.child[:, 0] < 0) & (self.span[:, 1] > self.span[:, 0]))
-        return np.asarray(found[np.argsort(self.span[found, 0])])
 
 
 def halve(
@@ -55,7 +49,8 @@ def halve(
     rows = offsets[block] + np.stack([low, high]) * shapes[block, 1:].prod(axis=1)
     ends = np.searchsorted(flat, rows)
     some = np.flatnonzero(ends[1] > ends[0])
-    parts: dict[int, Halves] = {}
+    none, pairs = np.empty(0, np.int64), np.empty((0, 2), np.int64)
+    parts = [Halves(none, pairs, pairs, none)] * (1 + len(some))
 
     def cut(number: int, _: int) -> None:
         piece = some[number]
@@ -65,70 +60,47 @@ def halve(
         mask[own - lo] = True
         volume = capacity * mask.size / len(own)
         found = _cut(points[lo:hi].reshape(*shape, 3), mask.reshape(shape), volume, region)
-        parts[number] = found._replace(targets=found.targets + lo)
+        parts[1 + number] = found._replace(targets=found.targets + lo)
 
     for_chunks(cut, len(some), 1)
-    none, pairs = np.empty(0, np.int64), np.empty((0, 2), np.int64)
-    every, used, nodes = [Halves(none, pairs, pairs, none)], 0, 0
-    for _, (targets, span, child, roots) in sorted(parts.items()):
-        every.append(Halves(targets, span + used, np.where(child >= 0, child + nodes, -1), roots + nodes))
+    used = nodes = 0
+    for number, (targets, span, child, roots) in enumerate(parts):
+        parts[number] = Halves(targets, span + used, np.where(child >= 0, child + nodes, -1), roots + nodes)
         used, nodes = used + len(targets), nodes + len(span)
-    targets, span, child, roots = (np.concatenate(each) for each in zip(*every, strict=True))
-    return Halves(targets, span, child, np.append(roots, nodes))
+    return Halves(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
 def _cut(x: FloatArray, mask: BoolArray, capacity: float, region: int) -> Halves:
     """The trees of one piece, its targets counted from 0; all index ranges of a level are halved together."""
-    # First and one past the last index along each axis, and the tree node of each range, -1 outside regions.
-    box, node, used = np.array([[[0, n] for n in mask.shape]]), np.array([-1]), 0
-    # Path from the whole piece as a binary number, and that of the region: the lower half comes first.
-    path, root, bit = np.zeros(1, dtype=np.int64), np.zeros(1, dtype=np.int64), 1 << 61
-    # Of every tree node: path, path of its region, level; parents and their children; leaves.
-    places, families, leaves = [], [], []
-    for level in range(62):
+    # First and one past the last index along each axis, the path from the whole piece as a binary number (the lower
+    # half comes first), and whether the range lies in a region.
+    box, path, inside = np.array([[[0, n] for n in mask.shape]]), np.zeros(1, dtype=np.int64), np.zeros(1, dtype=bool)
+    levels, used, bit = [], 0, 1 << 61
+    while len(box):
         size = np.diff(box, axis=2).prod(axis=(1, 2))
-        new = np.flatnonzero((node < 0) & (size <= region * capacity))
-        node[new], root[new], used = used + np.arange(len(new)), path[new], used + len(new)
-        places.append((path[new], root[new], np.full(len(new), 2 * level)))
-        whole = size <= capacity
-        leaves.append((path[whole], node[whole], box[whole]))
-        box, node, path, root = (each[~whole] for each in (box, node, path, root))
-        if not len(box):
-            break
-        axis, every = _longest_sides(x, box), np.arange(len(box))
-        halves, inside = np.stack([box, box], axis=1), np.flatnonzero(node >= 0)
-        halves[every, 0, axis, 1] = halves[every, 1, axis, 0] = box[every, axis].sum(axis=1) // 2
-        path, root, bit = np.stack([path, path + bit], axis=1), np.repeat(root, 2), bit >> 1
-        numbers = np.full((len(box), 2), -1)
-        numbers[inside] = used + np.arange(2 * len(inside)).reshape(-1, 2)
-        families.append((node[inside], numbers[inside]))
-        used += 2 * len(inside)
-        kept = numbers.ravel() >= 0
-        places.append((path.ravel()[kept], root[kept], np.full(2 * len(inside), 2 * level + 1)))
-        box, node, path = halves.reshape(-1, 3, 2), numbers.ravel(), path.ravel()
-    return _numbered(mask, places, families, leaves)
-
-
-def _numbered(mask: BoolArray, places: list[Any], families: list[Any], leaves: list[Any]) -> Halves:
-    """:class:`Halves` from the lists of :func:`_cut`: tree nodes by region and level, targets in the order of paths."""
-    paths, roots, levels = (np.concatenate(each) for each in zip(*places, strict=True))
-    order = np.lexsort((paths, levels, roots))
-    number = np.empty(len(order), dtype=np.int64)
-    number[order] = np.arange(len(order))
-    child, span = np.full((len(order), 2), -1), np.zeros((len(order), 2), dtype=np.int64)
-    for parents, both in families:
-        child[number[parents]] = number[both]
-    path, node, box = (np.concatenate(each) for each in zip(*leaves, strict=True))
-    every, targets, used = np.arange(mask.size).reshape(mask.shape), [], 0
-    for leaf in np.argsort(path):
+        root, split = ~inside & (size <= region * capacity), np.flatnonzero(size > capacity)
+        used, inside, child = used + len(box), inside | root, np.full((len(box), 2), -1)
+        child[split] = used + np.arange(2 * len(split)).reshape(-1, 2)
+        levels.append((box, path, inside, root, child))
+        axis, every = _longest_sides(x, box[split]), np.arange(len(split))
+        halves = np.stack([box[split], box[split]], axis=1)
+        halves[every, 0, axis, 1] = halves[every, 1, axis, 0] = box[split, axis].sum(axis=1) // 2
+        box, path, bit = halves.reshape(-1, 3, 2), np.stack([path[split], path[split] + bit], axis=1).ravel(), bit >> 1
+        inside = np.repeat(inside[split], 2)
+    box, path, inside, root, child = (np.concatenate(each) for each in zip(*levels, strict=True))
+    order, every = np.argsort(path, kind="stable"), np.arange(mask.size).reshape(mask.shape)
+    targets, span, used = [], np.zeros_like(child), 0
+    for leaf in order[child[order, 0] < 0]:
         (i0, i1), (j0, j1), (k0, k1) = box[leaf].tolist()
-        found = every[i0:i1, j0:j1, k0:k1][mask[i0:i1, j0:j1, k0:k1]]
-        span[number[node[leaf]]] = used, used + len(found)
-        used += len(found)
-        targets.append(found)
+        targets.append(every[i0:i1, j0:j1, k0:k1][mask[i0:i1, j0:j1, k0:k1]])
+        span[leaf] = used, used + len(targets[-1])
+        used += len(targets[-1])
     for n in np.flatnonzero(child[:, 0] >= 0)[::-1]:
         span[n] = span[child[n, 0], 0], span[child[n, 1], 1]
-    return Halves(np.concatenate(targets), span, child, np.flatnonzero(np.append(True, np.diff(roots[order]) != 0)))
+    # Ranges above regions are left out.
+    number = np.cumsum(inside) - 1
+    child = np.where(child >= 0, number[child], -1)[inside]
+    return Halves(np.concatenate(targets), span[inside], child, number[order[root[order]]])
 
 
 def _longest_sides(x: FloatArray, box: IntArray) -> IntArray:
@@ -268,22 +240,28 @@ def make_targets(
     of the trees that :func:`halve` makes, and in regions of about ``REGION`` bricks."""
     shapes = shape_table(shapes)
     halves = halve(points, shapes, offsets, flat, per_point * order**3, REGION)
-    every, start = halves.targets, np.append(halves.span[halves.leaves, 0], len(halves.targets))
-    first = np.searchsorted(start, halves.span[halves.region[:-1], 0])
+    every, (_, start, places, sizes) = halves.targets, leaves_of(halves, points, shapes, offsets)
+    first = np.searchsorted(start, np.append(halves.span[halves.region, 0], len(every)))
     # Regions without targets have no bricks.
-    first = np.append(first, len(start) - 1)[np.append(np.diff(np.append(first, len(start) - 1)) > 0, True)]
+    first = first[np.append(np.diff(first) > 0, True)]
     bricks = make_boxes(*fit_boxes(points, every, spans(start)), order)
     few = np.diff(start) <= 2 * np.diff(bricks.proxy)
     center, axes, half = fit_boxes(bricks.proxies, np.arange(len(bricks.proxies)), spans(bricks.proxy[first]))
     # The boxes enclose the targets too.
     low, high = extents(points, every, spans(start[first]), center, axes)
     regions = make_boxes(center, axes, np.maximum(half, np.maximum(-low, high)), order)
-    samples = every[sample_places(start)]
-    sizes = node_sizes(points, shapes, offsets, samples.ravel()).reshape(samples.shape)
-    return Targets(points, start, every, bricks, few, first, regions, samples, sizes)
+    return Targets(points, start, every, bricks, few, first, regions, every[places], sizes)
 
 
-def sample_places(start: IntArray) -> IntArray:
-    """Nine positions (b, 9) in the list of targets, spread over each of the bricks that begin at ``start`` (b + 1,)."""
-    count = np.diff(start)
-    return start[:-1, None] + (np.arange(_SAMPLES) * (count[:, None] - 1)) // (_SAMPLES - 1)
+def leaves_of(
+    tree: Halves | TargetTree, points: FloatArray, shapes: IntArray, offsets: IntArray
+) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
+    """Leaves (b,) of a tree that hold targets, in the order of these, the start (b + 1,) of each in the list of
+    targets, nine positions (b, 9) in that list, spread over each leaf, and the length (b, 9) of the shortest edge at
+    the targets there."""
+    leaves = np.flatnonzero((tree.child[:, 0] < 0) & (tree.span[:, 1] > tree.span[:, 0]))
+    leaves = leaves[np.argsort(tree.span[leaves, 0])]
+    start = np.append(tree.span[leaves, 0], len(tree.targets))
+    places = start[:-1, None] + (np.arange(_SAMPLES) * (np.diff(start)[:, None] - 1)) // (_SAMPLES - 1)
+    sizes = node_sizes(points, shapes, offsets, tree.targets[places].ravel()).reshape(places.shape)
+    return leaves, start, places, sizes
