@@ -88,11 +88,11 @@ def _cut(x: FloatArray, mask: BoolArray, capacity: float, region: int) -> Halves
         box, path, bit = halves.reshape(-1, 3, 2), np.stack([path[split], path[split] + bit], axis=1).ravel(), bit >> 1
         inside = np.repeat(inside[split], 2)
     box, path, inside, root, child = (np.concatenate(each) for each in zip(*levels, strict=True))
-    order, every = np.argsort(path, kind="stable"), np.arange(mask.size).reshape(mask.shape)
+    order, numbers = np.argsort(path, kind="stable"), np.arange(mask.size).reshape(mask.shape)
     targets, span, used = [], np.zeros_like(child), 0
     for leaf in order[child[order, 0] < 0]:
         (i0, i1), (j0, j1), (k0, k1) = box[leaf].tolist()
-        targets.append(every[i0:i1, j0:j1, k0:k1][mask[i0:i1, j0:j1, k0:k1]])
+        targets.append(numbers[i0:i1, j0:j1, k0:k1][mask[i0:i1, j0:j1, k0:k1]])
         span[leaf] = used, used + len(targets[-1])
         used += len(targets[-1])
     for n in np.flatnonzero(child[:, 0] >= 0)[::-1]:
