@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,78 +22,63 @@ from ..step import Step
 from ..tasks import options_of, prepare
 from .options import Options
 
-SURFACE = "surface"
 _AGREE, _DISAGREE = 1e-6, 0.1
 """Copies of a point agree if they are closer than the first fraction of the local edge; farther apart than the second
 fraction is an error."""
 
 
-@dataclass(frozen=True)
-class Definition:
-    """The surface that a solver defines.
-
-    Attributes
-    ----------
-    points : (n, 3) undeformed; points may repeat
-    faces : (n_faces, 4) their corners; triangles repeat the last one
-    zone : (n_faces,) number of the zone from 0; -1 if not given
-    """
+class Definition(NamedTuple):
+    """The surface that a solver defines: undeformed ``points`` (n, 3), which may repeat; ``faces`` (n_faces, 4), their
+    corners, of which triangles repeat the last one; ``zone`` (n_faces,), its number from 0, -1 if not given."""
 
     points: FloatArray
     faces: IntArray
     zone: IntArray
 
-    @classmethod
-    def of(cls, points: ArrayLike, conn: ArrayLike, sizes: ArrayLike, zones: ArrayLike | None) -> Definition:
-        """From the arguments of ``setSurfaceDefinition``, whose shapes and numbers are checked."""
-        pts = np.array(points, dtype=np.float64).reshape(-1, 3)
-        count, flat = np.asarray(sizes, dtype=np.int64).ravel(), np.asarray(conn, dtype=np.int64).ravel()
-        if not np.isin(count, (3, 4)).all() or count.sum() != len(flat):
-            raise MotionError(
-                f"faceSizes sum up to {count.sum()}, conn has {len(flat)} entries; expected faces of 3 or 4 corners"
-            )
-        if len(flat) and (flat.min() < 0 or flat.max() >= len(pts)):
-            raise MotionError(f"conn has {flat.min()} to {flat.max()}; expected 0 to {len(pts) - 1}, rows of pts")
-        last = np.cumsum(count) - 1
-        at = np.minimum((last - count + 1)[:, None] + np.arange(4), last[:, None])
-        if zones is None:
-            zone = np.full(len(count), -1)
-        else:
-            zone = np.asarray(zones, dtype=np.int64).ravel() - 1
-        if len(zone) != len(count):
-            raise MotionError(f"{len(zone)} cgnsBlockIDs for {len(count)} faces; expected one each")
-        return cls(pts, flat[at], zone)
+
+def defined(points: ArrayLike, conn: ArrayLike, sizes: ArrayLike, zones: ArrayLike | None) -> Definition:
+    """The definition from the arguments of ``setSurfaceDefinition``, whose shapes and numbers are checked."""
+    pts = np.array(points, dtype=np.float64).reshape(-1, 3)
+    count, flat = np.asarray(sizes, dtype=np.int64).ravel(), np.asarray(conn, dtype=np.int64).ravel()
+    if not np.isin(count, (3, 4)).all() or count.sum() != len(flat):
+        raise MotionError(
+            f"faceSizes sum up to {count.sum()}, conn has {len(flat)} entries; expected faces of 3 or 4 corners"
+        )
+    if len(flat) and (flat.min() < 0 or flat.max() >= len(pts)):
+        raise MotionError(f"conn has {flat.min()} to {flat.max()}; expected 0 to {len(pts) - 1}, rows of pts")
+    zone = np.full(len(count), -1) if zones is None else np.asarray(zones, dtype=np.int64).ravel() - 1
+    if len(zone) != len(count):
+        raise MotionError(f"{len(zone)} cgnsBlockIDs for {len(count)} faces; expected one each")
+    last = np.cumsum(count) - 1
+    return Definition(pts, flat[np.minimum((last - count + 1)[:, None] + np.arange(4), last[:, None])], zone)
 
 
-class Zones:
-    """Some zones of a grid with their topology, before it is known what moves."""
+class Component:
+    """Zones of a grid that move together, as a grid of their own, with their surface once :meth:`begin` knows it, and
+    the result of the last displacement."""
 
     def __init__(self, grid: Grid, zones: IntArray, options: Options):
         self.options, self.zones = options, zones
-        whole = len(zones) == grid.n_blocks
         rows = [np.arange(grid.offsets[z], grid.offsets[z + 1]) for z in zones]
-        self.rows = slice(None) if whole else np.concatenate(rows)
+        self.rows = slice(None) if len(zones) == grid.n_blocks else np.concatenate(rows)
         place = {int(zone): number for number, zone in enumerate(zones)}
-        windows = [
-            tuple(replace(each, block=place[each.block]) for each in patch.windows if each.block in place)
-            for patch in grid.patches
-        ]
+        patches = []
+        for patch in grid.patches:
+            own = tuple(replace(each, block=place[each.block]) for each in patch.windows if each.block in place)
+            patches += [replace(patch, windows=own)] if own else []
         # Always double precision, even if the file is in single precision, as derivatives are checked with small steps.
         self.grid = Grid(
-            grid.points if whole else grid.points[self.rows],
+            grid.points[self.rows],
             tuple(grid.shapes[z] for z in zones),
             tuple(grid.names[z] for z in zones),
-            patches=tuple(replace(patch, windows=own) for patch, own in zip(grid.patches, windows, strict=True) if own),
+            patches=tuple(patches),
         )
         self.topology: Topology = find_topology(self.grid)
+        self._step: Step | None = None
 
     def wall_quads(self) -> IntArray:
         """The outside face quads that the options select as the surface; by default those of declared walls."""
-        families = self.options["specifiedSurfaces"]
-        if families is None:
-            chosen = [patch for patch in self.grid.patches if patch.bc_type.lower().startswith("bcwall")]
-        else:
-            chosen = _of_families(self.grid, families, "specifiedSurfaces")
+        chosen = self._patches_of("specifiedSurfaces", "bcwall")
         if not chosen:
             raise CaseError(
                 "the file declares no wall (BCWall...); expected specifiedSurfaces, or a call of setSurfaceDefinition"
@@ -102,9 +88,9 @@ class Zones:
 
     def symmetry(self) -> list[IntArray]:
         """Face quads of each symmetry plane."""
-        planes, families = self.options["symmetryPlanes"], self.options["symmetrySurfaces"]
+        planes = self.options.symmetryPlanes
         if planes is not None:
-            outside, tolerance = np.flatnonzero(self.topology.external), self.options["symmTol"]
+            outside, tolerance = np.flatnonzero(self.topology.external), self.options.symmTol
             found: list[IntArray] = []
             corners = self.grid.points[self.topology.first[self.topology.quads.corners[outside]]]
             for point, normal in (map(np.asarray, plane) for plane in planes):
@@ -116,11 +102,21 @@ class Zones:
                         f"through {vector(point)} normal to {vector(normal)}; the nearest is {height.min():.3g} away"
                     )
             return found
-        if families is not None:
-            chosen = _of_families(self.grid, families, "symmetrySurfaces")
-        else:
-            chosen = [patch for patch in self.grid.patches if patch.bc_type.lower().startswith("bcsymmetry")]
+        chosen = self._patches_of("symmetrySurfaces", "bcsymmetry")
         return [quads_of_patches(self.topology.quads, [patch])[0] for patch in chosen]
+
+    def _patches_of(self, option: str, bc_type: str) -> list[Patch]:
+        """The patches of the families or names that an option lists; by default those declared as of a type."""
+        patches, names = self.grid.patches, getattr(self.options, option)
+        if names is None:
+            return [patch for patch in patches if patch.bc_type.lower().startswith(bc_type)]
+        wanted, words = {name.lower(): name for name in names}, set[str]()
+        for patch in patches:
+            words |= {patch.family.lower(), patch.name.lower()}
+        if unknown := wanted.keys() - words:
+            known = ", ".join(sorted({patch.family or patch.name for patch in patches})) or "(none declared)"
+            raise CaseError(f"{option}: no family {wanted[min(unknown)]!r}; expected some of {known}")
+        return [patch for patch in patches if wanted.keys() & {patch.family.lower(), patch.name.lower()}]
 
     def match(self, definition: Definition) -> tuple[BoolArray, IntArray, tuple[IntArray, IntArray]]:
         """Find the faces of a definition on these zones, and those without a zone, among the outside faces.
@@ -149,44 +145,33 @@ class Zones:
         used = np.unique(definition.faces[found])
         return found, outside[np.isin(offered, asked)], (used, node[used])
 
-    def patch(self, name: str, quads: IntArray, bc_type: str) -> Patch:
+    def _patch(self, name: str, quads: IntArray, bc_type: str) -> Patch:
         """A patch of exactly these face quads."""
         label = np.full(len(self.topology.partner), -1)
         label[quads] = 0
         return Patch(name, tuple(rectangles(self.grid, self.topology.quads, label).windows()), bc_type=bc_type)
 
+    def begin(self, quads: IntArray, point: IntArray, node: IntArray) -> None:
+        """Prepare the grid for its surface, the face ``quads``.
 
-class Component:
-    """Zones, the surface that moves them, and the result of the last displacement.
-
-    ``point`` and ``node`` are pairs: a point of the whole surface, and its unique node. If several copies of a point
-    belong to a node, it moves by their mean.
-    """
-
-    def __init__(self, zones: Zones, quads: IntArray, pairs: tuple[IntArray, IntArray]):
-        self.rows = zones.rows
-        self._mesh = _mesh(zones, quads)
-        self._repeated = Repeated(self._mesh, 1, zones.options["repair"])
+        ``point`` and ``node`` (n,) are pairs: a point of the whole surface, and its unique node. If several copies of a
+        point belong to a node, it moves by their mean.
+        """
+        self._mesh = self._mesh_of(quads)
+        self._repeated = Repeated(self._mesh, 1, self.options.repair)
         numbers, topology = self._mesh.numbers, self._mesh.setup.topology
-        self.point, node = pairs
-        self._row = np.searchsorted(numbers, node)
+        self.point, self._row = point, np.searchsorted(numbers, node)
         if not np.array_equal(numbers[self._row], node):
             raise GridError("points of the surface lie on no face of it; expected every point in a face")
         copies, count = np.bincount(self._row, minlength=len(numbers)), len(self._row)
         self._mean = csr_array((1.0 / copies[self._row], (self._row, np.arange(count))), (len(numbers), count))
         self._first = np.full(len(numbers), -1, dtype=np.int64)
-        self._first[self._row[::-1]] = self.point[::-1]
+        self._first[self._row[::-1]] = point[::-1]
         every = np.searchsorted(numbers, topology.number)
         at = np.flatnonzero(numbers[np.minimum(every, len(numbers) - 1)] == topology.number)
         wall = topology.face_nodes[at]
         self._wall, self._wall_row = wall if isinstance(self.rows, slice) else self.rows[wall], every[at]
         self._positions = self._mesh.points
-        self._step: Step | None = None
-
-    @property
-    def points(self) -> FloatArray:
-        """Undeformed positions (n, 3) of the nodes that the surface moves, each once."""
-        return self._mesh.points
 
     def warp(self, surface: FloatArray) -> tuple[Step, float]:
         """Deform for the positions (n, 3) of all points.
@@ -200,13 +185,13 @@ class Component:
         worst = int(np.argmax(gap))
         if gap[worst] > _DISAGREE:
             raise MotionError(
-                f"copies of the surface point {vector(self.points[self._row[worst]])} are {gap[worst]:.3g} edges "
+                f"copies of the surface point {vector(self._mesh.points[self._row[worst]])} are {gap[worst]:.3g} edges "
                 f"apart: {vector(start[self._row[worst]])} and {vector(surface[self.point[worst]])}; "
                 f"expected the same"
             )
         # Exactly where they were set, if copies agree.
         self._positions = start + self._mean @ apart
-        self._step = self._repeated.step(self._positions - self.points)
+        self._step = self._repeated.step(self._positions - self._mesh.points)
         return self._step, float(gap[worst]) if gap[worst] > _AGREE else 0.0
 
     def put(self, whole: FloatArray) -> None:
@@ -218,7 +203,7 @@ class Component:
 
     def derivative(self) -> Linearisation:
         """The derivative at the last displacement."""
-        return self._repeated.derivative(self._positions - self.points, lambda _: None)
+        return self._repeated.derivative(self._positions - self._mesh.points, lambda _: None)
 
     def forward(self, change: FloatArray) -> FloatArray:
         """Change (n, 3) of the nodes of these zones for a ``change`` of all points."""
@@ -231,36 +216,20 @@ class Component:
         found = np.asarray(self.derivative().operator.rmatvec(gradient[self.rows].ravel())).reshape(-1, 3)
         np.add.at(total, self.point, self._mean.T @ found)
 
-
-def _mesh(zones: Zones, quads: IntArray) -> Mesh:
-    """The mesh whose surface ``quads`` move: symmetry planes mirror them, all other outside nodes are free."""
-    mirrors = [zones.patch(f"symmetry{n}", each, "BCSymmetryPlane") for n, each in enumerate(zones.symmetry(), 1)]
-    patches = (zones.patch(SURFACE, quads, "BCWall"), *mirrors)
-    held = wrapped(replace(zones.grid, patches=patches))
-    rest = zones.topology.external.copy()
-    rest[np.concatenate([quads, quads_of_patches(zones.topology.quads, mirrors)[0]])] = False
-    mesh = prepare(
-        held,
-        moving=[SURFACE],
-        symmetry=[patch.name for patch in mirrors] or None,
-        free={"free": ["*"]} if rest.any() else None,
-        method="idw",
-    )
-    # The method's L_def depends on the sources, which are known only after the set-up.
-    setup = mesh.setup
-    length = float(np.linalg.norm(setup.problem.source_points - setup.problem.centroid, axis=1).max())
-    case = replace(setup.case, method=options_of(zones.options.method(length)))
-    return Mesh(replace(setup, case=case), False, mesh.ranks, None)
-
-
-def _of_families(grid: Grid, names: list[str], option: str) -> list[Patch]:
-    words = [{patch.family.lower(), patch.name.lower()} for patch in grid.patches]
-    for name in names:
-        if not any(name.lower() in each for each in words):
-            known = sorted({patch.family or patch.name for patch in grid.patches})
-            raise CaseError(f"{option}: no family {name!r}; expected some of {', '.join(known) or '(none declared)'}")
-    wanted = {name.lower() for name in names}
-    return [patch for patch, each in zip(grid.patches, words, strict=True) if each & wanted]
+    def _mesh_of(self, quads: IntArray) -> Mesh:
+        """The mesh whose surface ``quads`` move: symmetry planes mirror them, all other outside nodes are free."""
+        mirrors = [self._patch(f"symmetry{n}", each, "BCSymmetryPlane") for n, each in enumerate(self.symmetry(), 1)]
+        held = wrapped(replace(self.grid, patches=(self._patch("surface", quads, "BCWall"), *mirrors)))
+        rest = self.topology.external.copy()
+        rest[np.concatenate([quads, quads_of_patches(self.topology.quads, mirrors)[0]])] = False
+        symmetry = [patch.name for patch in mirrors] or None
+        free = {"free": ["*"]} if rest.any() else None
+        mesh = prepare(held, moving="surface", symmetry=symmetry, free=free, method="idw")
+        # The method's L_def depends on the sources, which are known only after the set-up.
+        setup = mesh.setup
+        length = float(np.linalg.norm(setup.problem.source_points - setup.problem.centroid, axis=1).max())
+        case = replace(setup.case, method=options_of(self.options.method_of(length)))
+        return Mesh(replace(setup, case=case), False, mesh.ranks, None)
 
 
 def require_found(definition: Definition, times: IntArray) -> None:
@@ -278,17 +247,9 @@ def require_found(definition: Definition, times: IntArray) -> None:
             )
 
 
-def rows_of_file(grid: Grid, numbers: IntArray) -> IntArray:
-    """Rows of ``grid.points`` of nodes (n,) numbered in the order of the file, i fastest in each zone."""
-    zone = np.searchsorted(grid.offsets, numbers, side="right") - 1
-    ni, nj, nk = np.asarray(grid.shapes, dtype=np.int64).T
-    k, rest = np.divmod(numbers - grid.offsets[zone], (ni * nj)[zone])
-    j, i = np.divmod(rest, ni[zone])
-    return np.asarray(grid.offsets[zone] + (i * nj[zone] + j) * nk[zone] + k)
-
-
-def rows_of_freedoms(grid: Grid, indices: ArrayLike) -> IntArray:
-    """Rows of ``grid.points`` from degrees of freedom (3 n,), which have to be x, y, z of nodes one after another."""
+def rows_of_freedoms(rows: IntArray, indices: ArrayLike) -> IntArray:
+    """Rows of a grid's points from degrees of freedom (3 n,), which have to be x, y, z of nodes one after another;
+    ``rows`` (n_nodes,) are those of all nodes in the order of the file."""
     freedoms = np.asarray(indices)
     if freedoms.size == 0:
         return np.empty(0, dtype=np.int64)
@@ -299,8 +260,8 @@ def rows_of_freedoms(grid: Grid, indices: ArrayLike) -> IntArray:
     nodes = freedoms[::3].astype(np.int64) // 3
     if not np.array_equal(freedoms.reshape(-1, 3), 3 * nodes[:, None] + np.arange(3)):
         raise GridError("indices are not x, y, z (3 m, 3 m + 1, 3 m + 2) of one node after another")
-    if nodes.min() < 0 or nodes.max() >= grid.n_nodes:
+    if nodes.min() < 0 or nodes.max() >= len(rows):
         raise GridError(
-            f"indices of the nodes {nodes.min()} to {nodes.max()}; the grid has {grid.n_nodes}, numbered from 0"
+            f"indices of the nodes {nodes.min()} to {nodes.max()}; the grid has {len(rows)}, numbered from 0"
         )
-    return rows_of_file(grid, nodes)
+    return np.asarray(rows[nodes])

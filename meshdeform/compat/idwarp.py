@@ -28,8 +28,8 @@ from meshdeform_core.wording import vector
 from ..grid import read, wrapped, write
 from ..mesh import one_at_a_time
 from ..tasks import ranks_of_comm
-from .component import Component, Definition, Zones, require_found, rows_of_file, rows_of_freedoms
-from .options import Options
+from .component import Component, Definition, defined, require_found, rows_of_freedoms
+from .options import NOTES, Options, known_name
 
 if TYPE_CHECKING:
     from mpi4py.MPI import Comm
@@ -45,13 +45,10 @@ class _Interface:
 
     Parameters
     ----------
-    groups : gives, by the names of the zones, those (numbers from 0) that move together, with their options
+    options : those of each component, by the part of its zones' names before the dot; of all zones by an empty name
     """
 
-    def __init__(
-        self, file: str, kind: str, comm: Comm | None,
-        groups: Callable[[tuple[str, ...]], list[tuple[IntArray, Options]]],
-    ):  # fmt: skip
+    def __init__(self, file: str, kind: str, comm: Comm | None, options: Mapping[str, Options]):
         if comm is None and find_spec("mpi4py"):
             from mpi4py import MPI
 
@@ -67,10 +64,27 @@ class _Interface:
                 raise CaseError(f"{file}: found a file of type {found}; fileType is {kind!r}")
             if grid.dimension != 3:
                 raise GridError(f"{file}: a plane grid; expected one in space, at least one cell thick")
-            self._zones = [Zones(grid, zones, options) for zones, options in groups(grid.names)]
+            member = np.array([name.split(".")[0].lower() for name in grid.names])
+            groups = {
+                name: np.flatnonzero(member == name.lower()) if name else np.arange(grid.n_blocks) for name in options
+            }
+            for name, zones in groups.items():
+                if not zones.size:
+                    known = ", ".join(dict.fromkeys(member.tolist()))
+                    raise CaseError(f"no zone of component {name!r}; expected some of {known}")
+            # In the order of the file, as IDWarp has its instances.
+            ordered = sorted(groups.items(), key=lambda group: int(group[1][0]))
+            self._components = [Component(grid, zones, options[name]) for name, zones in ordered]
         self._grid, self._points = grid, grid.points
+        numbers = [
+            offset + np.arange(np.prod(shape)).reshape(shape).ravel(order="F")
+            for offset, shape in zip(grid.offsets, grid.shapes, strict=False)
+        ]
+        # Rows of the grid's points in the order of the file, i fastest in each zone, and those of this rank's share.
+        self._in_file = np.concatenate(numbers)
+        self._own_rows = self._in_file[self._ranks.share(grid.n_nodes)]
         self._freedoms: IntArray | None = None
-        self._components: list[Component] = []
+        self._begun = False
         self._surface = self._start = self._gradient = np.empty((0, 3))
         self._still: IntArray = np.empty(0, dtype=np.int64)
 
@@ -80,13 +94,13 @@ class _Interface:
         The number of a node is zone offset + (k - 1) ni nj + (j - 1) ni + (i - 1), with zones in the order of the file;
         its x, y, z have three times that number plus 0, 1, 2. Nodes may repeat.
         """
-        self._freedoms = rows_of_freedoms(self._grid, ind)
+        self._freedoms = rows_of_freedoms(self._in_file, ind)
 
     def setSurfaceDefinitionFromFile(self, surfFile: str) -> None:
         """The surface from a Plot3D file with a block for each patch; the first rank holds its points."""
         points, faces = _surface_file(surfFile)
         own = slice(None) if self._ranks.number == 0 else slice(0)
-        self._define(Definition.of(points[own], faces[own], np.full(len(faces[own]), 4), None))
+        self._define(defined(points[own], faces[own], np.full(len(faces[own]), 4), None))
 
     def setSurfaceFromFile(self, surfFile: str) -> None:
         """New surface coordinates from a file like that of :meth:`setSurfaceDefinitionFromFile`."""
@@ -95,14 +109,14 @@ class _Interface:
 
     def getSurfaceCoordinates(self) -> FloatArray:
         """This rank's points (n, 3), exactly as they were set."""
-        if not self._components:
+        if not self._begun:
             # The families that the options select; their nodes are divided among the ranks.
             found, points, count = [], [], 0
-            for zones in self._zones:
-                quads = zones.wall_quads()
-                nodes = np.unique(zones.topology.quads.corners[quads])
+            for component in self._components:
+                quads = component.wall_quads()
+                nodes = np.unique(component.topology.quads.corners[quads])
                 found.append((quads, (count + np.arange(len(nodes)), nodes)))
-                points.append(zones.grid.points[zones.topology.first[nodes]])
+                points.append(component.grid.points[component.topology.first[nodes]])
                 count += len(nodes)
             self._begin(np.concatenate(points)[self._ranks.share(count)], found)
         return self._surface.copy()
@@ -216,12 +230,6 @@ class _Interface:
         return SimpleNamespace(griddata=SimpleNamespace(warpmeshdof=own, commonmeshdof=own, solvermeshdof=solver))
 
     @property
-    def _own_rows(self) -> IntArray:
-        """Rows of the grid's points of this rank's share of the nodes, in the order of the file."""
-        own = self._ranks.share(self._grid.n_nodes)
-        return rows_of_file(self._grid, np.arange(own.start, own.stop))
-
-    @property
     def _solver_rows(self) -> IntArray:
         """Rows of the grid's points of the nodes that the solver holds on this rank."""
         if self._freedoms is None:
@@ -237,27 +245,27 @@ class _Interface:
         parts = definition.points, definition.faces + first, definition.zone
         whole = Definition(*(self._ranks.collect(part) for part in parts))
         times, found = np.zeros(len(whole.faces), dtype=np.int64), []
-        for zones in self._zones:
-            faces, quads, pairs = zones.match(whole)
+        for component in self._components:
+            faces, quads, pairs = component.match(whole)
             times += faces
             found.append((quads, pairs))
-        moving = np.concatenate([zones.zones for zones in self._zones])
+        moving = np.concatenate([component.zones for component in self._components])
         require_found(whole, np.where((whole.zone < 0) | np.isin(whole.zone, moving), times, 1))
         self._begin(definition.points, found)
 
     def _begin(self, surface: FloatArray, found: list[tuple[IntArray, tuple[IntArray, IntArray]]]) -> None:
-        """Take this rank's points; ``found`` are face quads, and points with their nodes, of every group of zones."""
-        for zones, (quads, _) in zip(self._zones, found, strict=True):
+        """Take this rank's points; ``found`` are face quads, and points with their nodes, of every component."""
+        for component, (quads, pairs) in zip(self._components, found, strict=True):
             if not len(quads):
                 raise CaseError(
-                    f"no face of the surface lies on {', '.join(zones.grid.names[:4])}; expected a surface for every "
-                    f"component with options"
+                    f"no face of the surface lies on {', '.join(component.grid.names[:4])}; expected a surface for "
+                    f"every component with options"
                 )
-        self._components = [Component(zones, *each) for zones, each in zip(self._zones, found, strict=True)]
+            component.begin(quads, *pairs)
         used = np.concatenate([component.point for component in self._components])
         self._still = np.setdiff1d(np.arange(sum(self._ranks.gather([len(surface)]))), used)
         self._surface = self._start = surface
-        self._points, self._gradient = self._grid.points, np.zeros_like(surface)
+        self._points, self._gradient, self._begun = self._grid.points, np.zeros_like(surface), True
 
 
 class USMesh(_Interface):
@@ -276,8 +284,8 @@ class USMesh(_Interface):
     """
 
     def __init__(self, options: Mapping[str, Any] | None = None, comm: Comm | None = None, debug: bool = False) -> None:
-        own = self._options = Options(options)
-        super().__init__(own["gridFile"], own["fileType"], comm, lambda names: [(np.arange(len(names)), own)])
+        own = self._options = Options.of(options)
+        super().__init__(own.gridFile, own.fileType, comm, {"": own})
 
     def setSurfaceDefinition(
         self, pts: ArrayLike, conn: ArrayLike, faceSizes: ArrayLike, cgnsBlockID: ArrayLike | None = None
@@ -286,7 +294,7 @@ class USMesh(_Interface):
 
         Points may repeat; a rank may have none. ``cgnsBlockID``: the zone of each face, from 1.
         """
-        self._define(Definition.of(pts, conn, faceSizes, cgnsBlockID))
+        self._define(defined(pts, conn, faceSizes, cgnsBlockID))
 
     def getWarpGrid(self) -> FloatArray:
         """As :meth:`getCommonGrid`, as the order of the file is the only one."""
@@ -294,19 +302,20 @@ class USMesh(_Interface):
 
     def getOption(self, name: str) -> Any:
         """Value of an option."""
-        return self._options[name]
+        return getattr(self._options, known_name(name))
 
     def setOption(self, name: str, value: Any) -> None:
         """Change an option before the surface is defined."""
-        if self._components:
+        if self._begun:
             raise CaseError(f"setOption({name!r}) after the surface was defined; expected options before that")
         self._options.set(name, value)
 
     def printOptions(self) -> None:
         """Print every option with its value, and its meaning here where that differs from IDWarp's."""
         if self._ranks.number == 0:
-            for name, value, note in self._options.items():
-                print(f"{name:20} {value!r}" + (f"  ({note})" if note else ""))
+            for name in self._options.__struct_fields__:
+                note = f"  ({NOTES[name]})" if name in NOTES else ""
+                print(f"{name:20} {getattr(self._options, name)!r}{note}")
 
     def warpDeriv(self, dXv: ArrayLike, solverVec: bool = True) -> None:
         """Apply the transposed derivative to the gradient (3 n,) of the nodes; :meth:`getdXs` returns the result.
@@ -339,40 +348,27 @@ class MultiUSMesh(_Interface):
     ) -> None:  # fmt: skip
         if dtype != "d":
             raise CaseError(f"dtype = {dtype!r}; expected 'd': derivatives do not need complex numbers")
+        if not optionsDict:
+            raise CaseError("optionsDict is empty; expected options for at least one component")
         file = str(CGNSFile)
-
-        def groups(names: tuple[str, ...]) -> list[tuple[IntArray, Options]]:
-            member = np.array([name.split(".")[0].lower() for name in names])
-            found = []
-            for name, options in optionsDict.items():
-                zones = np.flatnonzero(member == name.lower())
-                if not zones.size:
-                    known = ", ".join(dict.fromkeys(member.tolist()))
-                    raise CaseError(f"no zone of component {name!r}; expected some of {known}")
-                found.append((zones, Options({**options, "gridFile": file})))
-            if not found:
-                raise CaseError("optionsDict is empty; expected options for at least one component")
-            # In the order of the file, as IDWarp has its instances.
-            return sorted(found, key=lambda group: int(group[0][0]))
-
-        super().__init__(file, "CGNS", comm, groups)
+        own = {name: Options.of({**options, "gridFile": file}) for name, options in optionsDict.items()}
+        super().__init__(file, "CGNS", comm, own)
 
     def setSurfaceDefinition(
         self, pts: ArrayLike, conn: ArrayLike, faceSizes: ArrayLike, cgnsBlockIDs: ArrayLike | None = None
     ) -> None:
         """As :meth:`USMesh.setSurfaceDefinition`, after :meth:`setExternalMeshIndices`."""
         self._solver_rows  # noqa: B018  (refuses the wrong order)
-        self._define(Definition.of(pts, conn, faceSizes, cgnsBlockIDs))
+        self._define(defined(pts, conn, faceSizes, cgnsBlockIDs))
 
     def getWarpGrid(self) -> tuple[list[FloatArray], int]:
         """This rank's share (3 n,) of the nodes of each component that moves, and the number of coordinates of all."""
         found, total = [], 0
-        for zones in self._zones:
-            ends = self._grid.offsets[zones.zones], self._grid.offsets[zones.zones + 1]
-            numbers = np.concatenate([np.arange(low, high) for low, high in zip(*ends, strict=True)])
-            own = numbers[self._ranks.share(len(numbers))]
-            found.append(self._points[rows_of_file(self._grid, own)].ravel())
-            total += 3 * len(numbers)
+        for component in self._components:
+            ends = [slice(*self._grid.offsets[zone : zone + 2]) for zone in component.zones]
+            rows = np.concatenate([self._in_file[each] for each in ends])
+            found.append(self._points[rows[self._ranks.share(len(rows))]].ravel())
+            total += 3 * len(rows)
         return found, total
 
     def warpDeriv(self, dXv: ArrayLike, solverVec: bool = True) -> FloatArray:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
 
 from meshdeform_core.errors import CaseError, suggestion
 from meshdeform_core.methods import IDW, RBF, TFI
+from meshdeform_formats.case.forms import Form, ThreeNumbers, about, filled, plain
 
 from ..tasks import Hybrid, Method, options_of
 
@@ -18,163 +22,114 @@ With it, finite differences with steps of 1e-6 agree with the derivative to 1e-7
 times the time that ``errTol`` itself would take.
 """
 _WITH_IDW = {"idw": None, "idw-tfi": TFI, "idw-rbf": RBF}
+_Positive = Annotated[float, Meta(gt=0.0), about("a positive number")]
+_Switch = Annotated[bool, about("True or False")]
+_Families = Annotated[list[str] | None, about("a list of family names")]
+
+NOTES = {
+    "errTol": "fast sums err by at most a thousandth of it, relative to the shortest cell edge at a node",
+    "evalMode": "'fast' uses fast sums where they pay, exact ones for smaller grids",
+    "useRotations": "rotations are averaged as twists (rotation = 'lie'), independent of the frame",
+    "zeroCornerRotations": "rotations near sharp edges are averaged with those around them instead of being zeroed",
+    "cornerAngle": "edges are sharp from about 50 degrees on",
+    "restartFile": "nothing is read or written: preparing takes less time than reading it would",
+    "bucketSize": "has no effect: clusters are chosen by the tolerance",
+}
+"""What options mean here where that differs from IDWarp."""
 
 
-def _positive(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < float("inf"):
-        raise ValueError
-    return float(value)
+class Options(Form):
+    """IDWarp's options with its names, and two of ours, ``method`` and ``repair``."""
 
+    gridFile: Annotated[str, about("the name of a grid file")]
+    fileType: Annotated[
+        Literal["CGNS", "PLOT3D"],
+        about("one of CGNS, PLOT3D; unstructured meshes, as those of OpenFOAM, are not read"),
+    ] = "CGNS"
+    specifiedSurfaces: _Families = None
+    symmetrySurfaces: _Families = None
+    symmetryPlanes: Annotated[
+        list[tuple[ThreeNumbers, ThreeNumbers]] | None, about("[[[x, y, z], [nx, ny, nz]], ...], or [] for none")
+    ] = None
+    aExp: _Positive = 3.0
+    bExp: _Positive = 5.0
+    LdefFact: _Positive = 1.0
+    alpha: _Positive = 0.25
+    errTol: _Positive = 0.0005
+    evalMode: Annotated[Literal["fast", "exact"], about("one of fast, exact")] = "fast"
+    symmTol: _Positive = 1e-6
+    useRotations: _Switch = True
+    zeroCornerRotations: _Switch = True
+    cornerAngle: _Positive = 30.0
+    restartFile: Any = None
+    bucketSize: Any = 8
+    method: Any = "idw"
+    repair: Annotated[Literal["off", "auto", "polish"], about("one of off, auto, polish")] = "off"
 
-def _switch(value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise ValueError
-    return value
-
-
-def _families(value: Any) -> list[str] | None:
-    if isinstance(value, str) or not all(isinstance(each, str) for each in value or ()):
-        raise ValueError
-    return None if value is None else list(value)
-
-
-def _planes(value: Any) -> list[tuple[tuple[float, ...], ...]] | None:
-    planes = [tuple(tuple(float(x) for x in vector) for vector in plane) for plane in value or ()]
-    if not all(len(plane) == 2 and all(len(vector) == 3 for vector in plane) and any(plane[1]) for plane in planes):
-        raise ValueError
-    return None if value is None else planes
-
-
-def _method(value: Any) -> Any:
-    # Names and objects alike: unknown ones are refused here, not at the first warp.
-    if not _has_idw(value):
-        options_of(value)
-    return value
-
-
-def _has_idw(method: object) -> bool:
-    return isinstance(method, str) and method in _WITH_IDW
-
-
-class Option(NamedTuple):
-    """Default, a function that returns the value to use or raises ValueError, what it expects, and the meaning here
-    where that differs from IDWarp's."""
-
-    default: Any
-    checked: Callable[[Any], Any] = lambda value: value
-    expected: str = ""
-    note: str = ""
-
-
-def _number(default: float, note: str = "") -> Option:
-    return Option(default, _positive, "a positive number", note)
-
-
-def _one_of(default: str, known: tuple[str, ...], note: str = "", hint: str = "") -> Option:
-    same = {each.lower(): each for each in known}
-
-    def checked(value: Any) -> str:
-        if str(value).lower() not in same:
-            raise ValueError
-        return same[str(value).lower()]
-
-    return Option(default, checked, f"one of {', '.join(known)}{hint}", note)
-
-
-OPTIONS = {
-    "gridFile": Option(None),
-    "fileType": _one_of("CGNS", ("CGNS", "PLOT3D"), hint="; unstructured meshes, as those of OpenFOAM, are not read"),
-    "specifiedSurfaces": Option(None, _families, "a list of family names"),
-    "symmetrySurfaces": Option(None, _families, "a list of family names"),
-    "symmetryPlanes": Option(None, _planes, "[[[x, y, z], [nx, ny, nz]], ...], or [] for none"),
-    "aExp": _number(3.0),
-    "bExp": _number(5.0),
-    "LdefFact": _number(1.0),
-    "alpha": _number(0.25),
-    "errTol": _number(
-        0.0005, "fast sums err by at most a thousandth of it, relative to the shortest cell edge at a node"
-    ),
-    "evalMode": _one_of(
-        "fast", ("fast", "exact"), "'fast' uses fast sums where they pay, exact ones for smaller grids"
-    ),
-    "symmTol": _number(1e-6),
-    "useRotations": Option(
-        True, _switch, "True or False", "rotations are averaged as twists (rotation = 'lie'), independent of the frame"
-    ),
-    "zeroCornerRotations": Option(
-        True, _switch, "True or False",
-        "rotations near sharp edges are averaged with those around them instead of being zeroed",
-    ),
-    "cornerAngle": _number(30.0, "edges are sharp from about 50 degrees on"),
-    "restartFile": Option(None, note="nothing is read or written: preparing takes less time than reading it would"),
-    "bucketSize": Option(8, note="has no effect: clusters are chosen by the tolerance"),
-    # Additions to IDWarp's options.
-    "method": Option("idw", _method),
-    "repair": _one_of("off", ("off", "auto", "polish")),
-}  # fmt: skip
-_LOWER = {name.lower(): name for name in OPTIONS}
-
-
-class Options:
-    """Options by name, which is not case-sensitive; unknown ones, those given twice and wrong values are refused."""
-
-    def __init__(self, given: Mapping[str, Any] | None):
+    @classmethod
+    def of(cls, given: Mapping[str, Any] | None) -> Options:
+        """The options given; unknown ones, those given twice and wrong values are refused."""
         if not isinstance(given, Mapping):
             raise CaseError(f"options = {given!r}; expected a mapping with 'gridFile' and others")
-        self._values = {name: option.default for name, option in OPTIONS.items()}
+        values: dict[str, Any] = {"gridFile": None}
         spelled: dict[str, str] = {}
         for name, value in given.items():
-            self.set(name, value)
-            if (other := spelled.setdefault(self._known(name), name)) != name:
+            known = known_name(name)
+            if (other := spelled.setdefault(known, name)) != name:
                 raise CaseError(f"found both {other!r} and {name!r}; expected an option once, in any case")
-        if not isinstance(self._values["gridFile"], str):
-            raise CaseError(f"gridFile = {self._values['gridFile']!r}; expected the name of a grid file")
-        if self._values["fileType"] == "PLOT3D" and self._values["symmetryPlanes"] is None:
+            written = str.upper if known == "fileType" else str.lower if known in ("evalMode", "repair") else str
+            values[known] = written(value) if isinstance(value, str) else plain(value)
+        found = filled(cls, values)
+        if not all(any(normal) for _, normal in found.symmetryPlanes or ()):
+            raise CaseError(f"symmetryPlanes = {values['symmetryPlanes']}; expected normals that are not zero")
+        if found.fileType == "PLOT3D" and found.symmetryPlanes is None:
             raise CaseError(
                 "symmetryPlanes is missing: a Plot3D file holds no boundary conditions; expected a list of planes, "
                 "[[point, normal], ...], or [] for none"
             )
-
-    def __getitem__(self, name: str) -> Any:
-        return self._values[self._known(name)]
+        if not found.has_idw:
+            # Names and objects alike: unknown ones are refused here, not at the first warp.
+            options_of(found.method)
+        if found.cornerAngle != 30.0:
+            warnings.warn(f"cornerAngle = {found.cornerAngle:g} has no effect: {NOTES['cornerAngle']}", stacklevel=3)
+        return found
 
     def set(self, name: str, value: Any) -> None:
         """Change an option."""
-        known = self._known(name)
-        option = OPTIONS[known]
-        try:
-            self._values[known] = option.checked(value)
-        except (TypeError, ValueError):
-            raise CaseError(f"{known} = {value!r}; expected {option.expected}") from None
-        if known == "cornerAngle" and value != option.default:
-            warnings.warn(f"{known} = {value!r} has no effect: {option.note}", stacklevel=4)
+        known = known_name(name)
+        setattr(self, known, getattr(Options.of({**msgspec.structs.asdict(self), known: value}), known))
 
-    def items(self) -> list[tuple[str, Any, str]]:
-        """Every option with its value and its note, which may be empty."""
-        return [(name, value, OPTIONS[name].note) for name, value in self._values.items()]
+    @property
+    def has_idw(self) -> bool:
+        """Whether the method is the name of one that takes IDWarp's parameters."""
+        return isinstance(self.method, str) and self.method in _WITH_IDW
 
-    def method(self, length: float) -> Method:
+    def method_of(self, length: float) -> Method:
         """The method with these options; ``length`` is L_def of eq. 17 (grid length unit)."""
-        v = self._values
-        chosen: Method = v["method"]
-        if not _has_idw(chosen):
+        chosen: Method = self.method
+        if not self.has_idw:
             return chosen
         idw = IDW(
-            rotation="lie" if v["useRotations"] else "none",
-            alpha=v["alpha"],
-            a=v["aExp"],
-            b=v["bExp"],
-            length=v["LdefFact"] * length,
-            smoothing="auto" if v["zeroCornerRotations"] else 0,
-            summation="auto" if v["evalMode"] == "fast" else "exact",
-            summation_tolerance=min(max(_PART * v["errTol"], 1e-8), 0.1),
+            rotation="lie" if self.useRotations else "none",
+            alpha=self.alpha,
+            a=self.aExp,
+            b=self.bExp,
+            length=self.LdefFact * length,
+            smoothing="auto" if self.zeroCornerRotations else 0,
+            summation="auto" if self.evalMode == "fast" else "exact",
+            summation_tolerance=min(max(_PART * self.errTol, 1e-8), 0.1),
         )
         filler = _WITH_IDW[str(chosen)]
         return idw if filler is None else Hybrid(idw, filler())
 
-    @staticmethod
-    def _known(name: str) -> str:
-        known = _LOWER.get(str(name).lower())
-        if known is None:
-            raise CaseError(f"unknown option {name!r}{suggestion(name, OPTIONS)}; expected one of {', '.join(OPTIONS)}")
-        return known
+
+_LOWER = {name.lower(): name for name in Options.__struct_fields__}
+
+
+def known_name(name: str) -> str:
+    """The name of an option, which is not case-sensitive; an unknown one is refused."""
+    known = _LOWER.get(str(name).lower())
+    if known is None:
+        names = _LOWER.values()
+        raise CaseError(f"unknown option {name!r}{suggestion(name, names)}; expected one of {', '.join(names)}")
+    return known

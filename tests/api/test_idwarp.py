@@ -72,8 +72,8 @@ def test_derivatives_at_the_undeformed_grid(wing, always, monkeypatch):
     """What IDWarp's pull request 111 asks for: no deformation first, and the motion itself as the reference."""
     if always:
         # Fast sums pay on larger grids only.
-        chosen = Options.method
-        monkeypatch.setattr(Options, "method", lambda *given: dataclasses.replace(chosen(*given), summation="fast"))
+        chosen = Options.method_of
+        monkeypatch.setattr(Options, "method_of", lambda *given: dataclasses.replace(chosen(*given), summation="fast"))
     mesh = USMesh({"gridFile": wing, "errTol": 0.0005, "evalMode": "fast", "symmTol": 1e-6, "bucketSize": 8})
     start = mesh.getSurfaceCoordinates()
     mesh.setSurfaceCoordinates(start)
