@@ -8,10 +8,11 @@ and derives the JSON schema.
 from __future__ import annotations
 
 import ctypes
-import functools
+import math
 import re
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -19,7 +20,6 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from meshdeform_core.boundary.motions.expression import Expression, expression
 from meshdeform_core.errors import CaseError, FormatError, suggestion
 from meshdeform_core.wording import literal
 
@@ -27,7 +27,6 @@ from ..files import require_regular
 
 Table = dict[str, Any]
 _DEEPEST = 100
-_LONG = 30
 
 
 def about(text: str, **more: Any) -> Meta:
@@ -56,69 +55,52 @@ Three = tuple[Formula, Formula, Formula]
 ThreeNumbers = tuple[float, float, float]
 
 
-def fail(where: str, message: str) -> CaseError:
-    """The error to raise for the content at ``where``."""
-    return CaseError(f"{where}: {message}")
-
-
-def formula_of(value: Any, known: Iterable[str], where: str) -> Expression:
-    """A number or a formula of the names in ``known``."""
+@contextmanager
+def placed(where: str) -> Iterator[None]:
+    """Errors of the content of a case say ``where`` it is."""
     try:
-        return expression(value, known)
+        yield
     except CaseError as error:
-        raise fail(where, str(error)) from None
+        raise CaseError(f"{where}: {error}") from None
 
 
-def plain(value: Any, depth: int = 0) -> Any:
-    """Tables made in Python, converted to the types of TOML: dictionaries, lists, numbers, texts."""
-    if depth > _DEEPEST:
+def plain(value: Any, place: str = "") -> Any:
+    """Tables, also those made in Python, in the types of TOML: dictionaries, lists, finite numbers, texts.
+
+    Raises CaseError with the ``place`` of numbers that TOML or a case cannot have.
+    """
+    if place.count(".") > _DEEPEST:
         raise CaseError(f"its tables are nested more than {_DEEPEST} deep; expected a case like that of a case file")
     if isinstance(value, Mapping):
-        return {key: plain(item, depth + 1) for key, item in value.items()}
+        return {key: plain(item, f"{place}.{key}") for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(item, depth + 1) for item in value]
+        return [plain(item, f"{place}.{number}") for number, item in enumerate(value, start=1)]
     if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
+        return plain(value.tolist(), place)
+    if isinstance(value, float) and not math.isfinite(value):
+        raise CaseError(f"{place[1:]} = {literal(value)}; expected a finite number")
+    if isinstance(value, int) and not -(2**63) <= value < 2**63:
+        bits = value.bit_length()
+        raise CaseError(f"{place[1:]} is an integer of {bits} bits; expected at most 64, write large numbers like 1e30")
     return str(value) if isinstance(value, Path) else value
 
 
-def filled(form: type[Of], value: Any, where: str = "") -> Of:
-    """The content ``value`` at ``where`` as a form.
+def filled(form: type[Of], content: Table) -> Of:
+    """The ``content`` as a form.
 
     Raises CaseError with the place, what was found and expected, and for unknown keys the nearest known one.
     """
-    if (path := _not_a_number(value)) is not None:
-        found = functools.reduce(lambda content, key: content[key], path, value)
-        told = "expected a finite number, found " + literal(found)
-        if isinstance(found, int):
-            digits = str(found) if abs(found) < 10**_LONG else f"{str(found)[:_LONG]}..."
-            told = f"expected an integer of at most 64 bits, found {digits}; write large numbers like 1e30"
-        raise _explained(form, value, where, path, told)
     try:
-        return msgspec.convert(value, form)
+        return msgspec.convert(content, form)
     except msgspec.ValidationError as error:
-        message, _, path_text = str(error).partition(" - at `$")
-        names = [name or int(number) for name, number in re.findall(r"\.([\w-]+)|\[(\d+)\]", path_text)]
-        raise _explained(form, value, where, names, message) from None
+        message, _, path = str(error).partition(" - at `$")
+        steps = [name or int(number) for name, number in re.findall(r"\.([\w-]+)|\[(\d+)\]", path)]
+        raise _explained(form, content, steps, message) from None
 
 
-def _not_a_number(value: Any) -> list[str | int] | None:
-    """Where a number that is not finite, or an integer that TOML excludes, is."""
-    if isinstance(value, dict | list):
-        for key, item in value.items() if isinstance(value, dict) else enumerate(value):
-            if (path := _not_a_number(item)) is not None:
-                return [key, *path]
-        return None
-    if isinstance(value, int):
-        return None if -(2**63) <= value < 2**63 else []
-    return [] if isinstance(value, float) and not abs(value) < float("inf") else None
-
-
-def _explained(form: type[Form], value: Any, where: str, path: Sequence[str | int], message: str) -> CaseError:
-    """The error for a message about the content at a path, which it says in words: ``boundary 'body', motion step 1``.
-
-    ``message`` is msgspec's, or complete.
-    """
+def _explained(form: type[Form], value: Any, path: Sequence[str | int], message: str) -> CaseError:
+    """The error for msgspec's message about the content at a path: the place in words, like ``boundary 'body', motion
+    step 1``, and what the description of the entry says is expected."""
     schema = msgspec.json.schema(form)
 
     def part(node: Table, what: str) -> Any:
@@ -127,48 +109,34 @@ def _explained(form: type[Form], value: Any, where: str, path: Sequence[str | in
         nodes += [schema["$defs"][each["$ref"].rpartition("/")[2]] for each in nodes if "$ref" in each]
         return next((each[what] for each in nodes if what in each), {})
 
-    tables, key, dotted, node = [where] if where else [], "", True, schema
-    unknown = re.match(r"Object contains unknown field `(.*)`", message)
-    missing = re.match(r"Object missing required field `(.*)`", message)
-    # What is wrong with a table concerns no key of the table around it.
-    about_table = unknown or missing or not re.match("[Ee]xpected |Invalid ", message)
-    for step in [*path, ""] if about_table else path:
-        if isinstance(step, int):
-            if not isinstance(value[step], dict):
-                # A list of numbers or names is shown as a whole.
-                break
+    node, entries, keys = schema, list[str](), list[str]()
+    for step in path:
+        if isinstance(step, str):
+            keys.append(step)
+            node, value = part(node, "properties").get(step, {}), value[step]
+        elif isinstance(value[step], dict):
             node, value = part(node, "items"), value[step]
             name = f"boundary {literal(value.get('name', f'boundary {step + 1}'))}"
-            labels = {"boundary": name, "motion": f"motion step {step + 1}"}
-            tables.append(labels.get(key, f"{key} {step + 1}"))
-            key, dotted = "", False
-            continue
-        if key:
-            # A single motion may stand without its list.
-            tables.append("motion step 1" if key == "motion" else key)
-            dotted = dotted and key != "motion"
-        key = step
-        if key:
-            node, value = part(node, "properties").get(key, {}), value[key]
-    place = ".".join([*tables, key] if key else tables) if dotted else ", ".join(tables)
-    label = "" if dotted or not key else f"{key}: "
-    if unknown:
+            entries.append(
+                {"boundary": name, "motion": f"motion step {step + 1}"}.get(keys[-1], f"{keys[-1]} {step + 1}")
+            )
+            keys = []
+        else:
+            # A list of numbers or names is shown as a whole.
+            break
+    place = ": ".join(text for text in (", ".join(entries), ".".join(keys)) if text)
+    if unknown := re.match(r"Object contains unknown field `(.*)`", message):
         known = part(node, "properties")
-        below = [".".join([*tables, name, unknown[1]]) for name, each in known.items()
+        below = [".".join([*keys, name, unknown[1]]) for name, each in known.items()
                  if unknown[1] in part(each, "properties")]  # fmt: skip
         hint = f"; did you mean {' or '.join(map(repr, below))}?" if below else suggestion(unknown[1], known)
-        table = (f"[{place}]" if place else "case") if dotted else place
-        return fail(table, f"unknown key {unknown[1]!r}{hint or '; known are ' + ', '.join(known)}")
-    if missing:
+        table = place if entries or not keys else f"[{place}]"
+        return CaseError(f"{table or 'case'}: unknown key {unknown[1]!r}{hint or '; known are ' + ', '.join(known)}")
+    if missing := re.match(r"Object missing required field `(.*)`", message):
         described = part(part(node, "properties")[missing[1]], "description") or "it"
-        return fail(place, f"{label}there is no {missing[1]}; expected {described}")
-    if about_table or message.startswith("expected"):
-        return fail(place, label + message)
+        return CaseError(f"{place}: there is no {missing[1]}; expected {described}")
     expected = part(node, "description") or message.lower().removeprefix("expected ").replace("`", "")
-    found = f"{literal(value)}; expected {expected}{suggestion(value, part(node, 'enum'))}"
-    if dotted:
-        return CaseError(f"{place} = {found}")
-    return fail(place, f"{key} = {found}" if key else f"found {found}")
+    return CaseError(f"{place} = {literal(value)}; expected {expected}{suggestion(value, part(node, 'enum'))}")
 
 
 _PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
@@ -218,7 +186,7 @@ def override(data: Table, text: str) -> tuple[list[str], Any]:
     """
     key, equals, value = text.partition("=")
     if not equals or not key.strip():
-        raise CaseError(f"--set {text!r}: expected KEY=VALUE, like method.idw.alpha=0.3")
+        raise CaseError("expected KEY=VALUE, like method.idw.alpha=0.3")
     try:
         (parsed,) = _toml(f"value = {value}").values()
     except ValueError:
@@ -228,22 +196,21 @@ def override(data: Table, text: str) -> tuple[list[str], Any]:
             parsed = float(parsed)
     path, target = key.strip().split("."), data
     if len(path) == 1 and key.strip() not in TABLES and key.strip() in data.get("constants", {}):
-        raise CaseError(f"--set {text!r}: unknown key {path[0]!r}; did you mean 'constants.{path[0]}'?")
+        raise CaseError(f"unknown key {path[0]!r}; did you mean 'constants.{path[0]}'?")
     for name in path[:-1]:
         if isinstance(target, list):
             entries = [(str(e.get("name", n)), str(n), e) for n, e in enumerate(target, 1) if isinstance(e, dict)]
             target = next((entry for known, number, entry in entries if name in (known, number)), None)
             if target is None:
-                known = ", ".join(entry[0] for entry in entries) or "none"
-                raise CaseError(f"--set {text!r}: no entry {name!r}; known are {known}")
+                raise CaseError(f"no entry {name!r}; known are {', '.join(entry[0] for entry in entries) or 'none'}")
         else:
             target = target.setdefault(name, {})
         if not isinstance(target, (dict, list)):
-            raise CaseError(f"--set {text!r}: {name!r} is a value, not a table")
+            raise CaseError(f"{name!r} is a value, not a table")
     if isinstance(target, list):
         raise CaseError(
-            f"--set {text!r}: {'.'.join(path[:-1])} is a list; name an entry and its key, like "
-            f'boundary.wing.kind="fixed", or give the list as a whole'
+            f'{".".join(path[:-1])} is a list; name an entry and its key, like boundary.wing.kind="fixed", or give '
+            "the list as a whole"
         )
     target[path[-1]] = parsed
     return path, parsed

@@ -5,7 +5,7 @@ To add a motion: a form with ``step``, a field of :class:`MotionStep` with the f
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import permutations, product
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, get_args
 import numpy as np
 from msgspec import Meta
 
-from meshdeform_core.boundary.motions.expression import Expression
+from meshdeform_core.boundary.motions.expression import Expression, expression
 from meshdeform_core.boundary.motions.histories import Modes, RigidHistory
 from meshdeform_core.boundary.motions.motion import ControlMove, Displace, Follow, History, Lattice, Rotate, Step
 from meshdeform_core.boundary.motions.section import Airfoil
@@ -24,11 +24,11 @@ from meshdeform_core.wording import literal
 
 from ..displacement import read_displacement
 from ..displacement.frd import read_shapes
-from .forms import File, Form, Formula, Three, ThreeNumbers, about, fail, formula_of
-from .tables import columns, files_over_time, read_airfoil, read_beam, read_history, read_positions, sequence_files
+from .forms import File, Form, Formula, Three, ThreeNumbers, about, placed
+from .tables import files_over_time, history, read_airfoil, read_beam, read_history, read_positions, sequence_files
 
 _MOST_CONTROLS = 10_000
-_TURNS = ("rx", "ry", "rz")
+_SHIFT, _TURNS = ("x", "y", "z"), ("rx", "ry", "rz")
 _QUATERNION = ("qx", "qy", "qz", "qw")
 _ORDERS = [order for axes in permutations("xyz") for order in ("".join(axes), "".join(axes).upper())]
 _FILE = "a file name: "
@@ -42,25 +42,18 @@ _Times = Annotated[str | list[float] | None, about('"START:STOP:STEP", like "0:1
 
 @dataclass(frozen=True)
 class Context:
-    """What a motion needs beside its own table: names that its formulas may use, the folder of the case file, how
-    tables are matched, and its place for messages."""
+    """What a motion needs beside its own table: names that its formulas may use, the folder of the case file, and how
+    tables are matched."""
 
     names: tuple[str, ...]
     folder: Path
-    where: str
     matching: Matching
-
-    def refusal(self, message: str) -> CaseError:
-        """The error to raise for a motion."""
-        return fail(self.where, message)
 
     def formula(self, value: Any, of_time: bool = False) -> Expression:
         """A formula of the names, or of those that are the same for all nodes."""
-        known = [name for name in self.names if not (of_time and name in ("x", "y", "z"))]
-        return formula_of(value, known, self.where)
+        return expression(value, [name for name in self.names if not (of_time and name in ("x", "y", "z"))])
 
     def three(self, values: Three, of_time: bool = False) -> tuple[Expression, Expression, Expression]:
-        """Three formulas."""
         x, y, z = (self.formula(value, of_time) for value in values)
         return x, y, z
 
@@ -75,7 +68,7 @@ class RotateForm(Form):
     def step(self, context: Context) -> Step:
         x, y, z = self.axis
         if not any(self.axis):
-            raise context.refusal("axis = [0, 0, 0] has no direction")
+            raise CaseError("axis = [0, 0, 0] has no direction")
         return Rotate(context.formula(self.angle), (x, y, z), context.three(self.center))
 
 
@@ -100,18 +93,16 @@ class LatticeForm(Form):
     def step(self, context: Context) -> Step:
         frame = np.array(self.edges)
         if not abs(np.linalg.det(frame)) > 1e-12 * float(np.prod(np.linalg.norm(frame, axis=1))):
-            raise context.refusal(f"edges = {literal(self.edges)} span no volume; expected three directions")
+            raise CaseError(f"edges = {literal(self.edges)} span no volume; expected three directions")
         ni, nj, nk = self.points
         if ni * nj * nk > _MOST_CONTROLS:
-            raise context.refusal(
-                f"points = {literal(self.points)}; expected at most {_MOST_CONTROLS:,} control points"
-            )
+            raise CaseError(f"points = {literal(self.points)}; expected at most {_MOST_CONTROLS:,} control points")
         moves = []
         for number, move in enumerate(self.move, start=1):
             chosen = []
             for entry, count in zip(move.at, self.points, strict=True):
                 if isinstance(entry, int) and not 1 <= entry <= count:
-                    raise context.refusal(
+                    raise CaseError(
                         f'move {number}, at: found {entry}; expected a control point from 1 to {count}, or "*" for all'
                     )
                 chosen.append(range(count) if isinstance(entry, str) else range(entry - 1, entry))
@@ -129,17 +120,14 @@ class RigidForm(Form):
 
     def step(self, context: Context) -> Step:
         path = context.folder / self.file
-        names, values = read_history(path)
-        strange = [name for name in names if name not in ("t", "x", "y", "z", *_TURNS, *_QUATERNION)]
-        if strange:
-            raise context.refusal(f"{path} has a column {strange[0]!r}; known are t x y z, rx ry rz and qx qy qz qw")
-        shift, angles, quaternions = (
-            columns(names, values, wanted, str(path)) for wanted in (("x", "y", "z"), _TURNS, _QUATERNION)
-        )
+        table = read_history(path)
+        if strange := [name for name in table if name not in ("t", *_SHIFT, *_TURNS, *_QUATERNION)]:
+            raise CaseError(f"{path} has a column {strange[0]!r}; known are t x y z, rx ry rz and qx qy qz qw")
+        shift, angles, quaternions = (history(table, wanted, path) for wanted in (_SHIFT, _TURNS, _QUATERNION))
         if angles is not None and quaternions is not None:
-            raise context.refusal(f"{path} has angles and quaternions; expected one of them")
+            raise CaseError(f"{path} has angles and quaternions; expected one of them")
         if (angles is not None) != bool(self.order) or (self.order and self.order not in _ORDERS):
-            raise context.refusal(
+            raise CaseError(
                 f"order = {literal(self.order)}; expected, only for angles rx ry rz in degrees, the sequence of axes: "
                 '"xyz" about the fixed axes, "XYZ" about those of the body'
             )
@@ -152,7 +140,7 @@ class RigidForm(Form):
             # The first angle belongs to the first axis of the order.
             places = ["xyz".index(axis) for axis in self.order.lower()]
             angles = History(angles.times, angles.values[:, places], angles.label)
-        still = History(values[:, 0], np.zeros((len(values), 3)), str(path))
+        still = History(table["t"], np.zeros((len(table["t"]), 3)), str(path))
         x, y, z = self.center
         return RigidHistory(shift or still, angles if angles is not None else quaternions, self.order, (x, y, z))
 
@@ -175,12 +163,10 @@ class ModesForm(Form):
         labels, shapes = self._shapes(context)
         if isinstance(self.amplitudes, list):
             if len(self.amplitudes) != len(shapes):
-                raise context.refusal(
-                    f"{len(self.amplitudes)} amplitudes for {len(shapes)} shapes; expected one for each"
-                )
+                raise CaseError(f"{len(self.amplitudes)} amplitudes for {len(shapes)} shapes; expected one for each")
             return Modes(shapes, tuple(context.formula(part, True) for part in self.amplitudes), context.matching)
         path = context.folder / self.amplitudes.file
-        names, values = read_history(path)
+        names, values = zip(*read_history(path).items(), strict=True)
         # A column is called like the file of its shape or by its number (q2, mode_2, 2); of one shape it is any.
         order = [1] if len(names) == 2 and len(labels) == 1 else list[int]()
         for number, name in labels if not order else ():
@@ -191,22 +177,21 @@ class ModesForm(Form):
                 expected = f"expected one called q{number}{f' or {name}' if name else ''}"
                 raise FormatError(f"{path} has the columns {' '.join(names)}, {which}; {expected}")
             order.append(names.index(found[0]))
-        return Modes(shapes, History(values[:, 0], values[:, order], str(path)), context.matching)
+        amplitudes = np.stack([values[column] for column in order], axis=1)
+        return Modes(shapes, History(values[0], amplitudes, str(path)), context.matching)
 
     def _shapes(self, context: Context) -> tuple[list[tuple[int, str]], tuple[SurfaceData | Grid, ...]]:
         """Number and name of each shape, and the shapes: one per file, or some of those in a result file."""
         if (self.file is None) == (self.files is None) or (self.file is None and self.shapes is not None):
-            raise context.refusal(f"found {self.given()}; expected files, with one shape each, or file, with shapes")
+            raise CaseError(f"found {self.given()}; expected files, with one shape each, or file, with shapes")
         if self.files is not None:
-            paths = sequence_files(self.files, context.folder, context.where)
+            paths = sequence_files(self.files, context.folder)
             labels = [(number, path.stem.lower()) for number, path in enumerate(paths, start=1)]
             return labels, tuple(read_displacement(path) for path in paths)
         found = read_shapes(path := context.folder / str(self.file))
         chosen = list(range(1, len(found) + 1)) if self.shapes is None else self.shapes
         if max(chosen) > len(found):
-            raise context.refusal(
-                f"shapes = {literal(chosen)}; expected numbers from 1 to {len(found)}, which {path} has"
-            )
+            raise CaseError(f"shapes = {literal(chosen)}; expected numbers from 1 to {len(found)}, which {path} has")
         return [(number, "") for number in chosen], tuple(found[number - 1] for number in chosen)
 
 
@@ -234,10 +219,10 @@ class PositionsForm(Form):
 
     def step(self, context: Context) -> Step:
         if self.given() not in (["file"], ["files", "times"]):
-            raise context.refusal(f"found {self.given()}; expected file, or files and times")
+            raise CaseError(f"found {self.given()}; expected file, or files and times")
         if self.files is None:
             return Follow(read_positions(context.folder / str(self.file)), Matching("exact"))
-        paths, times = files_over_time(self.files, self.times, context.folder, context.where)
+        paths, times = files_over_time(self.files, self.times, context.folder)
         return Follow(lambda number: read_positions(paths[number]), Matching("exact"), times)
 
 
@@ -263,30 +248,27 @@ class MotionStep(Form):
     match: Annotated[_How | None, about(f"one of {', '.join(get_args(_How))}")] = None
     tolerance: Annotated[float | None, about("a finite number: the largest distance of a match")] = None
 
-    def step(self, names: tuple[str, ...], folder: Path, where: str) -> Step:
-        """The step of the core; ``names`` may be used in formulas, ``where`` is its place for messages."""
+    def step(self, names: tuple[str, ...], folder: Path) -> Step:
+        """The step of the core; ``names`` may be used in formulas."""
         given = self.given()
         kinds = [name for name in given if name in KINDS]
         if len(kinds) != 1:
-            raise fail(where, f"found {given}; expected exactly one of {', '.join(KINDS)}")
-        if beside := [name for name in given if name not in (*kinds, *_ALSO.get(kinds[0], ()))]:
-            raise fail(where, f"{kinds[0]} takes no {beside[0]}")
-        value = getattr(self, kinds[0])
-        try:
-            matching = Matching(self.match or "nearest", self.tolerance)
-        except CaseError as error:
-            raise fail(where, str(error)) from None
-        context = Context(names, folder, where, matching)
+            raise CaseError(f"found {given}; expected exactly one of {', '.join(KINDS)}")
+        (kind,) = kinds
+        if beside := [name for name in given if name not in (kind, *_ALSO.get(kind, ()))]:
+            raise CaseError(f"{kind} takes no {beside[0]}")
+        value, context = getattr(self, kind), Context(names, folder, Matching(self.match or "nearest", self.tolerance))
         if isinstance(value, Form):
-            return value.step(replace(context, where=f"{where}, {kinds[0]}"))  # type: ignore[attr-defined]
-        if kinds[0] == "beam":
+            with placed(kind):
+                return value.step(context)  # type: ignore[attr-defined]
+        if kind == "beam":
             return read_beam(folder / value)
-        if kinds[0] == "files":
-            paths, times = files_over_time(value, self.times, folder, where)
+        if kind == "files":
+            paths, times = files_over_time(value, self.times, folder)
             return Follow(lambda number: read_displacement(paths[number]), context.matching, times)
-        if kinds[0] == "file":
+        if kind == "file":
             if not isinstance(value, SurfaceData | str) or value == "" or "\0" in str(value):
-                raise fail(where, f"file: expected a file name, found {literal(value)}")
+                raise CaseError(f"file: expected a file name, found {literal(value)}")
             data = value if isinstance(value, SurfaceData) else read_displacement(folder / value)
             return Follow(data, context.matching)
         return Displace(context.three(value))

@@ -17,7 +17,8 @@ import msgspec
 from msgspec import Meta
 
 from meshdeform_core.boundary import BoundarySpec, Kind
-from meshdeform_core.boundary.motions.motion import VARIABLES, Follow, Motion
+from meshdeform_core.boundary.motions.expression import expression
+from meshdeform_core.boundary.motions.motion import VARIABLES, Follow, Motion, Step
 from meshdeform_core.boundary.tables import AUTOMATIC, Matching
 from meshdeform_core.deform import Case
 from meshdeform_core.errors import CaseError, MethodError, suggestion
@@ -29,7 +30,7 @@ from meshdeform_core.repair.options import Mode
 from meshdeform_core.wording import literal
 
 from ..displacement import read_displacement
-from .forms import File, Form, Table, about, fail, filled, formula_of, load, override, plain
+from .forms import File, Form, Table, about, filled, load, override, placed, plain
 from .motions import KINDS as MOTIONS
 from .motions import MotionStep
 from .tables import files_over_time, named_files
@@ -171,9 +172,10 @@ def read_case(
     Raises CaseError with the file, the key and the nearest known one.
     """
     path = Path(path) if path else None
-    data = load(path)
-    settings = [(text, *override(data, text)) for text in overrides]
-    folder = path.parent if path else Path()
+    data, settings, folder = load(path), list[_Setting](), path.parent if path else Path()
+    for text in overrides:
+        with placed(f"--set {text!r}"):
+            settings.append((text, *override(data, text)))
     if method:
         try:
             # Before the case file, so that the message does not name it.
@@ -198,7 +200,8 @@ def read_case(
     if times is None:
         step, files = Follow(read_displacement(table), matching), [table]
     else:
-        files, when = files_over_time(str(table), times, Path(), f"--displacement {table}")
+        with placed(f"--displacement {table}"):
+            files, when = files_over_time(str(table), times, Path())
         step = Follow(lambda number: read_displacement(files[number]), matching, when)
     spec = BoundarySpec(table.name, ("*",), Kind.MOVING, None, Motion((step,), parsed.case.constants))
     case = replace(parsed.case, boundaries=(*parsed.case.boundaries, spec))
@@ -213,68 +216,64 @@ def case_of(content: Mapping[str, Any], folder: str | Path = ".") -> CaseFile:
 
     Raises CaseError with the key and the nearest known one.
     """
-    return _parse(plain(content), Path(folder))
+    return _parse(content, Path(folder))
 
 
-def _parse(data: Table, folder: Path, settings: Sequence[_Setting] = ()) -> CaseFile:
+def _parse(content: Mapping[str, Any], folder: Path, settings: Sequence[_Setting] = ()) -> CaseFile:
+    data = plain(content)
     form = filled(CaseForm, data)
     for name, value in form.constants.items():
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise fail(f"constants.{name}", f"expected a finite number, found {literal(value)}")
-        if name in VARIABLES or name == "pi" or keyword.iskeyword(name):
-            raise fail(f"constants.{name}", f"{name} already has a meaning in formulas; choose another name")
-        if not name.isidentifier():
-            raise fail(f"constants.{name}", "expected a name of letters, digits and _ only")
+        with placed(f"constants.{name}"):
+            if isinstance(value, bool) or not isinstance(value, (int, float)):
+                raise CaseError(f"expected a finite number, found {literal(value)}")
+            if name in VARIABLES or name == "pi" or keyword.iskeyword(name):
+                raise CaseError(f"{name} already has a meaning in formulas; choose another name")
+            if not name.isidentifier():
+                raise CaseError("expected a name of letters, digits and _ only")
     constants = {name: float(value) for name, value in form.constants.items()}
-    specs = tuple(_boundary_spec(entry, number, constants, folder) for number, entry in enumerate(form.boundary, 1))
+    specs = list[BoundarySpec]()
+    for number, entry in enumerate(form.boundary, start=1):
+        name = f"boundary {number}" if entry.name is None else entry.name
+        with placed(f"boundary {literal(name)}"):
+            specs.append(_boundary_spec(name, entry, constants, folder))
     names = [spec.name for spec in specs]
     if len(set(names)) < len(names):
-        raise fail("boundary", f"names must differ, found {names}")
+        raise CaseError(f"boundary: names must differ, found {names}")
     method: Any = form.method
     parts = {part: kind(**msgspec.structs.asdict(getattr(method, part))) for part, kind in PARTS.items()}
     options = Options.relevant(method.name, **parts)
-    try:
+    with placed("repair"):
         repair = RepairOptions(**msgspec.structs.asdict(form.repair))
-    except CaseError as error:
-        raise fail("repair", str(error)) from None
     grid = form.grid
     components: Components = grid.components
     if not isinstance(components, str):
         components = {name: (each,) if isinstance(each, str) else each for name, each in components.items()}
-    case = Case(
-        specs,
-        constants,
-        options,
-        grid.tolerance,
-        _unread(data, specs, options, settings),
-        grid.open,
-        repair,
-        grid.plates,
-        components,
-    )
+    unread = _unread(data, specs, options, settings)
+    case = Case(tuple(specs), constants, options, grid.tolerance, unread, grid.open, repair, grid.plates, components)
     boundary_file = None if grid.boundary_file is None else folder / grid.boundary_file
     return CaseFile(case, boundary_file, tuple(named_files(data, folder)), data)
 
 
-def _boundary_spec(entry: BoundaryForm, number: int, constants: Mapping[str, float], folder: Path) -> BoundarySpec:
-    name = f"boundary {number}" if entry.name is None else entry.name
-    where = f"boundary {literal(name)}"
+def _boundary_spec(name: str, entry: BoundaryForm, constants: Mapping[str, float], folder: Path) -> BoundarySpec:
     steps = [entry.motion] if isinstance(entry.motion, MotionStep) else entry.motion
     if entry.kind is None and not steps:
-        raise fail(where, f"has no kind; expected one of {_KINDS}")
+        raise CaseError(f"has no kind; expected one of {_KINDS}")
     kind = Kind[(entry.kind or "moving").upper()]
     if (kind is Kind.MOVING) != bool(steps):
         missing = "moves but has no motion" if kind is Kind.MOVING else f"is {kind.label} but has a motion"
-        raise fail(where, f'{missing}; expected motion = [...] for kind = "moving", and only for this kind')
+        raise CaseError(f'{missing}; expected motion = [...] for kind = "moving", and only for this kind')
     condition = None
     if entry.where is not None:
-        condition = formula_of(entry.where, (*constants, "x", "y", "z"), f"{where}: where")
-        if not condition.is_condition:
-            found = f"where = {literal(entry.where)} is neither true nor false"
-            raise fail(where, f"{found}; expected a condition, like x > 0.5 and y < 1")
-    names = (*constants, *VARIABLES)
-    built = tuple(step.step(names, folder, f"{where}, motion step {n}") for n, step in enumerate(steps, 1))
-    motion = Motion(built, dict(constants)) if built else None
+        with placed("where"):
+            condition = expression(entry.where, (*constants, "x", "y", "z"))
+            if not condition.is_condition:
+                found = f"{literal(entry.where)} is neither true nor false"
+                raise CaseError(f"{found}; expected a condition, like x > 0.5 and y < 1")
+    built = list[Step]()
+    for number, step in enumerate(steps, start=1):
+        with placed(f"motion step {number}"):
+            built.append(step.step((*constants, *VARIABLES), folder))
+    motion = Motion(tuple(built), dict(constants)) if built else None
     select = (entry.select,) if isinstance(entry.select, str) else entry.select
     return BoundarySpec(name, select, kind, condition, motion)
 

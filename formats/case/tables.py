@@ -8,7 +8,7 @@ import glob
 import math
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -65,47 +65,43 @@ def named_files(value: Any, folder: Path) -> Iterator[Path]:
             if key in ("file", "beam", "boundary_file") and isinstance(item, str):
                 yield folder / item
             elif key == "files":
-                yield from sequence_files(item, folder, "files")
+                yield from sequence_files(item, folder)
             else:
                 yield from named_files(item, folder)
 
 
-def sequence_files(value: str | list[str], folder: Path, where: str) -> list[Path]:
+def sequence_files(value: str | list[str], folder: Path) -> list[Path]:
     """Files of a list of names, or of a pattern like ``surface_*.csv`` in the order of the numbers in their names."""
     if isinstance(value, str) and value and "\0" not in value:
         found = glob.glob(os.path.join(glob.escape(str(folder)), value))
         if not found:
-            raise CaseError(f"{where}: no file matches {literal(value)} in {folder.absolute()}")
+            raise CaseError(f"no file matches {literal(value)} in {folder.absolute()}")
         # step9 before step10
         parts = {name: re.split(r"(\d+)", name) for name in found}
         numbers = {name: [(int(p), "") if p.isdigit() else (-1, p) for p in own] for name, own in parts.items()}
         return [Path(name) for name in sorted(found, key=numbers.__getitem__)]
     if not value or "\0" in "".join(value):
-        raise CaseError(
-            f'{where}: files = {literal(value)}; expected a pattern like "surface_*.csv" or a list of file names'
-        )
+        raise CaseError(f'files = {literal(value)}; expected a pattern like "surface_*.csv" or a list of file names')
     return [folder / name for name in value]
 
 
 def files_over_time(
-    files: str | list[str], times: str | list[float] | None, folder: Path, where: str
+    files: str | list[str], times: str | list[float] | None, folder: Path
 ) -> tuple[list[Path], tuple[float, ...]]:
     """Files, which must exist, and their times, one for each file.
 
     Raises CaseError when files are missing, or their number differs from that of the times.
     """
-    paths = sequence_files(files, folder, where)
+    paths = sequence_files(files, folder)
     for path in paths:
         if not path.is_file():
-            raise CaseError(f"{where}: {path} does not exist")
+            raise CaseError(f"{path} does not exist")
     if times is None:
-        raise CaseError(f"{where}: times: there are none; {_EXPECTED}")
-    when = parse_times(times, f"{where}: times") if isinstance(times, str) else _ascending(times, f"{where}: times")
+        raise CaseError(f"times: there are none; {_EXPECTED}")
+    when = parse_times(times, "times") if isinstance(times, str) else _ascending(times, "times")
     if len(when) != len(paths):
-        raise CaseError(
-            f"{where}: {len(paths)} files ({paths[0].name} to {paths[-1].name}) for {len(when)} times; "
-            f"expected one time for each"
-        )
+        found = f"{len(paths)} files ({paths[0].name} to {paths[-1].name}) for {len(when)} times"
+        raise CaseError(f"{found}; expected one time for each")
     return paths, when
 
 
@@ -116,35 +112,48 @@ _LARGEST = 256 * 2**20
 _MOST_POINTS = 100_000
 
 
-def read_columns(path: Path, header: str) -> tuple[list[str], FloatArray]:
-    """Column names, in lower case, and rows (n, m) of a table; ``header`` is an example of its first line.
+def read_columns(path: Path, header: str) -> dict[str, FloatArray]:
+    """Columns (n,) of a table by their names, in lower case; ``header`` is an example of its first line.
 
     Raises FormatError with the line, for anything but a header and rows of finite numbers.
     """
-    lines = _lines_of_text(path)
-    if not lines:
+    head, lines, rows = _read_rows(path)
+    if not head and not lines:
         raise FormatError(f"{path} is empty; expected a header like {header} and rows of numbers")
-    names = [name.strip().strip('"').lower() for name in re.split(r"[,;\s]+", lines[0][1].lstrip("# ").strip())]
+    number, text = head[0] if head else (lines[0], " ".join(f"{value:g}" for value in rows[0]))
+    names = [name.strip('"').lower() for name in _words(text.lstrip("# "))]
     if names[0] not in header.split(",") or len(set(names)) < len(names) or len(names) < 2:
-        raise FormatError(f"{path}, line {lines[0][0]}: found {lines[0][1][:60]!r}; expected a header like {header}")
-    rows = [_row(path, number, text, len(names)) for number, text in lines[1:] if not text.startswith("#")]
-    if not rows:
+        raise FormatError(f"{path}, line {number}: found {text[:60]!r}; expected a header like {header}")
+    if not lines:
         raise FormatError(f"{path} has no rows of numbers below its header")
-    return names, np.array(rows, dtype=np.float64)
+    if rows.shape[1] != len(names):
+        raise FormatError(f"{path}, line {lines[0]}: found {rows.shape[1]} numbers; expected {len(names)}")
+    return dict(zip(names, rows.T, strict=True))
 
 
-def read_history(path: Path) -> tuple[list[str], FloatArray]:
-    """Column names and rows (n, m) of a table whose first column is the time ``t``, which ascends.
+def read_history(path: Path) -> dict[str, FloatArray]:
+    """Columns (n,) by name of a table whose first column is the time ``t``, which ascends.
 
-    Raises FormatError As :func:`read_columns`, and for times that do not ascend.
+    Raises FormatError as :func:`read_columns`, and for times that do not ascend.
     """
-    names, values = read_columns(path, "t,x,y,z")
-    if names[0] != "t":
-        raise FormatError(f"{path} has the columns {' '.join(names)[:60]}; expected a header like t,x,y,z")
-    back = np.flatnonzero(np.diff(values[:, 0]) <= 0)
+    table = read_columns(path, "t,x,y,z")
+    if next(iter(table)) != "t":
+        raise FormatError(f"{path} has the columns {' '.join(table)[:60]}; expected a header like t,x,y,z")
+    time = table["t"]
+    back = np.flatnonzero(np.diff(time) <= 0)
     if back.size:
-        raise FormatError(f"{path}: the times do not ascend: {values[back[0], 0]:g} before {values[back[0] + 1, 0]:g}")
-    return names, values
+        raise FormatError(f"{path}: the times do not ascend: {time[back[0]]:g} before {time[back[0] + 1]:g}")
+    return table
+
+
+def history(table: Mapping[str, FloatArray], wanted: Sequence[str], path: Path) -> History | None:
+    """The history of some columns; ``None`` if there are none of them."""
+    found = [name for name in wanted if name in table]
+    if not found:
+        return None
+    if len(found) < len(wanted):
+        raise FormatError(f"{path} has the columns {', '.join(found)}; expected all of {', '.join(wanted)}")
+    return History(table["t"], np.stack([table[name] for name in wanted], axis=1), str(path))
 
 
 def read_beam(path: Path) -> Beam:
@@ -158,16 +167,15 @@ def read_beam(path: Path) -> Beam:
     MotionError
         As :meth:`.Beam.of`.
     """
-    names, values = read_columns(path, "t,x,y,z,dx,dy,dz,rx,ry,rz")
-    found = [kind for kind in (_ROTATION_VECTOR, _WIENER_MILENKOVIC) if set(kind) & set(names)]
+    table = read_columns(path, "t,x,y,z,dx,dy,dz,rx,ry,rz")
+    found = [kind for kind in (_ROTATION_VECTOR, _WIENER_MILENKOVIC) if set(kind) & set(table)]
     wanted = {"x", "y", "z", "dx", "dy", "dz", *(found[0] if len(found) == 1 else ())}
-    if len(found) != 1 or set(names) - {"t"} != wanted:
+    if len(found) != 1 or set(table) - {"t"} != wanted:
         raise FormatError(
-            f"{path} has the columns {' '.join(names)}; expected x y z, dx dy dz, either rx ry rz (rotation vector, "
+            f"{path} has the columns {' '.join(table)}; expected x y z, dx dy dz, either rx ry rz (rotation vector, "
             "degrees) or cx cy cz (Wiener-Milenkovic parameters), and t if there are several times"
         )
-    timed = "t" in names
-    time = values[:, names.index("t")] if timed else np.zeros(len(values))
+    time = table.get("t", np.zeros(len(table["x"])))
     times, count = np.unique(time, return_counts=True)
     if (count != count[0]).any():
         odd = int(np.argmax(count != count[0]))
@@ -175,9 +183,9 @@ def read_beam(path: Path) -> Beam:
             f"{path} has {counted(int(count[odd]), 'station')} at t = {times[odd]:g} but {count[0]} at {times[0]:g}; "
             "expected the same stations at all times"
         )
-    rows = values[np.argsort(time, kind="stable")]
+    order = np.argsort(time, kind="stable")
     point, displacement, turns = (
-        rows[:, [names.index(name) for name in kind]].reshape(len(times), -1, 3)
+        np.stack([table[name][order] for name in kind], axis=1).reshape(len(times), -1, 3)
         for kind in (("x", "y", "z"), ("dx", "dy", "dz"), found[0])
     )
     apart = np.abs(point - point[0]).max(axis=2)
@@ -192,18 +200,8 @@ def read_beam(path: Path) -> Beam:
     else:
         size = np.linalg.norm(turns, axis=2, keepdims=True)
         turns = turns * np.divide(4 * np.arctan(size / 4), size, out=np.ones_like(size), where=size > 0)
-    moved = History(times, displacement.reshape(len(times), -1), str(path), timed)
+    moved = History(times, displacement.reshape(len(times), -1), str(path), "t" in table)
     return Beam.of(point[0], moved, turns)
-
-
-def columns(names: Sequence[str], values: FloatArray, wanted: Sequence[str], label: str) -> History | None:
-    """The history of some columns; ``None`` if there are none of them."""
-    found = [name for name in wanted if name in names]
-    if not found:
-        return None
-    if len(found) < len(wanted):
-        raise FormatError(f"{label} has the columns {', '.join(found)}; expected all of {', '.join(wanted)}")
-    return History(values[:, 0], values[:, [names.index(name) for name in wanted]], label)
 
 
 def read_airfoil(path: Path) -> FloatArray:
@@ -214,16 +212,10 @@ def read_airfoil(path: Path) -> FloatArray:
 
     Raises FormatError with the line.
     """
-    rows: list[list[float]] = []
-    for number, text in _lines_of_text(path):
-        if not rows and not re.match(r"[-+.\d]", text):
-            continue
-        rows.append(_row(path, number, text, 2))
-        if len(rows) > _MOST_POINTS:
-            raise FormatError(f"{path} has more than {_MOST_POINTS} points")
-    points = np.array(rows, dtype=np.float64).reshape(-1, 2)
-    if len(points) < 5:
-        raise FormatError(f"{path} has {len(points)} points; expected an airfoil: x and y from the trailing edge on")
+    _, lines, points = _read_rows(path)
+    if not 5 <= len(lines) <= _MOST_POINTS or points.shape[1] != 2:
+        found = f"{len(lines)} rows" + (f" of {points.shape[1]} numbers" if lines else "")
+        raise FormatError(f"{path} has {found}; expected an airfoil: x and y from the trailing edge on")
     counts = points[0]
     if (counts > 2).all() and (counts == np.round(counts)).all():
         upper, lower = (int(n) for n in counts)
@@ -244,17 +236,15 @@ def read_positions(path: Path) -> Positions:
 
     Raises FormatError with the line; and for a number with two positions.
     """
-    lines = [(number, text) for number, text in _lines_of_text(path) if not text.startswith(("#", "%"))]
+    _, lines, rows = _read_rows(path)
     if not lines:
         raise FormatError(f"{path} has no positions; expected lines of a number and coordinates")
-    width = len(re.split(r"[,;\s]+", lines[0][1]))
-    if width not in (3, 4):
-        raise FormatError(f"{path}, line {lines[0][0]}: found {width} columns; expected a number and x y z (or x y)")
-    rows = np.array([_row(path, number, text, width) for number, text in lines])
+    if rows.shape[1] not in (3, 4):
+        raise FormatError(f"{path}, line {lines[0]}: found {rows.shape[1]} columns; expected number x y z (or x y)")
     numbers = rows[:, 0].astype(np.int64)
     if (numbers != rows[:, 0]).any():
         at = int(np.argmax(numbers != rows[:, 0]))
-        raise FormatError(f"{path}, line {lines[at][0]}: {rows[at, 0]:g} is not the number of a point")
+        raise FormatError(f"{path}, line {lines[at]}: {rows[at, 0]:g} is not the number of a point")
     points, first, which = np.unique(numbers, return_index=True, return_inverse=True)
     differs = (rows != rows[first[which.ravel()]]).any(axis=1)
     if differs.any():
@@ -262,8 +252,12 @@ def read_positions(path: Path) -> Positions:
     return Positions(points, rows[first, 1:], str(path))
 
 
-def _lines_of_text(path: Path) -> list[tuple[int, str]]:
-    """Numbers and text of the lines that are not blank."""
+def _read_rows(path: Path) -> tuple[list[tuple[int, str]], list[int], FloatArray]:
+    """Number and text of the lines of text at the beginning of a file; then its rows of numbers (n, m), and the line of
+    each. Comments between rows are skipped.
+
+    Raises FormatError with the line, for anything else, and for numbers beyond those that coordinates can have.
+    """
     require_regular(path)
     if path.stat().st_size > _LARGEST:
         raise FormatError(f"{path} is larger than any such table ({_LARGEST >> 20} MiB)")
@@ -271,17 +265,23 @@ def _lines_of_text(path: Path) -> list[tuple[int, str]]:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise FormatError(f"{path} is not UTF-8 text: {error}") from error
-    return [(number, line.strip()) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
+    head, lines, rows = list[tuple[int, str]](), list[int](), list[list[float]]()
+    for number, line in enumerate(map(str.strip, text.splitlines()), start=1):
+        if not line or (rows and line.startswith(("#", "%"))):
+            continue
+        if not rows and not re.match(r"[-+.\d]", line):
+            head.append((number, line))
+            continue
+        try:
+            rows.append([float(word) for word in _words(line)])
+        except ValueError as error:
+            raise FormatError(f"{path}, line {number}: {error}") from None
+        lines.append(number)
+        if len(rows[-1]) != len(rows[0]) or not all(abs(value) <= LARGEST for value in rows[-1]):
+            expected = f"{len(rows[0])} finite numbers up to {LARGEST:g}"
+            raise FormatError(f"{path}, line {number}: found {line[:60]!r}; expected {expected}")
+    return head, lines, np.array(rows, dtype=np.float64)
 
 
-def _row(path: Path, number: int, text: str, width: int) -> list[float]:
-    words = [word for word in re.split(r"[,;\s]+", text) if word]
-    try:
-        values = [float(word) for word in words]
-    except ValueError as error:
-        raise FormatError(f"{path}, line {number}: {error}") from None
-    if len(values) != width or not (np.abs(values) <= LARGEST).all():
-        raise FormatError(
-            f"{path}, line {number}: found {text[:60]!r}; expected {width} finite numbers up to {LARGEST:g}"
-        )
-    return values
+def _words(line: str) -> list[str]:
+    return [word for word in re.split(r"[,;\s]+", line) if word]
