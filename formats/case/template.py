@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +14,7 @@ import numpy as np
 from meshdeform_core.boundary.fitting import fit_table
 from meshdeform_core.boundary.tables import AUTOMATIC, BoundaryNodes, Matching, SurfaceData, by_place, transfer
 from meshdeform_core.errors import CaseError
-from meshdeform_core.grid import FloatArray, Grid
+from meshdeform_core.grid import Grid
 from meshdeform_core.grid.faces import Role
 from meshdeform_core.grid.planes import FLATNESS
 from meshdeform_core.grid.surfaces import Outside, Surface, thin_direction
@@ -92,7 +92,7 @@ def case_template(
     boundary_file : neutral map file, relative to the case file
     table : displacement table; only the surfaces that it fits are moving
     """
-    entries = list(_template_entries(grid, outside, table))
+    entries = _entries(grid, outside, table)
     lines = [
         f"# A case for {source}: {'fill in the motion' if table is None else 'check the boundaries'}, then",
         f"#   meshdeform deform {source} -c CASE.toml --dry-run",
@@ -101,59 +101,65 @@ def case_template(
     ]
     if boundary_file is not None:
         lines += ["[grid]", f"boundary_file = {_text(boundary_file)}", ""]
-    if not any(kind == "moving" for _, kind, _ in entries):
+    if "moving" not in (kind for _, kind in entries):
         lines += ['# No wall was found. The boundary that moves has kind = "moving" and a motion, for example:',
                   '#   kind = "moving"', "#   motion = [ { translate = [0.0, 0.0, 0.0] } ]", ""]  # fmt: skip
-    for entry in entries:
-        lines += [*_entry_lines(grid, outside, entry, table), ""]
+    names = distinct(name for name, _ in entries)
+    for name, ((_, kind), surfaces) in zip(names, entries.items(), strict=True):
+        first = surfaces[0]
+        mark = "" if first.declared or first.role is Role.UNKNOWN else "?"
+        lines += ["[[boundary]]", f"name = {_text(name)}   # role: {first.role.value}{mark}", "select = ["]
+        for surface in surfaces:
+            # Brackets in the names of patches and blocks, which patterns would interpret, match any character; those in
+            # the ranges of faces stay.
+            own = surface.name if surface.named else grid.names[surface.faces[0].window.block]
+            pattern = re.sub(r"[\[\]]", "?", own) + surface.name.removeprefix(own)
+            lines.append(f"    {_text(pattern)},   # {_place_of_surface(surface)}")
+        lines += ["]", f'kind = "{kind}"']
+        if kind == "moving" and table is None:
+            lines += _motion(grid, outside, surfaces)
+        elif kind == "moving" and table is not None:
+            match = f'match = "{table.match}", tolerance = {table.tolerance:g}'
+            lines.append(f"motion = [ {{ file = {_text(table.file)}, {match} }} ]")
+        lines.append("")
     return "\n".join([*lines, _METHOD])
 
 
-_Entry = tuple[str, str, Sequence[Surface]]
-"""One ``[[boundary]]``: its name, kind, and surfaces, which are selected by family or patch, or face by face."""
-
-
-def _template_entries(grid: Grid, outside: Outside, table: FittedTable | None) -> Iterator[_Entry]:
+def _entries(grid: Grid, outside: Outside, table: FittedTable | None) -> dict[tuple[str, str], list[Surface]]:
+    """The surfaces of each ``[[boundary]]`` by its name, which says the kind if another one has it, and its kind."""
     moving = outside.bodies or outside.of_role(Role.WALL)
     if table is not None:
         moving = tuple(surface for surface in outside.surfaces if surface.name in table.surfaces)
     groups: dict[tuple[str, str], list[Surface]] = {}
+    kinds = dict[str, str]()
     for surface in sorted(outside.surfaces, key=lambda s: list(Role).index(s.role)):
+        name = surface.name if surface.named else surface.role.value
         if surface in moving:
             kind = "moving"
         elif any(face.patch is not None and face.patch.bc_type == "cyclic" for face in surface.faces):
-            kind = "periodic"
-        elif surface.role is Role.SYMMETRY and _in_one_plane(grid, surface):
+            # Both sides of a periodic pair belong to one entry.
+            name = kind = "periodic"
+        elif surface.role is Role.SYMMETRY and _in_one_plane(grid, outside, surface):
             kind = "symmetry"
         else:
             kind = "slip" if surface.role in (Role.END, Role.SYMMETRY) else "fixed"
-        name = surface.name if surface.named else surface.role.value
-        if kind == "periodic":
-            # Both sides of a periodic pair belong to one entry.
-            name = kind
+        name = name if kinds.setdefault(name, kind) == kind else f"{name}-{kind}"
         groups.setdefault((name, kind), []).append(surface)
-    kinds = dict[str, str]()
-    # Of several entries of one name, all but the first say their kind.
-    names = distinct(name if kinds.setdefault(name, kind) == kind else f"{name}-{kind}" for name, kind in groups)
-    yield from ((name, kind, surfaces) for name, ((_, kind), surfaces) in zip(names, groups.items(), strict=True))
+    return groups
 
 
-def _in_one_plane(grid: Grid, surface: Surface) -> bool:
+def _in_one_plane(grid: Grid, outside: Outside, surface: Surface) -> bool:
     """Whether all faces lie in one plane, and the grid is more than one cell thick there."""
-    planes = [face.plane for face in surface.faces]
-    first = planes[0]
-    size = float(np.ptp(grid.points, axis=0).max())
-    if first is None or any(grid.cell_shapes[f.window.block][f.window.side.axis] == 1 for f in surface.faces):
-        return False
-    return all(
-        plane is not None
-        and abs(plane.normal @ first.normal) > 1 - FLATNESS
-        and abs((plane.point - first.point) @ first.normal) <= FLATNESS * size
+    planes = [face.plane for face in surface.faces if face.plane is not None]
+    thick = all(grid.cell_shapes[f.window.block][f.window.side.axis] > 1 for f in surface.faces)
+    return thick and len(planes) == len(surface.faces) and all(
+        abs(plane.normal @ planes[0].normal) > 1 - FLATNESS
+        and abs((plane.point - planes[0].point) @ planes[0].normal) <= FLATNESS * outside.extent.max()
         for plane in planes
-    )
+    )  # fmt: skip
 
 
-def _motion(grid: Grid, outside: Outside, surfaces: Sequence[Surface]) -> Iterator[str]:
+def _motion(grid: Grid, outside: Outside, surfaces: Sequence[Surface]) -> list[str]:
     """A motion to fill in, with examples of a size that suits the wall.
 
     The examples keep the wall in the plane of a plane or extruded grid, or on its symmetry plane: rotations about the
@@ -161,15 +167,21 @@ def _motion(grid: Grid, outside: Outside, surfaces: Sequence[Surface]) -> Iterat
     """
     boxes = np.array([surface.box for surface in surfaces])
     low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
-    # The normal of a plane grid or of the end planes of an extruded one.
-    ends = [face for face, role in zip(outside.faces, outside.roles, strict=True) if role is Role.END and face.plane]
-    normal, place = (ends[0].plane.normal if ends and ends[0].plane else thin_direction(grid)), None
-    if normal is None:
-        normal, place = _symmetry(outside, np.array([low, high]))
+    planes = {role: [face.plane for face, own in zip(outside.faces, outside.roles, strict=True) if own is role and
+                     face.plane] for role in (Role.END, Role.SYMMETRY)}  # fmt: skip
+    # The normal of a plane grid or of the end planes of an extruded one, else of the only symmetry plane at which the
+    # wall ends.
+    normal, place = planes[Role.END][0].normal if planes[Role.END] else thin_direction(grid), None
+    mirrors = {int(np.argmax(np.abs(plane.normal))): plane for plane in reversed(planes[Role.SYMMETRY])}
+    if normal is None and len(mirrors) == 1:
+        ((axis, plane),) = mirrors.items()
+        near = FLATNESS * float((high - low).max())
+        if min(abs(low[axis] - plane.point[axis]), abs(high[axis] - plane.point[axis])) <= near:
+            normal, place = plane.normal, float(plane.point[axis]) if abs(plane.point[axis]) > near else 0.0
     axis = 2 if normal is None else int(np.argmax(np.abs(normal)))
+    name, lines = "xyz"[axis], list[str]()
     if place is not None:
-        name = "xyz"[axis]
-        yield f"# The wall ends at the symmetry plane {name} = {place:.4g}; a motion along {name} leaves it."
+        lines = [f"# The wall ends at the symmetry plane {name} = {place:.4g}; a motion along {name} leaves it."]
     in_plane = sorted({0, 1, 2} - {axis}, key=lambda number: high[number] - low[number])
     # Bending by a twentieth of the wall's length, largest at its middle or away from the symmetry plane. It has all
     # digits of the ends, where it is zero: they may belong to faces that do not move.
@@ -182,51 +194,7 @@ def _motion(grid: Grid, outside: Outside, surfaces: Sequence[Surface]) -> Iterat
     parts[in_plane[0]] = f"{length / 20:.2g}*{shape}"
     text = _MOTION.replace("AXIS", str([int(number == axis) for number in range(3)]))
     text = text.replace("CENTER", str([float(f"{x:.3g}") for x in (low + high) / 2]))
-    yield from text.replace("DISPLACE", json.dumps(parts)).splitlines()
-
-
-def _symmetry(outside: Outside, box: FloatArray) -> tuple[FloatArray | None, float | None]:
-    """Normal and coordinate of the only symmetry plane, if a wall within ``box`` ends at it."""
-    planes = [face.plane for face, role in zip(outside.faces, outside.roles, strict=True)
-              if role is Role.SYMMETRY and face.plane]  # fmt: skip
-    axes = {int(np.argmax(np.abs(plane.normal))) for plane in planes}
-    if len(axes) != 1:
-        return None, None
-    axis = axes.pop()
-    place, size = float(planes[0].point[axis]), float((box[1] - box[0]).max())
-    if np.abs(box[:, axis] - place).min() > FLATNESS * size:
-        return None, None
-    return planes[0].normal, place if abs(place) > FLATNESS * size else 0.0
-
-
-def _entry_lines(grid: Grid, outside: Outside, entry: _Entry, table: FittedTable | None) -> Iterator[str]:
-    name, kind, surfaces = entry
-    first = surfaces[0]
-    mark = "" if first.declared or first.role is Role.UNKNOWN else "?"
-    yield "[[boundary]]"
-    yield f"name = {_text(name)}   # role: {first.role.value}{mark}"
-    if first.named:
-        yield from (f"# {_place_of_surface(surface)}" for surface in surfaces)
-        yield f"select = [{', '.join(_text(_pattern(surface.name)) for surface in surfaces)}]"
-    else:
-        yield "select = ["
-        for surface in surfaces:
-            # Brackets in the name of the block become `?`, those of its face stay.
-            block = grid.names[surface.faces[0].window.block]
-            pattern = _pattern(block) + surface.name.removeprefix(block)
-            yield f"    {_text(pattern)},   # {_place_of_surface(surface)}"
-        yield "]"
-    yield f'kind = "{kind}"'
-    if kind == "moving" and table is None:
-        yield from _motion(grid, outside, surfaces)
-    elif kind == "moving" and table is not None:
-        match = f'match = "{table.match}", tolerance = {table.tolerance:g}'
-        yield f"motion = [ {{ file = {_text(table.file)}, {match} }} ]"
-
-
-def _pattern(name: str) -> str:
-    """A pattern that matches a name; characters that would be wildcards match any character."""
-    return re.sub(r"[\[\]]", "?", name)
+    return [*lines, *text.replace("DISPLACE", json.dumps(parts)).splitlines()]
 
 
 def _place_of_surface(surface: Surface) -> str:
