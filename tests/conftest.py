@@ -24,7 +24,7 @@ hypothesis.settings.load_profile("repeatable")
 @pytest.fixture(scope="session", autouse=True)
 def _small_pictures() -> None:
     """Commands called in this process draw a tenth of the pixels; what is drawn and where stays the same."""
-    STYLE.update({"figure.dpi": 60, "savefig.dpi": 70})
+    STYLE["figure.dpi"] = 60
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -11,11 +11,11 @@ from meshdeform_core.numerics.jit import kernel
 
 from .scene import Scene, Window, stacked
 
-FINE = 3
+FINE = 2
 """Oversampling factor in each direction; the pixels are averaged."""
-_BAND = 1 << 16
+_BAND = 1 << 18
 """Enlarged pixels that are drawn at a time: memory follows them, not the picture."""
-_LINE_COLOUR = np.array([0.10, 0.11, 0.14], dtype=np.float32)
+_LINE_COLOUR = np.array([0.10, 0.11, 0.14])
 _PALE = (0.93, 0.94, 0.96)
 _LINE_STRENGTH = 0.62
 _AMBIENT = 0.55
@@ -25,14 +25,12 @@ _WIDTH, _THINNEST, _THICKEST = 0.06, 0.9, 2.2
 _VANISH, _FULL = 2.5, 9.0
 
 
-def render(scene: Scene, colours: FloatArray, window: Window, width: int, fine: int = FINE) -> np.ndarray:
-    """The image of a scene on white, ``width`` pixels wide, as high as the window asks for: opaque RGBA (height, width,
-    4), 0 to 255.
+def render(scene: Scene, colours: FloatArray, window: Window, width: int) -> np.ndarray:
+    """The image of a scene on white, ``width`` pixels wide: RGB (height, width, 3), 0 to 255.
 
     ``colours`` (n, 3) RGB, 0 to 1, of the polygons.
     """
-    scale = fine * width / window.width
-    height = max(1, round(width * window.height / window.width))
+    scale, height = FINE * width / window.width, max(1, round(width * window.height / window.width))
 
     def placed(points: FloatArray) -> FloatArray:
         at = scene.view.project(points)
@@ -41,9 +39,9 @@ def render(scene: Scene, colours: FloatArray, window: Window, width: int, fine: 
     polygons = [placed(each) for each in (scene.facets.corners, scene.backdrop) if each is not None]
     if not scene.lit:
         # Inverted cells overlap their neighbours and are drawn in front of them.
-        polygons[0][scene.facets.bad, :, 2] += fine
+        polygons[0][scene.facets.bad, :, 2] += 2 * FINE
     widths = ((scene.outlines, 0.55), (scene.walls, 1.1))
-    strokes = [strokes_of(placed(edges), half * fine, 2.0 * fine) for edges, half in widths]
+    strokes = [strokes_of(placed(edges), half * FINE, 4.0 * FINE) for edges, half in widths]
     corners, count = stacked([*polygons, *strokes]), sum(map(len, polygons))
     light = np.ones(len(scene.facets))
     if scene.lit:
@@ -53,48 +51,50 @@ def render(scene: Scene, colours: FloatArray, window: Window, width: int, fine: 
         length, lamp = np.linalg.norm(normal, axis=1), view.towards + 0.45 * view.up - 0.25 * view.right
         cosine = np.abs(normal @ (lamp / np.linalg.norm(lamp)))
         light = _AMBIENT + (1 - _AMBIENT) * np.divide(cosine, length, out=light, where=length > 0)
-    shades = np.empty((len(corners), 3), dtype=np.float32)
+    shades = np.empty((len(corners), 3))
     shades[: len(light)], shades[len(light) : count], shades[count:] = colours * light[:, None], _PALE, _LINE_COLOUR
     low, high = corners[..., :2].min(axis=1), corners[..., :2].max(axis=1)
-    pixels = np.full((height, width, 4), 255, np.uint8)
-    rows = max(1, _BAND // (width * fine**2))
+    pixels = np.empty((height, width, 3), np.uint8)
+    rows = max(1, _BAND // (width * FINE**2))
     for start in range(0, height, rows):
-        band = slice(start, min(start + rows, height))
-        reach = (band.start * fine, band.stop * fine)
-        touching = (high >= (0, reach[0])) & (low <= (width * fine, reach[1]))
-        number = np.flatnonzero(touching.all(axis=1))
-        some = np.ascontiguousarray(corners[number] - (0.0, float(reach[0]), 0.0))
-        lined = int(np.searchsorted(number, count))
-        mean = _drawn(some, shades[number], lined, (reach[1] - reach[0], fine * width), fine)
-        pixels[band, :, :3] = np.rint(255 * (mean[..., :3] + 1 - mean[..., 3:]))
+        stop = min(start + rows, height)
+        some = np.flatnonzero(((high >= (0, start * FINE)) & (low <= (width * FINE, stop * FINE))).all(axis=1))
+        drawn = corners[some] - (0.0, float(start * FINE), 0.0)
+        lined = int(np.searchsorted(some, count))
+        lines, dark = grid_lines(drawn[:lined], shades[some[:lined]])
+        depth = np.full(((stop - start) * FINE, width * FINE), -np.inf)
+        item = np.full(depth.shape, -1, dtype=np.int32)
+        draw_polygons(stacked([drawn, lines]), depth, item)
+        # What nothing covers, number -1, is white.
+        seen = np.concatenate([shades[some], dark, np.ones((1, 3))])[item]
+        mean = np.mean([seen[row::FINE, column::FINE] for row, column in np.ndindex(FINE, FINE)], axis=0)
+        pixels[start:stop] = np.rint(255 * mean)
     return pixels
 
 
-def _drawn(corners: FloatArray, shades: np.ndarray, lined: int, size: tuple[int, int], fine: int) -> np.ndarray:
-    """Mean colours (rows, columns, 4) of a band: RGB times opacity, and opacity.
+def grid_lines(corners: FloatArray, shades: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The edges of polygons (n, m, 3) with colours (n, 3) as strokes (k, 4, 3) with colours (k, 3), in enlarged pixels.
 
-    ``shades`` (n, 3) are the colours of the polygons ``corners`` (n, m, 3), of which the first ``lined`` have edges;
-    ``size`` are its rows and columns of enlarged pixels, ``fine`` of them in each direction make one.
+    The spacing to the opposite edge decides how wide and strong a line is.
     """
-    depth, item = np.full(size, -np.inf), np.full(size, -1, dtype=np.int32)
-    draw_polygons(corners, depth, item)
-    colour = np.append(np.pad(shades, ((0, 0), (0, 1)), constant_values=1), np.zeros((1, 4), np.float32), axis=0)[item]
-    pixels = np.nonzero((item >= 0) & (item < lined))
-    dark = _LINE_STRENGTH * lines_over(corners[:lined], item[pixels], pixels, fine)
-    under = colour[pixels]
-    under[:, :3] += dark[:, None] * (_LINE_COLOUR - under[:, :3])
-    colour[pixels] = under
-    mean: np.ndarray = np.mean([colour[row::fine, column::fine] for row, column in np.ndindex(fine, fine)], axis=0)
-    return mean
+    ends = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2)
+    (x, y, _), (to_x, to_y, _) = np.moveaxis(ends, (2, 3), (0, 1))
+    length, area = np.hypot(to_x - x, to_y - y), 0.5 * np.abs((x * to_y - to_x * y).sum(axis=1))
+    spacing = np.divide(area[:, None], FINE * length, out=np.zeros_like(length), where=length > 0)
+    strength = _LINE_STRENGTH * np.clip((spacing - _VANISH) / (_FULL - _VANISH), 0.0, 1.0)
+    polygon, edge = np.nonzero(strength)
+    half = 0.5 * FINE * np.clip(_WIDTH * spacing[polygon, edge], _THINNEST, _THICKEST)
+    dark = shades[polygon] + strength[polygon, edge, None] * (_LINE_COLOUR - shades[polygon])
+    return strokes_of(ends[polygon, edge], half[:, None], FINE), dark
 
 
-def strokes_of(ends: FloatArray, half: float, bias: float) -> FloatArray:
+def strokes_of(ends: FloatArray, half: float | FloatArray, bias: float) -> FloatArray:
     """Straight lines as rectangles (n, 4, 3), all in pixels.
 
     Parameters
     ----------
     ends : (n, 2, 3) as corners of :func:`draw_polygons`
-    half : half of the line width
+    half : half of the line width, for all or each (n, 1)
     bias : distance by which a line may lie behind a polygon and still be seen
     """
     along = ends[:, 1, :2] - ends[:, 0, :2]
@@ -104,36 +104,6 @@ def strokes_of(ends: FloatArray, half: float, bias: float) -> FloatArray:
     corners[..., :2] += np.stack([-along - across, across - along, along + across, along - across], axis=1)
     corners[..., 2] += bias
     return corners
-
-
-def lines_over(corners: FloatArray, item: np.ndarray, pixels: tuple[np.ndarray, ...], fine: int) -> np.ndarray:
-    """How much of each pixel the edges of the polygon that is seen there cover (k,), 0 to 1.
-
-    Parameters
-    ----------
-    corners : (n, m, 3) of the polygons, in pixels
-    item : (k,) number of the polygon at each pixel
-    pixels : rows (k,) and columns (k,)
-    fine : these pixels per pixel of the final picture
-    """
-    start, end = corners[..., :2], np.roll(corners[..., :2], -1, axis=1)
-    along = end - start
-    length = np.linalg.norm(along, axis=2)
-    area = 0.5 * np.abs((start[..., 0] * end[..., 1] - end[..., 0] * start[..., 1]).sum(axis=1))
-    # The spacing to the opposite edge decides how wide and strong a line is.
-    some = np.maximum(length, 1e-300)
-    spacing = np.where(length > 0, area[:, None] / some / fine, 0.0)
-    normal = np.stack([-along[..., 1], along[..., 0]], axis=2) / some[..., None]
-    strength = np.clip((spacing - _VANISH) / (_FULL - _VANISH), 0.0, 1.0)
-    half = 0.5 * fine * np.clip(_WIDTH * spacing, _THINNEST, _THICKEST)
-    of_edges = np.stack([normal[..., 0], normal[..., 1], -(normal * start).sum(axis=2), strength, half + 0.5], axis=2)
-    cover = np.zeros(len(item))
-    row, column = pixels[0] + 0.5, pixels[1] + 0.5
-    for e in np.flatnonzero(strength.any(axis=0)):
-        across, upwards, offset, strong, reach = of_edges[item, e].T
-        distance = np.abs(across * column + upwards * row + offset)
-        np.maximum(cover, strong * np.clip(reach - distance, 0.0, 1.0), out=cover)
-    return cover
 
 
 @kernel("f8[:, :, ::1], f8[:, ::1], i4[:, ::1]")

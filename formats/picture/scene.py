@@ -14,7 +14,6 @@ from meshdeform_core.grid import BoolArray, FloatArray, Grid, IntArray, Side
 from meshdeform_core.grid.faces import Role
 from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.surfaces import Surface
-from meshdeform_core.parallel import Nodes
 
 from .subject import Subject
 
@@ -55,17 +54,8 @@ class Window(NamedTuple):
 
     def within(self, whole: Window) -> Window:
         """The part inside another one."""
-        return Window(
-            max(self.left, whole.left), min(self.right, whole.right),
-            max(self.bottom, whole.bottom), min(self.top, whole.top),
-        )  # fmt: skip
-
-    def moved_into(self, whole: Window) -> Window:
-        """Shifted to lie within another one and a narrow rim, as far as it fits."""
-        outer = whole.grown(0.03 * self.larger_side)
-        across = max(outer.left - self.left, 0.0) or min(outer.right - self.right, 0.0)
-        upwards = max(outer.bottom - self.bottom, 0.0) or min(outer.top - self.top, 0.0)
-        return Window(self.left + across, self.right + across, self.bottom + upwards, self.top + upwards)
+        left, bottom = max(self.left, whole.left), max(self.bottom, whole.bottom)
+        return Window(left, min(self.right, whole.right), bottom, min(self.top, whole.top))
 
 
 @dataclass(frozen=True)
@@ -145,10 +135,6 @@ class Facets:
     values: FloatArray
     bad: BoolArray
 
-    def where(self, mask: BoolArray) -> Facets:
-        """Some of them."""
-        return Facets(self.corners[mask], self.values[mask], self.bad[mask])
-
     def __len__(self) -> int:
         return len(self.corners)
 
@@ -221,8 +207,8 @@ def layer_facets(subject: Subject, layers: Sequence[Layer], metric: str) -> Face
         with subject.ready(metric):
             values = subject.of_all(partial(subject.shown, metric, layer.block), layer.block, cells)
             bad = subject.of_all(partial(subject.bad, layer.block), layer.block, cells)
-        facets = Facets(corners, values.ravel(), bad.ravel())
-        parts.append(facets if layer.quads is None else facets.where(layer.quads.ravel()))
+        some = slice(None) if layer.quads is None else layer.quads.ravel()
+        parts.append(Facets(corners[some], values.ravel()[some], bad.ravel()[some]))
     return joined(parts)
 
 
@@ -231,75 +217,44 @@ def cut_facets(subject: Subject, plane: Plane, metric: str) -> Facets:
 
     Raises CaseError when the plane misses the grid.
     """
-    grid = subject.grid
-    level = grid.nodes.like(1)
-    own = Nodes.of(level)
-
-    def fill(rows: slice) -> None:
-        away = grid.points[rows] - plane.point
-        distance = away[:, 0] * plane.normal[0] + away[:, 1] * plane.normal[1] + away[:, 2] * plane.normal[2]
-        own.rows[rows, 0] = distance
-
-    own.each(fill)
-    grid.hold_neighbours(level)
-    ends = np.full((2, grid.n_blocks), [[np.inf], [-np.inf]])
-    for block in range(grid.n_blocks):
-        values = grid.in_planes(block, level)
-        if values.size:
-            ends[:, block] = values.min(), values.max()
-    found = np.array(grid.nodes.gather(ends))
-    lows, highs = found[:, 0].min(axis=0), found[:, 1].max(axis=0)
-    low, high = float(lows.min()), float(highs.max())
-    tiny = 1e-9 * subject.size
-    if low > tiny or high < -tiny:
-        raise CaseError(f"the plane misses the grid, which lies {min(abs(low), abs(high)):.4g} away from it")
-    # A plane along faces of cells is shifted slightly into the cells.
-    shift = -tiny if high <= 2 * tiny else tiny
-    touched = np.flatnonzero((lows - shift <= 0) & (highs - shift > 0))
+    level = subject.level(plane)
     with subject.ready(metric):
-        # A plane between blocks touches none of them.
-        parts = [_cut_block(subject, block, level, shift, metric) for block in touched.tolist() or [0]]
-    return joined([part for some in grid.nodes.gather(parts) for part in some])
+        parts = [_cut_block(subject, block, plane.normal, level, metric) for block in range(subject.grid.n_blocks)]
+    return joined([part for some in subject.grid.nodes.gather(parts) for part in some])
 
 
-def _cut_block(subject: Subject, block: int, level: FloatArray, shift: float, metric: str) -> Facets:
-    """The cells of this rank."""
-    nothing = Facets(np.empty((0, 6, 3)), np.empty(0), np.empty(0, dtype=bool))
-    cells = subject.own(block, subject.whole(block))
+def _cut_block(subject: Subject, block: int, normal: FloatArray, level: float, metric: str) -> Facets:
+    """The cells of this rank in which x . ``normal`` = ``level`` somewhere."""
+    nothing, cells = (
+        Facets(np.empty((0, 6, 3)), np.empty(0), np.empty(0, bool)),
+        subject.own(block, subject.whole(block)),
+    )
     if cells[0].start == cells[0].stop:
         return nothing
-    nodes = [slice(each.start, each.stop + 1) for each in cells]
-    x, value = subject.grid.box(block, nodes), subject.grid.box(block, nodes, level)[..., 0] - shift
+    x = subject.nodes(block, cells)
+    value = x @ normal - level
     corner = [np.s_[a : a - 1 or None, b : b - 1 or None, c : c - 1 or None] for a, b, c in np.ndindex(2, 2, 2)]
     above = np.sum([value[each] > 0 for each in corner], axis=0)
     at = np.nonzero((above > 0) & (above < 8))
     if at[0].size == 0:
         return nothing
     values = np.stack([value[each][at] for each in corner], axis=1)
-    points = np.stack([x[each][at] for each in corner], axis=1)
-    return Facets(_polygons(points, values), subject.shown(metric, block, cells)[at], subject.bad(block, cells)[at])
+    corners = _polygons(np.stack([x[each][at] for each in corner], axis=1), values, facing(normal))
+    return Facets(corners, subject.shown(metric, block, cells)[at], subject.bad(block, cells)[at])
 
 
 # The twelve edges of a cell, between corners 4 a + 2 b + c.
 _EDGES = np.array([(n, n + step) for step in (1, 2, 4) for n in range(8) if not n & step])
 
 
-def _polygons(points: FloatArray, values: FloatArray) -> FloatArray:
-    """Sections of cells (n, 8, 3) with signed distances (n, 8) to a plane: corners (n, 6, 3), in cyclic order."""
-    one, two = values[:, _EDGES[:, 0]], values[:, _EDGES[:, 1]]
+def _polygons(points: FloatArray, values: FloatArray, view: View) -> FloatArray:
+    """Sections (n, 6, 3) of cells (n, 8, 3) with signed distances (n, 8) to the plane of a view, in cyclic order."""
+    (one, two), (start, end) = (np.moveaxis(each[:, _EDGES], 2, 0) for each in (values, points))
     cut = (one > 0) != (two > 0)
     share = np.where(cut, one / np.where(cut, one - two, 1.0), 0.0)
-    at = points[:, _EDGES[:, 0]] + share[..., None] * (points[:, _EDGES[:, 1]] - points[:, _EDGES[:, 0]])
-    center = (at * cut[..., None]).sum(axis=1) / cut.sum(axis=1)[:, None]
-    arms = at - center[:, None]
-    # Angles about the centre within the plane: axes from the first arm and the direction of steepest ascent.
-    first = np.take_along_axis(arms, np.argmax(cut, axis=1)[:, None, None], axis=1)[:, 0]
-    rise = np.einsum("ne,nex->nx", values[:, _EDGES[:, 1]] - values[:, _EDGES[:, 0]],
-                     points[:, _EDGES[:, 1]] - points[:, _EDGES[:, 0]])  # fmt: skip
-    second = np.cross(rise, first)
-    angle = np.arctan2(np.einsum("nex,nx->ne", arms, second) * np.linalg.norm(first, axis=1)[:, None],
-                       np.einsum("nex,nx->ne", arms, first) * np.linalg.norm(second, axis=1)[:, None])  # fmt: skip
-    order = np.argsort(np.where(cut, angle, np.inf), axis=1)[:, :6]
+    at = start + share[..., None] * (end - start)
+    arms = at - ((at * cut[..., None]).sum(axis=1) / cut.sum(axis=1)[:, None])[:, None]
+    order = np.argsort(np.where(cut, np.arctan2(arms @ view.up, arms @ view.right), np.inf), axis=1)
     count = np.minimum(cut.sum(axis=1), 6)
     last = np.minimum(np.arange(6)[None, :], count[:, None] - 1)
     return np.asarray(np.take_along_axis(at, np.take_along_axis(order, last, axis=1)[..., None], axis=1))
@@ -371,9 +326,7 @@ def wall_edges(subject: Subject, plane: Plane, walls: Sequence[Surface] | None =
     corners = subject.corners(subject.wall_surfaces if walls is None else walls)
     if subject.grid.dimension == 2:
         return corners
-    level, tiny = float(plane.point @ plane.normal), 1e-9 * subject.size
-    # A plane along faces of cells is shifted slightly into the cells, as the cut of the cells is.
-    level += -tiny if subject.reach(plane.normal)[1] - level <= 2 * tiny else tiny
+    level = subject.level(plane)
     following = np.roll(corners, -1, axis=1)
     here, there = corners @ plane.normal - level, following @ plane.normal - level
     cut = (here > 0) != (there > 0)

@@ -8,8 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
+from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import FloatArray, IntArray, Shape
-from meshdeform_core.grid.faces import Face, Role
+from meshdeform_core.grid.faces import Role
 from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.surfaces import Surface, thin_direction
 from meshdeform_core.numerics.arrays import extent
@@ -52,12 +53,20 @@ class Subject(CellFields):
         low, high = extent(self.grid.points)
         return float((high - low).max())
 
-    def reach(self, normal: FloatArray) -> tuple[float, float]:
-        """Smallest and largest x . ``normal`` of all nodes x."""
-        rows = self.grid.nodes.own
-        level = rows[:, 0] * normal[0] + rows[:, 1] * normal[1] + rows[:, 2] * normal[2]
-        ends = self.grid.nodes.gather((level.min(), level.max()) if level.size else (np.inf, -np.inf))
-        return float(min(low for low, _ in ends)), float(max(high for _, high in ends))
+    def level(self, plane: Plane) -> float:
+        """x . normal of the points x of a plane, moved slightly into the cells if it lies along their faces.
+
+        Raises CaseError when the plane misses the grid.
+        """
+        level, rows, tiny = float(plane.point @ plane.normal), self.grid.nodes.own @ plane.normal, 1e-9 * self.size
+        ends = self.grid.nodes.gather((rows.min(), rows.max()) if rows.size else (np.inf, -np.inf))
+        low, high = min(low for low, _ in ends), max(high for _, high in ends)
+        if not low - tiny <= level <= high + tiny:
+            axis = "xyz"[int(np.argmax(np.abs(plane.normal)))]
+            raise CaseError(
+                f"no part of the grid lies at {axis} = {level:g}; it spans {axis} = {low:.6g} to {high:.6g}"
+            )
+        return level - tiny if high - level <= 2 * tiny else level + tiny
 
     @property
     def wall_surfaces(self) -> tuple[Surface, ...]:
@@ -77,48 +86,24 @@ class Subject(CellFields):
 
     @cached_property
     def end_plane(self) -> tuple[IntArray, FloatArray] | None:
-        """Face quads and normal of one of the two end planes of an extruded grid, which represents the whole grid."""
-        ends = self._end_faces()
+        """Face quads and normal of one of the two end planes of an extruded grid, which represents the whole grid.
+
+        They are declared or found as ends, or lie across the direction in which the grid is one cell thick.
+        """
+        outside = self.outside
+        ends = [face for face, role in zip(outside.faces, outside.roles, strict=True) if role is Role.END]
+        if not ends and self.thin is not None:
+            ends = [
+                face
+                for face in outside.faces
+                if face.outside and face.plane and abs(face.plane.normal @ self.thin) > _ALONG
+            ]
         if not ends or ends[0].plane is None:
             return None
         normal = ends[0].plane.normal
         height = [float(face.plane.point @ normal) if face.plane is not None else np.inf for face in ends]
         lowest = min(height) + 1e-6 * self.size
         return np.concatenate([face.quads for face, h in zip(ends, height, strict=True) if h <= lowest]), normal
-
-    def _end_faces(self) -> list[Face]:
-        """Faces at both ends, else faces across the direction in which the grid is one cell thick, else faces in two
-        parallel symmetry planes between which all walls stand upright."""
-        ends = self._faces_of_role(Role.END)
-        if not ends and self.thin is not None:
-            ends = _faces_across([face for face in self.outside.faces if face.outside], self.thin)
-        if ends and ends[0].plane is not None:
-            return ends
-        walls = self._faces_of_role(Role.WALL)
-        planes = [face for face in self._faces_of_role(Role.SYMMETRY) if face.plane]
-        tried: list[FloatArray] = []
-        for face in planes:
-            assert face.plane is not None
-            normal = face.plane.normal
-            # The faces of many blocks lie in the same few planes.
-            if any(abs(other @ normal) > 1 - 1e-12 for other in tried):
-                continue
-            tried.append(normal)
-            same = _faces_across(planes, normal)
-            heights = [float(f.plane.point @ normal) for f in same if f.plane is not None]
-            (low, high), near = self.reach(normal), 1e-6 * self.size
-            both = min(heights) <= low + near and max(heights) >= high - near and np.ptp(heights) > near
-            if both and walls and all(self._upright(wall, normal) for wall in walls):
-                return same
-        return []
-
-    def _faces_of_role(self, role: Role) -> list[Face]:
-        return [face for face, of in zip(self.outside.faces, self.outside.roles, strict=True) if of is role]
-
-    def _upright(self, wall: Face | Surface, normal: FloatArray) -> bool:
-        """Whether a wall reaches through the whole grid along a direction."""
-        low, high = self.reach(normal)
-        return bool(np.ptp(wall.box, axis=0) @ np.abs(normal) >= 0.99 * (high - low))
 
     def middle_plane(self) -> Plane:
         """A plane through the middle of the bodies, parallel to a symmetry plane or else across their longest extent;
@@ -138,11 +123,6 @@ class Subject(CellFields):
         """Lowest and highest coordinates (2, 3) of surfaces."""
         boxes = np.array([surface.box for surface in surfaces])
         return np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
-
-
-def _faces_across(faces: Iterable[Face], normal: FloatArray) -> list[Face]:
-    """Faces in planes across a direction."""
-    return [face for face in faces if face.plane is not None and abs(face.plane.normal @ normal) > _ALONG]
 
 
 def quads_of_surfaces(surfaces: Iterable[Surface]) -> IntArray:

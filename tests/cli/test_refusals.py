@@ -151,7 +151,7 @@ CALLS = {
         (*PLOT, "--plane", "q=1"), ("expected a plane of nodes, like k=1 or k=mid, or one in space",),
     ),
     "plot-no-reference": ((*PLOT, "--metric", "displacement"), ("give --reference",)),
-    "plot-range": ((*PLOT, "--range", "1,0"), ("expected low < high",)),
+    "plot-range": ((*PLOT, "--range", "1,0"), ("with low < high",)),
     "plot-logarithm": (
         (*PLOT, "--reference", "grid.xyz", "--plane", "x=0.6", "--metric", "volume", "--log", "--range", "0,1"),
         ("does not begin above zero",),

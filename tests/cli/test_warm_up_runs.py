@@ -22,7 +22,7 @@ from meshdeform_core.series import Schedule, deform_series
 from meshdeform_formats.case import case_of
 from meshdeform_formats.fields import ALL, with_fields
 from meshdeform_formats.picture.overview import quality_planes
-from meshdeform_formats.picture.page import page_png
+from meshdeform_formats.picture.page import page_bytes
 from meshdeform_formats.picture.subject import Subject
 from meshdeform_samples import case_content, generate
 
@@ -91,7 +91,7 @@ def _pictures(name: str, size: int, method: Options) -> None:
     with_fields(cells_of(result.setup, result.grid), [ALL])
     setup = result.setup
     before = Subject(setup.grid, setup.topology, original=setup.original)
-    page_png(quality_planes(before, Subject(result.grid, setup.topology, setup.grid, original=before)), dpi=10)
+    page_bytes(quality_planes(before, Subject(result.grid, setup.topology, setup.grid, original=before)))
 
 
 def _nested_sums() -> None:

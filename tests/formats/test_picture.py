@@ -14,7 +14,7 @@ from meshdeform_core.grid.planes import Plane
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality.cells import measure_block
 from meshdeform_formats.picture.overview import moved_walls, overview, quality_planes, telling_plane, worst_cells
-from meshdeform_formats.picture.page import INVALID_COLOUR, Page, Panel, Scale, page_png
+from meshdeform_formats.picture.page import INVALID_COLOUR, Page, Panel, Scale, page_bytes
 from meshdeform_formats.picture.raster import render
 from meshdeform_formats.picture.scene import (
     Facets,
@@ -79,7 +79,7 @@ def test_a_cut_goes_through_all_blocks_and_along_faces():
         assert area(facets.corners).sum() == pytest.approx(15.0)
         volumes = np.concatenate([measure_block(s.grid.block(b), 1.0, None).volume.ravel() for b in range(8)])
         assert np.isin(facets.values, volumes).all()
-    with pytest.raises(CaseError, match="misses the grid"):
+    with pytest.raises(CaseError, match=r"no part of the grid lies at z = 1\.5"):
         cut_facets(s, Plane(np.array([0, 0, 1.5]), np.array([0.0, 0.0, 1.0])), "volume")
 
 
@@ -116,14 +116,13 @@ def test_flat_and_extruded_grids_from_above(grid):
 
 def test_a_small_body_has_a_close_up():
     whole, near = overview(subject(load("airfoil").generate(41)), Scale()).panels[:2]
-    assert whole.frames == (near.window,)
     assert near.window.width < 2.5 < whole.window.width
 
 
 def covered(panel):
     """The part of a panel in which something other than backdrop is drawn: all that is red."""
     colours = np.tile([1.0, 0.0, 0.0], (len(panel.scene.facets), 1))
-    pixels = render(panel.scene, colours, panel.window, 100, 1).astype(int)
+    pixels = render(panel.scene, colours, panel.window, 100).astype(int)
     return (pixels[..., 0] > pixels[..., 1] + 50).mean()
 
 
@@ -225,9 +224,9 @@ def test_pages_before_and_after_have_one_size_and_scale():
     both = subject(before), subject(after, before)
     page = quality_planes(*both)
     assert page.panels[0].window == page.panels[1].window
-    one, other = (page_png(each, 4.0, 60) for each in (page, worst_cells(*both, 2, (1, 1, 1))))
+    one, other = (page_bytes(each) for each in (page, worst_cells(*both, 2, (1, 1, 1))))
     assert all(png.startswith(b"\x89PNG") for png in (one, other))
-    assert page_png(page, 4.0, 60) == one
+    assert page_bytes(page) == one
 
 
 def test_moved_walls_are_coloured_by_their_motion():
@@ -253,6 +252,6 @@ def test_thin_invalid_cells_have_edges_of_their_colour():
     thin = np.array([[[0, 0.5, 0], [1, 0.5, 0], [1, 0.5001, 0], [0, 0.5001, 0]]])
     facets = Facets(thin, np.zeros(1), np.ones(1, dtype=bool))
     panel = Panel(Scene(facets, along("z")), Window(0.0, 1.0, 0.0, 1.0))
-    with Image.open(io.BytesIO(page_png(Page.of([panel], Scale()), 3.0, 100))) as png:
+    with Image.open(io.BytesIO(page_bytes(Page.of([panel], Scale())))) as png:
         pixels = np.asarray(png.convert("RGB")) / 255
-    assert (np.abs(pixels - INVALID_COLOUR).max(axis=-1) < 0.3).sum() > 100
+    assert (np.abs(pixels - INVALID_COLOUR).max(axis=-1) < 0.3).sum() > 40
