@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from ..numerics.arrays import FloatArray, IntArray
 from ..numerics.jit import inlined, kernel
-from ..numerics.systems.block_rows import multiply_row, solve_row, with_room
+from ..numerics.lanes import multiply_row, solve_row, with_room
 from ..parallel import for_chunks
 from .energy import Penalty, Region, Rows
 
@@ -242,7 +242,7 @@ class NewtonSystem:
 def multiply_rows(matrix, starts, columns, p, image, low, high):
     """Rows low <= i < high of the product of the matrix and ``p`` (n, 3); return their part of ``p . image``.
 
-    The matrix and ``p`` have room for one more row, see :mod:`..numerics.systems.block_rows`.
+    The matrix and ``p`` have room for one more row, see :func:`..numerics.lanes.with_room`.
     """
     total = 0.0
     for row in range(low, high):

@@ -46,7 +46,7 @@ code = run(sys.argv[1:])
 lazy = {
     "scipy.sparse", "scipy.spatial", "scipy.io", "matplotlib", "meshio",
     "meshdeform_core.repair.derivative", "meshdeform_core.numerics.fastsum.radial",
-    "meshdeform_core.numerics.fastsum.weighted", "meshdeform_core.numerics.systems.krylov",
+    "meshdeform_core.numerics.fastsum.weighted", "meshdeform_core.numerics.krylov",
     "meshdeform_formats.picture", "meshdeform_formats.vtk", "meshdeform_formats.report.page",
 }
 print(code, sorted(lazy & set(sys.modules)))

@@ -12,13 +12,12 @@ from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.methods import RBF, Options, make_method
 from meshdeform_core.methods.base import Account
 from meshdeform_core.methods.scattered.prepared_rbf import Centres, RadialSystem
+from meshdeform_core.numerics import krylov
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.exact.radial import radial_matrix, radial_sums
 from meshdeform_core.numerics.fastsum.nested import NestedSums
-from meshdeform_core.numerics.systems import products
-from meshdeform_core.numerics.systems.krylov import KrylovSolver
-from meshdeform_core.numerics.systems.products import ExactProduct, NestedProduct
-from meshdeform_core.numerics.systems.saddle import DirectSolver
+from meshdeform_core.numerics.krylov import ExactProduct, KrylovSolver, NestedProduct
+from meshdeform_core.numerics.saddle import DirectSolver
 
 
 def system(points: np.ndarray, basis: str, radius: float | None) -> tuple[KrylovSolver, Centres, int]:
@@ -181,8 +180,8 @@ def test_far_clusters_are_not_summed_centre_by_centre():
 
 @pytest.fixture
 def nested(monkeypatch):
-    monkeypatch.setattr(products, "_FEWEST", 100)
-    monkeypatch.setattr(products, "_LARGEST_PART", 10.0)
+    monkeypatch.setattr(krylov, "_NESTED_FROM", 100)
+    monkeypatch.setattr(krylov, "_LARGEST_PART", 10.0)
 
 
 def solved(points, basis="tps", radius=None, tolerance=1e-6, limit=2**40):
@@ -210,7 +209,7 @@ def test_solutions_have_the_residual_that_is_reported(nested, name, basis, radiu
 
 
 def test_sums_that_are_too_coarse_are_refined(nested, monkeypatch):
-    monkeypatch.setattr(products, "_FINER", 1e3)
+    monkeypatch.setattr(krylov, "_FINER", 1e3)
     system, residual, account = solved(sphere(3000))
     assert residual.max() <= 1e-6
     assert system._krylov.product._tolerance < 1e-4
@@ -228,7 +227,7 @@ def test_little_memory_is_refused_and_changes_no_sums(nested):
 @pytest.mark.slow
 def test_solutions_do_not_depend_on_those_before(nested, monkeypatch):
     """The first of them makes products finer, which the others must not profit from."""
-    monkeypatch.setattr(products, "_FINER", 1e3)
+    monkeypatch.setattr(krylov, "_FINER", 1e3)
     points = sphere(3000)
     one, two = bend(points), 1e-3 * bend(points)[:, ::-1].copy()
     system, fresh = solved(points)[0], solved(points)[0]

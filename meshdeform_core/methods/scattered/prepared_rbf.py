@@ -18,9 +18,8 @@ from ...memory import UNLIMITED, MemoryLimit
 from ...numerics.arrays import Report, lengths
 from ...numerics.exact.basis import BASES
 from ...numerics.exact.radial import radial_matrix, radial_sums
-from ...numerics.systems.krylov import KrylovSolver
-from ...numerics.systems.products import ExactProduct, nested_bytes, product_of
-from ...numerics.systems.saddle import DirectSolver, independent, select
+from ...numerics.krylov import ExactProduct, KrylovSolver, nested_bytes, product_of
+from ...numerics.saddle import DirectSolver, independent, select
 from ...parallel import Nodes, Ranks, for_chunks, thread_count
 from ..base import Account, Kinks, Linearised, Problem, Progress, Setting, of_stage
 from ..limits import CHOSEN, warn_of_coarse_tolerance, warn_of_radius

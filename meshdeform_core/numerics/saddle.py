@@ -16,8 +16,8 @@ from functools import partial
 import numpy as np
 import scipy
 
-from ..arrays import FloatArray, Report
-from ..exact.radial import fill_rows, radial_matrix
+from .arrays import FloatArray, Report
+from .exact.radial import fill_rows, radial_matrix
 
 _ROWS = 4096
 """Centres whose errors are computed at a time: the matrix between all of them and few would take more memory than the
