@@ -10,11 +10,11 @@ from functools import partial
 import numpy as np
 
 from .boundary import Boundary, Kind, classify
-from .boundary.classification import UNSELECTED, ClassifiedPatch, with_plates
+from .boundary.classification import ClassifiedPatch, with_plates
 from .boundary.crossing import find_pinned
 from .boundary.motions.motion import GIVEN
 from .boundary.tables import BoundaryNodes
-from .deform import Result, Timing, impose
+from .deform import impose
 from .errors import GridError
 from .grid import FloatArray, Grid
 from .grid.blocks import rounded
@@ -33,7 +33,7 @@ from .repair.outcome import Judged, Repair
 from .repair.region import Basis
 from .repair.repair import WEAK, Repairer
 from .repair.tuned import FARTHEST
-from .setup import Case, Setup
+from .setup import Case, Setup, Timing, Undeformed
 
 MANY = 0.01
 """If more than this share of the cells is bad, their positions are of little use: the interior is remade at once."""
@@ -111,119 +111,79 @@ def mend(
     boundary = classify(original, topology, case.boundaries, case.constants)
     _require_closed(grid, topology, case.tolerance)
     width = precision or grid.precision
-    measured = Original(original, topology, case.repair.min_jacobian)
-    # Another program may have left nodes off the surface on which they slide.
-    constraints = Constraints.of(measured, boundary).without_sliding()
-    change = np.abs(grid.points - original.points)[topology.first].max(axis=1)
-    moved, largest = change > 0.0, float(change[constraints.held].max(initial=0.0))
-    constraints = dataclasses.replace(constraints, walls=constraints.walls | (constraints.held & moved))
-    limit = Limit.of(original.n_nodes, case.repair.time_limit)
-    written = partial(rounded, precision=width)
-    farthest = FARTHEST * largest if largest else np.inf
-    repairer = Repairer(Basis(measured, constraints), written, memory, progress, limit, farthest)
+    undeformed = undeformed_of(original, topology, boundary, memory, case.repair.min_jacobian)
+    measured, written = undeformed.original, partial(rounded, precision=width)
     cells = Comparison(measured, written(grid.points))
-    start = found = _Found(grid.points, cells.verdict, cells)
-    mode = case.repair.mode
-    if mode != "off":
-
-        def renew(reason: str, than: _Found) -> _Found:
-            result = renewed(grid, original, (topology, boundary), case, width, memory, progress)
-            if result is None:
-                return than
-            points, how = result.grid.points, Renewal(case.method.name, result.steps, reason)
-            return than.or_better(_Found(points, judge(measured, written(points)), None, result.repair, how))
-
-        found = _mended(start, repairer, renew, mode == "polish")
-        if mode == "polish" and cells.verdict.valid:
-            # Polishing minimises a different measure, so it may not improve this one.
-            before, after = (each.smallest_scaled_jacobian(measured, written) for each in (start, found))
-            found = found if after >= before else start
-    final = written(found.points)
-    walls = boundary if case.boundaries else None
-    notes = (*original.notes, *(boundary.notes if case.boundaries else ()))
-    reasons = [] if found.verdict.valid else _reasons(original, topology, boundary, grid.points)
-    if not found.verdict.valid and not case.boundaries:
-        reasons.append("all outside nodes stay where they are; a case file (-c) tells which faces may slide")
+    start = found = Judged(grid.points, cells.verdict, cells)
+    bad, renewal = int(np.count_nonzero((cells.verdict.ratio < WEAK) | (cells.verdict.failed != 0))), None
+    many = not found.verdict.valid and bad > MANY * original.n_cells
+    for remake in () if case.repair.mode == "off" else (many, not many):
+        if remake:
+            left = f"moving nodes left {found.count:,} invalid cells"
+            why = f"{bad:,} of {original.n_cells:,} cells were bad" if many else left
+            other, steps = _remade(start, undeformed, case, width, progress)
+            if other.count < found.count:
+                found, renewal = other, Renewal(case.method.name, steps, why)
+        else:
+            other = _moved(start, undeformed, case, written, progress)
+            # Moving nodes of the grid itself leaves at most as many cells invalid.
+            if found is start or other.count < found.count:
+                found, renewal = other, None
+        if found.verdict.valid:
+            break
+    notes = [*original.notes, *(boundary.notes if case.boundaries else ())]
+    if not found.verdict.valid:
+        change = (grid.points - original.points)[topology.first]
+        crossings, pinned = undeformed.crossings(change), find_pinned(original, topology, boundary, change)
+        reasons = [f"the boundary crosses itself, so no valid grid exists: {each}" for each in crossings[:1]]
+        reasons += [pinned] if pinned else []
+        notes += reasons or ["no valid grid was found; whether there is one is not known"]
+        if not case.boundaries:
+            notes.append("all outside nodes stay where they are; a case file (-c) tells which faces may slide")
     if found.repair and found.repair.left_out:
-        reasons.append(f"the grid was not repaired: {found.repair.left_out}")
-    assessment, told = assess(measured, final, walls), (*notes, *reasons)
-    return Mended(grid.moved(final), original, topology, boundary, assessment, found.repair, told, found.renewal)
+        notes.append(f"the grid was not repaired: {found.repair.left_out}")
+    final = written(found.points)
+    assessment = assess(measured, final, boundary if case.boundaries else None)
+    return Mended(grid.moved(final), original, topology, boundary, assessment, found.repair, tuple(notes), renewal)
 
 
-@dataclass(frozen=True, eq=False)
-class _Found(Judged):
-    """A judged grid, and how its interior was remade."""
-
-    renewal: Renewal | None = None
-
-    def or_better(self, other: _Found) -> _Found:
-        """The one with fewer invalid cells; this one if both have as many."""
-        return other if other.count < self.count else self
-
-
-def _mended(start: _Found, repairer: Repairer, renew: Callable[[str, _Found], _Found], polish: bool) -> _Found:
-    """Move nodes, remake the interior, or both, whichever is more promising first, until the grid is valid."""
-    found, verdict = start, start.verdict
-    bad = int(np.count_nonzero((verdict.ratio < WEAK) | (verdict.failed != 0)))
-    many = not verdict.valid and bad > MANY * len(verdict.failed)
-    if many:
-        found = renew(f"{bad:,} of {len(verdict.failed):,} cells were bad", found)
-    if found.renewal is None or not found.verdict.valid:
-        outcome = repairer.repair(start, polish)
-        if outcome:
-            moved = _Found(outcome.points, outcome.verdict, outcome.cells, outcome.repair)
-            found = moved if found is start else found.or_better(moved)
-    if not many and not found.verdict.valid:
-        found = renew(f"moving nodes left {len(found.verdict.invalid):,} invalid cells", found)
+def _moved(
+    start: Judged,
+    undeformed: Undeformed,
+    case: Case,
+    written: Callable[[FloatArray], FloatArray],
+    progress: Progress | None,
+) -> Judged:
+    """The grid at the ``start`` with the nodes moved that a repair moves."""
+    measured, grid, first = undeformed.original, undeformed.grid, undeformed.topology.first
+    # Another program may have left nodes off the surface on which they slide.
+    constraints = Constraints.of(measured, undeformed.boundary).without_sliding()
+    change = np.abs(start.points - grid.points)[first].max(axis=1)
+    constraints = dataclasses.replace(constraints, walls=constraints.walls | (constraints.held & (change > 0.0)))
+    largest, polish = float(change[constraints.held].max(initial=0.0)), case.repair.mode == "polish"
+    limit, farthest = Limit.of(grid.n_nodes, case.repair.time_limit), FARTHEST * largest if largest else np.inf
+    repairer = Repairer(Basis(measured, constraints), written, undeformed.memory, progress, limit, farthest)
+    found = repairer.repair(start, polish) or start
+    if polish and start.verdict.valid:
+        # Polishing minimises a different measure, so it may not improve this one.
+        before, after = (each.smallest_scaled_jacobian(measured, written) for each in (start, found))
+        return found if after >= before else start
     return found
 
 
-def _require_closed(grid: Grid, topology: Topology, tolerance: float) -> None:
-    """Require that nodes that coincide in the original also do so in the deformed grid."""
-    at = grid.nodes.at(topology.face_nodes)
-    gap = np.sqrt(((at - grid.nodes.at(topology.first[topology.number])) ** 2).sum(axis=1))
-    apart = gap > tolerance * topology.edge[topology.number]
-    if apart.any():
-        worst = int(np.argmax(np.where(apart, gap, 0.0)))
-        x, y, z = at[worst]
-        raise GridError(
-            f"{int(apart.sum())} block nodes that coincide with others in the reference do not in the grid, by up to "
-            f"{gap[worst]:.3g} at ({x:.6g}, {y:.6g}, {z:.6g}); expected a grid whose blocks are still connected"
-        )
+def _remade(
+    start: Judged, undeformed: Undeformed, case: Case, precision: str, progress: Progress | None
+) -> tuple[Judged, int]:
+    """The undeformed grid, deformed so that nodes of moving and fixed boundaries take their positions at the ``start``,
+    to the bit; and in how many steps. The ``start`` if none of them has moved.
 
-
-def _reasons(original: Grid, topology: Topology, boundary: Boundary, points: FloatArray) -> list[str]:
-    """Why no valid grid can be found, if the boundary alone shows it."""
-    change = (points - original.points)[topology.first]
-    found = []
-    for crossing in undeformed_of(original, topology, boundary).crossings(change)[:1]:
-        place = ", ".join(f"{x:.6g}" for x in crossing.point)
-        names = " and ".join(name for name in dict.fromkeys(crossing.patches) if name != UNSELECTED) or "a part"
-        found.append(f"the boundary crosses itself, so no valid grid exists: {names} near ({place})")
-    pinned = find_pinned(original, topology, boundary, change)
-    found += [pinned] if pinned else []
-    return found or ["no valid grid was found; whether there is one is not known"]
-
-
-def renewed(
-    grid: Grid,
-    original: Grid,
-    placed: tuple[Topology, Boundary],
-    case: Case,
-    precision: str,
-    memory: MemoryLimit,
-    progress: Progress | None = None,
-) -> Result | None:
-    """Deform ``original`` so that nodes of moving and fixed boundaries take their positions in ``grid``, to the bit.
-
-    ``placed`` are topology and boundary classified by the case. Faces count as moving where such nodes have moved, and
-    as fixed elsewhere. Returns ``None`` if none has moved.
+    Faces count as moving where such nodes have moved, and as fixed elsewhere.
     """
-    topology, boundary = placed
-    change = np.where(boundary.known[:, None], (grid.points - original.points)[topology.first], 0.0)
+    original, topology, boundary = undeformed.grid, undeformed.topology, undeformed.boundary
+    change = np.where(boundary.known[:, None], (start.points - original.points)[topology.first], 0.0)
     moved = np.asarray(change.any(axis=1))
     if not moved.any():
-        return None
+        return start, 0
     known = boundary.quad_kind >= Kind.FIXED
     moving = known & moved[topology.quads.corners].any(axis=1)
     quads, rest = np.flatnonzero(moving), np.flatnonzero(known & ~moving)
@@ -241,9 +201,23 @@ def renewed(
         ),
         movers=((nodes, GIVEN.prepare(BoundaryNodes.of_quads(original, topology, quads))),),
     )
-    setup = Setup(undeformed_of(original, topology, classified, memory, case.repair.min_jacobian), case, ())
+    setup = Setup(undeformed_of(original, topology, classified, undeformed.memory, undeformed.min_jacobian), case, ())
     result = impose(setup, lambda fraction: fraction * change, None, precision, Timing(progress=progress), progress)
     points: FloatArray = np.array(result.grid.points)
     held = topology.face_nodes[boundary.known[topology.number]]
-    points[held] = grid.points[held]
-    return dataclasses.replace(result, grid=original.moved(points))
+    points[held] = start.points[held]
+    return Judged(points, judge(undeformed.original, rounded(points, precision)), None, result.repair), result.steps
+
+
+def _require_closed(grid: Grid, topology: Topology, tolerance: float) -> None:
+    """Require that nodes that coincide in the original also do so in the deformed grid."""
+    at = grid.nodes.at(topology.face_nodes)
+    gap = np.sqrt(((at - grid.nodes.at(topology.first[topology.number])) ** 2).sum(axis=1))
+    apart = gap > tolerance * topology.edge[topology.number]
+    if apart.any():
+        worst = int(np.argmax(np.where(apart, gap, 0.0)))
+        x, y, z = at[worst]
+        raise GridError(
+            f"{int(apart.sum())} block nodes that coincide with others in the reference do not in the grid, by up to "
+            f"{gap[worst]:.3g} at ({x:.6g}, {y:.6g}, {z:.6g}); expected a grid whose blocks are still connected"
+        )
