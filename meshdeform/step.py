@@ -70,7 +70,7 @@ class Step:
             When the two have different blocks, or only one of them is in parts.
         """
         from meshdeform_core.quality.difference import require_same_blocks
-        from meshdeform_core.velocity import at_faces, swept_volumes
+        from meshdeform_core.velocity import swept_volumes
 
         grid, before = self.grid, previous.grid if isinstance(previous, Step) else previous
         if not isinstance(before, Grid):
@@ -81,7 +81,7 @@ class Step:
                 whole(each, "swept volumes from a grid that is not divided likewise")
         undeformed = self.result.setup.grid
         with together(grid):
-            found = at_faces(undeformed, swept_volumes(undeformed, before.core.points, grid.core.points))
+            found = swept_volumes(undeformed, before.core.points, grid.core.points)
         swept = []
         for part in grid.part:
             shape = undeformed.shapes[part.block]

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import itertools
-import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -67,12 +66,12 @@ def _rates(times: Sequence[float]) -> list[float]:
     return [(1.0 + share) / steps[0], -share / steps[1]]
 
 
-def swept_volumes(grid: Grid, before: FloatArray, after: FloatArray) -> FloatArray:
-    """Volumes (2-D: areas) that all faces of all blocks sweep from ``before`` to ``after``, both (n_nodes, 3).
+def swept_volumes(grid: Grid, before: FloatArray, after: FloatArray) -> list[Faces]:
+    """Volumes (2-D: areas) that the faces of every block sweep from ``before`` to ``after``, both (n_nodes, 3).
 
     Positive where a face moves towards the larger index. The volume of a cell, positive where it is valid, changes by
     the sum over its faces, those at the far end added and those at the near end subtracted: exactly for straight paths
-    of the nodes, up to round-off. :func:`at_faces` tells which value belongs to which face.
+    of the nodes, up to round-off.
 
     ``grid`` is the undeformed grid, which provides the blocks and their handedness. Of a grid in parts every rank gets
     the faces of its part; all ranks must call this.
@@ -81,8 +80,7 @@ def swept_volumes(grid: Grid, before: FloatArray, after: FloatArray) -> FloatArr
     for points in (before, after):
         grid.hold_neighbours(points)
     one, two = Nodes.of(before).rows, Nodes.of(after).rows
-    swept: FloatArray = empty([sum(map(math.prod, _own_shapes(grid)))])
-    faces = at_faces(grid, swept)
+    faces = _at_faces(grid, empty)
 
     def work(index: int, _: int) -> None:
         block, axis = divmod(index, 3)
@@ -101,7 +99,7 @@ def swept_volumes(grid: Grid, before: FloatArray, after: FloatArray) -> FloatArr
             out[lo : lo + step] = _swept(x, y, others, side)
 
     for_chunks(work, 3 * grid.n_blocks, 1)
-    return swept
+    return faces
 
 
 def _swept(before: FloatArray, after: FloatArray, axes: Sequence[int], side: Any) -> FloatArray:
@@ -127,7 +125,7 @@ def _swept(before: FloatArray, after: FloatArray, axes: Sequence[int], side: Any
     return np.asarray(side / 12.0 * (dot(cross(a + d, b), f) + dot(cross(d, b + e), c) + dot(cross(a, e), c + f)))
 
 
-def volume_flux(times: Sequence[float], swept: Sequence[FloatArray]) -> FloatArray:
+def volume_flux(times: Sequence[float], swept: Sequence[list[Faces]]) -> list[Faces]:
     """Volume per time (2-D: area) that the faces sweep at the last of ``times``, by differences of second order.
 
     Together with backward differences of volumes over the same levels it keeps a uniform flow uniform: the rate of
@@ -138,7 +136,11 @@ def volume_flux(times: Sequence[float], swept: Sequence[FloatArray]) -> FloatArr
     swept : volumes swept in the last one or two intervals, the newest last
     """
     rates = _rates(times[-len(swept) - 1 :])
-    return np.asarray(sum(rate * part for rate, part in zip(rates, swept[::-1], strict=True)))
+
+    def flux(*parts: FloatArray) -> FloatArray:
+        return np.asarray(sum(rate * part for rate, part in zip(rates, parts[::-1], strict=True)))
+
+    return [tuple(map(flux, *of_block)) for of_block in zip(*swept, strict=True)]
 
 
 def face_fields(grid: Grid, times: Sequence[float], points: Sequence[FloatArray]) -> tuple[Field, ...]:
@@ -147,28 +149,22 @@ def face_fields(grid: Grid, times: Sequence[float], points: Sequence[FloatArray]
     ``times`` and ``points`` are those of the last levels, at most three, the newest last.
     """
     parts = [swept_volumes(grid, one, other) for one, other in itertools.pairwise(points)]
-    nothing = np.zeros(0 if parts else sum(map(math.prod, _own_shapes(grid))))
-    values = {SWEPT: parts[-1] if parts else nothing, FLUX: volume_flux(times, parts) if parts else nothing}
+    swept, flux = (parts[-1], volume_flux(times, parts)) if parts else 2 * (_at_faces(grid, np.zeros),)
     return tuple(
         Field(name, FACES[axis], block, grid.spread(part, _face_shape(shape, axis)[0]))
-        for name, array in values.items()
-        for block, (shape, faces) in enumerate(zip(grid.shapes, at_faces(grid, array), strict=True))
+        for name, values in ((SWEPT, swept), (FLUX, flux))
+        for block, (shape, faces) in enumerate(zip(grid.shapes, values, strict=True))
         for axis, part in enumerate(faces)
         if shape[axis] > 1
     )
 
 
-def at_faces(grid: Grid, values: FloatArray) -> list[Faces]:
-    """Views of ``values``, one for every face of the grid, for each block; of a grid in parts for this rank's faces."""
-    shapes = _own_shapes(grid)
-    ends = np.cumsum([math.prod(shape) for shape in shapes])
-    parts = [part.reshape(shape) for part, shape in zip(np.split(values, ends[:-1]), shapes, strict=True)]
-    return [tuple(parts[first : first + 3]) for first in range(0, len(parts), 3)]
-
-
-def _own_shapes(grid: Grid) -> list[tuple[int, int, int]]:
-    """Numbers of the faces of this rank along i, j, k, across each index axis of each block."""
-    return [grid.own_shape(b, _face_shape(shape, axis)) for b, shape in enumerate(grid.shapes) for axis in range(3)]
+def _at_faces(grid: Grid, make: Callable[[tuple[int, int, int]], FloatArray]) -> list[Faces]:
+    """What ``make`` makes of the shapes of the faces of every block; of a grid in parts, of those of this rank."""
+    return [
+        tuple(make(grid.own_shape(block, _face_shape(shape, axis))) for axis in range(3))
+        for block, shape in enumerate(grid.shapes)
+    ]
 
 
 def _face_shape(shape: tuple[int, int, int], axis: int) -> tuple[int, int, int]:

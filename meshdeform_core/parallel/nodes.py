@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from .loops import Ranks, current_ranks, current_scratch, empty, for_chunks
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import ArrayLike
 
 T = TypeVar("T")
@@ -49,7 +48,9 @@ class Nodes:
     Attributes
     ----------
     rows : as above; rows added by :meth:`widen` have values, too, the others take no memory
-    low, high : ends of the rows of this rank
+    low, high : first and one past the last row of this rank, together ``ends``
+    shape, dtype : of the whole array
+    divided : whether several ranks hold the rows
     """
 
     def __init__(
@@ -58,8 +59,9 @@ class Nodes:
         import numpy as np
 
         self.ranks, self.bounds, self.rows, self._reserve = ranks, np.asarray(bounds), rows, reserve
+        self.shape, self.dtype, self.divided = rows.shape, rows.dtype, ranks.count > 1
         self.low, self.high = self.bounds[ranks.number : ranks.number + 2].tolist()
-        self._held = self.low, self.high
+        self.ends = self._held = self.low, self.high
         self._thread = threading.get_ident()
 
     @classmethod
@@ -87,25 +89,6 @@ class Nodes:
     def like(self, *width: int, dtype: Any = "float64") -> Any:
         """A new, uninitialised array (n, *width), in parts if this one is."""
         return Nodes.new(self.ranks, self.bounds, (len(self), *width), dtype)
-
-    @property
-    def divided(self) -> bool:
-        """Whether several ranks hold the rows."""
-        return self.ranks.count > 1
-
-    @property
-    def ends(self) -> tuple[int, int]:
-        """First and one past the last row of this rank."""
-        return self.low, self.high
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Shape of the whole array."""
-        return self.rows.shape
-
-    @property
-    def dtype(self) -> Any:
-        return self.rows.dtype
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -137,7 +120,7 @@ class Nodes:
         """Refuse numpy operations on the whole array, which is nowhere in memory."""
         raise WholeGridNeeded("an operation on all nodes")
 
-    def _sent(self, rows: np.ndarray) -> Any:
+    def _sent(self, rows: Any) -> Any:
         """The rows, sent by their owners."""
         import numpy as np
 
@@ -145,26 +128,26 @@ class Nodes:
         holder = np.searchsorted(self.bounds, rows, side="right").astype(np.int32) - 1
         counts = np.bincount(holder, minlength=self.ranks.count).tolist()
         found = self.ranks.collect(_rows_at(self.rows, rows[holder == self.ranks.number]), counts)
-        if (holder[1:] >= holder[:-1]).all():
-            return found
-        result = empty(found.shape, found.dtype)
-        result[np.argsort(holder, kind="stable")] = found
-        return result
+        if (holder[1:] < holder[:-1]).any():
+            sent, found = found, empty(found.shape, found.dtype)
+            found[np.argsort(holder, kind="stable")] = sent
+        return found
 
     def widen(self, first: int, last: int) -> None:
         """Also hold copies of the rows first <= n < last as their owners have them now; all ranks must call this."""
         if not self.divided:
             return
         self._require_all()
-        first, last = min(first, self.low), max(last, self.high)
-        for begin, end in ((first, self._held[0]), (self._held[1], last)):
+        (low, high), held = self.ends, self._held
+        first, last = min(first, low), max(last, high)
+        for begin, end in ((first, held[0]), (held[1], last)):
             self._reserve(begin * self.rows.strides[0], end * self.rows.strides[0])
         wanted = self.ranks.gather([(first, last)])
         sends, receives = {}, {}
         for other, (begin, end) in enumerate(wanted):
             if other != self.ranks.number:
                 theirs = slice(*self.bounds[other : other + 2].tolist())
-                sends[other] = self.rows[max(begin, self.low) : min(end, self.high)]
+                sends[other] = self.rows[max(begin, low) : min(end, high)]
                 receives[other] = self.rows[max(first, theirs.start) : min(last, theirs.stop)]
         self.ranks.swap(sends, receives)
         self._held = first, last
@@ -179,11 +162,8 @@ class Nodes:
 
     def each(self, fill: Callable[[slice], object]) -> None:
         """Call ``fill(rows)`` for slices of the rows of this rank, on all threads; errors as in :meth:`on_each`."""
-
-        def work(lo: int, hi: int) -> None:
-            fill(slice(self.low + lo, self.low + hi))
-
-        self.on_each(lambda: for_chunks(work, self.high - self.low, _ROWS))
+        low, high = self.ends
+        self.on_each(lambda: for_chunks(lambda lo, hi: fill(slice(low + lo, low + hi)), high - low, _ROWS))
 
     def on_each(self, action: Callable[[], object]) -> None:
         """Run ``action`` on every rank; an error on one rank is raised on all."""
@@ -203,12 +183,6 @@ class Nodes:
     def gather(self, value: T) -> list[T]:
         """The values of all ranks."""
         return self.ranks.gather([value])
-
-    def total(self, values: np.ndarray) -> np.ndarray:
-        """Sum of the ``values`` of all ranks, of the same shape, in rank order."""
-        import numpy as np
-
-        return np.sum(self.ranks.gather([values]), axis=0) if self.divided else values
 
     def combined(self, operation: Callable[..., object], other: Any) -> Any:
         """A new array (n, 3) filled by ``operation(this, other, out=...)``, like ``np.subtract``."""

@@ -128,13 +128,13 @@ def hold_cells(grid: Grid, *arrays: FloatArray) -> None:
         return
     parts = slabs(grid)
     first, last = _first_slabs(grid, parts)[[nodes.ranks.number, nodes.ranks.number + 1]]
-    end = nodes.high
+    low, end = nodes.ends
     if last > first:
         final = parts[last - 1]
         ni, nj, nk = grid.shapes[final.block]
         end = int(grid.offsets[final.block] + min(final.last + 1, ni) * nj * nk)
     for array in dict.fromkeys(arrays):
-        Nodes.of(array).widen(nodes.low, end)
+        Nodes.of(array).widen(low, end)
 
 
 def places(grid: Grid, cells: IntArray) -> tuple[IntArray, IntArray]:

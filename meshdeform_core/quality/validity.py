@@ -169,7 +169,7 @@ class Verdict:
     def invalid(self) -> IntArray:
         """Numbers of the cells that failed a test."""
         failed = Nodes.of(self.failed)
-        return np.concatenate(failed.gather(failed.low + np.flatnonzero(failed.own)))
+        return np.concatenate(failed.gather(failed.ends[0] + np.flatnonzero(failed.own)))
 
     def weak(self, limit: float) -> IntArray:
         """Numbers of this rank's cells that failed a test or whose ``ratio`` is below a limit."""

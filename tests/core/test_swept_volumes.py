@@ -13,7 +13,7 @@ from meshdeform_core.deform import Case, deform
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.planes import block_handedness, plane_normal
 from meshdeform_core.quality.cells import measure_block
-from meshdeform_core.velocity import at_faces, face_fields, grid_velocity, swept_volumes, volume_flux
+from meshdeform_core.velocity import face_fields, grid_velocity, swept_volumes, volume_flux
 
 
 def volumes(grid: Grid, points: np.ndarray) -> list[np.ndarray]:
@@ -52,7 +52,7 @@ GRIDS = {
 def test_volume_of_every_cell_changes_by_what_its_faces_sweep(name):
     grid = GRIDS[name]
     before, after = shaken(grid, 0.02, 1), shaken(grid, 0.05, 2)
-    swept = at_faces(grid, swept_volumes(grid, before, after))
+    swept = swept_volumes(grid, before, after)
     old, new = volumes(grid, before), volumes(grid, after)
     for b, shape in enumerate(grid.shapes):
         assert np.abs(old[b] + net(swept[b], shape) - new[b]).max() < 1e-13 * np.abs(old[b]).min()
@@ -81,7 +81,7 @@ def test_swept_volumes_are_exact():
     rng = np.random.default_rng(4)
     grid = Grid.from_blocks([np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1) * 1.0])
     before, after = (grid.points + 0.3 * rng.normal(size=(8, 3)) for _ in range(2))
-    (faces,) = at_faces(grid, swept_volumes(grid, before, after))
+    (faces,) = swept_volumes(grid, before, after)
     old, new = before.reshape(2, 2, 2, 3), after.reshape(2, 2, 2, 3)
     for axis in range(3):
         for end in range(2):
@@ -95,7 +95,7 @@ def test_second_order_fluxes_match_the_differences_of_volumes():
     grid, times = frame(), (0.0, 0.1, 0.35)
     points = [shaken(grid, 0.02, seed) for seed in range(3)]
     swept = [swept_volumes(grid, points[n], points[n + 1]) for n in range(2)]
-    flux = at_faces(grid, volume_flux(times, swept))
+    flux = volume_flux(times, swept)
     rates = [volumes(grid, x) for x in points]
     h, before = times[2] - times[1], times[1] - times[0]
     for b, shape in enumerate(grid.shapes):
@@ -153,7 +153,7 @@ def test_free_stream_stays_uniform_through_a_cycle_with_repairs(order):
         past = len(points) - 1 if order == 2 else 1
         swept = [swept_volumes(grid, points[-1 - p], points[-p]) for p in range(past, 0, -1)]
         sizes = [volumes(grid, x) for x in points[-1 - past :]]
-        flux = at_faces(grid, volume_flux([h * p for p in range(past + 1)], swept))
+        flux = volume_flux([h * p for p in range(past + 1)], swept)
         rates = [1.0 / h, -1.0 / h] if past == 1 else [1.5 / h, -2.0 / h, 0.5 / h]
         new = []
         for b in range(grid.n_blocks):

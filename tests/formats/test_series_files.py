@@ -22,7 +22,7 @@ from vtkmodules.vtkIOXML import vtkXMLStructuredGridReader
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid
-from meshdeform_core.velocity import at_faces, face_fields, grid_velocity, swept_volumes
+from meshdeform_core.velocity import face_fields, grid_velocity, swept_volumes
 from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.files import partial_path, remove_partial, replacing
 from meshdeform_formats.series.outputs import LevelFiles
@@ -226,7 +226,7 @@ def swept(grid: Grid, folder, name: str, precision: str = "float64"):
 
 
 def expected(grid: Grid, number: int) -> list[tuple[np.ndarray, ...]]:
-    return at_faces(grid, swept_volumes(grid, wavy(grid, number - 1), wavy(grid, number)))
+    return swept_volumes(grid, wavy(grid, number - 1), wavy(grid, number))
 
 
 @pytest.mark.parametrize("make", [frame, frame_2d])
