@@ -168,7 +168,8 @@ def carry_out(run: Run, progress: ProgressBar) -> Report:
         files, ranks, count, first = run.files, run.job.ranks, len(run.schedule.times), len(run.manifest.levels)
         progress("levels", first, count)
         # The state of earlier levels is known only from files that can be read back.
-        plain = tuple(run.manifest.plain) if files.readable else ()
+        done = run.manifest.levels if files.readable else []
+        plain = [level["steps"] == 1 and level["repair"] is None for level in done]
         precision, finished = files.variant.precision, files.read
         levels = deform_series(run.setup, run.schedule, precision, progress, first, finished, plain)
         for level in levels:
@@ -224,7 +225,6 @@ def _record(run: Run, level: Level, seconds: float) -> None:
     record = level_record(level, files.path(level.number).name, seconds, manifest.head, warnings)
     manifest.levels.append(record)
     manifest.kinds.append([kind_of(text) for text in warnings])
-    manifest.plain.append(level.plain)
     manifest.digests.append(digest(files.file(level.number)))
     try:
         manifest.save()

@@ -175,9 +175,16 @@ def main_measures(quality: Quality) -> dict[str, Any]:
     }
 
 
-def repair_notices(repair: Repair | None, assessment: Assessment) -> list[Notice]:
-    """What users need to know about a repair: that it was left out, is unfinished, or made the worst cell worse."""
-    found = []
+def _notices(state: State, repair: Repair | None, assessment: Assessment) -> list[str]:
+    """What users need to know about the grid that is kept."""
+    course, asked, used = state.course, state.course.setup.case.method.name, state.options.name
+    found = list[str]()
+    if used != asked:
+        text = (
+            f"the grid was made by {used} in {counted(state.steps, 'step')}, as attempts with {asked} left cells "
+            "invalid or nearly collapsed (listed under attempts in the report)"
+        )
+        found.append(Notice(text, f"made by {used}"))
     if repair and repair.left_out:
         found.append(Notice(f"the grid was not repaired: {repair.left_out}", "no repair"))
     elif repair and assessment.valid and not repair.converged:
@@ -193,20 +200,6 @@ def repair_notices(repair: Repair | None, assessment: Assessment) -> list[Notice
             f"for better cells elsewhere; --repair off keeps the method's grid"
         )
         found.append(Notice(text, "a worse worst cell"))
-    return found
-
-
-def _notices(state: State, repair: Repair | None, assessment: Assessment) -> list[str]:
-    """What users need to know about the grid that is kept."""
-    course, asked, used = state.course, state.course.setup.case.method.name, state.options.name
-    found: list[str] = []
-    if used != asked:
-        text = (
-            f"the grid was made by {used} in {counted(state.steps, 'step')}, as attempts with {asked} left cells "
-            "invalid or nearly collapsed (listed under attempts in the report)"
-        )
-        found.append(Notice(text, f"made by {used}"))
-    found += repair_notices(repair, assessment)
     worst = assessment.after.worst["min_relative_jacobian"]
     if assessment.valid and worst.value < COLLAPSING:
         x, y, z = worst.center

@@ -15,11 +15,14 @@ import sys
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 from .errors import CaseError, MethodError
 from .parallel import current_ranks, current_scratch, set_sharing
 from .parallel.scratch import RESERVE, Scratch, resident_memory
+
+if TYPE_CHECKING:
+    from .grid.parts import BlockSizes
 
 _UNITS = ("B", "KiB", "MiB", "GiB", "TiB")
 VELOCITY_BYTES, SWEPT_BYTES = 48, 96
@@ -155,19 +158,6 @@ REPAIRING = passing(8.5)
 """A repair of a grid that another program deformed, beside its search, which asks for its own memory."""
 
 
-class Sizes(Protocol):
-    """Sizes of a grid, or of one of which only the file header has been read."""
-
-    @property
-    def shapes(self) -> tuple[tuple[int, int, int], ...]: ...
-    @property
-    def n_nodes(self) -> int: ...
-    @property
-    def n_face_nodes(self) -> int: ...
-    @property
-    def format(self) -> Any: ...
-
-
 @dataclass(frozen=True)
 class Demand:
     """The memory that work takes, by the sizes of grids; of several ranks, on the one that takes most.
@@ -191,7 +181,7 @@ class Demand:
     other_bytes: float = 0.0
 
     @classmethod
-    def of(cls, doing: str, work: Work, *grids: Sizes, data: int = 0, sources: int = 0) -> Demand:
+    def of(cls, doing: str, work: Work, *grids: BlockSizes, data: int = 0, sources: int = 0) -> Demand:
         """The memory that ``doing`` something, such as ``deforming``, with grids takes.
 
         ``data`` are bytes of point and cell data and displacement tables, which are read, kept and written again.
@@ -292,26 +282,23 @@ def machine_memory() -> MemoryLimit:
     """
     ranks = current_ranks()
     source = "the machine has" if ranks.on_machine == 1 else f"each of {ranks.on_machine} ranks on the machine has"
-    available = _first_number(Path("/proc/meminfo"), "MemAvailable:")
-    try:
-        size = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") if available is None else 1024 * available
-    except (OSError, ValueError, AttributeError):
-        size = 2**62
+    size = _bytes_in(Path("/proc/meminfo"), "MemAvailable:") or 2**62
+    if size == 2**62:
+        with suppress(OSError, ValueError, AttributeError):
+            size = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     return MemoryLimit(min(ranks.gather([size // ranks.on_machine])), source)
 
 
 def peak_memory() -> int:
     """Largest resident size of this process so far, in bytes; 0 where the system does not report it."""
     # On Linux ru_maxrss, unlike VmHWM, includes the size of the parent when the process was started.
-    status = _first_number(Path("/proc/self/status"), "VmHWM:")
-    if status is not None:
-        return status * 1024
-    try:
-        import resource
-    except ImportError:
-        return 0
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else peak * 1024
+    peak = _bytes_in(Path("/proc/self/status"), "VmHWM:")
+    if not peak:
+        with suppress(ImportError):
+            import resource
+
+            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+    return peak
 
 
 def release_freed() -> None:
@@ -353,10 +340,9 @@ def _as_in_file(parts: list[tuple[int, int]]) -> list[tuple[int, int]]:
     return found
 
 
-def _first_number(path: Path, key: str) -> int | None:
-    """The number (KiB) after ``key`` in a system file; ``None`` if there is no such file or key."""
-    try:
+def _bytes_in(path: Path, key: str) -> int:
+    """The number (KiB) after ``key`` in a system file, as bytes; 0 if there is no such file or key."""
+    with suppress(OSError):
         lines = path.read_text(encoding="ascii", errors="replace").splitlines()
-    except OSError:
-        return None
-    return next((int(line.split()[1]) for line in lines if line.startswith(key)), None)
+        return next((1024 * int(line.split()[1]) for line in lines if line.startswith(key)), 0)
+    return 0

@@ -14,7 +14,6 @@ from .deform import Result, Setup, Timing, impose
 from .errors import CaseError
 from .grid import Field, FloatArray
 from .methods import PreparedMethod, Progress
-from .numerics.arrays import lengths
 from .smoothness import Moment, Smoothness, shortest_edges, smoothness
 from .velocity import PAST, VELOCITIES, face_fields, grid_velocity
 
@@ -25,7 +24,7 @@ Increase it with every change that gives a level of any series different coordin
 """
 
 _RECENT = 2
-"""Number of preceding levels needed for the smoothness of a level."""
+"""Number of preceding levels needed for the smoothness of a level, and at most for its velocities."""
 
 
 @dataclass(frozen=True)
@@ -62,20 +61,15 @@ class Schedule:
 class Level:
     """One time level.
 
-    ``rotation`` is the largest rotation of a moving wall relative to the undeformed grid (degrees), ``velocity``
-    (n_nodes, 3) the grid velocity, zero at the first level; ``faces`` are fields at the cell faces. ``plain``: whether
-    the level was made in one step without a repair, and so is as smooth as its walls; later levels need to know.
+    ``velocity`` (n_nodes, 3) is the grid velocity, zero at the first level; ``faces`` are fields at the cell faces.
     """
 
     number: int
     time: float
     result: Result
-    rotation: float
     velocity: FloatArray | None
     faces: tuple[Field, ...]
-    timing: Timing
     smoothness: Smoothness
-    plain: bool
 
 
 def deform_series(
@@ -98,19 +92,16 @@ def deform_series(
         files and a continued series equals an uninterrupted one
     finished : returns the coordinates (n_nodes, 3), as written, of a level before ``first``; required if ``first``
         needs any
-    plain : for each level before ``first``, see :class:`Level`, if ``finished`` can return their coordinates; without
-        it, the smoothness is computed from ``first`` on only
+    plain : for each level before ``first``, see :class:`.Moment`, if ``finished`` can return their coordinates
     """
     for spec in setup.case.boundaries:
         if spec.motion:
             spec.motion.require(schedule.times)
     times, walls = schedule.times, setup.topology.first[setup.boundary.kind == Kind.MOVING]
-    past, recent = list[FloatArray](), list[Moment]()
+    recent = list[Moment]()
     if finished:
-        read = max(schedule.past(first), min(len(plain), _RECENT))
-        past = [finished(n) for n in range(first - read, first)]
-        recent = [Moment(times[n], past[n - first], plain[n]) for n in range(first - read, first) if plain]
-        past = past[len(past) - schedule.past(first) :]
+        read = range(first - max(schedule.past(first), min(len(plain), _RECENT)), first)
+        recent = [Moment(times[n], finished(n), bool(plain) and plain[n]) for n in read]
     prepared: PreparedMethod | None = None
     edges: FloatArray | None = None
     for number in range(first, len(times)):
@@ -119,20 +110,17 @@ def deform_series(
             with timing.stage("prepare"):
                 prepared = setup.prepare()
         result = impose(setup, setup.motion(times[number]), schedule.steps, precision, timing, progress, prepared)
-        points = result.grid.points
+        plainly = result.repair is None and result.steps == 1
+        recent = [*recent[-_RECENT:], Moment(times[number], result.grid.points, plainly)]
+        last = [moment.points for moment in recent[-1 - schedule.past(number) :]]
         velocity, faces = None, tuple[Field, ...]()
         if schedule.velocity != "none":
-            velocity = grid_velocity(known, [*past, points], schedule.velocity)
+            velocity = grid_velocity(known, last, schedule.velocity)
         if schedule.velocity == "swept":
             with timing.stage("velocity"):
-                faces = face_fields(setup.grid, known, [*past, points])
-        recent = [*recent[-_RECENT:], Moment(times[number], points, result.repair is None and result.steps == 1)]
+                faces = face_fields(setup.grid, known, last)
         edges = shortest_edges(setup.grid) if edges is None else edges
         smooth = smoothness(recent, walls, edges)
         if smooth.warning:
             result = dataclasses.replace(result, warnings=(*result.warnings, smooth.warning))
-        turns = setup.problem.rotations.vectors(result.displacement[setup.problem.source_numbers])
-        rotation = float(np.degrees(lengths(turns).max()))
-        yield Level(number, times[number], result, rotation, velocity, faces, timing, smooth, recent[-1].plain)
-        past = [*past, points]
-        past = past[len(past) - schedule.past(number + 1) :]
+        yield Level(number, times[number], result, velocity, faces, smooth)

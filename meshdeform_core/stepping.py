@@ -163,11 +163,10 @@ class State:
 
     Attributes
     ----------
-    found : the grid as judged
+    found : the grid as judged, with the repair of the last step
     moved : (n_unique, 3) displacement of the boundary imposed so far
     steps : number of steps so far
     plain : as ``found``, before the repair of the last step
-    repair : that of the last step
     earlier : joint summary of the repairs of the steps before
     account : account of the method in the last step
     notices : the method's warnings in all steps, the last one of each kind
@@ -182,7 +181,6 @@ class State:
     fraction: float = 0.0
     steps: int = 0
     plain: Judged | None = None
-    repair: Repair | None = None
     earlier: Repair | None = None
     account: Account = field(default_factory=Account)
     notices: Mapping[str, str] = field(default_factory=dict)
@@ -193,6 +191,11 @@ class State:
     def valid(self) -> bool:
         """Whether no cell is invalid."""
         return self.found.verdict.valid
+
+    @property
+    def repair(self) -> Repair | None:
+        """That of the last step."""
+        return self.found.repair
 
     @property
     def smallest_scaled(self) -> float:
@@ -264,11 +267,8 @@ def plain_step(state: State, fraction: float) -> State:
     account = Account(dict(prepared.account.settings), dict(prepared.account.notices))
     bad = {**dict.fromkeys(before.verdict.invalid.tolist(), state.steps), **state.first_bad}
     notices = {**state.notices, **account.notices}
-    return _noted(
-        State(
-            course, state.options, found, boundary, fraction, number, found, None, state.repairs, account, notices, bad
-        )
-    )
+    now = State(course, state.options, found, boundary, fraction, number, found, state.repairs, account, notices, bad)
+    return _noted(now)
 
 
 def _require_finite(state: State, points: FloatArray, first: int) -> None:
@@ -304,12 +304,13 @@ def insist(state: State) -> State:
     plain = state.plain
     if plain is None or state.course.limit.reached or (state.repair and state.repair.left_out):
         return state
-    other = _repaired(dataclasses.replace(state, found=plain, repair=None), "patient", polish=state.course.polishing)
+    other = _repaired(dataclasses.replace(state, found=plain), "patient", polish=state.course.polishing)
     better = other if other.found.count < state.found.count else state
     if state.repair and other.repair:
         # Both began with the same grid, whose bad cells count once.
         both, invalid, weak = state.repair + other.repair, state.repair.invalid, state.repair.weak
-        return dataclasses.replace(better, repair=dataclasses.replace(both, invalid=invalid, weak=weak))
+        found = dataclasses.replace(better.found, repair=dataclasses.replace(both, invalid=invalid, weak=weak))
+        return dataclasses.replace(better, found=found)
     return better
 
 
@@ -320,8 +321,9 @@ def _repaired(state: State, effort: Effort, polish: bool = False) -> State:
         outcome = course.repairer.repair(plain, polish, effort) if needed else None
     if outcome is None:
         return state
-    found = outcome if outcome.repair and outcome.repair.newton_steps else plain
-    return _noted(dataclasses.replace(state, found=found, repair=outcome.repair), repair=True)
+    moved = outcome.repair and outcome.repair.newton_steps
+    found = outcome if moved else dataclasses.replace(plain, repair=outcome.repair)
+    return _noted(dataclasses.replace(state, found=found), repair=True)
 
 
 def _noted(state: State, repair: bool = False) -> State:

@@ -235,14 +235,14 @@ def level_record(level: Level, file: str, write_seconds: float, head: Report, wa
     """
     result = level.result
     method = method_part(result.setup.case.method.name, result.account)
-    seconds = {**level.timing.seconds, "write": write_seconds}
+    seconds = {**result.timing.seconds, "write": write_seconds}
     return {
         "number": level.number,
         "time": level.time,
         "file": file,
         **_outcome_part(result),
         "max_displacement": result.max_displacement,
-        "max_rotation_deg": level.rotation,
+        "max_rotation_deg": max(each.max_rotation_deg for each in result.motion),
         "motion": [dataclasses.asdict(patch) for patch in result.motion],
         "smoothness": {name: getattr(level.smoothness, name) for name in _SMOOTHNESS},
         **({"components": [_component_outcome(*each) for each in result.components]} if result.components else {}),

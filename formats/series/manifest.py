@@ -36,7 +36,6 @@ class Manifest:
     head : the part of the report common to all levels; empty before the first level
     levels : a record of each finished level, in order
     kinds : for each finished level, the kinds of warnings that occurred there first
-    plain : for each finished level, whether it was made in one step without a repair
     digests : for each finished level, that of the file that holds it
     complete : whether all outputs are in their final place
     """
@@ -46,7 +45,6 @@ class Manifest:
     head: dict[str, Any] = field(default_factory=dict)
     levels: list[dict[str, Any]] = field(default_factory=list)
     kinds: list[list[str]] = field(default_factory=list)
-    plain: list[bool] = field(default_factory=list)
     digests: list[str] = field(default_factory=list)
     complete: bool = False
 
@@ -74,7 +72,7 @@ class Manifest:
     @property
     def per_level(self) -> tuple[list[Any], ...]:
         """What is recorded of each finished level."""
-        return self.levels, self.kinds, self.plain, self.digests
+        return self.levels, self.kinds, self.digests
 
     def require_same(self, ingredients: Mapping[str, Any]) -> None:
         """Refuse to continue a series whose inputs have changed. Raises CaseError listing the changes."""

@@ -216,7 +216,7 @@ def levels(source, target, case, schedule):
     for level in deform_series(set_up(read_grid(source), case), schedule, "float64"):
         write_grid(level.result.grid, target)
         account = dataclasses.asdict(level.result.account)
-        measured = level.result.assessment, level.rotation, level.smoothness, level.plain
+        measured = level.result.assessment, level.result.motion, level.smoothness
         found.append((target.read_bytes(), account, level.result.warnings, measured))
     return found
 

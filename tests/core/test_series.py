@@ -40,7 +40,7 @@ def test_from_the_reference_a_period_leads_back_to_the_start(options):
     setup = setup_of(options=options)
     levels = levels_of(setup, Schedule(QUARTERS))
     assert np.abs(levels[1].result.grid.points - setup.grid.points).max() > 0.1
-    assert [level.rotation for level in levels] == pytest.approx([0, 20, 0, 20, 0], abs=1e-6)
+    assert [level.result.motion[0].max_rotation_deg for level in levels] == pytest.approx([0, 20, 0, 20, 0], abs=1e-6)
     np.testing.assert_allclose(levels[-1].result.grid.points, setup.grid.points, rtol=0, atol=1e-12)
     assert all(level.velocity is None for level in levels)
 
@@ -74,7 +74,7 @@ def test_an_invalid_level_does_not_stop_the_series():
 def test_2d_levels_rotate_in_their_plane():
     setup = set_up(frame_2d(), Case((body_specs(SWING)[0],)))
     level = levels_of(setup, Schedule((0.25,), velocity="first"))[0]
-    assert level.rotation == pytest.approx(20.0)
+    assert level.result.motion[0].max_rotation_deg == pytest.approx(20.0)
     assert not level.result.grid.points[:, 2].any()
 
 
