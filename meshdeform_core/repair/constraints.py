@@ -3,14 +3,14 @@ the plane grid that a constrained grid is extruded from, on which its plane moti
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..boundary import Boundary, Kind
 from ..boundary.constraints import CurvedSurface
 from ..grid import BoolArray, FloatArray, Grid, IntArray, Side
+from ..grid.parts import strides_of
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology, find_topology, side_nodes
 from ..numerics.arrays import extent
@@ -23,16 +23,16 @@ _STRAIGHT = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class Constraints:
-    """Constraints on the unique nodes of a grid.
+    """Constraints on the unique nodes of a grid: the displacement of a node is its frame times that of its root.
 
     Attributes
     ----------
     grid, topology : undeformed
     held : (n_unique,) nodes that repairs do not move: moving, fixed, and those at edges of curved slip surfaces
     walls : (n_unique,) nodes of moving and fixed faces that are likely to be walls, not far field
-    removed : (n_unique, 3, 3) projectors onto the directions in which a node must not move
     root : (n_unique,) the periodic image of a node with the smallest number, whose unknown all images share
-    turn : node -> rotation (3, 3) from its root, unless that is the identity
+    frame : (n_unique, 3, 3) of a root, the projector onto the directions in which it may move; of its images, that
+        turned
     sliding : curved surfaces with the nodes that are not held
     """
 
@@ -40,9 +40,8 @@ class Constraints:
     topology: Topology
     held: BoolArray
     walls: BoolArray
-    removed: FloatArray
     root: IntArray
-    turn: dict[int, FloatArray] = field(default_factory=dict)
+    frame: FloatArray
     sliding: tuple[CurvedSurface, ...] = ()
 
     def without_sliding(self) -> Constraints:
@@ -55,44 +54,32 @@ class Constraints:
     @classmethod
     def of(cls, original: Original, boundary: Boundary) -> Constraints:
         """The constraints of a classified boundary."""
-        grid, topology = original.grid, original.topology
-        held = boundary.kind >= Kind.FIXED
-        root, turn = np.arange(topology.n_unique), {}
+        grid, topology, slip = original.grid, original.topology, boundary.slip
+        held, n = boundary.kind >= Kind.FIXED, topology.n_unique
+        images = boundary.periodic.nodes
+        root, turn, removed = np.arange(n), np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3, 3))
+        root[images], turn[images] = boundary.periodic.root, boundary.periodic.turn
         # A node may slide if it is on a single curved surface and on no plane or periodic boundary.
-        count = np.zeros(topology.n_unique, dtype=np.int64)
-        for surface in boundary.slip.curved:
-            count[surface.nodes] += 1
-        for nodes, _ in boundary.slip.groups:
+        count = np.bincount(np.concatenate([images, images, *(each.nodes for each in slip.curved)]), minlength=n)
+        for nodes, projector in slip.groups:
+            removed[nodes] += projector
             count[nodes] += 2
-        periodic = boundary.periodic
-        if periodic.nodes.size:
-            root[periodic.nodes] = periodic.root
-            turn = dict(zip(periodic.nodes.tolist(), periodic.turn, strict=True))
-            count[periodic.nodes] += 2
         sliding = []
-        for surface in boundary.slip.curved:
+        for surface in slip.curved:
             held[surface.nodes] |= count[surface.nodes] > 1
             held[surface.corners[surface.creased]] = True
             sliding.append(replace(surface, nodes=surface.nodes[~held[surface.nodes]]))
-        removed = np.zeros((topology.n_unique, 3, 3))
-        for nodes, projector in boundary.slip.groups:
-            removed[nodes] += projector
-        for node, rotation in turn.items():
-            if root[node] != node:
-                removed[root[node]] += rotation.T @ removed[node] @ rotation
+        images = images[root[images] != images]
+        np.add.at(removed, root[images], turn[images].transpose(0, 2, 1) @ removed[images] @ turn[images])
         several = np.flatnonzero(np.einsum("nii->n", removed) > 1.5)
-        # Projectors (n, 3, 3) onto the ranges of sums of projectors; exact if these are along coordinate axes.
+        # Projectors onto the ranges of sums of projectors; exact if these are along coordinate axes.
         sums = removed[several]
-        values, vectors = np.linalg.eigh(sums)
-        kept = np.where(values[:, None, :] > 1e-9, vectors, 0.0)
+        spans = sums @ np.linalg.pinv(sums, 1e-9, hermitian=True)
         exact = np.abs(sums - np.round(sums)).max(axis=(1, 2), initial=0.0) < 1e-12
-        spans = np.asarray(kept @ kept.transpose(0, 2, 1))
-        spans[exact] = np.round(spans[exact])
-        removed[several] = spans
-        quads = original.moving_wall_quads(boundary) | original.fixed_wall_quads(boundary)
-        walls = np.zeros(topology.n_unique, dtype=bool)
-        walls[topology.quads.corners[quads]] = True
-        return cls(grid, topology, held, walls, removed, root, turn, tuple(sliding))
+        removed[several] = np.where(exact[:, None, None], np.round(spans), spans)
+        walls = np.zeros(n, dtype=bool)
+        walls[topology.quads.corners[original.moving_wall_quads(boundary) | original.fixed_wall_quads(boundary)]] = True
+        return cls(grid, topology, held, walls, root, turn @ (np.eye(3) - removed)[root], tuple(sliding))
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,41 +89,30 @@ class Extrusion:
     Attributes
     ----------
     direction : (3,) unit vector, normal to the plane
-    plane : the plane grid, blocks with one node along one index
+    plane, constraints : the plane grid, blocks with one node along one index, and its constraints
+    held : (n_plane,) whether its nodes are held
+    count : (n_plane,) number of copies of each
     line : plane node that each block node (of this rank) is a copy of; block nodes with the same one form a *line*
-    axes : (n_blocks,) index along which each block is extruded
-    grid : of the blocks
-    constraints : of the plane grid
-    scale : extent of the grid
+    grid : of the copies
+    round_off : of its coordinates
     """
 
     direction: FloatArray
     plane: Grid
-    line: IntArray
-    axes: tuple[int, ...]
-    grid: Grid
     constraints: Constraints
-    scale: float
-
-    @cached_property
-    def _count(self) -> IntArray:
-        layers = [shape[axis] for shape, axis in zip(self.grid.shapes, self.axes, strict=True)]
-        return np.repeat(layers, np.diff(self.plane.offsets))
-
-    @cached_property
-    def held(self) -> BoolArray:
-        """Whether the nodes (n_plane,) of the plane grid are held."""
-        topology, held = self.constraints.topology, np.zeros(self.plane.n_nodes, dtype=bool)
-        held[topology.face_nodes] = self.constraints.held[topology.number]
-        return held
+    held: BoolArray
+    count: IntArray
+    line: IntArray
+    grid: Grid
+    round_off: float
 
     def mean(self, change: FloatArray) -> FloatArray:
         """The mean along lines (n_plane, 3) of a displacement (n_nodes, 3), projected onto the plane."""
-        return self._in_plane(self.summed(change) / self._count[:, None])
+        return self._in_plane(self.summed(change) / self.count[:, None])
 
     def of_mean(self, gradient: FloatArray) -> FloatArray:
         """The transpose of :meth:`mean`."""
-        return np.asarray((self._in_plane(gradient) / self._count[:, None])[self.line])
+        return np.asarray((self._in_plane(gradient) / self.count[:, None])[self.line])
 
     def summed(self, gradient: FloatArray) -> FloatArray:
         """Sums along lines (n_plane, 3) of values (n_nodes, 3): the transpose of copying to all nodes of a line."""
@@ -159,13 +135,16 @@ class Extrusion:
 
         ``None`` if held nodes move out of the plane, or differently along a line.
         """
-        mean, most = self.mean(change), _STRAIGHT * self.scale
-        own, there = Nodes.of(change).own, self.held[self.line]
+        mean, own, there = self.mean(change), Nodes.of(change).own, self.held[self.line]
         normal = np.abs(own @ self.direction).max(initial=0.0)
         apart = np.abs(own[there] - mean[self.line[there]]).max(initial=0.0)
-        if max(Nodes.of(change).gather(float(max(normal, apart)))) > most:
-            return None
-        return mean
+        return None if max(Nodes.of(change).gather(float(max(normal, apart)))) > self.round_off else mean
+
+    def along_lines(self, change: FloatArray, mean: FloatArray, own: slice = slice(None)) -> FloatArray:
+        """What differs from the ``mean`` (n_plane, 3) along lines in a displacement (n, 3) of nodes, 0 on held lines;
+        ``own``: which of this rank's."""
+        line = self.line[own]
+        return np.where(self.held[line][:, None], 0.0, change - mean[line])
 
     def spread(
         self, points: FloatArray, start: FloatArray, mean: FloatArray, shift: FloatArray, kept: float
@@ -175,16 +154,12 @@ class Extrusion:
         result, (low, _) = Nodes.of(points).like(3), Nodes.of(points).ends
 
         def fill(rows: slice) -> None:
-            line = self.line[rows.start - low : rows.stop - low]
-            apart = np.where(self.held[line][:, None], 0.0, points[rows] - start[rows] - mean[line])
-            result[rows][:] = points[rows] + shift[line] - (1.0 - kept) * apart
+            own = slice(rows.start - low, rows.stop - low)
+            apart = self.along_lines(points[rows] - start[rows], mean, own)
+            result[rows][:] = points[rows] + shift[self.line[own]] - (1.0 - kept) * apart
 
         Nodes.of(result).each(fill)
         return result
-
-    def along_lines(self, change: FloatArray, mean: FloatArray) -> FloatArray:
-        """What differs from the ``mean`` (n_plane, 3) along lines in a displacement (n_nodes, 3), 0 on held lines."""
-        return np.where(self.held[self.line][:, None], 0.0, change - mean[self.line])
 
 
 def find_extrusion(constraints: Constraints) -> Extrusion | None:
@@ -192,93 +167,61 @@ def find_extrusion(constraints: Constraints) -> Extrusion | None:
     grid = constraints.grid
     if grid.dimension == 2:
         return None
-    constraints = constraints.without_sliding()
-    low, high = extent(grid.points)
-    scale = float((high - low).max())
-    for height in _heights(grid, scale):
-        axes = [axis for b in range(grid.n_blocks) if (axis := _axis(grid, b, height, scale))]
-        unit = height / np.linalg.norm(height)
-        found = _extruded(constraints, axes, unit, scale) if len(axes) == grid.n_blocks else None
-        if found is not None:
-            return found
-    return None
+    # The edges from the first node of each block along its three index axes.
+    shapes = np.array(grid.shapes)
+    corners = grid.nodes.at(grid.offsets[:-1, None] + np.pad((shapes - 1) * strides_of(shapes), ((0, 0), (1, 0))))
+    edges, constraints = corners[:, 1:] - corners[:, :1], constraints.without_sliding()
+    return next((found for height in edges[0] if (found := _extruded(constraints, edges, height))), None)
 
 
-def _heights(grid: Grid, scale: float) -> list[FloatArray]:
-    """Vectors between opposite faces of the first block, where they are the same at all nodes and not zero."""
-    found = []
-    for axis in range(3):
-        low, high = (grid.points[side_nodes(grid, 0, Side(2 * axis + end))] for end in range(2))
-        height = high - low
-        mean = height.reshape(-1, 3).mean(axis=0)
-        straight = np.ptp(height.reshape(-1, 3), axis=0).max() <= _STRAIGHT * scale
-        if straight and np.linalg.norm(mean) > _STRAIGHT * scale:
-            found.append(mean)
-    return found
-
-
-def _axis(grid: Grid, block: int, height: FloatArray, scale: float) -> tuple[int, int] | None:
-    """Index axis along which a block is extruded by ``height``, and which of its ends is the lower one (0 or 1)."""
-    unit = height / np.linalg.norm(height)
-    for axis in range(3):
-        first, last = (grid.points[side_nodes(grid, block, Side(2 * axis + end))] for end in range(2))
-        whole = (last - first).reshape(-1, 3)
-        sign = 1.0 if whole[0] @ height > 0.0 else -1.0
-        if np.abs(whole - sign * height).max() > _STRAIGHT * scale:
-            continue
-        # Largest deviation of the layers of a block along ``axis`` from copies of the ``first`` one moved along
-        # ``unit``.
-        own, count = grid.planes(block), grid.shapes[block][axis]
-        steps = grid.in_planes(block) - np.expand_dims(first if axis == 0 else first[own], axis)
-        along = steps @ unit
-        across = np.abs(steps - along[..., None] * unit).max(initial=0.0)
-        others = tuple(other for other in range(3) if other != axis)
-        low, high = np.full(count, np.inf), np.full(count, -np.inf)
-        layers = own if axis == 0 else slice(None)
-        low[layers] = along.min(axis=others, initial=np.inf)
-        high[layers] = along.max(axis=others, initial=-np.inf)
-        lows, highs, acrosses = zip(*grid.nodes.gather((low, high, across)), strict=True)
-        if float(max(*acrosses, (np.max(highs, axis=0) - np.min(lows, axis=0)).max())) <= _STRAIGHT * scale:
-            return axis, 0 if sign > 0.0 else 1
-    return None
-
-
-def _extruded(
-    constraints: Constraints, axes: list[tuple[int, int]], unit: FloatArray, scale: float
-) -> Extrusion | None:
-    grid = constraints.grid
-    nodes = [np.expand_dims(side_nodes(grid, b, Side(2 * axis + end)), axis) for b, (axis, end) in enumerate(axes)]
-    base = [grid.points[each] for each in nodes]
-    level = np.concatenate([(b @ unit).ravel() for b in base])
-    if np.ptp(level) > _STRAIGHT * scale:
+def _extruded(constraints: Constraints, edges: FloatArray, height: FloatArray) -> Extrusion | None:
+    """The extrusion by ``height``, which is one of the ``edges`` (n_blocks, 3, 3) of every block, or its opposite."""
+    grid, (least, largest) = constraints.grid, extent(constraints.grid.points)
+    round_off, length = _STRAIGHT * float((largest - least).max()), float(np.linalg.norm(height))
+    up, down = (np.abs(edges - each).max(axis=2) <= round_off for each in (height, -height))
+    if length <= round_off or not (up | down).any(axis=1).all():
         return None
-    points, along = np.concatenate([each.reshape(-1, 3) for each in base]), tuple(axis for axis, _ in axes)
-    # The same on all ranks, even if they hold parts of the grid.
-    plane = Grid(points, tuple(each.shape[:3] for each in base), grid.names)
-    if abs(abs(unit @ plane_normal(plane)) - 1.0) > 1e-9:  # type: ignore[operator]
-        return None
+    blocks, axes, unit = np.arange(grid.n_blocks), (up | down).argmax(axis=1), height / length
+    sides = [Side(2 * axis + int(down[block, axis])) for block, axis in enumerate(axes.tolist())]
+    nodes = [np.expand_dims(side_nodes(grid, block, side), side.axis) for block, side in enumerate(sides)]
     bottom = np.concatenate([each.ravel() for each in nodes])
-    ends = _lines_of(grid, plane, along, constraints.topology.face_nodes)
-    flat = _in_plane(constraints, find_topology(plane), plane, ends, bottom, unit)
+    # The same on all ranks, even if they hold parts of the grid.
+    plane = Grid(grid.nodes.at(bottom), tuple(each.shape for each in nodes), grid.names)
+    if np.ptp(plane.points @ unit) > round_off:
+        return None
+    counts, steps = (each[blocks, axes] for each in (np.array(grid.shapes), strides_of(np.array(grid.shapes))))
+    first = np.cumsum(counts) - counts
+
+    def copied(numbers: IntArray) -> tuple[IntArray, IntArray]:
+        """The nodes of the plane grid of which block nodes are copies, and their layers, numbered block after block."""
+        block = np.searchsorted(grid.offsets, numbers, side="right") - 1
+        outer, inner = np.divmod(numbers - grid.offsets[block], steps[block])
+        column, layer = np.divmod(outer, counts[block])
+        return plane.offsets[block] + column * steps[block] + inner, first[block] + layer
+
+    # All nodes are where the heights of the layers along one edge of their block say.
+    along = [grid.nodes.at(grid.offsets[b] + steps[b] * np.arange(count)) for b, count in enumerate(counts.tolist())]
+    heights = np.concatenate([(x - x[-(side % 2)]) @ unit for x, side in zip(along, sides, strict=True)])
+    line, low, apart = np.empty(grid.nodes.high - grid.nodes.low, dtype=np.int64), grid.nodes.low, 0.0
+    for rows in grid.own_pieces():
+        own, layer = copied(np.arange(rows.start, rows.stop))
+        line[rows.start - low : rows.stop - low] = own
+        off = grid.points[rows] - plane.points[own] - heights[layer, None] * unit
+        apart = max(apart, float(np.abs(off).max()))
+    normal = plane_normal(plane)
+    if max(grid.nodes.gather(apart)) > round_off or normal is None or abs(abs(unit @ normal) - 1.0) > 1e-9:
+        return None
+    flat = _in_plane(constraints, plane, copied(constraints.topology.face_nodes)[0], bottom, unit)
     if flat is None:
         return None
-    line = _lines_of(grid, plane, along, np.arange(*grid.nodes.ends))
-    return Extrusion(unit, plane, line, along, grid, flat, scale)
-
-
-def _lines_of(grid: Grid, plane: Grid, axes: tuple[int, ...], nodes: IntArray) -> IntArray:
-    """The nodes (n,) of the plane grid of which block nodes (n,), ascending, are copies."""
-    result, ends = np.empty(len(nodes), dtype=np.int64), np.searchsorted(nodes, grid.offsets)
-    for block, axis in enumerate(axes):
-        rows = slice(ends[block], ends[block + 1])
-        ijk = list(np.unravel_index(nodes[rows] - grid.offsets[block], grid.shapes[block]))
-        ijk[axis] = np.zeros_like(ijk[axis])
-        result[rows] = plane.offsets[block] + np.ravel_multi_index(ijk, plane.shapes[block])
-    return result
+    held = np.zeros(plane.n_nodes, dtype=bool)
+    held[flat.topology.face_nodes] = flat.held[flat.topology.number]
+    count = np.repeat(counts, np.diff(plane.offsets))
+    return Extrusion(unit, plane, flat, held, count, line, grid, round_off)
 
 
 def _in_plane(
-    constraints: Constraints, topology: Topology, plane: Grid, ends: IntArray, bottom: IntArray, unit: FloatArray
+    constraints: Constraints, plane: Grid, ends: IntArray, bottom: IntArray, unit: FloatArray
 ) -> Constraints | None:
     """The constraints of the plane grid, or ``None`` if those of the grid vary along a line.
 
@@ -286,8 +229,8 @@ def _in_plane(
     On lines through the interior of the plane grid's blocks, only the end nodes may be constrained, and only to the end
     planes.
     """
-    space, flat = constraints.topology, np.eye(3) - np.outer(unit, unit)
-    removed = flat @ constraints.removed @ flat
+    space, topology, flat = constraints.topology, find_topology(plane), np.eye(3) - np.outer(unit, unit)
+    removed = flat @ (np.eye(3) - constraints.frame) @ flat
     number = np.full(plane.n_nodes, -1)
     number[topology.face_nodes] = topology.number
     of = number[ends]
@@ -295,8 +238,7 @@ def _in_plane(
     inside = space.number[~on_edge]
     if constraints.held[inside].any() or np.abs(removed[inside]).max(initial=0.0) > 1e-12:
         return None
-    one = np.searchsorted(space.face_nodes, bottom[topology.first])
-    chosen = space.number[one]
+    chosen = space.number[np.searchsorted(space.face_nodes, bottom[topology.first])]
     for values in (constraints.held, constraints.walls, removed):
         difference = np.abs(values[space.number[on_edge]].astype(float) - values[chosen][of[on_edge]].astype(float))
         if difference.max(initial=0.0) > 1e-12:
@@ -305,13 +247,9 @@ def _in_plane(
     plane_of = np.full(space.n_unique, -1)
     plane_of[space.number] = of
     root = plane_of[constraints.root[chosen]]
-    turn = {n: constraints.turn[c] for n, c in enumerate(chosen.tolist()) if c in constraints.turn}
-    if (root < 0).any() or any(np.abs(t @ unit - unit).max() > 1e-12 for t in turn.values()):
+    images = np.flatnonzero(plane_of >= 0)
+    elsewhere = root[plane_of[images]] != plane_of[constraints.root[images]]
+    if (root < 0).any() or elsewhere.any() or np.abs(unit @ constraints.frame[chosen] @ flat).max() > 1e-12:
         return None
-    images = np.flatnonzero(constraints.root != np.arange(space.n_unique))
-    images = images[plane_of[images] >= 0]
-    if (root[plane_of[images]] != plane_of[constraints.root[images]]).any():
-        return None
-    return Constraints(
-        plane, topology, constraints.held[chosen], constraints.walls[chosen], removed[chosen], root, turn
-    )
+    held, walls = constraints.held[chosen], constraints.walls[chosen]
+    return Constraints(plane, topology, held, walls, root, np.eye(3) - removed[chosen])

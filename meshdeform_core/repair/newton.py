@@ -312,18 +312,14 @@ def scale_left(blocks, rows, factor, matrix):
     first, last, starts, _ = rows
     size = factor.shape[1]
     for row in range(first, last):
-        a, b, c = factor[row, 0, 0], factor[row, 1, 0], factor[row, 1, 1]
         for at in range(starts[row], starts[row + 1]):
             n = at - starts[first]
-            for e in range(size):
-                x, y = blocks[n, 0, e], blocks[n, 1, e]
-                matrix[at, 0, e], matrix[at, 1, e] = a * x, b * x + c * y
-        if size == 3:
-            a, b, c = factor[row, 2, 0], factor[row, 2, 1], factor[row, 2, 2]
-            for at in range(starts[row], starts[row + 1]):
-                n = at - starts[first]
-                for e in range(3):
-                    matrix[at, 2, e] = a * blocks[n, 0, e] + b * blocks[n, 1, e] + c * blocks[n, 2, e]
+            for d in range(size):
+                for e in range(size):
+                    total = 0.0
+                    for f in range(d + 1):
+                        total += factor[row, d, f] * blocks[n, f, e]
+                    matrix[at, d, e] = total
 
 
 @kernel("f4[:, :, ::1], i8[::1], i4[::1], f8[:, :, ::1], i8, i8")
@@ -331,12 +327,10 @@ def scale_right(matrix, starts, columns, factor, low, high):
     """``H_ij <- H_ij F_j^T`` for the block rows low <= i < high."""
     size = factor.shape[1]
     for at in range(starts[low], starts[high]):
-        column = columns[at]
-        a, b, c = factor[column, 0, 0], factor[column, 1, 0], factor[column, 1, 1]
-        if size == 3:
-            p, q, r = factor[column, 2, 0], factor[column, 2, 1], factor[column, 2, 2]
-            for d in range(3):
-                matrix[at, d, 2] = p * matrix[at, d, 0] + q * matrix[at, d, 1] + r * matrix[at, d, 2]
         for d in range(size):
-            x, y = matrix[at, d, 0], matrix[at, d, 1]
-            matrix[at, d, 0], matrix[at, d, 1] = a * x, b * x + c * y
+            # The last column first, as it depends on those before it.
+            for e in range(size - 1, -1, -1):
+                total = 0.0
+                for f in range(e + 1):
+                    total += factor[columns[at], e, f] * matrix[at, d, f]
+                matrix[at, d, e] = total

@@ -24,7 +24,6 @@ from ..grid import BoolArray, FloatArray, IntArray
 from ..grid.planes import plane_axes
 from ..numerics.cell.foldover.elements import Unknowns
 from ..numerics.cell.foldover.samples import sample_slopes, samples_with_any, sound_samples
-from ..numerics.cell.layers import spread_layers
 from ..parallel import Nodes
 from ..quality import Original
 from ..quality.cells import corner_nodes, places
@@ -104,30 +103,53 @@ def distances_in_cells(constraints: Constraints, seeds: IntArray, most: int) -> 
     Coincident nodes and periodic images count as one node. All ranks that hold parts of the grid call this together.
     """
     grid, on_faces = constraints.grid, constraints.topology.face_nodes
-    classes, shapes = constraints.root[constraints.topology.number], np.array(grid.shapes, dtype=np.int64)
+    classes = constraints.root[constraints.topology.number]
     found = grid.nodes.like(dtype=np.int16)
     nodes = Nodes.of(found)
-    (low, high), own = nodes.ends, nodes.own
+    own = nodes.own
     own[...] = most + 1
-    own[seeds[(seeds >= low) & (seeds < high)] - low] = 0
+    own[seeds[(seeds >= nodes.low) & (seeds < nodes.high)] - nodes.low] = 0
     nearest = np.full(len(on_faces), most + 1, dtype=np.int16)
     nearest[classes[np.isin(on_faces, seeds)]] = 0
-    own_planes = [grid.planes(block) for block in range(grid.n_blocks)]
-    planes = np.array([
-        (max(each.start - 1, 0), min(each.stop + 1, ni)) if each.stop > each.start else (0, 0)
-        for each, ni in zip(own_planes, shapes[:, 0].tolist(), strict=True)
-    ])  # fmt: skip
-    ends, again = np.searchsorted(on_faces, grid.offsets), True
-    # Distances of this rank's nodes are lowered until no rank finds any that is too large.
-    while again:
+    changed, first = True, True
+    while changed:
         grid.hold_neighbours(found)
-        before = nearest.copy()
-        lowered = spread_layers(nodes.rows, most, planes, shapes, grid.offsets, on_faces, ends, classes, nearest)
-        changed = np.flatnonzero(nearest < before)
-        for numbers, values in nodes.gather((changed, nearest[changed])):
-            nearest[numbers] = np.minimum(nearest[numbers], values)
-        again = nodes.divided and any(nodes.gather(lowered > 0))
+        changed, before = False, nearest.copy()
+        for block, shape in enumerate(grid.shapes):
+            planes, size = grid.planes(block), shape[1] * shape[2]
+            if planes.start == planes.stop:
+                continue
+            # With the planes of the neighbours, from which distances come in, too.
+            ends = max(planes.start - 1, 0), min(planes.stop + 1, shape[0])
+            rows = slice(*(int(grid.offsets[block]) + end * size for end in ends))
+            faces = slice(*np.searchsorted(on_faces, [rows.start, rows.stop]).tolist())
+            layers, at, kind = nodes.rows[rows], on_faces[faces] - rows.start, classes[faces]
+            if not (first or nodes.divided or (nearest[kind] < layers[at]).any()):
+                continue
+            layers[at] = np.minimum(layers[at], nearest[kind])
+            box = _spread(layers.reshape(-1, *shape[1:])).ravel()
+            changed |= bool((box < layers).any())
+            layers[...] = box
+            np.minimum.at(nearest, kind, layers[at])
+        nearest = np.minimum.reduce(nodes.gather(nearest))
+        changed, first = any(nodes.gather(changed or bool((nearest < before).any()))), False
     return found, max(nodes.gather(int(own[own <= most].max(initial=0))))
+
+
+def _spread(layers: np.ndarray) -> np.ndarray:
+    """The least sums (ni, nj, nk) of a value in a box and the number of cells between."""
+    lower = True
+    while lower:
+        near = layers
+        for axis in range(3):
+            along = np.moveaxis(near, axis, 0)
+            around = along.copy()
+            np.minimum(around[1:], along[:-1], out=around[1:])
+            np.minimum(around[:-1], along[1:], out=around[:-1])
+            near = np.moveaxis(around, 0, axis)
+        near = np.minimum(layers, near + 1)
+        lower, layers = bool((near < layers).any()), near
+    return layers
 
 
 class Basis:
@@ -290,24 +312,19 @@ class Basis:
 
     def _unknowns(self, nodes: IntArray, moves: BoolArray) -> tuple[Unknowns, FloatArray]:
         """The dependence of a region's ``nodes`` on its unknowns, and the directions of these; see :class:`Region`."""
-        constraints, axes = self.constraints, self.axes
-        number = self._numbers(nodes)
-        on_face = number >= 0
-        roots = np.where(on_face, self.topology.first[constraints.root[number]], nodes)
-        roots, of_node = np.unique(roots[moves], return_inverse=True)
+        number, one = self._numbers(nodes), np.eye(len(self.axes))
+        owners = np.where(number >= 0, self.topology.first[self.constraints.root[number]], nodes)
+        roots, of_node = np.unique(owners[moves], return_inverse=True)
         unknown = np.full(len(nodes), -1, dtype=np.int64)
         unknown[moves] = of_node
-        one = np.eye(len(axes))
-        freedom = np.tile(one, (len(roots), 1, 1))
-        at = self._numbers(roots)
-        freedom[at >= 0] -= axes @ constraints.removed[at[at >= 0]] @ axes.T
-        frame = np.tile(one, (len(nodes), 1, 1))
-        frame[moves] = freedom[of_node]
-        for local in np.flatnonzero(on_face & moves) if constraints.turn else ():
-            turn = constraints.turn.get(int(number[local]))
-            if turn is not None:
-                frame[local] = axes @ turn @ axes.T @ frame[local]
-        return Unknowns(unknown, frame, (frame == one).all(axis=(1, 2))), freedom
+
+        def frames(number: IntArray) -> FloatArray:
+            result, on_faces = np.tile(one, (len(number), 1, 1)), number >= 0
+            result[on_faces] -= self.axes @ (np.eye(3) - self.constraints.frame[number[on_faces]]) @ self.axes.T
+            return result
+
+        frame = frames(number)
+        return Unknowns(unknown, frame, (frame == one).all(axis=(1, 2))), frames(self._numbers(roots))
 
 
 _ENDS = ((None, -1), (1, None))
