@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,45 +20,6 @@ from .cells import corner_nodes, places, sides_of
 
 # Cells recorded on one tape.
 _CELLS = 8192
-
-Values = Callable[[Any, Any], Any]
-Slope = Callable[[FloatArray], FloatArray]
-
-
-@dataclass(frozen=True)
-class Measure:
-    """A measure of a grid: ``values`` of cells (n, ...) from their edges, and a function that combines them.
-
-    ``combine(found, sharpness)`` gives the number and a function for its derivatives with respect to the values.
-    """
-
-    values: Values
-    combine: Callable[[Found, float], tuple[float, Slope]]
-
-
-@dataclass(frozen=True)
-class Found:
-    """Values of the cells of this rank, ``parts`` (n, ...) of them at a time in the order of the grid's pieces.
-
-    Sums are taken part by part, so that they do not depend on the ranks that hold the ``points``.
-    """
-
-    points: FloatArray
-    parts: Sequence[FloatArray]
-
-    @property
-    def count(self) -> int:
-        """Number of values of all ranks."""
-        return sum(Nodes.of(self.points).gather(sum(part.size for part in self.parts)))
-
-    def sum(self, of: Slope = np.asarray) -> float:
-        """Sum of a function of the values, over all ranks."""
-        sums = [float(of(part).sum()) for part in self.parts]
-        return math.fsum(each for found in Nodes.of(self.points).gather(sums) for each in found)
-
-    def least(self) -> float:
-        """The smallest value of all ranks."""
-        return min(Nodes.of(self.points).gather(min((float(part.min()) for part in self.parts), default=math.inf)))
 
 
 def quality_gradient(
@@ -81,25 +41,37 @@ def quality_gradient(
     if not some or not all(0 <= block < grid.n_blocks for block in some):
         raise GridError(f"blocks = {list(some)}; expected numbers from 0 to {grid.n_blocks - 1}")
     grid.hold_neighbours(points)
-    chosen, rows = MEASURES[measure], Nodes.of(points).rows
+    (values, smallest), ranks = MEASURES[measure], Nodes.of(points)
     with np.errstate(all="ignore"):
-        found = Found(
-            points,
-            [chosen.values(rows[nodes], side) for nodes, side in _cells_behind_planes(grid, topology, some, False)],
-        )
-    invalid = sum(Nodes.of(points).gather(sum(np.count_nonzero(~np.isfinite(part)) for part in found.parts)))
+        cells = _cells_behind_planes(grid, topology, some, False)
+        parts = [values(ranks.rows[nodes], side) for nodes, side in cells]
+    invalid = sum(ranks.gather(sum(np.count_nonzero(~np.isfinite(part)) for part in parts)))
     if invalid:
         raise GridError(
             f"{measure} is zero in {invalid:,} cells with a corner Jacobian that is not "
             f"positive, and has no gradient there; expected a valid grid, or use scaled_jacobian_min"
         )
-    value, slope = chosen.combine(found, sharpness)
-    gradient = Nodes.of(points).like(3)
+    least = min(ranks.gather(min((float(part.min()) for part in parts), default=math.inf)))
+
+    def share(part: FloatArray) -> FloatArray:
+        return np.exp(-sharpness * (part - least)) if smallest else part
+
+    # Part by part, so that it does not depend on the ranks.
+    total = math.fsum(each for found in ranks.gather([float(share(part).sum()) for part in parts]) for each in found)
+    count = sum(ranks.gather(sum(part.size for part in parts)))
+    slope: Callable[[FloatArray], FloatArray] = np.ones_like
+    value = total
+    if smallest:
+        # Kreisselmeier & Steinhauser 1979: too low by log(count) / sharpness at most.
+        value, slope = least - math.log(total) / sharpness, lambda part: share(part) / total
+    elif measure == "f_skew":
+        value, slope = count / total, lambda part: np.full(len(part), -count / total**2)
+    gradient = ranks.like(3)
     Nodes.of(gradient).each(lambda own: gradient[own].fill(0.0))
     for nodes, side in _cells_behind_planes(grid, topology, some, True):
         tape = Tape()
-        corners = tape.variable(rows[nodes])
-        result = chosen.values(corners, side)
+        corners = tape.variable(ranks.rows[nodes])
+        result = values(corners, side)
         np.add.at(Nodes.of(gradient).rows, nodes, tape.pull({result.number: slope(plain(result))}, [corners.number])[0])
     return value, gradient
 
@@ -128,28 +100,11 @@ def _inverse_skew(x: Any, side: Any) -> Any:
     return (scaled ** (-2.0 / len(corners[0][1]))).sum(axis=1) / len(corners)
 
 
-def _harmonic(inverse: Found, sharpness: float) -> tuple[float, Slope]:
-    total, count = inverse.sum(), inverse.count
-    return count / total, lambda part: np.full(len(part), -count / total**2)
-
-
-def _smallest(values: Found, sharpness: float) -> tuple[float, Slope]:
-    """Smooth lower bound of the minimum (Kreisselmeier & Steinhauser 1979), too low by log(n) / sharpness at most."""
-    least = values.least()
-
-    def share(part: FloatArray) -> FloatArray:
-        return np.exp(-sharpness * (part - least))
-
-    total = values.sum(share)
-    return least - math.log(total) / sharpness, lambda part: share(part) / total
-
-
-MEASURES = {
-    "f_skew": Measure(_inverse_skew, _harmonic),
-    "f_skew_min": Measure(lambda x, side: 1.0 / _inverse_skew(x, side), _smallest),
-    "scaled_jacobian_min": Measure(lambda x, side: scaled_jacobians(corners_and_edges(x, side)), _smallest),
-    "volume": Measure(
-        lambda x, side: volume(corners_and_edges(x, side), side), lambda found, _: (found.sum(), np.ones_like)
-    ),
+MEASURES: dict[str, tuple[Callable[[Any, Any], Any], bool]] = {
+    "f_skew": (_inverse_skew, False),
+    "f_skew_min": (lambda x, side: 1.0 / _inverse_skew(x, side), True),
+    "scaled_jacobian_min": (lambda x, side: scaled_jacobians(corners_and_edges(x, side)), True),
+    "volume": (lambda x, side: volume(corners_and_edges(x, side), side), False),
 }
-"""Harmonic mean and smooth minimum of f_skew, smooth minimum of scaled corner Jacobians, total volume."""
+"""Values of cells (n, ...), and whether their smooth minimum is taken: harmonic mean and smooth minimum of f_skew,
+smooth minimum of scaled corner Jacobians, total volume."""

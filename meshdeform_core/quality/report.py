@@ -14,7 +14,7 @@ from ..grid import FloatArray
 from .lines import kink_and_jump
 from .listed import InvalidCell, Worst, list_cells, worst_cell
 from .original import Original
-from .validity import Comparison, Range, Skew, Spread, Tally, measured
+from .validity import Comparison, Range, Skew, Spread, measured
 from .walls import Extremes, WallQuality, cell_at_interface, extremes_of, measure_walls
 
 MAX_LISTED = 200
@@ -104,8 +104,8 @@ def assess(
     broken = broken[np.argsort(cells.verdict.ratio[broken], kind="stable")]
     walls, interfaces = measure_walls(original, boundary, after), _interfaces(original, after)
     worst = {
-        "f_skew": cells.after.worst,
-        "min_scaled_jacobian": cells.after.smallest_scaled,
+        "f_skew": cells.worst,
+        "min_scaled_jacobian": cells.smallest_scaled,
         "min_relative_jacobian": cells.smallest_ratio,
         **extremes_of("volume_ratio", ratios),
         **interfaces[2],
@@ -124,8 +124,8 @@ def assess(
             {name: worst_cell(grid, start, *found) for name, found in worst_before.items()},
         ),
         _quality(
-            cells.after,
-            (len(broken), cells.after.inherited, worst_cell(grid, after, *cells.smallest_ratio).value),
+            cells,
+            (len(broken), cells.inherited, worst_cell(grid, after, *cells.smallest_ratio).value),
             walls[1],
             interfaces[1],
             Range(ratios[0][1], ratios[1][1]) if ratios else Range(1.0, 1.0),
@@ -138,7 +138,7 @@ def assess(
 
 
 def _quality(
-    cells: Tally,
+    cells: Comparison,
     verdict: tuple[int, int, float],
     walls: Mapping[str, WallQuality | None],
     interfaces: Interfaces,

@@ -11,7 +11,6 @@ measured here in double precision and judged by the proof.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
@@ -228,41 +227,50 @@ class Skew:
     histogram: tuple[int, ...]
 
 
-class Tally:
-    """Totals over the cells with coordinates ``points`` (n_nodes, 3), added in the order of the grid.
+class Comparison:
+    """The cells with coordinates ``points`` (n_nodes, 3), measured, with the verdict on them.
 
-    ``totals`` (n_slabs, TOTALS), see :data:`TOTALS`; ``lows``, ``low_cells`` (n_slabs, 2): smallest f_skew
-    and scaled Jacobian of every slab, and their cells; ``p01``: the quantile of f_skew; ``volume``: of all cells, in
-    2-D the area. ``also`` is called with every slab and its measures, and may fill arrays ``per_slab``.
+    ``totals`` (n_slabs, TOTALS), see :data:`TOTALS`, are added in the order of the grid; ``p01``: the quantile of
+    f_skew; ``volume``: of all cells, in 2-D the area.
     """
 
-    def __init__(
-        self,
-        original: Original,
-        points: FloatArray,
-        also: Callable[[int, Slab, SlabMeasures], None] = lambda *_: None,
-        per_slab: tuple[np.ndarray, ...] = (),
-    ):
+    def __init__(self, original: Original, points: FloatArray):
         grid, n_slabs = original.grid, len(slabs(original.grid))
-        self.n_cells, self.totals = grid.n_cells, np.empty((n_slabs, TOTALS))
-        self.low_cells = np.empty((n_slabs, 2), dtype=np.int64)
+        self.n_cells, self.verdict, self.totals = grid.n_cells, Verdict.blank(grid), np.empty((n_slabs, TOTALS))
+        # The cells of every slab with the smallest f_skew, scaled Jacobian and volume ratio, the largest volume ratio,
+        # and the smallest relative Jacobian.
+        self._cells = np.empty((n_slabs, 5), dtype=np.int64)
         # Single precision is enough for the quantile.
         skew = cells_alike(grid, np.float32)
 
         def put(number: int, slab: Slab) -> None:
             found = inspect_slab(original, points, slab)
+            self.verdict.put(slab, found)
             Nodes.of(skew).rows[slab.cells], self.totals[number] = found.skew, found.totals
-            self.low_cells[number] = slab.start + int(found.skew.argmin()), slab.start + int(found.scaled.argmin())
-            also(number, slab, found)
+            low = high = found.change
+            if not np.isfinite(low.sum()):
+                low, high = (np.where(np.isfinite(low), low, other) for other in (np.inf, -np.inf))
+            lowest = [values.argmin() for values in (found.skew, found.scaled, low, found.ratio)]
+            self._cells[number] = slab.start + np.insert(lowest, 3, high.argmax())
 
         hold_cells(grid, grid.points, points)
-        for_slabs(grid, put, [self.totals, self.low_cells, *per_slab])
+        for_slabs(grid, put, [self.totals, self._cells])
         self.p01 = kth_smallest(grid.nodes.ranks, Nodes.of(skew).own, -(-grid.n_cells // 100))
-        exact = measure_again(original, points, self.low_cells.ravel())
-        self.lows = np.stack([exact.skew[0::2], exact.scaled[1::2]], axis=1)
+        old, new = (measure_again(original, each, self._cells.ravel()) for each in (grid.points, points))
+        change = np.divide(new.volume, old.volume, out=np.full(old.volume.size, np.nan), where=old.volume > 0)
+        low, high = (np.where(np.isfinite(change), change, other) for other in (np.inf, -np.inf))
+        values = new.skew, new.scaled, low, high, relative_jacobian(old.jacobian, new.jacobian)
+        self._values = np.stack([each.reshape(-1, 5)[:, kind] for kind, each in enumerate(values)], axis=1)
         self.volume = float(self.totals[:, VOLUME].sum())
         if grid.dimension == 3:
             self.volume = sum(block_volumes(grid, points, original.topology.handedness).tolist())
+        if points is grid.points:
+            original.measured = self
+
+    def _extreme(self, kind: int, sign: float = 1.0) -> tuple[int, float]:
+        """The cell with the smallest value of a kind, or with ``sign`` -1 the largest, and that value."""
+        slab = int((sign * self._values[:, kind]).argmin())
+        return int(self._cells[slab, kind]), float(self._values[slab, kind])
 
     @property
     def negative(self) -> int:
@@ -282,12 +290,24 @@ class Tally:
     @property
     def worst(self) -> tuple[int, float]:
         """The cell with the smallest f_skew, and its value."""
-        return _extreme(self.low_cells[:, 0], self.lows[:, 0])
+        return self._extreme(0)
 
     @property
     def smallest_scaled(self) -> tuple[int, float]:
         """The cell with the smallest scaled Jacobian, and its value."""
-        return _extreme(self.low_cells[:, 1], self.lows[:, 1])
+        return self._extreme(1)
+
+    @property
+    def smallest_ratio(self) -> tuple[int, float]:
+        """The cell with the smallest corner Jacobian relative to the undeformed one, and its value."""
+        return self._extreme(4)
+
+    @property
+    def volume_ratios(self) -> tuple[tuple[int, float], tuple[int, float]] | None:
+        """The cells with the smallest and the largest volume relative to the undeformed one, and their values; ``None``
+        if no cell had a volume."""
+        low, high = self._extreme(2), self._extreme(3, -1.0)
+        return None if low[1] > high[1] else (low, high)
 
     @cached_property
     def skew(self) -> Skew:
@@ -295,14 +315,12 @@ class Tally:
         inverse, total = self.totals[:, INVERSE].sum(), self.totals[:, SKEW].sum()
         harmonic = self.n_cells / float(inverse) if np.isfinite(inverse) else 0.0
         counts = tuple(int(count) for count in self.totals[:, HISTOGRAM:].sum(axis=0))
-        return Skew(harmonic, float(total) / self.n_cells, float(self.lows[:, 0].min()), self.p01, counts)
+        return Skew(harmonic, float(total) / self.n_cells, self.worst[1], self.p01, counts)
 
 
-def measured(original: Original) -> Tally:
-    """Totals over the cells of the undeformed grid, found once."""
-    if original.measured is None:
-        original.measured = Tally(original, original.grid.points)
-    return cast("Tally", original.measured)
+def measured(original: Original) -> Comparison:
+    """The cells of the undeformed grid, measured once."""
+    return cast("Comparison", original.measured or Comparison(original, original.grid.points))
 
 
 def kth_smallest(ranks: Ranks, values: np.ndarray, k: int) -> float:
@@ -312,62 +330,6 @@ def kth_smallest(ranks: Ranks, values: np.ndarray, k: int) -> float:
     return float(np.sort(np.concatenate(ranks.gather([values[:k]])))[k - 1])
 
 
-def _extreme(cells: np.ndarray, values: FloatArray, sign: float = 1.0) -> tuple[int, float]:
-    """The cell with the smallest of the values (n,), or with ``sign`` -1 the largest, and that value."""
-    slab = int((sign * values).argmin())
-    return int(cells[slab]), float(values[slab])
-
-
 def measure_again(original: Original, points: FloatArray, cells: np.ndarray) -> CellMeasures:
     """Measures in double precision of cells, by number, with coordinates ``points`` (n_nodes, 3)."""
     return measure_cells(corners_of(original.grid, points, cells), original.sides(places(original.grid, cells)[0]))
-
-
-class Comparison:
-    """The cells with coordinates ``after`` (n_nodes, 3), measured, and the verdict on them."""
-
-    def __init__(self, original: Original, after: FloatArray):
-        n_slabs = len(slabs(original.grid))
-        self.verdict = Verdict.blank(original.grid)
-        # Smallest and largest volume ratio and smallest relative Jacobian, and their cells.
-        self._extremes, self._cells = np.empty((n_slabs, 3)), np.empty((n_slabs, 3), dtype=np.int64)
-
-        def put(number: int, slab: Slab, figures: SlabMeasures) -> None:
-            self.verdict.put(slab, figures)
-            self._extremes[number], self._cells[number] = _extremes(slab, figures)
-
-        self.after = Tally(original, after, put, (self._extremes, self._cells))
-        if after is original.grid.points:
-            original.measured = self.after
-        else:
-            # In double precision, as they were found in single precision.
-            cells, shape = self._cells.ravel(), self._cells.shape
-            old, new = (measure_again(original, points, cells) for points in (original.grid.points, after))
-            blank = np.full(cells.size, np.nan)
-            change = np.divide(new.volume, old.volume, out=blank, where=old.volume > 0).reshape(shape)
-            solid = np.isfinite(change[:, :2])
-            self._extremes[:, :2][solid] = change[:, :2][solid]
-            self._extremes[:, 2] = relative_jacobian(old.jacobian, new.jacobian).reshape(shape)[:, 2]
-
-    @property
-    def smallest_ratio(self) -> tuple[int, float]:
-        """The cell with the smallest corner Jacobian relative to the undeformed one, and its value."""
-        return _extreme(self._cells[:, 2], self._extremes[:, 2])
-
-    @property
-    def volume_ratios(self) -> tuple[tuple[int, float], tuple[int, float]] | None:
-        """The cells with the smallest and the largest volume relative to the undeformed one, and their values; ``None``
-        if no cell had a volume."""
-        low = _extreme(self._cells[:, 0], self._extremes[:, 0])
-        high = _extreme(self._cells[:, 1], self._extremes[:, 1], -1.0)
-        return None if low[1] > high[1] else (low, high)
-
-
-def _extremes(slab: Slab, f: SlabMeasures) -> tuple[tuple[float, float, float], tuple[int, int, int]]:
-    low = high = f.change
-    if not np.isfinite(f.change.sum()):
-        sound = np.isfinite(f.change)
-        low, high = (np.where(sound, f.change, other) for other in (np.inf, -np.inf))
-    at = int(low.argmin()), int(high.argmax()), int(f.ratio.argmin())
-    values = float(low[at[0]]), float(high[at[1]]), float(f.ratio[at[2]])
-    return values, (slab.start + at[0], slab.start + at[1], slab.start + at[2])

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..boundary import Boundary
-from ..grid import BoolArray, FloatArray, Grid, IntArray
+from ..grid import FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology, cells_behind
 from ..parallel import Nodes
@@ -100,34 +100,28 @@ def wall_cells(before: Grid, topology: Topology, after: FloatArray, quads: IntAr
     A cell gets the largest deviation of its grid lines at the wall in coordinates ``after`` (n_nodes, 3) and, of the
     ratios of first-cell heights after to before along them, the one farthest from 1.
     """
-    known = _of_no_cell(before), _of_no_cell(before)
     chosen = np.zeros(len(topology.partner), dtype=bool)
     chosen[quads] = True
     lines, normal = WallLines.off(before, topology, chosen), plane_normal(before)
     old, new = (lines.measure(points, normal) for points in (before.points, after))
     change = np.divide(new.height, old.height, out=np.full(len(old.height), np.nan), where=old.height > 0)
-    cells = cells_behind(before, topology, lines.quads)
-    own = _of_rank(known[0], cells)
-    cells, at = cells[own], lines.line[own]
-    np.fmax.at(Nodes.of(known[0]).rows, cells, new.angle[at].max(axis=1, initial=-np.inf))
     with np.errstate(divide="ignore"):
-        reach = np.abs(np.log(np.maximum(change, 0.0)))
-    # In ascending order, so that a cell keeps the last of its ratios, which is the farthest from 1.
-    order = np.argsort(np.where(np.isnan(reach), -1.0, reach)[at].ravel(), kind="stable")
-    Nodes.of(known[1]).rows[np.repeat(cells, at.shape[1])[order]] = change[at].ravel()[order]
-    return known
+        far = np.abs(np.log(np.maximum(change, 0.0)))
+    cells, pairs = cells_behind(before, topology, lines.quads), ((new.angle, new.angle), (change, far))
+    angle, ratio = (_largest(before, cells, values[lines.line], size[lines.line]) for values, size in pairs)
+    return angle, ratio
 
 
-def _of_no_cell(grid: Grid) -> FloatArray:
-    values: FloatArray = cells_alike(grid, np.float64)
-    Nodes.of(values).own[...] = np.nan
-    return values
-
-
-def _of_rank(values: FloatArray, cells: IntArray) -> BoolArray:
-    """Which of some cells belong to this rank."""
-    low, high = Nodes.of(values).ends
-    return np.asarray((cells >= low) & (cells < high))
+def _largest(grid: Grid, cells: IntArray, values: FloatArray, size: FloatArray) -> FloatArray:
+    """Of the ``values`` (m, k) of ``cells`` (m,) those with the largest ``size`` (m, k), in (n_cells,), else NaN."""
+    found: FloatArray = cells_alike(grid, np.float64)
+    nodes = Nodes.of(found)
+    nodes.own[...] = np.nan
+    own = (cells >= nodes.low) & (cells < nodes.high)
+    # In ascending order, so that a cell keeps the last one.
+    order = np.argsort(np.where(np.isnan(size), -1.0, size)[own].ravel(), kind="stable")
+    nodes.rows[np.repeat(cells[own], values.shape[1])[order]] = values[own].ravel()[order]
+    return found
 
 
 def interface_cells(
@@ -138,20 +132,13 @@ def interface_cells(
     A cell gets the largest magnitude among the grid lines through its faces; with coordinates ``before`` (n_nodes, 3),
     of the changes since these.
     """
-    kink, jump = _of_no_cell(grid), _of_no_cell(grid)
     quads = np.flatnonzero(topology.partner > np.arange(len(topology.partner)))
-    if quads.size == 0:
-        return kink, jump
     lines, _ = lines_across(grid, topology, quads)
+    cells = np.concatenate([cells_behind(grid, topology, sides) for sides in (quads, topology.partner[quads])])
     found = list(kink_and_jump(lines, after))
     if before is not None:
         found = [now - then for now, then in zip(found, kink_and_jump(lines, before), strict=True)]
-    for target, values in zip((kink, jump), found, strict=True):
-        worst = np.abs(values).max(axis=1)
-        for sides in (quads, topology.partner[quads]):
-            cells = cells_behind(grid, topology, sides)
-            own = _of_rank(target, cells)
-            np.fmax.at(Nodes.of(target).rows, cells[own], worst[own])
+    kink, jump = (_largest(grid, cells, *[np.tile(np.abs(values), (2, 1))] * 2) for values in found)
     return kink, jump
 
 

@@ -12,7 +12,7 @@ from ..grid import FloatArray, IntArray
 from ..numerics.cell.health import mark_unhealthy
 from ..parallel import Nodes
 from ..quality import Original
-from ..quality.validity import Comparison, Tally, Verdict
+from ..quality.validity import Comparison, Verdict
 from .tuned import COLLAPSED, HEALTHY, SOFT
 
 
@@ -89,5 +89,4 @@ class Judged:
 
     def smallest_scaled_jacobian(self, original: Original, rounded: Callable[[FloatArray], FloatArray]) -> float:
         """The smallest scaled Jacobian, of coordinates ``rounded`` to those that will be written."""
-        tally = self.cells.after if self.cells else Tally(original, rounded(self.points))
-        return tally.smallest_scaled[1]
+        return (self.cells or Comparison(original, rounded(self.points))).smallest_scaled[1]
