@@ -36,7 +36,7 @@ _SPELLED = bytes.maketrans(b",DQdq", b" EEEE")
 _WORD = re.compile(rb"[^\s,]+")
 _WHOLE_LINE = re.compile(rb"^(-?\d+)$", re.MULTILINE)
 _INTEGER = re.compile(rb"(?:\d+\*)?[+-]?\d+")
-_NULL_VALUE = re.compile(rb"(?:\A|,)\s*,")
+_NULL_VALUE = re.compile(rb",\s*,")
 _NUMBER = re.compile(
     rb"(?:(0*[1-9]\d*)\*)?"  # repeat count
     rb"(?:([+-]?(?:\d+\.?\d*|\.\d+))(?:[EDQ]([+-]?\d+)|([+-]\d+))?"  # the exponent letter may be missing before a sign
@@ -51,29 +51,23 @@ def read_numbers(stream: BinaryIO, path: Path) -> FloatArray:
     Accepts blanks, tabs, commas and line ends between numbers, repeat counts (``3*0.0``), and exponents with E, D, Q or
     no letter (``1.5-101``).
     """
-    line, found = 1, []
+    line, found, before = 1, [np.empty(0)], b","
     for piece in _pieces(stream):
+        if b"," in piece and (null := _NULL_VALUE.search(before + piece)):
+            place = _place(path, line, (before + piece)[: null.end()])
+            raise FormatError(f"{place}: no number before a comma; null values leave numbers undefined; write them out")
         found.append(_numbers_of_piece(piece, line, path))
-        line += piece.count(b"\n")
+        line, before = line + piece.count(b"\n"), piece.rstrip()[-1:] or before
     return np.concatenate(found)
 
 
 def _pieces(stream: BinaryIO) -> Iterator[bytes]:
-    """A whole text, without the byte order mark that some editors write, in pieces.
-
-    The last number of a piece, and a comma after it, are held back for the next one, which begins with it.
-    """
+    """A whole text, without the byte order mark that some editors write, in pieces of whole lines."""
     stream.seek(0)
     if stream.read(len(codecs.BOM_UTF8)) != codecs.BOM_UTF8:
         stream.seek(0)
-    rest = b""
-    while chunk := stream.read(_PIECE):
-        text = rest + chunk
-        words = text.rstrip(b" ,\t\r\n")
-        cut = 1 + max(words.rfind(gap) for gap in (b" ", b",", b"\t", b"\r", b"\n"))
-        yield text[:cut]
-        rest = text[cut:]
-    yield rest
+    while lines := stream.readlines(_PIECE):
+        yield b"".join(lines)
 
 
 def number_lines(values: NDArray[Any], dotted: bool = False) -> bytes | memoryview:
@@ -90,9 +84,6 @@ def number_lines(values: NDArray[Any], dotted: bool = False) -> bytes | memoryvi
 
 def _numbers_of_piece(text: bytes, line: int, path: Path) -> FloatArray:
     """The numbers in a piece of text that begins on line ``line``."""
-    if b"," in text and (null := _NULL_VALUE.search(text)):
-        place = _place(path, line, text[: null.end()])
-        raise FormatError(f"{place}: no number before a comma; null values leave numbers undefined; write them out")
     if b"*" not in text and b"_" not in text:
         # Python also reads 1_000. What it does not read may be an exponent without a letter, or no number.
         with contextlib.suppress(ValueError):
@@ -117,8 +108,8 @@ def _numbers_of_piece(text: bytes, line: int, path: Path) -> FloatArray:
 
 
 def _place(path: Path, line: int, before: bytes) -> str:
-    newlines = before.count(b"\n")
-    return f"{path}, line {line + newlines}"
+    line += before.count(b"\n")
+    return f"{path}, line {line}"
 
 
 # --- grids
@@ -132,7 +123,7 @@ def read_ascii(path: Path, options: Mapping[str, Any]) -> Grid:
     def proved_by_notation(readings: list[Reading]) -> list[Reading]:
         """The readings that the notation of the numbers proves: none if real numbers are written as integers."""
         with path.open("rb") as stream:
-            last = deque(_pieces(stream), maxlen=1)[0]
+            last = deque((piece for piece in _pieces(stream) if not piece.isspace()), maxlen=1)[0]
             if not _INTEGER.fullmatch(_WORD.findall(last)[-1]):
                 return [reading for reading in readings if not reading.variant.iblank]
             integers = (word for piece in _pieces(stream) for word in _WORD.findall(piece) if _INTEGER.fullmatch(word))

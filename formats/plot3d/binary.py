@@ -14,7 +14,7 @@ import math
 import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import accumulate, chain, product, takewhile
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -165,98 +165,78 @@ Record = tuple[tuple[int, int], ...]
 """One logical record: the (offset, length) of its data, more than one pair if it has subrecords."""
 
 
-@dataclass(frozen=True)
-class Walk:
-    """The records found in a file, and the problem that ended the search before the end of the file."""
-
-    size: int
-    records: list[Record]
-    problem: str
-
-    @property
-    def lengths(self) -> list[int]:
-        """Bytes of data in each record."""
-        return [sum(length for _, length in record) for record in self.records]
-
-
-def walk_records(stream: BinaryIO, variant: Variant) -> Walk:
-    """Walk through a file that may consist of records with the variant's byte order and markers."""
+def walk_records(stream: BinaryIO, variant: Variant) -> tuple[list[Record], str]:
+    """The records of a file that may have the variant's byte order and markers, and the problem that ended the search
+    before the end of the file."""
     size, width = os.fstat(stream.fileno()).st_size, variant.marker.itemsize
-    records: list[Record] = []
-    segments: list[tuple[int, int]] = []
-    position = 0
+    records, segments, position = list[Record](), list[tuple[int, int]](), 0
+
+    def marker(offset: int) -> int:
+        stream.seek(offset)
+        return int(np.frombuffer(stream.read(width).ljust(width, b"\0"), variant.marker)[0])
+
     while position < size:
-        place = f"record {len(records) + 1} at byte {position}"
-        before = _marker(stream, position, variant)
+        place, before = f"record {len(records) + 1} at byte {position}", marker(position)
         end = position + width + abs(before)
         if before == 0 or end + width > size:
             left = max(size - position - width, 0)
-            return Walk(size, records, f"{place} declares {abs(before)} bytes of data and {left} follow")
-        after = _marker(stream, end, variant)
+            return records, f"{place} declares {abs(before)} bytes of data and {left} follow"
+        after = marker(end)
         if abs(after) != abs(before) or (after < 0) != bool(segments):
-            return Walk(size, records, f"{place} has the marker {before} before its data and {after} after them")
+            return records, f"{place} has the marker {before} before its data and {after} after them"
         segments.append((position + width, abs(before)))
         position = end + width
         if before > 0:
             records.append(tuple(segments))
             segments = []
-    return Walk(size, records, f"record {len(records) + 1} lacks its last subrecord" if segments else "")
-
-
-def _marker(stream: BinaryIO, offset: int, variant: Variant) -> int:
-    width = variant.marker.itemsize
-    stream.seek(offset)
-    return int(np.frombuffer(stream.read(width).ljust(width, b"\0"), variant.marker)[0])
+    return records, f"record {len(records) + 1} lacks its last subrecord" if segments else ""
 
 
 def fortran_readings(stream: BinaryIO) -> Iterator[Reading]:
     """Readings of a file that begins with valid records of the size of a header."""
+    size = os.fstat(stream.fileno()).st_size
     for byte_order, markers in product(("little", "big"), (4, 8)):
         base = Variant(byte_order=byte_order, markers=markers)
-        walk = walk_records(stream, base)
-        if not walk.records or walk.lengths[0] not in (4, 8, 12):
+        records, problem = walk_records(stream, base)
+        found = [sum(length for _, length in record) for record in records]
+        if not found or found[0] not in (4, 8, 12):
             continue
         content = bytearray()
-        for offset, length in chain.from_iterable(walk.records[: 1 + MOST_BLOCKS]):
+        for offset, length in chain.from_iterable(records[: 1 + MOST_BLOCKS]):
             stream.seek(offset)
             content += stream.read(min(length, 4 * LONGEST_HEADER - len(content)))
         integers = np.frombuffer(content, base.integer, count=len(content) // 4).astype(np.int64)
-        ends, fits = list(accumulate(walk.lengths[: 1 + MOST_BLOCKS])), False
+        ends, fits = list(accumulate(found[: 1 + MOST_BLOCKS])), False
         for header in header_variants(encoding="fortran", byte_order=byte_order, markers=markers):
-            shapes = header_shapes(integers, header.multiblock, header.dimension, walk.size)
+            shapes = header_shapes(integers, header.multiblock, header.dimension, size)
             length = 4 * (int(header.multiblock) + header.dimension * len(shapes or ()))
             # The block sizes may be in one record or in several.
-            if shapes and ends[0] == (4 if header.multiblock else length) and length in ends:
-                fits = True
-                yield from _data_readings(header, shapes, walk, ends.index(length) + 1)
+            if not shapes or ends[0] != (4 if header.multiblock else length) or length not in ends:
+                continue
+            fits, used, planes = True, ends.index(length) + 1, sum(nk for _, _, nk in shapes)
+            for precision, per in product(("float64", "float32"), ("block", "array", "plane")):
+                # Blocks of one plane have the same records in both forms.
+                if per != "plane" or len(shapes) < planes <= ABSURD * len(found):
+                    variant = replace(header, precision=precision, records=per)
+                    expected = found[:used] + [length for shape in shapes for length in record_lengths(variant, shape)]
+                    good, defect = _agreement(found, expected, problem)
+                    marks = 2 * variant.marker.itemsize
+                    needed = (length + marks * math.ceil(length / _longest(variant)) for length in expected)
+                    segments = tuple(chain.from_iterable(records[used:]))
+                    yield Reading(variant, shapes, sum(needed) if defect else size, segments, (1, good), defect)
         if not fits:
             defect = f"its header {integers[:9].tolist()} is not a block count with sizes that fill whole records"
-            yield Reading(base, (), walk.size, (), (1, 0), defect)
+            yield Reading(base, (), size, (), (1, 0), defect)
 
 
-def _data_readings(header: Variant, shapes: tuple[Shape, ...], walk: Walk, used: int) -> Iterator[Reading]:
-    """All possible readings of the records after the ``used`` records of the header."""
-    found, segments = walk.lengths, tuple(chain.from_iterable(walk.records[used:]))
-    planes = sum(nk for _, _, nk in shapes)
-    for precision, per in product(("float64", "float32"), ("block", "array", "plane")):
-        # Blocks of one plane have the same records in both forms.
-        if per == "plane" and not len(shapes) < planes <= ABSURD * len(found):
-            continue
-        variant = replace(header, precision=precision, records=per)
-        expected = found[:used] + [length for shape in shapes for length in record_lengths(variant, shape)]
-        good = len(list(takewhile(lambda pair: pair[0] == pair[1], zip(found, expected, strict=False))))
-        # The fault of the first record after the good ones.
-        if good < min(len(found), len(expected)):
-            defect = f"record {good + 1} holds {found[good]} bytes where {expected[good]} are expected"
-        elif len(found) > len(expected):
-            defect = f"record {len(expected) + 1} is surplus"
-        else:
-            defect = walk.problem or (f"record {good + 1} is missing" if len(found) < len(expected) else "")
-        size = walk.size
-        if defect:
-            marks = 2 * variant.marker.itemsize
-            size = sum(length + marks * math.ceil(length / _longest(variant)) for length in expected)
-        yield Reading(variant, shapes, size, segments, (1, good), defect)
+def _agreement(found: Sequence[int], expected: Sequence[int], problem: str) -> tuple[int, str]:
+    """How many of the first records hold as many bytes as expected, and the fault of the one after them."""
+    good = len(list(takewhile(lambda pair: pair[0] == pair[1], zip(found, expected, strict=False))))
+    if good < min(len(found), len(expected)):
+        return good, f"record {good + 1} holds {found[good]} bytes where {expected[good]} are expected"
+    if len(found) > len(expected):
+        return good, f"record {len(expected) + 1} is surplus"
+    return good, problem or (f"record {good + 1} is missing" if len(found) < len(expected) else "")
 
 
 def record_lengths(variant: Variant, shape: Shape) -> list[int]:

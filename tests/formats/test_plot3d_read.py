@@ -178,7 +178,7 @@ ASCII = {
     "null value": ("1\n2 2 1\n1.0,,2.0 3.0", "line 3: no number before a comma"),
     "null value over lines": ("1\n2 2 1\n1.0,\n  ,2.0 3.0", "line 4: no number before a comma"),
     "slash": ("1\n2 2 1\n1.0 2.0 /", "line 3: found '/'"),
-    "absurd repeat count": ("1\n2 2 1\n999999999999*1.0", "line 3: from here on repeat counts give 999999999999"),
+    "absurd repeat count": ("1\n2 2 1\n999999999999*1.0", "line 1: from here on repeat counts give 1000000000003"),
     "underscores": ("1\n2 2 1\n1_0 2", "line 3: found '1_0'"),
     "sizes that are no integers": ("1\n2.5 2 1\n" + "1.0 " * 12, "no variant|not a Plot3D grid"),
     "absurd size": ("1\n99999 99999 99999\n1.5 2.5", "fits no variant|is not a Plot3D grid"),
