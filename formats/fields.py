@@ -33,9 +33,6 @@ def check_fields(names: Sequence[str], target: Path, compared: bool) -> None:
     ----------
     target : the output file or, for a series, a name with its suffix
     compared : whether there is an undeformed grid
-
-    Raises CaseError or FormatError when a name is unknown or needs the undeformed grid, or when files of this format
-    cannot hold fields.
     """
     for name in names:
         if name not in _KNOWN:

@@ -72,10 +72,7 @@ def partial_path(target: Path) -> Path:
 
 
 def require_replaceable(target: Path) -> None:
-    """Refuse a target that exists and is not a regular file: a pipe would be replaced, not written to.
-
-    Raises FormatError when ``target``, or what it links to, is a folder, a pipe, a socket or a device.
-    """
+    """Refuse a target that exists and is not a regular file: a pipe would be replaced, not written to."""
     with contextlib.suppress(OSError, ValueError):
         if kind := _kind_of(target.stat().st_mode):
             raise FormatError(f"cannot write {target}: it is {kind}; give a file name")
@@ -152,8 +149,6 @@ def require_regular(path: Path, what: str = "") -> None:
     """Refuse anything but a regular file before opening it: opening a pipe without a writer would block forever.
 
     ``what`` describes the file in messages, such as ``the case file``.
-
-    Raises FormatError when ``path`` does not exist or is a folder, a pipe, a socket or a device.
     """
     label = f"{what} {path}".lstrip()
     try:
@@ -172,10 +167,7 @@ def shown(path: Path) -> str:
 
 
 def read_head(path: Path) -> bytes:
-    """The first kilobyte of a file, by which formats are distinguished.
-
-    Raises FormatError when the file cannot be read or is empty.
-    """
+    """The first kilobyte of a file, by which formats are distinguished."""
     require_regular(path)
     try:
         with path.open("rb") as stream:

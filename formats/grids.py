@@ -118,10 +118,7 @@ _ON_LINE = 1e-13
 
 
 def require_plausible(grid: Grid, path: Path) -> None:
-    """Refuse coordinates that are not finite, implausibly large, or all at one point or on one line.
-
-    Raises GridError naming the first such node.
-    """
+    """Refuse coordinates that are not finite, implausibly large, or all at one point or on one line."""
     bad: list[IntArray] = []
 
     def judge(rows: slice) -> None:
@@ -184,8 +181,6 @@ def layout_of(path: Path, options: Mapping[str, Any] | None = None) -> Layout | 
     because of its format or an ambiguous variant.
 
     ``options`` as for :func:`read_grid`, which reports files that cannot be read.
-
-    Raises FormatError when the header is damaged.
     """
     module = FORMATS[format_at(path)].load()
     found = module.layout(path, **(options or {})) if hasattr(module, "layout") else None
@@ -255,8 +250,6 @@ def require_earlier_grid(path: Path, grid: Grid) -> None:
     """Refuse to replace a file that is not an earlier version of ``grid``: one with the same blocks.
 
     Formats that are only written cannot be checked.
-
-    Raises FormatError when there is anything else at ``path``.
     """
     if not path.exists() or not hasattr(FORMATS[format_of(path)].load(), "read"):
         return

@@ -40,8 +40,6 @@ def require_no_input(output: Path, inputs: Iterable[Path | None]) -> None:
     """Refuse an output that would replace a file that the run reads, under any name.
 
     The pieces of multi-block sets and the targets of links in CGNS files are included on both sides.
-
-    Raises FormatError naming both files.
     """
     outputs: Iterable[Path] = [output]
     if output.suffix.lower() == ".foam":

@@ -93,10 +93,7 @@ class Stored:
         return cls(path, dtype, (nj, ni), at + sum(each.start for each in own[2:]) * step, step, core=core, size=size)
 
     def require_room(self, shape: Shape) -> None:
-        """Require that the values of a block of this shape are what the file has room for.
-
-        Raises FormatError with both numbers of bytes, or of values in a plane.
-        """
+        """Require that the values of a block of this shape are what the file has room for."""
         ni, nj, nk = shape
         plane = self.plane[:2] if self.core is None else tuple(part.stop - part.start for part in self.core)
         if plane != (nj, ni):
@@ -107,10 +104,7 @@ class Stored:
             raise FormatError(f"cannot write {self.path}: a block has {found}; the file has room for {self.size} bytes")
 
     def read(self, first: int, last: int) -> NDArray[Any]:
-        """The planes first <= k < last.
-
-        Raises FormatError when the file ends before them or cannot be read.
-        """
+        """The planes first <= k < last."""
         values = np.empty((last - first, *self.plane), self.dtype)
         try:
             with self.path.open("rb", buffering=0) as file:
@@ -128,10 +122,7 @@ class Stored:
         return values[:, *self.core] if self.core else values
 
     def write(self, first: int, values: NDArray[Any], synchronous: bool = False) -> None:
-        """Write planes (n, *plane) from k = ``first`` on into the file, which the first rank has created.
-
-        Raises FormatError when the file does not exist for this process.
-        """
+        """Write planes (n, *plane) from k = ``first`` on into the file, which the first rank has created."""
         stored = np.ascontiguousarray(values, self.dtype)
         if self.core:
             around = dataclasses.replace(self, core=None).read(first, first + len(values))
@@ -290,10 +281,7 @@ def _ranges(outputs: Iterable[Output]) -> list[tuple[Output, Planes]]:
 
 
 def _write_parts(grid: Grid, outputs: Sequence[Output]) -> None:
-    """As :func:`write_outputs`, for a grid in parts: ranks that share a block exchange their parts of k planes.
-
-    Raises OSError or FormatError on all ranks, the first error of any of them.
-    """
+    """As :func:`write_outputs`, for a grid in parts: ranks that share a block exchange their parts of k planes."""
     ranks, failures = grid.nodes.ranks, list[Exception]()
     for turn in _turns(grid, grid.nodes.bounds, outputs):
         sends, receives, own = {}, {}, None

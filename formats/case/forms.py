@@ -65,10 +65,7 @@ def placed(where: str) -> Iterator[None]:
 
 
 def plain(value: Any, place: str = "") -> Any:
-    """Tables, also those made in Python, in the types of TOML: dictionaries, lists, finite numbers, texts.
-
-    Raises CaseError with the ``place`` of numbers that TOML or a case cannot have.
-    """
+    """Tables, also those made in Python, in the types of TOML: dictionaries, lists, finite numbers, texts."""
     if place.count(".") > _DEEPEST:
         raise CaseError(f"its tables are nested more than {_DEEPEST} deep; expected a case like that of a case file")
     if isinstance(value, Mapping):
@@ -86,10 +83,7 @@ def plain(value: Any, place: str = "") -> Any:
 
 
 def filled(form: type[Of], content: Table) -> Of:
-    """The ``content`` as a form.
-
-    Raises CaseError with the place, what was found and expected, and for unknown keys the nearest known one.
-    """
+    """The ``content`` as a form."""
     try:
         return msgspec.convert(content, form)
     except msgspec.ValidationError as error:

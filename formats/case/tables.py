@@ -29,10 +29,7 @@ _MAXIMUM = 1_000_000
 
 
 def parse_times(text: str, where: str) -> tuple[float, ...]:
-    """``START:STOP:STEP`` (STOP included if the steps reach it) or numbers separated by commas.
-
-    Raises CaseError for anything else, and for times that are not ascending.
-    """
+    """``START:STOP:STEP`` (STOP included if the steps reach it) or numbers separated by commas."""
     parts = text.split(":")
     try:
         numbers = [float(part) for part in (parts if len(parts) > 1 else text.split(","))]
@@ -88,10 +85,7 @@ def sequence_files(value: str | list[str], folder: Path) -> list[Path]:
 def files_over_time(
     files: str | list[str], times: str | list[float] | None, folder: Path
 ) -> tuple[list[Path], tuple[float, ...]]:
-    """Files, which must exist, and their times, one for each file.
-
-    Raises CaseError when files are missing, or their number differs from that of the times.
-    """
+    """Files, which must exist, and their times, one for each file."""
     paths = sequence_files(files, folder)
     for path in paths:
         if not path.is_file():
@@ -113,10 +107,7 @@ _MOST_POINTS = 100_000
 
 
 def read_columns(path: Path, header: str) -> dict[str, FloatArray]:
-    """Columns (n,) of a table by their names, in lower case; ``header`` is an example of its first line.
-
-    Raises FormatError with the line, for anything but a header and rows of finite numbers.
-    """
+    """Columns (n,) of a table by their names, in lower case; ``header`` is an example of its first line."""
     head, lines, rows = _read_rows(path)
     if not head and not lines:
         raise FormatError(f"{path} is empty; expected a header like {header} and rows of numbers")
@@ -132,10 +123,7 @@ def read_columns(path: Path, header: str) -> dict[str, FloatArray]:
 
 
 def read_history(path: Path) -> dict[str, FloatArray]:
-    """Columns (n,) by name of a table whose first column is the time ``t``, which ascends.
-
-    Raises FormatError as :func:`read_columns`, and for times that do not ascend.
-    """
+    """Columns (n,) by name of a table whose first column is the time ``t``, which ascends."""
     table = read_columns(path, "t,x,y,z")
     if next(iter(table)) != "t":
         raise FormatError(f"{path} has the columns {' '.join(table)[:60]}; expected a header like t,x,y,z")
@@ -158,15 +146,7 @@ def history(table: Mapping[str, FloatArray], wanted: Sequence[str], path: Path) 
 
 def read_beam(path: Path) -> Beam:
     """Stations of a beam, undeformed, with displacement and rotation, in their order along the beam; for several times,
-    column ``t``, the same stations at each.
-
-    Raises
-    ------
-    FormatError
-        For columns that are missing or unknown, and stations that differ between times.
-    MotionError
-        As :meth:`.Beam.of`.
-    """
+    column ``t``, the same stations at each."""
     table = read_columns(path, "t,x,y,z,dx,dy,dz,rx,ry,rz")
     found = [kind for kind in (_ROTATION_VECTOR, _WIENER_MILENKOVIC) if set(kind) & set(table)]
     wanted = {"x", "y", "z", "dx", "dy", "dz", *(found[0] if len(found) == 1 else ())}
@@ -209,8 +189,6 @@ def read_airfoil(path: Path) -> FloatArray:
 
     Selig's form has the points in this order; Lednicer's has the numbers of points of both sides first, and each side
     from the leading edge. Lines of text at the beginning are the name.
-
-    Raises FormatError with the line.
     """
     _, lines, points = _read_rows(path)
     if not 5 <= len(lines) <= _MOST_POINTS or points.shape[1] != 2:
@@ -232,10 +210,7 @@ def read_airfoil(path: Path) -> FloatArray:
 
 
 def read_positions(path: Path) -> Positions:
-    """SU2's ``surface_positions.dat``: the number and the new coordinates of a point in each line.
-
-    Raises FormatError with the line; and for a number with two positions.
-    """
+    """SU2's ``surface_positions.dat``: the number and the new coordinates of a point in each line."""
     _, lines, rows = _read_rows(path)
     if not lines:
         raise FormatError(f"{path} has no positions; expected lines of a number and coordinates")
@@ -254,10 +229,7 @@ def read_positions(path: Path) -> Positions:
 
 def _read_rows(path: Path) -> tuple[list[tuple[int, str]], list[int], FloatArray]:
     """Number and text of the lines of text at the beginning of a file; then its rows of numbers (n, m), and the line of
-    each. Comments between rows are skipped.
-
-    Raises FormatError with the line, for anything else, and for numbers beyond those that coordinates can have.
-    """
+    each. Comments between rows are skipped."""
     require_regular(path)
     if path.stat().st_size > _LARGEST:
         raise FormatError(f"{path} is larger than any such table ({_LARGEST >> 20} MiB)")

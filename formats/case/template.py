@@ -52,10 +52,7 @@ class FittedTable:
 
 
 def fitted_table(grid: Grid, topology: Topology, path: Path, name: str) -> FittedTable:
-    """Find the wall that the table ``path`` fits; ``name`` is the file's name as the case file will have it.
-
-    Raises CaseError, FormatError or MotionError when the file is not a table of points, or its points lie on no wall.
-    """
+    """Find the wall that the table ``path`` fits; ``name`` is the file's name as the case file will have it."""
     data = read_displacement(path)
     if not isinstance(data, SurfaceData):
         raise CaseError(

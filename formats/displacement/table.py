@@ -223,10 +223,7 @@ def read_displacement(path: str | Path) -> SurfaceData | Grid:
 
 
 def write_displacement(path: str | Path, data: SurfaceData) -> None:
-    """Write a table as text (``.csv``, exact) or ``.npz`` (with triangles), replacing ``path`` as a whole.
-
-    Raises FormatError for another suffix, or when the file cannot be written.
-    """
+    """Write a table as text (``.csv``, exact) or ``.npz`` (with triangles), replacing ``path`` as a whole."""
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in (".csv", ".npz"):

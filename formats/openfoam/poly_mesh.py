@@ -76,7 +76,7 @@ class PolyMesh:
 def poly_mesh(grid: Grid, thickness: float, declared: Mapping[str, tuple[str, ...]] | None) -> PolyMesh:
     """The mesh of a grid; a 2-D grid becomes one layer of cells of this thickness.
 
-    ``declared``: as of :func:`.patches.boundary_patches`.
+    ``declared``: as of :func:`boundary_patches`.
     """
     solid = extruded(grid, thickness)
     topology = separated(solid, find_topology(solid))
