@@ -2,6 +2,7 @@
 
 import contextlib
 import multiprocessing
+import pickle
 import traceback
 
 import numpy as np
@@ -22,8 +23,8 @@ class ForkedRank(Ranks):
 
     def _exchange(self, what):
         """What every rank has sent, in rank order."""
-        self._hub.send(what)
-        return self._hub.recv()
+        self._hub.send_bytes(pickle.dumps(what))
+        return [pickle.loads(self._hub.recv_bytes()) for _ in range(self.count)]
 
     def gather(self, found):
         return [each for own in self._exchange(list(found)) for each in own]
@@ -83,41 +84,38 @@ def on_ranks(count, action):
         fork.start()
     try:
         while True:
+            # Messages are passed on as they are; an empty one announces the result of a rank, or its error.
             sent = [_received(hub, forks) for hub in hubs]
-            if any(isinstance(each, _End) for each in sent):
-                assert all(isinstance(each, _End) for each in sent), "some ranks have ended, others exchange data"
-                return [each.result for each in sent]
+            if not all(sent):
+                ends = [hub.recv() for hub, message in zip(hubs, sent, strict=True) if not message]
+                for _, failure in ends:
+                    if failure:
+                        raise Failed(failure)
+                assert len(ends) == count, "some ranks have ended, others exchange data"
+                return [result for result, _ in ends]
             for hub in hubs:
-                hub.send(sent)
+                for message in sent:
+                    hub.send_bytes(message)
     finally:
         for fork in forks:
             fork.kill()
             fork.join()
 
 
-class _End:
-    """The end of a rank: its result, or the text of its error."""
-
-    def __init__(self, result, failure=""):
-        self.result, self.failure = result, failure
-
-
 def _run(number, count, hub, action):
     try:
         with sharing(ForkedRank(number, count, hub), 1):
-            end = _End(action(number))
+            result, failure = action(number), ""
     except BaseException:
-        end = _End(None, traceback.format_exc())
-    hub.send(end)
+        result, failure = None, traceback.format_exc()
+    hub.send_bytes(b"")
+    hub.send((result, failure))
 
 
 def _received(hub, forks):
     if not hub.poll(_PATIENCE):
         raise Failed(f"a rank waits in vain; alive: {[fork.is_alive() for fork in forks]}")
-    found = hub.recv()
-    if isinstance(found, _End) and found.failure:
-        raise Failed(found.failure)
-    return found
+    return hub.recv_bytes()
 
 
 def poison_parts(monkeypatch):

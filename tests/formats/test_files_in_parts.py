@@ -29,7 +29,7 @@ from meshdeform_formats.grids import read_grid, write_grid
 from meshdeform_formats.report.page import deformation_figures
 from meshdeform_formats.series.outputs import LevelFiles
 
-TIMES = (0.0, 0.5, 2.0, 3.0)
+TIMES = (0.0, 0.5, 2.0)
 
 
 @pytest.fixture(autouse=True)
@@ -73,7 +73,7 @@ def scaled(points):
 
 
 def series_of(source, name, velocity, options=None, case=None):
-    """Write all levels of a series, the last two of them again after a fresh start."""
+    """Write all levels of a series, the last one again after a fresh start."""
     case = case or Case(tuple(body_specs(turning("5*t"))), method=Options("idw-tfi"), repair=RepairOptions(mode="off"))
 
     def act(folder):
@@ -90,7 +90,7 @@ def series_of(source, name, velocity, options=None, case=None):
 
 
 def test_velocities_and_swept_volumes(tmp_path):
-    write_grid(frame(4, 3), tmp_path / "grid.cgns")
+    write_grid(frame(3, 2), tmp_path / "grid.cgns")
     same_files(tmp_path, 3, series_of(tmp_path / "grid.cgns", "wing.cgns", "swept"))
 
 
@@ -127,7 +127,7 @@ def test_a_sample_of_all_ranks_decides_between_several_readings(blanked, tmp_pat
 @pytest.mark.parametrize("make", [frame, pytest.param(frame_2d, marks=pytest.mark.slow)])
 def test_fields_at_cells_and_nodes(make, tmp_path):
     """All measures, also of cells at walls, beside interfaces and beside cuts; some cells are invalid."""
-    write_grid(make(9), tmp_path / "grid.cgns")
+    write_grid(make(6), tmp_path / "grid.cgns")
     body = replace(body_specs(turning(100.0))[0], select=("*",))
     sides = (body,) if make is frame_2d else tuple(body_specs(turning(100.0)))
     case = Case(sides, method=Options("tfi"), repair=RepairOptions(mode="off"))
@@ -265,7 +265,7 @@ def test_values_of_a_field_are_not_taken_for_those_of_all_ranks(tmp_path):
 
 @pytest.mark.skipif(not hasattr(os, "O_DSYNC"), reason="no synchronous writing here")
 def test_ranks_on_several_machines_write_levels_synchronously(tmp_path, monkeypatch):
-    write_grid(frame(5, 4), tmp_path / "grid.xyz")
+    write_grid(frame(3, 2), tmp_path / "grid.xyz")
     (tmp_path / "out").mkdir()
     opened, begin = [], os.open
 
