@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from meshdeform_core.boundary.classification import largest_displacement
-from meshdeform_core.boundary.crossing import find_pinned
 from meshdeform_core.deform import Setup, Timing, impose
 from meshdeform_core.grid import FileFormat, Grid
 from meshdeform_core.memory import Demand, MemoryLimit, Work, readable
 from meshdeform_core.methods.limits import patch_motions
 from meshdeform_core.parallel import current_ranks
+from meshdeform_core.quality.listed import find_pinned
 from meshdeform_core.repair.options import Limit
 from meshdeform_core.stepping import Course, doubts
 from meshdeform_core.wording import counted
@@ -107,7 +107,7 @@ def forecast(setup: Setup, time: float, steps: int | str | None, precision: str)
     grid as the run would. It does not cover smaller steps and repairs, which the run tries afterwards.
     """
     contact = setup.undeformed.contact(functools.partial(setup.displacement, time))
-    pinned = find_pinned(setup.grid, setup.topology, setup.boundary, setup.displacement(time))
+    pinned = find_pinned(setup.original, setup.boundary, setup.displacement(time))
     certain: list[str] = [found for found in (contact and contact.message, pinned) if found]
     count = steps if isinstance(steps, int) else 1
     if setup.grid.n_nodes * count > TRIAL_NODES:

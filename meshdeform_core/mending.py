@@ -11,7 +11,6 @@ import numpy as np
 
 from .boundary import Boundary, Kind, classify
 from .boundary.classification import ClassifiedPatch, with_plates
-from .boundary.crossing import find_pinned
 from .boundary.motions.motion import GIVEN
 from .boundary.tables import BoundaryNodes
 from .deform import impose
@@ -26,6 +25,7 @@ from .numerics.geometry.coincidence import distinct
 from .overset import undeformed_of
 from .quality import Assessment, Original, assess
 from .quality.difference import require_same_blocks
+from .quality.listed import find_pinned
 from .quality.validity import Comparison, judge
 from .repair.constraints import Constraints
 from .repair.options import Limit
@@ -134,7 +134,7 @@ def mend(
     notes = [*original.notes, *(boundary.notes if case.boundaries else ())]
     if not found.verdict.valid:
         change = (grid.points - original.points)[topology.first]
-        crossings, pinned = undeformed.crossings(change), find_pinned(original, topology, boundary, change)
+        crossings, pinned = undeformed.crossings(change), find_pinned(undeformed.original, boundary, change)
         reasons = [f"the boundary crosses itself, so no valid grid exists: {each}" for each in crossings[:1]]
         reasons += [pinned] if pinned else []
         notes += reasons or ["no valid grid was found; whether there is one is not known"]

@@ -18,7 +18,7 @@ import numpy as np
 
 from .boundary import Kind
 from .boundary.classification import largest_displacement, overlap_advice
-from .boundary.crossing import find_pinned, torn_faces
+from .boundary.crossing import torn_faces
 from .boundary.motions.motion import positions_as_displacements
 from .errors import MethodError
 from .grid import FloatArray
@@ -27,6 +27,7 @@ from .grid.openings import find_overlaps
 from .methods import Account, Options, PreparedMethod, Progress, prepare_method
 from .numerics.arrays import extent
 from .parallel import Nodes
+from .quality.listed import find_pinned
 from .quality.validity import Comparison, Verdict, judge
 from .repair.options import Effort, Limit
 from .repair.outcome import Judged, Repair, unhealthy_cells
@@ -388,7 +389,7 @@ def until_valid(state: State) -> State:
     reasons, fraction = list[str](), 1.0
     if not plain.valid:
         setup, contact = course.setup, course.setup.undeformed.contact(course.path)
-        pinned = find_pinned(setup.grid, setup.topology, setup.boundary, course.total)
+        pinned = find_pinned(setup.original, setup.boundary, course.total)
         reasons = [found for found in (contact and contact.message, pinned) if found]
         fraction = contact.fraction if contact else 1.0
     best = repaired(plain, "hasty" if reasons else "quick")

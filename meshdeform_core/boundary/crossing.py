@@ -25,7 +25,6 @@ from ..grid.planes import plane_normal
 from ..grid.topology import Topology
 from ..memory import release_freed
 from ..numerics.arrays import places_among
-from ..numerics.cell.measures import cell_corners, corner_steps, corners_and_edges, scaled_jacobians
 from ..numerics.geometry.coincidence import connected_rows, distinct
 from ..numerics.geometry.crossing import BESIDE, ORDINARY, SLIDING, FaceTree, crossing_faces, near_faces
 from ..numerics.geometry.vectors import plane_winding, winding
@@ -39,8 +38,6 @@ TOUCH = 1e-7
 _HALVINGS = 20
 # Faces from which it is worth some milliseconds to return freed memory to the system around the making of their tree.
 _LARGE = 1 << 17
-# Corners of undeformed cells flatter than this, relative to the product of their edges, are collapsed and not judged.
-_COLLAPSED = 1e-10
 _TORN = 0.5
 """Faces are torn where their nodes move apart by more than this share of their distance."""
 # How close undeformed faces of abutting blocks are to each other, relative to their shortest edge.
@@ -51,13 +48,10 @@ _PARTS, _PLACES, _INSIDE = 16, 3, 1e-6
 
 @dataclass(frozen=True)
 class Crossing:
-    """Two patches, or two parts of one, that pass through each other.
+    """Two ``patches``, by name, or two parts of one, that pass through each other, ``count`` pairs of faces of them;
+    ``point`` is in their intersection.
 
-    Attributes
-    ----------
-    patches : their names; a fixed face that a moving patch drags along counts as part of that patch
-    point : a point of their intersection (grid length unit)
-    count : pairs of faces that cross
+    A fixed face that a moving patch drags along counts as part of that patch.
     """
 
     patches: tuple[str, str]
@@ -73,13 +67,8 @@ class Crossing:
 
 @dataclass(frozen=True)
 class Contact:
-    """When and where a moving boundary begins to cross itself.
-
-    Attributes
-    ----------
-    fraction : fraction of the motion up to which it does not cross itself
-    crossings : the patches that meet there, those with most faces first
-    """
+    """A moving boundary does not cross itself up to ``fraction`` of its motion; there the patches in ``crossings``
+    meet, those with most faces first."""
 
     fraction: float
     crossings: tuple[Crossing, ...]
@@ -291,39 +280,6 @@ class _Surface:
         crossing[pairs] = True
         close = np.maximum(_ABUTTING * self.edge, 4.0 * self._amplitude(gap))[self.faces].min(axis=1)
         return np.asarray(~near_faces(self.points, self.faces, crossing, close)[pairs].all(axis=1))
-
-
-def find_pinned(grid: Grid, topology: Topology, boundary: Boundary, displacement: FloatArray) -> Notice | None:
-    """Warning about cells with only prescribed nodes that a displacement (n_unique, 3) of the boundary inverts.
-
-    Inverted means that the Jacobian at a corner that was not collapsed changes sign or vanishes.
-    """
-    known = np.zeros(grid.n_nodes, dtype=bool)
-    known[topology.face_nodes] = boundary.known[topology.number]
-    normal, count, name, place = plane_normal(grid), 0, "", ""
-    side = 1.0 if normal is None else normal
-    for block, shape in enumerate(grid.shapes):
-        inside = np.flatnonzero(cell_corners(grid.block(block, known)).all(axis=1))
-        cells = np.stack(np.unravel_index(inside, grid.cell_shapes[block]), axis=1)
-        starts = grid.offsets[block] + np.ravel_multi_index(tuple(cells.T), shape)
-        corners = starts[:, None] + corner_steps(np.array([shape]), grid.dimension)
-        before = grid.nodes.at(corners)
-        after = before + displacement[topology.numbers_of(corners.ravel())].reshape(before.shape)
-        old = scaled_jacobians(corners_and_edges(before, side))
-        new = np.stack([jacobian for jacobian, _ in corners_and_edges(after, side)], axis=1)
-        bad = ((np.abs(old) > _COLLAPSED) & (new * np.sign(old) <= 0.0)).any(axis=1)
-        count += int(bad.sum())
-        if not place and bad.any():
-            index = int(np.argmax(bad))
-            i, j, k = (cells[index] + 1).tolist()
-            around = ", ".join(f"{x:.6g}" for x in after[index].mean(axis=0))
-            name, place = grid.names[block], f"({i}, {j}, {k}), around ({around})"
-    if not place:
-        return None
-    many = f"{count} cells, whose nodes are all prescribed, are"
-    cells_are = "1 cell, whose nodes are all prescribed, is" if count == 1 else many
-    why = "inverted by the motion of the boundary itself, so no valid grid exists"
-    return Notice(f"{cells_are} {why}: first in {name} at {place}", f"prescribed cells inverted in {name}")
 
 
 def torn_faces(grid: Grid, topology: Topology, boundary: Boundary, displacement: FloatArray) -> list[Notice]:

@@ -1,4 +1,4 @@
-"""Cells listed in reports: invalid and worst cells with their locations."""
+"""Cells listed in reports: invalid and worst cells with their locations; those that the boundary alone inverts."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ import numpy as np
 
 from ..boundary import Boundary, Kind
 from ..grid import FloatArray, Grid, IntArray, Shape
-from ..grid.topology import Topology
+from ..grid.topology import Topology, cells_behind
 from ..numerics.cell.measures import measure_cells
-from .cells import corners_of, places
+from ..wording import Notice, counted
+from .cells import corner_nodes, corners_of, places
 from .original import Original
-from .validity import Failure, Verdict
+from .validity import Failure, Verdict, relative_jacobian
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,34 @@ def list_cells(
         strict=True,
     )  # fmt: skip
     return tuple(InvalidCell(*row) for row in rows)
+
+
+def find_pinned(original: Original, boundary: Boundary, displacement: FloatArray) -> Notice | None:
+    """Warning about cells with only prescribed nodes that a displacement (n_unique, 3) of the boundary inverts: the
+    Jacobian at a corner that was not collapsed is no longer positive."""
+    grid, topology = original.grid, original.topology
+    # Cells all of whose nodes are on block faces lie in blocks one cell across, and have a face with all nodes known.
+    quads = np.flatnonzero(boundary.known[topology.quads.corners].all(axis=1))
+    block, ijk = places(grid, np.unique(cells_behind(grid, topology, quads)))
+    nodes = corner_nodes(grid, block, ijk)
+    place = np.minimum(np.searchsorted(topology.face_nodes, nodes), len(topology.face_nodes) - 1)
+    prescribed = (topology.face_nodes[place] == nodes) & boundary.known[topology.number[place]]
+    chosen = np.flatnonzero(prescribed.all(axis=1))
+    before = grid.nodes.at(nodes[chosen])
+    after = before + displacement[topology.number[place[chosen]]]
+    old, new = (measure_cells(x, original.sides(block[chosen])).jacobian for x in (before, after))
+    bad = np.flatnonzero(relative_jacobian(old, new) <= 0.0)
+    if not bad.size:
+        return None
+    first, name = chosen[bad[0]], grid.names[block[chosen[bad[0]]]]
+    i, j, k = (ijk[first] + 1).tolist()
+    around = ", ".join(f"{x:.6g}" for x in after[bad[0]].mean(axis=0))
+    only = "whose nodes are all prescribed"
+    return Notice(
+        f"{counted(bad.size, f'cell, {only}, is', f'cells, {only}, are')} inverted by the motion of the boundary "
+        f"itself, so no valid grid exists: first in {name} at ({i}, {j}, {k}), around ({around})",
+        f"prescribed cells inverted in {name}",
+    )
 
 
 def nearest_patches(grid: Grid, topology: Topology, boundary: Boundary | None, at: FloatArray) -> list[str]:

@@ -6,14 +6,15 @@ from cases import everything_moves, formulas, problem_of, turning
 from grids import block_around, frame, frame_2d
 
 from meshdeform_core.boundary.classification import prescribed_displacement
-from meshdeform_core.boundary.crossing import find_pinned
 from meshdeform_core.grid import Grid
+from meshdeform_core.quality.listed import find_pinned
+from meshdeform_core.quality.original import Original
 
 
 def pinned(grid, motion):
     problem = problem_of(grid, everything_moves(motion))
     displacement = prescribed_displacement(grid, problem.topology, problem.boundary)
-    return find_pinned(grid, problem.topology, problem.boundary, displacement)
+    return find_pinned(Original(grid, problem.topology), problem.boundary, displacement)
 
 
 def slab(cells_across=1):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from .boxes import halves, overlapping
-from .vectors import cross
+from .vectors import cross, distances
 
 ORDINARY, BESIDE, SLIDING = 0, 1, 2
 """Roles of faces. Faces beside a sliding face touch it; they are not tested against sliding faces."""
@@ -101,7 +101,7 @@ def crossing_faces(
     corners = faces[pairs[doubtful]]
     if doubtful.size:
         exact = np.vectorize(Fraction, otypes=[object])(points[corners])
-        verdict[doubtful], places[doubtful] = _Signs(exact, corners).verdict()
+        verdict[doubtful], places[doubtful] = _verdict(exact, corners)
     found = np.flatnonzero(verdict == _YES)
     found = found[np.lexsort(pairs[found].T[::-1])]
     return pairs[found], places[found]
@@ -115,21 +115,8 @@ def near_faces(points: FloatArray, faces: IntArray, asked: BoolArray, tolerance:
     touching = _decided(points, faces, pairs)[0] == _YES
     reach = tolerance[pairs].max(axis=1)
     for one, two in (pairs.T, pairs[:, ::-1].T):
-        for triangle in _HALVES[0]:
-            corner = points[faces[two][:, triangle]]
-            u, v = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-            normal = np.cross(u, v)
-            square = np.einsum("ki,ki->k", normal, normal)
-            safe = np.where(square > 0.0, square, 1.0)
-            slack = reach / np.sqrt(np.sqrt(safe))
-            for at in range(4):
-                # Corners within reach of the triangle, above or below it.
-                w = points[faces[one, at]] - corner[:, 0]
-                b = np.einsum("ki,ki->k", np.cross(w, v), normal) / safe
-                c = np.einsum("ki,ki->k", np.cross(u, w), normal) / safe
-                height = np.abs(np.einsum("ki,ki->k", w, normal)) / np.sqrt(safe)
-                inside = (b >= -slack) & (c >= -slack) & (b + c <= 1.0 + slack)
-                touching |= (square > 0.0) & inside & (height <= reach)
+        corners = np.moveaxis(points[faces[two]][:, None], 2, 0)
+        touching |= (distances(points[faces[one]], corners) <= reach[:, None]).any(axis=1)
     near = np.zeros(len(faces), dtype=np.bool_)
     near[pairs[touching]] = True
     return near & asked
@@ -158,69 +145,50 @@ def _decided(points: FloatArray, faces: IntArray, pairs: IntArray) -> tuple[Sign
         some = some[left]
         if some.size:
             corners = faces[pairs[some]]
-            verdict[some], places[some] = _Signs(points[corners], corners).verdict()
+            verdict[some], places[some] = _verdict(points[corners], corners)
     return verdict, places
 
 
-class _Signs:
-    """The signed volumes between the corners (n, 2, 4, 3), with numbers (n, 2, 4), of pairs of faces: zero where
-    round-off could change the sign, exact if corners are objects of :class:`fractions.Fraction`."""
+def _verdict(x: FloatArray, nodes: IntArray) -> tuple[Signs, FloatArray]:
+    """``_YES``, ``_NO`` or ``_DOUBTFUL`` (n,) for pairs of faces with corners ``x`` (n, 2, 4, 3) of these numbers
+    (n, 2, 4), and a common point (n, 3) where it is ``_YES``; exact if coordinates are :class:`fractions.Fraction`."""
+    x, nodes = np.ascontiguousarray(np.moveaxis(x.reshape(-1, 8, 3), 0, -1)), nodes.reshape(-1, 8).T
+    known: dict[tuple[int, ...], FloatArray] = {}
 
-    def __init__(self, x: FloatArray, nodes: IntArray):
-        self._x = np.ascontiguousarray(np.moveaxis(x, 0, -1))
-        self._nodes = np.moveaxis(nodes, 0, -1)
-        # Corners of each face over the triangles of the other one; edges of the first about edges of the second.
-        self._heights = [
-            {
-                (a, b, c): [_volumes(own[a], own[b], own[c], corner) for corner in other]
-                for a, b, c in (*_HALVES[0], *_HALVES[1])
-            }
-            for own, other in ((self._x[0], self._x[1]), (self._x[1], self._x[0]))
-        ]
-        edges = list(combinations(range(4), 2))
-        self._about = {
-            ((p, q), (r, s)): np.sign(_volumes(self._x[0, p], self._x[0, q], self._x[1, r], self._x[1, s]))
-            for (p, q), (r, s) in product(edges, edges)
-        }
+    def volume(*corners: int) -> FloatArray:
+        """Of the tetrahedron between four of the eight corners, zero where round-off could change the sign."""
+        key = tuple(sorted(corners))
+        if key not in known:
+            known[key] = _volumes(*x[list(key)])
+        return -known[key] if sum(a > b for a, b in combinations(corners, 2)) % 2 else known[key]
 
-    def verdict(self) -> tuple[Signs, FloatArray]:
-        """``_YES``, ``_NO`` or ``_DOUBTFUL`` (n,), and a common point (n, 3) where it is ``_YES``."""
-        self._places, self._placed = np.zeros(self._x[0, 0].shape), np.zeros(self._x.shape[-1], dtype=bool)
-        worst = np.full(len(self._placed), _YES, dtype=np.int8)
-        for one, two in product(_HALVES, _HALVES):
-            best = np.max([self._triangles(*halves) for halves in product(one, two)], axis=0)
-            worst = np.minimum(worst, best)
-        return worst, self._places.T
-
-    def _triangles(self, one: _Corners, two: _Corners) -> Signs:
-        """The verdict on a triangle of the first and one of the second face."""
-        possible = np.ones(len(self._placed), dtype=bool)
-        for face, own, other in ((0, one, two), (1, two, one)):
-            corners = self._nodes[face][list(own)]
-            possible &= (corners[0] != corners[1]) & (corners[1] != corners[2]) & (corners[2] != corners[0])
-            heights = [self._heights[face][own][c] for c in other]
-            possible &= np.any([h >= 0.0 for h in heights], axis=0) & np.any([h <= 0.0 for h in heights], axis=0)
-        best = np.full(len(possible), _NO, dtype=np.int8)
-        for face, edges, triangle in ((0, one, two), (1, two, one)):
-            heights = self._heights[1 - face][triangle]
-            for p, q in _sides(edges):
-                around = []
-                for r, s in _sides(triangle):
-                    # On which side of the edge this side of the other face's triangle passes.
-                    edge, side = (min(p, q), max(p, q)), (min(r, s), max(r, s))
-                    passes = self._about[(edge, side) if face == 0 else (side, edge)]
-                    around.append(passes if (p < q) == (r < s) else -passes)
-                outside = np.any([each > 0 for each in around], axis=0) & np.any([each < 0 for each in around], axis=0)
-                at, to = heights[p], heights[q]
-                pierced = possible & ~outside & (np.sign(at) * np.sign(to) <= 0.0)
-                doubtful = (at == 0.0) | (to == 0.0) | np.any([each == 0 for each in around], axis=0)
-                best = np.maximum(best, np.where(pierced, np.where(doubtful, _DOUBTFUL, _YES), _NO)).astype(np.int8)
-                new = pierced & ~doubtful & ~self._placed
-                if new.any():
-                    start, end = self._x[face, p][:, new], self._x[face, q][:, new]
-                    self._places[:, new] = start + at[new] / (at[new] - to[new]) * (end - start)
-                    self._placed |= new
-        return best
+    places, placed = np.zeros(x[0].shape), np.zeros(x.shape[-1], dtype=bool)
+    worst = np.full(len(placed), _YES, dtype=np.int8)
+    for one, two in product(_HALVES, _HALVES):
+        best = np.full(len(placed), _NO, dtype=np.int8)
+        for own, (a, b, c) in product(one, two):
+            both = (own, (a + 4, b + 4, c + 4)), ((a + 4, b + 4, c + 4), own)
+            possible = np.ones(len(placed), dtype=bool)
+            for triangle, other in both:
+                heights = np.stack([volume(*triangle, corner) for corner in other])
+                possible &= (heights >= 0.0).any(axis=0) & (heights <= 0.0).any(axis=0)
+                possible &= np.all([nodes[p] != nodes[q] for p, q in _sides(triangle)], axis=0)
+            for edges, triangle in both:
+                for p, q in _sides(edges):
+                    ends = np.stack([volume(*triangle, p), -volume(*triangle, q)])
+                    # On which side of the edge the sides of the other face's triangle pass.
+                    around = np.stack([volume(p, q, r, s) for r, s in _sides(triangle)])
+                    pierced = possible.copy()
+                    for values in (ends, around):
+                        pierced &= ~((values > 0.0).any(axis=0) & (values < 0.0).any(axis=0))
+                    doubtful = (ends == 0.0).any(axis=0) | (around == 0.0).any(axis=0)
+                    best = np.maximum(best, np.where(pierced, np.where(doubtful, _DOUBTFUL, _YES), _NO)).astype(np.int8)
+                    new = pierced & ~doubtful & ~placed
+                    at, to = ends[:, new]
+                    places[:, new] = x[p][:, new] + at / (at + to) * (x[q] - x[p])[:, new]
+                    placed |= new
+        worst = np.minimum(worst, best)
+    return worst, places.T
 
 
 def _volumes(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> FloatArray:

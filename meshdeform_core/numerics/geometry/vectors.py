@@ -59,19 +59,22 @@ def distance_to_faces(x: FloatArray, faces: FloatArray) -> FloatArray:
         away = centers - point[:, None]
         away *= away
         nearest[row] = np.argpartition(away[0] + away[1] + away[2], count - 1)[:count]
-    some = faces[nearest]
-    point = x[:, None]
-    corners = [some[:, :, n] for n in range(some.shape[2])]
+    return np.asarray(distances(x[:, None], np.moveaxis(faces[nearest], 2, 0)).min(axis=1))
+
+
+def distances(x: FloatArray, corners: FloatArray) -> FloatArray:
+    """Distances (...) of points (..., 3) from quads, each divided into two triangles, or edges with ``corners``
+    (4 or 2, ..., 3)."""
     found = []
-    for a, b in zip(corners, [*corners[1:], corners[0]], strict=True):
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         along = b - a
         size = (along**2).sum(axis=-1)
-        part = np.clip(((point - a) * along).sum(axis=-1) / np.where(size > 0, size, 1.0), 0.0, 1.0)
-        found.append(np.linalg.norm(point - a - part[..., None] * along, axis=-1))
+        part = np.clip(((x - a) * along).sum(axis=-1) / np.where(size > 0, size, 1.0), 0.0, 1.0)
+        found.append(np.linalg.norm(x - a - part[..., None] * along, axis=-1))
     if len(corners) == 4:
         a, b, c, d = corners
-        found += [_to_triangles(point, a, b, c), _to_triangles(point, a, c, d)]
-    return np.asarray(np.min(found, axis=(0, 2)))
+        found += [_to_triangles(x, a, b, c), _to_triangles(x, a, c, d)]
+    return np.asarray(np.min(found, axis=0))
 
 
 def _to_triangles(x: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:
@@ -81,7 +84,7 @@ def _to_triangles(x: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray) ->
     inside = size > 0
     height = np.abs(((x - a) * normal).sum(axis=-1)) / np.sqrt(np.where(inside, size, 1.0))
     for p, q in ((a, b), (b, c), (c, a)):
-        inside &= (np.cross(q - p, x - p) * normal).sum(axis=-1) >= 0
+        inside = inside & ((np.cross(q - p, x - p) * normal).sum(axis=-1) >= 0)
     return np.where(inside, height, np.inf)
 
 
