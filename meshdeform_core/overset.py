@@ -205,7 +205,7 @@ def _component(whole: Undeformed, name: str, number: int, memory: MemoryLimit) -
         Periodic(node[images.nodes[held]], node[images.root[held]], images.turn[held]),
         mirrors,
         (),
-        Tables(own_topology, ()),
+        Tables(()),
     )
     return Component(name, blocks, numbers, Undeformed(alone, own_topology, own_boundary, memory, whole.min_jacobian))
 

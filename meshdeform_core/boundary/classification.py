@@ -3,7 +3,7 @@ moving patches as one displacement, checked for contradictions."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
@@ -20,7 +20,7 @@ from ..numerics.arrays import lengths
 from ..numerics.geometry.coincidence import distinct
 from ..wording import listed, vector
 from .constraints import Pairs, Periodic, Slip, crease_notes, find_periodicity, find_sliding
-from .fitting import Fit, Tables, fit_table
+from .fitting import Tables, fit_table
 from .motions.expression import Expression
 from .motions.motion import Follow, Motion, PreparedMotion, tiny_rotations
 from .tables import BoundaryNodes, SurfaceData, by_place
@@ -133,137 +133,118 @@ def classify(grid: Grid, topology: Topology, specs: Sequence[BoundarySpec], cons
     otherwise nothing could move. Raises CaseError or MotionError when a selection matches nothing or a table matches no
     node.
     """
-    specs, selected, corners = list(specs), list[IntArray](), topology.quads.corners
-    for index, spec in enumerate(specs):
-        fit: Fit | None = None
-        if spec.motion is not None and spec.motion.partial:
-            # The table alone says which nodes move: those of the wall that it fits.
-            table = next(step for step in spec.motion.steps if isinstance(step, Follow))
-            if isinstance(data := table.table(), SurfaceData):
-                fit = fit_table(grid, topology, by_place(data, grid, topology), table.matching)
-                specs[index] = replace(spec, motion=spec.motion.matched_by(fit.matching))
-        selected.append(_select(grid, topology, spec, constants) if fit is None or fit.quads is None else fit.quads)
-    movers, asked = list[tuple[IntArray, PreparedMotion]](), list[tuple[IntArray, PreparedMotion]]()
-    for index, spec in enumerate(specs):
-        if spec.motion is not None:
-            nodes = BoundaryNodes.of_quads(grid, topology, selected[index])
-            prepared = spec.motion.prepare(nodes)
-            movers.append((nodes.numbers[prepared.moved], prepared))
-            asked.append((selected[index], prepared))
-            # Faces that a table does not match are not the entry's.
-            inside = np.zeros(topology.n_unique, dtype=bool)
-            inside[movers[-1][0]] = True
-            selected[index] = selected[index][inside[corners[selected[index]]].all(axis=1)]
-    tables = Tables(topology, asked)
-    notes = [text for spec in specs if spec.motion for text in tiny_rotations(spec.name, spec.motion)]
-    notes += [*tables.warnings(), *(note for _, motion in movers for note in motion.notes)]
-    quad_kind = np.zeros(len(topology.partner), dtype=np.int8)
-    for spec, quads in zip(specs, selected, strict=True):
-        quad_kind[quads] = np.maximum(quad_kind[quads], spec.kind)
-    defaults, more = _unselected(grid, topology, quad_kind, specs, movers)
-    for patch in defaults:
-        quad_kind[patch.quads] = patch.kind
-    patches = [
-        ClassifiedPatch(spec.name, spec.kind, distinct(corners[quads], topology.n_unique), quads)
-        for spec, quads in zip(specs, selected, strict=True)
-    ]
-    patches += defaults
-    node_kind = np.zeros(topology.n_unique, dtype=np.int8)
-    for patch in sorted(patches, key=lambda patch: patch.kind):
-        if patch.kind is not Kind.MOVING:
-            node_kind[patch.nodes] = patch.kind
-    for numbers, _ in movers:
-        node_kind[numbers] = Kind.MOVING
+    corners, n = topology.quads.corners, topology.n_unique
+    quad_kind, node_kind = np.zeros(len(corners), dtype=np.int8), np.zeros(n, dtype=np.int8)
+    patches, movers, notes = list[ClassifiedPatch](), list[tuple[IntArray, PreparedMotion]](), list[str]()
     pairs = list[Pairs]()
-    for spec, quads in zip(specs, selected, strict=True):
+    for spec in specs:
+        quads, motion = _selected(grid, topology, spec, constants)
+        nodes = reached = distinct(corners[quads], n)
+        if motion is not None:
+            prepared = motion.prepare(BoundaryNodes.of_quads(grid, topology, quads))
+            # Faces that a table does not match are not the entry's, single nodes are.
+            reached = prepared.nodes.numbers[prepared.moved]
+            movers.append((reached, prepared))
+            notes += tiny_rotations(spec.name, motion)
+            quads = quads[np.isin(corners[quads], reached).all(axis=1)]
+            nodes = distinct(corners[quads], n)
         if spec.kind is Kind.PERIODIC:
             sides = [select_quads(grid, topology, [pattern], spec.name) for pattern in spec.select]
             pairs += find_periodicity(grid, topology, spec.name, quads, sides)
-    periodic = Periodic.of(pairs, topology.n_unique)
+        patches.append(ClassifiedPatch(spec.name, spec.kind, nodes, quads))
+        quad_kind[quads] = np.maximum(quad_kind[quads], spec.kind)
+        node_kind[reached] = np.maximum(node_kind[reached], spec.kind)
+    tables = Tables([motion for _, motion in movers])
+    notes += [*tables.warnings(), *(note for _, motion in movers for note in motion.notes)]
+    # Faces that no entry selects.
+    rest = np.flatnonzero(topology.external & (quad_kind == 0))
+    on_ends = np.isin(topology.quads.block_side[rest], end_planes(grid, topology))
+    for name, kind, quads in ("(end planes)", Kind.SLIP, rest[on_ends]), (UNSELECTED, Kind.FIXED, rest[~on_ends]):
+        if quads.size:
+            patches.append(ClassifiedPatch(name, kind, distinct(corners[quads], n), quads))
+            quad_kind[quads] = kind
+            node_kind[patches[-1].nodes] = np.maximum(node_kind[patches[-1].nodes], kind)
+    if on_ends.any():
+        notes.append("the grid is one cell thick: its two end planes, which no boundary entry selects, are slip planes")
+    # Where the case is only a table, the other faces are meant to be fixed.
+    alone = all(spec.motion and spec.motion.partial for spec in specs)
+    notes += _unselected_notes(grid, topology, rest[~on_ends], node_kind == Kind.MOVING, alone) if specs else []
     # Periodic images of a moving or fixed node have its kind, as they move alike.
-    strongest = np.zeros_like(node_kind)
+    periodic, strongest = Periodic.of(pairs, n), np.zeros_like(node_kind)
     np.maximum.at(strongest, periodic.root, node_kind[periodic.nodes])
     known = strongest[periodic.root] >= Kind.FIXED
     node_kind[periodic.nodes[known]] = strongest[periodic.root[known]]
     slipping = [(p.name, p.quads, p.kind is Kind.SYMMETRY) for p in patches if p.kind in (Kind.SLIP, Kind.SYMMETRY)]
     slip, mirrors = find_sliding(grid, topology, slipping, node_kind < Kind.FIXED, node_kind == Kind.MOVING)
-    notes += [*more, *crease_notes(grid, topology, slip)]
+    notes += crease_notes(grid, topology, slip)
     return Boundary(node_kind, quad_kind, tuple(patches), tuple(movers), slip, periodic, mirrors, tuple(notes), tables)
 
 
-def _select(grid: Grid, topology: Topology, spec: BoundarySpec, constants: Mapping[str, float]) -> IntArray:
+def _selected(
+    grid: Grid, topology: Topology, spec: BoundarySpec, constants: Mapping[str, float]
+) -> tuple[IntArray, Motion | None]:
+    """Face quads that an entry selects, and its motion; a table that moves only what it matches selects its wall."""
+    motion = spec.motion
+    if motion is not None and motion.partial:
+        table = next(step for step in motion.steps if isinstance(step, Follow))
+        if isinstance(data := table.table(), SurfaceData):
+            fit = fit_table(grid, topology, by_place(data, grid, topology), table.matching)
+            motion = motion.matched_by(fit.matching)
+            if fit.quads is not None:
+                return fit.quads, motion
     quads = select_quads(grid, topology, spec.select, spec.name)
     if spec.where is None:
-        return quads
+        return quads, motion
     corners = topology.quads.corners[quads]
     nodes = distinct(corners, topology.n_unique)
-    x, y, z = grid.nodes.at(topology.first[nodes]).T
+    x, y, z = points = grid.nodes.at(topology.first[nodes]).T
     holds = np.broadcast_to(np.asarray(spec.where({**constants, "x": x, "y": y, "z": z})), nodes.shape)
-    if np.isnan(holds).any():
-        node = int(topology.first[nodes[np.argmax(np.isnan(holds))]])
+    where = f"boundary {spec.name!r}: where = {spec.where.text!r}"
+    if (unclear := np.flatnonzero(np.isnan(holds))).size:
+        node = int(topology.first[nodes[unclear[0]]])
         raise CaseError(
-            f"boundary {spec.name!r}: where = {spec.where.text!r} is not a number at {int(np.isnan(holds).sum())} of "
-            f"{len(nodes)} nodes, first at {grid.node_label(node)} = {vector(grid.points[node])}; "
-            f"expected a condition, like x > 0.5"
+            f"{where} is not a number at {len(unclear)} of {len(nodes)} nodes, first at {grid.node_label(node)} = "
+            f"{vector(grid.points[node])}; expected a condition, like x > 0.5"
         )
-    inside = np.zeros(topology.n_unique, dtype=bool)
-    inside[nodes[holds.astype(bool)]] = True
-    quads = quads[inside[corners].all(axis=1)]
+    quads = quads[np.isin(corners, nodes[holds.astype(bool)]).all(axis=1)]
     if quads.size == 0:
-        ranges = ", ".join(f"{n} {c.min():.4g} to {c.max():.4g}" for n, c in zip("xyz", (x, y, z), strict=True))
+        ranges = ", ".join(f"{n} {c.min():.4g} to {c.max():.4g}" for n, c in zip("xyz", points, strict=True))
         raise CaseError(
-            f"boundary {spec.name!r}: where = {spec.where.text!r} is not satisfied on any face of the selection "
-            f"({np.count_nonzero(holds)} of {len(nodes)} nodes satisfy it; the selection spans {ranges})"
+            f"{where} is not satisfied on any face of the selection ({np.count_nonzero(holds)} of {len(nodes)} nodes "
+            f"satisfy it; the selection spans {ranges})"
         )
-    return quads
+    return quads, motion
 
 
-def _unselected(
-    grid: Grid, topology: Topology, quad_kind: np.ndarray, specs: Sequence[BoundarySpec],
-    movers: Sequence[tuple[IntArray, PreparedMotion]],
-) -> tuple[list[ClassifiedPatch], list[str]]:  # fmt: skip
-    """Patches of the external faces that no entry selects, and warnings about them."""
-    rest, corners = np.flatnonzero(topology.external & (quad_kind == 0)), topology.quads.corners
-    on_ends = np.isin(topology.quads.block_side[rest], end_planes(grid, topology))
-    sliding, fixed = rest[on_ends], rest[~on_ends]
-    found = ("(end planes)", Kind.SLIP, sliding), (UNSELECTED, Kind.FIXED, fixed)
-    n = topology.n_unique
-    patches = [ClassifiedPatch(name, kind, distinct(corners[q], n), q) for name, kind, q in found if q.size]
-    notes = list[str]()
-    if sliding.size:
-        notes.append("the grid is one cell thick: its two end planes, which no boundary entry selects, are slip planes")
-    if not (fixed.size and specs):
-        return patches, notes
+def _unselected_notes(
+    grid: Grid, topology: Topology, quads: IntArray, moves: BoolArray, expected: bool
+) -> Iterator[str]:
+    """Warnings about the external face ``quads`` that no entry selects, which are fixed: that there are any, unless
+    this is ``expected``; and which of them touch nodes that move (n_unique,)."""
     label = np.full(len(topology.partner), -1)
-    label[fixed] = 0
+    label[quads] = 0
     pieces = rectangles(grid, topology.quads, label)
     places = [(grid.window_label(window), pieces.quads_of(number)) for number, window in enumerate(pieces.windows())]
     places.sort(key=lambda place: -len(place[1]))
-    # Where the case is only a table, the other faces are meant to be fixed.
-    expected = all(spec.motion and spec.motion.partial for spec in specs)
-    if not expected:
-        ranges = listed((f"{name} ({len(quads):,})" for name, quads in places), noun="ranges")
-        notes.append(
-            f"{fixed.size:,} external face quads are not selected by any boundary entry; they are fixed (where nodes "
-            f'should slide, select them with kind = "slip" or "symmetry"): {ranges}'
+    if quads.size and not expected:
+        yield (
+            f"{quads.size:,} external face quads are not selected by any boundary entry; they are fixed (where nodes "
+            f'should slide, select them with kind = "slip" or "symmetry"): '
+            f"{listed((f'{name} ({len(some):,})' for name, some in places), noun='ranges')}"
         )
-    moves, normal = np.zeros(topology.n_unique, dtype=bool), plane_normal(grid)
-    for numbers, _ in movers:
-        moves[numbers] = True
-    touching = [(name, quads) for name, quads in places if moves[corners[quads]].any()]
+    corners, normal = topology.quads.corners, plane_normal(grid)
+    touching = {name: corners[some] for name, some in places if moves[corners[some]].any()}
     if touching:
-        points = (grid.nodes.at(topology.first[np.unique(corners[quads])]) for _, quads in touching)
+        points = (grid.nodes.at(topology.first[np.unique(nodes)]) for nodes in touching.values())
         flat = all(plane_of(x, normal) is not None for x in points)
         remedy = (
             'they are flat: symmetry planes and end planes need kind = "symmetry" or "slip"'
             if flat
             else 'give them a kind: "slip" lets their nodes follow, "fixed" confirms that they stay'
         )
-        if expected:
-            remedy += " in a case file; `meshdeform init --table` writes one"
-        names = listed(name for name, _ in touching)
-        notes.append(f"faces that no boundary entry selects touch moving nodes but are fixed: {names}; {remedy}")
-    return patches, notes
+        advice = " in a case file; `meshdeform init --table` writes one" if expected else ""
+        names = listed(touching)
+        yield f"faces that no boundary entry selects touch moving nodes but are fixed: {names}; {remedy}{advice}"
 
 
 def with_plates(grid: Grid, topology: Topology, patterns: Sequence[str]) -> tuple[Grid, Topology]:

@@ -9,7 +9,7 @@ three.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +20,6 @@ from ..grid import Grid, IntArray
 from ..grid.faces import Role
 from ..grid.surfaces import Surface, find_outside
 from ..grid.topology import Topology
-from ..numerics.arrays import places_among
 from ..numerics.geometry.vectors import doubled_areas, face_sizes, unit
 from ..wording import Notice, counted, vector
 from .frames import other_frame
@@ -153,17 +152,10 @@ def _require_wall(
 
 @dataclass(frozen=True)
 class _Use:
-    """A table as one boundary entry uses it.
-
-    Attributes
-    ----------
-    quads : the faces that the entry selects
-    place : identifies the table within its entry; all tables of a sequence share one
-    """
+    """A table as one boundary entry uses it; ``place`` identifies it within its entry: all of a sequence share one."""
 
     match: Transfer
     nodes: BoundaryNodes
-    quads: IntArray
     place: str
 
     def notice(self, what: str, text: str) -> Notice:
@@ -172,84 +164,74 @@ class _Use:
 
 
 class Tables:
-    """The displacement tables of the moving boundary entries; those of a sequence change with time. ``movers`` are the
-    selected face quads and the motion of every entry."""
+    """The displacement tables of the motions of all moving boundary entries; those of a sequence change with time."""
 
-    def __init__(self, topology: Topology, movers: Sequence[tuple[IntArray, PreparedMotion]]):
-        self._topology, self._movers = topology, movers
+    def __init__(self, motions: Sequence[PreparedMotion]):
+        self._motions = motions
         self._checked: list[Transfer] = []
         self._found: list[Notice] = []
 
     def warnings(self) -> list[Notice]:
         """Warnings about the tables now in use and the walls that they move. Raises MotionError when most of a table
         lies off the walls, or it moves single nodes among others that remain at rest."""
-        matches = [match for _, motion in self._movers for match in motion.matches]
-        if len(matches) == len(self._checked) and all(a is b for a, b in zip(matches, self._checked, strict=True)):
-            return self._found
         uses = [
-            _Use(match, motion.nodes, quads, f"table {number} of entry {entry}")
-            for entry, (quads, motion) in enumerate(self._movers)
+            _Use(match, motion.nodes, f"table {number} of entry {entry}")
+            for entry, motion in enumerate(self._motions)
             for number, match in enumerate(motion.matches)
         ]
+        matches = [use.match for use in uses]
+        if len(matches) == len(self._checked) and all(a is b for a, b in zip(matches, self._checked, strict=True)):
+            return self._found
         tables: dict[tuple[str, int, float], list[_Use]] = {}
         for use in uses:
             points = use.match.points
             if len(points):
                 tables.setdefault((use.match.label, len(points), float(points.sum())), []).append(use)
-        notes = list[Notice]()
-        for table in tables.values():
-            first = table[0]
-            if first.nodes.grid.dimension == 3 and first.match.plane:
-                text = (
-                    " has two components of the displacement, the grid is three-dimensional: nodes do not move in z. "
-                    "Give dz as well; a column of zeros if this is meant"
-                )
-                notes.append(first.notice("missing z", text))
-            notes += _unused(table)
-        for use in uses:
-            notes += [*_gaps(self._topology, use), *_distances(use)]
-        self._found, self._checked = notes, matches
-        return notes
+        self._found = [
+            *(notice for table in tables.values() for notice in _whole_table(table)),
+            *(notice for use in uses for notice in (*_gaps(use), *_distances(use))),
+        ]
+        self._checked = matches
+        return self._found
 
 
-def _unused(uses: Sequence[_Use]) -> list[Notice]:
-    """Points of one table that lie on none of the faces that it moves."""
-    points = uses[0].match.points
+def _whole_table(uses: Sequence[_Use]) -> Iterator[Notice]:
+    """A table without the third component of displacements, and points that lie on none of the faces that it moves."""
+    first, points = uses[0], uses[0].match.points
+    if first.nodes.grid.dimension == 3 and first.match.plane:
+        text = (
+            " has two components of the displacement, the grid is three-dimensional: nodes do not move in z. "
+            "Give dz as well; a column of zeros if this is meant"
+        )
+        yield first.notice("missing z", text)
     far = np.ones(len(points), dtype=bool)
     for use in uses:
         # Farther from every node than the longest face edge there.
         distance, nearest = scipy.spatial.cKDTree(use.nodes.points).query(points)
         far &= distance > use.nodes.longest[nearest]
     if not far.any():
-        return []
+        return
     hint = next((text for use in uses if (text := other_frame(points, use.nodes))), "")
-    first = int(np.argmax(far))
     text = (
         f": {int(far.sum())} of {len(points)} table points lie on no face that the table moves, first "
-        f"{vector(points[first])}{hint}"
+        f"{vector(points[int(np.argmax(far))])}{hint}"
     )
-    partial = any(use.match.matching.partial for use in uses)
-    if far.mean() > ASTRAY and (partial or hint):
-        raise MotionError(f"{uses[0].match.label}{text}; expected a table of the wall, in the grid's length unit")
-    return [uses[0].notice("unused points", text)]
+    if far.mean() > ASTRAY and (hint or any(use.match.matching.partial for use in uses)):
+        raise MotionError(f"{first.match.label}{text}; expected a table of the wall, in the grid's length unit")
+    yield first.notice("unused points", text)
 
 
-def _gaps(topology: Topology, use: _Use) -> list[Notice]:
+def _gaps(use: _Use) -> Iterator[Notice]:
     """Moving nodes among others that the table does not move; or a motion that ends with a jump on a smooth wall."""
     match, nodes = use.match, use.nodes
-    if match.matched.all():
-        return []
-    local = places_among(nodes.numbers, topology.n_unique)
-    corners = local[topology.quads.corners[use.quads]]
-    inside = match.matched[corners]
+    inside = match.matched[nodes.faces]
     whole = np.all(inside, axis=1)
     mixed = np.any(inside, axis=1) & ~whole
     held = np.zeros(len(nodes.numbers), dtype=bool)
-    held[corners[whole]] = True
+    held[nodes.faces[whole]] = True
     single = np.flatnonzero(match.matched & ~held)
-    count = int(match.matched.sum())
     if single.size:
-        remedy = 'Use match = "interpolate", or a table of all nodes of the wall'
+        count, remedy = int(match.matched.sum()), 'Use match = "interpolate", or a table of all nodes of the wall'
         if match.how == "interpolate":
             remedy = "Set a larger tolerance, or use a table that covers the wall"
         text = (
@@ -259,48 +241,41 @@ def _gaps(topology: Topology, use: _Use) -> list[Notice]:
         )
         if single.size > ASTRAY * count:
             raise MotionError(f"{match.label}{text}")
-        return [use.notice("single nodes", text)]
+        yield use.notice("single nodes", text)
+        return
     # Does the motion end with a jump in the middle of a smooth wall?
-    x = nodes.points[corners]
+    x, corners = nodes.points[nodes.faces], nodes.faces[mixed]
     # Normals of faces; tangents of 2-D edges.
     direction = unit(x[:, 1] - x[:, 0] if x.shape[1] == 2 else doubled_areas(x))
-    along = np.zeros((len(nodes.points), 3))
-    for column in corners.T:
-        np.add.at(along, column[whole], direction[whole])
-    along = unit(along)
+    along = unit(nodes.summed(direction * whole[:, None]))
     step = np.linalg.norm(match.displacement, axis=1) * match.matched
-    torn = (step > ABRUPT * nodes.edge)[corners[mixed]]
-    smooth = np.einsum("qcd,qd->qc", along[corners[mixed]], direction[mixed]) > SMOOTH
-    found = (torn & smooth).any(axis=1)
-    if not found.any():
-        return []
-    ends = np.unique(corners[mixed][torn & smooth])
-    worst = int(ends[np.argmax(step[ends])])
-    text = (
-        f": the motion ends abruptly at {counted(int(found.sum()), 'face')} of a smooth wall, where nodes that move "
-        f"by up to {step[worst]:.3g} (at {nodes.label(worst)}) have neighbours without a match, which do not move"
-    )
-    return [use.notice("abrupt end", text)]
+    smooth = np.einsum("qcd,qd->qc", along[corners], direction[mixed]) > SMOOTH
+    torn = (step > ABRUPT * nodes.edge)[corners] & smooth
+    if torn.any():
+        worst = int(corners[torn][np.argmax(step[corners[torn]])])
+        text = (
+            f": the motion ends abruptly at {counted(int(torn.any(axis=1).sum()), 'face')} of a smooth wall, where "
+            f"nodes that move by up to {step[worst]:.3g} (at {nodes.label(worst)}) have neighbours without a match, "
+            f"which do not move"
+        )
+        yield use.notice("abrupt end", text)
 
 
-def _distances(use: _Use) -> list[Notice]:
-    """Warnings about nodes that take the value of a distant point, or that lie beyond the table's surface."""
+def _distances(use: _Use) -> Iterator[Notice]:
+    """Nodes that take the value of a distant point, or that lie beyond the table's surface."""
     match, nodes = use.match, use.nodes
-    if match.how == "interpolate":
-        out = match.matched & (match.beyond > nodes.edge)
-        if not out.any():
-            return []
+    out = match.matched & (match.beyond > nodes.edge)
+    if match.how == "interpolate" and out.any():
         text = (
             f": {int(out.sum()):,} nodes lie beyond the table, by up to {match.beyond[out].max():.3g}; their "
             f"displacement is extrapolated"
         )
-        return [use.notice("extrapolation", text)]
+        yield use.notice("extrapolation", text)
     off = match.matched & (match.distance > OFFSET * nodes.edge)
-    if not off.any():
-        return []
-    text = (
-        f": {int(off.sum())} of {int(match.matched.sum())} nodes lie up to {match.distance[off].max():.3g} away "
-        f'from the table point whose displacement they take (match = "{match.how}"); "interpolate" interpolates '
-        f"between the table points"
-    )
-    return [use.notice("distance", text)]
+    if match.how != "interpolate" and off.any():
+        text = (
+            f": {int(off.sum())} of {int(match.matched.sum())} nodes lie up to {match.distance[off].max():.3g} away "
+            f'from the table point whose displacement they take (match = "{match.how}"); "interpolate" interpolates '
+            f"between the table points"
+        )
+        yield use.notice("distance", text)

@@ -121,7 +121,7 @@ class BoundaryNodes:
     numbers : (n,) unique node numbers
     edge, longest : (n,) shortest and longest edge of the boundary's faces at each node: scales of matching
     faces : (m, 4) corners of the boundary's faces, indices into ``points``; (m, 2) in 2-D
-    grid, topology : to which they belong
+    quads, grid, topology : numbers (m,) of these faces, and to which they belong
     """
 
     points: FloatArray
@@ -129,6 +129,7 @@ class BoundaryNodes:
     edge: FloatArray
     longest: FloatArray
     faces: IntArray
+    quads: IntArray
     grid: Grid
     topology: Topology
 
@@ -138,7 +139,7 @@ class BoundaryNodes:
         corners = topology.quads.corners[quads]
         numbers = distinct(corners, topology.n_unique)
         points, faces = grid.nodes.at(topology.first[numbers]), places_among(numbers, topology.n_unique)[corners]
-        return cls(points, numbers, *edges_at_corners(points, faces), faces, grid, topology)
+        return cls(points, numbers, *edges_at_corners(points, faces), faces, quads, grid, topology)
 
     @property
     def face_normals(self) -> FloatArray:
@@ -149,10 +150,14 @@ class BoundaryNodes:
     @property
     def normals(self) -> FloatArray:
         """Unit normals (n, 3) at the nodes: mean of those of their faces."""
-        total, faces = np.zeros((len(self.points), 3)), self.face_normals
+        return unit(self.summed(self.face_normals))
+
+    def summed(self, values: FloatArray) -> FloatArray:
+        """Sums (n, 3) at the nodes of ``values`` (m, 3) of their faces."""
+        total = np.zeros((len(self.points), 3))
         for column in self.faces.T:
-            np.add.at(total, column, faces)
-        return unit(total)
+            np.add.at(total, column, values)
+        return total
 
     def label(self, index: int) -> str:
         """Name of one node: block and 1-based indices."""
