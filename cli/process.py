@@ -270,13 +270,13 @@ class ProgressBar:
         return [line for line in (self._levels, self.current) if line]
 
     def _compiling(self, compiled: Compiled) -> None:
-        from meshdeform_core.numerics.jit import is_cached
+        from meshdeform_core.numerics.jit import compile_clock
 
         expected = max(compiled.expected, compiled.done + 1)
         if not self._told:
             self._told = True
             many = f"{counted(expected, 'loop')} in {counted(compiled.processes, 'process', 'processes')}"
-            often = "once per installation" if is_cached() else _UNCACHED
+            often = "once per installation" if compile_clock.cached else _UNCACHED
             tell(f"compiling {many}, about {max(compiled.seconds, 1):.0f} s, {often}")
         self("compile", compiled.done, expected)
 
@@ -284,9 +284,9 @@ class ProgressBar:
         ProgressBar.active = self
         if self._compiles:
             # Imported late, as it loads the compiler, which many commands do not need.
-            from meshdeform_core.numerics.jit import on_compile
+            from meshdeform_core.numerics.jit import compile_clock
 
-            on_compile(self._compiling if self._enabled else None)
+            compile_clock.notice = self._compiling if self._enabled else None
         if self._enabled:
             show = self._draw if sys.stderr.isatty() else self._log
             self._display = threading.Thread(target=show, daemon=True)
@@ -296,9 +296,9 @@ class ProgressBar:
     def __exit__(self, *_: object) -> None:
         ProgressBar.active = None
         if self._compiles:
-            from meshdeform_core.numerics.jit import on_compile
+            from meshdeform_core.numerics.jit import compile_clock
 
-            on_compile(None)
+            compile_clock.notice = None
         self._over.set()
         if self._display is not None:
             self._display.join()

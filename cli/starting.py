@@ -246,9 +246,9 @@ def warm_up_command(cpu: str | None, quiet: bool) -> int:
     if cpu:
         os.environ["MESHDEFORM_CPU"] = cpu
     # The compiler is imported here, with the processor that it is for.
-    from meshdeform_core.numerics.jit import compile_all, is_cached
+    from meshdeform_core.numerics.jit import compile_all, compile_clock
 
-    if not is_cached():
+    if not compile_clock.cached:
         raise CaseError("no folder for compiled loops is writable; set NUMBA_CACHE_DIR to one that is")
     for package in ("meshdeform_core", "meshdeform_formats"):
         for module in pkgutil.walk_packages(importlib.import_module(package).__path__, package + "."):

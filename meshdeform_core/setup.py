@@ -29,7 +29,7 @@ from .grid.topology import RELATIVE_TOLERANCE, Topology, find_topology
 from .memory import UNLIMITED, MemoryLimit, release_freed
 from .methods import Account, Options, PreparedMethod, Problem, Progress, prepare_method
 from .methods.limits import PatchMotion
-from .numerics.jit import compile_seconds
+from .numerics.jit import compile_clock
 from .quality import Assessment, Original
 from .repair import Mode, RepairOptions
 from .repair.outcome import Repair
@@ -88,11 +88,11 @@ class Timing:
         if self.progress:
             self.progress(name, 0, 0)
         release_freed()
-        start, before = clock.perf_counter(), compile_seconds()
+        start, before = clock.perf_counter(), compile_clock.seconds
         try:
             yield
         finally:
-            compiling = compile_seconds() - before
+            compiling = compile_clock.seconds - before
             self._add(name, clock.perf_counter() - start - compiling)
             if compiling:
                 self._add("compile", compiling)

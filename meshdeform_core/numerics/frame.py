@@ -50,7 +50,7 @@ class Frame:
         arm, rest = points - centre, displacement - shift
         moment = (arm + rest).T @ (share[:, None] * arm)
         if normal is not None:
-            moment += np.linalg.norm(moment) * np.outer(normal, normal)
+            moment = moment + np.linalg.norm(moment) * np.outer(normal, normal)
         turn = _nearest_rotation(moment)
         if not stretches:
             return cls(shift, turn, centre, turn)

@@ -73,7 +73,12 @@ class Compiled(NamedTuple):
 
 
 class _CompileClock(event.Listener):
-    """Counts the loops compiled, not those loaded from the cache, and the time that compiling takes."""
+    """Counts the ``loops`` that this process compiles, not those loaded from the cache, and the ``seconds`` that it
+    spends compiling, or waiting for others that do.
+
+    ``cached`` tells whether compiled loops are kept on disk; otherwise every start compiles what it needs.
+    ``notice`` is called whenever a loop is compiled as it is not in the cache.
+    """
 
     def __init__(self) -> None:
         self.seconds, self.loops, self.cached = 0.0, 0, True
@@ -139,21 +144,21 @@ class _Cache(FunctionCache):
     def __init__(self, function: Callable, declared: dict[tuple[Any, ...], str]):
         super().__init__(function)
         if isinstance(self._impl.locator, _Unwritable):
-            _clock.cached = False
+            compile_clock.cached = False
         self._function, self._declared = function, declared
         self._files: list[IndexDataCacheFile] = []
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         found, name = self._load(sig, target_context), self._declared.get(tuple(getattr(sig, "args", sig)))
         # Within another loop no third one is compiled meanwhile: it may call the first, which is not finished.
-        if found is None and name is not None and _clock.cached and not _clock.busy:
+        if found is None and name is not None and compile_clock.cached and not compile_clock.busy:
             _compilers.begin(name)
-            _clock.begin()
+            compile_clock.begin()
             try:
                 # Within another loop's time, hence not counted by the clock.
-                _clock.loops += _compilers.obtain(name)
+                compile_clock.loops += _compilers.obtain(name)
             finally:
-                _clock.end()
+                compile_clock.end()
             found = self._load(sig, target_context)
         return found
 
@@ -204,7 +209,7 @@ class _Cache(FunctionCache):
         try:
             super().save_overload(sig, data)
         except OSError:
-            _clock.cached = False
+            compile_clock.cached = False
 
 
 @cache
@@ -443,9 +448,9 @@ def loop_calls(one: str, other: str) -> bool:
     return id(_declared[other][0].py_func) in _made_from(_declared[one][0].py_func)[1]
 
 
-_clock = _CompileClock()
+compile_clock = _CompileClock()
 _compilers = Compilers(missing_loops, compile_declared, loop_calls)
-event.register("numba:compile", _clock)
+event.register("numba:compile", compile_clock)
 
 
 kernel = _compiled(no_cfunc_wrapper=True)
@@ -461,26 +466,6 @@ inlined = _compiled(inline="always")
 """Decorator for parts of a loop: inlined before compilation, with the options of the calling loop."""
 
 
-def compile_seconds() -> float:
-    """Seconds that this process has spent compiling, or waiting for others that do, so far."""
-    return _clock.seconds
-
-
-def compiled_loops() -> int:
-    """Number of loops that this process has compiled so far."""
-    return _clock.loops
-
-
-def is_cached() -> bool:
-    """Whether compiled loops are kept on disk; otherwise every start compiles what it needs."""
-    return _clock.cached
-
-
-def on_compile(notice: Callable[[Compiled], None] | None) -> None:
-    """Call ``notice`` whenever a loop is compiled as it is not in the cache."""
-    _clock.notice = notice
-
-
 def compile_all() -> int:
     """Compile all declared loops of the modules imported so far; returns how many were missing."""
     return _compilers.all()
@@ -491,7 +476,7 @@ def serve() -> None:
     # Its parent decides: it closes the stream, or kills this process at its own end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Busy for good: it is told what is missing, and starts no processes of its own.
-    _clock.begin()
+    compile_clock.begin()
     for line in sys.stdin:
         name = line.strip()
         importlib.import_module(name.rpartition(":")[0].rpartition(".")[0])

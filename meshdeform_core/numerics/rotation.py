@@ -103,8 +103,7 @@ class SurfaceRotations:
         elif turning.any():
             found[turning] = self._fitted(self._points + displacement)[turning]
         vectors = continuous(rotation_vector(found), neighbours(self._corners, self._edges, self._plane_normal))
-        found[lengths(vectors) > np.pi] *= -1.0
-        return found, vectors
+        return found * np.where(lengths(vectors) > np.pi, -1.0, 1.0)[:, None], vectors
 
     def _fitted(self, after: FloatArray) -> FloatArray:
         before, edges, normals = self._points, self._edges, _node_normals(after, self._corners, self._plane_normal)
@@ -116,9 +115,9 @@ class SurfaceRotations:
         cosine = dot(start, normals)
         opposite = (sine < 1e-12) & (cosine < 0)
         if opposite.any():
-            axis[opposite] = (
-                _half_turn_axes(plain(start)[opposite]) if self._plane_normal is None else self._plane_normal
-            )
+            half_turn = np.zeros(start.shape)
+            half_turn[opposite] = _half_turn_axes(start[opposite]) if self._plane_normal is None else self._plane_normal
+            axis = np.where(opposite[:, None], half_turn, axis)
         # Up to a right angle, the half-angle formula, which is smooth at zero angle.
         half = np.sqrt(0.5 * (1.0 + np.maximum(cosine, 0.0)))[:, None]
         near = np.concatenate([half, axis / (2.0 * half)], axis=1)
@@ -166,7 +165,7 @@ def _mean_angles(angle: FloatArray, weight: FloatArray, node: IntArray, n: int) 
         sine, cosine = (np.bincount(node, weight * part, minlength=n) for part in (np.sin(angle), np.cos(angle)))
         middle = np.arctan2(sine, cosine)
         apart = angle - middle[node]
-        apart -= 2 * np.pi * np.rint(apart / (2 * np.pi))
+        apart = apart - 2 * np.pi * np.rint(apart / (2 * np.pi))
         spread = np.bincount(node, weight * apart, minlength=n) / total
         mean = np.where(large, middle + spread, mean)
     return mean
@@ -205,26 +204,26 @@ def smoothed(q: FloatArray, vectors: FloatArray, pairs: IntArray, rounds: int) -
     here, there = pairs.T
     nodes, place = np.unique(here, return_inverse=True)
     count = np.bincount(place)[:, None]
-    q = q.copy()
+    # Where in the old rows, followed by new ones of the nodes, those of all nodes are.
+    rows = np.arange(len(vectors))
+    rows[nodes] = len(rows) + np.arange(len(nodes))
     for _ in range(rounds):
         other = q[there] * np.where(np.einsum("ek,ek->e", q[here], q[there]) < 0.0, -1.0, 1.0)[:, None]
         mean = np.stack([np.bincount(place, other[:, k]) for k in range(4)], axis=1) / count
         mixed = q[nodes] + mean
-        q[nodes] = mixed / np.linalg.norm(mixed, axis=1, keepdims=True)
-    new = vectors.copy()
-    new[nodes] = nearest_branch(rotation_vector(q[nodes]), vectors[nodes])
-    return q, new
+        q = np.concatenate([q, mixed / np.linalg.norm(mixed, axis=1, keepdims=True)])[rows]
+    new = nearest_branch(rotation_vector(q[nodes]), vectors[nodes])
+    return q, np.concatenate([vectors, new])[rows]
 
 
 def _node_normals(x: FloatArray, corners: IntArray, plane_normal: FloatArray | None) -> FloatArray:
     """Mean of the unit normals of the faces at each node, normalised; zero where it is undefined."""
     total, _ = _sum_of_normals(x, corners, plane_normal)
     # Normals that cancel (both sides of a plate without thickness) or vanish (collapsed faces) leave only round-off.
-    total[lengths(total) < 1e-6] = 0.0
-    return _unit(total)
+    return _unit(np.where((lengths(total) < 1e-6)[:, None], 0.0, total))
 
 
-def _sum_of_normals(x: FloatArray, corners: IntArray, plane_normal: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+def _sum_of_normals(x: FloatArray, corners: IntArray, plane_normal: FloatArray | None) -> tuple[FloatArray, IntArray]:
     """Sum (n, 3) of the unit normals of the faces at each node, and their number (n,)."""
     if plane_normal is None:
 
@@ -237,12 +236,9 @@ def _sum_of_normals(x: FloatArray, corners: IntArray, plane_normal: FloatArray |
     else:
         normal = np.cross(_unit(x[corners[:, 1]] - x[corners[:, 0]]), plane_normal)
         owners = [corners[:, 0], corners[:, 1]]
-    total, count = np.zeros_like(x), np.zeros(len(x))
-    for owner in owners:
-        count += np.bincount(owner, minlength=len(x))
-        for axis in range(3):
-            total[:, axis] += np.bincount(owner, normal[:, axis], minlength=len(x))
-    return total, count
+    owner, normals = np.concatenate(owners), np.concatenate([normal] * len(owners))
+    columns = [np.bincount(owner, normals[:, axis], minlength=len(x)) for axis in range(3)]
+    return np.stack(columns, axis=1), np.bincount(owner, minlength=len(x))
 
 
 def _half_turn_axes(normals: FloatArray) -> FloatArray:
@@ -266,15 +262,14 @@ def _quaternion(axis: FloatArray, angle: FloatArray) -> FloatArray:
 def _unit(v: FloatArray) -> FloatArray:
     """Unit vectors; zero where the length is zero (collapsed edges and faces)."""
     length = lengths(v)[:, None]
-    return np.divide(v, length, out=np.zeros_like(v), where=length > 1e-100)
+    return v / np.where(plain(length) > 1e-100, length, np.inf)
 
 
 def nearest_branch(vectors: FloatArray, reference: FloatArray) -> FloatArray:
     """Rotation vectors (n, 3) of the same rotations, those nearest to ``reference`` (n, 3)."""
     angle = lengths(vectors)
     # A rotation by zero has any axis.
-    axis = np.where((angle > 0.0)[:, None], vectors, reference)
-    axis = np.divide(axis, lengths(axis)[:, None], out=np.zeros_like(axis), where=lengths(axis)[:, None] > 0.0)
+    axis = _unit(np.where((angle > 0.0)[:, None], vectors, reference))
     turns = np.rint((np.einsum("ni,ni->n", axis, reference) - angle) / _FULL)
     return vectors + (_FULL * turns)[:, None] * axis
 

@@ -122,8 +122,8 @@ class Tracked(NDArrayOperatorsMixin):
         raise TypeError("a tracked array would lose its derivative here")
 
     def copy(self) -> Tracked:
-        """A copy with the same value."""
-        return Tracked(self.value.copy(), self.tape, self.number)
+        """The same: tracked arrays do not change."""
+        return self
 
     def reshape(self, *shape: Any) -> Tracked:
         """Another shape of the same values."""
@@ -152,41 +152,23 @@ class Tracked(NDArrayOperatorsMixin):
         value = gather(self.value)
         return self.tape.result(value, [_terms(self, np.shape(value), of=gather(_numbers(self.shape)))])
 
-    def __setitem__(self, place: Any, new: Any) -> None:
-        value, kept, shape = self.value.copy(), np.ones(self.shape), self.shape
-        value[place], kept[place] = plain(new), 0.0
-        links = [_terms(Tracked(self.value, self.tape, self.number), shape, kept)]
-        if isinstance(new, Tracked):
-            to = _numbers(shape)[place]
-            links.append(_terms(new, shape, of=np.broadcast_to(_numbers(new.shape), to.shape), to=to))
-        self._become(self.tape.result(value, links))
-
-    def _become(self, other: Tracked) -> None:
-        self.value, self.number = other.value, other.number
-
     def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
-        if method != "__call__":
+        if method != "__call__" or options:
             return NotImplemented
         values = [plain(each) for each in inputs]
         if ufunc.__name__ in _FIXED:
             return ufunc(*values)
         if ufunc is np.matmul:
             return _products(_MATMUL[values[0].ndim, values[1].ndim], *inputs)
-        out, mask = options.get("out", (None,))[0], options.get("where", True)
-        # Where the mask is false, the result is ``out``, which must not be a tracked array.
-        value = ufunc(*values) if mask is True else ufunc(*values, out=plain(out).copy(), where=mask)
+        value = ufunc(*values)
         with np.errstate(all="ignore"):
             partials = _PARTIALS[ufunc.__name__](value, *values)
-        links = []
-        for each, partial in zip(inputs, partials, strict=True):
-            if isinstance(each, Tracked):
-                factor = partial if mask is True else np.where(mask, partial, 0.0)
-                links.append(_spread(each, np.shape(value), factor))
-        found = self.tape.result(value, links)
-        if isinstance(out, Tracked):
-            out._become(found)
-            return out
-        return found
+        links = [
+            _spread(each, np.shape(value), partial)
+            for each, partial in zip(inputs, partials, strict=True)
+            if isinstance(each, Tracked)
+        ]
+        return self.tape.result(value, links)
 
     def __array_function__(self, function: Any, types: Any, args: Any, options: Any) -> Any:
         if function not in _FUNCTIONS:
@@ -303,5 +285,4 @@ _FUNCTIONS: dict[Any, Callable[..., Any]] = {
     np.cross: lambda a, b: _products(f"{'ni'[-a.ndim :]},{'nj'[-b.ndim :]},ijk->nk", a, b, _PERMUTATIONS),
     np.bincount: _bincount,
     np.linalg.norm: lambda x, axis=None, keepdims=False: np.sqrt((x * x).sum(axis=axis, keepdims=keepdims)),
-    np.zeros_like: lambda x: x.tape.result(np.zeros(x.shape), []),
 }

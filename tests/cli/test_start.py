@@ -94,15 +94,14 @@ def test_the_first_run_says_that_it_compiles_and_counts_it_apart(bench, tmp_path
 
 
 def test_compiling_is_a_stage_of_its_own(monkeypatch):
-    seconds = iter([10.0, 10.0])
-    monkeypatch.setattr(setup, "compile_seconds", lambda: next(seconds))
+    spent = iter([10.0, 10.0, 1.0, 5.0])
+    monkeypatch.setattr(setup, "compile_clock", type("", (), {"seconds": property(lambda _: next(spent))})())
     timing = setup.Timing()
     with timing.stage("apply"):
         pass
     assert list(timing.seconds) == ["apply"]
-    now, spent = iter([0.0, 7.0]), iter([1.0, 5.0])
+    now = iter([0.0, 7.0])
     monkeypatch.setattr(setup.clock, "perf_counter", lambda: next(now))
-    monkeypatch.setattr(setup, "compile_seconds", lambda: next(spent))
     with timing.stage("prepare"):
         pass
     assert timing.seconds["prepare"] == 3.0
@@ -123,11 +122,11 @@ def test_a_cached_loop_of_a_class_that_moved_is_compiled_again(writable, tmp_pat
         (tmp_path / f"{home}.py").write_text(BOX)
         importlib.invalidate_caches()
         boxes, loops = (importlib.import_module(name) for name in (home, "loops_of_boxes"))
-        before = jit.compiled_loops()
+        before = jit.compile_clock.loops
         if not writable and home == "new_boxes":
             monkeypatch.setattr("numba.core.caching.IndexDataCacheFile.flush", _refuse)
         assert loops.width(boxes.Box(1.0, 3.0)) == 2.0
-        compiled.append(jit.compiled_loops() - before)
+        compiled.append(jit.compile_clock.loops - before)
         (tmp_path / f"{home}.py").unlink()
         for name in (home, "loops_of_boxes"):
             del sys.modules[name]
@@ -136,11 +135,11 @@ def test_a_cached_loop_of_a_class_that_moved_is_compiled_again(writable, tmp_pat
 
 def test_a_cache_that_cannot_be_written_does_not_matter(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(jit._clock, "cached", True)
+    monkeypatch.setattr(jit.compile_clock, "cached", True)
     monkeypatch.setattr("numba.core.caching.IndexDataCacheFile.save", _refuse)
     (tmp_path / "loops_on_full_disks.py").write_text(LOOP + "@kernel\ndef half(x):\n    return 0.5 * x\n")
     assert importlib.import_module("loops_on_full_disks").half(3.0) == 1.5
-    assert not jit.is_cached()
+    assert not jit.compile_clock.cached
 
 
 def _refuse(*_):

@@ -40,13 +40,13 @@ import numpy as np
 import many_loops
 from meshdeform_core.numerics import jit
 told = []
-jit.on_compile(told.append)
+jit.compile_clock.notice = told.append
 line = many_loops.Line(np.arange(3.0), 2.0)
 out = np.empty(3)
 for number in range(3):
     getattr(many_loops, f"loop_{number}")(out, line)
     assert out.tolist() == [number, number + 2, number + 4]
-print(jit.compiled_loops(), *(max((note[part] for note in told), default=0) for part in (1, 2)))
+print(jit.compile_clock.loops, *(max((note[part] for note in told), default=0) for part in (1, 2)))
 """
 
 

@@ -34,11 +34,30 @@ from ..options import MethodOptions, option
 from .idw_sums import ExactSums, SourceValues, apply_fast, interpolation_order, sums_of_groups
 from .images import mirror_images, motion_values, transition_of
 from .summation import Summation, fast_pays, summation_tolerance
-from .tuned import ALPHA_CAP, FAR, FAR_IN_PLANES, FAR_OF_ONE_BODY, ROUNDS, STEEPER, WIDTH, WIDTH_IN_PLANES
 
 if TYPE_CHECKING:
     from ...numerics.fastsum.weighted import FastSums
 
+# The exponents and the transition were tuned together: they result from large motions of the samples and of third-party
+# grids (studies/which_method.py, studies/robustness_table.py) and from random motions of whole boundaries
+# (studies/random_flows.py), see docs/methods.md ("IDW") and docs/validity.md; after a change, run all three.
+ALPHA_CAP = 0.3
+"""Largest alpha that eq. 18 may choose; larger values cross cells if a = 3 and there is no transition."""
+FAR, FAR_IN_PLANES = 3.0, 2.5
+"""Exponent a of eq. 16: Luke's, and that of ``lie`` in plane grids without a transition.
+
+The weights of a surface decay like r^(2 - a), those of a curve like r^(1 - a): between two surfaces Luke's exponent
+spreads the deformation evenly, between two curves it concentrates the deformation half-way.
+"""
+FAR_OF_ONE_BODY = 4.0
+"""Exponent a of eq. 16 for one moving body with a transition; it then matters only along the body."""
+WIDTH, WIDTH_IN_PLANES = 0.5, 0.3
+"""Fraction of the gap at either end over which the slope of the share changes (``transition``)."""
+ROUNDS = 8
+"""Rounds of smoothing near sharp edges with ``lie``."""
+STEEPER = 1.5
+"""With a transition, fast sums are made accurate for displacements larger by this factor, as the share may vary faster
+than the weights."""
 _LEAST_ALPHA = 1e-3
 _ENCLOSED = 1e-6
 """Largest relative gap between the extent of a boundary and that of the grid that it encloses."""

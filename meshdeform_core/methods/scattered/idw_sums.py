@@ -6,27 +6,26 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...grid import BoolArray, FloatArray, IntArray
 from ...numerics.arrays import Report, weighted_total
-from ...numerics.exact.direct import N_VALUES, weighted_sums
+from ...numerics.exact.direct import weighted_sums
 from ...numerics.fastsum.tuned import SHARE, SINGLE_TOLERANCE
 from ...numerics.frame import Frame
 from ...numerics.rigid import NO_TRANSITION, Transition
-from ...parallel import Nodes, empty, for_chunks
+from ...parallel import Nodes, for_chunks
 from .summation import largest_error, sum_accurately
 
 if TYPE_CHECKING:
     from ...numerics.fastsum.weighted import FastSums
 
-_CHUNK = 2048
-_PORTIONS = 32
+_CHUNK, _ROWS = 2048, 1 << 16
+"""Nodes per chunk, and nodes whose gradients are transposed at a time, which bounds the memory."""
 CHECKED = 64
-"""Nodes per chunk when fast sums are compared with exact ones."""
+"""Nodes per chunk when fast sums are compared with exact ones, and sources per chunk of transposed sums."""
 
 Weights = tuple[tuple[float, float, float], ...]
 Use = Callable[[slice, IntArray, FloatArray], object]
@@ -65,12 +64,10 @@ class ExactSums:
         self._sources, self._strength, self._groups = method.images.points, method.strength, method.groups
         self.acting = np.ones(len(self._sources), dtype=bool) if acting is None else acting
 
-    @cached_property
+    @property
     def portions(self) -> int:
-        """Number of parts of the nodes that :meth:`transpose` sums separately; their sums together are no larger than
-        half of the coordinates."""
-        size = 2 * (1 + N_VALUES) * max(int(self.acting.sum()), 1)
-        return max(1, min(_PORTIONS, len(self.flat) // _CHUNK, 3 * len(self._points) // size))
+        """Number of parts of the nodes whose gradients :meth:`transpose` asks for one by one."""
+        return -(-len(self.flat) // _CHUNK)
 
     def at(self, flat: IntArray, values: FloatArray, weigh: bool = True, chunk: int | None = None) -> FloatArray:
         """Sums (m, 1 + k) of values (k, n) at some nodes, the total weight first, or zero unless ``weigh``; ``chunk``
@@ -103,27 +100,19 @@ class ExactSums:
 
     def transpose(self, make: Make, k: int) -> FloatArray:
         """Transpose of :meth:`apply`: gradients (k, n_sources) from those (m, k) of the sums of values."""
-        n, n_acting = len(self.acting), int(self.acting.sum())
-        cut = np.linspace(0, len(self.flat), self.portions + 1).astype(np.int64)
-        place = np.cumsum(self.acting) - 1
-        totals = empty((self.portions, k, n_acting))
+        gradient = np.zeros((k, len(self.acting)))
+        for first in range(0, len(self.flat), _ROWS):
+            flat = self.flat[first : first + _ROWS]
+            given, x, ones = np.empty((k, len(flat))), self._points[flat], np.ones(len(flat))
 
-        def work(lo: int, hi: int) -> None:
-            for portion in range(lo, hi):
-                totals[portion] = 0.0
-                for first in range(cut[portion], cut[portion + 1], _CHUNK):
-                    rows = slice(first, min(first + _CHUNK, int(cut[portion + 1])))
-                    flat = self.flat[rows]
-                    given = np.ascontiguousarray(make(rows, flat, portion).T)
-                    x, ones = self._points[flat], np.ones(len(flat))
-                    for group, weights in zip(self._groups, self._weights, strict=True):
-                        some = group[self.acting[group]]
-                        found = weighted_sums(self._sources[some], x, ones, weights, given, chunk=n)
-                        totals[portion][:, place[some]] += self._strength[some] * found[:, 1:].T
+            def ask(lo: int, hi: int, first: int = first, flat: IntArray = flat, given: FloatArray = given) -> None:
+                given[:, lo:hi] = make(slice(first + lo, first + hi), flat[lo:hi], (first + lo) // _CHUNK).T
 
-        for_chunks(work, self.portions, 1)
-        gradient = np.zeros((k, n))
-        gradient[:, self.acting] = sum(totals[portion] for portion in range(self.portions))
+            for_chunks(ask, len(flat), _CHUNK)
+            for group, weights in zip(self._groups, self._weights, strict=True):
+                some = group[self.acting[group]]
+                found = weighted_sums(self._sources[some], x, ones, weights, given, chunk=CHECKED)
+                gradient[:, some] += self._strength[some] * found[:, 1:].T
         return gradient
 
 

@@ -14,9 +14,7 @@ def multiply(p: FloatArray, q: FloatArray) -> FloatArray:
     """Quaternion product: rotation ``q`` followed by ``p``; the scalar part is made non-negative (angle at most pi)."""
     scalar = p[:, 0] * q[:, 0] - dot(p[:, 1:], q[:, 1:])
     vector = p[:, :1] * q[:, 1:] + q[:, :1] * p[:, 1:] + np.cross(p[:, 1:], q[:, 1:])
-    product = np.concatenate([scalar[:, None], vector], axis=1)
-    product[scalar < 0] *= -1
-    return product
+    return np.concatenate([scalar[:, None], vector], axis=1) * np.where(scalar < 0, -1.0, 1.0)[:, None]
 
 
 def rotate(q: FloatArray, v: FloatArray) -> FloatArray:
