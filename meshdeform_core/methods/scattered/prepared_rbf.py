@@ -24,8 +24,7 @@ from ...parallel import Nodes, Ranks, for_chunks, thread_count
 from ..base import Account, Kinks, Linearised, Problem, Progress, Setting, of_stage
 from ..limits import CHOSEN, warn_of_coarse_tolerance, warn_of_radius
 from .images import mirror_images
-from .rbf import DIRECT_CENTRES
-from .summation import fast_pays, largest_error, sum_accurately
+from .summation import DIRECT_CENTRES, fast_pays, largest_error, sum_accurately
 
 if TYPE_CHECKING:
     from ...numerics.fastsum.radial import FastRadial, RadialTargets

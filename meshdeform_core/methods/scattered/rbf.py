@@ -11,14 +11,11 @@ from ...grid import IntArray
 from ...numerics.exact.basis import BASES
 from ..base import Problem
 from ..options import MethodOptions, option
-from .summation import Summation, summation_tolerance
+from .summation import DIRECT_CENTRES, Summation, summation_tolerance
 
 if TYPE_CHECKING:
     from .prepared_rbf import PreparedRBF
 
-DIRECT_CENTRES = 4000
-"""The largest number of centres that ``auto`` solves directly; beyond it, GMRES with its set-up is faster
-(``benchmarks/rbf.py``)."""
 Basis = Literal["tps", "wendland-c0", "wendland-c2", "ctps-c1", "ctps-c2a", "ctps-c2b"]
 _GREEDY: Mapping[str, tuple[str, ...]] = {"greedy": ("hybrid",)}
 _COMPACT: Mapping[str, tuple[str, ...]] = {"basis": tuple(name for name in BASES if name != "tps")}

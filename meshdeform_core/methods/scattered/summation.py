@@ -1,4 +1,4 @@
-"""Choice between exact and fast sums, and the check of the fast ones; common to all scattered-data methods."""
+"""Choice between exact and fast sums, direct and iterative solutions, and the check of the fast ones; common to all scattered-data methods."""
 
 from __future__ import annotations
 
@@ -14,6 +14,9 @@ from ..options import option
 
 _FAST_PAIRS, _FAST_SOURCES = 2e8, 2000
 """Pairs of nodes and sources, and sources, from which fast sums are faster than exact ones (``benchmarks/idw.py``)."""
+DIRECT_CENTRES = 4000
+"""Of RBF, the largest number of centres that ``auto`` solves directly; beyond it, GMRES with its set-up is faster
+(``benchmarks/rbf.py``)."""
 _WORST_BRICKS, _RANDOM_NODES = 64, 256
 """Bricks with the largest error bounds, and random nodes, at which fast sums are compared with exact ones."""
 MAX_RETRIES = 3
