@@ -1,4 +1,4 @@
-"""Choice between exact and fast sums, direct and iterative solutions, and the check of the fast ones; common to all scattered-data methods."""
+"""Choice between exact and fast sums and of the solver, and the check of fast sums, for all scattered-data methods."""
 
 from __future__ import annotations
 
