@@ -1,4 +1,4 @@
-"""Overset grids: groups of blocks that may overlap each other and have no node in common, each a grid of its own.
+"""The set-up of a grid; overset grids: groups of blocks that may overlap each other and have no node in common.
 
 The grid and its case are split into components; each is deformed as if it were alone, and the results are joined. What
 lies below this module deforms a grid without knowing whether it is a component of another.
@@ -14,17 +14,20 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from .boundary import Boundary, Kind
-from .boundary.classification import ClassifiedPatch
+from .boundary import Boundary, Kind, classify
+from .boundary.classification import UNSELECTED, ClassifiedPatch, opening_notes, with_plates
 from .boundary.constraints import Periodic, find_sliding
 from .boundary.crossing import Contact, Crossing
 from .boundary.fitting import Tables
-from .errors import CaseError
+from .errors import CaseError, MotionError
 from .grid import FloatArray, Grid, IntArray
+from .grid.connections import check_connections
+from .grid.openings import coincident_blocks, find_openings
+from .grid.planes import require_extent
 from .grid.selection import BY_PREFIX, with_components
-from .grid.topology import RELATIVE_TOLERANCE, FaceQuads, Topology, quads_of_patches
+from .grid.topology import RELATIVE_TOLERANCE, FaceQuads, Topology, find_topology, quads_of_patches
 from .memory import UNLIMITED, MemoryLimit
-from .methods import Account, Options, PreparedMethod, Problem, Progress
+from .methods import Account, Options, PreparedMethod, Progress
 from .methods.base import Kinks, Linearised
 from .methods.composite import filled
 from .methods.limits import patch_motions
@@ -34,14 +37,14 @@ from .parallel import Nodes
 from .quality import assess
 from .repair.options import Limit
 from .repair.outcome import Repair
-from .setup import Case, Result, Setup, Timing, Undeformed, set_up_whole
+from .setup import Case, Result, Setup, Timing, Undeformed
 from .stepping import Course
 from .wording import Notice, kind_of
 
 
 def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryLimit = UNLIMITED) -> Setup:
-    """:func:`.setup.set_up_whole` for any grid; the undeformed state of an overset one is :class:`Overset`, whose
-    components must be named and have no face in common."""
+    """Find the topology and classify the boundary; ``memory`` is the method's limit in addition to the grid. The
+    components of an overset grid must be named and have no face in common."""
     grid = with_components(grid, case.components)
     if grid.overset and not grid.components:
         raise CaseError(
@@ -49,12 +52,29 @@ def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryL
             f"them together; the case has to name the blocks that belong together: [grid] components = "
             f'"{BY_PREFIX}", or patterns of block names'
         )
-    if not grid.component_numbers.any():
-        return set_up_whole(grid, case, timing, memory)
-    setup = set_up_whole(grid, case, timing, memory, None if case.open_faces is True else _require_apart)
-    whole = setup.undeformed
-    divided = undeformed_of(whole.grid, whole.topology, whole.boundary, whole.memory, whole.min_jacobian)
-    return replace(setup, undeformed=divided)
+    timing = timing or Timing()
+    require_extent(grid)
+    with timing.stage("topology"):
+        topology = find_topology(grid, case.tolerance)
+        warnings = [*grid.notes, *case.notes, *check_connections(grid, topology), *coincident_blocks(grid, topology)]
+        if topology.crowded:
+            crowd = f"{topology.crowded} face quads are shared by more than two blocks, which no interface can be; "
+            warnings.append(f"{crowd}check the grid for blocks that exist twice")
+        openings = find_openings(grid, topology)
+        if grid.component_numbers.any() and case.open_faces is not True:
+            _require_apart(grid, topology)
+        grid, topology = with_plates(grid, topology, case.plates)
+        boundary = classify(grid, topology, case.boundaries, case.constants)
+        unselected = boundary.quads_of(lambda patch: patch.name == UNSELECTED)
+        moving = boundary.quads_of(lambda patch: patch.kind is Kind.MOVING)
+        warnings += opening_notes(grid, topology, openings, unselected, moving, case.open_faces)
+    if not boundary.count(Kind.MOVING):
+        raise MotionError(
+            "no node moves: no boundary entry of kind moving selects any node; "
+            'expected a [[boundary]] with kind = "moving" and a motion, or a displacement table'
+        )
+    undeformed = undeformed_of(grid, topology, boundary, memory, case.repair.min_jacobian)
+    return Setup(undeformed, case, (*warnings, *boundary.notes))
 
 
 def undeformed_of(
@@ -62,7 +82,7 @@ def undeformed_of(
 ) -> Undeformed:
     """An undeformed grid; an :class:`Overset` one if it has several components."""
     kind = Overset if grid.component_numbers.any() else Undeformed
-    return kind(grid, topology, boundary, memory, min_jacobian)
+    return kind(grid, topology, boundary, memory, min_jacobian=min_jacobian)
 
 
 def _require_apart(grid: Grid, topology: Topology) -> None:
@@ -207,7 +227,9 @@ def _component(whole: Undeformed, name: str, number: int, memory: MemoryLimit) -
         (),
         Tables(()),
     )
-    return Component(name, blocks, numbers, Undeformed(alone, own_topology, own_boundary, memory, whole.min_jacobian))
+    return Component(
+        name, blocks, numbers, Undeformed(alone, own_topology, own_boundary, memory, min_jacobian=whole.min_jacobian)
+    )
 
 
 def _within(place: IntArray, entries: IntArray) -> IntArray:
@@ -243,7 +265,7 @@ class PreparedComponents(PreparedMethod):
     """A method prepared on every component; ``None`` for one without moving boundaries, which remains at rest."""
 
     def __init__(self, whole: Overset, options: Options):
-        self._grid, self._sources = whole.grid, whole.problem.source_numbers
+        self._grid, self._sources = whole.grid, whole.source_numbers
         self.components = whole.components
         self.methods = [each.undeformed.prepare(options) if each.moves else None for each in self.components]
 
@@ -266,7 +288,7 @@ class PreparedComponents(PreparedMethod):
     def _moved(self, movers: Sequence[Mover | None], values: FloatArray) -> FloatArray:
         """What ``movers`` of the components make of their rows of ``values`` of the sources, on all nodes."""
         parts = [
-            (each, move(values[rows]) if move else filled(each.undeformed.problem, 0.0))
+            (each, move(values[rows]) if move else filled(each.undeformed, 0.0))
             for (each, _, rows), move in zip(self._parts(), movers, strict=True)
         ]
         return _joined(self._grid, parts)
@@ -274,8 +296,7 @@ class PreparedComponents(PreparedMethod):
     def _parts(self) -> Iterator[tuple[Component, PreparedMethod | None, IntArray]]:
         """Each component with its method, and the rows of its sources among those of the whole grid."""
         for each, method in zip(self.components, self.methods, strict=True):
-            own: Problem = each.undeformed.problem
-            yield each, method, np.searchsorted(self._sources, each.numbers[own.source_numbers])
+            yield each, method, np.searchsorted(self._sources, each.numbers[each.undeformed.source_numbers])
 
     def linearised(self, displacement: FloatArray) -> Linearised:
         found = [method.linearised(displacement[rows]) if method else None for _, method, rows in self._parts()]

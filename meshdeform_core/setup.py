@@ -10,23 +10,14 @@ from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
-from .boundary import Boundary, BoundarySpec, Kind, classify
-from .boundary.classification import (
-    UNSELECTED,
-    largest_displacement,
-    opening_notes,
-    prescribed_displacement,
-    with_plates,
-)
+from .boundary import BoundarySpec
+from .boundary.classification import largest_displacement, prescribed_displacement
 from .boundary.crossing import Contact, Crossing, CrossingTest
-from .errors import CaseError, MotionError
+from .errors import CaseError
 from .grid import FloatArray, Grid
-from .grid.connections import check_connections
-from .grid.openings import coincident_blocks, find_openings
-from .grid.planes import require_extent
 from .grid.selection import Components
-from .grid.topology import RELATIVE_TOLERANCE, Topology, find_topology
-from .memory import UNLIMITED, MemoryLimit, release_freed
+from .grid.topology import RELATIVE_TOLERANCE
+from .memory import release_freed
 from .methods import Account, Options, PreparedMethod, Problem, Progress, prepare_method
 from .methods.limits import PatchMotion
 from .numerics.jit import compile_clock
@@ -102,23 +93,14 @@ class Timing:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Undeformed:
+class Undeformed(Problem):
     """The undeformed grid and its classified boundary, with data computed from them on first use.
 
     Set-ups that differ in the method or the repair mode share it. ``min_jacobian``: cells with a corner below this
     fraction of its undeformed Jacobian count as invalid.
     """
 
-    grid: Grid
-    topology: Topology
-    boundary: Boundary
-    memory: MemoryLimit = UNLIMITED
     min_jacobian: float = 0.0
-
-    @cached_property
-    def problem(self) -> Problem:
-        """The input of a method's ``prepare``."""
-        return Problem(self.grid, self.topology, self.boundary, self.memory)
 
     @cached_property
     def original(self) -> Original:
@@ -147,14 +129,15 @@ class Undeformed:
 
     def prepare(self, options: Options) -> PreparedMethod:
         """The method that ``options`` describe, bound to the grid."""
-        return prepare_method(options, self.problem)
+        return prepare_method(options, self)
 
 
 @dataclass(eq=False, repr=False)
 class Setup:
     """A grid with everything that is known before the boundary moves; ``--dry-run`` shows it.
 
-    ``grid``, ``topology``, ``boundary`` and ``memory`` are those of the ``undeformed`` grid.
+    ``problem``, the input of a method's ``prepare``, is the ``undeformed`` grid, whose are ``grid``, ``topology``,
+    ``boundary`` and ``memory``.
     """
 
     undeformed: Undeformed
@@ -164,14 +147,10 @@ class Setup:
     def __post_init__(self) -> None:
         self.grid, self.topology = self.undeformed.grid, self.undeformed.topology
         self.boundary, self.memory = self.undeformed.boundary, self.undeformed.memory
+        self.problem: Problem = self.undeformed
 
     def __repr__(self) -> str:
         return f"Setup({self.grid!r}, {self.case.method.name})"
-
-    @property
-    def problem(self) -> Problem:
-        """The input of a method's ``prepare``."""
-        return self.undeformed.problem
 
     @property
     def original(self) -> Original:
@@ -247,37 +226,3 @@ class Result:
     def valid(self) -> bool:
         """Whether the whole motion was imposed and no cell became invalid."""
         return self.reached == 1.0 and self.assessment.valid
-
-
-def set_up_whole(
-    grid: Grid,
-    case: Case,
-    timing: Timing | None = None,
-    memory: MemoryLimit = UNLIMITED,
-    check: Callable[[Grid, Topology], None] | None = None,
-) -> Setup:
-    """Find the topology and classify the boundary; ``memory`` is the method's limit in addition to the grid; ``check``
-    may refuse the grid once its topology is known."""
-    timing = timing or Timing()
-    require_extent(grid)
-    with timing.stage("topology"):
-        topology = find_topology(grid, case.tolerance)
-        warnings = [*grid.notes, *case.notes, *check_connections(grid, topology), *coincident_blocks(grid, topology)]
-        if topology.crowded:
-            crowd = f"{topology.crowded} face quads are shared by more than two blocks, which no interface can be; "
-            warnings.append(f"{crowd}check the grid for blocks that exist twice")
-        openings = find_openings(grid, topology)
-        if check:
-            check(grid, topology)
-        grid, topology = with_plates(grid, topology, case.plates)
-        boundary = classify(grid, topology, case.boundaries, case.constants)
-        unselected = boundary.quads_of(lambda patch: patch.name == UNSELECTED)
-        moving = boundary.quads_of(lambda patch: patch.kind is Kind.MOVING)
-        warnings += opening_notes(grid, topology, openings, unselected, moving, case.open_faces)
-    if not boundary.count(Kind.MOVING):
-        raise MotionError(
-            "no node moves: no boundary entry of kind moving selects any node; "
-            'expected a [[boundary]] with kind = "moving" and a motion, or a displacement table'
-        )
-    undeformed = Undeformed(grid, topology, boundary, memory, case.repair.min_jacobian)
-    return Setup(undeformed, case, (*warnings, *boundary.notes))

@@ -138,12 +138,8 @@ class PreparedComposite(PreparedMethod):
         if self.filler:
             self.filler.fill(out, progress)
             if self.left_out:
-                self.constrain_again(out)
+                impose(self.problem, on_faces(out, self.problem), out)
         return out
-
-    def constrain_again(self, out: FloatArray) -> None:
-        """Impose the constraints again, in place, on displacements (n_nodes, 3) that were changed since."""
-        impose(self.problem, on_faces(out, self.problem), out)
 
     def linearised(self, displacement: FloatArray) -> Linearised:
         problem, mover = self.problem, self.mover.linearised(displacement)

@@ -21,7 +21,7 @@ from ..numerics.geometry.surface import TriangleTree
 from ..parallel import Nodes
 from .base import Account, Kinks, Linearised, PreparedMethod, Problem, Progress, Setting
 from .composite import Composite, PreparedComposite, on_faces
-from .constraints import Constraints, add_to_faces
+from .constraints import Constraints, add_to_faces, impose
 from .limits import BETWEEN
 from .transfinite.tfi import TFI
 
@@ -76,7 +76,7 @@ class PreparedInGaps(PreparedComposite):
 
         Nodes.of(out).each(blend_rows)
         if self.problem.boundary.slip.curved:
-            self.constrain_again(out)
+            impose(self.problem, on_faces(out, self.problem), out)
         return out
 
     def linearised(self, displacement: FloatArray) -> Linearised:

@@ -184,6 +184,12 @@ class Nodes:
         """The values of all ranks."""
         return self.ranks.gather([value])
 
+    def total(self, values: Any) -> Any:
+        """Sum of the ``values`` of all ranks, arrays of the same shape, in rank order."""
+        import numpy as np
+
+        return np.sum(self.gather(values), axis=0) if self.divided else values
+
     def combined(self, operation: Callable[..., object], other: Any) -> Any:
         """A new array (n, 3) filled by ``operation(this, other, out=...)``, like ``np.subtract``."""
         result, this = self.like(3), self if self.divided else self.rows

@@ -327,8 +327,7 @@ class PreparedRBF:
                 some = flat[first : first + _ROWS]
                 more = system.transposed_sums(nodes.rows[some], rows[some])
                 upper, lower = upper + more[0], lower + more[1]
-            every = (np.sum(nodes.gather(sums), axis=0) for sums in (upper, lower))
-            return self.images.gathered(system.solve_transposed(*every))
+            return self.images.gathered(system.solve_transposed(nodes.total(upper), nodes.total(lower)))
 
         return Linearised(push, pull, Kinks({CHOSEN: 1} if self.options.greedy != "none" else {}))
 

@@ -352,15 +352,9 @@ class PreparedTFI:
         cells = options.cells(problem)
         setting = dataclasses.replace(options.used("max_cells")["max_cells"], value=cells)
         if options.max_cells == "auto":
-            pairs = _pairs(problem)
-            limit = next(limit for limit, _ in FEW_PAIRS if pairs <= limit)
-            reason = f"{pairs:.1e} pairs of nodes and sources"
-            if np.isfinite(limit):
-                reason += f", up to {limit:.0e}: sub-blocks as small as this cost little and follow a motion that "
-                reason += "changes within a few cells"
-            else:
-                usual = setting.reason.removeprefix("default: ")
-                reason += f": smaller sub-blocks would take longer, and this {usual}"
+            cheap = "sub-blocks as small as this cost little and follow a motion that changes within a few cells"
+            usual = f"smaller sub-blocks would take longer, and this {setting.reason.removeprefix('default: ')}"
+            reason = f"{_pairs(problem):.1e} pairs of nodes and sources: {cheap if cells < FEW_PAIRS[-1][1] else usual}"
             setting = dataclasses.replace(setting, reason=reason)
         self.account.settings["max_cells"] = setting
         self.account.settings["sub_blocks"] = Setting(len(self._subs), "follows from max_cells")
