@@ -111,7 +111,7 @@ def derivatives_of(x, corners, start, reference, mask, which, penalty=MINIMISING
     n = len(x)
     unknowns = Unknowns(np.arange(n), np.tile(np.eye(3), (n, 1, 1)), np.ones(n, bool))
     rows = (0, n, np.arange(n + 1) * n, np.tile(np.arange(n, dtype=np.int32), n))
-    gradient, blocks, weight = np.zeros((n, 3)), np.zeros((n * n, 3, 3)), np.full((len(corners), 2), 0.8)
+    gradient, blocks, X
     given = corners, start, mask, SLOPES, weight, reference, penalty
     add_derivatives(x, *given, np.asarray(which), unknowns, rows, blocks, gradient)
     return gradient, blocks.reshape(n, n, 3, 3)

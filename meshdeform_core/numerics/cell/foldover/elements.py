@@ -12,7 +12,7 @@ from llvmlite import ir
 
 from ...jit import inlined, record
 from ...lanes import NARROW as WIDTH
-from ...lanes import Array, Lanes, narrow
+from ...lanes import Array, Lanes
 
 
 def growth(f: Any) -> tuple[Any, Any, Any]:
@@ -81,23 +81,6 @@ def regular(det: Lanes, eps: Lanes) -> tuple[Lanes, Lanes]:
     return (det * 0.0).below(det).choose(0.5 * (det + root), 0.5 * eps * eps / (root - det)), root
 
 
-@narrow
-def transpose(result: Array, row: ir.Value, found: Array, rows: ir.Value) -> None:
-    """Copy eight of the ``rows`` of ``result`` (rows, WIDTH) to ``found`` (WIDTH, rows)."""
-    builder = result.builder
-    place = builder.mul(row, row.type(WIDTH))
-    lines = [result.load(place, n * WIDTH) for n in range(WIDTH)]
-    for step in (1, 2, 4):
-        upper = [n if not n & step else WIDTH + (n ^ step) for n in range(WIDTH)]
-        lower = [n | step if not n & step else WIDTH + n for n in range(WIDTH)]
-        for n in range(WIDTH):
-            if not n & step:
-                one, two = lines[n], lines[n | step]
-                lines[n], lines[n | step] = one.mixed(two, upper), one.mixed(two, lower)
-    for n, line in enumerate(lines):
-        found.store(builder.add(row, builder.mul(rows, row.type(n))), line)
-
-
 @record("i8[::1], f8[:, :, ::1], b1[::1]")
 class Unknowns(NamedTuple):
     """The unknowns of a region's n nodes: ``number`` (n,), the unknown of each node or -1; ``frame`` (n, d, d), with
@@ -112,8 +95,8 @@ class Unknowns(NamedTuple):
 def add_element(nodes, c, corners, d, found, lane, force, work, unknowns, rows, matrix, gradient):
     """Add the derivatives of an element to the rows of its unknowns; see :func:`.hexahedra.add_derivatives`.
 
-    ``nodes[c]`` are its ``corners``, in ``d`` dimensions; ``found[lane]``: the second derivatives (d, d) for pairs of
-    nodes in ascending order, from the entry ``force`` on the first ones (m, d); ``work`` (3, 3) is room.
+    ``nodes[c]`` are its ``corners``, in ``d`` dimensions; in a ``lane`` of ``found`` the second derivatives (d, d)
+    for pairs of nodes in ascending order, from the row ``force`` on the first ones (m, d); ``work`` (3, 3) is room.
     """
     number, frame, plain = unknowns
     first = 0
@@ -123,7 +106,7 @@ def add_element(nodes, c, corners, d, found, lane, force, work, unknowns, rows, 
         if row >= rows[0] and row < rows[1]:
             for i in range(d):
                 for k in range(d):
-                    gradient[row, i] += frame[here, k, i] * found[lane, force + d * n + k]
+                    gradient[row, i] += frame[here, k, i] * found[force + d * n + k, lane]
         for o in range(n, corners):
             there = nodes[c, o]
             column = number[there]
@@ -134,12 +117,12 @@ def add_element(nodes, c, corners, d, found, lane, force, work, unknowns, rows, 
                 if at >= 0:
                     for i in range(d):
                         for k in range(d):
-                            matrix[at, i, k] += found[lane, first + d * i + k]
+                            matrix[at, i, k] += found[first + d * i + k, lane]
                 at = _place_of(column, row, rows) if n != o else -1
                 if at >= 0:
                     for i in range(d):
                         for k in range(d):
-                            matrix[at, i, k] += found[lane, first + d * k + i]
+                            matrix[at, i, k] += found[first + d * k + i, lane]
             first += d * d
 
 
@@ -150,13 +133,13 @@ def _turn(frame, one, two, d, found, lane, first, work):
         for k in range(d):
             work[i, k] = 0.0
             for e in range(d):
-                work[i, k] += frame[one, e, i] * found[lane, first + d * e + k]
+                work[i, k] += frame[one, e, i] * found[first + d * e + k, lane]
     for i in range(d):
         for k in range(d):
             total = 0.0
             for e in range(d):
                 total += work[i, e] * frame[two, e, k]
-            found[lane, first + d * i + k] = total
+            found[first + d * i + k, lane] = total
 
 
 @inlined

@@ -7,8 +7,7 @@ determinant of the undeformed vectors and K the cofactors of A, for cyclic (k, l
 
     K g_k = e_l x e_m / V,    A (g_k x g_l) = e_m / V.
 
-At a corner they are edges, all pointing away from it, so that V may be negative. At sample points between corners they
-are sums over the nodes times the slopes of their shape functions.
+They are sums over the nodes times the slopes of their shape functions; at a corner, edges that point along the axes.
 """
 
 from __future__ import annotations
@@ -22,13 +21,13 @@ from llvmlite import ir
 from ...jit import inlined, kernel
 from ...lanes import NARROW as WIDTH
 from ...lanes import Array, Lanes, Mask, narrow
-from .elements import Unknowns, add, add_element, combined, growth, load, regular, slopes, store, transpose
+from .elements import Unknowns, add, add_element, combined, growth, load, regular, slopes, store
 
 DEFORMED, UNDEFORMED, REFERENCE, GRIDS = 0, 1, 2, 3
 """Rows of ``points`` (GRIDS, 8, 3, WIDTH): coordinates of the corners of eight cells in three grids."""
-WEIGHT, BETWEEN, HELD, TERMS = 27, 28, 29, 30
-"""Rows of ``terms`` (TERMS, WIDTH): 1 where the sample point 0 to 26 counts, else 0; w of the cells, the share of their
-sample points between corners, and the factor of their elastic energy."""
+WEIGHT, HELD, TERMS = 27, 28, 29
+"""Rows of ``terms`` (TERMS, WIDTH): the share of the energy at sample points 0 to 26, 0 where they do not count; w of
+the cells, and the factor of their elastic energy."""
 ENERGY, LOWEST, HIGHEST, SUMS = 0, 1, 2, 3
 """Rows of ``sums`` (SUMS, WIDTH): the energy, the smallest D, the largest f."""
 FORCE, ROWS = 36 * 9, 44 * 8
@@ -44,153 +43,71 @@ _GUESS, _CORRECTIONS = 1430187000.0, 3
 
 
 class _Map(NamedTuple):
-    """The map at a sample point of eight cells, arrays of :class:`Lanes`: where it ``counts``, ``edges``: the vectors
-    e_k, ``dual``: g_k, ``inverse``: 1 / V, A, ``across``: K g_k, |A|^2, and D. Where the point does not count, |A|^2 is
-    3, D is 1 and all of the others but the edges are 0: what is left out by the factor 0 must not overflow."""
+    """The map at a sample point of eight cells, arrays of :class:`Lanes`: where it ``counts`` and its ``share`` of the
+    energy, ``edges``: the vectors e_k, ``dual``: g_k, ``inverse``: 1 / V, A, A less that of the reference grid,
+    ``across``: K g_k, |A|^2, and D. Where the point does not count, |A|^2 is 3, D is 1 and all of the others but the
+    edges are 0: what is left out by the factor 0 must not overflow."""
 
     counts: Mask
+    share: Lanes
     edges: np.ndarray
     dual: np.ndarray
     inverse: Lanes
     matrix: np.ndarray
+    strain: np.ndarray
     across: np.ndarray
     square: Lanes
     det: Lanes
 
     @classmethod
-    def of(cls, terms: Array, sample: ir.Value, start: np.ndarray, edges: np.ndarray) -> _Map:
-        [count] = load(terms, 0, (1,), sample)
-        counts = (count * 0.0 + 0.5).below(count)
-        areas = _areas(start)
+    def at(cls, points: Array, terms: Array, slope: Array, sample: ir.Value) -> _Map:
+        """``slope`` (27, 8, 3): of the shape functions."""
+        weights = [_slopes_of(slope, sample, sample.type(n))[:, None] for n in range(8)]
+        edges, start, held = (
+            np.array([w * p for w, p in zip(weights, load(points, 24 * grid, (8, 3)), strict=True)]).sum(axis=0)
+            for grid in (DEFORMED, UNDEFORMED, REFERENCE)
+        )
+        [share] = load(terms, 0, (1,), sample)
+        counts, areas = (share * 0.0).below(share), _areas(start)
         inverse = counts.choose(1.0 / (start[0] @ areas[0]), 0.0)
         dual, across = areas * inverse, _areas(edges) * inverse
         matrix = edges.T @ dual
         square, det = counts.choose((matrix * matrix).sum(), 3.0), counts.choose(edges[0] @ across[0], 1.0)
-        return cls(counts, edges, dual, inverse, matrix, across, square, det)
-
-    @classmethod
-    def at_corner(cls, points: Array, terms: Array, node: ir.Value) -> _Map:
-        return cls.of(terms, node, _edges(points, UNDEFORMED, node), _edges(points, DEFORMED, node))
-
-    @classmethod
-    def between(cls, points: Array, terms: Array, slope: Array, sample: ir.Value) -> _Map:
-        """At a sample point between corners."""
-        weights = [_slopes_of(slope, sample, sample.type(n))[:, None] for n in range(8)]
-        start, edges = (
-            np.array([w * p for w, p in zip(weights, load(points, 24 * grid, (8, 3)), strict=True)]).sum(axis=0)
-            for grid in (UNDEFORMED, DEFORMED)
-        )
-        return cls.of(terms, sample, start, edges)
-
-    def strain(self, points: Array, node: ir.Value) -> np.ndarray:
-        """A at a corner less that of the reference grid."""
-        return np.asarray((self.edges - _edges(points, REFERENCE, node)).T @ self.dual)
+        return cls(counts, share, edges, dual, inverse, matrix, (edges - held).T @ dual, across, square, det)
 
 
 @narrow
-def add_corner_energy(
-    points: Array, terms: Array, sums: Array, node: ir.Value, eps: Lanes, share: Lanes, cubic: Lanes, elastic: Lanes
-) -> None:
-    """Add the energy at the corner ``node`` of all cells to ``sums``."""
-    found, [held] = _Map.at_corner(points, terms, node), load(terms, HELD, (1,))
-    strain = found.strain(points, node)
-    _add_energy(terms, sums, found, eps, share, cubic, 0.5 * elastic * held * (strain * strain).sum())
-
-
-@narrow
-def add_energy_between(
-    points: Array, terms: Array, slope: Array, sums: Array, sample: ir.Value, eps: Lanes, share: Lanes, cubic: Lanes
-) -> None:
-    """Add the energy at a sample point between corners to ``sums``; ``slope`` (27, 8, 3): of the shape functions."""
-    found, [part] = _Map.between(points, terms, slope, sample), load(terms, BETWEEN, (1,))
-    _add_energy(terms, sums, found, eps, share * part, cubic, found.det * 0.0)
-
-
-def _add_energy(terms: Array, sums: Array, found: _Map, eps: Lanes, share: Lanes, cubic: Lanes, stiff: Lanes) -> None:
+def add_energy(
+    points: Array, terms: Array, slope: Array, sums: Array, sample: ir.Value, eps: Lanes, share: Lanes, cubic: Lanes,
+    elastic: Lanes,
+) -> None:  # fmt: skip
+    """Add the energy at a sample point of all cells to ``sums``."""
+    found, [weight, held] = _Map.at(points, terms, slope, sample), load(terms, WEIGHT, (2,))
     chi, _ = regular(found.det, eps)
-    root, infinite, [weight] = _inverse_root(chi), found.det * 0.0 + float("inf"), load(terms, WEIGHT, (1,))
+    root, infinite = _inverse_root(chi), found.det * 0.0 + float("inf")
     f = found.square * (1 / 3) * root * root + (found.det * found.det + 1.0) * 0.5 / chi
     f = (chi * 0.0).below(chi).choose(f, infinite)
     energy, lowest, highest = load(sums, ENERGY, (SUMS,))
-    total = energy + found.counts.choose(share * (weight * f + cubic * growth(f)[0]) + stiff, 0.0)
+    stiff = 0.5 * elastic * held * (found.strain * found.strain).sum()
+    total = share * found.share * (weight * f + cubic * growth(f)[0]) + stiff
     lowest = lowest.min(found.counts.choose(found.det, infinite))
-    store(sums, ENERGY, [total, lowest, highest.max(found.counts.choose(f, 0.0))])
+    highest = highest.max(found.counts.choose(f, 0.0))
+    store(sums, ENERGY, [energy + found.counts.choose(total, 0.0), lowest, highest])
 
 
 @narrow
-def add_corner_derivatives(
-    points: Array,
-    terms: Array,
-    result: Array,
-    node: ir.Value,
-    eps: Lanes,
-    share: Lanes,
-    cubic: Lanes,
-    elastic: Lanes,
-    exact: Lanes,
-) -> None:
-    """Add the derivatives of the energy at the corner ``node`` of all cells to ``result``."""
-    found, [held] = _Map.at_corner(points, terms, node), load(terms, HELD, (1,))
-    stiff = found.counts.choose(elastic * held, 0.0)
-    pull, second = _derivatives(terms, found, eps, share, cubic, stiff, exact)
-    pull = pull + (found.dual @ found.strain(points, node).T) * stiff
-    # From the edges to their ends: what moves the corner shortens them all.
-    pull = np.concatenate([pull.sum(axis=0, keepdims=True) * -1.0, pull])
-    for axis in (0, 1):
-        second = np.concatenate([second.sum(axis=axis, keepdims=True) * -1.0, second], axis=axis)
-    nodes = [node, *_neighbours(result, node)]
-    for one, end in enumerate(nodes):
-        add(result, FORCE, pull[one], end)
-        for two in range(one, 4):
-            _add_pair(result, end, nodes[two], second[one, two])
-
-
-@narrow
-def derivatives_between(
-    points: Array,
-    terms: Array,
-    slope: Array,
-    parts: Array,
-    sample: ir.Value,
-    eps: Lanes,
-    share: Lanes,
-    cubic: Lanes,
-    exact: Lanes,
-) -> None:
-    """The derivatives at a sample point between corners, with respect to the vectors e_k, in ``parts``."""
-    found, [part] = _Map.between(points, terms, slope, sample), load(terms, BETWEEN, (1,))
-    pull, second = _derivatives(terms, found, eps, share * part, cubic, found.det * 0.0, exact)
-    store(parts, PULL, pull)
-    store(parts, BEND, second)
-
-
-@narrow
-def turn_to_node(slope: Array, parts: Array, result: Array, sample: ir.Value, node: ir.Value) -> None:
-    """Add the first derivatives at a sample point to those of a node; in ``parts``, the second ones with respect to the
-    node and the vectors."""
-    own = _slopes_of(slope, sample, node)
-    add(result, FORCE, own @ load(parts, PULL, (3, 3)), node)
-    store(parts, TURNED, own @ load(parts, BEND, (3, 27)))
-
-
-@narrow
-def add_to_pair(slope: Array, parts: Array, result: Array, sample: ir.Value, node: ir.Value, other: ir.Value) -> None:
-    """Add the second derivatives with respect to a node, from :func:`turn_to_node`, and one that is not less."""
-    values = _slopes_of(slope, sample, other) @ load(parts, TURNED, (3, 9))
-    _add_pair(result, node, other, values.reshape(3, 3))
-
-
-def _derivatives(
-    terms: Array, found: _Map, eps: Lanes, share: Lanes, cubic: Lanes, stiff: Lanes, exact: Lanes
-) -> tuple[np.ndarray, np.ndarray]:
-    """First (3, 3) and second derivatives (3, 3, 3, 3) with respect to the vectors e_k; the first ones without the
-    elastic energy, whose stiffness is ``stiff``."""
+def derivatives(
+    points: Array, terms: Array, slope: Array, parts: Array, sample: ir.Value, eps: Lanes, share: Lanes, cubic: Lanes,
+    elastic: Lanes, exact: Lanes,
+) -> None:  # fmt: skip
+    """The derivatives of the energy at a sample point with respect to the vectors e_k, in ``parts``."""
+    found, [weight, held] = _Map.at(points, terms, slope, sample), load(terms, WEIGHT, (2,))
     chi, root = regular(found.det, eps)
-    third, [weight] = _inverse_root(chi), load(terms, WEIGHT, (1,))
+    third = _inverse_root(chi)
     f, u, v, w, q, r, least = slopes(found.square, found.det, chi, root, third * third)
     r = r.max(r * exact + least * (exact * -1.0 + 1.0))
     one, two = growth(f)[1:]
-    part = found.counts.choose(share, 0.0)
+    part, stiff = share * found.share, found.counts.choose(elastic * held, 0.0)
     u, v, w, p, q, r = combined((u, v, w, q, r), part * (weight + cubic * one), part * cubic * two)
     along, across, turning = found.dual @ found.matrix.T, found.across, v * exact * found.inverse
     left, right = along * p + across * q, along * q + across * r
@@ -206,13 +123,26 @@ def _derivatives(
             for d, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
                 pair[i, j], pair[j, i] = pair[i, j] + turned[d], pair[j, i] - turned[d]
         second[k, m], second[m, k] = pair, pair.T
-    return along * u + across * v, second
+    store(parts, PULL, along * u + across * v + (found.dual @ found.strain.T) * stiff)
+    store(parts, BEND, second)
 
 
-def _edges(points: Array, grid: int, node: ir.Value) -> np.ndarray:
-    """The edges (3, 3) from a node of the cells to its neighbours along the index axes."""
-    start, *ends = (load(points, 24 * grid, (3,), each) for each in (node, *_neighbours(points, node)))
-    return np.array(ends) - start
+@narrow
+def turn_to_node(slope: Array, parts: Array, result: Array, sample: ir.Value, node: ir.Value) -> None:
+    """Add the first derivatives at a sample point to those of a node; in ``parts``, the second ones with respect to the
+    node and the vectors."""
+    own = _slopes_of(slope, sample, node)
+    add(result, FORCE, own @ load(parts, PULL, (3, 3)), node)
+    store(parts, TURNED, own @ load(parts, BEND, (3, 27)))
+
+
+@narrow
+def add_to_pair(slope: Array, parts: Array, result: Array, sample: ir.Value, node: ir.Value, other: ir.Value) -> None:
+    """Add the second derivatives with respect to a node, from :func:`turn_to_node`, and one that is not less."""
+    builder, values = result.builder, _slopes_of(slope, sample, other) @ load(parts, TURNED, (3, 9))
+    # Before the pairs of a node are those of lower ones, each of which has one less than the one before.
+    before = builder.lshr(builder.mul(node, builder.sub(node.type(15), node)), node.type(1))
+    add(result, 0, values.reshape(3, 3), builder.add(before, other))
 
 
 def _areas(edges: np.ndarray) -> np.ndarray:
@@ -229,32 +159,11 @@ def _inverse_root(x: Lanes) -> Lanes:
     return r
 
 
-def _add_pair(result: Array, one: ir.Value, two: ir.Value, values: np.ndarray) -> None:
-    """Add ``values`` (3, 3), transposed if the nodes descend, to the block of two nodes."""
-    builder = result.builder
-    descends = builder.icmp_signed(">", one, two)
-    low, high = builder.select(descends, two, one), builder.select(descends, one, two)
-    long, short = one.type(3 * WIDTH), one.type(WIDTH)
-    by_row, by_column = builder.select(descends, short, long), builder.select(descends, long, short)
-    # Before the row of the lower node are those of lower ones, each shorter by one than the row before.
-    before = builder.lshr(builder.mul(low, builder.sub(one.type(15), low)), one.type(1))
-    first = builder.mul(builder.add(before, high), one.type(9 * WIDTH))
-    for d in range(3):
-        row = builder.add(first, builder.mul(by_row, one.type(d)))
-        for e in range(3):
-            result.add(builder.add(row, builder.mul(by_column, one.type(e))), values[d, e])
-
-
 def _slopes_of(slope: Array, sample: ir.Value, node: ir.Value) -> np.ndarray:
     """The derivatives (3,) of a node's shape function along the three axes, the same for all cells."""
     builder = slope.builder
     place = builder.mul(builder.add(builder.mul(sample, sample.type(8)), node), sample.type(3))
     return np.array([slope.every(place, k) for k in range(3)])
-
-
-def _neighbours(array: Array, node: ir.Value) -> list[ir.Value]:
-    """The neighbours of a node of the cells along the index axes."""
-    return [array.builder.xor(node, node.type(bit)) for bit in (4, 2, 1)]
 
 
 @kernel("f8[:, ::1], i8[:, ::1], f8[:, ::1], i8[::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1], UniTuple(f8, 5), i8, i8")
@@ -282,11 +191,9 @@ def energy_of_cells(x, cells, start, mask, slope, weight, reference, penalty, lo
             c = min(first + lane, high - 1)
             _gather(x, cells[c], start, reference, points, lane)
             some |= _weigh(mask[c] if first + lane < high else 0, weight, c, terms, lane)
-        for s in range(8):
-            add_corner_energy(points, terms, sums, s, eps, share, cubic, elastic)
-        for s in range(8, len(slope)):
+        for s in range(len(slope)):
             if some >> s & 1:
-                add_energy_between(points, terms, slope, sums, s, eps, share, cubic)
+                add_energy(points, terms, slope, sums, s, eps, share, cubic, elastic if s < 8 else 0.0)
     total, lowest, highest = 0.0, np.inf, 0.0
     for lane in range(WIDTH):
         total += sums[ENERGY, lane]
@@ -308,8 +215,8 @@ def _gather(x, cell, start, reference, points, lane):
 def _weigh(mask, weight, c, terms, lane):
     """Which sample points of a cell count, and its weights; returns the mask."""
     for s in range(27):
-        terms[s, lane] = float(mask >> s & 1)
-    terms[WEIGHT, lane], terms[BETWEEN, lane], terms[HELD, lane] = weight[c, 0], weight[c, 1], weight[c, 2]
+        terms[s, lane] = float(mask >> s & 1) * (1.0 if s < 8 else weight[c, 1])
+    terms[WEIGHT, lane], terms[HELD, lane] = weight[c, 0], weight[c, 2]
     return mask
 
 
@@ -330,7 +237,7 @@ def add_derivatives(x, cells, start, mask, slope, weight, reference, penalty, wh
     gradient : (n_unknowns, 3), of which only these rows are written
     """
     points, terms, parts = np.empty((GRIDS, 8, 3, WIDTH)), np.empty((TERMS, WIDTH)), np.empty((PARTS, WIDTH))
-    result, cell, work = np.empty((ROWS, WIDTH)), np.empty((WIDTH, ROWS)), np.empty((3, 3))
+    result, work = np.empty((ROWS, WIDTH)), np.empty((3, 3))
     eps, share, cubic, elastic, exact = penalty
     for first in range(0, len(which), WIDTH):
         used, some = min(WIDTH, len(which) - first), 0
@@ -339,21 +246,17 @@ def add_derivatives(x, cells, start, mask, slope, weight, reference, penalty, wh
             _gather(x, cells[c], start, reference, points, lane)
             some |= _weigh(mask[c] if lane < used else 0, weight, c, terms, lane)
         result[...] = 0.0
-        for s in range(8):
-            add_corner_derivatives(points, terms, result, s, eps, share, cubic, elastic, exact)
-        for s in range(8, len(slope)):
+        for s in range(len(slope)):
             if some >> s & 1:
-                derivatives_between(points, terms, slope, parts, s, eps, share, cubic, exact)
+                derivatives(points, terms, slope, parts, s, eps, share, cubic, elastic if s < 8 else 0.0, exact)
                 for n in range(8):
                     if _enters(slope, s, n):
                         turn_to_node(slope, parts, result, s, n)
                         for o in range(n, 8):
                             if _enters(slope, s, o):
                                 add_to_pair(slope, parts, result, s, n, o)
-        for row in range(0, ROWS, WIDTH):
-            transpose(result, row, cell, ROWS)
         for lane in range(used):
-            add_element(cells, which[first + lane], 8, 3, cell, lane, FORCE, work, unknowns, rows, matrix, gradient)
+            add_element(cells, which[first + lane], 8, 3, result, lane, FORCE, work, unknowns, rows, matrix, gradient)
 
 
 @inlined

@@ -23,12 +23,12 @@ import numpy as np
 from ...jit import kernel
 from ...lanes import NARROW as WIDTH
 from ...lanes import Array, Lanes, narrow
-from .elements import Unknowns, add_element, combined, growth, load, regular, slopes_of_triangle, store, transpose
+from .elements import Unknowns, add_element, combined, growth, load, regular, slopes_of_triangle, store
 
 DEFORMED, REFERENCE, SLOPE, WEIGHT, HELD, GIVEN = 0, 6, 12, 18, 19, 20
 """Rows of ``given`` (GIVEN, WIDTH): coordinates (3, 2) of the nodes in two grids, gradients (3, 2) of their shape
 functions, w, and the factor of the elastic energy."""
-FORCE, ROWS = 24, 32
+FORCE, ROWS = 24, 30
 """Rows of ``result`` (ROWS, WIDTH): second derivatives (6, 2, 2) for pairs of nodes in ascending order, from FORCE on
 the first ones (3, 2)."""
 
@@ -107,9 +107,8 @@ def add_triangles(x, node, slope, weight, reference, penalty, which, unknowns, r
     As :func:`.hexahedra.add_derivatives`, in two dimensions; ``weight`` (m, 2) has w and the factor of the elastic
     energy.
     """
-    given, result, found = np.empty((GIVEN, WIDTH)), np.empty((ROWS, WIDTH)), np.empty((WIDTH, ROWS))
+    given, result = np.empty((GIVEN, WIDTH)), np.empty((ROWS, WIDTH))
     work, (eps, share, cubic, elastic, exact) = np.empty((3, 3)), penalty
-    result[...] = 0.0
     for first in range(0, len(which), WIDTH):
         used = min(WIDTH, len(which) - first)
         for lane in range(WIDTH):
@@ -121,7 +120,5 @@ def add_triangles(x, node, slope, weight, reference, penalty, which, unknowns, r
                     given[REFERENCE + 2 * n + d, lane] = reference[node[m, n], d]
                     given[SLOPE + 2 * n + d, lane] = slope[m, n, d]
         triangle_derivatives(given, result, eps, share, cubic, elastic, exact)
-        for row in range(0, ROWS, WIDTH):
-            transpose(result, row, found, ROWS)
         for lane in range(used):
-            add_element(node, which[first + lane], 3, 2, found, lane, FORCE, work, unknowns, rows, matrix, gradient)
+            add_element(node, which[first + lane], 3, 2, result, lane, FORCE, work, unknowns, rows, matrix, gradient)
