@@ -1,4 +1,4 @@
-"""The energy of a region as a sum over elements: hexahedra, or triangles at the corners of quadrilaterals.
+"""The energy of a region as a sum over its cells.
 
 No effect while all cells are healthy, and a smoothly growing effect as they become weak: a repair with a sharp
 threshold would make a moving grid jump when the threshold is passed. The energy of the cells is therefore weighted,
@@ -9,33 +9,31 @@ of log(f / HEALTHY) over all corners, with f regularised to stay finite on inver
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..grid import BoolArray, FloatArray, IntArray
-from ..numerics.cell.foldover.elements import Unknowns, combined, growth, slopes, slopes_of_triangle
+from ..grid import FloatArray, IntArray
+from ..numerics.cell.foldover.elements import Unknowns, combined, growth, plane_slopes, slopes
 from ..numerics.cell.foldover.samples import (
-    CORNERS,
-    SAMPLES,
     Maps,
+    cell_edges,
     cofactors,
     inner,
     maps_at_sample,
-    shortest_edges,
+    sample_slopes,
     turned_cofactors,
 )
-from .tuned import ALONG, BETWEEN, COLLAPSED, FULL, HEALTHY, HELD, NORM, POWER, SLOWLY, SOFT
+from .tuned import ALONG, BETWEEN, FULL, HEALTHY, HELD, NORM, POWER, SLOWLY, SOFT
 
-_CORNERS = (1 << CORNERS) - 1
 _TOGETHER = 1 << 15
-"""Hexahedra whose maps are found at a time, which bounds the memory."""
-# Measured work for the derivatives at one sample of a hexahedron, and of a triangle, in the unit of :class:`.Limit`.
-_SAMPLE, _TRIANGLE = 0.9, 0.4
+"""Cells whose maps are found at a time, which bounds the memory."""
+# Measured work for the derivatives at one sample in a plane and in space, in the unit of :class:`.Limit`.
+_SAMPLE = {2: 0.4, 3: 0.9}
 
 
 class Penalty(NamedTuple):
@@ -49,69 +47,131 @@ class Penalty(NamedTuple):
     exact: float = 0.0
 
 
-class Rows(NamedTuple):
-    """The rows ``first <= row < last`` of a block-sparse matrix.
-
-    The ``columns`` of row r begin at ``starts[r]``; ``matrix`` (n_blocks, d, d) holds the blocks of these rows,
-    ``gradient`` (n_unknowns, d) all rows.
-    """
-
-    first: int
-    last: int
-    starts: IntArray
-    columns: NDArray[np.int32]
-    matrix: FloatArray
-    gradient: FloatArray
-
-    @property
-    def pattern(self) -> tuple[int, int, IntArray, NDArray[np.int32]]:
-        """The arguments of the loops over rows."""
-        return self[:4]
-
-
 @dataclass(frozen=True)
-class _Elements:
-    """What the two kinds of elements have in common: their excess, and products with derivatives, from their maps.
+class Energy:
+    """The energy of cells, hexahedra or quadrilaterals.
 
     Attributes
     ----------
-    start : undeformed coordinates
-    nodes : (m, c) nodes of each element
-    weight : (m,) of the cells
+    start : (n, d) undeformed coordinates
+    nodes : (m, 2^d) of each cell, in the order of :func:`..numerics.cell.foldover.samples.sample_slopes`
+    weight, between : (m,) of the cells, and the share of their samples between corners
+    mask : (m,) int64, bit s set where sample point s counts
     """
 
     start: FloatArray
     nodes: IntArray
     weight: FloatArray
+    between: FloatArray
+    mask: IntArray
 
-    maps: ClassVar[Callable[..., Iterator[Maps]]]
+    @cached_property
+    def slope(self) -> FloatArray:
+        """Of the shape functions at the sample points."""
+        return sample_slopes(self.start.shape[1])
+
+    @cached_property
+    def work(self) -> float:
+        """Work of computing all second derivatives, see :class:`.Limit`."""
+        return _SAMPLE[self.start.shape[1]] * int(np.bitwise_count(self.mask).sum())
+
+    def maps(self, between: bool = True) -> Iterable[Maps]:
+        """The maps at all samples, some at a time; those between corners only on request."""
+        return self._in_plane if self.start.shape[1] == 2 else self._made(between)
+
+    def _made(self, between: bool) -> Iterator[Maps]:
+        for low in range(0, len(self.nodes), _TOGETHER):
+            for sample in range(len(self.slope) if between else self.nodes.shape[1]):
+                some = low + np.flatnonzero(self.mask[low : low + _TOGETHER] >> sample & 1)
+                if some.size:
+                    yield maps_at_sample(self.start, self.nodes, self.slope, sample, some)
+
+    @cached_property
+    def _in_plane(self) -> list[Maps]:
+        return list(self._made(False))
 
     def part(self, maps: Maps) -> FloatArray | float:
         """The share of the maps, beside that of all samples."""
-        return 1.0
+        return 1.0 if maps.at_corners else self.between[maps.cell]
 
     def edges_at_nodes(self) -> FloatArray:
         """Length (n,) of the shortest undeformed edge at every node, ignoring zero lengths; infinite if none."""
-        pairs = [(a, a | bit) for a in range(8) for bit in (1, 2, 4) if not a & bit]
-        return shortest_edges(self.start, self.nodes, np.array(pairs if self.nodes.shape[1] == 8 else [(0, 1), (0, 2)]))
+        result = np.full(len(self.start), np.inf)
+        for *ends, length in cell_edges(self.start, self.nodes):
+            for each in ends:
+                np.minimum.at(result, each, np.where(length > 0.0, length, np.inf))
+        return result
 
-    def softened(self, power: float) -> Self:
+    def softened(self, power: float) -> Energy:
         """The energy with all weights raised to ``power``."""
         return dataclasses.replace(self, weight=self.weight**power)
 
+    def with_between(self, share: FloatArray) -> Energy:
+        """The energy with shares (m,) of the samples between corners; samples with a share of 0 are left out."""
+        corners = (1 << self.nodes.shape[1]) - 1
+        return dataclasses.replace(self, mask=np.where(share > 0.0, self.mask, self.mask & corners), between=share)
+
+    def sum(
+        self, x: FloatArray, reference: FloatArray, penalty: Penalty, low: int, high: int
+    ) -> tuple[float, float, float]:
+        """Energy, smallest determinant and largest f of the cells low <= m < high."""
+        if x.shape[1] == 3:
+            from ..numerics.cell.foldover.hexahedra import energy_of_cells  # what is imported is compiled
+
+            return energy_of_cells(x, *self._loops, reference, tuple(penalty), low, high)
+        found = [(0.0, np.inf, 0.0)]
+        for whole in self._in_plane:
+            some = slice(*np.searchsorted(whole.cell, [low, high]))
+            maps = Maps(whole.nodes[:, some], whole.slope[..., some], whole.cell[some])
+            a = maps.jacobians(x)
+            g, det = inner(a, a), a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
+            chi, _ = _regular(det, penalty.eps)
+            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+                f = np.where(chi > 0.0, 0.5 * (g + det * det + 1.0) / chi, np.inf)
+                energy = penalty.share * (self.weight[maps.cell] * f + penalty.cubic * growth(f)[0])
+            if penalty.elastic > 0.0:
+                change = a - maps.jacobians(reference)
+                energy += 0.5 * penalty.elastic * self.weight[maps.cell] ** HELD * inner(change, change)
+            found.append((float(energy.sum()), float(det.min(initial=np.inf)), float(f.max(initial=0.0))))
+        energies, lowest, highest = zip(*found, strict=True)
+        return sum(energies), min(lowest), max(highest)
+
+    def add(
+        self,
+        x: FloatArray,
+        reference: FloatArray,
+        penalty: Penalty,
+        which: IntArray,
+        unknowns: Unknowns,
+        rows: tuple[int, int, IntArray, NDArray[np.int32]],
+        blocks: FloatArray,
+        gradient: FloatArray,
+    ) -> None:
+        """See :func:`..numerics.cell.foldover.hexahedra.add_derivatives`."""
+        if x.shape[1] == 3:
+            from ..numerics.cell.foldover.hexahedra import add_derivatives
+        else:
+            from ..numerics.cell.foldover.plane import add_derivatives
+        add_derivatives(x, *self._loops, reference, tuple(penalty), which, unknowns, rows, blocks, gradient)
+
+    @cached_property
+    def _loops(self) -> tuple[Any, ...]:
+        weights = np.stack([self.weight, self.between, self.weight**HELD], axis=1)
+        return self.nodes, self.start, self.mask, self.slope, weights
+
     def excess(self, x: FloatArray) -> FloatArray:
-        """Excess (m,) of the elements, with corners as samples."""
+        """Excess (m,) of the cells, with corners as samples."""
         total = np.zeros(len(self.nodes))
         for maps in self.maps(between=False):
             f = _slopes(maps.jacobians(x), SOFT)[0]
-            total[maps.element] += np.log(np.maximum(f / HEALTHY, 1.0)) ** NORM
+            total[maps.cell] += np.log(np.maximum(f / HEALTHY, 1.0)) ** NORM
         return np.asarray(total ** (1.0 / NORM))
 
     def excess_products(self, x: FloatArray, change: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Change (m,) of the excess for a ``change`` (n, d) of ``x``, and the transpose for a ``gradient`` (m,)."""
         excess, along, found = self.excess(x), np.zeros(len(self.nodes)), np.zeros_like(change)
         for maps in self.maps(between=False):
-            a, of = maps.jacobians(x), maps.element
+            a, of = maps.jacobians(x), maps.cell
             f, u, v, *_ = _slopes(a, SOFT)
             beyond = np.log(np.maximum(f / HEALTHY, 1.0))
             share = np.divide(beyond, excess[of], out=np.zeros_like(f), where=beyond > 0.0) ** (NORM - 1.0)
@@ -127,7 +187,7 @@ class _Elements:
         of samples between corners; and the transposes with respect to the two kinds of shares."""
         found, total, gradient = np.zeros_like(change), 0.0, np.zeros(len(self.nodes))
         for maps in self.maps():
-            a, t, of = maps.jacobians(x), maps.jacobians(change), maps.element
+            a, t, of = maps.jacobians(x), maps.jacobians(change), maps.cell
             f, *first = _slopes(a, penalty.eps)
             _, one, two = growth(f)
             u, v, w, p, q, r = combined(first, self.weight[of] + penalty.cubic * one, penalty.cubic * two)
@@ -146,149 +206,14 @@ class _Elements:
         return found, total, gradient
 
 
-@dataclass(frozen=True)
-class Hexahedra(_Elements):
-    """The energy of hexahedra, with ``nodes`` (m, 8) in the order of
-    :func:`..numerics.cell.foldover.samples.sample_slopes`.
-
-    Attributes
-    ----------
-    mask : (m,) int64, bit s set where sample point s counts
-    slope : (27, 8, 3) of the shape functions
-    between : (m,) share of the samples between corners
-    """
-
-    mask: IntArray
-    slope: FloatArray
-    between: FloatArray
-
-    @property
-    def work(self) -> float:
-        """Work of computing all second derivatives, see :class:`.Limit`."""
-        return _SAMPLE * int(np.bitwise_count(self.mask).sum())
-
-    def with_between(self, share: FloatArray) -> Hexahedra:
-        """The energy with shares (m,) of the samples between corners; samples with a share of 0 are left out."""
-        return dataclasses.replace(self, mask=np.where(share > 0.0, self.mask, self.mask & _CORNERS), between=share)
-
-    def maps(self, between: bool = True) -> Iterator[Maps]:
-        """The maps at all samples, some at a time; those between corners only on request."""
-        for low in range(0, len(self.nodes), _TOGETHER):
-            for sample in range(SAMPLES if between else CORNERS):
-                some = low + np.flatnonzero(self.mask[low : low + _TOGETHER] >> sample & 1)
-                if some.size:
-                    yield maps_at_sample(self.start, self.nodes, self.slope, sample, some)
-
-    def part(self, maps: Maps) -> FloatArray | float:
-        return 1.0 if maps.at_corners else self.between[maps.element]
-
-    def sum(
-        self, x: FloatArray, reference: FloatArray, penalty: Penalty, low: int, high: int
-    ) -> tuple[float, float, float]:
-        """Energy, smallest determinant and largest f of the elements low <= m < high."""
-        from ..numerics.cell.foldover.hexahedra import energy_of_cells  # what is imported is compiled
-
-        return energy_of_cells(x, *self._loops, reference, tuple(penalty), low, high)
-
-    def add(
-        self, x: FloatArray, reference: FloatArray, penalty: Penalty, which: IntArray, unknowns: Unknowns, rows: Rows
-    ) -> None:
-        """See :func:`..numerics.cell.foldover.hexahedra.add_derivatives`."""
-        from ..numerics.cell.foldover.hexahedra import add_derivatives
-
-        rest = tuple(penalty), which, unknowns, rows.pattern, rows.matrix, rows.gradient
-        add_derivatives(x, *self._loops, reference, *rest)
-
-    @cached_property
-    def _loops(self) -> tuple[Any, ...]:
-        weights = np.stack([self.weight, self.between, self.weight**HELD], axis=1)
-        return self.nodes, self.start, self.mask, self.slope, weights
-
-
-@dataclass(frozen=True)
-class Triangles(_Elements):
-    """The energy of the corners of quadrilaterals, as triangles of ``nodes`` (m, 3).
-
-    ``slope`` (m, 3, 2) are the gradients of the shape functions in the undeformed grid.
-    """
-
-    slope: FloatArray
-
-    @property
-    def work(self) -> float:
-        return _TRIANGLE * len(self.nodes)
-
-    @classmethod
-    def at_corners(
-        cls, start: FloatArray, cells: IntArray, sign: FloatArray, weight: FloatArray, moves: BoolArray
-    ) -> Triangles:
-        """From the sound corners of undeformed quadrilaterals (m, 4) with at least one node that ``moves`` (n,);
-        ``sign`` (m,) is the sign of sound Jacobians."""
-        corner = np.arange(4)
-        nodes = np.stack([cells, cells[:, corner ^ 2], cells[:, corner ^ 1]], axis=-1)
-        # Edges along ascending indices, at whichever end of them the corner is.
-        ends = np.stack([np.where(corner < 2, 1.0, -1.0), np.where(corner % 2 == 0, 1.0, -1.0)], axis=-1)
-        edges = ends[:, :, None] * (start[nodes[..., 1:]] - start[nodes[..., :1]])
-        (ux, uy), (vx, vy) = edges.transpose(2, 3, 0, 1)
-        det = ux * vy - uy * vx
-        size = np.sqrt((ux * ux + uy * uy) * (vx * vx + vy * vy))
-        kept = (sign[:, None] * det > COLLAPSED * size) & moves[nodes].any(axis=-1)
-        dual = np.stack([vy, -vx, -uy, ux], axis=-1)[kept].reshape(-1, 2, 2) / det[kept, None, None]
-        slope = np.broadcast_to(ends, (*kept.shape, 2))[kept][:, :, None] * dual
-        slope = np.concatenate([-slope.sum(axis=1, keepdims=True), slope], axis=1)
-        return cls(start, nodes[kept], np.repeat(weight, kept.sum(axis=1)), slope)
-
-    def maps(self, between: bool = True) -> Iterator[Maps]:
-        yield self._maps
-
-    def sum(
-        self, x: FloatArray, reference: FloatArray, penalty: Penalty, low: int, high: int
-    ) -> tuple[float, float, float]:
-        maps = Maps(self._maps.nodes[:, low:high], self._maps.slope[..., low:high], self._maps.element[low:high])
-        a = maps.jacobians(x)
-        g, det = inner(a, a), a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
-        chi, _ = _regular(det, penalty.eps)
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            f = np.where(chi > 0.0, 0.5 * (g + det * det + 1.0) / chi, np.inf)
-            energy = penalty.share * (self.weight[low:high] * f + penalty.cubic * growth(f)[0])
-        if penalty.elastic > 0.0:
-            change = a - maps.jacobians(reference)
-            energy += 0.5 * penalty.elastic * self._weights[low:high, 1] * inner(change, change)
-        return float(energy.sum()), float(det.min(initial=np.inf)), float(f.max(initial=0.0))
-
-    def add(
-        self, x: FloatArray, reference: FloatArray, penalty: Penalty, which: IntArray, unknowns: Unknowns, rows: Rows
-    ) -> None:
-        from ..numerics.cell.foldover.plane import add_triangles
-
-        rest = tuple(penalty), which, unknowns, rows.pattern, rows.matrix, rows.gradient
-        add_triangles(x, self.nodes, self.slope, self._weights, reference, *rest)
-
-    def with_between(self, share: FloatArray) -> Triangles:
-        return self
-
-    @cached_property
-    def _weights(self) -> FloatArray:
-        """The weights of the cells, and the factors of their elastic energy (m, 2)."""
-        return np.stack([self.weight, self.weight**HELD], axis=1)
-
-    @cached_property
-    def _maps(self) -> Maps:
-        slope = np.ascontiguousarray(self.slope.transpose(1, 2, 0))
-        return Maps(np.ascontiguousarray(self.nodes.T), slope, np.arange(len(self.nodes)))
-
-
 def _slopes(a: FloatArray, eps: float) -> tuple[FloatArray, ...]:
     """f of maps (d, d, m) and its derivatives: f, u, v, w, q, r as in :mod:`..numerics.cell.foldover.elements`."""
     k = cofactors(a)
     g, det = inner(a, a), (a[0] * k[0]).sum(axis=0)
     chi, root = _regular(det, eps)
     if len(a) == 2:
-        return slopes_of_triangle(g, det, chi, root)
+        return plane_slopes(g, det, chi, root)
     return slopes(g, det, chi, root, chi ** (-2.0 / 3.0))[:6]
-
-
-Energy = Hexahedra | Triangles
 
 
 class Slide(NamedTuple):

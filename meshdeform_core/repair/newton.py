@@ -27,7 +27,7 @@ from ..numerics.arrays import FloatArray, IntArray
 from ..numerics.jit import inlined, kernel
 from ..numerics.lanes import multiply_row, solve_row, with_room
 from ..parallel import for_chunks
-from .energy import Penalty, Region, Rows
+from .energy import Penalty, Region
 
 # Number of rows summed at a time.
 _LONG = 1 << 14
@@ -143,17 +143,15 @@ class NewtonSystem:
 
     def __init__(self, region: Region) -> None:
         n, d = region.n_unknowns, region.dimension
-        self.unknowns, of_element = region.unknowns, region.number[region.energy.nodes]
-        used = of_element >= 0
-        element = np.broadcast_to(np.arange(len(of_element))[:, None], of_element.shape)[used]
-        touch = scipy.sparse.csr_array(
-            (np.ones(element.size, np.int32), (of_element[used], element)), shape=(n, len(of_element))
-        )
+        self.unknowns, of_cell = region.unknowns, region.number[region.energy.nodes]
+        used = of_cell >= 0
+        cell = np.broadcast_to(np.arange(len(of_cell))[:, None], of_cell.shape)[used]
+        touch = scipy.sparse.csr_array((np.ones(cell.size, np.int32), (of_cell[used], cell)), shape=(n, len(of_cell)))
         pattern = (touch @ touch.T).tocsr()
         pattern.sort_indices()
         self.starts, self.columns = pattern.indptr.astype(np.int64), pattern.indices.astype(np.int32)
         ends = [*range(0, n, _ROWS), n]
-        self._elements = [
+        self._cells = [
             np.unique(touch.indices[touch.indptr[lo] : touch.indptr[hi]]).astype(np.int64)
             for lo, hi in itertools.pairwise(ends)
         ]
@@ -181,7 +179,7 @@ class NewtonSystem:
         starts, columns, n = self.starts, self.columns, len(self.gradient)
         self.unknowns, freedom = region.directions(x)
         self.gradient[...] = 0.0
-        bad = np.zeros(len(self._elements), dtype=bool)
+        bad = np.zeros(len(self._cells), dtype=bool)
         # Fresh memory for every call would cost a tenth of the time.
         spare: list[FloatArray] = []
 
@@ -192,14 +190,15 @@ class NewtonSystem:
                 kept = np.empty((self._longest, *self.matrix.shape[1:]))
             blocks = kept[: starts[high] - starts[low]]
             blocks[...] = 0.0
-            rows, number = Rows(low, high, starts, columns, blocks, self.gradient), low // _ROWS
-            region.energy.add(x, reference, penalty, self._elements[number], self.unknowns, rows)
+            rows, number = (low, high, starts, columns), low // _ROWS
+            own = self._cells[number]
+            region.energy.add(x, reference, penalty, own, self.unknowns, rows, blocks, self.gradient)
             own = self._diagonal[low:high] - starts[low]
             # In directions in which an unknown must not move, the trace of its block serves as stiffness.
             trace = np.trace(blocks[own], axis1=1, axis2=2)[:, None, None]
             blocks[own] += (np.eye(blocks.shape[1]) - freedom[low:high]) * trace
             self._factor[low:high], bad[number] = inverse_factors(blocks[own])
-            scale_left(blocks, rows.pattern, self._factor, self.matrix)
+            scale_left(blocks, rows, self._factor, self.matrix)
             spare.append(kept)
 
         for_chunks(add, n, _ROWS)

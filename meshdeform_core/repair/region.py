@@ -9,7 +9,6 @@ larger weights, also at fixed walls; this costs little, as they take up little s
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -23,12 +22,12 @@ from ..boundary.constraints import CurvedSurface
 from ..grid import BoolArray, FloatArray, IntArray
 from ..grid.planes import plane_axes
 from ..numerics.cell.foldover.elements import Unknowns
-from ..numerics.cell.foldover.samples import sample_slopes, samples_with_any, sound_samples
+from ..numerics.cell.foldover.samples import cell_edges, sound_samples
 from ..parallel import Nodes
 from ..quality import Original
 from ..quality.cells import corner_nodes, places
 from .constraints import Constraints, Extrusion, find_extrusion
-from .energy import Energy, Hexahedra, Region, Slide, Triangles
+from .energy import Energy, Region, Slide
 from .newton import NewtonSystem
 from .tuned import COLLAPSED, CRAMPED, FALL, FIRST, GROWTH, HEAVIEST, REACH, ROOM, SHARE, STEEP, THIN
 
@@ -220,7 +219,12 @@ class Basis:
         layers, most = self._from_walls
         share, first = nearness(Nodes.of(layers).at(nodes), most)
         weight = weigh(share[cell_nodes], first, start, cell_nodes)
-        energy = self._energy(start, cells, cell_nodes, weight, unknowns.number >= 0)
+        side = self.original.sides(places(self.grid, cells)[0])
+        if self.original.normal is not None:
+            side = side @ self.original.normal
+        # Samples that depend on no node that moves are constant.
+        mask = sound_samples(start, cell_nodes, side, COLLAPSED, moves)
+        energy = Energy(start, cell_nodes, weight, np.ones(len(cells)), mask)
         region = Region(energy, unknowns, freedom, tuple(self._slides(nodes, unknowns, origin)))
         return Plot(region, moved, np.searchsorted(nodes, owners), nodes, self.axes, origin, near is None)
 
@@ -299,17 +303,6 @@ class Basis:
                     partial(slopes_at, each),
                 )
 
-    def _energy(
-        self, start: FloatArray, cells: IntArray, corners: IntArray, weight: FloatArray, moves: BoolArray
-    ) -> Energy:
-        """The energy of the samples that depend on a node that ``moves`` (n,), as all others are constant."""
-        side = self.original.sides(places(self.grid, cells)[0])
-        if self.original.normal is not None:
-            return Triangles.at_corners(start, corners, side @ self.original.normal, weight, moves)
-        slope = sample_slopes()
-        mask = sound_samples(start, corners, slope, side, COLLAPSED) & samples_with_any(moves[corners], slope)
-        return Hexahedra(start, corners, weight, mask, slope, np.ones(len(cells)))
-
     def _unknowns(self, nodes: IntArray, moves: BoolArray) -> tuple[Unknowns, FloatArray]:
         """The dependence of a region's ``nodes`` on its unknowns, and the directions of these; see :class:`Region`."""
         number, one = self._numbers(nodes), np.eye(len(self.axes))
@@ -346,11 +339,7 @@ def weigh(share: FloatArray, first: float, start: FloatArray, cells: IntArray) -
     near = share.min(axis=1)
     # Longest over shortest edge of cells (m,); collapsed edges do not count.
     shortest, longest = np.full(len(cells), np.inf), np.zeros(len(cells))
-    corners = cells.shape[1]
-    for one, step in itertools.product(range(corners), (1, 2, 4)):
-        if one & step or step >= corners:
-            continue
-        length = np.linalg.norm(start[cells[:, one | step]] - start[cells[:, one]], axis=1)
+    for _, _, length in cell_edges(start, cells):
         np.maximum(longest, length, out=longest)
         np.minimum(shortest, length, out=shortest, where=length > 0.0)
     thin = np.clip(((longest / shortest) / THIN) ** GROWTH, 1.0, HEAVIEST)

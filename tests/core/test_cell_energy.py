@@ -7,7 +7,7 @@ from meshdeform_core.numerics.cell.foldover.elements import Unknowns
 from meshdeform_core.numerics.cell.foldover.hexahedra import add_derivatives, energy_of_cells
 from meshdeform_core.numerics.cell.foldover.samples import sample_slopes
 
-SLOPES = sample_slopes()
+SLOPES = sample_slopes(3)
 CORNERS, ALL = (1 << 8) - 1, (1 << 27) - 1
 # eps, share, cubic, elastic, exact
 UNTANGLING, MINIMISING = (0.7, 1.0, 0.0, 0.0, 0.0), (0.0, 0.3, 2.0, 0.7, 1.0)
@@ -111,7 +111,7 @@ def derivatives_of(x, corners, start, reference, mask, which, penalty=MINIMISING
     n = len(x)
     unknowns = Unknowns(np.arange(n), np.tile(np.eye(3), (n, 1, 1)), np.ones(n, bool))
     rows = (0, n, np.arange(n + 1) * n, np.tile(np.arange(n, dtype=np.int32), n))
-    gradient, blocks, X
+    gradient, blocks, weight = np.zeros((n, 3)), np.zeros((n * n, 3, 3)), np.full((len(corners), 3), 0.8)
     given = corners, start, mask, SLOPES, weight, reference, penalty
     add_derivatives(x, *given, np.asarray(which), unknowns, rows, blocks, gradient)
     return gradient, blocks.reshape(n, n, 3, 3)

@@ -15,7 +15,8 @@ from meshdeform_core.deform import Case, Timing, deform, impose, set_up
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import MemoryLimit
-from meshdeform_core.numerics.cell.foldover.plane import add_triangles
+from meshdeform_core.numerics.cell.foldover.plane import add_derivatives
+from meshdeform_core.numerics.cell.foldover.samples import sample_slopes
 from meshdeform_core.parallel import set_sharing
 from meshdeform_core.quality.validity import judge
 from meshdeform_core.repair import RepairOptions, newton, untangle
@@ -365,14 +366,15 @@ def test_plane_second_derivatives_are_those_of_differences_without_their_negativ
     random = np.random.default_rng(3)
     for _ in range(20):
         a = np.eye(2) + random.standard_normal((2, 2))
-        # One triangle in unit coordinates, whose first node is held: its unknowns are the columns of A.
-        nodes, slope = np.array([[0, 1, 2]]), np.array([[[-1.0, -1.0], [1.0, 0.0], [0.0, 1.0]]])
-        unknowns = np.array([-1, 0, 1]), np.tile(np.eye(2), (3, 1, 1)), np.ones(3, dtype=bool)
+        # One corner of a unit square, whose node is held: the unknowns, its neighbours, are the columns of A.
+        start = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]])
+        unknowns = np.array([-1, 1, 0, -1]), np.tile(np.eye(2), (4, 1, 1)), np.ones(4, dtype=bool)
         matrix, gradient = np.zeros((4, 2, 2)), np.zeros((2, 2))
         rows = 0, 2, np.array([0, 2, 4]), np.array([0, 1, 0, 1], np.int32)
-        x = np.array([[0.0, 0.0], a[:, 0], a[:, 1]])
-        penalty = tuple(Penalty(eps, 1.0, cubic, elastic))
-        add_triangles(x, nodes, slope, np.ones((1, 2)), x, penalty, np.array([0]), unknowns, rows, matrix, gradient)
+        x = np.array([[0.0, 0.0], a[:, 1], a[:, 0], [1.0, 1.0]])
+        penalty, cell = tuple(Penalty(eps, 1.0, cubic, elastic)), np.array([[0, 1, 2, 3]])
+        given = cell, start, np.array([1]), sample_slopes(2), np.ones((1, 3)), x, penalty, np.array([0])
+        add_derivatives(x, *given, unknowns, rows, matrix, gradient)
         found = matrix.reshape(2, 2, 2, 2).transpose(2, 0, 3, 1).reshape(4, 4)
         values, vectors = np.linalg.eigh(hessian(lambda b: density(b, eps, cubic), a))
         expected = vectors * np.maximum(values + elastic, 0.0) @ vectors.T

@@ -1,5 +1,5 @@
-"""What the two kinds of elements have in common: f of a map and its derivatives as functions of |A|^2 and D, rows of
-arrays as eight elements at a time, and where the derivatives of elements go: the rows of a block-sparse matrix."""
+"""What cells in space and in a plane have in common: f of a map and its derivatives as functions of |A|^2 and D, rows
+of arrays as eight cells at a time, and where the derivatives of cells go: the rows of a block-sparse matrix."""
 
 from __future__ import annotations
 
@@ -13,6 +13,9 @@ from llvmlite import ir
 from ...jit import inlined, record
 from ...lanes import NARROW as WIDTH
 from ...lanes import Array, Lanes
+
+GRIDS = 3
+"""Grids, deformed, undeformed and reference: ``points`` (GRIDS, 2^d, d, WIDTH) are the corners of eight cells."""
 
 
 def growth(f: Any) -> tuple[Any, Any, Any]:
@@ -37,7 +40,7 @@ def slopes(g: Any, det: Any, chi: Any, root: Any, h: Any) -> tuple[Any, Any, Any
     return f, u, g * h1 / 3.0 + 0.5 * q1, u, q, g * h2 / 3.0 + 0.5 * q2, 2.0 / 3.0 * h1 * h1 / h * g
 
 
-def slopes_of_triangle(g: Any, det: Any, chi: Any, root: Any) -> tuple[Any, Any, Any, Any, Any, Any]:
+def plane_slopes(g: Any, det: Any, chi: Any, root: Any) -> tuple[Any, Any, Any, Any, Any, Any]:
     """As :func:`slopes`, of a sample in a plane: f, u, v, w, q and r."""
     f, u = 0.5 * (g + det * det + 1.0) / chi, 1.0 / chi
     r = 1.0 / chi - 2.0 * det / (chi * root) + f * (1.0 + det / root) / (root * root)
@@ -64,7 +67,7 @@ def store(array: Array, first: int, values: Any) -> None:
         array.store(ir.IntType(64)(0), value, (first + n) * WIDTH)
 
 
-def add(array: Array, first: int, values: np.ndarray, node: ir.Value) -> None:
+def add(array: Array, first: int, values: np.ndarray, node: ir.Value | None = None) -> None:
     """Add ``values`` to the rows of a node, see :func:`load`."""
     at = _start(array, node, values.shape)
     for n, value in enumerate(values.ravel()):
@@ -73,6 +76,21 @@ def add(array: Array, first: int, values: np.ndarray, node: ir.Value) -> None:
 
 def _start(array: Array, node: ir.Value | None, shape: tuple[int, ...]) -> ir.Value:
     return ir.IntType(64)(0) if node is None else array.builder.mul(node, node.type(math.prod(shape) * WIDTH))
+
+
+def slopes_of(slope: Array, sample: ir.Value, node: ir.Value, d: int) -> np.ndarray:
+    """The derivatives (d,) of a node's shape function along the index axes, the same for all cells."""
+    builder = slope.builder
+    place = builder.mul(builder.add(builder.mul(sample, sample.type(1 << d)), node), sample.type(d))
+    return np.array([slope.every(place, k) for k in range(d)])
+
+
+def vectors_at(points: Array, slope: Array, sample: ir.Value, d: int) -> tuple[np.ndarray, list[np.ndarray]]:
+    """The slopes (2^d, d) of the shape functions at a sample point, and the vectors (d, d) along the index axes of the
+    deformed, the undeformed and the reference cells, whose coordinates are rows of ``points`` (3, 2^d, d, WIDTH)."""
+    weights = np.array([slopes_of(slope, sample, sample.type(n), d) for n in range(1 << d)])
+    grids = [load(points, grid * (d << d), (1 << d, d)) for grid in range(GRIDS)]
+    return weights, [np.array([w[:, None] * p for w, p in zip(weights, x, strict=True)]).sum(axis=0) for x in grids]
 
 
 def regular(det: Lanes, eps: Lanes) -> tuple[Lanes, Lanes]:
@@ -92,8 +110,29 @@ class Unknowns(NamedTuple):
 
 
 @inlined
+def gather_cell(x, start, reference, cell, points, lane):
+    """The corners of a cell in three grids."""
+    for n in range(points.shape[1]):
+        for d in range(points.shape[2]):
+            points[0, n, d, lane] = x[cell[n], d]
+            points[1, n, d, lane] = start[cell[n], d]
+            points[2, n, d, lane] = reference[cell[n], d]
+
+
+@inlined
+def weigh_cell(mask, weight, c, corners, terms, lane):
+    """Rows of ``terms``: the share of the energy at the sample points of a cell, 0 where they do not count, w, and the
+    factor of the elastic energy; returns the mask."""
+    samples = terms.shape[0] - 2
+    for s in range(samples):
+        terms[s, lane] = float(mask >> s & 1) * (1.0 if s < corners else weight[c, 1])
+    terms[samples, lane], terms[samples + 1, lane] = weight[c, 0], weight[c, 2]
+    return mask
+
+
+@inlined
 def add_element(nodes, c, corners, d, found, lane, force, work, unknowns, rows, matrix, gradient):
-    """Add the derivatives of an element to the rows of its unknowns; see :func:`.hexahedra.add_derivatives`.
+    """Add the derivatives of a cell to the rows of its unknowns; see :func:`.hexahedra.add_derivatives`.
 
     ``nodes[c]`` are its ``corners``, in ``d`` dimensions; in a ``lane`` of ``found`` the second derivatives (d, d)
     for pairs of nodes in ascending order, from the row ``force`` on the first ones (m, d); ``work`` (3, 3) is room.

@@ -21,13 +21,25 @@ from llvmlite import ir
 from ...jit import inlined, kernel
 from ...lanes import NARROW as WIDTH
 from ...lanes import Array, Lanes, Mask, narrow
-from .elements import Unknowns, add, add_element, combined, growth, load, regular, slopes, store
+from .elements import (
+    GRIDS,
+    Unknowns,
+    add,
+    add_element,
+    combined,
+    gather_cell,
+    growth,
+    load,
+    regular,
+    slopes,
+    slopes_of,
+    store,
+    vectors_at,
+    weigh_cell,
+)
 
-DEFORMED, UNDEFORMED, REFERENCE, GRIDS = 0, 1, 2, 3
-"""Rows of ``points`` (GRIDS, 8, 3, WIDTH): coordinates of the corners of eight cells in three grids."""
-WEIGHT, HELD, TERMS = 27, 28, 29
-"""Rows of ``terms`` (TERMS, WIDTH): the share of the energy at sample points 0 to 26, 0 where they do not count; w of
-the cells, and the factor of their elastic energy."""
+WEIGHT, TERMS = 27, 29
+"""Rows of ``terms`` (TERMS, WIDTH), see :func:`.elements.weigh_cell`."""
 ENERGY, LOWEST, HIGHEST, SUMS = 0, 1, 2, 3
 """Rows of ``sums`` (SUMS, WIDTH): the energy, the smallest D, the largest f."""
 FORCE, ROWS = 36 * 9, 44 * 8
@@ -62,11 +74,7 @@ class _Map(NamedTuple):
     @classmethod
     def at(cls, points: Array, terms: Array, slope: Array, sample: ir.Value) -> _Map:
         """``slope`` (27, 8, 3): of the shape functions."""
-        weights = [_slopes_of(slope, sample, sample.type(n))[:, None] for n in range(8)]
-        edges, start, held = (
-            np.array([w * p for w, p in zip(weights, load(points, 24 * grid, (8, 3)), strict=True)]).sum(axis=0)
-            for grid in (DEFORMED, UNDEFORMED, REFERENCE)
-        )
+        _, (edges, start, held) = vectors_at(points, slope, sample, 3)
         [share] = load(terms, 0, (1,), sample)
         counts, areas = (share * 0.0).below(share), _areas(start)
         inverse = counts.choose(1.0 / (start[0] @ areas[0]), 0.0)
@@ -131,7 +139,7 @@ def derivatives(
 def turn_to_node(slope: Array, parts: Array, result: Array, sample: ir.Value, node: ir.Value) -> None:
     """Add the first derivatives at a sample point to those of a node; in ``parts``, the second ones with respect to the
     node and the vectors."""
-    own = _slopes_of(slope, sample, node)
+    own = slopes_of(slope, sample, node, 3)
     add(result, FORCE, own @ load(parts, PULL, (3, 3)), node)
     store(parts, TURNED, own @ load(parts, BEND, (3, 27)))
 
@@ -139,7 +147,7 @@ def turn_to_node(slope: Array, parts: Array, result: Array, sample: ir.Value, no
 @narrow
 def add_to_pair(slope: Array, parts: Array, result: Array, sample: ir.Value, node: ir.Value, other: ir.Value) -> None:
     """Add the second derivatives with respect to a node, from :func:`turn_to_node`, and one that is not less."""
-    builder, values = result.builder, _slopes_of(slope, sample, other) @ load(parts, TURNED, (3, 9))
+    builder, values = result.builder, slopes_of(slope, sample, other, 3) @ load(parts, TURNED, (3, 9))
     # Before the pairs of a node are those of lower ones, each of which has one less than the one before.
     before = builder.lshr(builder.mul(node, builder.sub(node.type(15), node)), node.type(1))
     add(result, 0, values.reshape(3, 3), builder.add(before, other))
@@ -157,13 +165,6 @@ def _inverse_root(x: Lanes) -> Lanes:
         d = 1.0 - x * r * r * r
         r = r + r * d * (d * (2 / 9) + 1 / 3)
     return r
-
-
-def _slopes_of(slope: Array, sample: ir.Value, node: ir.Value) -> np.ndarray:
-    """The derivatives (3,) of a node's shape function along the three axes, the same for all cells."""
-    builder = slope.builder
-    place = builder.mul(builder.add(builder.mul(sample, sample.type(8)), node), sample.type(3))
-    return np.array([slope.every(place, k) for k in range(3)])
 
 
 @kernel("f8[:, ::1], i8[:, ::1], f8[:, ::1], i8[::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1], UniTuple(f8, 5), i8, i8")
@@ -189,8 +190,8 @@ def energy_of_cells(x, cells, start, mask, slope, weight, reference, penalty, lo
         some = 0
         for lane in range(WIDTH):
             c = min(first + lane, high - 1)
-            _gather(x, cells[c], start, reference, points, lane)
-            some |= _weigh(mask[c] if first + lane < high else 0, weight, c, terms, lane)
+            gather_cell(x, start, reference, cells[c], points, lane)
+            some |= weigh_cell(mask[c] if first + lane < high else 0, weight, c, 8, terms, lane)
         for s in range(len(slope)):
             if some >> s & 1:
                 add_energy(points, terms, slope, sums, s, eps, share, cubic, elastic if s < 8 else 0.0)
@@ -199,25 +200,6 @@ def energy_of_cells(x, cells, start, mask, slope, weight, reference, penalty, lo
         total += sums[ENERGY, lane]
         lowest, highest = min(lowest, sums[LOWEST, lane]), max(highest, sums[HIGHEST, lane])
     return total, lowest, highest
-
-
-@inlined
-def _gather(x, cell, start, reference, points, lane):
-    """The corners of a cell in three grids."""
-    for n in range(8):
-        for d in range(3):
-            points[DEFORMED, n, d, lane] = x[cell[n], d]
-            points[UNDEFORMED, n, d, lane] = start[cell[n], d]
-            points[REFERENCE, n, d, lane] = reference[cell[n], d]
-
-
-@inlined
-def _weigh(mask, weight, c, terms, lane):
-    """Which sample points of a cell count, and its weights; returns the mask."""
-    for s in range(27):
-        terms[s, lane] = float(mask >> s & 1) * (1.0 if s < 8 else weight[c, 1])
-    terms[WEIGHT, lane], terms[HELD, lane] = weight[c, 0], weight[c, 2]
-    return mask
 
 
 @kernel(
@@ -243,8 +225,8 @@ def add_derivatives(x, cells, start, mask, slope, weight, reference, penalty, wh
         used, some = min(WIDTH, len(which) - first), 0
         for lane in range(WIDTH):
             c = which[first + min(lane, used - 1)]
-            _gather(x, cells[c], start, reference, points, lane)
-            some |= _weigh(mask[c] if lane < used else 0, weight, c, terms, lane)
+            gather_cell(x, start, reference, cells[c], points, lane)
+            some |= weigh_cell(mask[c] if lane < used else 0, weight, c, 8, terms, lane)
         result[...] = 0.0
         for s in range(len(slope)):
             if some >> s & 1:

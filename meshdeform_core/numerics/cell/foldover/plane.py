@@ -1,12 +1,12 @@
-"""The derivatives of the foldover-free energy of plane grids, for eight triangles at a time.
+"""The derivatives of the foldover-free energy of plane grids, for eight quadrilaterals at a time.
 
-Every sound corner of a quadrilateral defines a triangle of three nodes. With A the Jacobian matrix (2, 2) of the map
-from the undeformed triangle to the deformed one, and D = det A,
+Their sample points are their corners. With A the Jacobian matrix (2, 2) of the map from the undeformed corner to the
+deformed one, and D = det A,
 
     f = (|A|^2 + D^2 + 1) / (2 chi),    chi = (D + sqrt(eps^2 + D^2)) / 2
 
 (Garanzha, Kaporin, Kudryavtseva, Protais, Ray, Sokolov: Foldover-free maps in 50 lines of code, ACM TOG 40(4), 2021,
-eqs. 3 and 4 with d = 2 and lambda = 1). A triangle in rigid motion has f = 2. Its energy follows from f as in
+eqs. 3 and 4 with d = 2 and lambda = 1). A cell in rigid motion has f = 2. Its energy follows from f as in
 :mod:`meshdeform_core.numerics.cell.foldover`.
 
 Split A = C + M into a similarity C and a mirrored similarity M: |A|^2 = |C|^2 + |M|^2 and 2 D = |C|^2 - |M|^2. In this
@@ -19,45 +19,64 @@ import itertools
 import math
 
 import numpy as np
+from llvmlite import ir
 
 from ...jit import kernel
 from ...lanes import NARROW as WIDTH
 from ...lanes import Array, Lanes, narrow
-from .elements import Unknowns, add_element, combined, growth, load, regular, slopes_of_triangle, store
+from .elements import (
+    GRIDS,
+    Unknowns,
+    add,
+    add_element,
+    combined,
+    gather_cell,
+    growth,
+    load,
+    plane_slopes,
+    regular,
+    vectors_at,
+    weigh_cell,
+)
 
-DEFORMED, REFERENCE, SLOPE, WEIGHT, HELD, GIVEN = 0, 6, 12, 18, 19, 20
-"""Rows of ``given`` (GIVEN, WIDTH): coordinates (3, 2) of the nodes in two grids, gradients (3, 2) of their shape
-functions, w, and the factor of the elastic energy."""
-FORCE, ROWS = 24, 30
-"""Rows of ``result`` (ROWS, WIDTH): second derivatives (6, 2, 2) for pairs of nodes in ascending order, from FORCE on
-the first ones (3, 2)."""
+WEIGHT, TERMS = 4, 6
+"""Rows of ``terms`` (TERMS, WIDTH), see :func:`.elements.weigh_cell`."""
+FORCE, ROWS = 40, 48
+"""Rows of ``result`` (ROWS, WIDTH): second derivatives (10, 2, 2) for pairs of nodes in ascending order, from FORCE on
+the first ones (4, 2)."""
 
 _HALF = math.sqrt(0.5)
 
 
 @narrow
-def triangle_derivatives(
-    given: Array, result: Array, eps: Lanes, share: Lanes, cubic: Lanes, elastic: Lanes, exact: Lanes
-) -> None:
-    """Derivatives of the energy of eight triangles; of negative second derivatives only the share ``exact``."""
-    slope, [weight, stiff] = load(given, SLOPE, (3, 2)), load(given, WEIGHT, (2,))
-    matrix, held = (load(given, grid, (3, 2)).T @ slope for grid in (DEFORMED, REFERENCE))
+def add_corner(
+    points: Array, terms: Array, slope: Array, result: Array, corner: ir.Value, eps: Lanes, share: Lanes, cubic: Lanes,
+    elastic: Lanes, exact: Lanes,
+) -> None:  # fmt: skip
+    """Add the derivatives of the energy at a corner; of negative second derivatives only the share ``exact``."""
+    weights, (edges, start, reference) = vectors_at(points, slope, corner, 2)
+    [count], [weight, stiff] = load(terms, 0, (1,), corner), load(terms, WEIGHT, (2,))
+    counts, ((p, q), (r, s)) = (count * 0.0).below(count), start
+    # The reciprocal vectors; 0, with D = 1, where the corner does not count.
+    dual = np.array([[s, r * -1.0], [q * -1.0, p]]) * counts.choose(1.0 / (p * s - q * r), 0.0)
+    gradients, matrix, strain = weights @ dual, edges.T @ dual, (edges - reference).T @ dual
     (a, b), (c, d) = matrix
-    det, elastic = a * d - b * c, elastic * stiff
+    det, square = counts.choose(a * d - b * c, 1.0), counts.choose((matrix * matrix).sum(), 2.0)
     chi, root = regular(det, eps)
-    f, *found = slopes_of_triangle(a * a + b * b + c * c + d * d, det, chi, root)
+    f, *found = plane_slopes(square, det, chi, root)
+    share, elastic = share * count, counts.choose(elastic * stiff, 0.0)
     one, two = growth(f)[1:]
     u, v, _, *second = combined(found, share * (weight + cubic * one), share * cubic * two)
     same, mirrored = [_HALF * (a + d), _HALF * (c - b)], [_HALF * (a - d), _HALF * (b + c)]
     values, vectors = _spectrum(same, mirrored, u, v, second)
-    stress = matrix * u + np.array([[d, c * -1.0], [b * -1.0, a]]) * v + (matrix - held) * elastic
-    store(result, FORCE, slope @ stress.T)
-    # The changes of A along the eigenvectors (4, 2, 2), and those per displacement of the nodes (4, 2, 3).
+    stress = matrix * u + np.array([[d, c * -1.0], [b * -1.0, a]]) * v + strain * elastic
+    add(result, FORCE, gradients @ stress.T)
+    # The changes of A along the eigenvectors (4, 2, 2), and those per displacement of the nodes (4, 2, 4).
     changes = np.array([[[e[0] + e[2], e[3] - e[1]], [e[1] + e[3], e[0] - e[2]]] for e in vectors]) * _HALF
-    turned = changes @ slope.T
+    turned = changes @ gradients.T
     scaled = [row * (value + elastic).max(exact * (value + elastic)) for row, value in zip(turned, values, strict=True)]
-    for row, (n, o) in enumerate(itertools.combinations_with_replacement(range(3), 2)):
-        store(result, 4 * row, np.array(scaled)[:, :, n].T @ turned[:, :, o])
+    for row, (n, o) in enumerate(itertools.combinations_with_replacement(range(4), 2)):
+        add(result, 4 * row, np.array(scaled)[:, :, n].T @ turned[:, :, o])
 
 
 def _spectrum(
@@ -97,28 +116,23 @@ def _unit(x: Lanes, y: Lanes) -> tuple[Lanes, Lanes, Lanes]:
 
 
 @kernel(
-    "f8[:, ::1], i8[:, ::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1], UniTuple(f8, 5), i8[::1], Unknowns, Tuple((i8, "
-    "i8, i8[::1], i4[::1],)), f8[:, :, ::1], f8[:, ::1]",
+    "f8[:, ::1], i8[:, ::1], f8[:, ::1], i8[::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1], UniTuple(f8, 5), "
+    "i8[::1], Unknowns, Tuple((i8, i8, i8[::1], i4[::1],)), f8[:, :, ::1], f8[:, ::1]",
     Unknowns,
 )
-def add_triangles(x, node, slope, weight, reference, penalty, which, unknowns, rows, matrix, gradient):
-    """Add the derivatives of the energy of the triangles ``which`` to rows of the gradient and of the Hessian.
-
-    As :func:`.hexahedra.add_derivatives`, in two dimensions; ``weight`` (m, 2) has w and the factor of the elastic
-    energy.
-    """
-    given, result = np.empty((GIVEN, WIDTH)), np.empty((ROWS, WIDTH))
-    work, (eps, share, cubic, elastic, exact) = np.empty((3, 3)), penalty
+def add_derivatives(x, cells, start, mask, slope, weight, reference, penalty, which, unknowns, rows, matrix, gradient):
+    """As :func:`.hexahedra.add_derivatives`, in two dimensions."""
+    points, terms = np.empty((GRIDS, 4, 2, WIDTH)), np.empty((TERMS, WIDTH))
+    result, work = np.empty((ROWS, WIDTH)), np.empty((3, 3))
+    eps, share, cubic, elastic, exact = penalty
     for first in range(0, len(which), WIDTH):
         used = min(WIDTH, len(which) - first)
         for lane in range(WIDTH):
-            m = which[first + min(lane, used - 1)]
-            given[WEIGHT, lane], given[HELD, lane] = weight[m, 0], weight[m, 1]
-            for n in range(3):
-                for d in range(2):
-                    given[DEFORMED + 2 * n + d, lane] = x[node[m, n], d]
-                    given[REFERENCE + 2 * n + d, lane] = reference[node[m, n], d]
-                    given[SLOPE + 2 * n + d, lane] = slope[m, n, d]
-        triangle_derivatives(given, result, eps, share, cubic, elastic, exact)
+            c = which[first + min(lane, used - 1)]
+            gather_cell(x, start, reference, cells[c], points, lane)
+            weigh_cell(mask[c] if lane < used else 0, weight, c, 4, terms, lane)
+        result[...] = 0.0
+        for corner in range(4):
+            add_corner(points, terms, slope, result, corner, eps, share, cubic, elastic, exact)
         for lane in range(used):
-            add_element(node, which[first + lane], 3, 2, result, lane, FORCE, work, unknowns, rows, matrix, gradient)
+            add_element(cells, which[first + lane], 4, 2, result, lane, FORCE, work, unknowns, rows, matrix, gradient)

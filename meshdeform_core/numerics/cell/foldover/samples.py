@@ -1,71 +1,62 @@
-"""Sample points of hexahedra, at which their energy is summed, and maps of elements at samples."""
+"""Sample points of cells, at which their energy is summed, and the maps there from the undeformed cells."""
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import FloatArray, IntArray
-
-CORNERS, SAMPLES = 8, 27
-"""Numbers of sample points of a hexahedron: the corners come first."""
+from ...arrays import BoolArray, FloatArray, IntArray
 
 
-def sample_slopes() -> FloatArray:
+def sample_slopes(dimension: int) -> FloatArray:
     """Derivatives (27, 8, 3) of the shape functions of a hexahedron's nodes at its sample points along the index axes;
-    node a of it is the corner (a >> 2, a >> 1 & 1, a & 1)."""
-    corners = list(itertools.product((0.0, 1.0), repeat=3))
-    points = corners + [p for p in itertools.product((0.0, 0.5, 1.0), repeat=3) if 0.5 in p]
-    slope = np.empty((SAMPLES, CORNERS, 3))
-    for s, point in enumerate(points):
+    node a of it is the corner (a >> 2, a >> 1 & 1, a & 1). The corners come first. Those (4, 4, 2) of a quadrilateral's
+    nodes at its corners."""
+    corners = list(itertools.product((0.0, 1.0), repeat=dimension))
+    middles = [p for p in itertools.product((0.0, 0.5, 1.0), repeat=dimension) if 0.5 in p and dimension == 3]
+    slope = np.empty((len(corners) + len(middles), len(corners), dimension))
+    for s, point in enumerate(corners + middles):
         for a, corner in enumerate(corners):
             factor = [x if c else 1.0 - x for c, x in zip(corner, point, strict=True)]
-            for axis in range(3):
+            for axis in range(dimension):
                 rest = np.prod(factor[:axis] + factor[axis + 1 :])
                 slope[s, a, axis] = rest if corner[axis] else -rest
     return slope
 
 
-def samples_with_any(chosen: np.ndarray, slope: FloatArray) -> np.ndarray:
-    """Sample points that depend on any ``chosen`` (m, 8) corner of their cell: (m,) int64, bit s for sample point s."""
-    mask = np.zeros(len(chosen), dtype=np.int64)
-    for s in range(SAMPLES):
-        mask |= chosen[:, slope[s].any(axis=1)].any(axis=1).astype(np.int64) << s
-    return mask
-
-
-def sound_samples(
-    start: FloatArray, cells: IntArray, slope: FloatArray, sign: FloatArray, tolerance: float
-) -> IntArray:
-    """Sample points at which undeformed cells are sound: (m,) int64, bit s for sample point s.
+def sound_samples(start: FloatArray, cells: IntArray, sign: FloatArray, tolerance: float, moves: BoolArray) -> IntArray:
+    """Sample points at which undeformed ``cells`` are sound and that depend on a node that ``moves`` (n,): (m,) int64,
+    bit s for sample point s.
 
     Sound means that the determinant has the ``sign`` (m,) of the cell and exceeds ``tolerance`` times the product of
     the lengths of the vectors along the index axes.
     """
     mask, corners = np.zeros(len(cells), dtype=np.int64), np.ascontiguousarray(cells.T)
-    for s in range(SAMPLES):
-        edges = sums_of_slopes(start, corners, slope[s][:, :, None])
+    for s, slope in enumerate(sample_slopes(start.shape[1])):
+        edges = sums_of_slopes(start, corners, slope[:, :, None])
         size = np.sqrt((edges * edges).sum(axis=0).prod(axis=0))
-        mask |= (sign * determinants(edges) > tolerance * size).astype(np.int64) << s
+        sound = sign * (edges[0] * cofactors(edges)[0]).sum(axis=0) > tolerance * size
+        mask |= (sound & moves[cells[:, slope.any(axis=1)]].any(axis=1)).astype(np.int64) << s
     return mask
 
 
 class Maps(NamedTuple):
-    """Maps from undeformed elements at m samples.
+    """Maps from undeformed cells at m samples.
 
     Attributes
     ----------
     nodes : (k, m) nodes of which they are functions
     slope : (k, d, m) gradients of the shape functions of these nodes in the undeformed grid
-    element : (m,) the element of each, at most once
+    cell : (m,) the cell of each, ascending
     at_corners : whether the samples are corners
     """
 
     nodes: IntArray
     slope: FloatArray
-    element: IntArray
+    cell: IntArray
     at_corners: bool = True
 
     def jacobians(self, x: FloatArray) -> FloatArray:
@@ -78,18 +69,18 @@ class Maps(NamedTuple):
         return np.stack([np.bincount(self.nodes.ravel(), part.ravel(), n) for part in parts], axis=1)
 
 
-def maps_at_sample(start: FloatArray, nodes: IntArray, slope: FloatArray, sample: int, element: IntArray) -> Maps:
-    """The maps of hexahedra ``element`` (m,) at a sample point, where all must be sound; ``nodes`` (m, 8): the
-    rows of their corners in ``start`` (n, 3)."""
+def maps_at_sample(start: FloatArray, nodes: IntArray, slope: FloatArray, sample: int, cell: IntArray) -> Maps:
+    """The maps of the cells with numbers ``cell`` (m,) at a sample point, where all must be sound; ``nodes``: the rows
+    of the corners of all cells in ``start`` (n, d)."""
     used = slope[sample].any(axis=1)
     along = slope[sample][used, :, None]
-    corners = np.ascontiguousarray(nodes[element][:, used].T)
+    corners = np.ascontiguousarray(nodes[cell][:, used].T)
     edges = sums_of_slopes(start, corners, along)
     areas = cofactors(edges)
     # The rows of the inverse of the matrix of the edges.
     dual = (areas / (edges[0] * areas[0]).sum(axis=0)).transpose(1, 0, 2)
-    in_space = along[:, 0, None] * dual[0] + along[:, 1, None] * dual[1] + along[:, 2, None] * dual[2]
-    return Maps(corners, in_space, element, sample < CORNERS)
+    in_space = np.asarray(sum(along[:, k, None] * row for k, row in enumerate(dual)))
+    return Maps(corners, in_space, cell, sample < nodes.shape[1])
 
 
 def sums_of_slopes(x: FloatArray, nodes: IntArray, slope: FloatArray) -> FloatArray:
@@ -104,11 +95,6 @@ def sums_of_slopes(x: FloatArray, nodes: IntArray, slope: FloatArray) -> FloatAr
 def inner(a: FloatArray, b: FloatArray) -> FloatArray:
     """The sums (m,) of the products of the entries of matrices (d, d, m)."""
     return np.asarray((a * b).sum(axis=(0, 1)))
-
-
-def determinants(a: FloatArray) -> FloatArray:
-    """Determinants (m,) of matrices (d, d, m)."""
-    return np.asarray((a[0] * cofactors(a)[0]).sum(axis=0))
 
 
 def cofactors(a: FloatArray) -> FloatArray:
@@ -134,14 +120,9 @@ def _cross_products(a: FloatArray, b: FloatArray) -> FloatArray:
     return found
 
 
-def shortest_edges(start: FloatArray, cells: IntArray, pairs: IntArray) -> FloatArray:
-    """Length (n,) of the shortest edge at every node of ``start`` (n, d), edges of zero length ignored.
-
-    The edges join the ``pairs`` (p, 2) of corners of each of the ``cells`` (m, k).
-    """
-    one, two = np.moveaxis(cells[:, pairs], -1, 0)
-    length = np.sqrt(((start[one] - start[two]) ** 2).sum(axis=-1))
-    result = np.full(len(start), np.inf)
-    for ends in (one, two):
-        np.minimum.at(result, ends, np.where(length > 0.0, length, np.inf))
-    return result
+def cell_edges(start: FloatArray, cells: IntArray) -> Iterator[tuple[IntArray, IntArray, FloatArray]]:
+    """Both end nodes (m,) and the lengths (m,) of each edge of ``cells`` (m, 2^d), coordinates ``start`` (n, d)."""
+    for one, bit in itertools.product(range(cells.shape[1]), (1, 2, 4)):
+        if not one & bit and bit < cells.shape[1]:
+            ends = cells[:, one], cells[:, one | bit]
+            yield *ends, np.sqrt(((start[ends[1]] - start[ends[0]]) ** 2).sum(axis=1))
