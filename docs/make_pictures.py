@@ -14,40 +14,35 @@ from collections.abc import Callable
 from contextlib import chdir
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 from PIL import Image
 
 from meshdeform_cli.main import run
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_formats import read_grid
-from meshdeform_formats.picture.page import STYLE
-from meshdeform_samples.reproduce.figures import draw_planes, planes_of
+from meshdeform_formats.picture.page import Page, Scale, page_png
+from meshdeform_formats.picture.scene import Window
+from meshdeform_samples.reproduce.figures import drawn, scene_of
 
 IMAGES = Path(__file__).resolve().parent / "images"
 Panel = tuple[str, str, tuple[str, ...]]
 """Title, method, further options of ``deform``."""
 
-PLATE_WINDOW = (-3.5, 8.5, -4.0, 5.5)
+PLATE_WINDOW = Window(-3.5, 8.5, -4.0, 5.5)
 
 
-def picture(name: str, sample: str, size: int, panels: list[Panel], window: tuple[float, ...], height: float) -> None:
+def picture(name: str, sample: str, size: int, panels: list[Panel], window: Window) -> None:
     """One picture with the deformed sample for every panel, side by side, coloured by f_skew."""
-    with tempfile.TemporaryDirectory() as folder, plt.rc_context(STYLE):
-        case = Path(folder)
+    with tempfile.TemporaryDirectory() as folder:
+        case, shown = Path(folder), []
         call("sample", sample, "-o", case, "--size", size)
-        figure, axes = plt.subplots(
-            1, len(panels), figsize=(4.2 * len(panels), height), layout="constrained", squeeze=False, sharey=True
-        )
-        for number, (ax, (title, method, options)) in enumerate(zip(axes[0], panels, strict=True)):
+        for number, (title, method, options) in enumerate(panels):
             output = case / f"{number}.cgns"
             call("deform", case / "grid.cgns", "-c", case / "case.toml", "-m", method, *options, "-o", output,
                  "--repair", "off", "--allow-invalid", "-q")  # fmt: skip
             grid = read_grid(output)
-            collection = draw_planes(ax, planes_of(grid, find_topology(grid), grid), 0.0)
-            ax.set(xlim=window[:2], ylim=window[2:], title=title, ylabel="" if number else "y")
-        figure.colorbar(collection, ax=axes, label="f_skew", shrink=0.8, pad=0.02)
-        figure.savefig(case / "picture.png", dpi=100)
-        plt.close(figure)
+            shown.append(drawn(scene_of(grid, find_topology(grid)), title, window))
+        page = Page.of(shown, Scale("f_skew", (0.0, 1.0)))
+        (case / "picture.png").write_bytes(page_png(page, 4.2 * len(panels), 100))
         keep(case / "picture.png", name)
 
 
@@ -68,14 +63,14 @@ def plate(name: str, method: str, *options: str) -> Callable[[], None]:
     """The splitter plate at 30 degrees (the case of Sen et al., section 4), and at 45 degrees."""
     turned = ("-s", "constants.angle=45")
     panels = [(f"{method}, 30 degrees", method, options), (f"{method}, 45 degrees", method, (*options, *turned))]
-    return lambda: picture(name, "splitter-plate", 8, panels, PLATE_WINDOW, 3.7)
+    return lambda: picture(name, "splitter-plate", 8, panels, PLATE_WINDOW)
 
 
 def rotations() -> None:
     """The beam of appendix B: what is averaged decides whether a symmetric motion gives a symmetric grid."""
     panels = [(f"rotation = {kind}", "idw", ("-s", f"method.idw.rotation={kind}"))
               for kind in ("none", "quaternion", "lie")]  # fmt: skip
-    picture("rotations", "beam", 40, panels, (-2.0, 2.0, -1.0, 1.2), 3.0)
+    picture("rotations", "beam", 40, panels, Window(-2.0, 2.0, -1.0, 1.2))
 
 
 def optimisation() -> None:
