@@ -125,11 +125,11 @@ def _import_seconds(arguments: Sequence[str]) -> float:
     return sum(int(line.removeprefix("import time:").split("|")[0]) for line in lines) / 1e6
 
 
-def make_sample(folder: Path, sample: str, size: int, suffix: str = ".cgns") -> Path:
+def make_sample(folder: Path, sample: str, size: int) -> Path:
     """Grid and case of a sample in a separate folder."""
     target = folder / f"{sample}-{size}"
     if not target.exists():
-        run([*_COMMAND, "sample", sample, "-o", str(target), "--size", str(size), "--suffix", suffix])
+        run([*_COMMAND, "sample", sample, "-o", str(target), "--size", str(size)])
     return target
 
 

@@ -14,7 +14,7 @@ from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.memory import Demand, MemoryLimit, Work
 from meshdeform_core.parallel import set_sharing
 
-from .options import CaseInput, GridInput, RunInput
+from .options import CaseInput, Files, GridInput, RunInput
 
 if TYPE_CHECKING:
     from meshdeform_formats.grids import Layout
@@ -32,23 +32,23 @@ def check_order(source: GridInput, case: CaseInput) -> None:
         raise click.UsageError(f"{source.path} is a case file; expected the grid first: {grid} -c {source.path}")
 
 
-def keep_inputs(path: Path, *inputs: Path | None) -> None:
+def keep_inputs(path: Path, inputs: Files) -> None:
     """Refuse an output that would replace a file that the run reads, under any name."""
     from meshdeform_formats.inputs import existing_outputs, require_no_input
 
     # A new file replaces nothing, so that the inputs need not be searched.
     if existing_outputs(path):
-        require_no_input(path, inputs)
+        require_no_input(path, [file for _, file in inputs])
 
 
-def check_output(path: Path, force: bool, *inputs: Path | None) -> None:
+def check_output(path: Path, force: bool, inputs: Files = ()) -> None:
     """Refuse, before anything is computed, to overwrite a file unasked, or an input, or to write into no folder."""
     from meshdeform_formats.files import require_replaceable
     from meshdeform_formats.inputs import existing_outputs
 
     # First, as reading the pieces of an existing .vtm would block if it were a pipe.
     require_replaceable(path)
-    keep_inputs(path, *inputs)
+    keep_inputs(path, inputs)
     there = existing_outputs(path)
     if there and not force:
         raise FormatError(f"{there[0]} exists; use --force to overwrite it")
@@ -59,7 +59,7 @@ def check_output(path: Path, force: bool, *inputs: Path | None) -> None:
         raise FormatError(f"cannot write {path}: the folder {folder} {reason}")
 
 
-def check_target(output: Path | None, run: RunInput, *inputs: Path | None) -> None:
+def check_target(output: Path | None, run: RunInput, inputs: Files) -> None:
     """Refuse the output of a command that makes a grid if it cannot be written, before anything is computed."""
     from meshdeform_formats.fields import check_fields
     from meshdeform_formats.files import invalid_path
@@ -71,13 +71,13 @@ def check_target(output: Path | None, run: RunInput, *inputs: Path | None) -> No
         raise click.UsageError("Missing option '-o' / '--output' (or --dry-run).")
     format_of(output)
     check_fields(run.fields, output, True)
-    check_output(output, run.force, *inputs)
+    check_output(output, run.force, inputs)
     if not run.allow_invalid:
         # The invalid grid of an earlier run may be replaced, an input never.
-        check_output(invalid_path(output), True, *inputs)
+        check_output(invalid_path(output), True, inputs)
 
 
-def check_reports(reports: tuple[Path, ...], force: bool, *inputs: Path | None) -> None:
+def check_reports(reports: tuple[Path, ...], force: bool, inputs: Files) -> None:
     """:func:`check_output` for reports, whose suffix must be known."""
     from meshdeform_formats.report.write import check_report_path
 
@@ -85,7 +85,7 @@ def check_reports(reports: tuple[Path, ...], force: bool, *inputs: Path | None) 
         # A single dash is stdout.
         if str(path) != "-":
             check_report_path(path)
-            check_output(path, force, *inputs)
+            check_output(path, force, inputs)
 
 
 def make_folder(output: Path) -> None:

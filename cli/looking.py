@@ -16,8 +16,8 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.memory import passing
 from meshdeform_core.wording import counted
 
-from .checks import check_output, check_reports, keep_inputs, make_room, temporary_folder
-from .options import OUTPUT, PATH, CaseInput, FiniteNumber, GridInput, RunInput, grid_options, packed
+from .checks import check_output, check_reports, make_room, temporary_folder
+from .options import OUTPUT, PATH, CaseInput, Files, FiniteNumber, GridInput, RunInput, grid_options, packed
 from .process import EXIT_INVALID, ProgressBar, stage, tell
 
 if TYPE_CHECKING:
@@ -82,7 +82,6 @@ def quality_command(source: GridInput, reference: Path | None, case: CaseInput, 
     Without it, cells with such corners count as inherited. A case file (-c) defines the moving walls.
     """
     start = clock.perf_counter()
-    check_reports(run.reports, run.force, reference, *source.files, *case.files)
 
     from meshdeform_core.mending import judge_grid
     from meshdeform_formats import read_grid
@@ -91,8 +90,8 @@ def quality_command(source: GridInput, reference: Path | None, case: CaseInput, 
     from .work import deliver
 
     what = case.read()
-    for path in run.reports:
-        keep_inputs(path, *what.files)
+    files = [*source.files, ("reference", reference), *case.files(what)]
+    check_reports(run.reports, run.force, files)
     sources = [source, *([GridInput(reference)] if reference else [])]
     make_room(run.limit, "judging", passing(_JUDGED), sources, temporary_folder())
     with ProgressBar(not run.quiet) as progress:
@@ -103,7 +102,6 @@ def quality_command(source: GridInput, reference: Path | None, case: CaseInput, 
         assessment, notes = judge_grid(grid, original or grid, what.case)
         report = quality_report(grid, assessment, notes, str(reference) if reference else None, original)
     run.warnings.tell(report["warnings"])
-    files = [*source.roles, ("reference", reference), ("case", case.file)]
     # With --json the text would be redundant.
     deliver(report, dataclasses.replace(run, quiet=run.quiet or run.as_json), start, files)
     return 0 if report["valid"] else EXIT_INVALID
@@ -183,7 +181,7 @@ def plot_command(
 
     request = PlotOptions(**options, lead="--")  # type: ignore[arg-type]
     check_picture_path(output)
-    check_output(output, run.force, *source.files, reference)
+    check_output(output, run.force, [*source.files, ("reference", reference)])
     name = shown(Path(source.path.name)) if title is None else title
     with ProgressBar(not run.quiet):
         subject = Subject.of(source.read(), None if reference is None else read_grid(reference))
@@ -215,7 +213,7 @@ def convert_command(source: GridInput, target: Path, reference: Path | None, run
     from meshdeform_formats.placing import existing
 
     keeps_boundaries, options, fields = FORMATS[format_of(target)].boundaries, run.variant_options, run.fields
-    check_output(target, run.force, *source.files, reference)
+    check_output(target, run.force, [*source.files, ("reference", reference)])
     check_fields(fields, target, reference is not None)
     sources = [source, *([GridInput(reference)] if reference else [])]
     arrays = passing(_WRITTEN + (_FIELDS if fields else 0))
@@ -229,7 +227,7 @@ def convert_command(source: GridInput, target: Path, reference: Path | None, run
             grid = with_fields(CellFields.of(grid, None if reference is None else read_grid(reference)), fields)
         boundaries, write_boundaries = target.with_suffix(".nmf"), None
         if not keeps_boundaries and (grid.patches or grid.connections):
-            write_boundaries = _write_boundaries(grid, boundaries, target, run.force, *source.files)
+            write_boundaries = _write_boundaries(grid, boundaries, target, run.force, source.files)
         with stage("write"):
             written = write_grid(grid, target, options)
         if write_boundaries:
@@ -247,7 +245,7 @@ def convert_command(source: GridInput, target: Path, reference: Path | None, run
     return 0
 
 
-def _write_boundaries(grid: Grid, path: Path, target: Path, force: bool, *inputs: Path | None) -> Callable[[], None]:
+def _write_boundaries(grid: Grid, path: Path, target: Path, force: bool, inputs: Files) -> Callable[[], None]:
     """Refuse to replace a file with other boundaries than those of the grid; returns a function that writes it.
 
     Types are the families or names of patches, so that case files remain usable.
@@ -261,7 +259,7 @@ def _write_boundaries(grid: Grid, path: Path, target: Path, force: bool, *inputs
         if path.is_file() and path.read_bytes() == neutral_map_text(mapped).encode("utf-8"):
             return lambda: None
     try:
-        check_output(path, force, *inputs)
+        check_output(path, force, inputs)
     except FormatError as error:
         raise FormatError(
             f"{error}. {target.suffix} files cannot hold boundaries, which are therefore written next to {target} as "

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from meshdeform_formats.grids import Layout
 
 Command = Callable[..., Any]
+Files = Sequence[tuple[str, Path | None]]
+"""Input files with their roles, for reports; no output may overwrite them."""
 
 PATH = click.Path(path_type=Path)
 
@@ -41,11 +43,11 @@ def given(*names: str, **settings: Any) -> Any:
     return dataclasses.field(default=default, metadata={"names": names, "settings": settings})
 
 
-def packed(record: type, name: str, *chosen: str) -> Callable[[Command], Command]:
-    """A decorator that adds the fields of a record, all or those ``chosen``, to a command, which gets the record."""
-    fields = [
-        field for field in dataclasses.fields(record) if field.metadata and field.name in (chosen or (field.name,))
-    ]
+def packed(record: type, name: str, *chosen: str, without: str = "") -> Callable[[Command], Command]:
+    """A decorator that adds the fields of a record, all but one or those ``chosen``, to a command, which gets the
+    record."""
+    every = [field for field in dataclasses.fields(record) if field.metadata and field.name != without]
+    fields = [field for field in every if field.name in (chosen or (field.name,))]
 
     def decorate(command: Command) -> Command:
         @functools.wraps(command)
@@ -145,13 +147,8 @@ class GridInput:
         return layout_of(self.path, parse_pairs(self.read_as, "--read-as"))
 
     @property
-    def files(self) -> tuple[Path | None, ...]:
-        """Files that no output may overwrite."""
-        return self.path, self.boundary_file
-
-    @property
-    def roles(self) -> list[tuple[str, Path | None]]:
-        """The files of the input with their roles, for the report."""
+    def files(self) -> Files:
+        """The files of the input."""
         return [("grid", self.path), ("boundary file", self.boundary_file)]
 
 
@@ -184,7 +181,19 @@ class CaseInput:
         "--repair", type=click.Choice(["auto", "off", "polish"]),
         help="auto (default): repair invalid and weak cells; off: never; polish: improve the worst cells of any grid.",
     )  # fmt: skip
+    steps: int | str | None = given(
+        "--steps", metavar="N|auto", callback=_steps,
+        help="Impose the motion, or that to each level of a series, in N steps; by default in as many as needed.",
+    )  # fmt: skip
+    at_time: float | None = given(
+        "--time", type=FiniteNumber(), metavar="T", help="Evaluate the motion at this time (default 0)."
+    )
     times: str | None = None
+
+    @property
+    def time(self) -> float:
+        """The time at which the motion is evaluated."""
+        return 0.0 if self.at_time is None else self.at_time
 
     def read(self) -> CaseFile:
         """The case file with the additions of the command line."""
@@ -203,8 +212,8 @@ class CaseInput:
             overrides += (f"repair.min_jacobian={self.min_jacobian!r}",)
         return read_case(self.file, overrides, self.method, self.displacement, self.times, matching)
 
-    def roles(self, read: CaseFile) -> list[tuple[str, Path | None]]:
-        """The files of the input, and those named in the case ``read``, with their roles, for the report."""
+    def files(self, read: CaseFile) -> Files:
+        """The files of the input, and those named in the case ``read``."""
         return [("case", self.file), *(("displacement", path) for path in read.files)]
 
     @property
@@ -212,11 +221,6 @@ class CaseInput:
         """Whether it says nothing about a motion."""
         others = self.file, self.displacement, self.repair, self.min_jacobian
         return all(each is None for each in others) and not self.overrides
-
-    @property
-    def files(self) -> tuple[Path | None, ...]:
-        """Files that no output may overwrite."""
-        return self.file, self.displacement
 
 
 @dataclass(frozen=True)
@@ -280,26 +284,6 @@ class RunInput:
 
 
 @dataclass(frozen=True)
-class Imposed:
-    """How a motion is imposed: number of steps (``None``: as needed), time (``None``: not given)."""
-
-    steps: int | str | None = given(
-        "--steps",
-        metavar="N|auto",
-        callback=_steps,
-        help="Impose the motion in N steps; by default in as many as needed.",
-    )
-    at_time: float | None = given(
-        "--time", type=FiniteNumber(), metavar="T", help="Evaluate the motion at this time (default 0)."
-    )
-
-    @property
-    def time(self) -> float:
-        """The time at which the motion is evaluated."""
-        return 0.0 if self.at_time is None else self.at_time
-
-
-@dataclass(frozen=True)
 class SeriesInput:
     """Output folder, times, mode and format of the levels."""
 
@@ -308,12 +292,6 @@ class SeriesInput:
         "--times", metavar="START:STOP:STEP",
         help="Time levels, or a list a,b,c; by default those of the case's sequence of displacement files.",
     )  # fmt: skip
-    steps: int | str | None = given(
-        "--steps",
-        metavar="N|auto",
-        callback=_steps,
-        help="Impose each level in N steps; by default in as many as needed.",
-    )
     velocity: str = given(
         "--velocity", type=click.Choice(("none", "first", "second", "swept")), default="none", show_default=True,
         help="Write the grid velocity, by backward differences of this order, or the volumes swept by the cell faces "

@@ -201,14 +201,22 @@ def run_on_ranks(run: Callable[[], int], here: Place) -> int:
 
     A rank that fails alone ends the others.
     """
+    reason = ""
     try:
         from mpi4py import MPI
     except (ImportError, RuntimeError) as error:
         # RuntimeError: mpi4py found no MPI library.
-        return _refuse(here, f"mpi4py is missing ({error}); pip install mpi4py, or start without mpiexec")
-    if MPI.COMM_WORLD.size != here.count:
-        library = MPI.Get_library_version().split(",")[0]
-        return _refuse(here, f"mpi4py uses {library}, which sees {MPI.COMM_WORLD.size}; use the mpiexec of that MPI")
+        reason = f"mpi4py is missing ({error}); pip install mpi4py, or start without mpiexec"
+    else:
+        if MPI.COMM_WORLD.size != here.count:
+            library = MPI.Get_library_version().split(",")[0]
+            reason = f"mpi4py uses {library}, which sees {MPI.COMM_WORLD.size}; use the mpiexec of that MPI"
+    if reason:
+        # Without MPI the ranks cannot communicate, but the launcher's numbers determine which one prints.
+        if here.number:
+            return 0
+        tell(f"error: started on {here.count} ranks, but {reason}")
+        return EXIT_INPUT
     from meshdeform_core.parallel.mpi import MPIRanks
 
     # Let the C library return freed arrays of 16 MiB and more to the system, and the end of its heap. By default it
@@ -230,14 +238,6 @@ def run_on_ranks(run: Callable[[], int], here: Place) -> int:
             # A signal: see meshdeform_cli.main.
             code = stop.code if isinstance(stop.code, int) else 1
     return ranks.conclude(code, messages.getvalue(), complete=code in (0, EXIT_INVALID))
-
-
-def _refuse(here: Place, reason: str) -> int:
-    # Without MPI the ranks cannot communicate, but the launcher's numbers determine which one prints.
-    if here.number:
-        return 0
-    tell(f"error: started on {here.count} ranks, but {reason}")
-    return EXIT_INPUT
 
 
 class ProgressBar:

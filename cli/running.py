@@ -10,21 +10,20 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .checks import check_order, check_reports, check_target, keep_inputs, make_room, too_large
-from .options import OUTPUT, PATH, CaseInput, GridInput, Imposed, RunInput, SeriesInput, grid_options, packed
+from .checks import check_order, check_reports, check_target, make_room, too_large
+from .options import OUTPUT, PATH, CaseInput, GridInput, RunInput, SeriesInput, grid_options, packed
 from .process import EXIT_INVALID, ProgressBar, tell
 
 if TYPE_CHECKING:
-    from . import series_run, work
+    from meshdeform_formats.case import CaseFile
 
 
 @click.command("deform")
 @grid_options
 @click.option("-o", "--output", type=OUTPUT, help="Deformed grid; the suffix selects the format.")
 @packed(CaseInput, "case")
-@packed(Imposed, "imposed")
 @packed(RunInput, "run")
-def deform_command(source: GridInput, output: Path | None, case: CaseInput, imposed: Imposed, run: RunInput) -> int:
+def deform_command(source: GridInput, output: Path | None, case: CaseInput, run: RunInput) -> int:
     """Deform GRID, judge the result and write it.
 
     \b
@@ -45,64 +44,54 @@ def deform_command(source: GridInput, output: Path | None, case: CaseInput, impo
             f"boundary of the grid: meshdeform init {source.path} -o case.toml"
         )
     check_order(source, case)
-    check_target(output, run, *source.files, *case.files)
-    check_reports(run.reports, run.force, output, *source.files, *case.files)
+    # The case first: it is small and most often wrong.
+    what = case.read()
+    files = [*source.files, *case.files(what)]
+    check_target(output, run, files)
+    check_reports(run.reports, run.force, [*files, ("output", output)])
 
     from . import work
 
-    if output is None or run.dry_run:
-        return work.in_parts(lambda: _dry_run(source, case, output, imposed, run), run.verbose)
+    doing = work.work_of(what, run, output.suffix if output else "")
+
+    def load(workplace: Path | None) -> work.Job:
+        job = work.load(source, case, what, run, doing, workplace)
+        work.require_room_for_invalid(output, job.grid, run)
+        return dataclasses.replace(job, case=work.timed(job.case, case.at_time))
+
+    def foretell() -> int:
+        from meshdeform_core.deform import set_up
+
+        from .dry_run import Outputs, plan, plan_by_sizes
+
+        if layout := too_large(run.memory, doing, source):
+            outputs = Outputs(output, run.variant_options.get("precision", layout.precision))
+            return work.print_plan(plan_by_sizes(layout, doing, outputs, run.memory), False, run)
+        with ProgressBar(not run.quiet):
+            job = load(None)
+            setup = set_up(job.grid, job.case.case, memory=job.memory)
+            outputs, missing = Outputs(output, job.grid.precision), ""
+            if output is not None:
+                variant, missing = work.variant_and_shortage(job.grid, output, run)
+                outputs = Outputs(output, variant.precision)
+            planned = plan(setup, [case.time], case.steps, outputs, missing, job.demand, run.memory)
+        return work.print_plan(*planned, run)
 
     def deform() -> int:
+        assert output is not None
         with ProgressBar(not run.quiet) as progress:
-            job = _load_inputs(source, case, output, imposed, run)
-            report, illustrate = work.run(job, output, imposed, run, progress)
-        files = [*source.roles, *case.roles(job.case), ("output", Path(report["output"]))]
-        return work.conclude(report, run, start, files, job.ranks, illustrate)
+            job = load(output.parent)
+            report, illustrate = work.run(job, output, case, run, progress)
+        written = [*files, ("output", Path(report["output"]))]
+        return work.conclude(report, run, start, written, job.ranks, illustrate)
 
-    return work.in_parts(deform, run.verbose)
-
-
-def _dry_run(source: GridInput, case: CaseInput, output: Path | None, imposed: Imposed, run: RunInput) -> int:
-    """Print what the run would do and take; returns the exit code."""
-    from meshdeform_core.deform import set_up
-
-    from . import work
-    from .dry_run import Outputs, plan, plan_by_sizes
-
-    doing = work.work_of(case.read(), run, output.suffix if output else "")
-    if layout := too_large(run.memory, doing, source):
-        outputs = Outputs(output, run.variant_options.get("precision", layout.precision))
-        return work.print_plan(plan_by_sizes(layout, doing, outputs, run.memory), False, run)
-    with ProgressBar(not run.quiet):
-        job = _load_inputs(source, case, output, imposed, run)
-        setup = set_up(job.grid, job.case.case, memory=job.memory)
-        outputs, missing = Outputs(output, job.grid.precision), ""
-        if output is not None:
-            variant, missing = work.variant_and_shortage(job.grid, output, run)
-            outputs = Outputs(output, variant.precision)
-        planned = plan(setup, [imposed.time], imposed.steps, outputs, missing, job.demand, run.memory)
-    return work.print_plan(*planned, run)
-
-
-def _load_inputs(source: GridInput, case: CaseInput, output: Path | None, imposed: Imposed, run: RunInput) -> work.Job:
-    """The case and the grid; no output may replace a file that they name, or anything but an earlier invalid grid."""
-    from meshdeform_formats.files import invalid_path
-
-    from . import work
-
-    outputs = [output, *([] if output is None or run.allow_invalid else [invalid_path(output)]), *run.reports]
-    workplace = None if run.dry_run or output is None else output.parent
-    named = [path for path in outputs if path is not None]
-    job = work.load(source, case, run, named, output.suffix if output else "", workplace)
-    work.require_room_for_invalid(output, job.grid, run)
-    return dataclasses.replace(job, case=work.timed(job.case, imposed.at_time))
+    return work.in_parts(foretell if run.dry_run else deform, run.verbose)
 
 
 @click.command("series")
 @grid_options
 @packed(SeriesInput, "wanted")
-@packed(CaseInput, "case")
+@packed(CaseInput, "case", without="at_time")
 @packed(RunInput, "run")
 def series_command(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunInput) -> int:
     """Deform GRID at every time level and write one grid per level, with an index for ParaView.
@@ -127,62 +116,51 @@ def series_command(source: GridInput, case: CaseInput, wanted: SeriesInput, run:
         raise click.UsageError("Displacement files (-d 'surface_*.csv') need their times: --times START:STOP:STEP.")
     if wanted.resume and run.force:
         raise click.UsageError("--resume continues a series, --force restarts it; give one of them.")
-    check_reports(run.reports, run.force or wanted.resume, *source.files, *case.files)
+    case = dataclasses.replace(case, times=wanted.times)
+    what = case.read()
+    files = [*source.files, *case.files(what)]
+    check_reports(run.reports, run.force or wanted.resume, files)
 
     from . import series_run, work
 
-    timed = dataclasses.replace(case, times=wanted.times)
-    if run.dry_run:
-        return work.in_parts(lambda: _dry_series(source, timed, wanted, run), run.verbose)
-    begun = False
+    doing, begun = work.work_of(what, run, wanted.suffix or "", wanted.velocity_bytes), False
+
+    def load(workplace: Path | None) -> series_run.Run:
+        job = work.load(source, case, what, run, doing, workplace)
+        plan = series_run.prepare(job, source, case, wanted, run)
+        run.warnings.tell(plan.setup.warnings)
+        return plan
+
+    def foretell() -> int:
+        from .dry_run import Outputs, plan, plan_by_sizes
+
+        if layout := too_large(run.memory, doing, source):
+            output = wanted.output / series_run.name_of(source.path, wanted, layout.format)
+            precision = run.variant_options.get("precision", layout.precision)
+            outputs = Outputs(output, precision, len(series_run.times_of(what, wanted)), wanted.velocity)
+            return work.print_plan(plan_by_sizes(layout, doing, outputs, run.memory), False, run)
+        with ProgressBar(not run.quiet):
+            ready = load(None)
+            times, levels = ready.schedule.times, ready.files
+            outputs = Outputs(levels.path(0), levels.variant.precision, len(times), wanted.velocity)
+            planned = plan(ready.setup, times, case.steps, outputs, ready.shortage(0), ready.job.demand, run.memory)
+            paths = f"{levels.path(0)} ... {levels.path(len(times) - 1)}"
+            text = f"series    {len(times)} levels from t = {times[0]:g} to {times[-1]:g}: {paths}\n"
+        return work.print_plan(*planned, run, text)
 
     def deform() -> int:
         nonlocal begun
         with ProgressBar(not run.quiet) as progress:
-            plan = _planned(source, timed, wanted, run, wanted.output)
+            plan = load(wanted.output)
             # The first rank alone continues what all of them have begun.
             begin = partial(series_run.open_manifest, plan, wanted.resume or begun, run.force and not begun)
             plan.manifest = plan.job.ranks.on_first(begin)
             plan.files.recall(plan.manifest.levels)
             begun = True
             report = series_run.carry_out(plan, progress)
-        files = [*source.roles, *case.roles(plan.job.case), ("index", plan.files.view)]
-        return work.conclude(report, run, start, files, plan.job.ranks)
+        return work.conclude(report, run, start, [*files, ("index", plan.files.view)], plan.job.ranks)
 
-    return work.in_parts(deform, run.verbose)
-
-
-def _planned(
-    source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunInput, workplace: Path | None
-) -> series_run.Run:
-    from . import series_run, work
-
-    job = work.load(source, case, run, run.reports, wanted.suffix or "", workplace, wanted.velocity_bytes)
-    plan = series_run.prepare(job, source, wanted, run)
-    run.warnings.tell(plan.setup.warnings)
-    return plan
-
-
-def _dry_series(source: GridInput, case: CaseInput, wanted: SeriesInput, run: RunInput) -> int:
-    """Print what the series would do and take; returns the exit code."""
-    from . import series_run, work
-    from .dry_run import Outputs, plan, plan_by_sizes
-
-    what = case.read()
-    doing = work.work_of(what, run, wanted.suffix or "", wanted.velocity_bytes)
-    if layout := too_large(run.memory, doing, source):
-        output = wanted.output / series_run.name_of(source.path, wanted, layout.format)
-        precision = run.variant_options.get("precision", layout.precision)
-        outputs = Outputs(output, precision, len(series_run.times_of(what, wanted)), wanted.velocity)
-        return work.print_plan(plan_by_sizes(layout, doing, outputs, run.memory), False, run)
-    with ProgressBar(not run.quiet):
-        ready = _planned(source, case, wanted, run, None)
-        times, files = ready.schedule.times, ready.files
-        outputs = Outputs(files.path(0), files.variant.precision, len(times), wanted.velocity)
-        planned = plan(ready.setup, times, wanted.steps, outputs, ready.shortage(0), ready.job.demand, run.memory)
-        paths = f"{files.path(0)} ... {files.path(len(times) - 1)}"
-        text = f"series    {len(times)} levels from t = {times[0]:g} to {times[-1]:g}: {paths}\n"
-    return work.print_plan(*planned, run, text)
+    return work.in_parts(foretell if run.dry_run else deform, run.verbose)
 
 
 @click.command("repair")
@@ -209,18 +187,17 @@ def repair_command(
     the suffix (exit code 3).
     """
     start = clock.perf_counter()
-    inputs = (reference, case.file, *source.files)
-    check_target(output, run, *inputs)
-    check_reports(run.reports, run.force, output, *inputs)
-    case = dataclasses.replace(case, repair="polish" if polish else "off" if run.dry_run else "auto")
+    what = dataclasses.replace(case, repair="polish" if polish else "off" if run.dry_run else "auto").read()
+    files = [*source.files, ("reference", reference), *case.files(what)]
+    check_target(output, run, files)
+    check_reports(run.reports, run.force, [*files, ("output", output)])
 
     from .work import deliver
 
     with ProgressBar(not run.quiet) as progress:
-        report = _repaired(source, reference, output, case, run, progress)
+        report = _repaired(source, reference, output, what, run, progress)
     run.warnings.tell(report["warnings"])
-    files = [*source.roles, ("reference", reference), ("case", case.file), ("output", output)]
-    deliver(report, run, start, files)
+    deliver(report, run, start, [*files, ("output", output)])
     if run.dry_run or not report["valid"]:
         where = "; dry run, nothing written" if run.dry_run else f". The grid is in {report['output']}"
         tell(f"{report['quality']['after']['invalid_cells']} cells are invalid{where}")
@@ -228,7 +205,7 @@ def repair_command(
 
 
 def _repaired(
-    source: GridInput, reference: Path, output: Path | None, case: CaseInput, run: RunInput, progress: ProgressBar
+    source: GridInput, reference: Path, output: Path | None, what: CaseFile, run: RunInput, progress: ProgressBar
 ) -> dict[str, Any]:
     """Repair and write; returns the report."""
     from meshdeform_core.memory import REPAIRING, Demand, peak_memory
@@ -240,9 +217,6 @@ def _repaired(
 
     from .work import require_room_for_invalid, variant_and_shortage, write_judged
 
-    what = case.read()
-    for path in (*run.reports, *([output] if output else [])):
-        keep_inputs(path, *what.files)
     place = existing(output.absolute().parent) if output else None
     make_room(run.memory, "repairing", REPAIRING, [source, GridInput(reference)], place)
     start = clock.perf_counter()

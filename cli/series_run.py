@@ -27,7 +27,7 @@ from meshdeform_formats.series.manifest import NAME, Manifest, ingredients_of
 from meshdeform_formats.series.outputs import FoamFiles, LevelFiles, SeriesFiles
 
 from .checks import keep_inputs
-from .options import GridInput, RunInput, SeriesInput
+from .options import CaseInput, GridInput, RunInput, SeriesInput
 from .process import ProgressBar, Warnings, stage
 from .work import Job, cells_of
 
@@ -56,10 +56,10 @@ class Run:
             raise FormatError(f"cannot write {self.manifest.path.parent}: {missing}")
 
 
-def prepare(job: Job, source: GridInput, wanted: SeriesInput, options: RunInput) -> Run:
+def prepare(job: Job, source: GridInput, case: CaseInput, wanted: SeriesInput, options: RunInput) -> Run:
     """Determine times and files, topology and boundary; nothing is written."""
     times = times_of(job.case, wanted)
-    schedule = Schedule(times, wanted.velocity, wanted.steps)
+    schedule = Schedule(times, wanted.velocity, case.steps)
     name = name_of(source.path, wanted, job.grid.format)
     check_fields(options.fields, Path(name), True)
     grid = complete_for_export(job.grid, Path(name))
@@ -67,15 +67,15 @@ def prepare(job: Job, source: GridInput, wanted: SeriesInput, options: RunInput)
     files: SeriesFiles = kind(grid, wanted.output, name, times, options.variant_options, wanted.velocity)
     manifest = Manifest(wanted.output / NAME, {})
     for path in [*files.replaced, manifest.path]:
-        keep_inputs(path, *source.files, *job.case.files)
+        keep_inputs(path, [*source.files, *case.files(job.case)])
     output: dict[str, object] = {"output": name, "variant": files.variant.label}
     output |= {"fields": list(options.fields)} if options.fields else {}
     manifest.ingredients = ingredients_of(source.path, source.boundary_file, job.case, schedule, output)
     timing = Timing()
-    case = job.case.case
-    if not case.depends_on_time:
-        case = replace(case, notes=(*case.notes, "the motion does not depend on t: all levels are alike"))
-    setup = set_up(grid, case, timing, job.memory)
+    motion = job.case.case
+    if not motion.depends_on_time:
+        motion = replace(motion, notes=(*motion.notes, "the motion does not depend on t: all levels are alike"))
+    setup = set_up(grid, motion, timing, job.memory)
     files.dress = lambda level: with_fields(cells_of(setup, level), options.fields)
     return Run(job, setup, schedule, files, manifest, timing, options.warnings, options.allow_invalid)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import importlib
 import json
 import os
@@ -45,7 +44,7 @@ def init_command(source: GridInput, output: Path | None, table: Path | None, run
     from meshdeform_formats.files import replacing, shown
 
     if output is not None:
-        check_output(output, run.force, *source.files, table)
+        check_output(output, run.force, [*source.files, ("table", table)])
     grid = source.read()
     map_file = _from_case(source.boundary_file, output) if source.boundary_file else None
     if map_file is not None and shown(Path(map_file)) != map_file:
@@ -72,14 +71,8 @@ def _from_case(file: Path, case: Path | None) -> str:
 @click.argument("name", required=False)
 @click.option("-o", "--output", type=PATH, help="Folder for grid and case.toml; created if missing.")
 @click.option("--size", help="Size of the grid: a number, whose meaning depends on the sample, or a name like small.")
-@click.option(
-    "--suffix",
-    default=".cgns",
-    show_default=True,
-    help="Format of the grid, by suffix; for formats that cannot hold boundaries, these are written to grid.nmf.",
-)
-@packed(RunInput, "run", "variant", "force", "quiet")
-def sample_command(name: str | None, output: Path | None, size: str | None, suffix: str, run: RunInput) -> int:
+@packed(RunInput, "run", "force", "quiet")
+def sample_command(name: str | None, output: Path | None, size: str | None, run: RunInput) -> int:
     """Write the sample case NAME into a folder; without NAME, list all samples.
 
     \b
@@ -91,8 +84,7 @@ def sample_command(name: str | None, output: Path | None, size: str | None, suff
     """
     from meshdeform_formats.displacement import write_displacement
     from meshdeform_formats.files import replacing
-    from meshdeform_formats.grids import FORMATS, format_of, variant_of, write_grid
-    from meshdeform_formats.neutral_map import write_neutral_map
+    from meshdeform_formats.grids import write_grid
     from meshdeform_samples import SAMPLES, folder, generate, load
 
     if name is None:
@@ -105,24 +97,13 @@ def sample_command(name: str | None, output: Path | None, size: str | None, suff
     load(name)
     if output is None:
         raise click.UsageError("Missing option '-o' / '--output'.")
-    target = output / f"grid{suffix if suffix.startswith('.') else '.' + suffix}"
-    kind = format_of(target)
-    if kind == "meshio":
-        raise CaseError(f"--suffix {suffix}: unstructured grids cannot be deformed; expected Plot3D, VTK or .cgns")
-    grid, tables = generate(name, size)
-    variant_of(grid, target, run.variant_options)
-    boundary_file = None if FORMATS[kind].boundaries else "grid.nmf"
-    head = f'[grid]\nboundary_file = "{boundary_file}"\n\n' if boundary_file else ""
+    target, (grid, tables) = output / "grid.cgns", generate(name, size)
     written = [file for file in folder(name).iterdir() if file.name.endswith((".toml", ".md"))]
-    texts = {file.name: head * file.name.endswith(".toml") + file.read_text(encoding="utf-8") for file in written}
+    texts = {file.name: file.read_text(encoding="utf-8") for file in written}
     make_folder(output)
-    for file in (target.name, boundary_file or target.name, *tables, *texts):
+    for file in (target.name, *tables, *texts):
         check_output(output / file, run.force)
-    write_grid(grid, target, run.variant_options)
-    if boundary_file:
-        # Types are the names that the case selects.
-        named = tuple(dataclasses.replace(patch, bc_type="", family=patch.name) for patch in grid.patches)
-        write_neutral_map(dataclasses.replace(grid, patches=named), output / boundary_file)
+    write_grid(grid, target)
     for file, table in tables.items():
         write_displacement(output / file, table)
     for file, text in texts.items():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import time as clock
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -36,8 +36,8 @@ from meshdeform_formats.report.records import Report, deformation_report, with_o
 from meshdeform_formats.report.tables import Figure, Illustrate
 from meshdeform_formats.report.write import as_json, as_text, run_part, write_report
 
-from .checks import keep_inputs, make_room
-from .options import CaseInput, GridInput, Imposed, RunInput
+from .checks import make_room
+from .options import CaseInput, Files, GridInput, RunInput
 from .process import EXIT_INVALID, ProgressBar, stage, tell
 
 T = TypeVar("T")
@@ -68,24 +68,16 @@ def work_of(what: CaseFile, run: RunInput, suffix: str, beside: float | None = N
 
 
 def load(
-    source: GridInput,
-    case: CaseInput,
-    run: RunInput,
-    outputs: Sequence[Path],
-    suffix: str,
-    workplace: Path | None = None,
-    beside: float | None = None,
+    source: GridInput, case: CaseInput, what: CaseFile, run: RunInput, work: Work, workplace: Path | None = None
 ) -> Job:
-    """Read the case first (it is small and most often wrong), then the grid with its boundary information.
+    """Read the grid with the boundary information that the case, read from ``what``, names.
 
-    ``outputs`` must not be files named in the case; ``suffix`` and ``beside`` as in :func:`work_of`. If ``workplace``
-    is given, arrays of a grid larger than the memory are put into files in this folder.
+    If ``workplace`` is given, arrays of a grid larger than the memory are put into files in this folder.
     """
-    what = case.read()
     ranks = current_ranks()
     if ranks.count > 1:
         # The options of the case and the contents of all files must not differ between ranks.
-        files = [source.path, source.boundary_file, case.file, case.displacement, *what.files]
+        files = [path for _, path in (*source.files, *case.files(what))]
         own = [(repr(dataclasses.replace(case, file=None, displacement=None)), "options of the case")]
         own += [(digest(path), str(path)) for path in files if path and path.is_file()]
         first, *others = ranks.gather([own])
@@ -96,10 +88,8 @@ def load(
                         f"rank {number} has other inputs than rank 0: {its_name} differs from {name}; expected the "
                         "same grid, case and tables on every rank"
                     )
-    for path in outputs:
-        keep_inputs(path, *what.files)
     make_method(what.case.method)
-    memory, work = run.memory, work_of(what, run, suffix, beside)
+    memory = run.memory
     make_room(memory, "deforming", work, [source], workplace and existing(workplace.absolute()))
     start = clock.perf_counter()
     grid = with_components(source.read(what.boundary_file), what.case.components)
@@ -192,16 +182,14 @@ def write_judged(grid: Grid, valid: bool, output: Path, run: RunInput, cells: Ca
     return target
 
 
-def run(
-    job: Job, output: Path, imposed: Imposed, options: RunInput, progress: ProgressBar
-) -> tuple[Report, Illustrate]:
+def run(job: Job, output: Path, case: CaseInput, options: RunInput, progress: ProgressBar) -> tuple[Report, Illustrate]:
     """Deform and write; returns the report and a function that draws its pictures."""
     chosen, _ = variant_and_shortage(job.grid, output, options)
     result = deform(
         complete_for_export(job.grid, output),
         job.case.case,
-        time=imposed.time,
-        steps=imposed.steps,
+        time=case.time,
+        steps=case.steps,
         precision=chosen.precision,
         memory=job.memory,
         progress=progress,
@@ -228,7 +216,7 @@ def cells_of(setup: Setup, after: Grid) -> CellFields:
 
 
 def deliver(
-    report: Report, run: RunInput, start: float, files: Iterable[tuple[str, Path | None]],
+    report: Report, run: RunInput, start: float, files: Files,
     illustrate: Illustrate = tuple, ranks: Ranks | None = None,
 ) -> None:  # fmt: skip
     """Write the reports; if JSON is requested on stdout, the text goes to stderr.
@@ -256,7 +244,7 @@ def deliver(
 
 
 def conclude(
-    report: Report, run: RunInput, start: float, files: Iterable[tuple[str, Path | None]], ranks: Ranks,
+    report: Report, run: RunInput, start: float, files: Files, ranks: Ranks,
     illustrate: Illustrate = tuple,
 ) -> int:  # fmt: skip
     """Deliver the report, print the verdict; returns the exit code."""

@@ -232,13 +232,11 @@ class MeshCoordinates(_OnMesh):
         if self._given:
             outputs[SURFACE.Mesh.COORDINATES] = inputs[self._GIVEN]
 
-    def compute_jacvec_product(self, inputs: Any, d_inputs: Any, d_outputs: Any, mode: str) -> None:
-        """Products with the identity."""
-        if self._GIVEN in d_inputs and SURFACE.Mesh.COORDINATES in d_outputs:
-            if mode == "fwd":
-                d_outputs[SURFACE.Mesh.COORDINATES] += d_inputs[self._GIVEN]
-            else:
-                d_inputs[self._GIVEN] += d_outputs[SURFACE.Mesh.COORDINATES]
+    def setup_partials(self) -> None:
+        """The derivative is the identity."""
+        if self._given:
+            every = np.arange(self.mphys_get_surface_mesh().size)
+            self.declare_partials(SURFACE.Mesh.COORDINATES, self._GIVEN, rows=every, cols=every, val=1.0)
 
 
 class DeformationGroup(MPhysGroup):
@@ -337,10 +335,7 @@ class MeshDeformBuilder(Builder):
         return [int(row) for row in self._rows(None if -1 in given else given)]
 
     def _rows(self, names: Sequence[str] | None) -> IntArray:
-        mesh = self.mesh
-        chosen = np.ones(len(mesh.points), dtype=bool)
-        if names is not None:
-            chosen[:] = False
-            for name in names:
-                chosen |= mesh.mask(name)
-        return np.flatnonzero(chosen[mesh.ranks.share(len(chosen))])
+        chosen = np.full(len(self.mesh.points), names is None)
+        for name in names or ():
+            chosen |= self.mesh.mask(name)
+        return np.flatnonzero(chosen[self.mesh.ranks.share(len(chosen))])

@@ -121,13 +121,9 @@ def prepare(
     if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
         raise CaseError(f"threads = {threads!r}; expected a whole number >= 1")
     selections = {
-        Kind.MOVING: moving,
-        Kind.FIXED: fixed,
-        Kind.SLIP: slip,
-        Kind.SYMMETRY: symmetry,
-        Kind.PERIODIC: periodic,
+        Kind.MOVING: moving, Kind.FIXED: fixed, Kind.SLIP: slip, Kind.SYMMETRY: symmetry, Kind.PERIODIC: periodic,
         Kind.FREE: free,
-    }
+    }  # fmt: skip
     with in_parts(), one_at_a_time(), sharing(ranks, threads):
         what = _case(case, selections, components)
         held = _grid_of(grid, what, ranks)

@@ -179,13 +179,13 @@ def test_sample_lists_all(call):
 
 
 def test_sample_overwrites_only_by_force(bench, call, snapshot):
-    arguments = ("sample", "beam", "-o", "new/folder", "--suffix", "xyz")
+    arguments = ("sample", "beam", "-o", "new/folder")
     assert call(*arguments).code == 0
     before = snapshot(bench)
     result = call(*arguments)
     assert (result.code, snapshot(bench)) == (2, before)
-    assert "new/folder/grid.xyz exists; use --force" in result.err
-    (bench / "new/folder/grid.xyz").unlink()
-    assert "new/folder/grid.nmf exists" in call(*arguments).err
+    assert "new/folder/grid.cgns exists; use --force" in result.err
+    (bench / "new/folder/grid.cgns").unlink()
+    assert "new/folder/case.toml exists" in call(*arguments).err
     assert call(*arguments, "--force").code == 0
     assert snapshot(bench) == before

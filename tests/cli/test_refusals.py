@@ -132,7 +132,6 @@ CALLS = {
     # other commands
     "sample-unknown": (("sample", "splitter", "-o", "new"), ("'splitter' is unknown", "splitter-plate")),
     "sample-size": (("sample", "splitter-plate", "-o", "new", "--size", "-3"), ("size = -3", "multiple of 8")),
-    "sample-suffix-unstructured": (("sample", "splitter-plate", "-o", "new", "--suffix", ".vtu"), (".vtu", "cgns")),
     "sample-into-file": (("sample", "splitter-plate", "-o", "old.xyz"), ("old.xyz is a file", "expected a folder")),
     "compare-other-blocks": (("compare", "grid.xyz", "flat.p2dfmt"), ("block1 of grid.xyz has 5 x 5 x 4", "6 x 6 x 1")),
     "quality-other-blocks": (
