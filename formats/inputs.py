@@ -90,10 +90,9 @@ def _files_behind(path: Path, state: tuple[int, ...]) -> tuple[Path, ...]:
                 found += [each for each in linked_files(file) if _identity(each) not in map(_identity, found)]
         elif kind == "vtk":
             from .vtk.multiblock import referenced_files
-            from .vtk.xml_tags import file_kind
 
-            if file_kind(path) == "vtkMultiBlockDataSet":
-                found += [piece for _, piece in referenced_files(path)]
+            # Refused unless it is a multi-block set.
+            found += [piece for _, piece in referenced_files(path)]
     return tuple(found)
 
 

@@ -5,13 +5,13 @@ One-to-one connections, including periodic ones; other types are only noted.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import Connection, FloatArray, Grid, IntArray, Patch, Periodicity, Shape, Side, Window
+from meshdeform_core.grid import Connection, Grid, IntArray, Patch, Periodicity, Shape, Side, Window
 from meshdeform_core.grid.connections import periodic_image, periodic_rotation
 from meshdeform_core.grid.windows import windows_of_quads
 
@@ -180,7 +180,7 @@ _ANGLE = 4  # position of the angle among the five units of DimensionalUnits_t
 
 def overset_only(zones: Sequence[Zone]) -> bool:
     """Whether several zones are connected only by overset (Chimera) interpolation: they overlap and share no nodes."""
-    kinds = [_kind(node) for zone in zones for group in _groups(zone) for node in _members(group)]
+    kinds = [_kind(node) for zone in zones for node in _members(zone)]
     return len(zones) > 1 and "Overset" in kinds and not {"1to1", "Abutting1to1", "Abutting"} & set(kinds)
 
 
@@ -193,33 +193,27 @@ def zone_connections(base: Base, zones: Sequence[Zone], grid: Grid, notes: Notes
     blocks = {zone.name: block for block, zone in enumerate(zones)}
     connections = []
     for block, zone in enumerate(zones):
-        for group in _groups(zone):
-            for node in _members(group):
-                kind, place = _kind(node), f"{zone.name}/{node.name}"
-                if kind == "1to1":
-                    # Base/Zone is accepted for the same base.
-                    donor = blocks.get(node.text().removeprefix(f"{base.node.name}/"))
-                    connection = None if donor is None else _declared_connection(node, block, donor, zones)
-                    if connection is None:
-                        notes.add("connections that do not match their zones are not used", place)
-                        continue
-                    periodic = periodicity(node, connection, (zone.node, base.node), grid, notes)
-                    connections.append(replace(connection, periodic=periodic))
-                elif kind:
-                    notes.add(
-                        f"{kind} connectivity is kept in the file but not used; coincident nodes stay joined", place
-                    )
+        for node in _members(zone):
+            kind, place = _kind(node), f"{zone.name}/{node.name}"
+            if kind == "1to1":
+                # Base/Zone is accepted for the same base.
+                donor = blocks.get(node.text().removeprefix(f"{base.node.name}/"))
+                connection = None if donor is None else _declared_connection(node, block, donor, zones)
+                if connection is None:
+                    notes.add("connections that do not match their zones are not used", place)
+                    continue
+                periodic = periodicity(node, connection, (zone.node, base.node), grid, notes)
+                connections.append(replace(connection, periodic=periodic))
+            elif kind:
+                notes.add(f"{kind} connectivity is kept in the file but not used; coincident nodes stay joined", place)
     return connections
 
 
-def _groups(zone: Zone) -> list[Node]:
-    return zone.node.labelled("ZoneGridConnectivity_t")
-
-
-def _members(group: Node) -> Sequence[Node]:
-    """The members of a ZoneGridConnectivity_t; broken links are refused, as they may be connections."""
-    group.labelled("GridConnectivity1to1_t")
-    return group.target.children
+def _members(zone: Zone) -> Iterator[Node]:
+    """The members of every ZoneGridConnectivity_t; broken links are refused, as they may be connections."""
+    for group in zone.node.labelled("ZoneGridConnectivity_t"):
+        group.labelled("GridConnectivity1to1_t")
+        yield from group.target.children
 
 
 def _kind(node: Node) -> str:
@@ -280,42 +274,32 @@ def periodicity(
     found = [p for group in node.labelled("GridConnectivityProperty_t") for p in group.labelled("Periodic_t")]
     if not found:
         return None
-    center = _vector_of(found[0], "RotationCenter")
-    angle = _vector_of(found[0], "RotationAngle")
-    translation = _vector_of(found[0], "Translation")
-    degrees = np.degrees(angle)
+    center, angle, translation = (
+        _vector_of(found[0], name) for name in ("RotationCenter", "RotationAngle", "Translation")
+    )
+    x, y, z = np.degrees(angle).tolist()
+    in_degrees, in_radians = Periodicity(center, angle, translation), Periodicity(center, (x, y, z), translation)
     unit = declared_unit([*found[0].labelled("DataArray_t"), found[0], *outer], _ANGLE)
-    if unit == "Degree":
-        degrees = angle
-    elif unit != "Radian" and angle.any():
-        own, donor = grid.block(connection.block), grid.block(connection.donor_block)
-        here = np.array([own[connection.begin], own[connection.end]])
-        there = np.array([donor[connection.donor_begin], donor[connection.donor_end]])
-        # Largest distances between the moved corners of the connection and their donors.
-        images = (periodic_image(here, _periodicity_of(center, value, translation)) for value in (degrees, angle))
-        fits = [np.linalg.norm(image - there, axis=1).max() for image in images]
-        degrees = angle if fits[1] < fits[0] else degrees
-        word = "degrees" if fits[1] < fits[0] else "radians"
-        notes.add(f"periodic angles without a unit are read as {word}, which matches the coordinates", node.name)
-    return _periodicity_of(center, degrees, translation)
+    if unit in ("Degree", "Radian") or not any(angle):
+        return in_degrees if unit == "Degree" else in_radians
+    own, donor = grid.block(connection.block), grid.block(connection.donor_block)
+    here = np.array([own[connection.begin], own[connection.end]])
+    there = np.array([donor[connection.donor_begin], donor[connection.donor_end]])
+    # Largest distances between the moved corners of the connection and their donors.
+    fits = [np.linalg.norm(periodic_image(here, each) - there, axis=1).max() for each in (in_radians, in_degrees)]
+    word, motion = ("degrees", in_degrees) if fits[1] < fits[0] else ("radians", in_radians)
+    notes.add(f"periodic angles without a unit are read as {word}, which matches the coordinates", node.name)
+    return motion
 
 
-def _periodicity_of(center: FloatArray, degrees: FloatArray, translation: FloatArray) -> Periodicity:
-    (cx, cy, cz), (ax, ay, az), (tx, ty, tz) = (v.tolist() for v in (center, degrees, translation))
-    return Periodicity((cx, cy, cz), (ax, ay, az), (tx, ty, tz))
-
-
-def _vector_of(periodic: Node, name: str) -> FloatArray:
+def _vector_of(periodic: Node, name: str) -> tuple[float, float, float]:
     """A vector with as many components as the base has coordinates, padded with zeros."""
     child = periodic.child(name)
-    values = np.zeros(3)
-    if child is None:
-        return values
-    data = child.data()
-    if data.ndim != 1 or data.size not in (2, 3) or data.dtype.kind != "f":
+    data = np.zeros(3) if child is None else child.data()
+    if child and (data.ndim != 1 or data.size not in (2, 3) or data.dtype.kind != "f"):
         raise FormatError(f"{child.path} holds {data.shape} {data.dtype} values; expected 2 or 3 real numbers")
-    values[: data.size] = data
-    return values
+    x, y, z = (*data.astype(float).tolist(), 0.0)[:3]
+    return x, y, z
 
 
 def inverse_motion(periodic: Periodicity) -> Periodicity:

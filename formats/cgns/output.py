@@ -70,13 +70,8 @@ class Places:
 
 # The version of the standard that defines everything written here.
 _LIBRARY_VERSION = 3.2
-_LOCATIONS = {
-    "node": "Vertex",
-    "cell": "CellCenter",
-    "iface": "IFaceCenter",
-    "jface": "JFaceCenter",
-    "kface": "KFaceCenter",
-}
+# Locations of fields and their names; those of faces follow from the axis across them.
+_LOCATIONS = {"node": "Vertex", "cell": "CellCenter", "iface": "", "jface": "", "kface": ""}
 
 
 def write_new(grid: Grid, path: Path, precision: str) -> None:
@@ -152,21 +147,23 @@ def solution_nodes(
     They are without values; writing them appends the places of these to ``places``. ``shape`` are the nodes of the zone
     along its index axes (two or three), ``numbers`` those of the fields. Vectors become nameX, nameY, nameZ.
     """
-    solutions = []
-    for location, word in _LOCATIONS.items():
-        if (block, location) not in numbers:
-            continue
-        size, word = _located(location, word, shape, grid.shapes[block])
+    solutions, nodes = [], grid.shapes[block]
+    # The index axes of the zone: a base of two lacks the flat one.
+    axes = [axis for axis, n in enumerate(nodes) if n > 1 or len(shape) == 3]
+    for location in (each for each in _LOCATIONS if (block, each) in numbers):
+        # Nodes are counted along all axes, faces along that across them.
+        by_node = [
+            location == "node" or (location.endswith("face") and "ijk"[axis] == location[0]) for axis in range(3)
+        ]
+        size = [nodes[axis] - (not by_node[axis]) for axis in axes]
+        word = _LOCATIONS[location] or f"{'IJK'[axes.index('ijk'.index(location[0]))]}FaceCenter"
         if 0 in size:
             raise FormatError(
                 f"{grid.names[block]} is one plane of nodes in a base of three index axes, in which CGNS has neither "
                 f"cells nor faces for the {location} field {grid.fields[numbers[block, location][0]].name!r}; write to "
                 f"VTK, or leave the field out"
             )
-        across = "ijk".find(location[0]) if location.endswith("face") else -1
-        expected = tuple(
-            n if axis == across or location == "node" else max(n - 1, 1) for axis, n in enumerate(grid.shapes[block])
-        )
+        expected = tuple(n if by_node[axis] else max(n - 1, 1) for axis, n in enumerate(nodes))
         arrays = []
         for number in numbers[block, location]:
             name, shape_of_values = grid.fields[number].name, grid.fields[number].values.shape
@@ -178,28 +175,12 @@ def solution_nodes(
                 components = list("XYZ"[:count]) if count <= 3 else [str(n) for n in range(1, count + 1)]
             arrays += [(number, f"{name}{component}") for component in components]
         names = unique_names((name for _, name in arrays), "Field", ["GridLocation"])
-        nodes = []
+        members = [make("GridLocation", "GridLocation_t", word)]
         for name, (number, _) in zip(names, arrays, strict=True):
             field, own = grid.fields[number], places.fields.setdefault(number, [])
-            nodes.append(places.room(own, name, size, _stored_type(field), field.values.shape[:3]))
-        location_node = make("GridLocation", "GridLocation_t", word)
-        solutions.append(make(f"FlowSolution{word}", "FlowSolution_t", None, [location_node, *nodes]))
+            members.append(places.room(own, name, size, _stored_type(field), field.values.shape[:3]))
+        solutions.append(make(f"FlowSolution{word}", "FlowSolution_t", None, members))
     return solutions
-
-
-def _located(location: str, word: str, shape: Sequence[int], nodes: Sequence[int]) -> tuple[list[int], str]:
-    """Values of a field on the index axes of the zone, without the flat one of a 2-D block, and the CGNS name of their
-    location."""
-    if location == "node":
-        return list(shape), word
-    size = [n - 1 for n in shape]
-    if location != "cell":
-        axis = "ijk".index(location[0])
-        if 1 in nodes[:axis]:
-            axis -= 1
-        size[axis] += 1
-        word = f"{'IJK'[axis]}FaceCenter"
-    return size, word
 
 
 def _stored_type(field: Field) -> np.dtype[Any]:

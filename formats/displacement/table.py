@@ -249,7 +249,7 @@ def _table_or_grid(path: Path, head: bytes) -> DisplacementTable | Grid:
         return _read_structured(path) if "CGNSLibraryVersion" in entries else _module("arrays").read_hdf5(path)
     if head.startswith(b"# vtk DataFile") or b"<VTKFile" in head:
         from ..vtk.legacy import LegacyFile
-        from ..vtk.xml_tags import file_kind
+        from ..vtk.xml_tags import read_tags
 
         if head.startswith(b"# vtk DataFile"):
             with path.open("rb") as stream:
@@ -257,7 +257,7 @@ def _table_or_grid(path: Path, head: bytes) -> DisplacementTable | Grid:
             if kind == "UNSTRUCTURED_GRID":
                 return _module("meshio").read(path, "vtk")
             return _module("vtk").read_vtk_legacy(path) if kind == "POLYDATA" else _read_structured(path)
-        kind = file_kind(path)
+        kind = read_tags(path).kind
         if kind in ("PPolyData", "PUnstructuredGrid"):
             raise FormatError(f"{path} is the index of a parallel data set; expected its pieces merged into one file")
         return _module("vtk").read_vtk_xml(path) if kind in ("PolyData", "UnstructuredGrid") else _read_structured(path)

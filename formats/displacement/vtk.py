@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import IntArray
 
-from ..vtk.legacy import Attributes, LegacyFile
+from ..vtk.legacy import LegacyFile
 from ..vtk.xml_arrays import ArrayReader, read_section
 from ..vtk.xml_tags import Element, read_tags
 from .table import NO_TRIANGLES, DisplacementTable, fans, surface_table
@@ -105,7 +105,6 @@ def read_vtk_legacy(path: Path) -> DisplacementTable:
     """Read the polygons of a legacy VTK file (DATASET POLYDATA)."""
     with path.open("rb") as stream:
         file = LegacyFile(path, stream)
-        attributes = Attributes(file)
         points: NDArray[Any] = np.empty((0, 3))
         triangles = [NO_TRIANGLES]
         while words := file.words():
@@ -118,8 +117,8 @@ def read_vtk_legacy(path: Path) -> DisplacementTable:
                 if keyword in ("POLYGONS", "TRIANGLE_STRIPS"):
                     triangles.append(fans(*cells, strip=keyword == "TRIANGLE_STRIPS"))
             else:
-                attributes.read(words)
-    arrays = {array.name: array.values for array in attributes.arrays if array.location == "node"}
+                file.read_section(words)
+    arrays = {array.name: array.values for array in file.arrays if array.location == "node"}
     return surface_table(path, points, arrays, np.concatenate(triangles))
 
 

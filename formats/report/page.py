@@ -155,7 +155,7 @@ def _judged(report: Report) -> Sections:
     before, after = (report["quality"][when]["f_skew"]["histogram"] for when in ("before", "after"))
     before = None if tables.is_alone(report) else before
     charts = [("Distribution of f_skew", histogram(before, after, "f_skew"))]
-    yield "Quality", [tables.measures_table(report, change=True), {"charts": charts}]
+    yield "Quality", [tables.measures_table(report), {"charts": charts}]
 
 
 def _common_sections(report: Report) -> Sections:
@@ -224,19 +224,15 @@ def deformation_figures(result: Result) -> list[Figure]:
 
 def histogram(before: Sequence[int] | None, after: Sequence[int], label: str) -> str:
     """Cells per bin of [0, 1] on a logarithmic scale, which shows a few bad cells among millions of good ones."""
-    width, both = 1 / len(after), before is not None
-    bars = [("after", after, _AFTER, 0.71, 0.41)] if both else [("", after, _AFTER, 0.5, 0.72)]
-    bars += [("before", before, _BEFORE, 0.29, 0.41)] if before is not None else []
 
     def draw(axes: Axes) -> None:
-        for name, counts, colour, middle, thick in bars:
-            there = [n for n, count in enumerate(counts) if count]
-            # Half a decade below 1, so that a single cell has a visible bar.
-            heights, places = [counts[n] - _LEAST for n in there], [(n + middle) * width for n in there]
-            axes.bar(places, heights, thick * width, bottom=_LEAST, color=colour, label=name)
-        axes.set(yscale="log", xlim=(0, 1), xlabel=label, ylabel="cells")
-        if both:
+        # The axis begins below 1, so that a single cell is seen.
+        edges = [n / len(after) for n in range(len(after) + 1)]
+        axes.stairs(after, edges, baseline=_LEAST, fill=True, color=_AFTER, label="after")
+        if before is not None:
+            axes.stairs(before, edges, baseline=_LEAST, color=_BEFORE, linewidth=1.5, label="before")
             axes.legend(loc="upper left", frameon=False, labelcolor=_INK, reverse=True)
+        axes.set(yscale="log", xlim=(0, 1), xlabel=label, ylabel="cells")
         axes.set_ylim(bottom=_LEAST, top=max(10.0, *after, *(before or ())) * 1.3)
 
     return _svg(draw, f"cells over {label}")

@@ -117,14 +117,10 @@ def deformation_report(result: Result, timing: Mapping[str, float], peak_memory:
     peak_memory : largest resident size of the process, bytes
     """
     setup = result.setup
-    boundary = boundary_part(setup) | {"max_displacement": result.max_displacement}
     components = [component_part(name, own) for name, own in result.components]
     seconds = dict.fromkeys(("read", "topology", "prepare", "apply", "quality", "write"), 0.0)
     return {
-        **head_part(setup.grid),
-        "method": method_part(setup.case.method.name, result.account),
-        "boundary": boundary,
-        "motion": [dataclasses.asdict(patch) for patch in result.motion],
+        **plan_report(setup, result.account, result.max_displacement, result.motion),
         **quality_part(result.assessment),
         **_outcome_part(result),
         **_invalid_part(result.assessment),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -43,33 +43,6 @@ _MEASURES: tuple[tuple[str, tuple[str, ...], tuple[str, ...], bool], ...] = (
 _OF_ALL = ("harmonic_mean", "mean", "p01", "rms")
 
 
-def measure_values(quality: Mapping[str, Any]) -> Iterator[tuple[str, bool, Any, Any, str]]:
-    """Every measure that the ``quality`` of a report has: its name, whether it compares with another grid, its values
-    before (``None`` if there is none) and after, and the position of the worst cell as text."""
-    each = ((name.format(end), (*keys, end) if end else keys, compared)
-            for name, keys, ends, compared in _MEASURES for end in ends or ("",))  # fmt: skip
-    for name, keys, compared in each:
-        before, after = (
-            functools.reduce(lambda found, key: None if found is None else found.get(key), keys, quality[when])
-            for when in ("before", "after")
-        )
-        if after is None:
-            continue
-        part, own = quality["after"], keys
-        if keys[0] == "walls":
-            part, own = part["walls"][keys[1]], keys[2:]
-        places = part.get("worst") or {}
-        worst = None if own[-1] in _OF_ALL else places.get("_".join(own)) or places.get(own[0])
-        yield name, compared, before, after, place_text(worst) if worst else ""
-
-
-def change_of(before: float | None, after: float) -> float | None:
-    """Difference from the value before, ``None`` without one; round-off counts as no change."""
-    if before is None:
-        return None
-    return after - before if abs(after - before) > 1e-13 * abs(before) else 0.0
-
-
 def place_text(worst: Mapping[str, Any]) -> str:
     """Block and indices of a cell."""
     return f"{worst['block']} ({', '.join(map(str, worst['ijk']))})"
@@ -101,17 +74,26 @@ def is_alone(report: Report) -> bool:
     return "reference" in report and report["reference"] is None
 
 
-def measures_table(report: Report, change: bool = False) -> Table:
-    """All measures with the position of the worst cell."""
-    alone, rows, flagged = is_alone(report), list[tuple[Any, ...]](), list[int]()
-    for name, compared, before, after, place in measure_values(report["quality"]):
-        if alone and compared:
+def measures_table(report: Report) -> Table:
+    """Every measure that the quality of a report has, with the position of the worst cell."""
+    alone, rows, flagged, quality = is_alone(report), list[tuple[Any, ...]](), list[int](), report["quality"]
+    measures = ((*measure, end) for measure in _MEASURES for end in measure[2] or ("",))
+    for name, keys, _, compared, end in measures:
+        keys = (*keys, end) if end else keys
+        before, after = (
+            functools.reduce(lambda found, key: None if found is None else found.get(key), keys, quality[when])
+            for when in ("before", "after")
+        )
+        if after is None or (alone and compared):
             continue
-        if name == "invalid cells" and after:
-            flagged.append(len(rows))
-        values = [after] if alone else [before, after, *([change_of(before, after)] if change else [])]
-        rows.append((name, *values, place))
-    heads = ("value",) if alone else ("before", "after", *(("change",) if change else ()))
+        part, own = quality["after"], keys
+        if keys[0] == "walls":
+            part, own = part["walls"][keys[1]], keys[2:]
+        places = part.get("worst") or {}
+        worst = None if own[-1] in _OF_ALL else places.get("_".join(own)) or places.get(own[0])
+        flagged += [len(rows)] if name == "invalid cells" and after else []
+        rows.append((name, *(() if alone else (before,)), after, place_text(worst) if worst else ""))
+    heads = ("value",) if alone else ("before", "after")
     caption = "Quality measures; f_skew is Knupp's skew measure: 1 orthogonal, 0 invalid"
     return Table(caption, ("measure", *heads, "worst at"), rows, (0, len(heads) + 1), flagged)
 

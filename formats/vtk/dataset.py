@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, Literal, NamedTuple
@@ -120,19 +120,14 @@ def assemble(path: Path, kind: str, data_sets: Sequence[DataSet], names: Sequenc
     return dataclasses.replace(grid, fields=tuple(field for found in fields for field, _ in found))
 
 
-# Values are written in slabs of so many bytes, or of so many planes k = const where a plane is larger.
-_SLAB = 1 << 23
-_PLANES = 4
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class StoredArray:
     """An array to be written to a file.
 
     Attributes
     ----------
-    values : (nk, nj, ni) for nodes, cells and faces, of a grid in parts those in the planes i of this rank; (n,) for
-        other data; with an additional axis for several components. A view of the grid's own memory
+    values : (nk, nj, ni) for nodes, cells and faces, of a grid in parts those in the planes i of this rank; with an
+        additional axis for several components. A view of the grid's own memory
     shape : of the values on all ranks
     precision : type in which they are written
     """
@@ -144,21 +139,16 @@ class StoredArray:
     precision: np.dtype[Any]
 
     @property
-    def in_planes(self) -> bool:
-        """Whether it has planes k of the block."""
-        return len(self.shape) > 2
-
-    @property
     def components(self) -> int:
-        return math.prod(self.shape[3 if self.in_planes else 1 :])
+        return math.prod(self.shape[3:])
 
     @property
     def tuples(self) -> int:
-        return math.prod(self.shape) // max(self.components, 1)
+        return math.prod(self.shape[:3])
 
     @property
     def nbytes(self) -> int:
-        return math.prod(self.shape) * self.precision.itemsize
+        return self.tuples * self.components * self.precision.itemsize
 
     def output(self, block: int, path: Path, place: tuple[int, np.dtype[Any]]) -> Output:
         """The values, to be written from a byte of a file on, in a type of another byte order."""
@@ -167,49 +157,40 @@ class StoredArray:
         stored = Stored(path, kind, (nj, ni, *rest), start, ni * nj * self.components * kind.itemsize)
         return Output.of_values(block, (ni, nj, nk), self.values.swapaxes(0, 2), [stored])
 
-    def slabs(self) -> Iterator[NDArray[Any]]:
-        """All values in the order of VTK, a few planes at a time, ``(n,)``."""
-        plane = max(self.nbytes // max(len(self.values), 1), 1)
-        planes = max(_SLAB // plane, _PLANES)
-        for first in range(0, len(self.values), planes):
-            yield self.values[first : first + planes].astype(self.precision, order="C", copy=False).reshape(-1)
-
 
 Reserved = dict[int, tuple[int, np.dtype[Any]]]
 """First byte and type of arrays for which a file has room, by their number."""
 
 
 class BlockOutput:
-    """The file of a block being written: lines, and values as text or in a byte order, or room for those that all ranks
+    """The file of a block being written: lines, and values as text, or room for those in a byte order, which all ranks
     write later."""
 
     def __init__(self, stream: BinaryIO, order: Literal["<", ">"], as_text: bool) -> None:
         self.stream, self.order, self.as_text = stream, order, as_text
-        self._places: dict[int, tuple[int, np.dtype[Any]]] = {}
+        self._places: dict[StoredArray, tuple[int, np.dtype[Any]]] = {}
 
     def line(self, text: str) -> None:
         self.stream.write(f"{text}\n".encode())
 
     def values(self, array: StoredArray) -> None:
-        """As text one per line; with planes in a byte order only room."""
-        kind = array.precision.newbyteorder(self.order)
-        if not self.as_text and array.in_planes:
-            self._places[id(array)] = self.stream.tell(), kind
+        """As text one per line; else only room."""
+        if not self.as_text:
+            self._places[array] = self.stream.tell(), array.precision.newbyteorder(self.order)
             self.stream.seek(array.nbytes, os.SEEK_CUR)
-        elif not self.as_text:
-            self.stream.write(array.values.astype(kind, order="C", copy=False).data)
-        for slab in array.slabs() if self.as_text else ():
+        for plane in array.values if self.as_text else ():
             # The writer of numbers knows no integers of 8 or 16 bits.
-            wide = slab.astype(np.int64) if slab.dtype.itemsize < 4 else slab
-            lines = number_lines(wide)
-            if wide.dtype.kind == "f" and not np.isfinite(wide).all():
+            kind = np.dtype(np.int64) if array.precision.itemsize < 4 else array.precision
+            numbers = plane.astype(kind, order="C", copy=False).reshape(-1)
+            lines = number_lines(numbers)
+            if kind.kind == "f" and not np.isfinite(numbers).all():
                 # VTK stumbles over longer words.
                 lines = memoryview(bytes(lines).replace(b"Infinity", b"inf").replace(b"NaN", b"nan"))
             self.stream.write(lines)
 
     def reserved(self, contents: Sequence[StoredArray]) -> Reserved:
         """The places of those ``contents`` that have room."""
-        return {number: self._places[id(one)] for number, one in enumerate(contents) if id(one) in self._places}
+        return {number: self._places[one] for number, one in enumerate(contents) if one in self._places}
 
 
 Begin = Callable[[Grid, int, Path, FileFormat, Sequence[StoredArray]], Reserved]

@@ -23,17 +23,9 @@ from .multiblock import require_replaceable
 from .multiblock import write as write_set
 from .xml_arrays import begin_block as begin_xml
 from .xml_arrays import read as read_xml
-from .xml_tags import file_kind
+from .xml_tags import read_tags
 
 _KINDS = {".vtk": "legacy", ".vts": "vts", ".vtm": "vtm"}
-
-_PRECISIONS = ("float32", "float64")
-_XML_OPTIONS = {"encoding": ("appended", "ascii"), "precision": _PRECISIONS}
-_OPTIONS = {
-    "legacy": {"encoding": ("binary", "ascii"), "precision": _PRECISIONS},
-    "vts": _XML_OPTIONS,
-    "vtm": _XML_OPTIONS,
-}
 
 
 def read(path: Path) -> Grid:
@@ -42,11 +34,11 @@ def read(path: Path) -> Grid:
     with path.open("rb") as stream:
         if stream.read(14) == b"# vtk DataFile":
             return assemble(path, "legacy", [read_legacy(path)])
-    kind = file_kind(path)
-    if kind == "vtkMultiBlockDataSet":
+    file = read_tags(path)
+    if file.kind == "vtkMultiBlockDataSet":
         data_sets, names = read_set(path)
         return assemble(path, "vtm", data_sets, names)
-    return assemble(path, "vts", [read_xml(path)])
+    return assemble(path, "vts", [read_xml(file)])
 
 
 def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
@@ -61,14 +53,15 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
         raise FormatError(f"cannot write {path}: it holds one block, the grid has {grid.n_blocks}; write a .vtm")
     if kind == "vtm":
         require_replaceable(path)
-    known, chosen = _OPTIONS[kind], checked_options(f"cannot write {path}", options, _OPTIONS[kind])
+    encodings = ("binary" if kind == "legacy" else "appended", "ascii")
+    known = {"encoding": encodings, "precision": ("float32", "float64")}
+    chosen = checked_options(f"cannot write {path}", options, known)
     inherited = grid.format.options if grid.format is not None and grid.format.options.get("kind") == kind else {}
-    switches = {key: word if (word := inherited.get(key)) in words else words[0] for key, words in known.items()}
-    switches |= {"precision": grid.precision, **chosen}
-    precision = switches.pop("precision")
-    if switches["encoding"] == "ascii":
+    encoding = chosen.get("encoding", inherited.get("encoding"))
+    encoding = encoding if encoding in encodings else encodings[0]
+    if encoding == "ascii":
         grid.nodes.require_whole(f"{path} is written as text")
-    return FileFormat("vtk", precision, {"kind": kind, **switches})
+    return FileFormat("vtk", chosen.get("precision", grid.precision), {"kind": kind, "encoding": encoding})
 
 
 def write(grid: Grid, path: Path, variant: FileFormat) -> None:

@@ -19,7 +19,7 @@ from urllib.parse import quote, unquote
 import numpy as np
 
 from meshdeform_core.errors import FormatError
-from meshdeform_core.grid import FileFormat, Grid, Shape
+from meshdeform_core.grid import FileFormat, Grid
 from meshdeform_core.parallel import require_undivided
 
 from ..text import strict_numbers
@@ -46,7 +46,6 @@ TYPES = {
 _TYPE_NAMES = {code: name for name, code in TYPES.items()} | {"i1": "char", "i8": "vtktypeint64"}
 _LONGEST_LINE = 4096
 _CUT_EXPONENT = re.compile(rb"[eE][+-]?(?![+\-\d])")
-_WHOLE = re.compile(r"[+-]?[0-9]{1,9}(\.0*)?")
 
 _OTHER_KINDS = {
     "POLYDATA": "a polygon surface",
@@ -73,15 +72,20 @@ class LegacyFile:
 
     Attributes
     ----------
+    later : whether binary values of nodes and cells remain to be read
     binary : True for BINARY (big-endian), False for ASCII
     kind : the word after DATASET, e.g. ``STRUCTURED_GRID``
+    arrays : those of the sections read
+    notes : what is not kept
     """
 
-    def __init__(self, path: Path, stream: BinaryIO) -> None:
-        self.path = path
-        self.stream = stream
-        self.size = path.stat().st_size
-        self.binary = False
+    def __init__(self, path: Path, stream: BinaryIO, later: bool = False) -> None:
+        self.path, self.stream, self.later = path, stream, later
+        self.size, self.binary = path.stat().st_size, False
+        self.arrays: list[DataArray] = []
+        self.notes: list[str] = []
+        # Where the arrays that follow belong, and their length.
+        self._location, self._length = "", 0
         stream.readline(_LONGEST_LINE)
         # The title.
         self._line()
@@ -175,131 +179,95 @@ class LegacyFile:
                 length = int.from_bytes(first + self.stream.read(width - 1), "big") & ~(3 << (8 * width - 2))
                 self.stream.seek(min(length, self.size - self.stream.tell()), 1)
 
-
-class Attributes:
-    """Arrays gathered section by section, with notes on what is dropped.
-
-    With ``later``, binary values of nodes and cells remain to be read.
-    """
-
-    def __init__(self, file: LegacyFile, later: bool = False) -> None:
-        self.file, self._later = file, later
-        self.location = ""
-        self.length = 0
-        self.arrays: list[DataArray] = []
-        self.notes: list[str] = []
-
-    def read(self, words: list[str]) -> None:
-        """Read the section that begins with the line ``words``."""
-        keyword, number = words[0].upper(), self.file.number
+    def read_section(self, words: list[str]) -> None:
+        """Read the section of attributes that begins with the line ``words``."""
+        keyword, number = words[0].upper(), self.number
         few, many = _WORDS.get(keyword, (0, 0))
         if not few <= len(words) <= many:
-            raise self.file.error(f"expected a section of a VTK file, found {' '.join(words)[:60]!r}")
+            raise self.error(f"expected a section of a VTK file, found {' '.join(words)[:60]!r}")
+        colour_type = "unsigned_char" if self.binary else "float"
         if keyword in _LOCATIONS:
-            self.location, self.length = _LOCATIONS[keyword], number(words[1])
+            self._location, self._length = _LOCATIONS[keyword], number(words[1])
         elif keyword == "FIELD":
-            self._fields(number(words[2]))
+            for _ in range(number(words[2])):
+                self._read_field(self.words())
         elif keyword == "LOOKUP_TABLE":
-            self.file.values(4 * number(words[2]), self._colour_type, f"lookup table {words[1]!r}")
+            self.values(4 * number(words[2]), colour_type, f"lookup table {words[1]!r}")
             self.notes.append(f"the lookup table {words[1]!r} is not kept")
         elif keyword == "SCALARS":
-            table = self.file.words()
+            table = self.words()
             if len(table) != 2 or table[0].upper() != "LOOKUP_TABLE":
-                raise self.file.error(f"expected 'LOOKUP_TABLE name' after SCALARS, found {' '.join(table)[:60]!r}")
-            self._array(words[1], number(words[3]) if len(words) == 4 else 1, words[2])
+                raise self.error(f"expected 'LOOKUP_TABLE name' after SCALARS, found {' '.join(table)[:60]!r}")
+            self._read_array(words[1], number(words[3]) if len(words) == 4 else 1, words[2], self._length)
         elif keyword == "COLOR_SCALARS":
-            components, name = number(words[2]), words[1]
-            values: Any = self.file.values(components * self.length, self._colour_type, f"colours {unquote(name)!r}")
-            if not self.file.binary:
-                values = np.rint(255 * np.clip(values, 0, 1)).astype(np.uint8)
-            self._add_array(name, values if components == 1 else values.reshape(self.length, components))
-        elif keyword == "TEXTURE_COORDINATES":
-            self._array(words[1], number(words[2]), words[3])
+            name, _, values = self._read_array(words[1], number(words[2]), colour_type, self._length)
+            if not self.binary:
+                colours = np.rint(255 * np.clip(values, 0, 1)).astype(np.uint8)
+                self.arrays[-1] = DataArray(name, self._location, colours)
         else:
-            self._array(words[1], _FIXED[keyword], words[2])
+            components = number(words[2]) if keyword == "TEXTURE_COORDINATES" else _FIXED[keyword]
+            self._read_array(words[1], components, words[-1], self._length)
 
-    def _array(self, name: str, components: int, type_name: str, length: int | None = None) -> None:
-        length = self.length if length is None else length
-        later = self._later and bool(self.location)
-        values = self.file.values(components * length, type_name, f"array {unquote(name)!r}", later)
-        self._add_array(name, values if components == 1 else values.reshape(length, components))
+    def _read_field(self, words: list[str]) -> None:
+        if words[:1] == ["NULL_ARRAY"]:
+            return
+        if len(words) != 4:
+            raise self.error(f"expected 'name components tuples type' of an array, found {' '.join(words)!r}")
+        components, length = self.number(words[1]), self.number(words[2])
+        if words[3].lower() in ("string", "utf8_string"):
+            self.skip_strings(components * length)
+            self.notes.append(f"the text array {unquote(words[0])!r} is not kept")
+        else:
+            self._read_array(words[0], components, words[3], length)
 
-    @property
-    def _colour_type(self) -> str:
-        return "unsigned_char" if self.file.binary else "float"
-
-    def _add_array(self, name: str, values: Values) -> None:
-        self.file.skip_metadata()
-        self.arrays.append(DataArray(unquote(name), self.location, values))
-
-    def _fields(self, number: int) -> None:
-        for _ in range(number):
-            words = self.file.words()
-            if words[:1] == ["NULL_ARRAY"]:
-                continue
-            if len(words) != 4:
-                raise self.file.error(f"expected 'name components tuples type' of an array, found {' '.join(words)!r}")
-            components, length = self.file.number(words[1]), self.file.number(words[2])
-            if words[3].lower() in ("string", "utf8_string"):
-                self.file.skip_strings(components * length)
-                self.notes.append(f"the text array {unquote(words[0])!r} is not kept")
-            else:
-                self._array(words[0], components, words[3], length=length)
+    def _read_array(self, name: str, components: int, type_name: str, length: int) -> DataArray:
+        later = self.later and bool(self._location)
+        values = self.values(components * length, type_name, f"array {unquote(name)!r}", later)
+        self.skip_metadata()
+        values = values if components == 1 else values.reshape(length, components)
+        self.arrays.append(DataArray(unquote(name), self._location, values))
+        return self.arrays[-1]
 
 
 def read(path: Path) -> DataSet:
     """Read the structured data set of a legacy file."""
     with path.open("rb") as stream:
-        file = LegacyFile(path, stream)
+        file = LegacyFile(path, stream, later=True)
         if file.kind != "STRUCTURED_GRID":
             other = _OTHER_KINDS.get(file.kind, "another kind of data set")
             raise FormatError(f"{path} is {other} (DATASET {file.kind}); expected a structured grid")
         if not file.binary:
             require_undivided(f"{path} is text")
-        shape: Shape | None = None
+        shape: list[int] = []
         points: Values | None = None
-        attributes = Attributes(file, later=True)
         while words := file.words():
             keyword = words[0].upper()
-            if keyword in ("DIMENSIONS", "EXTENT"):
-                shape = _shape(file, keyword, words[1:])
+            if keyword == "DIMENSIONS":
+                if len(words) != 4 or not all(word.isascii() and word.isdigit() for word in words[1:]):
+                    raise file.error(f"DIMENSIONS: expected 3 whole numbers, found {' '.join(words[1:])[:60]!r}")
+                shape = [int(word) for word in words[1:]]
             elif keyword == "POINTS":
                 if len(words) != 3:
                     raise file.error(f"expected 'POINTS number type', found {' '.join(words)[:60]!r}")
                 points = file.values(3 * file.number(words[1]), words[2], keyword, later=True)
                 file.skip_metadata()
             else:
-                attributes.read(words)
+                file.read_section(words)
         # A number truncated at the end of a text is still a number.
         stream.seek(-1, os.SEEK_END)
         complete = file.binary or stream.read(1).isspace()
-    if shape is None or points is None:
-        missing = "DIMENSIONS" if shape is None else "POINTS"
-        raise FormatError(f"{path} has no {missing}; is the file truncated?")
+    if not shape or points is None:
+        raise FormatError(f"{path} has no {'POINTS' if shape else 'DIMENSIONS'}; is the file truncated?")
     ni, nj, nk = shape
+    if 0 in shape:
+        raise FormatError(f"{path} is an empty grid: {ni} x {nj} x {nk} nodes")
     if len(points) != 3 * ni * nj * nk:
         raise FormatError(f"{path} has {len(points) // 3} points; its DIMENSIONS {ni} {nj} {nk} need {ni * nj * nk}")
-    notes = []
-    if not complete:
-        notes.append("the last line has no line end; if the file is truncated there, its last number is wrong")
+    cut = "the last line has no line end; if the file is truncated there, its last number is wrong"
     options = {"encoding": "binary" if file.binary else "ascii"}
-    notes += attributes.notes
-    points = points.reshape(nk, nj, ni, 3)
-    return DataSet(points, tuple(attributes.arrays), options, tuple(notes))
-
-
-def _shape(file: LegacyFile, keyword: str, words: Sequence[str]) -> Shape:
-    """Shape in nodes, from the words behind a keyword."""
-    number = 3 if keyword == "DIMENSIONS" else 6
-    if len(words) != number or not all(_WHOLE.fullmatch(word) for word in words):
-        raise file.error(f"{keyword}: expected {number} whole numbers, found {' '.join(words)[:60]!r}")
-    numbers = [int(word.partition(".")[0]) for word in words]
-    if number == 6:
-        numbers = [last - first + 1 for first, last in zip(numbers[::2], numbers[1::2], strict=True)]
-    ni, nj, nk = numbers
-    if min(ni, nj, nk) < 1:
-        raise FormatError(f"{file.path} is an empty grid: {ni} x {nj} x {nk} nodes")
-    return ni, nj, nk
+    return DataSet(
+        points.reshape(nk, nj, ni, 3), tuple(file.arrays), options, (*([] if complete else [cut]), *file.notes)
+    )
 
 
 # --- writing

@@ -47,7 +47,7 @@ def read(path: Path) -> tuple[list[DataSet], list[str]]:
             raise FormatError(f"{path} refers to {piece}, which does not exist")
         name = f"{name}block{number}" if name.endswith("/") or not name else name
         names.append(f"{name}_{number}" if name in names else name)
-        data_set = read_piece(piece)
+        data_set = read_piece(read_tags(piece))
         notes = tuple(f"{names[-1]}: {note}" for note in data_set.notes)
         data_sets.append(dataclasses.replace(data_set, notes=notes))
     return data_sets, names
@@ -55,11 +55,7 @@ def read(path: Path) -> tuple[list[DataSet], list[str]]:
 
 def referenced_files(path: Path) -> Iterator[tuple[str, Path]]:
     """Name, ending in ``/`` where the data set itself has none, and file of each data set."""
-    try:
-        top = read_tags(path).root
-    except FormatError as error:
-        reason = str(error).rpartition("Error parsing XML: ")[2]
-        raise FormatError(f"{path} is not a complete multi-block index: {reason}") from error
+    top = read_tags(path).root
     found = top.all(_SET)
     if len(found) != 1:
         raise FormatError(f"{path} has {len(found) or 'no'} {_SET} elements; expected a multi-block index with one")

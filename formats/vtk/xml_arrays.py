@@ -27,7 +27,7 @@ from meshdeform_core.parallel import require_undivided
 
 from ..text import strict_numbers
 from .dataset import BlockOutput, DataArray, DataSet, Reserved, Run, StoredArray
-from .xml_tags import TAG, Element, XmlFile, read_tags
+from .xml_tags import TAG, Element, XmlFile
 
 TYPES = {
     "Int8": "i1",
@@ -291,9 +291,9 @@ Extent = tuple[Shape, Shape]
 """First node (i, j, k), and number of nodes along each index."""
 
 
-def read(path: Path) -> DataSet:
+def read(file: XmlFile) -> DataSet:
     """Read the structured data set of an XML file."""
-    file = read_tags(path)
+    path = file.path
     if file.kind != "StructuredGrid":
         other = _OTHER_KINDS.get(file.kind, "another kind of data set")
         raise FormatError(f"{path} is {other} (VTKFile type {file.kind}); expected a structured grid")

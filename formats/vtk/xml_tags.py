@@ -26,7 +26,6 @@ _APPENDED_ENCODINGS = {"": "appended-base64", "base64": "appended-base64", "raw"
 _ENCODINGS = ("utf-8", "us-ascii", "ascii", "iso-8859-1", "latin-1")
 _ARRAYS = ("DataArray", "Array")
 TAG = re.compile(rb"""<(?:[^>"']|"[^"]*"|'[^']*')*>""")
-_KIND = re.compile(rb"""<VTKFile\s[^>]*?\btype\s*=\s*["'](\w+)""")
 _END = b"</VTKFile>"
 
 # Real files do not come near these limits; one that does would cost time and memory before it is refused.
@@ -96,14 +95,6 @@ class XmlFile:
         if len(steps) > 1:
             raise FormatError(f"cannot read {self.path}: it contains {len(steps)} time steps; save only one of them")
         return found[0]
-
-
-def file_kind(path: Path) -> str:
-    """Type of the VTKFile tag, e.g. ``StructuredGrid``; ``unknown`` if missing. Nothing else is checked."""
-    with path.open("rb") as stream:
-        _require_end(path, stream)
-        found = _KIND.search(stream.read(_LONGEST_PROLOG))
-    return found[1].decode() if found else "unknown"
 
 
 def read_tags(path: Path) -> XmlFile:

@@ -16,18 +16,6 @@ from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.displacement import read_displacement
 
 CUBE = np.stack(np.meshgrid([0.0, 1.0], [0.0, 1.0], [0.0, 1.0], indexing="ij"), axis=-1)
-VARIANTS = [{"encoding": "ascii"}, {"encoding": "appended"}]
-
-
-def test_slabs_and_blocks_of_every_length(tmp_path, monkeypatch):
-    monkeypatch.setattr("meshdeform_formats.vtk.dataset._SLAB", 100)
-    monkeypatch.setattr("meshdeform_formats.vtk.dataset._PLANES", 1)
-    rng = np.random.default_rng(3)
-    for options in VARIANTS:
-        grid = Grid.from_blocks([rng.normal(size=(2, 5, 3, 3))])
-        write_grid(grid, tmp_path / "a.vts", options)
-        np.testing.assert_array_equal(read_grid(tmp_path / "a.vts").points, grid.points)
-        np.testing.assert_array_equal(vtk_witness.read(tmp_path / "a.vts")[0], grid.block(0))
 
 
 def test_values_that_are_not_finite_in_text(tmp_path):
