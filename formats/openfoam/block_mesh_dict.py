@@ -248,7 +248,7 @@ def _curve(items: Reading, kind: str, first: FloatArray, last: FloatArray) -> Cu
             axis = np.array(items.point("the axis of an arc"))
             if not 0 < abs(degrees) < 360 or not axis.any():
                 items.fail(f"an arc of {degrees:g} degrees about {vector(axis)}; expected 0 to 360 about a direction")
-            arc = arc_by_angle(first, last, degrees, axis)
+            arc = arc_by_angle(first, last, math.radians(degrees), axis)
         elif (word := items.next_word()) == "origin":
             factor = items.next_number()
             arc = arc_about(first, last, np.array(items.point("the origin of an arc")), factor or 1.0)
@@ -262,7 +262,7 @@ def _curve(items: Reading, kind: str, first: FloatArray, last: FloatArray) -> Cu
     points, values = [first], items.list("points (x y z)")
     while values.more:
         points.append(np.array(values.point("a point of the edge")))
-    return Spline(np.stack([*points, last]), kind)
+    return spline(np.stack([*points, last]), kind)
 
 
 def _read_patches(
@@ -368,83 +368,55 @@ def section_cells(cells: int, grading: Sequence[Section]) -> IntArray:
     return np.asarray(counts)
 
 
-@dataclass(frozen=True)
-class Arc:
-    """Circular arc, or a helix if it also advances along its axis.
-
-    Attributes
-    ----------
-    first, last : end points (3,)
-    center, axis : of the circle; the axis is a unit vector
-    angle : radians about the axis from first to last
-    """
-
-    first: FloatArray
-    last: FloatArray
-    center: FloatArray
-    axis: FloatArray
-    angle: float
-
-    def __call__(self, parameter: FloatArray) -> FloatArray:
-        arm = self.first - self.center
-        along = (arm @ self.axis) * self.axis
-        out = arm - along
-        angle = parameter[:, None] * self.angle
-        advance = ((self.last - self.first) @ self.axis) * parameter[:, None]
-        found = self.center + along + advance * self.axis + np.cos(angle) * out
-        return _with_ends(found + np.sin(angle) * np.cross(self.axis, out), parameter, self.first, self.last)
-
-
-def arc_through(first: FloatArray, middle: FloatArray, last: FloatArray) -> Arc | None:
+def arc_through(first: FloatArray, middle: FloatArray, last: FloatArray) -> Curve | None:
     """The arc through three points; ``None`` if they lie on one line."""
-    a, b = middle - first, last - first
-    across = float((a @ a) * (b @ b) - (a @ b) ** 2)
-    if across <= 1e-20 * float((a @ a) * (b @ b)):
+    a, b = middle - first, last - middle
+    axis = np.cross(a, b)
+    if np.linalg.norm(axis) <= 1e-10 * np.linalg.norm(a) * np.linalg.norm(b):
         return None
-    center = first + 0.5 * a + 0.5 * ((b @ b) - (a @ b)) / across * np.cross(np.cross(a, b), a)
-    r1, r2, r3 = first - center, middle - center, last - center
-    angle = _angle(r1, r3)
-    axis = np.cross(r1, r3)
-    if np.cross(r1, r2) @ axis < 0:
-        angle, axis = 2 * np.pi - angle, -axis
-    elif np.linalg.norm(axis) < 1e-3 * np.linalg.norm(r1) * np.linalg.norm(r3):
-        axis = np.cross(r1, r2)
-    return Arc(first, last, center, axis / np.linalg.norm(axis), angle)
+    # The angle at a point of a circle is half of that of the arc which it sees.
+    angle = 2.0 * _angle(a, b)
+    if min(angle, 2.0 * _angle(b, last - first)) > math.pi:
+        # Like blockMesh, which takes the shorter way where the middle point is more than half a turn away.
+        angle, axis = 2.0 * math.pi - angle, -axis
+    return arc_by_angle(first, last, angle, axis)
 
 
-def arc_about(first: FloatArray, last: FloatArray, origin: FloatArray, stretch: float = 1.0) -> Arc | None:
+def arc_about(first: FloatArray, last: FloatArray, origin: FloatArray, stretch: float = 1.0) -> Curve | None:
     """The shorter arc about ``origin``, which is moved if the ends are not equally far from it.
 
     ``stretch`` times the mean radius is the radius. ``None`` if origin and ends lie on one line.
     """
-    r1, r3, chord = first - origin, last - origin, last - first
+    r1, r3, half = first - origin, last - origin, 0.5 * float(np.linalg.norm(last - first))
     m1, m3 = float(np.linalg.norm(r1)), float(np.linalg.norm(r3))
-    axis = np.cross(r1, r3)
+    axis, angle = np.cross(r1, r3), _angle(r1, r3)
     if np.linalg.norm(axis) <= 1e-10 * m1 * m3:
         return None
-    axis = axis / np.linalg.norm(axis)
     if abs(m1 - m3) > _END * max(m1, m3) or stretch != 1.0:
-        radius = 0.5 * (m1 + m3)
-        if stretch != 1.0:
-            radius = max(radius * stretch, 1.001 * 0.5 * float(np.linalg.norm(chord)))
-        towards = np.cross(axis, chord)
-        height = np.sqrt(max(radius**2 - 0.25 * float(chord @ chord), 0.0))
-        origin = 0.5 * (first + last) + height * towards / np.linalg.norm(towards)
-    return Arc(first, last, origin, axis, _angle(first - origin, last - origin))
+        radius = 0.5 * (m1 + m3) if stretch == 1.0 else max(0.5 * (m1 + m3) * stretch, 1.001 * half)
+        angle = 2.0 * math.atan2(half, math.sqrt(max(radius**2 - half**2, 0.0)))
+    return arc_by_angle(first, last, angle, axis)
 
 
-def arc_by_angle(first: FloatArray, last: FloatArray, degrees: float, axis: FloatArray) -> Arc | None:
-    """The arc of ``degrees`` about the direction ``axis``; ``None`` if the ends do not lie across it."""
+def arc_by_angle(first: FloatArray, last: FloatArray, angle: float, axis: FloatArray) -> Curve | None:
+    """The arc of ``angle`` radians about the direction ``axis``, or the helix, if it also advances along it; ``None``
+    if the ends do not lie across it."""
     axis = axis / np.linalg.norm(axis)
     step = last - first
     chord = step - (step @ axis) * axis
     length = float(np.linalg.norm(chord))
     if length <= 1e-10 * float(np.linalg.norm(step)):
         return None
-    angle = np.radians(degrees)
-    outwards = np.cross(chord, axis) / length
-    center = first + 0.5 * chord - outwards * (0.5 * length / np.tan(0.5 * angle))
-    return Arc(first, last, center, axis, float(angle))
+    # From the centre to the first point, and a quarter of a turn further.
+    out = np.cross(chord, axis) * (0.5 / math.tan(0.5 * angle)) - 0.5 * chord
+    further = np.cross(axis, out)
+
+    def place(parameter: FloatArray) -> FloatArray:
+        at = parameter[:, None]
+        found = first - out + at * (step @ axis) * axis + np.cos(at * angle) * out + np.sin(at * angle) * further
+        return _with_ends(found, parameter, first, last)
+
+    return place
 
 
 def straight(first: FloatArray, last: FloatArray) -> Curve:
@@ -460,27 +432,24 @@ _BASES = {
 }
 
 
-@dataclass(frozen=True)
-class Spline:
+def spline(points: FloatArray, kind: str) -> Curve:
     """Piecewise polynomial by points (n, 3), of a kind of edge of a blockMeshDict: polyLine, spline or BSpline."""
+    lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    lengths /= lengths[-1]
+    padded = np.concatenate([2 * points[:1] - points[1:2], points, 2 * points[-1:] - points[-2:-1]])
 
-    points: FloatArray
-    kind: str
-
-    def __call__(self, parameter: FloatArray) -> FloatArray:
-        points = self.points
-        lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-        lengths /= lengths[-1]
+    def place(parameter: FloatArray) -> FloatArray:
         segment = np.clip(np.searchsorted(lengths, parameter, side="left") - 1, 0, len(points) - 2)
         width = lengths[segment + 1] - lengths[segment]
         local = (parameter - lengths[segment]) / np.where(width > 0, width, 1.0)
-        padded = np.concatenate([2 * points[:1] - points[1:2], points, 2 * points[-1:] - points[-2:-1]])
-        weights = (local[:, None] ** np.arange(4)) @ _BASES[self.kind]
+        weights = (local[:, None] ** np.arange(4)) @ _BASES[kind]
         found = sum(weights[:, n, None] * padded[segment + n] for n in range(4))
         # blockMesh takes the points themselves at both ends of a segment, also where the B-spline misses them.
         found = np.where((local <= 0)[:, None], points[segment], found)
         found = np.where((local >= 1)[:, None], points[segment + 1], found)
         return _with_ends(found, parameter, points[0], points[-1])
+
+    return place
 
 
 def _with_ends(found: FloatArray, parameter: FloatArray, first: FloatArray, last: FloatArray) -> FloatArray:

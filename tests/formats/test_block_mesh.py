@@ -153,13 +153,15 @@ def test_arcs_lie_on_their_circles():
     for arc, known in (
         (arc_through(first, middle, last), exact),
         (arc_through(first, np.array([np.cos(2.0), -np.sin(2.0), 0]), last), long),
+        # More than half a turn away: the shorter way, as blockMesh.
+        (arc_through(first, np.array([np.cos(2.0), np.sin(2.0), 0]), last), exact),
         (arc_about(first, last, np.zeros(3)), exact),
-        (arc_by_angle(first, last, 90.0, np.array([0, 0, 2.0])), exact),
-        (arc_by_angle(first, last, -270.0, np.array([0, 0, 2.0])), long),
+        (arc_by_angle(first, last, np.pi / 2, np.array([0, 0, 2.0])), exact),
+        (arc_by_angle(first, last, -1.5 * np.pi, np.array([0, 0, 2.0])), long),
     ):
         assert arc is not None
         np.testing.assert_allclose(arc(at), known, atol=1e-14)
-    helix = arc_by_angle(first, last + [0, 0, 3], 90.0, np.array([0, 0, 1.0]))
+    helix = arc_by_angle(first, last + [0, 0, 3], np.pi / 2, np.array([0, 0, 1.0]))
     assert helix is not None
     np.testing.assert_allclose(helix(at), exact + at[:, None] * [0, 0, 3], atol=1e-14)
     assert arc_through(first, 0.5 * (first + last), last) is None
