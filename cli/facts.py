@@ -9,9 +9,17 @@ import numpy as np
 
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.connections import check_connections, find_interfaces
-from meshdeform_core.grid.faces import Face, Role, declared_role
+from meshdeform_core.grid.faces import (
+    Face,
+    Outside,
+    Role,
+    Surface,
+    clustered_interfaces,
+    declared_role,
+    find_outside,
+    thin_direction,
+)
 from meshdeform_core.grid.openings import coincident_blocks, describe_openings, find_openings
-from meshdeform_core.grid.surfaces import Outside, Surface, clustered_interfaces, find_outside, thin_direction
 from meshdeform_core.grid.topology import Topology, find_topology
 from meshdeform_core.numerics.arrays import extent
 from meshdeform_core.wording import counted, listed, vector

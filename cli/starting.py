@@ -38,7 +38,7 @@ def init_command(source: GridInput, output: Path | None, table: Path | None, run
     in, or following --table, with a match and tolerance that fit; symmetry planes are symmetry, the end planes of
     extruded grids slip, and the rest is fixed.
     """
-    from meshdeform_core.grid.surfaces import find_outside
+    from meshdeform_core.grid.faces import find_outside
     from meshdeform_core.grid.topology import find_topology
     from meshdeform_formats.case.template import case_template, fitted_table
     from meshdeform_formats.files import replacing, shown

@@ -15,9 +15,8 @@ from meshdeform_core.boundary.fitting import fit_table
 from meshdeform_core.boundary.tables import AUTOMATIC, BoundaryNodes, Matching, SurfaceData, by_place, transfer
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid
-from meshdeform_core.grid.faces import Role
+from meshdeform_core.grid.faces import Outside, Role, Surface, thin_direction
 from meshdeform_core.grid.planes import FLATNESS
-from meshdeform_core.grid.surfaces import Outside, Surface, thin_direction
 from meshdeform_core.grid.topology import Topology
 
 from ..displacement import read_displacement

@@ -11,9 +11,8 @@ import numpy as np
 
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import BoolArray, FloatArray, Grid, IntArray, Side
-from meshdeform_core.grid.faces import Role
+from meshdeform_core.grid.faces import Role, Surface
 from meshdeform_core.grid.planes import Plane
-from meshdeform_core.grid.surfaces import Surface
 
 from .subject import Subject
 

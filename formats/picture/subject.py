@@ -10,9 +10,8 @@ import numpy as np
 
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import FloatArray, IntArray, Shape
-from meshdeform_core.grid.faces import Role
+from meshdeform_core.grid.faces import Role, Surface, thin_direction
 from meshdeform_core.grid.planes import Plane
-from meshdeform_core.grid.surfaces import Surface, thin_direction
 from meshdeform_core.numerics.arrays import extent
 from meshdeform_core.numerics.geometry.vectors import doubled_areas
 from meshdeform_core.quality.fields import CellFields, Cells

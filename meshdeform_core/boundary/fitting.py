@@ -17,8 +17,7 @@ import scipy
 
 from ..errors import MotionError
 from ..grid import Grid, IntArray
-from ..grid.faces import Role
-from ..grid.surfaces import Surface, find_outside
+from ..grid.faces import Role, Surface, find_outside
 from ..grid.topology import Topology
 from ..numerics.geometry.vectors import doubled_areas, face_sizes, unit
 from ..wording import Notice, counted, vector

@@ -1,4 +1,5 @@
-"""The block faces of a grid: pieces of them, with the position, size and first-cell heights of each, and their roles.
+"""The block faces of a grid: pieces of them, with the position, size and first-cell heights of each, and their roles;
+outer surfaces, which they form: one per family, per patch without family, and per unnamed face.
 
 A piece is a rectangle of face quads of one kind on one block side: part of a patch, part of an interface, or an unnamed
 outside face. Roles are walls, symmetry planes, far field, end planes. Declarations in the file take precedence.
@@ -14,13 +15,13 @@ from enum import Enum
 
 import numpy as np
 
-from ..numerics.arrays import batches, extent, medians, runs, spans, spread
+from ..numerics.arrays import BoolArray, batches, extent, medians, runs, spans, spread
 from ..numerics.geometry.coincidence import connected_rows
 from ..numerics.geometry.vectors import doubled_areas, unit
 from ..parallel import empty
 from .blocks import FloatArray, Grid, IntArray
 from .parts import Patch, Side, Window
-from .planes import FLATNESS, Plane, plane_normal, planes_of
+from .planes import FLATNESS, Plane, plane_normal, plane_of, planes_of
 from .topology import Topology, quads_of_patches, side_nodes
 from .windows import Rectangles, rectangles
 
@@ -207,6 +208,8 @@ _COARSENED = 0.75
 """Ratio of mean to first spacing below which cells grow towards a face."""
 _ENCLOSED = 0.02
 """Least flux of (x - center) through the surface of a body, relative to area times radius."""
+_MOST = 0.6
+"""Walls longer than this fraction of the grid in two directions are floors or side walls, not bodies."""
 
 
 def declared_role(face: Face) -> Role | None:
@@ -230,104 +233,92 @@ def clusters(face: Face) -> bool:
     return face.stretching >= _CLUSTERED and face.finest >= _FIRST_IS_FINEST
 
 
-class RoleGuess:
-    """Data on all faces of a grid needed to guess their roles."""
-
-    def __init__(self, grid: Grid, topology: Topology, faces: Sequence[Face]):
-        self.grid, self.topology, self.faces = grid, topology, faces
-        self.normal, self.points = plane_normal(grid), grid.points[topology.first]
-        low, high = extent(grid.points)
-        self.extent, self.size = high - low, float((high - low).max())
-        # The largest x . normal of all nodes, by the normal.
-        self.reach: dict[tuple[float, ...], float] = {}
-        self.ends = _end_sides(grid, topology, faces)
-        self.outward = [self._bounding(face) for face in faces]
-        # (n_quads,) whether a quad belongs to a surface inside the grid, closed but for the bounding planes.
-        inner, body = np.zeros((2, len(self.topology.partner)), dtype=bool)
-        for face, outward in zip(self.faces, self.outward, strict=True):
-            if face.outside and outward is None:
-                inner[face.quads] = True
-        quads = np.flatnonzero(inner)
-        if quads.size:
-            part = connected_rows(self.topology.quads.corners[quads], self.topology.n_unique)
-            order = np.argsort(part, kind="stable")
-            for lo, hi in zip(*runs(part[order]), strict=True):
-                mine = quads[order[lo:hi]]
-                body[mine] = self._is_body(mine)
-        self.body = body
-        self.has_bodies = bool(self.body.any())
-
-    def roles(self) -> list[Role]:
-        """The likely role of every face."""
-        roles = [self._first_role(face) for face in self.faces]
-        near = np.zeros(self.topology.n_unique, dtype=bool)
-        for face, role in zip(self.faces, roles, strict=True):
-            if role is Role.WALL:
-                near[self.topology.quads.corners[face.quads]] = True
-        touched = [bool(near[self.topology.quads.corners[face.quads]].any()) for face in self.faces]
-        # Walls that extend across the whole grid are those of a channel, whose ends are not symmetry planes.
-        outwards = [out for out, touch, role in zip(self.outward, touched, roles, strict=True)
-                    if out is not None and touch and role is None]  # fmt: skip
-        borders = np.unique(np.reshape(outwards, (-1, 3)), axis=0)
-        return [
-            role or self._rest(face, out, touch, borders)
-            for face, role, out, touch in zip(self.faces, roles, self.outward, touched, strict=True)
-        ]
-
-    def _first_role(self, face: Face) -> Role | None:
-        """The role that follows from a face alone, without its neighbours."""
-        declared = declared_role(face)
+def guess_roles(grid: Grid, topology: Topology, faces: Sequence[Face]) -> list[Role]:
+    """The likely role of every face."""
+    corners, ends = topology.quads.corners, _end_sides(grid, topology, faces)
+    outward = _outward_normals(grid, topology, faces)
+    body = _bodies(grid, topology, [face for face, out in zip(faces, outward, strict=True) if out is None])
+    # Roles that follow from a face alone, without its neighbours.
+    first = list[Role | None]()
+    for face in faces:
+        declared, near_wall = declared_role(face), clusters(face)
         if not face.outside:
             # Two coincident faces that the file declares as walls are a thin plate.
-            return Role.WALL if declared is Role.WALL else Role.INTERFACE
-        if (face.window.block, face.window.side) in self.ends and declared in (None, Role.FAR):
-            return Role.END
-        if declared is not None and not (declared is Role.FAR and clusters(face) and face.stretching > _VISCOUS):
-            return declared
-        return Role.WALL if clusters(face) or self.body[face.quads[0]] else None
-
-    def _rest(self, face: Face, outward: FloatArray | None, touched: bool, borders: FloatArray) -> Role:
-        """The role of a face without clustered cells: planes at walls may be symmetry planes, large cells far field."""
-        if outward is not None and touched and face.stretching > _COARSENED**2:
-            channel = bool((borders @ outward < -0.99).any())
+            first.append(Role.WALL if declared is Role.WALL else Role.INTERFACE)
+        elif (face.window.block, face.window.side) in ends and declared in (None, Role.FAR):
+            first.append(Role.END)
+        elif declared is not None and not (declared is Role.FAR and near_wall and face.stretching > _VISCOUS):
+            first.append(declared)
+        else:
+            first.append(Role.WALL if near_wall or body[face.quads[0]] else None)
+    near = np.zeros(topology.n_unique, dtype=bool)
+    for face, role in zip(faces, first, strict=True):
+        if role is Role.WALL:
+            near[corners[face.quads]] = True
+    touched = [bool(near[corners[face.quads]].any()) for face in faces]
+    # Walls that extend across the whole grid are those of a channel, whose ends are not symmetry planes.
+    outwards = [out for out, touch, role in zip(outward, touched, first, strict=True)
+                if out is not None and touch and role is None]  # fmt: skip
+    borders, has_bodies, found = np.unique(np.reshape(outwards, (-1, 3)), axis=0), bool(body.any()), list[Role]()
+    for face, role, out, touch in zip(faces, first, outward, touched, strict=True):
+        if role is not None:
+            found.append(role)
+        elif out is not None and touch and face.stretching > _COARSENED**2:
+            channel = bool((borders @ out < -0.99).any())
             # OpenFOAM declares inlets and outlets patches; a symmetry plane has a type of its own there.
             opening = face.patch is not None and face.patch.bc_type == "patch"
-            return Role.UNKNOWN if channel or opening else Role.SYMMETRY
-        # The outer boundary of a grid around a body.
-        if face.stretching < _COARSENED or (self.has_bodies and outward is not None and not touched):
-            return Role.FAR
-        # A step: a plane face that touches a wall, where the grid extends beyond the plane.
-        step = face.plane is not None and outward is None and touched
-        return Role.WALL if step else Role.UNKNOWN
+            found.append(Role.UNKNOWN if channel or opening else Role.SYMMETRY)
+        elif face.stretching < _COARSENED or (has_bodies and out is not None and not touch):
+            # The outer boundary of a grid around a body.
+            found.append(Role.FAR)
+        else:
+            # A step: a plane face that touches a wall, where the grid extends beyond the plane.
+            step = face.plane is not None and out is None and touch
+            found.append(Role.WALL if step else Role.UNKNOWN)
+    return found
 
-    def _bounding(self, face: Face) -> FloatArray | None:
-        """Outward normal of a plane face with the whole grid on one side of it, else ``None``."""
-        if face.plane is None or not face.outside:
-            return None
-        outward = self._outward(face.quads)[1].sum(axis=0)
-        normal = face.plane.normal * (1.0 if outward @ face.plane.normal >= 0 else -1.0)
-        # The faces of one plane differ in their normals by round-off only.
-        key = tuple(round(part, 9) for part in normal.tolist())
-        if key not in self.reach:
-            self.reach[key] = float((self.points @ normal).max())
-        return normal if self.reach[key] <= float(face.plane.point @ normal) + 10 * FLATNESS * self.size else None
 
-    def _outward(self, quads: IntArray) -> tuple[FloatArray, FloatArray]:
-        return outward_areas(self.grid, self.topology, quads, self.normal)
+def _outward_normals(grid: Grid, topology: Topology, faces: Sequence[Face]) -> list[FloatArray | None]:
+    """Outward normals (3,) of plane outside faces with the whole grid on one side of them; ``None`` for others."""
+    flat, points, (low, high) = plane_normal(grid), grid.points[topology.first], extent(grid.points)
+    found, reach = list[FloatArray | None](), dict[tuple[float, ...], float]()
+    for face in faces:
+        found.append(None)
+        if face.plane is not None and face.outside:
+            outward = outward_areas(grid, topology, face.quads, flat)[1].sum(axis=0)
+            normal = face.plane.normal * (1.0 if outward @ face.plane.normal >= 0 else -1.0)
+            # The faces of one plane differ in their normals by round-off only.
+            key = tuple(round(part, 9) for part in normal.tolist())
+            if key not in reach:
+                reach[key] = float((points @ normal).max())
+            if reach[key] <= float(face.plane.point @ normal) + 10 * FLATNESS * float((high - low).max()):
+                found[-1] = normal
+    return found
 
-    def _is_body(self, quads: IntArray) -> bool:
-        """Whether quads enclose a body: in each bounding plane, smaller than the grid in at least one direction."""
-        corners, outward = self._outward(quads)
+
+def _bodies(grid: Grid, topology: Topology, faces: Sequence[Face]) -> BoolArray:
+    """(n_quads,) whether a quad of the outside ``faces`` belongs to a surface inside the grid that encloses a body, but
+    for the bounding planes: one that is smaller than the grid in at least one direction."""
+    body = np.zeros(len(topology.partner), dtype=bool)
+    (low, high), normal = extent(grid.points), plane_normal(grid)
+    varying = high - low > FLATNESS * (high - low).max()
+    quads = np.sort(np.concatenate([np.empty(0, dtype=np.int64), *(face.quads for face in faces if face.outside)]))
+    if not quads.size:
+        return body
+    part = connected_rows(topology.quads.corners[quads], topology.n_unique)
+    order = np.argsort(part, kind="stable")
+    for first, last in zip(*runs(part[order]), strict=True):
+        mine = quads[order[first:last]]
+        corners, outward = outward_areas(grid, topology, mine, normal)
         area, center = np.linalg.norm(outward, axis=1), corners.mean(axis=1)
-        if area.sum() == 0.0:
-            return False
-        arm = center - np.average(center, axis=0, weights=area)
-        flux, own = np.einsum("ni,ni->", arm, outward), np.ptp(corners.reshape(-1, 3), axis=0)
-        varying = self.extent > FLATNESS * self.size
-        # A surface that extends across the whole grid in two directions is a floor or a ceiling, not a body.
-        across = int((own[varying] > 0.999 * self.extent[varying]).sum())
-        encloses = flux < -_ENCLOSED * float(area @ np.linalg.norm(arm, axis=1))
-        return bool(encloses and across <= int(varying.sum()) - 2)
+        if area.sum() > 0.0:
+            arm = center - np.average(center, axis=0, weights=area)
+            flux, own = np.einsum("ni,ni->", arm, outward), np.ptp(corners.reshape(-1, 3), axis=0)
+            # A surface that extends across the whole grid in two directions is a floor or a ceiling, not a body.
+            across = int((own[varying] > 0.999 * (high - low)[varying]).sum())
+            encloses = flux < -_ENCLOSED * float(area @ np.linalg.norm(arm, axis=1))
+            body[mine] = encloses and across <= int(varying.sum()) - 2
+    return body
 
 
 def _end_sides(grid: Grid, topology: Topology, faces: Sequence[Face]) -> set[tuple[int, Side]]:
@@ -338,38 +329,163 @@ def _end_sides(grid: Grid, topology: Topology, faces: Sequence[Face]) -> set[tup
     """
     if grid.dimension == 2:
         return set()
+    # By direction, the index axis along which all layers of a block are the first one, shifted in this direction.
+    extruded = list[dict[int, int]]()
+    for block in range(grid.n_blocks):
+        extruded.append({})
+        for axis in (2, 1, 0):
+            first, last = (
+                grid.nodes.at(side_nodes(grid, block, Side(2 * axis + far))).reshape(-1, 3) for far in (0, 1)
+            )
+            shift, along = last - first, int(np.argmax(np.abs(last[0] - first[0])))
+            length = float(np.abs(shift[:, along]).max())
+            off = max(np.abs(shift - shift[0]).max(), np.abs(np.delete(shift[0], along)).max())
+            if length > 0.0 and off <= FLATNESS * length and np.ptp(first[:, along]) <= FLATNESS * max(length, 1.0):
+                extruded[block][along] = axis
+        if not extruded[block]:
+            return set()
     clustered = {(f.window.block, f.window.side) for f in faces if f.outside and clusters(f)}
-    choices = []
-    for direction in np.eye(3):
-        axes = list[int]()
-        for block in range(grid.n_blocks):
-            axis = _extruded_axis(grid, block, direction)
-            if axis is None:
-                break
-            axes.append(axis)
-        if len(axes) < grid.n_blocks:
-            continue
+    choices = list[tuple[int, set[tuple[int, Side]]]]()
+    for along in range(3):
+        axes = [found[along] for found in extruded if along in found]
         sides = {(b, Side(2 * axis + far)) for b, axis in enumerate(axes) for far in (0, 1)}
         outside = {key for key in sides if topology.external[topology.quads.of_side(*key)].all()}
-        cells = max(grid.cell_shapes[b][axis] for b, axis in enumerate(axes))
-        if outside and not outside & clustered:
-            choices.append((cells, outside))
-    choices.sort(key=lambda choice: choice[0])
-    if not choices or (len(choices) > 1 and choices[0][0] == choices[1][0]):
-        return set()
-    return choices[0][1]
+        if len(axes) == grid.n_blocks and outside and not outside & clustered:
+            choices.append((max(grid.cell_shapes[b][axis] for b, axis in enumerate(axes)), outside))
+    fewest = min((cells for cells, _ in choices), default=0)
+    best = [outside for cells, outside in choices if cells == fewest]
+    return best[0] if len(best) == 1 else set()
 
 
-def _extruded_axis(grid: Grid, block: int, direction: FloatArray) -> int | None:
-    """Index axis along which all layers of a block are the first one, shifted along ``direction``."""
-    for axis in range(3):
-        first, last = (grid.nodes.at(side_nodes(grid, block, Side(2 * axis + far))) for far in (0, 1))
-        shift = (last - first).reshape(-1, 3)
-        length = np.abs(shift @ direction).max()
-        if length == 0.0 or np.abs(shift - shift[0]).max() > FLATNESS * length:
-            continue
-        across = np.abs(shift[0] - direction * (shift[0] @ direction)).max()
-        flat = np.ptp((first @ direction).ravel())
-        if across <= FLATNESS * length and flat <= FLATNESS * max(length, 1.0):
-            return axis
-    return None
+@dataclass(frozen=True)
+class Surface:
+    """The faces of one family or patch, or a single unnamed face.
+
+    Attributes
+    ----------
+    name : of the family or patch; the label of the face if the file has no name for it
+    named : whether the file has a name for it
+    role : of the faces with the largest total area
+    declared : whether the file declares the role; otherwise it is a guess
+    faces : its pieces
+    """
+
+    name: str
+    named: bool
+    role: Role
+    declared: bool
+    faces: tuple[Face, ...]
+
+    @property
+    def quads(self) -> IntArray:
+        """Face quads (n,) of the surface."""
+        return np.concatenate([face.quads for face in self.faces])
+
+    @property
+    def area(self) -> float:
+        return sum(face.area for face in self.faces)
+
+    @property
+    def box(self) -> FloatArray:
+        """Lowest and highest coordinates (2, 3)."""
+        low, high = (np.array([face.box[end] for face in self.faces]) for end in (0, 1))
+        return np.stack([low.min(axis=0), high.max(axis=0)])
+
+    @property
+    def first_height(self) -> float:
+        """Smallest height of its first cells (grid length unit)."""
+        return min(face.first_height for face in self.faces)
+
+    @property
+    def median_height(self) -> float:
+        """Median height of its first cells; pieces are weighted by their number of cells."""
+        heights = np.repeat([face.median_height for face in self.faces], [len(face.quads) for face in self.faces])
+        return float(np.median(heights))
+
+    @property
+    def patches(self) -> tuple[str, ...]:
+        """Names of its patches in the file."""
+        return tuple(dict.fromkeys(face.patch.name for face in self.faces if face.patch))
+
+
+@dataclass(frozen=True)
+class Outside:
+    """All faces of a grid with their roles, its surfaces, and its ``extent`` (3,)."""
+
+    faces: tuple[Face, ...]
+    roles: tuple[Role, ...]
+    surfaces: tuple[Surface, ...]
+    extent: FloatArray
+
+    def of_role(self, *roles: Role) -> tuple[Surface, ...]:
+        return tuple(surface for surface in self.surfaces if surface.role in roles)
+
+    @property
+    def bodies(self) -> tuple[Surface, ...]:
+        """Walls of bodies in the grid, not the floor, ceiling and side walls of a channel or box.
+
+        The latter extend over most of the grid in two directions, alone or together with other walls in the same plane.
+        """
+        found, walls = [], self.of_role(Role.WALL)
+        levels = [_level(wall, self.extent) or (number,) for number, wall in enumerate(walls)]
+        for wall, level in zip(walls, levels, strict=True):
+            box = np.array([other.box for other, its in zip(walls, levels, strict=True) if its == level])
+            size = box[:, 1].max(axis=0) - box[:, 0].min(axis=0)
+            if int((size > _MOST * self.extent).sum()) < 2:
+                found.append(wall)
+        return tuple(found)
+
+
+def _level(surface: Surface, extent: FloatArray) -> tuple[int, float] | None:
+    """Axis and coordinate of a surface that lies in a plane normal to a coordinate axis, else ``None``."""
+    thin = np.flatnonzero(np.ptp(surface.box, axis=0) <= 1e-6 * extent)
+    return (int(thin[0]), round(float(surface.box[0, thin[0]] / extent.max()), 6)) if len(thin) == 1 else None
+
+
+def find_outside(grid: Grid, topology: Topology) -> Outside:
+    """Faces, roles and surfaces of a grid; thin plates declared in the file count as outside."""
+    faces = find_faces(grid, topology)
+    roles = guess_roles(grid, topology, faces)
+    groups: dict[tuple[str, bool], list[int]] = {}
+    for number, (face, role) in enumerate(zip(faces, roles, strict=True)):
+        if role is not Role.INTERFACE:
+            name = (face.patch.family or face.patch.name) if face.patch else ""
+            groups.setdefault((name or face.label(grid), bool(name)), []).append(number)
+    surfaces = []
+    for (name, named), members in groups.items():
+        weight: dict[Role, float] = {}
+        for n in members:
+            weight[roles[n]] = weight.get(roles[n], 0.0) + faces[n].area
+        role = max(weight, key=lambda each: weight[each])
+        declared = any(declared_role(faces[n]) is role for n in members)
+        surfaces.append(Surface(name, named, role, declared, tuple(faces[n] for n in members)))
+    low, high = extent(grid.points)
+    return Outside(tuple(faces), tuple(roles), tuple(surfaces), high - low)
+
+
+def clustered_interfaces(topology: Topology, outside: Outside) -> list[Face]:
+    """Faces between blocks towards which cells cluster from both sides: wakes and thin plates."""
+    shared = [
+        face
+        for face, role in zip(outside.faces, outside.roles, strict=True)
+        if role is Role.INTERFACE and clusters(face)
+    ]
+    fine = np.zeros(len(topology.partner), dtype=bool)
+    for face in shared:
+        fine[face.quads] = True
+    return [face for face in shared if fine[topology.partner[face.quads]].all()]
+
+
+def thin_direction(grid: Grid) -> FloatArray | None:
+    """Unit normal of the plane of a 2-D grid, or of one layer of cells between two parallel planes; else ``None``."""
+    if grid.dimension == 2:
+        return plane_normal(grid)
+    first: FloatArray | None = None
+    for block, shape in enumerate(grid.shapes):
+        if 2 not in shape:
+            return None
+        layer = plane_of(grid.points[side_nodes(grid, block, Side(2 * shape.index(2))).ravel()], None)
+        if layer is None or (first is not None and abs(float(layer.normal @ first)) <= 1 - 1e-6):
+            return None
+        first = layer.normal if first is None else first
+    return first

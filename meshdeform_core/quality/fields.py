@@ -13,9 +13,8 @@ import scipy
 
 from ..errors import CaseError, suggestion
 from ..grid import BoolArray, FloatArray, Grid, IntArray
-from ..grid.faces import Role
+from ..grid.faces import Outside, Role, find_outside
 from ..grid.planes import plane_normal
-from ..grid.surfaces import Outside, find_outside
 from ..grid.topology import Topology, find_topology
 from .cells import CellMeasures, measure_block
 from .difference import require_same_blocks

@@ -11,9 +11,8 @@ import numpy as np
 
 from ..boundary import Boundary, Kind
 from ..grid import BoolArray, FloatArray, Grid
-from ..grid.faces import Face, Role, declared_role
+from ..grid.faces import Face, Outside, Role, declared_role, find_outside
 from ..grid.planes import plane_normal
-from ..grid.surfaces import Outside, find_outside
 from ..grid.topology import Topology
 from .cells import sides_of
 from .lines import InterfaceLines, WallLines, WallMeasures, interface_lines, kink_and_jump

@@ -15,7 +15,7 @@ from meshdeform_core.boundary import Kind
 from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.deform import set_up
 from meshdeform_core.grid import Grid
-from meshdeform_core.grid.surfaces import find_outside
+from meshdeform_core.grid.faces import find_outside
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_formats import read_grid
 from meshdeform_formats.case import read_case

@@ -10,8 +10,7 @@ import pytest
 from grids import block_around, frame, frame_2d, permuted, polar, whole_face
 
 from meshdeform_core.grid import Grid, Patch, Side, Window
-from meshdeform_core.grid.faces import Role, find_faces, outward_areas, quad_sizes
-from meshdeform_core.grid.surfaces import find_outside, thin_direction
+from meshdeform_core.grid.faces import Role, find_faces, find_outside, outward_areas, quad_sizes, thin_direction
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_formats import read_grid
 from meshdeform_samples import load

@@ -14,11 +14,10 @@ from hypothesis import strategies as st
 
 from meshdeform_core.grid import Grid, IntArray, Side
 from meshdeform_core.grid.connections import connected_nodes, find_interfaces
-from meshdeform_core.grid.faces import find_faces
+from meshdeform_core.grid.faces import find_faces, find_outside
 from meshdeform_core.grid.openings import find_openings
 from meshdeform_core.grid.planes import block_handedness
 from meshdeform_core.grid.selection import select_quads
-from meshdeform_core.grid.surfaces import find_outside
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.methods.transfinite.edge_graph import PreparedEdgeGraph
 from meshdeform_core.numerics.geometry.boxes import overlapping_boxes

@@ -14,7 +14,7 @@ from poly_mesh_witness import check_mesh, read_mesh, read_points, run_foam
 from meshdeform_cli.main import run
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Connection, Grid, Patch, Periodicity, Side, Window
-from meshdeform_core.grid.surfaces import thin_direction
+from meshdeform_core.grid.faces import thin_direction
 from meshdeform_core.numerics.arrays import extent
 from meshdeform_core.quality.cells import block_volumes
 from meshdeform_formats import read_grid, write_grid
