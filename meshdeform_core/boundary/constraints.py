@@ -1,5 +1,5 @@
 """Constraints on the boundary: nodes that slide in planes, symmetry planes among them, and on curved surfaces; periodic
-nodes, which move alike."""
+nodes, which move alike; grids of one layer of cells, whose end planes mirror each other."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ import numpy as np
 from ..errors import CaseError
 from ..grid import BoolArray, FloatArray, Grid, IntArray, Side
 from ..grid.connections import connected_nodes, periodic_rotation
-from ..grid.planes import FLATNESS, Plane, plane_normal, plane_of
+from ..grid.planes import FLATNESS, Plane, plane_normal, plane_of, snapped
 from ..grid.topology import RELATIVE_TOLERANCE, Topology
+from ..grid.windows import end_planes, side_numbers
 from ..numerics.arrays import lengths
 from ..numerics.geometry.coincidence import close_pairs
 from ..parallel import Nodes
@@ -27,6 +28,8 @@ _ON_EDGE = 1e-12
 """Barycentric weights below this are zero but for round-off."""
 _CREASE = np.cos(np.deg2rad(30.0))
 """Where triangles meet at a larger angle, sliding would cut off the edge of the surface."""
+_MIRRORED = 1e-9
+"""Largest difference of mirrored displacements, relative to the largest displacement."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -396,3 +399,70 @@ def find_periodicity(
         f"boundary {name!r}: its two periodic sides ({len(one)} and {len(two)} nodes) do not match by a translation "
         f"or by a rotation about a coordinate axis; expected select = [one side, other side] with equal node layouts"
     )
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A grid of one layer of cells whose two end planes mirror each other, a straight extrusion or a wedge: pairs of
+    nodes (n, 2), by unique numbers, of which the second is the mirror image of the first.
+
+    Where the motion of the boundary is mirrored, too, so is that of all nodes: a straight extrusion that moves in its
+    plane, a wedge that moves along its planes. Nodes of one plane are then computed, and those of the other follow them
+    to the last bit, whatever the errors of approximated sums.
+
+    ``free`` are those whose displacement is sought, ``known`` those of sources; ``normal`` is that of the plane between
+    the two, ``middle`` (k,) are nodes in it, such as those on the axis of a wedge.
+    """
+
+    free: IntArray
+    known: IntArray
+    middle: IntArray
+    normal: FloatArray
+
+    @property
+    def followers(self) -> IntArray:
+        """The nodes that follow others."""
+        return np.asarray(self.free[:, 1])
+
+    def follow(self, displacement: FloatArray) -> None:
+        """Give the followers, in place, the mirrored displacement (n_unique, 3) of those that they follow."""
+        displacement[self.followers] = self._mirrored(displacement[self.free[:, 0]])
+        own = displacement[self.middle]
+        displacement[self.middle] = 0.5 * (own + self._mirrored(own))
+
+    def mirrors(self, displacement: FloatArray) -> bool:
+        """Whether the displacement (n_unique, 3) of the sources is mirrored."""
+        one, two = displacement[self.known[:, 0]], displacement[self.known[:, 1]]
+        largest = float(lengths(displacement).max(initial=0.0))
+        return bool(np.abs(two - self._mirrored(one)).max(initial=0.0) <= _MIRRORED * largest)
+
+    def _mirrored(self, vectors: FloatArray) -> FloatArray:
+        return np.asarray(vectors - np.outer(2.0 * (vectors @ self.normal), self.normal))
+
+
+def find_layer(grid: Grid, topology: Topology, kinds: np.ndarray, sources: BoolArray) -> Layer | None:
+    """The layer that a grid consists of; ``None`` if it is thicker, or its planes do not mirror each other in position
+    or in the ``kinds`` (n_unique,) of nodes, of which the ``sources`` (n_unique,) have a prescribed displacement."""
+    sides = end_planes(grid, topology)
+    if not sides:
+        return None
+    planes = [[side_numbers(grid, topology, n // 6, Side(n % 6)).ravel() for n in sides[end::2]] for end in (0, 1)]
+    pairs = np.unique(np.stack([np.concatenate(plane) for plane in planes], axis=1), axis=0)
+    x = grid.nodes.at(topology.first)
+    across = x[pairs[:, 1]] - x[pairs[:, 0]]
+    longest = across[int(np.argmax(lengths(across)))]
+    normal = snapped(longest[None] / np.linalg.norm(longest))[0]
+    pairs = np.where((across @ normal < 0.0)[:, None], pairs[:, ::-1], pairs)
+    one, two = x[pairs[:, 0]], x[pairs[:, 1]]
+    thickness, middle = (two - one) @ normal, 0.5 * (one + two) @ normal
+    off = np.abs(two - one - np.outer(thickness, normal)).max(), np.ptp(middle)
+    if max(off) > FLATNESS * float(np.ptp(x, axis=0).max()):
+        return None
+    same = pairs[:, 0] == pairs[:, 1]
+    middle, pairs = pairs[same, 0], np.unique(pairs[~same], axis=0)
+    kind = kinds[pairs]
+    if len(np.unique(pairs)) < pairs.size or (kind[:, 0] != kind[:, 1]).any():
+        return None
+    known = sources[pairs[:, 1]]
+    free = middle[~sources[middle]]
+    return None if known.all() else Layer(pairs[~known], pairs[known], free, normal)

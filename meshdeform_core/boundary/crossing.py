@@ -91,7 +91,7 @@ class CrossingTest:
 
     def __init__(self, grid: Grid, topology: Topology, boundary: Boundary):
         self._grid, self._topology, self._boundary = grid, topology, boundary
-        self._surfaces: dict[bool, _Surface] = {}
+        self._surface = _Surface(grid, topology, boundary)
         self._normal = plane_normal(grid)
         self._size = float(np.ptp(grid.nodes.at(topology.first), axis=0).max())
         self._outside_faces = topology.quads.corners[topology.external]
@@ -102,12 +102,7 @@ class CrossingTest:
         Sorted by the number of pairs of faces, most first. Walls that have passed each other completely are not found
         here but by :meth:`contact`.
         """
-        # Faces of a slip plane that nodes leave are left out, as their position is unknown.
-        departs = self._boundary.slip.departure(displacement) > 1e-9 * self._size
-        if departs not in self._surfaces:
-            made = _Surface(self._grid, self._topology, self._boundary, with_sliding=not departs)
-            self._surfaces[departs] = made
-        surface = self._surfaces[departs]
+        surface = self._surface
         change = np.tile(displacement[surface.nodes], (len(surface.points) // len(surface.nodes), 1))
         moved: BoolArray = np.asarray(change.any(axis=1))
         carried: BoolArray = np.asarray(moved[surface.faces].any(axis=1))
@@ -122,6 +117,10 @@ class CrossingTest:
         # Two ranks find a pair whose faces belong to different shares.
         pairs, once = np.unique(np.concatenate([pairs for pairs, _ in found]), axis=0, return_index=True)
         places = np.concatenate([places for _, places in found])[once]
+        # The position of the faces of a slip plane that nodes leave is unknown.
+        if self._boundary.slip.departure(displacement) > 1e-9 * self._size:
+            sure = (surface.role[pairs] != SLIDING).all(axis=1)
+            pairs, places = pairs[sure], places[sure]
         if not len(pairs):
             return ()
         new = surface.were_apart(pairs, gap)
@@ -224,9 +223,9 @@ class _Surface:
     edge : shortest edge of a face at each point
     """
 
-    def __init__(self, grid: Grid, topology: Topology, boundary: Boundary, with_sliding: bool):
+    def __init__(self, grid: Grid, topology: Topology, boundary: Boundary):
         kind, corners = boundary.quad_kind, topology.quads.corners
-        sliding = np.isin(kind, (Kind.SLIP, Kind.SYMMETRY)) & with_sliding
+        sliding = np.isin(kind, (Kind.SLIP, Kind.SYMMETRY))
         self.quads = np.flatnonzero((kind >= Kind.FIXED) & boundary.known[corners].all(axis=1) | sliding)
         self.nodes, self._n_unique = distinct(corners[self.quads], topology.n_unique), topology.n_unique
         self.points = grid.nodes.at(topology.first[self.nodes])

@@ -8,15 +8,15 @@ blocks apart, unless they belong to different components.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
 from itertools import pairwise
 
 import numpy as np
 
-from ..numerics.arrays import BoolArray, batches, runs, spans, spread
-from ..numerics.geometry.boxes import overlapping_boxes
+from ..numerics.arrays import batches, runs, spans, spread
+from ..numerics.geometry.boxes import Boxes, overlapping_boxes
 from ..numerics.geometry.coincidence import close_pairs, distinct, equal_rows
 from ..numerics.geometry.vectors import distance_to_faces, plane_winding, winding
 from ..wording import counted, listed
@@ -215,21 +215,20 @@ class _Samples:
         return {int(s): (some.quads_of(n), w) for n, (s, w) in enumerate(zip(some.side, some.windows(), strict=True))}
 
     def candidates(
-        self,
-        pairs: IntArray,
-        inside: Callable[[IntArray, IntArray], BoolArray],
-        least: Callable[[IntArray], FloatArray | IntArray],
-    ) -> Iterator[tuple[int, int, BoolArray]]:
-        """Those of the ``pairs`` (p, 2) of which enough samples of the first are ``inside`` the box of the second, and
-        which samples; ``least`` is how many of so many are enough."""
-        counts = np.diff(self.start)[pairs[:, 0]]
+        self, pairs: IntArray, boxes: Boxes, reach: FloatArray, part: float
+    ) -> Iterator[tuple[int, int, IntArray, float]]:
+        """Those of the ``pairs`` (p, 2) of which enough samples of the first are within their ``reach`` (n,) of the box
+        of the second, which samples these are, and how many are enough: ``part`` of all, at least two."""
+        counts, (low, high) = np.diff(self.start)[pairs[:, 0]], boxes
         for lo, hi in batches(counts, _TOGETHER):
             some, (run, place) = pairs[lo:hi], spans(counts[lo:hi])
-            within = inside(self.start[some[run, 0]] + place, some[run, 1])
-            ends = np.append(0, np.cumsum(counts[lo:hi]))
-            enough = np.bincount(run, weights=within, minlength=len(some)) >= least(counts[lo:hi])
-            for number in np.flatnonzero(enough):
-                yield int(some[number, 0]), int(some[number, 1]), within[ends[number] : ends[number + 1]]
+            sample, other = self.start[some[run, 0]] + place, some[run, 1]
+            x, margin = self.middle[sample], reach[sample, None]
+            within = ((x > low[other] - margin) & (x < high[other] + margin)).all(axis=1)
+            ends, least = np.append(0, np.cumsum(counts[lo:hi])), np.maximum(_FEWEST, part * counts[lo:hi])
+            for number in np.flatnonzero(np.bincount(run, weights=within, minlength=len(some)) >= least):
+                mine = slice(ends[number], ends[number + 1])
+                yield int(some[number, 0]), int(some[number, 1]), sample[mine][within[mine]], float(least[number])
 
 
 def _abutting(grid: Grid, topology: Topology, paired: IntArray) -> list[Opening]:
@@ -238,7 +237,7 @@ def _abutting(grid: Grid, topology: Topology, paired: IntArray) -> list[Opening]
     if rest.size == 0:
         return []
     samples = _Samples(grid, topology, rest, _SAMPLES)
-    first, last, middle = samples.first, samples.last, samples.middle
+    first, last = samples.first, samples.last
     low, high = np.empty((2, len(first), 3))
     for lo, hi in batches(last - first, _TOGETHER):
         corners = samples.points_of(rest[first[lo] : last[hi - 1]])
@@ -249,20 +248,13 @@ def _abutting(grid: Grid, topology: Topology, paired: IntArray) -> list[Opening]
     slack = 1e-6 * np.linalg.norm(high - low, axis=1)[:, None]
     pairs, part = overlapping_boxes((low - slack, high + slack), (low, high)), grid.component_numbers[samples.side // 6]
     pairs = pairs[(pairs[:, 0] != pairs[:, 1]) & (part[pairs[:, 0]] == part[pairs[:, 1]])]
-
-    def inside_other(sample: IntArray, other: IntArray) -> BoolArray:
-        x, reach = middle[sample], _ABUTTING * edge[sample, None]
-        return np.asarray(((x >= low[other] - reach) & (x <= high[other] + reach)).all(axis=1))
-
     found = []
-    for own, other, within in samples.candidates(pairs, inside_other, lambda counts: np.full(len(counts), _FEWEST)):
-        sample = slice(samples.start[own], samples.start[own + 1])
-        distance = np.full(len(within), np.inf)
-        faces = samples.points_of(rest[first[other] : last[other]])
-        distance[within] = distance_to_faces(middle[sample][within], faces)
-        hit, relative = distance < _ABUTTING * edge[sample], distance / edge[sample]
+    for own, other, near, _ in samples.candidates(pairs, (low, high), _ABUTTING * edge, 0.0):
+        distance = distance_to_faces(samples.middle[near], samples.points_of(rest[first[other] : last[other]]))
+        relative = distance / edge[near]
+        hit = relative < _ABUTTING
         # Two walls that meet at a sharp edge are close to each other at a few quads only.
-        if hit.sum() >= max(_FEWEST, 0.1 * len(within)):
+        if hit.sum() >= max(_FEWEST, 0.1 * (samples.start[own + 1] - samples.start[own])):
             (block, side), gap = divmod(int(samples.side[other]), 6), float(distance[hit].max())
             largest = samples.largest[int(samples.side[own])]
             found.append(Opening(*largest, block, Side(side), gap, float(relative[hit].max()), False))
@@ -275,26 +267,18 @@ def find_overlaps(grid: Grid, topology: Topology) -> list[Opening]:
     if outside.size == 0:
         return []
     samples = _Samples(grid, topology, outside, _SAMPLES // 2)
-    corners, middle, block = samples.corners, samples.middle, samples.side // 6
-    low, high = block_extents(grid)
+    middle, block, (low, high) = samples.middle, samples.side // 6, block_extents(grid)
     # A 2-D grid is plane only up to the precision of its file.
     slack = FLATNESS * float((high.max(axis=0) - low.min(axis=0)).max())
     own_box = np.minimum.reduceat(middle, samples.start[:-1]), np.maximum.reduceat(middle, samples.start[:-1])
     pairs, part = overlapping_boxes(own_box, (low - slack, high + slack)), grid.component_numbers
     pairs = pairs[(block[pairs[:, 0]] != pairs[:, 1]) & (part[block[pairs[:, 0]]] == part[pairs[:, 1]])]
-
-    def inside_other(sample: IntArray, other: IntArray) -> BoolArray:
-        x = middle[sample]
-        return np.asarray(((x > low[other]) & (x < high[other]) | (low[other] == high[other])).all(axis=1))
-
-    def least(counts: IntArray) -> FloatArray:
-        return np.maximum(_FEWEST, _PART * counts)
-
     surface = cache(partial(_surface, grid, topology))
     normal, found = plane_normal(grid), []
-    for own, other, within in samples.candidates(pairs, inside_other, least):
-        sample = slice(samples.start[own], samples.start[own + 1])
-        x, quads = middle[sample][within], corners[sample][within]
+    plane = low == high
+    boxes = np.where(plane, -np.inf, low), np.where(plane, np.inf, high)
+    for own, other, within, least in samples.candidates(pairs, boxes, np.zeros(len(middle)), _PART):
+        x, quads = middle[within], samples.corners[within]
         # Inside the coarse surface of the block, then inside the exact one.
         some = np.flatnonzero(_winding(surface(other, _COARSE), normal, x) > _SOME)
         if some.size == 0:
@@ -303,8 +287,8 @@ def find_overlaps(grid: Grid, topology: Topology) -> list[Opening]:
         distance = distance_to_faces(x[some], surface(other, None))
         longest = np.linalg.norm(quads[some] - np.roll(quads[some], 1, axis=1), axis=2).max(axis=1)
         deep = distance[distance > _DEEP * longest]
-        if len(deep) >= least(np.array(len(within))):
-            share = len(deep) / len(within)
+        if len(deep) >= least:
+            share = len(deep) / (samples.start[own + 1] - samples.start[own])
             largest = samples.largest[int(samples.side[own])]
             found.append(Opening(*largest, other, None, float(deep.max()), share, False))
     return found

@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from ..boundary.layer import find_layer
+from ..boundary.constraints import find_layer
 from ..errors import MethodError, suggestion
 from .base import Account, PreparedMethod, Problem, Progress, Setting
 from .composite import Composite, PreparedLayer
@@ -173,5 +173,5 @@ def make_method(options: Options) -> Composite:
 def prepare_method(options: Options, problem: Problem) -> PreparedMethod:
     """The method that ``options`` describe, bound to a grid."""
     method = make_method(options)
-    layer = find_layer(problem.grid, problem.topology, problem.boundary)
+    layer = find_layer(problem.grid, problem.topology, problem.boundary.kind, problem.boundary.known)
     return method.prepare(problem) if layer is None else PreparedLayer(method, problem, layer)

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..boundary import Boundary, Kind
-from ..boundary.layer import Layer
+from ..boundary.constraints import Layer
 from ..grid import BoolArray, FloatArray, Grid, IntArray, Side
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology, side_nodes

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..boundary import Kind
-from ..boundary.layer import Layer
+from ..boundary.constraints import Layer
 from ..grid import FloatArray, IntArray
 from ..memory import release_freed
 from ..parallel import Nodes

@@ -25,8 +25,8 @@ from meshdeform_core.methods.transfinite.tfi import TFI, Skeleton
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.exact.direct import N_VALUES, weighted_sums
 from meshdeform_core.numerics.exact.radial import radial_matrix
-from meshdeform_core.numerics.geometry.quaternions import rotate
 from meshdeform_core.numerics.rigid import WIDTHS, finish
+from meshdeform_core.numerics.rotation import rotate
 
 _LOG = 29
 _DISTANCE = 8

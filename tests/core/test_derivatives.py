@@ -14,7 +14,7 @@ from meshdeform_core.methods import IDW, RBF, Options, make_method
 from meshdeform_core.methods.limits import CHOSEN, EDGES, FOLDED, HALF_TURNS, LARGEST
 from meshdeform_core.methods.scattered import linear_idw
 from meshdeform_core.methods.scattered.summation import DERIVATIVE_TOLERANCE
-from meshdeform_core.numerics.frame import Frame
+from meshdeform_core.numerics.rigid import Frame
 from meshdeform_core.parallel import Ranks, sharing
 
 FEW = ("tfi", "rbf-tfi", "idw-rbf", "idw-quaternion", "idw-lie", "idw-tfi")

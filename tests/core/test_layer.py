@@ -6,7 +6,7 @@ from cases import ALL_METHODS, constant, formulas, turning
 from grids import polar
 
 from meshdeform_core.boundary import BoundarySpec, Kind
-from meshdeform_core.boundary.layer import find_layer
+from meshdeform_core.boundary.constraints import find_layer
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import IDW, RBF, Options, make_method
@@ -53,7 +53,7 @@ def test_planes_of_an_extrusion_stay_equal(method):
         np.testing.assert_array_equal(front[..., :2], back[..., :2])
         assert not out[:, 2].any()
     np.testing.assert_allclose(out, both, atol=1e-4)
-    layer = find_layer(setup.grid, setup.topology, setup.boundary)
+    layer = find_layer(setup.grid, setup.topology, setup.boundary.kind, setup.boundary.known)
     assert layer is not None
     assert (layer.normal == [0, 0, 1]).all()
     assert len(first_step_nodes(found._half.problem, None)) * 2 == len(first_step_nodes(setup.problem, None))
@@ -89,4 +89,4 @@ def test_other_motions_are_those_of_both_planes():
 def test_planes_that_are_no_images_and_thicker_grids_are_no_layer():
     for grid in (polar(24, 6, 2), ring().moved(ring().points * np.where(ring().points[:, 2:] > 0, [1.1, 1, 1], 1.0))):
         setup = set_up(grid, Case(in_ring(constant(0.1, 0.0, 0.0))))
-        assert find_layer(setup.grid, setup.topology, setup.boundary) is None
+        assert find_layer(setup.grid, setup.topology, setup.boundary.kind, setup.boundary.known) is None

@@ -14,8 +14,7 @@ from ...errors import MethodError
 from ...grid import BoolArray, FloatArray, IntArray
 from ...numerics import rotation as rot
 from ...numerics.arrays import lengths, places_among, weighted_total
-from ...numerics.frame import AT_REST, Frame
-from ...numerics.rigid import NO_TRANSITION, Columns, finish
+from ...numerics.rigid import AT_REST, NO_TRANSITION, Columns, Frame, finish
 from ...numerics.tape import Tape, Tracked, plain
 from ...parallel import Nodes
 from ..base import Account, Kinks, Linearised, Problem, Progress, Setting, of_stage

@@ -14,8 +14,7 @@ from ...grid import BoolArray, FloatArray, IntArray
 from ...numerics.arrays import Report, weighted_total
 from ...numerics.exact.direct import weighted_sums
 from ...numerics.fastsum.tuned import SHARE, SINGLE_TOLERANCE
-from ...numerics.frame import Frame
-from ...numerics.rigid import NO_TRANSITION, Transition
+from ...numerics.rigid import NO_TRANSITION, Frame, Transition
 from ...parallel import Nodes, for_chunks
 from .summation import largest_error, sum_accurately
 

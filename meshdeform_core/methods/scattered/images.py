@@ -16,8 +16,8 @@ import numpy as np
 from ...boundary import Kind
 from ...grid import BoolArray, FloatArray, IntArray
 from ...grid.topology import RELATIVE_TOLERANCE
+from ...numerics import rotation as rot
 from ...numerics.arrays import distinct_pairs, weighted_total
-from ...numerics.geometry import quaternions as rot
 from ...numerics.geometry.coincidence import connected_components
 from ...numerics.rigid import WIDTHS, Transition
 from ...numerics.tape import Tracked
