@@ -244,8 +244,8 @@ class PreparedPeriodic(PreparedMethod):
 
 
 class PreparedLayer(PreparedMethod):
-    """A method on a grid of one layer of cells between two planes that mirror each other, see :mod:`..boundary.layer`:
-    prepared on one of them; for motions that are no mirror images, on both."""
+    """A method on a grid of one layer of cells between two planes that mirror each other (:class:`.Layer`): prepared on
+    one of them; for motions that are no mirror images, on both."""
 
     def __init__(self, method: Composite, problem: Problem, layer: Layer):
         self._method, self._problem, self._layer = method, problem, layer
