@@ -20,7 +20,7 @@ from meshdeform_core.repair.options import Limit
 from meshdeform_core.stepping import Course, doubts
 from meshdeform_core.wording import counted
 from meshdeform_formats.grids import Layout, format_of
-from meshdeform_formats.placing import lack, least_bytes, velocity_bytes
+from meshdeform_formats.inputs import lack, least_bytes, velocity_bytes
 from meshdeform_formats.report.records import Report, head_part, plan_report
 
 from .work import place_of

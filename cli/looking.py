@@ -210,7 +210,7 @@ def convert_command(source: GridInput, target: Path, reference: Path | None, run
     """
     from meshdeform_formats.fields import check_fields, with_fields
     from meshdeform_formats.grids import FORMATS, complete_for_export, format_of, read_grid, write_grid
-    from meshdeform_formats.placing import existing
+    from meshdeform_formats.inputs import existing
 
     keeps_boundaries, options, fields = FORMATS[format_of(target)].boundaries, run.variant_options, run.fields
     check_output(target, run.force, [*source.files, ("reference", reference)])

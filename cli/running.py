@@ -212,7 +212,7 @@ def _repaired(
     from meshdeform_core.mending import mend
     from meshdeform_core.quality.fields import CellFields
     from meshdeform_formats.grids import complete_for_export, read_grid
-    from meshdeform_formats.placing import existing
+    from meshdeform_formats.inputs import existing
     from meshdeform_formats.report.records import mended_report
 
     from .work import require_room_for_invalid, variant_and_shortage, write_judged

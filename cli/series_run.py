@@ -20,8 +20,7 @@ from meshdeform_formats.case import CaseFile
 from meshdeform_formats.case.tables import parse_times
 from meshdeform_formats.fields import check_fields, with_fields
 from meshdeform_formats.grids import FORMATS, complete_for_export
-from meshdeform_formats.inputs import digest
-from meshdeform_formats.placing import lack
+from meshdeform_formats.inputs import digest, lack
 from meshdeform_formats.report.records import Report, level_record, series_head, series_report
 from meshdeform_formats.series.manifest import NAME, Manifest, ingredients_of
 from meshdeform_formats.series.outputs import FoamFiles, LevelFiles, SeriesFiles

@@ -30,8 +30,7 @@ from meshdeform_formats.case import CaseFile
 from meshdeform_formats.fields import with_fields
 from meshdeform_formats.files import invalid_path
 from meshdeform_formats.grids import FORMATS, complete_for_export, require_earlier_grid, variant_of, write_grid
-from meshdeform_formats.inputs import digest, existing_outputs
-from meshdeform_formats.placing import existing, lack, least_bytes
+from meshdeform_formats.inputs import digest, existing, existing_outputs, lack, least_bytes
 from meshdeform_formats.report.records import Report, deformation_report, with_other
 from meshdeform_formats.report.tables import Figure, Illustrate
 from meshdeform_formats.report.write import as_json, as_text, run_part, write_report

@@ -49,36 +49,25 @@ class Format:
 
 FORMATS: dict[str, Format] = {
     "plot3d": Format(
-        "plot3d",
-        (".xyz", ".x", ".g", ".p3d", ".p2d", ".fmt", ".p2dfmt", ".p3dfmt", ".p3dbin", ".p2dbin", ".grd", ".bin"),
-        "Plot3D, all variants",
-        together=True,
-        boundaries=False,
+        "plot3d", (".xyz", ".x", ".g", ".p3d", ".p2d", ".fmt", ".p2dfmt", ".p3dfmt", ".p3dbin", ".p2dbin", ".grd",
+                   ".bin"), "Plot3D, all variants", together=True, boundaries=False,
     ),
     "cgns": Format("cgns", (".cgns", ".hdf", ".hdf5", ".adf"), "CGNS, HDF5 and ADF (ADF read-only)", together=True),
     "vtk": Format("vtk", (".vtk", ".vts", ".vtm"), "VTK legacy, .vts, .vtm structured grids", True, boundaries=False),
     "openfoam": Format("openfoam.format", (".foam",), "OpenFOAM: blockMeshDict (read), polyMesh (written)"),
     "meshio": Format("unstructured", (".vtu", ".su2", ".msh", ".inp", ".med"), "unstructured, write-only"),
-}
+}  # fmt: skip
 
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 # First bytes of files in other formats, which are refused by name instead of being tried as Plot3D.
 _FOREIGN: tuple[tuple[bytes, str], ...] = (
-    (b"$MeshFormat", "a Gmsh mesh (unstructured)"),
-    (b"NDIME", "an SU2 mesh (unstructured)"),
-    (b"#!TDV", "a Tecplot binary file"),
-    (b"CDF\x01", "a netCDF file"),
-    (b"CDF\x02", "a netCDF file"),
-    (b"solid ", "an STL surface"),
-    (b"ISO-10303", "a STEP geometry"),
-    (b"\x1f\x8b", "a gzip archive; unpack it first"),
-    (b"BZh", "a bzip2 archive; unpack it first"),
-    (b"PK\x03\x04", "a zip or npz archive; unpack it first"),
-    (b"\x93NUMPY", "a numpy array"),
-    (b"\x89PNG", "a PNG picture"),
-    (b"%PDF", "a PDF document"),
-)
+    (b"$MeshFormat", "a Gmsh mesh (unstructured)"), (b"NDIME", "an SU2 mesh (unstructured)"),
+    (b"#!TDV", "a Tecplot binary file"), (b"CDF\x01", "a netCDF file"), (b"CDF\x02", "a netCDF file"),
+    (b"solid ", "an STL surface"), (b"ISO-10303", "a STEP geometry"), (b"\x93NUMPY", "a numpy array"),
+    (b"\x89PNG", "a PNG picture"), (b"%PDF", "a PDF document"), (b"\x1f\x8b", "a gzip archive; unpack it first"),
+    (b"BZh", "a bzip2 archive; unpack it first"), (b"PK\x03\x04", "a zip or npz archive; unpack it first"),
+)  # fmt: skip
 
 
 def read_grid(path: str | Path, options: Mapping[str, Any] | None = None) -> Grid:

@@ -166,16 +166,9 @@ def checked_surface(table: DisplacementTable, path: Path) -> SurfaceData:
 
 
 def fans(connectivity: NDArray[Any], first: NDArray[Any], corners: NDArray[Any], strip: bool = False) -> IntArray:
-    """Split polygons into triangle fans about their first corner, or triangle strips into triangles.
+    """Node numbers (t, 3) of triangles about the first corner of each polygon, or along strips of triangles.
 
-    Parameters
-    ----------
-    connectivity : node numbers of all cells, one after the other
-    first, corners : (m,) index at which each cell begins, and its number of corners
-
-    Returns
-    -------
-    (t, 3) node numbers; none for cells with fewer than three corners
+    ``connectivity`` has the nodes of all cells; each begins at ``first`` (m,) and has ``corners`` (m,).
     """
     count = np.maximum(corners - 2, 0)
     start = np.repeat(first, count)

@@ -28,9 +28,9 @@ from meshdeform_core.velocity import FLUX, SWEPT
 from ..fields import WITH_FIELDS
 from ..files import invalid_path, remove_partial, replacing
 from ..grids import FORMATS, format_of, read_grid, variant_of, write_grid
+from ..inputs import bytes_at, least_bytes, velocity_bytes
 from ..openfoam.case import POLY_MESH, mesh_files, replaced_mesh
 from ..openfoam.format import MeshWriter
-from ..placing import bytes_at, least_bytes, velocity_bytes
 from ..plot3d.variant import Variant
 
 VELOCITY = "GridVelocity"

@@ -19,7 +19,7 @@ from meshdeform_core import deform, mending, series
 from meshdeform_core.grid import Field, Grid
 from meshdeform_formats import write_grid
 from meshdeform_formats.grids import variant_of
-from meshdeform_formats.placing import bytes_at, least_bytes
+from meshdeform_formats.inputs import bytes_at, least_bytes
 
 
 @pytest.fixture
