@@ -18,8 +18,7 @@ from meshdeform_core.methods.scattered.summation import doubtful
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.exact.direct import sum_groups
 from meshdeform_core.numerics.exact.radial import radial_sums
-from meshdeform_core.numerics.fastsum.clusters import build_tree
-from meshdeform_core.numerics.fastsum.plan import Charges, sum_single
+from meshdeform_core.numerics.fastsum.plan import sum_single
 from meshdeform_core.numerics.fastsum.radial import FastRadial, make_radial_targets
 from meshdeform_core.numerics.fastsum.targets import node_sizes, shape_table
 
@@ -193,24 +192,6 @@ def test_compact_sums_reach_every_target_of_a_region():
     out = radial_sums_at(FastRadial(kind, sources), coefficients, targets, 1e-6)
     np.testing.assert_allclose(out, radial_sums(kind, points, sources, coefficients), atol=1e-6)
     assert out.max() > 0.01
-
-
-def test_sources_that_act_through_clusters_only_are_left_out():
-    rng = np.random.default_rng(3)
-    tree = build_tree(rng.random((1000, 3)), 4)
-    n, leaves = 1000, np.flatnonzero(tree.child < 0)
-    rows, start = rng.random((n + 7, 8)), np.minimum(n + np.arange(len(tree.child) + 1), n + 7)
-    direct = np.zeros(len(tree.child), dtype=bool)
-    direct[leaves[[1, 4, 5]]] = True
-    found = Charges(rows[:, :3], rows, start, tree.span, True).of_sources(tree, direct)
-    assert np.array_equal(found.points, found.values[:, :3])
-    assert len(found.values) == 7 + np.diff(tree.span[direct], axis=1).sum()
-    for cluster in np.flatnonzero(direct):
-        assert np.array_equal(found.values[slice(*found.span[cluster])], rows[slice(*tree.span[cluster])])
-    for cluster in range(len(tree.child)):
-        assert np.array_equal(
-            found.values[slice(*found.start[cluster : cluster + 2])], rows[slice(*start[cluster : cluster + 2])]
-        )
 
 
 def _sums(targets, sources, charges, a, kappa, every=True, single=True):

@@ -46,52 +46,36 @@ class Charges(NamedTuple):
     Attributes
     ----------
     points, values : (n + k, 3), (n + k, 8) of the sources in tree order, then of the interpolation points
-    start : (m + 1,) first row of the interpolation points of each cluster
-    span : (m, 2) first row of the sources of each cluster, and one past the last
+    rows : (2 m, 2) for each entry of a list (:mod:`.walk`), the first row, and one past the last, of what acts
     all : whether the first or the last charge can be nonzero; the first, the strength, is omitted once the weights are
         known, and the last is needed by few kinds of rotation only
     """
 
     points: np.ndarray
     values: np.ndarray
-    start: np.ndarray
-    span: np.ndarray
+    rows: np.ndarray
     all: bool
 
     @classmethod
-    def none(cls, tree: SourceTree) -> Charges:
+    def none(cls) -> Charges:
         """Those of a group that does not act."""
-        return cls(np.empty((0, 3)), np.empty((0, CHARGES)), np.zeros(len(tree.child) + 1, np.int64), tree.span, False)
-
-    def of_sources(self, tree: SourceTree, direct: BoolArray) -> Charges:
-        """The same without the sources of clusters that are not ``direct`` (m,): where only interpolation points act.
-
-        A rank that holds a part of the grid needs few sources by themselves.
-        """
-        n, ends = len(tree.order), np.zeros(len(tree.order) + 1, dtype=np.int32)
-        np.add.at(ends, tree.span[direct, 0], 1)
-        np.subtract.at(ends, tree.span[direct, 1], 1)
-        kept = np.cumsum(ends[:n]) > 0
-        place = np.append(0, np.cumsum(kept))
-        if 2 * place[n] > n:
-            return self
-        points, values = (np.concatenate([each[:n][kept], each[n:]]) for each in (self.points, self.values))
-        return Charges(points, values, self.start - (n - place[n]), place[tree.span], self.all)
+        return cls(np.empty((0, 3)), np.empty((0, CHARGES)), np.empty((0, 2), np.int64), False)
 
 
-def charge_points(tree: SourceTree, start: IntArray) -> FloatArray:
-    """``points`` of :class:`Charges`; after the sources, the interpolation points of cluster c: rows ``start[c]`` to
-    ``start[c + 1]``."""
-    return np.concatenate([tree.points, place_points(tree.boxes, start)])
+def charge_points(tree: SourceTree, start: IntArray) -> tuple[FloatArray, IntArray]:
+    """``points`` and ``rows`` of :class:`Charges`; after the sources, the interpolation points of cluster c: rows
+    ``start[c]`` to ``start[c + 1]`` of those of all."""
+    rows = np.stack([len(tree.order) + spans(start), tree.span], axis=1).reshape(-1, 2)
+    return np.concatenate([tree.points, place_points(tree.boxes, start)]), rows
 
 
 def gather(tree: SourceTree, start: IntArray, values: FloatArray) -> Charges:
     """:class:`Charges` from ``values`` (n + k, 8) with those of the sources; each cluster's are shared out among its
     interpolation points, rows ``start[c]`` to ``start[c + 1]`` of those of all."""
-    n, points = len(tree.order), charge_points(tree, start)
+    n, (points, rows) = len(tree.order), charge_points(tree, start)
     charged = np.append(0, np.cumsum(values[:n].any(axis=1)))
     active = (charged[tree.span[:, 1]] > charged[tree.span[:, 0]]) & (np.diff(start) > 0)
-    tasks = np.column_stack([np.arange(len(tree.child)), n + start[:-1], tree.span])[active]
+    tasks = np.column_stack([np.arange(len(tree.child)), rows[::2, 0], tree.span])[active]
     # Portions of about equal cost; clusters near the root cost most.
     work = np.append(0, np.cumsum(np.diff(tree.span, axis=1)[active, 0] * np.diff(start)[active]))
     cut = np.unique(np.searchsorted(work, np.linspace(0, work[-1], _PORTIONS + 1)))
@@ -100,7 +84,7 @@ def gather(tree: SourceTree, start: IntArray, values: FloatArray) -> Charges:
         interpolate(tree.boxes, tasks[cut[lo] : cut[hi]], points, values, 0, CHARGES, True)
 
     for_chunks(share_out, len(cut) - 1, 1)
-    return Charges(points, values, n + start, tree.span, bool(values[:n, [0, -1]].any()))
+    return Charges(points, values, rows, bool(values[:n, [0, -1]].any()))
 
 
 @fast_kernel("f8[:, ::1], i8[:, ::1], f8[:, ::1], f8[:, ::1], i8[:, ::1], i8[:, ::1], f8, f8, b1, f8[:, ::1]")
@@ -146,13 +130,8 @@ class Places(NamedTuple):
         Returns which lists (items,) hold any cluster.
         """
         codes, ends = lists
-        number, raw = codes >> 1, codes & 1 == 1
-        active = acting[number]
-        number, raw = number[active], raw[active]
-        # Rows of each list entry: those of a cluster's interpolation points, or of its sources.
-        rows = np.where(raw, charges.span[number].T, np.stack([charges.start[number], charges.start[number + 1]])).T
-        stop = np.append(0, np.cumsum(active))[np.append(0, ends)]
-        rows = np.ascontiguousarray(rows)
+        active = acting[codes >> 1]
+        stop, rows = np.append(0, np.cumsum(active))[np.append(0, ends)], charges.rows[codes[active]]
         groups = self.points, self.span, charges.points, charges.values, rows, spans(stop)
         if function.single:
             sum_single(*groups, function.a, function.kappa, charges.all, out)
@@ -204,8 +183,7 @@ class Plan:
     weight : (n, 1 + lasting) of every target in the order of the bricks, and its sums of values that never change,
         known once ``weighed``; ``None`` without room
     checked : total weight (m,) by exact sums at the nodes where fast ones are compared with them, once known
-    used, direct : for each tree, whether the interpolation points of a cluster (m,) act anywhere, and whether its
-        sources do by themselves; beside few targets a part of them
+    used : for each tree, whether the interpolation points of a cluster (m,) act anywhere; beside few targets, few do
     """
 
     def __init__(
@@ -222,7 +200,7 @@ class Plan:
         size = 8 * rows * (1 + self.lasting)
         self.weight = np.empty((rows, 1 + self.lasting)) if lasting is not None and size <= room else None
         self.weighed, self.checked = False, np.empty(0)
-        self.used, self.direct = ([np.zeros(len(tree.child), dtype=bool) for tree in self._trees] for _ in range(2))
+        self.used = [np.zeros(len(tree.child), dtype=bool) for tree in self._trees]
         self._room, self._kept = room if lasting is None else room - size, dict[int, list[Lists]]()
 
         def work(first: int, last: int) -> None:
@@ -245,9 +223,8 @@ class Plan:
             list_clusters(first, last, targets, tree, reach, kind, self._allowed, self._mean, self.risk)
             for tree, reach, kind in zip(self._trees, self._reaches, self.kinds, strict=True)
         ]
-        for used, direct, (codes, _) in zip(self.used, self.direct, found, strict=True):
-            for acting, raw in ((used, 0), (direct, 1)):
-                acting[codes[codes & 1 == raw] >> 1] = True
+        for used, (codes, _) in zip(self.used, found, strict=True):
+            used[codes[codes & 1 == 0] >> 1] = True
         return found
 
     def sums(self, first: int, last: int, passes: Sequence[Sequence[Charges]], weighing: bool) -> list[FloatArray]:

@@ -182,11 +182,12 @@ class FastSums:
         within a portion one call after the other. Charges of groups without moving sources are skipped.
         """
         plan = self._plan
+        none = Charges.none()
         points = [
-            charge_points(tree, tree.boxes.proxy) if moving.any() else np.empty((0, 3))
+            charge_points(tree, tree.boxes.proxy) if moving.any() else (none.points, none.rows)
             for (_, tree), moving in zip(self._groups, plan.moving, strict=True)
         ]
-        ends = np.append(0, np.cumsum([len(each) for each in points]))
+        ends = np.append(0, np.cumsum([len(x) for x, _ in points]))
         passes, portions, targets = -(-k // N_VALUES), self.portions, self.targets
         # Lists are stored for chunks that begin at multiples of the chunk size.
         cut = np.linspace(0, -(-targets.n_regions // self._chunk), portions + 1).astype(np.int64)
@@ -204,7 +205,7 @@ class FastSums:
         found = np.zeros((k, len(self.strength)))
         for number in range(passes):
             some = slice(number * N_VALUES, min(k, (number + 1) * N_VALUES))
-            for (group, tree), x, lo, hi in zip(self._groups, points, ends[:-1], ends[1:], strict=True):
+            for (group, tree), (x, _), lo, hi in zip(self._groups, points, ends[:-1], ends[1:], strict=True):
                 if lo < hi:
                     total = np.asarray(sum(totals[portion, number, lo:hi] for portion in range(portions)))
                     _to_sources(tree, x, total)
@@ -214,8 +215,8 @@ class FastSums:
         return np.where(plan.acting, found, 0.0)
 
     def _spread_gradients(
-        self, plan: Plan, first: int, last: int, gradient: FloatArray, points: list[FloatArray], total: FloatArray,
-        ends: IntArray,
+        self, plan: Plan, first: int, last: int, gradient: FloatArray, points: list[tuple[FloatArray, IntArray]],
+        total: FloatArray, ends: IntArray,
     ) -> None:  # fmt: skip
         """Add the contributions of some regions with gradients (m, k) to ``total`` (passes, points, 8)."""
         targets, lists = self.targets, plan.lists_of(first, last)
@@ -236,19 +237,16 @@ class FastSums:
                 interpolate(boxes, tasks, places.points, here, *columns, True)
             # The transpose of Places.add: from the places of each list, some of which have no points, to the sources
             # and interpolation points of its clusters.
-            for (_, tree), x, (codes, stop), kind, moving, lo, hi in zip(
-                self._groups, points, lists, plan.kinds, plan.moving, ends[:-1], ends[1:], strict=True
+            for (x, rows), (codes, stop), kind, moving, lo, hi in zip(
+                points, lists, plan.kinds, plan.moving, ends[:-1], ends[1:], strict=True
             ):
                 active = moving[codes >> 1]
                 codes, item = codes[active], np.repeat(np.arange(len(stop)), np.diff(stop, prepend=0))
                 order = np.argsort(codes, kind="stable")
                 found, start = np.unique(codes[order], return_index=True)
                 if len(found):
-                    first_row = len(tree.order) + tree.boxes.proxy
-                    cluster, raw = found >> 1, (found & 1 == 1)[:, None]
-                    rows = np.where(raw, tree.span[cluster], spans(first_row)[cluster])
                     pieces = places.span[item[active][order]]
-                    sum_groups(x, rows, places.points, here, pieces, spans(np.append(start, len(order))),
+                    sum_groups(x, rows[found], places.points, here, pieces, spans(np.append(start, len(order))),
                                kind.a, kind.b, kind.kappa, every, total[number, lo:hi])  # fmt: skip
 
     def _charges(
@@ -257,9 +255,9 @@ class FastSums:
         """Charges of one pass, per group: of the values ``which``; ``weighing`` includes the strength itself, whose sum
         is the weight."""
         charges = []
-        for (group, tree), used, direct, moving in zip(self._groups, plan.used, plan.direct, plan.moving, strict=True):
+        for (group, tree), used, moving in zip(self._groups, plan.used, plan.moving, strict=True):
             if not (weighing or moving.any()):
-                charges.append(Charges.none(tree))
+                charges.append(Charges.none())
                 continue
             members = group[tree.order]
             start = np.append(0, np.cumsum(np.where(used, np.diff(tree.boxes.proxy), 0)))
@@ -271,7 +269,7 @@ class FastSums:
                     source[:, 0] = self.strength[some]
                 parts = self.strength[some] * scaled(which, some)
                 source[:, 1 : 1 + len(parts)] = parts.T
-            charges.append(gather(tree, start, values).of_sources(tree, direct))
+            charges.append(gather(tree, start, values))
         return charges
 
 
