@@ -11,8 +11,8 @@ import pytest
 
 from meshdeform_core.errors import CaseError
 from meshdeform_core.numerics import jit, processor
-from meshdeform_core.numerics.exact import radial
-from meshdeform_core.numerics.fastsum import passes
+from meshdeform_core.numerics.exact.radial import radial_block
+from meshdeform_core.numerics.fastsum.radial import sum_regions
 
 LOOPS = """
 from typing import NamedTuple
@@ -120,7 +120,7 @@ def test_what_calls_a_loop_that_is_waited_for_is_not_compiled_meanwhile(monkeypa
 
 
 def test_loops_that_call_others_are_told():
-    outer, inner = f"{passes.__name__}.sum_regions:0", f"{radial.__name__}.radial_block:0"
+    outer, inner = (f"{loop.py_func.__module__}.{loop.__name__}:0" for loop in (sum_regions, radial_block))
     assert jit.loop_calls(outer, inner)
     assert not jit.loop_calls(inner, outer)
 

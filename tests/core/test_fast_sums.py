@@ -159,8 +159,7 @@ def radial_sums_at(fast, coefficients, targets, tolerance):
     def use(flat, sums):
         out[flat] = sums
 
-    fast.prepare(coefficients, targets, tolerance)
-    fast.apply(use)
+    fast.apply(coefficients, targets, tolerance, use)
     return out
 
 
@@ -176,7 +175,7 @@ def test_radial_sums_are_exact_to_the_tolerance_of_local_cells(basis, tolerance)
     out = radial_sums_at(fast, coefficients, targets, tolerance)
     error = np.linalg.norm(out - radial_sums(kind, points, centres, coefficients), axis=1)
     assert (error[targets.samples] / targets.sizes).max() <= tolerance
-    # The same again, with what was found out.
+    # The same again, whatever was found out.
     share = fast.share
     np.testing.assert_array_equal(out, radial_sums_at(fast, coefficients, targets, tolerance))
     assert fast.share == share

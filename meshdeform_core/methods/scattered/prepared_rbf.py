@@ -364,12 +364,7 @@ class PreparedRBF:
                 rows[flat] = found + self.centres.drift(targets.points[flat], fit.polynomial)
 
             def once(excess: float) -> float:
-                if excess:
-                    sums.refine(excess)
-                else:
-                    sums.restart()
-                sums.prepare(fit.coefficients, targets, tolerance)
-                risk = sums.apply(use, progress=report)
+                risk = sums.apply(fit.coefficients, targets, tolerance, use, excess, report)
                 return largest_error(self.problem.grid, targets, risk, rows, partial(self._displacement, fit))
 
             sum_accurately("rbf", once, tolerance, self.account)
