@@ -12,7 +12,6 @@ from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, deform, set_up
 from meshdeform_core.errors import GridError
 from meshdeform_core.mending import mend
-from meshdeform_core.methods import Options
 from meshdeform_core.quality.validity import judge
 from meshdeform_core.repair import RepairOptions
 
@@ -146,13 +145,6 @@ def test_moving_nodes_comes_first_where_few_cells_are_bad_and_then_the_reference
     assert again.renewal is not None
     assert "moving nodes left" in again.renewal.reason
     np.testing.assert_allclose(again.grid.points, deform(grid, hurried, steps=1).grid.points, atol=1e-9)
-
-
-def test_the_method_is_that_of_the_case():
-    grid = o_grid(81, 41)
-    mended = mend(moved_by_a_script(grid, 3.0), grid, Case((), method=Options("rbf")))
-    assert mended.assessment.valid
-    assert mended.renewal.method == "rbf"
 
 
 def test_nothing_is_made_again_where_the_boundary_has_not_moved():

@@ -1,15 +1,12 @@
 """Volumes swept by cell faces: exact for the trilinear cells, and what a solver on the moving grid needs of them."""
 
 from fractions import Fraction
-from functools import cache
 
 import numpy as np
 import pytest
-from cases import body_specs, turning
 from grids import frame, frame_2d, permuted, polar
 
 import meshdeform as md
-from meshdeform_core.deform import Case, deform
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.planes import block_handedness, plane_normal
 from meshdeform_core.quality.cells import measure_block
@@ -112,59 +109,6 @@ def test_fields_at_the_first_levels():
     fields = {(f.name, f.location, f.block): f.values for f in face_fields(grid, (0.0, 0.5), points)}
     np.testing.assert_array_equal(fields["VolumeFlux", "jface", 0], fields["SweptVolume", "jface", 0] / 0.5)
     np.testing.assert_allclose(grid_velocity((0.0, 0.5), points, "swept"), (points[1] - points[0]) / 0.5)
-
-
-def area_vectors(x: np.ndarray) -> list[np.ndarray]:
-    """Vectors of the bilinear faces across each index axis of a block, towards the larger index if right-handed."""
-    found = []
-    for axis in range(3):
-        u, v = (axis + 1) % 3, (axis + 2) % 3
-        size = np.array(x.shape[:3])
-
-        def corner(a, b, u=u, v=v, size=size):
-            window = [slice(None)] * 3
-            window[u], window[v] = slice(a, size[u] - 1 + a), slice(b, size[v] - 1 + b)
-            return x[tuple(window)]
-
-        found.append(0.5 * np.cross(corner(1, 1) - corner(0, 0), corner(0, 1) - corner(1, 0)))
-    return found
-
-
-@cache
-def turned_to_and_fro(steps: int) -> list[np.ndarray]:
-    """Coordinates of a bar that turns so far that levels are repaired."""
-    grid, case = frame(), Case(tuple(body_specs(turning("60*sin(t)"))))
-    results = [deform(grid, case, time=2 * np.pi * n / steps) for n in range(1, steps + 1)]
-    assert all(result.valid for result in results)
-    assert sum(result.repair is not None for result in results) >= 2
-    return [grid.points, *(result.grid.points for result in results)]
-
-
-@pytest.mark.parametrize("order", [pytest.param(1, marks=pytest.mark.slow), 2])
-def test_free_stream_stays_uniform_through_a_cycle_with_repairs(order):
-    """A finite volume loop for d/dt (V r) + sum of (c . A - w) r = 0, implicit in time, round a bar that turns."""
-    grid, stream, steps, h = frame(), np.array([0.7, -0.4, 0.2]), 12, 0.1
-    sign = block_handedness(grid)
-    every = turned_to_and_fro(steps)
-    old = [np.ones(shape) for shape in grid.cell_shapes]
-    density = [old, old]
-    for n in range(1, steps + 1):
-        points = every[max(n - 2, 0) : n + 1]
-        past = len(points) - 1 if order == 2 else 1
-        swept = [swept_volumes(grid, points[-1 - p], points[-p]) for p in range(past, 0, -1)]
-        sizes = [volumes(grid, x) for x in points[-1 - past :]]
-        flux = volume_flux([h * p for p in range(past + 1)], swept)
-        rates = [1.0 / h, -1.0 / h] if past == 1 else [1.5 / h, -2.0 / h, 0.5 / h]
-        new = []
-        for b in range(grid.n_blocks):
-            through = [a @ stream * sign[b] for a in area_vectors(grid.block(b, points[-1]))]
-            # Upwind values of a uniform density are that density: what is tested is the geometry.
-            gain = sum(np.diff(w - c, axis=axis) for axis, (w, c) in enumerate(zip(flux[b], through, strict=True)))
-            known = sum(rate * sizes[past - p][b] * density[-p][b] for p, rate in enumerate(rates) if p)
-            new.append((gain * density[-1][b] - known) / (rates[0] * sizes[past][b]))
-        density = [density[-1], new]
-        assert max(np.abs(values - 1.0).max() for values in new) < 1e-11
-    np.testing.assert_allclose(points[-1], grid.points, atol=1e-9)
 
 
 def test_step_gives_the_volumes_since_another_step():
