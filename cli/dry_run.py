@@ -17,7 +17,7 @@ from meshdeform_core.methods.limits import patch_motions
 from meshdeform_core.parallel import current_ranks
 from meshdeform_core.quality.listed import find_pinned
 from meshdeform_core.repair.options import Limit
-from meshdeform_core.stepping import Course, doubts
+from meshdeform_core.stepping import Course, doubts, warnings_ahead
 from meshdeform_core.wording import counted
 from meshdeform_formats.grids import Layout, format_of
 from meshdeform_formats.inputs import lack, least_bytes, velocity_bytes
@@ -84,19 +84,15 @@ def plan(
     largest, time = max((largest_displacement(setup.displacement(t)), t) for t in times)
     motion, alone = setup.displacement(time), len(times) == 1
     report = plan_report(setup, prepared.account, largest, patch_motions(setup.problem, motion) if alone else ())
-    # The warnings that a run gives before its first step. Adaptive steps are halved until they succeed, so none is too
-    # large.
+    # The warnings that a run gives before its first step.
     course = Course(setup, setup.motion(time), outputs.precision, Timing(), None, Limit())
-    first, sources = (
-        setup.displacement(time, 1 / steps if isinstance(steps, int) else 0.0),
-        setup.problem.source_numbers,
-    )
-    told = [*doubts(course, not alone), *prepared.warnings_for(motion[sources], first[sources])]
+    told = [*doubts(course, not alone), *warnings_ahead(course, prepared, steps)]
     found, impossible = forecast(setup, time, steps, outputs.precision)
     where = "" if alone else f"at t = {time:g}, where the displacement is largest: "
     report["warnings"] += [*(where + text for text in (*told, *found)), *filter(None, [missing])]
     if setup.grid.n_nodes > TRIAL_NODES:
-        report["expected"] = outputs.expense(setup.grid, dataclasses.replace(demand, sources=len(sources)), limit)
+        demand = dataclasses.replace(demand, sources=len(setup.problem.source_numbers))
+        report["expected"] = outputs.expense(setup.grid, demand, limit)
     return report, impossible
 
 

@@ -25,6 +25,7 @@ from .stepping import (
     beginning,
     doubts,
     in_equal_steps,
+    prepared_on,
     until_valid,
     warnings_ahead,
 )
@@ -109,8 +110,7 @@ def impose(
         if not of.setup.boundary.count(Kind.MOVING):
             # A component in which nothing moves.
             return _result(dataclasses.replace(state, fraction=1.0, steps=1), one_of_many)
-        # Steps that are halved until they succeed are never too large.
-        of.warnings.extend(warnings_ahead(state, 1 / steps if isinstance(steps, int) else 0.0))
+        of.warnings.extend(warnings_ahead(of, prepared_on(state), steps))
         if isinstance(steps, int):
             return _result(in_equal_steps(state, steps), one_of_many)
         return _result((until_valid if of.repairing else adaptively)(state), one_of_many)

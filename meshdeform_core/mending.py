@@ -64,9 +64,6 @@ class Mended:
     warnings: tuple[str, ...]
     renewal: Renewal | None = None
 
-    def __repr__(self) -> str:
-        return f"Mended(valid={self.assessment.valid})"
-
 
 def _undeformed(grid: Grid, original: Grid, case: Case) -> tuple[Grid, Topology]:
     """The original of a grid with the components and plates of the case, and its topology."""

@@ -130,11 +130,6 @@ class Component:
     numbers: IntArray
     undeformed: Undeformed
 
-    @property
-    def moves(self) -> bool:
-        """Whether any of its boundaries is moving; otherwise it remains at rest."""
-        return bool(self.undeformed.boundary.count(Kind.MOVING))
-
     def rows(self, whole: Grid, values: FloatArray) -> FloatArray:
         """The component's rows of ``values`` (n_nodes, 3) of the whole grid, in parts if it is."""
         return _copied(self.undeformed.grid, lambda block: whole.in_planes(int(self.blocks[block]), values))
@@ -267,7 +262,8 @@ class PreparedComponents(PreparedMethod):
     def __init__(self, whole: Overset, options: Options):
         self._grid, self._sources = whole.grid, whole.source_numbers
         self.components = whole.components
-        self.methods = [each.undeformed.prepare(options) if each.moves else None for each in self.components]
+        alone = [each.undeformed for each in self.components]
+        self.methods = [each.prepare(options) if each.boundary.count(Kind.MOVING) else None for each in alone]
 
     @property
     def account(self) -> Account:

@@ -14,8 +14,7 @@ from .deform import Result, Setup, Timing, impose
 from .errors import CaseError
 from .grid import Field, FloatArray
 from .methods import PreparedMethod, Progress
-from .smoothness import Moment, Smoothness, shortest_edges, smoothness
-from .velocity import PAST, VELOCITIES, face_fields, grid_velocity
+from .velocity import PAST, VELOCITIES, Moment, Smoothness, face_fields, grid_velocity, shortest_edges, smoothness
 
 REVISION = 21
 """Revision of the algorithms: a series is continued only by a program of the same revision.

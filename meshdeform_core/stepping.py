@@ -232,12 +232,12 @@ def prepared_on(state: State) -> PreparedMethod:
     return found
 
 
-def warnings_ahead(state: State, first: float) -> list[str]:
-    """The method's warnings for the motion, whose first step is the fraction ``first`` of it; ``state`` is the
-    beginning."""
-    sources = state.course.setup.problem.source_numbers
-    motion, step = (state.course.prescribed(part)[sources] for part in (1.0, first))
-    return prepared_on(state).warnings_for(motion, step)
+def warnings_ahead(course: Course, prepared: PreparedMethod, steps: int | str | None) -> list[str]:
+    """The method's warnings for the motion before its first step; adaptive ``steps``, which are halved until they
+    succeed, are never too large."""
+    first = course.prescribed(1 / steps if isinstance(steps, int) else 0.0)
+    sources = course.setup.problem.source_numbers
+    return prepared.warnings_for(course.total[sources], first[sources])
 
 
 def step(state: State, fraction: float, effort: Effort = "quick") -> State:

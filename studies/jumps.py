@@ -23,7 +23,7 @@ from meshdeform_core.boundary.motions.motion import Displace, Motion, Rotate
 from meshdeform_core.deform import Case, Setup, Timing, impose, set_up
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.series import Level, Schedule, deform_series
-from meshdeform_core.smoothness import shortest_edges
+from meshdeform_core.velocity import shortest_edges
 from meshdeform_formats.grids import read_grid
 from meshdeform_samples import load
 

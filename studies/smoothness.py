@@ -30,7 +30,7 @@ from meshdeform_core.repair import energy
 from meshdeform_core.repair.outcome import unhealthy_cells
 from meshdeform_core.repair.tuned import HEALTHY
 from meshdeform_core.series import Level, Schedule, deform_series
-from meshdeform_core.smoothness import shortest_edges
+from meshdeform_core.velocity import shortest_edges
 from meshdeform_formats.case import read_case
 from meshdeform_formats.grids import read_grid
 from meshdeform_samples import load

@@ -19,7 +19,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Grid, IntArray
 from meshdeform_core.grid.topology import RELATIVE_TOLERANCE, find_topology, separated
 from meshdeform_core.parallel import empty
-from meshdeform_core.smoothness import shortest_edges
+from meshdeform_core.velocity import shortest_edges
 from meshdeform_core.wording import vector
 
 from ..files import LARGEST, reason_of, require_regular

@@ -1,16 +1,4 @@
-"""Deformation methods: what a user chooses by name.
-
-==========  ==========================  =====================
-name        interfaces moved by         interiors filled by
-==========  ==========================  =====================
-tfi-tfi     TFI on the edge graph       TFI
-rbf-rbf     RBF                         RBF (one step)
-idw-idw     IDW                         IDW (one step)
-rbf-tfi     RBF                         TFI in sub-blocks
-idw-rbf     IDW                         RBF per block
-idw-tfi     IDW                         TFI in sub-blocks
-==========  ==========================  =====================
-"""
+"""Deformation methods: what a user chooses by name, two steps for block interfaces and for block interiors each."""
 
 from __future__ import annotations
 
@@ -146,19 +134,9 @@ CATALOGUE: dict[str, MethodEntry] = {
 """All methods by their full names."""
 
 
-REFUSED = {
-    "tfi-idw": "TFI cannot rotate interfaces, and IDW inside every block costs as much as IDW everywhere; use idw-idw",
-    "tfi-rbf": "TFI kinks the interfaces, and no second step can correct that; use idw-rbf",
-    "rbf-idw": "it combines the costs of both (Sen et al. section 6); use rbf-tfi or idw-rbf",
-}
-"""Combinations that make no sense, and what to use instead."""
-
-
 def entry_of(name: str) -> MethodEntry:
     """The catalogue row of a method name or its short form; an unknown one is an error that lists the known ones."""
     full = ALIASES.get(name, name)
-    if full in REFUSED:
-        raise MethodError(f"method {name!r} is not offered: {REFUSED[full]}")
     if full not in CATALOGUE:
         known = [*ALIASES, *CATALOGUE]
         raise MethodError(f"method {name!r} is unknown; known are {', '.join(known)}{suggestion(name, known)}")

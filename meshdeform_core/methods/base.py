@@ -98,7 +98,8 @@ class Problem:
     @cached_property
     def surface(self) -> Surface:
         """Faces between the sources."""
-        area = nodal_area(self.source_points, self.source_faces)
+        every = self._between_sources(self.boundary.quad_kind >= Kind.FIXED)
+        area = nodal_area(self.source_points, every[(every >= 0).all(axis=1)])
         quads = self._between_sources(self.boundary.quad_kind == Kind.MOVING)
         if quads.shape[1] == 2:
             return Surface(area, quads, np.empty((0, 2), dtype=np.int64))
@@ -107,13 +108,8 @@ class Problem:
         pairs = np.concatenate([corners[:, :2], corners[:, ::2]])
         return Surface(area, corners, distinct_pairs(pairs[pairs[:, 0] != pairs[:, 1]]))
 
-    @property
-    def source_faces(self) -> IntArray:
-        """Corners (m, 4), in 2-D (m, 2), of all faces between sources; indices refer to sources."""
-        every = self._between_sources(self.boundary.quad_kind >= Kind.FIXED)
-        return np.asarray(every[(every >= 0).all(axis=1)])
-
     def _between_sources(self, chosen: BoolArray) -> IntArray:
+        """Corners (m, 4), in 2-D (m, 2), of the ``chosen`` faces; indices refer to sources, -1 to other nodes."""
         count = self.topology.n_unique
         local = places_among(self.source_numbers, count).astype(integers(count))
         return np.asarray(local[self.topology.quads.corners[chosen]])

@@ -144,22 +144,18 @@ def thread_count() -> int:
 def for_chunks(work: Work, size: int, chunk: int, progress: Counter | None = None, threads: int | None = None) -> None:
     """Call ``work(first, last)`` for consecutive chunks of ``range(size)``; each thread takes the next when it is free.
 
-    Work that asks for rows of other ranks raises an error, as these are not in the loop.
-
-    Parameters
-    ----------
-    work : function that releases the interpreter lock and touches only its own part of the result
-    chunk : items per call; small enough that the threads finish together
-    progress : called with (items done, number of items) as chunks finish
-    threads : largest number of threads, for work that must not run concurrently
+    ``work`` releases the interpreter lock and touches only its own part of the result; asking for rows of other ranks
+    is an error, as these are not in the loop. ``chunk`` is small enough that the threads, at most ``threads``, finish
+    together; ``progress`` is called with (items done, number of items) as chunks finish. Of several exceptions, that of
+    the first chunk is raised.
     """
     bounds = [(first, min(first + chunk, size)) for first in range(0, size, chunk)]
     # ``next`` on an iterator and ``list.append`` are atomic in the interpreter.
-    pending, done, failures = iter(bounds), list[int](), list[BaseException]()
+    pending, done, failures = iter(bounds), list[int](), list[tuple[int, BaseException]]()
     scratch = current_scratch()
 
     def run(report: Counter | None) -> None:
-        told = items = 0
+        told, items, ends = 0, 0, None
         try:
             while not failures and (ends := next(pending, None)):
                 work(*ends)
@@ -172,7 +168,7 @@ def for_chunks(work: Work, size: int, chunk: int, progress: Counter | None = Non
                     report(items, size)
         except BaseException as error:
             # An interrupt or an error ends the run; chunks not yet started are skipped.
-            failures.append(error)
+            failures.append((ends[0] if ends and isinstance(error, Exception) else -1, error))
 
     others = list[threading.Thread]()
     with alone():
@@ -182,7 +178,7 @@ def for_chunks(work: Work, size: int, chunk: int, progress: Counter | None = Non
                 others[-1].start()
         except BaseException as error:
             # Raised by a signal handler: threads already started end after their chunk.
-            failures.append(error)
+            failures.append((-1, error))
         run(progress)
         # Even after an interrupt, as they still write to arrays of the caller.
         for other in others:
@@ -190,28 +186,18 @@ def for_chunks(work: Work, size: int, chunk: int, progress: Counter | None = Non
                 try:
                     other.join()
                 except BaseException as error:
-                    failures.append(error)
+                    failures.append((-1, error))
     if failures:
-        raise failures[0]
+        raise min(failures, key=lambda each: each[0])[1]
     if others and progress:
         progress(size, size)
 
 
 def for_items(work: Callable[[int], object], count: int, threads: int | None = None) -> None:
-    """Call ``work(n)`` for every n of ``range(count)``, by default on all threads, with its own loops on one thread.
+    """Call ``work(n)`` for every n of ``range(count)``, by default on all threads, with its own loops on one thread."""
 
-    Of several exceptions, that of the first item is raised.
-    """
-    failures: list[tuple[int, Exception]] = []
+    def one(number: int, _: int) -> None:
+        with sharing(Ranks(1), 1):
+            work(number)
 
-    def attempt(number: int, _: int) -> None:
-        try:
-            if not failures:
-                with sharing(Ranks(1), 1):
-                    work(number)
-        except Exception as error:
-            failures.append((number, error))
-
-    for_chunks(attempt, count, 1, threads=threads)
-    if failures:
-        raise min(failures, key=lambda each: each[0])[1]
+    for_chunks(one, count, 1, threads=threads)

@@ -220,7 +220,7 @@ WRONG_CALLS = {
     "nothing moves": (lambda g: md.prepare(g), "nothing moves"),
     "unknown patch": (lambda g: md.prepare(g, moving=["bdy"]), "did you mean 'body'"),
     "a method that is a number": (lambda g: md.prepare(g, moving="body", method=3), "expected a name"),
-    "a hybrid not offered": (lambda g: md.Hybrid(md.TFI(), md.IDW()), "not offered"),
+    "a hybrid not offered": (lambda g: md.Hybrid(md.TFI(), md.IDW()), "known are"),
     "case and selection": (lambda g: md.prepare(g, {"boundary": []}, moving="body"), "only one of them"),
     "a case that is a list": (lambda g: md.prepare(g, [1]), "case is a list"),
     "a list of arrays": (lambda g: md.prepare([np.zeros((3, 3, 3, 3))], moving="x"), r"wrap .* in Grid"),

@@ -20,7 +20,7 @@ from meshdeform_core.repair import RepairOptions
 from meshdeform_core.repair.energy import share_of
 from meshdeform_core.repair.region import Basis
 from meshdeform_core.series import Schedule, deform_series, grid_velocity
-from meshdeform_core.smoothness import Moment, Smoothness, smoothness
+from meshdeform_core.velocity import Moment, Smoothness, smoothness
 
 SWING = turning("20*sin(2*pi*t)")
 QUARTERS = (0.0, 0.25, 0.5, 0.75, 1.0)
