@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import threading
-import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cached_property
@@ -86,7 +85,6 @@ class Mesh:
         self._points: FloatArray = read_only(setup.grid.points[setup.topology.first[self.numbers]])
         self._thread = threading.get_ident()
         self._prepared: PreparedMethod | None = None
-        self._last: tuple[FloatArray, int | str | None, Mode | None, weakref.ref[Step]] | None = None
 
     @property
     def grid(self) -> Grid:
@@ -184,7 +182,8 @@ class Mesh:
             raise CaseError('steps = True; expected a whole number >= 1 or "auto"')
         with self.at_work():
             if displacement is not None:
-                return self._deformed(self._displacement_values(displacement, moment), steps, repair, progress)
+                path = self._path(self._displacement_values(displacement, moment))
+                return self._imposed(path, steps, repair, progress)
             setup = self.setup
             if not any(motion.steps for _, motion in setup.boundary.movers):
                 raise MotionError("no displacement is given, and no case prescribes one; expected deform(displacement)")
@@ -215,29 +214,23 @@ class Mesh:
         """
         with self.at_work():
             at = np.zeros_like(self.points) if displacement is None else self._displacement_values(displacement, 0.0)
-            steps, last = whole_number(steps), self._last
-            step = last[3]() if last and last[1:3] == (steps, repair) and np.array_equal(last[0], at) else None
-            step = step or self._deformed(at, steps, repair, None)
-            return Linearisation(self, self._method(Timing()), step, at)
+            return Linearisation(self, self._imposed(self._path(at), whole_number(steps), repair, None), at)
 
-    def _deformed(
-        self, values: FloatArray, steps: int | str | None, repair: Mode | None, progress: Progress | None
-    ) -> Step:
-        """The step for a displacement (n_moving, 3); as long as it is in use, :meth:`linearise` finds it again."""
+    def _path(self, values: FloatArray) -> BoundaryMotion:
+        """The parts of a displacement (n_moving, 3)."""
         total = self.of_boundary(values)
-        step = self._imposed(lambda part: total if part == 1.0 else part * total, steps, repair, progress)
-        self._last = values, steps, repair, weakref.ref(step)
-        return step
+        return lambda part: total if part == 1.0 else part * total
 
     def _imposed(
         self, motion: BoundaryMotion, steps: int | str | None, repair: Mode | None, progress: Progress | None
     ) -> Step:
         timing, setup = Timing(), self.setup
         setup = setup if repair is None else setup.with_repair(repair)
-        result = impose(setup, motion, steps, setup.grid.precision, timing, progress, self._method(timing))
+        result = impose(setup, motion, steps, setup.grid.precision, timing, progress, self.prepared(timing))
         return Step(result, self.plane)
 
-    def _method(self, timing: Timing) -> PreparedMethod:
+    def prepared(self, timing: Timing) -> PreparedMethod:
+        """The method, prepared by the first call that needs it."""
         if self._prepared is None:
             with timing.stage("prepare"):
                 self._prepared = self.setup.prepare()
@@ -299,7 +292,7 @@ class Mesh:
         if self.ranks.count > 1:
             raise TypeError("a Mesh of several MPI ranks cannot be copied or pickled; prepare it where it is needed")
         lasting = {name: value for name, value in self.__dict__.items() if name != "patches"}
-        return {**lasting, "_prepared": None, "_last": None}
+        return {**lasting, "_prepared": None}
 
     def __repr__(self) -> str:
         patches = ", ".join(self.patches)
@@ -319,10 +312,10 @@ class Linearisation:
     reason : why this is not the derivative of :attr:`step`; empty if it is
     """
 
-    def __init__(self, mesh: Mesh, method: PreparedMethod, step: Step, displacement: FloatArray) -> None:
+    def __init__(self, mesh: Mesh, step: Step, displacement: FloatArray) -> None:
         self._mesh, self._setup, self.step = mesh, step.result.setup, step
         of_sources = mesh.of_boundary(displacement)[self._setup.problem.source_numbers]
-        self._derivative, why = differentiated(step.result, method, of_sources)
+        self._derivative, why = differentiated(step.result, mesh.prepared(Timing()), of_sources)
         self.reason = "; ".join(filter(None, (why, reason_of(self._derivative.kinks))))
 
     @property
@@ -430,21 +423,23 @@ class Repeated:
 
     def __init__(self, mesh: Mesh, steps: int | Literal["auto"], repair: Mode):
         self.mesh, self._steps, self._repair = mesh, steps, repair
-        self._step: Step | None = None
-        self._at: FloatArray = np.empty((0, 3))
+        self._kept: tuple[FloatArray, Step] | None = None
         self._derivative: Linearisation | None = None
 
     def step(self, displacement: FloatArray) -> Step:
         """The step for a displacement (n_moving, 3)."""
-        # As long as it is kept, its derivative does not deform the grid again.
-        self._step = self.mesh.deform(displacement, steps=self._steps, repair=self._repair)
-        return self._step
+        if self._kept is None or not np.array_equal(displacement, self._kept[0]):
+            step = self.mesh.deform(displacement, steps=self._steps, repair=self._repair)
+            self._kept, self._derivative = (displacement.copy(), step), None
+        return self._kept[1]
 
     def derivative(self, displacement: FloatArray, warn: Callable[[str], object]) -> Linearisation:
         """The derivative there; ``warn`` is called once if it is not that of the step."""
-        if self._derivative is None or not np.array_equal(displacement, self._at):
-            found = self.mesh.linearise(displacement, steps=self._steps, repair=self._repair)
-            self._at, self._derivative = displacement.copy(), found
-            if not found.exact:
-                warn(f"the derivative is not that of the grid: {found.reason}")
+        step = self.step(displacement)
+        if self._derivative is None:
+            with self.mesh.at_work():
+                at = self.mesh.checked(displacement, "displacement", len(displacement))
+                self._derivative = Linearisation(self.mesh, step, at)
+            if not self._derivative.exact:
+                warn(f"the derivative is not that of the grid: {self._derivative.reason}")
         return self._derivative

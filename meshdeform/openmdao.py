@@ -188,10 +188,7 @@ class MeshCoordinates(_OnMesh):
     """
 
     _GIVEN = "x_aero0_points"
-
-    def initialize(self) -> None:
-        super().initialize()
-        self._given = False
+    _given = False
 
     def setup(self) -> None:
         super().setup()

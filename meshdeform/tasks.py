@@ -203,25 +203,25 @@ def parsed_case(case: CaseLike) -> CaseFile:
 
 def _entries(kind: Kind, selection: Selection | None) -> dict[str, tuple[str, ...]]:
     """Selection patterns by patch name."""
-    wrong = CaseError(
-        f"{kind.label} = {selection!r}; expected patch names or block faces, like 'wing', ['wing', 'block2.jmin'] "
-        f"or {{'body': ['wing', 'tail']}}"
-    )
     try:
         found = msgspec.convert(
             {} if selection is None else selection, str | tuple[str, ...] | dict[str, str | tuple[str, ...]]
         )
+        if isinstance(found, str):
+            found = (found,)
+        if isinstance(found, tuple):
+            if len(set(found)) < len(found):
+                raise CaseError(f"{kind.label} = {list(found)} names a patch twice; expected each once")
+            # Both sides of a periodic pair belong in one entry.
+            found = {" and ".join(found): found} if kind is Kind.PERIODIC else dict(zip(found, found, strict=True))
+        if all(found.values()):
+            return {name: (one,) if isinstance(one, str) else one for name, one in found.items()}
     except msgspec.ValidationError:
-        raise wrong from None
-    if isinstance(found, tuple):
-        if len(set(found)) < len(found):
-            raise CaseError(f"{kind.label} = {list(found)} names a patch twice; expected each once")
-        # Both sides of a periodic pair belong in one entry.
-        found = {" and ".join(found): found} if kind is Kind.PERIODIC else dict(zip(found, found, strict=True))
-    named = {found: found} if isinstance(found, str) else found
-    if not all(named.values()):
-        raise wrong
-    return {name: (one,) if isinstance(one, str) else one for name, one in named.items()}
+        pass
+    raise CaseError(
+        f"{kind.label} = {selection!r}; expected patch names or block faces, like 'wing', ['wing', 'block2.jmin'] "
+        f"or {{'body': ['wing', 'tail']}}"
+    )
 
 
 class Sample(NamedTuple):

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 from meshdeform_core.grid import BoolArray, FloatArray, Grid, Patch, Side, Window
 from meshdeform_core.grid.connections import find_interfaces
-from meshdeform_core.grid.topology import find_topology, side_nodes
+from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.grid.windows import windows_of_quads
 
 Rule = tuple[str, str, Callable[[FloatArray, Side], BoolArray]]
@@ -23,21 +23,14 @@ def with_patches(grid: Grid, rules: list[Rule]) -> Grid:
     """``grid`` with its interfaces declared and its external faces named by the first rule that applies."""
     topology = find_topology(grid)
     windows: dict[str, list[Window]] = {name: [] for name, _, _ in rules}
+    centers = grid.points[topology.first[topology.quads.corners]].mean(axis=1)
     for block in range(grid.n_blocks):
         for side in Side:
             quads = topology.quads.of_side(block, side)
-            if quads.start == quads.stop:
-                continue
-            counts = tuple(topology.quads.counts[block, side])
-            left = topology.external[quads].reshape(counts)
-            centers = grid.points[side_nodes(grid, block, side)]
-            for axis in (0, 1):
-                if (last := centers.shape[axis] - 1) > 0:
-                    near, far = np.take(centers, range(last), axis), np.take(centers, range(1, last + 1), axis)
-                    centers = 0.5 * (near + far)
-            for name, _, holds in rules:
-                chosen = left & holds(centers.reshape(-1, 3), side).reshape(counts)
-                windows[name] += windows_of_quads(grid.shapes[block], block, side, chosen)
+            left, counts = topology.external[quads], tuple(topology.quads.counts[block, side])
+            for name, _, holds in rules if left.any() else ():
+                chosen = left & holds(centers[quads], side)
+                windows[name] += windows_of_quads(grid.shapes[block], block, side, chosen.reshape(counts))
                 left = left & ~chosen
     patches = tuple(Patch(name, tuple(windows[name]), name, bc) for name, bc, _ in rules if windows[name])
     return dataclasses.replace(grid, patches=patches, connections=find_interfaces(grid, topology))

@@ -54,8 +54,7 @@ class _Interface:
 
             comm = MPI.COMM_WORLD
         # A process alone needs no mpi4py.
-        self._comm = None if comm is None or comm.size == 1 else comm
-        self._ranks: Ranks = ranks_of_comm(self._comm)
+        self._ranks: Ranks = ranks_of_comm(None if comm is None or comm.size == 1 else comm)
         self._file = file
         with one_at_a_time(), sharing(Ranks(self._ranks.cores), None):
             grid = read(file).core
@@ -76,12 +75,11 @@ class _Interface:
             ordered = sorted(groups.items(), key=lambda group: int(group[1][0]))
             self._components = [Component(grid, zones, options[name]) for name, zones in ordered]
         self._grid, self._points = grid, grid.points
-        numbers = [
-            offset + np.arange(np.prod(shape)).reshape(shape).ravel(order="F")
-            for offset, shape in zip(grid.offsets, grid.shapes, strict=False)
-        ]
         # Rows of the grid's points in the order of the file, i fastest in each zone, and those of this rank's share.
-        self._in_file = np.concatenate(numbers)
+        every = np.split(np.arange(grid.n_nodes), grid.offsets[1:-1])
+        self._in_file = np.concatenate([
+            rows.reshape(shape).ravel(order="F") for rows, shape in zip(every, grid.shapes, strict=True)
+        ])  # fmt: skip
         self._own_rows = self._in_file[self._ranks.share(grid.n_nodes)]
         self._freedoms: IntArray | None = None
         self._begun = False
@@ -159,7 +157,7 @@ class _Interface:
 
     def getSolverGrid(self) -> FloatArray:
         """The solver's nodes (3 n,) on this rank; wall nodes are exactly where they were set."""
-        return self._points[self._solver_rows].ravel()
+        return self._points[self._rows(True)].ravel()
 
     def getCommonGrid(self) -> FloatArray:
         """This rank's share (3 n,) of all nodes, which are divided evenly in the order of the file."""
@@ -229,15 +227,11 @@ class _Interface:
         own, solver = 3 * len(self._own_rows), 0 if self._freedoms is None else 3 * len(self._freedoms)
         return SimpleNamespace(griddata=SimpleNamespace(warpmeshdof=own, commonmeshdof=own, solvermeshdof=solver))
 
-    @property
-    def _solver_rows(self) -> IntArray:
-        """Rows of the grid's points of the nodes that the solver holds on this rank."""
-        if self._freedoms is None:
-            raise CaseError("the solver's nodes are not known; expected a call of setExternalMeshIndices first")
-        return self._freedoms
-
     def _rows(self, solver: bool) -> IntArray:
-        return self._solver_rows if solver else self._own_rows
+        """Rows of the grid's points of the nodes that the solver holds on this rank, or of this rank's share of all."""
+        if solver and self._freedoms is None:
+            raise CaseError("the solver's nodes are not known; expected a call of setExternalMeshIndices first")
+        return self._freedoms if solver and self._freedoms is not None else self._own_rows
 
     def _define(self, definition: Definition) -> None:
         """Define the surface by this rank's points and faces, which are located on the undeformed grid."""
@@ -358,7 +352,8 @@ class MultiUSMesh(_Interface):
         self, pts: ArrayLike, conn: ArrayLike, faceSizes: ArrayLike, cgnsBlockIDs: ArrayLike | None = None
     ) -> None:
         """As :meth:`USMesh.setSurfaceDefinition`, after :meth:`setExternalMeshIndices`."""
-        self._solver_rows  # noqa: B018  (refuses the wrong order)
+        # Refuses the wrong order.
+        self._rows(True)
         self._define(defined(pts, conn, faceSizes, cgnsBlockIDs))
 
     def getWarpGrid(self) -> tuple[list[FloatArray], int]:

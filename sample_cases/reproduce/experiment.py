@@ -32,12 +32,8 @@ _DIRECT: dict[str, Any] = {"solver": "direct", "summation": "exact"}
 _PAPER_IDW: dict[str, Any] = {"rotation": "quaternion", "alpha": 0.1, **_EXACT}
 _WHOLE = TFI(max_cells=0)
 _BASES: dict[str, Basis] = {
-    "wc0": "wendland-c0",
-    "wc2": "wendland-c2",
-    "c1": "ctps-c1",
-    "c2a": "ctps-c2a",
-    "c2b": "ctps-c2b",
-}
+    "wc0": "wendland-c0", "wc2": "wendland-c2", "c1": "ctps-c1", "c2a": "ctps-c2a", "c2b": "ctps-c2b",
+}  # fmt: skip
 _ENOUGH_SECONDS = 1.0
 _REPEATS = 4
 
@@ -171,6 +167,10 @@ class PaperTable:
     reference: str
 
 
+def _trials(sample: Sample, methods: dict[str, Options]) -> tuple[Trial, ...]:
+    return tuple(Trial(key, sample, method) for key, method in methods.items())
+
+
 def _idw(**options: Any) -> Options:
     return Options("idw", idw=IDW(**{**_EXACT, **options}))
 
@@ -180,108 +180,93 @@ def _division(divisions: int) -> Options:
     return Options("idw", idw=ReweightedIDW(**_EXACT, rotation="division", divisions=divisions))
 
 
-def _greedy(basis: Basis, radius: float, **more: Any) -> RBF:
+def _rbf(**options: Any) -> Options:
+    return Options("rbf", rbf=RBF(**options, **_DIRECT))
+
+
+def _greedy(basis: Basis, radius: float, **more: Any) -> Options:
     """The paper's hybrid greedy reduction: absolute errors, eps_g = 1e-2, no correction of the remaining error."""
-    chosen: dict[str, Any] = {
-        "greedy": "hybrid",
-        "greedy_error": "absolute",
-        "greedy_tolerance": 1e-2,
-        "greedy_correct": False,
-        **_DIRECT,
-    }
-    return RBF(basis=basis, radius=radius, **(chosen | more))
+    chosen: dict[str, Any] = {"greedy_error": "absolute", "greedy_tolerance": 1e-2, "greedy_correct": False}
+    return _rbf(basis=basis, radius=radius, greedy="hybrid", **(chosen | more))
 
 
 def table2(quick: bool) -> PaperTable:
     """Problem 1: a square whose four sides move."""
     square = Sample("square", 61 if quick else 301)
     iterations, many = (2000, 50) if quick else (40_000, 500)
-    trials = [Trial("tfi", square, Options("tfi"))]
+    methods = {"tfi": Options("tfi")}
     for key in ("wc0", "wc2", "c1", "tps"):
         basis: dict[str, Any] = {"basis": "tps"} if key == "tps" else {"basis": _BASES[key], "radius": 1.5}
         minres = MinresRBF(tolerance=1e-12, max_iterations=iterations, summation="exact", **basis)
-        trials += [
-            Trial(key, square, Options("rbf", rbf=minres)),
-            Trial(f"{key}-direct", square, Options("rbf", rbf=RBF(**basis, **_DIRECT))),
-        ]
+        methods |= {key: Options("rbf", rbf=minres), f"{key}-direct": _rbf(**basis)}
         if key != "tps":
-            reduced = Options("rbf", rbf=_greedy(_BASES[key], 1.5))
-            trials.append(Trial(f"{key}-greedy", square, reduced))
-    trials += [
-        Trial("idw-none", square, _idw(rotation="none")),
-        Trial("idw-division-25", square, _division(25)),
-        Trial("idw-division-500", square, _division(many)),
-        Trial("idw-lie", square, _idw(remove_mean=False)),
-        Trial("idw-marching-25", square, Options("idw", idw=IDW(**_PAPER_IDW)), steps=25),
-    ]
-    trials.append(Trial("tps-coarse", Sample("square", 21), Options("rbf", rbf=RBF(**_DIRECT))))
-    return PaperTable("table2", tuple(trials), "tfi")
+            methods[f"{key}-greedy"] = _greedy(_BASES[key], 1.5)
+    methods |= {
+        "idw-none": _idw(rotation="none"),
+        "idw-division-25": _division(25),
+        "idw-division-500": _division(many),
+        "idw-lie": _idw(remove_mean=False),
+    }
+    marching = Trial("idw-marching-25", square, Options("idw", idw=IDW(**_PAPER_IDW)), steps=25)
+    coarse = Trial("tps-coarse", Sample("square", 21), _rbf())
+    return PaperTable("table2", (*_trials(square, methods), marching, coarse), "tfi")
 
 
 def table3(quick: bool) -> PaperTable:
     """Problem 2: an ellipse becomes an airfoil."""
-    airfoil = Sample("airfoil", 201 if quick else 401)
-    trials = [Trial("tfi", airfoil, Options("tfi"))]
+    methods = {"tfi": Options("tfi")}
     for key, basis in _BASES.items():
-        trials.append(Trial(key, airfoil, Options("rbf", rbf=RBF(basis=basis, radius=15.0, **_DIRECT))))
+        methods[key] = _rbf(basis=basis, radius=15.0)
         if key != "wc0":
-            reduced = Options("rbf", rbf=_greedy(basis, 15.0))
-            trials.append(Trial(f"{key}-greedy", airfoil, reduced))
-    by_cell = _greedy("ctps-c2b", 15.0, greedy_error="first-cell", greedy_tolerance=0.1, greedy_correct=True)
-    trials += [
-        Trial("c2b-first-cell", airfoil, Options("rbf", rbf=by_cell)),
-        Trial("tps", airfoil, Options("rbf", rbf=RBF(**_DIRECT))),
-        Trial("idw-auto", airfoil, _idw(rotation="quaternion", alpha="auto")),
-        Trial("idw-0.1", airfoil, _idw(rotation="quaternion")),
-        Trial("idw-blend", airfoil, _idw(rotation="blend")),
-    ]
-    return PaperTable("table3", tuple(trials), "idw-0.1")
+            methods[f"{key}-greedy"] = _greedy(basis, 15.0)
+    by_cell: dict[str, Any] = {"greedy_error": "first-cell", "greedy_tolerance": 0.1, "greedy_correct": True}
+    methods |= {
+        "c2b-first-cell": _greedy("ctps-c2b", 15.0, **by_cell),
+        "tps": _rbf(),
+        "idw-auto": _idw(rotation="quaternion", alpha="auto"),
+        "idw-0.1": _idw(rotation="quaternion"),
+        "idw-blend": _idw(rotation="blend"),
+    }
+    return PaperTable("table3", _trials(Sample("airfoil", 201 if quick else 401), methods), "idw-0.1")
 
 
 def table4(quick: bool) -> PaperTable:
     """Section 4: the splitter plate by all six methods."""
-    plate = Sample("splitter-plate", 8 if quick else 16)
-    six = ("tfi-tfi", "rbf-rbf", "idw-idw", "rbf-tfi", "idw-rbf", "idw-tfi")
     paper: dict[str, IDW | RBF | TFI] = {"idw": IDW(**_PAPER_IDW), "rbf": RBF(**_DIRECT), "tfi": _WHOLE}
-    trials = [Trial(name, plate, Options.relevant(name, **paper)) for name in six]
     lie = IDW(remove_mean=False, **_EXACT)
-    trials += [
-        Trial(f"{name}-lie", plate, Options.relevant(name, idw=lie, tfi=_WHOLE)) for name in ("idw-idw", "idw-tfi")
-    ]
-    trials.append(Trial("default", plate, Options()))
-    return PaperTable("table4", tuple(trials), "tfi-tfi")
+    six = ("tfi-tfi", "rbf-rbf", "idw-idw", "rbf-tfi", "idw-rbf", "idw-tfi")
+    methods = {name: Options.relevant(name, **paper) for name in six}
+    methods |= {f"{name}-lie": Options.relevant(name, idw=lie, tfi=_WHOLE) for name in ("idw-idw", "idw-tfi")}
+    plate = Sample("splitter-plate", 8 if quick else 16)
+    return PaperTable("table4", _trials(plate, {**methods, "default": Options()}), "tfi-tfi")
 
 
 def table5(quick: bool) -> PaperTable:
     """Section 5: the hemisphere in 99 blocks; RBF on the largest grid whose matrix is factorised in a minute."""
     size, parts, small = (24, 12, 12) if quick else (92, 44, 32)
     split = Sample("hemisphere", size, (("max_cells", parts),), time=2.5e-4)
-    less = Sample("hemisphere", small, time=2.5e-4)
     lie, quaternion = IDW(remove_mean=False, **_EXACT), IDW(**_PAPER_IDW)
-    trials = [Trial(name, split, Options.relevant(name, idw=lie, tfi=_WHOLE)) for name in ("tfi-tfi", "idw-tfi")]
-    trials += [
+    methods = {name: Options.relevant(name, idw=lie, tfi=_WHOLE) for name in ("tfi-tfi", "idw-tfi")}
+    methods |= {
         # 5e11 pairs take ten minutes; the tolerance does not affect the digits printed.
-        Trial("idw-idw", split, Options("idw-idw", idw=IDW(remove_mean=False, summation="fast", a=3.0, transition=0))),
-        Trial("idw-tfi-quaternion", split, Options("idw-tfi", idw=quaternion, tfi=_WHOLE)),
-        Trial("default", split, Options()),
-        Trial("rbf-rbf", less, Options("rbf", rbf=RBF(**_DIRECT))),
-    ]
-    return PaperTable("table5", tuple(trials), "idw-tfi")
+        "idw-idw": Options("idw-idw", idw=IDW(remove_mean=False, summation="fast", a=3.0, transition=0)),
+        "idw-tfi-quaternion": Options("idw-tfi", idw=quaternion, tfi=_WHOLE),
+        "default": Options(),
+    }
+    less = Trial("rbf-rbf", Sample("hemisphere", small, time=2.5e-4), _rbf())
+    return PaperTable("table5", (*_trials(split, methods), less), "idw-tfi")
 
 
 def figure_b(quick: bool) -> PaperTable:
     """Appendix B: the beam with the coordinate origin at the centre and at the lower left corner; always quick."""
     shifted: dict[str, Any] = {"options": (("origin", (2.0, 1.0)),), "constants": (("center", 2.0),)}
-    centre, corner, fine = Sample("beam", 40), Sample("beam", 40, **shifted), Sample("beam", 400, **shifted)
-    paper, division = Options("idw", idw=IDW(**_PAPER_IDW)), _division(25)
+    corner, paper = Sample("beam", 40, **shifted), Options("idw", idw=IDW(**_PAPER_IDW))
+    fine = {"one-corner-fine": paper, "lie-corner-fine": _idw()}
     trials = (
-        Trial("one-centre", centre, paper),
-        Trial("one-corner", corner, paper),
+        Trial("one-centre", Sample("beam", 40), paper),
         Trial("marching-corner", corner, paper, steps=25),
-        Trial("division-corner", corner, division),
-        Trial("lie-corner", corner, _idw()),
-        Trial("one-corner-fine", fine, paper),
-        Trial("lie-corner-fine", fine, _idw()),
+        *_trials(corner, {"one-corner": paper, "division-corner": _division(25), "lie-corner": _idw()}),
+        *_trials(Sample("beam", 400, **shifted), fine),
     )
     return PaperTable("figB", trials, "one-centre")
 

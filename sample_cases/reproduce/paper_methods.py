@@ -21,7 +21,7 @@ from meshdeform_core.methods.scattered.block_rbf import BlockRBF
 from meshdeform_core.methods.scattered.idw import PreparedIDW
 from meshdeform_core.methods.scattered.idw_sums import SourceValues
 from meshdeform_core.methods.scattered.prepared_rbf import PreparedRBF
-from meshdeform_core.methods.transfinite.tfi import TFI, Skeleton
+from meshdeform_core.methods.transfinite.tfi import TFI
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.exact.direct import N_VALUES, weighted_sums
 from meshdeform_core.numerics.exact.radial import radial_matrix
@@ -169,7 +169,10 @@ def count_operations(method: Composite, problem: Problem, account: Account) -> f
     if isinstance(method.filler, TFI):
         total += tfi_operations(problem.grid.n_nodes, problem.grid.dimension)
     elif isinstance(method.filler, BlockRBF) and skeleton is not None:
-        total += block_rbf_operations(method.filler, problem, skeleton)
+        # One direct system per block in its face nodes.
+        basis = _BASIS[method.filler.options.basis]
+        for centres, inside in method.filler.prepare(problem, skeleton).sizes:
+            total += _direct(float(centres), basis) + inside * centres * (_DISTANCE + basis + 2 * _COMPONENTS)
     return total
 
 
@@ -211,12 +214,3 @@ def _direct(n: float, basis: int) -> float:
     """Matrix, Cholesky factor, the projection beside four polynomial terms, and one refinement of the solution."""
     refinement = 2 * n * n * (_DISTANCE + basis + 2 * _COMPONENTS)
     return n * n * (_DISTANCE + basis) + n**3 / 3 + 16 * n * n + 8 * n * n * _COMPONENTS + refinement
-
-
-def block_rbf_operations(filler: BlockRBF, problem: Problem, skeleton: Skeleton) -> float:
-    """One direct system per block in its face nodes."""
-    total = 0.0
-    for centres, targets in filler.prepare(problem, skeleton).sizes:
-        pairs = targets * centres * (_DISTANCE + _BASIS[filler.options.basis] + 2 * _COMPONENTS)
-        total += _direct(float(centres), _BASIS[filler.options.basis]) + pairs
-    return total
