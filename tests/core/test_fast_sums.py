@@ -9,8 +9,8 @@ import pytest
 from cases import apply, body_specs, constant, everything_moves, problem_of, told, turning
 from clouds import sphere
 from grids import frame, frame_2d
+from reference.rbf import COMPACT
 
-from meshdeform_core.errors import MethodError
 from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.methods import IDW, RBF, Options, make_method
 from meshdeform_core.methods.scattered import idw_sums
@@ -125,28 +125,12 @@ def test_errors_are_searched_where_their_bounds_are_largest():
 def test_small_cases_are_summed_exactly(problem):
     prepared = make_method(Options("idw")).prepare(problem)
     assert prepared.account.settings["summation"].value == "exact"
-    with pytest.raises(MethodError, match="1e-08 up to"):
-        IDW(summation_tolerance=1e-9)
-    with pytest.raises(MethodError, match=r"idw\.summation"):
-        IDW(summation="quick")
 
 
-# The radius of tps is of no effect; both kinds of compact bases are summed with a large and with a small one.
-@pytest.mark.parametrize(
-    ("basis", "radius"),
-    [
-        ("tps", 12.0), ("wendland-c0", 2.5), ("wendland-c2", 12.0), ("ctps-c1", 12.0), ("ctps-c2a", 12.0),
-        ("ctps-c2b", 2.5),
-    ],
-)  # fmt: skip
-def test_radial_sums(basis, radius, problem):
-    """The same coefficients, once exactly and once fast, at nodes and at the centres themselves."""
+def test_radial_sums(problem):
+    """The same coefficients, once exactly and once fast."""
     exact, fast = (
-        apply(
-            Options("rbf", rbf=RBF(basis=basis, radius=radius, summation=kind, summation_tolerance=1e-3)),
-            problem,
-            told(problem),
-        )
+        apply(Options("rbf", rbf=RBF(summation=kind, summation_tolerance=1e-3)), problem, told(problem))
         for kind in ("exact", "fast")
     )
     assert 0 < (np.linalg.norm(fast - exact, axis=1) / cell_sizes(problem)).max() <= 1e-3
@@ -163,9 +147,7 @@ def radial_sums_at(fast, coefficients, targets, tolerance):
     return out
 
 
-@pytest.mark.parametrize(
-    ("basis", "tolerance"), [("tps", 1e-1), ("tps", 1e-6), ("wendland-c0", 1e-3), ("ctps-c1", 1e-3)]
-)
+@pytest.mark.parametrize(("basis", "tolerance"), [("tps", 1e-1), ("tps", 1e-6), *((name, 1e-3) for name in COMPACT)])
 def test_radial_sums_are_exact_to_the_tolerance_of_local_cells(basis, tolerance):
     """The coefficients are no solution of a smooth motion, and the trial aims at a quarter of the tolerance."""
     grid, kind = frame(12, 12), BASES[basis]
