@@ -115,7 +115,7 @@ def _blocks(text: str) -> Iterator[tuple[str, list[str]]]:
             block.append(line)
         elif block:
             raise ValueError(f"a block has no end, before {line!r}")
-        else:
+        elif line.strip():
             head = line
     if block or head.strip() != "9999":
         raise ValueError("it does not end with 9999")

@@ -57,7 +57,7 @@ def model():
 
 def test_shapes_of_a_solid_at_its_surface(tmp_path, model):
     numbers, points, cells, shapes = model
-    (tmp_path / "m.frd").write_text(frd(numbers, points, cells, shapes))
+    (tmp_path / "m.frd").write_text(frd(numbers, points, cells, shapes) + "\n")
     found = read_shapes(tmp_path / "m.frd")
     inner = ((points > points.min(axis=0)) & (points < points.max(axis=0))).all(axis=1)
     assert len(found) == 2
