@@ -23,7 +23,8 @@ from .boundary import overset_only, zone_connections, zone_patches
 from .tree import MAXIMUM_DEPTH
 from .zone import Notes, Zone, base_and_zones, naming, opened_cgns
 
-_MIXED = "mixed"
+# The options of files whose zones have both precisions.
+_MIXED = {"precision": "mixed"}
 # About thirty nodes per zone, including its connections.
 _MOST_NODES = 10_000_000
 
@@ -107,8 +108,9 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
     chosen = checked_options(f"cannot write {path}", options, {"precision": ("float32", "float64")})
     if path.suffix.lower() == ".adf":
         raise FormatError(f"cannot write {path}: ADF can only be read; use the suffix .cgns, which is written as HDF5")
-    mixed = not chosen and grid.format is not None and _is_mixed(grid.format)
-    return FileFormat("cgns", chosen.get("precision", grid.precision), _options("HDF5", mixed))
+    mixed = not chosen and grid.format is not None and grid.format.options.items() >= _MIXED.items()
+    options = {"container": "HDF5"} | (_MIXED if mixed else {})
+    return FileFormat("cgns", chosen.get("precision", grid.precision), options)
 
 
 def write(grid: Grid, path: Path, variant: FileFormat) -> None:
@@ -117,20 +119,12 @@ def write(grid: Grid, path: Path, variant: FileFormat) -> None:
     from .output import write_copy, write_new
 
     if grid.path is not None and grid.format is not None and grid.format.name == "cgns":
-        write_copy(grid, path, None if _is_mixed(variant) else variant.precision)
+        write_copy(grid, path, None if "precision" in variant.options else variant.precision)
     else:
         write_new(grid, path, variant.precision)
 
 
 def _format(path: Path, zones: Sequence[Zone]) -> FileFormat:
     sizes = {array.target.dtype.itemsize for zone in zones for array in zone.coordinates if array.target.dtype}
-    precision = "float32" if 4 in sizes else "float64"
-    return FileFormat("cgns", precision, _options("ADF" if is_adf(path) else "HDF5", len(sizes) > 1))
-
-
-def _options(container: str, mixed: bool) -> dict[str, str]:
-    return {"container": container} | ({"precision": _MIXED} if mixed else {})
-
-
-def _is_mixed(variant: FileFormat) -> bool:
-    return variant.options.get("precision") == _MIXED
+    options = {"container": "ADF" if is_adf(path) else "HDF5"} | (_MIXED if len(sizes) > 1 else {})
+    return FileFormat("cgns", "float32" if 4 in sizes else "float64", options)

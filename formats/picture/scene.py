@@ -116,13 +116,6 @@ def facing(normal: FloatArray) -> View:
     return towards(normal * np.sign(normal[axis]))
 
 
-def spread(points: FloatArray) -> View:
-    """The view onto points (..., 3) that are flat along a coordinate axis, else the isometric one."""
-    size = np.ptp(points.reshape(-1, 3), axis=0)
-    axis = int(np.argmin(size))
-    return along("xyz"[axis]) if size[axis] <= 1e-6 * size.max() else iso()
-
-
 @dataclass(frozen=True)
 class Facets:
     """Polygons: corners (n, m, 3), values (n,), and whether each belongs to an invalid cell (n,).
@@ -314,8 +307,9 @@ def layer_scene(
     facets = layer_facets(subject, layers, metric)
     outlines = np.concatenate([_outline(layer.nodes(subject.grid), layer.quads) for layer in layers])
     if view is None:
-        view = spread(facets.corners)
-        view, lit = (view, False) if view.flat else (onto_walls(subject), True)
+        size = np.ptp(facets.corners, axis=(0, 1))
+        lit = bool(size.min() > 1e-6 * size.max())
+        view = onto_walls(subject) if lit else along("xyz"[int(np.argmin(size))])
     walls = no_edges() if lit else wall_edges(subject, Plane(facets.corners[0, 0], view.towards))
     return Scene(facets, view, outlines, walls, lit)
 

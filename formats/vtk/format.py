@@ -30,7 +30,6 @@ _KINDS = {".vtk": "legacy", ".vts": "vts", ".vtm": "vtm"}
 
 def read(path: Path) -> Grid:
     """Read a VTK file; its kind is recognised by content."""
-    path = Path(path)
     with path.open("rb") as stream:
         if stream.read(14) == b"# vtk DataFile":
             return assemble(path, "legacy", [read_legacy(path)])
@@ -47,7 +46,6 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
     ``options``: ``encoding`` is ``ascii`` or ``binary``, in XML files ``ascii`` or ``appended`` (raw); ``precision`` is
     ``float32`` or ``float64``.
     """
-    path = Path(path)
     kind = _KINDS[path.suffix.lower()]
     if kind != "vtm" and grid.n_blocks > 1:
         raise FormatError(f"cannot write {path}: it holds one block, the grid has {grid.n_blocks}; write a .vtm")
@@ -66,7 +64,6 @@ def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:
 
 def write(grid: Grid, path: Path, variant: FileFormat) -> None:
     """Write ``grid`` in the given variant, replacing ``path`` (and, for .vtm, the folder of its pieces) as a whole."""
-    path = Path(path)
     kind = variant.options["kind"]
     if kind == "vtm":
         write_set(grid, path, variant)

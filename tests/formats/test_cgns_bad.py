@@ -101,6 +101,8 @@ def joined(child: N) -> N:
         (tree(sized(4, 0, 5)), r"zone z has \[4, 0, 5\] nodes"),
         (tree(sized(4, 3, 6)), r"CoordinateX of zone z has \(4, 3, 5\) values; the zone has \(4, 3, 6\) nodes"),
         (tree(good().without("GridCoordinates")), "zone z has no GridCoordinates_t"),
+        (tree(replace(good(), children=[replace(good()["GridCoordinates"], name=f"Grid#{n}") for n in (1, 2)])),
+         "has only Grid#1, Grid#2; expected its original grid, GridCoordinates"),
         (tree(with_coordinates()), "zone z has the coordinates nothing; expected CoordinateX, CoordinateY"),
         (tree(with_coordinates(X, Z)), "has the coordinates CoordinateX, CoordinateZ; expected"),
         (tree(with_coordinates(RADIUS, THETA, Z)), "cylindrical .* converted to Cartesian"),
@@ -143,14 +145,10 @@ def test_overset_zones_are_deformed_only_as_components(tmp_path, kinds):
 
 
 def test_overset_beside_other_connectivity_is_an_ordinary_grid(tmp_path):
-    assert not read_grid(write_hdf5(tmp_path / "grid.cgns", overset("Overset", "Abutting1to1"))).overset
-
-
-def test_further_grids_without_the_original(tmp_path):
-    two = [replace(good()["GridCoordinates"], name=name) for name in ("Grid#1", "Grid#2")]
-    root = tree(replace(good(), children=two))
-    with pytest.raises(FormatError, match=r"has only Grid#1, Grid#2; expected its original grid, GridCoordinates"):
-        read_grid(write_hdf5(tmp_path / "grid.cgns", root))
+    grid = read_grid(write_hdf5(tmp_path / "grid.cgns", overset("Overset", "Abutting1to1")))
+    assert not grid.overset
+    said = "connectivity is kept in the file but not used; coincident nodes stay joined"
+    assert grid.notes == (f"Overset {said}: a/g0", f"Abutting1to1 {said}: a/g1")
 
 
 def test_hdf5_that_is_not_cgns(tmp_path):

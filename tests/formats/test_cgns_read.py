@@ -227,24 +227,6 @@ def test_connections_that_do_not_fit_are_noted(tmp_path, own, donor, transform, 
     assert grid.notes == ("connections that do not match their zones are not used: left/wrong",)
 
 
-def general(name: str, kind: str | None) -> N:
-    children = [N("PointList", "IndexArray_t", np.ones((3, 1), np.int32))]
-    if kind:
-        children.append(N("GridConnectivityType", "GridConnectivityType_t", kind))
-    return N(name, "GridConnectivity_t", "right", children)
-
-
-@pytest.mark.parametrize("kind", ["Abutting1to1", "Abutting"])
-def test_other_connectivity_is_noted(tmp_path, kind):
-    root = tree(
-        zone("left", box(4, 3, 5), connectivity(general("g", kind), general("h", "Overset"))),
-        zone("right", box(3, 3, 5, (3, 0, 0))),
-    )
-    notes = read_grid(write_hdf5(tmp_path / "grid.cgns", root)).notes
-    assert any(f"{kind} connectivity is kept in the file but not used" in n and "left/g" in n for n in notes)
-    assert any("Overset connectivity is kept" in n and "left/h" in n for n in notes)
-
-
 def test_what_else_a_file_holds_is_noted(tmp_path):
     units = N("DimensionalUnits", "DimensionalUnits_t", words("Kilogram", "Millimeter", "Second", "Kelvin", "Degree"))
     first = zone("z", box(3, 3, 3), N("GridCoordinates#2", "GridCoordinates_t"))
@@ -281,19 +263,6 @@ def test_attributes_of_other_writers(tmp_path, kind):
     np.testing.assert_array_equal(read_grid(tmp_path / "out.cgns").points, grid.points)
 
 
-def test_the_first_of_several_conditions_of_a_family_counts(tmp_path):
-    twice = [N("FamilyBC", "FamilyBC_t", "BCWall"), N("FamilyBC 2", "FamilyBC_t", "BCFarfield")]
-    condition = N("top", "BC_t", "FamilySpecified", [
-        N("PointRange", "IndexRange_t", np.array([[1, 2], [1, 2], [2, 2]], np.int32)),
-        N("FamilyName", "FamilyName_t", "Wing"),
-    ])  # fmt: skip
-    root = tree(
-        zone("z", box(2, 2, 2), N("ZoneBC", "ZoneBC_t", None, [condition])), more=[N("Wing", "Family_t", None, twice)]
-    )
-    (patch,) = read_grid(write_hdf5(tmp_path / "grid.cgns", root)).patches
-    assert patch.bc_type == "BCWall"
-
-
 def odd_arrays():
     """Types of numbers and creation properties by which six values are stored."""
     short, shifted = h5t.STD_I32LE.copy(), h5t.STD_I32LE.copy()
@@ -326,26 +295,6 @@ def test_odd_arrays_have_the_values_that_h5py_finds(tmp_path, oldest):
                 raw = np.fromfile(path, node.dtype, 6, offset=place)
                 np.testing.assert_array_equal(raw, np.arange(6))
         assert [node.place() is not None for node in root.children] == [True, False, False, True, False, True, False]
-
-
-@pytest.mark.parametrize("size", [512, 4096])
-def test_user_blocks_are_read_and_kept(tmp_path, size):
-    write_hdf5(tmp_path / "plain.cgns", two_zones())
-    with (
-        h5py.File(tmp_path / "a.cgns", "w", userblock_size=size, track_order=True) as file,
-        h5py.File(tmp_path / "plain.cgns") as plain,
-    ):
-        for name in plain:
-            plain.copy(name, file)
-    with (tmp_path / "a.cgns").open("r+b") as stream:
-        stream.write(b"#!notes")
-    grid = read_grid(tmp_path / "a.cgns")
-    np.testing.assert_array_equal(grid.points, read_grid(tmp_path / "plain.cgns").points)
-    grid.points[...] += 1.0
-    for options in ({}, {"precision": "float32"}):
-        write_grid(grid, tmp_path / "b.cgns", options)
-        assert (tmp_path / "b.cgns").read_bytes()[:7] == b"#!notes"
-        np.testing.assert_allclose(read_grid(tmp_path / "b.cgns").points, grid.points, rtol=1e-6)
 
 
 def quads_of(window: Window, shape: tuple[int, int, int]) -> set[tuple[int, int, int]]:

@@ -8,7 +8,6 @@ from unittest.mock import Mock
 from xml.etree import ElementTree
 
 import h5py
-import meshio
 import numpy as np
 import pytest
 import vtk_witness
@@ -64,23 +63,6 @@ def test_velocity_is_point_data(suffix, tmp_path):
     _, arrays, _ = vtk_witness.read(tmp_path / f"again_0000{suffix}")
     assert list(arrays) == [("node", "GridVelocity")]
     assert not arrays["node", "GridVelocity"].any()
-
-
-def test_velocity_of_every_block_of_a_set(tmp_path):
-    grid = frame()
-    files = written(grid, tmp_path, "wing.vtm")
-    assert not (tmp_path / "wing").exists()
-    for block in range(grid.n_blocks):
-        _, arrays, _ = vtk_witness.read(tmp_path / "wing_0001" / f"wing_0001_{block}.vts")
-        np.testing.assert_array_equal(arrays["node", "GridVelocity"], grid.block(block, velocity(grid, 0.5)))
-    np.testing.assert_array_equal(files.read(1), at(grid, 0.5).points)
-
-
-def test_velocity_of_unstructured_nodes(tmp_path):
-    grid = one_block()
-    files = written(grid, tmp_path, "wing.vtu")
-    mesh = meshio.read(files.path(2))
-    np.testing.assert_allclose(mesh.point_data["GridVelocity"][:, 0], 4 * mesh.points[:, 1], atol=1e-14)
 
 
 @pytest.mark.parametrize("source", ["new", "copy"])
