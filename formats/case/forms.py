@@ -20,7 +20,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from meshdeform_core.errors import CaseError, FormatError, suggestion
+from meshdeform_core.errors import CaseError, suggestion
 from meshdeform_core.wording import literal
 
 from ..files import require_regular
@@ -141,13 +141,10 @@ TABLES = ("grid", "constants", "boundary", "method", "repair")
 
 
 def load(path: Path | None) -> Table:
-    """The tables of a case file; empty without a file. Raises CaseError when the file cannot be read or is not TOML."""
+    """The tables of a case file; empty without a file."""
     if path is None:
         return {}
-    try:
-        require_regular(path, "the case file")
-    except FormatError as error:
-        raise CaseError(str(error)) from error
+    require_regular(path, "the case file")
     try:
         # Some Windows editors begin files with a byte order mark.
         return _toml(path.read_text(encoding="utf-8-sig"))

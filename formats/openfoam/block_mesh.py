@@ -123,7 +123,8 @@ def _blend(out: FloatArray, corners: FloatArray, edges: Sequence[Edge], scale: F
     """Fill a block ``out`` (ni, nj, nk, 3) from its corners (8, 3) and edges, a few layers along i at a time.
 
     The position is the sum over the three axes of the weighted mean of the four edges along each, less two thirds of
-    that of the straight lines in their place.
+    that of the straight lines in their place. The weight of an edge is one at its own nodes and falls to zero at the
+    opposite edges.
     """
     layers = max(_AT_ONCE // max(out.shape[1] * out.shape[2], 1), 1)
     for begin in range(0, len(out), layers):
@@ -132,32 +133,22 @@ def _blend(out: FloatArray, corners: FloatArray, edges: Sequence[Edge], scale: F
             (values[rows] if number < 4 else values).reshape([-1 if axis == number // 4 else 1 for axis in range(3)])
             for number, (values, _) in enumerate(edges)
         ]
+        # Of each corner: the product of the parameters, towards it, of the three edges there.
+        near = [
+            math.prod(
+                at[edge] if ends[1] == corner else 1.0 - at[edge] for edge, ends in enumerate(_EDGES) if corner in ends
+            )
+            for corner in range(8)
+        ]
+        weights = [near[first] + near[last] for first, last in _EDGES]
         found = np.zeros(out[rows].shape)
-        for axis in range(3):
-            own = range(4 * axis, 4 * axis + 4)
-            weights = [_weight(at, number) for number in own]
-            total = sum(weights)
-            for number, weight in zip(own, weights, strict=True):
-                first, last = (corners[vertex] for vertex in _EDGES[number])
-                line = first + at[number][..., None] * (last - first)
-                points = edges[number][1][rows] if axis == 0 else edges[number][1]
-                found += (weight / total)[..., None] * (points.reshape(line.shape) - 2.0 / 3.0 * line)
+        for number, (first, last) in enumerate(_EDGES):
+            own = 4 * (number // 4)
+            line = corners[first] + at[number][..., None] * (corners[last] - corners[first])
+            points = edges[number][1][rows] if own == 0 else edges[number][1]
+            weight = np.asarray(weights[number] / sum(weights[own : own + 4]))
+            found += weight[..., None] * (points.reshape(line.shape) - 2.0 / 3.0 * line)
         out[rows] = found * scale
-
-
-def _weight(at: Sequence[FloatArray], number: int) -> FloatArray:
-    """The weight of an edge at the nodes: one at its own nodes, falling to zero at the opposite edges.
-
-    At each of its ends it is the product of the parameters, towards that end, of the other two edges there.
-    """
-    total: FloatArray | float = 0.0
-    for end, vertex in enumerate(_EDGES[number]):
-        part = at[number] if end else 1.0 - at[number]
-        for other, pair in enumerate(_EDGES):
-            if other != number and vertex in pair:
-                part = part * (at[other] if pair[1] == vertex else 1.0 - at[other])
-        total = total + part
-    return np.asarray(total)
 
 
 def _cyclic(layout: BlockMeshDict) -> tuple[tuple[Connection, ...], tuple[str, ...]]:

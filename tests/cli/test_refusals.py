@@ -47,7 +47,6 @@ CALLS = {
     "set-through-value": ((*DEFORM, "-s", "constants.turn.x=1"), ("'turn' is a value, not a table",)),
     "set-boundary-unknown": ((*DEFORM, "-s", "boundary.wing.kind=fixed"), ("no entry 'wing'", "body, span")),
     "set-boundary-itself": ((*DEFORM, "-s", "boundary.body=3"), ("boundary.body=3", "name an entry and its key")),
-    "set-boundary-all": ((*DEFORM, "-s", "boundary=3"), ("boundary", "double brackets")),
     "set-inside-list": ((*DEFORM, "-s", "boundary.body.select.1=x"), ("boundary.body.select", "as a whole")),
     "variant-key": ((*DEFORM, "--variant", "encodin=ascii"), ("'encodin'", "did you mean 'encoding'")),
     "variant-value": ((*DEFORM, "--variant", "encoding=asci"), ("encoding = 'asci'", "did you mean 'ascii'")),
@@ -73,9 +72,6 @@ CALLS = {
         ("has no effect", "'idw-tfi' uses only method.idw, method.tfi"),
     ),
     "set-idle-eta": ((*DEFORM, "-s", "method.idw.eta=4"), ("has no effect", 'method.idw.alpha = "auto"')),
-    "set-idle-divisions": (
-        (*DEFORM, "-s", "method.idw.divisions=4"), ("has no effect", 'method.idw.rotation = "division"'),
-    ),
     "match-without-table": ((*DEFORM, "--match", "exact"), ("belong to --displacement",)),
     "match-unknown": (
         ("deform", "grid.xyz", "-d", "table.csv", "-o", "out.xyz", "--match", "closest"),
@@ -108,7 +104,6 @@ CALLS = {
     "case-missing": (("deform", "grid.xyz", "-c", "no.toml", "-o", "out.xyz"), ("no.toml", "No such file")),
     "case-binary": (("deform", "grid.xyz", "-c", "grid.xyz", "-o", "out.xyz"), ("grid.xyz", "not a TOML file")),
     "method-unknown": ((*DEFORM, "-m", "idv"), ("method 'idv' is unknown", "idw-tfi")),
-    "method-near": ((*DEFORM, "-m", "idwtfi"), ("did you mean 'idw-tfi'?",)),
     "case-for-grid": (
         ("deform", "case.toml", "-c", "grid.xyz", "-o", "out.xyz"),
         ("case.toml is a case file; expected the grid first: grid.xyz -c case.toml",),
@@ -122,7 +117,6 @@ CALLS = {
     "series-no-times": ((*SERIES, "-o", "out"), ("--times START:STOP:STEP",)),
     "series-no-output": ((*SERIES, "--times", "0:1:0.5"), ("Missing option '-o'",)),
     "series-times": ((*SERIES, "-o", "out", "--times", "0:1"), ("--times: '0:1'",)),
-    "series-infinite": ((*SERIES, "-o", "out", "--times", "0,inf"), ("the times [0.0, inf] are not all finite",)),
     "series-descending": ((*SERIES, "-o", "out", "--times", "0,2,1"), ("the times [0.0, 2.0, 1.0] do not ascend",)),
     "series-suffix": ((*LEVELS, "--suffix", ".abc"), ("cannot tell the format",)),
     "series-velocity": ((*LEVELS, "--velocity", "first"), (".xyz files cannot hold the grid velocity",)),
@@ -145,7 +139,6 @@ CALLS = {
     "plot-zoom-outside": (
         (*PLOT, "--plane", "k=1", "--zoom=5,6,5,6"), ("shows nothing of the grid, which extends from",),
     ),
-    "plot-plane-beyond": ((*PLOT, "--plane", "k=9"), ("no block has a node plane k = 9; the largest is 4",)),
     "plot-plane-unknown": (
         (*PLOT, "--plane", "q=1"), ("expected a plane of nodes, like k=1 or k=mid, or one in space",),
     ),
@@ -189,20 +182,14 @@ CASES = {
     # unknown keys at every level
     "key-top": ("[metod]\nname = 'tfi'", ("unknown key 'metod'", "did you mean 'method'")),
     "key-grid": ("[grid]\nboundary_fil = 'a.nmf'", ("[grid]", "boundary_fil", "did you mean 'boundary_file'")),
-    "key-boundary": (SHIFT + "selct = ['a']", ("boundary 'body'", "selct", "did you mean 'select'")),
     "key-motion": (body("motion = [{ translat = [0, 0, 0] }]"), ("motion step 1", "did you mean 'translate'")),
-    "key-method": ("[method]\nnam = 'tfi'\n" + SHIFT, ("[method]", "nam", "did you mean 'name'")),
     "key-of-a-part": ("[method]\nalpha = 0.1\n" + SHIFT, ("unknown key 'alpha'", "did you mean 'method.idw.alpha'?")),
     "key-nothing-near": ("[zzz]\n", ("unknown key 'zzz'", "known are grid, constants, boundary, method")),
     # wrong types at every level
     "type-constant": ("[constants]\nL = 'five'", ("constants.L", "finite number", "'five'")),
-    "type-select": (SHIFT.replace('["*"]', "7"), ("boundary 'body'", "select = 7", "list of names")),
-    "type-where": (SHIFT.replace('"abs(x) < 0.51 and abs(y) < 0.51"', "[1]"), ("where", "[1]", "formula")),
     "type-kind": (SHIFT.replace('"moving"', "['moving']"), ("boundary 'body'", "kind = ['moving']", "fixed")),
     "type-motion": (body("motion = 5"), ("motion", "list of tables")),
-    "type-translate": (body("motion = [{ translate = 0.1 }]"), ("translate", "three values", "0.1")),
     "type-rotate": (body("motion = [{ rotate = 30 }]"), ("rotate = 30", "angle")),
-    "type-angle": (body("motion = [{ rotate = { angle = true } }]"), ("angle = true", "number or a formula in quotes")),
     "type-file": (body("motion = [{ file = 5 }]"), ("motion step 1", "file name, found 5")),
     "type-match": (
         body("motion = [{ file = 'table.csv', match = 5 }]"),
@@ -210,7 +197,6 @@ CASES = {
     ),
     # values out of range
     "value-tolerance": ("[grid]\ntolerance = 0.7", ("grid.tolerance", "0.7", "between 0 and 0.5")),
-    "value-constant-nan": ("[constants]\nL = nan", ("constants.L", "finite", "nan")),
     "value-constant-minus-infinity": ("[constants]\nL = -inf", ("constants.L", "finite", "-inf")),
     "value-constant-t": ("[constants]\nt = 1", ("constants.t", "already has a meaning")),
     "value-kind": (SHIFT.replace('"moving"', '"movin"'), ("kind = 'movin'", "did you mean 'moving'")),
@@ -220,8 +206,6 @@ CASES = {
         body("motion = [{ translate = [0, 0, 0], rotate = { angle = 1 } }]"),
         ("exactly one of",),
     ),
-    "value-match-of-rotate": (body("motion = [{ translate = [0, 0, 0], match = 'exact' }]"), ("takes no match",)),
-    "value-empty-step": (body("motion = [{}]"), ("motion step 1", "exactly one of")),
     "value-no-motion": (MOVING, ("boundary 'body'", "moves but has no motion")),
     "value-motion-of-fixed": (
         HEAD + "kind = 'fixed'\nmotion = [{ translate = [0, 0, 0] }]",
@@ -229,18 +213,13 @@ CASES = {
     ),
     "same-name-twice": (SHIFT + SHIFT, ("boundary", "names must differ", "body")),
     # formulas
-    "formula-syntax": (moved("0.1*"), ("'0.1*'", "not a formula")),
     "formula-name": (moved("q*x"), ("unknown name 'q'", "known are")),
     "formula-function": (moved("sine(x)"), ("unknown function 'sine'", "did you mean 'sin")),
-    "formula-arguments": (moved("atan2(x)"), ("atan2 takes 2 arguments, found 1",)),
     "formula-power": (moved("x^2"), ("not allowed", "powers are written **")),
     "formula-time-in-where": (SHIFT.replace("abs(x) < 0.51", "t < 1"), ("where", "unknown name 't'")),
-    "formula-number-too-large": (moved("1" + "0" * 400), ("beyond the range",)),
-    "formula-too-long": (moved("+".join(["x"] * 600)), ("1000",)),
     "formula-too-deep": (moved("(" * 400 + "x" + ")" * 400), ("not a formula",)),
     # formulas that reach for Python
     "python-attribute": (moved("x.__class__"), ("x.__class__", "not allowed")),
-    "python-in-angle": (body("motion = [{ rotate = { angle = 'x.real' } }]"), ("x.real", "not allowed")),
     # selections
     "select-unknown": (SHIFT.replace('"*"]', '"wing"]'), ("'wing'", "no named patches", "block1.imin")),
     "select-shared": (SHIFT.replace('"*"]', '"block1.imax"]'), ("shared with other blocks", "meshdeform info")),

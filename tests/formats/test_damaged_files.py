@@ -28,35 +28,31 @@ def npy(values, folder):
 
 def test_archives_that_are_no_tables(tmp_path):
     good, path = npy(POINTS, tmp_path), tmp_path / "a.npz"
-
-    def refuses(message):
+    huge = good.replace(b"(10, 3), }         ", b"(1000000000, 3), } ")
+    for members, message in (
+        ({"points_npy": good, "notes_txt": b"mine"}, r"its member 'notes\.txt' is not an array"),
+        ({"points_npy": b"mine", "displacement_npy": good}, "its member 'points' is not an array"),
+        ({"points_npy": good[:-8], "displacement_npy": good}, "reading array data, expected 240 bytes got 232"),
+        ({"points_npy": good.replace(b"(10, 3), }         ", b"(10**9, 3), }      ")}, "cannot read"),
+        ({"points_npy": huge, "displacement_npy": good}, "EOF: reading array data|Unable to allocate"),
+    ):
+        zipped(path, **members)
         with pytest.raises(FormatError, match=message) as error:
             read_displacement(path)
         assert "a.npz" in str(error.value)
-
-    zipped(path, points_npy=good, notes_txt=b"mine")
-    refuses(r"its member 'notes\.txt' is not an array")
-    zipped(path, points_npy=b"mine", displacement_npy=good)
-    refuses("its member 'points' is not an array")
-    zipped(path, points_npy=good[:-8], displacement_npy=good)
-    refuses("EOF: reading array data, expected 240 bytes got 232")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         with zipfile.ZipFile(path, "w") as archive:
             for name in ("points", "displacement", "points"):
                 archive.writestr(f"{name}.npy", good)
-    refuses("it has several arrays of the same name: displacement, points, points")
+    with pytest.raises(FormatError, match="it has several arrays of the same name: displacement, points, points"):
+        read_displacement(path)
     zipped(path, points_npy=good, displacement_npy=good)
     data = bytearray(path.read_bytes())
     data[data.index(b"PK\x01\x02") + 8] |= 1
     path.write_bytes(data)
-    refuses(r"'points\.npy' is encrypted, password required")
-    huge = good.replace(b"(10, 3), }         ", b"(10**9, 3), }      ")
-    zipped(path, points_npy=huge, displacement_npy=good)
-    refuses(r"cannot read")
-    huge = good.replace(b"(10, 3), }         ", b"(1000000000, 3), } ")
-    zipped(path, points_npy=huge, displacement_npy=good)
-    refuses("EOF: reading array data|Unable to allocate")
+    with pytest.raises(FormatError, match=r"'points\.npy' is encrypted, password required"):
+        read_displacement(path)
     (tmp_path / "b.npy").write_bytes(huge)
     with pytest.raises(FormatError, match=r"cannot read .*b\.npy"):
         read_displacement(tmp_path / "b.npy")
