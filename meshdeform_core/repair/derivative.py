@@ -69,7 +69,7 @@ class _AtMinimum:
     def _place(self) -> None:
         """Find the directions of the unknowns at the coordinates."""
         region, system, x = self._region, self._plot.system, self._x
-        self._frame = region.directions(x)[0].frame
+        self._free = region.spreading(region.directions(x)[0].frame)
         self._onto, self._turning = np.tile(np.eye(x.shape[1]), (len(x), 1, 1)), np.zeros((len(x), *x.shape[1:] * 2))
         self._slides = np.zeros((len(x), 1))
         if region.slides:
@@ -184,15 +184,11 @@ class _AtMinimum:
 
     def _turned(self, unknowns: FloatArray) -> FloatArray:
         """F u (n, d)."""
-        return self._region.on_nodes(self._frame, unknowns)
+        return np.asarray((self._free @ unknowns.ravel()).reshape(self._x.shape))
 
     def _gathered(self, force: FloatArray) -> FloatArray:
         """The transpose of :meth:`_turned`."""
-        number, frame = self._region.number, self._frame
-        free = number >= 0
-        turned = np.einsum("nji,nj->ni", frame[free], force[free])
-        n = self._region.n_unknowns
-        return np.stack([np.bincount(number[free], column, n) for column in turned.T], axis=1)
+        return np.asarray((self._free.T @ force.ravel()).reshape(-1, force.shape[1]))
 
 
 def _times(matrices: FloatArray, vectors: FloatArray) -> FloatArray:

@@ -9,14 +9,16 @@ of log(f / HEALTHY) over all corners, with f regularised to stay finite on inver
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
+from ..boundary.constraints import CurvedSurface
 from ..grid import FloatArray, IntArray
 from ..numerics.cell.foldover.elements import Unknowns, combined, growth, plane_slopes, slopes
 from ..numerics.cell.foldover.samples import (
@@ -216,15 +218,36 @@ def _slopes(a: FloatArray, eps: float) -> tuple[FloatArray, ...]:
     return slopes(g, det, chi, root, chi ** (-2.0 / 3.0))[:6]
 
 
-class Slide(NamedTuple):
-    """Nodes (k,) that remain on a surface: ``normals`` returns its unit normals (k, d) near coordinates (k, d),
-    ``back`` projects coordinates onto it, ``slopes`` returns the derivatives (k, d, d) of both, first that of ``back``.
-    """
+def components(vectors: FloatArray, axes: FloatArray) -> FloatArray:
+    """Products (n, d) of vectors (n, e) and ``axes`` (d, e); the same to the last bit for any n, unlike ``@``."""
+    return np.asarray(sum(vectors[:, e, None] * axes[:, e] for e in range(axes.shape[1])))
+
+
+@dataclass(frozen=True)
+class Slide:
+    """Nodes (k,) of a region that remain on a surface; their coordinates (k, d) are along ``axes`` (d, 3) from the
+    ``origin`` (3,)."""
 
     nodes: IntArray
-    normals: Callable[[FloatArray], FloatArray]
-    back: Callable[[FloatArray], FloatArray]
-    slopes: Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+    surface: CurvedSurface
+    axes: FloatArray
+    origin: FloatArray
+
+    def normals(self, x: FloatArray) -> FloatArray:
+        """Unit normals (k, d) of the surface near coordinates ``x``."""
+        return components(self.surface.normals(self._in_space(x)), self.axes)
+
+    def back(self, x: FloatArray) -> FloatArray:
+        """The coordinates projected onto the surface."""
+        return components(self.surface.project(self._in_space(x)) - self.origin, self.axes)
+
+    def slopes(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The derivatives (k, d, d) of :meth:`back` and of :meth:`normals`."""
+        onto, turning = self.surface.slopes(self._in_space(x))
+        return self.axes @ onto @ self.axes.T, self.axes @ turning @ self.axes.T
+
+    def _in_space(self, x: FloatArray) -> FloatArray:
+        return components(x, self.axes.T) + self.origin
 
 
 @dataclass(frozen=True)
@@ -244,10 +267,6 @@ class Region:
         return len(self.fixed)
 
     @property
-    def dimension(self) -> int:
-        return self.fixed.shape[1]
-
-    @property
     def number(self) -> IntArray:
         return self.unknowns.number
 
@@ -263,15 +282,15 @@ class Region:
             frame[slide.nodes], plain[slide.nodes] = freedom[unknown], False
         return Unknowns(self.number, frame, plain), freedom
 
-    def on_nodes(self, frame: FloatArray, step: FloatArray) -> FloatArray:
-        """The changes (n, d) of the nodes, with frames (n, d, d), for a step (n_unknowns, d) of the unknowns."""
-        free, result = self.number >= 0, np.zeros(frame.shape[:2])
-        result[free] = np.einsum("nij,nj->ni", frame[free], step[self.number[free]])
-        return result
+    def spreading(self, frame: FloatArray) -> scipy.sparse.bsr_array:
+        """The matrix (n d, n_unknowns d) from changes of the unknowns to those of nodes with frames (n, d, d)."""
+        (n, d, _), free = frame.shape, self.number >= 0
+        starts = np.append(0, np.cumsum(free))
+        return scipy.sparse.bsr_array((frame[free], self.number[free], starts), shape=(n * d, self.n_unknowns * d))
 
     def moved(self, x: FloatArray, unknowns: Unknowns, step: FloatArray, length: float) -> FloatArray:
         """Coordinates after ``length`` times the step (n_unknowns, d) of the unknowns."""
-        result = x + length * self.on_nodes(unknowns.frame, step)
+        result = x + length * (self.spreading(unknowns.frame) @ step.ravel()).reshape(x.shape)
         for slide in self.slides:
             result[slide.nodes] = slide.back(result[slide.nodes])
         return result

@@ -21,9 +21,8 @@ from functools import partial
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
-from ..numerics.arrays import FloatArray, IntArray
+from ..numerics.arrays import FloatArray
 from ..numerics.jit import inlined, kernel
 from ..numerics.lanes import multiply_row, solve_row, with_room
 from ..parallel import for_chunks
@@ -40,49 +39,6 @@ _SLACK = 20.0
 _ROWS = 2048
 # Measured work of one block in a product with the matrix, in the unit of :class:`.options.Limit`.
 _BLOCK = 0.0045
-
-Matrix = tuple[NDArray[np.float32], IntArray, NDArray[np.int32]]
-"""Blocks, where the rows start, and columns."""
-
-
-class Products:
-    """Products of the matrix, with 3 x 3 blocks, or of the matrix between triangular factors, with 2 x 2 blocks, with
-    vectors (n, d)."""
-
-    def __init__(self, matrix: Matrix) -> None:
-        n = len(matrix[1]) - 1
-        self._matrix, self._swept, self._t = matrix, matrix[0].shape[1] == 2, np.zeros((n, 2))
-        self._relaxation = 2.0 / (1.0 + _SLACK / np.sqrt(max(n, 1)))
-
-    def right_hand_side(self, b: FloatArray) -> FloatArray:
-        """The right-hand side of the preconditioned system."""
-        if not self._swept:
-            return b
-        self._t[...] = 0.0
-        image = np.zeros_like(b)
-        self._on(b, image)
-        return image
-
-    def multiply(self, p: FloatArray, image: FloatArray) -> float:
-        """Fill ``image`` with the product of the matrix and ``p``; return ``p . image``."""
-        if not self._swept:
-            return sum_over_rows(partial(multiply_rows, *self._matrix, p, image), len(image))
-        self._back(p)
-        return self._on(p, image)
-
-    def solution(self, y: FloatArray) -> FloatArray:
-        """The solution from that of the preconditioned system."""
-        if not self._swept:
-            return y
-        self._back(y)
-        return self._t.copy()
-
-    def _back(self, p: FloatArray) -> None:
-        for_chunks(partial(sweep_back, self._matrix, self._relaxation, p, self._t), len(p), _SWEPT)
-
-    def _on(self, p: FloatArray, image: FloatArray) -> float:
-        work = partial(sweep_on, self._matrix, self._relaxation, p, self._t, image)
-        return sum_over_rows(work, len(image), _SWEPT)
 
 
 def sum_over_rows(work: Callable[[int, int], float], n: int, chunk: int | None = None) -> float:
@@ -142,7 +98,7 @@ class NewtonSystem:
     """
 
     def __init__(self, region: Region) -> None:
-        n, d = region.n_unknowns, region.dimension
+        n, d = region.fixed.shape[:2]
         self.unknowns, of_cell = region.unknowns, region.number[region.energy.nodes]
         used = of_cell >= 0
         cell = np.broadcast_to(np.arange(len(of_cell))[:, None], of_cell.shape)[used]
@@ -159,7 +115,8 @@ class NewtonSystem:
         self.matrix = with_room((len(self.columns), d, d), np.float32)
         self._factor = np.zeros((n, d, d))
         self._diagonal = np.flatnonzero(self.columns == np.repeat(np.arange(n), np.diff(self.starts)))
-        self._products = Products((self.matrix, self.starts, self.columns))
+        self._matrix, self._swept = (self.matrix, self.starts, self.columns), np.zeros((n, 2)) if d == 2 else None
+        self._relaxation = 2.0 / (1.0 + _SLACK / np.sqrt(max(n, 1)))
         self.work, self.iterations = _BLOCK * len(self.columns), 0
         self.solved = False
         self.gradient = np.empty((n, d))
@@ -212,8 +169,12 @@ class NewtonSystem:
         stop at a direction of negative curvature; the step found up to there is a descent direction. ``solved`` then
         says whether they met the tolerance.
         """
-        factor, products = self._factor, self._products
-        r = products.right_hand_side(-np.einsum("nij,nj->ni", factor, self.gradient))
+        factor = self._factor
+        r = -np.einsum("nij,nj->ni", factor, self.gradient)
+        if self._swept is not None:
+            b, r = r, np.zeros_like(r)
+            self._swept[...] = 0.0
+            self._sweep_on(b, r)
         y, p, image = np.zeros_like(r), with_room(r.shape), np.zeros_like(r)
         p[...] = r
         rho = scalar_product(r, r)
@@ -223,7 +184,7 @@ class NewtonSystem:
             if rho <= goal:
                 break
             self.iterations += 1
-            curvature = products.multiply(p, image)
+            curvature = self._multiply(p, image)
             if curvature <= 0.0:
                 convex = False
                 break
@@ -234,7 +195,25 @@ class NewtonSystem:
             p *= rho / before
             p += r
         self.solved = rho <= goal
-        return np.einsum("nji,nj->ni", factor, products.solution(y)), convex
+        if self._swept is not None:
+            self._sweep_back(y)
+            y = self._swept
+        return np.einsum("nji,nj->ni", factor, y), convex
+
+    def _multiply(self, p: FloatArray, image: FloatArray) -> float:
+        """Fill ``image`` with the product of the matrix, in a plane between triangular factors, and ``p``; return
+        ``p . image``."""
+        if self._swept is None:
+            return sum_over_rows(partial(multiply_rows, *self._matrix, p, image), len(image))
+        self._sweep_back(p)
+        return self._sweep_on(p, image)
+
+    def _sweep_back(self, p: FloatArray) -> None:
+        for_chunks(partial(sweep_back, self._matrix, self._relaxation, p, self._swept), len(p), _SWEPT)
+
+    def _sweep_on(self, p: FloatArray, image: FloatArray) -> float:
+        work = partial(sweep_on, self._matrix, self._relaxation, p, self._swept, image)
+        return sum_over_rows(work, len(image), _SWEPT)
 
 
 @kernel("f4[:, :, ::1], i8[::1], i4[::1], f8[:, ::1], f8[:, ::1], i8, i8")

@@ -10,24 +10,23 @@ larger weights, also at fixed walls; this costs little, as they take up little s
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..boundary import Boundary
-from ..boundary.constraints import CurvedSurface
 from ..grid import BoolArray, FloatArray, IntArray
 from ..grid.planes import plane_axes
 from ..numerics.cell.foldover.elements import Unknowns
 from ..numerics.cell.foldover.samples import cell_edges, sound_samples
+from ..numerics.cell.measures import cell_corners
 from ..parallel import Nodes
 from ..quality import Original
 from ..quality.cells import corner_nodes, places
 from .constraints import Constraints, Extrusion, find_extrusion
-from .energy import Energy, Region, Slide
+from .energy import Energy, Region, Slide, components
 from .newton import NewtonSystem
 from .tuned import COLLAPSED, CRAMPED, FALL, FIRST, GROWTH, HEAVIEST, REACH, ROOM, SHARE, STEEP, THIN
 
@@ -74,11 +73,6 @@ class Plot:
     def shift(self, change: FloatArray) -> FloatArray:
         """Shift (k, 3) of the block nodes ``moved`` for a change (n, d) of the region's coordinates."""
         return components(change[self.at], self.axes.T)
-
-
-def components(vectors: FloatArray, axes: FloatArray) -> FloatArray:
-    """Products (n, d) of vectors (n, e) and ``axes`` (d, e); the same to the last bit for any n, unlike ``@``."""
-    return np.asarray(sum(vectors[:, e, None] * axes[:, e] for e in range(axes.shape[1])))
 
 
 class Near(NamedTuple):
@@ -203,8 +197,7 @@ class Basis:
     def plot(self, near: Near | None = None) -> Plot | None:
         """The region of the nodes that are near, by default of all that may move, or ``None`` if none may. All ranks
         that hold parts of the grid call this together."""
-        own = [np.concatenate(each) for each in zip(*self._by_block(near), strict=True)]
-        moved, cells = (np.concatenate(each) for each in zip(*self.grid.nodes.gather(own), strict=True))
+        moved, cells = (np.concatenate(each) for each in zip(*self.grid.nodes.gather(self._own(near)), strict=True))
         if not moved.size:
             return None
         corners, owners = self.corners_of_cells(cells), self._owners(moved)
@@ -225,7 +218,11 @@ class Basis:
         # Samples that depend on no node that moves are constant.
         mask = sound_samples(start, cell_nodes, side, COLLAPSED, moves)
         energy = Energy(start, cell_nodes, weight, np.ones(len(cells)), mask)
-        region = Region(energy, unknowns, freedom, tuple(self._slides(nodes, unknowns, origin)))
+        surfaces = [
+            (each, np.isin(nodes, self.topology.first[each.nodes]) & moves) for each in self.constraints.sliding
+        ]
+        slides = [Slide(np.flatnonzero(on), each, self.axes, origin) for each, on in surfaces if on.any()]
+        region = Region(energy, unknowns, freedom, tuple(slides))
         return Plot(region, moved, np.searchsorted(nodes, owners), nodes, self.axes, origin, near is None)
 
     def back_to_surfaces(self, points: FloatArray) -> None:
@@ -237,28 +234,21 @@ class Basis:
             if rows.size:
                 nodes.rows[rows] = each.project(nodes.rows[rows])
 
-    def _by_block(self, near: Near | None) -> Iterator[tuple[IntArray, IntArray]]:
-        """Nodes of a region, and the cells at nodes of it, of this rank's part of every block."""
-        grid = self.grid
-        if near:
-            grid.hold_neighbours(near.layers)
-        for block, (ni, nj, nk) in enumerate(grid.shapes):
-            own, start = grid.planes(block), int(grid.offsets[block])
-            last = min(own.stop + 1, ni) if own.stop > own.start else own.stop
-            rows = slice(start + own.start * nj * nk, start + last * nj * nk)
-            moves = np.ones(rows.stop - rows.start, dtype=bool)
-            faces = slice(*np.searchsorted(self.topology.face_nodes, [rows.start, rows.stop]).tolist())
-            held = self.constraints.held[self.topology.number[faces]]
-            moves[self.topology.face_nodes[faces][held] - rows.start] = False
-            if near:
-                moves &= Nodes.of(near.layers).rows[rows] <= near.most
-            touched, size = moves.reshape(-1, nj, nk), (own.stop - own.start) * nj * nk
-            for axis, n in enumerate((ni, nj, nk)):
-                low, high = (tuple(slice(*ends) if axis == a else slice(None) for a in range(3)) for ends in _ENDS)
-                touched = touched[low] | touched[high] if n > 1 else touched
-            _, cj, ck = grid.cell_shapes[block]
-            first = int(grid.cell_offsets[block]) + own.start * cj * ck
-            yield rows.start + np.flatnonzero(moves[:size]), first + np.flatnonzero(touched)
+    def _own(self, near: Near | None) -> tuple[IntArray, IntArray]:
+        """The nodes of a region, and the cells at these, of this rank's part of the grid."""
+        grid, face_nodes = self.grid, self.topology.face_nodes
+        low, moves = grid.nodes.low, grid.nodes.like(dtype=bool)
+        own, faces = Nodes.of(moves).own, slice(*np.searchsorted(face_nodes, grid.nodes.ends).tolist())
+        own[...] = Nodes.of(near.layers).own <= near.most if near else True
+        own[face_nodes[faces][self.constraints.held[self.topology.number[faces]]] - low] = False
+        grid.hold_neighbours(moves)
+        cells = [np.empty(0, dtype=np.int64)]
+        for block, (ni, _, _) in enumerate(grid.shapes):
+            corners, (_, cj, ck) = grid.in_planes(block, moves, 1), grid.cell_shapes[block]
+            if len(corners) > 1 or (len(corners) and ni == 1):
+                first = int(grid.cell_offsets[block]) + grid.planes(block).start * cj * ck
+                cells.append(first + np.flatnonzero(cell_corners(corners).any(axis=1)))
+        return low + np.flatnonzero(own), np.concatenate(cells)
 
     def corners_of_cells(self, cells: IntArray) -> IntArray:
         """Block nodes (m, 8), in 2-D (m, 4), at the corners of cells."""
@@ -280,29 +270,6 @@ class Basis:
         number = self._numbers(nodes)
         return np.where(number >= 0, self.topology.first[number], nodes)
 
-    def _slides(self, nodes: IntArray, unknowns: Unknowns, origin: FloatArray) -> Iterator[Slide]:
-        """The slides of the region's nodes, see :class:`Region`."""
-
-        def in_space(x: FloatArray) -> FloatArray:
-            return components(x, self.axes.T) + origin
-
-        def in_axes(points: FloatArray) -> FloatArray:
-            return components(points - origin, self.axes)
-
-        def slopes_at(sliding: CurvedSurface, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-            onto, normals = sliding.slopes(in_space(x))
-            return self.axes @ onto @ self.axes.T, self.axes @ normals @ self.axes.T
-
-        for each in self.constraints.sliding:
-            local = np.flatnonzero(np.isin(nodes, self.topology.first[each.nodes]) & (unknowns.number >= 0))
-            if local.size:
-                yield Slide(
-                    local,
-                    lambda x, each=each: components(each.normals(in_space(x)), self.axes),  # type: ignore[misc]
-                    lambda x, each=each: in_axes(each.project(in_space(x))),  # type: ignore[misc]
-                    partial(slopes_at, each),
-                )
-
     def _unknowns(self, nodes: IntArray, moves: BoolArray) -> tuple[Unknowns, FloatArray]:
         """The dependence of a region's ``nodes`` on its unknowns, and the directions of these; see :class:`Region`."""
         number, one = self._numbers(nodes), np.eye(len(self.axes))
@@ -318,9 +285,6 @@ class Basis:
 
         frame = frames(number)
         return Unknowns(unknown, frame, (frame == one).all(axis=(1, 2))), frames(self._numbers(roots))
-
-
-_ENDS = ((None, -1), (1, None))
 
 
 def nearness(layers: np.ndarray, largest: int) -> tuple[FloatArray, float]:

@@ -74,7 +74,7 @@ class Untangler:
 
     ``reference`` (n, d) are the coordinates of zero elastic energy, from which no node moves more than ``farthest``.
     ``damping``: the part of the indefinite second derivatives that the next step leaves out first, ``damped`` that
-    which the last one left out; see :meth:`_exact`.
+    which the last one left out; see :meth:`_newton`.
     """
 
     region: Region
@@ -176,12 +176,8 @@ class Untangler:
         return bool((np.abs(now.x - before.x).max(axis=1) > _GAIN * edges).any())
 
     def _step(self, now: State, penalty: Penalty, tolerance: float) -> tuple[State, float]:
-        """One step, and how much of it was taken, 0 if nothing lowers the energy; by the convex part of the second
-        derivatives alone if eps is not 0."""
-        step = self._exact(now, penalty, tolerance) if penalty.eps == 0.0 else None
-        if step is None:
-            self._fill(now.x, penalty)
-            step, _ = self._direction(tolerance, _ROUGH_ITERATIONS)
+        """One step, and how much of it was taken, 0 if nothing lowers the energy."""
+        step = self._newton(now, penalty, tolerance)
         slope = scalar_product(self.system.gradient, step)
         self.steps += 1
         length, after = 1.0, self._moved(now, penalty, step, 1.0)
@@ -202,13 +198,14 @@ class Untangler:
             x[far] = self.reference[far] + change[far] * (self.farthest / distance[far])[:, None]
         return self.state(x, penalty)
 
-    def _exact(self, now: State, penalty: Penalty, tolerance: float) -> FloatArray | None:
+    def _newton(self, now: State, penalty: Penalty, tolerance: float) -> FloatArray:
         """The step with as much of the indefinite second derivatives as leaves the whole positive definite.
 
         Without them the search creeps along flat valleys and past saddle points. The part left out is doubled until the
-        step succeeds, and halved after steps that succeed at once. ``None`` if even a half is too much.
+        step succeeds, and halved after steps that succeed at once; all are left out where half is too much, or if eps
+        is not 0.
         """
-        damping = self.damping
+        damping = self.damping if penalty.eps == 0.0 else 1.0
         while damping < 1.0:
             if self._fill(now.x, penalty._replace(exact=1.0 - damping)):
                 step, convex = self._direction(tolerance, _FINE_ITERATIONS)
@@ -217,8 +214,10 @@ class Untangler:
                     self.damping, self.damped = less if damping == self.damping else damping, damping
                     return step
             damping = max(_LEAST, 2.0 * damping)
-        self.damping, self.damped = 0.5, 1.0
-        return None
+        if penalty.eps == 0.0:
+            self.damping, self.damped = 0.5, 1.0
+        self._fill(now.x, penalty)
+        return self._direction(tolerance, _ROUGH_ITERATIONS)[0]
 
     def _fill(self, x: FloatArray, penalty: Penalty) -> bool:
         self.limit.spend(self.region.energy.work)
