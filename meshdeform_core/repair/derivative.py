@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import scipy
 
 from ..grid import FloatArray
 from ..parallel import Nodes
@@ -50,7 +51,7 @@ class _AtMinimum:
     Nodes that slide on curved surfaces have x = B F u: coordinates of their own, within the triangle that B projects
     onto; B is the identity for all others. Forces vanish in the directions of F, which follow the normals.
 
-    ``_onto``, ``_turning`` (n, d, d) are B and the change of the normal times the force on a node as it slides.
+    ``_free``, ``_spread``: F and B F; ``_turning``: the change of the normal times the force on a node as it slides;
     ``_slides`` (n, 1) is 1 at nodes that slide, else 0.
     """
 
@@ -69,15 +70,17 @@ class _AtMinimum:
     def _place(self) -> None:
         """Find the directions of the unknowns at the coordinates."""
         region, system, x = self._region, self._plot.system, self._x
-        self._free = region.spreading(region.directions(x)[0].frame)
-        self._onto, self._turning = np.tile(np.eye(x.shape[1]), (len(x), 1, 1)), np.zeros((len(x), *x.shape[1:] * 2))
-        self._slides = np.zeros((len(x), 1))
+        n, d = x.shape
+        frame, onto = region.directions(x)[0].frame, np.tile(np.eye(d), (n, 1, 1))
+        turning, self._slides = np.zeros((n, d, d)), np.zeros((n, 1))
         if region.slides:
             system.fill(replace(region, slides=()), x, self._start, self._penalty)
         for slide in region.slides:
-            at, (onto, turning) = slide.nodes, slide.slopes(x[slide.nodes])
+            at, (back, change) = slide.nodes, slide.slopes(x[slide.nodes])
             along = np.einsum("ni,ni->n", slide.normals(x[at]), system.gradient[region.number[at]])
-            self._onto[at], self._turning[at], self._slides[at] = onto, along[:, None, None] * turning, 1.0
+            onto[at], turning[at], self._slides[at] = back, along[:, None, None] * change, 1.0
+        self._free, self._spread = region.spreading(frame), region.spreading(onto @ frame)
+        self._turning = scipy.sparse.bsr_array((turning, np.arange(n), np.arange(n + 1)))
 
     def push(self, change: FloatArray) -> FloatArray:
         """Change (n_nodes, 3) of the repaired grid for a change of the method's grid."""
@@ -92,7 +95,7 @@ class _AtMinimum:
             excess, _ = self._energy.excess_products(self._start, given, self._none)
             shares, slid = (float(self._slopes[0] @ excess), self._slopes[1] * excess), self._slides * given
             force, _, _ = self._energy.products(self._x, self._penalty._replace(elastic=0.0), given, *shares)
-            step = self._spread(self._solved(-self._gathered(force - self._hessian(slid))))
+            step = _times(self._spread, self._solved(-_times(self._free.T, force - self._hessian(slid))))
             return plot.shift(step - slid), shares[0]
 
         shift, share = Nodes.of(change).on_first(make)
@@ -107,7 +110,7 @@ class _AtMinimum:
         def make() -> FloatArray:
             own = np.zeros_like(self._x)
             np.add.at(own, plot.at, gradient[plot.moved] @ plot.axes.T)
-            step = self._turned(self._solved(-self._gathered(_times(self._onto, own)), transposed=True))
+            step = _times(self._free, self._solved(-_times(self._spread.T, own), transposed=True))
             free = self._penalty._replace(elastic=0.0)
             found, share, between = self._energy.products(self._x, free, step, 0.0, self._none)
             of_excess = (share + of_share) * self._slopes[0] + between * self._slopes[1]
@@ -127,7 +130,7 @@ class _AtMinimum:
         def make() -> FloatArray:
             for _ in range(_STEPS):
                 self._plot.system.fill(self._region, self._x, self._start, self._penalty)
-                self._x = self._x + self._spread(self._solved(-self._plot.system.gradient.copy()))
+                self._x = self._x + _times(self._spread, self._solved(-self._plot.system.gradient))
                 if not self._regular:
                     return np.full_like(self._x, np.inf)
                 for slide in self._region.slides:
@@ -157,7 +160,7 @@ class _AtMinimum:
             if not convex or system.iterations == _ITERATIONS:
                 self._regular = False
                 break
-            rest = right - self._gathered(self._image(found + step, transposed))
+            rest = right - self._image(found + step, transposed)
             after = np.linalg.norm(rest)
             if after >= before:
                 break
@@ -167,33 +170,21 @@ class _AtMinimum:
         return found
 
     def _image(self, unknowns: FloatArray, transposed: bool) -> FloatArray:
-        """Change (n, d) of the forces for a change of the unknowns, or its transpose, before it is gathered."""
-        if not transposed:
-            moved = self._spread(unknowns)
-            return self._hessian(moved) - _times(self._turning, moved)
-        turned = self._turned(unknowns)
-        return _times(self._onto, self._hessian(turned) - _times(self._turning.transpose(0, 2, 1), turned))
+        """Change (n_unknowns, d) of the forces for a change of the unknowns, or its transpose."""
+        first, last, turning = self._spread, self._free.T, self._turning
+        if transposed:
+            first, last, turning = self._free, self._spread.T, self._turning.T
+        moved = _times(first, unknowns)
+        return _times(last, self._hessian(moved) - _times(turning, moved))
 
     def _hessian(self, change: FloatArray) -> FloatArray:
         """Change (n, d) of the gradient for a change (n, d) of the coordinates."""
         return self._energy.products(self._x, self._penalty, change, 0.0, self._none)[0]
 
-    def _spread(self, unknowns: FloatArray) -> FloatArray:
-        """The change (n, d) of the nodes: B F u."""
-        return _times(self._onto, self._turned(unknowns))
 
-    def _turned(self, unknowns: FloatArray) -> FloatArray:
-        """F u (n, d)."""
-        return np.asarray((self._free @ unknowns.ravel()).reshape(self._x.shape))
-
-    def _gathered(self, force: FloatArray) -> FloatArray:
-        """The transpose of :meth:`_turned`."""
-        return np.asarray((self._free.T @ force.ravel()).reshape(-1, force.shape[1]))
-
-
-def _times(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
-    """Products (n, d) of matrices (n, d, d) and vectors (n, d)."""
-    return np.asarray(np.einsum("nij,nj->ni", matrices, vectors))
+def _times(matrix: scipy.sparse.sparray, vectors: FloatArray) -> FloatArray:
+    """Product (m, d) of a matrix (m d, n d) and vectors (n, d)."""
+    return np.asarray((matrix @ vectors.ravel()).reshape(-1, vectors.shape[1]))
 
 
 class _Extruded:
