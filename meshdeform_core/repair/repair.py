@@ -28,7 +28,7 @@ from .options import Effort, Limit
 from .outcome import Judged, Repair, unhealthy_cells
 from .region import Basis, Plot
 from .tuned import FEW, KEPT, LARGE, LAYERS, PER_NODE, SQUASHED
-from .untangle import WAYS, Progress, Search, Untangler, search
+from .untangle import WAYS, Progress, Search, Untangler, Way
 
 WEAK = 0.35
 """Cells with a corner below this fraction of its undeformed Jacobian are of little use (:mod:`..mending`)."""
@@ -126,7 +126,7 @@ class Repairer:
                 if not best.steps:
                     return replace(best, left_out=str(error))
                 break
-            found = self._searched(start, plot, limit, partial(search, way=way, polish=polish)) if plot else None
+            found = self._searched(start, plot, limit, way, polish) if plot else None
             if plot is None or found is None:
                 continue
             sound, end = found.sound, self._moved(start, plot, found.shift)
@@ -161,16 +161,13 @@ class Repairer:
         self.memory.require(needed, f"a repair of {nodes:,} nodes", "allow more, or take --repair off")
         return basis.whole
 
-    def _searched(
-        self, start: Judged, plot: Plot, limit: Limit, search: Callable[[Plot, Untangler], Search | None]
-    ) -> Search | None:
+    def _searched(self, start: Judged, plot: Plot, limit: Limit, way: Way, polish: bool) -> Search | None:
         """A search in one process; of ranks, by the first one."""
         reference, before = plot.inside(start.points), limit.spent
 
         def searched() -> tuple[Search | None, float]:
-            parts = plot.region, reference, reference, plot.system, self.farthest
-            found = search(plot, Untangler(*parts, progress=self.progress, limit=limit))
-            return found, limit.spent - before
+            untangler = Untangler(plot, reference, self.farthest, limit, self.progress)
+            return untangler.search(way, polish), limit.spent - before
 
         found, spent = Nodes.of(start.points).on_first(searched)
         # Of the other ranks.

@@ -4,14 +4,14 @@ the energy."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..grid import FloatArray
 from ..parallel import for_chunks
-from .energy import Penalty, Region, share_of
-from .newton import NewtonSystem, scalar_product
+from .energy import Penalty, share_of
+from .newton import scalar_product
 from .options import Effort, Limit
 from .region import Plot
 from .tuned import CUBIC, POLISHED, SOFTENED
@@ -68,30 +68,59 @@ class Way:
     even: bool = False
 
 
-@dataclass
+# A regularisation that starts large and falls slowly finds valid grids where a fast one fails.
+QUICK, PATIENT = Way(60, 2.0, 0.2), Way(200, 50.0, 0.1, patient=True)
+EVEN = Way(60, 2.0, 0.2, patient=True, even=True)
+# Where no valid grid exists, most of the cells that can become valid do so early.
+HASTY = Way(30, 2.0, 0.3)
+_CONVERGING = 60
+# A region of n nodes takes at most _WORK / n Newton steps, so that time is bounded on large grids.
+_WORK, _FEWEST = 20_000_000, 6
+
+WAYS: dict[Effort, tuple[Way, ...]] = {
+    "hasty": (HASTY,),
+    "quick": (QUICK, EVEN),
+    "patient": (PATIENT, EVEN),
+    "all": (QUICK, EVEN, PATIENT),
+}
+"""The strategies that are tried in turn."""
+
+
+@dataclass(frozen=True)
+class Search:
+    """Result of a search: the ``shift`` (k, 3) of the nodes that a plot moves, whether it is that to the minimum, and
+    whether no sample is inverted; the shift where that was so first, if the minimum was not reached; and the share."""
+
+    shift: FloatArray
+    converged: bool
+    sound: bool
+    steps: int
+    untangled: FloatArray | None
+    share: float
+
+
 class Untangler:
-    """Moves the unknowns of a region from coordinates ``x`` (n, d), within a limit.
+    """Moves the unknowns of a plot from coordinates ``x`` (n, d), within a limit.
 
     ``reference`` (n, d) are the coordinates of zero elastic energy, from which no node moves more than ``farthest``.
-    ``damping``: the part of the indefinite second derivatives that the next step leaves out first, ``damped`` that
-    which the last one left out; see :meth:`_newton`.
+    ``most``: the largest number of Newton steps, ``steps`` that of those taken. ``damping``: the part of the indefinite
+    second derivatives that the next step leaves out first, ``damped`` that which the last one left out; see
+    :meth:`_newton`.
     """
 
-    region: Region
-    x: FloatArray
-    reference: FloatArray
-    system: NewtonSystem
-    farthest: float = np.inf
-    steps: int = 0
-    progress: Progress | None = None
-    limit: Limit = field(default_factory=Limit)
-    damping: float = 0.0
-    damped: float = 1.0
-
-    @property
-    def most(self) -> int:
-        """The largest number of Newton steps."""
-        return max(_FEWEST, _WORK // self.region.n_unknowns)
+    def __init__(
+        self,
+        plot: Plot,
+        reference: FloatArray,
+        farthest: float = np.inf,
+        limit: Limit | None = None,
+        progress: Progress | None = None,
+    ):
+        self.plot, self.region, self.system = plot, plot.region, plot.system
+        self.x, self.reference, self.farthest = reference, reference, farthest
+        self.limit, self.progress = limit or Limit(), progress or (lambda *_: None)
+        self.most, self.steps = max(_FEWEST, _WORK // self.region.n_unknowns), 0
+        self.damping, self.damped = 0.0, 1.0
 
     def state(self, x: FloatArray, penalty: Penalty) -> State:
         energy, size = self.region.energy, len(self.region.energy.nodes)
@@ -119,8 +148,7 @@ class Untangler:
             untangled = now.lowest > 0.0
             if untangled or step == way.steps or now.lowest < -_LOCKED * eps or self.limit.reached:
                 break
-            if self.progress:
-                self.progress("repair", step, way.steps)
+            self.progress("repair", step, way.steps)
             after, _ = self._step(now, Penalty(eps), _ROUGH)
             self.x = after.x
             # The regularisation with which chi of the smallest determinant is ``1 - change`` times what it is now.
@@ -133,24 +161,20 @@ class Untangler:
         self.region = whole
         return untangled
 
-    def minimise(self, share: float, most: int, edges: FloatArray) -> bool:
-        """At most ``most`` Newton steps to the minimum from a valid start; returns whether it was reached.
-
-        ``edges`` (n,) are the shortest undeformed edges at the nodes, relative to which steps must be below CLOSE.
-        """
+    def minimise(self, share: float, most: int) -> bool:
+        """At most ``most`` Newton steps to the minimum from a valid start; returns whether it was reached."""
         penalty, whole = Penalty(0.0, share, CUBIC, 1.0), self.region.energy.work + _WORTHWHILE * self.system.work
         now, length, earlier = self.state(self.x, penalty), np.inf, list[State]()
         for step in range(most):
             earlier.append(now)
             if self.limit.reached or not self.limit.affords(whole):
                 break
-            if step >= _PATIENCE and not self._gained(earlier[-1 - _PATIENCE], now, edges):
+            if step >= _PATIENCE and not self._gained(earlier[-1 - _PATIENCE], now):
                 break
-            if self.progress:
-                self.progress("repair", step, most)
+            self.progress("repair", step, most)
             tolerance = min(_ROUGH, max(_FINE, _FORCING * length))
             after, part = self._step(now, penalty, tolerance)
-            before, length = length, float((np.abs(after.x - now.x).max(axis=1) / edges).max(initial=0.0))
+            before, length = length, self._relative(after.x - now.x)
             now = after
             self.x = now.x
             # The next step is estimated from the linear solver's tolerance and Newton's quadratic convergence.
@@ -168,12 +192,16 @@ class Untangler:
                 break
         return False
 
-    def _gained(self, before: State, now: State, edges: FloatArray) -> bool:
+    def _gained(self, before: State, now: State) -> bool:
         """Whether the worst cells, the energy or, relative to their edges, the nodes have changed noticeably."""
         pairs = (before.lowest, now.lowest), (before.highest - 2.0, now.highest - 2.0), (before.energy, now.energy)
         if any(abs(new - old) > _GAIN * abs(old) for old, new in pairs):
             return True
-        return bool((np.abs(now.x - before.x).max(axis=1) > _GAIN * edges).any())
+        return bool(self._relative(now.x - before.x) > _GAIN)
+
+    def _relative(self, change: FloatArray) -> float:
+        """The largest change of a node (n, d), relative to its shortest undeformed edge."""
+        return float((np.abs(change).max(axis=1) / self.plot.edges).max(initial=0.0))
 
     def _step(self, now: State, penalty: Penalty, tolerance: float) -> tuple[State, float]:
         """One step, and how much of it was taken, 0 if nothing lowers the energy."""
@@ -228,50 +256,18 @@ class Untangler:
         self.limit.spend(self.system.work * self.system.iterations)
         return found
 
+    def search(self, way: Way, polish: bool) -> Search | None:
+        """The minimum of the energy; ``None`` if no cell is weak.
 
-# A regularisation that starts large and falls slowly finds valid grids where a fast one fails.
-QUICK, PATIENT = Way(60, 2.0, 0.2), Way(200, 50.0, 0.1, patient=True)
-EVEN = Way(60, 2.0, 0.2, patient=True, even=True)
-# Where no valid grid exists, most of the cells that can become valid do so early.
-HASTY = Way(30, 2.0, 0.3)
-_CONVERGING = 60
-# A region of n nodes takes at most _WORK / n Newton steps, so that time is bounded on large grids.
-_WORK, _FEWEST = 20_000_000, 6
-
-WAYS: dict[Effort, tuple[Way, ...]] = {
-    "hasty": (HASTY,),
-    "quick": (QUICK, EVEN),
-    "patient": (PATIENT, EVEN),
-    "all": (QUICK, EVEN, PATIENT),
-}
-"""The strategies that are tried in turn."""
-
-
-@dataclass(frozen=True)
-class Search:
-    """Result of a search: the ``shift`` (k, 3) of the nodes that a plot moves, whether it is that to the minimum, and
-    whether no sample is inverted; the shift where that was so first, if the minimum was not reached; and the share."""
-
-    shift: FloatArray
-    converged: bool
-    sound: bool
-    steps: int
-    untangled: FloatArray | None
-    share: float
-
-
-def search(plot: Plot, untangler: Untangler, way: Way, polish: bool) -> Search | None:
-    """The minimum of the energy; ``None`` if no cell is weak.
-
-    ``polish``: the energy always has its full share, and cells at walls have little more weight than others.
-    """
-    share, energy, *_ = share_of(plot.region.energy, untangler.reference)
-    raised = max(share, 1.0 if polish or way.patient else 0.0)
-    if raised == 0.0:
-        return None
-    untangler.region = replace(plot.region, energy=energy.softened(POLISHED) if polish or way.even else energy)
-    untangled, first = untangler.untangle(replace(way, steps=min(way.steps, untangler.most))), untangler.x
-    converged = untangled and untangler.minimise(raised, min(_CONVERGING, untangler.most), plot.edges)
-    moved, on_the_way = (plot.shift(x - untangler.reference) for x in (untangler.x, first))
-    kept = on_the_way if untangled and not converged else None
-    return Search(moved, converged and (polish or raised == share), untangled, untangler.steps, kept, share)
+        ``polish``: the energy always has its full share, and cells at walls have little more weight than others.
+        """
+        share, energy, *_ = share_of(self.region.energy, self.reference)
+        raised = max(share, 1.0 if polish or way.patient else 0.0)
+        if raised == 0.0:
+            return None
+        self.region = replace(self.region, energy=energy.softened(POLISHED) if polish or way.even else energy)
+        untangled, first = self.untangle(replace(way, steps=min(way.steps, self.most))), self.x
+        converged = untangled and self.minimise(raised, min(_CONVERGING, self.most))
+        moved, on_the_way = (self.plot.shift(x - self.reference) for x in (self.x, first))
+        kept = on_the_way if untangled and not converged else None
+        return Search(moved, converged and (polish or raised == share), untangled, self.steps, kept, share)
