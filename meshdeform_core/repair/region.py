@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -73,20 +73,6 @@ class Plot:
     def shift(self, change: FloatArray) -> FloatArray:
         """Shift (k, 3) of the block nodes ``moved`` for a change (n, d) of the region's coordinates."""
         return components(change[self.at], self.axes.T)
-
-
-class Near(NamedTuple):
-    """Block nodes within ``most`` cells of some; ``layers`` (n_nodes,) are their distances, in parts if the grid is."""
-
-    layers: Any
-    most: int
-
-    def largest_below(self, count: int, choices: tuple[int, ...]) -> int | None:
-        """The largest of the ``choices`` of layers with at most ``count`` block nodes; ``None`` if all have more."""
-        low, high = Nodes.of(self.layers).ends
-        own = np.bincount(Nodes.of(self.layers).rows[low:high].clip(max=self.most + 1), minlength=self.most + 2)
-        total = np.cumsum(np.sum(Nodes.of(self.layers).gather(own), axis=0))
-        return next((layers for layers in sorted(choices, reverse=True) if total[layers] <= count), None)
 
 
 def distances_in_cells(constraints: Constraints, seeds: IntArray, most: int) -> tuple[Any, int]:
@@ -189,28 +175,31 @@ class Basis:
         walls = self.topology.face_nodes[self.constraints.walls[self.topology.number]]
         return distances_in_cells(self.constraints, walls, FARTHEST)
 
-    def near(self, cells: IntArray, layers: int) -> Near:
-        """The nodes within ``layers`` cells of ``cells``, of which each rank gives those in its part, ascending."""
-        seeds = np.unique(np.concatenate(self.grid.nodes.gather(np.unique(self.corners_of_cells(cells)))))
-        return Near(distances_in_cells(self.constraints, seeds, layers)[0], layers)
+    def near(self, cells: IntArray, most: int) -> Any:
+        """Distance of every block node from the nodes of ``cells``, of which each rank gives those in its part, as from
+        :func:`distances_in_cells`."""
+        seeds = np.unique(np.concatenate(self.grid.nodes.gather(np.unique(self._corners(cells)))))
+        return distances_in_cells(self.constraints, seeds, most)[0]
 
-    def plot(self, near: Near | None = None) -> Plot | None:
-        """The region of the nodes that are near, by default of all that may move, or ``None`` if none may. All ranks
-        that hold parts of the grid call this together."""
-        moved, cells = (np.concatenate(each) for each in zip(*self.grid.nodes.gather(self._own(near)), strict=True))
+    def plot(self, layers: Any = None, most: int = 0) -> Plot | None:
+        """The region of the nodes that may move and whose ``layers`` (n_nodes,), if given, are at most ``most``, or
+        ``None`` if there are none. All ranks that hold parts of the grid call this together."""
+        own = self._own(layers, most)
+        moved, cells = (np.concatenate(each) for each in zip(*self.grid.nodes.gather(own), strict=True))
         if not moved.size:
             return None
-        corners, owners = self.corners_of_cells(cells), self._owners(moved)
+        corners, owners = self._corners(cells), self._owners(moved)
         nodes, local = np.unique(self._owners(corners.ravel()), return_inverse=True)
-        moves = self.may_move(nodes)
-        if near:
-            moves &= Nodes.of(near.layers).at(nodes) <= near.most
+        number = self._numbers(nodes)
+        moves = (number < 0) | ~self.constraints.held[number]
+        if layers is not None:
+            moves &= Nodes.of(layers).at(nodes) <= most
         unknowns, freedom = self._unknowns(nodes, moves)
         origin = self.grid.nodes.at(np.array([0]))[0]
         start = components(self.grid.nodes.at(nodes) - origin, self.axes)
         cell_nodes = local.reshape(corners.shape)
-        layers, most = self._from_walls
-        share, first = nearness(Nodes.of(layers).at(nodes), most)
+        from_walls, largest = self._from_walls
+        share, first = nearness(Nodes.of(from_walls).at(nodes), largest)
         weight = weigh(share[cell_nodes], first, start, cell_nodes)
         side = self.original.sides(places(self.grid, cells)[0])
         if self.original.normal is not None:
@@ -223,7 +212,7 @@ class Basis:
         ]
         slides = [Slide(np.flatnonzero(on), each, self.axes, origin) for each, on in surfaces if on.any()]
         region = Region(energy, unknowns, freedom, tuple(slides))
-        return Plot(region, moved, np.searchsorted(nodes, owners), nodes, self.axes, origin, near is None)
+        return Plot(region, moved, np.searchsorted(nodes, owners), nodes, self.axes, origin, layers is None)
 
     def back_to_surfaces(self, points: FloatArray) -> None:
         """Project the nodes that slide on curved surfaces back onto them, in place."""
@@ -234,12 +223,12 @@ class Basis:
             if rows.size:
                 nodes.rows[rows] = each.project(nodes.rows[rows])
 
-    def _own(self, near: Near | None) -> tuple[IntArray, IntArray]:
+    def _own(self, layers: Any, most: int) -> tuple[IntArray, IntArray]:
         """The nodes of a region, and the cells at these, of this rank's part of the grid."""
         grid, face_nodes = self.grid, self.topology.face_nodes
         low, moves = grid.nodes.low, grid.nodes.like(dtype=bool)
         own, faces = Nodes.of(moves).own, slice(*np.searchsorted(face_nodes, grid.nodes.ends).tolist())
-        own[...] = Nodes.of(near.layers).own <= near.most if near else True
+        own[...] = True if layers is None else Nodes.of(layers).own <= most
         own[face_nodes[faces][self.constraints.held[self.topology.number[faces]]] - low] = False
         grid.hold_neighbours(moves)
         cells = [np.empty(0, dtype=np.int64)]
@@ -250,7 +239,7 @@ class Basis:
                 cells.append(first + np.flatnonzero(cell_corners(corners).any(axis=1)))
         return low + np.flatnonzero(own), np.concatenate(cells)
 
-    def corners_of_cells(self, cells: IntArray) -> IntArray:
+    def _corners(self, cells: IntArray) -> IntArray:
         """Block nodes (m, 8), in 2-D (m, 4), at the corners of cells."""
         return corner_nodes(self.grid, *places(self.grid, cells))
 
@@ -259,11 +248,6 @@ class Basis:
         face = self.topology.face_nodes
         place = np.minimum(np.searchsorted(face, nodes), len(face) - 1)
         return np.where(face[place] == nodes, self.topology.number[place], -1)
-
-    def may_move(self, nodes: IntArray) -> BoolArray:
-        """Whether block nodes may move."""
-        number = self._numbers(nodes)
-        return np.asarray((number < 0) | ~self.constraints.held[number])
 
     def _owners(self, nodes: IntArray) -> IntArray:
         """The block node that represents each of ``nodes``."""

@@ -153,10 +153,11 @@ class Repairer:
         nodes = basis.n_unknowns
         if nodes > LARGE and not whole and bad.size < FEW * grid.n_cells:
             room = min(PER_NODE * grid.n_nodes, self.memory.size) // NewtonSystem.memory(1, grid.dimension)
-            near = basis.near(bad, max(LAYERS))
-            layers = near.largest_below(room, LAYERS)
-            if layers is not None:
-                return basis.plot(near._replace(most=layers))
+            layers = basis.near(bad, max(LAYERS))
+            counts = Nodes.of(layers).gather(np.bincount(Nodes.of(layers).own, minlength=max(LAYERS) + 2))
+            total = np.cumsum(np.sum(counts, axis=0))
+            if most := max((each for each in LAYERS if total[each] <= room), default=0):
+                return basis.plot(layers, most)
         needed = NewtonSystem.memory(nodes, grid.dimension)
         self.memory.require(needed, f"a repair of {nodes:,} nodes", "allow more, or take --repair off")
         return basis.whole
@@ -215,7 +216,7 @@ class Repairer:
             return np.clip(part, 0.0, 1.0)[:, None]
 
         for layers in LAYERS[2:]:
-            found = self._blended(start, end, partial(near, self.basis.near(cells, 2 * layers).layers, layers))
+            found = self._blended(start, end, partial(near, self.basis.near(cells, 2 * layers), layers))
             if found.count <= end.count:
                 return found
         return end
