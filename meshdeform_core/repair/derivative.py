@@ -15,7 +15,7 @@ import scipy
 from ..grid import FloatArray
 from ..parallel import Nodes
 from .constraints import Extrusion
-from .energy import Penalty, kept_along_lines, share_of
+from .energy import Penalty, components, kept_along_lines, share_of
 from .region import Basis, Plot
 from .tuned import CUBIC, POLISHED
 
@@ -89,7 +89,7 @@ class _AtMinimum:
     def push_with_share(self, change: FloatArray) -> tuple[FloatArray, float]:
         """As :meth:`push`, and the change of the share."""
         plot, moved = self._plot, np.array(change)
-        given = plot.vectors(change)
+        given = components(Nodes.of(change).at(plot.nodes), plot.axes)
 
         def make() -> tuple[FloatArray, float]:
             excess, _ = self._energy.excess_products(self._start, given, self._none)

@@ -66,10 +66,6 @@ class Plot:
         """Coordinates (n, d) of the region's nodes; all ranks that hold parts of ``points`` call this together."""
         return components(Nodes.of(points).at(self.nodes) - self.origin, self.axes)
 
-    def vectors(self, change: FloatArray) -> FloatArray:
-        """As :meth:`inside`, of displacements (n_nodes, 3)."""
-        return components(Nodes.of(change).at(self.nodes), self.axes)
-
     def shift(self, change: FloatArray) -> FloatArray:
         """Shift (k, 3) of the block nodes ``moved`` for a change (n, d) of the region's coordinates."""
         return components(change[self.at], self.axes.T)

@@ -40,8 +40,14 @@ def fixed_setup(grid, *more):
     return set_up(grid, Case((moving, *more)))
 
 
+def repaired(setup, points, **options):
+    """The verdict on coordinates, and their repair."""
+    verdict = judge(setup.original, points)
+    return verdict, Repairer(Basis(setup.original, setup.boundary), **options).repair(Judged(points, verdict))
+
+
 def whole_region(setup):
-    return Basis(setup.original, setup.boundary).plot()
+    return Basis(setup.original, setup.boundary).whole
 
 
 def dense(system):
@@ -166,9 +172,8 @@ def test_a_node_thrown_out_of_its_cells_comes_back(dimension):
     points = setup.grid.points.copy()
     middle = setup.grid.n_nodes // 2
     points[middle, :dimension] += 0.6
-    verdict = judge(setup.original, points)
+    verdict, outcome = repaired(setup, points)
     assert not verdict.valid
-    outcome = Repairer(Basis(setup.original, setup.boundary)).repair(Judged(points, verdict))
     assert outcome.verdict.valid
     assert not judge(setup.original, outcome.points).invalid.size
     assert outcome.repair.invalid == verdict.invalid.size
@@ -257,9 +262,8 @@ def test_periodic_sides_move_alike():
     # A cell on each side of the period is turned over.
     block[0, 4, 4, 2] += 0.5
     block[-1, 4, 4, 2] += 0.5
-    verdict = judge(setup.original, points)
+    verdict, outcome = repaired(setup, points)
     assert not verdict.valid
-    outcome = Repairer(Basis(setup.original, setup.boundary)).repair(Judged(points, verdict))
     assert outcome.verdict.valid
     moved = grid.block(0, outcome.points - grid.points)
     np.testing.assert_allclose(moved[0], moved[-1], rtol=0, atol=1e-15)
@@ -286,7 +290,7 @@ def test_cells_of_a_boundary_layer_that_only_turn_keep_their_heights():
     points = setup.grid.points.copy()
     inner = setup.grid.block(0, points)
     inner[4, 4, 14] += [0.3, 0.3, 0.4]
-    outcome = Repairer(Basis(setup.original, setup.boundary)).repair(Judged(points, judge(setup.original, points)))
+    _, outcome = repaired(setup, points)
     assert outcome.verdict.valid
     ratio = outcome.verdict.ratio.reshape(8, 8, -1)
     assert ratio[:, :, :6].min() > 0.7
@@ -421,10 +425,8 @@ def test_a_repair_is_bounded_and_undone_far_from_cells_that_stay_invalid():
     block = grid.block(0, points)
     block[0, 0] = 1.2 * block[1, 1]
     block[4, 4] += 1.2 * (block[5, 5] - block[4, 4])
-    verdict = judge(setup.original, points)
+    verdict, outcome = repaired(setup, points, farthest=0.05)
     assert not verdict.valid
-    repairer = Repairer(Basis(setup.original, setup.boundary), farthest=0.05)
-    outcome = repairer.repair(Judged(points, verdict))
     assert not outcome.verdict.valid
     moved = np.linalg.norm(outcome.points - points, axis=1)
     assert 0.0 < moved.max() <= 0.05 * (1 + 1e-12)
@@ -438,9 +440,7 @@ def test_a_repair_that_does_not_fit_is_left_out_with_the_reason():
     result = impose(setup, setup.motion(0.0), None, "float64", Timing())
     plain = impose(setup.with_repair("off"), setup.motion(0.0), None, "float64", Timing())
     assert plain.valid
-    repairer = Repairer(Basis(setup.original, setup.boundary), memory=limit)
-    verdict = judge(setup.original, plain.grid.points)
-    outcome = repairer.repair(Judged(plain.grid.points, verdict))
+    _, outcome = repaired(setup, plain.grid.points, memory=limit)
     assert "--max-memory allows 1000 B" in outcome.repair.left_out
     np.testing.assert_array_equal(outcome.points, plain.grid.points)
     assert result.valid
@@ -504,9 +504,8 @@ def test_nodes_slide_on_curved_surfaces_and_stay_on_them(dimension):
         block[i, -2] += 0.8 * (setup.grid.block(0)[i + 3, -2] - setup.grid.block(0)[i, -2])
     if dimension == 3:
         block[:, :, [0, -1]] = setup.grid.block(0)[:, :, [0, -1]]
-    verdict = judge(setup.original, points)
+    verdict, outcome = repaired(setup, points)
     assert verdict.failed.any()
-    outcome = Repairer(Basis(setup.original, setup.boundary)).repair(Judged(points, verdict))
     assert outcome.verdict.valid
     after = outcome.points[setup.topology.first[sliding.nodes]]
     before = points[setup.topology.first[sliding.nodes]]
@@ -535,9 +534,8 @@ def test_pinned_corners_do_not_end_an_improvement():
     block = setup.grid.block(0, points)
     block[0, 0] = 0.49 * (block[1, 0] + block[0, 1])
     block[4, 4] += 0.97 * (block[5, 4] - block[4, 4])
-    before = judge(setup.original, points)
+    before, outcome = repaired(setup, points)
     assert before.valid
-    outcome = Repairer(Basis(setup.original, setup.boundary)).repair(Judged(points, before))
     ratio = [verdict.ratio.reshape(8, 8)[2:, 2:].min() for verdict in (before, outcome.verdict)]
     assert ratio[0] < 0.05
     assert ratio[1] > 0.3
@@ -549,9 +547,8 @@ def test_a_deep_fold_is_opened():
     body, _ = body_specs(turning("170"), Kind.SLIP)
     setup = set_up(grid, Case((dataclasses.replace(body, select=("*",)),), repair=RepairOptions("off")))
     start = impose(setup, setup.motion(0.0), 1, "float64", Timing()).grid.points
-    verdict = judge(setup.original, start)
+    verdict, outcome = repaired(setup, start)
     assert verdict.failed.any()
-    outcome = Repairer(Basis(setup.original, setup.boundary)).repair(Judged(start, verdict))
     assert outcome.verdict.valid
 
 

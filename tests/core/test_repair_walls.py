@@ -1,10 +1,11 @@
-"""Weights of cells in a repair: large at walls."""
+"""Cells in a repair: which need one, and their weights, large at walls."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from cases import formulas
+from cases import body_specs, formulas, turning
+from grids import frame
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, Timing, impose, set_up
@@ -13,7 +14,9 @@ from meshdeform_core.methods import Options
 from meshdeform_core.repair import RepairOptions
 from meshdeform_core.repair import repair as repairs
 from meshdeform_core.repair.constraints import Constraints
-from meshdeform_core.repair.region import FARTHEST, nearness, weigh
+from meshdeform_core.repair.energy import share_of
+from meshdeform_core.repair.outcome import unhealthy_cells
+from meshdeform_core.repair.region import FARTHEST, Basis, nearness, weigh
 
 
 def test_first_cells_at_walls_weigh_most_and_less_where_walls_are_few_cells_apart():
@@ -90,3 +93,19 @@ def test_what_walls_gain_the_worst_cell_of_a_valid_grid_loses_in_part_only(monke
     assert repaired.repair is not None
     worst = [result.assessment.after.min_scaled_jacobian for result in (plain, repaired)]
     assert worst[1] == pytest.approx(share * 0.9 * worst[0], rel=1e-5)
+
+
+def test_cells_are_healthy_up_to_the_shear_at_which_their_energy_has_a_share():
+    grid = frame(4, 3)
+    setup = set_up(grid, Case(tuple(body_specs(turning("5")))))
+    plot = Basis(setup.original, setup.boundary).whole
+
+    def sheared(amount):
+        return grid.points + amount * grid.points[:, [1]] * [1.0, 0.0, 0.0]
+
+    low, high = 0.0, 3.0
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if unhealthy_cells(setup.original, sheared(middle)).size else (middle, high)
+    below, above = (share_of(plot.region.energy, plot.inside(sheared(low * at)))[0] for at in (1 - 1e-6, 1 + 1e-6))
+    assert below == 0.0 < above
