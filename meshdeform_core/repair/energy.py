@@ -23,7 +23,6 @@ from ..grid import FloatArray, IntArray
 from ..numerics.cell.foldover.elements import Unknowns, combined, growth, plane_slopes, slopes
 from ..numerics.cell.foldover.samples import (
     Maps,
-    cell_edges,
     cofactors,
     inner,
     maps_at_sample,
@@ -95,14 +94,6 @@ class Energy:
     def part(self, maps: Maps) -> FloatArray | float:
         """The share of the maps, beside that of all samples."""
         return 1.0 if maps.at_corners else self.between[maps.cell]
-
-    def edges_at_nodes(self) -> FloatArray:
-        """Length (n,) of the shortest undeformed edge at every node, ignoring zero lengths; infinite if none."""
-        result = np.full(len(self.start), np.inf)
-        for *ends, length in cell_edges(self.start, self.nodes):
-            for each in ends:
-                np.minimum.at(result, each, np.where(length > 0.0, length, np.inf))
-        return result
 
     def softened(self, power: float) -> Energy:
         """The energy with all weights raised to ``power``."""

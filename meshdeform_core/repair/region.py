@@ -54,8 +54,13 @@ class Plot:
 
     @cached_property
     def edges(self) -> FloatArray:
-        """The shortest undeformed edges (n,) at the nodes."""
-        return self.region.energy.edges_at_nodes()
+        """The shortest undeformed edges (n,) at the nodes; those of zero length do not count."""
+        energy = self.region.energy
+        result = np.full(len(energy.start), np.inf)
+        for *ends, length in cell_edges(energy.start, energy.nodes):
+            for each in ends:
+                np.minimum.at(result, each, np.where(length > 0.0, length, np.inf))
+        return result
 
     @cached_property
     def system(self) -> NewtonSystem:

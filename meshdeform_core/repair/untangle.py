@@ -3,6 +3,7 @@ the energy."""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -164,12 +165,12 @@ class Untangler:
     def minimise(self, share: float, most: int) -> bool:
         """At most ``most`` Newton steps to the minimum from a valid start; returns whether it was reached."""
         penalty, whole = Penalty(0.0, share, CUBIC, 1.0), self.region.energy.work + _WORTHWHILE * self.system.work
-        now, length, earlier = self.state(self.x, penalty), np.inf, list[State]()
+        now, length, earlier = self.state(self.x, penalty), np.inf, deque[State](maxlen=_PATIENCE + 1)
         for step in range(most):
             earlier.append(now)
             if self.limit.reached or not self.limit.affords(whole):
                 break
-            if step >= _PATIENCE and not self._gained(earlier[-1 - _PATIENCE], now):
+            if step >= _PATIENCE and not self._gained(earlier[0], now):
                 break
             self.progress("repair", step, most)
             tolerance = min(_ROUGH, max(_FINE, _FORCING * length))
