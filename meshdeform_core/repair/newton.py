@@ -115,7 +115,7 @@ class NewtonSystem:
         self.matrix = with_room((len(self.columns), d, d), np.float32)
         self._factor = np.zeros((n, d, d))
         self._diagonal = np.flatnonzero(self.columns == np.repeat(np.arange(n), np.diff(self.starts)))
-        self._matrix, self._swept = (self.matrix, self.starts, self.columns), np.zeros((n, 2)) if d == 2 else None
+        self._rows, self._swept = (self.matrix, self.starts, self.columns), np.zeros((n, 2)) if d == 2 else None
         self._relaxation = 2.0 / (1.0 + _SLACK / np.sqrt(max(n, 1)))
         self.work, self.iterations = _BLOCK * len(self.columns), 0
         self.solved = False
@@ -204,15 +204,15 @@ class NewtonSystem:
         """Fill ``image`` with the product of the matrix, in a plane between triangular factors, and ``p``; return
         ``p . image``."""
         if self._swept is None:
-            return sum_over_rows(partial(multiply_rows, *self._matrix, p, image), len(image))
+            return sum_over_rows(partial(multiply_rows, *self._rows, p, image), len(image))
         self._sweep_back(p)
         return self._sweep_on(p, image)
 
     def _sweep_back(self, p: FloatArray) -> None:
-        for_chunks(partial(sweep_back, self._matrix, self._relaxation, p, self._swept), len(p), _SWEPT)
+        for_chunks(partial(sweep_back, self._rows, self._relaxation, p, self._swept), len(p), _SWEPT)
 
     def _sweep_on(self, p: FloatArray, image: FloatArray) -> float:
-        work = partial(sweep_on, self._matrix, self._relaxation, p, self._swept, image)
+        work = partial(sweep_on, self._rows, self._relaxation, p, self._swept, image)
         return sum_over_rows(work, len(image), _SWEPT)
 
 
