@@ -74,6 +74,20 @@ def test_an_inverted_cell_has_no_energy_without_regularisation():
     assert np.isfinite(energy_of_cells(x, *arguments, UNTANGLING, 0, 9)).all()
 
 
+def derivatives_of(x, given, which, penalty=MINIMISING, unknowns=None, ranges=()):
+    """Gradient (n, 3) and Hessian (n, n, 3, 3) of the energy of the cells ``which``, some rows at a time; ``given``:
+    corners, undeformed coordinates, masks, slopes, weights, reference."""
+    n = len(x)
+    unknowns = unknowns or Unknowns(np.arange(n), np.tile(np.eye(3), (n, 1, 1)), np.ones(n, bool))
+    gradient, hessian = np.zeros((n, 3)), np.zeros((n, n, 3, 3))
+    for low, high in ranges or [(0, n)]:
+        blocks = np.zeros(((high - low) * n, 3, 3))
+        rows = low, high, np.arange(n + 1) * n, np.tile(np.arange(n, dtype=np.int32), n)
+        add_derivatives(x, *given, penalty, np.asarray(which), unknowns, rows, blocks, gradient)
+        hessian[low:high] = blocks.reshape(-1, n, 3, 3)
+    return gradient, hessian
+
+
 @pytest.mark.parametrize("thin", [1.0, 1e5])
 def test_derivatives_are_those_of_the_energy_whatever_the_frames_and_rows(thin):
     (start, x, reference), corners = cells(13, thin)
@@ -82,23 +96,13 @@ def test_derivatives_are_those_of_the_energy_whatever_the_frames_and_rows(thin):
     frame, plain = np.tile(np.eye(3), (n, 1, 1)), random.random(n) < 0.7
     frame[~plain] = np.linalg.qr(random.standard_normal((n, 3, 3)))[0][~plain]
     number = np.where(random.random(n) < 0.8, np.arange(n), -1)
-    unknowns, arguments = Unknowns(number, frame, plain), (corners, start, mask, SLOPES, weight, reference)
-
-    def derivatives(at, ranges):
-        gradient, hessian = np.zeros((n, 3)), np.zeros((n, n, 3, 3))
-        starts, columns = np.arange(n + 1) * n, np.tile(np.arange(n, dtype=np.int32), n)
-        for low, high in ranges:
-            blocks = np.zeros(((high - low) * n, 3, 3))
-            rest = np.arange(13), unknowns, (low, high, starts, columns), blocks, gradient
-            add_derivatives(at, *arguments, MINIMISING, *rest)
-            hessian[low:high] = blocks.reshape(-1, n, 3, 3)
-        return gradient, hessian
-
-    gradient, hessian = derivatives(x, [(0, 11), (11, n)])
-    np.testing.assert_array_equal(hessian, derivatives(x, [(0, n)])[1])
+    given = corners, start, mask, SLOPES, weight, reference
+    rest = given, range(13), MINIMISING, Unknowns(number, frame, plain)
+    gradient, hessian = derivatives_of(x, *rest, [(0, 11), (11, n)])
+    np.testing.assert_array_equal(hessian, derivatives_of(x, *rest)[1])
     step = random.standard_normal((n, 3)) * (1.0, 1.0, 1.0 / thin) * (number >= 0)[:, None]
     along = np.einsum("nji,nj->ni", frame, step)
-    energies, ends = zip(*((energy_of_cells(at, *arguments, MINIMISING, 0, 13)[0], derivatives(at, [(0, n)])[0])
+    energies, ends = zip(*((energy_of_cells(at, *given, MINIMISING, 0, 13)[0], derivatives_of(at, *rest)[0])
                            for at in (x - 1e-6 * step, x + 1e-6 * step)), strict=True)  # fmt: skip
     assert (energies[1] - energies[0]) / 2e-6 == pytest.approx((gradient * along).sum(), rel=1e-6)
     change = np.einsum("noij,oj->ni", hessian, along)
@@ -106,30 +110,20 @@ def test_derivatives_are_those_of_the_energy_whatever_the_frames_and_rows(thin):
     np.testing.assert_allclose(change, expected, atol=1e-6 * np.abs(expected).max())
 
 
-def derivatives_of(x, corners, start, reference, mask, which, penalty=MINIMISING):
-    """Gradient (n, 3) and Hessian (n, n, 3, 3) of the energy of the cells ``which``."""
-    n = len(x)
-    unknowns = Unknowns(np.arange(n), np.tile(np.eye(3), (n, 1, 1)), np.ones(n, bool))
-    rows = (0, n, np.arange(n + 1) * n, np.tile(np.arange(n, dtype=np.int32), n))
-    gradient, blocks, weight = np.zeros((n, 3)), np.zeros((n * n, 3, 3)), np.full((len(corners), 3), 0.8)
-    given = corners, start, mask, SLOPES, weight, reference, penalty
-    add_derivatives(x, *given, np.asarray(which), unknowns, rows, blocks, gradient)
-    return gradient, blocks.reshape(n, n, 3, 3)
-
-
 @pytest.mark.parametrize("penalty", [UNTANGLING, MINIMISING])
 def test_derivatives_of_a_cell_do_not_depend_on_the_cells_beside_it(penalty):
     (start, x, reference), corners = cells(8, 1.0)
     # Cells without common nodes, so that nothing is added to the derivatives of one of them.
     start, x, reference = (points[corners].reshape(-1, 3) for points in (start, x, reference))
-    corners, mask = np.arange(64).reshape(8, 8), masks(8)
+    corners = np.arange(64).reshape(8, 8)
+    given = corners, start, masks(8), SLOPES, np.full((8, 3), 0.8), reference
     broken = x.copy()
     broken[corners[3]] = np.nan
     broken[corners[6, 2]] = np.inf
-    together = derivatives_of(x, corners, start, reference, mask, range(8), penalty)
-    beside = derivatives_of(broken, corners, start, reference, mask, range(8), penalty)
+    together = derivatives_of(x, given, range(8), penalty)
+    beside = derivatives_of(broken, given, range(8), penalty)
     for c in range(8):
-        alone = derivatives_of(x, corners, start, reference, mask, [c], penalty)
+        alone = derivatives_of(x, given, [c], penalty)
         own = corners[c][:, None], corners[c]
         assert np.isfinite(alone[1]).all()
         assert np.abs(alone[0]).max() > 0.0
@@ -141,8 +135,9 @@ def test_derivatives_of_a_cell_do_not_depend_on_the_cells_beside_it(penalty):
 @pytest.mark.parametrize("size", [1e-30, 1e17, 1e30])
 def test_derivatives_scale_with_the_cells_also_where_some_points_do_not_count(size):
     (start, x, reference), corners = cells(8, 1.0)
-    mask = masks(8)
-    gradient, hessian = derivatives_of(x, corners, start, reference, mask, range(8))
-    scaled = derivatives_of(size * x, corners, size * start, size * reference, mask, range(8))
+    mask, weight = masks(8), np.full((8, 3), 0.8)
+    gradient, hessian = derivatives_of(x, (corners, start, mask, SLOPES, weight, reference), range(8))
+    given = corners, size * start, mask, SLOPES, weight, size * reference
+    scaled = derivatives_of(size * x, given, range(8))
     np.testing.assert_allclose(size * scaled[0], gradient, rtol=0.0, atol=1e-11 * np.abs(gradient).max())
     np.testing.assert_allclose(size * size * scaled[1], hessian, rtol=0.0, atol=1e-11 * np.abs(hessian).max())
