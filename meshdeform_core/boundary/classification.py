@@ -46,15 +46,10 @@ class Kind(IntEnum):
 
 @dataclass(frozen=True)
 class BoundarySpec:
-    """One ``[[boundary]]`` entry of a case.
+    """One ``[[boundary]]`` entry of a case, with the ``name`` that reports and messages use.
 
-    Attributes
-    ----------
-    name : used in reports and messages
-    select : patterns, see :func:`meshdeform_core.grid.selection.select_quads`
-    kind : kind of its nodes
-    where : optional filter on the undeformed coordinates of the selected faces' corner nodes
-    motion : required for ``MOVING``, absent otherwise
+    ``select`` are patterns, see :func:`meshdeform_core.grid.selection.select_quads`; ``where`` is a filter on the
+    undeformed coordinates of the selected faces' corner nodes; a ``motion`` belongs to moving ones, and only to these.
     """
 
     name: str
@@ -64,10 +59,9 @@ class BoundarySpec:
     motion: Motion | None = None
 
     def __post_init__(self) -> None:
-        where = f"boundary {self.name!r}"
         if (self.kind is Kind.MOVING) != (self.motion is not None):
             found = "has no motion" if self.motion is None else f"is {self.kind.label} but has a motion"
-            raise CaseError(f"{where} {found}; expected a motion for moving boundaries, and only for these")
+            raise CaseError(f"boundary {self.name!r} {found}; expected a motion for moving ones, and only for these")
 
 
 @dataclass(frozen=True)
@@ -287,21 +281,16 @@ def opening_notes(
     if declared is True or not openings:
         return []
     meant = select_quads(grid, topology, declared, "grid.open") if declared else np.empty(0, dtype=np.int64)
-    told = []
-    for opening in openings:
-        if any(np.isin(opening.quads, known).all() for known in (meant, moving)):
-            continue
-        text = opening.describe(grid)
-        apart = overlap_advice(grid) if opening.inside else ""
+    told = [each for each in openings if not any(np.isin(each.quads, known).all() for known in (meant, moving))]
+    for opening in told:
         if np.isin(opening.quads, unselected).any():
             count = f" ({len(openings)} such places, see `meshdeform info`)" if len(openings) > 1 else ""
             close = "Close the gap with that tolerance, or say" if opening.matching else "Say"
             raise CaseError(
-                f"{text}{count}. Nothing selects them, so they would be fixed walls, at which the grid tears. {close} "
-                f"that they are walls: [grid] open = true, or a list of faces; or select them in a boundary entry"
-                f"{apart}"
+                f"{opening.describe(grid)}{count}. Nothing selects them, so they would be fixed walls, at which the "
+                f"grid tears. {close} that they are walls: [grid] open = true, or a list of faces; or select them in a "
+                f"boundary entry{overlap_advice(grid) if opening.inside else ''}"
             )
-        told.append(opening)
     return describe_openings(grid, told, overlap_advice(grid))
 
 
@@ -356,10 +345,8 @@ def given_displacement(
 ) -> FloatArray:
     """Displacement (n_unique, 3) of all face nodes from that of the unique ``nodes`` (n, 3), zero elsewhere. Raises
     MotionError when a 2-D grid would leave its plane."""
-    displacement = np.zeros((topology.n_unique, 3))
-    displacement[nodes] = values
-    given = np.zeros(topology.n_unique, dtype=bool)
-    given[nodes] = True
+    displacement, given = np.zeros((topology.n_unique, 3)), np.zeros(topology.n_unique, dtype=bool)
+    displacement[nodes], given[nodes] = values, True
     return _completed(grid, boundary, displacement, given)
 
 

@@ -34,12 +34,11 @@ _MIRRORED = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class CurvedSurface:
-    """A curved slip surface: triangles of its undeformed face quads, and the nodes that slide on it.
+    """The curved slip surface of the boundary ``name``: triangles of its undeformed face quads.
 
     Attributes
     ----------
-    name : of the boundary
-    nodes : (n,) unique numbers of the nodes that slide
+    nodes : (n,) unique numbers of the nodes that slide on it
     corners, points : (m,) unique numbers and (m, 3) undeformed coordinates of all nodes of the surface
     triangles : (k, 3) rows of ``points``; in a plane grid those of edges, without width
     rim : (m,) points at edges with moving walls, beyond which the surface continues as the planes of its triangles
@@ -209,7 +208,10 @@ def find_sliding(
             on_planes[number].append(part)
             if not symmetry:
                 on_sides.setdefault(number, []).append(part)
-            elif not any(_same_plane(plane, other) for other in mirrors):
+                continue
+            near = 1e-6 * max(float(np.abs(plane.point).max()), 1e-300)
+            parallel = [other for other in mirrors if abs(other.normal @ plane.normal) > 1 - 1e-9]
+            if not any(abs(other.normal @ (other.point - plane.point)) < near for other in parallel):
                 mirrors.append(plane)
         if bent:
             curved.append(_curved_surface(name, grid, topology, np.concatenate(bent), free, moving))
@@ -221,12 +223,6 @@ def find_sliding(
         tuple(curved),
     )
     return slip, tuple(mirrors)
-
-
-def _same_plane(one: Plane, other: Plane) -> bool:
-    near = 1e-6 * max(float(np.abs(one.point).max()), 1e-300)
-    parallel = abs(other.normal @ one.normal) > 1 - 1e-9
-    return bool(parallel and abs(other.normal @ (other.point - one.point)) < near)
 
 
 def crease_notes(grid: Grid, topology: Topology, slip: Slip) -> list[str]:

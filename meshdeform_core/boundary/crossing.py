@@ -212,15 +212,10 @@ class CrossingTest:
 class _Surface:
     """The faces (m, 4) of a boundary between its unique nodes, as far as their position is known.
 
-    A 2-D grid is given a thickness: its edges become strips.
-
-    Attributes
-    ----------
-    nodes : (n,) unique numbers of the corners of the faces, ascending
-    points : (n, 3) undeformed, in 2-D (2 n, 3) of both sides of the strips
-    quads : (m,) numbers of the faces in the topology
-    role : (m,) int8, ``ORDINARY``, ``BESIDE`` or ``SLIDING``
-    edge : shortest edge of a face at each point
+    A 2-D grid is given a thickness: its edges become strips. ``nodes`` (n,) are the unique numbers of the corners of
+    the faces, ascending, ``points`` (n, 3), in 2-D (2 n, 3) of both sides of the strips, are undeformed and ``edge``
+    the shortest edge of a face at each; ``quads`` (m,) are numbers of the faces in the topology, ``role`` (m,) is
+    ``ORDINARY``, ``BESIDE`` or ``SLIDING``.
     """
 
     def __init__(self, grid: Grid, topology: Topology, boundary: Boundary):

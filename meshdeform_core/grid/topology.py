@@ -411,7 +411,13 @@ def separated(grid: Grid, topology: Topology) -> Topology:
     flat = grid.sides.corners(side, u, v)[:, :: 4 // corners.shape[1]]
     flat = np.where(topology.quads.in_order.ravel()[side][:, None], flat, flat[:, ::-1])
     row = np.where(between[number], np.searchsorted(topology.face_nodes[rows], flat), -1)
-    label = connected_components(len(rows), _joined_pairs(topology, quads, number, row))
+    # Corners are one node where they have the same number in a quad, as at an edge without length, and in its partner.
+    partner = topology.partner[quads]
+    beside = np.where(partner >= 0, np.searchsorted(quads, partner), np.arange(len(quads)))
+    numbers, at = (np.concatenate([each, each[beside]], axis=1) for each in (number, row))
+    same = (numbers[:, :, None] == numbers[:, None]) & (at >= 0)[:, None] & ~np.tri(numbers.shape[1], dtype=bool)
+    quad, one, two = np.nonzero(same)
+    label = connected_components(len(rows), np.stack([at[quad, one], at[quad, two]], axis=1))
     declared = np.zeros(len(corners), dtype=bool)
     declared[quads_of_patches(topology.quads, grid.patches)[0]] = True
     plate = external[quads] & between[number].all(axis=1)
@@ -436,20 +442,3 @@ def separated(grid: Grid, topology: Topology) -> Topology:
         edge=topology.edge[topology.number[lead]],
         quads=dataclasses.replace(topology.quads, corners=renamed),
     )
-
-
-def _joined_pairs(topology: Topology, quads: IntArray, number: IntArray, row: IntArray) -> IntArray:
-    """Pairs (n, 2) of ``row`` (m, c), the corners of ``quads`` (m,) with these unique ``number``, that are one node: of
-    quads that two blocks share, and of edges without length."""
-    pairs, count = [], number.shape[1]
-    for a in range(count):
-        for b in range(a):
-            same = np.flatnonzero((number[:, a] == number[:, b]) & (row[:, a] >= 0))
-            pairs.append(np.stack([row[same, a], row[same, b]], axis=1))
-    own = np.flatnonzero(topology.partner[quads] >= 0)
-    other = np.searchsorted(quads, topology.partner[quads[own]])
-    for a in range(count):
-        for b in range(count):
-            same = np.flatnonzero((number[own, a] == number[other, b]) & (row[own, a] >= 0))
-            pairs.append(np.stack([row[own[same], a], row[other[same], b]], axis=1))
-    return np.concatenate(pairs)

@@ -26,15 +26,11 @@ _CLOSEST = 1e-9
 
 @dataclass(frozen=True)
 class RigidHistory(Step):
-    """A rigid body: rotation about a point that is fixed in the body, then translation, both from a table.
+    """A rigid body: rotation about ``center``, a point of the undeformed body, then ``translation`` (grid length unit),
+    both from a table.
 
-    Attributes
-    ----------
-    translation : columns x, y, z (grid length unit)
-    rotation : quaternions x, y, z, w, or three angles in degrees
-    order : axes of the angles, as in scipy: ``"ZYX"`` about the body's own axes, ``"xyz"`` about fixed ones; empty for
-        quaternions, between which the rotation is uniform
-    center : the point about which it turns, undeformed
+    ``rotation`` are quaternions x, y, z, w, between which the body turns uniformly, or three angles in degrees about
+    the axes of ``order``, as in scipy: ``"ZYX"`` are the body's own, ``"xyz"`` fixed ones, empty for quaternions.
     """
 
     translation: History
@@ -109,11 +105,7 @@ class Beam(Step):
     through the stations, with the slopes of parabolas through three: errors of the third order in their distance. Nodes
     beyond an end move with its section. Between times u_0, d and w are linear, and R_0 turns uniformly.
 
-    Attributes
-    ----------
-    stations : (n, 3), undeformed, grid length unit
-    shape : d and w (radians), (t, 6 n)
-    first : the motion of the first station
+    ``stations`` (n, 3) are undeformed, ``shape`` is d and w (radians), (t, 6 n), ``first`` the motion of the first one.
     """
 
     stations: FloatArray

@@ -146,11 +146,8 @@ class Lattice(Step):
     """Free-form deformation: a box of control points, products of Bernstein polynomials along its three edges.
 
     Nodes on and inside the box move, others do not. The box refers to positions after the motion's preceding steps.
-
-    Attributes
-    ----------
-    origin : a corner (3,); edges : (3, 3), a row for each of the three edges from there
-    counts : control points along each edge, at least 2
+    ``origin`` (3,) is a corner, ``edges`` (3, 3) has a row for each of the three edges from there, along which there
+    are ``counts`` control points, at least 2.
 
     Source: T. W. Sederberg, S. R. Parry, "Free-form deformation of solid geometric models", SIGGRAPH 1986.
     """

@@ -30,12 +30,9 @@ _GAUSS = np.polynomial.legendre.leggauss(8)
 class Airfoil(Step):
     """A wall becomes the airfoil through given points, section by section.
 
-    Attributes
-    ----------
-    outline : (n, 2) from the trailing edge over the upper side to the leading edge and back over the lower side
-    axes : coordinates (0, 1, 2) of the plane of the sections: along the chord, and upwards
-    fitted : whether the outline is scaled, turned and shifted so that leading and trailing edge stay where they are
-    label : name of the file, for messages
+    ``outline`` (n, 2) goes from the trailing edge over the upper side to the leading edge and back over the lower side;
+    ``axes`` are the coordinates (0, 1, 2) along the chord and upwards; if it is ``fitted``, it is scaled, turned and
+    shifted so that leading and trailing edge stay where they are. ``label`` is the name of the file.
     """
 
     outline: FloatArray
