@@ -55,10 +55,7 @@ def frame(cells: int = 4, layers: int = 3) -> Grid:
 
 def frame_2d(cells: int = 5) -> Grid:
     """The same in two dimensions."""
-    lines = [stretched(span, cells + n) for n, span in enumerate(SPANS)]
-    z = np.zeros(1)
-    blocks = [block_around(lines[i], lines[j], z) for i in range(3) for j in range(3) if (i, j) != (1, 1)]
-    return Grid.from_blocks(blocks)
+    return frame(cells, 0)
 
 
 def polar(n_around: int = 24, n_radial: int = 8, n_span: int = 4) -> Grid:

@@ -149,13 +149,3 @@ def test_source_distribution_holds_what_its_tests_read(wheel):
         pytest.skip("not a clone")
     missing = {name for name in kept.stdout.splitlines() if not name.startswith((".", "packaging/conda/."))} - names
     assert not missing
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(300)
-def test_installed_library_runs_a_coupled_solver(installed, tmp_path):
-    script = ROOT / "examples" / "coupling.py"
-    done = run(installed / "python", script, tmp_path, cwd=tmp_path, timeout=240)
-    assert done.returncode == 0, done.stderr
-    assert done.stderr.count("Step(valid") == 3
-    assert (tmp_path / "bent.cgns").is_file()

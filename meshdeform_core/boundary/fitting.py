@@ -3,7 +3,7 @@ not say; units, unused points, gaps and extrapolation of tables in use.
 
 A table of the grid must be accepted whether its points are nodes or lie between them; a table in another unit, order or
 frame must be refused with the reason. The tables to be distinguished are in ``tests/core/test_tables.py``,
-``tests/core/test_table_frames.py`` and ``tests/core/test_early_warnings.py``; after changing a threshold, run all
+``tests/core/test_tables.py`` and ``tests/core/test_early_warnings.py``; after changing a threshold, run all
 three.
 """
 

@@ -10,7 +10,7 @@ import scipy
 
 from ..grid import FloatArray
 
-# In which other frame a table would fit (thresholds that were tuned together, tests/core/test_table_frames.py):
+# In which other frame a table would fit (thresholds that were tuned together, tests/core/test_tables.py):
 FRAME_SAMPLE = 2000
 """Largest number of the table's points that are tried in every frame."""
 FITS = 0.9

@@ -80,7 +80,7 @@ def test_gradients(example):
 
 
 def test_a_better_section(example, tmp_path):
-    shape, start, best = example.optimise(61, 31, most=8)
+    shape, start, best = example.optimise(61, 31, most=5)
     first, last = shape.history[0], {name: value for name, (value, _) in shape.at(best).items()}
     assert last["suction"] < 0.85 * first["suction"]
     assert last["lift"] == pytest.approx(example.LIFT, abs=0.01)

@@ -103,7 +103,7 @@ def components():
 
 
 CASES["components"] = (components, 0.8, 0.0)
-SHORT = ("curved slip", "plane", "extruded, setting in", "periodic")
+SHORT = ("plane", "extruded, setting in", "periodic")
 
 
 @pytest.mark.parametrize(

@@ -5,19 +5,24 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import struct
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from grids import frame
 
 from meshdeform_cli import dry_run
 from meshdeform_cli.main import run
 from meshdeform_core.grid import FileFormat
 from meshdeform_core.memory import PICTURE_BYTES, Demand, deforming, parse_memory, passing
 from meshdeform_core.parallel import Ranks, sharing
+from meshdeform_formats import write_grid
 from meshdeform_formats.grids import Layout, read_grid
 
 BILLION = 10**9
@@ -180,14 +185,13 @@ def both(plate, call, tmp_path):
     return called
 
 
-@pytest.mark.parametrize("steps", [(), ("--steps", "3")], ids=["one", "three"])
-def test_what_fails_without_repair_is_counted(steps, both):
+def test_what_fails_without_repair_is_counted(both):
     """60 degrees on the splitter plate."""
-    warnings, code, report = both("-s", "constants.angle=60", "--repair", "off", *steps)
+    warnings, code, report = both("-s", "constants.angle=60", "--repair", "off", "--steps", "3")
     assert code == 3
     cells = report["quality"]["after"]["invalid_cells"]
     (told,) = [text for text in warnings if text.startswith("tried with tfi")]
-    assert f"in {(len(steps) and 3) or 1} step" in told
+    assert "in 3 step" in told
     assert f": {cells} cells become invalid" in told
     assert "without repair the run is bound to fail" in told
     assert f"{report['invalid_cells'][0]['block']} {tuple(report['invalid_cells'][0]['ijk'])}" in told
@@ -208,3 +212,70 @@ def test_of_a_series_the_worst_level_is_tried(plate, call):
     result = call(*command, "--times", "0:2:1", "-o", plate / "out", "--dry-run")
     assert any(text.startswith("at t = 2, where the displacement is largest: tried") for text in result.warnings)
     assert not call(*command, "--times", "0:0.2:0.1", "-o", plate / "out", "--dry-run").warnings
+
+
+SERIES = ("series", "-m", "tfi", "--repair", "off", "--velocity", "second")
+RUNS = {
+    "idw-rbf": ("deform", "-m", "idw-rbf", "-o", "out.cgns", "--repair", "off"),
+    "repair": ("deform", "-m", "tfi", "-o", "out.cgns", "-s", "constants.turn=50", "--allow-invalid"),
+    "velocity": (*SERIES, "-o", "levels", "--times", "0:1:0.5", "--suffix", "vtm"),
+}
+OTHERS = {
+    "quality": ("quality", "bent.cgns", "--reference", "large.cgns"),
+    "fields of a conversion": ("convert", "bent.cgns", "out.vtm", "--reference", "large.cgns", "--field", "all",
+                               "--force"),
+    "a repair": ("repair", "bent.cgns", "--reference", "large.cgns", "-o", "out.cgns", "--force"),
+}  # fmt: skip
+
+
+def capped(cap: int, *words: str) -> subprocess.CompletedProcess[str]:
+    """A command whose last output is its peak."""
+    code = (
+        "import sys; from meshdeform_cli.main import run; from meshdeform_core import memory; "
+        "code = run(sys.argv[1:]); print('peak', memory.peak_memory()); sys.exit(code)"
+    )
+    command = [sys.executable, "-c", code, *words, "--max-memory", str(cap)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def keeps_to_what_it_asks_for(*words: str) -> None:
+    """The message of a refused run says what is needed; with that the run succeeds and keeps to it."""
+    cap = 10**6
+    for _ in range(8):
+        done = capped(cap, *words)
+        # The first run that is accepted may compile, which takes memory of its own.
+        if done.returncode != 2 and (done.returncode not in (0, 3) or int(done.stdout.split()[-1]) <= cap):
+            break
+        if done.returncode == 2:
+            needed = re.search(r"needs about ([\d.]+) (MiB|GiB)", done.stderr)
+            assert needed, done.stderr
+            assert done.stderr.count("error:") == 1
+            least = int(float(needed[1]) * 2 ** (20 if needed[2] == "MiB" else 30) * 1.01)
+            cap = max(least, int(1.05 * cap))
+    assert done.returncode in (0, 3), done.stderr
+    assert int(done.stdout.split()[-1]) <= cap
+
+
+@pytest.fixture
+def turning(bench):
+    """A case whose motion depends on time."""
+    text = (bench / "case.toml").read_text()
+    (bench / "case.toml").write_text(text.replace('angle = "turn"', 'angle = "turn*(1+t)"'))
+    return bench
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", RUNS)
+def test_the_smallest_cap_that_is_accepted_is_kept(name, turning):
+    write_grid(frame(*((20, 10) if name == "idw-rbf" else (36, 18))), "large.cgns")
+    command, *options = RUNS[name]
+    keeps_to_what_it_asks_for(command, "large.cgns", "-c", "case.toml", *options, "-q", "--force")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", OTHERS)
+def test_commands_that_deform_nothing_keep_to_the_cap(name, bench):
+    grid = frame(36, 18)
+    write_grid(grid, "large.cgns")
+    write_grid(grid.moved(grid.points + 1e-3 * np.sin(grid.points[:, [1, 2, 0]])), "bent.cgns")
+    keeps_to_what_it_asks_for(*OTHERS[name])

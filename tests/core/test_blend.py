@@ -4,14 +4,14 @@ import itertools
 
 import numpy as np
 import pytest
-from cases import problem_of
+from cases import apply, body_specs, constant, problem_of, turning
 from grids import frame, frame_2d
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.topology import find_topology
-from meshdeform_core.methods import TFI
-from meshdeform_core.methods.transfinite.tfi import Faces, PreparedTFI
+from meshdeform_core.methods import TFI, Options
+from meshdeform_core.methods.transfinite.tfi import Faces, PreparedTFI, make_skeleton
 
 
 def boolean_sum(d, arc, low, high):
@@ -148,3 +148,92 @@ def test_linear_maps_are_reproduced_where_lines_are_curved(grid):
         method.prepare(problem, skeleton).fill(d)
         assert np.isfinite(d).all()
         assert (np.abs(d - image).max() < 1e-11) == exact
+
+
+STRETCH = 0.3
+
+
+def box(x: np.ndarray, y: float) -> np.ndarray:
+    return np.stack(np.meshgrid(x, y + np.linspace(0, 1, 4), np.linspace(0, 1, 5), indexing="ij"), -1)
+
+
+def stretched(grid: Grid, low: str, high: str) -> np.ndarray:
+    """Displacement with one face held, another moved along x, and all others free to slide."""
+    specs = [
+        BoundarySpec("held", (low,), Kind.FIXED),
+        BoundarySpec("moved", (high,), Kind.MOVING, None, constant(STRETCH, 0, 0)),
+        BoundarySpec("sides", ("*",), Kind.SLIP),
+    ]
+    problem = problem_of(grid, specs)
+    sources = problem.source_points
+    end = np.isclose(sources[:, 0], sources[:, 0].max())
+    return apply(Options("tfi"), problem, np.where(end[:, None], [STRETCH, 0, 0], 0.0))
+
+
+def test_vertices_between_walls_are_harmonic():
+    ends = (0.0, 0.2, 1.1, 1.5)
+    chain = [box(np.linspace(a, b, 6), 0.0) for a, b in itertools.pairwise(ends)]
+    # Nothing holds or moves the last block: it stays.
+    grid = Grid.from_blocks([*chain, box(np.linspace(0, 1, 3), 5.0)])
+    moved = stretched(grid, "block1.imin", "block3.imax")
+    tied = grid.points[:, 1] < 2
+    np.testing.assert_allclose(moved[tied, 0], STRETCH * grid.points[tied, 0] / 1.5, atol=1e-13)
+    assert np.abs(moved[:, 1:]).max() < 1e-13
+    assert not moved[~tied].any()
+
+
+def test_edges_that_close_in_themselves_move_with_their_vertex():
+    r, turn = np.meshgrid([1.0, 1.5, 2.0], np.linspace(0, 2 * np.pi, 13), indexing="ij")
+    ring = np.stack([0 * r, r * np.cos(turn), r * np.sin(turn)], -1)
+    ring[:, -1] = ring[:, 0]
+    blocks = [ring + np.array([1.0, 0, 0]) * np.linspace(a, b, 4)[:, None, None, None] for a, b in ((0, 1), (1, 3))]
+    grid = Grid.from_blocks(blocks)
+    moved = stretched(grid, "block1.imin", "block2.imax")
+    np.testing.assert_allclose(moved[:, 0], STRETCH * grid.points[:, 0] / 3, atol=1e-13)
+
+
+def arc(cells, degrees):
+    """A block whose lines along i turn by an angle in all, evenly."""
+    angle, radius, z = np.deg2rad(np.linspace(0.0, degrees, cells + 1)), np.linspace(1.0, 2.0, 5), np.arange(3.0)
+    a, r, h = np.meshgrid(angle, radius, z, indexing="ij")
+    return problem_of(Grid.from_blocks([np.stack([r * np.cos(a), r * np.sin(a), h], axis=-1)]), fixed())
+
+
+def fixed():
+    return [BoundarySpec("all", ("*",), Kind.FIXED)]
+
+
+@pytest.mark.parametrize(("degrees", "parts"), [(0.01, 2), (98.0, 2), (112.0, 4), (180.0, 4)])
+def test_lines_that_turn_are_cut_twice_as_often(degrees, parts):
+    """32 cells in two pieces of 16, each of which turns by half of the angle but one of its 32 steps."""
+    i, j, k = make_skeleton(arc(32, degrees), 16).cuts[0]
+    np.testing.assert_array_equal(i, np.linspace(0, 32, parts + 1))
+    assert len(j) == len(k) == 2
+
+
+def test_straight_lines_and_lines_without_length_do_not_turn():
+    block = np.stack(np.meshgrid(np.arange(33.0), np.arange(5.0), np.arange(3.0), indexing="ij"), axis=-1)
+    block[:, 0] = block[0, 0]
+    problem = problem_of(Grid.from_blocks([block]), fixed())
+    assert len(make_skeleton(problem, 16).cuts[0][0]) == 3
+
+
+def test_blocks_with_straight_lines_have_sub_blocks_of_the_given_size():
+    problem = problem_of(frame(), body_specs(turning(20)))
+    for block, cuts in enumerate(make_skeleton(problem, 4).cuts):
+        for cut, n in zip(cuts, problem.grid.shapes[block], strict=True):
+            assert cut[0] == 0
+            assert cut[-1] == n - 1
+            assert np.diff(cut).max() <= 4
+
+
+@pytest.mark.parametrize(("nodes", "cells"), [(1_000, 4), (50_000, 4), (60_000, 8), (200_000, 8), (300_000, 16)])
+def test_small_grids_have_small_sub_blocks(nodes, cells):
+    """With 1000 sources 5e7 pairs are 50,000 nodes."""
+
+    class Case:
+        n_unique_nodes = nodes
+        source_numbers = range(1000)
+
+    assert TFI().cells(Case) == cells
+    assert TFI(0).cells(Case) == 0

@@ -5,10 +5,11 @@ from itertools import combinations, product
 
 import numpy as np
 import pytest
-from cases import INNER, constant, formulas, turning
+from cases import INNER, constant, everything_moves, formulas, problem_of, turning
 from grids import block_around, frame, frame_2d, polar
 
 from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary.classification import prescribed_displacement
 from meshdeform_core.boundary.crossing import Contact
 from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.boundary.motions.motion import Motion
@@ -16,6 +17,9 @@ from meshdeform_core.deform import Case, Setup, deform, set_up
 from meshdeform_core.grid import Grid, Patch, Side, Window
 from meshdeform_core.methods import Options
 from meshdeform_core.numerics.geometry.crossing import FaceTree, crossing_faces
+from meshdeform_core.numerics.geometry.surface import TriangleTree
+from meshdeform_core.quality.listed import find_pinned
+from meshdeform_core.quality.original import Original
 from meshdeform_core.repair import RepairOptions
 from meshdeform_core.series import Schedule, deform_series
 
@@ -87,25 +91,25 @@ def found_to_cross(one, two):
 def test_pairs_are_those_of_exact_arithmetic(lattice):
     """Random quads, also on a coarse lattice where most tetrahedra are flat and corners coincide in space."""
     random = np.random.default_rng(5)
-    middle = random.uniform(0, 1.3, (18, 1, 3))
-    points = (middle + random.uniform(-0.7, 0.7, (18, 4, 3))).reshape(-1, 3)
+    middle = random.uniform(0, 1.3, (14, 1, 3))
+    points = (middle + random.uniform(-0.7, 0.7, (14, 4, 3))).reshape(-1, 3)
     if lattice:
         points = np.round(points * lattice) / lattice
-    faces = np.arange(72).reshape(18, 4)
+    faces = np.arange(56).reshape(14, 4)
     faces[::7, 3] = faces[::7, 0]
     faces[1::9, 0] = faces[::9, 1][: len(faces[1::9])]
-    asked = random.random(18) < 0.7
-    tree = FaceTree(points + random.normal(0, 1, points.shape), faces, np.zeros(18, dtype=np.int8))
+    asked = random.random(14) < 0.7
+    tree = FaceTree(points + random.normal(0, 1, points.shape), faces, np.zeros(14, dtype=np.int8))
     pairs, places = crossing_faces(tree, points, faces, asked)
     wanted = [
         (a, b)
-        for a, b in combinations(range(18), 2)
+        for a, b in combinations(range(14), 2)
         if (asked[a] or asked[b])
         and not set(faces[a]) & set(faces[b])
         and cross_exactly(points[faces[a]], points[faces[b]])
     ]
     assert [tuple(pair) for pair in pairs] == wanted
-    assert len(wanted) > 10
+    assert len(wanted) > 5
     for (a, b), place in zip(pairs, places, strict=True):
         for face in (a, b):
             corners = points[faces[face]]
@@ -123,12 +127,12 @@ def test_exact_decision_of_known_pairs(decide):
     assert not decide(square, square + [0.5, 0, 0]), "overlapping in one plane is not crossing"
 
 
-@pytest.mark.parametrize("shift", [-0.5, -0.99, -0.99999])
+@pytest.mark.parametrize("shift", [-0.99, -0.99999])
 def test_roof_above_the_floor_does_not_cross(shift):
     assert contact(channel(), moving("roof", "*.kmax", constant(0, 0, shift)), FLOOR, SIDES) is None
 
 
-@pytest.mark.parametrize("shift", [-1.0, -1.01, -1.3, -5.0])
+@pytest.mark.parametrize("shift", [-1.0, -1.01, -5.0])
 def test_roof_through_the_floor(shift):
     """Parallel planes cross nowhere; the roof lies outside."""
     found = contact(channel(), moving("roof", "*.kmax", constant(0, 0, shift)), FLOOR, SIDES)
@@ -148,7 +152,7 @@ def test_roof_with_fixed_ends_meets_the_neighbours_of_its_edge():
 
 
 @pytest.mark.parametrize("make", [frame, frame_2d])
-@pytest.mark.parametrize(("shift", "crosses"), [(1.4, False), (1.6, True), (2.2, True), (2.6, True), (9.0, True)])
+@pytest.mark.parametrize(("shift", "crosses"), [(1.4, False), (1.6, True), (2.6, True)])
 def test_body_through_the_far_field(make, shift, crosses):
     """The bar is one wide, the far field two away: it touches at 1.5; from 2.5 on it lies outside as a whole."""
     span = [BoundarySpec("span", ("*.k*",), Kind.SLIP)] if make is frame else []
@@ -167,7 +171,7 @@ def test_turning_and_shifting_everything_is_no_crossing():
     assert contact(frame_2d(), moving("all", "*", constant(1e3, 5, 0))) is None
 
 
-@pytest.mark.parametrize(("shift", "crosses"), [(1.9, False), (1.99, False), (2.3, True)])
+@pytest.mark.parametrize(("shift", "crosses"), [(1.99, False), (2.3, True)])
 def test_ring_squeezed_to_a_narrow_gap(shift, crosses):
     """Inner radius 1 and outer radius 3: curved walls of the same facets close to each other."""
     ends = BoundarySpec("ends", ("*.k*",), Kind.SLIP)
@@ -209,7 +213,7 @@ def test_faces_that_abut_without_matching_are_no_crossing():
 
 
 @pytest.mark.parametrize("grid", [frame(), frame_2d()], ids=["frame", "frame-2d"])
-@pytest.mark.parametrize(("depth", "overlaps"), [(0.5, False), (0.99, False), (1.1, True), (1.4, True)])
+@pytest.mark.parametrize(("depth", "overlaps"), [(0.99, False), (1.1, True)])
 def test_a_wall_through_its_body_is_told_although_every_cell_is_valid(grid, depth, overlaps):
     """The left side of a hollow bar bulges to the right: no cells lie between it and the right side."""
     bulge = formulas(f"{depth} * (1 - 4*y*y)", "0", "0")
@@ -234,3 +238,104 @@ def test_every_level_of_a_series_is_tested(times):
     setup = set_up(frame_2d(), Case((left,), {}, Options("tfi"), repair=RepairOptions("off")))
     found = {level.time: told(level.result.warnings) for level in deform_series(setup, Schedule(times), "float64")}
     assert found == {t: np.sin(np.pi * (t - 1.5)) > 0.9 for t in times}
+
+
+def pinned(grid, motion):
+    problem = problem_of(grid, everything_moves(motion))
+    displacement = prescribed_displacement(grid, problem.topology, problem.boundary)
+    return find_pinned(Original(grid, problem.topology), problem.boundary, displacement)
+
+
+def slab(cells_across=1):
+    line = np.linspace(0.0, 1.0, 5)
+    return Grid.from_blocks([block_around(line, line, np.linspace(0.0, 0.1, cells_across + 1))])
+
+
+@pytest.mark.parametrize("grid", [slab(), frame(3, 1), frame_2d(3)], ids=["slab", "frame", "2-d"])
+def test_rigid_motion_inverts_nothing(grid):
+    assert pinned(grid, turning(170.0)) is None
+
+
+def test_a_layer_turned_inside_out_is_told_with_its_place():
+    """Where x > 0.6 the upper face goes below the lower one: the cells from there on, 4 in a row."""
+    found = pinned(slab(), formulas("0", "0", "where(x > 0.6 and z > 0.05, -0.2, 0)"))
+    assert found is not None
+    # Between the nodes at 0.5 and 0.75 only two of the corners have changed their sign.
+    assert "8 cells, whose nodes are all prescribed, are inverted" in found
+    assert "first in block1 at (3, 1, 1)" in found
+
+
+def test_nodes_inside_can_still_give_way():
+    """Two cells across: the nodes between are free, whatever the boundary does."""
+    grid = slab(4)
+    found = pinned(
+        grid, formulas("0", "0", "where(z > 0.09, -0.2, 0) * where(x > 0.2 and x < 0.8 and y > 0.2 and y < 0.8, 1, 0)")
+    )
+    assert found is None
+
+
+def test_corner_of_a_plane_grid():
+    """The cell at the corner of a square block has four nodes on its boundary only if it is one cell wide."""
+    line = np.linspace(0.0, 1.0, 4)
+    grid = Grid.from_blocks([block_around(line, np.array([0.0, 0.2]), np.zeros(1))])
+    found = pinned(grid, formulas("0", "where(y > 0.1 and x < 0.1, -0.3, 0)", "0"))
+    assert found is not None
+    assert "1 cell, whose nodes are all prescribed, is inverted" in found
+    assert "first in block1 at (1, 1, 1)" in found
+
+
+def test_collapsed_corners_are_not_judged():
+    """A wedge whose inner face is a line."""
+    grid = slab()
+    points = grid.points.copy()
+    points[points[:, 0] == 0.0, 2] = 0.0
+    assert pinned(grid.moved(points), turning(40.0)) is None
+
+
+def to_segment(p, a, b):
+    """Distances (n, m) of points (n, 1, 3) from segments (m, 3)."""
+    along = np.einsum("nmi,mi->nm", p - a, b - a) / np.maximum(((b - a) ** 2).sum(axis=-1), 1e-300)
+    return np.linalg.norm(p - a - np.clip(along, 0.0, 1.0)[..., None] * (b - a), axis=-1)
+
+
+def to_triangles(points, corners):
+    """Distances (n, m): to the plane where the foot of the perpendicular is inside, else to the nearest edge."""
+    p, (a, b, c) = points[:, None], np.moveaxis(corners, 1, 0)
+    normal = np.cross(b - a, c - a)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    inside = np.ones((len(points), len(corners)), dtype=bool)
+    for one, other in ((a, b), (b, c), (c, a)):
+        inside &= np.einsum("nmi,mi->nm", p - one, np.cross(normal, other - one)) >= 0
+    edges = np.min([to_segment(p, *pair) for pair in ((a, b), (b, c), (c, a))], axis=0)
+    return np.where(inside, np.abs(np.einsum("nmi,mi->nm", p - a, normal)), edges)
+
+
+@pytest.mark.parametrize("count", [1, 9, 200])
+def test_closest_points_are_those_of_all_triangles(count):
+    rng = np.random.default_rng(count)
+    # Small triangles in a large flat box: most are far from any point, and bounds of boxes matter on every axis.
+    corners = rng.uniform(-1, 1, (count, 1, 3)) * [10.0, 5.0, 2.0] + rng.uniform(-0.5, 0.5, (count, 3, 3))
+    points = rng.uniform(-1.5, 1.5, (300, 3)) * [10.0, 5.0, 2.0]
+    triangle, weights, distance = TriangleTree(corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3)).closest(
+        points
+    )
+    expected = to_triangles(points, corners)
+    np.testing.assert_allclose(distance, expected.min(axis=1), rtol=1e-12)
+    np.testing.assert_allclose(expected[np.arange(300), triangle], distance, rtol=1e-12)
+    assert (weights >= -1e-14).all()
+    np.testing.assert_allclose(weights.sum(axis=1), 1.0, rtol=1e-14)
+    at = np.einsum("nc,ncd->nd", weights, corners[triangle])
+    np.testing.assert_allclose(np.linalg.norm(points - at, axis=1), distance, rtol=1e-10)
+
+
+def test_only_points_within_a_distance_are_looked_for():
+    rng = np.random.default_rng(5)
+    corners = rng.uniform(-1, 1, (50, 3, 3))
+    tree, points = TriangleTree(corners.reshape(-1, 3), np.arange(150).reshape(-1, 3)), rng.uniform(-2, 2, (200, 3))
+    triangle, weights, distance = tree.closest(points)
+    within = distance * rng.choice([0.5, 0.999, 1.001, 3.0], 200)
+    near = within > distance
+    some = tree.closest(points, within)
+    assert np.isinf(some[2][~near]).all()
+    for all_found, found in zip((triangle, weights, distance), some, strict=True):
+        np.testing.assert_array_equal(found[near], all_found[near])

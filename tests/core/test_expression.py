@@ -71,7 +71,7 @@ def test_hints():
         expression("x^2", {"x"})
 
 
-@settings(max_examples=30)
+@settings(max_examples=15)
 @given(st.text(max_size=60))
 def test_any_text_is_a_formula_or_an_error(text):
     with contextlib.suppress(CaseError):

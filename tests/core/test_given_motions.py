@@ -284,23 +284,18 @@ def write_selig(path: Path, outline: np.ndarray) -> dict:
 
 
 def distance_to_curve(points: np.ndarray, outline: np.ndarray) -> np.ndarray:
-    """Distances to the spline through an outline, by dense search and refinement."""
+    """Distances to the spline through an outline, by dense search and Newton's method."""
     from scipy.interpolate import CubicSpline
-    from scipy.optimize import minimize_scalar
 
     knots = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(outline, axis=0), axis=1))])
     spline = CubicSpline(knots, outline)
     dense = np.linspace(0, knots[-1], 20_001)
-    found = []
-    for p in points:
-        near = dense[np.argmin(np.linalg.norm(spline(dense) - p, axis=1))]
-        step = dense[1]
-        ends = (max(near - step, 0), min(near + step, knots[-1]))
-        best = minimize_scalar(
-            lambda s, p=p: float(((spline(s) - p) ** 2).sum()), method="bounded", bounds=ends, options={"xatol": 1e-14}
-        )
-        found.append(min(np.sqrt(best.fun), np.linalg.norm(spline(near) - p)))
-    return np.array(found)
+    s = dense[[np.argmin(np.linalg.norm(spline(dense) - p, axis=1)) for p in points]]
+    for _ in range(8):
+        away, slope, curvature = spline(s) - points, spline(s, 1), spline(s, 2)
+        step = (away * slope).sum(axis=1) / (slope**2 + away * curvature).sum(axis=1)
+        s = np.clip(s - step, 0, knots[-1])
+    return np.linalg.norm(spline(s) - points, axis=1)
 
 
 @pytest.mark.parametrize("blunt", [False, True])

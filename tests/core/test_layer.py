@@ -2,15 +2,18 @@
 
 import numpy as np
 import pytest
-from cases import ALL_METHODS, constant, formulas, turning
-from grids import polar
+from cases import ALL_METHODS, apply, body_specs, constant, formulas, inner_nodes, problem_of, told, turning
+from grids import block_around, clustered, frame, frame_2d, polar
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.constraints import find_layer
+from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.grid import Grid
 from meshdeform_core.methods import IDW, RBF, Options, make_method
 from meshdeform_core.methods.composite import PreparedLayer, first_step_nodes
+from meshdeform_core.methods.constraints import WIDTH, BesideSlip
+from meshdeform_core.quality import Original, assess
 
 FAST = (
     Options("idw-tfi", idw=IDW(summation="fast")),
@@ -90,3 +93,121 @@ def test_planes_that_are_no_images_and_thicker_grids_are_no_layer():
     for grid in (polar(24, 6, 2), ring().moved(ring().points * np.where(ring().points[:, 2:] > 0, [1.1, 1, 1], 1.0))):
         setup = set_up(grid, Case(in_ring(constant(0.1, 0.0, 0.0))))
         assert find_layer(setup.grid, setup.topology, setup.boundary.kind, setup.boundary.known) is None
+
+
+# Along the body, and towards the slip sides between which it stands.
+SWAYING = formulas("0.1*z", "0.0", "0.2*sin(pi*z)")
+
+
+def thin_cells() -> Grid:
+    """Eight blocks above a wall, between slip sides at z = 0 and 1 whose first cells are 0.0004 high."""
+    half = clustered(0.0, 0.5, 10, 5.0)
+    z = np.concatenate([half, (1.0 - half)[::-1][1:]])
+    x, y = np.linspace(0.0, 1.0, 11), clustered(0.0, 1.0, 10, 2.0)
+    # A block interface one cell from a slip side.
+    cuts = slice(2), slice(1, 11), slice(10, None)
+    return Grid.from_blocks([block_around(x, each, z[cut]) for each in (y[:6], y[5:]) for cut in cuts])
+
+
+def wavy_floor() -> list[BoundarySpec]:
+    floor = formulas("0.0", "0.1*sin(3*x)*cos(2*z)", "0.1*sin(pi*x)*sin(pi*z)")
+    fixed = expression("y > 0.999 or abs(x - 0.5) > 0.499", {"x", "y", "z"})
+    return [
+        BoundarySpec("sides", ("*.k*",), Kind.SLIP, expression("abs(z - 0.5) > 0.4999", {"x", "y", "z"})),
+        BoundarySpec("outer", ("*.i*", "*.jmax"), Kind.FIXED, fixed),
+        BoundarySpec("floor", ("*.jmin",), Kind.MOVING, expression("y < 0.001", {"x", "y", "z"}), floor),
+    ]
+
+
+@pytest.mark.parametrize("name", ["tfi", "idw", "idw-tfi", "rbf", "rbf-tfi"])
+def test_thin_cells_beside_slip_sides_keep_their_shape(name):
+    """The floor makes the nodes above it move along z, which those on the slip sides cannot: cells folded there."""
+    problem = problem_of(thin_cells(), wavy_floor())
+    moved = apply(Options(name), problem, told(problem))
+    after = assess(Original(problem.grid, problem.topology), problem.grid.points + moved, problem.boundary).after
+    assert after.min_relative_jacobian > 0.3
+
+
+def sheared(grid: Grid) -> Grid:
+    """Slip sides that are at right angles no longer."""
+    return grid.moved(grid.points @ np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.2], [0.3, 0.0, 1.0]]))
+
+
+def corner(grid: Grid, motion=SWAYING):
+    """Slip sides in three directions; the body between them moves."""
+    slip = "*.kmin", "*.kmax", "block6.imax", "block7.imax", "block8.imax", "block3.jmax", "block5.jmax", "block8.jmax"
+    body = "block2.imax", "block4.jmax", "block5.jmin", "block7.imin"
+    return problem_of(
+        grid, [BoundarySpec("sides", slip, Kind.SLIP), BoundarySpec("body", body, Kind.MOVING, None, motion)]
+    )
+
+
+def distances(problem, x, quads):
+    """Distances (n,) of points from the nearest of some faces, by looking at a fine sample of each."""
+    s, t = (each.ravel() for each in np.meshgrid(*2 * [np.linspace(0.0, 1.0, 41)]))
+    weights = np.stack([(1 - s) * (1 - t), s * (1 - t), s * t, (1 - s) * t], axis=1)
+    corners = problem.grid.points[problem.topology.first[problem.topology.quads.corners[quads]]]
+    samples = (weights @ corners).reshape(-1, 3)
+    return np.sqrt(((x[:, None] - samples) ** 2).sum(axis=2).min(axis=1))
+
+
+def test_it_is_the_solution_of_a_small_system_at_every_node():
+    problem = corner(sheared(frame()))
+    assert len(problem.boundary.slip.sides) == 3
+    rng = np.random.default_rng(3)
+    flat = np.sort(rng.choice(inner_nodes(problem), 12, replace=False))
+    given = rng.standard_normal((problem.grid.n_nodes, 3))
+    found = given.copy()
+    BesideSlip(problem, flat).apply(found)
+    x, boundary = problem.grid.points[flat], problem.boundary
+    wall = distances(problem, x, np.flatnonzero(boundary.quad_kind == Kind.MOVING))
+    system = np.tile(np.eye(3), (len(flat), 1, 1))
+    for normal, quads in boundary.slip.sides:
+        side = distances(problem, x, quads)
+        at = side / (side + wall)
+        kept = np.where(at < 1 - WIDTH, at / (1 - WIDTH / 2), 1 - (1 - at) ** 2 / (WIDTH * (2 - WIDTH)))
+        system += ((1 - kept) / kept)[:, None, None] * np.outer(normal, normal)
+    np.testing.assert_allclose(found[flat], np.linalg.solve(system, given[flat][..., None])[..., 0], atol=0.01)
+    others = np.setdiff1d(np.arange(problem.grid.n_nodes), flat)
+    np.testing.assert_array_equal(found[others], given[others])
+
+
+def test_nodes_in_planes_lose_the_whole_component_and_those_at_walls_none():
+    problem = corner(sheared(frame()))
+    moving = problem.boundary.kind == Kind.MOVING
+    every = np.random.default_rng(4).standard_normal((problem.grid.n_nodes, 3))
+    at_walls, in_planes = (problem.topology.first[rows] for rows in (moving, ~moving))
+    for flat in (at_walls, in_planes):
+        found = every.copy()
+        BesideSlip(problem, np.sort(flat)).apply(found)
+        if flat is at_walls:
+            np.testing.assert_allclose(found, every, rtol=0, atol=1e-13)
+    for nodes, removed in problem.boundary.slip.groups:
+        rows = problem.topology.first[nodes]
+        assert np.abs(found[rows] @ removed).max() < 1e-12
+        kept = np.linalg.matrix_rank(np.eye(3) - removed, tol=1e-9)
+        assert kept == 0 or np.abs(found[rows]).max() > 0.01
+
+
+@pytest.mark.parametrize(("name", "make"), [("idw", frame), ("idw-tfi", frame_2d), ("rbf", frame)])
+def test_motions_along_the_planes_are_left_as_they_are(name, make, monkeypatch):
+    grid = make()
+    problem = problem_of(grid, body_specs(turning(10))[: 3 if grid.dimension == 3 else 1])
+    found = apply(Options(name), problem, told(problem))
+    monkeypatch.setattr(BesideSlip, "apply", lambda self, out, progress: None)
+    plain = apply(Options(name), problem, told(problem))
+    # Of a linear system round-off remains in all directions.
+    np.testing.assert_allclose(found, plain, rtol=0, atol=1e-13 if name.startswith("rbf") else 0.0)
+
+
+def test_symmetry_planes_have_images_instead():
+    assert not problem_of(frame(), body_specs(SWAYING, Kind.SYMMETRY)).boundary.slip.sides
+
+
+def test_exact_and_fast_sums_are_damped_alike():
+    problem = problem_of(frame(6, 6), body_specs(SWAYING))
+    exact, fast = (
+        apply(Options("idw", idw=IDW(summation=kind, summation_tolerance=1e-8)), problem, told(problem))
+        for kind in ("exact", "fast")
+    )
+    np.testing.assert_allclose(fast, exact, atol=1e-8)

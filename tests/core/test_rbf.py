@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from cases import apply, body_specs, everything_moves, inner_nodes, problem_of, told, turning
+from cases import SETS, apply, bend, body_specs, everything_moves, inner_nodes, problem_of, sphere, told, turning
 from grids import frame, frame_2d, polar
 from reference.rbf import COMPACT, basis, distances, slow_rbf
 from scipy.interpolate import RBFInterpolator
@@ -14,6 +14,14 @@ from meshdeform_core.errors import MethodError
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.methods import RBF, Options, Problem, make_method
+from meshdeform_core.methods.base import Account
+from meshdeform_core.methods.scattered.prepared_rbf import Centres, RadialSystem
+from meshdeform_core.numerics import krylov
+from meshdeform_core.numerics.exact.basis import BASES
+from meshdeform_core.numerics.exact.radial import radial_matrix, radial_sums
+from meshdeform_core.numerics.fastsum.nested import NestedSums
+from meshdeform_core.numerics.krylov import ExactProduct, KrylovSolver, NestedProduct
+from meshdeform_core.numerics.saddle import DirectSolver
 
 
 def moved_by(options: RBF, problem: Problem) -> np.ndarray:
@@ -135,3 +143,223 @@ def test_what_does_not_fit_is_refused_with_alternatives(solver):
     tight = dataclasses.replace(problem, memory=MemoryLimit(5000, "--max-memory allows"))
     with pytest.raises(MethodError, match=r"\d+ centres needs about .*iB, --max-memory allows 4\.88 KiB; use "):
         make_method(Options("rbf", rbf=RBF(solver=solver))).prepare(tight)
+
+
+def system(points: np.ndarray, basis: str, radius: float | None) -> tuple[KrylovSolver, Centres, int]:
+    centres, kind = Centres.of(points, radius), BASES[basis]
+    x = centres.points
+    return KrylovSolver(kind, x, centres.polynomial(x), ExactProduct(kind, x)), centres, kind
+
+
+@pytest.mark.parametrize(
+    ("name", "basis", "reach"),
+    [
+        *((name, "tps", None) for name in SETS),
+        *(
+            (name, *basis)
+            for name in ("graded-plane", "two-scales")
+            for basis in (("wendland-c2", 2.0), ("wendland-c0", 0.2))
+        ),
+    ],
+)  # fmt: skip
+def test_solution_is_that_of_the_factorised_system(name, basis, reach):
+    points = SETS[name]
+    extent = np.linalg.norm(points - points.mean(axis=0), axis=1).max()
+    solver, centres, kind = system(points, basis, None if reach is None else reach * extent)
+    told = bend(points / extent)
+    found = solver.solve(told, 1e-6, 60)
+    assert found.iterations <= 25
+    assert found.residual.max() <= 1e-6
+    x, terms = centres.points, centres.polynomial(centres.points)
+    matrix = radial_matrix(kind, x, x)
+    rest = told - matrix @ found.coefficients - terms @ found.polynomial
+    assert (np.linalg.norm(rest, axis=0) <= 1.1e-6 * np.linalg.norm(told, axis=0)).all()
+    np.testing.assert_allclose(terms.T @ found.coefficients, 0, atol=1e-9 * np.abs(found.coefficients).sum())
+    # Between the centres, where coefficients that differ may mean the same, both interpolate alike.
+    between = centres.normalised(0.5 * (points[:-1] + points[1:])[::7])
+    known = DirectSolver(lambda: matrix, terms).solve(told)
+    one, two = (radial_sums(kind, between, x, c) + centres.polynomial(between) @ p
+                for c, p in [(found.coefficients, found.polynomial), known])  # fmt: skip
+    assert np.abs(one - two).max() < 2e-5 * np.abs(told).max()
+
+
+def test_dependent_and_empty_columns():
+    solver, centres, _ = system(SETS["sphere"], "tps", None)
+    told = bend(centres.points)
+    told[:, 1], told[:, 2] = 2 * told[:, 0], 0.0
+    found = solver.solve(told, 1e-6, 40)
+    assert found.residual.max() <= 1e-6
+    assert np.all(found.coefficients[:, 2] == 0)
+    assert np.all(found.polynomial[:, 2] == 0)
+    nothing = solver.solve(np.zeros_like(told), 1e-6, 40)
+    assert nothing.iterations == 0
+    assert np.all(nothing.coefficients == 0)
+
+
+def test_duplicate_centres_share_their_value():
+    points = SETS["sphere"]
+    points = np.concatenate([points, points[:40]])
+    solver, _, _ = system(points, "tps", None)
+    found = solver.solve(bend(points), 1e-6, 60)
+    assert found.residual.max() <= 1e-6
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 5, 61, 400])
+def test_few_centres(n):
+    points = np.random.default_rng(n).uniform(size=(n, 3))
+    solver, _, _ = system(points, "tps", None)
+    found = solver.solve(bend(points), 1e-10, 20)
+    assert found.residual.max() <= 1e-10
+
+
+def test_method_reports_iterations_and_residual():
+    problem = problem_of(frame(), body_specs(turning(10)))
+    method = make_method(Options("rbf", rbf=RBF(solver="krylov", tolerance=1e-12))).prepare(problem)
+    told = np.sin(problem.source_points)
+    moved = method.apply(told)
+    settings = method.account.settings
+    assert settings["solver"].value == "krylov"
+    assert settings["iterations"].value >= 1
+    assert max(settings["residual"].value) <= 1e-12
+    assert method.account.warnings == []
+    direct = apply(Options("rbf", rbf=RBF(solver="direct")), problem, told)
+    assert np.abs(moved - direct).max() < 1e-10
+
+
+def test_not_converging_is_a_warning():
+    account = Account()
+    centres = Centres.of(SETS["graded-plane"], 2.0)
+    options = RBF(basis="wendland-c2", radius=2.0, solver="krylov", max_iterations=1, tolerance=1e-12)
+    RadialSystem(options, centres).solve(bend(centres.points), account, None)
+    assert "stopped after 1 iterations" in account.warnings[0]
+    assert "max_iterations" in account.warnings[0]
+
+
+def test_short_support_multiplies_by_its_nonzeros_only():
+    points = np.concatenate([sphere(4000), 1.5 * sphere(2000)])
+    centres = Centres.of(points, 0.18)
+    told, account = bend(points), Account()
+    options = RBF(basis="wendland-c2", radius=0.18)
+    coefficients, polynomial = RadialSystem(options, centres).solve(told, account, None)
+    assert account.settings["products"].value.startswith("sparse matrix of ")
+    assert account.warnings == []
+    x = centres.points
+    rest = told - radial_sums(BASES["wendland-c2"], x, x, coefficients) - centres.polynomial(x) @ polynomial
+    assert (np.linalg.norm(rest, axis=0) <= 1.1e-6 * np.linalg.norm(told, axis=0)).all()
+
+
+def test_automatic_choice_by_size_alone():
+    few, many = Centres.of(SETS["curve"], None), Centres.of(sphere(5000), None)
+    assert RadialSystem(RBF(), few).solver == "direct"
+    assert RadialSystem(RBF(), many).solver == "krylov"
+    tight = MemoryLimit(40 * 2**20, "--max-memory allows")
+    assert RadialSystem(RBF(), many, tight).solver == "krylov"
+    with pytest.raises(MethodError, match="solver = krylov"):
+        RadialSystem(RBF(), few, MemoryLimit(1000, "--max-memory allows"))
+    with pytest.raises(MethodError, match="solver = krylov"):
+        RadialSystem(RBF(solver="direct"), many, tight)
+
+
+CLOUDS = SETS | {
+    "volume": np.random.default_rng(1).uniform(size=(3000, 3)),
+    "duplicates": np.repeat(sphere(700), 3, axis=0),
+    "one point": np.zeros((300, 3)),
+    "few": sphere(7),
+}
+RADIUS = {"tps": None, "wendland-c0": 5.0, "wendland-c2": 0.7, "ctps-c1": 2.0, "ctps-c2a": 5.0, "ctps-c2b": 1.0}
+
+
+def normalised(name, basis):
+    points = CLOUDS[name]
+    extent = np.linalg.norm(points - points.mean(axis=0), axis=1).max() or 1.0
+    radius = RADIUS[basis]
+    return Centres.of(points, None if radius is None else radius * extent).points
+
+
+def charges(n):
+    """Coefficients of random signs: what a cluster does nearly cancels, as with coefficients of an interpolation."""
+    return np.random.default_rng(n).standard_normal((n, 3))
+
+
+@pytest.mark.parametrize(
+    ("name", "basis"), [*((name, "tps") for name in CLOUDS), *(("volume", basis) for basis in RADIUS if basis != "tps")]
+)
+def test_sums_are_the_exact_ones_to_the_tolerance(name, basis):
+    points, kind = normalised(name, basis), BASES[basis]
+    c = charges(len(points))
+    exact = radial_sums(kind, points, points, c)
+    size = np.abs(radial_matrix(kind, points[:50], points)).max() * np.sqrt(len(points))
+    for tolerance in (1e-4, 1e-8):
+        found = NestedSums(kind, points, tolerance)(c)
+        # The singular part is up to 60 r^3 log r (see decompose), and a sum has a hundred clusters or so.
+        assert np.abs(found - exact).max() <= 100 * tolerance * size + 1e-12 * size
+
+
+def test_far_clusters_are_not_summed_centre_by_centre():
+    points = Centres.of(sphere(20000), None).points
+    sums = NestedSums(0, points, 1e-8)
+    assert sums.pairs < 0.2 * len(points) ** 2
+    c = charges(len(points))
+    rows = np.arange(0, len(points), 97)
+    np.testing.assert_allclose(sums(c)[rows], radial_sums(0, points[rows], points, c), atol=1e-5)
+
+
+@pytest.fixture
+def nested(monkeypatch):
+    monkeypatch.setattr(krylov, "_NESTED_FROM", 100)
+    monkeypatch.setattr(krylov, "_LARGEST_PART", 10.0)
+
+
+def solved(points, basis="tps", radius=None, tolerance=1e-6, limit=2**40):
+    system = RadialSystem(RBF(solver="krylov", basis=basis, tolerance=tolerance), Centres.of(points, radius),
+                          MemoryLimit(limit, "the machine has"))  # fmt: skip
+    account, told = Account(), bend(points)
+    coefficients, polynomial = system.solve(told, account, None)
+    x = system.centres.points
+    rest = told - radial_sums(system.kind, x, x, coefficients) - system.terms @ polynomial
+    size = np.linalg.norm(told, axis=0)
+    return system, np.linalg.norm(rest, axis=0) / np.where(size > 0, size, 1.0), account
+
+
+@pytest.mark.parametrize(("basis", "radius"), [("tps", None), ("wendland-c0", 4.0), ("ctps-c1", 3.0)])
+@pytest.mark.parametrize("name", ["sphere", "graded-plane", "two-scales"])
+def test_solutions_have_the_residual_that_is_reported(nested, name, basis, radius):
+    points = SETS[name] / np.abs(SETS[name]).max()
+    system, residual, account = solved(points, basis, radius)
+    assert isinstance(system._krylov.product, NestedProduct)
+    assert residual.max() <= 1e-6
+    # Reported is the residual by nested sums and the norm of their error: an upper bound, not far off.
+    reported = np.array(account.settings["residual"].value)
+    assert (residual <= 1.1 * reported).all()
+    assert (reported <= 2 * residual + 3e-7).all()
+
+
+def test_sums_that_are_too_coarse_are_refined(nested, monkeypatch):
+    monkeypatch.setattr(krylov, "_FINER", 1e3)
+    system, residual, account = solved(sphere(3000))
+    assert residual.max() <= 1e-6
+    assert system._krylov.product._tolerance < 1e-4
+    assert "nested" in account.settings["products"].value
+
+
+def test_little_memory_is_refused_and_changes_no_sums(nested):
+    points = sphere(3000)
+    with pytest.raises(MethodError, match=r"3,000 centres needs about .*the machine has"):
+        solved(points, limit=KrylovSolver.memory(3000) + 10_000)
+    with pytest.raises(MethodError, match=r"3,000 centres needs about .*the machine has"):
+        solved(100 * points, "wendland-c2", 5.0, limit=KrylovSolver.memory(3000) + 10_000)
+
+
+@pytest.mark.slow
+def test_solutions_do_not_depend_on_those_before(nested, monkeypatch):
+    """The first of them makes products finer, which the others must not profit from."""
+    monkeypatch.setattr(krylov, "_FINER", 1e3)
+    points = sphere(3000)
+    one, two = bend(points), 1e-3 * bend(points)[:, ::-1].copy()
+    system, fresh = solved(points)[0], solved(points)[0]
+    assert len(system._krylov.product._made) > 1
+    for given in (two, one, two):
+        found, account = system.solve(given, Account(), None), Account()
+        np.testing.assert_array_equal(found[0], fresh.solve(given, account, None)[0])
+        other = RadialSystem(RBF(solver="krylov", tolerance=1e-6), Centres.of(points, None))
+        np.testing.assert_array_equal(found[0], other.solve(given, account, None)[0])

@@ -97,5 +97,5 @@ def test_every_kind_of_grid(name):
 
 @settings(max_examples=5)
 @given(block_grids(), st.integers(2, 7), st.sampled_from([0.0, 1e-6, 1e-3]), st.integers(0, 10**6))
-def test_random_grids(drawn, count, noise, seed):
+def test_metamorphic(drawn, count, noise, seed):
     same_on_ranks(noisy(drawn.shuffled, noise, seed), count)

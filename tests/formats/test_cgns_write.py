@@ -74,8 +74,7 @@ def full_file() -> N:
 # --- HDF5 to HDF5 -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("packing", [{}, {"compression": "gzip", "chunks": True}])
-@pytest.mark.parametrize("track", [True, False])
+@pytest.mark.parametrize(("packing", "track"), [({}, True), ({"compression": "gzip", "chunks": True}, False)])
 def test_only_the_coordinates_change(tmp_path, packing, track):
     source = write_hdf5(tmp_path / "in.cgns", full_file(), dataset=packing, track=track)
     write_grid(read_grid(source), tmp_path / "out.cgns")

@@ -15,8 +15,6 @@ from grids import CASE, frame
 from meshdeform_core.grid import Grid
 from meshdeform_formats import read_grid, write_grid
 
-from .walls_told import walls_told
-
 METHODS = ("tfi", "idw", "rbf", "idw-tfi", "rbf-tfi", "idw-rbf")
 
 
@@ -35,7 +33,7 @@ class Bench:
 
     def deformed(self, before: Grid, case: str | None, *arguments: str) -> str:
         """A deformation into out.xyz that exits with 0 is finite and valid, its walls where ``case`` puts them."""
-        from .judges import newly_bad
+        from .judges import newly_bad, walls_told
 
         code, told = called("deform", *arguments, "-o", "out.xyz", "--force", "-q")
         if code != 0:

@@ -13,7 +13,7 @@ from meshdeform_formats import read_grid, write_grid
 from meshdeform_formats.grids import complete_for_export, read_grid_with_boundaries
 from meshdeform_formats.neutral_map import write_neutral_map
 
-from . import judges, structure
+from . import judges, mutations
 from .bench import Bench, called, picked, refusal, seeded
 from .mutations import mutated
 
@@ -106,7 +106,7 @@ def plot3d_texts(bench: Bench, rng: Random) -> str:
 
 def cgns_tree(adf: bool, bench: Bench, rng: Random) -> str:
     """A tree of which a node is missing, moved, linked or of another kind."""
-    tree = structure.cgns_tree(_base_tree(rng), rng)
+    tree = mutations.cgns_tree(_base_tree(rng), rng)
     bad = Path("bad.adf" if adf else "bad.cgns")
     try:
         if adf:
@@ -148,7 +148,7 @@ def xml_tags(bench: Bench, rng: Random) -> str:
             big_endian=(False, True),
         ),
     )
-    Path("bad.vts").write_bytes(structure.tags(Path("good.vts").read_bytes(), rng))
+    Path("bad.vts").write_bytes(mutations.tags(Path("good.vts").read_bytes(), rng))
     return accepted(Path("bad.vts"), judges.vtk_points)
 
 

@@ -8,17 +8,15 @@ from random import Random
 
 import h5py
 import numpy as np
-import pyvista
 from grids import SPANS, stretched
 
 from meshdeform_core.errors import MeshDeformError
 from meshdeform_core.grid import Grid
 from meshdeform_formats import read_grid
 
-from . import structure
 from .bench import Bench, called, refusal, seeded
 from .judges import silent_vtk
-from .mutations import mutated
+from .mutations import mutated, tags
 
 VARIANTS = {
     ".vtu": ("ascii", "binary"),
@@ -34,6 +32,8 @@ Surface = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 def write_surface(path: Path, surface: Surface, kind: str) -> None:
     """Write a surface; ``kind`` tells which variant of the format."""
+    import pyvista  # takes a second, in every run of the tests that collects this module
+
     points, moves, triangles = surface
     mesh = pyvista.PolyData.from_regular_faces(points, triangles) if len(triangles) else pyvista.PolyData(points)
     mesh.point_data["displacement"] = moves
@@ -43,6 +43,8 @@ def write_surface(path: Path, surface: Surface, kind: str) -> None:
 
 def read_surface(path: Path) -> Surface | None:
     """The surface as vtk reads it; none if it finds no surface."""
+    import pyvista
+
     try:
         with silent_vtk():
             mesh = pyvista.read(path)
@@ -88,7 +90,7 @@ def surface_table(suffix: str, bench: Bench, rng: Random) -> str:
     write_surface(path, surface, kind)
     data, how = path.read_bytes(), rng.randrange(4)
     if how == 1 and suffix in (".vtu", ".vtp"):
-        data = structure.tags(data, rng)
+        data = tags(data, rng)
     elif how:
         data = mutated(data, "ascii" in kind, rng)
     path.write_bytes(data)
