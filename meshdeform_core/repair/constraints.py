@@ -56,11 +56,10 @@ class Constraints:
         """The constraints of a classified boundary."""
         grid, topology, slip = original.grid, original.topology, boundary.slip
         held, n = boundary.kind >= Kind.FIXED, topology.n_unique
-        images = boundary.periodic.nodes
-        root, turn, removed = np.arange(n), np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3, 3))
-        root[images], turn[images] = boundary.periodic.root, boundary.periodic.turn
+        periodic, root, removed = boundary.periodic, np.arange(n), np.zeros((n, 3, 3))
+        root[periodic.nodes] = periodic.root
         # A node may slide if it is on a single curved surface and on no plane or periodic boundary.
-        count = np.bincount(np.concatenate([images, images, *(each.nodes for each in slip.curved)]), minlength=n)
+        count = np.bincount(np.concatenate([*[periodic.nodes] * 2, *(each.nodes for each in slip.curved)]), minlength=n)
         for nodes, projector in slip.groups:
             removed[nodes] += projector
             count[nodes] += 2
@@ -69,8 +68,9 @@ class Constraints:
             held[surface.nodes] |= count[surface.nodes] > 1
             held[surface.corners[surface.creased]] = True
             sliding.append(replace(surface, nodes=surface.nodes[~held[surface.nodes]]))
-        images = images[root[images] != images]
-        np.add.at(removed, root[images], turn[images].transpose(0, 2, 1) @ removed[images] @ turn[images])
+        turned = periodic.root != periodic.nodes
+        images, turn = periodic.nodes[turned], periodic.turn[turned]
+        np.add.at(removed, root[images], turn.transpose(0, 2, 1) @ removed[images] @ turn)
         several = np.flatnonzero(np.einsum("nii->n", removed) > 1.5)
         # Projectors onto the ranges of sums of projectors; exact if these are along coordinate axes.
         sums = removed[several]
@@ -79,7 +79,9 @@ class Constraints:
         removed[several] = np.where(exact[:, None, None], np.round(spans), spans)
         walls = np.zeros(n, dtype=bool)
         walls[topology.quads.corners[original.moving_wall_quads(boundary) | original.fixed_wall_quads(boundary)]] = True
-        return cls(grid, topology, held, walls, root, turn @ (np.eye(3) - removed)[root], tuple(sliding))
+        frame = np.subtract(np.eye(3), removed, out=removed)
+        frame[images] = turn @ frame[root[images]]
+        return cls(grid, topology, held, walls, root, frame, tuple(sliding))
 
 
 @dataclass(frozen=True, eq=False)
