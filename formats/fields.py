@@ -21,7 +21,6 @@ WITH_FIELDS = (*FORMATS["vtk"].suffixes, *FORMATS["cgns"].suffixes, ".vtu")
 """Suffixes of formats that hold fields."""
 INVALID, DISPLACEMENT, ALL = "invalid", "displacement", "all"
 
-
 _CELLS = 1 << 17
 _KNOWN = (*CELL_MEASURES, INVALID, ALL)
 

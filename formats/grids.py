@@ -58,7 +58,6 @@ FORMATS: dict[str, Format] = {
     "meshio": Format("unstructured", (".vtu", ".su2", ".msh", ".inp", ".med"), "unstructured, write-only"),
 }  # fmt: skip
 
-
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 # First bytes of files in other formats, which are refused by name instead of being tried as Plot3D.
 _FOREIGN: tuple[tuple[bytes, str], ...] = (

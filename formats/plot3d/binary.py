@@ -160,7 +160,6 @@ def _readings(stream: BinaryIO) -> list[Reading]:
 # Bytes in the largest subrecord that gfortran and Intel Fortran write.
 LONGEST_SUBRECORD = 2**31 - 9
 
-
 Record = tuple[tuple[int, int], ...]
 """One logical record: the (offset, length) of its data, more than one pair if it has subrecords."""
 
