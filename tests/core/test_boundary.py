@@ -110,15 +110,6 @@ def test_one_cell_thick_grids_slide_on_their_end_planes():
     assert any("one cell thick" in note for note in problem.boundary.notes)
 
 
-def test_disagreeing_patches_name_their_node():
-    specs = specs_of(
-        ("one", ("block2.imax",), Kind.MOVING, MOVE), ("two", ("block4.jmax",), Kind.MOVING, constant(0.0, 0.1, 0.0))
-    )
-    problem = problem_of(FRAME, specs)
-    with pytest.raises(MotionError, match=r"'one' and 'two' disagree at their shared node block\d \("):
-        prescribed_displacement(problem.grid, problem.topology, problem.boundary)
-
-
 def test_table_on_a_wall_that_moves_already_names_both():
     """Also where the table matches a single node of that wall, which is no face of its own."""
     wall = BoundarySpec("wall", ("block2.imax",), Kind.MOVING, None, MOVE)

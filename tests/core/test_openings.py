@@ -211,17 +211,6 @@ def test_gaps_and_two_patched_faces_are_described_one_by_one():
     assert patched.endswith("block1.imax touch, but their nodes do not match (patched blocks)")
 
 
-def test_walls_of_the_file_close_to_each_other_need_no_word_of_the_case():
-    """The same two boxes, whose facing sides the file calls walls."""
-    grid = pair(0.01)
-    faces = [whole_face(grid.shapes[b], b, side) for b, side in ((0, Side.IMAX), (1, Side.IMIN))]
-    whole = [Patch(f"side{face.block}", (face,), "", "BCWall") for face in faces]
-    declared = dataclasses.replace(grid, patches=tuple(whole))
-    with pytest.raises(CaseError, match="nearly coincide"):
-        set_up(grid, Case((WALL,)))
-    assert not any("nearly coincide" in text for text in set_up(declared, Case((WALL,))).warnings)
-
-
 @pytest.mark.parametrize("flat", [False, True])
 def test_a_block_that_is_there_twice_is_named(flat):
     grid = frame(3, 0 if flat else 2)
