@@ -32,7 +32,7 @@ from .methods.base import Kinks, Linearised
 from .methods.composite import filled
 from .methods.limits import patch_motions
 from .numerics.arrays import places_among
-from .numerics.geometry.coincidence import coincident_groups, distinct, equal_rows
+from .numerics.geometry.coincidence import coincident_copies, distinct, equal_rows
 from .parallel import Nodes
 from .quality import assess
 from .repair.options import Limit
@@ -92,8 +92,8 @@ def _require_apart(grid: Grid, topology: Topology) -> None:
     outside = np.flatnonzero(alone)
     nodes = distinct(topology.quads.corners[outside], topology.n_unique)
     label = np.zeros(topology.n_unique, dtype=np.int64)
-    tolerance = RELATIVE_TOLERANCE * topology.edge[nodes]
-    label[nodes] = coincident_groups(grid.points[topology.first[nodes]], tolerance)
+    points = grid.points[topology.first[nodes]]
+    label[nodes] = coincident_copies(points, topology.edge[nodes], RELATIVE_TOLERANCE)[0]
     corners = label[topology.quads.corners[outside]]
     partner, _ = equal_rows(np.sort(corners, axis=1))
     two = np.flatnonzero(partner >= 0)

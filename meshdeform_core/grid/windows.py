@@ -140,8 +140,6 @@ def end_planes(grid: Grid, topology: Topology) -> list[int]:
         thin.append([axis for axis, of in ends if shape[axis] == 2 and all(external[some].all() for some in of)])
         if not thin[-1]:
             return []
-    if all(len(axes) == 1 for axes in thin):
-        return _sides(thin)
 
     def edges_across(block: int, axis: int) -> IntArray:
         """A number for each edge that crosses the block along the axis."""
@@ -149,16 +147,15 @@ def end_planes(grid: Grid, topology: Topology) -> list[int]:
         edges: IntArray = np.minimum(*ends) * topology.n_unique + np.maximum(*ends)
         return edges
 
-    across = [{axis: edges_across(b, axis) for axis in axes} for b, axes in enumerate(thin)]
-    left = set(range(grid.n_blocks))
-    known: IntArray = np.empty(0, dtype=np.int64)
-    while decided := [block for block in left if len(across[block]) == 1]:
-        left -= set(decided)
-        known = np.concatenate([known, *(edges for block in decided for edges in across[block].values())])
+    left, known = list(range(grid.n_blocks)), np.empty(0, dtype=np.int64)
+    while any(len(axes) > 1 for axes in thin):
+        decided = [block for block in left if len(thin[block]) == 1]
+        if not decided:
+            return []
+        left = [block for block in left if block not in decided]
+        known = np.concatenate([known, *(edges_across(block, thin[block][0]) for block in decided)])
         for block in left:
-            across[block] = {axis: edges for axis, edges in across[block].items() if np.isin(edges, known).any()}
-    return [] if left else _sides([list(axes) for axes in across])
-
-
-def _sides(thin: list[list[int]]) -> list[int]:
+            thin[block] = [axis for axis in thin[block] if np.isin(edges_across(block, axis), known).any()]
+    if not all(thin):
+        return []
     return [6 * block + side for block, axes in enumerate(thin) for axis in axes for side in (2 * axis, 2 * axis + 1)]

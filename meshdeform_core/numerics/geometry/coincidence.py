@@ -101,16 +101,6 @@ def pairs_in_order(key: FloatArray, points: FloatArray, tolerance: FloatArray) -
     return chosen[np.concatenate(found)] if found else np.empty((0, 2), dtype=np.int64)
 
 
-def coincident_groups(points: FloatArray, tolerance: FloatArray) -> IntArray:
-    """Number points so that coincident ones share a number.
-
-    Two points (n, 3) coincide when their distance is at most the *smaller* of their tolerances (n,); coincidence is
-    transitive. Groups are numbered by first occurrence, in int32 (int64 for 2^31 points or more). Beside the arguments
-    it takes some 30 bytes per point, as points are compared a window at a time.
-    """
-    return numbered_by_first(coincident_copies(points, tolerance)[0])[0]
-
-
 def numbered_by_first(first: IntArray) -> tuple[IntArray, BoolArray]:
     """Numbers (n,) of the groups of n items, by first occurrence; ``first`` (n,) is the first item of each one's group.
 
@@ -124,8 +114,12 @@ def numbered_by_first(first: IntArray) -> tuple[IntArray, BoolArray]:
 
 
 def coincident_copies(points: FloatArray, edge: FloatArray, relative: float = 1.0) -> tuple[IntArray, FloatArray]:
-    """Coincidence, as in :func:`coincident_groups`, of ``points`` (n, 3) with the tolerances ``relative * edge`` (n,):
-    for each point (n,), the smallest number and the smallest edge of all that coincide with it."""
+    """For each of ``points`` (n, 3), the smallest number and the smallest edge of all that coincide with it.
+
+    Two points coincide when their distance is at most the *smaller* of their tolerances, ``relative * edge`` (n,);
+    coincidence is transitive. Numbers are int32 (int64 for 2^31 points or more). Beside the arguments it takes some 30
+    bytes per point, as points are compared a window at a time.
+    """
     key = generic_key(points)
     order = np.argsort(key).astype(integers(len(points)))
     keys = key[order]
