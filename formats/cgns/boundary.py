@@ -70,7 +70,10 @@ def condition_windows(condition: Node, zone: Zone, block: int, notes: Notes) -> 
     points[:, :axes] = indices.T - 1
     _require_inside(points, zone, np.array(zone.shape), sets[0].path)
     if location == "Vertex":
-        windows, unused = _of_nodes(points, is_range, zone.shape, block)
+        if is_range:
+            windows, unused = windows_of_range(zone.shape, block, points), 0
+        else:
+            windows, unused = windows_of_nodes(zone.shape, block, points)
     elif location in _FACE_LOCATIONS:
         axis = _FACE_LOCATIONS[location]
         if axis is None:
@@ -103,14 +106,6 @@ def _require_inside(points: IntArray, zone: Zone, sizes: IntArray, place: str) -
         )
 
 
-def _of_nodes(points: IntArray, is_range: bool, shape: Shape, block: int) -> tuple[list[Window], int]:
-    """Windows, and the number of nodes that belong to none of them."""
-    if not is_range:
-        return windows_of_nodes(shape, block, points)
-    window = window_of_range(shape, block, points.min(axis=0).tolist(), points.max(axis=0).tolist())
-    return ([window] if window else []), 0
-
-
 def _of_faces(
     points: IntArray, is_range: bool, zone: Zone, block: int, axis: int | None, place: str
 ) -> tuple[list[Window], int]:
@@ -121,7 +116,7 @@ def _of_faces(
     _require_inside(points, zone, faces, place)
     if is_range:
         last = points.max(axis=0) + [int(a != axis and n > 1) for a, n in enumerate(zone.shape)]
-        return _of_nodes(np.array([points.min(axis=0), last]), True, zone.shape, block)
+        return windows_of_range(zone.shape, block, np.array([points.min(axis=0), last])), 0
     windows, used = [], 0
     for side in (Side(2 * axis), Side(2 * axis + 1)):
         a, b = side.tangential
@@ -133,18 +128,19 @@ def _of_faces(
     return windows, len(points) - used
 
 
-def window_of_range(shape: Shape, block: int, low: Sequence[int], high: Sequence[int]) -> Window | None:
-    """The window of the nodes ``low`` .. ``high`` (i, j, k, 0-based, inclusive), or ``None`` if not on a block face.
+def windows_of_range(shape: Shape, block: int, points: IntArray) -> list[Window]:
+    """The window of the nodes between the lowest and the highest of ``points`` (n, 3), or none if not on a block face.
 
     The range must be constant along one index axis of more than one node, at its first or last node.
     """
+    low, high = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     constant = [axis for axis in range(3) if low[axis] == high[axis] and shape[axis] > 1]
     if len(constant) != 1 or low[constant[0]] not in (0, shape[constant[0]] - 1):
-        return None
+        return []
     axis = constant[0]
     side = Side(2 * axis + (low[axis] > 0))
     a, b = side.tangential
-    return Window(block, side, (low[a], low[b]), (high[a], high[b]))
+    return [Window(block, side, (low[a], low[b]), (high[a], high[b]))]
 
 
 def windows_of_nodes(shape: Shape, block: int, nodes: IntArray) -> tuple[list[Window], int]:
