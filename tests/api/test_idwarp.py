@@ -241,7 +241,6 @@ def test_components_that_stay(overset):
         ({"gridFile": "g.cgns", "specifiedSurfaces": "wing"}, "list of family names"),
         ({"gridFile": "g.cgns", "symmetryPlanes": [[0, 0, 1]]}, "symmetryPlanes"),
         ({"gridFile": "g.cgns", "method": "magic"}, "magic"),
-        ({"gridFile": "g.cgns", "repair": "maybe"}, "repair"),
     ],
 )
 def test_options_that_are_refused(given, message):

@@ -49,16 +49,6 @@ def _damaged_root() -> bytes:
     return bytes(data)
 
 
-def _integers() -> bytes:
-    """Three plane blocks of whole numbers, which have as many numbers as one block in space with IBLANK."""
-    shapes = ((2, 5), (2, 8), (8, 4))
-    lines = ["3", " ".join(f"{a} {b}" for a, b in shapes)]
-    for a, b in shapes:
-        j, i = np.divmod(np.arange(a * b), a)
-        lines += [" ".join(map(str, i)), " ".join(map(str, j))]
-    return ("\n".join(lines) + "\n").encode()
-
-
 # Where things are in grid.xyz: a record with the number of blocks, one with the dimensions of 8 blocks, coordinates.
 DIMENSIONS = 12 + 4
 COORDINATES = DIMENSIONS + 8 * 3 * 4 + 4 + 4
@@ -67,17 +57,13 @@ COORDINATES = DIMENSIONS + 8 * 3 * 4 + 4 + 4
 GRIDS: dict[str, tuple[Callable[[bytes], bytes], tuple[str, ...]]] = {
     "empty": (lambda good: b"", ("is empty",)),
     "truncated-middle": (lambda good: good[: len(good) // 2], ("bad.xyz", "bytes")),
-    "truncated-by-one": (lambda good: good[:-1], ("bad.xyz", "bytes")),
     "dimension-other": (_put(DIMENSIONS, "<i4", 6), ("bad.xyz",)),
     "nan": (_put(COORDINATES, "<f8", np.nan), ("1 nodes", "not finite", "block1 (1, 1, 1)", "nan")),
-    "inf": (_put(COORDINATES + 8, "<f8", -np.inf), ("not finite", "block1 (2, 1, 1)", "-inf")),
     "line": (lambda good: b"1\n1 1 5\n" + b"0 " * 15, ("block1", "(1, 1, 5)", "at least 2 nodes")),
     "gzip": (gzip.compress, ("gzip archive", "unpack it first")),
     "zip": (_zip, ("zip", "unpack it first")),
     "hdf5": (lambda good: _hdf5(), ("bad.xyz", "CGNS")),
     "hdf5-damaged": (lambda good: _damaged_root(), ("cannot read bad.xyz as HDF5: it is damaged",)),
-    "integers": (lambda good: _integers(), ("2 ways", "multiblock=true", "3 blocks", "iblank=true", "1 block")),
-    "adf-magic-only": (lambda good: b"@(#)ADF Database Version A02011>", ("bad.xyz",)),
     "gmsh": (lambda good: b"$MeshFormat\n4.1 0 8\n$EndMeshFormat\n", ("Gmsh mesh", "unstructured")),
     "foam": (lambda good: b"FoamFile\n{\n version 2.0;\n}\n", ("OpenFOAM",)),
     "png": (lambda good: b"\x89PNG\r\n\x1a\n" + bytes(99), ("PNG picture",)),
@@ -86,7 +72,6 @@ GRIDS: dict[str, tuple[Callable[[bytes], bytes], tuple[str, ...]]] = {
         lambda good: b"# vtk DataFile Version 3.0\nt\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 0 float\n",
         ("bad.xyz", "UNSTRUCTURED_GRID"),
     ),
-    "case-file": (lambda good: b'[[boundary]]\nname = "body"\n', ("bad.xyz",)),
 }
 
 COMMANDS = {
@@ -117,14 +102,6 @@ def test_wrong_grid_is_refused(name, bench, call, snapshot):
     for command in COMMANDS if name in ("truncated-middle", "nan") else ("info", "deform"):
         assert_refused(call(*COMMANDS[command]), fragments)
         assert snapshot(bench) == before
-
-
-def test_integers_are_read_as_the_option_says(bench):
-    Path("integers.fmt").write_bytes(_integers())
-    grid = read_grid("integers.fmt", {"multiblock": "true"})
-    assert grid.shapes == ((2, 5, 1), (2, 8, 1), (8, 4, 1))
-    assert not grid.fields
-    assert read_grid("integers.fmt", {"iblank": "true"}).shapes == ((3, 2, 5),)
 
 
 def scaled(factor: float) -> Callable[[np.ndarray], str]:

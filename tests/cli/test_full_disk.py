@@ -85,15 +85,12 @@ def test_a_series_looks_for_room_for_all_levels(bench, call, disk, monkeypatch):
 
 VARIANTS = {
     "c.p3dbin": {"encoding": "binary"},
-    "records.p3dbin": {},
-    "small.p3dbin": {"precision": "float32"},
     "text.p3dfmt": {},
     "plane.p2dbin": {},
     "new.cgns": {},
     "single.cgns": {"precision": "float32"},
     "grid.vts": {},
     "text.vts": {"encoding": "ascii"},
-    "single.vts": {"precision": "float32"},
     "plane.vtk": {},
     "blocks.vtm": {},
 }

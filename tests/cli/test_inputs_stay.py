@@ -39,12 +39,10 @@ def inputs(bench):
     "arguments",
     [
         ("convert", "linked.cgns", "parts/second.cgns"),
-        ("convert", "linked.cgns", "short.cgns"),
         ("convert", "linked.cgns", "linked.cgns"),
         ("convert", "other.vtm", "set.vtm"),
         ("convert", "set/set_1.vts", "set.vtm"),
         ("convert", "other.vtm", "set/set_0.vts"),
-        ("deform", "linked.cgns", "-c", "follow.toml", "-o", "out.cgns", "--report", "table.txt"),
         ("deform", "linked.cgns", "-c", "follow.toml", "-o", "out.cgns", "--report", "same.txt"),
         ("deform", "linked.cgns", "-c", "follow.toml", "-o", "out.cgns", "--report", "case.json"),
         ("quality", "linked.cgns", "-c", "follow.toml", "--report", "table.txt"),

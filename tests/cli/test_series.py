@@ -213,14 +213,6 @@ def test_later_tables_are_checked_like_the_first(swing, call):
     assert sum("lie on no face" in text for text in result.warnings) == 1
 
 
-def test_a_dry_run_writes_nothing(swing, call, snapshot):
-    before = snapshot(swing)
-    result = call(*RUN, "--dry-run")
-    assert result.code == 0
-    assert snapshot(swing) == before
-    assert "5 levels from t = 0 to 1: out/grid_0000.xyz ... out/grid_0004.xyz" in result.out
-
-
 KILLED = """\
 import os, pathlib, signal, sys
 calls = 0

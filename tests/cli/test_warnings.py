@@ -56,22 +56,6 @@ def test_quality_warns_on_stderr(doubtful, call):
 RUN = ("deform", "grid.xyz", "-c", "case.toml", "-o", "out.xyz")
 
 
-@pytest.mark.parametrize(
-    ("method", "settings"),
-    [
-        ("idw", ["method.idw.weights=shepard", "method.idw.p_fixed=4"]),
-        ("rbf", ["method.rbf.basis=wendland-c2", "method.rbf.radius=4.0"]),
-        ("idw-tfi", ["method.tfi.max_cells=0"]),
-    ],
-)
-def test_set_that_is_read_is_accepted_and_changes_the_grid(method, settings, bench, call):
-    options = [word for setting in settings for word in ("-s", setting)]
-    assert call(*RUN, "-m", method, "--allow-invalid").code == 0
-    plain = (bench / "out.xyz").read_bytes()
-    assert call(*RUN, "-m", method, *options, "--force", "--allow-invalid").code == 0
-    assert (bench / "out.xyz").read_bytes() != plain
-
-
 def test_time_that_the_motion_does_not_depend_on_is_a_warning(bench, call):
     assert "--time 2 has no effect" in call(*RUN, "--time", "2").err
     result = call("series", "grid.xyz", "-c", "case.toml", "--times", "0,1", "-o", "levels")
