@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -134,8 +133,3 @@ def _bytes_of(path: Path) -> int:
 
     size = os.path.getsize(path)
     return size if size > _SMALL else sum(os.path.getsize(each) for each in files_behind(path) if each.is_file())
-
-
-def temporary_folder() -> Path:
-    """Folder for temporary files of commands that write no grid: ``TMPDIR``, or the system's default."""
-    return Path(tempfile.gettempdir())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
+import tempfile
 import time as clock
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +17,7 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.memory import passing
 from meshdeform_core.wording import counted
 
-from .checks import check_output, check_reports, make_room, temporary_folder
+from .checks import check_output, check_reports, make_room
 from .options import OUTPUT, PATH, CaseInput, Files, FiniteNumber, GridInput, RunInput, grid_options, packed
 from .process import EXIT_INVALID, ProgressBar, stage, tell
 
@@ -52,7 +53,7 @@ def info_command(source: GridInput, verbose: bool, run: RunInput) -> int:
     The role of a boundary is the one that the file declares. Otherwise it is guessed from the shape of the grid (cells
     cluster towards walls and grow towards the far field) and marked with a question mark.
     """
-    make_room(run.limit, "describing", passing(_READ), [source], temporary_folder())
+    make_room(run.limit, "describing", passing(_READ), [source], Path(tempfile.gettempdir()))
     grid = source.read()
 
     from meshdeform_formats.text import json_text
@@ -93,7 +94,7 @@ def quality_command(source: GridInput, reference: Path | None, case: CaseInput, 
     files = [*source.files, ("reference", reference), *case.files(what)]
     check_reports(run.reports, run.force, files)
     sources = [source, *([GridInput(reference)] if reference else [])]
-    make_room(run.limit, "judging", passing(_JUDGED), sources, temporary_folder())
+    make_room(run.limit, "judging", passing(_JUDGED), sources, Path(tempfile.gettempdir()))
     with ProgressBar(not run.quiet) as progress:
         grid = source.read(what.boundary_file)
         # Boundaries that the file of the original lacks are those of the deformed grid.
@@ -127,7 +128,7 @@ def compare_command(first: Path, second: Path, tolerance: float | None, run: Run
     from meshdeform_formats import read_grid
 
     sources = [GridInput(path) for path in (first, second)]
-    make_room(run.limit, "comparing", passing(_READ), sources, temporary_folder())
+    make_room(run.limit, "comparing", passing(_READ), sources, Path(tempfile.gettempdir()))
     difference = compare_points(read_grid(first), read_grid(second))
     if run.as_json:
         click.echo(json.dumps(dataclasses.asdict(difference), indent=2))

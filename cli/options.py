@@ -13,14 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from meshdeform_core.errors import CaseError, FormatError
-from meshdeform_core.memory import (
-    PICTURE_BYTES,
-    SWEPT_BYTES,
-    VELOCITY_BYTES,
-    MemoryLimit,
-    machine_memory,
-    parse_memory,
-)
+from meshdeform_core.memory import PICTURE_BYTES, MemoryLimit, machine_memory, parse_memory
 from meshdeform_core.parallel import set_sharing
 
 from .process import Warnings, stage
@@ -190,11 +183,6 @@ class CaseInput:
     )
     times: str | None = None
 
-    @property
-    def time(self) -> float:
-        """The time at which the motion is evaluated."""
-        return 0.0 if self.at_time is None else self.at_time
-
     def read(self) -> CaseFile:
         """The case file with the additions of the command line."""
         from meshdeform_formats.case import read_case
@@ -299,8 +287,3 @@ class SeriesInput:
     )  # fmt: skip
     suffix: str | None = given("--suffix", help="Format of the levels, by suffix (default: that of GRID).")
     resume: bool = given("--resume", is_flag=True, help="Continue an interrupted run of the same series.")
-
-    @property
-    def velocity_bytes(self) -> int:
-        """Bytes per node that the velocities take in memory."""
-        return VELOCITY_BYTES * (self.velocity != "none") + SWEPT_BYTES * (self.velocity == "swept")

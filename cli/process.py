@@ -255,6 +255,7 @@ class ProgressBar:
         self._start = time.perf_counter()
         self._levels: tuple[str, int, int] | None = None
         self.current: tuple[str, int, int] | None = None
+        self._clock: Any = None
         self._over = threading.Event()
         self._display: threading.Thread | None = None
 
@@ -270,13 +271,11 @@ class ProgressBar:
         return [line for line in (self._levels, self.current) if line]
 
     def _compiling(self, compiled: Compiled) -> None:
-        from meshdeform_core.numerics.jit import compile_clock
-
         expected = max(compiled.expected, compiled.done + 1)
         if not self._told:
             self._told = True
             many = f"{counted(expected, 'loop')} in {counted(compiled.processes, 'process', 'processes')}"
-            often = "once per installation" if compile_clock.cached else _UNCACHED
+            often = "once per installation" if self._clock and self._clock.cached else _UNCACHED
             tell(f"compiling {many}, about {max(compiled.seconds, 1):.0f} s, {often}")
         self("compile", compiled.done, expected)
 
@@ -286,6 +285,7 @@ class ProgressBar:
             # Imported late, as it loads the compiler, which many commands do not need.
             from meshdeform_core.numerics.jit import compile_clock
 
+            self._clock = compile_clock
             compile_clock.notice = self._compiling if self._enabled else None
         if self._enabled:
             show = self._draw if sys.stderr.isatty() else self._log
@@ -295,10 +295,8 @@ class ProgressBar:
 
     def __exit__(self, *_: object) -> None:
         ProgressBar.active = None
-        if self._compiles:
-            from meshdeform_core.numerics.jit import compile_clock
-
-            compile_clock.notice = None
+        if self._clock is not None:
+            self._clock.notice = None
         self._over.set()
         if self._display is not None:
             self._display.join()

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from meshdeform_core.memory import SWEPT_BYTES, VELOCITY_BYTES
+
 from .checks import check_order, check_reports, check_target, make_room, too_large
 from .options import OUTPUT, PATH, CaseInput, GridInput, RunInput, SeriesInput, grid_options, packed
 from .process import EXIT_INVALID, ProgressBar, tell
@@ -74,7 +76,7 @@ def deform_command(source: GridInput, output: Path | None, case: CaseInput, run:
             if output is not None:
                 variant, missing = work.variant_and_shortage(job.grid, output, run)
                 outputs = Outputs(output, variant.precision)
-            planned = plan(setup, [case.time], case.steps, outputs, missing, job.demand, run.memory)
+            planned = plan(setup, [case.at_time or 0.0], case.steps, outputs, missing, job.demand, run.memory)
         return work.print_plan(*planned, run)
 
     def deform() -> int:
@@ -123,7 +125,8 @@ def series_command(source: GridInput, case: CaseInput, wanted: SeriesInput, run:
 
     from . import series_run, work
 
-    doing, begun = work.work_of(what, run, wanted.suffix or "", wanted.velocity_bytes), False
+    beside = VELOCITY_BYTES * (wanted.velocity != "none") + SWEPT_BYTES * (wanted.velocity == "swept")
+    doing, begun = work.work_of(what, run, wanted.suffix or "", beside), False
 
     def load(workplace: Path | None) -> series_run.Run:
         job = work.load(source, case, what, run, doing, workplace)

@@ -187,7 +187,7 @@ def run(job: Job, output: Path, case: CaseInput, options: RunInput, progress: Pr
     result = deform(
         complete_for_export(job.grid, output),
         job.case.case,
-        time=case.time,
+        time=case.at_time or 0.0,
         steps=case.steps,
         precision=chosen.precision,
         memory=job.memory,

@@ -18,9 +18,9 @@ from meshdeform_core.boundary.motions.motion import LARGEST
 from meshdeform_core.errors import FormatError, GridError, MeshDeformError, MotionError
 from meshdeform_core.grid import FloatArray
 from meshdeform_core.parallel import WholeGridNeeded, sharing
+from meshdeform_core.wording import counted
 
 if TYPE_CHECKING:
-    import meshio
     import pyvista
     from matplotlib.figure import Figure
 
@@ -211,12 +211,6 @@ class Grid:
             blocks.append(block, name)
         return blocks
 
-    def to_meshio(self) -> meshio.Mesh:
-        """Unstructured hexahedra (2-D: quadrilaterals) with coincident nodes merged, and the fields of the file."""
-        from meshdeform_formats.unstructured import as_mesh
-
-        return as_mesh(whole(self, "an unstructured grid"))
-
     def __len__(self) -> int:
         """Number of blocks."""
         return self.core.n_blocks
@@ -234,8 +228,8 @@ class Grid:
     def __repr__(self) -> str:
         where = f", {self.path.name!r}" if self.path else ""
         return (
-            f"Grid({len(self)} {'block' if len(self) == 1 else 'blocks'}, {self.n_nodes:,} nodes, "
-            f"{self.n_cells:,} cells, {self.dimension}-D{where})"
+            f"Grid({counted(len(self), 'block')}, {self.n_nodes:,} nodes, {self.n_cells:,} cells, "
+            f"{self.dimension}-D{where})"
         )
 
 

@@ -19,6 +19,7 @@ from meshdeform_core.parallel import Nodes
 from meshdeform_core.quality import InvalidCell
 from meshdeform_core.repair.derivative import derivative_of_repair
 from meshdeform_core.repair.outcome import Repair
+from meshdeform_core.wording import counted
 
 from .grid import Grid, by_part, together, whole, wrapped
 
@@ -148,8 +149,9 @@ class Step:
         verdict = "valid" if self.valid else f"INVALID: {invalid:,} cells"
         if self.result.reached < 1.0:
             verdict += f", {self.result.reached:.1%} imposed"
-        count = f"{self.steps} {'step' if self.steps == 1 else 'steps'}"
-        return f"Step({verdict}; {count}, largest displacement {self.result.max_displacement:.6g})"
+        return (
+            f"Step({verdict}; {counted(self.steps, 'step')}, largest displacement {self.result.max_displacement:.6g})"
+        )
 
 
 def unusable(step: Step) -> str:

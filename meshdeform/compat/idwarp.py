@@ -376,11 +376,10 @@ def _surface_file(name: str) -> tuple[FloatArray, np.ndarray[Any, Any]]:
     blocks, points, faces, first = read(name).core, [], [], 0
     for block in range(blocks.n_blocks):
         patch = blocks.block(block)
-        flat = [axis for axis, size in enumerate(patch.shape[:3]) if size == 1]
-        if not flat:
+        if 1 not in patch.shape[:3]:
             raise MotionError(f"{name}: block {block + 1} has {patch.shape[:3]} nodes; expected a surface")
-        sheet = np.take(patch, 0, axis=flat[0])
-        nodes = first + np.arange(sheet.shape[0] * sheet.shape[1]).reshape(sheet.shape[1], sheet.shape[0]).T
+        sheet = np.take(patch, 0, axis=patch.shape.index(1))
+        nodes = first + np.arange(sheet[..., 0].size).reshape(sheet.shape[:2], order="F")
         corners = [nodes[:-1, :-1], nodes[1:, :-1], nodes[1:, 1:], nodes[:-1, 1:]]
         points.append(sheet.transpose(1, 0, 2).reshape(-1, 3))
         faces.append(np.stack(corners, axis=-1).reshape(-1, 4))

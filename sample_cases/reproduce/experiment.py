@@ -8,7 +8,6 @@ import functools
 import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -81,7 +80,7 @@ class Outcome:
     gflop: float | None
 
 
-@lru_cache(maxsize=2)
+@functools.lru_cache(maxsize=2)
 def prepare_sample(sample: Sample) -> Setup:
     """Grid, topology and boundary of a sample; the last two are kept."""
     module = load(sample.name)

@@ -393,8 +393,6 @@ def test_objects_can_be_copied_and_pickled(mesh, bend):
 
 
 def test_grids_become_those_of_other_packages(plate):
-    unstructured = plate.grid.to_meshio()
-    assert len(unstructured.cells[0].data) == plate.grid.n_cells
     pyvista = pytest.importorskip("pyvista", reason="pyvista is not installed")
     blocks = plate.grid.to_pyvista("volume")
     assert isinstance(blocks, pyvista.MultiBlock)
