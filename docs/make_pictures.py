@@ -19,7 +19,7 @@ from PIL import Image
 from meshdeform_cli.main import run
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_formats import read_grid
-from meshdeform_formats.picture.page import Page, Scale, page_png
+from meshdeform_formats.picture.page import Page, Scale, save_page
 from meshdeform_formats.picture.scene import Window
 from meshdeform_samples.reproduce.figures import drawn, scene_of
 
@@ -41,8 +41,7 @@ def picture(name: str, sample: str, size: int, panels: list[Panel], window: Wind
                  "--repair", "off", "--allow-invalid", "-q")  # fmt: skip
             grid = read_grid(output)
             shown.append(drawn(scene_of(grid, find_topology(grid)), title, window))
-        page = Page.of(shown, Scale("f_skew", (0.0, 1.0)))
-        (case / "picture.png").write_bytes(page_png(page, 4.2 * len(panels), 100))
+        save_page(Page.of(shown, Scale("f_skew", (0.0, 1.0))), case / "picture.png")
         keep(case / "picture.png", name)
 
 
