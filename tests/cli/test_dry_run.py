@@ -20,10 +20,10 @@ from grids import frame
 from meshdeform_cli import dry_run
 from meshdeform_cli.main import run
 from meshdeform_core.grid import FileFormat
-from meshdeform_core.memory import PICTURE_BYTES, Demand, deforming, parse_memory, passing
+from meshdeform_core.memory import PICTURE_BYTES, Demand, deforming, parse_memory
 from meshdeform_core.parallel import Ranks, sharing
 from meshdeform_formats import write_grid
-from meshdeform_formats.grids import Layout, read_grid
+from meshdeform_formats.grids import Layout
 
 BILLION = 10**9
 
@@ -73,21 +73,6 @@ def test_grids_too_large_for_a_trial_are_told_what_they_take(call, bench, monkey
     assert "expected  memory" in call(*command).out
     pictured = json.loads(call(*command, "--json", "-q", "--report", "out.html").out)["expected"]
     assert pictured["memory_bytes"] == expected["memory_bytes"] + PICTURE_BYTES
-
-
-def test_a_series_takes_the_output_of_all_levels(call, bench, monkeypatch):
-    monkeypatch.setattr(dry_run, "TRIAL_NODES", 1000)
-    command = ("series", "grid.cgns", "-c", "case.toml", "-o", "out", "--dry-run", "--json", "-q", "-m", "idw-tfi")
-
-    def expected(*more: str) -> dict:
-        return json.loads(call(*command, *more).out)["expected"]
-
-    few, many = (expected("--times", f"0:{count}:1") for count in (2, 9))
-    size = os.path.getsize("grid.cgns")
-    assert (few["output_bytes"], many["output_bytes"]) == (3 * size, 10 * size)
-    assert few["memory_bytes"] == many["memory_bytes"]
-    fast = expected("--times", "0:9:1", "--velocity", "second")
-    assert fast["memory_bytes"] > many["memory_bytes"]
 
 
 def test_a_series_of_a_billion_nodes_is_foretold_from_a_header(sparse, call, bench, tmp_path, monkeypatch):
@@ -154,12 +139,6 @@ def test_ranks_are_told_what_each_of_them_takes(method, peak):
     """MB that the largest of four took, with 12 million nodes in one block, which ``tfi`` fills as a whole."""
     with sharing(Four(), 1):
         assert 0.98 < boxes(method, 1, 229).in_memory / (1e6 * peak) < 1.15
-
-
-def test_zones_of_cgns_take_more_than_blocks_of_other_formats(bench):
-    zones, blocks = (read_grid(name) for name in ("grid.cgns", "grid.xyz"))
-    one, two = (Demand.of("deforming", passing(1), grid).in_memory for grid in (zones, blocks))
-    assert one > two
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,6 @@ import shlex
 import numpy as np
 import pytest
 
-import meshdeform as md
 from meshdeform_cli.main import run
 from meshdeform_core.deform import Timing, impose, set_up
 from meshdeform_core.methods import Options
@@ -41,13 +40,6 @@ def test_readme_commands_give_a_valid_grid(name, tmp_path, monkeypatch):
     before, after = read_grid("case/grid.cgns"), read_grid(arguments[arguments.index("-o") + 1])
     largest = np.linalg.norm(after.points - before.points, axis=1).max()
     assert largest >= 0.99 * report["boundary"]["max_displacement"] > 0
-
-
-@pytest.mark.parametrize("name", SAMPLES)
-def test_sizes_grow_and_the_default_is_one_of_them(name):
-    sizes = load(name).SIZES
-    assert next(iter(sizes)) == "small"
-    assert sorted(sizes.values()) == list(sizes.values())
 
 
 def test_the_wing_moves_as_the_structural_model_does(tmp_path, monkeypatch):
@@ -113,13 +105,3 @@ def test_the_interior_of_the_workshops_cylinder_follows_the_affine_map_of_its_wa
     psi, c, s = 1 + 0.5 * alpha, np.cos(np.pi * alpha), np.sin(np.pi * alpha)
     exact = grid.points @ np.array([[c * psi, s * psi, 0], [-s / psi, c / psi, 0], [0, 0, 1]]) + [0, alpha, 0]
     assert np.abs(moved - exact).max() < 1e-12 < 0.1 < np.abs(moved - grid.points).max()
-
-
-@pytest.mark.parametrize(
-    ("name", "size", "method"), [("beam", 40, "idw-tfi"), ("cascade", 4, "idw"), ("cascade", 4, "rbf")]
-)
-def test_a_grid_whose_whole_boundary_is_stretched_and_sheared_is_so_inside(name, size, method):
-    mesh = md.prepare(md.sample(name, size).grid, moving=["*"], method=method)
-    affine = np.array([[1.3, 0.4, 0], [-0.2, 1.1, 0], [0, 0, 1]])
-    for moved, x in zip(mesh.deform(mesh.points @ affine.T - mesh.points).grid.blocks, mesh.grid.blocks, strict=True):
-        np.testing.assert_allclose(moved, x @ affine[: x.shape[-1], : x.shape[-1]].T, rtol=0, atol=1e-12)
