@@ -179,6 +179,7 @@ def test_what_fails_without_repair_is_counted(both):
 def test_with_repair_it_says_what_will_be_done(both):
     warnings, code, report = both("-s", "constants.angle=45")
     (told,) = [text for text in warnings if text.startswith("tried with tfi")]
+    assert "in 1 step:" in told
     assert "the run will repair them, then smaller steps, which takes longer and may fail" in told
     assert f": {report['attempts'][0]['invalid_cells']} cells become invalid" in told
     assert code in (0, 3)
