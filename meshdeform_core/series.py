@@ -14,7 +14,7 @@ from .deform import Result, Setup, Timing, impose
 from .errors import CaseError
 from .grid import Field, FloatArray
 from .methods import PreparedMethod, Progress
-from .velocity import PAST, Moment, Smoothness, face_fields, grid_velocity, shortest_edges, smoothness
+from .velocity import PAST, VELOCITIES, Moment, Smoothness, face_fields, grid_velocity, shortest_edges, smoothness
 
 REVISION = 21
 """Revision of the algorithms: a series is continued only by a program of the same revision.
@@ -43,6 +43,9 @@ class Schedule:
     steps: int | str | None = None
 
     def __post_init__(self) -> None:
+        if self.velocity not in VELOCITIES:
+            known = ", ".join(VELOCITIES)
+            raise CaseError(f"velocity = {self.velocity!r} of a series is unknown; known are {known}")
         if not self.times or not np.isfinite(self.times).all() or (np.diff(self.times) <= 0).any():
             shown = ", ".join(f"{t:g}" for t in self.times[:5])
             more = ", ..." if len(self.times) > 5 else ""

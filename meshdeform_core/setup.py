@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from .boundary import BoundarySpec
 from .boundary.classification import largest_displacement, prescribed_displacement
 from .boundary.crossing import Contact, Crossing, CrossingTest
+from .errors import CaseError
 from .grid import FloatArray, Grid
 from .grid.selection import Components
 from .grid.topology import RELATIVE_TOLERANCE
@@ -50,6 +51,12 @@ class Case:
     repair: RepairOptions = field(default_factory=RepairOptions)
     plates: tuple[str, ...] = ()
     components: Components = ""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.method, Options):
+            raise CaseError(f"method = {self.method!r} of a case; expected Options, like Options('idw-tfi')")
+        if not all(isinstance(spec, BoundarySpec) for spec in self.boundaries):
+            raise CaseError(f"boundaries = {self.boundaries!r} of a case; expected BoundarySpec entries")
 
     @property
     def depends_on_time(self) -> bool:
