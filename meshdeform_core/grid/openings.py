@@ -249,7 +249,9 @@ def _abutting(grid: Grid, topology: Topology, paired: IntArray) -> list[Opening]
     pairs, part = overlapping_boxes((low - slack, high + slack), (low, high)), grid.component_numbers[samples.side // 6]
     pairs = pairs[(pairs[:, 0] != pairs[:, 1]) & (part[pairs[:, 0]] == part[pairs[:, 1]])]
     found = []
-    for own, other, near, _ in samples.candidates(pairs, (low, high), _ABUTTING * edge, 0.0):
+    # Far from the origin the reach is smaller than the round-off of the coordinates: points on the box are in it.
+    boxes = np.nextafter(low, -np.inf), np.nextafter(high, np.inf)
+    for own, other, near, _ in samples.candidates(pairs, boxes, _ABUTTING * edge, 0.0):
         distance = distance_to_faces(samples.middle[near], samples.points_of(rest[first[other] : last[other]]))
         relative = distance / edge[near]
         hit = relative < _ABUTTING
