@@ -19,13 +19,10 @@ ROW = "1 2 3 4 5 6\n"
 
 TEXTS = {
     "": "is empty",
-    "\n\n": "has no rows of numbers",
     "# nothing\n": "has no rows of numbers",
     "x,y,z,dx,dy,dz\n": "has no rows of numbers below the header 'x,y,z,dx,dy,dz'",
     "1 2 3 4 5\n": "line 1: found 5 columns without names; expected 6 (x y z dx dy dz) or 4 (x y dx dy) or 3 (number",
-    "\n1 2\n": "line 2: found 2 columns without names",
     ROW + "\n# c\n1 2 3 4 5\n": "line 4: found 5 columns; expected 6 as before",
-    ROW + "2 2 3 4 5 6 7\n": "line 2: found 7 columns; expected 6 as before",
     ROW + "2 2 3 4 5 six\n": "line 2: 'six' is not a number",
     ROW + "2 2 3 4 5 1.0D+00\n": "line 2: '1.0D+00' is not a number",
     ROW + "2 2 3 4 5 6_0\n": "line 2: '6_0' is not a number",
@@ -39,7 +36,6 @@ TEXTS = {
     "x[m] y[m] z[m] dx[mm] dy[mm] dz[mm]\n" + ROW: "lengths in m, mm; expected all in the grid's unit",
     "x y z(m) dx dy dz(Inch)\n" + ROW: "lengths in inch, m; expected all in the grid's unit",
     "a b c d e f\n" + ROW: "expected a name for each of 6 columns, x y z (or x y) and dx dy dz (or dx dy) among them",
-    "x y z dx dy\n" + ROW: "expected a name for each of 6 columns",
     "x y z p q r\n" + ROW: "found 'x' 'y' 'z' 'p' 'q' 'r'",
     "1,5;2,5;3,0;4,0;5,0;6,0\n" * 2: "found '1,5' '2,5'",
 }
@@ -61,9 +57,7 @@ def test_wrong_texts(tmp_path, text):
     ("a.table", ROW.encode(), r"a file with suffix \.table is not a displacement table; expected text \(\.csv"),
     ("a.xyz", b"not a grid", "Plot3D"),
     ("a.pvtu", b'<VTKFile type="PPolyData"></VTKFile>', "index of a parallel data set; expected its pieces merged"),
-    ("b.pvtu", b'<VTKFile type="PUnstructuredGrid"></VTKFile>', "index of a parallel data set"),
     ("a.csv", b"x,y,z,dx,dx,dz\n0,0,0,1,2,3\n", r"a\.csv"),
-    ("a.csv", b"x,y,y,dx,dy,dz\n0,0,0,1,2,3\n", r"a\.csv"),
     ("a.csv", b"x,y,z,dx [m],dx,dy\n0,0,0,1,2,3\n", r"a\.csv"),
 ])  # fmt: skip
 def test_other_files(tmp_path, name, data, message):
@@ -73,14 +67,13 @@ def test_other_files(tmp_path, name, data, message):
         read_displacement(tmp_path / name)
 
 
-def surface(path, data):
-    meshio.Mesh(POINTS, [("triangle", [[0, 1, 2]])], data).write(path)
+def surface(path, data, kind=None):
+    meshio.Mesh(POINTS, [("triangle", [[0, 1, 2]])], data).write(path, file_format=kind)
 
 
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        ({}, "found none"),
         ({"p": POINTS[:, 0].copy()}, "found p scalar"),
         ({"a": POINTS, "b": POINTS}, r"found a \(3,\), b \(3,\)"),
         ({"disp": POINTS * np.nan}, r"row 1: the displacement \(nan, nan, nan\) is not finite \(4 such rows\)"),
@@ -125,7 +118,6 @@ CELLS = {
     "0 0\n": [],
     "1 4\n3 0 1 4": "triangles refer to points 0 to 4 of 4",
     "2 8\n3 0 1 2 4 1 3 2": "line 8: POLYGONS: the 8 entries are not 2 cells",
-    "3 8\n3 0 1 2 3 1 3 2": "are not 3 cells, each preceded by its number of corners",
     "2 9\n3 0 1 2 3 1 3 2": "something that is not a number",
     "2 3\nOFFSETS int\n0 2\nCONNECTIVITY int\n0 1 2": "the offsets of the cells do not ascend from 0 to 3",
     "2 3\nOFFSETS int\n0 3\n0 1 2": "expected 'CONNECTIVITY type' of POLYGONS, found '0 1 2'",
@@ -275,8 +267,6 @@ $EndElements
     ("old", "new", "message"),
     [
         ("2 2 2 0 1 2 3 4", "2 2   0 1 2 3 4", "does not have the nodes of its type"),
-        ("1 1 2 3", "1 1 2 0", "does not have the nodes of its type"),
-        ("3 1 1 0\n", "2.5 1 1 0\n", "different whole numbers"),
         ("3 1 1 0\n", "2 1 1 0\n", "different whole numbers"),
         ("3 0 0 1\n4", "4 0 0 1\n3", "in the order of \\$Nodes"),
         ("4 0 0 1\n", "", "reshape"),
@@ -300,9 +290,8 @@ def test_what_meshio_would_misread_of_gmsh(tmp_path, old, new, message, version)
 
 
 def test_binary_data_of_gmsh_out_of_order(tmp_path):
-    mesh = meshio.Mesh(POINTS, [("triangle", [[0, 1, 2]])], {"displacement": POINTS})
     for name in ("gmsh22", "gmsh"):
-        mesh.write(tmp_path / "a.msh", file_format=name)
+        surface(tmp_path / "a.msh", {"displacement": POINTS}, name)
         assert len(read_displacement(tmp_path / "a.msh").points) == 4
         data = (tmp_path / "a.msh").read_bytes()
         head, mark, rest = data.rpartition(b"$NodeData")

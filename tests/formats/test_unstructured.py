@@ -113,7 +113,7 @@ def su2_markers(path):
     return found
 
 
-@pytest.mark.parametrize(("flat", "normal"), [(0, 0), (0, 1), (1, 1), (1, 2), (2, 2), (2, 0)])
+@pytest.mark.parametrize(("flat", "normal"), [(0, 1), (1, 1), (2, 0)])
 @pytest.mark.parametrize("left_handed", [False, True])
 def test_plane_su2(tmp_path, flat, normal, left_handed):
     shape = tuple(1 if axis == flat else n for axis, n in enumerate((3, 4, 5)))

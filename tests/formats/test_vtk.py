@@ -53,34 +53,26 @@ def check(grid, points, arrays):
 
 
 XML_VARIANTS = [
-    (encoding, compression, ("UInt32", "UInt64")[(number + other) % 2])
+    (encoding, compression, ("UInt32", "UInt64")[(number + other) % 2], ("little", "big")[number % 2])
     for number, encoding in enumerate(("ascii", "binary", "appended", "appended-base64"))
     for other, compression in enumerate(map(str.upper, vtk_witness.COMPRESSIONS))
     if encoding != "ascii" or compression == "NONE"
 ]
 
 
-@pytest.mark.parametrize(("encoding", "compression", "header"), XML_VARIANTS)
-def test_every_variant_of_vts(tmp_path, rng, encoding, compression, header):
-    vts, points, arrays = rich_grid(rng)
-    vtk_witness.write_xml(tmp_path / "grid.dat", vts, encoding, compression, header)
+@pytest.mark.parametrize(("encoding", "compression", "header", "byte_order"), XML_VARIANTS)
+def test_every_variant_of_vts(tmp_path, rng, encoding, compression, header, byte_order):
+    vts, points, arrays = rich_grid(rng, np.float32 if byte_order == "big" else np.float64)
+    vtk_witness.write_xml(tmp_path / "grid.dat", vts, encoding, compression, header, byte_order == "big")
     grid = read_grid(tmp_path / "grid.dat")
     check(grid, points, arrays)
     assert grid.format.options == {
         "kind": "vts",
         "encoding": encoding,
         "compression": compression.lower(),
-        "byte_order": "little",
+        "byte_order": byte_order,
         "header_type": header,
     }
-
-
-def test_big_endian_vts_of_single_precision(tmp_path, rng):
-    vts, points, arrays = rich_grid(rng, np.float32)
-    vtk_witness.write_xml(tmp_path / "grid.vts", vts, big_endian=True)
-    grid = read_grid(tmp_path / "grid.vts")
-    check(grid, points, arrays)
-    assert grid.format.options["byte_order"] == "big"
 
 
 @pytest.mark.parametrize("binary", [True, False])
@@ -100,17 +92,9 @@ def test_legacy_files(tmp_path, rng, binary, version):
 
 
 TYPES = {
-    "Bit": "uint8",
-    "Char": "int8",
-    "SignedChar": "int8",
-    "UnsignedChar": "uint8",
-    "Short": "int16",
-    "UnsignedInt": "uint32",
-    "LongLong": "int64",
-    "UnsignedLongLong": "uint64",
-    "IdType": "int64",
-    "Float": "float32",
-}
+    "Bit": "uint8", "Char": "int8", "SignedChar": "int8", "UnsignedChar": "uint8", "Short": "int16", "IdType": "int64",
+    "UnsignedInt": "uint32", "LongLong": "int64", "UnsignedLongLong": "uint64", "Float": "float32",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", ["xml", "binary", "ascii"])
@@ -194,16 +178,9 @@ GLOBAL_IDS id vtkIdType
 POINTS = np.random.default_rng(0).normal(size=(2, 3, 2, 3))
 GRID = Grid.from_blocks([POINTS], fields=(Field("f", "node", 0, np.arange(12.0).reshape(2, 3, 2)),))
 
-VARIANTS = [
-    ("a.vtk", {"encoding": "ascii"}),
-    ("a.vtk", {"encoding": "binary"}),
-    ("a.vts", {"encoding": "ascii"}),
-    ("a.vts", {}),
-    ("a.vtm", {}),
-]
 
-
-@pytest.mark.parametrize(("name", "options"), VARIANTS)
+@pytest.mark.parametrize("name", ["a.vtk", "a.vts", "a.vtm"])
+@pytest.mark.parametrize("options", [{}, {"encoding": "ascii"}], ids=["binary", "ascii"])
 def test_truncated_files_are_never_taken_for_complete(tmp_path, capfd, name, options):
     write_grid(GRID, tmp_path / name, options)
     data = (tmp_path / name).read_bytes()
@@ -218,7 +195,7 @@ def test_truncated_files_are_never_taken_for_complete(tmp_path, capfd, name, opt
         # A legacy file has no end mark: cut off between two sections it is complete, but for the later one.
         assert name == "a.vtk"
         assert not grid.fields
-        if options["encoding"] == "binary" or data[length - 1 : length + 1].isspace():
+        if not options or data[length - 1 : length + 1].isspace():
             np.testing.assert_array_equal(grid.points, GRID.points)
         else:
             assert "no line end" in grid.notes[0]
@@ -236,10 +213,7 @@ LEGACY = {
     "# vtk DataFile Version 3.0\ntitle\nTEXT\n": "line 3: expected ASCII or BINARY, found 'TEXT'",
     "# vtk DataFile Version 3.0\ntitle\nASCII\nPOINTS 3 float\n": "line 4: expected 'DATASET kind', found 'POINTS 3",
     header("POLYDATA"): "is a polygon surface (DATASET POLYDATA); expected a structured grid",
-    header("UNSTRUCTURED_GRID"): "is an unstructured grid",
-    header("FIELD"): "is field data",
     header(rest=""): "has no DIMENSIONS",
-    header(rest="DIMENSIONS 2 2\n"): "line 5: DIMENSIONS: expected 3 whole numbers, found '2 2'",
     header(rest="DIMENSIONS 2 2 1\n"): "has no POINTS",
     header(rest="DIMENSIONS 3.7 2 1\n"): "expected 3 whole numbers",
     header(rest="DIMENSIONS 0 2 1\nPOINTS 0 float\n"): "is an empty grid: 0 x 2 x 1 nodes",
@@ -248,7 +222,6 @@ LEGACY = {
     header(rest="DIMENSIONS 2 2 1\nPOINTS 4 float\n0 0 0 1 0 0 0 1\nCELL_DATA 1\n"): "something that is not a number",
     header(rest="DIMENSIONS 2 2 1\nPOINTS 4 float\n0 0 0 1 0 0 0 1 0 1 5E-\n0\n"): "something that is not a number",
     header(rest="DIMENSIONS 2 2 1\nPOINTS 4 half\n"): "line 6: POINTS: unknown type 'half'; known are char",
-    header(rest="DIMENSIONS 2 2 1\nPOINTS -4 float\n"): "line 6: expected a number, found '-4'",
     header(rest="DIMENSIONS 2 2 1\nPOINTS 999999999999 float\n1"): "need 5999999999993 bytes, 1 are left",
     header(rest=SQUARE + "POINT_DATA 4\nSCALARS p float\n1 2 3 4\n"): "expected 'LOOKUP_TABLE name' after SCALARS",
     header(rest=SQUARE + "POINT_DATA 4\nVECTORS v float\n1 2 3\n"): "array 'v': 12 values need 23 bytes, 6 are left",
@@ -271,8 +244,8 @@ def test_wrong_legacy_files(tmp_path, text):
 EXTREMES = np.array([0.1, 5e-324, -0.0, 1.7976931348623157e308, 1 / 3, -123456.789012345678])
 
 
-def block(shape, seed=0):
-    return np.random.default_rng(seed).normal(size=(*shape, 3))
+def block(shape):
+    return np.random.default_rng(0).normal(size=(*shape, 3))
 
 
 @pytest.mark.parametrize("name", ["a.vts", "a.vtk"])
@@ -319,11 +292,9 @@ def test_vtk_reads_what_we_write(tmp_path, name, options):
 
 @pytest.mark.parametrize("name", ["SampleStructGrid.vtk", "StructuredGrid.vts"])
 def test_third_party_data_survive(third_party, tmp_path, name):
-    grid = read_grid(third_party / name)
-    target = tmp_path / name
-    write_grid(grid, target)
+    write_grid(read_grid(third_party / name), tmp_path / name)
     points, arrays, _ = vtk_witness.read(third_party / name)
-    again, kept, _ = vtk_witness.read(target)
+    again, kept, _ = vtk_witness.read(tmp_path / name)
     assert again.dtype == points.dtype
     np.testing.assert_array_equal(again, points)
     assert kept.keys() == arrays.keys()
@@ -345,14 +316,9 @@ def test_variant_follows_the_input_only_for_the_same_kind(tmp_path):
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
-        (
-            "a.vts",
-            {"encodin": "ascii"},
-            "unknown option 'encodin'; did you mean 'encoding'?; known are: encoding precision",
-        ),
+        ("a.vts", {"encodin": "ascii"}, "'encodin'; did you mean 'encoding'?; known are: encoding precision"),
         ("a.vts", {"encoding": "binary"}, "unknown encoding = 'binary'; known are"),
         ("a.vts", {"precision": "float16"}, "known are: float32 float64"),
-        ("a.vtk", {"compression": "zlib"}, "known are: encoding precision"),
         ("a.vtk", {"encoding": "appended"}, "known are: binary ascii"),
     ],
 )
@@ -360,21 +326,15 @@ def test_unknown_options(tmp_path, name, options, message):
     with pytest.raises(FormatError) as error:
         write_grid(Grid.from_blocks([block((2, 2, 2))]), tmp_path / name, options)
     assert message in str(error.value)
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("name", ["a.vts", "a.vtk"])
-def test_several_blocks_need_a_vtm(tmp_path, name):
-    grid = Grid.from_blocks([block((2, 2, 2)), block((2, 3, 2))])
     with pytest.raises(FormatError, match=r"holds one block, the grid has 2; write a \.vtm"):
-        write_grid(grid, tmp_path / name)
+        write_grid(Grid.from_blocks([block((2, 2, 2)), block((2, 3, 2))]), tmp_path / name)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
         ([Field("f", "node", 0, np.zeros((2, 2, 3)))], r"has shape \(2, 2, 3\); expected \(2, 2, 2\)"),
-        ([Field("f", "cell", 0, np.zeros((2, 2, 2)))], r"cell field 'f' of block1 has shape"),
         ([Field("f", "node", 0, np.zeros((2, 2, 2), complex))], "is of type complex128"),
         ([Field("f", "node", 0, np.zeros((2, 2, 2), "f2"))], "is of type float16"),
         ([Field("f", "node", 0, np.zeros((2, 2, 2)))] * 2, "exists twice"),
