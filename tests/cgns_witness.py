@@ -49,12 +49,9 @@ def values(data: Any) -> np.ndarray:
 # --- HDF5 ---------------------------------------------------------------------------------------------------------
 
 
-def write_hdf5(
-    path: Path, root: N, *, dataset: dict[str, Any] | None = None, track: bool = True, oldest: str = "earliest"
-) -> Path:
-    """``dataset`` are keywords for multi-dimensional datasets (chunks, compression); ``track`` creation order;
-    ``oldest`` is the first version of HDF5 that can read the file."""
-    with h5py.File(path, "w", track_order=track, libver=(oldest, "v108")) as file:
+def write_hdf5(path: Path, root: N, *, dataset: dict[str, Any] | None = None, track: bool = True) -> Path:
+    """``dataset`` are keywords for multi-dimensional datasets (chunks, compression); ``track`` creation order."""
+    with h5py.File(path, "w", track_order=track, libver=("earliest", "v108")) as file:
         _attributes(file, "HDF5 MotherNode", "Root Node of HDF5 File", "MT")
         file[" format"] = np.frombuffer(b"IEEE_LITTLE_32\0", np.int8)
         file[" hdf5version"] = np.frombuffer(b"HDF5 Version 1.10.8".ljust(33, b"\0"), np.int8)
@@ -63,21 +60,17 @@ def write_hdf5(
     return path
 
 
-def _group(parent: h5py.Group, name: str, track: bool) -> h5py.Group:
-    """A group that tracks the creation of links alone: for the oldest libraries its header has version 1."""
-    links, order = h5p.create(h5p.LINK_CREATE), h5p.create(h5p.GROUP_CREATE)
-    links.set_char_encoding(h5t.CSET_UTF8)
-    order.set_link_creation_order(h5p.CRT_ORDER_TRACKED | h5p.CRT_ORDER_INDEXED if track else 0)
-    return h5py.Group(h5g.create(parent.id, name.encode(), links, order))
-
-
 def _attributes(group: h5py.Group, name: str, label: str, kind: str) -> None:
     for key, text, length in (("name", name, 33), ("label", label, 33), ("type", kind, 3)):
         group.attrs.create(key, np.array(text.encode(), f"S{length}"))
 
 
 def _write(parent: h5py.Group, node: N, dataset: dict[str, Any], track: bool, order: int) -> None:
-    group = _group(parent, node.name, track)
+    # A group that tracks the creation of links alone: for the oldest libraries its header has version 1.
+    links, creation = h5p.create(h5p.LINK_CREATE), h5p.create(h5p.GROUP_CREATE)
+    links.set_char_encoding(h5t.CSET_UTF8)
+    creation.set_link_creation_order(h5p.CRT_ORDER_TRACKED | h5p.CRT_ORDER_INDEXED if track else 0)
+    group = h5py.Group(h5g.create(parent.id, node.name.encode(), links, creation))
     if not track:
         group.attrs["order"] = order
     if node.link:
@@ -128,9 +121,8 @@ class AdfWriter:
 
     def pointer(self, at: int) -> bytes:
         block, offset = divmod(at, 4096)
-        return (
-            struct.pack(self.order + "QI", block, offset) if self.version[0] == "B" else b"%08X%04X" % (block, offset)
-        )
+        binary = self.version[0] == "B"
+        return struct.pack(self.order + "QI", block, offset) if binary else b"%08X%04X" % (block, offset)
 
     def _append(self, length: int) -> int:
         self.file += b"\0" * length
@@ -257,11 +249,8 @@ def words(*texts: str) -> np.ndarray:
 
 
 def periodic(center: Any, angle: Any, translation: Any, *units: N) -> N:
-    arrays = [
-        N("RotationCenter", "DataArray_t", np.asarray(center, np.float32)),
-        N("RotationAngle", "DataArray_t", np.asarray(angle, np.float32)),
-        N("Translation", "DataArray_t", np.asarray(translation, np.float32)),
-    ]
+    named = {"RotationCenter": center, "RotationAngle": angle, "Translation": translation}
+    arrays = [N(name, "DataArray_t", np.asarray(data, np.float32)) for name, data in named.items()]
     motion = N("Periodic", "Periodic_t", None, [*arrays, *units])
     return N("GridConnectivityProperty", "GridConnectivityProperty_t", None, [motion])
 
@@ -293,20 +282,16 @@ def listing(path: Path) -> list[tuple[Any, ...]]:
 
     def visit(group: h5py.Group, path: str) -> None:
         for key in sorted(group.attrs):
-            attribute = group.attrs.get_id(key)
+            attribute, value = group.attrs.get_id(key), np.asarray(group.attrs[key]).tobytes()
             kind = attribute.get_type()
-            found.append(
-                (path, key, attribute.shape, kind.get_class(), kind.get_size(), np.asarray(group.attrs[key]).tobytes())
-            )
+            found.append((path, key, attribute.shape, kind.get_class(), kind.get_size(), value))
         for name in group:
             link = group.get(name, getlink=True)
             if not isinstance(link, h5py.HardLink):
                 found.append((path, name, type(link).__name__, *vars(link).values()))
-            elif isinstance(group[name], h5py.Dataset):
-                data = group[name]
-                found.append(
-                    (path, name, data.shape, data.dtype.str, data.chunks, data.compression, data[()].tobytes())
-                )
+            elif isinstance(data := group[name], h5py.Dataset):
+                packing = data.chunks, data.compression
+                found.append((path, name, data.shape, data.dtype.str, *packing, data[()].tobytes()))
             else:
                 found.append((path, name))
                 visit(group[name], f"{path}/{name}")

@@ -4,7 +4,6 @@ import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -39,15 +38,14 @@ def moved(grid: Grid) -> Grid:
     return grid.moved(np.stack([x + 0.01 * y, 1.5 * y + 0.1 * x, z * np.pi], axis=1))
 
 
-def is_version(entry: tuple[Any, ...]) -> bool:
-    return entry[1] == " hdf5version"
-
-
-def run(tool: str, *arguments: Path) -> str:
-    """Standard output of a tool of the CGNS library; skips the test where it is not installed."""
-    if shutil.which(tool) is None:
-        pytest.skip(f"{tool} is not installed")
-    return subprocess.run([tool, *map(str, arguments)], capture_output=True, text=True, timeout=60, check=True).stdout
+def assert_is_what_adf2hdf_makes(source: Path, folder: Path) -> None:
+    """The grid of an ADF file, written again, against the tool of the CGNS library where it is installed."""
+    if shutil.which("adf2hdf") is None:
+        pytest.skip("adf2hdf is not installed")
+    reference = folder / "reference.cgns"
+    subprocess.run(["adf2hdf", str(source), str(reference)], capture_output=True, timeout=60, check=True)
+    write_grid(read_grid(source), folder / "out.cgns")
+    assert differences(reference, folder / "out.cgns", lambda entry: entry[1] == " hdf5version") == []
 
 
 def full_file() -> N:
@@ -87,6 +85,8 @@ def test_only_the_coordinates_change(tmp_path, packing, track):
     np.testing.assert_array_equal(again.block(0), grid.block(0))
     np.testing.assert_array_equal(again.block(1), grid.block(1).astype(np.float32))
     assert (again.names, again.patches, again.connections) == (grid.names, grid.patches, grid.connections)
+    write_grid(grid, source)
+    assert listing(source) == listing(tmp_path / "out.cgns")
 
 
 @pytest.mark.parametrize("shared", ["CoordinateY", "CoordinateY/ data"])
@@ -108,9 +108,7 @@ def test_coordinates_that_are_stored_once_for_two_zones(tmp_path, shared, option
 def test_cells_of_a_zone_of_one_plane_in_a_base_of_three_axes(tmp_path):
     grid = read_grid(write_hdf5(tmp_path / "in.cgns", tree(zone("thin", box(4, 3, 1)))))
     values = replace(grid, fields=(Field("skew", "cell", 0, np.ones((3, 2, 1))),))
-    with pytest.raises(
-        FormatError, match=r"thin is one plane of nodes .* neither cells nor faces for the cell field 'skew'"
-    ):
+    with pytest.raises(FormatError, match=r"thin is one plane of nodes .* neither cells nor faces for the cell .* 'sk"):
         write_grid(values, tmp_path / "out.cgns")
     assert not (tmp_path / "out.cgns").exists()
     values = replace(grid, fields=(Field("speed", "node", 0, np.ones((4, 3, 1))),))
@@ -155,15 +153,6 @@ def test_rind_planes_and_bounding_box(tmp_path):
         expected[1:, :3] = grid.block(0)
         np.testing.assert_array_equal(stored, expected.astype(precision))
         np.testing.assert_array_equal(box_stored, [grid.points.min(axis=0), grid.points.max(axis=0)])
-
-
-def test_writing_over_the_source(tmp_path):
-    source = write_hdf5(tmp_path / "in.cgns", two_zones())
-    before = listing(source)
-    grid = moved(read_grid(source))
-    write_grid(grid, source)
-    np.testing.assert_array_equal(read_grid(source).points, grid.points)
-    assert [entry[:2] for entry in listing(source)] == [entry[:2] for entry in before]
 
 
 # --- links --------------------------------------------------------------------------------------------------------
@@ -295,9 +284,7 @@ def test_files_linked_in_a_circle(tmp_path):
 
 @pytest.mark.parametrize("name", [WING, AIRFOIL])
 def test_adf_becomes_what_adf2hdf_makes_of_it(third_party, tmp_path, name):
-    run("adf2hdf", third_party / name, tmp_path / "reference.cgns")
-    write_grid(read_grid(third_party / name), tmp_path / "out.cgns")
-    assert differences(tmp_path / "reference.cgns", tmp_path / "out.cgns", is_version) == []
+    assert_is_what_adf2hdf_makes(third_party / name, tmp_path)
     assert_cgnscheck_finds_no_error(tmp_path / "out.cgns")
 
 
@@ -305,9 +292,7 @@ def test_adf_becomes_what_adf2hdf_makes_of_it(third_party, tmp_path, name):
 def test_adf_variants_become_what_adf2hdf_makes_of_them(tmp_path, version, order, chunks):
     """This also shows that the CGNS library reads what our witness writes."""
     source = AdfWriter(version, order, chunks).write(tmp_path / "in.cgns", full_file())
-    run("adf2hdf", source, tmp_path / "reference.cgns")
-    write_grid(read_grid(source), tmp_path / "out.cgns")
-    assert differences(tmp_path / "reference.cgns", tmp_path / "out.cgns", is_version) == []
+    assert_is_what_adf2hdf_makes(source, tmp_path)
 
 
 # --- refusals -----------------------------------------------------------------------------------------------------
@@ -317,9 +302,7 @@ def test_source_that_is_gone_or_changed(tmp_path):
     source = write_hdf5(tmp_path / "in.cgns", two_zones())
     grid = read_grid(source)
     write_hdf5(source, tree(zone("left", box(4, 3, 5)), zone("right", box(4, 3, 5))))
-    with pytest.raises(
-        FormatError, match=r"in\.cgns has changed since the grid was read: its zones are now left \(4, 3, 5\)"
-    ):
+    with pytest.raises(FormatError, match=r"in\.cgns has changed since .*: its zones are now left \(4, 3, 5\)"):
         write_grid(grid, tmp_path / "out.cgns")
     source.unlink()
     with pytest.raises(FormatError, match="no longer exists"):
