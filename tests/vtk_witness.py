@@ -70,7 +70,7 @@ def write_xml(path: Path, grid, encoding="appended", compression="ZLIB", header=
 
 
 def read(path: Path):
-    """Points (ni, nj, nk, 3) in the file's type, arrays by location and name, and extent, as VTK reads them."""
+    """Points (ni, nj, nk, 3) in the file's type, and arrays by location and name, as VTK reads them."""
     legacy = path.read_bytes().startswith(b"# vtk")
     reader = vtkStructuredGridReader() if legacy else vtkXMLStructuredGridReader()
     reader.SetFileName(str(path))
@@ -79,8 +79,8 @@ def read(path: Path):
         reader.ReadAllVectorsOn()
     reader.Update()
     grid = reader.GetOutput()
-    low_i, high_i, low_j, high_j, low_k, high_k = extent = grid.GetExtent()
-    nodes = (high_i - low_i + 1, high_j - low_j + 1, high_k - low_k + 1)
+    nodes = [0, 0, 0]
+    grid.GetDimensions(nodes)
     points = _in_order(vtk_to_numpy(grid.GetPoints().GetData()), nodes)
     arrays = {}
     for location, attributes in (("node", grid.GetPointData()), ("cell", grid.GetCellData())):
@@ -88,7 +88,7 @@ def read(path: Path):
         for index in range(attributes.GetNumberOfArrays()):
             array = attributes.GetArray(index)
             arrays[location, array.GetName()] = _in_order(vtk_to_numpy(array), shape)
-    return points, arrays, extent
+    return points, arrays
 
 
 def _in_order(run, shape):

@@ -30,6 +30,7 @@ from meshdeform_formats.report.page import deformation_figures
 from meshdeform_formats.series.outputs import LevelFiles
 
 TIMES = (0.0, 0.5, 2.0)
+PACKINGS = {"encoding": "fortran", "records": "plane"}, {"encoding": "binary", "byte_order": "big"}
 
 
 @pytest.fixture(autouse=True)
@@ -94,9 +95,7 @@ def test_velocities_and_swept_volumes(tmp_path):
     same_files(tmp_path, 3, series_of(tmp_path / "grid.cgns", "wing.cgns", "swept"))
 
 
-@pytest.mark.parametrize("variant", [
-    {"encoding": "fortran", "records": "plane"}, {"encoding": "binary", "byte_order": "big"},
-])  # fmt: skip
+@pytest.mark.parametrize("variant", PACKINGS)
 def test_plot3d_with_iblank(variant, tmp_path):
     shapes = [(9, 4, 5), (6, 7, 3)]
     (tmp_path / "grid.xyz").write_bytes(binary_file(sample_blocks(shapes), sample_iblank(shapes), **variant))
@@ -164,9 +163,7 @@ def test_pictures_of_reports(tmp_path):
     same_files(tmp_path, 3, act)
 
 
-VTK_FIELDS = (
-    ("p", "cell", ()), ("u", "node", (3,)), ("n", "node", ()), ("t", "cell", (2,)),
-)  # fmt: skip
+VTK_FIELDS = ("p", "cell", ()), ("u", "node", (3,)), ("n", "node", ()), ("t", "cell", (2,))
 
 
 def with_arrays(grid):
@@ -180,9 +177,7 @@ def with_arrays(grid):
     return replace(grid, fields=tuple(fields))
 
 
-@pytest.mark.parametrize(("suffix", "variant"), [
-    (".vtm", {"precision": "float32"}), (".vts", {}), (".vtk", {}),
-])  # fmt: skip
+@pytest.mark.parametrize(("suffix", "variant"), [(".vtm", {"precision": "float32"}), (".vts", {}), (".vtk", {})])
 def test_vtk_files_with_arrays(suffix, variant, tmp_path):
     grid = frame_2d(7) if suffix == ".vts" else tapered(5, 4)
     if suffix != ".vtm":
@@ -196,11 +191,10 @@ def test_vtk_files_with_arrays(suffix, variant, tmp_path):
     np.testing.assert_array_equal(read_grid(folder / f"out{suffix}").points, 2.0 * read.points)
 
 
-@pytest.mark.parametrize(("suffix", "variant"), [
-    (".vts", {"encoding": "ascii"}), (".vtk", {"encoding": "ascii"}),
-])  # fmt: skip
-def test_vtk_as_text_takes_the_whole_grid(suffix, variant, tmp_path):
+@pytest.mark.parametrize("suffix", [".vts", ".vtk"])
+def test_vtk_as_text_takes_the_whole_grid(suffix, tmp_path):
     """Said before anything is read, or written."""
+    variant = {"encoding": "ascii"}
     grid = Grid.from_blocks([frame(3, 4).block(0)])
     write_grid(grid, tmp_path / f"packed{suffix}", variant)
     write_grid(grid, tmp_path / f"plain{suffix}")

@@ -42,8 +42,8 @@ def one_block() -> Grid:
     return Grid.from_blocks([frame().block(2)], ["only"])
 
 
-def written(grid: Grid, folder: Path, name: str, order="second"):
-    files = LevelFiles(grid, folder, name, TIMES, {}, order)
+def written(grid: Grid, folder: Path, name: str, order="second", options=None):
+    files = LevelFiles(grid, folder, name, TIMES, options or {}, order)
     for number, time in enumerate(TIMES):
         files.write(number, at(grid, time), None if order == "none" else velocity(grid, time))
         files.publish(number + 1)
@@ -54,13 +54,13 @@ def written(grid: Grid, folder: Path, name: str, order="second"):
 def test_velocity_is_point_data(suffix, tmp_path):
     grid = one_block()
     files = written(grid, tmp_path, f"wing{suffix}")
-    points, arrays, _ = vtk_witness.read(files.path(2))
+    points, arrays = vtk_witness.read(files.path(2))
     np.testing.assert_array_equal(points, at(grid, 2.0).block(0))
     np.testing.assert_array_equal(arrays["node", "GridVelocity"], grid.block(0, velocity(grid, 2.0)))
     # A level is read back and its velocity replaced, not doubled.
     again = read_grid(files.path(2))
     LevelFiles(again, tmp_path, f"again{suffix}", TIMES, {}, "first").write(0, again, 0 * again.points)
-    _, arrays, _ = vtk_witness.read(tmp_path / f"again_0000{suffix}")
+    _, arrays = vtk_witness.read(tmp_path / f"again_0000{suffix}")
     assert list(arrays) == [("node", "GridVelocity")]
     assert not arrays["node", "GridVelocity"].any()
 
@@ -126,10 +126,7 @@ def test_indices_name_times_and_files(suffix, tmp_path):
 @pytest.mark.parametrize("options", [{"encoding": "ascii"}, {"byte_order": "big", "precision": "float32"}], ids=str)
 def test_vtk_reads_a_plot3d_series_through_its_index(options, tmp_path):
     grid = frame()
-    files = LevelFiles(grid, tmp_path, "wing.xyz", TIMES, options, "none")
-    for number, time in enumerate(TIMES):
-        files.write(number, at(grid, time), None)
-    files.publish(3)
+    files = written(grid, tmp_path, "wing.xyz", "none", options)
     reader = vtkPlot3DMetaReader()
     reader.SetFileName(str(files.view))
     reader.UpdateInformation()
@@ -145,7 +142,7 @@ def test_vtk_reads_a_plot3d_series_through_its_index(options, tmp_path):
 
 
 @pytest.mark.parametrize("clean", [remove_partial, lambda folder: partial_path(folder / "wing.xyz")])
-def test_what_another_program_is_writing_stays(clean, tmp_path):
+def test_what_another_program_is_writing_stays(clean, tmp_path, monkeypatch):
     """Only processes that no longer run leave files behind; the name says which process writes."""
     with replacing(tmp_path / "wing.xyz") as partial, subprocess.Popen(["sleep", "60"]) as other:
         partial.write_text("x")
@@ -157,15 +154,10 @@ def test_what_another_program_is_writing_stays(clean, tmp_path):
         clean(tmp_path)
         assert (partial.exists(), theirs.exists(), gone.exists()) == (True, True, False)
         other.kill()
-
-
-def test_a_process_of_another_user_counts_as_running(tmp_path, monkeypatch):
-    with replacing(tmp_path / "wing.xyz") as partial:
-        theirs = partial.with_name(partial.name.replace(f".{os.getpid()}-", ".1-"))
-        for path in (partial, theirs):
-            path.write_text("x")
+        other.wait()
+        # A process of another user counts as running.
         monkeypatch.setattr(os, "kill", Mock(side_effect=PermissionError))
-        remove_partial(tmp_path)
+        clean(tmp_path)
         assert theirs.exists()
 
 
@@ -211,12 +203,14 @@ def expected(grid: Grid, number: int) -> list[tuple[np.ndarray, ...]]:
     return swept_volumes(grid, wavy(grid, number - 1), wavy(grid, number))
 
 
-@pytest.mark.parametrize("make", [frame, frame_2d])
-def test_cgns_levels_have_face_centred_solutions(make, tmp_path):
+@pytest.mark.parametrize(("make", "precision"), [(frame, "float32"), (frame_2d, "float64")])
+def test_cgns_levels_have_face_centred_solutions(make, precision, tmp_path):
+    """What faces sweep keeps double precision."""
     grid = make()
-    files = swept(grid, tmp_path, "wing.cgns")
+    files = swept(grid, tmp_path, "wing.cgns", precision)
     with h5py.File(files.path(2)) as file:
         for block, name in enumerate(grid.names):
+            assert file["Base"][name]["FlowSolutionVertex/GridVelocityX/ data"].dtype == precision
             for axis, values in zip(AXES, expected(grid, 2)[block], strict=True):
                 if not values.size:
                     assert f"FlowSolution{axis}FaceCenter" not in file["Base"][name]
@@ -225,6 +219,7 @@ def test_cgns_levels_have_face_centred_solutions(make, tmp_path):
                 assert solution["GridLocation/ data"][()].tobytes() == f"{axis}FaceCenter".encode()
                 stored = solution["SweptVolume/ data"][()].T
                 np.testing.assert_array_equal(stored.reshape(values.shape), values)
+                assert stored.dtype == np.float64
                 assert solution["VolumeFlux/ data"].shape == solution["SweptVolume/ data"].shape
     assert_cgnscheck_finds_no_error(files.path(2))
 
@@ -254,16 +249,8 @@ def test_vtk_levels_have_field_data_with_i_fastest(suffix, tmp_path):
     # A series that starts from a level replaces what that level swept.
     again = read_grid(files.path(2))
     other = swept(again, tmp_path, f"again{suffix}")
-    _, arrays, _ = vtk_witness.read(other.path(0))
+    _, arrays = vtk_witness.read(other.path(0))
     assert len([name for _, name in arrays if name == "SweptVolumeI"]) <= 1
     reader.SetFileName(str(other.path(0)))
     reader.Update()
     assert not vtk_to_numpy(reader.GetOutput().GetFieldData().GetArray("SweptVolumeI")).any()
-
-
-def test_swept_volumes_keep_double_precision(tmp_path):
-    grid = one_block()
-    files = swept(grid, tmp_path, "wing.cgns", precision="float32")
-    with h5py.File(files.path(1)) as file:
-        assert file["Base/only/FlowSolutionIFaceCenter/SweptVolume/ data"].dtype == np.float64
-        assert file["Base/only/FlowSolutionVertex/GridVelocityX/ data"].dtype == np.float32

@@ -71,15 +71,6 @@ def test_cells_of_all_formats(tmp_path, suffix):
     np.testing.assert_allclose(centres, expected, atol=1e-15)
 
 
-def test_fields_and_blocks(tmp_path):
-    mesh = export(two_blocks(), tmp_path / "a.vtu")
-    np.testing.assert_array_equal(mesh.point_data["x"], mesh.points[:, 0])
-    np.testing.assert_array_equal(mesh.cell_data["block"][0], np.repeat([0, 1], [12, 24]))
-    np.testing.assert_allclose(mesh.cell_data["centre"][0], mesh.points[mesh.cells[0].data].mean(axis=1), atol=1e-15)
-    np.testing.assert_array_equal(mesh.cell_data["small"][0], np.repeat([0, 1], [12, 24]))
-    assert "flag" not in mesh.point_data
-
-
 PATCHES = {"lower wall": 6 + 6, "left.imin": 6, "left.jmax": 6, "left.kmin": 4, "left.kmax": 4}
 PATCHES |= {"right.imin": 6, "right.jmin": 6, "right.jmax": 12, "right.kmin": 8, "right.kmax": 8}
 
@@ -200,7 +191,7 @@ def test_gmsh_groups(encoding, tmp_path):
     assert (volumes(mesh.points, mesh.cells_dict["hexahedron"]) > 0).all()
 
 
-def test_boundary_faces_have_their_family(tmp_path):
+def test_fields_blocks_and_families_of_boundary_faces(tmp_path):
     mesh = export(with_families(), tmp_path / "a.vtu", boundary="true")
     assert [block.type for block in mesh.cells] == ["hexahedron", "quad"]
     inside, family = mesh.cell_data["family"]
@@ -209,8 +200,13 @@ def test_boundary_faces_have_their_family(tmp_path):
     assert np.bincount(family)[1:].tolist() == list((FAMILIES | PERIODIC).values())
     for number, name in enumerate(names, start=1):
         np.testing.assert_array_equal(mesh.cell_data[f"family {name}"][1] == 1, family == number)
+    np.testing.assert_array_equal(mesh.point_data["x"], mesh.points[:, 0])
+    np.testing.assert_allclose(mesh.cell_data["centre"][0], mesh.points[mesh.cells[0].data].mean(axis=1), atol=1e-15)
     assert np.isnan(mesh.cell_data["centre"][1]).all()
+    for name in ("block", "small"):
+        np.testing.assert_array_equal(mesh.cell_data[name][0], np.repeat([0, 1], [12, 24]))
     assert (mesh.cell_data["block"][1] == -1).all()
+    assert "flag" not in mesh.point_data
 
 
 def test_points_are_numbered_as_documented(tmp_path):

@@ -84,7 +84,7 @@ def test_legacy_files(tmp_path, rng, binary, version):
     assert grid.format.options == {"kind": "legacy", "encoding": "binary" if binary else "ascii"}
     if not binary:
         # VTK's writer has cut the numbers; what counts is what it reads itself.
-        witness, values, _ = vtk_witness.read(tmp_path / "grid.xyz")
+        witness, values = vtk_witness.read(tmp_path / "grid.xyz")
         points = np.ascontiguousarray(witness)
         arrays = {key: (values[key], role, components) for key, (_, role, components) in arrays.items()}
     # VTK writes DIMENSIONS, which lose the origin.
@@ -261,7 +261,7 @@ def test_ascii_is_exact(tmp_path, name, precision):
     again = read_grid(tmp_path / name)
     assert again.points.tobytes() == grid.points.tobytes()
     assert again.fields[0].values.tobytes() == field.values.tobytes()
-    witness, arrays, _ = vtk_witness.read(tmp_path / name)
+    witness, arrays = vtk_witness.read(tmp_path / name)
     assert witness.dtype == precision
     assert np.ascontiguousarray(witness, dtype=float).tobytes() == grid.points.tobytes()
     assert np.ascontiguousarray(arrays["node", "f"]).tobytes() == field.values.tobytes()
@@ -283,7 +283,7 @@ def test_vtk_reads_what_we_write(tmp_path, name, options):
     )
     grid = Grid.from_blocks([block(shape)], fields=fields)
     write_grid(grid, tmp_path / name, options)
-    points, arrays, _ = vtk_witness.read(tmp_path / name)
+    points, arrays = vtk_witness.read(tmp_path / name)
     np.testing.assert_array_equal(points, grid.block(0))
     assert len(arrays) == len(fields)
     for field in fields:
@@ -293,8 +293,8 @@ def test_vtk_reads_what_we_write(tmp_path, name, options):
 @pytest.mark.parametrize("name", ["SampleStructGrid.vtk", "StructuredGrid.vts"])
 def test_third_party_data_survive(third_party, tmp_path, name):
     write_grid(read_grid(third_party / name), tmp_path / name)
-    points, arrays, _ = vtk_witness.read(third_party / name)
-    again, kept, _ = vtk_witness.read(tmp_path / name)
+    points, arrays = vtk_witness.read(third_party / name)
+    again, kept = vtk_witness.read(tmp_path / name)
     assert again.dtype == points.dtype
     np.testing.assert_array_equal(again, points)
     assert kept.keys() == arrays.keys()
