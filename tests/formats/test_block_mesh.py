@@ -215,6 +215,7 @@ BAD = {
     "include": ('#include "other"\n' + ONE, "#include is not evaluated"),
     "merge": (ONE + "mergePatchPairs ((a b));", "mergePatchPairs is not supported"),
     "projected": (ONE.replace("((0 0 0)", "(project (0 0 0) (s)"), "project is not supported"),
+    "projected faces": (ONE + "faces (project (0 1 2 3) s);", "faces is not supported"),
     "huge": (ONE.replace("(4 3 2)", "(1000000000 1 1)"), "4,000,000,004 nodes"),
     "no cells": (ONE.replace("(4 3 2)", "(4 0 2)"), "4 x 0 x 2 cells"),
     "deep": (ONE + "x " + "(" * 2000, "nested more than 50 deep"),

@@ -84,6 +84,7 @@ def joined(child: N) -> N:
         (N("", "", None, tree().children[:1]), "no CGNSBase_t node"),
         (tree(), "the base Base has no zones"),
         (tree(good(), cell=1), "cell dimension 1 and physical dimension 3"),
+        (tree(good(), cell=3, physical=2), "cell dimension 3 and physical dimension 2"),
         (tree(zone("u", box(2, 2, 2), kind="Unstructured"), good()), r"1 of 2 zones .* is 'u' \(Unstructured\)"),
         (tree(good(), cell=2), r"/Base/z holds 3 x 3 I4 values; expected 2 x 3 integers"),
         (tree(sized(4, 3, 5, dtype="f8")), "holds 3 x 3 R8 values; expected 3 x 3 integers"),
@@ -253,6 +254,7 @@ def test_data_types(tmp_path, kind, long, order):
 @pytest.mark.parametrize(
     "link",
     [
+        ("missing.cgns", "/Base/x"),
         ("", "/Base/nothing"),
         ("", "/Base/z/GridCoordinates"),
         ("grid.cgns", "/Base/z/GridCoordinates/CoordinateX"),

@@ -135,6 +135,7 @@ def test_point_sets(tmp_path, condition, windows):
     [
         (bc("odd", "BCWall", [[1, 1, 1], [1, 1, 5]]), "cover no part of a block face are not used: z/odd"),
         (bc("odd", "BCWall", [[2, 1, 1], [2, 3, 5]]), "cover no part of a block face are not used: z/odd"),
+        (bc("odd", "BCWall", [[1, 1, 1], [4, 3, 5]]), "cover no part of a block face are not used: z/odd"),
         (bc("odd", "BCWall", [[2, 2, 2]], point_set="PointList"), "cover no part"),
         (bc("odd", "BCWall", [[1, 1, 1], [1, 1, 4]], located("FaceCenter")), "cover no part"),
         (bc("odd", "BCWall", [[1, 1, 1], [1, 2, 4]], located("CellCenter")), "located at CellCenter are not used"),

@@ -23,6 +23,7 @@ TEXTS = {
     "x,y,z,dx,dy,dz\n": "has no rows of numbers below the header 'x,y,z,dx,dy,dz'",
     "1 2 3 4 5\n": "line 1: found 5 columns without names; expected 6 (x y z dx dy dz) or 4 (x y dx dy) or 3 (number",
     ROW + "\n# c\n1 2 3 4 5\n": "line 4: found 5 columns; expected 6 as before",
+    ROW + "2 2 3 4 5 6 7\n": "line 2: found 7 columns; expected 6 as before",
     ROW + "2 2 3 4 5 six\n": "line 2: 'six' is not a number",
     ROW + "2 2 3 4 5 1.0D+00\n": "line 2: '1.0D+00' is not a number",
     ROW + "2 2 3 4 5 6_0\n": "line 2: '6_0' is not a number",
@@ -74,6 +75,7 @@ def surface(path, data, kind=None):
 @pytest.mark.parametrize(
     ("data", "message"),
     [
+        ({}, "found none"),
         ({"p": POINTS[:, 0].copy()}, "found p scalar"),
         ({"a": POINTS, "b": POINTS}, r"found a \(3,\), b \(3,\)"),
         ({"disp": POINTS * np.nan}, r"row 1: the displacement \(nan, nan, nan\) is not finite \(4 such rows\)"),
@@ -267,6 +269,8 @@ $EndElements
     ("old", "new", "message"),
     [
         ("2 2 2 0 1 2 3 4", "2 2   0 1 2 3 4", "does not have the nodes of its type"),
+        ("1 1 2 3", "1 1 2 0", "does not have the nodes of its type"),
+        ("3 1 1 0\n", "2.5 1 1 0\n", "different whole numbers"),
         ("3 1 1 0\n", "2 1 1 0\n", "different whole numbers"),
         ("3 0 0 1\n4", "4 0 0 1\n3", "in the order of \\$Nodes"),
         ("4 0 0 1\n", "", "reshape"),

@@ -174,6 +174,7 @@ BAD = {
     "no count": (["wall 1 1 1 3 1 4"], "line 2: expected the number of blocks, found 'wall 1 1 1 3 1 4'"),
     "sizes missing": (["2", "1 3 4 5"], "declares 2 blocks but ends after the sizes of 1"),
     "entries among the sizes": (["2", "1 3 4 5", "wall 1 1 1 3 1 4"], "line 4: expected block number, IDIM.*'wall 1 1"),
+    "other number of blocks": (["2", "1 3 4 5", "2 3 4 5"], "describes 2 blocks, the grid has 1"),
     "other sizes": (["1", "1 3 5 5"], r"block 1 has 3x5x5 nodes, block1 of the grid has 3x4x5; expected the map"),
     "too few numbers": (["1", "1 3 4 5", "wall 1 1 1 3 1"], "line 4: wall has 5 numbers; a face range has 6"),
     "a word among the numbers": (["1", "1 3 4 5", "wall 1 kmin 1 3 1 4"], "line 4: expected after the type .*'1 kmin"),

@@ -151,6 +151,7 @@ BINARY = {
     ),
     "truncated between records": (FORTRAN[: -576 - 8], "truncated by 584; record 4 is missing"),
     "truncated header": (FORTRAN[:30], "fits no variant of Plot3D|is not a Plot3D grid"),
+    "truncated stream": (STREAM[:-8], f"C binary float64.*should have {len(STREAM)} bytes.*truncated by 8"),
     "bytes behind the stream": (STREAM + bytes(12), "12 too many"),
     "a record too many": (FORTRAN + fortran_record(bytes(8), ">"), "16 too many; record 5 is surplus"),
     "wrong marker behind a record": (changed(FORTRAN, len(FORTRAN) - 4, ints(575, order=">")), "576 before.*575 after"),

@@ -222,6 +222,7 @@ LEGACY = {
     header(rest="DIMENSIONS 2 2 1\nPOINTS 4 float\n0 0 0 1 0 0 0 1\nCELL_DATA 1\n"): "something that is not a number",
     header(rest="DIMENSIONS 2 2 1\nPOINTS 4 float\n0 0 0 1 0 0 0 1 0 1 5E-\n0\n"): "something that is not a number",
     header(rest="DIMENSIONS 2 2 1\nPOINTS 4 half\n"): "line 6: POINTS: unknown type 'half'; known are char",
+    header(rest="DIMENSIONS 2 2 1\nPOINTS -4 float\n"): "line 6: expected a number, found '-4'",
     header(rest="DIMENSIONS 2 2 1\nPOINTS 999999999999 float\n1"): "need 5999999999993 bytes, 1 are left",
     header(rest=SQUARE + "POINT_DATA 4\nSCALARS p float\n1 2 3 4\n"): "expected 'LOOKUP_TABLE name' after SCALARS",
     header(rest=SQUARE + "POINT_DATA 4\nVECTORS v float\n1 2 3\n"): "array 'v': 12 values need 23 bytes, 6 are left",
@@ -335,6 +336,7 @@ def test_unknown_options(tmp_path, name, options, message):
     ("fields", "message"),
     [
         ([Field("f", "node", 0, np.zeros((2, 2, 3)))], r"has shape \(2, 2, 3\); expected \(2, 2, 2\)"),
+        ([Field("f", "cell", 0, np.zeros((2, 2, 2)))], r"cell field 'f' of block1 has shape"),
         ([Field("f", "node", 0, np.zeros((2, 2, 2), complex))], "is of type complex128"),
         ([Field("f", "node", 0, np.zeros((2, 2, 2), "f2"))], "is of type float16"),
         ([Field("f", "node", 0, np.zeros((2, 2, 2)))] * 2, "exists twice"),
