@@ -30,7 +30,14 @@ class Mesh:
         assert (inner < self.neighbour).all()
         key = inner.astype(np.int64) * n_cells + self.neighbour
         assert (np.diff(key) > 0).all(), "internal faces are not in upper-triangular order, or come twice"
-        self._check_patches(n_internal)
+        first = n_internal
+        for name, entries in self.patches.items():
+            assert int(entries["startFace"]) == first
+            first += int(entries["nFaces"])
+            if entries["type"] == "cyclic":
+                other = self.patches[entries["neighbourPatch"]]
+                assert (other["neighbourPatch"], other["nFaces"]) == (name, entries["nFaces"])
+        assert first == len(self.corners)
         kinds = 1 + np.count_nonzero(np.diff(np.sort(self.corners, axis=1), axis=1), axis=1)
         assert (kinds == np.where(self.triangles, 3, 4)).all(), "faces pass through a point twice"
         a, b, c, d = self.points[self.corners].transpose(1, 0, 2)
@@ -42,17 +49,6 @@ class Mesh:
         middle = self.of_cells(center, both=True) / ones[:, None]
         assert (np.einsum("ni,ni->n", area, center - middle[self.owner]) > 0).all(), "normals do not leave the owner"
         assert len(np.unique(self.corners)) == len(self.points), "some points belong to no face"
-
-    def _check_patches(self, first: int) -> None:
-        for entries in self.patches.values():
-            assert int(entries["startFace"]) == first
-            first += int(entries["nFaces"])
-        assert first == len(self.corners)
-        for name, entries in self.patches.items():
-            if entries["type"] == "cyclic":
-                other = self.patches[entries["neighbourPatch"]]
-                assert other["neighbourPatch"] == name
-                assert other["nFaces"] == entries["nFaces"]
 
     @property
     def triangles(self) -> np.ndarray:

@@ -127,7 +127,7 @@ def test_quotes_comments_flags_and_types_with_two_faces(tmp_path):
     assert sum("Patched" in line for line in text.splitlines()) == 1
 
 
-def test_edges_of_a_construct2d_grid(tmp_path):
+def test_edges_and_faces_of_a_2d_grid(tmp_path):
     lines = ("1", "1 9 4 1", "FARFIELD 1 1 1 4 1 1", "FARFIELD 1 2 1 4 1 1", "VISCOUS 1 3 3 7 1 1  TRUE")
     lines += ("FARFIELD 1 4 1 9 1 1", "ONE_TO_ONE 1 3 1 3 1 1 1 3 9 7 1 1 FALSE")
     grid = read_neutral_map(put(tmp_path, *lines), Grid.from_blocks([lattice(9, 4, 1)]))
@@ -141,9 +141,7 @@ def test_edges_of_a_construct2d_grid(tmp_path):
     with pytest.raises(FormatError, match="block 1 has 2x2x5 nodes, block1 of the grid has 2x5x1"):
         read_neutral_map(put(tmp_path, "1", "1 2 2 5"), Grid.from_blocks([lattice(2, 5, 1)]))
     assert (grid.connections[0].begin, grid.connections[0].donor_begin) == ((0, 0, 0), (8, 0, 0))
-
-
-def test_faces_of_a_2d_grid(tmp_path):
+    # Faces of the grid in space.
     lines = ("1", "1 9 4 1", "symmetry 1 1 1 9 1 4", "symmetry 1 2 1 9 1 4", "wall 1 5 1 1 1 9", "inflow 1 3 1 4 1 1")
     grid = read_neutral_map(put(tmp_path, *lines), Grid.from_blocks([lattice(9, 4, 1)]))
     assert [patch.windows[0] for patch in grid.patches] == [

@@ -64,7 +64,7 @@ def test_a_cut_has_the_area_of_the_cross_section(normal):
     assert area(facets.corners).sum() == pytest.approx(expected, rel=5e-2)
 
 
-def test_a_cut_goes_through_all_blocks_and_along_faces():
+def test_cuts_planes_and_surfaces_show_the_cells_there():
     s = subject(frame())
     for z in (0.0, 0.4, 1.0):
         facets = cut_facets(s, Plane(np.array([0, 0, z]), np.array([0.0, 0.0, 1.0])), "volume")
@@ -73,13 +73,9 @@ def test_a_cut_goes_through_all_blocks_and_along_faces():
         assert np.isin(facets.values, volumes).all()
     with pytest.raises(CaseError, match=r"no part of the grid lies at z = 1\.5"):
         cut_facets(s, Plane(np.array([0, 0, 1.5]), np.array([0.0, 0.0, 1.0])), "volume")
-
-
-def test_surfaces_and_planes_have_the_values_of_the_cells_behind():
-    grid = frame()
-    s = subject(grid)
-    volume = measure_block(grid.block(0), 1.0, None).volume
-    values = layer_facets(s, index_layers(grid, 2, 3), "volume").values
+    # Surfaces and planes have the values of the cells behind.
+    volume = measure_block(s.grid.block(0), 1.0, None).volume
+    values = layer_facets(s, index_layers(s.grid, 2, 3), "volume").values
     np.testing.assert_allclose(values[: volume[:, :, -1].size], volume[:, :, -1].ravel())
     quads = np.arange(*s.topology.quads.of_side(0, 1).indices(10**9)[:2])
     np.testing.assert_allclose(layer_facets(s, face_layers(s, quads), "volume").values, volume[-1].ravel())
@@ -97,6 +93,10 @@ def test_walls_in_space_before_a_symmetry_plane_and_a_cut():
     assert cut.title.startswith("cut ")
     (mirror,) = s.outside.of_role(Role.SYMMETRY)
     assert s.outward(mirror) @ solid.scene.view.towards < 0
+    # Moved walls are coloured by their motion.
+    new = subject(s.grid.moved(s.grid.points + [0.0, 0.0, 0.25]), s.grid)
+    page = moved_walls(s, new, np.concatenate([w.quads for w in s.outside.of_role(Role.WALL)]))
+    np.testing.assert_allclose(page.panels[0].scene.facets.values, 0.25)
 
 
 @pytest.mark.parametrize("grid", [frame(), frame_2d(), polar()])
@@ -212,13 +212,6 @@ def test_pages_before_and_after_have_one_size_and_scale():
     one, other = (page_bytes(each) for each in (page, worst_cells(*both, 2, (1, 1, 1))))
     assert all(png.startswith(b"\x89PNG") for png in (one, other))
     assert page_bytes(page) == one
-
-
-def test_moved_walls_are_coloured_by_their_motion():
-    before = load("wing").generate(8)
-    old, new = subject(before), subject(before.moved(before.points + [0.0, 0.0, 0.25]), before)
-    page = moved_walls(old, new, np.concatenate([w.quads for w in old.outside.of_role(Role.WALL)]))
-    np.testing.assert_allclose(page.panels[0].scene.facets.values, 0.25)
 
 
 def test_invalid_cells_are_seen_over_their_neighbours():
