@@ -2,6 +2,7 @@
 
 import shutil
 import subprocess
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -158,29 +159,28 @@ def test_rind_planes_and_bounding_box(tmp_path):
 # --- links --------------------------------------------------------------------------------------------------------
 
 
-def linked_case(folder: Path) -> Path:
+def linked_case(folder: Path, write: Callable[[Path, N], Path]) -> Path:
     """A zone of its own, one whose coordinates are the first's, one whose coordinates lie in another file."""
     (folder / "mesh").mkdir()
-    points = box(3, 3, 3)
-    write_hdf5(folder / "mesh" / "other.cgns", tree(zone("far", points)))
-    whole = zone("own", points)
-    coordinates = [("", "/Base/own/GridCoordinates"), ("mesh/other.cgns", "/Base/far/GridCoordinates")]
+    whole, other = zone("own", box(3, 3, 3)), "mesh/other.cgns"
+    shortcut = N("shortcut", "", link=("", "/Base/far/ZoneType"))
+    write(folder / other, tree(zone("far", box(3, 3, 3)), more=[shortcut]))
+    links = {"inner": ("", "/Base/own/GridCoordinates"), "outer": (other, "/Base/far/GridCoordinates")}
+    kind = N("ZoneType", "ZoneType_t", "Structured")
     linked = [
-        replace(
-            whole, name=name, children=[N("GridCoordinates", "", link=link), N("ZoneType", "ZoneType_t", "Structured")]
-        )
-        for name, link in zip(("inner", "outer"), coordinates, strict=True)
+        replace(whole, name=name, children=[N("GridCoordinates", "", link=link), kind]) for name, link in links.items()
     ]
     more = [
-        N("Note", "", link=("mesh/other.cgns", "/CGNSLibraryVersion")),
+        N("Note", "", link=(other, "/CGNSLibraryVersion")),
+        N("Whole base", "", link=(other, "/Base")),
         N("ReferenceState", "", link=("no/such.cgns", "/Base")),
         N("Here", "", link=("", "/Base/own/ZoneType")),
     ]
-    return write_hdf5(folder / "in.cgns", tree(whole, *linked, more=more))
+    return write(folder / "in.cgns", tree(whole, *linked, more=more))
 
 
 def test_links_survive_and_linked_coordinates_become_local(tmp_path):
-    source = linked_case(tmp_path)
+    source = linked_case(tmp_path, write_hdf5)
     grid = read_grid(source)
     np.testing.assert_array_equal(grid.points, np.tile(box(3, 3, 3).reshape(-1, 3), (3, 1)))
     assert any("linked from another file" in note for note in grid.notes)
@@ -241,31 +241,16 @@ def test_coordinates_in_a_virtual_dataset_are_refused(tmp_path):
 
 def test_links_of_adf_files(tmp_path):
     """HDF5 cannot follow links into ADF files: they are resolved, links inside the file stay."""
-    (tmp_path / "mesh").mkdir()
-    points = box(3, 3, 3)
-    other = tree(zone("far", points))
-    other["Base"].children.append(N("shortcut", "", link=("", "/Base/far/ZoneType")))
-    AdfWriter().write(tmp_path / "mesh" / "other.adf", other)
-    whole = zone("own", points)
-    outer = replace(
-        whole, name="outer", children=[N("GridCoordinates", "", link=("mesh/other.adf", "/Base/far/GridCoordinates"))]
-    )
-    more = [
-        N("Whole base", "", link=("mesh/other.adf", "/Base")),
-        N("ReferenceState", "", link=("no/such.adf", "/Base")),
-        N("Here", "", link=("", "/Base/own/ZoneType")),
-    ]
-    source = AdfWriter().write(tmp_path / "in.adf", tree(whole, outer, more=more))
+    source = linked_case(tmp_path, AdfWriter().write)
     (tmp_path / "results").mkdir()
     grid = moved(read_grid(source))
     write_grid(grid, tmp_path / "results" / "out.cgns")
     np.testing.assert_array_equal(read_grid(tmp_path / "results" / "out.cgns").points, grid.points)
     with h5py.File(tmp_path / "results" / "out.cgns") as file:
-        np.testing.assert_array_equal(
-            file["Base/Whole base/far/GridCoordinates/CoordinateX/ data"][()].T, points[..., 0]
-        )
+        far = file["Base/Whole base/far/GridCoordinates/CoordinateX/ data"][()].T
+        np.testing.assert_array_equal(far, box(3, 3, 3)[..., 0])
         assert file["Base/Whole base/shortcut/ data"][()].tobytes() == b"Structured"
-        assert file["Base/ReferenceState"].get(" link", getlink=True).filename == "no/such.adf"
+        assert file["Base/ReferenceState"].get(" link", getlink=True).filename == "no/such.cgns"
         assert file["Base/Here"].get(" link", getlink=True).path == "/Base/own/ZoneType"
 
 
