@@ -70,9 +70,6 @@ def full_file() -> N:
     return root
 
 
-# --- HDF5 to HDF5 -------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("packing", "track"), [({}, True), ({"compression": "gzip", "chunks": True}, False)])
 def test_only_the_coordinates_change(tmp_path, packing, track):
     source = write_hdf5(tmp_path / "in.cgns", full_file(), dataset=packing, track=track)
@@ -154,9 +151,6 @@ def test_rind_planes_and_bounding_box(tmp_path):
         expected[1:, :3] = grid.block(0)
         np.testing.assert_array_equal(stored, expected.astype(precision))
         np.testing.assert_array_equal(box_stored, [grid.points.min(axis=0), grid.points.max(axis=0)])
-
-
-# --- links --------------------------------------------------------------------------------------------------------
 
 
 def linked_case(folder: Path, write: Callable[[Path, N], Path]) -> Path:
@@ -264,9 +258,6 @@ def test_files_linked_in_a_circle(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.adf", "b.adf"]
 
 
-# --- ADF to HDF5 --------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", [WING, AIRFOIL])
 def test_adf_becomes_what_adf2hdf_makes_of_it(third_party, tmp_path, name):
     assert_is_what_adf2hdf_makes(third_party / name, tmp_path)
@@ -278,9 +269,6 @@ def test_adf_variants_become_what_adf2hdf_makes_of_them(tmp_path, version, order
     """This also shows that the CGNS library reads what our witness writes."""
     source = AdfWriter(version, order, chunks).write(tmp_path / "in.cgns", full_file())
     assert_is_what_adf2hdf_makes(source, tmp_path)
-
-
-# --- refusals -----------------------------------------------------------------------------------------------------
 
 
 def test_source_that_is_gone_or_changed(tmp_path):

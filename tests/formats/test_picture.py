@@ -46,9 +46,6 @@ def area(corners):
     return 0.5 * np.linalg.norm(np.cross(arms[:, :-1], arms[:, 1:]).sum(axis=1), axis=1)
 
 
-# polygons
-
-
 @pytest.mark.parametrize("normal", [(1, 0, 0), (1, 2, 3), (-3, 0.2, 0.7)])
 def test_a_cut_has_the_area_of_the_cross_section(normal):
     grid = Grid.from_blocks([block_around(*(np.linspace(-1.0, 1.0, 7) ** 3 for _ in range(3)))])
@@ -79,9 +76,6 @@ def test_cuts_planes_and_surfaces_show_the_cells_there():
     np.testing.assert_allclose(values[: volume[:, :, -1].size], volume[:, :, -1].ravel())
     quads = np.arange(*s.topology.quads.of_side(0, 1).indices(10**9)[:2])
     np.testing.assert_allclose(layer_facets(s, face_layers(s, quads), "volume").values, volume[-1].ravel())
-
-
-# what is chosen
 
 
 def test_walls_in_space_before_a_symmetry_plane_and_a_cut():
@@ -126,9 +120,6 @@ def test_a_duct_fills_the_picture_and_the_wall_that_it_ends_in_is_behind_it():
     assert solid.scene.view.towards[0] < 0
 
 
-# colours
-
-
 def test_invalid_cells_have_their_own_colour_and_are_counted():
     grid = frame()
     points = grid.points * [1.0, 1.0, 1.2]
@@ -168,9 +159,6 @@ def test_ranges_follow_the_data():
     assert scale_of("volume", values, (0.9, 2.0)).extended == "min"
     with pytest.raises(CaseError, match="no positive value"):
         scale_of("displacement", np.zeros(3), logarithmic=True)
-
-
-# images
 
 
 def test_an_image_shows_the_near_side_of_a_cube():

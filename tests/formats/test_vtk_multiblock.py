@@ -38,13 +38,6 @@ def vtk_set(tree):
     return found
 
 
-def write_set(path, tree):
-    writer = vtkXMLMultiBlockDataWriter()
-    writer.SetInputData(vtk_set(tree))
-    writer.SetFileName(str(path))
-    assert writer.Write()
-
-
 def tree_of(data_set):
     """Names and number of points of a set as VTK reads it."""
     found = []
@@ -60,7 +53,10 @@ def test_nested_sets_of_vtk(tmp_path, monkeypatch):
     a, b, c, d = blocks((2, 3, 4), (3, 3, 3), (2, 2, 2), (4, 2, 2))
     (tmp_path / "sub").mkdir()
     tree = [("fluid", [("wing", a), ("tail", b), ("wing", a)]), (None, None), (None, c), ("wing", [(None, d)])]
-    write_set(tmp_path / "sub" / "set.vtm", tree)
+    writer = vtkXMLMultiBlockDataWriter()
+    writer.SetInputData(vtk_set(tree))
+    writer.SetFileName(str(tmp_path / "sub" / "set.vtm"))
+    assert writer.Write()
     monkeypatch.chdir(tmp_path)
     grid = read_grid(Path("sub") / "set.vtm")
     assert grid.names == ("fluid/wing", "fluid/tail", "fluid/wing_3", "block4", "wing/block5")
