@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cached_property
@@ -85,6 +86,7 @@ class Mesh:
         self._points: FloatArray = read_only(setup.grid.points[setup.topology.first[self.numbers]])
         self._thread = threading.get_ident()
         self._prepared: PreparedMethod | None = None
+        self._last: tuple[FloatArray, int | str | None, Mode | None, weakref.ref[Step]] | None = None
 
     @property
     def grid(self) -> Grid:
@@ -182,8 +184,7 @@ class Mesh:
             raise CaseError('steps = True; expected a whole number >= 1 or "auto"')
         with self.at_work():
             if displacement is not None:
-                path = self._path(self._displacement_values(displacement, moment))
-                return self._imposed(path, steps, repair, progress)
+                return self._deformed(self._displacement_values(displacement, moment), steps, repair, progress)
             setup = self.setup
             if not any(motion.steps for _, motion in setup.boundary.movers):
                 raise MotionError("no displacement is given, and no case prescribes one; expected deform(displacement)")
@@ -214,12 +215,18 @@ class Mesh:
         """
         with self.at_work():
             at = np.zeros_like(self.points) if displacement is None else self._displacement_values(displacement, 0.0)
-            return Linearisation(self, self._imposed(self._path(at), whole_number(steps), repair, None), at)
+            steps, last = whole_number(steps), self._last
+            step = last[3]() if last and last[1:3] == (steps, repair) and np.array_equal(last[0], at) else None
+            return Linearisation(self, step or self._deformed(at, steps, repair, None), at)
 
-    def _path(self, values: FloatArray) -> BoundaryMotion:
-        """The parts of a displacement (n_moving, 3)."""
+    def _deformed(
+        self, values: FloatArray, steps: int | str | None, repair: Mode | None, progress: Progress | None
+    ) -> Step:
+        """The step for a displacement (n_moving, 3); as long as it is in use, :meth:`linearise` finds it again."""
         total = self.of_boundary(values)
-        return lambda part: total if part == 1.0 else part * total
+        step = self._imposed(lambda part: total if part == 1.0 else part * total, steps, repair, progress)
+        self._last = values, steps, repair, weakref.ref(step)
+        return step
 
     def _imposed(
         self, motion: BoundaryMotion, steps: int | str | None, repair: Mode | None, progress: Progress | None
@@ -292,7 +299,7 @@ class Mesh:
         if self.ranks.count > 1:
             raise TypeError("a Mesh of several MPI ranks cannot be copied or pickled; prepare it where it is needed")
         lasting = {name: value for name, value in self.__dict__.items() if name != "patches"}
-        return {**lasting, "_prepared": None}
+        return {**lasting, "_prepared": None, "_last": None}
 
     def __repr__(self) -> str:
         patches = ", ".join(self.patches)
@@ -435,11 +442,9 @@ class Repeated:
 
     def derivative(self, displacement: FloatArray, warn: Callable[[str], object]) -> Linearisation:
         """The derivative there; ``warn`` is called once if it is not that of the step."""
-        step = self.step(displacement)
+        self.step(displacement)
         if self._derivative is None:
-            with self.mesh.at_work():
-                at = self.mesh.checked(displacement, "displacement", len(displacement))
-                self._derivative = Linearisation(self.mesh, step, at)
+            self._derivative = self.mesh.linearise(displacement, steps=self._steps, repair=self._repair)
             if not self._derivative.exact:
                 warn(f"the derivative is not that of the grid: {self._derivative.reason}")
         return self._derivative

@@ -41,7 +41,9 @@ def test_undeformed_and_deformed(mesh):
 
 
 def test_operator_and_transpose(mesh):
+    step = mesh.deform(bend(mesh))
     found = mesh.linearise(bend(mesh))
+    assert found.step is step
     random = np.random.default_rng(1)
     weights = [random.standard_normal(block.shape) for block in mesh.grid.blocks]
     gradient = found.vjp(weights)
