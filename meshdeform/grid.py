@@ -21,6 +21,7 @@ from meshdeform_core.parallel import WholeGridNeeded, sharing
 from meshdeform_core.wording import counted
 
 if TYPE_CHECKING:
+    import meshio
     import pyvista
     from matplotlib.figure import Figure
 
@@ -210,6 +211,12 @@ class Grid:
                 block.cell_data[measure] = cells.values(measure, number, cells.whole(number)).ravel(order="F")
             blocks.append(block, name)
         return blocks
+
+    def to_meshio(self) -> meshio.Mesh:
+        """Unstructured hexahedra (2-D: quadrilaterals) with coincident nodes merged, and the fields of the file."""
+        from meshdeform_formats.unstructured import as_mesh
+
+        return as_mesh(whole(self, "an unstructured grid"))
 
     def __len__(self) -> int:
         """Number of blocks."""

@@ -393,6 +393,7 @@ def test_objects_can_be_copied_and_pickled(mesh, bend):
 
 
 def test_grids_become_those_of_other_packages(plate):
+    assert len(plate.grid.to_meshio().cells[0].data) == plate.grid.n_cells
     pyvista = pytest.importorskip("pyvista", reason="pyvista is not installed")
     blocks = plate.grid.to_pyvista("volume")
     assert isinstance(blocks, pyvista.MultiBlock)
