@@ -92,7 +92,7 @@ def measures_table(report: Report) -> Table:
         places = part.get("worst") or {}
         worst = None if own[-1] in _OF_ALL else places.get("_".join(own)) or places.get(own[0])
         flagged += [len(rows)] if name == "invalid cells" and after else []
-        rows.append((name, *(() if alone else (before,)), after, place_text(worst) if worst else ""))
+        rows.append((name.format(end), *(() if alone else (before,)), after, place_text(worst) if worst else ""))
     heads = ("value",) if alone else ("before", "after")
     caption = "Quality measures; f_skew is Knupp's skew measure: 1 orthogonal, 0 invalid"
     return Table(caption, ("measure", *heads, "worst at"), rows, (0, len(heads) + 1), flagged)

@@ -74,7 +74,7 @@ class Energy:
     @cached_property
     def work(self) -> float:
         """Work of computing all second derivatives, see :class:`.Limit`."""
-        return _SAMPLE[self.start.shape[1]] * int(np.bitwise_count(self.mask).sum())
+        return _SAMPLE[self.start.shape[1]] * int(np.unpackbits(self.mask.view(np.uint8)).sum())
 
     def maps(self, between: bool = True) -> Iterable[Maps]:
         """The maps at all samples, some at a time; those between corners only on request."""

@@ -226,14 +226,14 @@ def test_set_overrides_any_key(override, where, expected, bench, call):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["--min-jacobian", "nan"], "command line: repair.min_jacobian: expected a finite number"),
+        (["--min-jacobian", "nan"], "command line: repair.min_jacobian = nan; expected a finite number"),
         (["-s", "method.idw.alpha=x"], "command line: method.idw.alpha = 'x'"),
     ],
 )
 def test_an_error_of_the_command_line_is_not_blamed_on_the_case_file(words, expected, bench, call):
     assert expected in call(*RUN, *words).err
     (bench / "case.toml").write_text("[repair]\nmin_jacobian = nan\n")
-    assert "case.toml: repair.min_jacobian: expected a finite number" in call(*RUN, "-m", "tfi").err
+    assert "case.toml: repair.min_jacobian = nan; expected a finite number" in call(*RUN, "-m", "tfi").err
 
 
 # Tables

@@ -244,6 +244,7 @@ def test_verdict_says_how_many_and_where(far):
     assert (worst["block"], worst["ijk"]) == (named["block"], named["ijk"])
     i, j, k = worst["ijk"]
     assert f"the worst is {worst['block']} ({i}, {j}, {k}) near {worst['nearest_patch']!r}" in page.text
+    assert "wall-normal deviation rms [deg]" in page.text
 
 
 def test_run_can_be_repeated_and_files_recognised(far, capsys):
