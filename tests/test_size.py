@@ -17,7 +17,7 @@ BUDGETS = {
     "formats/cgns": 2142,
     "formats/displacement": 1043,
     "formats/openfoam": 1917,
-    "formats/picture": 1210,
+    "formats/picture": 1233,
     "formats/plot3d": 894,
     "formats/report": 1014,
     "formats/series": 480,

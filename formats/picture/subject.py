@@ -10,7 +10,7 @@ import numpy as np
 
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import FloatArray, IntArray, Shape
-from meshdeform_core.grid.faces import Role, Surface, thin_direction
+from meshdeform_core.grid.faces import Face, Role, Surface, thin_direction
 from meshdeform_core.grid.planes import Plane
 from meshdeform_core.numerics.arrays import extent
 from meshdeform_core.numerics.geometry.vectors import doubled_areas
@@ -57,15 +57,19 @@ class Subject(CellFields):
 
         Raises CaseError when the plane misses the grid.
         """
-        level, rows, tiny = float(plane.point @ plane.normal), self.grid.nodes.own @ plane.normal, 1e-9 * self.size
-        ends = self.grid.nodes.gather((rows.min(), rows.max()) if rows.size else (np.inf, -np.inf))
-        low, high = min(low for low, _ in ends), max(high for _, high in ends)
+        level, tiny, (low, high) = float(plane.point @ plane.normal), 1e-9 * self.size, self._reach(plane.normal)
         if not low - tiny <= level <= high + tiny:
             axis = "xyz"[int(np.argmax(np.abs(plane.normal)))]
             raise CaseError(
                 f"no part of the grid lies at {axis} = {level:g}; it spans {axis} = {low:.6g} to {high:.6g}"
             )
         return level - tiny if high - level <= 2 * tiny else level + tiny
+
+    def _reach(self, normal: FloatArray) -> tuple[float, float]:
+        """Smallest and largest x . ``normal`` of all nodes x."""
+        rows = self.grid.nodes.own @ normal
+        ends = self.grid.nodes.gather((rows.min(), rows.max()) if rows.size else (np.inf, -np.inf))
+        return float(min(low for low, _ in ends)), float(max(high for _, high in ends))
 
     @property
     def wall_surfaces(self) -> tuple[Surface, ...]:
@@ -87,22 +91,36 @@ class Subject(CellFields):
     def end_plane(self) -> tuple[IntArray, FloatArray] | None:
         """Face quads and normal of one of the two end planes of an extruded grid, which represents the whole grid.
 
-        They are declared or found as ends, or lie across the direction in which the grid is one cell thick.
+        They are declared or found as ends, or lie across the direction in which the grid is one cell thick, or are two
+        symmetry planes between which all walls stand upright.
         """
-        outside = self.outside
-        ends = [face for face, role in zip(outside.faces, outside.roles, strict=True) if role is Role.END]
+        ends = self._faces_of(Role.END)
         if not ends and self.thin is not None:
-            ends = [
-                face
-                for face in outside.faces
-                if face.outside and face.plane and abs(face.plane.normal @ self.thin) > _ALONG
+            ends = _faces_across([face for face in self.outside.faces if face.outside], self.thin)
+        mirrors = {
+            tuple(np.abs(face.plane.normal).round(9)): face.plane
+            for face in self._faces_of(Role.SYMMETRY)
+            if face.plane
+        }
+        for plane in () if ends else mirrors.values():
+            same, (low, high) = _faces_across(self._faces_of(Role.SYMMETRY), plane.normal), self._reach(plane.normal)
+            heights = np.array([face.plane.point @ plane.normal for face in same if face.plane])
+            near = 1e-6 * self.size
+            upright = [
+                np.ptp(wall.box, axis=0) @ np.abs(plane.normal) >= 0.99 * (high - low)
+                for wall in self._faces_of(Role.WALL)
             ]
+            if heights.min() <= low + near < high - near <= heights.max() and upright and all(upright):
+                ends = same
         if not ends or ends[0].plane is None:
             return None
         normal = ends[0].plane.normal
         height = [float(face.plane.point @ normal) if face.plane is not None else np.inf for face in ends]
         lowest = min(height) + 1e-6 * self.size
         return np.concatenate([face.quads for face, h in zip(ends, height, strict=True) if h <= lowest]), normal
+
+    def _faces_of(self, wanted: Role) -> list[Face]:
+        return [face for face, role in zip(self.outside.faces, self.outside.roles, strict=True) if role is wanted]
 
     def middle_plane(self) -> Plane:
         """A plane through the middle of the bodies, parallel to a symmetry plane or else across their longest extent;
@@ -122,6 +140,11 @@ class Subject(CellFields):
         """Lowest and highest coordinates (2, 3) of surfaces."""
         boxes = np.array([surface.box for surface in surfaces])
         return np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
+
+
+def _faces_across(faces: Iterable[Face], normal: FloatArray) -> list[Face]:
+    """Faces in planes across a direction."""
+    return [face for face in faces if face.plane is not None and abs(face.plane.normal @ normal) > _ALONG]
 
 
 def quads_of_surfaces(surfaces: Iterable[Surface]) -> IntArray:

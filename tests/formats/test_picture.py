@@ -93,7 +93,7 @@ def test_walls_in_space_before_a_symmetry_plane_and_a_cut():
     np.testing.assert_allclose(page.panels[0].scene.facets.values, 0.25)
 
 
-@pytest.mark.parametrize("grid", [frame(), frame_2d(), polar()])
+@pytest.mark.parametrize("grid", [frame(), frame_2d(), polar(), load("splitter-plate").generate(8)])
 def test_flat_and_extruded_grids_from_above(grid):
     page = overview(subject(grid), Scale())
     assert page.panels
