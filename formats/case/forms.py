@@ -77,8 +77,7 @@ def plain(value: Any, place: str = "") -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         raise CaseError(f"{place[1:]} = {literal(value)}; expected a finite number")
     if isinstance(value, int) and not -(2**63) <= value < 2**63:
-        bits = value.bit_length()
-        raise CaseError(f"{place[1:]} is an integer of {bits} bits; expected at most 64, write large numbers like 1e30")
+        raise CaseError(f"{place[1:]} is beyond integers of 64 bits, -2^63 to 2^63 - 1; write large numbers like 1e30")
     return str(value) if isinstance(value, Path) else value
 
 
