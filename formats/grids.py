@@ -242,7 +242,7 @@ def require_earlier_grid(path: Path, grid: Grid) -> None:
     if not path.exists() or not hasattr(FORMATS[format_of(path)].load(), "read"):
         return
     try:
-        same = read_grid(path).shapes == grid.shapes
+        same = (layout_of(path) or read_grid(path)).shapes == grid.shapes
     except MeshDeformError:
         same = False
     if not same:
