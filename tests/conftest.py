@@ -11,9 +11,6 @@ for _library in ("OPENBLAS", "OMP", "MKL"):
 import hypothesis  # noqa: E402 (numpy reads the variables when it is loaded)
 import pytest  # noqa: E402
 
-from meshdeform_core import memory  # noqa: E402
-from meshdeform_formats.picture.page import STYLE  # noqa: E402
-
 # The same examples in every run, and no limits of time: a loaded machine is no reason to fail.
 hypothesis.settings.register_profile(
     "repeatable", derandomize=True, deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
@@ -24,6 +21,8 @@ hypothesis.settings.load_profile("repeatable")
 @pytest.fixture(scope="session", autouse=True)
 def _small_pictures() -> None:
     """Commands called in this process draw a tenth of the pixels; what is drawn and where stays the same."""
+    from meshdeform_formats.picture.page import STYLE
+
     STYLE["figure.dpi"] = 60
 
 
@@ -32,12 +31,16 @@ def _code_stays() -> None:
     """The code of the compiler stays in memory. Finding it among the thousands of mapped files of this process, three
     times per grid, and reading it again takes a twenty-fifth of the time; `tests/core/test_memory_limit.py` does it in
     a process of its own."""
+    from meshdeform_core import memory
+
     memory._read_only_parts = lambda library: []
 
 
 def pytest_collection_finish() -> None:
-    """The collector leaves alone what is imported, which stays: looking through it takes a twentieth of the time."""
+    """The collector leaves alone what is imported, which stays: looking through it takes a twentieth of the time. It
+    looks at the rest seldom, for another fiftieth."""
     gc.freeze()
+    gc.set_threshold(20_000, 20, 100)
 
 
 @pytest.fixture

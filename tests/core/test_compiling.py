@@ -27,9 +27,9 @@ class Line(NamedTuple):
     f"""
 @kernel("f8[::1], Line", Line)
 def loop_{number}(out, line):
-    {"out[:] = -1.0 + line.weight * line.points" if number == 0 else f"loop_{number - 1}(out, line)"}
+    {"pass" if number == 0 else f"loop_{number - 1}(out, line)"}
     for n in range(out.size):
-        out[n] += 1.0
+        out[n] {"= line.weight * line.points[n]" if number == 0 else "+= 1.0"}
 """
     for number in range(3)
 )

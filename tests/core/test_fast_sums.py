@@ -35,7 +35,7 @@ VARIANTS = {
 
 @pytest.fixture(scope="module")
 def problem():
-    return problem_of(frame(12, 8), body_specs(turning(20, center=(0.3, 0.1, 0.0))))
+    return problem_of(frame(9, 6), body_specs(turning(20, center=(0.3, 0.1, 0.0))))
 
 
 def cell_sizes(problem):
@@ -103,7 +103,7 @@ def test_two_dimensional_grid():
 def test_error_that_is_too_large_is_found_and_mended(problem, monkeypatch):
     options = Options("idw", idw=IDW(summation="fast", summation_tolerance=1e-3))
     exact = apply(Options("idw", idw=IDW(summation="exact")), problem, told(problem))
-    monkeypatch.setattr(idw_sums, "SHARE", 3e4)
+    monkeypatch.setattr(idw_sums, "SHARE", 1e6)
     prepared = make_method(options).prepare(problem)
     error = np.linalg.norm(prepared.apply(told(problem)) - exact, axis=1) / cell_sizes(problem)
     assert prepared.account.settings["sampled_error"].value <= 1e-3

@@ -115,7 +115,7 @@ def outcome(source, target, case, **rest):
 def same_on_ranks(tmp_path, count, case, suffix=".cgns", grid=None, **rest):
     """Compare deforming a file on several ranks, each with a part, with deforming it in one process."""
     source = tmp_path / f"grid{suffix}"
-    write_grid(grid or frame(9, 8), source)
+    write_grid(grid or frame(6, 5), source)
     expected = outcome(source, tmp_path / f"one{suffix}", case, **rest)
 
     for found in on_ranks(count, lambda number: outcome(source, tmp_path / f"ranks{suffix}", case, **rest)):
@@ -214,7 +214,7 @@ def levels(source, target, case, schedule):
 @pytest.mark.parametrize(("place", "method"), [("poisoned", "idw-tfi"), ("in_files", "rbf-tfi-krylov")])
 def test_levels_of_a_series_are_the_same(place, method, tmp_path, small_pieces, request):
     store, source, schedule = request.getfixturevalue(place), tmp_path / "grid.xyz", Schedule((0.0, 1.0, 4.0))
-    write_grid(frame(9, 8), source)
+    write_grid(frame(6, 5), source)
     case = case_of(method, "5*t")
     expected = levels(source, tmp_path / "one.xyz", case, schedule)
 

@@ -15,6 +15,7 @@ from meshdeform_core.deform import Case, Timing, deform, impose, set_up
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import MemoryLimit
+from meshdeform_core.numerics.cell.foldover.elements import Unknowns
 from meshdeform_core.numerics.cell.foldover.plane import add_derivatives
 from meshdeform_core.numerics.cell.foldover.samples import sample_slopes
 from meshdeform_core.quality.validity import judge
@@ -342,7 +343,7 @@ def test_plane_second_derivatives_are_those_of_differences_without_their_negativ
         a = np.eye(2) + random.standard_normal((2, 2))
         # One corner of a unit square, whose node is held: the unknowns, its neighbours, are the columns of A.
         start = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]])
-        unknowns = np.array([-1, 1, 0, -1]), np.tile(np.eye(2), (4, 1, 1)), np.ones(4, dtype=bool)
+        unknowns = Unknowns(np.array([-1, 1, 0, -1]), np.tile(np.eye(2), (4, 1, 1)), np.ones(4, dtype=bool))
         matrix, gradient = np.zeros((4, 2, 2)), np.zeros((2, 2))
         rows = 0, 2, np.array([0, 2, 4]), np.array([0, 1, 0, 1], np.int32)
         x = np.array([[0.0, 0.0], a[:, 1], a[:, 0], [1.0, 1.0]])

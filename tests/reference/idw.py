@@ -140,7 +140,8 @@ def weights_of(problem, p, x, area, shift, displacement, options):
 def log_motion(turn, translation):
     motion = np.eye(4)
     motion[:3, :3], motion[:3, 3] = turn, translation
-    return np.real(logm(motion))
+    # Of translations, as of all sources at rest, the series of the logarithm ends at once.
+    return motion - np.eye(4) if np.array_equal(turn, np.eye(3)) else np.real(logm(motion))
 
 
 def source_quads(problem, kinds):
