@@ -266,6 +266,19 @@ def test_periodic_sector_moves_alike_by_rotation(casing):
         problem_of(grid, [*specs[:2], *specs_of(("pitch", ("block1.imin", "block1.kmax"), Kind.PERIODIC, None))])
 
 
+def test_images_found_through_two_periodicities_are_turned():
+    """Where pitch and span meet, from the root first along the span, then around the axis."""
+    grid, specs = sector()
+    both = specs_of(
+        ("pitch", ("block1.imin", "block1.imax"), Kind.PERIODIC, None),
+        ("span", ("block1.kmax", "block1.kmin"), Kind.PERIODIC, None),
+    )
+    problem = problem_of(grid, [*specs[:2], *both])
+    x, periodic = grid.points[problem.topology.first] * [1.0, 1.0, 0.0], problem.boundary.periodic
+    assert len(np.unique(periodic.root)) == 5 * (6 + 3 - 1)
+    np.testing.assert_allclose(x[periodic.nodes], np.einsum("nij,nj->ni", periodic.turn, x[periodic.root]), atol=1e-14)
+
+
 def test_a_declared_rotation_turns_the_displacement():
     """One pattern for both sides: only the file says which node belongs to which."""
     grid, specs = sector()

@@ -91,6 +91,14 @@ def test_repairs_and_steps_are_those_of_each_component():
     np.testing.assert_allclose(part_of(whole.grid, "ring"), start @ turn.T + [1.5, 0.7, 0.0], atol=1e-13)
 
 
+def test_as_much_of_the_motion_is_reached_as_the_component_that_fails_reaches():
+    far = tuple(dataclasses.replace(spec, motion=turning(150.0)) if spec.name == "bar" else spec for spec in BAR)
+    whole = deform(GRID, case(far + RING + FIXED, Options("tfi"), BY_PREFIX, mode="off"), steps="auto")
+    own = dict(whole.components)
+    assert own["bar"].reached < own["ring"].reached == 1.0
+    assert (whole.reached, whole.steps) == (own["bar"].reached, own["bar"].steps)
+
+
 def test_invalid_cells_are_listed_with_the_walls_of_their_own_component_and_the_worst_first():
     """The ring comes after the bar, and has the worst cell."""
     turned = {"bar": turning(75.0), "ring": turning(150.0, center=(1.5, 0.7, 0.0))}

@@ -130,6 +130,17 @@ def test_sliding_on_a_curved_surface(name):
     assert method.linearised(0.0 * smooth).kinks[EDGES] > 0
 
 
+def test_where_grid_lines_are_curved_inside_blocks():
+    """Sub-blocks that TFI alone would straighten share corners, whose gradients are sums."""
+    grid = frame(4, 4)
+    x, y, z = grid.points.T
+    bump = z * (1.0 - z) * (np.maximum(abs(x), abs(y)) - 0.5) * np.sin(2.0 * x + 1.0) * np.cos(2.0 * y)
+    where = problem_of(grid.moved(grid.points + np.stack([bump, -bump, 0 * z], axis=1)), body_specs(turning(10)))
+    method = make_method(METHODS["idw-tfi-cut"]).prepare(where)
+    assert len(method.filler.group(0)[1].bent[0]) > grid.n_blocks
+    check(method, *directions(where))
+
+
 def test_sliding_where_a_gap_closes():
     """What is blended there slides on the surface once more."""
     where = KINDS["curved slip"]()

@@ -11,6 +11,7 @@ from cases import body_specs, formulas, turning
 from grids import frame, frame_2d, permuted, polar
 
 import meshdeform as md
+from meshdeform_core import velocity
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.boundary.motions.motion import Motion, Rotate
@@ -29,6 +30,7 @@ from meshdeform_core.velocity import (
     Smoothness,
     face_fields,
     grid_velocity,
+    shortest_edges,
     smoothness,
     swept_volumes,
     volume_flux,
@@ -152,6 +154,22 @@ def test_a_jump_of_the_grid_alone_is_told():
     plain = [moment._replace(plain=True) for moment in moments]
     assert smoothness(plain, np.array([0]), np.full(3, 0.5)).warning is None
     assert smoothness(moments, np.array([2]), np.full(3, 0.5)).warning is None
+    # At the same velocity, intervals of different lengths make no acceleration.
+    even = [moment._replace(time=time, points=still + time) for moment, time in zip(moments, (0, 1, 4), strict=True)]
+    assert smoothness(even, np.array([0]), np.full(3, 0.5)).acceleration == 0.0
+
+
+def test_shortest_edges_are_those_of_all_neighbours_plane_by_plane(monkeypatch):
+    monkeypatch.setattr(velocity, "_ROWS", 1)
+    grid = frame()
+    grid = grid.moved(shaken(grid, 0.02, 1))
+    found = shortest_edges(grid)
+    for b, shape in enumerate(grid.shapes):
+        x, own = grid.block(b), found[grid.offsets[b] : grid.offsets[b + 1]].reshape(shape)
+        for at in np.ndindex(shape):
+            beside = [np.add(at, step) for step in (*np.eye(3, dtype=int), *-np.eye(3, dtype=int))]
+            beside = [tuple(n) for n in beside if (n >= 0).all() and (n < shape).all()]
+            assert own[at] == pytest.approx(min(np.linalg.norm(x[n] - x[at]) for n in beside), rel=1e-12)
 
 
 @pytest.mark.slow

@@ -167,6 +167,17 @@ def test_a_shifted_table_is_said():
     assert "away from the table point whose displacement they take" in note
 
 
+def test_every_table_of_a_sequence_is_looked_at():
+    tables = [data(bar()), data(bar() + [0.0, 0.0, 0.05])]
+    follow = Follow(lambda number: tables[number], Matching("nearest", tolerance=0.5), (0.0, 1.0))
+    specs = body_specs(Motion((follow,), {}))
+    setup = set_up(FRAME, Case((*specs, BoundarySpec("rest", ("*",), Kind.SLIP))))
+    assert setup.boundary.tables.warnings() == []
+    setup.displacement(1.0)
+    (note,) = setup.boundary.tables.warnings()
+    assert "away from the table point whose displacement they take" in note
+
+
 def test_extrapolation_is_said_with_its_distance():
     points = bar()
     notes = on_body(data(points[points[:, 2] < 0.6]), how="interpolate", tolerance=2.0)
