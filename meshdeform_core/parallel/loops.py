@@ -10,7 +10,7 @@ import math
 import os
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar, copy_context
 from typing import Any, NamedTuple, TypeVar
 
@@ -116,6 +116,8 @@ def alone(cores: int | None = None, times: int = 1) -> AbstractContextManager[No
     """Share nothing within the block: for work that one rank does alone, by default on its share of the cores, with
     ``times`` as many threads."""
     ranks, threads, _ = _sharing.get()
+    if ranks.count == 1 and cores is None and times == 1:
+        return nullcontext()
     return sharing(Ranks(cores or ranks.cores), threads and times * threads)
 
 
@@ -173,7 +175,7 @@ def for_chunks(work: Work, size: int, chunk: int, progress: Counter | None = Non
     others = list[threading.Thread]()
     with alone():
         try:
-            for _ in range(min(threads or thread_count(), len(bounds)) - 1):
+            for _ in range(min(threads or thread_count(), len(bounds)) - 1 if len(bounds) > 1 else 0):
                 others.append(threading.Thread(target=copy_context().run, args=(run, None), name="chunks"))
                 others[-1].start()
         except BaseException as error:

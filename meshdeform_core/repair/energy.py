@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from ..boundary.constraints import CurvedSurface
 from ..grid import FloatArray, IntArray
@@ -34,7 +33,7 @@ from .tuned import ALONG, BETWEEN, FULL, HEALTHY, HELD, NORM, POWER, SLOWLY, SOF
 _TOGETHER = 1 << 15
 """Cells whose maps are found at a time, which bounds the memory."""
 # Measured work for the derivatives at one sample in a plane and in space, in the unit of :class:`.Limit`.
-_SAMPLE = {2: 0.4, 3: 0.9}
+_SAMPLE = {2: 0.35, 3: 0.6}
 
 
 class Penalty(NamedTuple):
@@ -129,23 +128,13 @@ class Energy:
         energies, lowest, highest = zip(*found, strict=True)
         return sum(energies), min(lowest), max(highest)
 
-    def add(
-        self,
-        x: FloatArray,
-        reference: FloatArray,
-        penalty: Penalty,
-        which: IntArray,
-        unknowns: Unknowns,
-        rows: tuple[int, int, IntArray, NDArray[np.int32]],
-        blocks: FloatArray,
-        gradient: FloatArray,
-    ) -> None:
-        """See :func:`..numerics.cell.foldover.hexahedra.add_derivatives`."""
+    def add(self, x: FloatArray, reference: FloatArray, penalty: Penalty, *rest: Any) -> None:
+        """See :func:`..numerics.cell.foldover.hexahedra.add_derivatives`; ``rest``: its arguments from ``which`` on."""
         if x.shape[1] == 3:
             from ..numerics.cell.foldover.hexahedra import add_derivatives
         else:
             from ..numerics.cell.foldover.plane import add_derivatives
-        add_derivatives(x, *self._loops, reference, tuple(penalty), which, unknowns, rows, blocks, gradient)
+        add_derivatives(x, *self._loops, reference, tuple(penalty), *rest)
 
     @cached_property
     def _loops(self) -> tuple[Any, ...]:

@@ -23,6 +23,7 @@ import numpy as np
 import scipy
 
 from ..numerics.arrays import FloatArray
+from ..numerics.cell.foldover.elements import places_of_pairs
 from ..numerics.jit import inlined, kernel
 from ..numerics.lanes import multiply_row, solve_row, with_room
 from ..parallel import for_chunks
@@ -112,6 +113,9 @@ class NewtonSystem:
             for lo, hi in itertools.pairwise(ends)
         ]
         self._longest = max((self.starts[high] - self.starts[low] for low, high in itertools.pairwise(ends)), default=0)
+        self._places = places_of_pairs(of_cell, self.starts, self.columns)
+        number = np.arange(len(self.columns), dtype=np.int32)
+        self._mirror = scipy.sparse.csr_array((number, self.columns, self.starts), shape=(n, n)).tocsc().data
         self.matrix = with_room((len(self.columns), d, d), np.float32)
         self._factor = np.zeros((n, d, d))
         self._diagonal = np.flatnonzero(self.columns == np.repeat(np.arange(n), np.diff(self.starts)))
@@ -133,7 +137,7 @@ class NewtonSystem:
         Returns ``False`` if a diagonal block is not positive definite, which cannot happen with the convex part of the
         energy alone.
         """
-        starts, columns, n = self.starts, self.columns, len(self.gradient)
+        starts, columns, diagonal, n = self.starts, self.columns, self._diagonal, len(self.gradient)
         self.unknowns, freedom = region.directions(x)
         self.gradient[...] = 0.0
         bad = np.zeros(len(self._cells), dtype=bool)
@@ -147,19 +151,20 @@ class NewtonSystem:
                 kept = np.empty((self._longest, *self.matrix.shape[1:]))
             blocks = kept[: starts[high] - starts[low]]
             blocks[...] = 0.0
-            rows, number = (low, high, starts, columns), low // _ROWS
-            own = self._cells[number]
-            region.energy.add(x, reference, penalty, own, self.unknowns, rows, blocks, self.gradient)
-            own = self._diagonal[low:high] - starts[low]
+            rows, number = (low, high, int(starts[low])), low // _ROWS
+            cells = self._cells[number], self._places
+            region.energy.add(x, reference, penalty, *cells, self.unknowns, rows, blocks, self.gradient)
+            own = diagonal[low:high] - starts[low]
             # In directions in which an unknown must not move, the trace of its block serves as stiffness.
             trace = np.trace(blocks[own], axis1=1, axis2=2)[:, None, None]
             blocks[own] += (np.eye(blocks.shape[1]) - freedom[low:high]) * trace
             self._factor[low:high], bad[number] = inverse_factors(blocks[own])
-            scale_left(blocks, rows, self._factor, self.matrix)
+            scale_left(blocks, starts, diagonal, self._factor, self.matrix, low, high)
             spare.append(kept)
 
         for_chunks(add, n, _ROWS)
-        for_chunks(partial(scale_right, self.matrix, starts, columns, self._factor), n, _ROWS)
+        ends = starts, diagonal, columns, self._mirror
+        for_chunks(partial(scale_right, self.matrix, ends, self._factor), n, _ROWS)
         return not (penalty.exact > 0.0 and bad.any())
 
     def direction(self, tolerance: float, most: int) -> tuple[FloatArray, bool]:
@@ -283,32 +288,53 @@ def _add_product(blocks, at, t, column, image, row):
     image[row, 1] += blocks[at, 1, 0] * t[column, 0] + blocks[at, 1, 1] * t[column, 1]
 
 
-@kernel("f8[:, :, ::1], Tuple((i8, i8, i8[::1], i4[::1],)), f8[:, :, ::1], f4[:, :, ::1]")
-def scale_left(blocks, rows, factor, matrix):
-    """``matrix_ij = F_i H_ij`` for the block rows i of ``rows``, whose H are ``blocks``; ``rows`` as in
-    :func:`..numerics.cell.foldover.hexahedra.add_derivatives`."""
-    first, last, starts, _ = rows
-    size = factor.shape[1]
-    for row in range(first, last):
-        for at in range(starts[row], starts[row + 1]):
-            n = at - starts[first]
-            for d in range(size):
-                for e in range(size):
-                    total = 0.0
-                    for f in range(d + 1):
-                        total += factor[row, d, f] * blocks[n, f, e]
-                    matrix[at, d, e] = total
+@kernel("f8[:, :, ::1], i8[::1], i8[::1], f8[:, :, ::1], f4[:, :, ::1], i8, i8")
+def scale_left(blocks, starts, diagonal, factor, matrix, low, high):
+    """``matrix_ij = F_i H_ij`` for j >= i in the block rows low <= i < high, whose H are ``blocks``."""
+    for row in range(low, high):
+        for at in range(diagonal[row], starts[row + 1]):
+            if factor.shape[1] == 3:
+                _scale_left(blocks[at - starts[low]], factor[row], matrix[at], 3)
+            else:
+                _scale_left(blocks[at - starts[low]], factor[row], matrix[at], 2)
 
 
-@kernel("f4[:, :, ::1], i8[::1], i4[::1], f8[:, :, ::1], i8, i8")
-def scale_right(matrix, starts, columns, factor, low, high):
-    """``H_ij <- H_ij F_j^T`` for the block rows low <= i < high."""
-    size = factor.shape[1]
-    for at in range(starts[low], starts[high]):
-        for d in range(size):
-            # The last column first, as it depends on those before it.
-            for e in range(size - 1, -1, -1):
-                total = 0.0
-                for f in range(e + 1):
-                    total += factor[columns[at], e, f] * matrix[at, d, f]
-                matrix[at, d, e] = total
+@inlined
+def _scale_left(block, factor, scaled, size):
+    for d in range(size):
+        for e in range(size):
+            total = 0.0
+            for f in range(d + 1):
+                total += factor[d, f] * block[f, e]
+            scaled[d, e] = total
+
+
+@kernel("f4[:, :, ::1], Tuple((i8[::1], i8[::1], i4[::1], i4[::1],)), f8[:, :, ::1], i8, i8")
+def scale_right(matrix, blocks, factor, low, high):
+    """``H_ij <- H_ij F_j^T`` for j >= i in the block rows low <= i < high, and its transpose in H_ji.
+
+    ``blocks``: where rows start and have their diagonal, the columns of all blocks, and where their transposes are.
+    """
+    starts, diagonal, columns, mirror = blocks
+    for row in range(low, high):
+        for at in range(diagonal[row], starts[row + 1]):
+            # Of known size, the loops over an entry's terms are unrolled.
+            if factor.shape[1] == 3:
+                _scale_right(matrix[at], factor[columns[at]], matrix[mirror[at]], 3)
+            else:
+                _scale_right(matrix[at], factor[columns[at]], matrix[mirror[at]], 2)
+
+
+@inlined
+def _scale_right(block, factor, mirrored, size):
+    for d in range(size):
+        # The last column first, as it depends on those before it.
+        for e in range(size - 1, -1, -1):
+            total = 0.0
+            for f in range(e + 1):
+                total += factor[e, f] * block[d, f]
+            block[d, e] = total
+    for d in range(size):
+        for e in range(d):
+            mirrored[d, e], mirrored[e, d] = block[e, d], block[d, e]
+        mirrored[d, d] = block[d, d]

@@ -37,8 +37,8 @@ _SAFETY = 10.0
 # The search ends where nothing changes by this part in so many steps.
 _GAIN, _PATIENCE = 0.01, 5
 _SMALLEST_STEP = 1e-4
-# Smallest part of the indefinite second derivatives that is left out, a power of 1/2, unless none is.
-_LEAST = 0.0625
+# Parts of the indefinite second derivatives that are left out.
+_DAMPING = (0.0, 0.125, 0.5, 1.0)
 # Sufficient decrease in the line search (Armijo), and the round-off of the energy that it tolerates.
 _DECREASE, _ROUND_OFF = 1e-4, 1e-13
 
@@ -104,9 +104,8 @@ class Untangler:
     """Moves the unknowns of a plot from coordinates ``x`` (n, d), within a limit.
 
     ``reference`` (n, d) are the coordinates of zero elastic energy, from which no node moves more than ``farthest``.
-    ``most``: the largest number of Newton steps, ``steps`` that of those taken. ``damping``: the part of the indefinite
-    second derivatives that the next step leaves out first, ``damped`` that which the last one left out; see
-    :meth:`_newton`.
+    ``most``: the largest number of Newton steps, ``steps`` that of those taken. ``damping``: which part of _DAMPING of
+    the indefinite second derivatives the next step leaves out first, ``damped`` that which the last one left out.
     """
 
     def __init__(
@@ -121,7 +120,7 @@ class Untangler:
         self.x, self.reference, self.farthest = reference, reference, farthest
         self.limit, self.progress = limit or Limit(), progress or (lambda *_: None)
         self.most, self.steps = max(_FEWEST, _WORK // self.region.n_unknowns), 0
-        self.damping, self.damped = 0.0, 1.0
+        self.damping, self.damped = 0, 1.0
 
     def state(self, x: FloatArray, penalty: Penalty) -> State:
         energy, size = self.region.energy, len(self.region.energy.nodes)
@@ -165,7 +164,8 @@ class Untangler:
     def minimise(self, share: float, most: int) -> bool:
         """At most ``most`` Newton steps to the minimum from a valid start; returns whether it was reached."""
         penalty, whole = Penalty(0.0, share, CUBIC, 1.0), self.region.energy.work + _WORTHWHILE * self.system.work
-        now, length, earlier = self.state(self.x, penalty), np.inf, deque[State](maxlen=_PATIENCE + 1)
+        now, earlier = self.state(self.x, penalty), deque[State](maxlen=_PATIENCE + 1)
+        length = expected = np.inf
         for step in range(most):
             earlier.append(now)
             if self.limit.reached or not self.limit.affords(whole):
@@ -173,20 +173,21 @@ class Untangler:
             if step >= _PATIENCE and not self._gained(earlier[0], now):
                 break
             self.progress("repair", step, most)
-            tolerance = min(_ROUGH, max(_FINE, _FORCING * length))
+            # What is left after the last step need not be much less than CLOSE.
+            tolerance = min(_ROUGH, max(_FINE, _FORCING * length, CLOSE / (_SAFETY**2 * expected)))
             after, part = self._step(now, penalty, tolerance)
             before, length = length, self._relative(after.x - now.x)
             now = after
             self.x = now.x
             # The next step is estimated from the linear solver's tolerance and Newton's quadratic convergence.
-            shrinking = max(tolerance, (length / before) ** 2) if before else np.inf
+            expected = max(tolerance, (length / before) ** 2) * length if before else np.inf
             # A step that was shortened, or not solved for, says nothing about the distance from the minimum, and where
             # the second derivatives are indefinite there is none.
             if (
                 self.system.solved
                 and self.damped == 0.0
                 and part >= 1.0
-                and (length < CLOSE or (step and _SAFETY * shrinking * length < CLOSE))
+                and (length < CLOSE or (step and _SAFETY * expected < CLOSE))
             ):
                 return True
             if part == 0.0:
@@ -230,21 +231,21 @@ class Untangler:
     def _newton(self, now: State, penalty: Penalty, tolerance: float) -> FloatArray:
         """The step with as much of the indefinite second derivatives as leaves the whole positive definite.
 
-        Without them the search creeps along flat valleys and past saddle points. The part left out is doubled until the
-        step succeeds, and halved after steps that succeed at once; all are left out where half is too much, or if eps
-        is not 0.
+        Without them the search creeps along flat valleys and past saddle points. The part left out rises until the step
+        succeeds, and falls after steps that succeed at once. All are left out where half is too much, in the step after
+        that, as computing them costs most of a step, or if eps is not 0.
         """
-        damping = self.damping if penalty.eps == 0.0 else 1.0
-        while damping < 1.0:
-            if self._fill(now.x, penalty._replace(exact=1.0 - damping)):
+        last = len(_DAMPING) - 1
+        first = self.damping if penalty.eps == 0.0 else last
+        for number in range(first, last):
+            self.damped = _DAMPING[number]
+            if self._fill(now.x, penalty._replace(exact=1.0 - self.damped)):
                 step, convex = self._direction(tolerance, _FINE_ITERATIONS)
                 if convex:
-                    less = damping / 2.0 if damping > _LEAST else 0.0
-                    self.damping, self.damped = less if damping == self.damping else damping, damping
+                    self.damping = max(number - 1, 0) if number == first else number
                     return step
-            damping = max(_LEAST, 2.0 * damping)
         if penalty.eps == 0.0:
-            self.damping, self.damped = 0.5, 1.0
+            self.damping, self.damped = last - (first == last), 1.0
         self._fill(now.x, penalty)
         return self._direction(tolerance, _ROUGH_ITERATIONS)[0]
 

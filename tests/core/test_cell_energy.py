@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from meshdeform_core.numerics.cell.foldover.elements import Unknowns
+from meshdeform_core.numerics.cell.foldover.elements import Unknowns, places_of_pairs
 from meshdeform_core.numerics.cell.foldover.hexahedra import add_derivatives, energy_of_cells
 from meshdeform_core.numerics.cell.foldover.samples import sample_slopes
 
@@ -80,12 +80,15 @@ def derivatives_of(x, given, which, penalty=MINIMISING, unknowns=None, ranges=()
     n = len(x)
     unknowns = unknowns or Unknowns(np.arange(n), np.tile(np.eye(3), (n, 1, 1)), np.ones(n, bool))
     gradient, hessian = np.zeros((n, 3)), np.zeros((n, n, 3, 3))
+    places = places_of_pairs(unknowns.number[given[0]], np.arange(n + 1) * n, np.tile(np.arange(n, dtype=np.int32), n))
     for low, high in ranges or [(0, n)]:
         blocks = np.zeros(((high - low) * n, 3, 3))
-        rows = low, high, np.arange(n + 1) * n, np.tile(np.arange(n, dtype=np.int32), n)
-        add_derivatives(x, *given, penalty, np.asarray(which), unknowns, rows, blocks, gradient)
+        rows = low, high, low * n
+        add_derivatives(x, *given, penalty, np.asarray(which), places, unknowns, rows, blocks, gradient)
         hessian[low:high] = blocks.reshape(-1, n, 3, 3)
-    return gradient, hessian
+    assert not hessian[np.tril_indices(n, -1)].any()
+    diagonal = hessian * np.eye(n)[:, :, None, None]
+    return gradient, hessian + (hessian - diagonal).transpose(1, 0, 3, 2)
 
 
 @pytest.mark.parametrize("thin", [1.0, 1e5])

@@ -3,13 +3,16 @@ of arrays as eight cells at a time, and where the derivatives of cells go: the r
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from llvmlite import ir
+from numpy.typing import NDArray
 
+from ...arrays import IntArray
 from ...jit import inlined, record
 from ...lanes import NARROW as WIDTH
 from ...lanes import Array, Lanes
@@ -130,15 +133,28 @@ def weigh_cell(mask, weight, c, corners, terms, lane):
     return mask
 
 
+def places_of_pairs(unknowns: IntArray, starts: IntArray, columns: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Where a matrix in the BSR format has the blocks (m, p) of pairs of the ``unknowns`` (m, 2^d) of cells, on and
+    above its diagonal; -1 for pairs with one that is -1. Pairs of nodes are in ascending order."""
+    n, pairs = len(starts) - 1, list(itertools.combinations_with_replacement(range(unknowns.shape[1]), 2))
+    blocks = np.repeat(np.arange(n) * n, np.diff(starts))
+    blocks += columns
+    places = np.empty((len(unknowns), len(pairs)), np.int32)
+    for pair, ends in enumerate(pairs):
+        low, high = (of(*unknowns[:, ends].T) for of in (np.minimum, np.maximum))
+        places[:, pair] = np.where(low < 0, -1, np.searchsorted(blocks, low * n + high))
+    return places
+
+
 @inlined
-def add_element(nodes, c, corners, d, found, lane, force, work, unknowns, rows, matrix, gradient):
+def add_element(nodes, places, c, corners, d, found, lane, force, work, unknowns, rows, matrix, gradient):
     """Add the derivatives of a cell to the rows of its unknowns; see :func:`.hexahedra.add_derivatives`.
 
     ``nodes[c]`` are its ``corners``, in ``d`` dimensions; in a ``lane`` of ``found`` the second derivatives (d, d)
     for pairs of nodes in ascending order, from the row ``force`` on the first ones (m, d); ``work`` (3, 3) is room.
     """
     number, frame, plain = unknowns
-    first = 0
+    pair = 0
     for n in range(corners):
         here = nodes[c, n]
         row = number[here]
@@ -147,22 +163,21 @@ def add_element(nodes, c, corners, d, found, lane, force, work, unknowns, rows, 
                 for k in range(d):
                     gradient[row, i] += frame[here, k, i] * found[force + d * n + k, lane]
         for o in range(n, corners):
-            there = nodes[c, o]
-            column = number[there]
-            if row >= 0 and column >= 0:
-                if not (plain[here] and plain[there]):
-                    _turn(frame, here, there, d, found, lane, first, work)
-                at = _place_of(row, column, rows)
-                if at >= 0:
-                    for i in range(d):
-                        for k in range(d):
-                            matrix[at, i, k] += found[first + d * i + k, lane]
-                at = _place_of(column, row, rows) if n != o else -1
-                if at >= 0:
-                    for i in range(d):
-                        for k in range(d):
-                            matrix[at, i, k] += found[first + d * k + i, lane]
-            first += d * d
+            at, first, there = places[c, pair] - rows[2], d * d * pair, nodes[c, o]
+            pair += 1
+            if at < 0 or at >= len(matrix):
+                continue
+            if not (plain[here] and plain[there]):
+                _turn(frame, here, there, d, found, lane, first, work)
+            if row <= number[there]:
+                for i in range(d):
+                    for k in range(d):
+                        matrix[at, i, k] += found[first + d * i + k, lane]
+            # Two nodes with the same unknown have both blocks on the diagonal.
+            if row > number[there] or (n != o and row == number[there]):
+                for i in range(d):
+                    for k in range(d):
+                        matrix[at, k, i] += found[first + d * i + k, lane]
 
 
 @inlined
@@ -179,19 +194,3 @@ def _turn(frame, one, two, d, found, lane, first, work):
             for e in range(d):
                 total += work[i, e] * frame[two, e, k]
             found[first + d * i + k, lane] = total
-
-
-@inlined
-def _place_of(row, column, rows):
-    """Where the block of a row and a column is, -1 if the row is not one of ``rows``."""
-    first, last, starts, columns = rows
-    if row < first or row >= last:
-        return -1
-    low, high = starts[row], starts[row + 1]
-    while high - low > 1:
-        middle = (low + high) // 2
-        if columns[middle] <= column:
-            low = middle
-        else:
-            high = middle
-    return low - starts[first]

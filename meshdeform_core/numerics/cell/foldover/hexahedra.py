@@ -204,18 +204,21 @@ def energy_of_cells(x, cells, start, mask, slope, weight, reference, penalty, lo
 
 @kernel(
     "f8[:, ::1], i8[:, ::1], f8[:, ::1], i8[::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1], UniTuple(f8, 5), "
-    "i8[::1], Unknowns, Tuple((i8, i8, i8[::1], i4[::1],)), f8[:, :, ::1], f8[:, ::1]",
+    "i8[::1], i4[:, ::1], Unknowns, UniTuple(i8, 3), f8[:, :, ::1], f8[:, ::1]",
     Unknowns,
 )
-def add_derivatives(x, cells, start, mask, slope, weight, reference, penalty, which, unknowns, rows, matrix, gradient):
+def add_derivatives(
+    x, cells, start, mask, slope, weight, reference, penalty, which, places, unknowns, rows, matrix, gradient
+):
     """Add the derivatives of the energy of the cells ``which`` to rows of the gradient and of the Hessian.
 
     Parameters
     ----------
     which : (k,) cells that touch the rows
+    places : of the blocks, see :func:`.elements.places_of_pairs`
     unknowns : see :class:`Unknowns`
-    rows : first row, one past the last row, start (n_unknowns + 1,) of each row of blocks, columns of all blocks
-    matrix : (n_blocks, 3, 3), the blocks of these rows as in the BSR format
+    rows : first row, one past the last row, the number of the first block in them
+    matrix : (n_blocks, 3, 3), the blocks of these rows as in the BSR format; those below the diagonal are left out
     gradient : (n_unknowns, 3), of which only these rows are written
     """
     points, terms, parts = np.empty((GRIDS, 8, 3, WIDTH)), np.empty((TERMS, WIDTH)), np.empty((PARTS, WIDTH))
@@ -238,7 +241,8 @@ def add_derivatives(x, cells, start, mask, slope, weight, reference, penalty, wh
                             if _enters(slope, s, o):
                                 add_to_pair(slope, parts, result, s, n, o)
         for lane in range(used):
-            add_element(cells, which[first + lane], 8, 3, result, lane, FORCE, work, unknowns, rows, matrix, gradient)
+            c = which[first + lane]
+            add_element(cells, places, c, 8, 3, result, lane, FORCE, work, unknowns, rows, matrix, gradient)
 
 
 @inlined

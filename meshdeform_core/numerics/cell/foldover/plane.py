@@ -117,10 +117,12 @@ def _unit(x: Lanes, y: Lanes) -> tuple[Lanes, Lanes, Lanes]:
 
 @kernel(
     "f8[:, ::1], i8[:, ::1], f8[:, ::1], i8[::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1], UniTuple(f8, 5), "
-    "i8[::1], Unknowns, Tuple((i8, i8, i8[::1], i4[::1],)), f8[:, :, ::1], f8[:, ::1]",
+    "i8[::1], i4[:, ::1], Unknowns, UniTuple(i8, 3), f8[:, :, ::1], f8[:, ::1]",
     Unknowns,
 )
-def add_derivatives(x, cells, start, mask, slope, weight, reference, penalty, which, unknowns, rows, matrix, gradient):
+def add_derivatives(
+    x, cells, start, mask, slope, weight, reference, penalty, which, places, unknowns, rows, matrix, gradient
+):
     """As :func:`.hexahedra.add_derivatives`, in two dimensions."""
     points, terms = np.empty((GRIDS, 4, 2, WIDTH)), np.empty((TERMS, WIDTH))
     result, work = np.empty((ROWS, WIDTH)), np.empty((3, 3))
@@ -135,4 +137,5 @@ def add_derivatives(x, cells, start, mask, slope, weight, reference, penalty, wh
         for corner in range(4):
             add_corner(points, terms, slope, result, corner, eps, share, cubic, elastic, exact)
         for lane in range(used):
-            add_element(cells, which[first + lane], 4, 2, result, lane, FORCE, work, unknowns, rows, matrix, gradient)
+            c = which[first + lane]
+            add_element(cells, places, c, 4, 2, result, lane, FORCE, work, unknowns, rows, matrix, gradient)
