@@ -151,6 +151,7 @@ def test_a_broken_level_is_written_and_gives_exit_3(swing, call):
     report = json.loads(Path("r.json").read_text())
     assert [level["valid"] for level in report["levels"]] == [True, False, True]
     assert report["levels"][1]["invalid_cells"][0]["nearest_patch"] in ("body", "span")
+    assert len(report["levels"][1]["invalid_cells"]) == 20 < report["levels"][1]["quality"]["invalid_cells"]
     assert "It is in grid_0001.invalid.xyz" in result.err
     assert [level["file"] for level in report["levels"]] == ["grid_0000.xyz", "grid_0001.invalid.xyz", "grid_0002.xyz"]
     assert not Path("out/grid_0001.xyz").exists()

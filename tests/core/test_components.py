@@ -126,6 +126,12 @@ def test_components_may_pass_through_each_other_but_not_through_themselves():
     contact = setup.undeformed.contact(setup.motion(0.0))
     assert contact is not None
     assert {name for crossing in contact.crossings for name in crossing.patches} <= {"bar", "bar far"}
+    # The ring, which comes later, meets itself earlier.
+    both = (dataclasses.replace(RING[0], motion=constant(5.0, 0.0, 0.0)), dataclasses.replace(RING[1], kind=Kind.FIXED))
+    setup = set_up(GRID, case((out, *BAR[1:], *both, RING[2], *FIXED), components=BY_PREFIX))
+    earlier = setup.undeformed.contact(setup.motion(0.0))
+    assert earlier.fraction < contact.fraction
+    assert {name for crossing in earlier.crossings for name in crossing.patches} <= {"ring", "ring far"}
 
 
 def test_nodes_at_one_place_belong_to_one_component_only():

@@ -11,7 +11,15 @@ import pytest
 from grids import block_around, frame, frame_2d, permuted, polar, whole_face
 
 from meshdeform_core.grid import Connection, Grid, Patch, Side, Window
-from meshdeform_core.grid.faces import Role, find_faces, find_outside, outward_areas, quad_sizes, thin_direction
+from meshdeform_core.grid.faces import (
+    Role,
+    clustered_interfaces,
+    find_faces,
+    find_outside,
+    outward_areas,
+    quad_sizes,
+    thin_direction,
+)
 from meshdeform_core.grid.topology import find_topology, separated
 from meshdeform_formats import read_grid
 from meshdeform_samples import load
@@ -266,6 +274,16 @@ def test_connections_decide_but_not_against_walls(types, connected, open_faces):
     assert separated(grid, topology).n_unique == topology.n_unique + 16 * open_faces
 
 
+@pytest.mark.parametrize(("other", "wakes"), [(False, []), (True, ["block1.imax", "block2.imin"])])
+def test_a_wake_is_where_cells_cluster_from_both_sides(other, wakes):
+    x = np.linspace(0, 1, 9)
+    to_end = 1.0 - (1.0 - x) ** 2.5
+    blocks = [block_around(to_end, x, x), block_around(1.0 + (1.0 - to_end[::-1] if other else x), x, x)]
+    grid = Grid.from_blocks(blocks)
+    topology = find_topology(grid)
+    assert [face.label(grid) for face in clustered_interfaces(topology, find_outside(grid, topology))] == wakes
+
+
 def test_blocks_that_touch_at_an_edge_only():
     """They keep common nodes where the file has no patches, and along the edge of a face between them without one."""
     x = np.linspace(0, 1, 3)
@@ -277,6 +295,10 @@ def test_blocks_that_touch_at_an_edge_only():
     assert separated(grid, find_topology(grid)).n_unique == 2 * 26
     some = Grid.from_blocks(blocks, patches=tuple(patch for patch in patches if patch.windows[0].side != Side.IMAX))
     assert separated(some, find_topology(some)).n_unique == 2 * 26
+    met = {(0, Side.IMAX), (1, Side.IMIN)}
+    neither = [patch for patch in patches if (patch.windows[0].block, patch.windows[0].side) not in met]
+    joined = Grid.from_blocks(blocks, patches=tuple(neither))
+    assert separated(joined, find_topology(joined)).n_unique == 2 * 26 - 3
 
 
 def test_collapsed_edges_stay_one_node():

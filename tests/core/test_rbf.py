@@ -70,6 +70,14 @@ def test_planar_centres_have_a_solution(specs, options):
     np.testing.assert_allclose(prepared.apply(values)[targets], expected, rtol=0, atol=1e-9)
 
 
+def test_every_node_is_within_the_radius_of_every_moving_source():
+    problem = problem_of(frame(), body_specs(turning(10)))
+    method = make_method(Options("rbf", rbf=RBF(basis="wendland-c2"))).prepare(problem)
+    moving = problem.source_points[problem.boundary.kind[problem.source_numbers] == Kind.MOVING]
+    farthest = np.linalg.norm(moving[:, None] - problem.grid.points, axis=2).max()
+    assert farthest <= method.account.settings["radius"].value <= 1.5 * farthest
+
+
 def test_seams_and_poles_are_one_centre_each():
     """An O-grid whose inner circle is collapsed to its axis: hundreds of block nodes share centres."""
     pole = polar()

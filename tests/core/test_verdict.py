@@ -6,18 +6,19 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from cases import body_specs, constant
+from cases import body_specs, constant, turning
 from grids import frame
 
 from meshdeform_core.deform import Case, deform
 from meshdeform_core.errors import MethodError
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.topology import find_topology
-from meshdeform_core.methods import composite
+from meshdeform_core.methods import Options, composite
 from meshdeform_core.numerics.cell.inspection import Scratch, inspect_hexahedra
 from meshdeform_core.numerics.cell.measures import cell_corners, decide, measure_cells
 from meshdeform_core.quality import Original, assess
-from meshdeform_core.quality.validity import TOTALS, Failure, judge
+from meshdeform_core.quality.validity import TOTALS, Comparison, Failure, judge
+from meshdeform_core.repair import RepairOptions
 
 CORNERS = np.array(list(itertools.product((0.0, 1.0), repeat=3)))
 TOLERANCE = 2e-5
@@ -104,6 +105,26 @@ def test_no_cell_passes_that_has_a_negative_sample_and_none_fails_without_reason
     # What fails has a negative sample, but for cells that are negative between the samples only.
     assert ((failed != 0) & (lowest > 0.003)).sum() == 0
     assert 0 < (failed != 0).sum() < len(x)
+
+
+def test_inherited_cells_are_bad_before_and_after_and_fail_no_test():
+    rng, grid = np.random.default_rng(2), Grid.from_blocks([np.stack(np.indices((7, 7, 7)), axis=-1).astype(float)])
+    grid = grid.moved(grid.points + 0.25 * rng.standard_normal(grid.points.shape))
+    after = grid.points + 0.1 * rng.standard_normal(grid.points.shape)
+    found = Comparison(Original(grid, find_topology(grid)), after)
+    bad = [(measure_cells(cell_corners(grid.block(0, x)), 1.0).jacobian <= 0).any(axis=1) for x in (grid.points, after)]
+    both = bad[0] & bad[1]
+    assert 0 < found.inherited == (both & (found.verdict.failed == 0)).sum() < both.sum()
+
+
+def test_an_invalid_cell_has_the_first_step_in_which_it_was():
+    def invalid(angle, steps):
+        case = Case(tuple(body_specs(turning(angle))), method=Options("tfi"), repair=RepairOptions("off"))
+        return {(cell.block, cell.ijk): cell.step for cell in deform(frame(), case, steps=steps).assessment.invalid}
+
+    last, one, two = invalid(225, 3), invalid(75, 1), invalid(150, 2)
+    assert last == {cell: 1 if cell in one else 2 if cell in two else 3 for cell in last}
+    assert {1, 2} <= set(last.values())
 
 
 def test_exact_arithmetic_agrees():

@@ -156,6 +156,7 @@ BINARY = {
     "a record too many": (FORTRAN + fortran_record(bytes(8), ">"), "16 too many; record 5 is surplus"),
     "wrong marker behind a record": (changed(FORTRAN, len(FORTRAN) - 4, ints(575, order=">")), "576 before.*575 after"),
     "wrong marker before a record": (changed(FORTRAN, 44, ints(1439, order=">")), "record 3 at byte 44"),
+    "last subrecord of none": (changed(FORTRAN, len(FORTRAN) - 4, ints(-576, order=">")), "576 before.*-576 after"),
     "no last subrecord": (changed(FORTRAN, len(FORTRAN) - 584, ints(-576, order=">")), "record 4 lacks its last"),
     "more blocks than records": (header(2, 3, 4, 2, 3, 4, count=2) + record(np.ones(72)), "record 4 is missing"),
     "more blocks than sizes": (header(2, 3, 4, count=2) + record(np.ones(72)), r"\[2, 2, 3, 4.*not a block count"),
