@@ -103,9 +103,9 @@ class CrossingTest:
         here but by :meth:`contact`.
         """
         surface = self._surface
-        change = np.tile(displacement[surface.nodes], (len(surface.points) // len(surface.nodes), 1))
-        moved: BoolArray = np.asarray(change.any(axis=1))
-        carried: BoolArray = np.asarray(moved[surface.faces].any(axis=1))
+        change = np.tile(displacement.take(surface.nodes, axis=0), (len(surface.points) // len(surface.nodes), 1))
+        moved: BoolArray = np.logical_or.reduce([along != 0.0 for along in change.T])
+        carried: BoolArray = np.asarray(moved.take(surface.faces.T).any(axis=0))
         asked = carried & (surface.role != SLIDING)
         if not asked.any():
             return ()

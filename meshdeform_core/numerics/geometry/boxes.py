@@ -50,14 +50,9 @@ def overlapping(low: FloatArray, high: FloatArray, asked: BoolArray) -> IntArray
 
     The boxes are in the order of :func:`halves`, at least nearly.
     """
-    if not len(low):
-        return np.empty((2, 0), dtype=np.int64)
-    size = min(LEAF, 1 << depth_of(len(low)))
     levels, active = levels_of(low, high), [_leaves(asked[:, None], depth_of(len(low)), False)[0]]
     for _ in levels[1:]:
         active.append(active[-1][::2] | active[-1][1::2])
-    last, leaves = depth_of(len(low)) - depth_of(size), active[0].reshape(-1, size)
-    least, most = (ends.reshape(3, -1, size) for ends in levels[-1])
     waiting: list[tuple[int, NDArray[np.int64]]] = [(0, np.zeros((2, 1), dtype=np.int64))]
     found = [np.empty((2, 0), dtype=np.int64)]
     while waiting:
@@ -65,24 +60,17 @@ def overlapping(low: FloatArray, high: FloatArray, asked: BoolArray) -> IntArray
         if pairs.shape[1] > _TOGETHER:
             waiting.append((level, pairs[:, _TOGETHER:]))
             pairs = pairs[:, :_TOGETHER]
-        some, ends = active[-1 - level], levels[level]
-        pairs = pairs[:, some[pairs[0]] | some[pairs[1]]]
-        for axis in range(3):
-            (a, b), (c, d) = ends[0][axis][pairs], ends[1][axis][pairs]
-            pairs = pairs[:, (a <= d) & (b <= c)]
-        one, two = pairs
-        if level < last:
-            first = 2 * pairs
-            second = first[:, one != two] + [[1], [0]]
-            waiting.append((level + 1, np.concatenate([first, first + [[0], [1]], first + 1, second], axis=1)))
+        (one, two), some = pairs, active[-1 - level]
+        near = some.take(one) | some.take(two)
+        for least, most in zip(*levels[level], strict=True):
+            near &= least.take(one) <= most.take(two)
+            near &= least.take(two) <= most.take(one)
+        if level == len(levels) - 1:
+            found.append(pairs.compress(near & (one != two), axis=1))
             continue
-        near = leaves[one][:, :, None] | leaves[two][:, None]
-        near[one == two] &= np.triu(np.ones((size, size), dtype=bool), 1)
-        for low, high in zip(least, most, strict=True):
-            near &= low[one][:, :, None] <= high[two][:, None]
-            near &= low[two][:, None] <= high[one][:, :, None]
-        at, place = np.divmod(np.flatnonzero(near), size * size)
-        found.append(size * pairs[:, at] + np.divmod(place, size))
+        first = 2 * pairs.compress(near, axis=1)
+        second = first.compress(first[0] != first[1], axis=1) + [[1], [0]]
+        waiting.append((level + 1, np.concatenate([first, first + [[0], [1]], first + 1, second], axis=1)))
     return np.concatenate(found, axis=1)
 
 

@@ -43,8 +43,9 @@ class FaceTree:
 
     def __init__(self, points: FloatArray, faces: IntArray, role: NDArray[np.int8]):
         self._faces, self._role = faces, role
-        self._low, self._high = _bounds(points, faces)
-        self._order = halves(0.5 * (self._low + self._high))
+        low, high = _bounds(points, faces)
+        self._order = halves(0.5 * (low + high))
+        self._low, self._high = low.T.copy(), high.T.copy()
 
     def overlapping(
         self, points: FloatArray, asked: BoolArray, margin: FloatArray | float = 0.0, moved: BoolArray | None = None
@@ -60,7 +61,8 @@ class FaceTree:
             low, high = _bounds(points, self._faces[asked])
             reach = 2.0 * wider.max()
             low, high = low.min(axis=0) - reach, high.max(axis=0) + reach
-            order = order[(moved | ((self._low <= high) & (self._high >= low)).all(axis=1))[order]]
+            near = (self._low <= high[:, None]) & (self._high >= low[:, None])
+            order = order[(moved | near.all(axis=0)).take(order)]
         low, high = _bounds(points, self._faces[order])
         low, high = low - wider[order], high + wider[order]
         pairs = np.sort(order[overlapping(low, high, asked[order])], axis=0)
@@ -71,10 +73,10 @@ class FaceTree:
 
 def _bounds(points: FloatArray, faces: IntArray) -> tuple[FloatArray, FloatArray]:
     """Lowest and highest coordinates (m, 3) of faces."""
-    low = points[faces[:, 0]]
+    low = points.take(faces[:, 0], axis=0)
     high = low.copy()
     for corner in faces.T[1:]:
-        x = points[corner]
+        x = points.take(corner, axis=0)
         np.minimum(low, x, out=low)
         np.maximum(high, x, out=high)
     return low, high
