@@ -141,8 +141,9 @@ class Topology:
         return self.partner == EXTERNAL
 
     def numbers_of(self, flat: IntArray) -> IntArray:
-        """Unique node numbers of flat indices, which must lie on block faces."""
-        return self.number[np.searchsorted(self.face_nodes, flat)].astype(np.int64)
+        """Unique node numbers of flat indices, -1 inside blocks."""
+        place = np.minimum(np.searchsorted(self.face_nodes, flat), len(self.face_nodes) - 1)
+        return np.where(self.face_nodes[place] == flat, self.number[place], -1).astype(np.int64)
 
     def opened(self, quads: IntArray) -> Topology:
         """The topology with shared ``quads`` and their partners declared external (two-sided walls)."""

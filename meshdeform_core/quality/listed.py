@@ -87,11 +87,10 @@ def find_pinned(original: Original, boundary: Boundary, displacement: FloatArray
     quads = np.flatnonzero(boundary.known[topology.quads.corners].all(axis=1))
     block, ijk = places(grid, np.unique(cells_behind(grid, topology, quads)))
     nodes = corner_nodes(grid, block, ijk)
-    place = np.minimum(np.searchsorted(topology.face_nodes, nodes), len(topology.face_nodes) - 1)
-    prescribed = (topology.face_nodes[place] == nodes) & boundary.known[topology.number[place]]
-    chosen = np.flatnonzero(prescribed.all(axis=1))
+    number = topology.numbers_of(nodes)
+    chosen = np.flatnonzero(((number >= 0) & boundary.known[number]).all(axis=1))
     before = grid.nodes.at(nodes[chosen])
-    after = before + displacement[topology.number[place[chosen]]]
+    after = before + displacement[number[chosen]]
     old, new = (measure_cells(x, original.sides(block[chosen])).jacobian for x in (before, after))
     bad = np.flatnonzero(relative_jacobian(old, new) <= 0.0)
     if not bad.size:

@@ -26,7 +26,7 @@ from ..numerics.arrays import FloatArray
 from ..numerics.cell.foldover.elements import places_of_pairs
 from ..numerics.jit import inlined, kernel
 from ..numerics.lanes import multiply_row, solve_row, with_room
-from ..parallel import for_chunks
+from ..parallel import for_chunks, thread_count
 from .energy import Penalty, Region
 
 # Number of rows summed at a time.
@@ -42,9 +42,8 @@ _ROWS = 2048
 _BLOCK = 0.0045
 
 
-def sum_over_rows(work: Callable[[int, int], float], n: int, chunk: int | None = None) -> float:
+def sum_over_rows(work: Callable[[int, int], float], n: int, chunk: int = _LONG) -> float:
     """Sum of ``work(low, high)`` over chunks of ``n`` rows, always in the same order."""
-    chunk = chunk or _LONG
     parts = np.zeros(-(-n // chunk))
 
     def add(low: int, high: int) -> None:
@@ -141,14 +140,11 @@ class NewtonSystem:
         self.unknowns, freedom = region.directions(x)
         self.gradient[...] = 0.0
         bad = np.zeros(len(self._cells), dtype=bool)
-        # Fresh memory for every call would cost a tenth of the time.
-        spare: list[FloatArray] = []
+        # Memory of each thread: fresh one for every call would cost a tenth of the time.
+        spare = [np.empty((self._longest, *self.matrix.shape[1:])) for _ in range(thread_count())]
 
         def add(low: int, high: int) -> None:
-            try:
-                kept = spare.pop()
-            except IndexError:
-                kept = np.empty((self._longest, *self.matrix.shape[1:]))
+            kept = spare.pop()
             blocks = kept[: starts[high] - starts[low]]
             blocks[...] = 0.0
             rows, number = (low, high, int(starts[low])), low // _ROWS

@@ -191,7 +191,7 @@ class Basis:
             return None
         corners, owners = self._corners(cells), self._owners(moved)
         nodes, local = np.unique(self._owners(corners.ravel()), return_inverse=True)
-        number = self._numbers(nodes)
+        number = self.topology.numbers_of(nodes)
         moves = (number < 0) | ~self.constraints.held[number]
         if layers is not None:
             moves &= Nodes.of(layers).at(nodes) <= most
@@ -244,20 +244,14 @@ class Basis:
         """Block nodes (m, 8), in 2-D (m, 4), at the corners of cells."""
         return corner_nodes(self.grid, *places(self.grid, cells))
 
-    def _numbers(self, nodes: IntArray) -> IntArray:
-        """Unique numbers of block nodes, -1 inside blocks."""
-        face = self.topology.face_nodes
-        place = np.minimum(np.searchsorted(face, nodes), len(face) - 1)
-        return np.where(face[place] == nodes, self.topology.number[place], -1)
-
     def _owners(self, nodes: IntArray) -> IntArray:
         """The block node that represents each of ``nodes``."""
-        number = self._numbers(nodes)
+        number = self.topology.numbers_of(nodes)
         return np.where(number >= 0, self.topology.first[number], nodes)
 
     def _unknowns(self, nodes: IntArray, moves: BoolArray) -> tuple[Unknowns, FloatArray]:
         """The dependence of a region's ``nodes`` on its unknowns, and the directions of these; see :class:`Region`."""
-        number, one = self._numbers(nodes), np.eye(len(self.axes))
+        number, one = self.topology.numbers_of(nodes), np.eye(len(self.axes))
         owners = np.where(number >= 0, self.topology.first[self.constraints.root[number]], nodes)
         roots, of_node = np.unique(owners[moves], return_inverse=True)
         unknown = np.full(len(nodes), -1, dtype=np.int64)
@@ -269,7 +263,7 @@ class Basis:
             return result
 
         frame = frames(number)
-        return Unknowns(unknown, frame, (frame == one).all(axis=(1, 2))), frames(self._numbers(roots))
+        return Unknowns(unknown, frame, (frame == one).all(axis=(1, 2))), frames(self.topology.numbers_of(roots))
 
 
 def nearness(layers: np.ndarray, largest: int) -> tuple[FloatArray, float]:

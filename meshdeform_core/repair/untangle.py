@@ -235,28 +235,20 @@ class Untangler:
         succeeds, and falls after steps that succeed at once. All are left out where half is too much, in the step after
         that, as computing them costs most of a step, or if eps is not 0.
         """
-        last = len(_DAMPING) - 1
+        last, system = len(_DAMPING) - 1, self.system
         first = self.damping if penalty.eps == 0.0 else last
-        for number in range(first, last):
+        for number in range(first, last + 1):
             self.damped = _DAMPING[number]
-            if self._fill(now.x, penalty._replace(exact=1.0 - self.damped)):
-                step, convex = self._direction(tolerance, _FINE_ITERATIONS)
+            self.limit.spend(self.region.energy.work)
+            if system.fill(self.region, now.x, self.reference, penalty._replace(exact=1.0 - self.damped)):
+                most = _ROUGH_ITERATIONS if number == last else _FINE_ITERATIONS
+                step, convex = system.direction(tolerance, min(most, max(1, self.limit.affords(system.work))))
+                self.limit.spend(system.work * system.iterations)
                 if convex:
-                    self.damping = max(number - 1, 0) if number == first else number
-                    return step
+                    break
         if penalty.eps == 0.0:
-            self.damping, self.damped = last - (first == last), 1.0
-        self._fill(now.x, penalty)
-        return self._direction(tolerance, _ROUGH_ITERATIONS)[0]
-
-    def _fill(self, x: FloatArray, penalty: Penalty) -> bool:
-        self.limit.spend(self.region.energy.work)
-        return self.system.fill(self.region, x, self.reference, penalty)
-
-    def _direction(self, tolerance: float, most: int) -> tuple[FloatArray, bool]:
-        found = self.system.direction(tolerance, min(most, max(1, self.limit.affords(self.system.work))))
-        self.limit.spend(self.system.work * self.system.iterations)
-        return found
+            self.damping = max(number - 1, 0) if number == first else number
+        return step
 
     def search(self, way: Way, polish: bool) -> Search | None:
         """The minimum of the energy; ``None`` if no cell is weak.
