@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from meshdeform_core.errors import CaseError, FormatError
-from meshdeform_core.memory import Demand, MemoryLimit, Work
+from meshdeform_core.memory import Amounts, Demand, MemoryLimit, Work
 from meshdeform_core.parallel import set_sharing
 
 from .options import CaseInput, Files, GridInput, RunInput
@@ -107,7 +107,7 @@ def make_room(limit: MemoryLimit, doing: str, work: Work, sources: Sequence[Grid
     if len(known) < len(layouts):
         names = " and ".join(str(source.path) for source in there)
         whole = work._replace(more=work.more + _COORDINATES)
-        Demand(f"{doing} {names} (read as a whole)", whole, size // _COORDINATES).place(limit, None)
+        Demand(f"{doing} {names} (read as a whole)", whole, Amounts(1, size // _COORDINATES)).place(limit, None)
     else:
         Demand.of(doing, work, *known).place(limit, folder)
 
@@ -124,7 +124,7 @@ def too_large(limit: MemoryLimit, work: Work, source: GridInput) -> Layout | Non
 def _at_most(work: Work, size: int) -> Demand:
     """What the grid in a file of this size takes at most: every node may be on a face outside."""
     nodes = size // _NODES
-    return Demand("", work, nodes, nodes, nodes, nodes)
+    return Demand("", work, Amounts(1, nodes, nodes, nodes, nodes))
 
 
 def _bytes_of(path: Path) -> int:

@@ -38,12 +38,12 @@ class Outputs:
     count: int = 1
     velocity: str = "none"
 
-    def expense(self, grid: Grid | Layout, demand: Demand, limit: MemoryLimit) -> dict[str, int]:
+    def expense(self, grid: Grid | Layout, demand: Demand, sources: float, limit: MemoryLimit) -> dict[str, int]:
         """What one step without a repair takes, at every level, in bytes: memory of each of the ranks that hold a part
         of the grid; temporary files of all of them, and the output. What has been taken from the ``limit`` is for
         pictures. Refused is what does not fit even with large arrays in files.
         """
-        ranks, (memory, files), written = current_ranks().count, demand.foretold(limit), 0
+        ranks, (memory, files), written = current_ranks().count, demand.foretold(limit, sources), 0
         if self.path is not None:
             kind = format_of(self.path)
             options = grid.format.options if grid.format and grid.format.name == kind else {}
@@ -61,7 +61,7 @@ def plan_by_sizes(layout: Layout, work: Work, outputs: Outputs, limit: MemoryLim
     """The report of a dry run for a grid that does not fit into memory, from the header of its file."""
     demand = Demand.of("deforming", work, layout)
     # How many nodes are sources is known only from coordinates.
-    expense = outputs.expense(layout, dataclasses.replace(demand, sources=int(demand.outside)), limit)
+    expense = outputs.expense(layout, demand, demand.sizes.outside, limit)
     note = (
         f"the grid is larger than the memory ({readable(limit.size)}): only the header of its file was read; the "
         "boundary was not classified, the motion not tried"
@@ -91,8 +91,7 @@ def plan(
     where = "" if alone else f"at t = {time:g}, where the displacement is largest: "
     report["warnings"] += [*(where + text for text in (*told, *found)), *filter(None, [missing])]
     if setup.grid.n_nodes > TRIAL_NODES:
-        demand = dataclasses.replace(demand, sources=len(setup.problem.source_numbers))
-        report["expected"] = outputs.expense(setup.grid, demand, limit)
+        report["expected"] = outputs.expense(setup.grid, demand, len(setup.problem.source_numbers), limit)
     return report, impossible
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import itertools
 import math
-import mmap
 import operator
 import os
 import platform
@@ -13,7 +12,7 @@ import re
 import shutil
 import sys
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -32,19 +31,6 @@ PICTURE_BYTES = 280 * 2**20
 """Bytes for drawing the pictures of a report: up to 273 MiB were measured."""
 SMALL = 2**28
 """Resident bytes of a process whose freed memory is not worth the time to return it."""
-MARGIN = 1.1
-"""Work is taken to need this times what its largest stage takes: measured peaks are .9 to 1.1 times that."""
-# Bytes of a block, and of a zone of a CGNS file, which has dozens of nodes in the file; of the libraries for CGNS; of
-# every rank of several: the MPI library, and per node on block faces a copy of the coordinates near it.
-_BLOCK, _ZONE, _CGNS, _MPI, _COPY = 24e3, 110e3, 11e6, 34e6, 60
-_OTHER_COPIES = 3
-# With large arrays in files: per node coordinates before and after, the verdict and one measure of every cell, and in a
-# series what it holds but so much; per node on block faces. Parts of a limit that pages of these files need at least,
-# and usually take.
-_IN_FILES, _NOT_IN_FILES, _FACES_IN_FILES, _WINDOW, _PAGES = 52, 40, 38, 8, 4
-_COMPILER, _COMPILER_BYTES = "libllvmlite", 60e6
-"""Name and size of the library that compiles loops and loads those that have been compiled; processes that are not
-small return its memory (:func:`release_freed`)."""
 _INSTEAD = "allow more, or use a machine that has it"
 
 
@@ -94,16 +80,16 @@ def parse_memory(text: str, name: str) -> MemoryLimit:
     return MemoryLimit(size, f"{name} allows")
 
 
-class Stage(NamedTuple):
-    """Bytes that are in memory when a part of the work takes most, as a sum of parts.
+class Amounts(NamedTuple):
+    """Sizes of the grids of a run, or bytes for each of them, which give a total by :meth:`times`.
 
     Attributes
     ----------
-    program : of the program with its libraries and loops
-    node, face_node : per node, and per node on block faces
-    outside : further ones per node on outside faces, which are mostly sources
-    largest : per node of the largest block, where blocks are filled as a whole
-    source : per source, of radial basis functions, which refuse by themselves what does not fit
+    program : 1; bytes of the program with its libraries and loops
+    node, face_node : nodes, and those on block faces
+    outside : nodes on outside faces, which are mostly sources
+    largest : nodes of the largest block, where blocks are filled as a whole
+    source : of radial basis functions, which refuse by themselves what does not fit
     """
 
     program: float
@@ -113,29 +99,45 @@ class Stage(NamedTuple):
     largest: float = 0.0
     source: float = 0.0
 
+    def times(self, sizes: Amounts) -> float:
+        """The total for these sizes."""
+        # A rank holds what it fills as a whole, even if its part ends within.
+        nodes = max(sizes.node, sizes.largest) if self.largest else sizes.node
+        return sum(map(operator.mul, self, sizes._replace(node=nodes)))
 
-# Measured from 0.3 to 12 million nodes in 1 to 1,000 blocks (tests/cli/test_expense.py, benchmarks/large.py).
-_RADIAL = Stage(183e6, 70, 50, source=7400)
+
+# All bytes of a stage when it takes most, from the largest resident sizes of runs with .3 to 60 million nodes in 1 to
+# 1,000 blocks, within 15 % (benchmarks/foretold.py).
 _MOVING = {
-    "tfi": Stage(137e6, 52, 110, largest=22),
-    "idw": Stage(139e6, 88, 50, 395),
-    "idw-tfi": Stage(139e6, 57, 80, 395),
+    "tfi": Amounts(188e6, 55, 120, largest=24),
+    "idw": Amounts(192e6, 95, 60, 430),
+    "idw-tfi": Amounts(192e6, 63, 90, 430),
+    "rbf": Amounts(196e6, 77, 55, source=6500),
 }
-"""While nodes move."""
-_JUDGING = Stage(151e6, 49, 185)
+"""While nodes move; with radial basis functions in any step as ``rbf``."""
+_JUDGING = Amounts(196e6, 52, 185)
 """While the grid is judged: faces get roles, lines at walls and interfaces are measured; the method has been freed."""
-_FIELDS = Stage(160e6, 190, 150)
+_FIELDS = Amounts(190e6, 205, 165)
 """While fields of nodes and cells are measured and written."""
-_BESIDE_FILES = Stage(241e6, 3.6, 58)
-"""What is not in files where large arrays are."""
-_LEVELS = 120
-"""Bytes per node of a series: undeformed cells, the two levels before, and the one that is being written."""
+_LEVELS = 130
+"""Per node of a series: undeformed cells, the two levels before, and the one that is being written."""
+_PASSING = Amounts(203e6, 26)
+"""Where nothing is deformed, per array of the size of the coordinates."""
+_BESIDE_FILES, _IN_FILES = Amounts(232e6, 6, 46), Amounts(0, 52, 38)
+"""What is not in files where large arrays are, and their size; the levels of a series are in files but for 50 bytes."""
+_BLOCK, _ZONE, _CGNS, _DATA = 26e3, 90e3, 12e6, 3.3
+"""During all stages: of a block, of a zone of a CGNS file, which has dozens of nodes in the file, of the libraries for
+CGNS, and per byte of data other than coordinates."""
+_MPI, _COPY = 37e6, 66
+"""On every rank of several: the MPI library, and per node on block faces a copy of the coordinates near it."""
+_WINDOW, _PAGES = 8, 4
+"""Parts of a limit that pages of files need at least, and usually take."""
 
 
 class Work(NamedTuple):
     """The stages of some work, and bytes per node that it holds during all of them."""
 
-    stages: tuple[Stage, ...]
+    stages: tuple[Amounts, ...]
     more: float = 0.0
 
 
@@ -145,13 +147,13 @@ def deforming(method: str, fields: bool = False, beside: float | None = None) ->
     ``fields``: whether any are written; ``beside``: bytes per node for the velocities of a series, ``None`` of a single
     grid.
     """
-    moving = _RADIAL if "rbf" in method else _MOVING.get(method, _MOVING.get(method.split("-")[0], _RADIAL))
-    return Work((moving, _JUDGING, *([_FIELDS] if fields else [])), 0.0 if beside is None else _LEVELS + beside)
+    row = "rbf" if "rbf" in method else method if method in _MOVING else method.split("-")[0]
+    return Work((_MOVING[row], _JUDGING, *([_FIELDS] if fields else [])), 0.0 if beside is None else _LEVELS + beside)
 
 
 def passing(arrays: float) -> Work:
     """Work that deforms nothing and takes so many arrays of the size of the coordinates."""
-    return Work((Stage(185e6, 24 * arrays),))
+    return Work((_PASSING._replace(node=arrays * _PASSING.node),))
 
 
 REPAIRING = passing(8.5)
@@ -162,33 +164,24 @@ REPAIRING = passing(8.5)
 class Demand:
     """The memory that work takes, by the sizes of grids; of several ranks, on the one that takes most.
 
-    Attributes
-    ----------
-    what : description for messages, such as ``deforming 8,000 nodes``
-    work : its stages
-    nodes, face_nodes : of the grids; those of this rank, and those on all block faces
-    outside, largest, sources : what the parts of a stage are multiplied with
-    other_bytes : of blocks, of libraries, and of data other than coordinates
+    ``what`` describes it for messages, such as ``deforming 8,000 nodes``; ``other_bytes`` are those of blocks, of
+    libraries, and of data other than coordinates.
     """
 
     what: str
     work: Work
-    nodes: int
-    face_nodes: int = 0
-    outside: float = 0.0
-    largest: int = 0
-    sources: int = 0
+    sizes: Amounts
     other_bytes: float = 0.0
 
     @classmethod
-    def of(cls, doing: str, work: Work, *grids: BlockSizes, data: int = 0, sources: int = 0) -> Demand:
+    def of(cls, doing: str, work: Work, *grids: BlockSizes, data: int = 0) -> Demand:
         """The memory that ``doing`` something, such as ``deforming``, with grids takes.
 
         ``data`` are bytes of point and cell data and displacement tables, which are read, kept and written again.
         """
         ranks, faces = current_ranks().count, sum(grid.n_face_nodes for grid in grids)
         whole = nodes = sum(grid.n_nodes for grid in grids)
-        other = float(_OTHER_COPIES * data)
+        other = _DATA * data
         if ranks > 1:
             from .numerics.pieces import bounds_of
 
@@ -201,42 +194,41 @@ class Demand:
         # How much of the block faces lies outside is known only from coordinates: as if equal cubes formed a cube.
         outside = sum(grid.n_face_nodes / len(grid.shapes) ** (1 / 3) for grid in grids)
         largest = max((math.prod(shape) for grid in grids for shape in grid.shapes), default=0)
-        return cls(f"{doing} {whole:,} nodes", work, nodes, faces, outside, largest, sources, other)
+        return cls(f"{doing} {whole:,} nodes", work, Amounts(1, nodes, faces, outside, largest), other)
 
     @property
     def in_memory(self) -> int:
-        """Bytes taken if everything is in memory."""
-        size = max(map(self._bytes_of, self.work.stages)) + self.work.more * self.nodes
-        return int(MARGIN * max(size, min(size + _COMPILER_BYTES, SMALL)))
+        """Bytes taken if everything is in memory, without the sources, which are known only from coordinates."""
+        return self._in_memory(0)
 
-    def _bytes_of(self, stage: Stage) -> float:
-        # A rank holds what it fills as a whole, even if its part ends within.
-        nodes = max(self.nodes, self.largest) if stage.largest else self.nodes
-        sizes = 1, nodes, self.face_nodes, self.outside, self.largest, self.sources
-        return sum(map(operator.mul, stage, sizes)) + self.other_bytes
+    def _in_memory(self, sources: float) -> int:
+        sizes = self.sizes._replace(source=sources)
+        taken = max(stage.times(sizes) for stage in self.work.stages)
+        return int(taken + self.work.more * sizes.node + self.other_bytes)
+
+    @property
+    def _rest(self) -> int:
+        """Bytes of what is not in files."""
+        return int(_BESIDE_FILES.times(self.sizes) + self.other_bytes)
 
     def beside_files(self, limit: MemoryLimit) -> int:
         """Bytes taken if large arrays are stored in files (:mod:`.parallel.scratch`). Above the ``limit`` it is the
         smallest limit that is enough."""
-        rest = int(MARGIN * self._bytes_of(_BESIDE_FILES)) + RESERVE
+        rest = self._rest + RESERVE
         return rest + max(limit.size // _WINDOW, -(-rest // (_WINDOW - 1)))
 
     @property
     def file_bytes(self) -> int:
         """Bytes of the files of a rank, or of a process alone, if large arrays are stored in files."""
-        per_node = _IN_FILES + max(self.work.more - _NOT_IN_FILES, 0)
-        return int(per_node * self.nodes + _FACES_IN_FILES * self.face_nodes)
+        return int(_IN_FILES.times(self.sizes) + max(self.work.more - 50, 0) * self.sizes.node)
 
-    def foretold(self, limit: MemoryLimit) -> tuple[int, int]:
-        """Largest resident bytes under a limit, which may be too small even for large arrays in files, and those of
-        files."""
-        # A run decides before it knows its sources; what these take beyond the limit is refused later.
-        without = replace(self, sources=0)
-        if without.in_memory <= limit.size:
-            return min(self.in_memory, limit.size), 0
-        limit.require(min(without.in_memory, self.beside_files(limit)), self.what, _INSTEAD)
-        pages = max(limit.size // _PAGES, RESERVE)
-        return min(int(MARGIN * self._bytes_of(_BESIDE_FILES)) + pages, limit.size), self.file_bytes
+    def foretold(self, limit: MemoryLimit, sources: float) -> tuple[int, int]:
+        """Largest resident bytes under a limit with so many sources, which a run does not know when it decides between
+        memory and files, and bytes of files; refused is what does not fit in any way."""
+        if self.in_memory <= limit.size:
+            return min(self._in_memory(sources), limit.size), 0
+        limit.require(min(self.in_memory, self.beside_files(limit)), self.what, _INSTEAD)
+        return min(self._rest + max(limit.size // _PAGES, RESERVE), limit.size), self.file_bytes
 
     def left_of(self, limit: MemoryLimit) -> MemoryLimit:
         """The part of ``limit`` that program and grid leave; an error if they leave nothing."""
@@ -303,41 +295,10 @@ def peak_memory() -> int:
 
 def release_freed() -> None:
     """Return to the system, before more memory is taken, what the C library retains of freed memory (GNU C library
-    only), and code and constants of the compiler, some 65 MiB, which only loading a loop needs (Linux; they are read
-    again then). Small processes save the 4 ms."""
+    only). Small processes save the time."""
     with suppress(OSError, AttributeError, TypeError):
-        if resident_memory() < SMALL:
-            return
-        library = ctypes.CDLL(None)
-        library.malloc_trim(0)
-        for begin, end in _as_in_file(_read_only_parts(_COMPILER)):
-            library.madvise(ctypes.c_void_p(begin), ctypes.c_size_t(end - begin), mmap.MADV_DONTNEED)
-
-
-def _read_only_parts(library: str) -> list[tuple[int, int]]:
-    """First and one past the last address of the parts of a shared library in this process that are not writable."""
-    with open("/proc/self/maps", encoding="utf-8", errors="replace") as maps:
-        found = [line.split()[0].split("-") for line in maps if library in line and re.search(" r-.p ", line)]
-    return [(int(begin, 16), int(end, 16)) for begin, end in found]
-
-
-def _as_in_file(parts: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Those of some parts of a library, by their addresses, that can be read from its file again, page by page.
-
-    Pages with addresses, which are filled in when the library is loaded, cannot, though they are read-only afterwards.
-    """
-    import numpy as np
-
-    found = []
-    with open("/proc/self/pagemap", "rb", buffering=0) as pages:
-        for begin, end in parts:
-            count = (end - begin) // mmap.PAGESIZE
-            pages.seek(begin // mmap.PAGESIZE * 8)
-            # The highest bits of a page: in memory, swapped, of a file.
-            known = np.frombuffer(pages.read(count * 8), dtype=np.uint64) >> 61
-            if len(known) == count and ((known == 0b000) | (known == 0b101)).all():
-                found.append((begin, end))
-    return found
+        if resident_memory() >= SMALL:
+            ctypes.CDLL(None).malloc_trim(0)
 
 
 def _bytes_in(path: Path, key: str) -> int:

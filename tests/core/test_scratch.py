@@ -21,7 +21,7 @@ from grids import frame
 from meshdeform_core.deform import Case, deform
 from meshdeform_core.errors import MethodError
 from meshdeform_core.grid import Grid
-from meshdeform_core.memory import Demand, MemoryLimit, deforming
+from meshdeform_core.memory import Amounts, Demand, MemoryLimit, deforming
 from meshdeform_core.methods import Options
 from meshdeform_core.parallel import current_scratch, empty, scratch
 from meshdeform_core.parallel.scratch import Scratch
@@ -90,7 +90,7 @@ def test_what_a_method_may_take_beside_the_files(tmp_path):
     nodes, limit = 10**8, MemoryLimit(4 * 2**30, "--max-memory allows")
 
     def demand(face_nodes):
-        return Demand("deforming 100,000,000 nodes", deforming("idw-tfi"), nodes, face_nodes)
+        return Demand("deforming 100,000,000 nodes", deforming("idw-tfi"), Amounts(1, nodes, face_nodes))
 
     with pytest.raises(MethodError, match=r"deforming 100,000,000 nodes needs about 6\.\d+ GiB"):
         demand(0).place(limit, None)
@@ -102,7 +102,7 @@ def test_what_a_method_may_take_beside_the_files(tmp_path):
         left = demand(2 * 10**6).left_of(limit)
         assert 2 * 2**30 < left.size < 3 * 2**30
         with pytest.raises(MethodError, match=r"needs about \d\.\d+ GiB, --max-memory allows 4 GiB"):
-            demand(5 * 10**7).place(limit, tmp_path)
+            demand(6 * 10**7).place(limit, tmp_path)
 
 
 def placed(tmp_path, lacking, on_machine):
@@ -118,7 +118,7 @@ def placed(tmp_path, lacking, on_machine):
             patch.setattr(tempfile, "tempdir", str(own))
             patch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=free))
             try:
-                Demand("deforming 2e8 nodes", deforming("idw-tfi"), 8 * 10**7).place(limit, tmp_path)
+                Demand("deforming 2e8 nodes", deforming("idw-tfi"), Amounts(1, 8 * 10**7)).place(limit, tmp_path)
             except MethodError as error:
                 return str(error)
         return current_scratch().empty((3,), "int8") is not None and current_scratch()._folder
