@@ -11,9 +11,12 @@ from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, deform, set_up
 from meshdeform_core.errors import GridError
 from meshdeform_core.grid import Grid
+from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.mending import mend
 from meshdeform_core.quality.validity import judge
 from meshdeform_core.repair import RepairOptions
+from meshdeform_core.repair.outcome import Judged
+from meshdeform_core.repair.repair import Repairer
 
 
 def geometric(first: float, last: float, count: int) -> np.ndarray:
@@ -118,6 +121,18 @@ def test_a_valid_grid_is_left_alone_but_for_polish():
     assert better.assessment.after.f_skew.min > good.assessment.after.f_skew.min
     direct = deform(grid, polish, steps=1)
     assert direct.assessment.after.min_relative_jacobian > 1.2 * worst[0]
+
+
+def test_a_polished_grid_whose_worst_cell_is_worse_is_not_taken(monkeypatch):
+    grid = frame(6, 3)
+    case = Case(tuple(body_specs(turning("20"))), repair=RepairOptions("polish"))
+    good = deform(grid, dataclasses.replace(case, repair=RepairOptions("off")), steps=1).grid
+    worse, inner = good.points.copy(), np.setdiff1d(np.arange(grid.n_nodes), find_topology(grid).face_nodes)
+    worse[inner] += 0.03 * np.random.default_rng(0).standard_normal((len(inner), 3))
+    monkeypatch.setattr(
+        Repairer, "repair", lambda self, start, polish: Judged(worse, judge(self.basis.original, worse))
+    )
+    np.testing.assert_array_equal(mend(good, grid, case).grid.points, good.points)
 
 
 def test_without_boundary_entries_all_outside_nodes_stay():

@@ -99,8 +99,9 @@ def test_a_gap_that_nothing_selects_is_refused_and_can_be_settled():
     assert set_up(grid, Case((WALL,), tolerance=0.0042)).topology.external.sum() < find_topology(grid).external.sum()
     set_up(grid, Case((WALL,), open_faces=True))
     set_up(grid, Case((WALL,), open_faces=("block1.imax", "block2.imin")))
-    with pytest.raises(CaseError, match="nearly coincide"):
-        set_up(grid, Case((WALL,), open_faces=("block2.jmax",)))
+    for other in ("block2.jmax", "block1.imax[1:3,1:4]"):
+        with pytest.raises(CaseError, match="nearly coincide"):
+            set_up(grid, Case((WALL,), open_faces=(other,)))
 
 
 def test_a_gap_that_the_case_selects_is_a_warning_and_a_thin_moving_wall_is_none():

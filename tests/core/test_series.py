@@ -122,6 +122,7 @@ def test_repaired_levels_depend_on_the_boundary_only():
     assert max(s.acceleration for s in smooth) < 0.5
     assert levels[0].smoothness.velocity is None
     assert levels[1].smoothness.acceleration is None
+    assert not any(s.plain for s in smooth)
 
 
 def test_levels_keep_sliding_nodes_on_curved_walls():

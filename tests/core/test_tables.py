@@ -167,6 +167,13 @@ def test_a_shifted_table_is_said():
     assert "away from the table point whose displacement they take" in note
 
 
+def test_nodes_move_that_all_tables_of_a_motion_match():
+    points, topology = bar(), find_topology(FRAME)
+    nodes = BoundaryNodes.of_quads(FRAME, topology, select_quads(FRAME, topology, ["block2.imax"], "bar"))
+    follow = [Follow(data(some), Matching(partial=True)) for some in (points[points[:, 2] < 0.6], points)]
+    np.testing.assert_array_equal(Motion(tuple(follow), {}).prepare(nodes).moved, nodes.points[:, 2] < 0.6)
+
+
 def test_every_table_of_a_sequence_is_looked_at():
     tables = [data(bar()), data(bar() + [0.0, 0.0, 0.05])]
     follow = Follow(lambda number: tables[number], Matching("nearest", tolerance=0.5), (0.0, 1.0))
