@@ -21,7 +21,8 @@ from runs import run
 from tables import MarkdownTable, Row
 
 _APART = 'ulimit -d "$0"; export TMPDIR=$(mktemp -d); "$@"; code=$?; rm -r "$TMPDIR"; exit $code'
-TCP = ("--bind-to", "none", "--mca", "pml", "ob1", "--mca", "btl", "self,tcp")
+TCP = ("OMPI_MCA_pml=ob1", "OMPI_MCA_btl=self,tcp", "MPIR_CVAR_NOLOCAL=1", "FI_PROVIDER=tcp")
+"""Variables of Open MPI and of MPICH, which ignore each other's."""
 
 
 def on_ranks(nodes: int, blocks: int, counts: list[int], threads: int, limit: int, method: str) -> MarkdownTable:
@@ -51,7 +52,8 @@ def on_ranks(nodes: int, blocks: int, counts: list[int], threads: int, limit: in
 
 def _measured(grid: Path, count: int, threads: int, limit: int, method: str) -> Row:
     folder, report = grid.parent, grid.parent / "report.json"
-    alone = [str(Path(sys.executable).with_name("mpiexec")), "-n", str(count), *TCP] if count > 1 else []
+    launcher = ["env", *TCP, str(Path(sys.executable).with_name("mpiexec")), "--bind-to", "none", "-n", str(count)]
+    alone = launcher if count > 1 else []
     apart = ["bash", "-c", _APART, str(limit * 1024)] if limit else []
     command = [
         *alone, *apart, sys.executable, "-m", "meshdeform", "deform", str(grid), "-c", f"{folder}/case.toml", "-m",

@@ -39,7 +39,7 @@ class LonelyRank(Ranks):
     """Rank ``number`` of ``count``; what the others would send is missing."""
 
     def __init__(self, number: int, count: int) -> None:
-        super().__init__(cores=1)
+        self.cores = 1
         self.number, self.count, self.on_machine = number, count, 1
 
     def gather(self, found):
@@ -130,8 +130,8 @@ def share(nodes: int, count: int, number: int, method: str, blocks: int) -> Mark
     table = MarkdownTable(
         f"One of {count} ranks: {(m * n) ** 3:,} nodes, blocks: {m**3:,}, {method}, without messages and files"
     )
-    with sharing(LonelyRank(number, count), 1):
-        grid = Grid.allocate([(n, n, n)] * m**3)
+    with sharing(threads=1):
+        grid = Grid.allocate([(n, n, n)] * m**3, ranks=LonelyRank(number, count))
         if grid.points.low == grid.points.high:
             raise SystemExit(
                 f"rank {number} of {count} has no nodes, as {grid.n_nodes:,} nodes are cut into fewer pieces; expected "

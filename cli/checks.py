@@ -109,7 +109,7 @@ def make_room(limit: MemoryLimit, doing: str, work: Work, sources: Sequence[Grid
         whole = work._replace(more=work.more + _COORDINATES)
         Demand(f"{doing} {names} (read as a whole)", whole, Amounts(1, size // _COORDINATES)).place(limit, None)
     else:
-        Demand.of(doing, work, *known).place(limit, folder)
+        Demand.of(doing, work, *known, ranks=limit.ranks).place(limit, folder)
 
 
 def too_large(limit: MemoryLimit, work: Work, source: GridInput) -> Layout | None:
@@ -118,7 +118,8 @@ def too_large(limit: MemoryLimit, work: Work, source: GridInput) -> Layout | Non
     if not source.path.is_file() or _at_most(work, _bytes_of(source.path)).in_memory <= limit.size:
         return None
     layout = source.block_sizes()
-    return layout if layout and Demand.of("deforming", work, layout).in_memory > limit.size else None
+    fits = layout is None or Demand.of("deforming", work, layout, ranks=limit.ranks).in_memory <= limit.size
+    return None if fits else layout
 
 
 def _at_most(work: Work, size: int) -> Demand:

@@ -14,7 +14,6 @@ from meshdeform_core.deform import Setup, Timing, impose
 from meshdeform_core.grid import FileFormat, Grid
 from meshdeform_core.memory import Demand, MemoryLimit, Work, readable
 from meshdeform_core.methods.limits import patch_motions
-from meshdeform_core.parallel import current_ranks
 from meshdeform_core.quality.listed import find_pinned
 from meshdeform_core.repair.options import Limit
 from meshdeform_core.stepping import Course, doubts, warnings_ahead
@@ -43,7 +42,7 @@ class Outputs:
         of the grid; temporary files of all of them, and the output. What has been taken from the ``limit`` is for
         pictures. Refused is what does not fit even with large arrays in files.
         """
-        ranks, (memory, files), written = current_ranks().count, demand.foretold(limit, sources), 0
+        ranks, (memory, files), written = limit.ranks.count, demand.foretold(limit, sources), 0
         if self.path is not None:
             kind = format_of(self.path)
             options = grid.format.options if grid.format and grid.format.name == kind else {}
@@ -59,7 +58,7 @@ class Outputs:
 
 def plan_by_sizes(layout: Layout, work: Work, outputs: Outputs, limit: MemoryLimit) -> Report:
     """The report of a dry run for a grid that does not fit into memory, from the header of its file."""
-    demand = Demand.of("deforming", work, layout)
+    demand = Demand.of("deforming", work, layout, ranks=limit.ranks)
     # How many nodes are sources is known only from coordinates.
     expense = outputs.expense(layout, demand, demand.sizes.outside, limit)
     note = (

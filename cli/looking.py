@@ -53,7 +53,7 @@ def info_command(source: GridInput, verbose: bool, run: RunInput) -> int:
     The role of a boundary is the one that the file declares. Otherwise it is guessed from the shape of the grid (cells
     cluster towards walls and grow towards the far field) and marked with a question mark.
     """
-    make_room(run.limit, "describing", passing(_READ), [source], Path(tempfile.gettempdir()))
+    make_room(run.limit(), "describing", passing(_READ), [source], Path(tempfile.gettempdir()))
     grid = source.read()
 
     from meshdeform_formats.text import json_text
@@ -94,7 +94,7 @@ def quality_command(source: GridInput, reference: Path | None, case: CaseInput, 
     files = [*source.files, ("reference", reference), *case.files(what)]
     check_reports(run.reports, run.force, files)
     sources = [source, *([GridInput(reference)] if reference else [])]
-    make_room(run.limit, "judging", passing(_JUDGED), sources, Path(tempfile.gettempdir()))
+    make_room(run.limit(), "judging", passing(_JUDGED), sources, Path(tempfile.gettempdir()))
     with ProgressBar(not run.quiet) as progress:
         grid = source.read(what.boundary_file)
         # Boundaries that the file of the original lacks are those of the deformed grid.
@@ -128,7 +128,7 @@ def compare_command(first: Path, second: Path, tolerance: float | None, run: Run
     from meshdeform_formats import read_grid
 
     sources = [GridInput(path) for path in (first, second)]
-    make_room(run.limit, "comparing", passing(_READ), sources, Path(tempfile.gettempdir()))
+    make_room(run.limit(), "comparing", passing(_READ), sources, Path(tempfile.gettempdir()))
     difference = compare_points(read_grid(first), read_grid(second))
     if run.as_json:
         click.echo(json.dumps(dataclasses.asdict(difference), indent=2))
@@ -218,7 +218,7 @@ def convert_command(source: GridInput, target: Path, reference: Path | None, run
     check_fields(fields, target, reference is not None)
     sources = [source, *([GridInput(reference)] if reference else [])]
     arrays = passing(_WRITTEN + (_FIELDS if fields else 0))
-    make_room(run.limit, "converting", arrays, sources, existing(target.absolute().parent))
+    make_room(run.limit(), "converting", arrays, sources, existing(target.absolute().parent))
     with ProgressBar(not run.quiet, compiles=bool(fields)) as progress:
         grid = complete_for_export(source.read(), target)
         if fields:

@@ -15,13 +15,14 @@ import click
 
 from meshdeform_core import interruption
 from meshdeform_core.errors import suggestion
-from meshdeform_core.parallel import current_ranks
+from meshdeform_core.parallel import ONE_PROCESS, Ranks, set_sharing
 
 from .process import (
     EXIT_BUG,
     EXIT_INPUT,
     EXIT_INTERRUPTED,
     Handler,
+    Start,
     drop,
     end_of,
     flushed,
@@ -99,7 +100,7 @@ def cli(context: click.Context) -> None:
     Results go to stdout, messages to stderr. Exit codes: 0 done and valid, 1 internal error, 2 bad usage or input,
     3 cells became invalid, 130, 143 or 129 ended by SIGINT, SIGTERM or SIGHUP.
     """
-    if current_ranks().count > 1 and context.invoked_subcommand not in _ON_RANKS:
+    if context.obj.ranks.count > 1 and context.invoked_subcommand not in _ON_RANKS:
         raise click.UsageError(
             f"'{context.invoked_subcommand}' cannot run on several ranks; start it without mpiexec. "
             f"Commands that can: {', '.join(_ON_RANKS)}"
@@ -114,7 +115,7 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
     handler = Handler()
     handler.install()
     here = place()
-    code = run(args) if here is None else run_on_ranks(lambda: run(args), here)
+    code = run(args) if here is None else run_on_ranks(lambda ranks: run(args, ranks), here)
     handler.finish()
     stopped = interruption.requested()
     flushed(sys.stderr)
@@ -123,10 +124,10 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
     sys.exit(code if stopped is None else 128 + stopped)
 
 
-def run(args: Sequence[str] | None = None) -> int:
+def run(args: Sequence[str] | None = None, ranks: Ranks = ONE_PROCESS) -> int:
     """Run the command line; returns the exit code."""
     try:
-        code = _invoke(args)
+        code = _invoke(args, ranks)
     except BaseException as error:
         # The exception of a signal, or one into which a library converted it.
         if interruption.requested() is None:
@@ -145,7 +146,7 @@ def run(args: Sequence[str] | None = None) -> int:
     return _fail(f"cannot write to stdout: {unwritten}") if unwritten and code == 0 else code
 
 
-def _invoke(args: Sequence[str] | None) -> int:
+def _invoke(args: Sequence[str] | None, ranks: Ranks) -> int:
     """Call the command; errors in the input or from the system become a message and exit code 2."""
     from meshdeform_core.errors import CaseError, MeshDeformError
 
@@ -168,9 +169,9 @@ def _invoke(args: Sequence[str] | None) -> int:
             raise CaseError(
                 f"NUMBA_NUM_THREADS={threads}: expected a whole number >= 1; correct or unset this variable"
             )
-        arguments = list(sys.argv[1:] if args is None else args)
-        # Reports quote the command line: the context object holds the arguments.
-        result = cli.main(args=arguments, prog_name="meshdeform", standalone_mode=False, obj=tuple(arguments))
+        arguments = tuple(sys.argv[1:] if args is None else args)
+        set_sharing(threads=ranks.cores)
+        result = cli.main(args=arguments, prog_name="meshdeform", standalone_mode=False, obj=Start(arguments, ranks))
         return result if isinstance(result, int) else 0
     except MeshDeformError as error:
         return _fail(str(error))

@@ -14,7 +14,7 @@ import click
 
 from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.memory import PICTURE_BYTES, MemoryLimit, machine_memory, parse_memory
-from meshdeform_core.parallel import set_sharing
+from meshdeform_core.parallel import ONE_PROCESS, Ranks, set_sharing
 
 from .process import Warnings, stage
 
@@ -85,7 +85,7 @@ class FiniteNumber(click.FloatRange):
 
 
 def _use_threads(context: click.Context, _: click.Parameter, count: int | None) -> int | None:
-    if not context.resilient_parsing:
+    if count and not context.resilient_parsing:
         set_sharing(threads=count)
     return count
 
@@ -122,8 +122,9 @@ class GridInput:
         help="How to read an ambiguous Plot3D file; keys as for --variant (repeatable).",
     )  # fmt: skip
 
-    def read(self, boundary_file: Path | None = None) -> Grid:
-        """The grid; ``boundary_file`` is that of the case, used if the command line names none."""
+    def read(self, boundary_file: Path | None = None, ranks: Ranks = ONE_PROCESS) -> Grid:
+        """The grid, in parts if there are several ranks; ``boundary_file`` is that of the case, used if the command
+        line names none."""
         from meshdeform_formats.files import invalid_path
         from meshdeform_formats.grids import read_grid_with_boundaries
 
@@ -131,7 +132,7 @@ class GridInput:
         if not self.path.exists() and (beside := invalid_path(self.path)).exists():
             raise FormatError(f"{self.path} does not exist; {beside} is the invalid grid of a run")
         with stage("read"):
-            return read_grid_with_boundaries(self.path, self.boundary_file or boundary_file, options)
+            return read_grid_with_boundaries(self.path, self.boundary_file or boundary_file, options, ranks)
 
     def block_sizes(self) -> Layout | None:
         """The blocks of the grid from the header of its file, if that tells."""
@@ -254,16 +255,15 @@ class RunInput:
         """The printer of warnings."""
         return Warnings(self.strict)
 
-    @property
-    def limit(self) -> MemoryLimit:
+    def limit(self, ranks: Ranks = ONE_PROCESS) -> MemoryLimit:
         """The limit of memory."""
-        return machine_memory() if self.max_memory is None else parse_memory(self.max_memory, "--max-memory")
+        text, option = self.max_memory, "--max-memory"
+        return machine_memory(ranks) if text is None else parse_memory(text, option, ranks)
 
-    @property
-    def memory(self) -> MemoryLimit:
+    def memory(self, ranks: Ranks = ONE_PROCESS) -> MemoryLimit:
         """The limit of memory, less what pictures of a report take."""
-        drawn = any(path.suffix.lower() == ".html" for path in self.reports)
-        return self.limit.after(PICTURE_BYTES, "pictures of the report") if drawn else self.limit
+        limit, drawn = self.limit(ranks), any(path.suffix.lower() == ".html" for path in self.reports)
+        return limit.after(PICTURE_BYTES, "pictures of the report") if drawn else limit
 
     @property
     def variant_options(self) -> dict[str, str]:

@@ -11,15 +11,14 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from types import FrameType
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
 import click
 
 from meshdeform_core import interruption
 from meshdeform_core.errors import CaseError
-from meshdeform_core.parallel import set_sharing
+from meshdeform_core.parallel import Ranks
 from meshdeform_core.wording import counted, first_of_each_kind, kind_of
 
 if TYPE_CHECKING:
@@ -179,45 +178,44 @@ def end_of(number: int) -> str:
     return f"{how}; no output was left half-written" + (f"; {advice}" if advice else "")
 
 
-@dataclass(frozen=True)
-class Place:
-    """Rank of this process and number of ranks."""
+class Start(NamedTuple):
+    """How the program was started, which click hands on: the arguments, which reports quote, and the ranks."""
 
-    number: int
-    count: int
+    arguments: tuple[str, ...]
+    ranks: Ranks
 
 
-def place() -> Place | None:
-    """Rank of this process according to the launcher; ``None`` for a single process."""
+def place() -> tuple[int, int] | None:
+    """Rank of this process and number of ranks according to the launcher; ``None`` for a single process."""
     for names in _LAUNCHERS:
         texts = [os.environ.get(name, "") for name in names]
         if all(text.isdigit() for text in texts) and int(texts[1]) > 1:
-            return Place(*(int(text) for text in texts))
+            return int(texts[0]), int(texts[1])
     return None
 
 
-def run_on_ranks(run: Callable[[], int], here: Place) -> int:
+def run_on_ranks(run: Callable[[Ranks], int], here: tuple[int, int]) -> int:
     """Run the command on every rank; only the first one prints. Returns the exit code, the same on all ranks.
 
     A rank that fails alone ends the others.
     """
-    reason = ""
+    (number, count), reason = here, ""
     try:
         from mpi4py import MPI
     except (ImportError, RuntimeError) as error:
         # RuntimeError: mpi4py found no MPI library.
         reason = f"mpi4py is missing ({error}); pip install mpi4py, or start without mpiexec"
     else:
-        if MPI.COMM_WORLD.size != here.count:
+        if MPI.COMM_WORLD.size != count:
             library = MPI.Get_library_version().split(",")[0]
             reason = f"mpi4py uses {library}, which sees {MPI.COMM_WORLD.size}; use the mpiexec of that MPI"
     if reason:
         # Without MPI the ranks cannot communicate, but the launcher's numbers determine which one prints.
-        if here.number:
+        if number:
             return 0
-        tell(f"error: started on {here.count} ranks, but {reason}")
+        tell(f"error: started on {count} ranks, but {reason}")
         return EXIT_INPUT
-    from meshdeform_core.parallel.mpi import MPIRanks
+    from meshdeform_core.parallel.ranks import MPIRanks
 
     # Let the C library return freed arrays of 16 MiB and more to the system, and the end of its heap. By default it
     # keeps up to 64 MiB for later. With 1 MiB instead of 16, a quarter of the time of a rank went into pages that the
@@ -225,7 +223,6 @@ def run_on_ranks(run: Callable[[], int], here: Place) -> int:
     with contextlib.suppress(OSError, AttributeError, TypeError):
         ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, 1 << 24)
     ranks = MPIRanks(MPI.COMM_WORLD)
-    set_sharing(ranks=ranks)
     messages = io.StringIO()
     with contextlib.ExitStack() as silence:
         if ranks.number:
@@ -233,7 +230,7 @@ def run_on_ranks(run: Callable[[], int], here: Place) -> int:
             silence.enter_context(contextlib.redirect_stdout(nothing))
             silence.enter_context(contextlib.redirect_stderr(messages))
         try:
-            code = run()
+            code = run(ranks)
         except SystemExit as stop:
             # A signal: see meshdeform_cli.main.
             code = stop.code if isinstance(stop.code, int) else 1

@@ -17,6 +17,7 @@ from .options import OUTPUT, PATH, CaseInput, GridInput, RunInput, SeriesInput, 
 from .process import EXIT_INVALID, ProgressBar, tell
 
 if TYPE_CHECKING:
+    from meshdeform_core.memory import MemoryLimit
     from meshdeform_formats.case import CaseFile
 
 
@@ -56,38 +57,38 @@ def deform_command(source: GridInput, output: Path | None, case: CaseInput, run:
 
     doing = work.work_of(what, run, output.suffix if output else "")
 
-    def load(workplace: Path | None) -> work.Job:
-        job = work.load(source, case, what, run, doing, workplace)
+    def load(limit: MemoryLimit, workplace: Path | None = None) -> work.Job:
+        job = work.load(source, case, what, doing, limit, workplace)
         work.require_room_for_invalid(output, job.grid, run)
         return dataclasses.replace(job, case=work.timed(job.case, case.at_time))
 
-    def foretell() -> int:
+    def foretell(limit: MemoryLimit) -> int:
         from meshdeform_core.deform import set_up
 
         from .dry_run import Outputs, plan, plan_by_sizes
 
-        if layout := too_large(run.memory, doing, source):
+        if layout := too_large(limit, doing, source):
             outputs = Outputs(output, run.variant_options.get("precision", layout.precision))
-            return work.print_plan(plan_by_sizes(layout, doing, outputs, run.memory), False, run)
+            return work.print_plan(plan_by_sizes(layout, doing, outputs, limit), False, run)
         with ProgressBar(not run.quiet):
-            job = load(None)
+            job = load(limit)
             setup = set_up(job.grid, job.case.case, memory=job.memory)
             outputs, missing = Outputs(output, job.grid.precision), ""
             if output is not None:
                 variant, missing = work.variant_and_shortage(job.grid, output, run)
                 outputs = Outputs(output, variant.precision)
-            planned = plan(setup, [case.at_time or 0.0], case.steps, outputs, missing, job.demand, run.memory)
+            planned = plan(setup, [case.at_time or 0.0], case.steps, outputs, missing, job.demand, limit)
         return work.print_plan(*planned, run)
 
-    def deform() -> int:
+    def deform(limit: MemoryLimit) -> int:
         assert output is not None
         with ProgressBar(not run.quiet) as progress:
-            job = load(output.parent)
+            job = load(limit, output.parent)
             report, illustrate = work.run(job, output, case, run, progress)
         written = [*files, ("output", Path(report["output"]))]
         return work.conclude(report, run, start, written, job.ranks, illustrate)
 
-    return work.in_parts(foretell if run.dry_run else deform, run.verbose)
+    return work.in_parts(foretell if run.dry_run else deform, run)
 
 
 @click.command("series")
@@ -128,33 +129,33 @@ def series_command(source: GridInput, case: CaseInput, wanted: SeriesInput, run:
     beside = VELOCITY_BYTES * (wanted.velocity != "none") + SWEPT_BYTES * (wanted.velocity == "swept")
     doing, begun = work.work_of(what, run, wanted.suffix or "", beside), False
 
-    def load(workplace: Path | None) -> series_run.Run:
-        job = work.load(source, case, what, run, doing, workplace)
+    def load(limit: MemoryLimit, workplace: Path | None = None) -> series_run.Run:
+        job = work.load(source, case, what, doing, limit, workplace)
         plan = series_run.prepare(job, source, case, wanted, run)
         run.warnings.tell(plan.setup.warnings)
         return plan
 
-    def foretell() -> int:
+    def foretell(limit: MemoryLimit) -> int:
         from .dry_run import Outputs, plan, plan_by_sizes
 
-        if layout := too_large(run.memory, doing, source):
+        if layout := too_large(limit, doing, source):
             output = wanted.output / series_run.name_of(source.path, wanted, layout.format)
             precision = run.variant_options.get("precision", layout.precision)
             outputs = Outputs(output, precision, len(series_run.times_of(what, wanted)), wanted.velocity)
-            return work.print_plan(plan_by_sizes(layout, doing, outputs, run.memory), False, run)
+            return work.print_plan(plan_by_sizes(layout, doing, outputs, limit), False, run)
         with ProgressBar(not run.quiet):
-            ready = load(None)
+            ready = load(limit)
             times, levels = ready.schedule.times, ready.files
             outputs = Outputs(levels.path(0), levels.variant.precision, len(times), wanted.velocity)
-            planned = plan(ready.setup, times, case.steps, outputs, ready.shortage(0), ready.job.demand, run.memory)
+            planned = plan(ready.setup, times, case.steps, outputs, ready.shortage(0), ready.job.demand, limit)
             paths = f"{levels.path(0)} ... {levels.path(len(times) - 1)}"
             text = f"series    {len(times)} levels from t = {times[0]:g} to {times[-1]:g}: {paths}\n"
         return work.print_plan(*planned, run, text)
 
-    def deform() -> int:
+    def deform(limit: MemoryLimit) -> int:
         nonlocal begun
         with ProgressBar(not run.quiet) as progress:
-            plan = load(wanted.output)
+            plan = load(limit, wanted.output)
             # The first rank alone continues what all of them have begun.
             begin = partial(series_run.open_manifest, plan, wanted.resume or begun, run.force and not begun)
             plan.manifest = plan.job.ranks.on_first(begin)
@@ -163,7 +164,7 @@ def series_command(source: GridInput, case: CaseInput, wanted: SeriesInput, run:
             report = series_run.carry_out(plan, progress)
         return work.conclude(report, run, start, [*files, ("index", plan.files.view)], plan.job.ranks)
 
-    return work.in_parts(foretell if run.dry_run else deform, run.verbose)
+    return work.in_parts(foretell if run.dry_run else deform, run)
 
 
 @click.command("repair")
@@ -221,7 +222,7 @@ def _repaired(
     from .work import require_room_for_invalid, variant_and_shortage, write_judged
 
     place = existing(output.absolute().parent) if output else None
-    make_room(run.memory, "repairing", REPAIRING, [source, GridInput(reference)], place)
+    make_room(run.memory(), "repairing", REPAIRING, [source, GridInput(reference)], place)
     start = clock.perf_counter()
     grid = source.read(what.boundary_file)
     # Boundaries are selected on the reference.
@@ -233,7 +234,7 @@ def _repaired(
         chosen, missing = variant_and_shortage(grid, output, run)
         precision, whole = chosen.precision, complete_for_export(grid, output)
     start = clock.perf_counter()
-    memory = Demand.of("repairing", REPAIRING, grid, original).left_of(run.memory)
+    memory = Demand.of("repairing", REPAIRING, grid, original).left_of(run.memory())
     mended = mend(whole, original, what.case, precision, memory, progress)
     seconds["repair"] = clock.perf_counter() - start
     target = None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import time as clock
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -23,7 +23,7 @@ from meshdeform_core.grid import FileFormat, Grid
 from meshdeform_core.grid.selection import with_components
 from meshdeform_core.memory import Demand, MemoryLimit, Work, deforming, peak_memory
 from meshdeform_core.methods import make_method
-from meshdeform_core.parallel import Ranks, WholeGridNeeded, current_ranks, thread_count
+from meshdeform_core.parallel import ONE_PROCESS, Ranks, WholeGridNeeded, thread_count
 from meshdeform_core.quality.fields import CellFields
 from meshdeform_core.wording import counted
 from meshdeform_formats.case import CaseFile
@@ -67,13 +67,14 @@ def work_of(what: CaseFile, run: RunInput, suffix: str, beside: float | None = N
 
 
 def load(
-    source: GridInput, case: CaseInput, what: CaseFile, run: RunInput, work: Work, workplace: Path | None = None
+    source: GridInput, case: CaseInput, what: CaseFile, work: Work, limit: MemoryLimit, workplace: Path | None = None
 ) -> Job:
-    """Read the grid with the boundary information that the case, read from ``what``, names.
+    """Read the grid with the boundary information that the case, read from ``what``, names; in parts if several
+    ranks share the ``limit`` of memory.
 
     If ``workplace`` is given, arrays of a grid larger than the memory are put into files in this folder.
     """
-    ranks = current_ranks()
+    ranks = limit.ranks
     if ranks.count > 1:
         # The options of the case and the contents of all files must not differ between ranks.
         files = [path for _, path in (*source.files, *case.files(what))]
@@ -88,10 +89,9 @@ def load(
                         "same grid, case and tables on every rank"
                     )
     make_method(what.case.method)
-    memory = run.memory
-    make_room(memory, "deforming", work, [source], workplace and existing(workplace.absolute()))
+    make_room(limit, "deforming", work, [source], workplace and existing(workplace.absolute()))
     start = clock.perf_counter()
-    grid = with_components(source.read(what.boundary_file), what.case.components)
+    grid = with_components(source.read(what.boundary_file, ranks), what.case.components)
     seconds = clock.perf_counter() - start
     # Size of the data in the grid file other than coordinates, and of the tables of the case; with several ranks, the
     # most that one of them holds.
@@ -102,20 +102,21 @@ def load(
     arrays += [table.nodes.rows for table in grids]
     arrays += [field.own for each in (grid, *grids) for field in each.fields]
     size = sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
-    demand = Demand.of("deforming", work, grid, data=max(grid.nodes.ranks.gather([size])))
-    return Job(grid, what, seconds, demand, demand.left_of(memory))
+    demand = Demand.of("deforming", work, grid, data=max(ranks.gather([size])), ranks=ranks)
+    return Job(grid, what, seconds, demand, demand.left_of(limit))
 
 
-def in_parts(action: Callable[[], T], verbose: bool) -> T:
-    """Do it with grids in parts if there are several ranks; if that is not possible, on the first rank alone."""
-    ranks = current_ranks()
+def in_parts(action: Callable[[MemoryLimit], T], run: RunInput) -> T:
+    """Do it within a limit of memory, with grids in parts if several ranks share it; if that is not possible, on the
+    first rank alone."""
+    ranks: Ranks = click.get_current_context().find_root().obj.ranks
     if ranks.count > 1:
         try:
-            return action()
+            return action(run.memory(ranks))
         except WholeGridNeeded as reason:
-            if verbose:
+            if run.verbose:
                 tell(f"the first rank alone holds the whole grid: {reason}")
-    return ranks.on_first(action)
+    return ranks.on_first(lambda: action(run.memory()))
 
 
 def timed(case: CaseFile, at_time: float | None) -> CaseFile:
@@ -177,7 +178,7 @@ def write_judged(grid: Grid, valid: bool, output: Path, run: RunInput, cells: Ca
                 beside.unlink()
 
     if valid:
-        grid.nodes.on_first(remove_earlier)
+        grid.nodes.ranks.on_first(remove_earlier)
     return target
 
 
@@ -216,18 +217,17 @@ def cells_of(setup: Setup, after: Grid) -> CellFields:
 
 def deliver(
     report: Report, run: RunInput, start: float, files: Files,
-    illustrate: Illustrate = tuple, ranks: Ranks | None = None,
+    illustrate: Illustrate = tuple, ranks: Ranks = ONE_PROCESS,
 ) -> None:  # fmt: skip
     """Write the reports; if JSON is requested on stdout, the text goes to stderr.
 
     ``start`` is that of the command by ``time.perf_counter``, ``files`` are pairs of role and path, ``illustrate``
     draws the pictures of a page, and ``ranks`` shared the work (this process alone by default).
     """
-    ranks = ranks or Ranks()
     paths, to_stdout = [path for path in run.reports if path != STDOUT], run.as_json or STDOUT in run.reports
     if paths or to_stdout:
-        # The command line as it was given, see main.py; the checksums of files take time.
-        arguments: Sequence[str] = click.get_current_context().find_root().obj
+        # The checksums of files take time.
+        arguments: tuple[str, ...] = click.get_current_context().find_root().obj.arguments
         report["run"] = ranks.on_first(lambda: run_part(arguments, files, ranks.count))
     if "timing" in report:
         report["timing"] = with_other(report["timing"], clock.perf_counter() - start)

@@ -21,6 +21,7 @@ from meshdeform_core.errors import FormatError, GridError, MeshDeformError, sugg
 from meshdeform_core.grid import FileFormat, FloatArray, Grid, IntArray, Shape
 from meshdeform_core.grid.parts import BlockSizes
 from meshdeform_core.numerics.arrays import extent
+from meshdeform_core.parallel import ONE_PROCESS, Ranks
 from meshdeform_core.wording import listed, vector
 
 from .files import LARGEST, read_head
@@ -30,8 +31,8 @@ from .files import LARGEST, read_head
 class Format:
     """One row of the format table.
 
-    The module defines ``read(path) -> Grid`` (absent for write-only formats), ``layout(path)``, which returns shapes
-    and ``FileFormat`` if the header determines them, otherwise ``None``, ``variant(grid, path, options) ->
+    The module defines ``read(path, ranks) -> Grid`` (absent for write-only formats), ``layout(path)``, which returns
+    shapes and ``FileFormat`` if the header determines them, otherwise ``None``, ``variant(grid, path, options) ->
     FileFormat``, which decides how to write, and ``write(grid, path, variant) -> None``, which replaces ``path`` as a
     whole or leaves it unchanged (see :func:`meshdeform_formats.files.replacing`). ``together``: all ranks call
     ``write`` and share the work. ``boundaries``: files hold patches and connections.
@@ -69,13 +70,14 @@ _FOREIGN: tuple[tuple[bytes, str], ...] = (
 )  # fmt: skip
 
 
-def read_grid(path: str | Path, options: Mapping[str, Any] | None = None) -> Grid:
+def read_grid(path: str | Path, options: Mapping[str, Any] | None = None, ranks: Ranks = ONE_PROCESS) -> Grid:
     """Read a block-structured grid; the format is recognised by the file's content, never by its name.
 
-    ``options`` (of a Plot3D variant) resolve what the content of the file leaves ambiguous.
+    ``options`` (of a Plot3D variant) resolve what the content of the file leaves ambiguous. Of several ``ranks``, which
+    all call this, each reads its part.
 
     Raises FormatError when the file is missing, truncated, ambiguous or not a block-structured grid. Raises GridError
-    when it contains non-finite coordinates.
+    when it contains non-finite coordinates. Raises WholeGridNeeded when the file cannot be read in parts.
     """
     path = Path(path)
     if os.path.islink(path) and not os.path.exists(path):
@@ -91,7 +93,7 @@ def read_grid(path: str | Path, options: Mapping[str, Any] | None = None) -> Gri
     if options and name != "plot3d":
         raise FormatError(f"{path} is a {name} file, which declares its variant; omit {', '.join(options)}")
     try:
-        grid: Grid = FORMATS[name].load().read(path, **(options or {}))
+        grid: Grid = FORMATS[name].load().read(path, ranks, **(options or {}))
     except GridError as error:
         raise error if str(path) in str(error) else GridError(f"{path}: {error}") from error
     require_plausible(grid, path)
@@ -175,9 +177,11 @@ def layout_of(path: Path, options: Mapping[str, Any] | None = None) -> Layout | 
     return None if found is None else Layout(path, *found)
 
 
-def read_grid_with_boundaries(path: Path, boundary_file: Path | None, options: Mapping[str, Any] | None = None) -> Grid:
+def read_grid_with_boundaries(
+    path: Path, boundary_file: Path | None, options: Mapping[str, Any] | None = None, ranks: Ranks = ONE_PROCESS
+) -> Grid:
     """Read a grid; a neutral map file replaces the boundary information of the grid file."""
-    grid = read_grid(path, options)
+    grid = read_grid(path, options, ranks)
     if boundary_file is None:
         return grid
     from .neutral_map import read_neutral_map

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FloatArray, Grid, IntArray, Planes, Shape
-from meshdeform_core.parallel import Ranks, for_chunks, for_items
+from meshdeform_core.parallel import for_chunks, for_items
 
 # Smallest numbers of nodes and planes per range, so that reads are large and cache lines of the grid are not split.
 _NODES, _PLANES = 1 << 18, 8
@@ -301,17 +301,13 @@ def _write_parts(grid: Grid, outputs: Sequence[Output]) -> None:
             try:
                 for component, place in enumerate(places):
                     values = np.concatenate([receives[rank][component] for rank in sorted(receives)], axis=2)
-                    place.write(part.first, values, synchronous(ranks))
+                    # Clients of a network file system may otherwise write whole pages, with old bytes of other machines
+                    # in them.
+                    place.write(part.first, values, ranks.on_several_machines)
             except (OSError, FormatError) as error:
                 failures.append(error)
     for failure in ranks.gather(failures):
         raise failure
-
-
-def synchronous(ranks: Ranks) -> bool:
-    """Whether the ranks wait for the disk after each piece of a file that all of them write."""
-    # Clients of a network file system may otherwise write whole pages, with old bytes of other machines in them.
-    return ranks.count > ranks.on_machine
 
 
 Turn = dict[int, tuple[Output, Planes, dict[int, int]]]

@@ -17,7 +17,7 @@ from meshdeform_core import grid as core
 from meshdeform_core.boundary.motions.motion import LARGEST
 from meshdeform_core.errors import FormatError, GridError, MeshDeformError, MotionError
 from meshdeform_core.grid import FloatArray
-from meshdeform_core.parallel import WholeGridNeeded, sharing
+from meshdeform_core.parallel import ONE_PROCESS, Ranks, WholeGridNeeded, sharing
 from meshdeform_core.wording import counted
 
 if TYPE_CHECKING:
@@ -268,7 +268,7 @@ def _compared(grid: Grid, reference: Grid | None, what: str) -> tuple[core.Grid,
 @contextmanager
 def together(grid: Grid) -> Iterator[None]:
     """Context of work by all ranks that hold parts of the grid."""
-    with in_parts(), sharing(grid.core.nodes.ranks, None):
+    with in_parts(), sharing(threads=grid.core.nodes.ranks.cores):
         yield
 
 
@@ -343,12 +343,14 @@ def _path(path: object) -> Path:
     return Path(path)
 
 
-def user_grid(grid: object) -> Grid:
-    """The argument as a :class:`Grid`; a file name is read, anything else refused."""
+def user_grid(grid: object, ranks: Ranks = ONE_PROCESS) -> Grid:
+    """The argument as a :class:`Grid`; a file name is read, in parts by several ranks, anything else refused."""
     if isinstance(grid, Grid):
         return grid
     if isinstance(grid, str | Path):
-        return read(grid)
+        from meshdeform_formats.grids import read_grid
+
+        return wrapped(read_grid(_path(grid), ranks=ranks))
     hint = "; wrap coordinate arrays in Grid([block, ...])" if isinstance(grid, np.ndarray | Sequence | Mapping) else ""
     raise GridError(f"found a {type(grid).__name__}; expected a Grid or the name of a grid file{hint}")
 

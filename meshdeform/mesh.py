@@ -54,7 +54,7 @@ _lock = threading.RLock()
 
 @contextmanager
 def one_at_a_time() -> Iterator[None]:
-    """Wait for calls of other threads to end: each sets the threads and ranks of all loops of the process."""
+    """Wait for calls of other threads to end: each sets the threads of its loops."""
     with _lock:
         yield
 
@@ -276,7 +276,7 @@ class Mesh:
         """Context of a call: one at a time, with threads and ranks of the mesh; a mesh in parts keeps to its thread."""
         if self.ranks.count > 1 and threading.get_ident() != self._thread:
             raise GridError("a mesh prepared with comm= is used in another thread; expected the one that prepared it")
-        with in_parts(), one_at_a_time(), sharing(self.ranks, self.threads):
+        with in_parts(), one_at_a_time(), sharing(threads=self.threads or self.ranks.cores):
             yield
 
     def checked(self, values: Any, what: str, rows: int) -> FloatArray:

@@ -18,7 +18,7 @@ from meshdeform_core.grid.selection import Components
 from meshdeform_core.memory import Demand, deforming, machine_memory, parse_memory
 from meshdeform_core.mending import judge_grid
 from meshdeform_core.methods import IDW, RBF, TFI, Options
-from meshdeform_core.parallel import Ranks, WholeGridNeeded, sharing
+from meshdeform_core.parallel import ONE_PROCESS, Ranks, WholeGridNeeded, sharing
 from meshdeform_core.quality.difference import Difference, compare_points
 from meshdeform_core.repair.options import Mode
 from meshdeform_formats.case import CaseFile, case_of, read_case
@@ -124,12 +124,12 @@ def prepare(
         Kind.MOVING: moving, Kind.FIXED: fixed, Kind.SLIP: slip, Kind.SYMMETRY: symmetry, Kind.PERIODIC: periodic,
         Kind.FREE: free,
     }  # fmt: skip
-    with in_parts(), one_at_a_time(), sharing(ranks, threads):
+    with in_parts(), one_at_a_time(), sharing(threads=threads or ranks.cores):
         what = _case(case, selections, components)
         held = _grid_of(grid, what, ranks)
         chosen = what.case if method is None else dataclasses.replace(what.case, method=options_of(method))
-        limit = machine_memory() if max_memory is None else parse_memory(str(max_memory), "max_memory")
-        memory = Demand.of("deforming", deforming(chosen.method.name), held.core).left_of(limit)
+        limit = machine_memory(ranks) if max_memory is None else parse_memory(str(max_memory), "max_memory", ranks)
+        memory = Demand.of("deforming", deforming(chosen.method.name), held.core, ranks=ranks).left_of(limit)
         setup = set_up(held.core, chosen, memory=memory)
         return Mesh(setup, held.plane, ranks, threads)
 
@@ -137,34 +137,27 @@ def prepare(
 def ranks_of_comm(comm: Comm | None) -> Ranks:
     """The ranks of a communicator; this process alone without one."""
     if comm is None:
-        return Ranks()
-    from meshdeform_core.parallel.mpi import MPIRanks
+        return ONE_PROCESS
+    from meshdeform_core.parallel.ranks import MPIRanks
 
     return MPIRanks(comm)
 
 
 def _grid_of(source: Grid | str | Path, what: CaseFile, ranks: Ranks) -> Grid:
     """The grid with the patches and components that the case names files for; in parts if there are several ranks."""
-
-    def read() -> Grid:
+    try:
+        grid = user_grid(source, ranks)
+    except WholeGridNeeded:
+        # Some files can only be read as a whole: each rank does, and keeps its part.
         grid = user_grid(source)
-        if ranks.count == 1:
-            whole(grid, "preparing it without comm=")
-        if what.boundary_file is None:
-            return grid
+    if ranks.count == 1:
+        whole(grid, "preparing it without comm=")
+    own = grid.core
+    if what.boundary_file is not None:
         from meshdeform_formats.neutral_map import read_neutral_map
 
-        return wrapped(read_neutral_map(what.boundary_file, grid.core), grid.plane)
-
-    try:
-        found = read()
-    except WholeGridNeeded:
-        if ranks.count == 1:
-            raise
-        # Some files can only be read as a whole: each rank does, and keeps its part.
-        with sharing(Ranks(ranks.cores), None):
-            found = read()
-    return wrapped(found.core.divided(ranks), found.plane)
+        own = read_neutral_map(what.boundary_file, own)
+    return wrapped(own.divided(ranks), grid.plane)
 
 
 def _case(

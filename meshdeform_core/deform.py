@@ -94,7 +94,7 @@ def impose(
 ) -> Result:
     """Impose a motion of the boundary; see :func:`deform`. The method of the case, ``prepared`` on the undeformed grid,
     is given where the motion is one of many."""
-    limit = Limit.of(setup.grid.n_nodes, setup.case.repair.time_limit)
+    limit = Limit.of(setup.grid, setup.case.repair.time_limit)
     course = Course(setup, motion, precision, timing, progress, limit)
     one_of_many = prepared is not None
     course.warnings.extend([*setup.warnings, *doubts(course, one_of_many)])

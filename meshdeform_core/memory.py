@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from .errors import CaseError, MethodError
-from .parallel import current_ranks, current_scratch, set_sharing
+from .parallel import ONE_PROCESS, Ranks, current_sharing, set_sharing
 from .parallel.scratch import RESERVE, Scratch, resident_memory
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def readable(size: float) -> str:
 
 @dataclass(frozen=True)
 class MemoryLimit:
-    """How much memory a run may take.
+    """How much memory a run may take, on each of the ``ranks`` that share it.
 
     ``size`` in bytes; ``source`` names the limit, like ``--max-memory allows`` or ``the machine has``; ``taken`` is
     what has been set apart already.
@@ -53,6 +53,7 @@ class MemoryLimit:
     size: int
     source: str
     taken: int = 0
+    ranks: Ranks = ONE_PROCESS
 
     def require(self, needed: int, what: str, instead: str) -> None:
         """Refuse ``what`` by a :class:`.MethodError` if it needs more, which says what to do ``instead``."""
@@ -64,20 +65,20 @@ class MemoryLimit:
     def after(self, taken: int, what: str) -> MemoryLimit:
         """The limit that remains for methods after ``what`` has taken its share."""
         source = f"{self.source}, after {readable(taken)} for {what},"
-        return MemoryLimit(max(self.size - taken, 0), source, self.taken + taken)
+        return MemoryLimit(max(self.size - taken, 0), source, self.taken + taken, self.ranks)
 
 
 UNLIMITED = MemoryLimit(2**62, "the machine has")
 
 
-def parse_memory(text: str, name: str) -> MemoryLimit:
+def parse_memory(text: str, name: str, ranks: Ranks = ONE_PROCESS) -> MemoryLimit:
     """A limit from ``2GiB``, ``500 MB`` or plain bytes; messages call it ``name``."""
     match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kmgt]?)(i?)b?\s*", text.lower())
     if not match or not 0 < float(match[1]) < float("inf"):
         raise CaseError(f"{name} {text!r}: expected a size like 2GiB, 500MB or 1000000 (bytes)")
     base = 1024 if match[3] else 1000
     size = int(float(match[1]) * base ** ("", "k", "m", "g", "t").index(match[2]))
-    return MemoryLimit(size, f"{name} allows")
+    return MemoryLimit(size, f"{name} allows", ranks=ranks)
 
 
 class Amounts(NamedTuple):
@@ -174,18 +175,18 @@ class Demand:
     other_bytes: float = 0.0
 
     @classmethod
-    def of(cls, doing: str, work: Work, *grids: BlockSizes, data: int = 0) -> Demand:
+    def of(cls, doing: str, work: Work, *grids: BlockSizes, data: int = 0, ranks: Ranks = ONE_PROCESS) -> Demand:
         """The memory that ``doing`` something, such as ``deforming``, with grids takes.
 
         ``data`` are bytes of point and cell data and displacement tables, which are read, kept and written again.
         """
-        ranks, faces = current_ranks().count, sum(grid.n_face_nodes for grid in grids)
+        faces = sum(grid.n_face_nodes for grid in grids)
         whole = nodes = sum(grid.n_nodes for grid in grids)
         other = _DATA * data
-        if ranks > 1:
+        if ranks.count > 1:
             from .numerics.pieces import bounds_of
 
-            ends = (bounds_of(grid.shapes, ranks).tolist() for grid in grids)
+            ends = (bounds_of(grid.shapes, ranks.count).tolist() for grid in grids)
             nodes = sum(max(last - first for first, last in itertools.pairwise(each)) for each in ends)
             other += _MPI + _COPY * faces
         for grid in grids:
@@ -232,7 +233,7 @@ class Demand:
 
     def left_of(self, limit: MemoryLimit) -> MemoryLimit:
         """The part of ``limit`` that program and grid leave; an error if they leave nothing."""
-        needed = self.beside_files(limit) if current_scratch() else self.in_memory
+        needed = self.beside_files(limit) if current_sharing().scratch else self.in_memory
         limit.require(needed, self.what, _INSTEAD)
         return limit.after(needed, "program and grid")
 
@@ -246,8 +247,7 @@ class Demand:
         # Imported late, as it takes a tenth of the time of ``--help``.
         import tempfile
 
-        ranks = current_ranks()
-        several = ranks.on_machine < ranks.count
+        ranks, several = limit.ranks, limit.ranks.on_several_machines
         possible = folder is not None and sys.platform == "linux" and self.in_memory > limit.size
         files = (Path(tempfile.gettempdir()) if several else folder) if possible else None
         set_sharing(scratch=Scratch(files, limit.size) if files else None)
@@ -267,18 +267,17 @@ class Demand:
             raise MethodError(lack)
 
 
-def machine_memory() -> MemoryLimit:
+def machine_memory(ranks: Ranks = ONE_PROCESS) -> MemoryLimit:
     """Memory available without swapping, as far as the system reports it; several ranks share it equally.
 
     The smallest share applies to all ranks, as the limit influences what they do and all must do the same.
     """
-    ranks = current_ranks()
     source = "the machine has" if ranks.on_machine == 1 else f"each of {ranks.on_machine} ranks on the machine has"
     size = _bytes_in(Path("/proc/meminfo"), "MemAvailable:") or 2**62
     if size == 2**62:
         with suppress(OSError, ValueError, AttributeError):
             size = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    return MemoryLimit(min(ranks.gather([size // ranks.on_machine])), source)
+    return MemoryLimit(min(ranks.gather([size // ranks.on_machine])), source, ranks=ranks)
 
 
 def peak_memory() -> int:
@@ -297,7 +296,7 @@ def release_freed() -> None:
     """Return to the system, before more memory is taken, what the C library retains of freed memory (GNU C library
     only). Small processes save the time."""
     with suppress(OSError, AttributeError, TypeError):
-        if resident_memory() >= SMALL:
+        if resident_memory()[0] >= SMALL:
             ctypes.CDLL(None).malloc_trim(0)
 
 

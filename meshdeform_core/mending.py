@@ -158,7 +158,7 @@ def _moved(
     change = np.abs(start.points - grid.points)[first].max(axis=1)
     constraints = dataclasses.replace(constraints, walls=constraints.walls | (constraints.held & (change > 0.0)))
     largest, polish = float(change[constraints.held].max(initial=0.0)), case.repair.mode == "polish"
-    limit, farthest = Limit.of(grid.n_nodes, case.repair.time_limit), FARTHEST * largest if largest else np.inf
+    limit, farthest = Limit.of(grid, case.repair.time_limit), FARTHEST * largest if largest else np.inf
     repairer = Repairer(Basis(measured, constraints), written, undeformed.memory, progress, limit, farthest)
     found = repairer.repair(start, polish) or start
     if polish and start.verdict.valid:

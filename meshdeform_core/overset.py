@@ -333,7 +333,7 @@ def impose_on_components(
     found, case = [], whole.setup.case
     for each, method in zip(undeformed.components, known, strict=True):
         own = each.undeformed
-        limit, path = Limit.of(own.grid.n_nodes, case.repair.time_limit), partial(each.motion, whole.prescribed)
+        limit, path = Limit.of(own.grid, case.repair.time_limit), partial(each.motion, whole.prescribed)
         course = Course(Setup(own, case, ()), path, whole.precision, whole.timing, whole.progress, limit)
         found.append((each, one(course, method)))
     setup, results = whole.setup, [result for _, result in found]

@@ -8,7 +8,7 @@ import traceback
 import numpy as np
 
 from meshdeform_core.numerics import pieces
-from meshdeform_core.parallel import Ranks, current_scratch, empty, nodes, set_sharing, sharing
+from meshdeform_core.parallel import Ranks, empty, nodes, sharing
 
 _PATIENCE = 120.0
 _FORK = multiprocessing.get_context("fork")
@@ -17,12 +17,14 @@ _FORK = multiprocessing.get_context("fork")
 class ForkedRank(Ranks):
     """One of several ranks, as far as arrays in parts need them."""
 
+    cores = 1
+
     def __init__(self, number, count, hub):
-        super().__init__(cores=1)
         self.number, self.count, self._hub = number, count, hub
 
     def _exchange(self, what):
         """What every rank has sent, in rank order."""
+        self.meet()
         self._hub.send_bytes(pickle.dumps(what))
         return [pickle.loads(self._hub.recv_bytes()) for _ in range(self.count)]
 
@@ -45,7 +47,7 @@ class ForkedRank(Ranks):
         result = failure = None
         if self.number == 0:
             try:
-                with sharing(Ranks(1), 1):
+                with sharing(threads=1, apart=True):
                     result = action()
             except Exception as error:
                 failure = error
@@ -55,23 +57,12 @@ class ForkedRank(Ranks):
         return result
 
 
-@contextlib.contextmanager
-def scratch_in(scratch):
-    """Store large arrays that are made within the block there."""
-    before = current_scratch()
-    set_sharing(scratch=scratch)
-    try:
-        yield
-    finally:
-        set_sharing(scratch=before)
-
-
 class Failed(Exception):
     """What a rank failed with: the text of its error."""
 
 
 def on_ranks(count, action):
-    """The results of ``action(number)`` on each of several ranks.
+    """The results of ``action(ranks)`` on each of several ranks.
 
     Raises
     ------
@@ -104,8 +95,8 @@ def on_ranks(count, action):
 
 def _run(number, count, hub, action):
     try:
-        with sharing(ForkedRank(number, count, hub), 1):
-            result, failure = action(number), ""
+        with sharing(threads=1):
+            result, failure = action(ForkedRank(number, count, hub)), ""
     except BaseException:
         result, failure = None, traceback.format_exc()
     hub.send_bytes(b"")

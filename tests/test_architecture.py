@@ -42,16 +42,6 @@ def test_it_lists_the_state_of_the_process():
     assert [name for name in names.values() if name not in state] == []
 
 
-def test_it_lists_who_asks_the_context_for_ranks():
-    asks = TEXT[TEXT.index("| who asks for ranks | reason |") :]
-    asks = asks[: asks.index("\n\n")]
-    files = [path for package in PACKAGES for path in (ROOT / package).rglob("*.py")]
-    found = [path for path in files if "current_ranks()" in path.read_text(encoding="utf-8")]
-    assert len(found) > 5
-    named = re.findall("`([a-z_/]+\\.py)`", asks)
-    assert [path for path in found if not any(path.as_posix().endswith(f"/{name}") for name in named)] == []
-
-
 KERNELS = {"kernel", "fast_kernel", "contracted_kernel", "inlined", "intrinsic", "overload"}
 FILES = sorted(
     [*(ROOT / "meshdeform_core" / "numerics").rglob("*.py"), *(ROOT / "meshdeform_core" / "repair").rglob("*.py")]

@@ -14,7 +14,7 @@ from typing import Any
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FileFormat, Grid, Planes, Shape
-from meshdeform_core.parallel import require_undivided
+from meshdeform_core.parallel import ONE_PROCESS, Ranks
 
 from ..files import checked_options
 from ..planes import ranges_of, read_planes
@@ -49,7 +49,7 @@ def linked_files(path: Path) -> Iterator[Path]:
                 yield child.target.file
 
 
-def read(path: Path) -> Grid:
+def read(path: Path, ranks: Ranks = ONE_PROCESS) -> Grid:
     """Read the structured zones of a CGNS file as blocks, in file order, with their names.
 
     Patches are named after the BC_t, families after FamilyName. Coordinates are in the file's length unit, given in
@@ -60,18 +60,13 @@ def read(path: Path) -> Grid:
         base, zones = base_and_zones(root, notes)
         places = [zone.places() for zone in zones]
         if not all(places):
-            require_undivided(f"coordinates in {path} are compressed or stored in pieces")
+            ranks.require_one(f"coordinates in {path} are compressed or stored in pieces")
         nodes = base.node.labelled("Family_t")
         families = {node.name: condition.text() for node in nodes for condition in node.labelled("FamilyBC_t")[:1]}
         patches = [p for block, zone in enumerate(zones) for p in zone_patches(zone, block, families, notes)]
-        grid = Grid.allocate(
-            [zone.shape for zone in zones],
-            [zone.name for zone in zones],
-            patches=tuple(patches),
-            format=_format(path, zones),
-            path=path,
-            overset=overset_only(zones),
-        )
+        names, kind = [zone.name for zone in zones], _format(path, zones)
+        rest = {"patches": tuple(patches), "path": path, "overset": overset_only(zones)}
+        grid = Grid.allocate([zone.shape for zone in zones], names, ranks, format=kind, **rest)
         # Zones that are compressed or stored in pieces are read as a whole, others in ranges of planes.
         parts = []
         for block, (shape, known) in enumerate(zip(grid.shapes, places, strict=True)):

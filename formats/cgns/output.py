@@ -96,7 +96,7 @@ def write_new(grid: Grid, path: Path, precision: str) -> None:
 def write_completed(grid: Grid, path: Path, begin: Callable[[Path], Places]) -> None:
     """Write a file with ``begin``, on the first rank, and then, on all of them, the values for which it leaves room."""
     with replacing_by_all(path, grid.points) as partial:
-        places = grid.nodes.on_first(lambda: begin(partial))
+        places = grid.nodes.ranks.on_first(lambda: begin(partial))
         outputs = [Output.of_coordinates(grid, block, arrays) for block, arrays in places.coordinates.items()]
         for number, arrays in places.fields.items():
             field = grid.fields[number]

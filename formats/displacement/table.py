@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from meshdeform_core.boundary.tables import SurfaceData
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import Grid, IntArray
-from meshdeform_core.parallel import alone
 from meshdeform_core.wording import counted, vector
 
 from ..files import read_head, replacing
@@ -277,9 +276,7 @@ def _module(name: str) -> ModuleType:
 
 
 def _read_structured(path: Path) -> DisplacementTable | Grid:
-    # Every rank looks displacements up by itself.
-    with alone():
-        grid = read_grid(path)
+    grid = read_grid(path)
     known = []
     for block in range(grid.n_blocks):
         fields = [field for field in grid.fields if field.block == block and field.location == "node"]

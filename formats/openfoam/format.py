@@ -17,6 +17,7 @@ import numpy as np
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FileFormat, FloatArray, Grid, IntArray
+from meshdeform_core.parallel import ONE_PROCESS, Ranks
 
 from ..files import checked_options
 from .block_mesh import block_mesh
@@ -42,14 +43,14 @@ class FoamFormat(FileFormat):
     numbering: IntArray | None = dataclasses.field(default=None, compare=False, repr=False)
 
 
-def read(path: Path) -> Grid:
+def read(path: Path, ranks: Ranks = ONE_PROCESS) -> Grid:
     """Read a blockMeshDict: the file itself, or a case (folder or ``.foam`` file) that has one.
 
     Patches keep their names, which are their families, too, and their types; cyclic patches become periodic
     connections. Regions that no block side joins are components. Coordinates are in metres. If the case has a mesh, its
     points are the coordinates.
     """
-    path = Path(path)
+    ranks.require_one(f"{path} is read as a whole")
     dictionary = dictionary_of(path) if is_case(path) else path
     if dictionary is None:
         only = "has an unstructured mesh only" if mesh_files(path) else "has no system/blockMeshDict"
@@ -100,9 +101,8 @@ class MeshWriter:
 
     def __init__(self, grid: Grid, variant: FileFormat):
         assert isinstance(variant, FoamFormat)
-        options = variant.options
-        self._binary = options["encoding"] == "binary"
-        self._thickness = float(options.get("thickness", 1.0))
+        self._binary = variant.options["encoding"] == "binary"
+        self._thickness = float(variant.options.get("thickness", 1.0))
         self._copied = variant.mesh
         self._mesh: PolyMesh | None = None
         if variant.numbering is not None:

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshdeform_core.grid import Field, Grid, Planes, Shape
-from meshdeform_core.parallel import empty
+from meshdeform_core.parallel import ONE_PROCESS, Ranks, empty
 
 from ..planes import Output, Stored, Stretches, ranges_of, read_planes, write_outputs
 from .variant import (
@@ -40,11 +40,11 @@ from .variant import (
 )
 
 
-def read_binary(path: Path, options: Mapping[str, Any]) -> Grid:
-    """Read a binary Plot3D file of any variant that ``options`` allow."""
+def read_binary(path: Path, options: Mapping[str, Any], ranks: Ranks) -> Grid:
+    """Read a binary Plot3D file of any variant that ``options`` allow; on all ranks."""
 
     def load(reading: Reading) -> Grid:
-        grid, flags = allocate(reading, path)
+        grid, flags = allocate(reading, path, ranks)
         places, flag_places = places_of(reading.variant, grid.shapes, path, Stretches(reading.segments))
 
         def put(part: Planes) -> None:
@@ -68,10 +68,10 @@ def binary_layout(path: Path, options: Mapping[str, Any]) -> Reading | None:
     return fitting[0] if len(fitting) == 1 else None
 
 
-def allocate(reading: Reading, path: Path) -> tuple[Grid, list[NDArray[Any]]]:
+def allocate(reading: Reading, path: Path, ranks: Ranks = ONE_PROCESS) -> tuple[Grid, list[NDArray[Any]]]:
     """The grid of a reading, still to be filled, and the IBLANK values of the planes i of every block that this rank
     holds, if there are any."""
-    grid = Grid.allocate(reading.shapes, format=reading.variant.file_format(), path=path)
+    grid = Grid.allocate(reading.shapes, None, ranks, format=reading.variant.file_format(), path=path)
     if not reading.variant.iblank:
         return grid, []
     flags = [empty(grid.own_shape(block, shape), np.int32) for block, shape in enumerate(grid.shapes)]
@@ -126,7 +126,7 @@ def write_binary(grid: Grid, path: Path, variant: Variant) -> None:
             if not markers:
                 stream.truncate(sum(records[-1][-1]))
 
-    grid.nodes.on_first(begin)
+    grid.nodes.ranks.on_first(begin)
     data = Stretches(list(chain.from_iterable(records[len(header) :])))
     places, flag_places = places_of(variant, grid.shapes, path, data)
     outputs = [Output.of_coordinates(grid, block, arrays) for block, arrays in enumerate(places)]

@@ -16,8 +16,9 @@ from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FileFormat, Grid, Shape
 from meshdeform_core.grid.planes import block_extents
 from meshdeform_core.numerics.arrays import extent
+from meshdeform_core.parallel import ONE_PROCESS, Ranks
 
-from ..files import checked_options, replacing_by_all
+from ..files import checked_options, read_head, replacing_by_all
 from .ascii import read_ascii, write_ascii
 from .binary import binary_layout, iblank_of, read_binary, write_binary
 from .variant import CHOICES, Variant
@@ -26,7 +27,7 @@ _TEXT_SUFFIXES = (".fmt", ".p2dfmt", ".p3dfmt")
 _BINARY_SUFFIXES = (".p2dbin", ".p3dbin", ".bin")
 
 
-def read(path: Path, **options: Any) -> Grid:
+def read(path: Path, ranks: Ranks = ONE_PROCESS, **options: Any) -> Grid:
     """Read a Plot3D grid of any variant, whatever its name; ``options`` (of :class:`.variant.Variant`) restrict what is
     considered.
 
@@ -35,19 +36,18 @@ def read(path: Path, **options: Any) -> Grid:
     """
     path = Path(path)
     wanted = checked_options("Plot3D", options, CHOICES)
-    with path.open("rb") as stream:
-        # Every binary header has small integers with zero bytes, which no text has.
-        if b"\0" in stream.read(1024):
-            return read_binary(path, wanted)
+    # Every binary header has small integers with zero bytes, which no text has.
+    if b"\0" in read_head(path):
+        return read_binary(path, wanted, ranks)
+    ranks.require_one(f"{path} is text")
     return read_ascii(path, wanted)
 
 
 def layout(path: Path, **options: Any) -> tuple[tuple[Shape, ...], FileFormat] | None:
     """Block sizes of a binary file, without coordinates; ``None`` for text files, and if the size of the file does not
     determine the variant."""
-    with path.open("rb") as stream:
-        if b"\0" not in stream.read(1024):
-            return None
+    if b"\0" not in read_head(path):
+        return None
     found = binary_layout(path, checked_options("Plot3D", options, CHOICES))
     return None if found is None else (found.shapes, found.variant.file_format())
 

@@ -219,7 +219,7 @@ def deformation_figures(result: Result) -> list[Figure]:
         ("Around the walls", "A plane through the grid, coloured by f_skew.", quality_planes(old, new)),
         ("The worst cells", closeup, worst_cells(old, new, block, cell)),
     ]
-    return [Figure(title, text, after.nodes.on_first(partial(page_bytes, page))) for title, text, page in pages]
+    return [Figure(title, text, after.nodes.ranks.on_first(partial(page_bytes, page))) for title, text, page in pages]
 
 
 def histogram(before: Sequence[int] | None, after: Sequence[int], label: str) -> str:

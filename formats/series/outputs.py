@@ -180,7 +180,7 @@ class LevelFiles(SeriesFiles):
             self._remove_lone_pieces(other)
 
         write_grid(grid, self.path(number), self.options, dressed)
-        grid.nodes.on_first(remove_other)
+        grid.nodes.ranks.on_first(remove_other)
 
     def read(self, number: int) -> FloatArray:
         path = self.path(number)
@@ -189,7 +189,7 @@ class LevelFiles(SeriesFiles):
                 f"cannot continue after {path}: the next level needs its coordinates, and {self.suffix} files cannot "
                 f"be read; restart the series (--force), or use a format that can be read"
             )
-        grid = read_grid(path)
+        grid = read_grid(path, ranks=self.grid.nodes.ranks)
         if grid.n_nodes != self.grid.n_nodes:
             raise FormatError(f"{path} has {grid.n_nodes:,} nodes; a level of this series has {self.grid.n_nodes:,}")
         return grid.points
@@ -208,7 +208,7 @@ class LevelFiles(SeriesFiles):
     def publish(self, done: int) -> None:
         if self.view:
             levels = [(self.times[number], self.path(number).name) for number in range(done)]
-            self.grid.nodes.on_first(partial(write_index, self.view, levels, self.variant))
+            self.grid.nodes.ranks.on_first(partial(write_index, self.view, levels, self.variant))
 
     def clean(self) -> None:
         super().clean()

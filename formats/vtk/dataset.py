@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError, GridError
 from meshdeform_core.grid import Field, FileFormat, Grid, Planes, Shape
-from meshdeform_core.parallel import empty
+from meshdeform_core.parallel import Ranks, empty
 
 from ..planes import Output, Stored, ranges_of, write_outputs
 from ..text import number_lines
@@ -78,7 +78,7 @@ class DataSet:
     notes: tuple[str, ...] = ()
 
 
-def assemble(path: Path, kind: str, data_sets: Sequence[DataSet], names: Sequence[str] | None = None) -> Grid:
+def assemble(path: Path, kind: str, ranks: Ranks, data_sets: Sequence[DataSet], names: Sequence[str] = ()) -> Grid:
     """Make a grid of data sets; ``kind`` is the kind of file: ``legacy``, ``vts``, ``vtm``, ..."""
     file_format = FileFormat(
         name="vtk",
@@ -88,7 +88,7 @@ def assemble(path: Path, kind: str, data_sets: Sequence[DataSet], names: Sequenc
     shapes: list[Shape] = [(d.points.shape[2], d.points.shape[1], d.points.shape[0]) for d in data_sets]
     notes = tuple(note for d in data_sets for note in d.notes)
     try:
-        grid = Grid.allocate(shapes, names, format=file_format, path=path, notes=notes)
+        grid = Grid.allocate(shapes, names or None, ranks, format=file_format, path=path, notes=notes)
     except GridError as error:
         raise GridError(f"{path}: {error}") from error
     # For each block, fields with room for the values of its arrays, and these along k, j, i.
@@ -212,7 +212,7 @@ def write_blocks(grid: Grid, paths: Sequence[Path], variant: FileFormat, begin: 
 
     outputs = [
         contents[block][number].output(block, paths[block], place)
-        for block, places in enumerate(grid.nodes.on_first(all_begun))
+        for block, places in enumerate(grid.nodes.ranks.on_first(all_begun))
         for number, place in places.items()
     ]
     write_outputs(grid, outputs)

@@ -13,8 +13,9 @@ from typing import Any
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FileFormat, Grid
+from meshdeform_core.parallel import ONE_PROCESS, Ranks
 
-from ..files import checked_options, replacing_by_all
+from ..files import checked_options, read_head, replacing_by_all
 from .dataset import assemble, write_blocks
 from .legacy import begin_block as begin_legacy
 from .legacy import read as read_legacy
@@ -28,16 +29,14 @@ from .xml_tags import read_tags
 _KINDS = {".vtk": "legacy", ".vts": "vts", ".vtm": "vtm"}
 
 
-def read(path: Path) -> Grid:
+def read(path: Path, ranks: Ranks = ONE_PROCESS) -> Grid:
     """Read a VTK file; its kind is recognised by content."""
-    with path.open("rb") as stream:
-        if stream.read(14) == b"# vtk DataFile":
-            return assemble(path, "legacy", [read_legacy(path)])
+    if read_head(path).startswith(b"# vtk DataFile"):
+        return assemble(path, "legacy", ranks, [read_legacy(path, ranks)])
     file = read_tags(path)
     if file.kind == "vtkMultiBlockDataSet":
-        data_sets, names = read_set(path)
-        return assemble(path, "vtm", data_sets, names)
-    return assemble(path, "vts", [read_xml(file)])
+        return assemble(path, "vtm", ranks, *read_set(path, ranks))
+    return assemble(path, "vts", ranks, [read_xml(file, ranks)])
 
 
 def variant(grid: Grid, path: Path, options: Mapping[str, Any]) -> FileFormat:

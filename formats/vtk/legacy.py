@@ -20,7 +20,7 @@ import numpy as np
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FileFormat, Grid
-from meshdeform_core.parallel import require_undivided
+from meshdeform_core.parallel import Ranks
 
 from ..text import strict_numbers
 from .dataset import BlockOutput, DataArray, DataSet, Reserved, Run, StoredArray, Values
@@ -229,15 +229,15 @@ class LegacyFile:
         return self.arrays[-1]
 
 
-def read(path: Path) -> DataSet:
-    """Read the structured data set of a legacy file."""
+def read(path: Path, ranks: Ranks) -> DataSet:
+    """Read the structured data set of a legacy file; a text only without other ranks."""
     with path.open("rb") as stream:
         file = LegacyFile(path, stream, later=True)
         if file.kind != "STRUCTURED_GRID":
             other = _OTHER_KINDS.get(file.kind, "another kind of data set")
             raise FormatError(f"{path} is {other} (DATASET {file.kind}); expected a structured grid")
         if not file.binary:
-            require_undivided(f"{path} is text")
+            ranks.require_one(f"{path} is text")
         shape: list[int] = []
         points: Values | None = None
         while words := file.words():

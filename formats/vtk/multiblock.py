@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 from meshdeform_core import interruption
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FileFormat, Grid
+from meshdeform_core.parallel import Ranks
 
 from ..files import replacing_by_all, shown
 from .dataset import DataSet, write_blocks
@@ -31,7 +32,7 @@ _PIECE = re.compile(r"[^/\0]+\.vts")
 _DEEPEST_NAME = DEEPEST - 3
 
 
-def read(path: Path) -> tuple[list[DataSet], list[str]]:
+def read(path: Path, ranks: Ranks) -> tuple[list[DataSet], list[str]]:
     """Read the data sets of an index, in its order, and their names.
 
     A name consists of the names of the groups and the block, joined by ``/``; a block without a name is called
@@ -47,7 +48,7 @@ def read(path: Path) -> tuple[list[DataSet], list[str]]:
             raise FormatError(f"{path} refers to {piece}, which does not exist")
         name = f"{name}block{number}" if name.endswith("/") or not name else name
         names.append(f"{name}_{number}" if name in names else name)
-        data_set = read_piece(read_tags(piece))
+        data_set = read_piece(read_tags(piece), ranks)
         notes = tuple(f"{names[-1]}: {note}" for note in data_set.notes)
         data_sets.append(dataclasses.replace(data_set, notes=notes))
     return data_sets, names

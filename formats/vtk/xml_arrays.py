@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 from meshdeform_core.grid import FileFormat, Grid, Shape
-from meshdeform_core.parallel import require_undivided
+from meshdeform_core.parallel import Ranks
 
 from ..text import strict_numbers
 from .dataset import BlockOutput, DataArray, DataSet, Reserved, Run, StoredArray
@@ -291,8 +291,8 @@ Extent = tuple[Shape, Shape]
 """First node (i, j, k), and number of nodes along each index."""
 
 
-def read(file: XmlFile) -> DataSet:
-    """Read the structured data set of an XML file."""
+def read(file: XmlFile, ranks: Ranks) -> DataSet:
+    """Read the structured data set of an XML file; a text only without other ranks."""
     path = file.path
     if file.kind != "StructuredGrid":
         other = _OTHER_KINDS.get(file.kind, "another kind of data set")
@@ -315,7 +315,7 @@ def read(file: XmlFile) -> DataSet:
                 f"{data_set.get('WholeExtent')}: merge the pieces",
             )
         if file.options["encoding"] != "appended" or file.compression != "none":
-            require_undivided(f"{path} is text or compressed")
+            ranks.require_one(f"{path} is text or compressed")
         array = reader.array_of_points(piece)
         points = reader.values(array, ni * nj * nk, 3, later=True).reshape(nk, nj, ni, 3)
         n_cells = math.prod(max(n - 1, 1) for n in (ni, nj, nk))

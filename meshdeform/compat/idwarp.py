@@ -56,7 +56,7 @@ class _Interface:
         # A process alone needs no mpi4py.
         self._ranks: Ranks = ranks_of_comm(None if comm is None or comm.size == 1 else comm)
         self._file = file
-        with one_at_a_time(), sharing(Ranks(self._ranks.cores), None):
+        with one_at_a_time(), sharing(threads=self._ranks.cores):
             grid = read(file).core
             found = grid.format.name if grid.format else ""
             if found != kind.lower():

@@ -20,7 +20,7 @@ import numpy as np
 from ..errors import GridError
 from ..numerics.arrays import FloatArray, IntArray, total
 from ..numerics.pieces import bounds_of, pieces
-from ..parallel import Nodes, Ranks, current_ranks, for_items
+from ..parallel import ONE_PROCESS, Nodes, Ranks, for_items
 from .parts import BlockSizes, Connection, Field, FileFormat, OwnPlanes, Patch, Planes, Shape, SideLattice, Window
 
 
@@ -79,11 +79,13 @@ class Grid(BlockSizes):
             )
 
     @classmethod
-    def allocate(cls, shapes: Sequence[Shape], names: Sequence[str] | None = None, **rest: Any) -> Grid:
-        """Make a grid with uninitialised coordinates, to be filled block by block through :meth:`fill`."""
+    def allocate(
+        cls, shapes: Sequence[Shape], names: Sequence[str] | None = None, ranks: Ranks = ONE_PROCESS, **rest: Any
+    ) -> Grid:
+        """Make a grid with uninitialised coordinates, in parts if there are several ranks, to be filled."""
         sizes: tuple[Shape, ...] = tuple((int(ni), int(nj), int(nk)) for ni, nj, nk in shapes)
         labels = tuple(names) if names is not None else tuple(f"block{b + 1}" for b in range(len(sizes)))
-        return cls(_points_among(sizes, current_ranks()), sizes, labels, **rest)
+        return cls(_points_among(sizes, ranks), sizes, labels, **rest)
 
     @classmethod
     def from_blocks(cls, blocks: Sequence[FloatArray], names: Sequence[str] | None = None, **rest: Any) -> Grid:
@@ -196,7 +198,6 @@ class Grid(BlockSizes):
 
     def fill(self, put: Callable[[int], None]) -> None:
         """Call ``put(b)``, which fills the block's rows of ``points``, for every block, in ascending order."""
-        self.nodes.require_whole("the grid is read as a whole")
         for block in range(self.n_blocks):
             put(block)
 

@@ -26,7 +26,7 @@ from ..numerics.geometry.coincidence import (
     integers,
     numbered_by_first,
 )
-from ..parallel import current_scratch, empty
+from ..parallel import current_sharing, empty
 from .blocks import FloatArray, Grid, IntArray
 from .parts import Patch, Side, Window
 from .planes import block_handedness
@@ -213,8 +213,7 @@ def coincident_topology(grid: Grid, tolerance: float = RELATIVE_TOLERANCE) -> To
 
 def _kept_in_file(array: np.ndarray) -> np.ndarray:
     """The array, in a file where large arrays are stored in files."""
-    scratch = current_scratch()
-    if not (scratch and scratch.takes(array.nbytes)):
+    if current_sharing().scratch is None:
         return array
     found = empty(array.shape, array.dtype)
     found[...] = array

@@ -1,32 +1,18 @@
 """Threads of a process, MPI ranks, and arrays of which every rank holds a part."""
 
-from .loops import (
-    Ranks,
-    agreed,
-    alone,
-    current_ranks,
-    current_scratch,
-    empty,
-    for_chunks,
-    for_items,
-    set_sharing,
-    sharing,
-    thread_count,
-)
-from .nodes import Nodes, WholeGridNeeded, require_undivided
+from .loops import current_sharing, empty, for_chunks, for_items, set_sharing, sharing, thread_count
+from .nodes import Nodes
+from .ranks import ONE_PROCESS, Ranks, WholeGridNeeded
 
 __all__ = [
+    "ONE_PROCESS",
     "Nodes",
     "Ranks",
     "WholeGridNeeded",
-    "agreed",
-    "alone",
-    "current_ranks",
-    "current_scratch",
+    "current_sharing",
     "empty",
     "for_chunks",
     "for_items",
-    "require_undivided",
     "set_sharing",
     "sharing",
     "thread_count",

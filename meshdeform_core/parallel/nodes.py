@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 import mmap
-import threading
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from .loops import Ranks, current_ranks, current_scratch, empty, for_chunks
+from .loops import current_sharing, empty, for_chunks
+from .ranks import ONE_PROCESS, Ranks, WholeGridNeeded
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -26,10 +26,6 @@ _ROWS = 1 << 14
 # Where one row of a mapped file is read, Linux may bring the 2^21 bytes around it into memory. Between two looks at the
 # resident size, so many of these stretches are touched, half of what is reserved, and at most so many rows are read.
 _STRETCH, _STRETCHES, _FAR_APART = 21, 96, 1 << 16
-
-
-class WholeGridNeeded(Exception):
-    """The request requires the whole grid on every rank; raised on all ranks alike, with the reason."""
 
 
 class Nodes:
@@ -62,12 +58,11 @@ class Nodes:
         self.shape, self.dtype, self.divided = rows.shape, rows.dtype, ranks.count > 1
         self.low, self.high = self.bounds[ranks.number : ranks.number + 2].tolist()
         self.ends = self._held = self.low, self.high
-        self._thread = threading.get_ident()
 
     @classmethod
     def of(cls, array: Any) -> Nodes:
         """The rows of an array, in parts or whole."""
-        return array if isinstance(array, cls) else cls(Ranks(), (0, len(array)), array)
+        return array if isinstance(array, cls) else cls(ONE_PROCESS, (0, len(array)), array)
 
     @classmethod
     def new(cls, ranks: Ranks, bounds: ArrayLike, shape: Sequence[int], dtype: Any = "float64") -> Any:
@@ -78,7 +73,7 @@ class Nodes:
         if ranks.count == 1:
             return empty(shape, dtype)
 
-        scratch, width = current_scratch(), math.prod(shape[1:]) * np.dtype(dtype).itemsize
+        scratch, width = current_sharing().scratch, math.prod(shape[1:]) * np.dtype(dtype).itemsize
         low, high = np.asarray(bounds)[ranks.number : ranks.number + 2].tolist()
         if not (scratch and scratch.takes((high - low) * width)):
             return cls(ranks, bounds, blank(shape, dtype))
@@ -124,7 +119,6 @@ class Nodes:
         """The rows, sent by their owners."""
         import numpy as np
 
-        self._require_all()
         holder = np.searchsorted(self.bounds, rows, side="right").astype(np.int32) - 1
         counts = np.bincount(holder, minlength=self.ranks.count).tolist()
         found = self.ranks.collect(_rows_at(self.rows, rows[holder == self.ranks.number]), counts)
@@ -137,7 +131,6 @@ class Nodes:
         """Also hold copies of the rows first <= n < last as their owners have them now; all ranks must call this."""
         if not self.divided:
             return
-        self._require_all()
         (low, high), held = self.ends, self._held
         first, last = min(first, low), max(last, high)
         for begin, end in ((first, held[0]), (held[1], last)):
@@ -151,14 +144,6 @@ class Nodes:
                 receives[other] = self.rows[max(first, theirs.start) : min(last, theirs.stop)]
         self.ranks.swap(sends, receives)
         self._held = first, last
-
-    def any(self) -> bool:
-        """Whether any element is nonzero."""
-        return any(self.ranks.gather([bool(self.own.any())]))
-
-    def min(self) -> Any:
-        """The smallest element."""
-        return min(self.ranks.gather([self.own.min()] if len(self.own) else []))
 
     def each(self, fill: Callable[[slice], object]) -> None:
         """Call ``fill(rows)`` for slices of the rows of this rank, on all threads; errors as in :meth:`on_each`."""
@@ -174,11 +159,6 @@ class Nodes:
             failures.append(error)
         for failure in self.ranks.gather(failures):
             raise failure
-
-    def on_first(self, action: Callable[[], T]) -> T:
-        """The result, on all ranks, of ``action`` of the first one alone; of a whole array that several ranks have, of
-        the first of these."""
-        return (self.ranks if self.divided else current_ranks()).on_first(action)
 
     def gather(self, value: T) -> list[T]:
         """The values of all ranks."""
@@ -197,14 +177,8 @@ class Nodes:
         return result
 
     def require_whole(self, what: str) -> None:
-        """Raise :class:`WholeGridNeeded` if the array is in parts, for ``what`` takes all rows."""
-        if self.divided:
-            raise WholeGridNeeded(what)
-
-    def _require_all(self) -> None:
-        """Raise an error rather than wait for ranks that do not take part."""
-        if current_ranks().count != self.ranks.count or threading.get_ident() != self._thread:
-            raise RuntimeError("a rank reads rows of others by itself")
+        """Raise :class:`.WholeGridNeeded` if the array is in parts, for ``what`` takes all rows."""
+        self.ranks.require_one(what)
 
 
 def _rows_at(array: Any, rows: Any) -> Any:
@@ -214,7 +188,7 @@ def _rows_at(array: Any, rows: Any) -> Any:
     """
     import numpy as np
 
-    scratch = current_scratch()
+    scratch = current_sharing().scratch
     if scratch is None:
         # A quarter of the time that array[rows] takes.
         plain = isinstance(array, np.ndarray) and array.flags.c_contiguous
@@ -240,9 +214,3 @@ def blank(shape: Sequence[int], dtype: Any) -> Any:
     reserve = getattr(mmap, "MAP_NORESERVE", 0)
     flags = mmap.MAP_SHARED | mmap.MAP_ANONYMOUS | reserve
     return np.ndarray(shape, dtype, buffer=mmap.mmap(-1, size, flags=flags))
-
-
-def require_undivided(what: str) -> None:
-    """Raise :class:`WholeGridNeeded`, with the reason ``what``, if a grid about to be read will be in parts."""
-    if current_ranks().count > 1:
-        raise WholeGridNeeded(what)

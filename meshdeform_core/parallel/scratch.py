@@ -44,7 +44,7 @@ class Scratch:
         self._folder = folder
         self._full, self._files = max(limit - RESERVE, limit // 2), max(limit // _FILES, RESERVE)
         self._maps: list[weakref.ref[mmap.mmap]] = []
-        self._lock, self._watched, self._used = threading.Lock(), False, False
+        self._lock, self._watched = threading.Lock(), False
 
     def takes(self, size: int) -> bool:
         """Whether an array of ``size`` bytes is stored in a file."""
@@ -77,7 +77,6 @@ class Scratch:
                 with self._errors(last - first):
                     os.posix_fallocate(file.fileno(), first, last - first)
 
-        self._used = True
         with self._lock:
             self._maps = [each for each in self._maps if each() is not None] + [weakref.ref(mapped)]
             if not self._watched:
@@ -99,34 +98,26 @@ class Scratch:
         """Release pages when needed, as long as there are files."""
         while True:
             with self._lock:
-                maps = [each for each in (one() for one in self._maps) if each is not None]
-                if not maps:
+                if all(one() is None for one in self._maps):
                     self._watched = False
                     return
-            self.look(maps)
-            # Drop the references, so that files of arrays no longer in use are closed.
-            del maps
+            self.look()
             time.sleep(_SECONDS)
 
-    def look(self, maps: Sequence[mmap.mmap | None] | None = None) -> None:
+    def look(self) -> None:
         """Release pages if there are too many in memory; also called by loops, as a busy system may not wake the
         watching thread in time."""
-        if not self._used:
+        if not self._maps:
             return
-        resident, mapped = _resident()
+        resident, mapped = resident_memory()
         if resident > self._full or mapped > self._files:
-            for each in [one() for one in self._maps] if maps is None else maps:
-                if each is not None:
+            for one in self._maps:
+                if (each := one()) is not None:
                     each.madvise(mmap.MADV_DONTNEED)
 
 
-def resident_memory() -> int:
-    """Resident memory of this process in bytes, mapped files included."""
-    return _resident()[0]
-
-
-def _resident() -> tuple[int, int]:
-    """Bytes of resident memory, and of mapped files in it."""
+def resident_memory() -> tuple[int, int]:
+    """Bytes of resident memory of this process, and of mapped files in it."""
     with open("/proc/self/statm", "rb") as file:
         resident, mapped = file.read().split()[1:3]
     return int(resident) * mmap.PAGESIZE, int(mapped) * mmap.PAGESIZE

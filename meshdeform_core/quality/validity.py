@@ -172,18 +172,18 @@ class Verdict:
 
     def weak(self, limit: float) -> IntArray:
         """Numbers of this rank's cells that failed a test or whose ``ratio`` is below a limit."""
-        low, high = Nodes.of(self.failed).ends
-        failed, ratio = self.failed[low:high], self.ratio[low:high]
-        return np.asarray(low + np.flatnonzero((failed != 0) | (ratio < limit)))
+        failed, ratio = Nodes.of(self.failed), Nodes.of(self.ratio)
+        return np.asarray(failed.low + np.flatnonzero((failed.own != 0) | (ratio.own < limit)))
 
     @property
     def valid(self) -> bool:
-        return not self.failed.any()
+        return not len(self.invalid)
 
     @property
     def smallest_ratio(self) -> float:
         """The smallest ``ratio``."""
-        return float(self.ratio.min())
+        ratio = Nodes.of(self.ratio)
+        return min(ratio.gather(float(ratio.own.min(initial=np.inf))))
 
 
 def judge(original: Original, after: FloatArray) -> Verdict:

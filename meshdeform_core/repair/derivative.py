@@ -13,7 +13,6 @@ import numpy as np
 import scipy
 
 from ..grid import FloatArray
-from ..parallel import Nodes
 from .constraints import Extrusion
 from .energy import Penalty, components, kept_along_lines, share_of
 from .region import Basis, Plot
@@ -89,35 +88,25 @@ class _AtMinimum:
     def push_with_share(self, change: FloatArray) -> tuple[FloatArray, float]:
         """As :meth:`push`, and the change of the share."""
         plot, moved = self._plot, np.array(change)
-        given = components(Nodes.of(change).at(plot.nodes), plot.axes)
-
-        def make() -> tuple[FloatArray, float]:
-            excess, _ = self._energy.excess_products(self._start, given, self._none)
-            shares, slid = (float(self._slopes[0] @ excess), self._slopes[1] * excess), self._slides * given
-            force, _, _ = self._energy.products(self._x, self._penalty._replace(elastic=0.0), given, *shares)
-            step = _times(self._spread, self._solved(-_times(self._free.T, force - self._hessian(slid))))
-            return plot.shift(step - slid), shares[0]
-
-        shift, share = Nodes.of(change).on_first(make)
-        moved[plot.moved] += shift
-        return moved, share
+        given = components(change[plot.nodes], plot.axes)
+        excess, _ = self._energy.excess_products(self._start, given, self._none)
+        shares, slid = (float(self._slopes[0] @ excess), self._slopes[1] * excess), self._slides * given
+        force, _, _ = self._energy.products(self._x, self._penalty._replace(elastic=0.0), given, *shares)
+        step = _times(self._spread, self._solved(-_times(self._free.T, force - self._hessian(slid))))
+        moved[plot.moved] += plot.shift(step - slid)
+        return moved, shares[0]
 
     def pull(self, gradient: FloatArray, of_share: float = 0.0) -> FloatArray:
         """Gradient (n_nodes, 3) with respect to the method's grid, from those with respect to the repaired grid and to
         the share."""
-        plot, pulled = self._plot, np.array(gradient)
-
-        def make() -> FloatArray:
-            own = np.zeros_like(self._x)
-            np.add.at(own, plot.at, gradient[plot.moved] @ plot.axes.T)
-            step = _times(self._free, self._solved(-_times(self._spread.T, own), transposed=True))
-            free = self._penalty._replace(elastic=0.0)
-            found, share, between = self._energy.products(self._x, free, step, 0.0, self._none)
-            of_excess = (share + of_share) * self._slopes[0] + between * self._slopes[1]
-            _, rest = self._energy.excess_products(self._start, step, of_excess)
-            return np.asarray((found + rest - self._slides * (self._hessian(step) + own)) @ plot.axes)
-
-        pulled[plot.nodes] += Nodes.of(gradient).on_first(make)
+        plot, pulled, own = self._plot, np.array(gradient), np.zeros_like(self._x)
+        np.add.at(own, plot.at, gradient[plot.moved] @ plot.axes.T)
+        step = _times(self._free, self._solved(-_times(self._spread.T, own), transposed=True))
+        free = self._penalty._replace(elastic=0.0)
+        found, share, between = self._energy.products(self._x, free, step, 0.0, self._none)
+        of_excess = (share + of_share) * self._slopes[0] + between * self._slopes[1]
+        _, rest = self._energy.excess_products(self._start, step, of_excess)
+        pulled[plot.nodes] += (found + rest - self._slides * (self._hessian(step) + own)) @ plot.axes
         return pulled
 
     def settle(self, rounding: float) -> float:
@@ -126,20 +115,15 @@ class _AtMinimum:
         Returns the largest distance moved beyond the rounding, relative to the shortest local edge; infinity if the
         Hessian is not positive definite, or too nearly singular for the linear system to be solved.
         """
-
-        def make() -> FloatArray:
-            for _ in range(_STEPS):
-                self._plot.system.fill(self._region, self._x, self._start, self._penalty)
-                self._x = self._x + _times(self._spread, self._solved(-self._plot.system.gradient))
-                if not self._regular:
-                    return np.full_like(self._x, np.inf)
-                for slide in self._region.slides:
-                    self._x[slide.nodes] = slide.back(self._x[slide.nodes])
-                self._place()
-            return self._x
-
         before = self._x
-        self._x = Nodes.of(before).on_first(make)
+        for _ in range(_STEPS):
+            self._plot.system.fill(self._region, self._x, self._start, self._penalty)
+            self._x = self._x + _times(self._spread, self._solved(-self._plot.system.gradient))
+            if not self._regular:
+                return float("inf")
+            for slide in self._region.slides:
+                self._x[slide.nodes] = slide.back(self._x[slide.nodes])
+            self._place()
         moved = np.maximum(np.abs(self._x - before).max(axis=1) - rounding, 0.0)
         return float((moved / self._plot.edges).max())
 

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import time as clock
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 from ..errors import CaseError
-from ..parallel import agreed, current_ranks
+from ..parallel import ONE_PROCESS, Ranks
 from ..wording import literal
+
+if TYPE_CHECKING:
+    from ..grid import Grid
 
 Mode = Literal["auto", "off", "polish"]
 Effort = Literal["hasty", "quick", "patient", "all"]
@@ -58,17 +61,26 @@ class Limit:
 
     Work is counted, not measured, so that results depend on neither the machine nor its load. Its unit is about a
     microsecond of one core. What is spent within a limit made from another one is also spent of that one;
-    ``spent`` is all of it.
+    ``spent`` is all of it. ``ranks`` share the work.
     """
 
-    def __init__(self, seconds: float = float("inf"), work: float = float("inf"), whole: Limit | None = None):
+    def __init__(
+        self, seconds: float = float("inf"), work: float = float("inf"), whole: Limit | None = None,
+        ranks: Ranks | None = None,
+    ):  # fmt: skip
         self.seconds = seconds
-        self._end, self._most, self._whole, self.spent = clock.monotonic() + seconds, work, whole, 0.0
+        self.ranks: Ranks = ranks or (whole.ranks if whole else ONE_PROCESS)
+        self._end: float = min(clock.monotonic() + seconds, whole._end if whole else float("inf"))
+        self._most, self._whole, self.spent = work, whole, 0.0
 
     @classmethod
-    def of(cls, n_nodes: int, seconds: float) -> Limit:
-        """The limit for a motion of a grid."""
-        return cls(seconds, _PER_NODE * max(n_nodes, _FEWEST))
+    def of(cls, grid: Grid, seconds: float) -> Limit:
+        """The limit for a motion of a grid, for the ranks that hold it."""
+        return cls(seconds, _PER_NODE * max(grid.n_nodes, _FEWEST), ranks=grid.nodes.ranks)
+
+    def of_one_rank(self) -> Limit:
+        """What is left, for one rank alone; what it spends is to be counted on all."""
+        return Limit(self._end - clock.monotonic(), self._most - self.spent)
 
     def of_repair(self, n_nodes: int, smallest_ratio: float) -> Limit:
         """The limit for one repair of a grid with this smallest relative Jacobian, 0 if it is invalid: at most a part
@@ -90,12 +102,12 @@ class Limit:
     @property
     def exhausted(self) -> bool:
         """Whether all work is spent on some rank; a collective call with the same answer on all."""
-        return agreed(current_ranks(), self.spent - self._most) >= 0.0
+        return self.ranks.largest(self.spent - self._most) >= 0.0
 
     @property
     def late(self) -> bool:
         """Whether the time is over on some rank; a collective call with the same answer on all."""
-        return agreed(current_ranks(), clock.monotonic() - self._end) >= 0.0 or bool(self._whole and self._whole.late)
+        return self.ranks.largest(clock.monotonic() - self._end) >= 0.0
 
     @property
     def reached(self) -> bool:

@@ -164,15 +164,13 @@ class Repairer:
 
     def _searched(self, start: Judged, plot: Plot, limit: Limit, way: Way, polish: bool) -> Search | None:
         """A search in one process; of ranks, by the first one."""
-        reference, before = plot.inside(start.points), limit.spent
+        reference, own = plot.inside(start.points), limit.of_one_rank()
 
         def searched() -> tuple[Search | None, float]:
-            untangler = Untangler(plot, reference, self.farthest, limit, self.progress)
-            return untangler.search(way, polish), limit.spent - before
+            return Untangler(plot, reference, self.farthest, own, self.progress).search(way, polish), own.spent
 
-        found, spent = Nodes.of(start.points).on_first(searched)
-        # Of the other ranks.
-        limit.spend(spent - (limit.spent - before))
+        found, spent = limit.ranks.on_first(searched)
+        limit.spend(spent)
         return found
 
     def _kept(self, start: Judged, end: Judged) -> Judged:

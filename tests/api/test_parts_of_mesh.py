@@ -10,7 +10,7 @@ from grids import frame_2d, tapered
 
 import meshdeform as md
 from meshdeform import tasks
-from meshdeform_core.parallel import Ranks, current_ranks
+from meshdeform_core.parallel import ONE_PROCESS
 
 MEASURES = "f_skew", "f_skew_min", "scaled_jacobian_min", "volume"
 
@@ -18,7 +18,7 @@ MEASURES = "f_skew", "f_skew_min", "scaled_jacobian_min", "volume"
 @pytest.fixture
 def source(tmp_path, monkeypatch):
     """A grid file; ``comm`` is the ranks themselves, and blocks are cut although they are small."""
-    monkeypatch.setattr(tasks, "ranks_of_comm", lambda comm: comm or Ranks())
+    monkeypatch.setattr(tasks, "ranks_of_comm", lambda comm: comm or ONE_PROCESS)
     grid = tapered(6, 5)
     path = tmp_path / "grid.xyz"
     md.write(md.Grid([grid.block(b) for b in range(grid.n_blocks)]), path)
@@ -26,9 +26,9 @@ def source(tmp_path, monkeypatch):
         yield path
 
 
-def prepared(path, **rest):
+def prepared(path, ranks=ONE_PROCESS, **rest):
     bar = ["block2.imax", "block4.jmax", "block5.jmin", "block7.imin"]
-    return md.prepare(path, moving=bar, slip=["*.kmin", "*.kmax"], comm=current_ranks(), **rest)
+    return md.prepare(path, moving=bar, slip=["*.kmin", "*.kmax"], comm=ranks, **rest)
 
 
 def turned(points, time):
@@ -54,8 +54,8 @@ def test_every_rank_has_its_part_of_the_grid_and_of_the_result(source, tmp_path)
     assert step.repair is not None
     assert len(one.grid.part) == len(expected)
 
-    def act(number):
-        mesh = prepared(source)
+    def act(ranks):
+        mesh = prepared(source, ranks)
         np.testing.assert_array_equal(mesh.points, one.points)
         found = mesh.deform(turned)
         for part, before in zip(found.grid.part, mesh.grid.part, strict=True):
@@ -84,12 +84,12 @@ def test_every_rank_has_its_part_of_the_grid_and_of_the_result(source, tmp_path)
 
 
 def test_what_takes_the_whole_grid_is_refused_on_all_ranks(source):
-    def act(number):
+    def act(ranks):
         with pytest.raises(md.GridError, match="inside blocks: that takes the whole grid"):
-            prepared(source, method="idw-rbf").linearise()
-        at = prepared(source).linearise(repair="off")
+            prepared(source, ranks, method="idw-rbf").linearise()
+        at = prepared(source, ranks).linearise(repair="off")
         # An error on one rank alone is raised on all.
-        wrong = [np.full(part.points.shape, np.nan if number else 0.0) for part in at.step.grid.part]
+        wrong = [np.full(part.points.shape, np.nan if ranks.number else 0.0) for part in at.step.grid.part]
         with pytest.raises(md.GridError, match="not finite"):
             at.vjp(wrong)
         return True
@@ -102,8 +102,8 @@ def test_a_grid_that_every_rank_holds_as_a_whole_is_divided(source, tmp_path):
     text = tmp_path / "text.xyz"
     md.write(md.read(source), text, encoding="ascii")
 
-    def act(number):
-        own, *others = (prepared(grid) for grid in (source, md.read(source), text))
+    def act(ranks):
+        own, *others = (prepared(grid, ranks) for grid in (source, md.read(source), text))
         for mesh in others:
             assert [part[:3] for part in mesh.grid.part] == [part[:3] for part in own.grid.part]
             for one, two in zip(mesh.deform(small).grid.part, own.deform(small).grid.part, strict=True):
@@ -132,8 +132,8 @@ def test_derivatives_in_parts(source, name, monkeypatch):
     pushed, pulled, reason = whole.jvp(change), whole.vjp(gradient), whole.reason
     poison_parts(monkeypatch)
 
-    def act(number):
-        own = prepared(source, method=METHODS[name]).linearise(small, repair="off")
+    def act(ranks):
+        own = prepared(source, ranks, method=METHODS[name]).linearise(small, repair="off")
         assert own.reason == reason
         pieces = own.jvp(change)
         for part, found in zip(own.step.grid.part, pieces, strict=True):
@@ -152,8 +152,8 @@ def test_derivatives_in_parts(source, name, monkeypatch):
 
 
 def test_derivatives_of_repairs_and_steps_in_parts_are_those_of_the_method(source):
-    def act(number):
-        mesh = prepared(source)
+    def act(ranks):
+        mesh = prepared(source, ranks)
         repaired, stepped = mesh.linearise(turned), mesh.linearise(turned, steps=2, repair="off")
         assert not repaired.exact
         assert not stepped.exact
@@ -172,12 +172,12 @@ def test_swept_volumes_and_gradients_of_quality_in_parts(source, plane, tmp_path
     path = tmp_path / "plane.xyz" if plane else source
     sides = [] if plane else ["*.kmin", "*.kmax"]
 
-    def moved(**rest):
+    def moved(ranks=ONE_PROCESS):
         body = {"select": ["*.i*", "*.j*"], "where": "abs(x) < 0.51 and abs(y) < 0.51", "kind": "moving"}
         body["motion"] = [{"displace": ["0.2*y", "0.2*x", "0"]}]
         slip = [{"name": "sides", "select": sides, "kind": "slip"}] if sides else []
         case = {"boundary": [{"name": "body", **body}, *slip]}
-        mesh = md.prepare(path, case, comm=current_ranks(), **rest)
+        mesh = md.prepare(path, case, comm=ranks)
         return mesh, mesh.deform()
 
     mesh, step = moved()
@@ -186,8 +186,8 @@ def test_swept_volumes_and_gradients_of_quality_in_parts(source, plane, tmp_path
     swept = step.swept_volumes(mesh.grid)
     poison_parts(monkeypatch)
 
-    def act(number):
-        own, found = moved()
+    def act(ranks):
+        own, found = moved(ranks)
         for part, faces in zip(found.grid.part, found.swept_volumes(own.grid), strict=True):
             for axis, (each, every) in enumerate(zip(faces, swept[part.block], strict=True)):
                 np.testing.assert_array_equal(each, every[part.first : part.last])

@@ -79,7 +79,7 @@ def test_threads_are_those_of_our_loops(bench, call, monkeypatch):
     from meshdeform_core.parallel import loops as parallel
 
     monkeypatch.setattr("meshdeform_cli.main.LIBRARIES", ())
-    with parallel.sharing(parallel.current_ranks(), None):
+    with parallel.sharing():
         for count in (1, 2):
             call(*RUN, "--threads", str(count), "--force")
             assert parallel.thread_count() == count

@@ -21,7 +21,7 @@ from meshdeform_cli import dry_run
 from meshdeform_cli.main import run
 from meshdeform_core.grid import FileFormat
 from meshdeform_core.memory import PICTURE_BYTES, UNLIMITED, Demand, deforming, parse_memory
-from meshdeform_core.parallel import Ranks, sharing
+from meshdeform_core.parallel import Ranks
 from meshdeform_formats import write_grid
 from meshdeform_formats.grids import Layout
 
@@ -102,9 +102,9 @@ MEASURED = (
 )  # fmt: skip
 
 
-def boxes(method: str, blocks: int, side: int) -> Demand:
+def boxes(method: str, blocks: int, side: int, **more) -> Demand:
     layout = Layout("grid.xyz", ((side,) * 3,) * blocks, FileFormat("plot3d"))
-    return Demand.of("deforming", deforming(method), layout)
+    return Demand.of("deforming", deforming(method), layout, **more)
 
 
 @pytest.mark.parametrize(("method", "blocks", "side", "peak"), MEASURED)
@@ -140,8 +140,7 @@ class Four(Ranks):
 def test_ranks_are_told_what_each_of_them_takes(method, peak):
     """MB that the largest of four took and, of pages of the compiler, returned, with 12 million nodes in one block,
     which ``tfi`` fills as a whole."""
-    with sharing(Four(), 1):
-        assert 0.98 < boxes(method, 1, 229).in_memory / (1e6 * peak) < 1.15
+    assert 0.98 < boxes(method, 1, 229, ranks=Four()).in_memory / (1e6 * peak) < 1.15
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from meshdeform_core.methods.limits import CHOSEN, EDGES, FOLDED, HALF_TURNS, LA
 from meshdeform_core.methods.scattered import linear_idw
 from meshdeform_core.methods.scattered.summation import DERIVATIVE_TOLERANCE
 from meshdeform_core.numerics.rigid import Frame
-from meshdeform_core.parallel import Ranks, sharing
+from meshdeform_core.parallel import sharing
 
 # With weights computed anew in every part of a rotation there is no exact derivative.
 METHODS = ALL_METHODS | {
@@ -233,7 +233,7 @@ def test_threads_change_no_bit_of_a_derivative():
     for options in (Options("idw-tfi", idw=IDW(summation="fast")), Options("rbf", rbf=RBF(summation="fast"))):
         method = make_method(options).prepare(where)
         for threads in (1, 3):
-            with sharing(Ranks(), threads):
+            with sharing(threads=threads):
                 derivative = method.linearised(smooth)
                 found.append((derivative.push(rough), derivative.pull(weight.copy())))
     for one, two in (found[:2], found[2:]):

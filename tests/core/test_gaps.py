@@ -227,7 +227,7 @@ def test_of_two_methods_the_grid_with_fewer_invalid_cells_is_kept(rescued, kept,
 
 
 def test_a_squeezed_valid_grid_may_take_up_to_the_work_of_an_invalid_one():
-    whole = options.Limit.of(50_000, 1.0)
+    whole = options.Limit.of(Grid.allocate([(50, 100, 10)]), 1.0)
     sound, bound, half, least, invalid = (
         whole.of_repair(50_000, ratio).affords(1.0) for ratio in (1.0, 0.22, 0.11, 1e-9, 0.0)
     )

@@ -6,12 +6,12 @@ import functools
 import numpy as np
 import pytest
 from cases import ALL_METHODS, INNER, apply, body_specs, every, problem_of, turning
-from forked_ranks import scratch_in
 from grids import frame, frame_2d, permuted, polar, turn_back
 
 from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.methods import IDW, Options, Problem, make_method
+from meshdeform_core.parallel import sharing
 
 EVERY = every(ALL_METHODS)
 XYZ = {"x", "y", "z"}
@@ -226,5 +226,5 @@ REACHED = {
 def test_every_node_is_reached(name, which):
     problem = REACHED[which]()
     prepared = make_method(ALL_METHODS[name]).prepare(problem)
-    with scratch_in(Unset()):
+    with sharing(scratch=Unset()):
         assert np.isfinite(prepared.apply(bend(problem.source_points))).all()

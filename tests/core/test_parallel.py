@@ -5,14 +5,7 @@ import time
 
 import pytest
 
-from meshdeform_core.parallel import (
-    Ranks,
-    alone,
-    for_chunks,
-    set_sharing,
-    sharing,
-    thread_count,
-)
+from meshdeform_core.parallel import current_sharing, for_chunks, set_sharing, sharing, thread_count
 
 
 @pytest.mark.parametrize("threads", [1, 3])
@@ -37,7 +30,7 @@ def test_threads_of_a_program_do_not_change_each_others_setting():
     found, inside, leave = {}, threading.Event(), threading.Event()
 
     def other() -> None:
-        with sharing(Ranks(1), 1):
+        with sharing(threads=1):
             inside.set()
             assert leave.wait(10)
             found["other"] = thread_count()
@@ -46,18 +39,11 @@ def test_threads_of_a_program_do_not_change_each_others_setting():
     thread.start()
     try:
         assert inside.wait(10)
-        found["this"] = sharing_of_this()
-        with alone():
-            found["alone"] = sharing_of_this()
+        found["this"] = current_sharing().threads
+        with sharing(apart=True):
+            found["apart"] = current_sharing().threads
     finally:
         leave.set()
         thread.join()
         set_sharing(threads=None)
-    assert found == {"this": 3, "alone": 3, "other": 1}
-
-
-def sharing_of_this() -> int | None:
-    """The number of threads asked for, whatever this machine has."""
-    from meshdeform_core.parallel.loops import _sharing
-
-    return _sharing.get().threads
+    assert found == {"this": 3, "apart": 3, "other": 1}

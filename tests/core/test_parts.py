@@ -10,7 +10,7 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 from cases import body_specs, formulas, turning
-from forked_ranks import Failed, on_ranks, poison_parts, scratch_in, small_blocks_are_cut
+from forked_ranks import Failed, on_ranks, poison_parts, small_blocks_are_cut
 from grids import block_around, frame, frame_2d, interleaved, permuted, tapered
 
 from meshdeform_core.boundary import BoundarySpec, Kind, crossing
@@ -20,7 +20,7 @@ from meshdeform_core.grid import FileFormat, Grid
 from meshdeform_core.grid.selection import BY_PREFIX
 from meshdeform_core.memory import Demand, deforming
 from meshdeform_core.methods import IDW, RBF, TFI, Options
-from meshdeform_core.parallel import Nodes, WholeGridNeeded, alone, scratch
+from meshdeform_core.parallel import ONE_PROCESS, Nodes, WholeGridNeeded, scratch, sharing
 from meshdeform_core.parallel.scratch import Scratch
 from meshdeform_core.repair import RepairOptions
 from meshdeform_core.series import Schedule, deform_series
@@ -55,11 +55,9 @@ def poisoned(monkeypatch):
     poison_parts(monkeypatch)
 
 
-def part_of(bounds, values):
+def part_of(ranks, bounds, values):
     """The part of this rank of an array."""
-    from meshdeform_core.parallel import current_ranks
-
-    part = Nodes.of(Nodes.new(current_ranks(), bounds, values.shape, values.dtype))
+    part = Nodes.of(Nodes.new(ranks, bounds, values.shape, values.dtype))
     part.own[...] = values[part.low : part.high]
     return part
 
@@ -67,8 +65,8 @@ def part_of(bounds, values):
 def test_a_part_refuses_rows_of_others():
     values = np.arange(30.0).reshape(10, 3)
 
-    def look(number):
-        part = part_of([0, 5, 10], values)
+    def look(ranks):
+        part = part_of(ranks, [0, 5, 10], values)
         for rows in (slice(3, 8), slice(0, 10, 2)):
             with pytest.raises(IndexError, match="in parts"):
                 part[rows]
@@ -78,7 +76,7 @@ def test_a_part_refuses_rows_of_others():
             with pytest.raises(WholeGridNeeded):
                 operation(part)
         # Alone, a rank would wait for others that do not ask.
-        with alone(), pytest.raises(RuntimeError, match="by itself"):
+        with sharing(apart=True), pytest.raises(RuntimeError, match="by itself"):
             part[np.array([0, 9])]
         return True
 
@@ -100,9 +98,9 @@ def turned(grid, axes, *flips):
     return permuted(grid, axes, flips or (False, False, False))
 
 
-def outcome(source, target, case, **rest):
+def outcome(source, target, case, ranks=ONE_PROCESS, **rest):
     """The bytes of the deformed grid, and all that is reported."""
-    result = deform(read_grid(source), case, **rest)
+    result = deform(read_grid(source, ranks=ranks), case, **rest)
     variant = {"precision": rest["precision"]} if "precision" in rest else None
     write_grid(result.grid, target, variant)
     account, repair = (
@@ -118,7 +116,7 @@ def same_on_ranks(tmp_path, count, case, suffix=".cgns", grid=None, **rest):
     write_grid(grid or frame(6, 5), source)
     expected = outcome(source, tmp_path / f"one{suffix}", case, **rest)
 
-    for found in on_ranks(count, lambda number: outcome(source, tmp_path / f"ranks{suffix}", case, **rest)):
+    for found in on_ranks(count, lambda ranks: outcome(source, tmp_path / f"ranks{suffix}", case, ranks, **rest)):
         for one, two in zip(found, expected, strict=True):
             assert one == two
     return expected
@@ -178,7 +176,7 @@ def in_files(tmp_path, monkeypatch):
         return made(self, shape, dtype)
 
     monkeypatch.setattr(Scratch, "blank", counted)
-    yield lambda: scratch_in(Scratch(folder, 1))
+    yield lambda: sharing(scratch=Scratch(folder, 1))
     assert used.value > 20
     assert not list(folder.iterdir())
 
@@ -200,10 +198,10 @@ def test_components_of_overset_grids_give_the_same_bytes(tmp_path, small_pieces,
     same_on_ranks(tmp_path, 3, case, grid=grid)
 
 
-def levels(source, target, case, schedule):
+def levels(source, target, case, schedule, ranks=ONE_PROCESS):
     """The bytes of all levels, and what is reported of each."""
     found = []
-    for level in deform_series(set_up(read_grid(source), case), schedule, "float64"):
+    for level in deform_series(set_up(read_grid(source, ranks=ranks), case), schedule, "float64"):
         write_grid(level.result.grid, target)
         account = dataclasses.asdict(level.result.account)
         measured = level.result.assessment, level.result.motion, level.smoothness
@@ -218,9 +216,9 @@ def test_levels_of_a_series_are_the_same(place, method, tmp_path, small_pieces, 
     case = case_of(method, "5*t")
     expected = levels(source, tmp_path / "one.xyz", case, schedule)
 
-    def act(number):
+    def act(ranks):
         with (store or nullcontext)():
-            return levels(source, tmp_path / "ranks.xyz", case, schedule)
+            return levels(source, tmp_path / "ranks.xyz", case, schedule, ranks)
 
     assert all(found == expected for found in on_ranks(3, act))
 
@@ -237,19 +235,19 @@ def test_what_takes_the_whole_grid_says_so(tmp_path, monkeypatch):
     source = tmp_path / "grid.xyz"
     write_grid(frame(), source)
     with pytest.raises(Failed, match="a sample of its nodes lies on one line"):
-        on_ranks(2, lambda number: read_grid(source))
+        on_ranks(2, lambda ranks: read_grid(source, ranks=ranks))
     monkeypatch.undo()
     with pytest.raises(Failed, match="a block is read as a whole"):
-        on_ranks(2, lambda number: read_grid(source).block(0))
+        on_ranks(2, lambda ranks: read_grid(source, ranks=ranks).block(0))
 
 
 def test_ranks_need_memory_for_their_part(small_pieces):
-    def act(number):
+    def act(ranks):
         layout = Layout("grid.xyz", ((216, 216, 216),) * 10, FileFormat("plot3d"))
-        return Demand.of("deforming", deforming("idw-tfi"), layout).in_memory
+        return Demand.of("deforming", deforming("idw-tfi"), layout, ranks=ranks).in_memory
 
     (share,) = set(on_ranks(4, act))
-    assert 0.25 * act(0) < share < 0.4 * act(0)
+    assert 0.25 * act(ONE_PROCESS) < share < 0.4 * act(ONE_PROCESS)
 
 
 def test_ranks_share_the_test_whether_walls_cross(tmp_path, small_pieces, poisoned, monkeypatch):
@@ -264,13 +262,13 @@ def test_ranks_share_the_test_whether_walls_cross(tmp_path, small_pieces, poison
         crossing, "crossing_faces", lambda *given: (asked.append(int(given[3].sum())), search(*given))[1]
     )
 
-    def found():
-        setup = set_up(read_grid(tmp_path / "grid.cgns"), case)
+    def found(ranks):
+        setup = set_up(read_grid(tmp_path / "grid.cgns", ranks=ranks), case)
         del asked[:]
         return setup.undeformed.crossings(setup.displacement(0.0)), sum(asked)
 
-    expected, faces = found()
+    expected, faces = found(ONE_PROCESS)
     assert expected[0].patches == ("floor", "floor")
-    shares = on_ranks(3, lambda number: found())
+    shares = on_ranks(3, found)
     assert [each for each, _ in shares] == [expected] * 3
     assert [share for _, share in shares] == [pytest.approx(faces / 3, abs=1)] * 3

@@ -22,7 +22,7 @@ from meshdeform_core.boundary import BoundarySpec, Kind
 from meshdeform_core.deform import Case, set_up
 from meshdeform_core.memory import MemoryLimit
 from meshdeform_core.methods import IDW, RBF, Options, make_method
-from meshdeform_core.parallel import Ranks, set_sharing
+from meshdeform_core.parallel import ONE_PROCESS, set_sharing
 from meshdeform_core.repair.options import Limit
 from meshdeform_core.setup import Timing
 from meshdeform_core.stepping import Course, beginning, prepared_on
@@ -152,7 +152,7 @@ def mesh_of(options: Options) -> Mesh:
     """A hollow bar in a frame; two of its sides move, no cells lie between them."""
     left = BoundarySpec("left", ("block2.imax",), Kind.MOVING, None, constant(0, 0, 0))
     right = BoundarySpec("right", ("block7.imin",), Kind.MOVING, None, constant(0, 0, 0))
-    return Mesh(set_up(frame_2d(), Case((left, right), {}, options)), False, Ranks(), None)
+    return Mesh(set_up(frame_2d(), Case((left, right), {}, options)), False, ONE_PROCESS, None)
 
 
 def bulge(depth: float, points: np.ndarray, _: float) -> np.ndarray:

@@ -15,7 +15,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from cases import body_specs, turning
-from forked_ranks import ForkedRank, on_ranks, scratch_in
+from forked_ranks import ForkedRank, on_ranks
 from grids import frame
 
 from meshdeform_core.deform import Case, deform
@@ -23,7 +23,7 @@ from meshdeform_core.errors import MethodError
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import Amounts, Demand, MemoryLimit, deforming
 from meshdeform_core.methods import Options
-from meshdeform_core.parallel import current_scratch, empty, scratch
+from meshdeform_core.parallel import current_sharing, empty, scratch, sharing
 from meshdeform_core.parallel.scratch import Scratch
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="mapped files are watched on Linux only")
@@ -46,7 +46,7 @@ def test_results_do_not_depend_on_where_arrays_lie(method, steps, tmp_path, monk
     expected = deformed(method, steps)
     monkeypatch.setattr(scratch, "SMALLEST", 1000)
     # With a limit of one byte all pages are returned at every look.
-    with scratch_in(Scratch(tmp_path, 1)):
+    with sharing(scratch=Scratch(tmp_path, 1)):
         found = deformed(method, steps)
     assert lies_in_a_file(found.setup.grid.points)
     assert lies_in_a_file(found.grid.points)
@@ -59,7 +59,7 @@ def test_results_do_not_depend_on_where_arrays_lie(method, steps, tmp_path, monk
 def test_files_vanish_with_their_arrays(tmp_path, monkeypatch):
     monkeypatch.setattr(scratch, "SMALLEST", 1000)
     where = Scratch(tmp_path, 1)
-    with scratch_in(where):
+    with sharing(scratch=where):
         array = empty((1000, 3))
         assert not lies_in_a_file(empty((10, 3)))
     array[:] = 7.0
@@ -80,7 +80,7 @@ def test_a_full_disk_is_found_before_anything_is_computed(tmp_path, monkeypatch)
 
     monkeypatch.setattr(os, "posix_fallocate", full)
     with (
-        scratch_in(Scratch(tmp_path, 1)),
+        sharing(scratch=Scratch(tmp_path, 1)),
         pytest.raises(MethodError, match=r"needs a file of 0\.0224 GiB in .*No sp"),
     ):
         empty((10**6, 3))
@@ -94,11 +94,11 @@ def test_what_a_method_may_take_beside_the_files(tmp_path):
 
     with pytest.raises(MethodError, match=r"deforming 100,000,000 nodes needs about 6\.\d+ GiB"):
         demand(0).place(limit, None)
-    with scratch_in(Scratch(tmp_path, 1)):
+    with sharing(scratch=Scratch(tmp_path, 1)):
         demand(0).place(MemoryLimit(2**40, "the machine has"), tmp_path)
-        assert current_scratch() is None
+        assert current_sharing().scratch is None
         demand(2 * 10**6).place(limit, tmp_path)
-        assert current_scratch() is not None
+        assert current_sharing().scratch is not None
         left = demand(2 * 10**6).left_of(limit)
         assert 2 * 2**30 < left.size < 3 * 2**30
         with pytest.raises(MethodError, match=r"needs about \d\.\d+ GiB, --max-memory allows 4 GiB"):
@@ -107,12 +107,12 @@ def test_what_a_method_may_take_beside_the_files(tmp_path):
 
 def placed(tmp_path, lacking, on_machine):
     """What three ranks find who place a grid, and where; ``lacking`` ranks have no room on their disk."""
-    limit = MemoryLimit(4 * 2**30, "--max-memory allows")
 
-    def act(number):
-        own = tmp_path / str(number)
+    def act(ranks):
+        limit = MemoryLimit(4 * 2**30, "--max-memory allows", ranks=ranks)
+        own = tmp_path / str(ranks.number)
         own.mkdir()
-        free = 2**20 if number in lacking else 2**50
+        free = 2**20 if ranks.number in lacking else 2**50
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(ForkedRank, "on_machine", on_machine)
             patch.setattr(tempfile, "tempdir", str(own))
@@ -121,7 +121,8 @@ def placed(tmp_path, lacking, on_machine):
                 Demand("deforming 2e8 nodes", deforming("idw-tfi"), Amounts(1, 8 * 10**7)).place(limit, tmp_path)
             except MethodError as error:
                 return str(error)
-        return current_scratch().empty((3,), "int8") is not None and current_scratch()._folder
+        placed = current_sharing().scratch
+        return placed.empty((3,), "int8") is not None and placed._folder
 
     return on_ranks(3, act)
 
@@ -167,9 +168,9 @@ class Unwatched(scratch.Scratch):
     def blank(self, *rest):
         self._watched = True
         return super().blank(*rest)
-    def look(self, maps=None):
-        self.most = max(self.most, scratch._resident()[1])
-        super().look(maps)
+    def look(self):
+        self.most = max(self.most, scratch.resident_memory()[1])
+        super().look()
 """
 
 READING = """
@@ -182,7 +183,7 @@ nodes._STRETCHES = 8
 used = Unwatched(Path(sys.argv[1]), 1)
 used._full = used._files = 0
 loops.set_sharing(scratch=used)
-before = scratch._resident()[1]
+before = scratch.resident_memory()[1]
 grid = read_grid(file)
 block_extents(grid)
 grid.total_of(grid.points)

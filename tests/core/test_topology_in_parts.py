@@ -28,9 +28,9 @@ def small_pieces(monkeypatch):
         yield
 
 
-def in_parts(grid):
+def in_parts(grid, ranks):
     """The grid, of which this rank holds its part."""
-    part = Grid.allocate(grid.shapes, grid.names, components=grid.components)
+    part = Grid.allocate(grid.shapes, grid.names, ranks, components=grid.components)
     points = part.points
     points.own[...] = grid.points[points.low : points.high]
     return part
@@ -46,7 +46,7 @@ def facts(grid):
 
 def same_on_ranks(grid, count):
     expected = facts(grid)
-    for found in on_ranks(count, lambda number: facts(in_parts(grid))):
+    for found in on_ranks(count, lambda ranks: facts(in_parts(grid, ranks))):
         assert [name for name in expected if found[name] != expected[name]] == []
 
 

@@ -15,11 +15,13 @@ from forked_ranks import on_ranks, poison_parts, small_blocks_are_cut
 from grids import frame, frame_2d, tapered
 from plot3d_witness import binary_file, sample_blocks, sample_iblank
 
-from meshdeform_core.boundary import Kind
+from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary.motions.motion import Follow, Motion
+from meshdeform_core.boundary.tables import Matching
 from meshdeform_core.deform import Case, Timing, deform, impose, set_up
 from meshdeform_core.grid import Field, Grid
 from meshdeform_core.methods import Options
-from meshdeform_core.parallel import Nodes, WholeGridNeeded
+from meshdeform_core.parallel import ONE_PROCESS, Nodes, WholeGridNeeded
 from meshdeform_core.quality.fields import CELL_MEASURES, CellFields
 from meshdeform_core.repair import RepairOptions
 from meshdeform_core.series import Schedule, deform_series
@@ -48,10 +50,7 @@ def same_files(tmp_path, count, act):
         folder.mkdir()
     act(folders[0])
 
-    def on_rank(number):
-        act(folders[1])
-
-    on_ranks(count, on_rank)
+    on_ranks(count, lambda ranks: act(folders[1], ranks))
     one, two = ({path.relative_to(at): path.read_bytes() for path in at.rglob("*") if path.is_file()} for at in folders)
     assert one
     assert two == one
@@ -59,8 +58,8 @@ def same_files(tmp_path, count, act):
 
 
 def reads_and_writes(source, suffix, variant=None):
-    def act(folder):
-        grid = read_grid(source)
+    def act(folder, ranks=ONE_PROCESS):
+        grid = read_grid(source, ranks=ranks)
         write_grid(grid.moved(scaled(grid.points)), folder / f"out{suffix}", variant)
 
     return act
@@ -77,8 +76,8 @@ def series_of(source, name, velocity, options=None, case=None):
     """Write all levels of a series, the last one again after a fresh start."""
     case = case or Case(tuple(body_specs(turning("5*t"))), method=Options("idw-tfi"), repair=RepairOptions(mode="off"))
 
-    def act(folder):
-        grid = read_grid(source)
+    def act(folder, ranks=ONE_PROCESS):
+        grid = read_grid(source, ranks=ranks)
         setup, schedule = set_up(grid, case), Schedule(TIMES, velocity=velocity)
         files = LevelFiles(grid, folder, name, TIMES, options or {}, velocity)
         for first in (0, 2):
@@ -101,8 +100,8 @@ def test_plot3d_with_iblank(variant, tmp_path):
     (tmp_path / "grid.xyz").write_bytes(binary_file(sample_blocks(shapes), sample_iblank(shapes), **variant))
     options = {key: value for key, value in variant.items() if key == "records"}
 
-    def act(folder):
-        grid = read_grid(tmp_path / "grid.xyz", options)
+    def act(folder, ranks=ONE_PROCESS):
+        grid = read_grid(tmp_path / "grid.xyz", options, ranks)
         assert all(field.blanks for field in grid.fields)
         write_grid(grid, folder / "out.xyz")
         write_grid(grid, folder / "new.cgns")
@@ -131,8 +130,8 @@ def test_fields_at_cells_and_nodes(make, tmp_path):
     sides = (body,) if make is frame_2d else tuple(body_specs(turning(100.0)))
     case = Case(sides, method=Options("tfi"), repair=RepairOptions(mode="off"))
 
-    def act(folder):
-        setup = set_up(read_grid(tmp_path / "grid.cgns"), case)
+    def act(folder, ranks=ONE_PROCESS):
+        setup = set_up(read_grid(tmp_path / "grid.cgns", ranks=ranks), case)
         result = impose(setup, setup.motion(0.0), 1, "float64", Timing())
         moving = np.flatnonzero(setup.boundary.quad_kind == Kind.MOVING)
         cells = CellFields(result.grid, setup.topology, setup.grid, moving, setup.original)
@@ -151,8 +150,8 @@ def test_pictures_of_reports(tmp_path):
     write_grid(tapered(5, 4), tmp_path / "grid.cgns")
     case = Case(tuple(body_specs(turning(50.0))), method=Options("tfi"))
 
-    def act(folder):
-        result = deform(read_grid(tmp_path / "grid.cgns"), case)
+    def act(folder, ranks=ONE_PROCESS):
+        result = deform(read_grid(tmp_path / "grid.cgns", ranks=ranks), case)
         assert result.repair is not None
         figures = deformation_figures(result)
         assert len(figures) == 3
@@ -199,11 +198,11 @@ def test_vtk_as_text_takes_the_whole_grid(suffix, tmp_path):
     write_grid(grid, tmp_path / f"packed{suffix}", variant)
     write_grid(grid, tmp_path / f"plain{suffix}")
 
-    def act(number):
+    def act(ranks):
         with pytest.raises(WholeGridNeeded, match=r"packed.vt. is text"):
-            read_grid(tmp_path / f"packed{suffix}")
+            read_grid(tmp_path / f"packed{suffix}", ranks=ranks)
         with pytest.raises(WholeGridNeeded, match="is written as text"):
-            write_grid(read_grid(tmp_path / f"plain{suffix}"), tmp_path / f"out{suffix}", variant)
+            write_grid(read_grid(tmp_path / f"plain{suffix}", ranks=ranks), tmp_path / f"out{suffix}", variant)
         return True
 
     assert all(on_ranks(2, act))
@@ -234,9 +233,9 @@ def test_cgns_with_rind_planes(precision, tmp_path):
 def test_compressed_cgns_takes_the_whole_grid(tmp_path):
     write_hdf5(tmp_path / "grid.cgns", tree(zone("y", box(12, 5, 6))), dataset={"chunks": True, "compression": "gzip"})
 
-    def act(number):
+    def act(ranks):
         with pytest.raises(WholeGridNeeded, match="are compressed or stored in pieces"):
-            read_grid(tmp_path / "grid.cgns")
+            read_grid(tmp_path / "grid.cgns", ranks=ranks)
         return True
 
     assert all(on_ranks(2, act))
@@ -246,8 +245,8 @@ def test_values_of_a_field_are_not_taken_for_those_of_all_ranks(tmp_path):
     shape = (9, 4, 5)
     (tmp_path / "grid.xyz").write_bytes(binary_file(sample_blocks([shape]), sample_iblank([shape]), encoding="binary"))
 
-    def act(number):
-        (field,) = read_grid(tmp_path / "grid.xyz").fields
+    def act(ranks):
+        (field,) = read_grid(tmp_path / "grid.xyz", ranks=ranks).fields
         assert field.values.shape == shape
         assert field.own.shape[0] < shape[0]
         with pytest.raises(WholeGridNeeded, match="all values of a field"):
@@ -270,8 +269,8 @@ def test_ranks_on_several_machines_write_levels_synchronously(tmp_path, monkeypa
 
     monkeypatch.setattr(os, "open", recorded)
 
-    def act(number):
-        series_of(tmp_path / "grid.xyz", "wing.xyz", "none")(tmp_path / "out")
+    def act(ranks):
+        series_of(tmp_path / "grid.xyz", "wing.xyz", "none")(tmp_path / "out", ranks)
         return opened
 
     for found in on_ranks(2, act):
@@ -279,15 +278,15 @@ def test_ranks_on_several_machines_write_levels_synchronously(tmp_path, monkeypa
         assert all(found)
 
 
-@pytest.mark.parametrize("variant", [{"encoding": "ascii"}, {}], ids=["text", "plain"])
-def test_every_rank_reads_a_displacement_table_as_a_whole(variant, tmp_path):
-    shape = (9, 4, 5)
-    grid = Grid.from_blocks([np.moveaxis(np.indices(shape), 0, -1).astype(float)])
-    moves = np.random.default_rng(0).random((*shape, 3))
-    write_grid(replace(grid, fields=(Field("displacement", "node", 0, moves),)), tmp_path / "table.vts", variant)
+def test_every_rank_reads_deformed_positions_as_a_whole(tmp_path):
+    grid = frame(4, 3)
+    for name, points in (("grid", grid.points), ("bent", grid.points + 0.02 * grid.points[:, ::-1] ** 2)):
+        write_grid(grid.moved(points), tmp_path / f"{name}.xyz")
+    step = Follow(read_displacement(tmp_path / "bent.xyz"), Matching("exact"))
+    case = Case((BoundarySpec("all", ("*",), Kind.MOVING, motion=Motion((step,), {})),))
 
-    def act(number):
-        return read_displacement(tmp_path / "table.vts").displacement
+    def act(folder, ranks=ONE_PROCESS):
+        result = deform(read_grid(tmp_path / "grid.xyz", ranks=ranks), case)
+        write_grid(result.grid, folder / "out.xyz")
 
-    for found in on_ranks(2, act):
-        np.testing.assert_array_equal(found, moves.reshape(-1, 3))
+    same_files(tmp_path, 2, act)

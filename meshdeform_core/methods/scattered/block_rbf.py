@@ -106,7 +106,7 @@ class PreparedBlockRBF:
                     report(number, len(blocks))
             return found
 
-        solved = Nodes.of(displacement).on_first(solve)
+        solved = Nodes.of(displacement).ranks.on_first(solve)
         if solved:
             # Report the worst block: one not converged, or the one with the largest residual.
             self.account.notices.clear()

@@ -10,7 +10,7 @@ import numpy as np
 from ...grid import BoolArray, FloatArray, IntArray
 from ...numerics.fastsum.weighted import Accuracy, FastSums
 from ...numerics.tape import Tape, Tracked, plain
-from ...parallel import Nodes, agreed, empty
+from ...parallel import Nodes, empty
 from .idw_sums import CHECKED, ExactSums, SourceValues, Weights, sums_of_groups
 from .summation import DERIVATIVE_TOLERANCE, MAX_RETRIES, doubtful
 
@@ -152,7 +152,7 @@ def _accurate(
         sums = _fast_sums(method, weights, acting, share)
         found = _AtNodes(sums, values, transition)
         # All ranks must decide alike, also those whose processors round otherwise.
-        error = agreed(method.problem.grid.nodes.ranks, found.error(method, sums, weights, values))
+        error = method.problem.grid.nodes.ranks.largest(found.error(method, sums, weights, values))
         if error <= DERIVATIVE_TOLERANCE:
             return sums, found
         if not np.isfinite(error):

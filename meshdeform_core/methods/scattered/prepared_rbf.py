@@ -288,7 +288,7 @@ class PreparedRBF:
             o.greedy_updates or len(values),
             report,
         )
-        found = self.problem.grid.nodes.on_first(partial(select, self.kind, *given))
+        found = self.problem.grid.nodes.ranks.on_first(partial(select, self.kind, *given))
         unit = "first-cell heights" if by_height else "length unit"
         self.account.settings |= {
             "greedy": Setting(o.greedy),

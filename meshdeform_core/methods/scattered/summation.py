@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ...grid import FloatArray, Grid, IntArray
-from ...parallel import Nodes, agreed
+from ...parallel import Nodes
 from ..base import Account, Setting
 from ..options import option
 
@@ -83,7 +83,7 @@ def largest_error(
     if flat.size:
         size = node_sizes(grid.nodes.rows, shape_table(grid.shapes), grid.offsets, flat)
         error = np.linalg.norm(Nodes.of(found).at(flat) - exact(flat), axis=1) / size
-    return agreed(grid.nodes.ranks, error.max(initial=0.0))
+    return grid.nodes.ranks.largest(error.max(initial=0.0))
 
 
 def doubtful(points: FloatArray, targets: Any, risk: FloatArray) -> IntArray:

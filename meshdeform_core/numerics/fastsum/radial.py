@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 
-from ...parallel import Nodes, agreed, for_chunks
+from ...parallel import Nodes, for_chunks
 from ..arrays import FloatArray, IntArray, Report, Shapes
 from ..exact.basis import BASES
 from ..exact.radial import radial_block, radial_matrix, radial_sums
@@ -454,7 +454,7 @@ class FastRadial:
             boxes = Boxes(targets.tree, *targets.spaces, self.share * permitted, np.ones(len(permitted), dtype=bool))
             found = self._on_leaves(chosen, targets, boxes, clusters)
             found = (np.linalg.norm(found - exact, axis=2) / targets.sizes[chosen]).max(initial=0.0)
-            error = agreed(nodes.ranks, float(found)) / tolerance
+            error = nodes.ranks.largest(float(found)) / tolerance
             if error <= AIM:
                 break
             self._refine(error)

@@ -1,4 +1,7 @@
-"""The ranks of an MPI communicator."""
+"""Processes that share the work: one by itself, or the ranks of an MPI communicator.
+
+Ranks run the same program, each on its part of a grid (:mod:`.nodes`), which knows them; no loop is shared by ranks.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,10 @@ import os
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from ..errors import MeshDeformError
-from .loops import Ranks, alone, empty, own_cores
+from .loops import current_sharing, empty, own_cores, sharing, thread_count
 
 if TYPE_CHECKING:
     import numpy as np
@@ -23,6 +26,68 @@ _GRACE = 5.0
 _POLL = 0.002
 # Number of polls without a pause, some ten microseconds, before a waiting rank sleeps.
 _TRIES = 50
+
+
+class WholeGridNeeded(Exception):
+    """The request requires the whole grid on every rank; raised on all ranks alike, with the reason."""
+
+
+class Ranks:
+    """The ranks that share the work, as one of them sees them; this class is a process by itself.
+
+    Attributes
+    ----------
+    number, count : index of this rank, from 0, and number of ranks
+    on_machine : number of ranks on this machine, including this one
+    cores : number of the machine's cores that this rank may use; ``None``: all that the system lets it
+    """
+
+    number, count, on_machine = 0, 1, 1
+    cores: int | None = None
+
+    @property
+    def on_several_machines(self) -> bool:
+        return self.count > self.on_machine
+
+    def require_one(self, what: str) -> None:
+        """Raise :class:`WholeGridNeeded` if there are several, for ``what`` takes a whole grid."""
+        if self.count > 1:
+            raise WholeGridNeeded(what)
+
+    def gather(self, found: Sequence[T]) -> list[T]:
+        """The (small) results of all ranks, in rank order."""
+        return list(found)
+
+    def largest(self, value: float) -> float:
+        """The largest of the values of all ranks, for decisions that must be the same on all even if their processors
+        round differently."""
+        import numpy as np
+
+        return float(np.max(self.gather([value])))
+
+    def meet(self) -> None:
+        """Wait for the other ranks; an error where this one is by itself, as they do not come."""
+        if current_sharing().apart:
+            raise RuntimeError("a rank waits for others by itself")
+
+    def share(self, count: int) -> slice:
+        """Rows of this rank where ``count`` rows are divided evenly: those of rank r begin at int(count r / ranks)."""
+        return slice(count * self.number // self.count, count * (self.number + 1) // self.count)
+
+    def collect(self, own: Any, counts: Sequence[int] | None = None) -> Any:
+        """The rows of all ranks, ``counts`` of each if that is known, concatenated in rank order."""
+        return own
+
+    def swap(self, sends: Mapping[int, Any], receives: Mapping[int, Any]) -> None:
+        """Exchange arrays with other ranks, by number: send ``sends``, fill ``receives``; empty ones are skipped."""
+
+    def on_first(self, action: Callable[[], T]) -> T:
+        """Run ``action`` on the first rank only, with all cores that it may use, while the others wait; its result is
+        returned, or its error raised, on all ranks."""
+        return action()
+
+
+ONE_PROCESS = Ranks()
 
 
 class MPIRanks(Ranks):
@@ -38,11 +103,11 @@ class MPIRanks(Ranks):
         # Launchers often bind each rank to some cores, which may overlap.
         usable = own_cores()
         self._all_cores = set().union(*machine.allgather(usable))
-        super().__init__(max(1, min(len(usable), len(self._all_cores) // machine.size)))
+        self.cores = max(1, min(len(usable), len(self._all_cores) // machine.size))
         machine.Free()
 
     def gather(self, found: Sequence[T]) -> list[T]:
-        self._meet()
+        self.meet()
         return [each for own in self._comm.allgather(list(found)) for each in own]
 
     def collect(self, own: np.ndarray, counts: Sequence[int] | None = None) -> np.ndarray:
@@ -51,12 +116,12 @@ class MPIRanks(Ranks):
         counts = self.gather([len(own)]) if counts is None else counts
         found = empty((sum(counts), *own.shape[1:]), own.dtype)
         width = math.prod(own.shape[1:])
-        self._meet()
+        self.meet()
         self._comm.Allgatherv(np.ascontiguousarray(own), [found, [width * count for count in counts]])
         return found
 
     def swap(self, sends: Mapping[int, np.ndarray], receives: Mapping[int, np.ndarray]) -> None:
-        self._meet()
+        self.meet()
         requests = [self._comm.Irecv(array, source=number) for number, array in receives.items() if array.size]
         requests += [self._comm.Isend(array, dest=number) for number, array in sends.items() if array.size]
         for request in requests:
@@ -66,18 +131,18 @@ class MPIRanks(Ranks):
         failure: Exception | None = None
         result: T | None = None
         if self.number == 0:
+            bind, own = getattr(os, "sched_setaffinity", lambda *_: None), own_cores()
+            threads = self.on_machine * thread_count()
             try:
                 # The cores of all ranks on its machine, to which launchers bind them.
-                bind, own = getattr(os, "sched_setaffinity", lambda *_: None), own_cores()
                 bind(0, self._all_cores)
-                try:
-                    with alone(len(own_cores()), self.on_machine):
-                        result = action()
-                finally:
-                    bind(0, own)
+                with sharing(threads=threads, apart=True):
+                    result = action()
             except Exception as error:
                 failure = error
-        self._meet()
+            finally:
+                bind(0, own)
+        self.meet()
         failed, result = self._comm.bcast((failure is not None, result))
         if failure is not None:
             raise failure
@@ -85,8 +150,9 @@ class MPIRanks(Ranks):
             raise MeshDeformError("the first rank failed; its message says why")
         return result
 
-    def _meet(self) -> None:
-        """Barrier that sleeps after a while, as the rank waited for may need the core."""
+    def meet(self) -> None:
+        super().meet()
+        # A barrier that sleeps after a while, as the rank waited for may need the core.
         arrived, tries = self._comm.Ibarrier(), 0
         while not arrived.Test():
             tries += 1
