@@ -422,10 +422,9 @@ def separated(grid: Grid, topology: Topology) -> Topology:
     declared[quads_of_patches(topology.quads, grid.patches)[0]] = True
     plate = external[quads] & between[number].all(axis=1)
     plate[plate] = equal_rows(np.sort(number[plate], axis=1))[0] >= 0
-    found = []
-    for some in (plate, external[quads], external[quads] & ~declared[quads]):
-        found.append(np.zeros(len(rows), dtype=bool))
-        found[-1][label[row[some][row[some] >= 0]]] = True
+    found = np.zeros((3, len(rows)), dtype=bool)
+    for marks, some in zip(found, (plate, external[quads], external[quads] & ~declared[quads]), strict=True):
+        marks[label[row[some][row[some] >= 0]]] = True
     at_plate, outside, undeclared = found
     apart = (at_plate | outside & ~undeclared)[label]
     first = np.searchsorted(topology.face_nodes, topology.first)[topology.number].astype(topology.number.dtype)

@@ -92,7 +92,7 @@ def for_chunks(work: Work, size: int, chunk: int, progress: Counter | None = Non
     scratch = current_sharing().scratch
 
     def run(report: Counter | None) -> None:
-        told, items, ends = 0, 0, None
+        ends = None
         try:
             while not failures and (ends := next(pending, None)):
                 work(*ends)
@@ -100,9 +100,7 @@ def for_chunks(work: Work, size: int, chunk: int, progress: Counter | None = Non
                     scratch.look()
                 done.append(ends[1] - ends[0])
                 if report:
-                    new = done[told:]
-                    told, items = told + len(new), items + sum(new)
-                    report(items, size)
+                    report(sum(done), size)
         except BaseException as error:
             # An interrupt or an error ends the run; chunks not yet started are skipped.
             failures.append((ends[0] if ends and isinstance(error, Exception) else -1, error))
