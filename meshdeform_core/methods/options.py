@@ -7,6 +7,7 @@ declaration: a field of a frozen dataclass that inherits from :class:`MethodOpti
 
 from __future__ import annotations
 
+import functools
 import inspect
 import re
 from collections.abc import Mapping
@@ -65,6 +66,7 @@ class Option:
         return f"{text} or {choices}" if choices else text
 
 
+@functools.cache
 def declared(kind: type) -> Mapping[str, Option]:
     """The options of a class by name."""
     hints = get_type_hints(kind)

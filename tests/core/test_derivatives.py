@@ -173,7 +173,7 @@ FAST = {
 
 @every(FAST, {"no transition", "alpha"})
 def test_fast_sums_are_differentiated_within_their_tolerance(name):
-    where = problem_of(frame(9, 6), body_specs(turning(20)))
+    where = problem_of(frame(7, 5), body_specs(turning(20)))
     smooth, rough = directions(where)
     at = smooth * (1.0 + 0.2 * where.source_points @ [[1.0], [0.5], [0.3]])
     exact, fast = (
@@ -195,7 +195,7 @@ def test_fast_sums_are_differentiated_within_their_tolerance(name):
 
 @pytest.mark.parametrize("tolerance", [1e-7, 1e-15])
 def test_fast_sums_that_are_too_wrong_are_made_more_accurate_or_exact(monkeypatch, tolerance):
-    where = problem_of(frame(9, 6), body_specs(turning(20)))
+    where = problem_of(frame(7, 5), body_specs(turning(20)))
     smooth, rough = directions(where)
     derivatives = {}
     for kind in ("exact", "fast"):
@@ -226,7 +226,7 @@ def test_memory():
 
 
 def test_threads_change_no_bit_of_a_derivative():
-    where = problem_of(frame(9, 6), body_specs(turning(20)))
+    where = problem_of(frame(7, 5), body_specs(turning(20)))
     smooth, rough = directions(where)
     weight = np.random.default_rng(6).standard_normal((where.grid.n_nodes, 3))
     found = []

@@ -34,7 +34,7 @@ def expect(options: Options, angle: float, words: str, steps: int | str = 1) -> 
     assert bool(warned) == (not result.valid), (result.valid, result.warnings)
 
 
-@pytest.mark.parametrize("angle", [30, 40, 45])
+@pytest.mark.parametrize("angle", [30, 45])
 def test_rotation_too_large_for_tfi(angle):
     expect(Options("tfi"), angle, "TFI crosses cells")
 

@@ -192,7 +192,6 @@ def turned(grid, angle, method="idw-tfi", mode="auto", span=Kind.SLIP, **options
 
 def test_constraints_hold_to_the_last_bit():
     result = turned(frame(6, 2), 110, steps=1)
-    assert not turned(frame(6, 2), 110, mode="off").valid
     assert result.valid
     grid, setup = result.grid, result.setup
     assert result.repair is not None
