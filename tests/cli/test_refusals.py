@@ -269,17 +269,6 @@ def numbered() -> None:
     np.savetxt("wrong.csv", np.column_stack([7 * np.arange(len(points)), points]), "%.17g")
 
 
-def edited(name: str, old: str, new: str):
-    """Replaces a text of a file."""
-
-    def write() -> None:
-        text = Path(name).read_text()
-        assert old in text
-        Path(name).write_text(text.replace(old, new))
-
-    return write
-
-
 def own_notes() -> None:
     Path("out.invalid.xyz").write_text("my own notes")
 

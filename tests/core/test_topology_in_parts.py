@@ -8,7 +8,7 @@ import dataclasses
 import numpy as np
 import pytest
 from forked_ranks import on_ranks, poison_parts, small_blocks_are_cut
-from grids import block_around, frame, frame_2d, permuted, polar
+from grids import block_around, frame, frame_2d, interleaved, permuted, polar
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_grids import block_grids
@@ -71,14 +71,6 @@ def unequal():
     return Grid.from_blocks([small[0], block_around(np.linspace(0, 4, 41), y, LINE), *small[1:]])
 
 
-def overset():
-    """Two components that lie in the same place, their blocks in turn."""
-    grids = [frame(4, 3), frame(4, 3)]
-    blocks = [grid.block(n) for n in range(grids[0].n_blocks) for grid in grids]
-    grid = Grid.from_blocks(blocks, [f"{'ab'[n % 2]}.{n}" for n in range(len(blocks))])
-    return with_components(grid, BY_PREFIX)
-
-
 GRIDS = {
     "frame": frame,
     "noise": lambda: noisy(frame(), 1e-4),
@@ -86,7 +78,8 @@ GRIDS = {
     "O-grid": polar,
     "pole": pole,
     "unequal": unequal,
-    "overset": overset,
+    # Two components that lie in the same place, their blocks in turn.
+    "overset": lambda: with_components(interleaved(a=frame(4, 3), b=frame(4, 3)), BY_PREFIX),
 }
 
 

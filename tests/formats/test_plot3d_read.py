@@ -117,7 +117,6 @@ def test_options_force_a_reading(tmp_path):
 
 BLOCKS = sample_blocks([(3, 4, 5), (2, 3, 4)])
 FORTRAN = binary_file(BLOCKS, encoding="fortran", byte_order="big")
-FORTRAN8 = binary_file(BLOCKS, encoding="fortran", markers=8)
 STREAM = binary_file(BLOCKS, encoding="binary")
 TEXT = ascii_file(BLOCKS)
 
