@@ -114,12 +114,11 @@ MEASURES = ("f_skew", "f_skew_min", "scaled_jacobian_min", "volume")
 
 
 def bent(grid, plane=False):
-    specs = {"name": "body", "select": ["*.i*", "*.j*"], "where": "abs(x) < 0.51 and abs(y) < 0.51", "kind": "moving"}
     motion = [{"rotate": {"angle": 6, "axis": [0, 0, 1]}}]
     # One block reversed: left-handed.
     blocks = [block.copy() for block in wrapped(grid, plane).blocks]
     blocks[0] = blocks[0][::-1].copy()
-    return md.prepare(md.Grid(blocks), {"boundary": [{**specs, "motion": motion}]}).deform()
+    return md.prepare(md.Grid(blocks), {"boundary": [{**BODY, "motion": motion}]}).deform()
 
 
 @pytest.fixture(scope="module", params=["3-D", "2-D"])
@@ -165,11 +164,9 @@ def test_values_are_those_of_the_report(step):
 def test_refusals(step):
     with pytest.raises(md.GridError, match="expected one of f_skew, f_skew_min"):
         step.quality_gradient("beauty")
-    grid = wrapped(frame())
-    body = {"name": "body", "select": ["*.i*", "*.j*"], "where": "abs(x) < 0.51 and abs(y) < 0.51", "kind": "moving"}
     motion = [{"displace": ["5.0", "0", "0"]}]
-    mesh = md.prepare(md.Grid([b.copy() for b in grid.blocks]), {"boundary": [{**body, "motion": motion}]})
-    crossed = mesh.deform(repair="off")
+    blocks = [block.copy() for block in wrapped(frame()).blocks]
+    crossed = md.prepare(md.Grid(blocks), {"boundary": [{**BODY, "motion": motion}]}).deform(repair="off")
     assert not crossed.valid
     with pytest.raises(md.GridError, match=r"f_skew is zero in .* cells"):
         crossed.quality_gradient("f_skew")

@@ -27,30 +27,23 @@ def plate_case(options: Options, angle: float) -> Case:
     return dataclasses.replace(case, method=options, repair=RepairOptions("off"))
 
 
-def expect(options: Options, angle: float, words: str, steps: int | str = 1) -> None:
-    """The warning with ``words`` comes exactly if cells cross (which makes it neither idle nor late)."""
+@pytest.mark.parametrize(
+    ("options", "angle", "steps", "words"),
+    [
+        *((Options("tfi"), angle, steps, "TFI crosses cells") for angle, steps in ((30, 1), (45, 1), (45, 2))),
+        *((Options("idw-tfi", idw=IDW(rotation="none")), 25, steps, "shears the cells") for steps in (1, 2)),
+        *(
+            (Options("rbf-tfi", rbf=RBF(basis="wendland-c2", radius=radius)), 30, 1, "support radius")
+            for radius in (4.0, 8.0)
+        ),
+    ],
+)
+def test_the_warning_comes_exactly_if_cells_cross(options, angle, steps, words):
+    """Too large rotations for TFI, which steps do not help, and for averaged displacements; a radius that is smaller
+    than the motion."""
     result = deform(PLATE, plate_case(options, angle), steps=steps)
     warned = [text for text in result.warnings if words in text]
     assert bool(warned) == (not result.valid), (result.valid, result.warnings)
-
-
-@pytest.mark.parametrize("angle", [30, 45])
-def test_rotation_too_large_for_tfi(angle):
-    expect(Options("tfi"), angle, "TFI crosses cells")
-
-
-def test_steps_do_not_help_tfi():
-    expect(Options("tfi"), 45, "TFI crosses cells", steps=2)
-
-
-@pytest.mark.parametrize(("angle", "steps"), [(25, 1), (25, 2)])
-def test_rotation_too_large_for_averaged_displacements(angle, steps):
-    expect(Options("idw-tfi", idw=IDW(rotation="none")), angle, "shears the cells", steps)
-
-
-@pytest.mark.parametrize("radius", [4.0, 8.0])
-def test_radius_smaller_than_the_motion(radius):
-    expect(Options("rbf-tfi", rbf=RBF(basis="wendland-c2", radius=radius)), 30, "support radius")
 
 
 def test_linear_part_of_the_motion_needs_no_radius():
@@ -61,14 +54,6 @@ def test_linear_part_of_the_motion_needs_no_radius():
     bent = linear + 2.0 * (problem.source_points > 0)
     assert len(prepared.warnings_for(bent, bent)) == 1
     assert prepared.warnings_for(bent, bent / 10) == []
-
-
-def test_square_sample_is_not_warned_of_its_radius():
-    """Its boundary is shifted by one unit, two thirds of the radius, which the polynomial reproduces."""
-    case = read_case(Path(str(folder("square"))) / "case.toml").case
-    result = deform(load("square").generate(21), case)
-    assert result.valid
-    assert not result.warnings
 
 
 @pytest.mark.slow
