@@ -125,7 +125,7 @@ def methods_command(name: str | None) -> int:
       meshdeform methods
       meshdeform methods idw-tfi
     """
-    from meshdeform_core.methods import ALIASES, CATALOGUE, declared, description, entry_of
+    from meshdeform_core.methods import ALIASES, CATALOGUE, declared, entry_of
 
     if name is None:
         for key, entry in CATALOGUE.items():
@@ -137,8 +137,8 @@ def methods_command(name: str | None) -> int:
     click.echo(f"{ALIASES.get(name, name)}: {entry.summary}\n\n{_prose(entry.advice)}")
     for part in entry.parts:
         # Its section of the case file: a description, then every option with default, meaning and reason.
-        lines = [f"\n[method.{part.__name__.lower()}]"]
-        lines += [_prose(paragraph) + "\n" for paragraph in description(part).split("\n\n")]
+        summary = (part.__doc__ or "").partition("Attributes\n")[0].strip()
+        lines = [f"\n[method.{part.__name__.lower()}]", *(_prose(text) + "\n" for text in summary.split("\n\n"))]
         options = list(declared(part).values())
         for option, before in zip(options, [None, *options[:-1]], strict=True):
             lines.append(f"  {option.name} = {json.dumps(option.default)}")

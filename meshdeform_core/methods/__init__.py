@@ -10,7 +10,7 @@ from ..errors import MethodError, suggestion
 from .base import Account, PreparedMethod, Problem, Progress, Setting
 from .composite import Composite, PreparedLayer
 from .gaps import PreparedInGaps
-from .options import MethodOptions, declared, description
+from .options import MethodOptions, declared
 from .scattered.idw import IDW
 from .scattered.rbf import RBF
 from .transfinite.tfi import TFI
@@ -31,7 +31,6 @@ __all__ = [
     "Progress",
     "Setting",
     "declared",
-    "description",
     "entry_of",
     "make_method",
     "prepare_method",

@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 import inspect
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
@@ -66,8 +66,7 @@ class Option:
         return f"{text} or {choices}" if choices else text
 
 
-@functools.cache
-def declared(kind: type) -> Mapping[str, Option]:
+def _declared(kind: type) -> Mapping[str, Option]:
     """The options of a class by name."""
     hints = get_type_hints(kind)
     meanings: dict[str, str] = {}
@@ -93,9 +92,7 @@ def declared(kind: type) -> Mapping[str, Option]:
     return found
 
 
-def description(kind: type) -> str:
-    """The docstring of a class of options without its attributes."""
-    return inspect.cleandoc(kind.__doc__ or "").partition("Attributes\n----------\n")[0].strip()
+declared: Callable[[type], Mapping[str, Option]] = functools.cache(_declared)
 
 
 class MethodOptions:
