@@ -60,7 +60,6 @@ def check_output(path: Path, force: bool, inputs: Files = ()) -> None:
 
 def check_target(output: Path | None, run: RunInput, inputs: Files) -> None:
     """Refuse the output of a command that makes a grid if it cannot be written, before anything is computed."""
-    from meshdeform_formats.fields import check_fields
     from meshdeform_formats.files import invalid_path
     from meshdeform_formats.grids import format_of
 
@@ -69,7 +68,10 @@ def check_target(output: Path | None, run: RunInput, inputs: Files) -> None:
     if output is None:
         raise click.UsageError("Missing option '-o' / '--output' (or --dry-run).")
     format_of(output)
-    check_fields(run.fields, output, True)
+    if run.fields:
+        from meshdeform_formats.fields import check_fields
+
+        check_fields(run.fields, output, True)
     check_output(output, run.force, inputs)
     if not run.allow_invalid:
         # The invalid grid of an earlier run may be replaced, an input never.

@@ -86,7 +86,7 @@ def deform_command(source: GridInput, output: Path | None, case: CaseInput, run:
             job = load(limit, output.parent)
             report, illustrate = work.run(job, output, case, run, progress)
         written = [*files, ("output", Path(report["output"]))]
-        return work.conclude(report, run, start, written, job.ranks, illustrate)
+        return work.conclude(report, run, start, written, job.grid.nodes.ranks, illustrate)
 
     return work.in_parts(foretell if run.dry_run else deform, run)
 
@@ -158,11 +158,11 @@ def series_command(source: GridInput, case: CaseInput, wanted: SeriesInput, run:
             plan = load(limit, wanted.output)
             # The first rank alone continues what all of them have begun.
             begin = partial(series_run.open_manifest, plan, wanted.resume or begun, run.force and not begun)
-            plan.manifest = plan.job.ranks.on_first(begin)
+            plan.manifest = plan.job.grid.nodes.ranks.on_first(begin)
             plan.files.recall(plan.manifest.levels)
             begun = True
             report = series_run.carry_out(plan, progress)
-        return work.conclude(report, run, start, [*files, ("index", plan.files.view)], plan.job.ranks)
+        return work.conclude(report, run, start, [*files, ("index", plan.files.view)], plan.job.grid.nodes.ranks)
 
     return work.in_parts(foretell if run.dry_run else deform, run)
 

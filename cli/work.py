@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 import numpy as np
@@ -24,10 +24,8 @@ from meshdeform_core.grid.selection import with_components
 from meshdeform_core.memory import Demand, MemoryLimit, Work, deforming, peak_memory
 from meshdeform_core.methods import make_method
 from meshdeform_core.parallel import ONE_PROCESS, Ranks, WholeGridNeeded, thread_count
-from meshdeform_core.quality.fields import CellFields
 from meshdeform_core.wording import counted
 from meshdeform_formats.case import CaseFile
-from meshdeform_formats.fields import with_fields
 from meshdeform_formats.files import invalid_path
 from meshdeform_formats.grids import FORMATS, complete_for_export, require_earlier_grid, variant_of, write_grid
 from meshdeform_formats.inputs import digest, existing, existing_outputs, lack, least_bytes
@@ -38,6 +36,9 @@ from meshdeform_formats.report.write import as_json, as_text, run_part, write_re
 from .checks import make_room
 from .options import CaseInput, Files, GridInput, RunInput
 from .process import EXIT_INVALID, ProgressBar, stage, tell
+
+if TYPE_CHECKING:
+    from meshdeform_core.quality.fields import CellFields
 
 T = TypeVar("T")
 STDOUT = Path("-")
@@ -52,11 +53,6 @@ class Job:
     read_seconds: float
     demand: Demand
     memory: MemoryLimit
-
-    @property
-    def ranks(self) -> Ranks:
-        """The processes that share the work: those that hold the grid."""
-        return self.grid.nodes.ranks
 
 
 def work_of(what: CaseFile, run: RunInput, suffix: str, beside: float | None = None) -> Work:
@@ -167,8 +163,12 @@ def write_judged(grid: Grid, valid: bool, output: Path, run: RunInput, cells: Ca
     beside = invalid_path(output)
     target = output if valid or run.allow_invalid else beside
     with stage("write"):
-        found = cells()
-        write_grid(grid, target, run.variant_options, lambda _: with_fields(found, run.fields))
+        dressed = grid
+        if run.fields:
+            from meshdeform_formats.fields import with_fields
+
+            dressed = with_fields(cells(), run.fields)
+        write_grid(dressed, target, run.variant_options)
 
     def remove_earlier() -> None:
         # Anything but the invalid grid of an earlier run stays.
@@ -205,12 +205,14 @@ def run(job: Job, output: Path, case: CaseInput, options: RunInput, progress: Pr
 
         return deformation_figures(result)
 
-    peak = max(job.ranks.gather([peak_memory()]))
+    peak = max(job.grid.nodes.ranks.gather([peak_memory()]))
     return deformation_report(result, seconds, peak) | {"output": str(target)}, illustrate
 
 
 def cells_of(setup: Setup, after: Grid) -> CellFields:
     """The cells of a deformed grid for measuring against the original."""
+    from meshdeform_core.quality.fields import CellFields
+
     moving = np.flatnonzero(setup.boundary.quad_kind == Kind.MOVING)
     return CellFields(after, setup.topology, setup.grid, moving, setup.original)
 

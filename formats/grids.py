@@ -9,7 +9,7 @@ import dataclasses
 import importlib
 import os
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -218,18 +218,13 @@ def complete_for_export(grid: Grid, path: Path) -> Grid:
     return dataclasses.replace(grid, connections=find_interfaces(grid, find_topology(grid)))
 
 
-def write_grid(
-    grid: Grid, path: str | Path, options: Mapping[str, Any] | None = None, dress: Callable[[Grid], Grid] | None = None
-) -> FileFormat:
+def write_grid(grid: Grid, path: str | Path, options: Mapping[str, Any] | None = None) -> FileFormat:
     """Write ``grid``, replacing ``path`` as a whole or leaving it unchanged; returns the variant that was written.
 
     The suffix selects the format. If it is that of the grid's own file, its variant is kept, except for ``options``
-    (of a variant, see ``meshdeform convert --help``). ``dress`` adds fields. All ranks call it together for a grid in
-    parts.
+    (of a variant, see ``meshdeform convert --help``). All ranks call it together for a grid in parts.
     """
     path = Path(path)
-    if dress:
-        grid = dress(grid)
     variant = variant_of(grid, path, options)
     entry = FORMATS[format_of(path)]
     if not entry.together:

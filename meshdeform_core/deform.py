@@ -1,4 +1,4 @@
-"""The whole sequence: from a grid, its boundary and a method to a deformed grid and a verdict."""
+"""The set-up of a grid, and the whole sequence: from grid, boundary and method to a deformed grid and a verdict."""
 
 from __future__ import annotations
 
@@ -6,18 +6,23 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from .boundary import Kind
-from .errors import CaseError
+from .boundary import Boundary, Kind, classify
+from .boundary.classification import UNSELECTED, opening_notes, with_plates
+from .errors import CaseError, MotionError
 from .grid import FloatArray, Grid
+from .grid.connections import check_connections
+from .grid.openings import coincident_blocks, find_openings
+from .grid.planes import require_extent
+from .grid.selection import BY_PREFIX, with_components
+from .grid.topology import Topology, find_topology
 from .memory import UNLIMITED, MemoryLimit
 from .methods import PreparedMethod, Progress
 from .methods.limits import patch_motions
-from .overset import Overset, impose_on_components, set_up
 from .quality import Assessment, Quality, assess
 from .repair.options import Limit
 from .repair.outcome import Judged, Repair
 from .repair.tuned import COLLAPSING
-from .setup import Attempt, BoundaryMotion, Case, Result, Setup, Timing
+from .setup import Attempt, BoundaryMotion, Case, Result, Setup, Timing, Undeformed
 from .stepping import (
     Course,
     State,
@@ -46,6 +51,53 @@ __all__ = [
     "impose",
     "set_up",
 ]
+
+
+def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryLimit = UNLIMITED) -> Setup:
+    """Find the topology and classify the boundary; ``memory`` is the method's limit in addition to the grid. The
+    components of an overset grid must be named and have no face in common."""
+    grid = with_components(grid, case.components)
+    if grid.overset and not grid.components:
+        raise CaseError(
+            f"the {grid.n_blocks} blocks are connected by overset (Chimera) connectivity only, so nothing would keep "
+            f"them together; the case has to name the blocks that belong together: [grid] components = "
+            f'"{BY_PREFIX}", or patterns of block names'
+        )
+    timing = timing or Timing()
+    require_extent(grid)
+    with timing.stage("topology"):
+        topology = find_topology(grid, case.tolerance)
+        warnings = [*grid.notes, *case.notes, *check_connections(grid, topology), *coincident_blocks(grid, topology)]
+        if topology.crowded:
+            crowd = f"{topology.crowded} face quads are shared by more than two blocks, which no interface can be; "
+            warnings.append(f"{crowd}check the grid for blocks that exist twice")
+        openings = find_openings(grid, topology)
+        if grid.component_numbers.any() and case.open_faces is not True:
+            from .overset import require_apart
+
+            require_apart(grid, topology)
+        grid, topology = with_plates(grid, topology, case.plates)
+        boundary = classify(grid, topology, case.boundaries, case.constants)
+        unselected = boundary.quads_of(lambda patch: patch.name == UNSELECTED)
+        moving = boundary.quads_of(lambda patch: patch.kind is Kind.MOVING)
+        warnings += opening_notes(grid, topology, openings, unselected, moving, case.open_faces)
+    if not boundary.count(Kind.MOVING):
+        raise MotionError(
+            "no node moves: no boundary entry of kind moving selects any node; "
+            'expected a [[boundary]] with kind = "moving" and a motion, or a displacement table'
+        )
+    undeformed = undeformed_of(grid, topology, boundary, memory, case.repair.min_jacobian)
+    return Setup(undeformed, case, (*warnings, *boundary.notes))
+
+
+def undeformed_of(
+    grid: Grid, topology: Topology, boundary: Boundary, memory: MemoryLimit = UNLIMITED, min_jacobian: float = 0.0
+) -> Undeformed:
+    """An undeformed grid; an :class:`.Overset` one if it has several components."""
+    kind = Undeformed
+    if grid.component_numbers.any():
+        from .overset import Overset as kind
+    return kind(grid, topology, boundary, memory, min_jacobian=min_jacobian)
 
 
 def deform(
@@ -115,9 +167,10 @@ def impose(
             return _result(in_equal_steps(state, steps), one_of_many)
         return _result((until_valid if of.repairing else adaptively)(state), one_of_many)
 
-    undeformed = setup.undeformed
-    if isinstance(undeformed, Overset):
-        return impose_on_components(course, undeformed, prepared, result)
+    if setup.grid.component_numbers.any():
+        from .overset import impose_on_components
+
+        return impose_on_components(course, prepared, result)
     return result(course, prepared)
 
 

@@ -13,7 +13,7 @@ from .boundary import Boundary, Kind, classify
 from .boundary.classification import ClassifiedPatch, with_plates
 from .boundary.motions.motion import GIVEN
 from .boundary.tables import BoundaryNodes
-from .deform import impose
+from .deform import impose, undeformed_of
 from .errors import GridError
 from .grid import FloatArray, Grid
 from .grid.blocks import rounded
@@ -22,7 +22,6 @@ from .grid.topology import Topology, find_topology
 from .memory import UNLIMITED, MemoryLimit
 from .methods import Progress
 from .numerics.geometry.coincidence import distinct
-from .overset import undeformed_of
 from .quality import Assessment, Original, assess
 from .quality.difference import require_same_blocks
 from .quality.listed import find_pinned

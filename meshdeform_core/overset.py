@@ -1,4 +1,4 @@
-"""The set-up of a grid; overset grids: groups of blocks that may overlap each other and have no node in common.
+"""Overset grids: groups of blocks that may overlap each other and have no node in common.
 
 The grid and its case are split into components; each is deformed as if it were alone, and the results are joined. What
 lies below this module deforms a grid without knowing whether it is a component of another.
@@ -14,19 +14,14 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from .boundary import Boundary, Kind, classify
-from .boundary.classification import UNSELECTED, ClassifiedPatch, opening_notes, with_plates
+from .boundary import Boundary, Kind
+from .boundary.classification import ClassifiedPatch
 from .boundary.constraints import Periodic, find_sliding
 from .boundary.crossing import Contact, Crossing
-from .boundary.fitting import Tables
-from .errors import CaseError, MotionError
+from .errors import CaseError
 from .grid import FloatArray, Grid, IntArray
-from .grid.connections import check_connections
-from .grid.openings import coincident_blocks, find_openings
-from .grid.planes import require_extent
-from .grid.selection import BY_PREFIX, with_components
-from .grid.topology import RELATIVE_TOLERANCE, FaceQuads, Topology, find_topology, quads_of_patches
-from .memory import UNLIMITED, MemoryLimit
+from .grid.topology import RELATIVE_TOLERANCE, FaceQuads, Topology, quads_of_patches
+from .memory import MemoryLimit
 from .methods import Account, Options, PreparedMethod, Progress
 from .methods.base import Kinks, Linearised
 from .methods.composite import filled
@@ -37,55 +32,12 @@ from .parallel import Nodes
 from .quality import assess
 from .repair.options import Limit
 from .repair.outcome import Repair
-from .setup import Case, Result, Setup, Timing, Undeformed
+from .setup import Result, Setup, Undeformed
 from .stepping import Course
 from .wording import Notice, kind_of
 
 
-def set_up(grid: Grid, case: Case, timing: Timing | None = None, memory: MemoryLimit = UNLIMITED) -> Setup:
-    """Find the topology and classify the boundary; ``memory`` is the method's limit in addition to the grid. The
-    components of an overset grid must be named and have no face in common."""
-    grid = with_components(grid, case.components)
-    if grid.overset and not grid.components:
-        raise CaseError(
-            f"the {grid.n_blocks} blocks are connected by overset (Chimera) connectivity only, so nothing would keep "
-            f"them together; the case has to name the blocks that belong together: [grid] components = "
-            f'"{BY_PREFIX}", or patterns of block names'
-        )
-    timing = timing or Timing()
-    require_extent(grid)
-    with timing.stage("topology"):
-        topology = find_topology(grid, case.tolerance)
-        warnings = [*grid.notes, *case.notes, *check_connections(grid, topology), *coincident_blocks(grid, topology)]
-        if topology.crowded:
-            crowd = f"{topology.crowded} face quads are shared by more than two blocks, which no interface can be; "
-            warnings.append(f"{crowd}check the grid for blocks that exist twice")
-        openings = find_openings(grid, topology)
-        if grid.component_numbers.any() and case.open_faces is not True:
-            _require_apart(grid, topology)
-        grid, topology = with_plates(grid, topology, case.plates)
-        boundary = classify(grid, topology, case.boundaries, case.constants)
-        unselected = boundary.quads_of(lambda patch: patch.name == UNSELECTED)
-        moving = boundary.quads_of(lambda patch: patch.kind is Kind.MOVING)
-        warnings += opening_notes(grid, topology, openings, unselected, moving, case.open_faces)
-    if not boundary.count(Kind.MOVING):
-        raise MotionError(
-            "no node moves: no boundary entry of kind moving selects any node; "
-            'expected a [[boundary]] with kind = "moving" and a motion, or a displacement table'
-        )
-    undeformed = undeformed_of(grid, topology, boundary, memory, case.repair.min_jacobian)
-    return Setup(undeformed, case, (*warnings, *boundary.notes))
-
-
-def undeformed_of(
-    grid: Grid, topology: Topology, boundary: Boundary, memory: MemoryLimit = UNLIMITED, min_jacobian: float = 0.0
-) -> Undeformed:
-    """An undeformed grid; an :class:`Overset` one if it has several components."""
-    kind = Overset if grid.component_numbers.any() else Undeformed
-    return kind(grid, topology, boundary, memory, min_jacobian=min_jacobian)
-
-
-def _require_apart(grid: Grid, topology: Topology) -> None:
+def require_apart(grid: Grid, topology: Topology) -> None:
     """Refuse components that share block faces other than declared patches: a motion would tear the grid there."""
     alone = topology.external.copy()
     alone[quads_of_patches(topology.quads, grid.patches)[0]] = False
@@ -220,7 +172,6 @@ def _component(whole: Undeformed, name: str, number: int, memory: MemoryLimit) -
         Periodic(node[images.nodes[held]], node[images.root[held]], images.turn[held]),
         mirrors,
         (),
-        Tables(()),
     )
     return Component(
         name, blocks, numbers, Undeformed(alone, own_topology, own_boundary, memory, min_jacobian=whole.min_jacobian)
@@ -323,12 +274,13 @@ class PreparedComponents(PreparedMethod):
 
 def impose_on_components(
     whole: Course,
-    undeformed: Overset,
     prepared: PreparedMethod | None,
     one: Callable[[Course, PreparedMethod | None], Result],
 ) -> Result:
     """The result of a motion from those of ``one`` for the motion of each component, and its method if it is
     ``prepared``."""
+    undeformed = whole.setup.undeformed
+    assert isinstance(undeformed, Overset)
     known = prepared.methods if isinstance(prepared, PreparedComponents) else [None] * len(undeformed.components)
     found, case = [], whole.setup.case
     for each, method in zip(undeformed.components, known, strict=True):

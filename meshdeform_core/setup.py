@@ -84,12 +84,9 @@ class Timing:
             yield
         finally:
             compiling = compile_clock.seconds - before
-            self._add(name, clock.perf_counter() - start - compiling)
-            if compiling:
-                self._add("compile", compiling)
-
-    def _add(self, name: str, seconds: float) -> None:
-        self.seconds[name] = self.seconds.get(name, 0.0) + max(seconds, 0.0)
+            spent = {name: clock.perf_counter() - start - compiling} | ({"compile": compiling} if compiling else {})
+            for each, seconds in spent.items():
+                self.seconds[each] = self.seconds.get(each, 0.0) + max(seconds, 0.0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

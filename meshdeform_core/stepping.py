@@ -122,7 +122,8 @@ def doubts(course: Course, one_of_many: bool) -> Sequence[str]:
     """Warnings about a motion before it is imposed; zero displacement is not one of them for ``one_of_many`` levels."""
     boundary, largest = course.setup.boundary, largest_displacement(course.total)
     # Tables of a sequence are read only when their time is reached.
-    found = first_of_each_kind(boundary.tables.warnings(), map(kind_of, course.setup.warnings))
+    warnings = boundary.tables.warnings() if boundary.tables else []
+    found = first_of_each_kind(warnings, map(kind_of, course.setup.warnings))
     if not one_of_many and largest == 0.0:
         found.append("nothing moves: the displacement is zero everywhere; check --time, formulas, angles and tables")
     elif not one_of_many:

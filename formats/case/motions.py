@@ -14,16 +14,13 @@ import numpy as np
 from msgspec import Meta
 
 from meshdeform_core.boundary.motions.expression import Expression, expression
-from meshdeform_core.boundary.motions.histories import Modes, RigidHistory
-from meshdeform_core.boundary.motions.motion import ControlMove, Displace, Follow, History, Lattice, Rotate, Step
-from meshdeform_core.boundary.motions.section import Airfoil
+from meshdeform_core.boundary.motions.motion import Displace, Follow, History, Rotate, Step
 from meshdeform_core.boundary.tables import Matching, SurfaceData
 from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.grid import Grid, IntArray
 from meshdeform_core.wording import literal
 
 from ..displacement import read_displacement
-from ..displacement.frd import read_shapes
 from .forms import File, Form, Formula, Three, ThreeNumbers, about, placed
 from .tables import files_over_time, history, read_airfoil, read_beam, read_history, read_positions, sequence_files
 
@@ -91,6 +88,8 @@ class LatticeForm(Form):
     move: Annotated[list[ControlForm], Meta(min_length=1), about('move = [{ at = [2, "*", 2], by = [0, 0, 0.1] }]')]
 
     def step(self, context: Context) -> Step:
+        from meshdeform_core.boundary.motions.shapes import ControlMove, Lattice
+
         frame = np.array(self.edges)
         if not abs(np.linalg.det(frame)) > 1e-12 * float(np.prod(np.linalg.norm(frame, axis=1))):
             raise CaseError(f"edges = {literal(self.edges)} span no volume; expected three directions")
@@ -119,6 +118,8 @@ class RigidForm(Form):
     center: Annotated[ThreeNumbers, about("three values: the point about which it turns")] = (0.0, 0.0, 0.0)
 
     def step(self, context: Context) -> Step:
+        from meshdeform_core.boundary.motions.histories import RigidHistory
+
         path = context.folder / self.file
         table = read_history(path)
         if strange := [name for name in table if name not in ("t", *_SHIFT, *_TURNS, *_QUATERNION)]:
@@ -160,6 +161,8 @@ class ModesForm(Form):
     shapes: Annotated[list[_Whole] | None, about("numbers of the shapes in the file")] = None
 
     def step(self, context: Context) -> Step:
+        from meshdeform_core.boundary.motions.histories import Modes
+
         labels, shapes = self._shapes(context)
         if isinstance(self.amplitudes, list):
             if len(self.amplitudes) != len(shapes):
@@ -188,6 +191,8 @@ class ModesForm(Form):
             paths = sequence_files(self.files, context.folder)
             labels = [(number, path.stem.lower()) for number, path in enumerate(paths, start=1)]
             return labels, tuple(read_displacement(path) for path in paths)
+        from ..displacement.frd import read_shapes
+
         found = read_shapes(path := context.folder / str(self.file))
         chosen = list(range(1, len(found) + 1)) if self.shapes is None else self.shapes
         if max(chosen) > len(found):
@@ -205,6 +210,8 @@ class AirfoilForm(Form):
     fit: Annotated[Literal["chord", "none"], about('"chord" (leading and trailing edge stay) or "none"')] = "chord"
 
     def step(self, context: Context) -> Step:
+        from meshdeform_core.boundary.motions.shapes import Airfoil
+
         path, (along, upwards) = context.folder / self.file, self.plane
         axes = ("xyz".index(along), "xyz".index(upwards))
         return Airfoil(read_airfoil(path), axes, self.fit == "chord", str(path))

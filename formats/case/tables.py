@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from meshdeform_core.boundary.motions.histories import Beam
-from meshdeform_core.boundary.motions.motion import History
+from meshdeform_core.boundary.motions.motion import History, Step
 from meshdeform_core.boundary.tables import Positions
 from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.grid import FloatArray
@@ -144,9 +143,11 @@ def history(table: Mapping[str, FloatArray], wanted: Sequence[str], path: Path) 
     return History(table["t"], np.stack([table[name] for name in wanted], axis=1), str(path))
 
 
-def read_beam(path: Path) -> Beam:
+def read_beam(path: Path) -> Step:
     """Stations of a beam, undeformed, with displacement and rotation, in their order along the beam; for several times,
     column ``t``, the same stations at each."""
+    from meshdeform_core.boundary.motions.histories import Beam
+
     table = read_columns(path, "t,x,y,z,dx,dy,dz,rx,ry,rz")
     found = [kind for kind in (_ROTATION_VECTOR, _WIENER_MILENKOVIC) if set(kind) & set(table)]
     wanted = {"x", "y", "z", "dx", "dy", "dz", *(found[0] if len(found) == 1 else ())}

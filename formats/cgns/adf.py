@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from meshdeform_core.errors import FormatError
 
-from .tree import DTYPES, MAXIMUM_DEPTH, Link, Node, decoded
+from .tree import DTYPES, MAXIMUM_DEPTH, Link, Node, decoded, is_adf
 
 _BLOCK = 4096
 _FILE_HEADER = struct.Struct("<32s4s28s4s28s4sss4s24s4s12s12s12s12s4s")
@@ -33,15 +33,6 @@ _CHUNK_HEAD = 16  # tag and pointer to the end tag, before the contents of every
 _CHILD = struct.Struct("<32s12s")
 _PIECE = struct.Struct("<12s12s")
 _HEXADECIMAL = re.compile(rb"[0-9A-Fa-f]+")
-
-
-def is_adf(path: Path) -> bool:
-    """Whether a file begins like an ADF file."""
-    try:
-        with path.open("rb") as stream:
-            return b"ADF Database Version" in stream.read(32)
-    except OSError as error:
-        raise FormatError(f"cannot read {path}: {error.strerror or error}") from error
 
 
 def read_adf(path: Path) -> Node:

@@ -18,9 +18,8 @@ from meshdeform_core.parallel import ONE_PROCESS, Ranks
 
 from ..files import checked_options
 from ..planes import ranges_of, read_planes
-from .adf import is_adf, read_adf
 from .boundary import overset_only, zone_connections, zone_patches
-from .tree import MAXIMUM_DEPTH
+from .tree import MAXIMUM_DEPTH, is_adf
 from .zone import Notes, Zone, base_and_zones, naming, opened_cgns
 
 # The options of files whose zones have both precisions.
@@ -36,6 +35,8 @@ def linked_files(path: Path) -> Iterator[Path]:
 
         yield from external_targets(path)
         return
+    from .adf import read_adf
+
     waiting, count = [(read_adf(path), 0)], 0
     while waiting:
         node, depth = waiting.pop()

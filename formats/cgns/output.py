@@ -26,7 +26,6 @@ from meshdeform_core.numerics.arrays import extent
 
 from ..files import replacing_by_all
 from ..planes import Output, Stored, split, write_outputs
-from .adf import is_adf
 from .hdf5 import (
     DATA,
     LINK,
@@ -43,7 +42,7 @@ from .hdf5 import (
     write_hdf5,
 )
 from .new_nodes import boundary_nodes, connectivity_nodes, family_names, family_nodes
-from .tree import NewNode, Node, data_type_of, make, unique_names
+from .tree import NewNode, Node, data_type_of, is_adf, make, unique_names
 from .zone import Base, Zone, base_and_zones, naming, opened_cgns
 
 

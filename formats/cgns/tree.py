@@ -54,6 +54,15 @@ DTYPES: dict[str, np.dtype[Any]] = {
 }
 
 
+def is_adf(path: Path) -> bool:
+    """Whether a file begins like an ADF file."""
+    try:
+        with path.open("rb") as stream:
+            return b"ADF Database Version" in stream.read(32)
+    except OSError as error:
+        raise FormatError(f"cannot read {path}: {error.strerror or error}") from error
+
+
 @dataclass(frozen=True)
 class Link:
     """Target of a link node: a node path in another file, or in its own file if ``file`` is empty."""

@@ -14,8 +14,7 @@ from meshdeform_core.grid import FloatArray, Shape
 from meshdeform_core.wording import listed
 
 from ..planes import Stored, merge
-from .adf import is_adf, read_adf
-from .tree import Node
+from .tree import Node, is_adf
 
 _COORDINATES = ("CoordinateX", "CoordinateY", "CoordinateZ")
 _FLOATS = (np.dtype(np.float32), np.dtype(np.float64))
@@ -25,10 +24,12 @@ _LENGTH = 1  # position of the length among the units of DimensionalUnits_t
 @contextmanager
 def opened_cgns(path: Path) -> Iterator[Node]:
     """Root node of a CGNS file; the tree can be read while the context lasts."""
+    # A file is of one kind and needs the reader of this kind only.
     if is_adf(path):
+        from .adf import read_adf
+
         yield read_adf(path)
     else:
-        # Imported here because ADF files, the majority, need no HDF5.
         from .hdf5 import opened_hdf5
 
         with opened_hdf5(path) as root:

@@ -5,21 +5,22 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from meshdeform_core.boundary import Kind
 from meshdeform_core.deform import Result, Setup
 from meshdeform_core.grid import Grid
-from meshdeform_core.mending import Mended
 from meshdeform_core.methods import Account
 from meshdeform_core.methods.limits import PatchMotion
 from meshdeform_core.quality import Assessment
-from meshdeform_core.quality.shape import shape_measures
-from meshdeform_core.series import Level, Schedule
 
 from ..grids import Layout
+
+if TYPE_CHECKING:
+    from meshdeform_core.mending import Mended
+    from meshdeform_core.series import Level, Schedule
 
 SCHEMA = 1
 _SMOOTHNESS = ("velocity", "acceleration", "acceleration_in_edges")
@@ -164,6 +165,8 @@ def mended_report(mended: Mended, reference: str, seconds: Mapping[str, float], 
 
 def _shape_part(grid: Grid) -> Report:
     """Measures that matter to flow solvers, with the worst cell of each."""
+    from meshdeform_core.quality.shape import shape_measures
+
     return {name: dataclasses.asdict(measure) for name, measure in shape_measures(grid).items()}
 
 

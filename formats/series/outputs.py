@@ -170,16 +170,14 @@ class LevelFiles(SeriesFiles):
         return plain, invalid_path(plain)
 
     def write(self, number: int, grid: Grid, velocity: FloatArray | None, faces: Sequence[Field] = ()) -> None:
-        def dressed(level: Grid) -> Grid:
-            return with_velocity(self.dress(level), velocity, faces, self.variant.precision)
-
         def remove_other() -> None:
             # The level of an earlier run with the other verdict could be mistaken for this one.
             other = self.names(number)[number not in self.invalid]
             other.unlink(missing_ok=True)
             self._remove_lone_pieces(other)
 
-        write_grid(grid, self.path(number), self.options, dressed)
+        dressed = with_velocity(self.dress(grid), velocity, faces, self.variant.precision)
+        write_grid(dressed, self.path(number), self.options)
         grid.nodes.ranks.on_first(remove_other)
 
     def read(self, number: int) -> FloatArray:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,10 +21,12 @@ from ..numerics.arrays import lengths
 from ..numerics.geometry.coincidence import distinct
 from ..wording import listed, vector
 from .constraints import Pairs, Periodic, Slip, crease_notes, find_periodicity, find_sliding
-from .fitting import Tables, fit_table
 from .motions.expression import Expression
 from .motions.motion import Follow, Motion, PreparedMotion, tiny_rotations
 from .tables import BoundaryNodes, SurfaceData, by_place
+
+if TYPE_CHECKING:
+    from .fitting import Tables
 
 UNSELECTED = "(not selected)"
 
@@ -89,7 +92,7 @@ class Boundary:
     slip, periodic : constraints on displacements
     mirrors : symmetry planes
     notes : warnings for the report
-    tables : displacement tables, checked again whenever they change
+    tables : displacement tables, checked again whenever they change; ``None`` without any
     """
 
     kind: np.ndarray
@@ -100,7 +103,7 @@ class Boundary:
     periodic: Periodic
     mirrors: tuple[Plane, ...]
     notes: tuple[str, ...]
-    tables: Tables
+    tables: Tables | None = None
 
     def __repr__(self) -> str:
         return f"Boundary({', '.join(p.name for p in self.patches)})"
@@ -148,8 +151,13 @@ def classify(grid: Grid, topology: Topology, specs: Sequence[BoundarySpec], cons
         patches.append(ClassifiedPatch(spec.name, spec.kind, nodes, quads))
         quad_kind[quads] = np.maximum(quad_kind[quads], spec.kind)
         node_kind[reached] = np.maximum(node_kind[reached], spec.kind)
-    tables = Tables([motion for _, motion in movers])
-    notes += [*tables.warnings(), *(note for _, motion in movers for note in motion.notes)]
+    tables = None
+    if any(motion.matches for _, motion in movers):
+        from .fitting import Tables
+
+        tables = Tables([motion for _, motion in movers])
+        notes += tables.warnings()
+    notes += (note for _, motion in movers for note in motion.notes)
     # Faces that no entry selects.
     rest = np.flatnonzero(topology.external & (quad_kind == 0))
     on_ends = np.isin(topology.quads.block_side[rest], end_planes(grid, topology))
@@ -182,6 +190,8 @@ def _selected(
     if motion is not None and motion.partial:
         table = next(step for step in motion.steps if isinstance(step, Follow))
         if isinstance(data := table.table(), SurfaceData):
+            from .fitting import fit_table
+
             fit = fit_table(grid, topology, by_place(data, grid, topology), table.matching)
             motion = motion.matched_by(fit.matching)
             if fit.quads is not None:

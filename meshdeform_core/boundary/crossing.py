@@ -222,7 +222,7 @@ class _Surface:
         kind, corners = boundary.quad_kind, topology.quads.corners
         sliding = np.isin(kind, (Kind.SLIP, Kind.SYMMETRY))
         self.quads = np.flatnonzero((kind >= Kind.FIXED) & boundary.known[corners].all(axis=1) | sliding)
-        self.nodes, self._n_unique = distinct(corners[self.quads], topology.n_unique), topology.n_unique
+        self.nodes = distinct(corners[self.quads], topology.n_unique)
         self.points = grid.nodes.at(topology.first[self.nodes])
         local = places_among(self.nodes, topology.n_unique).astype(corners.dtype)
         self.faces = local[corners[self.quads]]
@@ -237,6 +237,10 @@ class _Surface:
             self.points = np.concatenate([self.points, self.points + thickness * normal])
             self.faces = np.concatenate([self.faces, self.faces[:, ::-1] + n], axis=1)
             self.edge = np.tile(self.edge, 2)
+        # Pseudo-random numbers (n, 3) from -1 to 1, of a node the same whichever others are on the surface.
+        sides, source = len(self.points) // len(self.nodes), np.random.default_rng(0)
+        drawn = [source.uniform(-1.0, 1.0, (topology.n_unique, 3))[self.nodes] for _ in range(sides)]
+        self._drawn = np.concatenate(drawn)
 
     @cached_property
     def tree(self) -> FaceTree:
@@ -249,19 +253,9 @@ class _Surface:
         return tree
 
     def shift(self, gap: float) -> FloatArray:
-        """Pseudo-random shift (n, 3) of the points, by which faces that come closer than ``gap`` cross somewhere.
-
-        A node is shifted alike whichever others are on the surface.
-        """
+        """Pseudo-random shift (n, 3) of the points, by which faces that come closer than ``gap`` cross somewhere."""
         amplitude = np.where(np.isfinite(self.edge), self._amplitude(gap), 0.0)
         return self._drawn * amplitude[:, None]
-
-    @cached_property
-    def _drawn(self) -> FloatArray:
-        """Pseudo-random numbers (n, 3) from -1 to 1."""
-        sides, source = len(self.points) // len(self.nodes), np.random.default_rng(0)
-        drawn = [source.uniform(-1.0, 1.0, (self._n_unique, 3))[self.nodes] for _ in range(sides)]
-        return np.concatenate(drawn)
 
     def _amplitude(self, gap: float) -> FloatArray:
         # The test for lying outside uses points at a small distance from the faces, which is allowed for here.

@@ -247,11 +247,6 @@ class SideLattice:
         return self.depth > 1
 
     @property
-    def cells(self) -> IntArray:
-        """Cells (6 n_blocks, 2) along both axes; one across the plane of a 2-D block."""
-        return np.maximum(self.nodes - 1, 1)
-
-    @property
     def corner_steps(self) -> IntArray:
         """Steps (6 n_blocks, 2) in u and v from the first to the last corner of a quad: 0 along a single node."""
         return np.minimum(self.nodes - 1, 1)

@@ -265,7 +265,8 @@ def _sound_square(edge: FloatArray, epsilon: float, one: FloatArray, two: FloatA
 def _face_quads(grid: Grid, handedness: IntArray, sides: IntArray, number: IntArray) -> FaceQuads:
     """The quads of all sides; ``number`` are the unique numbers of the nodes of ``sides``, side after side."""
     lattice = grid.sides
-    counts = np.where(lattice.has_quads[:, None], lattice.cells, 0)
+    # One quad across the plane of a 2-D block.
+    counts = np.where(lattice.has_quads[:, None], np.maximum(lattice.nodes - 1, 1), 0)
     sizes = counts.prod(axis=1)
     start = np.cumsum(sizes) - sizes
     # Whether the index order of a side winds its quads counter-clockwise as seen from outside the block. In 2-D the

@@ -99,7 +99,12 @@ class Problem:
     def surface(self) -> Surface:
         """Faces between the sources."""
         every = self._between_sources(self.boundary.quad_kind >= Kind.FIXED)
-        area = nodal_area(self.source_points, every[(every >= 0).all(axis=1)])
+        every = every[(every >= 0).all(axis=1)]
+        area, sides = np.zeros(len(self.source_points)), every.shape[1]
+        for lo in range(0, len(every), _FACES):
+            some = every[lo : lo + _FACES]
+            share = np.repeat(face_sizes(self.source_points[some]) / sides, sides)
+            area = area + np.bincount(some.ravel(), share, minlength=len(area))
         quads = self._between_sources(self.boundary.quad_kind == Kind.MOVING)
         if quads.shape[1] == 2:
             return Surface(area, quads, np.empty((0, 2), dtype=np.int64))
@@ -151,16 +156,6 @@ class Problem:
         t = self.topology
         whole = self.grid.total_of(self.grid.points) - total(self.grid.nodes.at(t.face_nodes))
         return np.asarray((whole + total(self.grid.nodes.at(t.first))) / self.n_unique_nodes)
-
-
-def nodal_area(points: FloatArray, quads: IntArray) -> FloatArray:
-    """Nodal areas (n,) of the corners of ``quads``, see :class:`Surface`."""
-    area, sides = np.zeros(len(points)), quads.shape[1]
-    for lo in range(0, len(quads), _FACES):
-        some = quads[lo : lo + _FACES]
-        share = np.repeat(face_sizes(points[some]) / sides, sides)
-        area = area + np.bincount(some.ravel(), share, minlength=len(points))
-    return area
 
 
 @dataclass(frozen=True)

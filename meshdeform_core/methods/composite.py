@@ -43,7 +43,9 @@ class Composite:
 
     def prepare(self, problem: Problem) -> PreparedMethod:
         """Bind both steps to the undeformed grid."""
-        periodic = free_periodic(problem)
+        # Those that no boundary of higher precedence moves or fixes.
+        periodic = problem.boundary.periodic.nodes
+        periodic = np.asarray(periodic[~problem.boundary.known[periodic]])
         if periodic.size == 0:
             return (self.kind or PreparedComposite)(self, problem)
         nodes, (low, high) = np.sort(problem.topology.first[periodic]), problem.grid.nodes.ends
@@ -173,12 +175,6 @@ class PreparedComposite(PreparedMethod):
             return mover.pull(first.gathered(gradient), gradient)
 
         return Linearised(push, pull, kinks)
-
-
-def free_periodic(problem: Problem) -> IntArray:
-    """Unique numbers of the periodic nodes that no boundary of higher precedence moves or fixes."""
-    nodes = problem.boundary.periodic.nodes
-    return np.asarray(nodes[~problem.boundary.known[nodes]])
 
 
 def with_known_periodic(problem: Problem, periodic: IntArray) -> Problem:

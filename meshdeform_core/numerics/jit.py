@@ -20,7 +20,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from functools import cache, partial
 from pathlib import Path
 from types import CodeType
@@ -182,7 +182,7 @@ class _Cache(FunctionCache):
     def _places(self) -> list[IndexDataCacheFile]:
         """The files in which the loop may be found, the writable one last."""
         if not self._files:
-            stamp = source_digest(self._function)
+            stamp, _ = source_of(self._function)
             # numba's own stamp is that of the file which contains the loop.
             self._cache_file = IndexDataCacheFile(self.cache_path, self._impl.filename_base, stamp)
             source = self._function.__code__.co_filename
@@ -217,13 +217,9 @@ def _digest_of_file(path: str, _modified: int) -> bytes:
     return hashlib.sha256(Path(path).read_bytes()).digest()
 
 
-def source_digest(function: Callable) -> bytes:
-    """Digest of what a loop is compiled from: the files of all functions that it calls, and constants of others."""
-    return hashlib.sha256(b"".join(sorted(_made_from(function)[0]))).digest()
-
-
-def _made_from(function: Callable) -> tuple[set[bytes], set[int]]:
-    """What a loop is compiled from: digests and constants, and the identities of the functions, its own among them."""
+def source_of(function: Callable) -> tuple[bytes, set[int]]:
+    """Digest of what a loop is compiled from, the files of all functions that it calls and constants of others; and the
+    identities of the functions, its own among them."""
     parts, seen = set[bytes](), set[int]()
 
     def visit(value: Any) -> None:
@@ -236,21 +232,17 @@ def _made_from(function: Callable) -> tuple[set[bytes], set[int]]:
         elif code is not None and id(called) not in seen and not called.__module__.startswith(_LIBRARIES):
             seen.add(id(called))
             parts.add(_digest_of_file(code.co_filename, Path(code.co_filename).stat().st_mtime_ns))
-            for name in _names(code):
-                visit(called.__globals__.get(name))
+            codes = [code]
+            for each in codes:
+                for name in each.co_names:
+                    visit(called.__globals__.get(name))
+                # The functions within it.
+                codes += (constant for constant in each.co_consts if isinstance(constant, CodeType))
             for cell in called.__closure__ or ():
                 visit(cell.cell_contents)
 
     visit(function)
-    return parts, seen
-
-
-def _names(code: CodeType) -> Iterator[str]:
-    """Names of globals in a function and in the functions within it."""
-    yield from code.co_names
-    for constant in code.co_consts:
-        if isinstance(constant, CodeType):
-            yield from _names(constant)
+    return hashlib.sha256(b"".join(sorted(parts))).digest(), seen
 
 
 # Starting a process, which imports numba, costs as much as compiling so many loops.
@@ -445,7 +437,7 @@ def compile_declared(name: str) -> None:
 
 def loop_calls(one: str, other: str) -> bool:
     """Whether a declared loop calls another one, itself or through a third; names as in :func:`missing_loops`."""
-    return id(_declared[other][0].py_func) in _made_from(_declared[one][0].py_func)[1]
+    return id(_declared[other][0].py_func) in source_of(_declared[one][0].py_func)[1]
 
 
 compile_clock = _CompileClock()

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import cached_property
 
 import numpy as np
 import scipy
@@ -130,11 +129,8 @@ class SurfaceRotations:
         self._place = places_among(self._nodes, len(points))
         self._points, self._corners, self._edges = points[self._nodes], self._place[corners], self._place[edges]
         self._plane_normal = plane_normal
+        self._normals = _node_normals(self._points, self._corners, plane_normal)
         self._last: tuple[FloatArray, tuple[FloatArray, FloatArray]] | None = None
-
-    @cached_property
-    def _normals(self) -> FloatArray:
-        return _node_normals(self._points, self._corners, self._plane_normal)
 
     def folded(self, displacement: FloatArray) -> int:
         """Number of nodes whose faces cancel after a displacement (n, 3), or before it, but not both."""

@@ -44,11 +44,6 @@ def positive_side(flat_j: Any, sign: Any, plane_normal: FloatArray | None) -> An
     return np.where(flat_j, -1.0, 1.0)[..., None] * np.asarray(sign)[..., None] * upward
 
 
-def sides_of(grid: Grid, handedness: IntArray, plane_normal: FloatArray | None, block: Any) -> Any:
-    """:func:`positive_side` of cells of blocks, by number (...)."""
-    return positive_side(np.array(grid.shapes)[block, 1] == 1, handedness[block] * 1.0, plane_normal)
-
-
 @dataclass(frozen=True)
 class Slab:
     """The layers first <= i < last of a block's cells: cells ``start`` to ``stop`` of the grid.

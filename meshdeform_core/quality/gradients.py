@@ -16,7 +16,7 @@ from ..numerics.cell.measures import corners_and_edges, scaled_jacobians, volume
 from ..numerics.pieces import pieces
 from ..numerics.tape import Tape, plain
 from ..parallel import Nodes
-from .cells import corner_nodes, places, sides_of
+from .cells import corner_nodes, places, positive_side
 
 # Cells recorded on one tape.
 _CELLS = 8192
@@ -86,7 +86,8 @@ def _cells_behind_planes(
         own, (ci, cj, ck) = grid.planes(block), grid.cell_shapes[block]
         if block not in blocks or not own.start <= first < last <= own.stop:
             continue
-        begin, side = first - (around and first == own.start > 0), sides_of(grid, topology.handedness, normal, block)
+        begin = first - (around and first == own.start > 0)
+        side = positive_side(grid.shapes[block][1] == 1, topology.handedness[block] * 1.0, normal)
         start, stop = (int(grid.cell_offsets[block]) + min(plane, ci) * cj * ck for plane in (begin, last))
         for lo in range(start, stop, _CELLS):
             yield corner_nodes(grid, *places(grid, np.arange(lo, min(lo + _CELLS, stop)))), side

@@ -14,7 +14,7 @@ from ..grid import BoolArray, FloatArray, Grid
 from ..grid.faces import Face, Outside, Role, declared_role, find_outside
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
-from .cells import sides_of
+from .cells import positive_side
 from .lines import InterfaceLines, WallLines, WallMeasures, interface_lines, kink_and_jump
 
 Walls = tuple[WallLines, WallMeasures]
@@ -41,8 +41,9 @@ class Original:
         self.normal = plane_normal(self.grid)
 
     def sides(self, block: Any) -> Any:
-        """Which Jacobians of cells of blocks, by number (...), are positive, see :func:`.cells.sides_of`."""
-        return sides_of(self.grid, self.topology.handedness, self.normal, block)
+        """Which Jacobians of cells of blocks, by number (...), are positive, see :func:`.cells.positive_side`."""
+        sign = self.topology.handedness[block] * 1.0
+        return positive_side(np.array(self.grid.shapes)[block, 1] == 1, sign, self.normal)
 
     @cached_property
     def interfaces(self) -> tuple[InterfaceLines, tuple[FloatArray, FloatArray]]:

@@ -13,15 +13,14 @@ from __future__ import annotations
 import threading
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import cached_property
 from typing import NamedTuple, cast
 
 import numpy as np
 
 from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..numerics.cell import inspection as rows
-from ..numerics.cell.measures import COLLAPSED, CellMeasures, decide, measure_cells
-from ..parallel import Nodes, Ranks
+from ..numerics.cell.measures import COLLAPSED, decide, measure_cells
+from ..parallel import Nodes
 from .cells import Slab, block_volumes, cells_alike, corners_of, for_slabs, hold_cells, places, slabs
 from .original import Original
 
@@ -230,106 +229,69 @@ class Skew:
 class Comparison:
     """The cells with coordinates ``points`` (n_nodes, 3), measured, with the verdict on them.
 
-    ``totals`` (n_slabs, TOTALS), see :data:`TOTALS`, are added in the order of the grid; ``p01``: the quantile of
-    f_skew; ``volume``: of all cells, in 2-D the area.
+    Attributes
+    ----------
+    worst, smallest_scaled, smallest_ratio : the cell with the smallest f_skew, scaled Jacobian, and corner Jacobian
+        relative to the undeformed one, with its value
+    volume_ratios : the cells with the smallest and the largest volume relative to the undeformed one, with their
+        values; ``None`` if no cell had a volume
+    negative, bad, inherited : numbers of cells with a negative volume, with a corner Jacobian that is not positive, and
+        of those that were bad in the undeformed grid, too, and are no worse
+    skew : distribution of f_skew
+    volume : of all cells, in 2-D the area
     """
 
     def __init__(self, original: Original, points: FloatArray):
         grid, n_slabs = original.grid, len(slabs(original.grid))
-        self.n_cells, self.verdict, self.totals = grid.n_cells, Verdict.blank(grid), np.empty((n_slabs, TOTALS))
+        self.verdict, totals = Verdict.blank(grid), np.empty((n_slabs, TOTALS))
         # The cells of every slab with the smallest f_skew, scaled Jacobian and volume ratio, the largest volume ratio,
         # and the smallest relative Jacobian.
-        self._cells = np.empty((n_slabs, 5), dtype=np.int64)
+        cells = np.empty((n_slabs, 5), dtype=np.int64)
         # Single precision is enough for the quantile.
         skew = cells_alike(grid, np.float32)
 
         def put(number: int, slab: Slab) -> None:
             found = inspect_slab(original, points, slab)
             self.verdict.put(slab, found)
-            Nodes.of(skew).rows[slab.cells], self.totals[number] = found.skew, found.totals
+            Nodes.of(skew).rows[slab.cells], totals[number] = found.skew, found.totals
             low = high = found.change
             if not np.isfinite(low.sum()):
                 low, high = (np.where(np.isfinite(low), low, other) for other in (np.inf, -np.inf))
             lowest = [values.argmin() for values in (found.skew, found.scaled, low, found.ratio)]
-            self._cells[number] = slab.start + np.insert(lowest, 3, high.argmax())
+            cells[number] = slab.start + np.insert(lowest, 3, high.argmax())
 
         hold_cells(grid, grid.points, points)
-        for_slabs(grid, put, [self.totals, self._cells])
-        self.p01 = kth_smallest(grid.nodes.ranks, Nodes.of(skew).own, -(-grid.n_cells // 100))
-        old, new = (measure_again(original, each, self._cells.ravel()) for each in (grid.points, points))
+        for_slabs(grid, put, [totals, cells])
+        # The quantile: the k-th smallest of all ranks is among the k smallest of each.
+        own, k = Nodes.of(skew).own, -(-grid.n_cells // 100)
+        if own.size > k:
+            own.partition(k - 1)
+        self.p01 = float(np.sort(np.concatenate(grid.nodes.ranks.gather([own[:k]])))[k - 1])
+        # The extremes, again in double precision.
+        chosen = cells.ravel()
+        side = original.sides(places(grid, chosen)[0])
+        old, new = (measure_cells(corners_of(grid, each, chosen), side) for each in (grid.points, points))
         change = np.divide(new.volume, old.volume, out=np.full(old.volume.size, np.nan), where=old.volume > 0)
         low, high = (np.where(np.isfinite(change), change, other) for other in (np.inf, -np.inf))
-        values = new.skew, new.scaled, low, high, relative_jacobian(old.jacobian, new.jacobian)
-        self._values = np.stack([each.reshape(-1, 5)[:, kind] for kind, each in enumerate(values)], axis=1)
-        self.volume = float(self.totals[:, VOLUME].sum())
+        found = list[tuple[int, float]]()
+        for kind, each in enumerate((new.skew, new.scaled, low, -high, relative_jacobian(old.jacobian, new.jacobian))):
+            values = each.reshape(-1, 5)[:, kind]
+            slab = int(values.argmin())
+            found.append((int(cells[slab, kind]), float(values[slab])))
+        self.worst, self.smallest_scaled, smallest, (largest, ratio), self.smallest_ratio = found
+        self.volume_ratios = None if smallest[1] > -ratio else (smallest, (largest, -ratio))
+        sums = [column.sum() for column in totals.T]
+        self.negative, self.bad, self.inherited = (int(sums[kind]) for kind in (NEGATIVE, BAD, INHERITED))
+        harmonic = grid.n_cells / float(sums[INVERSE]) if np.isfinite(sums[INVERSE]) else 0.0
+        counts = tuple(int(count) for count in sums[HISTOGRAM:])
+        self.skew = Skew(harmonic, float(sums[SKEW]) / grid.n_cells, self.worst[1], self.p01, counts)
+        self.volume = float(sums[VOLUME])
         if grid.dimension == 3:
             self.volume = sum(block_volumes(grid, points, original.topology.handedness).tolist())
         if points is grid.points:
             original.measured = self
 
-    def _extreme(self, kind: int, sign: float = 1.0) -> tuple[int, float]:
-        """The cell with the smallest value of a kind, or with ``sign`` -1 the largest, and that value."""
-        slab = int((sign * self._values[:, kind]).argmin())
-        return int(self._cells[slab, kind]), float(self._values[slab, kind])
-
-    @property
-    def negative(self) -> int:
-        """Number of cells with a negative volume."""
-        return int(self.totals[:, NEGATIVE].sum())
-
-    @property
-    def bad(self) -> int:
-        """Number of cells with a corner Jacobian that is not positive."""
-        return int(self.totals[:, BAD].sum())
-
-    @property
-    def inherited(self) -> int:
-        """Number of cells that were bad in the undeformed grid, too, and are no worse."""
-        return int(self.totals[:, INHERITED].sum())
-
-    @property
-    def worst(self) -> tuple[int, float]:
-        """The cell with the smallest f_skew, and its value."""
-        return self._extreme(0)
-
-    @property
-    def smallest_scaled(self) -> tuple[int, float]:
-        """The cell with the smallest scaled Jacobian, and its value."""
-        return self._extreme(1)
-
-    @property
-    def smallest_ratio(self) -> tuple[int, float]:
-        """The cell with the smallest corner Jacobian relative to the undeformed one, and its value."""
-        return self._extreme(4)
-
-    @property
-    def volume_ratios(self) -> tuple[tuple[int, float], tuple[int, float]] | None:
-        """The cells with the smallest and the largest volume relative to the undeformed one, and their values; ``None``
-        if no cell had a volume."""
-        low, high = self._extreme(2), self._extreme(3, -1.0)
-        return None if low[1] > high[1] else (low, high)
-
-    @cached_property
-    def skew(self) -> Skew:
-        """The distribution of f_skew."""
-        inverse, total = self.totals[:, INVERSE].sum(), self.totals[:, SKEW].sum()
-        harmonic = self.n_cells / float(inverse) if np.isfinite(inverse) else 0.0
-        counts = tuple(int(count) for count in self.totals[:, HISTOGRAM:].sum(axis=0))
-        return Skew(harmonic, float(total) / self.n_cells, self.worst[1], self.p01, counts)
-
 
 def measured(original: Original) -> Comparison:
     """The cells of the undeformed grid, measured once."""
     return cast("Comparison", original.measured or Comparison(original, original.grid.points))
-
-
-def kth_smallest(ranks: Ranks, values: np.ndarray, k: int) -> float:
-    """The k-th smallest, k >= 1, of the values of all ranks, which must all call this; reorders this rank's (n,)."""
-    if values.size > k:
-        values.partition(k - 1)
-    return float(np.sort(np.concatenate(ranks.gather([values[:k]])))[k - 1])
-
-
-def measure_again(original: Original, points: FloatArray, cells: np.ndarray) -> CellMeasures:
-    """Measures in double precision of cells, by number, with coordinates ``points`` (n_nodes, 3)."""
-    return measure_cells(corners_of(original.grid, points, cells), original.sides(places(original.grid, cells)[0]))

@@ -141,7 +141,7 @@ def test_a_loop_is_compiled_anew_when_a_function_of_another_file_changes(tmp_pat
         importlib.invalidate_caches()
         loop = importlib.import_module("outer_loop").twice
         assert loop(1.0) == factor * (1 + added)
-        digests.append(jit.source_digest(loop.py_func))
+        digests.append(jit.source_of(loop.py_func)[0])
         for name in ("inner_loop", "outer_loop"):
             del sys.modules[name]
     assert len(set(digests)) == 3

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from meshdeform_core.boundary import Kind
-from meshdeform_core.boundary.motions.section import Outline
+from meshdeform_core.boundary.motions.shapes import Outline
 from meshdeform_core.boundary.tables import BoundaryNodes
 from meshdeform_core.deform import set_up
 from meshdeform_core.errors import CaseError, FormatError, MotionError

@@ -11,7 +11,7 @@ import ast
 import operator
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial, reduce
 from typing import Any
 
@@ -91,27 +91,22 @@ class Expression:
 
     text: str
     variables: frozenset[str]
+    _tree: ast.expr = field(init=False, repr=False, compare=False)
+    _evaluate: _Formula = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        # Checked when the case is read.
-        self._evaluate  # noqa: B018
+        if len(self.text) > MAX_LENGTH:
+            raise CaseError(f"expression of {len(self.text)} characters; at most {MAX_LENGTH} are allowed")
+        try:
+            tree = ast.parse(self.text.strip(), mode="eval").body
+        except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+            raise CaseError(f"expression {self.text!r} is not a formula: {getattr(error, 'msg', error)}") from None
+        object.__setattr__(self, "_tree", tree)
+        object.__setattr__(self, "_evaluate", _evaluation(tree, self))
 
     def __reduce__(self) -> tuple[Any, ...]:
         # The function that evaluates it cannot be pickled, but be made again.
         return Expression, (self.text, self.variables)
-
-    @cached_property
-    def _tree(self) -> ast.expr:
-        if len(self.text) > MAX_LENGTH:
-            raise CaseError(f"expression of {len(self.text)} characters; at most {MAX_LENGTH} are allowed")
-        try:
-            return ast.parse(self.text.strip(), mode="eval").body
-        except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-            raise CaseError(f"expression {self.text!r} is not a formula: {getattr(error, 'msg', error)}") from None
-
-    @cached_property
-    def _evaluate(self) -> _Formula:
-        return _evaluation(self._tree, self)
 
     @cached_property
     def names(self) -> frozenset[str]:

@@ -16,7 +16,8 @@ from ...numerics.rotation import nearest_branch
 from ...wording import vector
 from ..tables import BoundaryNodes, Matching, SurfaceData, transfer
 from .expression import Expression
-from .motion import History, Step, Weighted, at_time, turned
+from .motion import History, Step, at_time, turned
+from .shapes import Weighted
 
 _LARGEST_TURN = 170.0
 """Degrees between neighbouring stations: at 180 the shorter way is not the one meant."""

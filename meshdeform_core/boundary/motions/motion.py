@@ -12,10 +12,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import scipy
 
 from ...errors import MotionError
-from ...grid import BoolArray, FloatArray, Grid, IntArray
+from ...grid import BoolArray, FloatArray, Grid
 from ...wording import vector
 from ..tables import BoundaryNodes, Matching, Positions, SurfaceData, Transfer, transfer
 from .expression import Expression
@@ -26,7 +25,6 @@ _ALIKE, _FEWEST = 0.1, 4
 so many nodes at least."""
 _SMALL_ANGLE = 0.2
 """Constant rotations by fewer degrees may be meant in radians (up to 11 degrees)."""
-_ROWS_AT_ONCE = 20_000
 SMALLEST = 1e-30
 """Smaller displacements are set to zero, as their products with weights would be subnormal numbers."""
 LARGEST = 1e30
@@ -130,69 +128,6 @@ class Displace(Step):
         return fraction * _vector(self.vector, values, len(current))
 
 
-@dataclass(frozen=True)
-class ControlMove:
-    """A displacement of some control points: three formulas of t and constants, in the unit of the grid.
-
-    ``points`` (m, 3) are indices from 0.
-    """
-
-    points: IntArray
-    vector: tuple[Expression, Expression, Expression]
-
-
-@dataclass(frozen=True)
-class Lattice(Step):
-    """Free-form deformation: a box of control points, products of Bernstein polynomials along its three edges.
-
-    Nodes on and inside the box move, others do not. The box refers to positions after the motion's preceding steps.
-    ``origin`` (3,) is a corner, ``edges`` (3, 3) has a row for each of the three edges from there, along which there
-    are ``counts`` control points, at least 2.
-
-    Source: T. W. Sederberg, S. R. Parry, "Free-form deformation of solid geometric models", SIGGRAPH 1986.
-    """
-
-    origin: FloatArray
-    edges: FloatArray
-    counts: tuple[int, int, int]
-    moves: tuple[ControlMove, ...]
-
-    @property
-    def formulas(self) -> Sequence[Expression]:
-        return [part for move in self.moves for part in move.vector]
-
-    def require(self, time: float, constants: Mapping[str, float]) -> None:
-        self._controls(time, constants)
-
-    def _controls(self, time: float, constants: Mapping[str, float]) -> FloatArray:
-        """Displacements (counts, 3) of the control points."""
-        found = np.zeros((*self.counts, 3))
-        for move in self.moves:
-            i, j, k = move.points.T
-            found[i, j, k] += [at_time(part, time, constants, "displacement of control points") for part in move.vector]
-        return found
-
-    def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
-        place = (current - self.origin) @ np.linalg.inv(self.edges)
-        inside = np.flatnonzero(((place >= 0) & (place <= 1)).all(axis=1))
-        if inside.size == 0:
-            low, high = current.min(axis=0), current.max(axis=0)
-            raise MotionError(
-                f"no node of the boundary is in the box at {vector(self.origin)} with edges "
-                f"{', '.join(map(vector, self.edges))}; the nodes extend from {vector(low)} to {vector(high)}"
-            )
-        control = self._controls(float(values["t"]), values)
-        displacement = np.zeros_like(current)
-        for begin in range(0, len(inside), _ROWS_AT_ONCE):
-            rows = inside[begin : begin + _ROWS_AT_ONCE]
-            basis = []
-            for count, along in zip(self.counts, place[rows].T, strict=True):
-                power, x = np.arange(count), along[:, None]
-                basis.append(scipy.special.comb(count - 1, power) * x**power * (1.0 - x) ** (count - 1 - power))
-            displacement[rows] = np.einsum("ni,nj,nk,ijkd->nd", *basis, control, optimize=True)
-        return fraction * displacement
-
-
 Table = SurfaceData | Grid | Positions
 
 
@@ -247,19 +182,6 @@ class Transferred(Step):
 
     def _transfer(self, number: int) -> Transfer:
         return transfer(self._follow.table(number), self._follow.matching, self._nodes)
-
-
-@dataclass(frozen=True)
-class Weighted(Step):
-    """Displacements (m, n, 3) of the nodes, each times its factor (m,) at the variables' values."""
-
-    shapes: FloatArray
-    factors: Callable[[Mapping[str, Any]], FloatArray]
-    match: Transfer | None = None
-    notes: tuple[str, ...] = ()
-
-    def increment(self, current: FloatArray, values: Mapping[str, Any], fraction: float) -> FloatArray:
-        return np.asarray(fraction * np.tensordot(self.factors(values), self.shapes, axes=1))
 
 
 @dataclass(frozen=True)

@@ -164,6 +164,8 @@ class PreparedIDW:
         else:
             self.far = FAR_IN_PLANES if problem.plane and options.rotation == "lie" else FAR
         self._transition = transition_of(self.images, problem, self.far, width) if width else NO_TRANSITION
+        auto_rounds = ROUNDS if options.rotation == "lie" else 0
+        self._rounds = auto_rounds if options.smoothing == "auto" else int(options.smoothing)
         # Pairs (e, 2) of neighbouring sources, the first of which is close to a sharp edge.
         surface = self.images.corners, self.images.edges, problem.plane_normal
         self._blunt = rot.neighbours(*surface) if self._rounds else np.empty((0, 2), dtype=np.int64)
@@ -190,11 +192,6 @@ class PreparedIDW:
             order = interpolation_order(options.summation_tolerance)
             # Up to half of the remaining memory may hold data between displacements.
             self.fast = sums_of_groups(self, self.groups, order, problem.memory.size // 2)
-
-    @property
-    def _rounds(self) -> int:
-        auto = ROUNDS if self.options.rotation == "lie" else 0
-        return auto if self.options.smoothing == "auto" else int(self.options.smoothing)
 
     def _grouped(self) -> tuple[tuple[IntArray, ...], FloatArray]:
         """Groups of sources (index arrays) with a common weight function, and the strength (n,) of every source."""

@@ -68,25 +68,24 @@ class Skeleton:
     def nodes(self) -> IntArray:
         """Flat indices, ascending, of all nodes that the first step moves, including coincident ones; if the grid is in
         parts, those of this rank."""
-        return np.concatenate([self._of_block(b) for b in range(self.grid.n_blocks)])
-
-    def _of_block(self, block: int) -> IntArray:
-        shape, own = self.grid.shapes[block], self.grid.planes(block)
-        on = [np.zeros(n, dtype=bool) for n in shape]
-        for axis, cut in enumerate(self.cuts[block]):
-            # The single plane of a 2-D block is not a cut: it contains the interior.
-            on[axis][cut if shape[axis] > 1 else []] = True
-        on[0] = on[0][own]
-        mask = on[0][:, None, None] | on[1][:, None] | on[2]
-        for side in (side for side in Side if (block, side) in self.left_out):
-            a, b = side.tangential
-            layer = side.layer(shape) - (own.start if side.axis == 0 else 0)
-            if 0 <= layer < mask.shape[side.axis]:
-                plane: list[slice | int] = [slice(None)] * 3
-                plane[side.axis] = layer
-                mask[tuple(plane)] = on[a][:, None] | on[b]
-        start = self.grid.offsets[block] + own.start * shape[1] * shape[2]
-        return np.asarray(start + np.flatnonzero(mask), dtype=np.int64)
+        found = list[IntArray]()
+        for block, shape in enumerate(self.grid.shapes):
+            own, on = self.grid.planes(block), [np.zeros(n, dtype=bool) for n in shape]
+            for axis, cut in enumerate(self.cuts[block]):
+                # The single plane of a 2-D block is not a cut: it contains the interior.
+                on[axis][cut if shape[axis] > 1 else []] = True
+            on[0] = on[0][own]
+            mask = on[0][:, None, None] | on[1][:, None] | on[2]
+            for side in (side for side in Side if (block, side) in self.left_out):
+                a, b = side.tangential
+                layer = side.layer(shape) - (own.start if side.axis == 0 else 0)
+                if 0 <= layer < mask.shape[side.axis]:
+                    plane: list[slice | int] = [slice(None)] * 3
+                    plane[side.axis] = layer
+                    mask[tuple(plane)] = on[a][:, None] | on[b]
+            start = self.grid.offsets[block] + own.start * shape[1] * shape[2]
+            found.append(np.asarray(start + np.flatnonzero(mask), dtype=np.int64))
+        return np.concatenate(found)
 
 
 _TURNING = np.deg2rad(50.0)

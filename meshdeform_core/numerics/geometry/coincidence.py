@@ -48,6 +48,7 @@ def close_pairs(points: FloatArray, tolerance: FloatArray) -> IntArray:
     Sweeps along one direction, from the coarsest tolerance to the finest: if only points of at least a given tolerance
     take part, few lie within that tolerance of any plane, however strongly the grid is clustered.
     """
+    chosen = np.arange(len(points))
     if len(points) > _MANY:
         # Points whose nearest neighbour is within their tolerance, which holds for both points of any close pair. The
         # keys of many points are dense: sweeping all of them would compare each with hundreds of others.
@@ -58,14 +59,10 @@ def close_pairs(points: FloatArray, tolerance: FloatArray) -> IntArray:
         bound = float(tolerance.max(initial=0.0)) * (1.0 + 1e-9)
         distance, _ = tree.query(points, k=2, distance_upper_bound=bound, workers=thread_count())
         chosen = np.flatnonzero(distance[:, 1] <= tolerance * (1.0 + 1e-9))
-        return chosen[_sweep_in_order(points[chosen], tolerance[chosen])]
-    return _sweep_in_order(points, tolerance)
-
-
-def _sweep_in_order(points: FloatArray, tolerance: FloatArray) -> IntArray:
+        points, tolerance = points[chosen], tolerance[chosen]
     key = generic_key(points)
     order = np.argsort(key)
-    return order[pairs_in_order(key[order], points[order], tolerance[order])]
+    return chosen[order[pairs_in_order(key[order], points[order], tolerance[order])]]
 
 
 def pairs_in_order(key: FloatArray, points: FloatArray, tolerance: FloatArray) -> IntArray:
