@@ -31,23 +31,14 @@ def check_order(source: GridInput, case: CaseInput) -> None:
         raise click.UsageError(f"{source.path} is a case file; expected the grid first: {grid} -c {source.path}")
 
 
-def keep_inputs(path: Path, inputs: Files) -> None:
-    """Refuse an output that would replace a file that the run reads, under any name."""
-    from meshdeform_formats.inputs import existing_outputs, require_no_input
-
-    # A new file replaces nothing, so that the inputs need not be searched.
-    if existing_outputs(path):
-        require_no_input(path, [file for _, file in inputs])
-
-
 def check_output(path: Path, force: bool, inputs: Files = ()) -> None:
     """Refuse, before anything is computed, to overwrite a file unasked, or an input, or to write into no folder."""
     from meshdeform_formats.files import require_replaceable
-    from meshdeform_formats.inputs import existing_outputs
+    from meshdeform_formats.inputs import existing_outputs, require_no_input
 
     # First, as reading the pieces of an existing .vtm would block if it were a pipe.
     require_replaceable(path)
-    keep_inputs(path, inputs)
+    require_no_input(path, [file for _, file in inputs])
     there = existing_outputs(path)
     if there and not force:
         raise FormatError(f"{there[0]} exists; use --force to overwrite it")

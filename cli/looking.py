@@ -102,7 +102,7 @@ def quality_command(source: GridInput, reference: Path | None, case: CaseInput, 
         progress("quality", 0, 0)
         assessment, notes = judge_grid(grid, original or grid, what.case)
         report = quality_report(grid, assessment, notes, str(reference) if reference else None, original)
-    run.warnings.tell(report["warnings"])
+    run.warn(report["warnings"])
     # With --json the text would be redundant.
     deliver(report, dataclasses.replace(run, quiet=run.quiet or run.as_json), start, files)
     return 0 if report["valid"] else EXIT_INVALID

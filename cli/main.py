@@ -107,7 +107,6 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
     gc.set_threshold(_OBJECTS)
     open_streams()
     handler = Handler()
-    handler.install()
     here = place()
     code = run(args) if here is None else run_on_ranks(lambda ranks: run(args, ranks), here)
     handler.finish()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,8 +15,9 @@ import click
 from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.memory import PICTURE_BYTES, MemoryLimit, machine_memory, parse_memory
 from meshdeform_core.parallel import ONE_PROCESS, Ranks, set_sharing
+from meshdeform_core.wording import first_of_each_kind, kind_of
 
-from .process import Warnings, stage
+from .process import stage, tell
 
 if TYPE_CHECKING:
     from meshdeform_core.grid import Grid
@@ -250,10 +251,18 @@ class RunInput:
     quiet: bool = given("-q", "--quiet", is_flag=True, help="Print errors and warnings only.")
     verbose: bool = given("-v", "--verbose", is_flag=True, help="Show stages and their times on stderr.")
 
-    @functools.cached_property
-    def warnings(self) -> Warnings:
-        """The printer of warnings."""
-        return Warnings(self.strict)
+    told: set[str] = dataclasses.field(default_factory=set)
+    """Kinds of the warnings that have been printed."""
+
+    def warn(self, warnings: Iterable[str]) -> None:
+        """Print the first warning of each kind on stderr, even with ``-q``; with ``--strict`` any is an error."""
+        new = first_of_each_kind(warnings, self.told)
+        for text in new:
+            tell(f"warning: {text}")
+        # Warnings read back from a report have no kind, so that their texts are remembered, too.
+        self.told.update(*((kind_of(text), str(text)) for text in new))
+        if self.strict and new:
+            raise CaseError(f"{'a warning' if len(new) == 1 else f'{len(new)} warnings'} (see above) and --strict")
 
     def limit(self, ranks: Ranks = ONE_PROCESS) -> MemoryLimit:
         """The limit of memory."""

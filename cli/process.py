@@ -10,16 +10,15 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
 import click
 
 from meshdeform_core import interruption
-from meshdeform_core.errors import CaseError
 from meshdeform_core.parallel import Ranks
-from meshdeform_core.wording import counted, first_of_each_kind, kind_of
+from meshdeform_core.wording import counted
 
 if TYPE_CHECKING:
     from meshdeform_core.numerics.jit import Compiled
@@ -54,24 +53,6 @@ def tell(message: str) -> None:
     """Print a message on stderr; failing to do so is ignored."""
     with contextlib.suppress(OSError, ValueError):
         click.echo(f"meshdeform: {message}", err=True)
-
-
-class Warnings:
-    """Prints the first warning of each kind on stderr, even with ``-q``; with ``--strict`` warnings end the command."""
-
-    def __init__(self, strict: bool = False):
-        self._strict = strict
-        self._told: set[str] = set()
-
-    def tell(self, warnings: Iterable[str]) -> None:
-        """Print the warnings of kinds that have not been printed; with ``--strict`` any is an error."""
-        new = first_of_each_kind(warnings, self._told)
-        for text in new:
-            tell(f"warning: {text}")
-        # Warnings read back from a report have no kind, so that their texts are remembered, too.
-        self._told.update(*((kind_of(text), str(text)) for text in new))
-        if self._strict and new:
-            raise CaseError(f"{'a warning' if len(new) == 1 else f'{len(new)} warnings'} (see above) and --strict")
 
 
 def open_streams() -> None:
@@ -114,15 +95,12 @@ def drop(stream: TextIO) -> None:
 
 
 class Handler:
-    """Handler of the signals that end the program."""
+    """Handler of the signals that end the program, of all that the caller does not ignore (as nohup ignores SIGHUP)."""
 
     def __init__(self) -> None:
         self._last = -_IMPATIENCE
         self._finishing = False
         self._numbers: list[int] = []
-
-    def install(self) -> None:
-        """Handle every signal that the caller does not ignore (as nohup ignores SIGHUP)."""
         sys.unraisablehook = _unraisable
         for name in ("SIGINT", "SIGTERM", "SIGHUP"):
             number = getattr(signal, name, None)

@@ -132,7 +132,7 @@ def series_command(source: GridInput, case: CaseInput, wanted: SeriesInput, run:
     def load(limit: MemoryLimit, workplace: Path | None = None) -> series_run.Run:
         job = work.load(source, case, what, doing, limit, workplace)
         plan = series_run.prepare(job, source, case, wanted, run)
-        run.warnings.tell(plan.setup.warnings)
+        run.warn(plan.setup.warnings)
         return plan
 
     def foretell(limit: MemoryLimit) -> int:
@@ -200,7 +200,7 @@ def repair_command(
 
     with ProgressBar(not run.quiet) as progress:
         report = _repaired(source, reference, output, what, run, progress)
-    run.warnings.tell(report["warnings"])
+    run.warn(report["warnings"])
     deliver(report, run, start, [*files, ("output", output)])
     if run.dry_run or not report["valid"]:
         where = "; dry run, nothing written" if run.dry_run else f". The grid is in {report['output']}"

@@ -20,14 +20,13 @@ from meshdeform_formats.case import CaseFile
 from meshdeform_formats.case.tables import parse_times
 from meshdeform_formats.fields import check_fields, with_fields
 from meshdeform_formats.grids import FORMATS, complete_for_export
-from meshdeform_formats.inputs import digest, lack
+from meshdeform_formats.inputs import digest, lack, require_no_input
 from meshdeform_formats.report.records import Report, level_record, series_head, series_report
 from meshdeform_formats.series.manifest import NAME, Manifest, ingredients_of
 from meshdeform_formats.series.outputs import FoamFiles, LevelFiles, SeriesFiles
 
-from .checks import keep_inputs
 from .options import CaseInput, GridInput, RunInput, SeriesInput
-from .process import ProgressBar, Warnings, stage
+from .process import ProgressBar, stage
 from .work import Job, cells_of
 
 
@@ -41,8 +40,7 @@ class Run:
     files: SeriesFiles
     manifest: Manifest
     timing: Timing
-    warnings: Warnings
-    allow_invalid: bool
+    options: RunInput
 
     def shortage(self, first: int) -> str:
         """A message on the space that the levels from number ``first`` on lack on the disk; empty if they fit."""
@@ -66,7 +64,7 @@ def prepare(job: Job, source: GridInput, case: CaseInput, wanted: SeriesInput, o
     files: SeriesFiles = kind(grid, wanted.output, name, times, options.variant_options, wanted.velocity)
     manifest = Manifest(wanted.output / NAME, {})
     for path in [*files.replaced, manifest.path]:
-        keep_inputs(path, [*source.files, *case.files(job.case)])
+        require_no_input(path, [file for _, file in (*source.files, *case.files(job.case))])
     output: dict[str, object] = {"output": name, "variant": files.variant.label}
     output |= {"fields": list(options.fields)} if options.fields else {}
     manifest.ingredients = ingredients_of(source.path, source.boundary_file, job.case, schedule, output)
@@ -76,7 +74,7 @@ def prepare(job: Job, source: GridInput, case: CaseInput, wanted: SeriesInput, o
         motion = replace(motion, notes=(*motion.notes, "the motion does not depend on t: all levels are alike"))
     setup = set_up(grid, motion, timing, job.memory)
     files.dress = lambda level: with_fields(cells_of(setup, level), options.fields)
-    return Run(job, setup, schedule, files, manifest, timing, options.warnings, options.allow_invalid)
+    return Run(job, setup, schedule, files, manifest, timing, options)
 
 
 def name_of(source: Path, wanted: SeriesInput, form: FileFormat | None) -> str:
@@ -138,7 +136,7 @@ def _tell_of_strangers(run: Run) -> None:
     names = dict.fromkeys(str(level.get("file")) for level in levels if isinstance(level, dict))
     left = [name for name in names if name not in replaced and (folder / name).exists()]
     if left:
-        run.warnings.tell([f"levels of an earlier series remain in {folder}, not part of this one: {listed(left)}"])
+        run.options.warn([f"levels of an earlier series remain in {folder}, not part of this one: {listed(left)}"])
 
 
 def _keep_what_exists(run: Run, manifest: Manifest) -> None:
@@ -153,7 +151,7 @@ def _keep_what_exists(run: Run, manifest: Manifest) -> None:
         return
     if changed:
         name = files.path(changed[0]).name
-        run.warnings.tell([f"{name} is not what was written: level {changed[0]} and those after it are made again"])
+        run.options.warn([f"{name} is not what was written: level {changed[0]} and those after it are made again"])
     gone = [] if whole else [number for number in range(len(manifest.levels)) if not files.has(number)]
     for part in manifest.per_level:
         del part[min([*gone, *changed, len(manifest.levels)]) :]
@@ -181,10 +179,10 @@ def carry_out(run: Run, progress: ProgressBar) -> Report:
             common = set(map(kind_of, level.result.setup.warnings))
             told = [(text, kind_of(text)) for text in level.result.warnings]
             place = f"level {level.number}"
-            run.warnings.tell(text if kind in common else Notice(f"{place}: {text}", kind) for text, kind in told)
+            run.options.warn(text if kind in common else Notice(f"{place}: {text}", kind) for text, kind in told)
             # First written, then recorded as finished, so that every recorded level exists.
             before = clock.perf_counter()
-            if not level.result.valid and not run.allow_invalid:
+            if not level.result.valid and not run.options.allow_invalid:
                 files.invalid.add(level.number)
             with stage("write"):
                 files.write(level.number, level.result.grid, level.velocity, level.faces)
@@ -198,7 +196,7 @@ def carry_out(run: Run, progress: ProgressBar) -> Report:
                 files.publish(count)
         peak = max(ranks.gather([peak_memory()]))
         report = ranks.on_first(lambda: _complete(run, peak))
-    run.warnings.tell(text for text in report["warnings"] if not text.startswith("level "))
+    run.options.warn(text for text in report["warnings"] if not text.startswith("level "))
     return report
 
 

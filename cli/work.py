@@ -135,7 +135,7 @@ def print_plan(report: Report, impossible: bool, run: RunInput, more: str = "") 
     if not (to_stdout and run.quiet):
         text = as_text({**report, "warnings": []})
         click.echo(f"{text}{more}dry run   nothing written", err=to_stdout)
-    run.warnings.tell(report["warnings"])
+    run.warn(report["warnings"])
     return EXIT_INVALID if impossible and not run.allow_invalid else 0
 
 
@@ -193,9 +193,9 @@ def run(job: Job, output: Path, case: CaseInput, options: RunInput, progress: Pr
         precision=chosen.precision,
         memory=job.memory,
         progress=progress,
-        warn=options.warnings.tell,
+        warn=options.warn,
     )
-    options.warnings.tell(result.warnings)
+    options.warn(result.warnings)
     before = clock.perf_counter()
     target = write_judged(result.grid, result.valid, output, options, lambda: cells_of(result.setup, result.grid))
     seconds = {"read": job.read_seconds, "write": clock.perf_counter() - before}

@@ -92,17 +92,6 @@ class Stored:
             size -= sum(n - (each.stop - each.start) for n, each in zip(dims[2:], own[2:], strict=True)) * step
         return cls(path, dtype, (nj, ni), at + sum(each.start for each in own[2:]) * step, step, core=core, size=size)
 
-    def require_room(self, shape: Shape) -> None:
-        """Require that the values of a block of this shape are what the file has room for."""
-        ni, nj, nk = shape
-        plane = self.plane[:2] if self.core is None else tuple(part.stop - part.start for part in self.core)
-        if plane != (nj, ni):
-            found, expected = f"{ni} x {nj} values", f"{plane[1]} x {plane[0]}"
-            raise FormatError(f"cannot write {self.path}: a plane has {found}; the file has room for {expected}")
-        if self.size is not None and nk * self.step != self.size:
-            found = f"{ni} x {nj} x {nk} values of {nk * self.step} bytes"
-            raise FormatError(f"cannot write {self.path}: a block has {found}; the file has room for {self.size} bytes")
-
     def read(self, first: int, last: int) -> NDArray[Any]:
         """The planes first <= k < last."""
         values = np.empty((last - first, *self.plane), self.dtype)
@@ -259,9 +248,14 @@ def write_outputs(grid: Grid, outputs: Sequence[Output]) -> None:
 
     Raises FormatError on all ranks, before anything is written, when values and the room for them differ in size.
     """
-    for output in outputs:
-        for place in output.places:
-            place.require_room(output.shape)
+    for place, (ni, nj, nk) in ((place, output.shape) for output in outputs for place in output.places):
+        plane = place.plane[:2] if place.core is None else tuple(part.stop - part.start for part in place.core)
+        found, room = f"a plane has {ni} x {nj} values", f"{plane[1]} x {plane[0]}"
+        if plane == (nj, ni):
+            found, room = f"a block has {ni} x {nj} x {nk} values of {nk * place.step} bytes", f"{place.size} bytes"
+            if place.size is None or nk * place.step == place.size:
+                continue
+        raise FormatError(f"cannot write {place.path}: {found}; the file has room for {room}")
     if grid.nodes.divided:
         _write_parts(grid, outputs)
         return

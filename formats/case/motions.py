@@ -20,7 +20,6 @@ from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.grid import Grid, IntArray
 from meshdeform_core.wording import literal
 
-from ..displacement import read_displacement
 from .forms import File, Form, Formula, Three, ThreeNumbers, about, placed
 from .tables import files_over_time, history, read_airfoil, read_beam, read_history, read_positions, sequence_files
 
@@ -188,6 +187,8 @@ class ModesForm(Form):
         if (self.file is None) == (self.files is None) or (self.file is None and self.shapes is not None):
             raise CaseError(f"found {self.given()}; expected files, with one shape each, or file, with shapes")
         if self.files is not None:
+            from ..displacement import read_displacement
+
             paths = sequence_files(self.files, context.folder)
             labels = [(number, path.stem.lower()) for number, path in enumerate(paths, start=1)]
             return labels, tuple(read_displacement(path) for path in paths)
@@ -268,17 +269,19 @@ class MotionStep(Form):
         if isinstance(value, Form):
             with placed(kind):
                 return value.step(context)  # type: ignore[attr-defined]
+        if kind == "displace" or kind == "translate":
+            return Displace(context.three(value))
         if kind == "beam":
             return read_beam(folder / value)
+        from ..displacement import read_displacement
+
         if kind == "files":
             paths, times = files_over_time(value, self.times, folder)
             return Follow(lambda number: read_displacement(paths[number]), context.matching, times)
-        if kind == "file":
-            if not isinstance(value, SurfaceData | str) or value == "" or "\0" in str(value):
-                raise CaseError(f"file: expected a file name, found {literal(value)}")
-            data = value if isinstance(value, SurfaceData) else read_displacement(folder / value)
-            return Follow(data, context.matching)
-        return Displace(context.three(value))
+        if not isinstance(value, SurfaceData | str) or value == "" or "\0" in str(value):
+            raise CaseError(f"file: expected a file name, found {literal(value)}")
+        data = value if isinstance(value, SurfaceData) else read_displacement(folder / value)
+        return Follow(data, context.matching)
 
 
 KINDS = tuple(name for name in MotionStep.__struct_fields__ if name not in ("times", "match", "tolerance"))

@@ -29,7 +29,6 @@ from meshdeform_core.repair import RepairOptions
 from meshdeform_core.repair.options import Mode
 from meshdeform_core.wording import literal
 
-from ..displacement import read_displacement
 from .forms import File, Form, Table, about, filled, load, override, placed, plain
 from .motions import KINDS as MOTIONS
 from .motions import MotionStep
@@ -196,6 +195,8 @@ def read_case(
         raise type(error)(f"{origin}: {error}") from error
     if table is None:
         return parsed
+    from ..displacement import read_displacement
+
     table, matching = Path(table), matching or Matching(AUTOMATIC, partial=True)
     if times is None:
         step, files = Follow(read_displacement(table), matching), [table]

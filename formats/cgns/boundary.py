@@ -174,23 +174,19 @@ def windows_of_nodes(shape: Shape, block: int, nodes: IntArray) -> tuple[list[Wi
 _ANGLE = 4  # position of the angle among the five units of DimensionalUnits_t
 
 
-def overset_only(zones: Sequence[Zone]) -> bool:
-    """Whether several zones are connected only by overset (Chimera) interpolation: they overlap and share no nodes."""
-    kinds = [_kind(node) for zone in zones for node in _members(zone)]
-    return len(zones) > 1 and "Overset" in kinds and not {"1to1", "Abutting1to1", "Abutting"} & set(kinds)
-
-
-def zone_connections(base: Base, zones: Sequence[Zone], grid: Grid, notes: Notes) -> list[Connection]:
-    """The GridConnectivity1to1_t of all zones in file order.
+def zone_connections(base: Base, zones: Sequence[Zone], grid: Grid, notes: Notes) -> tuple[list[Connection], bool]:
+    """The GridConnectivity1to1_t of all zones in file order, and whether several zones are connected only by overset
+    (Chimera) interpolation: they overlap and share no nodes.
 
     Interfaces are found from the coordinates, so that a connection which does not match its zones is noted and
     ignored. ``grid`` has the coordinates, which resolve angles without a unit.
     """
     blocks = {zone.name: block for block, zone in enumerate(zones)}
-    connections = []
+    connections, kinds = [], set[str]()
     for block, zone in enumerate(zones):
         for node in _members(zone):
             kind, place = _kind(node), f"{zone.name}/{node.name}"
+            kinds.add(kind)
             if kind == "1to1":
                 # Base/Zone is accepted for the same base.
                 donor = blocks.get(node.text().removeprefix(f"{base.node.name}/"))
@@ -202,7 +198,8 @@ def zone_connections(base: Base, zones: Sequence[Zone], grid: Grid, notes: Notes
                 connections.append(replace(connection, periodic=periodic))
             elif kind:
                 notes.add(f"{kind} connectivity is kept in the file but not used; coincident nodes stay joined", place)
-    return connections
+    joined = {"1to1", "Abutting1to1", "Abutting"} & kinds
+    return connections, len(zones) > 1 and "Overset" in kinds and not joined
 
 
 def _members(zone: Zone) -> Iterator[Node]:

@@ -18,7 +18,7 @@ from meshdeform_core.parallel import ONE_PROCESS, Ranks
 
 from ..files import checked_options
 from ..planes import ranges_of, read_planes
-from .boundary import overset_only, zone_connections, zone_patches
+from .boundary import zone_connections, zone_patches
 from .tree import MAXIMUM_DEPTH, is_adf
 from .zone import Notes, Zone, base_and_zones, naming, opened_cgns
 
@@ -66,7 +66,7 @@ def read(path: Path, ranks: Ranks = ONE_PROCESS) -> Grid:
         families = {node.name: condition.text() for node in nodes for condition in node.labelled("FamilyBC_t")[:1]}
         patches = [p for block, zone in enumerate(zones) for p in zone_patches(zone, block, families, notes)]
         names, kind = [zone.name for zone in zones], _format(path, zones)
-        rest = {"patches": tuple(patches), "path": path, "overset": overset_only(zones)}
+        rest = {"patches": tuple(patches), "path": path}
         grid = Grid.allocate([zone.shape for zone in zones], names, ranks, format=kind, **rest)
         # Zones that are compressed or stored in pieces are read as a whole, others in ranges of planes.
         parts = []
@@ -80,8 +80,8 @@ def read(path: Path, ranks: Ranks = ONE_PROCESS) -> Grid:
                 zones[part.block].read(grid.in_planes(part.block))
 
         grid.fill_planes(put, parts, threads=None if all(places) else 1)
-        connections = zone_connections(base, zones, grid, notes)
-    return dataclasses.replace(grid, connections=tuple(connections), notes=notes.lines())
+        connections, overset = zone_connections(base, zones, grid, notes)
+    return dataclasses.replace(grid, connections=tuple(connections), overset=overset, notes=notes.lines())
 
 
 def layout(path: Path) -> tuple[tuple[Shape, ...], FileFormat]:

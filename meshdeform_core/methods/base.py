@@ -16,7 +16,7 @@ import numpy as np
 
 from ..boundary import Boundary, Kind
 from ..boundary.constraints import Layer
-from ..grid import BoolArray, FloatArray, Grid, IntArray, Side
+from ..grid import FloatArray, Grid, IntArray, Side
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology, side_nodes
 from ..grid.windows import end_planes, side_numbers
@@ -98,26 +98,22 @@ class Problem:
     @cached_property
     def surface(self) -> Surface:
         """Faces between the sources."""
-        every = self._between_sources(self.boundary.quad_kind >= Kind.FIXED)
+        count, corners, kind = self.topology.n_unique, self.topology.quads.corners, self.boundary.quad_kind
+        # Corners of faces; indices refer to sources, -1 to other nodes.
+        local = places_among(self.source_numbers, count).astype(integers(count))
+        every, quads = local[corners[kind >= Kind.FIXED]], local[corners[kind == Kind.MOVING]]
         every = every[(every >= 0).all(axis=1)]
         area, sides = np.zeros(len(self.source_points)), every.shape[1]
         for lo in range(0, len(every), _FACES):
             some = every[lo : lo + _FACES]
             share = np.repeat(face_sizes(self.source_points[some]) / sides, sides)
             area = area + np.bincount(some.ravel(), share, minlength=len(area))
-        quads = self._between_sources(self.boundary.quad_kind == Kind.MOVING)
         if quads.shape[1] == 2:
             return Surface(area, quads, np.empty((0, 2), dtype=np.int64))
         around = [np.roll(quads, shift, axis=1) for shift in (0, -1, 1)]
         corners = np.stack([a.ravel() for a in around], axis=1)
         pairs = np.concatenate([corners[:, :2], corners[:, ::2]])
         return Surface(area, corners, distinct_pairs(pairs[pairs[:, 0] != pairs[:, 1]]))
-
-    def _between_sources(self, chosen: BoolArray) -> IntArray:
-        """Corners (m, 4), in 2-D (m, 2), of the ``chosen`` faces; indices refer to sources, -1 to other nodes."""
-        count = self.topology.n_unique
-        local = places_among(self.source_numbers, count).astype(integers(count))
-        return np.asarray(local[self.topology.quads.corners[chosen]])
 
     @cached_property
     def rotations(self) -> SurfaceRotations:

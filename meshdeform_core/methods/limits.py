@@ -61,7 +61,7 @@ class PatchMotion:
 def patch_motions(problem: Problem, displacement: FloatArray) -> tuple[PatchMotion, ...]:
     """The motion of every moving boundary entry for a displacement (n_unique, 3) of all face nodes."""
     sources = problem.source_numbers
-    turns = problem.rotations.vectors(displacement[sources])
+    _, turns = problem.rotations.of(displacement[sources])
     names = [patch.name for patch in problem.boundary.patches if patch.kind is Kind.MOVING]
     found = []
     for name, (nodes, _) in zip(names, problem.boundary.movers, strict=True):
@@ -81,7 +81,7 @@ def patch_motions(problem: Problem, displacement: FloatArray) -> tuple[PatchMoti
 def largest_rotation(problem: Problem, displacement: FloatArray) -> float:
     """Largest rotation of a moving wall relative to the fixed boundary, or to the mean if nothing is fixed (degrees),
     for a displacement (n_sources, 3)."""
-    turn = problem.rotations.vectors(displacement)
+    _, turn = problem.rotations.of(displacement)
     if not (problem.boundary.kind[problem.source_numbers] == Kind.FIXED).any():
         turn = turn - turn.mean(axis=0)
     return math.degrees(float(lengths(turn).max()))

@@ -388,28 +388,26 @@ def _types(declared: str, records: Iterable[type]) -> tuple[Any, ...]:
     return eval(f"({declared},)", names)
 
 
-def _compiled(**options: Any) -> Callable[..., Any]:
-    """A decorator: ``numba.njit`` with the options common to all loops plus ``options``.
+def _compiled(options: dict[str, Any], *declared: Any) -> Any:
+    """A decorator, or the loop it makes of a function: ``numba.njit`` with options common to all loops and ``options``.
 
     Loops that Python calls declare the types of their arguments, and the named tuples among them, so that any process
     can compile them: ``@kernel("f8[:, ::1], Boxes", Boxes)``; several texts for several kinds of arguments. Without
     types, a loop is compiled where it is called.
     """
 
-    def decorate(function: Callable, texts: list[str], records: list[type]) -> Any:
+    texts = [each for each in declared if isinstance(each, str)]
+
+    def decorate(function: Callable) -> Any:
         loop = njit(**_OPTIONS, **options)(function)
         name = f"{function.__module__}.{function.__qualname__}"
-        declared = {_types(text, records): f"{name}:{number}" for number, text in enumerate(texts)}
-        loop._cache = _Cache(function, declared)
-        _declared.update((key, (loop, arguments)) for arguments, key in declared.items())
+        records = [each for each in declared if isinstance(each, type)]
+        keys = {_types(text, records): f"{name}:{number}" for number, text in enumerate(texts)}
+        loop._cache = _Cache(function, keys)
+        _declared.update((key, (loop, arguments)) for arguments, key in keys.items())
         return loop
 
-    def decorator(*declared: Any) -> Any:
-        texts = [each for each in declared if isinstance(each, str)]
-        records = [each for each in declared if isinstance(each, type)]
-        return partial(decorate, texts=texts, records=records) if texts else decorate(declared[0], [], [])
-
-    return decorator
+    return decorate if texts else decorate(*declared)
 
 
 def declared_loops() -> dict[str, list[tuple[Any, ...]]]:
@@ -445,16 +443,16 @@ _compilers = Compilers(missing_loops, compile_declared, loop_calls)
 event.register("numba:compile", compile_clock)
 
 
-kernel = _compiled(no_cfunc_wrapper=True)
+kernel = partial(_compiled, {"no_cfunc_wrapper": True})
 """Decorator for loops whose results must not depend on the order of operations."""
 
-fast_kernel = _compiled(no_cfunc_wrapper=True, fastmath=True)
+fast_kernel = partial(_compiled, {"no_cfunc_wrapper": True, "fastmath": True})
 """Decorator for sums: additions may be reordered, so that loops are vectorised."""
 
-contracted_kernel = _compiled(no_cfunc_wrapper=True, fastmath={"contract"}, forceinline=True)
+contracted_kernel = partial(_compiled, {"no_cfunc_wrapper": True, "fastmath": {"contract"}, "forceinline": True})
 """Decorator for functions that may fuse multiplications with additions but must not reorder operations."""
 
-inlined = _compiled(inline="always")
+inlined = partial(_compiled, {"inline": "always"})
 """Decorator for parts of a loop: inlined before compilation, with the options of the calling loop."""
 
 

@@ -137,27 +137,22 @@ class SurfaceRotations:
         after = _node_normals(self._points + displacement[self._nodes], self._corners, self._plane_normal)
         return int(np.count_nonzero(self._normals.any(axis=1) != after.any(axis=1)))
 
-    def quaternions(self, displacement: FloatArray) -> FloatArray:
-        """Quaternions (n, 4) for a displacement (n, 3), identity at nodes without faces.
+    def of(self, displacement: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The rotations for a displacement (n, 3) as quaternions (n, 4) and as vectors (n, 3), radians, continuous
+        along every surface; none at nodes without faces.
 
-        Signs are continuous between neighbours: scalar parts are negative where :meth:`vectors` are longer than pi.
-        The last result is kept, as methods, warnings and reports all need it for the same displacement.
+        Signs are continuous between neighbours: scalar parts are negative where vectors are longer than pi. The last
+        result is kept, as methods, warnings and reports all need it for the same displacement.
         """
-        found, identity = self._of(displacement)[0], np.array([[1.0, 0.0, 0.0, 0.0]])
-        return np.concatenate([found, identity])[self._place]
-
-    def vectors(self, displacement: FloatArray) -> FloatArray:
-        """Rotation vectors (n, 3) of :meth:`quaternions`, radians, continuous along every surface."""
-        return np.concatenate([self._of(displacement)[1], np.zeros((1, 3))])[self._place]
-
-    def _of(self, displacement: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Quaternions and vectors of the nodes with faces."""
         inside = displacement[self._nodes]
         if isinstance(displacement, Tracked):
-            return self._turned(inside)
-        if self._last is None or not np.array_equal(self._last[0], inside):
-            self._last = inside, self._turned(inside)
-        return self._last[1]
+            found, vectors = self._turned(inside)
+        else:
+            if self._last is None or not np.array_equal(self._last[0], inside):
+                self._last = inside, self._turned(inside)
+            found, vectors = self._last[1]
+        rest = np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 3))
+        return np.concatenate([found, rest[0]])[self._place], np.concatenate([vectors, rest[1]])[self._place]
 
     def _turned(self, displacement: FloatArray) -> tuple[FloatArray, FloatArray]:
         found = np.array([[1.0, 0.0, 0.0, 0.0]])[np.zeros(len(displacement), dtype=np.int64)]

@@ -75,9 +75,7 @@ def lines_across(grid: Grid, topology: Topology, quads: IntArray) -> tuple[Inter
 def _corners(grid: Grid, topology: Topology, quads: IntArray) -> tuple[IntArray, IntArray, IntArray]:
     """Corners (n, 4) (in 2-D (n, 2)) of face quads, as flat nodes and as unique nodes, and the block side of each."""
     side, u, v = topology.quads.places(quads)
-    du, dv = grid.sides.corner_steps[side].T
-    around = [(u, v), (u + du, v), (u + du, v + dv), (u, v + dv)] if grid.dimension == 3 else [(u, v), (u + du, v + dv)]
-    corners = np.stack([grid.sides.at(side, *corner) for corner in around], axis=1)
+    corners = grid.sides.corners(side, u, v)[:, :: 1 if grid.dimension == 3 else 2]
     numbers = topology.quads.corners[quads]
     ordered = topology.quads.in_order.ravel()[side]
     return corners, np.where(ordered[:, None], numbers, numbers[:, ::-1]), side

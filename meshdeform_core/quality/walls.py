@@ -64,8 +64,9 @@ def measure_walls(
             quad = int((lines.line == line).any(axis=1).argmax())
             cell = int(cells_behind(grid, original.topology, lines.quads[quad : quad + 1])[0])
             found[measure] = worst_cell(grid, after, cell, value)
-        before[name] = WallQuality(Spread.of(old.angle), alike if heights else None, alike if layers else None, {})
-        now[name] = WallQuality(Spread.of(new.angle), _range(heights), _range(layers), found)
+        height, layer = (Range(ends[0][1], ends[1][1]) if ends else None for ends in (heights, layers))
+        before[name] = WallQuality(Spread.of(old.angle), height and alike, layer and alike, {})
+        now[name] = WallQuality(Spread.of(new.angle), height, layer, found)
     return before, now
 
 
@@ -81,10 +82,6 @@ def _ratios(old: FloatArray, new: FloatArray) -> Ends | None:
     ratio = new[sound] / old[sound]
     low, high = int(ratio.argmin()), int(ratio.argmax())
     return (int(sound[low]), float(ratio[low])), (int(sound[high]), float(ratio[high]))
-
-
-def _range(ends: Ends | None) -> Range | None:
-    return Range(ends[0][1], ends[1][1]) if ends else None
 
 
 def extremes_of(measure: str, ends: Ends | None) -> Extremes:

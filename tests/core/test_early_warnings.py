@@ -170,7 +170,7 @@ def test_deforming_body_passes_half_a_turn(rotation):
     for row, x in enumerate(problem.source_points):
         if inner[row]:
             twisted[row] = turned(x[None], 180 + 2 * np.sign(x[0]), (0, 0, 1))[0] - x
-    angle = problem.rotations.vectors(twisted)[inner[:, 0]][:, 2]
+    angle = problem.rotations.of(twisted)[1][inner[:, 0]][:, 2]
     assert np.ptp(angle) < np.radians(20)
     assert np.abs(angle).min() > np.radians(165)
     smooth = apply(Options("idw", idw=IDW(rotation=rotation)), problem, twisted)

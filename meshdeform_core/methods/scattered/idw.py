@@ -253,9 +253,7 @@ class PreparedIDW:
         if self.options.rotation == "none":
             q, w = np.tile([1.0, 0.0, 0.0, 0.0], (len(d), 1)), np.zeros((len(d), 3))
         else:
-            found = self.rotations.quaternions(inside), self.rotations.vectors(inside)
-            q, w = rot.smoothed(*found, self._blunt, self._rounds)
-            del found
+            q, w = rot.smoothed(*self.rotations.of(inside), self._blunt, self._rounds)
         rest = frame.relative(images.points, d)
         # Frame-independent kinds are computed relative to the centroid, to reduce round-off.
         origin = np.zeros(3) if self.options.rotation in ("quaternion", "division") else self.problem.centroid
