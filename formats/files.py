@@ -19,6 +19,8 @@ from meshdeform_core import interruption
 from meshdeform_core.errors import FormatError, suggestion
 from meshdeform_core.parallel import Nodes
 
+_HOST = hashlib.sha256(platform.node().encode()).hexdigest()[:4]
+"""Four digits that identify this machine; process numbers are meaningless on others."""
 LARGEST = 1e30
 """Of coordinates: the square of a larger length overflows in single precision, and no grid is so large in any unit."""
 
@@ -68,7 +70,7 @@ def partial_path(target: Path) -> Path:
     with contextlib.suppress(OSError):
         remove_partial(target.parent, target)
     # The suffix is kept: some writers choose the format by it.
-    return target.parent / f".{target.stem}.{os.getpid()}-{_host()}{secrets.token_hex(2)}.partial{target.suffix}"
+    return target.parent / f".{target.stem}.{os.getpid()}-{_HOST}{secrets.token_hex(2)}.partial{target.suffix}"
 
 
 def require_replaceable(target: Path) -> None:
@@ -103,11 +105,6 @@ def invalid_path(output: Path) -> Path:
     return output.with_name(f"{output.stem}.invalid{output.suffix}")
 
 
-def _host() -> str:
-    """Four digits that identify this machine; process numbers are meaningless on others."""
-    return hashlib.sha256(platform.node().encode()).hexdigest()[:4]
-
-
 def _runs(process: int) -> bool:
     try:
         os.kill(process, 0)
@@ -129,7 +126,7 @@ def remove_partial(folder: Path, target: Path | None = None) -> None:
     pattern = re.compile(rf"\.{own[0]}\.(\d+)-([0-9a-f]{{4}})[0-9a-f]{{4}}\.partial{own[1]}")
     for path in folder.glob(".*.partial*"):
         found = pattern.fullmatch(path.name)
-        if found is None or (_runs(int(found[1])) if found[2] == _host() else target is not None):
+        if found is None or (_runs(int(found[1])) if found[2] == _HOST else target is not None):
             continue
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path)

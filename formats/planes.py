@@ -260,7 +260,7 @@ def write_outputs(grid: Grid, outputs: Sequence[Output]) -> None:
         _write_parts(grid, outputs)
         return
 
-    parts = _ranges(outputs)
+    parts = [(output, part) for output in outputs for part in ranges_of([(output.block, output.shape)])]
 
     def put(number: int) -> None:
         output, part = parts[number]
@@ -268,10 +268,6 @@ def write_outputs(grid: Grid, outputs: Sequence[Output]) -> None:
             place.write(part.first, values)
 
     for_items(put, len(parts))
-
-
-def _ranges(outputs: Iterable[Output]) -> list[tuple[Output, Planes]]:
-    return [(output, part) for output in outputs for part in ranges_of([(output.block, output.shape)])]
 
 
 def _write_parts(grid: Grid, outputs: Sequence[Output]) -> None:
@@ -317,7 +313,7 @@ def _turns(grid: Grid, bounds: IntArray, outputs: Iterable[Output]) -> list[Turn
         ends = np.clip((bounds - grid.offsets[output.block]) // (nj * nk), 0, output.shape[0])
         # The ranks that hold some of the planes i of the block, and how many each.
         owners = {rank: width for rank, width in enumerate(np.diff(ends).tolist()) if width}
-        for number, (_, part) in enumerate(_ranges([output])):
+        for number, part in enumerate(ranges_of([(output.block, output.shape)])):
             queues.setdefault(list(owners)[number % len(owners)], []).append((output, part, owners))
     most = max((len(queue) for queue in queues.values()), default=0)
     return [{rank: queue[n] for rank, queue in queues.items() if n < len(queue)} for n in range(most)]

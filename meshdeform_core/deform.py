@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any
 
 from .boundary import Boundary, Kind, classify
 from .boundary.classification import UNSELECTED, opening_notes, with_plates
@@ -18,7 +17,7 @@ from .grid.topology import Topology, find_topology
 from .memory import UNLIMITED, MemoryLimit
 from .methods import PreparedMethod, Progress
 from .methods.limits import patch_motions
-from .quality import Assessment, Quality, assess
+from .quality import Assessment, assess
 from .repair.options import Limit
 from .repair.outcome import Judged, Repair
 from .repair.tuned import COLLAPSING
@@ -36,6 +35,9 @@ from .stepping import (
 )
 from .wording import Notice, counted
 
+_BEFORE_REPAIR = ("invalid_cells", "min_scaled_jacobian", "min_relative_jacobian", "f_skew",
+                  "wall_normal_deviation_deg", "first_cell_height_ratio")  # fmt: skip
+"""Measures of the method's grid in the report of its repair."""
 _WORSE = 0.9
 """A repair that lowers the smallest scaled Jacobian below this share of its value says so."""
 
@@ -197,8 +199,10 @@ def _result(state: State, one_of_many: bool) -> Result:
             assessment = dataclasses.replace(assessment, invalid=broken.invalid)
         repair, plain = state.repairs, state.plain
         if repair and plain and state.repair and state.steps == 1 and state.options is setup.case.method:
-            before = judged(plain, course.rounded(plain.points)).after
-            repair = dataclasses.replace(repair, before=main_measures(before))
+            before = dataclasses.asdict(judged(plain, course.rounded(plain.points)).after)
+            measures = {name: before[name] for name in _BEFORE_REPAIR}
+            measures["f_skew"] = {name: before["f_skew"][name] for name in ("min", "mean")}
+            repair = dataclasses.replace(repair, before=measures)
     return Result(
         setup=setup,
         grid=setup.grid.moved(final),
@@ -213,19 +217,6 @@ def _result(state: State, one_of_many: bool) -> Result:
         attempts=tuple(course.attempts),
         repair=repair,
     )
-
-
-def main_measures(quality: Quality) -> dict[str, Any]:
-    """The worst cell, the skewness and the walls of a grid, as in the report of its repair."""
-    walls, heights = quality.wall_normal_deviation_deg, quality.first_cell_height_ratio
-    return {
-        "invalid_cells": quality.invalid_cells,
-        "min_scaled_jacobian": quality.min_scaled_jacobian,
-        "min_relative_jacobian": quality.min_relative_jacobian,
-        "f_skew": {"min": quality.f_skew.min, "mean": quality.f_skew.mean},
-        "wall_normal_deviation_deg": None if walls is None else dataclasses.asdict(walls),
-        "first_cell_height_ratio": None if heights is None else dataclasses.asdict(heights),
-    }
 
 
 def _notices(state: State, repair: Repair | None, assessment: Assessment) -> list[str]:

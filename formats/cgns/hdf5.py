@@ -261,16 +261,11 @@ def _hidden_text(group: h5g.GroupID, name: str) -> str:
     return decoded(h5py.Group(group)[name][()].tobytes())
 
 
-def _timeless() -> h5p.PropDCID:
-    """Creation properties of datasets without time stamps, so that equal grids yield equal files."""
-    properties = h5p.create(h5p.DATASET_CREATE)
-    properties.set_obj_track_times(False)
-    return properties
-
-
 _SCALAR, _ONE = h5s.create(h5s.SCALAR), h5s.create_simple((1,))
 _FLAGS = np.ones(1, np.int32)
-_TIMELESS = _timeless()
+# Datasets without time stamps, so that equal grids yield equal files.
+_TIMELESS = h5p.create(h5p.DATASET_CREATE)
+_TIMELESS.set_obj_track_times(False)
 # Groups track the order in which their members are created.
 _ORDERED = h5p.create(h5p.GROUP_CREATE)
 _ORDERED.set_link_creation_order(h5p.CRT_ORDER_TRACKED | h5p.CRT_ORDER_INDEXED)
@@ -370,7 +365,7 @@ def _write_dataset(group: h5g.GroupID, name: str, values: NDArray[Any]) -> None:
 def reserve_dataset(group: h5g.GroupID, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> tuple[int, int]:
     """Create a dataset whose values will be written to the file itself; returns the place of the first byte and
     the number of bytes."""
-    properties = _timeless()
+    properties = _TIMELESS.copy()
     properties.set_alloc_time(h5d.ALLOC_TIME_EARLY)
     properties.set_fill_time(h5d.FILL_TIME_NEVER)
     dataset = h5d.create(group, name.encode(), _TYPES[dtype], h5s.create_simple(shape), properties)

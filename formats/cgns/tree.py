@@ -143,7 +143,7 @@ class Node:
 
     def child(self, name: str) -> Node | None:
         """The child of that name, with links followed, which must not be broken; ``None`` if there is none."""
-        child = self.target.by_name.get(name)
+        child = next((each for each in self.target.children if each.name == name), None)
         if child is None:
             return None
         child.require_target()

@@ -77,23 +77,16 @@ class Zone:
     """A structured zone.
 
     ``shape`` are its nodes without rind, with one node along k when the base has two index axes; ``core`` selects
-    them in the coordinate arrays, whose axes run i, j(, k).
+    them in the coordinate arrays, whose axes run i, j(, k); ``counts`` are the nodes along each index axis of the base.
     """
 
+    name: str
     node: Node
     shape: Shape
     grid: Node
     coordinates: tuple[Node, ...]
     core: tuple[slice, ...]
-
-    @property
-    def name(self) -> str:
-        return self.node.name
-
-    @property
-    def counts(self) -> tuple[int, ...]:
-        """Nodes along each index axis of the base."""
-        return tuple(part.stop - part.start for part in self.core)
+    counts: tuple[int, ...]
 
     def places(self) -> list[Stored] | None:
         """Offsets of the coordinates; ``None`` if they are compressed or in pieces."""
@@ -204,8 +197,9 @@ def _zone(node: Node, base: Base, notes: Notes) -> Zone:
     for array in coordinates:
         if array.labelled("DataConversion_t"):
             notes.add("coordinates have a DataConversion; they are used as stored", f"{node.name}/{array.name}")
-    ni, nj, nk = (*(int(n) for n in sizes), 1)[:3]
-    return Zone(node, (ni, nj, nk), grid, coordinates, core)
+    counts = tuple(int(n) for n in sizes)
+    ni, nj, nk = (*counts, 1)[:3]
+    return Zone(node.name, node, (ni, nj, nk), grid, coordinates, core, counts)
 
 
 def _coordinates(grid: Node, dimension: int, stored: tuple[int, ...], zone: str) -> tuple[Node, ...]:

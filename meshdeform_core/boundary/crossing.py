@@ -84,17 +84,41 @@ class Contact:
 
 
 class CrossingTest:
-    """Tests whether a boundary crosses itself after a displacement (n_unique, 3).
+    """Tests whether a boundary crosses itself after a displacement (n_unique, 3), by its faces (m, 4) between unique
+    nodes, as far as their position is known. Everything independent of the displacement is computed once.
 
-    Everything independent of the displacement is computed once.
+    A 2-D grid is given a thickness: its edges become strips. ``nodes`` (n,) are the unique numbers of the corners of
+    the faces, ascending, ``points`` (n, 3), in 2-D (2 n, 3) of both sides of the strips, are undeformed and ``edge``
+    the shortest edge of a face at each; ``quads`` (m,) are numbers of the faces in the topology, ``role`` (m,) is
+    ``ORDINARY``, ``BESIDE`` or ``SLIDING``.
     """
 
     def __init__(self, grid: Grid, topology: Topology, boundary: Boundary):
         self._grid, self._topology, self._boundary = grid, topology, boundary
-        self._surface = _Surface(grid, topology, boundary)
         self._normal = plane_normal(grid)
         self._size = float(np.ptp(grid.nodes.at(topology.first), axis=0).max())
         self._outside_faces = topology.quads.corners[topology.external]
+        kind, corners = boundary.quad_kind, topology.quads.corners
+        sliding = np.isin(kind, (Kind.SLIP, Kind.SYMMETRY))
+        self.quads = np.flatnonzero((kind >= Kind.FIXED) & boundary.known[corners].all(axis=1) | sliding)
+        self.nodes = distinct(corners[self.quads], topology.n_unique)
+        self.points = grid.nodes.at(topology.first[self.nodes])
+        local = places_among(self.nodes, topology.n_unique).astype(corners.dtype)
+        self.faces = local[corners[self.quads]]
+        on_slip = np.zeros(topology.n_unique, dtype=bool)
+        on_slip[corners[sliding]] = True
+        self.role = np.where(on_slip[corners[self.quads]].any(axis=1), BESIDE, ORDINARY).astype(np.int8)
+        self.role[sliding[self.quads]] = SLIDING
+        self.edge = edges_at_corners(self.points, self.faces)[0]
+        if self._normal is not None:
+            thickness, n = self.edge[np.isfinite(self.edge)].max(), len(self.points)
+            self.points = np.concatenate([self.points, self.points + thickness * self._normal])
+            self.faces = np.concatenate([self.faces, self.faces[:, ::-1] + n], axis=1)
+            self.edge = np.tile(self.edge, 2)
+        # Pseudo-random numbers (n, 3) from -1 to 1, of a node the same whichever others are on the surface.
+        sides, source = len(self.points) // len(self.nodes), np.random.default_rng(0)
+        drawn = [source.uniform(-1.0, 1.0, (topology.n_unique, 3))[self.nodes] for _ in range(sides)]
+        self._drawn = np.concatenate(drawn)
 
     def crossings(self, displacement: FloatArray, gap: float = 0.0) -> tuple[Crossing, ...]:
         """Patches whose faces cross after a displacement but not before, or come closer than ``gap``.
@@ -102,35 +126,34 @@ class CrossingTest:
         Sorted by the number of pairs of faces, most first. Walls that have passed each other completely are not found
         here but by :meth:`contact`.
         """
-        surface = self._surface
-        change = np.tile(displacement.take(surface.nodes, axis=0), (len(surface.points) // len(surface.nodes), 1))
+        change = np.tile(displacement.take(self.nodes, axis=0), (len(self.points) // len(self.nodes), 1))
         moved: BoolArray = np.logical_or.reduce([along != 0.0 for along in change.T])
-        carried: BoolArray = np.asarray(moved.take(surface.faces.T).any(axis=0))
-        asked = carried & (surface.role != SLIDING)
+        carried: BoolArray = np.asarray(moved.take(self.faces.T).any(axis=0))
+        asked = carried & (self.role != SLIDING)
         if not asked.any():
             return ()
         # Of a grid in parts, every rank tests an equal share of the faces.
-        ranks, own, shift = self._grid.nodes.ranks, np.zeros_like(asked), surface.shift(gap)
+        ranks, own, shift = self._grid.nodes.ranks, np.zeros_like(asked), self._shift(gap)
         own[np.array_split(np.flatnonzero(asked), ranks.count)[ranks.number]] = True
-        moving, reach = surface.points + change + shift, float(np.abs(shift).max())
-        found = ranks.gather([crossing_faces(surface.tree, moving, surface.faces, own, reach, carried)])
+        moving, reach = self.points + change + shift, float(np.abs(shift).max())
+        found = ranks.gather([crossing_faces(self._tree, moving, self.faces, own, reach, carried)])
         # Two ranks find a pair whose faces belong to different shares.
         pairs, once = np.unique(np.concatenate([pairs for pairs, _ in found]), axis=0, return_index=True)
         places = np.concatenate([places for _, places in found])[once]
         # The position of the faces of a slip plane that nodes leave is unknown.
         if self._boundary.slip.departure(displacement) > 1e-9 * self._size:
-            sure = (surface.role[pairs] != SLIDING).all(axis=1)
+            sure = (self.role[pairs] != SLIDING).all(axis=1)
             pairs, places = pairs[sure], places[sure]
         if not len(pairs):
             return ()
-        new = surface.were_apart(pairs, gap)
+        new = self._were_apart(pairs, gap)
         pairs, places = pairs[new], places[new]
         if self._normal is not None:
             # The boundary of a plane grid is tested as a strip beside its plane.
-            places = places - ((places - surface.points[0]) @ self._normal)[:, None] * self._normal
+            places = places - ((places - self.points[0]) @ self._normal)[:, None] * self._normal
         # One crossing per pair of patches, at the place closest to the mean of all.
         groups: dict[tuple[str, str], list[int]] = {}
-        for index, pair in enumerate(self._names(surface, moved)[pairs].tolist()):
+        for index, pair in enumerate(self._names(moved)[pairs].tolist()):
             one, two = sorted(pair)
             groups.setdefault((one, two), []).append(index)
         crossings = []
@@ -160,7 +183,7 @@ class CrossingTest:
         gap = 2.0 * float(np.abs(at - path(low)).max())
         return Contact(low, self.crossings(at, gap) or found)
 
-    def _names(self, surface: _Surface, moved: BoolArray) -> np.ndarray:
+    def _names(self, moved: BoolArray) -> np.ndarray:
         """Name of the patch (m,) of every face; fixed faces that moving patches drag along belong to these."""
         topology, boundary = self._topology, self._boundary
         owner = np.zeros(len(topology.partner), dtype=np.int64)
@@ -171,10 +194,10 @@ class CrossingTest:
             owner[patches[index].quads] = index
             if patches[index].kind is Kind.MOVING:
                 carrier[patches[index].nodes] = index
-        corners = surface.faces % len(surface.nodes)
-        carried = np.where(moved[corners], carrier[surface.nodes[corners]], -1).max(axis=1)
-        fixed = boundary.quad_kind[surface.quads] == Kind.FIXED
-        name = np.where(fixed & (carried >= 0), carried, owner[surface.quads])
+        corners = self.faces % len(self.nodes)
+        carried = np.where(moved[corners], carrier[self.nodes[corners]], -1).max(axis=1)
+        fixed = boundary.quad_kind[self.quads] == Kind.FIXED
+        name = np.where(fixed & (carried >= 0), carried, owner[self.quads])
         return np.array([patch.name for patch in patches])[name]
 
     def _outside(self, displacement: FloatArray) -> bool:
@@ -208,42 +231,8 @@ class CrossingTest:
         size = np.linalg.norm(area, axis=1, keepdims=True)
         return winding(points, triangles, (a + b + c) / 3.0 - _INSIDE * area / np.sqrt(np.maximum(size, 1e-300)))
 
-
-class _Surface:
-    """The faces (m, 4) of a boundary between its unique nodes, as far as their position is known.
-
-    A 2-D grid is given a thickness: its edges become strips. ``nodes`` (n,) are the unique numbers of the corners of
-    the faces, ascending, ``points`` (n, 3), in 2-D (2 n, 3) of both sides of the strips, are undeformed and ``edge``
-    the shortest edge of a face at each; ``quads`` (m,) are numbers of the faces in the topology, ``role`` (m,) is
-    ``ORDINARY``, ``BESIDE`` or ``SLIDING``.
-    """
-
-    def __init__(self, grid: Grid, topology: Topology, boundary: Boundary):
-        kind, corners = boundary.quad_kind, topology.quads.corners
-        sliding = np.isin(kind, (Kind.SLIP, Kind.SYMMETRY))
-        self.quads = np.flatnonzero((kind >= Kind.FIXED) & boundary.known[corners].all(axis=1) | sliding)
-        self.nodes = distinct(corners[self.quads], topology.n_unique)
-        self.points = grid.nodes.at(topology.first[self.nodes])
-        local = places_among(self.nodes, topology.n_unique).astype(corners.dtype)
-        self.faces = local[corners[self.quads]]
-        on_slip = np.zeros(topology.n_unique, dtype=bool)
-        on_slip[corners[sliding]] = True
-        self.role = np.where(on_slip[corners[self.quads]].any(axis=1), BESIDE, ORDINARY).astype(np.int8)
-        self.role[sliding[self.quads]] = SLIDING
-        self.edge = edges_at_corners(self.points, self.faces)[0]
-        normal = plane_normal(grid)
-        if normal is not None:
-            thickness, n = self.edge[np.isfinite(self.edge)].max(), len(self.points)
-            self.points = np.concatenate([self.points, self.points + thickness * normal])
-            self.faces = np.concatenate([self.faces, self.faces[:, ::-1] + n], axis=1)
-            self.edge = np.tile(self.edge, 2)
-        # Pseudo-random numbers (n, 3) from -1 to 1, of a node the same whichever others are on the surface.
-        sides, source = len(self.points) // len(self.nodes), np.random.default_rng(0)
-        drawn = [source.uniform(-1.0, 1.0, (topology.n_unique, 3))[self.nodes] for _ in range(sides)]
-        self._drawn = np.concatenate(drawn)
-
     @cached_property
-    def tree(self) -> FaceTree:
+    def _tree(self) -> FaceTree:
         large = len(self.faces) > _LARGE
         if large:
             release_freed()
@@ -252,7 +241,7 @@ class _Surface:
             release_freed()
         return tree
 
-    def shift(self, gap: float) -> FloatArray:
+    def _shift(self, gap: float) -> FloatArray:
         """Pseudo-random shift (n, 3) of the points, by which faces that come closer than ``gap`` cross somewhere."""
         amplitude = np.where(np.isfinite(self.edge), self._amplitude(gap), 0.0)
         return self._drawn * amplitude[:, None]
@@ -262,7 +251,7 @@ class _Surface:
         reach = gap + 4.0 * _INSIDE * self.edge if gap else 0.0
         return np.clip(reach, TOUCH * self.edge, 0.05 * self.edge)
 
-    def were_apart(self, pairs: IntArray, gap: float) -> BoolArray:
+    def _were_apart(self, pairs: IntArray, gap: float) -> BoolArray:
         """Which pairs (c, 2) contain a face that touched no other one before it moved."""
         crossing = np.zeros(len(self.faces), dtype=bool)
         crossing[pairs] = True

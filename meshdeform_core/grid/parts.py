@@ -218,6 +218,8 @@ class SideLattice:
     nodes : (6 n_blocks, 2) number of nodes along both axes
     depth : (6 n_blocks,) number of nodes from the side to the opposite one
     inward : (6 n_blocks,) step from a node of the side to the next one inside the block
+    has_quads : (6 n_blocks,) false for the two sides that are the plane of a 2-D block
+    corner_steps : (6 n_blocks, 2) in u and v from the first to the last corner of a quad, 0 along a single node
     """
 
     origin: IntArray
@@ -225,6 +227,8 @@ class SideLattice:
     nodes: IntArray
     depth: IntArray
     inward: IntArray
+    has_quads: BoolArray
+    corner_steps: IntArray
 
     @classmethod
     def of(cls, shapes: Sequence[tuple[int, int, int]], offsets: IntArray) -> SideLattice:
@@ -233,23 +237,16 @@ class SideLattice:
         strides = strides_of(size)
         far = np.arange(6) % 2
         across, along = strides[:, _AXES], size[:, _AXES]
+        nodes = size[:, _TANGENTIAL].reshape(-1, 2)
         return cls(
             (np.asarray(offsets)[: len(size), None] + far * (along - 1) * across).ravel(),
             strides[:, _TANGENTIAL].reshape(-1, 2),
-            size[:, _TANGENTIAL].reshape(-1, 2),
+            nodes,
             along.ravel(),
             (np.where(far == 1, -1, 1) * across).ravel(),
+            along.ravel() > 1,
+            np.minimum(nodes - 1, 1),
         )
-
-    @property
-    def has_quads(self) -> BoolArray:
-        """False (6 n_blocks,) for the two sides that are the plane of a 2-D block."""
-        return self.depth > 1
-
-    @property
-    def corner_steps(self) -> IntArray:
-        """Steps (6 n_blocks, 2) in u and v from the first to the last corner of a quad: 0 along a single node."""
-        return np.minimum(self.nodes - 1, 1)
 
     def at(self, side: IntArray | int, u: IntArray, v: IntArray) -> IntArray:
         """Flat indices of nodes (u, v) of sides, arrays of any common shape."""

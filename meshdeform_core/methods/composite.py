@@ -79,10 +79,6 @@ class Scattered:
         self.bound.evaluate(values, out, progress)
         release_freed()
         self.beside_slip.apply(out, progress)
-        return self._with_sources(out, displacement)
-
-    def _with_sources(self, out: FloatArray, displacement: FloatArray) -> FloatArray:
-        """Values (n_unique, 3) on block faces, those of sources as prescribed."""
         face = on_faces(out, self.problem)
         face[self.problem.source_numbers] = displacement
         return face
@@ -99,7 +95,9 @@ class Scattered:
         def push(change: FloatArray, out: FloatArray) -> FloatArray:
             inside.push(change, out)
             self.beside_slip.damp(out)
-            return self._with_sources(out, change)
+            face = on_faces(out, problem)
+            face[problem.source_numbers] = change
+            return face
 
         def pull(face: FloatArray, gradient: FloatArray) -> FloatArray:
             # Sources are no targets: their rows of ``gradient`` have no further effect.

@@ -103,7 +103,7 @@ class MethodOptions:
         for name, each in declared(type(self)).items():
             value = getattr(self, name)
             if not each.accepts(value):
-                place = f"{_section(self)}.{name} = {literal(value)}"
+                place = f"method.{type(self).__name__.lower()}.{name} = {literal(value)}"
                 if each.number is None:
                     known = [literal(choice).strip("'") for choice in each.choices]
                     raise MethodError(f"{place} is unknown; known are {', '.join(known)}{suggestion(value, known)}")
@@ -117,7 +117,7 @@ class MethodOptions:
             for other, values in each.only_if.items():
                 if getattr(self, other) not in values:
                     wanted = " or ".join(literal(value).replace("'", '"') for value in values)
-                    idle[name] = f"it is only used with {_section(self)}.{other} = {wanted}"
+                    idle[name] = f"it is only used with method.{type(self).__name__.lower()}.{other} = {wanted}"
         return idle
 
     def used(self, *names: str) -> dict[str, Setting]:
@@ -128,7 +128,3 @@ class MethodOptions:
             name: Setting(value, "given" if value != known[name].default else f"default: {known[name].why}")
             for name, value in values.items()
         }
-
-
-def _section(options: MethodOptions) -> str:
-    return f"method.{type(options).__name__.lower()}"

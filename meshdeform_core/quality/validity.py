@@ -17,7 +17,7 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
-from ..grid import BoolArray, FloatArray, Grid, IntArray
+from ..grid import BoolArray, FloatArray, IntArray
 from ..numerics.cell import inspection as rows
 from ..numerics.cell.measures import COLLAPSED, decide, measure_cells
 from ..parallel import Nodes
@@ -153,11 +153,6 @@ class Verdict:
     failed: np.ndarray
     ratio: np.ndarray
 
-    @classmethod
-    def blank(cls, grid: Grid) -> Verdict:
-        """Empty arrays for :meth:`put` to fill."""
-        return cls(cells_alike(grid, np.int8), cells_alike(grid, np.float32))
-
     def put(self, slab: Slab, figures: SlabMeasures) -> None:
         """Record one slab."""
         for values, found in zip((self.failed, self.ratio), (figures.failed, figures.ratio), strict=True):
@@ -187,9 +182,10 @@ class Verdict:
 
 def judge(original: Original, after: FloatArray) -> Verdict:
     """Judge coordinates ``after`` (n_nodes, 3)."""
-    verdict = Verdict.blank(original.grid)
-    hold_cells(original.grid, original.grid.points, after)
-    for_slabs(original.grid, lambda _, slab: verdict.put(slab, inspect_slab(original, after, slab)))
+    grid = original.grid
+    verdict = Verdict(cells_alike(grid, np.int8), cells_alike(grid, np.float32))
+    hold_cells(grid, grid.points, after)
+    for_slabs(grid, lambda _, slab: verdict.put(slab, inspect_slab(original, after, slab)))
     return verdict
 
 
@@ -243,7 +239,8 @@ class Comparison:
 
     def __init__(self, original: Original, points: FloatArray):
         grid, n_slabs = original.grid, len(slabs(original.grid))
-        self.verdict, totals = Verdict.blank(grid), np.empty((n_slabs, TOTALS))
+        self.verdict = Verdict(cells_alike(grid, np.int8), cells_alike(grid, np.float32))
+        totals = np.empty((n_slabs, TOTALS))
         # The cells of every slab with the smallest f_skew, scaled Jacobian and volume ratio, the largest volume ratio,
         # and the smallest relative Jacobian.
         cells = np.empty((n_slabs, 5), dtype=np.int64)

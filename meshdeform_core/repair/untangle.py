@@ -170,8 +170,13 @@ class Untangler:
             earlier.append(now)
             if self.limit.reached or not self.limit.affords(whole):
                 break
-            if step >= _PATIENCE and not self._gained(earlier[0], now):
-                break
+            if step >= _PATIENCE:
+                # Whether the worst cells, the energy or, relative to their edges, the nodes have changed noticeably.
+                old = earlier[0]
+                pairs = (old.lowest, now.lowest), (old.highest - 2.0, now.highest - 2.0), (old.energy, now.energy)
+                gained = any(abs(new - then) > _GAIN * abs(then) for then, new in pairs)
+                if not gained and not self._relative(now.x - old.x) > _GAIN:
+                    break
             self.progress("repair", step, most)
             # What is left after the last step need not be much less than CLOSE.
             tolerance = min(_ROUGH, max(_FINE, _FORCING * length, CLOSE / (_SAFETY**2 * expected)))
@@ -193,13 +198,6 @@ class Untangler:
             if part == 0.0:
                 break
         return False
-
-    def _gained(self, before: State, now: State) -> bool:
-        """Whether the worst cells, the energy or, relative to their edges, the nodes have changed noticeably."""
-        pairs = (before.lowest, now.lowest), (before.highest - 2.0, now.highest - 2.0), (before.energy, now.energy)
-        if any(abs(new - old) > _GAIN * abs(old) for old, new in pairs):
-            return True
-        return bool(self._relative(now.x - before.x) > _GAIN)
 
     def _relative(self, change: FloatArray) -> float:
         """The largest change of a node (n, d), relative to its shortest undeformed edge."""
