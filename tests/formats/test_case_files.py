@@ -13,7 +13,8 @@ from grids import frame
 from meshdeform_core.deform import set_up
 from meshdeform_core.errors import CaseError, MotionError
 from meshdeform_core.series import Schedule, deform_series
-from meshdeform_formats.case import motions, read_case
+from meshdeform_formats import displacement
+from meshdeform_formats.case import read_case
 from meshdeform_formats.case.tables import parse_times
 
 CASE = """\
@@ -64,7 +65,7 @@ def folder(tmp_path: Path) -> Path:
 
 def test_levels_follow_the_file_of_their_time_and_one_is_in_memory(folder, monkeypatch, own_garbage):
     alive: list[weakref.ref] = []
-    read = motions.read_displacement
+    read = displacement.read_displacement
 
     def watched(path):
         gc.collect()
@@ -73,7 +74,7 @@ def test_levels_follow_the_file_of_their_time_and_one_is_in_memory(folder, monke
         alive.append(weakref.ref(table))
         return table
 
-    monkeypatch.setattr(motions, "read_displacement", watched)
+    monkeypatch.setattr(displacement, "read_displacement", watched)
     case = read_case(folder / "case.toml")
     assert [path.name for path in case.files] == [f"surface_{n}.csv" for n in range(11)]
     grid = frame()

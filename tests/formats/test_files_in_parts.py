@@ -135,7 +135,7 @@ def test_fields_at_cells_and_nodes(make, tmp_path):
         result = impose(setup, setup.motion(0.0), 1, "float64", Timing())
         moving = np.flatnonzero(setup.boundary.quad_kind == Kind.MOVING)
         cells = CellFields(result.grid, setup.topology, setup.grid, moving, setup.original)
-        write_grid(result.grid, folder / "out.cgns", None, lambda _: with_fields(cells, ("all", "displacement")))
+        write_grid(with_fields(cells, ("all", "displacement")), folder / "out.cgns")
 
     folder = same_files(tmp_path, 3, act)
     with h5py.File(folder / "out.cgns") as file:
