@@ -65,7 +65,7 @@ def run(folder, code, **environment):
 def test_several_processes_compile_what_is_missing_and_later_runs_find_it(tmp_path):
     two_cores = "from meshdeform_core.parallel import loops; loops.usable_cores = lambda: 2\n"
     own, expected, processes = map(int, run(tmp_path, two_cores + CALLS))
-    assert 1 <= own <= expected == 3
+    assert own <= expected == 3
     assert processes == 2
     # As in an installation by another user: no folder of this user's can be written either.
     sealed = """
