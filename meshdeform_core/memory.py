@@ -122,7 +122,7 @@ _FIELDS = Amounts(190e6, 205, 165)
 """While fields of nodes and cells are measured and written."""
 _LEVELS = 130
 """Per node of a series: undeformed cells, the two levels before, and the one that is being written."""
-_PASSING = Amounts(203e6, 26)
+_PASSING = Amounts(228e6, 26)
 """Where nothing is deformed, per array of the size of the coordinates."""
 _BESIDE_FILES, _IN_FILES = Amounts(232e6, 6, 46), Amounts(0, 52, 38)
 """What is not in files where large arrays are, and their size; the levels of a series are in files but for 50 bytes."""
