@@ -413,19 +413,24 @@ def test_repairs_of_extruded_grids_set_in_without_a_jump():
     np.testing.assert_allclose(repaired.grid.points, plain.grid.points, atol=1e-5)
 
 
-def test_what_differs_along_lines_is_dropped_where_it_would_make_cells_invalid():
+@pytest.mark.parametrize("common", [0.0, 0.3, 0.4])
+def test_what_differs_along_lines_is_dropped_where_it_would_make_cells_invalid(common):
+    """With a common shift of the line, a repair of the plane grid that would keep nearly all of the differences."""
     grid = frame(4, 3)
     setup = set_up(grid, Case(tuple(body_specs(turning("20")))))
     repairer = Repairer(Basis(setup.original, setup.boundary))
     extrusion, _ = repairer.basis.extrusion
     points = grid.points.copy()
     block = grid.block(0, points)
+    block[2, 2] += common * (block[2, 3] - block[2, 2])
     block[2, 2, 1] += block[3, 2, 1] - block[1, 2, 1]
     mean, verdict = extrusion.flattened(points - grid.points), judge(setup.original, points)
     assert not verdict.valid
     found = repairer.repair(Judged(points, verdict))
     assert found.verdict.valid
-    np.testing.assert_allclose(found.points - grid.points, mean[extrusion.line], atol=1e-12)
+    change = extrusion.flattened(found.points - grid.points)
+    np.testing.assert_allclose(found.points - grid.points, change[extrusion.line], atol=1e-12)
+    assert (np.abs(change - mean).max() > 1e-12) == (common > 0.0)
 
 
 def test_a_repair_is_bounded_and_undone_far_from_cells_that_stay_invalid():
@@ -442,6 +447,15 @@ def test_a_repair_is_bounded_and_undone_far_from_cells_that_stay_invalid():
     moved = np.linalg.norm(outcome.points - points, axis=1)
     assert 0.009 < moved.max() <= 0.01 * (1 + 1e-12)
     assert not grid.block(0, moved)[22:, 22:].any()
+
+
+def test_nodes_at_the_rim_of_a_region_are_held():
+    """The energy has the cells around the nodes that move, whose outer nodes stay."""
+    setup = fixed_setup(cube(9))
+    basis = Basis(setup.original, setup.boundary)
+    plot = basis.plot(basis.near(np.array([setup.grid.n_cells // 2]), 1), 1)
+    np.testing.assert_array_equal(np.flatnonzero(plot.region.number >= 0), np.sort(plot.at))
+    assert 0 < len(plot.at) < len(plot.nodes) < basis.n_unknowns
 
 
 def test_a_repair_that_does_not_fit_is_left_out_with_the_reason():

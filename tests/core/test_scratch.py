@@ -21,7 +21,7 @@ from grids import frame
 from meshdeform_core.deform import Case, deform
 from meshdeform_core.errors import MethodError
 from meshdeform_core.grid import Grid
-from meshdeform_core.memory import Amounts, Demand, MemoryLimit, deforming
+from meshdeform_core.memory import Amounts, Demand, MemoryLimit, deforming, machine_memory
 from meshdeform_core.methods import Options
 from meshdeform_core.parallel import current_sharing, empty, scratch, sharing
 from meshdeform_core.parallel.scratch import Scratch
@@ -132,6 +132,12 @@ def test_ranks_work_beside_the_output_or_each_on_a_disk_of_its_machine(tmp_path)
     other = tmp_path / "other"
     other.mkdir()
     assert placed(other, (), 1) == [other / str(number) for number in range(3)]
+
+
+def test_ranks_of_one_machine_share_its_memory(monkeypatch):
+    monkeypatch.setattr(ForkedRank, "on_machine", 3)
+    (share,) = set(on_ranks(3, lambda ranks: machine_memory(ranks).size))
+    assert 2 * share < machine_memory().size
 
 
 def test_a_disk_without_room_on_one_machine_is_the_error_of_all_ranks(tmp_path):

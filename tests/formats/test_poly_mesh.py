@@ -105,6 +105,13 @@ def test_patches_are_families_with_their_types(tmp_path):
     }  # fmt: skip
 
 
+@pytest.mark.parametrize(("condition", "kind"), [("", "empty"), ("BCWall", "wall")])
+def test_one_layer_is_a_plane_grid_unless_it_is_between_walls(condition, kind, tmp_path):
+    ends = [Patch(side.label, (Window(0, side, (0, 0), (3, 3)),), "", condition) for side in (Side.KMIN, Side.KMAX)]
+    write_grid(Grid.from_blocks([box(3, 3, 1)], patches=tuple(ends)), tmp_path / "case.foam")
+    assert [read_mesh(tmp_path).patches[end.name]["type"] for end in ends] == [kind, kind]
+
+
 @pytest.mark.parametrize("turned", [False, True])
 def test_cyclic_faces_correspond(turned, tmp_path):
     """Face by face, and corner by corner in opposite order."""

@@ -19,11 +19,14 @@ from vtkmodules.vtkIOLegacy import vtkStructuredGridReader
 from vtkmodules.vtkIOParallel import vtkPlot3DMetaReader
 from vtkmodules.vtkIOXML import vtkXMLStructuredGridReader
 
-from meshdeform_core.errors import FormatError
+from meshdeform_core.errors import CaseError, FormatError
 from meshdeform_core.grid import Grid
+from meshdeform_core.series import Schedule
 from meshdeform_core.velocity import face_fields, grid_velocity, swept_volumes
 from meshdeform_formats import read_grid, write_grid
+from meshdeform_formats.case.reader import read_case
 from meshdeform_formats.files import partial_path, remove_partial, replacing
+from meshdeform_formats.series.manifest import Manifest, ingredients_of
 from meshdeform_formats.series.outputs import LevelFiles
 
 TIMES = (0.0, 0.5, 2.0)
@@ -48,6 +51,26 @@ def written(grid: Grid, folder: Path, name: str, order="second", options=None):
         files.write(number, at(grid, time), None if order == "none" else velocity(grid, time))
         files.publish(number + 1)
     return files
+
+
+@pytest.mark.parametrize("changed", ["grid.xyz", "map.nmf", "other.nmf", "table.csv"])
+def test_a_series_depends_on_the_contents_of_all_files(changed, tmp_path):
+    """The grid, the boundary file of the case or the one given instead, and tables of motions."""
+    motion = '[[boundary]]\nselect = ["*"]\nmotion = [{ file = "table.csv" }]\n'
+    (tmp_path / "case.toml").write_text(f'[grid]\nboundary_file = "map.nmf"\n{motion}')
+    for name in ("grid.xyz", "map.nmf", "other.nmf", "table.csv"):
+        (tmp_path / name).write_text("0,0,0,0,0,0\n")
+
+    def ingredients():
+        given = tmp_path / changed if changed == "other.nmf" else None
+        return ingredients_of(tmp_path / "grid.xyz", given, read_case(tmp_path / "case.toml"), Schedule(TIMES), {})
+
+    Manifest(tmp_path / "series.json", ingredients()).save()
+    begun = Manifest.load(tmp_path / "series.json")
+    begun.require_same(ingredients())
+    (tmp_path / changed).write_text("0,0,0,0,0,1\n")
+    with pytest.raises(CaseError, match=rf"(file .*{changed}|grid) has different contents\. Undo"):
+        begun.require_same(ingredients())
 
 
 @pytest.mark.parametrize("suffix", [".vts", ".vtk"])
