@@ -78,17 +78,19 @@ class Mesh:
 
 
 def read_mesh(case: Path, points: Path | None = None) -> Mesh:
-    """The mesh of a case, with its own points or those of a file."""
+    """The checked mesh of a case, with its own points or those of a file."""
     folder = case / "constant" / "polyMesh"
     text = (folder / "boundary").read_text()
     patches = {
         name: dict(re.findall(r"(\w+)\s+([^;]+);", body))
         for name, body in re.findall(r"\n\s+([^\s{]+)\n\s*\{([^}]*)\}", text[text.index("\n(") :])
     }
-    return Mesh(
+    mesh = Mesh(
         read_points(points or folder / "points"), _faces(folder / "faces"), _labels(folder / "owner"),
         _labels(folder / "neighbour"), patches,
     )  # fmt: skip
+    mesh.check()
+    return mesh
 
 
 def read_points(path: Path) -> np.ndarray:

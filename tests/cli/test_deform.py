@@ -185,14 +185,6 @@ def test_automatic_steps_stop_before_the_grid_breaks(bench, call, angle):
     np.testing.assert_allclose(after[near], rotated(before[near], 120.0 * report["reached"]), rtol=0, atol=1e-12)
 
 
-def test_time_evaluates_the_motion(bench, call, angle):
-    angle("20*sin(2*pi*t)")
-    largest = {t: report_of(call, *RUN, "--time", t)["boundary"]["max_displacement"] for t in ("0", "0.25", "0.75")}
-    assert largest["0"] == 0.0
-    assert largest["0.25"] == pytest.approx(2 * np.sin(np.deg2rad(10.0)) * np.sqrt(0.5), rel=1e-12)
-    assert largest["0.75"] == pytest.approx(largest["0.25"], rel=1e-12)
-
-
 def test_a_motion_that_is_zero_is_said_to_be_zero(bench, call, angle):
     angle("turn*t")
     result = call(*RUN)

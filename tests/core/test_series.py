@@ -12,7 +12,7 @@ from grids import frame, frame_2d, permuted, polar
 
 import meshdeform as md
 from meshdeform_core import velocity
-from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary import Kind
 from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.boundary.motions.motion import Motion, Rotate
 from meshdeform_core.deform import Case, Timing, impose, set_up
@@ -85,13 +85,6 @@ def test_an_invalid_level_does_not_stop_the_series():
     assert [level.result.valid for level in levels] == [True, False, True]
 
 
-def test_2d_levels_rotate_in_their_plane():
-    setup = set_up(frame_2d(), Case((body_specs(SWING)[0],)))
-    level = levels_of(setup, Schedule((0.25,), velocity="first"))[0]
-    assert level.result.motion[0].max_rotation_deg == pytest.approx(20.0)
-    assert not level.result.grid.points[:, 2].any()
-
-
 @pytest.mark.parametrize("wrong", [{"times": ()}, {"times": (0.0, 0.0)}, {"times": (1.0, 0.5)}, {"velocity": "third"}])
 def test_schedules_that_make_no_sense_are_refused(wrong):
     with pytest.raises(CaseError, match="series"):
@@ -123,24 +116,6 @@ def test_repaired_levels_depend_on_the_boundary_only():
     assert levels[0].smoothness.velocity is None
     assert levels[1].smoothness.acceleration is None
     assert not any(s.plain for s in smooth)
-
-
-def test_levels_keep_sliding_nodes_on_curved_walls():
-    """A quarter of a shell whose inner side bulges; the outer one slides on its polygons, repairs included."""
-    angle, radius, z = np.linspace(0.0, np.pi / 2, 13), np.linspace(1.0, 2.0, 9), np.linspace(0.0, 0.6, 5)
-    a, r, h = np.meshgrid(angle, radius, z, indexing="ij")
-    grid = Grid.from_blocks([np.stack([(1 + 0.2 * h**2) * r * np.cos(a), r * np.sin(a), h], axis=-1)])
-    outer = BoundarySpec("outer", ("*.jmax",), Kind.SLIP)
-    inner = BoundarySpec("inner", ("*.jmin",), Kind.MOVING, None, formulas("0", "-0.4*t*x*y", "0"))
-    setup = set_up(grid, Case((outer, inner)))
-    (surface,) = setup.boundary.slip.curved
-    nodes = setup.topology.first[surface.nodes]
-    levels = levels_of(setup, Schedule((0.8, 1.0, 1.3)))
-    assert all(level.result.repair for level in levels)
-    for level in levels:
-        assert level.result.valid
-        assert surface.closest(level.result.grid.points[nodes])[2].max() < 1e-12
-    assert np.abs(levels[-1].result.grid.points - grid.points)[nodes].max() > 0.01
 
 
 def test_a_jump_of_the_grid_alone_is_told():

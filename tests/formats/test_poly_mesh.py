@@ -75,7 +75,6 @@ def test_third_party_grids_are_sound_meshes_at_all_times(name, third_party, tmp_
     assert run([*command, "--suffix", ".foam", "-o", str(out)]) == 0
     for time in ("0", "0.5", "1"):
         mesh = read_mesh(out, out / time / "polyMesh/points")
-        mesh.check()
         assert int(mesh.owner.max()) + 1 == grid.n_cells
         if grid.dimension == 3 and time == "0":
             total = np.abs(block_volumes(grid, grid.points, np.ones(grid.n_blocks))).sum()
@@ -97,9 +96,7 @@ def test_patches_are_families_with_their_types(tmp_path):
         Patch("_z", (window[Side.KMIN],)), Patch("z_", (window[Side.KMAX],)),
     ))  # fmt: skip
     write_grid(grid, tmp_path / "case.foam")
-    mesh = read_mesh(tmp_path)
-    mesh.check()
-    assert {name: (e["type"], e["nFaces"]) for name, e in mesh.patches.items()} == {
+    assert {name: (e["type"], e["nFaces"]) for name, e in read_mesh(tmp_path).patches.items()} == {
         "skin": ("wall", "18"), "mirror": ("symmetryPlane", "9"), "a_b_c": ("patch", "9"),
         "_z": ("patch", "9"), "z_": ("patch", "9"),
     }  # fmt: skip
@@ -125,7 +122,6 @@ def test_cyclic_faces_correspond(turned, tmp_path):
     ends = Connection("p", 0, (0, 0, 0), (3, 0, 2), 0, (0, 4, 0), (3, 4, 2), (1, 2, 3), motion)
     write_grid(Grid.from_blocks([x], connections=(ends,)), tmp_path / "case.foam", {"encoding": "ascii"})
     mesh = read_mesh(tmp_path)
-    mesh.check()
     pair = [name for name, entries in mesh.patches.items() if entries["type"] == "cyclic"]
     assert len(pair) == 2
     for one, two in zip(*(mesh.patch_faces(name) for name in pair), strict=True):
@@ -146,7 +142,6 @@ def test_collapsed_hexahedra_are_prisms_and_pyramids(tmp_path):
         case = tmp_path / str(number)
         write_grid(Grid.from_blocks([nodes]), case / "case.foam")
         mesh = read_mesh(case)
-        mesh.check()
         inside = mesh.corners[: len(mesh.neighbour)]
         corners = {len(np.union1d(mesh.corners[mesh.owner == c], inside[mesh.neighbour == c])) for c in range(27)}
         assert corners == ({8, 6} if number == 0 else {8, 5})
@@ -161,9 +156,7 @@ def test_left_handed_blocks_and_rings(tmp_path):
     outer = ring * [1, 1, 1] + np.stack([np.cos(phi), np.sin(phi), 0 * phi], axis=-1)
     outer[0], outer[:, -1] = ring[-1], outer[:, 0]
     write_grid(Grid.from_blocks([ring[:, ::-1].copy(), outer]), tmp_path / "case.foam")
-    mesh = read_mesh(tmp_path)
-    mesh.check()
-    assert len(mesh.patches) == 6
+    assert len(read_mesh(tmp_path).patches) == 6
     assert "Mesh OK." in check_mesh(tmp_path)
     # A ring of a single cell, whose first and last nodes are the same.
     one_cell = np.stack([ring[:, 0], ring[:, 0]], axis=1)
@@ -246,7 +239,6 @@ def test_series_of_points(tmp_path, capsys):
     assert sorted(path.name for path in out.iterdir()) == names
     for time in ("0", "0.5", "1"):
         mesh = read_mesh(out, out / time / "polyMesh/points")
-        mesh.check()
         top = np.flatnonzero(read_mesh(out).points[:, 1] == 1)
         x, y, _ = mesh.points[top].T
         np.testing.assert_allclose(y, 1 + 0.2 * float(time) * x * (1 - x), atol=1e-14)

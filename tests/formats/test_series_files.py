@@ -73,38 +73,6 @@ def test_a_series_depends_on_the_contents_of_all_files(changed, tmp_path):
         begun.require_same(ingredients())
 
 
-@pytest.mark.parametrize("suffix", [".vts", ".vtk"])
-def test_velocity_is_point_data(suffix, tmp_path):
-    grid = one_block()
-    files = written(grid, tmp_path, f"wing{suffix}")
-    points, arrays = vtk_witness.read(files.path(2))
-    np.testing.assert_array_equal(points, at(grid, 2.0).block(0))
-    np.testing.assert_array_equal(arrays["node", "GridVelocity"], grid.block(0, velocity(grid, 2.0)))
-    # A level is read back and its velocity replaced, not doubled.
-    again = read_grid(files.path(2))
-    LevelFiles(again, tmp_path, f"again{suffix}", TIMES, {}, "first").write(0, again, 0 * again.points)
-    _, arrays = vtk_witness.read(tmp_path / f"again_0000{suffix}")
-    assert list(arrays) == [("node", "GridVelocity")]
-    assert not arrays["node", "GridVelocity"].any()
-
-
-@pytest.mark.parametrize("source", ["new", "copy"])
-def test_velocity_is_a_flow_solution(source, tmp_path):
-    grid = frame()
-    if source == "copy":
-        write_grid(grid, tmp_path / "grid.cgns")
-        grid = read_grid(tmp_path / "grid.cgns")
-    files = written(grid, tmp_path, "wing.cgns")
-    with h5py.File(files.path(2)) as file:
-        for block, name in enumerate(grid.names):
-            solution = file["Base"][name]["FlowSolutionVertex"]
-            assert solution.attrs["label"].decode() == "FlowSolution_t"
-            stored = np.stack([solution[f"GridVelocity{c}/ data"][()].T for c in "XYZ"], axis=-1)
-            np.testing.assert_array_equal(stored, grid.block(block, velocity(grid, 2.0)))
-    np.testing.assert_array_equal(files.read(2), at(grid, 2.0).points)
-    assert_cgnscheck_finds_no_error(files.path(2))
-
-
 def test_fields_join_a_copy_beside_what_it_holds(tmp_path):
     """A second run replaces its own solution; other solutions of the same name stay."""
     write_grid(one_block(), tmp_path / "grid.cgns")
@@ -226,14 +194,29 @@ def expected(grid: Grid, number: int) -> list[tuple[np.ndarray, ...]]:
     return swept_volumes(grid, wavy(grid, number - 1), wavy(grid, number))
 
 
-@pytest.mark.parametrize(("make", "precision"), [(frame, "float32"), (frame_2d, "float64")])
-def test_cgns_levels_have_face_centred_solutions(make, precision, tmp_path):
+def rate(grid: Grid) -> np.ndarray:
+    """The velocity of the last level."""
+    return (wavy(grid, 2) - wavy(grid, 1)) / (TIMES[2] - TIMES[1])
+
+
+@pytest.mark.parametrize(("make", "precision", "copied"), [(frame, "float32", True), (frame_2d, "float64", False)])
+def test_cgns_levels_have_solutions_at_nodes_and_faces(make, precision, copied, tmp_path):
     """What faces sweep keeps double precision."""
     grid = make()
+    if copied:
+        write_grid(grid, tmp_path / "grid.cgns")
+        grid = read_grid(tmp_path / "grid.cgns")
     files = swept(grid, tmp_path, "wing.cgns", precision)
+    np.testing.assert_allclose(files.read(2), wavy(grid, 2), rtol=0, atol=1e-6)
     with h5py.File(files.path(2)) as file:
         for block, name in enumerate(grid.names):
-            assert file["Base"][name]["FlowSolutionVertex/GridVelocityX/ data"].dtype == precision
+            nodes = file["Base"][name]["FlowSolutionVertex"]
+            assert nodes.attrs["label"].decode() == "FlowSolution_t"
+            velocities = grid.block(block, rate(grid))
+            for n, axis in enumerate("XYZ"[: grid.dimension]):
+                stored = nodes[f"GridVelocity{axis}/ data"][()].T
+                assert stored.dtype == precision
+                np.testing.assert_allclose(stored.reshape(velocities.shape[:3]), velocities[..., n], rtol=0, atol=1e-6)
             for axis, values in zip(AXES, expected(grid, 2)[block], strict=True):
                 if not values.size:
                     assert f"FlowSolution{axis}FaceCenter" not in file["Base"][name]
@@ -258,9 +241,12 @@ def test_flat_axis_of_a_block_is_no_axis_of_its_zone(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".vts", ".vtk"])
-def test_vtk_levels_have_field_data_with_i_fastest(suffix, tmp_path):
+def test_vtk_levels_have_point_data_and_field_data_with_i_fastest(suffix, tmp_path):
     grid = one_block()
     files = swept(grid, tmp_path, f"wing{suffix}")
+    points, arrays = vtk_witness.read(files.path(2))
+    np.testing.assert_array_equal(points, grid.block(0, wavy(grid, 2)))
+    np.testing.assert_allclose(arrays["node", "GridVelocity"], grid.block(0, rate(grid)), rtol=0, atol=1e-14)
     reader = vtkXMLStructuredGridReader() if suffix == ".vts" else vtkStructuredGridReader()
     reader.SetFileName(str(files.path(2)))
     reader.Update()
@@ -269,11 +255,11 @@ def test_vtk_levels_have_field_data_with_i_fastest(suffix, tmp_path):
         run = vtk_to_numpy(data.GetArray(f"SweptVolume{axis}"))
         np.testing.assert_array_equal(run.reshape(values.shape[::-1]).swapaxes(0, 2), values)
         assert data.GetArray(f"VolumeFlux{axis}").GetNumberOfTuples() == values.size
-    # A series that starts from a level replaces what that level swept.
-    again = read_grid(files.path(2))
-    other = swept(again, tmp_path, f"again{suffix}")
+    # A series that starts from a level replaces its velocity and what it swept.
+    other = swept(read_grid(files.path(2)), tmp_path, f"again{suffix}")
     _, arrays = vtk_witness.read(other.path(0))
-    assert len([name for _, name in arrays if name == "SweptVolumeI"]) <= 1
+    assert list(arrays) == [("node", "GridVelocity")]
+    assert not arrays["node", "GridVelocity"].any()
     reader.SetFileName(str(other.path(0)))
     reader.Update()
     assert not vtk_to_numpy(reader.GetOutput().GetFieldData().GetArray("SweptVolumeI")).any()
