@@ -273,7 +273,6 @@ def test_the_verdict_is_about_the_precision_that_is_written(bench, call):
     grid = read_grid("grid.xyz")
     thin = grid.points.copy()
     thin[:, :2] = thin[:, :2] * 1e-3 + 7000.0
-
     write_grid(grid.moved(thin), "thin.xyz")
     shifted = ("-s", 'boundary=[{select=["*"], motion=[{translate=[0.1, 0, 0]}]}]', "--steps", "1", "--repair", "off")
     assert call("deform", "thin.xyz", *shifted, "-o", "out.xyz").code == 0

@@ -44,15 +44,10 @@ OFF = RepairOptions(mode="off")
 
 @pytest.fixture
 def small_pieces(monkeypatch):
-    """Blocks are cut although they are small."""
+    """Blocks are cut although they are small; what a rank does not hold is no number."""
+    poison_parts(monkeypatch)
     with small_blocks_are_cut(monkeypatch):
         yield
-
-
-@pytest.fixture
-def poisoned(monkeypatch):
-    """What a rank does not hold is no number."""
-    poison_parts(monkeypatch)
 
 
 def part_of(ranks, bounds, values):
@@ -127,6 +122,13 @@ def plane(method):
 
 
 SWAYING = formulas("0.1*z", "0.0", "0.2*sin(pi*z)")
+LOWER = block_around(*[np.linspace(0.0, 1.0, 5)] * 3)
+# A block stands with an edge on a slip side of another, whose rank learns that its nodes there are those of an edge.
+UPPER = LOWER @ [[1.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 1.0]] + [0.5, 0.0, 1.0]
+STANDING = (
+    BoundarySpec("slip", ("block1.kmax", "block2.imin", "block2.kmin"), Kind.SLIP),
+    BoundarySpec("wall", ("block1.kmin", "block2.kmax"), Kind.MOVING, None, formulas("0", "0.05*sin(3*z)", "0")),
+)
 # Number of ranks, case, and what is not as in the others.
 SAME = {
     "idw-exact": (3, case_of("idw-exact"), {"suffix": ".xyz", "steps": 2, "precision": "float32"}),
@@ -138,13 +140,14 @@ SAME = {
     "plane along j": (3, plane("rbf-greedy"), {"suffix": ".xyz", "grid": turned(frame_2d(9), (2, 0, 1))}),
     # Nodes of one plane follow those of the other, whoever holds them.
     "one layer": (3, between_ends("rbf-fast"), {"grid": turned(frame(9, 1), (2, 0, 1), False, False, True)}),
+    "edge on a slip side": (2, case_of("idw-rbf", specs=STANDING), {"grid": Grid.from_blocks([LOWER, UPPER])}),
     # Nodes on slip sides, which are the first and the last plane, are no centres; the motion leaves the sides.
     "interiors between slip sides": (3, between_ends("idw-rbf", SWAYING), {"grid": turned(frame(5, 8), (2, 0, 1))}),
 }
 
 
 @pytest.mark.parametrize("name", SAME)
-def test_ranks_give_the_same_bytes(name, tmp_path, small_pieces, poisoned):
+def test_ranks_give_the_same_bytes(name, tmp_path, small_pieces):
     count, case, rest = SAME[name]
     same_on_ranks(tmp_path, count, case, **rest)
 
@@ -157,7 +160,7 @@ REPAIRS = {
 
 
 @pytest.mark.parametrize("name", REPAIRS)
-def test_repairs_of_grids_in_parts_give_the_same_bytes(name, tmp_path, small_pieces, poisoned):
+def test_repairs_of_grids_in_parts_give_the_same_bytes(name, tmp_path, small_pieces):
     case, grid = REPAIRS[name]
     assert same_on_ranks(tmp_path, 3, case, grid=grid)[-1].newton_steps > 1
 
@@ -192,7 +195,7 @@ def overset(**grids):
     return interleaved(**grids), tuple(specs + still)
 
 
-def test_components_of_overset_grids_give_the_same_bytes(tmp_path, small_pieces, poisoned):
+def test_components_of_overset_grids_give_the_same_bytes(tmp_path, small_pieces):
     grid, specs = overset(bar=tapered(5, 4), bg=frame(4, 3), rod=frame(5, 4))
     case = Case(specs, method=METHODS["idw-tfi"], components=BY_PREFIX, open_faces=True)
     same_on_ranks(tmp_path, 3, case, grid=grid)
@@ -209,7 +212,7 @@ def levels(source, target, case, schedule, ranks=ONE_PROCESS):
     return found
 
 
-@pytest.mark.parametrize(("place", "method"), [("poisoned", "idw-tfi"), ("in_files", "rbf-tfi-krylov")])
+@pytest.mark.parametrize(("place", "method"), [("small_pieces", "idw-tfi"), ("in_files", "rbf-tfi-krylov")])
 def test_levels_of_a_series_are_the_same(place, method, tmp_path, small_pieces, request):
     store, source, schedule = request.getfixturevalue(place), tmp_path / "grid.xyz", Schedule((0.0, 1.0, 4.0))
     write_grid(frame(6, 5), source)
@@ -223,8 +226,9 @@ def test_levels_of_a_series_are_the_same(place, method, tmp_path, small_pieces, 
     assert all(found == expected for found in on_ranks(3, act))
 
 
-def test_ranks_without_nodes_take_part(tmp_path, poisoned):
+def test_ranks_without_nodes_take_part(tmp_path, monkeypatch):
     """The blocks are not cut: more ranks than pieces."""
+    poison_parts(monkeypatch)
     grid = frame(9, 8)
     blocks = Grid.from_blocks([grid.block(0), grid.block(1)])
     same_on_ranks(tmp_path, 3, case_of("idw-tfi-fast"), suffix=".xyz", grid=blocks)
@@ -250,7 +254,7 @@ def test_ranks_need_memory_for_their_part(small_pieces):
     assert 0.25 * act(ONE_PROCESS) < share < 0.4 * act(ONE_PROCESS)
 
 
-def test_ranks_share_the_test_whether_walls_cross(tmp_path, small_pieces, poisoned, monkeypatch):
+def test_ranks_share_the_test_whether_walls_cross(tmp_path, small_pieces, monkeypatch):
     """Every rank tests an equal share of the faces of a wall that folds onto itself, and learns what all have found."""
     line = np.linspace(0.0, 1.0, 21)
     write_grid(Grid.from_blocks([block_around(2.0 * line, line, line)]), tmp_path / "grid.cgns")

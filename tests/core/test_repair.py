@@ -165,8 +165,7 @@ def test_where_steps_are_shortened_or_refused_the_minimum_is_not_called_reached(
 def test_a_node_thrown_out_of_its_cells_comes_back(dimension):
     setup = fixed_setup(cube(7, dimension))
     points = setup.grid.points.copy()
-    middle = setup.grid.n_nodes // 2
-    points[middle, :dimension] += 0.6
+    points[setup.grid.n_nodes // 2, :dimension] += 0.6
     verdict, outcome = repaired(setup, points)
     assert not verdict.valid
     assert outcome.verdict.valid
@@ -188,7 +187,6 @@ def test_constraints_hold_to_the_last_bit():
     result = turned(frame(6, 2), 110, steps=1)
     assert result.valid
     grid, setup = result.grid, result.setup
-    assert result.repair is not None
     assert result.repair.newton_steps > 0
     # The walls are where they were told, the end planes plane, coincident nodes one.
     wall = setup.topology.first[setup.boundary.known]
@@ -242,8 +240,7 @@ def test_a_grid_in_an_inclined_plane_stays_in_it():
 
 
 def test_periodic_sides_move_alike():
-    n = 9
-    grid = cube(n)
+    grid = cube(9)
     specs = (
         BoundarySpec("floor", ("*.kmin",), Kind.MOVING, None, formulas("0", "0", "0.9*exp(-40*(y-0.4)**2)")),
         BoundarySpec("sides", ("*.imin", "*.imax"), Kind.PERIODIC),
