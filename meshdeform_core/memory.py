@@ -116,7 +116,7 @@ _MOVING = {
     "rbf": Amounts(196e6, 77, 55, source=6500),
 }
 """While nodes move; with radial basis functions in any step as ``rbf``."""
-_JUDGING = Amounts(196e6, 52, 185)
+_JUDGING = Amounts(196e6, 52, 175, 170)
 """While the grid is judged: faces get roles, lines at walls and interfaces are measured; the method has been freed."""
 _FIELDS = Amounts(190e6, 205, 165)
 """While fields of nodes and cells are measured and written."""
@@ -192,8 +192,7 @@ class Demand:
         for grid in grids:
             in_zones = grid.format is not None and grid.format.name == "cgns"
             other += len(grid.shapes) * (_ZONE if in_zones else _BLOCK) + _CGNS * in_zones
-        # How much of the block faces lies outside is known only from coordinates: as if equal cubes formed a cube.
-        outside = sum(grid.n_face_nodes / len(grid.shapes) ** (1 / 3) for grid in grids)
+        outside = sum(map(_outside, grids))
         largest = max((math.prod(shape) for grid in grids for shape in grid.shapes), default=0)
         return cls(f"{doing} {whole:,} nodes", work, Amounts(1, nodes, faces, outside, largest), other)
 
@@ -265,6 +264,17 @@ class Demand:
         # The same error on all ranks.
         for lack in ranks.gather(lacks):
             raise MethodError(lack)
+
+
+def _outside(grid: BlockSizes) -> float:
+    """Nodes on outside faces, which only coordinates tell: as if equal cubes formed a cube or, where all blocks have
+    the same few layers, one layer of blocks formed a plate."""
+    faces, count = grid.n_face_nodes, len(grid.shapes)
+    for layers in (set(along) for along in zip(*grid.shapes, strict=True)):
+        ends = 2 * grid.n_nodes / max(layers)
+        if len(layers) == 1 and faces / 2 < ends < faces:
+            return ends + (faces - ends) / count ** (1 / 2)
+    return faces / count ** (1 / 3)
 
 
 def machine_memory(ranks: Ranks = ONE_PROCESS) -> MemoryLimit:

@@ -30,7 +30,7 @@ BUDGETS = {
     "meshdeform_core/parallel": 682,
     "meshdeform_core/quality": 1749,
     "meshdeform_core/repair": 2182,
-    "meshdeform_core": 2444,
+    "meshdeform_core": 2454,
     "tests": 23989,
 }
 """Lines of Python and of data files per package; a package's row excludes the rows below it."""
