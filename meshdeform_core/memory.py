@@ -107,7 +107,7 @@ class Amounts(NamedTuple):
         return sum(map(operator.mul, self, sizes._replace(node=nodes)))
 
 
-# All bytes of a stage when it takes most, from the largest resident sizes of runs with .3 to 20 million nodes in 1 to
+# All bytes of a stage when it takes most, from the largest resident sizes of runs with .3 to 60 million nodes in 1 to
 # 1,000 blocks, to about 15 % (benchmarks/foretold.py).
 _MOVING = {
     "tfi": Amounts(188e6, 55, 120, largest=24),
