@@ -38,7 +38,7 @@ _SAFETY = 10.0
 _GAIN, _PATIENCE = 0.01, 5
 _SMALLEST_STEP = 1e-4
 # Parts of the indefinite second derivatives that are left out.
-_DAMPING = (0.0, 0.125, 0.5, 1.0)
+_DAMPING = (0.0, 0.0625, 0.125, 0.25, 0.5, 1.0)
 # Sufficient decrease in the line search (Armijo), and the round-off of the energy that it tolerates.
 _DECREASE, _ROUND_OFF = 1e-4, 1e-13
 

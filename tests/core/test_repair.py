@@ -134,9 +134,9 @@ def test_as_much_of_the_second_derivatives_as_possible_is_tried_and_all_of_them_
     monkeypatch.setattr(NewtonSystem, "fill", noted)
     assert turned(frame_2d(9), 80, steps=1).repair.converged
     shares = [share for share in told if share is not None]
-    assert shares[:4] == [1.0, 0.875, 0.5, 0.0]
+    assert shares[:6] == [1.0, 0.9375, 0.875, 0.75, 0.5, 0.0]
     # None is tried in the step after one in which all tries failed.
-    assert shares[4:6] == [0.0, 0.5]
+    assert shares[6:8] == [0.0, 0.5]
     assert shares[-1] == 1.0
 
 
