@@ -29,9 +29,9 @@ BUDGETS = {
     "meshdeform_core/numerics": 8126,
     "meshdeform_core/parallel": 682,
     "meshdeform_core/quality": 1749,
-    "meshdeform_core/repair": 2182,
+    "meshdeform_core/repair": 2183,
     "meshdeform_core": 2454,
-    "tests": 23988,
+    "tests": 23991,
 }
 """Lines of Python and of data files per package; a package's row excludes the rows below it."""
 LONGEST_FUNCTION, NINE_IN_TEN, LONGEST_FILE = 60, 25, 500

@@ -179,7 +179,8 @@ class Untangler:
                     break
             self.progress("repair", step, most)
             # What is left after the last step need not be much less than CLOSE.
-            tolerance = min(_ROUGH, max(_FINE, _FORCING * length, CLOSE / (_SAFETY**2 * expected)))
+            enough = CLOSE / (_SAFETY**2 * expected) if expected else _ROUGH
+            tolerance = min(_ROUGH, max(_FINE, _FORCING * length, enough))
             after, part = self._step(now, penalty, tolerance)
             before, length = length, self._relative(after.x - now.x)
             now = after

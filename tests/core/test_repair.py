@@ -226,8 +226,7 @@ def test_a_polished_grid_with_a_smaller_scaled_jacobian_is_not_taken(monkeypatch
 
 
 def test_a_grid_in_an_inclined_plane_stays_in_it():
-    grid = frame_2d(6)
-    a = 0.6
+    grid, a = frame_2d(6), 0.6
     turn = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
     tilted = grid.moved(np.ascontiguousarray(grid.points @ turn.T))
     axis = turn @ [0.0, 0.0, 1.0]
@@ -299,8 +298,7 @@ def test_cells_of_a_boundary_layer_that_only_turn_keep_their_heights():
 
 def test_when_nothing_helps_the_boundary_is_where_it_was_told():
     """The bar is pushed through the outer boundary: no valid grid exists."""
-    specs = body_specs(formulas("0", "6", "0"))
-    result = deform(frame(4, 1), Case(tuple(specs)))
+    result = deform(frame(4, 1), Case(tuple(body_specs(formulas("0", "6", "0")))))
     assert not result.valid
     assert result.reached == 1.0
     setup = result.setup
@@ -469,8 +467,7 @@ def test_a_grid_turned_about_its_middle_is_still_an_extrusion():
 
 def test_only_plane_motions_of_extruded_grids_are_taken_for_plane():
     grid = frame(5, 3)
-    specs = body_specs(turning("20"), Kind.SLIP)
-    setup = set_up(grid, Case(tuple(specs)))
+    setup = set_up(grid, Case(tuple(body_specs(turning("20"), Kind.SLIP))))
     extrusion = find_extrusion(Constraints.of(setup.original, setup.boundary))
     assert extrusion is not None
     assert extrusion.plane.n_nodes * 4 == grid.n_nodes
@@ -544,11 +541,17 @@ def test_pinned_corners_do_not_end_an_improvement():
     assert ratio[1] > 0.3
 
 
+def test_steps_of_no_length_that_are_not_the_last_are_followed_by_others(monkeypatch):
+    setup = fixed_setup(cube(5, 2))
+    plot = Basis(setup.original, setup.boundary).whole
+    monkeypatch.setattr(Untangler, "_step", lambda self, now, *_: (now, 1.0))
+    assert not Untangler(plot, plot.inside(setup.grid.points), np.inf).minimise(1.0, 3)
+
+
 def test_a_deep_fold_is_opened():
     """Flow 173 of the random flows: walls turn by 208 degrees, and a quick fall of the regularisation is caught."""
-    grid = frame_2d(12)
     body, _ = body_specs(turning("170"), Kind.SLIP)
-    setup = set_up(grid, Case((dataclasses.replace(body, select=("*",)),), repair=RepairOptions("off")))
+    setup = set_up(frame_2d(12), Case((dataclasses.replace(body, select=("*",)),), repair=RepairOptions("off")))
     start = impose(setup, setup.motion(0.0), 1, "float64", Timing()).grid.points
     verdict, outcome = repaired(setup, start)
     assert verdict.failed.any()
