@@ -162,12 +162,8 @@ def _keep_what_exists(run: Run, manifest: Manifest) -> None:
 def carry_out(run: Run, progress: ProgressBar) -> Report:
     """Make, write and record the missing levels, then report on all."""
     with interruption.continued_by(partial(_how_to_continue, run)):
-        files, ranks, count, first = (
-            run.files,
-            run.job.grid.nodes.ranks,
-            len(run.schedule.times),
-            len(run.manifest.levels),
-        )
+        files, ranks = run.files, run.job.grid.nodes.ranks
+        count, first = len(run.schedule.times), len(run.manifest.levels)
         progress("levels", first, count)
         # The state of earlier levels is known only from files that can be read back.
         done = run.manifest.levels if files.readable else []
