@@ -161,18 +161,21 @@ def wiener_milenkovic(turns: FloatArray) -> FloatArray:
 
 
 def test_beams_follow_the_exact_helix(tmp_path):
-    """More than a whole turn between the ends, with whose sections nodes beyond move; of third order in the distance of
-    stations, for both rotations."""
+    """More than a whole turn between the ends, with whose sections nodes beyond move, and a turn of the root; of third
+    order in the distance of stations, for both rotations."""
     nodes = box_nodes()
     nodes.points[:, 2] = 1.2 * nodes.points[:, 2] + 1.0
     s = nodes.points[:, 2].clip(0.0, 2.0)
     _, _, turns = helix(2)
     rate = turns[-1] / 2
     arms = nodes.points - s[:, None] * [0, 0, 1]
+    root = Rotation.from_rotvec([0.4, -0.7, 0.2])
     exact = wound(s, rate) + Rotation.from_rotvec(s[:, None] * rate).apply(arms) - arms
+    exact = root.apply(nodes.points + exact) - nodes.points
     errors = []
     for n in (21, 41, 81):
         line, shift, turns = helix(n)
+        shift, turns = root.apply(line + shift) - line, (root * Rotation.from_rotvec(turns)).as_rotvec()
         found = moved(nodes, beam(tmp_path, line, shift, np.degrees(turns)), tmp_path)
         errors.append(np.abs(found - exact).max())
         same = beam(tmp_path, line, shift, wiener_milenkovic(turns), header="x,y,z,dx,dy,dz,cx,cy,cz")

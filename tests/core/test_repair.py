@@ -91,6 +91,15 @@ def test_gradient_is_that_of_differences_and_matrix_is_symmetric(dimension, pena
         gradients.append(system.gradient.ravel().copy())
     expected = (gradients[1] - gradients[0]) / 2e-6
     np.testing.assert_allclose(exact @ step.ravel(), expected, atol=2e-5 * np.abs(expected).max())
+    if dimension == 3:
+        # Of the shares the gradient is a linear function.
+        gradients, free = [], region.number >= 0
+        for factor in (1.0, 1.5):
+            more = dataclasses.replace(region, energy=energy.with_between(factor * energy.between))
+            system.fill(more, x, start, penalty)
+            gradients.append(system.gradient[region.number[free]])
+        change, _, _ = energy.products(x, penalty, 0.0 * x, 0.0, 0.5 * energy.between)
+        np.testing.assert_allclose(change[free], gradients[1] - gradients[0], atol=1e-12)
 
 
 @pytest.mark.parametrize("rows", [7, 1 << 15])

@@ -181,9 +181,10 @@ def lines_at_floor(points: np.ndarray, layer: int) -> tuple[np.ndarray, np.ndarr
     return angle, np.einsum("ni,ni->n", mean, far)
 
 
-@pytest.mark.parametrize("method", ["tfi", "idw-tfi"])
-def test_fixed_walls_are_measured(method):
-    grid = channel()
+@pytest.mark.parametrize(("method", "nj", "layers"), [("tfi", 25, LAYERS), ("idw-tfi", 11, 5)])
+def test_fixed_walls_are_measured(method, nj, layers):
+    """Of lines with few cells the thickness is that of half of them."""
+    grid = channel(nj=nj)
     result = deform(grid, case(method, formulas("0", "-0.4*exp(-6*x*x)", "0")))
     walls = result.assessment.after.walls
     before, after = (g.block(0)[:, :, 0, :2] for g in (grid, result.grid))
@@ -191,7 +192,7 @@ def test_fixed_walls_are_measured(method):
     fixed = walls["fixed"]
     assert fixed.wall_normal_deviation_deg.max == pytest.approx(angle.max(), rel=1e-10)
     assert fixed.wall_normal_deviation_deg.rms == pytest.approx(np.sqrt(np.mean(angle**2)), rel=1e-10)
-    for layer, found in ((1, fixed.first_cell_height_ratio), (LAYERS, fixed.layer_thickness_ratio)):
+    for layer, found in ((1, fixed.first_cell_height_ratio), (layers, fixed.layer_thickness_ratio)):
         ratio = lines_at_floor(after, layer)[1] / lines_at_floor(before, layer)[1]
         assert (found.min, found.max) == pytest.approx((ratio.min(), ratio.max()), rel=1e-10)
     place = fixed.worst["wall_normal_deviation_deg"]

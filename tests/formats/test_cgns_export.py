@@ -68,6 +68,7 @@ def test_a_connection_given_backwards(tmp_path):
     [
         Periodicity(translation=(0.0, 0.0, 4.0)),
         Periodicity((0.0, 0.0, 0.0), (0.0, -120.0, 0.0)),
+        Periodicity((1.0, 2.0, 3.0), (10.0, 0.0, 30.0), (4.0, 5.0, 6.0)),
         Periodicity((1.0, 2.0, 3.0), (10.0, 20.0, 30.0), (4.0, 5.0, 6.0)),
     ],
 )
