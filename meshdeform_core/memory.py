@@ -115,7 +115,7 @@ _MOVING = {
     "idw-tfi": Amounts(192e6, 63, 90, 430),
     "rbf": Amounts(196e6, 77, 55, source=6500),
 }
-"""While nodes move; with radial basis functions in any step as ``rbf``."""
+"""While nodes move; other methods, and those with radial basis functions in any step, as ``rbf``."""
 _JUDGING = Amounts(196e6, 52, 175, 170)
 """While the grid is judged: faces get roles, lines at walls and interfaces are measured; the method has been freed."""
 _FIELDS = Amounts(190e6, 205, 165)
@@ -145,11 +145,11 @@ class Work(NamedTuple):
 def deforming(method: str, fields: bool = False, beside: float | None = None) -> Work:
     """A deformation by a method; a repair asks for its own memory when it begins.
 
-    ``fields``: whether any are written; ``beside``: bytes per node for the velocities of a series, ``None`` of a single
-    grid.
+    ``fields``: whether any are written; ``beside``: bytes per node for the velocities of a series, ``None`` without.
     """
-    row = "rbf" if "rbf" in method else method if method in _MOVING else method.split("-")[0]
-    return Work((_MOVING[row], _JUDGING, *([_FIELDS] if fields else [])), 0.0 if beside is None else _LEVELS + beside)
+    first = "rbf" if "rbf" in method else method.split("-")[0]
+    moving = _MOVING.get(method) or _MOVING.get(first, _MOVING["rbf"])
+    return Work((moving, _JUDGING, *([_FIELDS] if fields else [])), 0.0 if beside is None else _LEVELS + beside)
 
 
 def passing(arrays: float) -> Work:

@@ -24,11 +24,11 @@ ALL_METHODS: dict[str, Options] = {
     "rbf-krylov": Options("rbf", rbf=RBF(solver="krylov", tolerance=1e-13)),
     "rbf-tfi": Options("rbf-tfi"),
     "idw-rbf": Options("idw-rbf"),
+    "idw-lie": Options("idw"),
     "idw-none": Options("idw", idw=IDW(rotation="none")),
     "idw-quaternion": Options("idw", idw=IDW(rotation="quaternion")),
     "idw-division": Options("idw", idw=IDW(rotation="division", divisions=8)),
     "idw-blend": Options("idw", idw=IDW(rotation="blend")),
-    "idw-lie": Options("idw"),
     "idw-shepard": Options("idw", idw=IDW(weights="shepard", p_moving=4, p_fixed=3)),
     "idw-tfi": Options("idw-tfi"),
     "idw-tfi-cut": Options("idw-tfi", tfi=TFI(max_cells=2)),
@@ -36,6 +36,10 @@ ALL_METHODS: dict[str, Options] = {
 
 REPEATED = {"rbf-wendland-c0", "rbf-ctps-c1", "rbf-ctps-c2a", "rbf-ctps-c2b"}
 """Methods that differ from others by a formula only, which has tests of its own."""
+FEW = sorted({"idw-quaternion", *{each.name: name for name, each in reversed(ALL_METHODS.items())}.values()})
+"""The first of each method of the catalogue, for tests that take long, and one with a rotation of its own."""
+NO_ROTATION, FRAME_DEPENDENT = {"idw-none"}, {"idw-quaternion", "idw-division"}
+"""What methods do not promise (spec section 10): rotations of the whole boundary; results that no origin changes."""
 
 
 def every(names: Iterable[str], repeated: Iterable[str] = REPEATED) -> pytest.MarkDecorator:

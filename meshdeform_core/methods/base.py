@@ -225,8 +225,12 @@ class PreparedMethod(Protocol):
 
 
 class PreparedInterpolation(Protocol):
-    """A scattered-data method (IDW, RBF) bound to its sources and target nodes; ``account`` and ``warnings_for`` as
-    :class:`PreparedMethod`."""
+    """A scattered-data method (IDW, RBF) bound to the sources of a problem and its target nodes ``flat`` of this rank:
+    coordinates ``problem.grid.nodes.rows[flat]``, rows ``Nodes.of(out).rows[flat]`` of an array ``out`` (n_nodes, 3).
+
+    No target is a source, as :mod:`.composite` sets these. A result that depends on the order of nodes, as of the first
+    of equals, is an error. ``account`` and ``warnings_for`` as of :class:`PreparedMethod`.
+    """
 
     account: Account
 
@@ -244,6 +248,11 @@ class PreparedInterpolation(Protocol):
         """The derivative of the displacement of the targets at a displacement (n_sources, 3).
 
         ``push(change, out)`` writes the change of the nodes into their rows of ``out`` (n_nodes, 3), and
-        ``pull(gradient)`` returns the gradient (n_sources, 3) from these rows.
+        ``pull(gradient)`` returns the gradient (n_sources, 3) from these rows: ``problem.grid.nodes.total`` of what
+        each rank finds from its own.
         """
         ...
+
+
+Bind = Callable[[Problem, IntArray], PreparedInterpolation]
+"""Binds a scattered-data method to a problem and its target nodes: ``bind`` of its options."""

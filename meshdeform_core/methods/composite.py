@@ -19,15 +19,13 @@ from ..boundary.constraints import Layer
 from ..grid import FloatArray, IntArray
 from ..memory import release_freed
 from ..parallel import Nodes
-from .base import Account, Linearised, PreparedInterpolation, PreparedMethod, Problem, Progress
+from .base import Account, Bind, Linearised, PreparedInterpolation, PreparedMethod, Problem, Progress
 from .constraints import BesideSlip, Constraints, add_to_faces, impose, put_on_faces
 from .transfinite.edge_graph import PreparedEdgeGraph
 from .transfinite.tfi import TFI, Skeleton
 
 if TYPE_CHECKING:
     from .scattered.block_rbf import BlockRBF
-    from .scattered.idw import IDW
-    from .scattered.rbf import RBF
 
 
 @dataclass(frozen=True)
@@ -37,7 +35,7 @@ class Composite:
     Without a filler the mover moves every node. ``kind`` of the prepared method, if it is not a plain composite.
     """
 
-    mover: IDW | RBF | None
+    mover: Bind | None
     filler: TFI | BlockRBF | None
     kind: Callable[[Composite, Problem], PreparedComposite] | None = None
 
@@ -54,9 +52,9 @@ class Composite:
         return PreparedPeriodic(problem, first, PreparedComposite(self, guided), guided)
 
 
-def _mover(interpolation: IDW | RBF | None, problem: Problem, flat: IntArray) -> PreparedEdgeGraph | Scattered:
+def _mover(bind: Bind | None, problem: Problem, flat: IntArray) -> PreparedEdgeGraph | Scattered:
     """An interpolation for the nodes ``flat``, or TFI on the edge graph, which moves all face nodes."""
-    return PreparedEdgeGraph(problem) if interpolation is None else Scattered(interpolation, problem, flat)
+    return PreparedEdgeGraph(problem) if bind is None else Scattered(bind(problem, flat), problem, flat)
 
 
 class Scattered:
@@ -65,9 +63,8 @@ class Scattered:
     Interface as :class:`.transfinite.edge_graph.PreparedEdgeGraph`.
     """
 
-    def __init__(self, interpolation: IDW | RBF, problem: Problem, flat: IntArray) -> None:
-        self.problem = problem
-        self.bound: PreparedInterpolation = interpolation.bind(problem, flat)
+    def __init__(self, bound: PreparedInterpolation, problem: Problem, flat: IntArray) -> None:
+        self.problem, self.bound = problem, bound
         self.beside_slip = BesideSlip(problem, flat)
         self.account, self.warnings_for = self.bound.account, self.bound.warnings_for
 

@@ -116,6 +116,7 @@ def test_memory_is_foretold(method, blocks, side, peak):
 
 def test_what_fits_is_kept_in_memory():
     """A grid of 666,057 nodes takes less than 300 MiB, one of 20 million less than 4 GiB."""
+    assert deforming("other") == deforming("other-tfi") == deforming("rbf-tfi")
     assert 232e6 < boxes("tfi", 1, 87).in_memory < 300 * 2**20
     assert 1.6e9 < boxes("idw-tfi", 1, 271).in_memory < 2e9
 

@@ -5,7 +5,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from cases import ALL_METHODS, body_specs, every, everything_moves, problem_of, told, turning
+from cases import ALL_METHODS, FEW, body_specs, every, everything_moves, problem_of, told, turning
 from grids import frame, frame_2d
 
 from meshdeform_core.boundary import BoundarySpec, Kind
@@ -53,9 +53,6 @@ def directions(where):
     smooth = 0.1 * np.sin(1.3 * x[:, [1, 0, 2]] + np.arange(3)) * inside
     rough = np.random.default_rng(5).standard_normal(x.shape) * inside
     return smooth, rough
-
-
-FEW = ("tfi", "rbf-tfi", "idw-rbf", "idw-quaternion", "idw-lie", "idw-tfi")
 
 
 def check(method, at, change):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import ALL_METHODS, REPEATED, apply, body_specs, everything_moves, problem_of, told, turning
+from cases import ALL_METHODS, NO_ROTATION, REPEATED, apply, body_specs, everything_moves, problem_of, told, turning
 from grids import frame, frame_2d, polar
 from scipy.spatial.transform import Rotation
 
@@ -110,7 +110,7 @@ def test_every_parameter_has_a_reason(name):
 ANGLES = (170.0, 180.0 - 1e-7, 180.0, 180.0 + 1e-7, 190.0, 360.0, 540.0)
 AXES = ((0, 0, 1), (1, 2, 3))
 CENTRE = np.array([0.3, 0.2, 0.1])
-TURNING = sorted(ALL_METHODS.keys() - REPEATED - {"idw-none"})
+TURNING = sorted(ALL_METHODS.keys() - REPEATED - NO_ROTATION)
 
 
 def turned(x: np.ndarray, degrees: float, axis=(0, 0, 1)) -> np.ndarray:

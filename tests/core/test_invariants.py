@@ -5,7 +5,7 @@ import functools
 
 import numpy as np
 import pytest
-from cases import ALL_METHODS, INNER, apply, body_specs, every, problem_of, turning
+from cases import ALL_METHODS, FRAME_DEPENDENT, INNER, NO_ROTATION, apply, body_specs, every, problem_of, turning
 from grids import frame, frame_2d, permuted, polar, turn_back
 
 from meshdeform_core.boundary import BoundarySpec, Kind
@@ -18,10 +18,7 @@ XYZ = {"x", "y", "z"}
 ROTATION = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
 ROTATION *= np.sign(np.linalg.det(ROTATION))
 
-NO_ROTATION = {"idw-none"}
-# These turn about the origin of coordinates; all others are frame independent (spec section 10).
 RBF_ALONE = {name for name in ALL_METHODS if name.startswith("rbf-")}
-FRAME_DEPENDENT = {"idw-quaternion", "idw-division"}
 # Solutions of linear systems carry the round-off of their condition.
 SOLVED = RBF_ALONE | {"idw-rbf"}
 

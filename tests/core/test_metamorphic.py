@@ -15,7 +15,7 @@ from meshdeform_core.boundary.motions.motion import Motion
 from meshdeform_core.deform import Case, deform
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid
-from meshdeform_core.methods import Problem
+from meshdeform_core.methods import Problem, make_method
 from meshdeform_core.repair import RepairOptions
 
 XYZ = {"x", "y", "z"}
@@ -23,7 +23,7 @@ SPAN = BoundarySpec("span", ("*.kmin", "*.kmax"), Kind.SLIP)
 WALL = ("block2.imax", "block4.jmax", "block5.jmin", "block7.imin")
 AWAY = np.array([1.0, -0.7, 0.3])
 # Methods that blend between the faces of blocks: other blocks, other results.
-BY_BLOCKS = {"tfi", "rbf-tfi", "idw-tfi", "idw-tfi-cut", "idw-rbf"}
+BY_BLOCKS = {name for name, each in ALL_METHODS.items() if make_method(each).filler}
 
 
 def displaced(grid: Grid, name: str, motion: Motion, wall: tuple[str, ...] = WALL) -> np.ndarray:

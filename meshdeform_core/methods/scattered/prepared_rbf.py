@@ -279,16 +279,8 @@ class PreparedRBF:
             return Coefficients(here, *self.system.solve(values, self.account, progress))
         by_height, report = o.greedy_error == "first-cell", of_stage(progress, "greedy")
         scale = self.problem.first_cell_height[self.images.owner] if by_height else np.ones(len(values))
-        given = (
-            here,
-            self.centres.polynomial(here),
-            values,
-            scale,
-            o.greedy_tolerance,
-            o.greedy_updates or len(values),
-            report,
-        )
-        found = self.problem.grid.nodes.ranks.on_first(partial(select, self.kind, *given))
+        given = here, self.centres.polynomial(here), values, scale, o.greedy_tolerance, o.greedy_updates or len(values)
+        found = self.problem.grid.nodes.ranks.on_first(partial(select, self.kind, *given, report))
         unit = "first-cell heights" if by_height else "length unit"
         self.account.settings |= {
             "greedy": Setting(o.greedy),
