@@ -213,7 +213,7 @@ def convert_command(source: GridInput, target: Path, reference: Path | None, run
     from meshdeform_formats.grids import FORMATS, complete_for_export, format_of, read_grid, write_grid
     from meshdeform_formats.inputs import existing
 
-    keeps_boundaries, options, fields = FORMATS[format_of(target)].boundaries, run.variant_options, run.fields
+    entry, options, fields = FORMATS[format_of(target)], run.variant_options, run.fields
     check_output(target, run.force, [*source.files, ("reference", reference)])
     check_fields(fields, target, reference is not None)
     sources = [source, *([GridInput(reference)] if reference else [])]
@@ -227,7 +227,7 @@ def convert_command(source: GridInput, target: Path, reference: Path | None, run
             progress("quality", 0, 0)
             grid = with_fields(CellFields.of(grid, None if reference is None else read_grid(reference)), fields)
         boundaries, write_boundaries = target.with_suffix(".nmf"), None
-        if not keeps_boundaries and (grid.patches or grid.connections):
+        if (grid.patches and not entry.patches) or (grid.connections and not entry.connections):
             write_boundaries = _write_boundaries(grid, boundaries, target, run.force, source.files)
         with stage("write"):
             written = write_grid(grid, target, options)

@@ -17,7 +17,7 @@ from meshdeform_core.quality.fields import CELL_MEASURES, CellFields
 
 from .grids import FORMATS
 
-WITH_FIELDS = (*FORMATS["vtk"].suffixes, *FORMATS["cgns"].suffixes, ".vtu")
+WITH_FIELDS = (*(suffix for entry in FORMATS.values() if entry.fields for suffix in entry.suffixes), ".vtu")
 """Suffixes of formats that hold fields."""
 INVALID, DISPLACEMENT, ALL = "invalid", "displacement", "all"
 
@@ -35,9 +35,8 @@ def check_fields(names: Sequence[str], target: Path, compared: bool) -> None:
     """
     for name in names:
         if name not in _KNOWN:
-            raise CaseError(
-                f"--field {name!r} is unknown{suggestion(name, _KNOWN) or '; known are ' + ', '.join(_KNOWN)}"
-            )
+            near = suggestion(name, _KNOWN) or f"; known are {', '.join(_KNOWN)}"
+            raise CaseError(f"--field {name!r} is unknown{near}")
         if name in CELL_MEASURES and CELL_MEASURES[name].from_reference and not compared:
             raise CaseError(f"--field {name} needs the undeformed grid; give --reference")
     if names and target.suffix.lower() not in WITH_FIELDS:
@@ -56,12 +55,8 @@ def with_fields(cells: CellFields, names: Sequence[str]) -> Grid:
     if not names:
         return grid
     compared, walls = cells.reference is not None, len(cells.walls) > 0
-    measured = [
-        name
-        for name, measure in CELL_MEASURES.items()
-        if (compared or not measure.from_reference) and (walls or not measure.of_walls)
-    ]
-    wanted = list(dict.fromkeys(each for name in names for each in ([*measured, INVALID] if name == ALL else [name])))
+    able = [n for n, m in CELL_MEASURES.items() if (compared or not m.from_reference) and (walls or not m.of_walls)]
+    wanted = list(dict.fromkeys(each for name in names for each in ([*able, INVALID] if name == ALL else [name])))
     kept = (field for field in grid.fields if field.name not in wanted)
     return dataclasses.replace(grid, fields=(*kept, *(f for name in wanted for f in _fields(cells, name))))
 

@@ -1,7 +1,4 @@
-"""Choice of the format: by content when reading, by suffix when writing; block sizes without reading the whole file.
-
-Coordinates from any format must be plausible.
-"""
+"""Choice of the format: by content when reading, by suffix when writing; block sizes; coordinates must be plausible."""
 
 from __future__ import annotations
 
@@ -31,18 +28,25 @@ from .files import LARGEST, read_head
 class Format:
     """One row of the format table.
 
-    The module defines ``read(path, ranks) -> Grid`` (absent for write-only formats), ``layout(path)``, which returns
-    shapes and ``FileFormat`` if the header determines them, otherwise ``None``, ``variant(grid, path, options) ->
-    FileFormat``, which decides how to write, and ``write(grid, path, variant) -> None``, which replaces ``path`` as a
-    whole or leaves it unchanged (see :func:`meshdeform_formats.files.replacing`). ``together``: all ranks call
-    ``write`` and share the work. ``boundaries``: files hold patches and connections.
+    The module defines ``variant(grid, path, options) -> FileFormat``, which decides how to write, by default in
+    ``grid.precision``; ``write(grid, path, variant) -> None``, which replaces ``path`` as a whole or leaves it
+    unchanged; and, unless it is only written like :mod:`.unstructured`, ``read(path, ranks) -> Grid`` and
+    ``layout(path)``, which returns shapes and ``FileFormat`` if the header determines them, otherwise ``None``.
+    ``FileFormat``, ``Patch``, ``Window`` and ``Connection`` are in :mod:`meshdeform_core.grid.parts`; a block has the
+    coordinates ``grid.block(n)`` (ni, nj, nk, 3).
+
+    ``together``: all ranks call ``write`` and share the work; ``patches``, ``fields``: files hold them;
+    ``connections``: how files join blocks, ``declared`` one to one (found from the coordinates if the grid declares
+    none), ``merged`` where coincident nodes are one, or not at all.
     """
 
     module: str
     suffixes: tuple[str, ...]
     title: str
     together: bool = False
-    boundaries: bool = True
+    patches: bool = True
+    connections: str = "merged"
+    fields: bool = False
 
     def load(self) -> ModuleType:
         return importlib.import_module(f"{__package__}.{self.module}")
@@ -51,10 +55,12 @@ class Format:
 FORMATS: dict[str, Format] = {
     "plot3d": Format(
         "plot3d", (".xyz", ".x", ".g", ".p3d", ".p2d", ".fmt", ".p2dfmt", ".p3dfmt", ".p3dbin", ".p2dbin", ".grd",
-                   ".bin"), "Plot3D, all variants", together=True, boundaries=False,
+                   ".bin"), "Plot3D, all variants", together=True, patches=False, connections="",
     ),
-    "cgns": Format("cgns", (".cgns", ".hdf", ".hdf5", ".adf"), "CGNS, HDF5 and ADF (ADF read-only)", together=True),
-    "vtk": Format("vtk", (".vtk", ".vts", ".vtm"), "VTK legacy, .vts, .vtm structured grids", True, boundaries=False),
+    "cgns": Format("cgns", (".cgns", ".hdf", ".hdf5", ".adf"), "CGNS, HDF5 and ADF (ADF read-only)", together=True,
+                   connections="declared", fields=True),
+    "vtk": Format("vtk", (".vtk", ".vts", ".vtm"), "VTK legacy, .vts, .vtm structured grids", together=True,
+                  patches=False, connections="", fields=True),
     "openfoam": Format("openfoam.format", (".foam",), "OpenFOAM: blockMeshDict (read), polyMesh (written)"),
     "meshio": Format("unstructured", (".vtu", ".su2", ".msh", ".inp", ".med"), "unstructured, write-only"),
 }  # fmt: skip
@@ -153,8 +159,7 @@ def _on_one_line(points: FloatArray) -> bool:
     length = float(lengths.max())
     if length == 0:
         return True
-    off = np.linalg.norm(np.cross(offsets / length, farthest / length), axis=1)
-    return bool(off.max() < _ON_LINE)
+    return bool(np.linalg.norm(np.cross(offsets / length, farthest / length), axis=1).max() < _ON_LINE)
 
 
 @dataclass(frozen=True)
@@ -193,24 +198,24 @@ def complete_for_export(grid: Grid, path: Path) -> Grid:
     """The grid, ready to be written to ``path``: with interfaces found from the coordinates if the format holds
     connections and the grid declares none, and with a note of the data that the format cannot hold: fields, IBLANK and
     solutions, but for fields computed for the file itself (``--field``)."""
-    kind, own = format_of(path), grid.format is not None and grid.format.name == "cgns"
+    name, source = format_of(path), grid.format.name if grid.format else ""
     blocks = Counter((field.location, field.name) for field in grid.fields)
     lost = []
     for field in grid.fields:
-        kept = kind in ("vtk", "cgns") or (kind == "plot3d" and field.blanks)
+        kept = FORMATS[name].fields or (name == "plot3d" and field.blanks)
         if path.suffix.lower() == ".vtu":
             kept = field.location in ("node", "cell") and blocks[field.location, field.name] == grid.n_blocks
         if not kept:
             lost.append(field.name.upper() if field.blanks else field.name)
     names = list(dict.fromkeys(lost))
-    if own and kind != "cgns" and grid.path is not None:
+    if source == "cgns" != name and grid.path is not None:
         from .cgns.format import solutions
 
         names += solutions(grid.path)
     if names:
         note = f"{path.suffix} files cannot hold these data of the grid, which are not written: {listed(names)}"
         grid = dataclasses.replace(grid, notes=(*grid.notes, note))
-    if kind != "cgns" or grid.connections or own:
+    if FORMATS[name].connections != "declared" or grid.connections or source == name:
         return grid
     from meshdeform_core.grid.connections import find_interfaces
     from meshdeform_core.grid.topology import find_topology

@@ -13,7 +13,7 @@ from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.quality.fields import CELL_MEASURES, CellFields
 from meshdeform_formats import fields
 from meshdeform_formats.fields import WITH_FIELDS, check_fields, with_fields
-from meshdeform_formats.grids import complete_for_export, read_grid, write_grid
+from meshdeform_formats.grids import FORMATS, complete_for_export, read_grid, write_grid
 
 
 def moved(grid: Grid) -> CellFields:
@@ -83,12 +83,12 @@ def test_refusals(tmp_path):
         check_fields(["all", "f_skew"], tmp_path / f"a{suffix}", False)
 
 
-ALL = (".xyz", ".cgns", ".vtm", ".foam", ".su2", ".msh", ".inp", ".vtu")
+ALL = [*(entry.suffixes[0] for entry in FORMATS.values()), ".su2", ".msh", ".inp"]
 KEPT = {
-    "iblank": (".xyz", ".cgns", ".vtm", ".vtu"),
-    "pressure": (".cgns", ".vtm", ".vtu"),
-    "some": (".cgns", ".vtm"),
-    "flux": (".cgns", ".vtm"),
+    "iblank": (".xyz", ".cgns", ".vtk", ".vtu"),
+    "pressure": (".cgns", ".vtk", ".vtu"),
+    "some": (".cgns", ".vtk"),
+    "flux": (".cgns", ".vtk"),
 }
 
 
