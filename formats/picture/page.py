@@ -20,7 +20,7 @@ from meshdeform_core.quality.fields import CELL_MEASURES
 from ..files import replacing
 from .raster import render
 from .scene import Facets, Scene, Window
-from .subject import AROUND_ONE, OF_CORNERS
+from .subject import OF_CORNERS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -75,7 +75,7 @@ class Scale:
         from matplotlib.colors import LogNorm, Normalize
 
         low, high = self.limits or (None, None)
-        colours = DIVERGING if self.metric in AROUND_ONE else SEQUENTIAL
+        colours = DIVERGING if CELL_MEASURES[self.metric].worst == "far" else SEQUENTIAL
         return ScalarMappable((LogNorm if self.logarithmic else Normalize)(low, high, clip=True), colours)
 
     def colours(self, facets: Facets) -> FloatArray:
@@ -108,7 +108,7 @@ class Scale:
         if self.metric in _WITHIN_ONE and not self.logarithmic:
             # The good end stays, the other follows the data.
             return 1.0 - next(reach for reach in _REACHES if reach >= 1.0 - max(low, 0.0) - 1e-9), 1.0
-        if self.metric in AROUND_ONE:
+        if CELL_MEASURES[self.metric].worst == "far":
             # The neutral value in the middle.
             factor, reach = max(high, 1.0 / low if low else 0.0, 1.001), max(high - 1.0, 1.0 - low, 1e-3)
             return (1.0 / factor, factor) if self.logarithmic else (1.0 - reach, 1.0 + reach)

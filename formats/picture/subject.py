@@ -14,19 +14,12 @@ from meshdeform_core.grid.faces import Face, Role, Surface, thin_direction
 from meshdeform_core.grid.planes import Plane
 from meshdeform_core.numerics.arrays import extent
 from meshdeform_core.numerics.geometry.vectors import doubled_areas
-from meshdeform_core.quality.fields import CellFields, Cells
+from meshdeform_core.quality.fields import CELL_MEASURES, CellFields, Cells
 
 _ROUND_OFF = 1e-9
 _ALONG = 1 - 1e-6
 OF_CORNERS = ("f_skew", "scaled_jacobian", "jacobian")
 """Measures of corners: zero at collapsed edges, whatever the shape of the cell."""
-AROUND_ONE = ("volume_ratio", "first_cell_height_ratio")
-"""Measures whose neutral value is 1."""
-_RISING = (
-    "displacement", "aspect_ratio", "growth_ratio", "non_orthogonality_deg", "skewness", "wall_normal_deviation_deg",
-    "interface_kink_deg", "interface_spacing_jump",
-)  # fmt: skip
-"""Measures of which large values are bad."""
 
 
 @dataclass(frozen=True)
@@ -155,18 +148,18 @@ def quads_of_surfaces(surfaces: Iterable[Surface]) -> IntArray:
 def worst_cell(subject: Subject, metric: str) -> tuple[int, Shape]:
     """Block and cell (0-based) where a metric is worst; among invalid cells the one with the worst corner.
 
-    Worst is the smallest value, for rising measures the largest, for ratios the one farthest from 1.
+    Worst is what the row of the measure in ``CELL_MEASURES`` says.
     """
     # Badness (smallest is worst), block and place among the cells that this rank holds.
-    best = (np.inf, 0, (0, 0, 0))
+    best, worst = (np.inf, 0, (0, 0, 0)), CELL_MEASURES[metric].worst
     with subject.ready(metric):
         for block in range(subject.grid.n_blocks):
             cells = subject.own(block, subject.whole(block))
             if cells[0].start == cells[0].stop:
                 continue
             values, bad = subject.shown(metric, block, cells), subject.bad(block, cells)
-            rank = -values if metric in _RISING else values
-            if metric in AROUND_ONE:
+            rank = -values if worst == "large" else values
+            if worst == "far":
                 rank = -np.abs(np.log(np.maximum(values, 1e-300)))
             rank = np.where(np.isfinite(values), rank, np.inf)
             if bad.any():

@@ -23,7 +23,7 @@ def measure_block(x: FloatArray, sign: float, plane_normal: FloatArray | None) -
     """Measures (ci, cj, ck) of the cells of a block ``x`` (ni, nj, nk, 3) of handedness ``sign``, in 2-D with the
     normal of the plane; ``jacobian`` is the smallest of each cell."""
     shape, side = [max(n - 1, 1) for n in x.shape[:3]], positive_side(x.shape[1] == 1, sign, plane_normal)
-    found = CellMeasures(*np.empty((4, *shape)))
+    found = CellMeasures(*np.empty((len(CellMeasures._fields), *shape)))
     step = max(1, _TOGETHER // (shape[1] * shape[2]))
     for lo in range(0, shape[0], step):
         measured = measure_cells(cell_corners(x[lo : lo + step + 1]), side)
@@ -76,11 +76,7 @@ def slabs(grid: Grid) -> list[Slab]:
     return found
 
 
-def for_slabs(
-    grid: Grid,
-    work: Callable[[int, Slab], None],
-    per_slab: Sequence[np.ndarray] = (),
-) -> None:
+def for_slabs(grid: Grid, work: Callable[[int, Slab], None], per_slab: Sequence[np.ndarray] = ()) -> None:
     """Call ``work(number, slab)`` for every slab, on several threads; if the grid is in parts, for those of this rank.
 
     It may fill the slab's cells in arrays from :func:`cells_alike`, and its row in ``per_slab`` (n_slabs, ...), which

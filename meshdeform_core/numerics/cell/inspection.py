@@ -42,7 +42,8 @@ N = 1024
 NODES, LONGEST = N - 2 * WIDTH, 160
 # Rows of edges, each x, y, z, 1 / length: along i from one plane to the next, along j and k in both planes.
 ALONG_I, ALONG_J, ALONG_K, PLANE, ROWS = 0, 4, 8, 8, 20
-SKEW, SCALED, RATIO, CHANGE, OPEN, RESULTS = 0, 1, 2, 3, 4, 5
+# Rows of results: measures, as many as OPEN says, and which cells are left open.
+SKEW, SCALED, RATIO, CHANGE, OPEN, RESULTS = range(6)
 # Vectors of measures of sixteen cells: eight corner Jacobians, these divided by the edge lengths, the smallest of each
 # kind, volume, f_skew.
 _JACOBIAN, _UNIT, _LEAST, _LEAST_UNIT, _VOLUME, _SKEW, _FIGURES = 0, 8, 16, 17, 18, 19, 20
@@ -183,10 +184,8 @@ def compare_cells(
     r.store(m, t.load(new, _VOLUME * WIDTH) / volume_old, CHANGE * N)
     longest = [1.0 / a.min(b).min(c.min(d)) for a, b, c, d in ([edge[3] for edge in x.values()] for x in (u, v, w))]
     # Differences of parallel edges one step apart along another index: u along j and k, v along k.
-    ab, ac, bc = (
-        _twist(u, 0) + longest[0] * _ROUNDING, _twist(u, 1) + longest[0] * _ROUNDING,
-        _twist(v, 1) + longest[1] * _ROUNDING,
-    )  # fmt: skip
+    ab, ac = (_twist(u, along) + longest[0] * _ROUNDING for along in (0, 1))
+    bc = _twist(v, 1) + longest[1] * _ROUNDING
     twists = (ab * ac * longest[0] + ab * bc * longest[1] + ac * bc * longest[2]) * 0.5
     sound = twists.below(least * _MARGIN) & _above(t.load(new, _LEAST_UNIT * WIDTH), _FLAT) & _above(least, _TINY)
     # Undeformed cells that are too flat, too small or too distorted for single precision have no ratio.
@@ -259,7 +258,7 @@ def inspect_hexahedra(before, x, compare, sign, scale, i0, i1, out, is_open, tot
     compare : whether ``before`` is another grid; otherwise RATIO and CHANGE are one
     sign : handedness of the block
     scale : one over the size of a cell (1 / length); cells of 1e-10 to 1e10 times that size are judged at once
-    out : (4, i1 - i0, cj, ck) float32, out: SKEW f_skew (see :mod:`.measures`), SCALED smallest scaled corner Jacobian,
+    out : (OPEN, i1 - i0, cj, ck) float32: SKEW f_skew (see :mod:`.measures`), SCALED smallest scaled corner Jacobian,
         RATIO smallest corner Jacobian relative to the undeformed one, CHANGE volume relative to the undeformed one
     is_open : (i1 - i0, cj, ck) bool, out: cells neither proved sound nor measured, left to the double-precision pass
     totals : (n,), added to, of the cells that are not open: sums of 1 / f_skew and of f_skew; in the last 20 places a
