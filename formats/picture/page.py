@@ -112,7 +112,9 @@ class Scale:
             # The neutral value in the middle.
             factor, reach = max(high, 1.0 / low if low else 0.0, 1.001), max(high - 1.0, 1.0 - low, 1e-3)
             return (1.0 / factor, factor) if self.logarithmic else (1.0 - reach, 1.0 + reach)
-        return low, high
+        # A single value is in the middle, too.
+        around = (0.1 * abs(low) or 0.1) if high - low <= 1e-12 * abs(low) else 0.0
+        return low - around, high + around
 
 
 @dataclass(frozen=True)

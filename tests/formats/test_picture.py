@@ -151,12 +151,13 @@ def test_collapsed_edges_alone_are_not_invalid():
 def test_ranges_follow_the_data():
     values = np.array([0.87, 0.93, 0.99])
     assert Scale().fitted(values).limits == (0.8, 1.0)
-    lows = [scale_of("f_skew", 1 - spread * values).limits[0] for spread in (0.0, 0.005, 0.01, 0.05)]
-    assert lows == [0.99, 0.99, 0.99, 0.95]
+    assert [scale_of("f_skew", 1 - n * values).limits[0] for n in (0.0, 0.005, 0.01, 0.05)] == [0.99, 0.99, 0.99, 0.95]
     assert scale_of("volume", values).limits == (0.87, 0.99)
     assert scale_of("volume_ratio", np.array([0.5, 1.2])).limits == (0.5, 1.5)
     assert scale_of("volume_ratio", np.array([0.5, 4.0]), logarithmic=True).limits == (0.25, 4.0)
     assert scale_of("volume", values, (0.9, 2.0)).extended == "min"
+    shades = [float(scale_of("volume", np.full(2, one)).mappable.norm(one)) for one in (1.0, 0.0, -3.0)]
+    assert shades == pytest.approx([0.5, 0.5, 0.5])
     with pytest.raises(CaseError, match="no positive value"):
         scale_of("displacement", np.zeros(3), logarithmic=True)
 
