@@ -27,9 +27,9 @@ class Quality:
     Kink and spacing jump of a deformed grid are changes against its original. ``None`` where the grid has no moving
     wall or no interface; ``walls`` has the measures of ``moving`` and of ``fixed`` walls. ``min_relative_jacobian`` is
     the smallest corner Jacobian relative to the undeformed one, collapsed corners aside. ``worst`` names the cells with
-    the extremes: ``f_skew``, ``min_scaled_jacobian``, ``min_relative_jacobian``, ``wall_normal_deviation_deg``,
-    ``first_cell_height_ratio_min`` and ``_max``, ``interface_kink_deg``, ``interface_spacing_jump``,
-    ``volume_ratio_min`` and ``_max``; before only the first two. A measure with the same value everywhere has none.
+    the extremes: those of :data:`.validity.EXTREMES`, before only of measures that do not compare;
+    ``wall_normal_deviation_deg``, ``first_cell_height_ratio_min`` and ``_max``, ``interface_kink_deg``,
+    ``interface_spacing_jump``. A measure with the same value everywhere has none.
     """
 
     f_skew: Skew

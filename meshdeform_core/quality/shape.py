@@ -48,8 +48,8 @@ def shape_measures(grid: Grid) -> dict[str, ShapeMeasure | FacePyramids]:
 
     Collapsed edges and faces have no ratio or direction and are skipped.
     """
-    best, cells = np.full(6, -np.inf), [0] * 6
-    total, count = np.zeros(6), np.zeros(6, dtype=np.int64)
+    kinds = len(DEFINITIONS) + 2
+    best, cells, total, count = np.full(kinds, -np.inf), [0] * kinds, np.zeros(kinds), np.zeros(kinds, dtype=np.int64)
     thickness, sign = thickness_of(grid), block_handedness(grid)
     for slab in slabs(grid):
         # With one more layer, to which those of the slab are neighbours.
@@ -77,7 +77,7 @@ def shape_measures(grid: Grid) -> dict[str, ShapeMeasure | FacePyramids]:
 def shape_of_cells(
     grid: Grid, block: int, cells: tuple[slice, slice, slice], thickness: FloatArray | None, sign: float
 ) -> FloatArray:
-    """The measures of :data:`DEFINITIONS` of a box of cells with explicit ends, (ci, cj, ck, 4).
+    """The measures of :data:`DEFINITIONS` of a box of cells with explicit ends, (ci, cj, ck, n).
 
     For measures between neighbours a cell gets the largest value of its faces. ``thickness`` is that of a plane grid,
     ``sign`` the handedness of the block.
@@ -87,7 +87,7 @@ def shape_of_cells(
     high = [min(c.stop + 1, n) for c, n in zip(cells, grid.cell_shapes[block], strict=True)]
     window = [slice(a, min(b + 1, n)) for a, b, n in zip(low, high, grid.shapes[block], strict=True)]
     around, resolved = _solid(grid, block, grid.box(block, window), thickness)
-    values = np.zeros((*(n - 1 for n in around.shape[:3]), 4))
+    values = np.zeros((*(n - 1 for n in around.shape[:3]), len(DEFINITIONS)))
     for number, axis, found in measure_shape(around, resolved, sign):
         if number >= len(DEFINITIONS):
             continue
