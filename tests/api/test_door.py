@@ -188,9 +188,6 @@ def test_a_case_may_be_made_of_python_objects():
 
 
 WRONG_DISPLACEMENTS = {
-    "rows": lambda d: d[:5],
-    "columns": lambda d: d[:, :2],
-    "nan": lambda d: d * np.nan,
     "complex": lambda d: d.astype(complex),
     "masked": lambda d: np.ma.masked_where(d > 0, d),
     "ragged": lambda d: [[0.0, 1.0, 2.0], [0.0]],

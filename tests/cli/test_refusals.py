@@ -195,8 +195,6 @@ CASES = {
     # formulas
     "formula-name": (moved("q*x"), ("unknown name 'q'", "known are")),
     "formula-time-in-where": (SHIFT.replace("abs(x) < 0.51", "t < 1"), ("where", "unknown name 't'")),
-    # formulas that reach for Python
-    "python-attribute": (moved("x.__class__"), ("x.__class__", "not allowed")),
     # selections
     "select-unknown": (SHIFT.replace('"*"]', '"wing"]'), ("'wing'", "no named patches", "block1.imin")),
     "where-nan": (SHIFT.replace("abs(x) < 0.51", "sqrt(-1) > 0"), ("where", "is not a number")),

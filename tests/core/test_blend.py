@@ -192,6 +192,15 @@ def test_edges_that_close_in_themselves_move_with_their_vertex():
     np.testing.assert_allclose(moved[:, 0], STRETCH * grid.points[:, 0] / 3, atol=1e-13)
 
 
+def test_both_edges_between_two_vertices_are_moved():
+    """Two layers of half rings in a plane, between which two edges join the same vertices."""
+    turn, r = np.meshgrid(np.linspace(0, np.pi, 7), np.linspace(1.0, 2.0, 4), indexing="ij")
+    halves = [np.stack([r * np.cos(turn), sign * r * np.sin(turn), 0 * r], -1)[:, :, None] for sign in (1, -1)]
+    problem = problem_of(Grid.from_blocks([layer * half for layer in (1.0, 2.0) for half in halves]))
+    moved = apply(Options("tfi"), problem, lambda x: 0.0 * x + [0.1, 0.2, 0.0])
+    assert np.abs(moved - [0.1, 0.2, 0.0]).max() < 1e-14
+
+
 def arc(cells, degrees):
     """A block whose lines along i turn by an angle in all, evenly."""
     angle, radius, z = np.deg2rad(np.linspace(0.0, degrees, cells + 1)), np.linspace(1.0, 2.0, 5), np.arange(3.0)

@@ -8,7 +8,7 @@ import pytest
 from cases import apply, body_specs, constant, formulas, problem_of, turning
 from grids import frame, frame_2d, polar
 
-from meshdeform_core.boundary import UNSELECTED, BoundarySpec, Kind, classify
+from meshdeform_core.boundary import UNSELECTED, BoundarySpec, Kind
 from meshdeform_core.boundary.classification import prescribed_displacement, with_plates
 from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.boundary.motions.motion import Follow, Motion
@@ -20,6 +20,7 @@ from meshdeform_core.grid.planes import plane_normal
 from meshdeform_core.grid.selection import select_quads
 from meshdeform_core.grid.topology import find_topology
 from meshdeform_core.methods import IDW, Options
+from meshdeform_core.repair.constraints import Constraints
 
 FRAME = frame()
 XYZ = {"x", "y", "z"}
@@ -108,6 +109,8 @@ def test_one_cell_thick_grids_slide_on_their_end_planes():
     problem = problem_of(thin, body_specs(MOVE)[:1])
     assert {p.name: p.kind for p in problem.boundary.patches}["(end planes)"] is Kind.SLIP
     assert any("one cell thick" in note for note in problem.boundary.notes)
+    two = Grid.from_blocks([thin.block(b) + [0.0, 0.0, z] for b in range(8) for z in (0.0, 1.0)])
+    assert {p.name for p in problem_of(two, body_specs(MOVE)[:1]).boundary.patches} == {"body", UNSELECTED}
 
 
 def test_table_on_a_wall_that_moves_already_names_both():
@@ -182,11 +185,15 @@ def test_nodes_at_the_rim_of_a_curved_slip_surface_follow_the_wall():
     np.testing.assert_allclose(moved[:, 0, :, 1], 1e-3 * np.sin(6 * moved[:, 0, :, 0]), atol=1e-4)
 
 
-def test_creases_of_slip_surfaces_at_moving_walls_are_named():
-    grid, specs = box_with_curved_sides(lambda x: 0.5 * np.abs(x - 0.5))
-    (crease,) = classify(grid, find_topology(grid), specs, {}).notes
+def test_creases_of_slip_surfaces_are_named_at_moving_walls_and_held_in_repairs():
+    grid, specs = box_with_curved_sides(lambda x: 0.8 * np.abs(x - 0.5))
+    setup = set_up(grid, Case(tuple(specs)))
+    (crease,) = setup.boundary.notes
     assert "'sides' has creases of more than 30 degrees" in crease
     assert "at 2 nodes, first block1 (6, 1, 1)" in crease
+    nodes = np.arange(11**3).reshape(11, 11, 11)[4:7, 0, 1:-1]
+    held = Constraints.of(setup.original, setup.boundary).held
+    np.testing.assert_array_equal(held[setup.topology.numbers_of(nodes)], np.repeat([[False], [True], [False]], 9, 1))
 
 
 def test_fixed_faces_torn_at_a_moving_edge_are_named():

@@ -202,15 +202,19 @@ def test_plate_without_thickness_does_not_cross_itself():
 def test_faces_that_abut_without_matching_are_no_crossing():
     """Two blocks side by side with other numbers of cells on a curved interface; both move alike, and differently."""
 
-    def block(cells, low, high):
-        line = np.linspace(0.0, 1.0, cells + 1)
-        x = block_around(np.linspace(low, high, 4), line, line)
-        x[..., 0] += 0.1 * np.sin(3.0 * x[..., 1])
-        return x
+    def blocks(bend):
+        for cells, low, high in ((8, 0.0, 1.0), (13, 1.0, 2.0)):
+            line = np.linspace(0.0, 1.0, cells + 1)
+            x = block_around(np.linspace(low, high, 4), line, line)
+            x[..., 0] += bend * np.sin(3.0 * x[..., 1])
+            yield x
 
-    grid = Grid.from_blocks([block(8, 0.0, 1.0), block(13, 1.0, 2.0)])
-    setup = set_up(grid, Case((moving("all", "*", turning(40.0)),)))
+    setup = set_up(Grid.from_blocks([*blocks(0.1)]), Case((moving("all", "*", turning(40.0)),)))
     assert crossings(setup) == ()
+    # A bar that touches nothing comes to lie across a plane interface, and only there.
+    bar = block_around(np.linspace(3.0, 4.0, 4), *[np.linspace(0.3, 0.7, 4)] * 2)
+    through = moving("all", "*", formulas("where(x > 2.5, -2.5, 0)", "0", "0"))
+    assert crossings(set_up(Grid.from_blocks([*blocks(0.0), bar]), Case((through,))))
 
 
 @pytest.mark.parametrize("grid", [frame(), frame_2d()], ids=["frame", "frame-2d"])

@@ -17,9 +17,11 @@ from meshdeform_core.methods.scattered.summation import doubtful
 from meshdeform_core.numerics.exact.basis import BASES
 from meshdeform_core.numerics.exact.direct import sum_groups
 from meshdeform_core.numerics.exact.radial import radial_sums
+from meshdeform_core.numerics.fastsum.clusters import build_tree
 from meshdeform_core.numerics.fastsum.plan import sum_single
 from meshdeform_core.numerics.fastsum.radial import FastRadial, make_radial_targets
-from meshdeform_core.numerics.fastsum.targets import node_sizes, shape_table
+from meshdeform_core.numerics.fastsum.targets import make_targets, node_sizes, shape_table
+from meshdeform_core.numerics.fastsum.weighted import Accuracy, FastSums
 
 VARIANTS = {
     "none": {"rotation": "none"},
@@ -190,6 +192,20 @@ def _exact(targets, sources, charges, a, kappa):
     r = np.linalg.norm(targets[:, None] - sources, axis=2)
     weights = r**-a + kappa * r**-5.0
     return weights @ charges, weights @ np.abs(charges)
+
+
+def test_what_acts_on_whole_regions_only_reaches_their_nodes():
+    """All sources are far: none acts on the bricks of a region or on their nodes."""
+    axis, random = np.linspace(0.0, 1.0, 21), np.random.default_rng(2)
+    points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    sources, values = 9.0 + random.random((900, 3)), random.standard_normal((2, 900))
+    targets = make_targets(points, [(21, 21, 21)], np.array([0, 9261]), np.arange(9261), 3)
+    fast = FastSums(np.ones(900), [np.arange(900)], [build_tree(sources, 3)], targets, 0)
+    fast.prepare([(3.0, 5.0, 0.3)], np.ones(900), np.zeros(900), np.ones(900, dtype=bool), Accuracy(1e-3, False, False))
+    found = np.empty((9261, 3))
+    fast.apply(values, lambda _, flat, sums: found.__setitem__(flat, sums))
+    wanted, size = _exact(points, sources, np.vstack([np.ones(900), values]).T, 3.0, 0.3)
+    assert np.abs((found - wanted) / size).max() < 1e-3
 
 
 @pytest.mark.parametrize("a", [3.0, 4.0])

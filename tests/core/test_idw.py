@@ -59,18 +59,6 @@ def test_slow_twin(name, grid):
     np.testing.assert_allclose(moved[targets], expected, atol=1e-12)
 
 
-def test_division_converges_to_lie_as_one_over_m():
-    problem = problem_of(frame(), body_specs(turning(30, center=(0.4, -0.3, 0.0))))
-    displacement = told(problem)
-    lie = apply(Options("idw", idw=IDW(remove_mean=False, smoothing=0, a=3.0, transition=0)), problem, displacement)
-    errors = []
-    for m in (10, 20, 40):
-        moved = apply(Options("idw", idw=IDW(rotation="division", divisions=m)), problem, displacement)
-        errors.append(np.abs(moved - lie).max())
-    orders = np.log2(np.array(errors[:-1]) / errors[1:])
-    assert np.all((orders > 0.9) & (orders < 1.1))
-
-
 @pytest.mark.parametrize("name", ["idw", "idw-tfi"])
 @pytest.mark.parametrize(
     "grid", [polar(), Grid.from_blocks([block_around(np.linspace(0, 9, 19), *[np.linspace(0, 1, 5)] * 2)])]

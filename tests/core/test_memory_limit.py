@@ -3,6 +3,7 @@
 import platform
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from grids import whole_face
 
 from meshdeform_core import memory
 from meshdeform_core.grid import FileFormat, Grid, Patch, Side
-from meshdeform_core.memory import Demand, MemoryLimit, passing, readable, release_freed
+from meshdeform_core.memory import Demand, MemoryLimit, deforming, passing, readable, release_freed
 from meshdeform_core.parallel.scratch import resident_memory
 from meshdeform_formats import write_grid
 from meshdeform_formats.grids import Layout
@@ -37,6 +38,12 @@ def test_every_block_takes_memory_beside_its_nodes():
     limit = MemoryLimit(2**32, "--max-memory allows")
     for more in (many.in_memory - one.in_memory, many.beside_files(limit) - one.beside_files(limit)):
         assert 80e6 < more < 300e6
+
+
+def test_ranks_hold_the_block_that_they_fill_as_a_whole():
+    grid = Layout("grid.cgns", ((200, 200, 200),), FileFormat("cgns"))
+    one, half = (Demand.of("", deforming("tfi"), grid, ranks=SimpleNamespace(count=n)).in_memory for n in (1, 2))
+    assert half >= one
 
 
 @pytest.mark.slow

@@ -101,6 +101,8 @@ def test_the_boundary_of_a_grid_from_elsewhere_stays_and_its_cells_become_valid(
     np.testing.assert_array_equal(mended.grid.points[known], bad.grid.points[known])
     ends = np.isin(grid.points[:, 2], [0.0, 1.0])
     np.testing.assert_array_equal(mended.grid.points[ends, 2], grid.points[ends, 2])
+    first = setup.topology.first[setup.topology.number]
+    np.testing.assert_array_equal(mended.grid.points[setup.topology.face_nodes], mended.grid.points[first])
 
 
 def test_a_valid_grid_is_left_alone_but_for_polish():

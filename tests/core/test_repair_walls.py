@@ -109,3 +109,13 @@ def test_cells_are_healthy_up_to_the_shear_at_which_their_energy_has_a_share():
         low, high = (low, middle) if unhealthy_cells(setup.original, sheared(middle)).size else (middle, high)
     below, above = (share_of(plot.region.energy, plot.inside(sheared(low * at)))[0] for at in (1 - 1e-6, 1 + 1e-6))
     assert below == 0.0 < above
+
+
+def test_cells_with_collapsed_edges_are_judged_by_their_other_corners():
+    """A sector whose inner side is its axis, sheared by more than is healthy everywhere."""
+    r, a, h = np.meshgrid(np.linspace(0.0, 1.0, 4), np.linspace(0.0, 1.0, 4), np.linspace(0.0, 1.0, 3), indexing="ij")
+    grid = Grid.from_blocks([np.stack([r * np.cos(a), r * np.sin(a), h], axis=-1)])
+    original = set_up(grid, Case((BoundarySpec("all", ("*",), Kind.MOVING, None, formulas("0", "0", "0")),))).original
+    assert not unhealthy_cells(original, grid.points).size
+    sheared = grid.points + 4.0 * grid.points[:, [2]] * [1.0, 0.0, 0.0]
+    np.testing.assert_array_equal(unhealthy_cells(original, sheared), np.arange(grid.n_cells))

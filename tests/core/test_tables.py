@@ -9,7 +9,7 @@ from cases import body_specs
 from grids import frame, frame_2d
 from scipy.interpolate import RBFInterpolator
 
-from meshdeform_core.boundary import BoundarySpec, Kind
+from meshdeform_core.boundary import BoundarySpec, Kind, tables
 from meshdeform_core.boundary.motions.motion import Follow, Motion
 from meshdeform_core.boundary.tables import AUTOMATIC, BoundaryNodes, Matching, SurfaceData, other_frame
 from meshdeform_core.deform import Case, set_up
@@ -274,6 +274,11 @@ def test_a_table_of_the_nodes_is_matched_to_the_nodes():
     (match,) = on_table_alone(data).movers[0][1].matches
     assert match.how == "nearest"
     assert match.matched.sum() == len(NODES.numbers)
+
+
+def test_nodes_of_collapsed_faces_are_matched_within_their_edges():
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0]])
+    np.testing.assert_array_equal(tables.edges_at_corners(points, np.array([[0, 0, 1, 2]]))[0], [1.0, 1.0, 2.0])
 
 
 def test_the_shift_of_a_table_of_a_part_of_the_wall_is_told():

@@ -144,10 +144,7 @@ BINARY = {
         rf"the file should have {len(FORTRAN)} bytes but has {len(FORTRAN) - 40}: truncated by 40; "
         r"record 4 at byte \d+ declares 576 bytes of data and 540 follow",
     ),
-    "a line of nodes": (
-        binary_file(sample_blocks([(5, 1, 1)]), encoding="fortran"),
-        "at least 2 nodes along two indices",
-    ),
+    "a line of nodes": (binary_file(sample_blocks([(5, 1, 1)]), encoding="fortran"), "at least 2 nodes along two ind"),
     "truncated between records": (FORTRAN[: -576 - 8], "truncated by 584; record 4 is missing"),
     "truncated header": (FORTRAN[:30], "fits no variant of Plot3D|is not a Plot3D grid"),
     "truncated stream": (STREAM[:-8], f"C binary float64.*should have {len(STREAM)} bytes.*truncated by 8"),
