@@ -23,10 +23,9 @@ import numpy as np
 from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..grid.planes import plane_normal
 from ..grid.topology import Topology
-from ..memory import release_freed
 from ..numerics.arrays import places_among
 from ..numerics.geometry.coincidence import connected_rows, distinct
-from ..numerics.geometry.crossing import BESIDE, ORDINARY, SLIDING, FaceTree, crossing_faces, near_faces
+from ..numerics.geometry.crossing import BESIDE, ORDINARY, SLIDING, crossing_faces, near_faces
 from ..numerics.geometry.vectors import plane_winding, winding
 from ..wording import Notice, counted, vector
 from .classification import UNSELECTED, Boundary, Kind
@@ -36,8 +35,6 @@ TOUCH = 1e-7
 """Faces closer than this fraction of their shortest edge count as touching."""
 
 _HALVINGS = 20
-# Faces from which it is worth some milliseconds to return freed memory to the system around the making of their tree.
-_LARGE = 1 << 17
 _TORN = 0.5
 """Faces are torn where their nodes move apart by more than this share of their distance."""
 # How close undeformed faces of abutting blocks are to each other, relative to their shortest edge.
@@ -97,7 +94,6 @@ class CrossingTest:
         self._grid, self._topology, self._boundary = grid, topology, boundary
         self._normal = plane_normal(grid)
         self._size = float(np.ptp(grid.nodes.at(topology.first), axis=0).max())
-        self._outside_faces = topology.quads.corners[topology.external]
         kind, corners = boundary.quad_kind, topology.quads.corners
         sliding = np.isin(kind, (Kind.SLIP, Kind.SYMMETRY))
         self.quads = np.flatnonzero((kind >= Kind.FIXED) & boundary.known[corners].all(axis=1) | sliding)
@@ -115,10 +111,6 @@ class CrossingTest:
             self.points = np.concatenate([self.points, self.points + thickness * self._normal])
             self.faces = np.concatenate([self.faces, self.faces[:, ::-1] + n], axis=1)
             self.edge = np.tile(self.edge, 2)
-        # Pseudo-random numbers (n, 3) from -1 to 1, of a node the same whichever others are on the surface.
-        sides, source = len(self.points) // len(self.nodes), np.random.default_rng(0)
-        drawn = [source.uniform(-1.0, 1.0, (topology.n_unique, 3))[self.nodes] for _ in range(sides)]
-        self._drawn = np.concatenate(drawn)
 
     def crossings(self, displacement: FloatArray, gap: float = 0.0) -> tuple[Crossing, ...]:
         """Patches whose faces cross after a displacement but not before, or come closer than ``gap``.
@@ -128,15 +120,15 @@ class CrossingTest:
         """
         change = np.tile(displacement.take(self.nodes, axis=0), (len(self.points) // len(self.nodes), 1))
         moved: BoolArray = np.logical_or.reduce([along != 0.0 for along in change.T])
-        carried: BoolArray = np.asarray(moved.take(self.faces.T).any(axis=0))
-        asked = carried & (self.role != SLIDING)
+        asked = moved.take(self.faces.T).any(axis=0) & (self.role != SLIDING)
         if not asked.any():
             return ()
         # Of a grid in parts, every rank tests an equal share of the faces.
-        ranks, own, shift = self._grid.nodes.ranks, np.zeros_like(asked), self._shift(gap)
+        ranks, own = self._grid.nodes.ranks, np.zeros_like(asked)
         own[np.array_split(np.flatnonzero(asked), ranks.count)[ranks.number]] = True
-        moving, reach = self.points + change + shift, float(np.abs(shift).max())
-        found = ranks.gather([crossing_faces(self._tree, moving, self.faces, own, reach, carried)])
+        change += self.points
+        change += self._shift(gap)
+        found = ranks.gather([crossing_faces(change, self.faces, self.role, own)])
         # Two ranks find a pair whose faces belong to different shares.
         pairs, once = np.unique(np.concatenate([pairs for pairs, _ in found]), axis=0, return_index=True)
         places = np.concatenate([places for _, places in found])[once]
@@ -200,6 +192,10 @@ class CrossingTest:
         name = np.where(fixed & (carried >= 0), carried, owner[self.quads])
         return np.array([patch.name for patch in patches])[name]
 
+    @cached_property
+    def _outside_faces(self) -> IntArray:
+        return self._topology.quads.corners[self._topology.external]
+
     def _outside(self, displacement: FloatArray) -> bool:
         """Whether a moving part of the boundary has come to lie outside the rest (or inside out)."""
         faces = self._outside_faces[(displacement[self._outside_faces] != 0.0).any(axis=2).all(axis=1)]
@@ -231,20 +227,14 @@ class CrossingTest:
         size = np.linalg.norm(area, axis=1, keepdims=True)
         return winding(points, triangles, (a + b + c) / 3.0 - _INSIDE * area / np.sqrt(np.maximum(size, 1e-300)))
 
-    @cached_property
-    def _tree(self) -> FaceTree:
-        large = len(self.faces) > _LARGE
-        if large:
-            release_freed()
-        tree = FaceTree(self.points, self.faces, self.role)
-        if large:
-            release_freed()
-        return tree
-
     def _shift(self, gap: float) -> FloatArray:
-        """Pseudo-random shift (n, 3) of the points, by which faces that come closer than ``gap`` cross somewhere."""
-        amplitude = np.where(np.isfinite(self.edge), self._amplitude(gap), 0.0)
-        return self._drawn * amplitude[:, None]
+        """Pseudo-random shift (n, 3) of the points, by which faces that come closer than ``gap`` cross somewhere; of a
+        node the same whichever others are on the surface."""
+        sides, source = len(self.points) // len(self.nodes), np.random.default_rng(0)
+        all_nodes = (self._topology.n_unique, 3)
+        shift = np.concatenate([source.uniform(-1.0, 1.0, all_nodes)[self.nodes] for _ in range(sides)])
+        shift *= np.where(np.isfinite(self.edge), self._amplitude(gap), 0.0)[:, None]
+        return shift
 
     def _amplitude(self, gap: float) -> FloatArray:
         # The test for lying outside uses points at a small distance from the faces, which is allowed for here.

@@ -21,6 +21,8 @@ from .frames import other_frame
 
 HOW = ("exact", "nearest", "interpolate")
 _LARGEST = 1e100
+_TOGETHER = 1 << 14
+"""Faces processed at a time, which bounds the memory."""
 AUTOMATIC = "automatic"
 """``nearest`` for a table of the grid's own nodes, else ``interpolate``; only for tables that select their nodes."""
 # Two displacements at one point are the same up to this fraction of the largest one.
@@ -103,11 +105,14 @@ class Positions:
 def edges_at_corners(points: FloatArray, faces: IntArray) -> tuple[FloatArray, FloatArray]:
     """Shortest edge longer than zero and longest edge (n,) of ``faces`` (m, corners) at each of ``points`` (n, 3)."""
     shortest, longest = np.full(len(points), np.inf), np.zeros(len(points))
-    for a, b in zip(faces.T, np.roll(faces, -1, axis=1).T, strict=True):
-        length = np.linalg.norm(points[a] - points[b], axis=1)
-        for end in (a, b):
-            np.minimum.at(shortest, end, np.where(a == b, np.inf, length))
-            np.maximum.at(longest, end, length)
+    for lo in range(0, len(faces), _TOGETHER):
+        corners = faces[lo : lo + _TOGETHER].T.astype(np.int64)
+        for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            length = np.linalg.norm(points.take(a, axis=0) - points.take(b, axis=0), axis=1)
+            apart = np.where(a == b, np.inf, length)
+            for end in (a, b):
+                np.minimum.at(shortest, end, apart)
+                np.maximum.at(longest, end, length)
     return shortest, longest
 
 

@@ -16,7 +16,7 @@ from meshdeform_core.boundary.motions.motion import Motion
 from meshdeform_core.deform import Case, Setup, deform, set_up
 from meshdeform_core.grid import Grid, Patch, Side, Window
 from meshdeform_core.methods import Options
-from meshdeform_core.numerics.geometry.crossing import FaceTree, crossing_faces
+from meshdeform_core.numerics.geometry.crossing import crossing_faces
 from meshdeform_core.numerics.geometry.surface import TriangleTree
 from meshdeform_core.quality.listed import find_pinned
 from meshdeform_core.quality.original import Original
@@ -83,8 +83,7 @@ def volume(a, b, c, d):
 def found_to_cross(one, two):
     faces = np.arange(8).reshape(2, 4)
     points = np.concatenate([one, two])
-    tree = FaceTree(points, faces.astype(np.int32), np.zeros(2, np.int8))
-    return len(crossing_faces(tree, points, faces, np.ones(2, bool))[0]) > 0
+    return len(crossing_faces(points, faces.astype(np.int32), np.zeros(2, np.int8), np.ones(2, bool))[0]) > 0
 
 
 @pytest.mark.parametrize("lattice", [0, 3])
@@ -99,8 +98,7 @@ def test_pairs_are_those_of_exact_arithmetic(lattice):
     faces[::7, 3] = faces[::7, 0]
     faces[1::9, 0] = faces[::9, 1][: len(faces[1::9])]
     asked = random.random(14) < 0.7
-    tree = FaceTree(points + random.normal(0, 1, points.shape), faces, np.zeros(14, dtype=np.int8))
-    pairs, places = crossing_faces(tree, points, faces, asked)
+    pairs, places = crossing_faces(points, faces, np.zeros(14, dtype=np.int8), asked)
     wanted = [
         (a, b)
         for a, b in combinations(range(14), 2)

@@ -26,7 +26,7 @@ _ROUND_OFF = 8e-16
 # Faces whose projections on an axis are farther apart than this part of their size do so without round-off, too.
 _APART = 1e-13
 _TOGETHER = 1 << 14
-"""Pairs decided at a time, which bounds the memory."""
+"""Faces compared and pairs decided at a time, which bounds the memory."""
 
 # Ascending, so that the verdict on several triangles is the maximum of their verdicts.
 _NO, _DOUBTFUL, _YES = 0, 1, 2
@@ -37,66 +37,55 @@ _HALVES: tuple[tuple[_Corners, _Corners], ...] = (((0, 1, 2), (2, 3, 0)), ((1, 2
 Signs = NDArray[np.int8]
 
 
-class FaceTree:
-    """A tree over at least one face (m, 4) of the undeformed nodes (n, 3), efficient as long as neighbours in space
-    remain neighbours; triangles repeat a node. A role (m,) is ``ORDINARY``, ``BESIDE`` or ``SLIDING``."""
+def overlapping_faces(
+    points: FloatArray, faces: IntArray, role: NDArray[np.int8], asked: BoolArray, margin: FloatArray | float = 0.0
+) -> IntArray:
+    """Pairs (c, 2) of faces (m, 4) with overlapping boxes and no common node, at least one of which is ``asked`` (m,).
 
-    def __init__(self, points: FloatArray, faces: IntArray, role: NDArray[np.int8]):
-        self._faces, self._role = faces, role
-        low, high = _bounds(points, faces)
-        self._order = halves(0.5 * (low + high))
-        self._low, self._high = low.T.copy(), high.T.copy()
-
-    def overlapping(
-        self, points: FloatArray, asked: BoolArray, margin: FloatArray | float = 0.0, moved: BoolArray | None = None
-    ) -> IntArray:
-        """Pairs (c, 2) of faces with overlapping boxes and no common node, at least one of which is ``asked`` (m,).
-
-        The smaller number comes first. ``points`` (n, 3) are the nodes, ``margin`` is that by which the box of a face
-        is larger than the face. Faces that have not ``moved`` (m,) are within the margin of their undeformed position.
-        """
-        wider = np.broadcast_to(margin, asked.shape)[:, None]
-        order = self._order
-        if moved is not None and asked.any():
-            low, high = _bounds(points, self._faces[asked])
-            reach = 2.0 * wider.max()
-            low, high = low.min(axis=0) - reach, high.max(axis=0) + reach
-            near = (self._low <= high[:, None]) & (self._high >= low[:, None])
-            order = order[(moved | near.all(axis=0)).take(order)]
-        low, high = _bounds(points, self._faces[order])
-        low, high = low - wider[order], high + wider[order]
-        pairs = np.sort(order[overlapping(low, high, asked[order])], axis=0)
-        pairs = pairs[:, self._role[pairs].sum(axis=0) != BESIDE + SLIDING]
-        one, two = self._faces[pairs]
-        return np.asarray(pairs[:, ~(one[:, :, None] == two[:, None]).any(axis=(1, 2))].T)
+    The smaller number comes first. ``points`` (n, 3) are the nodes, triangles repeat one; a ``role`` (m,) is
+    ``ORDINARY``, ``BESIDE`` or ``SLIDING``; ``margin`` is that by which the box of a face is larger than the face.
+    """
+    if not asked.any():
+        return np.empty((0, 2), dtype=np.int64)
+    margin = np.broadcast_to(margin, asked.shape)
+    low, high = _boxes(points, faces[asked], margin[asked])
+    low, high = low.min(axis=0), high.max(axis=0)
+    # Most faces are far from all that are asked.
+    near = []
+    for first in range(0, len(faces), _TOGETHER):
+        some = slice(first, first + _TOGETHER)
+        its_low, its_high = _boxes(points, faces[some], margin[some])
+        near.append(first + np.flatnonzero(((its_low <= high) & (its_high >= low)).all(axis=1)))
+    order = np.concatenate(near)
+    low, high = _boxes(points, faces[order], margin[order])
+    places = halves(0.5 * (low + high))
+    order, low, high = order[places], low[places], high[places]
+    pairs = np.sort(order[overlapping(low, high, asked[order])], axis=0)
+    pairs = pairs[:, role[pairs].sum(axis=0) != BESIDE + SLIDING]
+    one, two = faces[pairs]
+    return np.asarray(pairs[:, ~(one[:, :, None] == two[:, None]).any(axis=(1, 2))].T)
 
 
-def _bounds(points: FloatArray, faces: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Lowest and highest coordinates (m, 3) of faces."""
+def _boxes(points: FloatArray, faces: IntArray, margin: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest coordinates (m, 3) of faces, with a margin (m,) around each."""
     low = points.take(faces[:, 0], axis=0)
     high = low.copy()
     for corner in faces.T[1:]:
         x = points.take(corner, axis=0)
         np.minimum(low, x, out=low)
         np.maximum(high, x, out=high)
-    return low, high
+    return low - margin[:, None], high + margin[:, None]
 
 
 def crossing_faces(
-    tree: FaceTree,
-    points: FloatArray,
-    faces: IntArray,
-    asked: BoolArray,
-    reach: float = 0.0,
-    moved: BoolArray | None = None,
+    points: FloatArray, faces: IntArray, role: NDArray[np.int8], asked: BoolArray
 ) -> tuple[IntArray, FloatArray]:
     """Pairs (c, 2), ascending, of faces that cross and have no node in common, of which at least one is ``asked`` (m,),
-    and a point (c, 3) common to both.
+    and a point (c, 3) common to both; arguments as of :func:`overlapping_faces`.
 
-    Cost is near-linear in the number of faces, however different their sizes. ``tree`` is that of the faces (m, 4);
-    those that have not ``moved`` (m,) are within ``reach`` of their undeformed position.
+    Cost is near-linear in the number of faces, however different their sizes.
     """
-    pairs = tree.overlapping(points, asked, reach, moved)
+    pairs = overlapping_faces(points, faces, role, asked)
     verdict, places = _decided(points, faces, pairs)
     # In rational arithmetic signs are exact, and a doubt means that the faces touch.
     doubtful = np.flatnonzero(verdict == _DOUBTFUL)
@@ -112,8 +101,7 @@ def crossing_faces(
 def near_faces(points: FloatArray, faces: IntArray, asked: BoolArray, tolerance: FloatArray) -> BoolArray:
     """Which faces (m,) among ``asked`` another face comes close to without sharing a node: a corner of one of them is
     within the ``tolerance`` (m,) of the other."""
-    tree = FaceTree(points, faces, np.full(len(faces), ORDINARY, dtype=np.int8))
-    pairs = tree.overlapping(points, asked, tolerance)
+    pairs = overlapping_faces(points, faces, np.full(len(faces), ORDINARY, dtype=np.int8), asked, tolerance)
     touching = _decided(points, faces, pairs)[0] == _YES
     reach = tolerance[pairs].max(axis=1)
     for one, two in (pairs.T, pairs[:, ::-1].T):
