@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _ON_EDGE = 1e-12
 """Barycentric weights below this are zero but for round-off."""
 _CREASE = np.cos(np.deg2rad(30.0))
-"""Where triangles meet at a larger angle, sliding would cut off the edge of the surface."""
+"""Where triangles deviate from their mean by a larger angle, sliding would cut off the edge of the surface."""
 _MIRRORED = 1e-9
 """Largest difference of mirrored displacements, relative to the largest displacement."""
 
@@ -40,7 +40,8 @@ class CurvedSurface:
     ----------
     nodes : (n,) unique numbers of the nodes that slide on it
     corners, points : (m,) unique numbers and (m, 3) undeformed coordinates of all nodes of the surface
-    triangles : (k, 3) rows of ``points``; in a plane grid those of edges, without width
+    triangles : (k, 3) rows of ``points``, counter-clockwise as seen from outside the blocks; in a plane grid those of
+        edges, without width
     rim : (m,) points at edges with moving walls, beyond which the surface continues as the planes of its triangles
     normal : (3,) of a plane grid, zero in space
     """
@@ -90,12 +91,13 @@ class CurvedSurface:
 
     @cached_property
     def creased(self) -> BoolArray:
-        """Whether triangles meet at more than 30 degrees at each of the points (m,)."""
+        """Whether a triangle at each of the points (m,) deviates by more than 30 degrees from their mean direction, as
+        both sides of a fold of 60 degrees do."""
         length = lengths(self._triangle_normals)
         unit = self._triangle_normals / np.maximum(length, 1e-300)[:, None]
         lowest = np.ones(len(self.points))
         for at in self.triangles.T:
-            cosine = np.abs(np.einsum("nd,nd->n", unit, self._vertex_normals[at]))
+            cosine = np.einsum("nd,nd->n", unit, self._vertex_normals[at])
             np.minimum.at(lowest, at, np.where(length > 0.0, cosine, 1.0))
         return np.asarray(lowest <= _CREASE)
 
@@ -103,10 +105,7 @@ class CurvedSurface:
         """Mean (k, 3) of the unit normals at the corners of the triangles closest to ``targets`` (k, 3), with
         barycentric weights; these normals (k, 3, 3); and the numbers (k,) of the triangles."""
         triangle, weights, _ = self.closest(targets)
-        corners = self._vertex_normals[self.triangles[triangle]]
-        # Triangles of different blocks may be oriented in opposite senses.
-        sense = np.sign(np.einsum("ncd,nd->nc", corners, self._triangle_normals[triangle]))
-        normals = sense[:, :, None] * corners
+        normals = self._vertex_normals[self.triangles[triangle]]
         return np.einsum("nc,ncd->nd", weights, normals), normals, triangle
 
     @cached_property
@@ -118,12 +117,11 @@ class CurvedSurface:
 
     @cached_property
     def _vertex_normals(self) -> FloatArray:
-        """Mean directions (m, 3), of either sign, of the normals of the triangles at each point."""
-        total, normal = np.zeros((len(self.points), 3, 3)), self._triangle_normals
-        square = normal[:, :, None] * normal[:, None, :] / np.maximum(lengths(normal), 1e-300)[:, None, None]
+        """Mean directions (m, 3) of the normals of the triangles at each point; zero where these cancel out."""
+        total = np.zeros_like(self.points)
         for at in self.triangles.T:
-            np.add.at(total, at, square)
-        return np.asarray(np.linalg.eigh(total)[1][:, :, -1])
+            np.add.at(total, at, self._triangle_normals)
+        return np.asarray(total / np.maximum(lengths(total), 1e-300)[:, None])
 
     @cached_property
     def _tree(self) -> TriangleTree:
