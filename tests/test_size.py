@@ -26,12 +26,12 @@ BUDGETS = {
     "meshdeform_core/boundary": 2975,
     "meshdeform_core/grid": 2585,
     "meshdeform_core/methods": 3803,
-    "meshdeform_core/numerics": 8125,
+    "meshdeform_core/numerics": 8080,
     "meshdeform_core/parallel": 682,
     "meshdeform_core/quality": 1744,
-    "meshdeform_core/repair": 2183,
+    "meshdeform_core/repair": 2178,
     "meshdeform_core": 2454,
-    "tests": 23991,
+    "tests": 23987,
 }
 """Lines of Python and of data files per package; a package's row excludes the rows below it."""
 LONGEST_FUNCTION, NINE_IN_TEN, LONGEST_FILE = 60, 25, 500

@@ -19,7 +19,8 @@ import scipy
 
 from ..boundary.constraints import CurvedSurface
 from ..grid import FloatArray, IntArray
-from ..numerics.cell.foldover.elements import Unknowns, combined, growth, plane_slopes, slopes
+from ..numerics.cell.foldover.elements import combined, growth, plane_slopes, slopes
+from ..numerics.cell.foldover.loops import Unknowns, add_derivatives, energy_of_cells
 from ..numerics.cell.foldover.samples import (
     Maps,
     cofactors,
@@ -108,9 +109,7 @@ class Energy:
     ) -> tuple[float, float, float]:
         """Energy, smallest determinant and largest f of the cells low <= m < high."""
         if x.shape[1] == 3:
-            from ..numerics.cell.foldover.hexahedra import energy_of_cells  # what is imported is compiled
-
-            return energy_of_cells(x, *self._loops, reference, tuple(penalty), low, high)
+            return energy_of_cells(x, *self._loops, reference, tuple(penalty), np.arange(low, high))
         found = [(0.0, np.inf, 0.0)]
         for whole in self._in_plane:
             some = slice(*np.searchsorted(whole.cell, [low, high]))
@@ -129,11 +128,7 @@ class Energy:
         return sum(energies), min(lowest), max(highest)
 
     def add(self, x: FloatArray, reference: FloatArray, penalty: Penalty, *rest: Any) -> None:
-        """See :func:`..numerics.cell.foldover.hexahedra.add_derivatives`; ``rest``: its arguments from ``which`` on."""
-        if x.shape[1] == 3:
-            from ..numerics.cell.foldover.hexahedra import add_derivatives
-        else:
-            from ..numerics.cell.foldover.plane import add_derivatives
+        """See :func:`..numerics.cell.foldover.loops.add_derivatives`; ``rest``: its arguments from ``which`` on."""
         add_derivatives(x, *self._loops, reference, tuple(penalty), *rest)
 
     @cached_property

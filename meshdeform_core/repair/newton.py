@@ -23,7 +23,7 @@ import numpy as np
 import scipy
 
 from ..numerics.arrays import FloatArray
-from ..numerics.cell.foldover.elements import places_of_pairs
+from ..numerics.cell.foldover.loops import places_of_pairs
 from ..numerics.jit import inlined, kernel
 from ..numerics.lanes import multiply_row, solve_row, with_room
 from ..parallel import for_chunks, thread_count

@@ -19,7 +19,7 @@ import numpy as np
 from ..boundary import Boundary
 from ..grid import BoolArray, FloatArray, IntArray
 from ..grid.planes import plane_axes
-from ..numerics.cell.foldover.elements import Unknowns
+from ..numerics.cell.foldover.loops import Unknowns
 from ..numerics.cell.foldover.samples import cell_edges, sound_samples
 from ..numerics.cell.measures import cell_corners
 from ..parallel import Nodes

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from meshdeform_core.numerics.cell.foldover.elements import Unknowns, places_of_pairs
-from meshdeform_core.numerics.cell.foldover.hexahedra import add_derivatives, energy_of_cells
+from meshdeform_core.numerics.cell.foldover.loops import Unknowns, add_derivatives, energy_of_cells, places_of_pairs
 from meshdeform_core.numerics.cell.foldover.samples import sample_slopes
 
 SLOPES = sample_slopes(3)
@@ -57,7 +56,7 @@ def definition(start, x, reference, cell, mask, weight, penalty):
 def test_the_energy_is_that_of_its_definition(n, penalty):
     (start, x, reference), corners = cells(n, 1.0)
     mask, weight = masks(n), np.random.default_rng(4).random((n, 3)) + 0.5
-    found = energy_of_cells(x, corners, start, mask, SLOPES, weight, reference, penalty, 0, n)
+    found = energy_of_cells(x, corners, start, mask, SLOPES, weight, reference, penalty, np.arange(n))
     expected = [definition(start, x, reference, corners[c], mask[c], weight[c], penalty) for c in range(n)]
     totals, lowest, highest = zip(*expected, strict=True)
     assert found == pytest.approx((sum(totals), min(lowest), max(highest)), rel=1e-12)
@@ -67,11 +66,11 @@ def test_an_inverted_cell_has_no_energy_without_regularisation():
     (start, x, reference), corners = cells(9, 1.0)
     x[corners[4, 7]] = x[corners[4, 0]] - 1.0
     arguments = corners, start, masks(9), SLOPES, np.ones((9, 3)), reference
-    energy, lowest, highest = energy_of_cells(x, *arguments, MINIMISING, 0, 9)
+    energy, lowest, highest = energy_of_cells(x, *arguments, MINIMISING, np.arange(9))
     assert not np.isfinite(energy)
     assert lowest < 0.0
     assert highest == np.inf
-    assert np.isfinite(energy_of_cells(x, *arguments, UNTANGLING, 0, 9)).all()
+    assert np.isfinite(energy_of_cells(x, *arguments, UNTANGLING, np.arange(9))).all()
 
 
 def derivatives_of(x, given, which, penalty=MINIMISING, unknowns=None, ranges=()):
@@ -105,7 +104,7 @@ def test_derivatives_are_those_of_the_energy_whatever_the_frames_and_rows(thin):
     np.testing.assert_array_equal(hessian, derivatives_of(x, *rest)[1])
     step = random.standard_normal((n, 3)) * (1.0, 1.0, 1.0 / thin) * (number >= 0)[:, None]
     along = np.einsum("nji,nj->ni", frame, step)
-    energies, ends = zip(*((energy_of_cells(at, *given, MINIMISING, 0, 13)[0], derivatives_of(at, *rest)[0])
+    energies, ends = zip(*((energy_of_cells(at, *given, MINIMISING, np.arange(13))[0], derivatives_of(at, *rest)[0])
                            for at in (x - 1e-6 * step, x + 1e-6 * step)), strict=True)  # fmt: skip
     assert (energies[1] - energies[0]) / 2e-6 == pytest.approx((gradient * along).sum(), rel=1e-6)
     change = np.einsum("noij,oj->ni", hessian, along)

@@ -15,8 +15,7 @@ from meshdeform_core.deform import Case, Timing, deform, impose, set_up
 from meshdeform_core.errors import CaseError
 from meshdeform_core.grid import Grid
 from meshdeform_core.memory import MemoryLimit
-from meshdeform_core.numerics.cell.foldover.elements import Unknowns, places_of_pairs
-from meshdeform_core.numerics.cell.foldover.plane import add_derivatives
+from meshdeform_core.numerics.cell.foldover.loops import Unknowns, add_derivatives, places_of_pairs
 from meshdeform_core.numerics.cell.foldover.samples import sample_slopes
 from meshdeform_core.quality.validity import judge
 from meshdeform_core.repair import RepairOptions, newton, untangle

@@ -1,19 +1,15 @@
-"""What cells in space and in a plane have in common: f of a map and its derivatives as functions of |A|^2 and D, rows
-of arrays as eight cells at a time, and where the derivatives of cells go: the rows of a block-sparse matrix."""
+"""What cells in space and in a plane have in common: f of a map and its derivatives as functions of |A|^2 and D, and
+rows of arrays as eight cells at a time."""
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numpy.typing import NDArray
 
-from ...arrays import IntArray
-from ...jit import inlined, record
 from ...lanes import NARROW as WIDTH
 from ...lanes import Array, Lanes
 
@@ -100,97 +96,3 @@ def regular(det: Lanes, eps: Lanes) -> tuple[Lanes, Lanes]:
     """chi and sqrt(eps^2 + D^2), computed without cancellation."""
     root = (eps * eps + det * det).sqrt()
     return (det * 0.0).below(det).choose(0.5 * (det + root), 0.5 * eps * eps / (root - det)), root
-
-
-@record("i8[::1], f8[:, :, ::1], b1[::1]")
-class Unknowns(NamedTuple):
-    """The unknowns of a region's n nodes: ``number`` (n,), the unknown of each node or -1; ``frame`` (n, d, d), with
-    displacement = frame @ unknown; ``plain`` (n,), whether the frame is the identity."""
-
-    number: np.ndarray
-    frame: np.ndarray
-    plain: np.ndarray
-
-
-@inlined
-def gather_cell(x, start, reference, cell, points, lane):
-    """The corners of a cell in three grids."""
-    for n in range(points.shape[1]):
-        for d in range(points.shape[2]):
-            points[0, n, d, lane] = x[cell[n], d]
-            points[1, n, d, lane] = start[cell[n], d]
-            points[2, n, d, lane] = reference[cell[n], d]
-
-
-@inlined
-def weigh_cell(mask, weight, c, corners, terms, lane):
-    """Rows of ``terms``: the share of the energy at the sample points of a cell, 0 where they do not count, w, and the
-    factor of the elastic energy; returns the mask."""
-    samples = terms.shape[0] - 2
-    for s in range(samples):
-        terms[s, lane] = float(mask >> s & 1) * (1.0 if s < corners else weight[c, 1])
-    terms[samples, lane], terms[samples + 1, lane] = weight[c, 0], weight[c, 2]
-    return mask
-
-
-def places_of_pairs(unknowns: IntArray, starts: IntArray, columns: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Where a matrix in the BSR format has the blocks (m, p) of pairs of the ``unknowns`` (m, 2^d) of cells, on and
-    above its diagonal; -1 for pairs with one that is -1. Pairs of nodes are in ascending order."""
-    n, pairs = len(starts) - 1, list(itertools.combinations_with_replacement(range(unknowns.shape[1]), 2))
-    blocks = np.repeat(np.arange(n) * n, np.diff(starts))
-    blocks += columns
-    places = np.empty((len(unknowns), len(pairs)), np.int32)
-    for pair, ends in enumerate(pairs):
-        low, high = (of(*unknowns[:, ends].T) for of in (np.minimum, np.maximum))
-        places[:, pair] = np.where(low < 0, -1, np.searchsorted(blocks, low * n + high))
-    return places
-
-
-@inlined
-def add_element(nodes, places, c, corners, d, found, lane, force, work, unknowns, rows, matrix, gradient):
-    """Add the derivatives of a cell to the rows of its unknowns; see :func:`.hexahedra.add_derivatives`.
-
-    ``nodes[c]`` are its ``corners``, in ``d`` dimensions; in a ``lane`` of ``found`` the second derivatives (d, d)
-    for pairs of nodes in ascending order, from the row ``force`` on the first ones (m, d); ``work`` (3, 3) is room.
-    """
-    number, frame, plain = unknowns
-    pair = 0
-    for n in range(corners):
-        here = nodes[c, n]
-        row = number[here]
-        if row >= rows[0] and row < rows[1]:
-            for i in range(d):
-                for k in range(d):
-                    gradient[row, i] += frame[here, k, i] * found[force + d * n + k, lane]
-        for o in range(n, corners):
-            at, first, there = places[c, pair] - rows[2], d * d * pair, nodes[c, o]
-            pair += 1
-            if at < 0 or at >= len(matrix):
-                continue
-            if not (plain[here] and plain[there]):
-                _turn(frame, here, there, d, found, lane, first, work)
-            if row <= number[there]:
-                for i in range(d):
-                    for k in range(d):
-                        matrix[at, i, k] += found[first + d * i + k, lane]
-            # Two nodes with the same unknown have both blocks on the diagonal.
-            if row > number[there] or (n != o and row == number[there]):
-                for i in range(d):
-                    for k in range(d):
-                        matrix[at, k, i] += found[first + d * i + k, lane]
-
-
-@inlined
-def _turn(frame, one, two, d, found, lane, first, work):
-    """``B = F^T B G`` for the matrix B (d, d) of numbers of ``found`` and the frames F, G of nodes ``one``, ``two``."""
-    for i in range(d):
-        for k in range(d):
-            work[i, k] = 0.0
-            for e in range(d):
-                work[i, k] += frame[one, e, i] * found[first + d * e + k, lane]
-    for i in range(d):
-        for k in range(d):
-            total = 0.0
-            for e in range(d):
-                total += work[i, e] * frame[two, e, k]
-            found[first + d * i + k, lane] = total

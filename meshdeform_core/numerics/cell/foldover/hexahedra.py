@@ -18,33 +18,17 @@ from typing import NamedTuple
 import numpy as np
 from llvmlite import ir
 
-from ...jit import inlined, kernel
-from ...lanes import NARROW as WIDTH
+from ...jit import inlined
 from ...lanes import Array, Lanes, Mask, narrow
-from .elements import (
-    GRIDS,
-    Unknowns,
-    add,
-    add_element,
-    combined,
-    gather_cell,
-    growth,
-    load,
-    regular,
-    slopes,
-    slopes_of,
-    store,
-    vectors_at,
-    weigh_cell,
-)
+from .elements import add, combined, growth, load, regular, slopes, slopes_of, store, vectors_at
 
-WEIGHT, TERMS = 27, 29
-"""Rows of ``terms`` (TERMS, WIDTH), see :func:`.elements.weigh_cell`."""
+WEIGHT = 27
+"""Row of ``terms``, see :mod:`.loops`."""
 ENERGY, LOWEST, HIGHEST, SUMS = 0, 1, 2, 3
 """Rows of ``sums`` (SUMS, WIDTH): the energy, the smallest D, the largest f."""
-FORCE, ROWS = 36 * 9, 44 * 8
-"""Rows of ``result`` (ROWS, WIDTH), derivatives with respect to the nodes of the cells: the second ones (36, 3, 3) for
-pairs of nodes in ascending order, from FORCE on the first ones (8, 3)."""
+FORCE = 36 * 9
+"""Row of ``result``, see :mod:`.loops`, from which on it has first derivatives (8, 3); before are second ones
+(36, 3, 3)."""
 PULL, BEND, TURNED, PARTS = 0, 9, 90, 117
 """Rows of ``parts`` (PARTS, WIDTH), derivatives at a sample point with respect to the vectors e_k: the first ones
 (3, 3), the second ones (3, 3, 3, 3), and those (3, 3, 3) with respect to a node and the vectors."""
@@ -153,6 +137,25 @@ def add_to_pair(slope: Array, parts: Array, result: Array, sample: ir.Value, nod
     add(result, 0, values.reshape(3, 3), builder.add(before, other))
 
 
+@inlined
+def add_sample(points, terms, slope, parts, result, s, eps, share, cubic, elastic, exact):
+    """Add the derivatives of the energy at a sample point to ``result``; of the indefinite part of the second ones the
+    share ``exact``."""
+    derivatives(points, terms, slope, parts, s, eps, share, cubic, elastic, exact)
+    for n in range(8):
+        if _enters(slope, s, n):
+            turn_to_node(slope, parts, result, s, n)
+            for o in range(n, 8):
+                if _enters(slope, s, o):
+                    add_to_pair(slope, parts, result, s, n, o)
+
+
+@inlined
+def _enters(slope, s, n):
+    """Whether the map at a sample point depends on a node."""
+    return slope[s, n, 0] != 0.0 or slope[s, n, 1] != 0.0 or slope[s, n, 2] != 0.0
+
+
 def _areas(edges: np.ndarray) -> np.ndarray:
     """The cross product of the other two edges, for each edge."""
     return np.cross(np.roll(edges, -1, axis=0), np.roll(edges, -2, axis=0))
@@ -165,87 +168,3 @@ def _inverse_root(x: Lanes) -> Lanes:
         d = 1.0 - x * r * r * r
         r = r + r * d * (d * (2 / 9) + 1 / 3)
     return r
-
-
-@kernel("f8[:, ::1], i8[:, ::1], f8[:, ::1], i8[::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1], UniTuple(f8, 5), i8, i8")
-def energy_of_cells(x, cells, start, mask, slope, weight, reference, penalty, low, high):
-    """Sum of the energy over the cells low <= c < high, their smallest D and largest f.
-
-    Parameters
-    ----------
-    x, start : (n, 3) deformed and undeformed coordinates
-    cells : (m, 8) rows of them at the corners of the cells
-    mask : (m,) int64, bit s set where sample point s counts
-    slope : (27, 8, 3) see :func:`.samples.sample_slopes`
-    weight : (m, 3) w of the cells, the share of their samples between corners, the factor of their elastic energy
-    reference : (n, 3) coordinates of the reference grid
-    penalty : eps, share, cubic and elastic of the energy, and the share of its indefinite second derivatives; with
-        eps = 0 the energy is infinite where D <= 0
-    """
-    points, terms, sums = np.empty((GRIDS, 8, 3, WIDTH)), np.empty((TERMS, WIDTH)), np.empty((SUMS, WIDTH))
-    eps, share, cubic, elastic, _ = penalty
-    for lane in range(WIDTH):
-        sums[ENERGY, lane], sums[LOWEST, lane], sums[HIGHEST, lane] = 0.0, np.inf, 0.0
-    for first in range(low, high, WIDTH):
-        some = 0
-        for lane in range(WIDTH):
-            c = min(first + lane, high - 1)
-            gather_cell(x, start, reference, cells[c], points, lane)
-            some |= weigh_cell(mask[c] if first + lane < high else 0, weight, c, 8, terms, lane)
-        for s in range(len(slope)):
-            if some >> s & 1:
-                add_energy(points, terms, slope, sums, s, eps, share, cubic, elastic if s < 8 else 0.0)
-    total, lowest, highest = 0.0, np.inf, 0.0
-    for lane in range(WIDTH):
-        total += sums[ENERGY, lane]
-        lowest, highest = min(lowest, sums[LOWEST, lane]), max(highest, sums[HIGHEST, lane])
-    return total, lowest, highest
-
-
-@kernel(
-    "f8[:, ::1], i8[:, ::1], f8[:, ::1], i8[::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1], UniTuple(f8, 5), "
-    "i8[::1], i4[:, ::1], Unknowns, UniTuple(i8, 3), f8[:, :, ::1], f8[:, ::1]",
-    Unknowns,
-)
-def add_derivatives(
-    x, cells, start, mask, slope, weight, reference, penalty, which, places, unknowns, rows, matrix, gradient
-):
-    """Add the derivatives of the energy of the cells ``which`` to rows of the gradient and of the Hessian.
-
-    Parameters
-    ----------
-    which : (k,) cells that touch the rows
-    places : of the blocks, see :func:`.elements.places_of_pairs`
-    unknowns : see :class:`Unknowns`
-    rows : first row, one past the last row, the number of the first block in them
-    matrix : (n_blocks, 3, 3), the blocks of these rows as in the BSR format; those below the diagonal are left out
-    gradient : (n_unknowns, 3), of which only these rows are written
-    """
-    points, terms, parts = np.empty((GRIDS, 8, 3, WIDTH)), np.empty((TERMS, WIDTH)), np.empty((PARTS, WIDTH))
-    result, work = np.empty((ROWS, WIDTH)), np.empty((3, 3))
-    eps, share, cubic, elastic, exact = penalty
-    for first in range(0, len(which), WIDTH):
-        used, some = min(WIDTH, len(which) - first), 0
-        for lane in range(WIDTH):
-            c = which[first + min(lane, used - 1)]
-            gather_cell(x, start, reference, cells[c], points, lane)
-            some |= weigh_cell(mask[c] if lane < used else 0, weight, c, 8, terms, lane)
-        result[...] = 0.0
-        for s in range(len(slope)):
-            if some >> s & 1:
-                derivatives(points, terms, slope, parts, s, eps, share, cubic, elastic if s < 8 else 0.0, exact)
-                for n in range(8):
-                    if _enters(slope, s, n):
-                        turn_to_node(slope, parts, result, s, n)
-                        for o in range(n, 8):
-                            if _enters(slope, s, o):
-                                add_to_pair(slope, parts, result, s, n, o)
-        for lane in range(used):
-            c = which[first + lane]
-            add_element(cells, places, c, 8, 3, result, lane, FORCE, work, unknowns, rows, matrix, gradient)
-
-
-@inlined
-def _enters(slope, s, n):
-    """Whether the map at a sample point depends on a node."""
-    return slope[s, n, 0] != 0.0 or slope[s, n, 1] != 0.0 or slope[s, n, 2] != 0.0

@@ -21,29 +21,12 @@ import math
 import numpy as np
 from llvmlite import ir
 
-from ...jit import kernel
-from ...lanes import NARROW as WIDTH
 from ...lanes import Array, Lanes, narrow
-from .elements import (
-    GRIDS,
-    Unknowns,
-    add,
-    add_element,
-    combined,
-    gather_cell,
-    growth,
-    load,
-    plane_slopes,
-    regular,
-    vectors_at,
-    weigh_cell,
-)
+from .elements import add, combined, growth, load, plane_slopes, regular, vectors_at
 
-WEIGHT, TERMS = 4, 6
-"""Rows of ``terms`` (TERMS, WIDTH), see :func:`.elements.weigh_cell`."""
-FORCE, ROWS = 40, 48
-"""Rows of ``result`` (ROWS, WIDTH): second derivatives (10, 2, 2) for pairs of nodes in ascending order, from FORCE on
-the first ones (4, 2)."""
+WEIGHT, FORCE = 4, 40
+"""Rows of ``terms`` and ``result``, see :mod:`.loops`: from FORCE on first derivatives (4, 2), before second ones
+(10, 2, 2)."""
 
 _HALF = math.sqrt(0.5)
 
@@ -113,29 +96,3 @@ def _unit(x: Lanes, y: Lanes) -> tuple[Lanes, Lanes, Lanes]:
     length = (x * x + y * y).sqrt()
     some = (length * 0.0).below(length)
     return length, some.choose(x / length, 1.0), some.choose(y / length, 0.0)
-
-
-@kernel(
-    "f8[:, ::1], i8[:, ::1], f8[:, ::1], i8[::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1], UniTuple(f8, 5), "
-    "i8[::1], i4[:, ::1], Unknowns, UniTuple(i8, 3), f8[:, :, ::1], f8[:, ::1]",
-    Unknowns,
-)
-def add_derivatives(
-    x, cells, start, mask, slope, weight, reference, penalty, which, places, unknowns, rows, matrix, gradient
-):
-    """As :func:`.hexahedra.add_derivatives`, in two dimensions."""
-    points, terms = np.empty((GRIDS, 4, 2, WIDTH)), np.empty((TERMS, WIDTH))
-    result, work = np.empty((ROWS, WIDTH)), np.empty((3, 3))
-    eps, share, cubic, elastic, exact = penalty
-    for first in range(0, len(which), WIDTH):
-        used = min(WIDTH, len(which) - first)
-        for lane in range(WIDTH):
-            c = which[first + min(lane, used - 1)]
-            gather_cell(x, start, reference, cells[c], points, lane)
-            weigh_cell(mask[c] if lane < used else 0, weight, c, 4, terms, lane)
-        result[...] = 0.0
-        for corner in range(4):
-            add_corner(points, terms, slope, result, corner, eps, share, cubic, elastic, exact)
-        for lane in range(used):
-            c = which[first + lane]
-            add_element(cells, places, c, 4, 2, result, lane, FORCE, work, unknowns, rows, matrix, gradient)
