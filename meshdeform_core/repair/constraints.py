@@ -233,24 +233,18 @@ def _in_plane(
     """
     space, topology, flat = constraints.topology, find_topology(plane), np.eye(3) - np.outer(unit, unit)
     removed = flat @ (np.eye(3) - constraints.frame) @ flat
-    number = np.full(plane.n_nodes, -1)
-    number[topology.face_nodes] = topology.number
-    of = number[ends]
-    on_edge = of >= 0
-    inside = space.number[~on_edge]
-    if constraints.held[inside].any() or np.abs(removed[inside]).max(initial=0.0) > 1e-12:
-        return None
     chosen = space.number[np.searchsorted(space.face_nodes, bottom[topology.first])]
+    of = topology.numbers_of(ends)
     for values in (constraints.held, constraints.walls, removed):
-        difference = np.abs(values[space.number[on_edge]].astype(float) - values[chosen][of[on_edge]].astype(float))
-        if difference.max(initial=0.0) > 1e-12:
+        # The last one, with the number -1, is that of lines through the interior.
+        expected = np.concatenate([values[chosen], np.zeros_like(values[:1])]).astype(float)
+        if np.abs(values[space.number] - expected[of]).max() > 1e-12:
             return None
     # The periodic image of a line is a line, possibly the same one with its ends exchanged.
     plane_of = np.full(space.n_unique, -1)
     plane_of[space.number] = of
     root = plane_of[constraints.root[chosen]]
-    images = np.flatnonzero(plane_of >= 0)
-    elsewhere = root[plane_of[images]] != plane_of[constraints.root[images]]
+    elsewhere = np.append(root, -1)[plane_of] != plane_of[constraints.root]
     if (root < 0).any() or elsewhere.any() or np.abs(unit @ constraints.frame[chosen] @ flat).max() > 1e-12:
         return None
     held, walls = constraints.held[chosen], constraints.walls[chosen]

@@ -91,10 +91,6 @@ class Energy:
     def _in_plane(self) -> list[Maps]:
         return list(self._made(False))
 
-    def part(self, maps: Maps) -> FloatArray | float:
-        """The share of the maps, beside that of all samples."""
-        return 1.0 if maps.at_corners else self.between[maps.cell]
-
     def softened(self, power: float) -> Energy:
         """The energy with all weights raised to ``power``."""
         return dataclasses.replace(self, weight=self.weight**power)
@@ -168,7 +164,7 @@ class Energy:
             f, *first = _slopes(a, penalty.eps)
             _, one, two = growth(f)
             u, v, w, p, q, r = combined(first, self.weight[of] + penalty.cubic * one, penalty.cubic * two)
-            k, part = cofactors(a), self.part(maps)
+            k, part = cofactors(a), 1.0 if maps.at_corners else self.between[of]
             ta, tk = inner(t, a), inner(t, k)
             along = u * ta + v * tk
             total += float((part * along).sum())

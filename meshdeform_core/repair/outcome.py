@@ -12,25 +12,25 @@ from ..grid import FloatArray, IntArray
 from ..numerics.cell.health import mark_unhealthy
 from ..parallel import Nodes
 from ..quality import Original
+from ..quality.cells import Slab, cells_alike, for_slabs, hold_cells
 from ..quality.validity import Comparison, Verdict
 from .tuned import COLLAPSED, HEALTHY, SOFT
 
 
 def unhealthy_cells(original: Original, points: FloatArray, most: float = HEALTHY) -> IntArray:
     """Numbers (m,) of the cells of all ranks with a corner whose f is more than ``most``."""
-    grid, found = original.grid, [np.empty(0, dtype=np.int64)]
-    normal = np.zeros(3) if original.normal is None else original.normal
-    for each in (points, grid.points):
-        grid.hold_neighbours(each)
-    for block, (ni, _, _) in enumerate(grid.shapes):
-        x, start = (grid.in_planes(block, each, 1) for each in (points, grid.points))
-        if not len(x) or (len(x) == 1 and ni > 1):
-            continue
-        marks = np.empty([max(n - 1, 1) for n in x.shape[:3]], dtype=bool)
-        mark_unhealthy(x, start, normal, most, SOFT, COLLAPSED, marks)
-        _, cj, ck = grid.cell_shapes[block]
-        found.append(int(grid.cell_offsets[block]) + grid.planes(block).start * cj * ck + np.flatnonzero(marks))
-    return np.concatenate(Nodes.of(points).gather(np.concatenate(found)))
+    grid, normal = original.grid, np.zeros(3) if original.normal is None else original.normal
+    marks = Nodes.of(cells_alike(grid, bool))
+    hold_cells(grid, points, grid.points)
+
+    def mark(_: int, slab: Slab) -> None:
+        blocks = (grid.block(slab.block, Nodes.of(each).rows) for each in (points, grid.points))
+        x, start = (each[slab.first : slab.last + 1] for each in blocks)
+        found = marks[slab.cells].reshape(-1, *grid.cell_shapes[slab.block][1:])
+        mark_unhealthy(x, start, normal, most, SOFT, COLLAPSED, found)
+
+    for_slabs(grid, mark)
+    return np.concatenate(grid.nodes.gather(marks.low + np.flatnonzero(marks.own)))
 
 
 @dataclass(frozen=True)
@@ -55,16 +55,10 @@ class Repair:
     left_out: str | None = None
 
     def __add__(self, other: Repair) -> Repair:
-        return Repair(
-            self.invalid + other.invalid,
-            self.weak + other.weak,
-            max(self.nodes, other.nodes),
-            max(self.max_movement, other.max_movement),
-            self.newton_steps + other.newton_steps,
-            self.seconds + other.seconds,
-            other.converged,
-            left_out=other.left_out,
-        )
+        counts = self.invalid + other.invalid, self.weak + other.weak, max(self.nodes, other.nodes)
+        steps, seconds = self.newton_steps + other.newton_steps, self.seconds + other.seconds
+        moved = max(self.max_movement, other.max_movement)
+        return Repair(*counts, moved, steps, seconds, other.converged, left_out=other.left_out)
 
     def beside(self, other: Repair) -> Repair:
         """Joint summary of repairs in two different parts of a grid."""

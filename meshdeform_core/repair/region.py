@@ -120,13 +120,11 @@ def _spread(layers: np.ndarray) -> np.ndarray:
     """The least sums (ni, nj, nk) of a value in a box and the number of cells between."""
     lower = True
     while lower:
-        near = layers
+        near = layers.copy()
         for axis in range(3):
             along = np.moveaxis(near, axis, 0)
-            around = along.copy()
-            np.minimum(around[1:], along[:-1], out=around[1:])
-            np.minimum(around[:-1], along[1:], out=around[:-1])
-            near = np.moveaxis(around, 0, axis)
+            np.minimum(along[1:], along[:-1], out=along[1:])
+            np.minimum(along[:-1], along[1:], out=along[:-1])
         near = np.minimum(layers, near + 1)
         lower, layers = bool((near < layers).any()), near
     return layers
@@ -137,13 +135,7 @@ class Basis:
 
     def __init__(self, original: Original, boundary: Boundary | Constraints):
         self.original, self.grid, self.topology = original, original.grid, original.topology
-        self._boundary = boundary
-
-    @cached_property
-    def constraints(self) -> Constraints:
-        if isinstance(self._boundary, Constraints):
-            return self._boundary
-        return Constraints.of(self.original, self._boundary)
+        self.constraints = boundary if isinstance(boundary, Constraints) else Constraints.of(original, boundary)
 
     @cached_property
     def axes(self) -> FloatArray:
@@ -179,7 +171,8 @@ class Basis:
     def near(self, cells: IntArray, most: int) -> Any:
         """Distance of every block node from the nodes of ``cells``, of which each rank gives those in its part, as from
         :func:`distances_in_cells`."""
-        seeds = np.unique(np.concatenate(self.grid.nodes.gather(np.unique(self._corners(cells)))))
+        corners = corner_nodes(self.grid, *places(self.grid, cells))
+        seeds = np.unique(np.concatenate(self.grid.nodes.gather(np.unique(corners))))
         return distances_in_cells(self.constraints, seeds, most)[0]
 
     def plot(self, layers: Any = None, most: int = 0) -> Plot | None:
@@ -189,7 +182,8 @@ class Basis:
         moved, cells = (np.concatenate(each) for each in zip(*self.grid.nodes.gather(own), strict=True))
         if not moved.size:
             return None
-        corners, owners = self._corners(cells), self._owners(moved)
+        block, ijk = places(self.grid, cells)
+        corners, owners = corner_nodes(self.grid, block, ijk), self._owners(moved)
         nodes, local = np.unique(self._owners(corners.ravel()), return_inverse=True)
         number = self.topology.numbers_of(nodes)
         moves = (number < 0) | ~self.constraints.held[number]
@@ -202,7 +196,7 @@ class Basis:
         from_walls, largest = self._from_walls
         share, first = nearness(Nodes.of(from_walls).at(nodes), largest)
         weight = weigh(share[cell_nodes], first, start, cell_nodes)
-        side = self.original.sides(places(self.grid, cells)[0])
+        side = self.original.sides(block)
         if self.original.normal is not None:
             side = side @ self.original.normal
         # Samples that depend on no node that moves are constant.
@@ -239,10 +233,6 @@ class Basis:
                 first = int(grid.cell_offsets[block]) + grid.planes(block).start * cj * ck
                 cells.append(first + np.flatnonzero(cell_corners(corners).any(axis=1)))
         return low + np.flatnonzero(own), np.concatenate(cells)
-
-    def _corners(self, cells: IntArray) -> IntArray:
-        """Block nodes (m, 8), in 2-D (m, 4), at the corners of cells."""
-        return corner_nodes(self.grid, *places(self.grid, cells))
 
     def _owners(self, nodes: IntArray) -> IntArray:
         """The block node that represents each of ``nodes``."""

@@ -178,15 +178,19 @@ class Repairer:
         Jacobian: what the energy gives to walls it may not take from the worst cell without limit. Of a start with
         squashed cells it keeps less: cells that have lost their size are worse than those that have lost their angles.
         """
-        least = KEPT * self._smallest_scaled(start) * min(1.0, start.verdict.smallest_ratio / SQUASHED)
-        if end is start or least <= 0.0 or self._smallest_scaled(end) >= least:
+
+        def smallest(grid: Judged) -> float:
+            return grid.smallest_scaled_jacobian(self.basis.original, self.rounded)
+
+        least = KEPT * smallest(start) * min(1.0, start.verdict.smallest_ratio / SQUASHED)
+        if end is start or least <= 0.0 or smallest(end) >= least:
             return end
 
         def between(part: float) -> Judged:
             return self._blended(start, end, lambda rows: part)
 
         # As exact as the minimum: a coarser part would make moving grids jump.
-        part = scipy.optimize.brentq(lambda part: self._smallest_scaled(between(part)) - least, 0.0, 1.0, xtol=1e-7)
+        part = scipy.optimize.brentq(lambda part: smallest(between(part)) - least, 0.0, 1.0, xtol=1e-7)
         found = between(part)
         return found if found.verdict.valid else start
 
@@ -200,10 +204,6 @@ class Repairer:
         Nodes.of(points).each(fill)
         self.basis.back_to_surfaces(points)
         return self._judged(points)
-
-    def _smallest_scaled(self, grid: Judged) -> float:
-        """The smallest scaled Jacobian."""
-        return grid.smallest_scaled_jacobian(self.basis.original, self.rounded)
 
     def _undone(self, start: Judged, end: Judged) -> Judged:
         """The grid ``end`` near cells that are invalid in it or at the ``start``, and the ``start`` far from them."""
