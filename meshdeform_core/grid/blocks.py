@@ -148,14 +148,12 @@ class Grid(BlockSizes):
         first, last = np.clip((np.array([lo, hi]) - self.offsets[index]) // (nj * nk), 0, ni)
         return slice(int(first), int(last))
 
-    def in_planes(self, index: int, values: FloatArray | None = None, more: int = 0) -> FloatArray:
-        """View of the planes i of a block that this rank owns, and of some ``more`` of the planes that follow, in
-        ``points`` or in an array alike."""
-        own, (ni, nj, nk) = self.planes(index), self.shapes[index]
-        last = min(own.stop + more, ni) if own.stop > own.start else own.stop
-        start, stop = (int(self.offsets[index]) + plane * nj * nk for plane in (own.start, last))
+    def in_planes(self, index: int, values: FloatArray | None = None) -> FloatArray:
+        """View of the planes i of a block that this rank owns, in ``points`` or in an array alike."""
+        own, (_, nj, nk) = self.planes(index), self.shapes[index]
+        start, stop = (int(self.offsets[index]) + plane * nj * nk for plane in (own.start, own.stop))
         array = self.points if values is None else values
-        return array[start:stop].reshape(last - own.start, nj, nk, *array.shape[1:])
+        return array[start:stop].reshape(own.stop - own.start, nj, nk, *array.shape[1:])
 
     def own_shape(self, index: int, shape: Shape) -> Shape:
         """Shape of what this rank holds of values of ``shape`` in a block: at nodes, cells or faces.

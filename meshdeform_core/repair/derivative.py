@@ -33,13 +33,9 @@ def derivative_of_repair(basis: Basis, start: FloatArray, end: FloatArray, polis
         first, last = (extrusion.flattened(change) for change in changes)
         if first is not None and last is not None:
             flat = extrusion.plane.points
-            inside = _at_minimum(plane, flat + first, flat + last, polish)
+            inside = derivative_of_repair(plane, flat + first, flat + last, polish)
             apart = (extrusion.along_lines(changes[0], first), extrusion.along_lines(changes[1], last))
-            return None if inside is None else _Extruded(extrusion, inside, *apart)
-    return _at_minimum(basis, start, end, polish)
-
-
-def _at_minimum(basis: Basis, start: FloatArray, end: FloatArray, polish: bool) -> _AtMinimum | None:
+            return _Extruded(extrusion, inside, *apart) if isinstance(inside, _AtMinimum) else None
     found = _AtMinimum(basis.whole, start, end, polish) if basis.whole else None
     return found if found and found.share > 0.0 else None
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..grid import FloatArray, IntArray
+from ..grid import BoolArray, FloatArray, Grid, IntArray
 from ..numerics.cell.health import mark_unhealthy
 from ..parallel import Nodes
 from ..quality import Original
@@ -19,15 +19,25 @@ from .tuned import COLLAPSED, HEALTHY, SOFT
 
 def unhealthy_cells(original: Original, points: FloatArray, most: float = HEALTHY) -> IntArray:
     """Numbers (m,) of the cells of all ranks with a corner whose f is more than ``most``."""
-    grid, normal = original.grid, np.zeros(3) if original.normal is None else original.normal
+    normal = np.zeros(3) if original.normal is None else original.normal
+
+    def unhealthy(x: FloatArray, start: FloatArray) -> BoolArray:
+        marks = np.empty([max(n - 1, 1) for n in x.shape[:3]], dtype=bool)
+        mark_unhealthy(x, start, normal, most, SOFT, COLLAPSED, marks)
+        return marks
+
+    return cells_where(unhealthy, original.grid, points, original.grid.points)
+
+
+def cells_where(test: Callable[..., Any], grid: Grid, *arrays: Any) -> IntArray:
+    """Numbers (m,) of the cells of all ranks that pass a test; it gets some layers of a block's nodes, from each of the
+    ``arrays`` (n_nodes, ...), and has a result for each of the cells between them."""
     marks = Nodes.of(cells_alike(grid, bool))
-    hold_cells(grid, points, grid.points)
+    hold_cells(grid, *arrays)
 
     def mark(_: int, slab: Slab) -> None:
-        blocks = (grid.block(slab.block, Nodes.of(each).rows) for each in (points, grid.points))
-        x, start = (each[slab.first : slab.last + 1] for each in blocks)
-        found = marks[slab.cells].reshape(-1, *grid.cell_shapes[slab.block][1:])
-        mark_unhealthy(x, start, normal, most, SOFT, COLLAPSED, found)
+        blocks = (grid.block(slab.block, Nodes.of(each).rows) for each in arrays)
+        marks[slab.cells][:] = test(*(each[slab.first : slab.last + 1] for each in blocks)).ravel()
 
     for_slabs(grid, mark)
     return np.concatenate(grid.nodes.gather(marks.low + np.flatnonzero(marks.own)))

@@ -28,6 +28,7 @@ from ..quality.cells import corner_nodes, places
 from .constraints import Constraints, Extrusion, find_extrusion
 from .energy import Energy, Region, Slide, components
 from .newton import NewtonSystem
+from .outcome import cells_where
 from .tuned import COLLAPSED, CRAMPED, FALL, FIRST, GROWTH, HEAVIEST, REACH, ROOM, SHARE, STEEP, THIN
 
 FARTHEST = math.ceil(REACH / SHARE)
@@ -57,9 +58,8 @@ class Plot:
         """The shortest undeformed edges (n,) at the nodes; those of zero length do not count."""
         energy = self.region.energy
         result = np.full(len(energy.start), np.inf)
-        for *ends, length in cell_edges(energy.start, energy.nodes):
-            for each in ends:
-                np.minimum.at(result, each, np.where(length > 0.0, length, np.inf))
+        ends, length = cell_edges(energy.start, energy.nodes)
+        np.minimum.at(result, ends, np.where(length > 0.0, length, np.inf)[..., None])
         return result
 
     @cached_property
@@ -131,16 +131,12 @@ def _spread(layers: np.ndarray) -> np.ndarray:
 
 
 class Basis:
-    """Data common to all repairs of one undeformed grid; each part is computed when first needed."""
+    """Data common to all repairs of one undeformed grid; ``axes`` (d, 3): directions of the coordinates of regions."""
 
     def __init__(self, original: Original, boundary: Boundary | Constraints):
         self.original, self.grid, self.topology = original, original.grid, original.topology
         self.constraints = boundary if isinstance(boundary, Constraints) else Constraints.of(original, boundary)
-
-    @cached_property
-    def axes(self) -> FloatArray:
-        """Directions (d, 3) of the coordinates of regions."""
-        return np.eye(3) if self.original.normal is None else plane_axes(self.original.normal)
+        self.axes = np.eye(3) if original.normal is None else plane_axes(original.normal)
 
     @cached_property
     def extrusion(self) -> tuple[Extrusion, Basis] | None:
@@ -178,10 +174,14 @@ class Basis:
     def plot(self, layers: Any = None, most: int = 0) -> Plot | None:
         """The region of the nodes that may move and whose ``layers`` (n_nodes,), if given, are at most ``most``, or
         ``None`` if there are none. All ranks that hold parts of the grid call this together."""
-        own = self._own(layers, most)
-        moved, cells = (np.concatenate(each) for each in zip(*self.grid.nodes.gather(own), strict=True))
+        rows = Nodes.of(self.grid.nodes.like(dtype=bool))
+        rows.own[...] = True if layers is None else Nodes.of(layers).own <= most
+        faces = self._own_faces(rows)
+        rows.rows[self.topology.face_nodes[faces][self.constraints.held[self.topology.number[faces]]]] = False
+        moved = np.concatenate(rows.gather(rows.low + np.flatnonzero(rows.own)))
         if not moved.size:
             return None
+        cells = cells_where(lambda moves: cell_corners(moves).any(axis=1), self.grid, rows)
         block, ijk = places(self.grid, cells)
         corners, owners = corner_nodes(self.grid, block, ijk), self._owners(moved)
         nodes, local = np.unique(self._owners(corners.ravel()), return_inverse=True)
@@ -212,27 +212,15 @@ class Basis:
     def back_to_surfaces(self, points: FloatArray) -> None:
         """Project the nodes that slide on curved surfaces back onto them, in place."""
         nodes = Nodes.of(points)
-        own = slice(*np.searchsorted(self.topology.face_nodes, nodes.ends).tolist())
+        own = self._own_faces(nodes)
         for each in self.constraints.sliding:
             rows = self.topology.face_nodes[own][np.isin(self.topology.number[own], each.nodes)]
             if rows.size:
                 nodes.rows[rows] = each.project(nodes.rows[rows])
 
-    def _own(self, layers: Any, most: int) -> tuple[IntArray, IntArray]:
-        """The nodes of a region, and the cells at these, of this rank's part of the grid."""
-        grid, face_nodes = self.grid, self.topology.face_nodes
-        low, moves = grid.nodes.low, grid.nodes.like(dtype=bool)
-        own, faces = Nodes.of(moves).own, slice(*np.searchsorted(face_nodes, grid.nodes.ends).tolist())
-        own[...] = True if layers is None else Nodes.of(layers).own <= most
-        own[face_nodes[faces][self.constraints.held[self.topology.number[faces]]] - low] = False
-        grid.hold_neighbours(moves)
-        cells = [np.empty(0, dtype=np.int64)]
-        for block, (ni, _, _) in enumerate(grid.shapes):
-            corners, (_, cj, ck) = grid.in_planes(block, moves, 1), grid.cell_shapes[block]
-            if len(corners) > 1 or (len(corners) and ni == 1):
-                first = int(grid.cell_offsets[block]) + grid.planes(block).start * cj * ck
-                cells.append(first + np.flatnonzero(cell_corners(corners).any(axis=1)))
-        return low + np.flatnonzero(own), np.concatenate(cells)
+    def _own_faces(self, nodes: Nodes) -> slice:
+        """Which of the nodes on block faces are among this rank's ``nodes``."""
+        return slice(*np.searchsorted(self.topology.face_nodes, nodes.ends).tolist())
 
     def _owners(self, nodes: IntArray) -> IntArray:
         """The block node that represents each of ``nodes``."""
@@ -270,12 +258,10 @@ def weigh(share: FloatArray, first: float, start: FloatArray, cells: IntArray) -
     """Weights (m,) of ``cells`` (m, k) with undeformed node coordinates ``start`` (n, d); ``share`` (m, k) is the
     :func:`nearness` of their nodes, ``first`` that of nodes on walls."""
     near = share.min(axis=1)
+    _, length = cell_edges(start, cells)
     # Longest over shortest edge of cells (m,); collapsed edges do not count.
-    shortest, longest = np.full(len(cells), np.inf), np.zeros(len(cells))
-    for _, _, length in cell_edges(start, cells):
-        np.maximum(longest, length, out=longest)
-        np.minimum(shortest, length, out=shortest, where=length > 0.0)
-    thin = np.clip(((longest / shortest) / THIN) ** GROWTH, 1.0, HEAVIEST)
+    aspect = length.max(axis=1) / np.where(length > 0.0, length, np.inf).min(axis=1)
+    thin = np.clip((aspect / THIN) ** GROWTH, 1.0, HEAVIEST)
     # The layer, from 1 at walls.
     layer, reach = np.where(near < 1.0, near / first, np.inf), 1.0 / first
     rigid = FIRST * reach * min(1.0, reach / ROOM) ** CRAMPED

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -120,9 +119,8 @@ def _cross_products(a: FloatArray, b: FloatArray) -> FloatArray:
     return found
 
 
-def cell_edges(start: FloatArray, cells: IntArray) -> Iterator[tuple[IntArray, IntArray, FloatArray]]:
-    """Both end nodes (m,) and the lengths (m,) of each edge of ``cells`` (m, 2^d), coordinates ``start`` (n, d)."""
-    for one, bit in itertools.product(range(cells.shape[1]), (1, 2, 4)):
-        if not one & bit and bit < cells.shape[1]:
-            ends = cells[:, one], cells[:, one | bit]
-            yield *ends, np.sqrt(((start[ends[1]] - start[ends[0]]) ** 2).sum(axis=1))
+def cell_edges(start: FloatArray, cells: IntArray) -> tuple[IntArray, FloatArray]:
+    """Both end nodes (m, e, 2) and the lengths (m, e) of the edges of ``cells`` (m, 2^d) with coordinates (n, d)."""
+    n = cells.shape[1]
+    ends = cells[:, [(one, one | bit) for one in range(n) for bit in (1, 2, 4) if not one & bit and bit < n]]
+    return ends, np.sqrt(((start[ends[..., 1]] - start[ends[..., 0]]) ** 2).sum(axis=2))
