@@ -64,7 +64,8 @@ def inverse_factors(blocks: FloatArray) -> tuple[FloatArray, bool]:
 
     An unknown that no sample depends on, whose matrix is zero, does not move.
     """
-    trace, factor, negative = np.trace(blocks, axis1=1, axis2=2), np.zeros_like(blocks), False
+    trace, negative = np.trace(blocks, axis1=1, axis2=2), False
+    factor, inverse = np.zeros_like(blocks), np.zeros_like(blocks)
     small = 1e-14 * np.abs(trace) + 1e-300
     for d in range(blocks.shape[1]):
         for e in range(d):
@@ -73,8 +74,6 @@ def inverse_factors(blocks: FloatArray) -> tuple[FloatArray, bool]:
         pivot = blocks[:, d, d] - (factor[:, d, :d] ** 2).sum(axis=1)
         negative |= bool((pivot < -small).any())
         factor[:, d, d] = np.sqrt(np.maximum(pivot, small))
-    inverse = np.zeros_like(factor)
-    for d in range(blocks.shape[1]):
         inverse[:, d, d] = 1.0 / factor[:, d, d]
         for e in range(d):
             total = (factor[:, d, e:d] * inverse[:, e:d, e]).sum(axis=1)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -78,8 +77,7 @@ class Repairer:
             return None
         if valid and not polish:
             found = replace(found, grid=self._kept(start, found.grid))
-        low, high = Nodes.of(start.points).ends
-        distance = lengths(found.grid.points[low:high] - start.points[low:high])
+        distance = lengths(Nodes.of(found.grid.points).own - Nodes.of(start.points).own)
         own = int((distance > 0).sum()), float(distance.max(initial=0.0))
         nodes, farthest = zip(*Nodes.of(start.points).gather(own), strict=True)
         moved = sum(nodes), max(farthest), found.steps, clock.perf_counter() - begin
@@ -96,8 +94,9 @@ class Repairer:
         mean = extrusion.flattened(Nodes.of(start.points).combined(np.subtract, undeformed))
         if mean is None:
             return None
-        flat = self._judged(extrusion.plane.points + mean, basis)
-        found = replace(self, basis=basis)._found(flat, polish, effort, limit)
+        inside = replace(self, basis=basis)
+        flat = inside._judged(extrusion.plane.points + mean)
+        found = inside._found(flat, polish, effort, limit)
         weak = self.basis.grid.n_cells // extrusion.plane.n_cells * found.weak
         if not found.steps and start.verdict.valid:
             return replace(found, grid=start, weak=weak)
@@ -209,15 +208,11 @@ class Repairer:
         """The grid ``end`` near cells that are invalid in it or at the ``start``, and the ``start`` far from them."""
         cells = np.union1d(start.verdict.invalid, end.verdict.invalid)
 
-        def near(distance: Any, layers: int, rows: slice) -> FloatArray:
-            part = (2.0 * layers - Nodes.of(distance).rows[rows]) / layers
-            return np.clip(part, 0.0, 1.0)[:, None]
+        def undone(layers: int) -> Judged:
+            far = Nodes.of(self.basis.near(cells, 2 * layers)).rows
+            return self._blended(start, end, lambda rows: np.clip(2.0 - far[rows] / layers, 0.0, 1.0)[:, None])
 
-        for layers in LAYERS[2:]:
-            found = self._blended(start, end, partial(near, self.basis.near(cells, 2 * layers), layers))
-            if found.count <= end.count:
-                return found
-        return end
+        return next((found for found in map(undone, LAYERS[2:]) if found.count <= end.count), end)
 
     def _moved(self, now: Judged, plot: Plot, shift: FloatArray) -> Judged:
         points: FloatArray = Nodes.of(now.points).like(3)
@@ -226,5 +221,5 @@ class Repairer:
         Nodes.of(points).rows[plot.moved[own]] += shift[own]
         return self._judged(points)
 
-    def _judged(self, points: FloatArray, basis: Basis | None = None) -> Judged:
-        return Judged(points, judge((basis or self.basis).original, self.rounded(points)))
+    def _judged(self, points: FloatArray) -> Judged:
+        return Judged(points, judge(self.basis.original, self.rounded(points)))
