@@ -106,15 +106,6 @@ def test_a_table_a_thousand_times_larger_is_refused_where_it_covers_the_wall():
         set_up(grid, Case((BoundarySpec("plate", ("block1.kmin",), Kind.MOVING, None, motion),)))
 
 
-@pytest.mark.parametrize("order", [(1, 0, 2), (2, 1, 0), (1, 2, 0)])
-def test_swapped_columns_are_refused(order):
-    points = bar() * [1.0, 1.0, 3.0] + [4.0, 0.0, 0.0]
-    grid = FRAME.moved(FRAME.points * [1.0, 1.0, 3.0] + [4.0, 0.0, 0.0])
-    motion = Motion((Follow(data(points[:, order]), Matching(partial=True)),), {})
-    with pytest.raises(MotionError, match=r"no match|lie on no"):
-        set_up(grid, Case((BoundarySpec("t", ("*",), Kind.MOVING, None, motion),)))
-
-
 @pytest.mark.parametrize(("how", "gap"), [("nearest", 1e-13), *(("interpolate", gap) for gap in (1e-13, 1e-9, 1e-7))])
 def test_two_displacements_at_practically_one_place_are_refused(how, gap):
     points = bar()
@@ -159,12 +150,6 @@ def test_one_table_for_several_entries_is_used_as_a_whole():
         for name, face in (("a", "block2.imax"), ("b", "block7.imin"), ("c", "block4.jmax"), ("d", "block5.jmin"))
     ]
     assert set_up(FRAME, Case((*entries, BoundarySpec("rest", ("*",), Kind.SLIP)))).boundary.notes == ()
-
-
-def test_a_shifted_table_is_said():
-    edge = 1.0 / 6
-    (note,) = on_body(data(bar() + [0.0, 0.0, 0.3 * edge]), tolerance=0.5)
-    assert "away from the table point whose displacement they take" in note
 
 
 def test_nodes_move_that_all_tables_of_a_motion_match():

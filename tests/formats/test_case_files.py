@@ -16,6 +16,7 @@ from meshdeform_core.series import Schedule, deform_series
 from meshdeform_formats import displacement
 from meshdeform_formats.case import read_case
 from meshdeform_formats.case.tables import parse_times
+from meshdeform_formats.report.records import boundary_part
 
 CASE = """\
 [[boundary]]
@@ -97,6 +98,13 @@ def test_times_between_the_files_and_files_of_other_nodes_are_refused(folder):
     # A file that covers fewer nodes than the first one.
     with pytest.raises(MotionError, match=r"surface_1\.csv"):
         setup.displacement(0.1)
+
+
+def test_reports_compare_a_table_with_the_nodes_that_it_matches(folder):
+    table = np.loadtxt(folder / "surface_1.csv", delimiter=",")
+    np.savetxt(folder / "half.csv", table[table[:, 2] < 0.6], "%.17g", delimiter=",")
+    setup = set_up(frame(), read_case(None, table=folder / "half.csv").case)
+    assert boundary_part(setup)["matches"][0]["size_ratio"] == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(
