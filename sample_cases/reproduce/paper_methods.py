@@ -88,11 +88,8 @@ class MinresSystem:
 
     def solve(self, values: FloatArray, account: Account, progress: Progress | None) -> tuple[FloatArray, FloatArray]:
         """Coefficients (n, 3) and polynomial (q, 3) for values at the centres (n, 3)."""
-        matrix, terms, n = (
-            radial_matrix(BASES[self._options.basis], self._points, self._points),
-            self._terms,
-            len(values),
-        )
+        terms, n = self._terms, len(values)
+        matrix = radial_matrix(BASES[self._options.basis], self._points, self._points)
 
         def multiply(x: FloatArray) -> FloatArray:
             return np.concatenate([matrix @ x[:n] + terms @ x[n:], terms.T @ x[:n]])
@@ -160,12 +157,13 @@ def minres(
 def count_operations(method: Composite, problem: Problem, account: Account) -> float:
     """Operations of ``prepare`` and one ``apply``, after which the account is ``account``."""
     skeleton = method.filler.skeleton(problem) if method.filler else None
-    targets = len(first_step_nodes(problem, skeleton))
+    # The first step is the method ``bind`` of some options.
+    targets, mover = len(first_step_nodes(problem, skeleton)), getattr(method.mover, "__self__", None)
     total, found = 0.0, {name: setting.value for name, setting in account.settings.items()}
-    if isinstance(method.mover, IDW):
-        total += idw_operations(method.mover, targets, len(problem.source_numbers))
-    elif isinstance(method.mover, RBF):
-        total += rbf_operations(method.mover, targets, len(problem.source_numbers), found)
+    if isinstance(mover, IDW):
+        total += idw_operations(mover, targets, len(problem.source_numbers))
+    elif isinstance(mover, RBF):
+        total += rbf_operations(mover, targets, len(problem.source_numbers), found)
     if isinstance(method.filler, TFI):
         total += tfi_operations(problem.grid.n_nodes, problem.grid.dimension)
     elif isinstance(method.filler, BlockRBF) and skeleton is not None:
