@@ -279,15 +279,6 @@ def test_the_verdict_is_about_the_precision_that_is_written(bench, call):
     assert call("deform", "thin.xyz", *shifted, "-o", "out32.xyz", "--variant", "precision=float32").code == 3
 
 
-def test_a_flat_grid(bench, call):
-    case = 'boundary=[{where="abs(x) < 0.51 and abs(y) < 0.51", motion=[{rotate={angle=10}}]}]'
-    report = report_of(call, "deform", "flat.p2dfmt", "-s", case, "-o", "out.p2dfmt")
-    assert (report["grid"]["dimension"], report["boundary"]["moving_nodes"] > 0) == (2, True)
-    after = read_grid("out.p2dfmt")
-    assert after.dimension == 2
-    np.testing.assert_array_equal(after.points[:, 2], 0.0)
-
-
 BY_TABLE = ("deform", "grid.xyz", "-d", "table.csv", "-o", "out.xyz", "--report", "out.json")
 
 

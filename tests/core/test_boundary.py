@@ -188,14 +188,15 @@ def test_nodes_at_the_rim_of_a_curved_slip_surface_follow_the_wall():
 @pytest.mark.parametrize("fold", [40, 100, 130, 170])  # the first as between coarse faces of a smooth surface
 def test_creases_of_slip_surfaces_are_named_at_moving_walls_and_held_in_repairs(fold):
     grid, specs = box_with_curved_sides(lambda x: np.tan(np.deg2rad(fold / 2)) * np.abs(x - 0.5))
-    setup = set_up(grid, Case(tuple(specs)))
+    # The other two sides are curved, too; nodes where two of them meet are held.
+    setup = set_up(grid.moved(grid.points + [0.1, 0.0, 0.0] * np.sin(3 * grid.points[:, 2:])), Case(tuple(specs)))
     assert len(setup.boundary.notes) == (fold > 40)
     for crease in setup.boundary.notes:
         assert "'sides' has creases of more than 30 degrees" in crease
         assert "at 2 nodes, first block1 (6, 1, 1)" in crease
-    nodes = np.arange(11**3).reshape(11, 11, 11)[4:7, ::10, 1:-1].transpose(1, 2, 0)
+    nodes = np.arange(11**3).reshape(11, 11, 11)[[0, 4, 5, 6], ::10, 1:-1].transpose(1, 2, 0)
     held = Constraints.of(setup.original, setup.boundary).held[setup.topology.numbers_of(nodes)]
-    assert (held == [False, fold > 40, False]).all()
+    assert (held == [True, False, fold > 40, False]).all()
 
 
 def test_fixed_faces_torn_at_a_moving_edge_are_named():
@@ -288,6 +289,15 @@ def test_images_found_through_two_periodicities_are_turned():
     np.testing.assert_allclose(x[periodic.nodes], np.einsum("nij,nj->ni", periodic.turn, x[periodic.root]), atol=1e-14)
 
 
+def test_periodic_images_of_fixed_nodes_are_fixed():
+    grid, specs = sector()
+    casing = ("casing", "block1.jmax[1:2,*]", Kind.FIXED, None), ("rest", "block1.jmax[2:*,*]", Kind.SLIP, None)
+    pitch = ("pitch", ("block1.imin", "block1.imax"), Kind.PERIODIC, None)
+    problem = problem_of(grid, [specs[0], specs[2], *specs_of(*casing, pitch)])
+    ends = problem.topology.numbers_of(np.arange(grid.n_nodes).reshape(grid.shapes[0])[[0, -1], -1])
+    assert (problem.boundary.kind[ends] == Kind.FIXED).all()
+
+
 def test_a_declared_rotation_turns_the_displacement():
     """One pattern for both sides: only the file says which node belongs to which."""
     grid, specs = sector()
@@ -336,9 +346,9 @@ def test_exact_and_nearest_tables():
     points = bar_nodes()
     shift = np.stack([0.1 * points[:, 1], -0.1 * points[:, 0], 0 * points[:, 0]], axis=1)
     shuffled = np.random.default_rng(0).permutation(len(points))
-    for how, noise in (("exact", 0.0), ("nearest", 1e-3)):
+    for how, noise, tolerance in (("exact", 0.0, None), ("exact", 1e-3, 0.01), ("nearest", 1e-3, None)):
         data = table(points[shuffled] + noise, shift[shuffled])
-        problem = problem_of(FRAME, following(data, how=how))
+        problem = problem_of(FRAME, following(data, how=how, tolerance=tolerance))
         told = prescribed_displacement(problem.grid, problem.topology, problem.boundary)
         np.testing.assert_array_equal(told[problem.boundary.kind == Kind.MOVING], shift)
         (match,) = problem.boundary.movers[0][1].matches

@@ -82,8 +82,8 @@ def test_greedy_tolerance_coarser_than_the_first_cell(error, tolerance, comes):
 def test_largest_rotation_is_relative():
     problem = problem_of(frame(), body_specs(turning(40)))
     assert largest_rotation(problem, told(problem)) == pytest.approx(40.0)
-    everything = problem_of(frame(), everything_moves(turning(40)))
-    assert largest_rotation(everything, told(everything)) < 1e-10
+    everything = problem_of(frame(), everything_moves(turning(180)))
+    assert largest_rotation(everything, told(everything)) < 1e-5
 
 
 def test_periodic_problems_warn_too():
@@ -175,9 +175,3 @@ def test_deforming_body_passes_half_a_turn(rotation):
     assert np.abs(angle).min() > np.radians(165)
     smooth = apply(Options("idw", idw=IDW(rotation=rotation)), problem, twisted)
     assert np.isfinite(smooth).all()
-
-
-@pytest.mark.parametrize("angle", ANGLES)
-def test_turning_everything_is_no_reason_for_a_warning(angle):
-    problem = problem_of(frame())
-    assert largest_rotation(problem, turned(problem.source_points, angle) - problem.source_points) < 1e-5

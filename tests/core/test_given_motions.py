@@ -73,6 +73,10 @@ def test_boxes_are_bernstein_polynomials_and_move_what_is_inside():
     assert 0 < inside.sum() < len(inside)
     np.testing.assert_array_equal(found[~inside], 0)
     np.testing.assert_allclose(moved(nodes, box(), fraction=0.5), 0.5 * exact, atol=1e-14)
+    # All nodes are on the faces of a box around them, which belong to it.
+    around = {"origin": [-1] * 3, "edges": np.diag([2, 2, 2]).tolist(), "points": [2, 2, 2]}
+    found = moved(nodes, {"ffd": around | {"move": [{"at": ["*"] * 3, "by": [1, 2, 3]}]}})
+    np.testing.assert_allclose(found, np.tile([1.0, 2.0, 3.0], (len(nodes.points), 1)), atol=1e-14)
 
 
 def test_times_are_checked_before_a_series_starts(tmp_path):

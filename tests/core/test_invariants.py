@@ -5,16 +5,14 @@ import functools
 
 import numpy as np
 import pytest
-from cases import ALL_METHODS, FRAME_DEPENDENT, INNER, NO_ROTATION, apply, body_specs, every, problem_of, turning
-from grids import frame, frame_2d, permuted, polar, turn_back
+from cases import ALL_METHODS, FRAME_DEPENDENT, NO_ROTATION, apply, body_specs, every, problem_of, turning
+from grids import frame, frame_2d, polar
 
 from meshdeform_core.boundary import BoundarySpec, Kind
-from meshdeform_core.boundary.motions.expression import expression
 from meshdeform_core.methods import IDW, Options, Problem, make_method
 from meshdeform_core.parallel import sharing
 
 EVERY = every(ALL_METHODS)
-XYZ = {"x", "y", "z"}
 ROTATION = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
 ROTATION *= np.sign(np.linalg.det(ROTATION))
 
@@ -155,25 +153,6 @@ def test_mirror_image(name):
     mirror, told = np.array([-1.0, 1.0, 1.0]), solid_turn_of_body(body())
     moved, other = apply(ALL_METHODS[name], body(), told), apply(ALL_METHODS[name], body(1.0, True), told * mirror)
     assert np.abs(moved - other * mirror).max() < 1e-10
-
-
-@functools.cache
-def reordered(axes: tuple[int, ...], flips: tuple[bool, ...]) -> Problem:
-    """The bar and planes by their coordinates, in a grid with other index directions."""
-    return problem_of(permuted(frame(), axes, flips), [
-        BoundarySpec("body", ("*",), Kind.MOVING, expression(INNER, XYZ), turning(10)),
-        BoundarySpec("low", ("*",), Kind.SLIP, expression("z<0.001", XYZ)),
-        BoundarySpec("high", ("*",), Kind.SLIP, expression("z>0.999", XYZ)),
-    ])  # fmt: skip
-
-
-@EVERY
-def test_index_order_does_not_matter(name):
-    axes, flips = (1, 2, 0), (True, True, True)
-    one, two = reordered((0, 1, 2), (False, False, False)), reordered(axes, flips)
-    moved, other = (apply(ALL_METHODS[name], problem, bend) for problem in (one, two))
-    for b in range(one.grid.n_blocks):
-        assert np.abs(turn_back(two.grid.block(b, other), axes, flips) - one.grid.block(b, moved)).max() < 1e-10
 
 
 @pytest.mark.parametrize("name", sorted({"tfi", "idw-lie", "idw-tfi", "idw-tfi-cut"} | RBF_ALONE))

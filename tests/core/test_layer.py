@@ -201,7 +201,9 @@ def test_motions_along_the_planes_are_left_as_they_are(name, make, monkeypatch):
 
 
 def test_symmetry_planes_have_images_instead():
-    assert not problem_of(frame(), body_specs(SWAYING, Kind.SYMMETRY)).boundary.slip.sides
+    boundary = problem_of(frame(), body_specs(SWAYING, Kind.SYMMETRY)).boundary
+    assert not boundary.slip.sides
+    assert sorted(plane.point[2] for plane in boundary.mirrors) == [0.0, 1.0]
 
 
 def test_exact_and_fast_sums_are_damped_alike():

@@ -244,6 +244,9 @@ def test_periodic_sides_move_alike():
     moved = grid.block(0, outcome.points - grid.points)
     np.testing.assert_allclose(moved[0], moved[-1], rtol=0, atol=1e-15)
     assert np.abs(moved[0]).max() > 0.01
+    # Distances, in cells, from the first of a row of cells reach it from both sides.
+    layers = grid.block(0, Basis(setup.original, setup.boundary).near(np.array([4 * 8 + 4]), 9))
+    np.testing.assert_array_equal(layers[:, 4, 4], [0, 0, 1, 2, 3, 3, 2, 1, 0])
 
 
 def test_planes_at_an_image_count_as_seen_from_its_root():
@@ -400,6 +403,9 @@ def test_what_differs_along_lines_is_dropped_where_it_would_make_cells_invalid(c
     change = extrusion.flattened(found.points - grid.points)
     np.testing.assert_allclose(found.points - grid.points, change[extrusion.line], atol=1e-12)
     assert (np.abs(change - mean).max() > 1e-12) == (common > 0.0)
+    # A line near the next one has four weak cells in each of three layers.
+    block[2, 2] = 0.2 * grid.block(0)[2, 2] + 0.8 * grid.block(0)[2, 3]
+    assert repairer.repair(Judged(points, judge(setup.original, points))).repair.weak == 4 * 3
 
 
 def test_a_repair_is_bounded_and_undone_far_from_cells_that_stay_invalid():
@@ -425,6 +431,18 @@ def test_nodes_at_the_rim_of_a_region_are_held():
     plot = basis.plot(basis.near(np.array([setup.grid.n_cells // 2]), 1), 1)
     np.testing.assert_array_equal(np.flatnonzero(plot.region.number >= 0), np.sort(plot.at))
     assert 0 < len(plot.at) < len(plot.nodes) < basis.n_unknowns
+
+
+@pytest.mark.parametrize("large", [0, 10**9])
+def test_the_minimum_over_a_neighbourhood_is_not_called_that_over_all_nodes(large, monkeypatch):
+    monkeypatch.setattr("meshdeform_core.repair.repair.LARGE", large)
+    setup = fixed_setup(cube(41, 2))
+    points = setup.grid.points.copy()
+    block = setup.grid.block(0, points)
+    block[20, 20] += 1.2 * (block[21, 21] - block[20, 20])
+    _, outcome = repaired(setup, points)
+    assert outcome.verdict.valid
+    assert outcome.repair.converged == (large > 0)
 
 
 def test_a_repair_that_does_not_fit_is_left_out_with_the_reason():

@@ -1,5 +1,6 @@
 """Coincident nodes and shared faces, whatever the orientation."""
 
+import dataclasses
 import itertools
 import sys
 from collections.abc import Callable
@@ -8,11 +9,11 @@ import grids
 import numpy as np
 import pytest
 from cases import problem_of
-from grids import block_around, frame, frame_2d, permuted, polar, turn_block
+from grids import block_around, frame, frame_2d, permuted, polar, turn_block, whole_face
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from meshdeform_core.grid import Connection, Grid, IntArray, Side
+from meshdeform_core.grid import Connection, Grid, IntArray, Patch, Side
 from meshdeform_core.grid import topology as grid_topology
 from meshdeform_core.grid.connections import check_connections, connected_nodes, find_interfaces
 from meshdeform_core.grid.faces import find_faces, find_outside
@@ -131,7 +132,7 @@ def test_tolerance_is_relative_to_the_local_edge(noise):
 
 def test_wrong_connections_are_reported():
     grid = frame()
-    (good, *_) = find_interfaces(grid, find_topology(grid))
+    (good, *others) = find_interfaces(grid, find_topology(grid))
     wrong = Connection(
         "twisted", good.block, good.begin, good.end, good.donor_block, good.donor_end, good.donor_begin,
         (good.transform[0], -good.transform[1], -good.transform[2]),
@@ -142,6 +143,20 @@ def test_wrong_connections_are_reported():
     assert any("twisted" in m and "do not coincide" in m for m in messages)
     assert any("outside" in m and "reaches node" in m for m in messages)
     assert any("no connection declares them" in m for m in messages)
+    (missing,) = check_connections(dataclasses.replace(grid, connections=tuple(others)), find_topology(grid))
+    own, donor = connected_nodes(grid, good)
+    count = sum(np.prod([len(np.unique(x.round(9))) - 1 or 1 for x in grid.points[some].T]) for some in (own, donor))
+    assert f"{count} face quads coincide but no connection declares them" in missing
+
+
+def test_a_connection_joins_patches_also_where_another_is_between_walls():
+    grid = Grid.from_blocks([brick((n, 0, 0)) for n in range(3)])
+    connections = find_interfaces(grid, find_topology(grid))
+    places = (0, Side.IMAX, "BCWall"), (1, Side.IMIN, "BCWall"), (1, Side.IMAX, ""), (2, Side.IMIN, "")
+    patches = tuple(Patch(str(n), (whole_face((5, 4, 6), *at),), "", kind) for n, (*at, kind) in enumerate(places))
+    topology = find_topology(dataclasses.replace(grid, patches=patches, connections=connections))
+    joined = [bool((topology.partner[topology.quads.of_side(*at)] >= 0).all()) for *at, _ in places]
+    assert joined == [False, False, True, True]
 
 
 def test_third_party_grids(third_party):

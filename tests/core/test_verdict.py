@@ -148,16 +148,18 @@ def original_of(*blocks, **options):
     return Original(grid, find_topology(grid), **options)
 
 
-def inside_negative():
-    """A cube that is positive at its corners and not inside."""
-    x = distorted_cubes(0.35, 6000, seed=2)
-    inside = (sampled_jacobian(x, 2).min(axis=1) > 0.02) & (sampled_jacobian(x, 3).min(axis=1) < -0.02)
-    return x[np.flatnonzero(inside)[0]]
+def inside_negative(stretch=2.0, axis=2):
+    """A cell (8, 3) whose end along an axis is that of a cube turned by 180 degrees, and stretched: its corner
+    Jacobians are 1; their mean along the axis is ``(4 - stretch - 1 / stretch) / 6``, in the middle it is below 0."""
+    x = np.stack(np.indices((2, 2, 2)), axis=-1) - [0.5, 0.5, 0.0]
+    x[:, :, 1, :2] *= [-stretch, -1.0 / stretch]
+    return x.transpose(*np.roll([0, 1, 2], axis - 2), 3).reshape(8, 3)
 
 
-def test_a_cell_that_is_negative_between_positive_corners_is_invalid():
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_cell_that_is_negative_between_positive_corners_is_invalid(axis):
     original = original_of(block(2))
-    after = inside_negative()
+    after = inside_negative(axis=axis)
     verdict = judge(original, after)
     assert verdict.failed.tolist() == [Failure.INSIDE]
     assessment = assess(original, after, None)
@@ -166,10 +168,10 @@ def test_a_cell_that_is_negative_between_positive_corners_is_invalid():
     assert assessment.invalid[0].min_jacobian > 0.0
 
 
-def test_a_cell_that_was_negative_inside_is_not_judged_there():
-    bad = inside_negative()
-    original = original_of(bad.reshape(2, 2, 2, 3))
-    assert judge(original, bad + 1.0).valid
+def test_a_cell_that_was_negative_inside_is_judged_by_its_volume():
+    bad, sign = inside_negative()[None], np.ones(1)
+    assert decide(bad, bad + 1.0, sign).tolist() == [0]
+    assert decide(bad, inside_negative(4.0)[None], sign).tolist() == [2]
 
 
 @pytest.mark.parametrize("flip", [False, True])

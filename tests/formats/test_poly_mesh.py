@@ -130,6 +130,8 @@ def test_cyclic_faces_correspond(turned, tmp_path):
             c, s = np.cos(0.7), np.sin(0.7)
             p = p @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
         np.testing.assert_allclose(p + np.array(shift), q, atol=1e-12)
+    ways = ["(0.0 1.0 0.0)", "(0.0 -1.0 0.0)"]
+    assert [mesh.patches[name].get("separationVector") for name in pair] == ([None, None] if turned else ways)
     assert "Mesh OK." in check_mesh(tmp_path)
 
 
