@@ -12,7 +12,7 @@ PRODUCT = ("meshdeform", "cli", "formats", "sample_cases", "meshdeform_core")
 BUDGETS = {
     "cli": 2590,
     "meshdeform": 2690,
-    "sample_cases": 1464,
+    "sample_cases": 1462,
     "formats/case": 1290,
     "formats/cgns": 2124,
     "formats/displacement": 1035,
@@ -23,7 +23,7 @@ BUDGETS = {
     "formats/series": 478,
     "formats/vtk": 1479,
     "formats": 1859,
-    "meshdeform_core/boundary": 2975,
+    "meshdeform_core/boundary": 2968,
     "meshdeform_core/grid": 2583,
     "meshdeform_core/methods": 3803,
     "meshdeform_core/numerics": 8078,
@@ -31,7 +31,7 @@ BUDGETS = {
     "meshdeform_core/quality": 1744,
     "meshdeform_core/repair": 2138,
     "meshdeform_core": 2454,
-    "tests": 23989,
+    "tests": 23987,
 }
 """Lines of Python and of data files per package; a package's row excludes the rows below it."""
 LONGEST_FUNCTION, NINE_IN_TEN, LONGEST_FILE = 60, 25, 500
