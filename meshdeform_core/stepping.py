@@ -414,7 +414,7 @@ def until_valid(state: State) -> State:
             nodes = course.setup.grid.n_nodes
             text = f"the motion was given up after as much work as is done for {nodes:,} nodes (docs/validity.md)"
             course.warnings.append(Notice(text, "the limit on work"))
-        elif course.limit.late:
+        elif course.limit.reached:
             course.warnings.append(f"the time limit of {course.limit.seconds:g} s was reached ([repair] time_limit)")
         part = f"only for {reached:.1%} of it" if reached else "nor for any part of it that was tried"
         text = (

@@ -237,10 +237,6 @@ class Region:
     def n_unknowns(self) -> int:
         return len(self.fixed)
 
-    @property
-    def number(self) -> IntArray:
-        return self.unknowns.number
-
     def directions(self, x: FloatArray) -> tuple[Unknowns, FloatArray]:
         """Dependence of nodes at ``x`` (n, d) on the unknowns, and projectors onto the directions of these."""
         if not self.slides:
@@ -248,16 +244,18 @@ class Region:
         frame, plain, freedom = self.unknowns.frame.copy(), self.unknowns.plain.copy(), self.fixed.copy()
         for slide in self.slides:
             across = slide.normals(x[slide.nodes])
-            unknown = self.number[slide.nodes]
+            unknown = self.unknowns.number[slide.nodes]
             freedom[unknown] -= across[:, :, None] * across[:, None, :]
             frame[slide.nodes], plain[slide.nodes] = freedom[unknown], False
-        return Unknowns(self.number, frame, plain), freedom
+        return Unknowns(self.unknowns.number, frame, plain), freedom
 
     def spreading(self, frame: FloatArray) -> scipy.sparse.bsr_array:
         """The matrix (n d, n_unknowns d) from changes of the unknowns to those of nodes with frames (n, d, d)."""
-        (n, d, _), free = frame.shape, self.number >= 0
+        (n, d, _), free = frame.shape, self.unknowns.number >= 0
         starts = np.append(0, np.cumsum(free))
-        return scipy.sparse.bsr_array((frame[free], self.number[free], starts), shape=(n * d, self.n_unknowns * d))
+        return scipy.sparse.bsr_array(
+            (frame[free], self.unknowns.number[free], starts), shape=(n * d, self.n_unknowns * d)
+        )
 
     def moved(self, x: FloatArray, unknowns: Unknowns, step: FloatArray, length: float) -> FloatArray:
         """Coordinates after ``length`` times the step (n_unknowns, d) of the unknowns."""

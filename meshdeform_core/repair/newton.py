@@ -98,7 +98,7 @@ class NewtonSystem:
 
     def __init__(self, region: Region) -> None:
         n, d = region.fixed.shape[:2]
-        self.unknowns, of_cell = region.unknowns, region.number[region.energy.nodes]
+        self.unknowns, of_cell = region.unknowns, region.unknowns.number[region.energy.nodes]
         used = of_cell >= 0
         cell = np.broadcast_to(np.arange(len(of_cell))[:, None], of_cell.shape)[used]
         touch = scipy.sparse.csr_array((np.ones(cell.size, np.int32), (of_cell[used], cell)), shape=(n, len(of_cell)))
@@ -119,8 +119,7 @@ class NewtonSystem:
         self._diagonal = np.flatnonzero(self.columns == np.repeat(np.arange(n), np.diff(self.starts)))
         self._rows, self._swept = (self.matrix, self.starts, self.columns), np.zeros((n, 2)) if d == 2 else None
         self._relaxation = 2.0 / (1.0 + _SLACK / np.sqrt(max(n, 1)))
-        self.work, self.iterations = _BLOCK * len(self.columns), 0
-        self.solved = False
+        self.work, self.iterations, self.solved = _BLOCK * len(self.columns), 0, False
         self.gradient = np.empty((n, d))
 
     @staticmethod

@@ -68,10 +68,9 @@ class Limit:
         self, seconds: float = float("inf"), work: float = float("inf"), whole: Limit | None = None,
         ranks: Ranks | None = None,
     ):  # fmt: skip
-        self.seconds = seconds
+        self.seconds, self._most, self._whole, self.spent = seconds, work, whole, 0.0
         self.ranks: Ranks = ranks or (whole.ranks if whole else ONE_PROCESS)
         self._end: float = min(clock.monotonic() + seconds, whole._end if whole else float("inf"))
-        self._most, self._whole, self.spent = work, whole, 0.0
 
     @classmethod
     def of(cls, grid: Grid, seconds: float) -> Limit:
@@ -105,11 +104,6 @@ class Limit:
         return self.ranks.largest(self.spent - self._most) >= 0.0
 
     @property
-    def late(self) -> bool:
-        """Whether the time is over on some rank; a collective call with the same answer on all."""
-        return self.ranks.largest(clock.monotonic() - self._end) >= 0.0
-
-    @property
     def reached(self) -> bool:
-        """Whether the work is spent or the time is over; a collective call."""
-        return self.exhausted or self.late
+        """Whether the work is spent or the time is over on some rank; a collective call with the same answer on all."""
+        return self.exhausted or self.ranks.largest(clock.monotonic() - self._end) >= 0.0

@@ -42,7 +42,6 @@ _DAMPING = (0.0, 0.0625, 0.125, 0.25, 0.5, 1.0)
 # Sufficient decrease in the line search (Armijo), and the round-off of the energy that it tolerates.
 _DECREASE, _ROUND_OFF = 1e-4, 1e-13
 
-
 Progress = Callable[[str, int, int], None]
 
 
@@ -58,9 +57,10 @@ class State:
 
 @dataclass(frozen=True)
 class Way:
-    """A strategy of untangling a region: the largest number of ``steps``, the ``first`` regularisation and its
-    ``slowest`` relative decrease. ``patient``: all nodes move, with the full share of the energy. ``even``: cells at
-    walls have little more weight than others, for grids that are untangled but have cells worse than allowed."""
+    """A strategy of untangling a region: the largest number of ``steps``, the ``first`` regularisation and the
+    ``slowest`` decrease of its effect in a step. ``patient``: all nodes move, with the full share of the energy.
+    ``even``: cells at walls have little more weight than others, for grids that are untangled but have cells worse
+    than allowed."""
 
     steps: int
     first: float
@@ -70,16 +70,14 @@ class Way:
 
 
 # A regularisation that starts large and falls slowly finds valid grids where a fast one fails.
-QUICK, PATIENT = Way(60, 2.0, 0.2), Way(200, 50.0, 0.1, patient=True)
-EVEN = Way(60, 2.0, 0.2, patient=True, even=True)
-# Where no valid grid exists, most of the cells that can become valid do so early.
-HASTY = Way(30, 2.0, 0.3)
+QUICK, PATIENT = Way(60, 2.0, 0.35), Way(200, 50.0, 0.1, patient=True)
+EVEN = replace(QUICK, patient=True, even=True)
 _CONVERGING = 60
 # A region of n nodes takes at most _WORK / n Newton steps, so that time is bounded on large grids.
 _WORK, _FEWEST = 20_000_000, 6
 
 WAYS: dict[Effort, tuple[Way, ...]] = {
-    "hasty": (HASTY,),
+    "hasty": (QUICK,),
     "quick": (QUICK, EVEN),
     "patient": (PATIENT, EVEN),
     "all": (QUICK, EVEN, PATIENT),
@@ -98,6 +96,15 @@ class Search:
     steps: int
     untangled: FloatArray | None
     share: float
+
+
+def smaller_regularisation(eps: float, lowest: float, change: float) -> float:
+    """The regularisation with which chi of the ``lowest`` determinant is ``1 - change`` times what it is with ``eps``;
+    0 where chi is less without any."""
+    root = np.sqrt(eps * eps + lowest * lowest)
+    chi = 0.5 * (lowest + root) if lowest > 0 else 0.5 * eps * eps / (root - lowest)
+    goal = (1.0 - change) * chi
+    return 2.0 * float(np.sqrt(goal * (goal - lowest))) if lowest < goal else 0.0
 
 
 class Untangler:
@@ -134,43 +141,39 @@ class Untangler:
         energies, lowest, highest = parts.T
         return State(x, float(energies.sum()), float(lowest.min(initial=np.inf)), float(highest.max(initial=0.0)))
 
-    def untangle(self, way: Way) -> bool:
-        """Newton steps until every determinant is positive; returns whether this succeeded.
+    def untangle(self, way: Way) -> float | None:
+        """Newton steps until every determinant is positive: the regularisation of the last of them, 0 if none was
+        needed, or ``None`` if this failed.
 
         Cells at walls have smaller weights than in the energy to be minimised, as folds open sooner if all cells take
-        part. The regularisation falls as in Garanzha et al. 2021 (section 2.3), but by at least ``way.slowest`` once
-        the energy hardly changes: a few extra steps at the end cost less than many before.
+        part. The regularisation falls as in Garanzha et al. 2021 (section 2.3), but faster while energies hardly do.
         """
         whole, self.region = self.region, replace(self.region, energy=self.region.energy.softened(SOFTENED))
-        eps, untangled = way.first, False
+        eps, last, untangled = way.first, 0.0, False
         for step in range(way.steps + 1):
             now = self.state(self.x, Penalty(eps))
             untangled = now.lowest > 0.0
             if untangled or step == way.steps or now.lowest < -_LOCKED * eps or self.limit.reached:
                 break
             self.progress("repair", step, way.steps)
-            after, _ = self._step(now, Penalty(eps), _ROUGH)
-            self.x = after.x
-            # The regularisation with which chi of the smallest determinant is ``1 - change`` times what it is now.
-            lowest = after.lowest
-            change = max(way.slowest, 1.0 - after.energy / now.energy)
-            root = np.sqrt(eps * eps + lowest * lowest)
-            chi = 0.5 * (lowest + root) if lowest > 0 else 0.5 * eps * eps / (root - lowest)
-            goal = (1.0 - change) * chi
-            eps = 2.0 * float(np.sqrt(goal * (goal - lowest))) if lowest < goal else 1e-10
+            after, part = self._step(now, Penalty(eps), _ROUGH)
+            self.x, last = after.x, eps
+            change = max(way.slowest * (part or 1.0), 1.0 - after.energy / now.energy)
+            eps = smaller_regularisation(eps, after.lowest, change)
         self.region = whole
-        return untangled
+        return last if untangled else None
 
-    def minimise(self, share: float, most: int) -> bool:
-        """At most ``most`` Newton steps to the minimum from a valid start; returns whether it was reached."""
-        penalty, whole = Penalty(0.0, share, CUBIC, 1.0), self.region.energy.work + _WORTHWHILE * self.system.work
+    def minimise(self, share: float, most: int, eps: float = 0.0) -> bool:
+        """At most ``most`` Newton steps to the minimum from a valid start; returns whether it was reached. With the
+        regularisation ``eps``, which falls to 0, they raise small determinants by more than half."""
+        penalty, whole = Penalty(eps, share, CUBIC, 1.0), self.region.energy.work + _WORTHWHILE * self.system.work
         now, earlier = self.state(self.x, penalty), deque[State](maxlen=_PATIENCE + 1)
         length = expected = np.inf
         for step in range(most):
             earlier.append(now)
             if self.limit.reached or not self.limit.affords(whole):
                 break
-            if step >= _PATIENCE:
+            if len(earlier) > _PATIENCE:
                 # Whether the worst cells, the energy or, relative to their edges, the nodes have changed noticeably.
                 old = earlier[0]
                 pairs = (old.lowest, now.lowest), (old.highest - 2.0, now.highest - 2.0), (old.energy, now.energy)
@@ -185,16 +188,18 @@ class Untangler:
             before, length = length, self._relative(after.x - now.x)
             now = after
             self.x = now.x
+            if penalty.eps > 0.0:
+                eps = smaller_regularisation(penalty.eps, now.lowest, QUICK.slowest * (part or 1.0))
+                penalty = penalty._replace(eps=eps)
+                now, length = self.state(now.x, penalty), np.inf
+                earlier.clear()
+                continue
             # The next step is estimated from the linear solver's tolerance and Newton's quadratic convergence.
             expected = max(tolerance, (length / before) ** 2) * length if before else np.inf
             # A step that was shortened, or not solved for, says nothing about the distance from the minimum, and where
             # the second derivatives are indefinite there is none.
-            if (
-                self.system.solved
-                and self.damped == 0.0
-                and part >= 1.0
-                and (length < CLOSE or (step and _SAFETY * expected < CLOSE))
-            ):
+            full = self.system.solved and self.damped == 0.0 and part >= 1.0
+            if full and (length < CLOSE or (step and _SAFETY * expected < CLOSE)):
                 return True
             if part == 0.0:
                 break
@@ -259,8 +264,9 @@ class Untangler:
         if raised == 0.0:
             return None
         self.region = replace(self.region, energy=energy.softened(POLISHED) if polish or way.even else energy)
-        untangled, first = self.untangle(replace(way, steps=min(way.steps, self.most))), self.x
-        converged = untangled and self.minimise(raised, min(_CONVERGING, self.most))
-        moved, on_the_way = (self.plot.shift(x - self.reference) for x in (self.x, first))
-        kept = on_the_way if untangled and not converged else None
+        eps, first = self.untangle(replace(way, steps=min(way.steps, self.most))), self.x
+        untangled = eps is not None
+        converged = eps is not None and self.minimise(raised, min(_CONVERGING, self.most), eps)
+        moved = self.plot.shift(self.x - self.reference)
+        kept = self.plot.shift(first - self.reference) if untangled and not converged else None
         return Search(moved, converged and (polish or raised == share), untangled, self.steps, kept, share)

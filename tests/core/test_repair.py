@@ -92,11 +92,11 @@ def test_gradient_is_that_of_differences_and_matrix_is_symmetric(dimension, pena
     np.testing.assert_allclose(exact @ step.ravel(), expected, atol=2e-5 * np.abs(expected).max())
     if dimension == 3:
         # Of the shares the gradient is a linear function.
-        gradients, free = [], region.number >= 0
+        gradients, free = [], region.unknowns.number >= 0
         for factor in (1.0, 1.5):
             more = dataclasses.replace(region, energy=energy.with_between(factor * energy.between))
             system.fill(more, x, start, penalty)
-            gradients.append(system.gradient[region.number[free]])
+            gradients.append(system.gradient[region.unknowns.number[free]])
         change, _, _ = energy.products(x, penalty, 0.0 * x, 0.0, 0.5 * energy.between)
         np.testing.assert_allclose(change[free], gradients[1] - gradients[0], atol=1e-12)
 
@@ -156,7 +156,7 @@ def test_where_steps_are_shortened_or_refused_the_minimum_is_not_called_reached(
     start = plot.inside(setup.grid.points)
     untangler = Untangler(plot, start)
     untangler.x = start.copy()
-    untangler.x[plot.region.number >= 0] += 1e-5
+    untangler.x[plot.region.unknowns.number >= 0] += 1e-5
     true, trials = Untangler.state, []
 
     def state(self, x, penalty):
@@ -429,7 +429,7 @@ def test_nodes_at_the_rim_of_a_region_are_held():
     setup = fixed_setup(cube(9))
     basis = Basis(setup.original, setup.boundary)
     plot = basis.plot(basis.near(np.array([setup.grid.n_cells // 2]), 1), 1)
-    np.testing.assert_array_equal(np.flatnonzero(plot.region.number >= 0), np.sort(plot.at))
+    np.testing.assert_array_equal(np.flatnonzero(plot.region.unknowns.number >= 0), np.sort(plot.at))
     assert 0 < len(plot.at) < len(plot.nodes) < basis.n_unknowns
 
 
